@@ -17,6 +17,8 @@ from mmwave_env.models.scene import SCENES, read_scene
 from mmwave_env.world.keys import keys_of
 from mmwave_env.world.simulated import SimulatedSource
 from tests.cli import assert_one_clear_line, command, succeed
+from tests.localization.mistakes import read_columns, write_columns
+from tests.logs.by_hand import shown
 from tests.logs.writing import write_log
 from tests.paths import LOGS, RECORDINGS
 from tests.refusals import refuses
@@ -57,8 +59,8 @@ def test_a_simulated_log_gives_the_simulated_episode(tmp_path, odometry):
     assert episode.layout == true.layout and episode.name == tmp_path.name
     for field in ("time_s", "usable", "doppler_spread_hz", "scene_anchors_m", "truth_position_m"):
         np.testing.assert_array_equal(getattr(episode, field), getattr(true, field))
-    widths = [group.stop - group.start for group in true.layout.groups]
-    at, ranges = np.repeat(true.usable, widths, axis=1), np.zeros(true.layout.size, bool)
+    at = np.repeat(true.usable, true.layout.widths, axis=1)
+    ranges = np.zeros(true.layout.size, bool)
     ranges[: true.layout.doppler : 4] = True
     z, expected = episode.measurement, true.measurement
     np.testing.assert_array_equal(z[at & ~ranges], expected[at & ~ranges])
@@ -98,25 +100,21 @@ def test_a_wrong_clock_of_the_truth_is_reported_but_not_corrected(sample):
 
 
 def test_a_log_that_lacks_rows_and_states_its_noise_can_be_played_and_written_again(folder):
-    """Write a log with Doppler shifts in anchor 2's rows, read it, write it again and compare."""
-    lines = (folder / "log.csv").read_text().splitlines()
-    rows = [dict(zip(lines[0].split(","), line.split(","), strict=True)) for line in lines[1:]]
-    doppler = ""
-    text = "time_s,anchor,toa_s,range_sigma_m,aod_azimuth_rad,aod_azimuth_sigma_rad,doppler_hz,"
-    text += "doppler_sigma_hz\n"
-    for row in rows:
-        doppler = row["doppler_hz"] if row["anchor"] == "1" else doppler
-        shown = [doppler, "25" if doppler else ""] if row["anchor"] == "2" else ["", ""]
-        noise = [word if row["toa_s"] else "" for word in ("0.4", "0.03")]
-        cells = row["toa_s"], noise[0], row["aod_azimuth_rad"], noise[1], *shown
-        text += ",".join([row["time_s"], row["anchor"], *cells]) + "\n"
-    whole = read_log_folder(folder)
-    (folder / "log.csv").write_text(text)
+    """Replace the log by one that lacks quantities and has Doppler shifts of anchor 2."""
+    whole, columns = read_log_folder(folder), read_columns(folder / "log.csv")
+    own = {name: columns[name] for name in ("time_s", "anchor", "toa_s", "aod_azimuth_rad")}
+    own["doppler_hz"] = np.roll(columns["doppler_hz"], 1)  # from anchor 1's rows to anchor 2's
+    for sigma, name, value in (
+        ("range_sigma_m", "toa_s", 0.4),
+        ("aod_azimuth_sigma_rad", "aod_azimuth_rad", 0.03),
+        ("doppler_sigma_hz", "doppler_hz", 25.0),
+    ):
+        own[sigma] = np.where(np.isfinite(own[name]), value, np.nan)
+    write_columns(folder / "log.csv", own)
     track = read_log_folder(folder)
     episode = source_from(track, "handset").sample(np.random.default_rng(0))
     assert track.layout == replace(whole.layout, partial=True)
-    seen = np.repeat(whole.visible, [4, 4, 4, 1], axis=1)
-    seen &= [True, False, False, True] * 3 + [True]
+    seen = shown(whole) & ([True, False, False, True] * 3 + [True])
     np.testing.assert_array_equal(np.isfinite(episode.measurement), seen)
     np.testing.assert_array_equal(track.measurement[seen], whole.measurement[seen])
     expected = np.tile([0.4, 1.0, 1.0, 0.03] * 3 + [25.0], (len(track), 1))
@@ -127,23 +125,18 @@ def test_a_log_that_lacks_rows_and_states_its_noise_can_be_played_and_written_ag
     np.testing.assert_array_max_ulp(again.table(), episode.table(), maxulp=2)
 
 
-@pytest.mark.parametrize("name", log_names())
-def test_a_log_whose_links_are_complete_has_the_plain_layout(name):
-    track = read_log_folder(sample_folder(name))
-    assert not track.layout.partial and track.sigma is None and track.doppler_anchor is None
-
-
 # --- kinds of folders
 
 
 @pytest.mark.parametrize("name", log_names())
-def test_samples_are_found_by_name_and_by_folder(name):
+def test_samples_are_found_by_name_and_by_folder_and_have_the_plain_layout(name):
     assert sample_folder(name) == LOGS / name
     assert sample_folder(name, "recording") == RECORDINGS / name
     for where in (name, RECORDINGS / name):
         assert isinstance(source_from(where, "standard").track, Recording)
     log = source_from(LOGS / name, "standard")
     assert isinstance(log.track, MeasuredTrack) and log.name == name
+    assert not log.layout.partial and log.track.sigma is log.track.doppler_anchor is None
     recorded = source_from(name, "standard").sample(np.random.default_rng(0))
     played = log.sample(np.random.default_rng(0))
     np.testing.assert_array_equal(played.usable, recorded.usable)

@@ -1,4 +1,4 @@
-"""Tests that measured arrays become episodes, and that messages name the array that is wrong."""
+"""Tests that arrays of measurements become episodes, and that messages name a wrong array."""
 
 import gymnasium as gym
 import numpy as np
@@ -16,6 +16,7 @@ from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.simulated import SimulatedSource
+from tests.logs.by_hand import shown
 from tests.paths import representative
 from tests.refusals import refuses
 
@@ -31,7 +32,7 @@ def simulated(seed=3, epochs=60, radio=RADIO, scenario="vehicle"):
 
 
 def links(record, visible):
-    """Return the rows of links as arrays (T, L) by name, with NaN where a link is not visible."""
+    """Return the numbers of links as arrays (T, L) by name; NaN where a link is not visible."""
     rows = record.measurement[:, : record.layout.doppler].reshape(len(record), -1, 4)
     return {name: np.where(visible, rows[:, :, i], np.nan) for i, name in enumerate(LINK)}
 
@@ -285,7 +286,7 @@ def test_a_recording_can_be_made_from_arrays():
     own = same | gain | links(true, visible)
     recording = Recording.from_arrays(**own, velocity_mps=true.velocity_mps)
     np.testing.assert_array_equal(recording.visible, true.visible)
-    at = np.repeat(true.visible, [4, 4, 4, 1], axis=1)
+    at = shown(true)
     np.testing.assert_allclose(recording.measurement[at], true.measurement[at], rtol=1e-12)
     assert recording.scene == true.scene
     by_differences = Recording.from_arrays(**own)

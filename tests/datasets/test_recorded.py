@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mmwave_env.datasets.recorded import Recording
 from mmwave_env.datasets.samples import recording_from, sample_names, source_from
 from mmwave_env.datasets.tracks import TrackSource
-from mmwave_env.models.layout import Layout
+from mmwave_env.models.layout import Layout, wrapped
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import Scene, Wall
 from mmwave_env.world.episode import EpisodeSource
@@ -29,10 +29,10 @@ def generator(seed=0):
 
 
 def residuals(episode, recording, cut=slice(None)):
-    """Return measured minus exact values (T, rows) of the epochs ``cut``, with angles wrapped."""
+    """Return measured minus exact values (T, rows); ``cut`` selects epochs of the recording."""
     out = episode.measurement - recording.measurement[cut]
     angles = recording.layout.angles
-    out[:, angles] = np.remainder(out[:, angles] + np.pi, 2.0 * np.pi) - np.pi
+    out[:, angles] = wrapped(out[:, angles])
     return out
 
 

@@ -1,6 +1,7 @@
-"""Mistakes that receivers and scripts make, as functions from correct columns to wrong ones."""
+"""Mistakes in logs, as functions from the correct columns (arrays by name) to the wrong ones."""
 
 import csv
+from itertools import permutations
 from pathlib import Path
 
 import numpy as np
@@ -39,13 +40,13 @@ def exchange(column, other):
     return lambda c: {**c, column: c[other], other: c[column]}
 
 
-exchanged = exchange(*AZIMUTHS)  # arrival and departure
+exchanged = exchange(*AZIMUTHS)  # azimuths of arrival and departure
 upside_down = linear(-1.0, "aoa_elevation_rad")
-FACTORS = {
+FACTORS = {  # end of a hypothesis on times -> factor by which times are wrong
     f"1e{n} times too large ({unit}?)": 10.0**n for n, unit in ((3, "ms"), (6, "us"), (9, "ns"))
 }
 FACTORS |= {f"1e{n} times too small (s?)": 10.0**-n for n in (3, 6, 9)}
-MISTAKES = {  # hypothesis that explains a mistake -> the mistake
+MISTAKES = {  # text of a hypothesis of the diagnosis -> the mistake that it explains
     "arrival and departure are exchanged": exchanged,
     "azimuth and elevation of arrival are exchanged": exchange(AZIMUTHS[0], "aoa_elevation_rad"),
     "elevation has the other sign": upside_down,
@@ -70,4 +71,4 @@ MISTAKES = {  # hypothesis that explains a mistake -> the mistake
     "Doppler shift is in kHz, not in Hz": linear(1e-3, "doppler_hz"),
     "Doppler shift is in Hz, not in kHz": linear(1e3, "doppler_hz"),
 }
-ORDERS = [(2, 1, 3), (3, 2, 1), (1, 3, 2), (2, 3, 1), (3, 1, 2)]  # wrong orders of anchors
+ORDERS = list(permutations((1, 2, 3)))[1:]  # all orders of three anchors but the right one

@@ -1,4 +1,4 @@
-"""Tests that the conversions of angles in docs/data.md lead to the convention of this project."""
+"""Tests that the formulas in docs/data.md convert angles of other conventions to ours."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from tests.paths import ROOT
 
 PAGE = (ROOT / "docs" / "data.md").read_text(encoding="utf-8")
 TABLE = PAGE.split("<!-- conversions:")[1].split("<!-- end of conversions")[0]
-ROWS = [
+ROWS = [  # for each row: a description, then formulas of arrival, elevation and departure
     [cell.strip(" `") for cell in row.strip("|").split("|")]
     for row in TABLE.splitlines()
     if row.startswith("| ") and "you have" not in row
@@ -17,13 +17,13 @@ ROWS = [
 
 
 def between(p, q):
-    """Return azimuth and elevation of the direction from p to q in degrees."""
+    """Return azimuth and elevation, in degrees, of the direction from p to q."""
     d = np.subtract(q, p)
     return np.degrees(np.arctan2(d[1], d[0])), np.degrees(np.arctan2(d[2], np.hypot(d[0], d[1])))
 
 
 def reported(anchor, user):
-    """Return, for each row of the table, the angles (degrees) that its kind of receiver reports."""
+    """Return the angles in degrees that receivers report: for each row of the table, by name."""
     (out, elevation), (back, at_user) = between(anchor, user), between(user, anchor)
     return [
         {"arrival": back, "elevation": at_user, "departure": out},

@@ -1,6 +1,5 @@
-"""Tests of the assignment of paths to anchors, of where tracks begin, and of the counts."""
+"""Tests of associating paths with anchors, of the epochs in which tracks begin, and of counts."""
 
-from functools import lru_cache
 from itertools import islice
 
 import numpy as np
@@ -9,19 +8,21 @@ import pytest
 from mmwave_env.datasets.log_folder import read_log_folder
 from mmwave_env.filters.bank import default_modes
 from mmwave_env.localization.association import Association, associate
-from mmwave_env.localization.localizer import Switching, localize
+from mmwave_env.localization.localizer import Switching
 from mmwave_env.localization.segments import segments
 from mmwave_env.logs.log import LogBlock, PathEpoch, read_log, read_paths
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.layout import Layout
-from mmwave_env.models.measurement import exact_rows, seen_from_image
+from mmwave_env.models.measurement import seen_from_image
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, Scene
 from mmwave_env.world.simulated import SimulatedSource
 from policies.speed_rule import by_predicted_speed
-from tests.logs.by_hand import assert_same, hide_anchors
+from tests.filters.tracks import geometry
+from tests.logs.by_hand import assert_same, damaged, hide_anchors, track_of
 from tests.paths import LOGS, representative
+from tests.refusals import refuses
 
 RADIO = RADIOS["standard"]
 MODES = default_modes("standard")
@@ -30,23 +31,17 @@ SCENE = Scene("canyon", (0.0, 3.0, 8.0), virtual_anchors_m=((0.0, 17.0, 8.0), (0
 LAYOUT = Layout(3)
 
 
-def labelled(epochs, scene=SCENE, tally=None, **more):
-    """Return the epochs, with paths assigned to anchors, as one block."""
+def associated(epochs, scene=SCENE, tally=None, **more):
+    """Assign the paths of these epochs to anchors; return the epochs as one block."""
     tally = tally or Association(len(scene.anchors_m))
     return LogBlock.joined(list(associate(epochs, scene, RADIO, MODES[-1], tally, **more)))
 
 
 def walk(anchors_seen, false_paths=0, seed=0, y_m=-2.0):
-    """Yield epochs of a user who walks east; ``anchors_seen`` lists visible anchors by epoch."""
+    """Yield epochs of a user who walks east; ``anchors_seen[t]`` lists visible anchors by index."""
     rng, time = np.random.default_rng(seed), np.arange(len(anchors_seen), dtype=float)
-    position = [20.0 + 1.4 * time, np.full(len(anchors_seen), y_m), np.full(len(anchors_seen), 1.5)]
-    velocity = [
-        np.full(len(anchors_seen), 1.4),
-        np.zeros(len(anchors_seen)),
-        np.zeros(len(anchors_seen)),
-    ]
-    anchors = SCENE.anchors_m.tolist()
-    exact = np.stack(exact_rows(position, velocity, anchors, SCENE.hz_per_mps, LAYOUT), axis=1)
+    position = [20.0, y_m, 1.5] + time[:, None] * [1.4, 0.0, 0.0]
+    exact = geometry(position, np.tile([1.4, 0.0, 0.0], (len(time), 1)), SCENE, LAYOUT)
     sigma = RADIO.sigma(np.full((1, 3), 25.0), SCENE, LAYOUT)
     noisy = exact + sigma * rng.standard_normal(exact.shape)
     for t, links in enumerate(anchors_seen):
@@ -65,39 +60,32 @@ ALL, NONE = (0, 1, 2), ()
 
 
 def seen_in(block):
+    """Return, for each epoch, the indices of the anchors to which paths were assigned."""
     return [tuple(np.flatnonzero(row[:3]).tolist()) for row in block.visible]
 
 
-@lru_cache
-def shipped(name):
-    """Return a shipped track, and an episode of it that assigns measurements to anchors."""
-    track = read_log_folder(LOGS / name)
-    return track, track.episode("standard", np.random.default_rng(0))
-
-
-def ate(block, scene, truth_m, times):
-    tracks = list(
-        localize([block], scene, RADIO, Switching(MODES, by_predicted_speed), window=None)
-    )
-    x, time = (np.concatenate([getattr(t, name) for t in tracks]) for name in ("x", "time_s"))
-    return np.linalg.norm(x[:, :3] - truth_m[np.searchsorted(times, time)], axis=1).mean()
+def ate(block, true):
+    """Return the mean position error in m of a block's track; ``true`` is the measured track."""
+    track = track_of([block], true.scene, RADIO, Switching(MODES, by_predicted_speed), window=None)
+    position_m = true.position_m[np.searchsorted(true.time_s, track.time_s)]
+    return np.linalg.norm(track.x[:, :3] - position_m, axis=1).mean()
 
 
 @pytest.mark.parametrize(
     "name", representative(["canyon28_vehicle", "canyon28_pedestrian"], "canyon28_vehicle")
 )
-def test_a_sample_without_anchor_numbers_gives_nearly_the_same_track(tmp_path, name):
-    track, episode = shipped(name)
+def test_a_shipped_log_without_anchor_numbers_gives_nearly_the_same_track(tmp_path, name):
+    track = read_log_folder(LOGS / name)
     path, tally = tmp_path / "log.csv", Association(3)
+    episode = track.episode("standard", np.random.default_rng(0))
     hide_anchors(path, episode, false_paths=5, seed=1)
-    block = labelled(read_paths(path, track.scene), track.scene, tally)
+    block = associated(read_paths(path, track.scene), track.scene, tally)
     (true,) = read_log(LOGS / name / "log.csv", track.scene)
     ours, links = block.visible[:, :3], true.visible[:, :3]
     same = (block.measurement == true.measurement)[:, :12].reshape(-1, 3, 4).all(axis=2)
     assert not (ours & ~(links & same)).any()
     assert (ours & links).sum() > 0.98 * links.sum()
-    errors = [ate(b, track.scene, track.position_m, track.time_s) for b in (true, block)]
-    assert errors[1] < 1.1 * errors[0]
+    assert ate(block, track) < 1.1 * ate(true, track)
     figures = tally.figures()
     T = len(track)
     assert figures["paths"] == 5 * T + links.sum() and figures["starts"] == 1
@@ -108,7 +96,7 @@ def test_a_sample_without_anchor_numbers_gives_nearly_the_same_track(tmp_path, n
 
 
 def test_angles_of_arrival_may_be_measured_at_the_base_station():
-    """Include reflections: their angles at the station are converted to angles at its image."""
+    """Compare with the same log whose angles are those at the mirror images of the station."""
 
     def as_the_station_sees(epoch, anchor):
         z = epoch.measurement.copy()
@@ -118,37 +106,31 @@ def test_angles_of_arrival_may_be_measured_at_the_base_station():
     def seen_at_station():
         for epoch in walk([ALL] * 20):
             mirrored = [as_the_station_sees(epoch, anchor) for anchor in SCENE.anchors_m]
-            # In this scene, anchors are numbered in the order of their ranges.
+            # The anchors of this scene are numbered in the order of their distances from the user.
             order = np.argsort(np.argsort(epoch.measurement[:, 0]))
             z = np.stack([mirrored[rank][path] for path, rank in enumerate(order)])
             yield epoch._replace(measurement=z, at_station=True)
 
-    block, usual = labelled(seen_at_station()), labelled(walk([ALL] * 20))
+    block, usual = associated(seen_at_station()), associated(walk([ALL] * 20))
     assert seen_in(block) == seen_in(usual)
     np.testing.assert_allclose(block.measurement, usual.measurement, rtol=1e-9)
 
 
 def test_the_size_of_blocks_makes_no_difference():
-    whole, cut = (labelled(walk([ALL] * 25, 3), epochs_per_block=n) for n in (4096, 7))
+    whole, cut = (associated(walk([ALL] * 25, 3), epochs_per_block=n) for n in (4096, 7))
     assert_same(cut, whole)
 
 
 def test_a_log_is_not_read_further_than_needed():
-    read = []
-
-    def endless():
-        for epoch in walk([ALL] * 1000):
-            read.append(epoch.time_s)
-            yield epoch
-
-    blocks = associate(endless(), SCENE, RADIO, MODES[-1], Association(3), epochs_per_block=10)
+    epochs = walk([ALL] * 1000)
+    blocks = associate(epochs, SCENE, RADIO, MODES[-1], Association(3), epochs_per_block=10)
     assert [len(block) for block in islice(blocks, 2)] == [10, 10]
-    assert len(read) < 30
+    assert next(epochs).time_s < 30.0
 
 
 def test_a_track_waits_for_the_line_of_sight_instead_of_starting_from_a_reflection():
     anchors_seen = [(1,)] * 3 + [ALL] * 20
-    block = labelled(walk(anchors_seen, 2, seed=4))
+    block = associated(walk(anchors_seen, 2, seed=4))
     assert seen_in(block) == [NONE] * 3 + [ALL] * 20
     assert np.flatnonzero(block.restarts).tolist() == [3]
 
@@ -156,9 +138,10 @@ def test_a_track_waits_for_the_line_of_sight_instead_of_starting_from_a_reflecti
 def test_a_track_that_started_from_a_reflection_gives_way_to_the_line_of_sight():
     anchors_seen, tally = [(1,)] * 30 + [ALL] * 20, Association(3)
     # The image is 14 m north of the base station, so the user seems to be 14 m further south.
-    block = labelled(walk(anchors_seen, seed=4, y_m=6.0), tally=tally)
+    block = associated(walk(anchors_seen, seed=4, y_m=6.0), tally=tally)
     begins = np.flatnonzero(block.restarts).tolist()
-    assert seen_in(block)[:20] == [(0,)] * 20 and begins[0] == 0  # no contradiction yet
+    # While there is only one path, nothing contradicts that it is the line of sight.
+    assert seen_in(block)[:20] == [(0,)] * 20 and begins[0] == 0
     assert len(begins) == 2 and 20 < begins[1] <= 30
     assert seen_in(block)[30:] == anchors_seen[30:] and tally.figures()["starts"] == 2
     pieces = list(segments([block], SCENE, RADIO))
@@ -169,7 +152,7 @@ def test_a_track_that_started_from_a_reflection_gives_way_to_the_line_of_sight()
 def test_a_new_track_begins_after_a_gap(false_paths):
     gap = int(GAP_S) + 5
     anchors_seen, tally = [ALL] * 10 + [NONE] * gap + [(0, 2)] * 10, Association(3)
-    block = labelled(walk(anchors_seen, false_paths, seed=2), tally=tally)
+    block = associated(walk(anchors_seen, false_paths, seed=2), tally=tally)
     wrong = sum(set(a) - set(b) != set() for a, b in zip(seen_in(block), anchors_seen, strict=True))
     assert wrong <= (1 if false_paths else 0)
     assert seen_in(block)[-9:] == anchors_seen[-9:]
@@ -179,7 +162,7 @@ def test_a_new_track_begins_after_a_gap(false_paths):
 
 def test_false_paths_alone_do_not_make_a_track():
     tally = Association(3)
-    block = labelled(walk([NONE] * 60, 5, seed=3), tally=tally)
+    block = associated(walk([NONE] * 60, 5, seed=3), tally=tally)
     assert block.visible.sum() <= 5
     figures = tally.figures()
     assert figures["without_track"]["epochs"] >= 55 and figures["paths"] == 300
@@ -190,18 +173,14 @@ def test_association_does_not_change_odometry(tmp_path):
     episode = source.sample(np.random.default_rng(1))
     path = tmp_path / "log.csv"
     hide_anchors(path, episode, false_paths=2)
-    block = labelled(read_paths(path, SCENES["street"]), SCENES["street"])
+    block = associated(read_paths(path, SCENES["street"]), SCENES["street"])
     shown = block.visible[:, -1]
     np.testing.assert_array_equal(shown, episode.usable[:, -1])
     np.testing.assert_array_equal(block.measurement[shown, 13:], episode.measurement[shown, 13:])
 
 
 def test_epochs_before_a_damaged_line_are_returned_before_its_error():
-    def damaged():
-        yield from walk([ALL] * 12)
-        raise LogError("line 40")
-
-    blocks = []
-    with pytest.raises(LogError):
-        blocks.extend(associate(damaged(), SCENE, RADIO, MODES[-1], Association(3), 5))
+    epochs, blocks = damaged(walk([ALL] * 12)), []
+    with refuses("line 7", error=LogError):
+        blocks.extend(associate(epochs, SCENE, RADIO, MODES[-1], Association(3), 5))
     assert [len(block) for block in blocks] == [5, 5, 2]

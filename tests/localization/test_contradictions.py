@@ -1,4 +1,4 @@
-"""Tests that logs cause a warning only if they contradict scene, radio or physics."""
+"""Tests that logs cause a warning only if they contradict the scene, the radio or physics."""
 
 from dataclasses import replace
 from itertools import product
@@ -17,6 +17,7 @@ from tests.logs.writing import write_log
 KINDS = ("pedestrian", "vehicle", "walk-ride", "jam", "cyclist")
 WORLDS = list(product(RADIOS.values(), SCENES.values(), KINDS))
 SCENE, RADIO = SCENES["street"], RADIOS["standard"]
+# figures of a group (an anchor's link or the Doppler shift) that fits the track
 FINE = {"seen": 200, "rejected_share": 0.1, "nis_per_dof": 1.0}
 
 
@@ -33,8 +34,9 @@ def block(tmp_path_factory):
     return blocks_of(folder, SCENE, RADIO, "vehicle", 0)[0]
 
 
-def doubts_of(block, **group):
-    groups = {"anchor 1": FINE | group, "all": FINE | {"nis_per_dof": 1e9}}
+def doubts_of(block):
+    """Return the warnings about a block whose groups fit the track; "all" is not a group."""
+    groups = {"anchor 1": FINE, "all": FINE | {"nis_per_dof": 1e9}}
     return [str(doubt) for doubt in contradictions(block, SCENE, RADIO, groups)]
 
 
@@ -81,7 +83,7 @@ def test_a_doppler_shift_may_fit_better_but_not_worse_than_its_noise_predicts(bl
 def test_impossible_measurements_cause_a_warning(block):
     snr, measurement = block.snr_db.copy(), block.measurement.copy()
     snr[5, 1] = 120.0
-    measurement[:, 2] *= -1.0  # a user above the base station
+    measurement[:, 2] *= -1.0  # the user seems to be above the base station
     for changes, group in (
         ({"snr_db": snr}, "anchor 2"),
         ({"time_s": 1e3 * block.time_s}, "time"),

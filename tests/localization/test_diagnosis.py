@@ -45,17 +45,20 @@ def doubts(blocks, scene, radio=RADIO):
     return [str(doubt) for doubt in contradictions(blocks[0], scene, radio, groups.figures())]
 
 
-def findings(path, scene, radio=RADIO, partial=False):
+def findings(path, scene, partial=False):
+    """Diagnose the first block of a log; return the findings, the most likely one first."""
     block = next(read_log(path, scene, odometry=False, limits=False, partial=partial))
-    return diagnose(block, scene, radio, MODES[1])
+    return diagnose(block, scene, RADIO, MODES[1])
 
 
 def reordered(scene, order):
+    """Return the scene with its anchors in another order; the first is the base station."""
     gnb, *others = [tuple(scene.anchors_m[n - 1].tolist()) for n in order]
     return replace(scene, base_station_m=gnb, virtual_anchors_m=tuple(others))
 
 
 def wrong_log(tmp_path, folder, mistake):
+    """Write the log of a folder again, with a mistake; return the path of the new file."""
     path = tmp_path / "log.csv"
     write_columns(path, mistake(read_columns(folder / "log.csv")))
     return path
@@ -93,7 +96,7 @@ def test_a_wrong_order_of_anchors_causes_a_warning_and_is_diagnosed(folder, orde
     scene = reordered(right, order)
     assert doubts(read_log(folder / "log.csv", scene), scene)
     best = findings(folder / "log.csv", scene)[0]
-    # The wrong scene has the anchors 1, 2 and 3 of the log under these numbers.
+    # These are the numbers that the log's anchors 1, 2 and 3 have in the wrong scene.
     names = ", ".join(str(order.index(n) + 1) for n in (1, 2, 3))
     assert best.hypothesis == f"anchors are the scene's {names}" and not best.contradictions
 
@@ -119,10 +122,12 @@ LACKING = {  # mistake -> columns that the log lacks
 
 @pytest.mark.parametrize("name", representative(LACKING, "elevation has the other sign"))
 def test_a_mistake_in_a_log_that_lacks_columns_is_diagnosed(tmp_path, name):
-    scene, mistake = read_scene(FOLDERS[0] / "scene.json"), MISTAKES.get(name, dict)
-    columns, path = mistake(read_columns(FOLDERS[0] / "log.csv")), tmp_path / "log.csv"
-    write_columns(path, {k: v for k, v in columns.items() if k not in LACKING[name]})
-    best, *others = findings(path, scene, partial=True)
+    def change(columns):
+        columns = MISTAKES.get(name, dict)(columns)
+        return {k: v for k, v in columns.items() if k not in LACKING[name]}
+
+    path = wrong_log(tmp_path, FOLDERS[0], change)
+    best, *others = findings(path, read_scene(FOLDERS[0] / "scene.json"), partial=True)
     assert best.hypothesis == name and not best.contradictions
     if "doppler_hz" in LACKING[name]:
         assert not any("Doppler" in f.hypothesis for f in others)

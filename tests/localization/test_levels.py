@@ -1,4 +1,4 @@
-"""Tests of protection levels: how often errors exceed them, and levels of live tracks."""
+"""Tests of protection levels: bounds that errors exceed with a stated probability, the risk."""
 
 import numpy as np
 import pytest
@@ -8,30 +8,32 @@ from experiments.evaluation.positions import Positions
 from experiments.evaluation.runner import score_contenders
 from experiments.evaluation.seeds import Selection
 from mmwave_env.localization.levels import PARTS, Levels, Network
-from mmwave_env.localization.localizer import Switching, TrackBlock, learned, localize
+from mmwave_env.localization.localizer import Switching, learned
 from mmwave_env.localization.position_errors import PositionErrors, gaussian_levels
 from mmwave_env.localization.tracker import Tracker
 from mmwave_env.task import task_from
 from tests.localization.test_policy_tracks import RADIO, ROWS, SCENE, blocks, corrector  # noqa: F401
+from tests.localization.test_position_errors import covariances
+from tests.logs.by_hand import track_of
 from tests.paths import representative
 from tests.refusals import refuses
 
 N, T, ANCHORS = 3, 40, 3
-FRESH = 5_900_000  # first of the tuning seeds that no calibration used
+FRESH = 5_900_000  # first tuning seed that no calibration of factors used
 
 
 def parts(seed=0):
-    """Return random outputs of filters: x, P, NIS, accepted, rejected, and trust in a corrector."""
+    """Return random outputs of filters: x, P, NIS, accepted, rejected, trust in corrections."""
     rng = np.random.default_rng(seed)
-    root = rng.normal(size=(N, T, 7, 7))
-    P = (root @ np.swapaxes(root, 2, 3))[(..., *np.tril_indices(7))]
+    # 0: the gate accepted the group; 1: the gate rejected it; 2: the group was not visible
     fate = rng.integers(3, size=(N, T, ANCHORS + 1))
     nis = rng.chisquare(4, fate.shape)
-    return [rng.normal(size=(N, T, 7)), P, nis, fate == 0, fate == 1, rng.random((N, T))]
+    x, P, trusted = rng.normal(size=(N, T, 7)), covariances(N, T, seed=seed), rng.random((N, T))
+    return [x, P, nis, fate == 0, fate == 1, trusted]
 
 
 def watched(levels, policies, source, radio, seeds):
-    """Return, by policy, [horizontal, vertical] errors / levels (episodes, epochs, 2)."""
+    """Return errors / levels (episodes, epochs, [horizontal, vertical]) of each policy, by name."""
     over = {}
 
     def keep(contender, time_s, results):
@@ -53,9 +55,8 @@ def test_a_risk_that_no_calibration_covers_and_an_unknown_kind_are_refused():
         Levels(0.05)
     with refuses("levels"):
         Levels(kind="exact")
-    assert Levels(0.05, "gaussian").factors(ANCHORS, True, np.arange(T), *parts()).tolist() == (
-        np.ones((N, T, 2)).tolist()
-    )
+    factors = Levels(0.05, "gaussian").factors(ANCHORS, True, np.arange(T), *parts())
+    np.testing.assert_array_equal(factors, np.ones((N, T, 2)))
 
 
 @pytest.mark.parametrize("risk", [0.01, 0.001])
@@ -85,16 +86,17 @@ def test_epochs_in_pieces_have_the_factors_of_the_whole_track():
 
 
 @pytest.mark.parametrize("name", representative(["corrector", "ekf"], "ekf"))
-def test_live_levels_are_those_of_the_complete_log(corrector, name):  # noqa: F811
+def test_live_positions_and_levels_are_those_of_the_complete_log(corrector, name):  # noqa: F811
     modes = learned("ppo-standard", "standard").modes[:1]
     switching = Switching(modes) if name == "ekf" else learned(corrector, "standard")
-    track = TrackBlock.joined(
-        list(localize(blocks(50), SCENE, RADIO, switching, window=None, levels=Levels()))
-    )
+    track = track_of(blocks(50), SCENE, RADIO, switching, window=None, levels=Levels())
     tracker = Tracker(SCENE, switching, "standard", levels=Levels())
-    live = [tracker.update(epoch).levels_m for epoch in ROWS]
+    live = [tracker.update(epoch) for epoch in ROWS]
+    np.testing.assert_array_equal([p.position_m for p in live], track.x[:, :3])
+    if name == "corrector":
+        np.testing.assert_array_equal([p.trusted for p in live], track.trusted)
     expected = gaussian_levels(track.P, 1e-3) * track.level_factors
-    np.testing.assert_allclose(live, expected, rtol=1e-6)
+    np.testing.assert_allclose([p.levels_m for p in live], expected, rtol=1e-6)
     assert tracker.smoothed().levels_m[0] > 0.0
     assert Tracker(SCENE, switching, "standard").update(ROWS[0]).levels_m is None
 

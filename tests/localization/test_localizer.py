@@ -1,7 +1,7 @@
-"""Tests of localizing a log: filters, smoothing, gaps, where tracks begin, and blocks."""
+"""Tests of localizing a log: filters, smoothing, gaps, where tracks begin, and sizes of blocks."""
 
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 
 import numpy as np
 import pytest
@@ -17,15 +17,14 @@ from mmwave_env.localization.localizer import Switching, TrackBlock, localize, s
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.layout import Layout
-from mmwave_env.models.measurement import exact_rows
 from mmwave_env.models.prior import prior_from_fix
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, Scene
 from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource
 from policies.speed_rule import by_odometry_speed, by_predicted_speed
-from tests.filters.tracks import track
-from tests.logs.by_hand import assert_same
+from tests.filters.tracks import geometry, track
+from tests.logs.by_hand import assert_same, block_of, cut, damaged, track_of
 from tests.logs.writing import write_log
 from tests.paths import representative
 from tests.refusals import refuses
@@ -39,7 +38,7 @@ BANK = best_bank()
 
 @cache
 def log(folder, odometry=False):
-    """Return one block with uneven time steps; its first two epochs lack the line of sight."""
+    """Return a log in one block, with uneven time steps; two epochs lack the line of sight."""
     source = SimulatedSource(SCENE, RADIO, "walk-ride", epochs=T, odometry=odometry)
     episode = source.sample(np.random.default_rng(3))
     time = 1.7e9 + np.random.default_rng(0).uniform(0.5, 1.5, T).cumsum()
@@ -62,16 +61,6 @@ def block(folder):
     return log(folder)
 
 
-def cut(block, sizes):
-    """Cut a block into blocks of these sizes, which are repeated until the block ends."""
-    blocks, first = [], 0
-    while first < len(block):
-        size = sizes[len(blocks) % len(sizes)]
-        blocks.append(block.part(slice(first, first + size)))
-        first += size
-    return blocks
-
-
 def run(blocks, modes=(EKF,), rule=None, **options):
     return TrackBlock.joined(list(localized(blocks, modes, rule, **options)))
 
@@ -81,7 +70,7 @@ def localized(blocks, modes, rule=None, **options):
 
 
 def episode_of(block):
-    """Return the log as an episode that begins at the first line of sight."""
+    """Return the log as an episode that begins with the first line of sight, in epoch 2."""
     block = block.part(slice(2, None))
     sigma = RADIO.sigma(block.snr_db, SCENE, block.layout)
     anchor, link = SCENE.anchors_m[0], block.layout.link(0)
@@ -97,15 +86,15 @@ def episode_of(block):
 
 
 def assert_engines(result, block, modes, planar=False):
-    """Assert that the engine gives the same filtered track if it runs the same modes."""
+    """Assert that the engine, running the modes that were chosen, gives the same filtered track."""
     episode = episode_of(block)
     if planar:
         episode = episode.on_flat_ground(1.5)
-    names = ("x", "P", "P_predicted", "memory.nis", "memory.accepted")
+    ours = {"x": result.x, "P": result.P, "P_predicted": result.filtered[:, 42:]}
+    ours |= {"memory.nis": result.nis, "memory.accepted": result.accepted}
     pipeline = Pipeline(tuple(modes), block.layout, planar)
-    theirs = track(pipeline, [episode], result.mode[:, None], T - 2, names)
-    ours = (result.x, result.P, result.filtered[:, 42:], result.nis, result.accepted)
-    for name, values in zip(names, ours, strict=True):
+    theirs = track(pipeline, [episode], result.mode[:, None], T - 2, ours)
+    for name, values in ours.items():
         np.testing.assert_allclose(values, theirs[name][:, 0], rtol=1e-9, atol=1e-9, err_msg=name)
     np.testing.assert_array_equal(result.time_s, episode.time_s)
     np.testing.assert_array_equal(result.visible, episode.usable)
@@ -120,25 +109,19 @@ def test_a_track_in_one_mode_equals_that_of_the_engine(block, mode):
     assert (result.mode == 0).all() and result.share == 1.0
 
 
-def test_the_predicted_speed_chooses_the_mode_in_every_epoch(block):
-    result = run(cut(block, [64]), (EKF, UKF), by_predicted_speed)
+@pytest.mark.parametrize("odometry", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_the_speed_predicted_or_measured_by_odometry_chooses_the_mode(folder, odometry):
+    block = log(folder, odometry)
+    rule = by_odometry_speed if odometry else by_predicted_speed
+    result = run(cut(block, [64]), (EKF, UKF), rule)
     assert_engines(result, block, (EKF, UKF))
-    before = np.concatenate([np.zeros((1, 3)), result.x[:-1, 3:6]])
-    np.testing.assert_array_equal(result.mode, np.linalg.norm(before, axis=1) > 2.0)
+    speed = np.concatenate([[0.0], np.linalg.norm(result.x[:-1, 3:6], axis=1)])
+    if odometry:
+        measured = result.visible[:, -1]
+        speed = np.where(measured, block.measurement[2:, -2], speed)
+        assert measured.any() and not measured.all()
+    np.testing.assert_array_equal(result.mode, speed > 2.0)
     assert 0.1 < result.mode.mean() < 0.9
-
-
-@pytest.mark.slow
-def test_the_odometry_speed_chooses_the_mode_where_it_is_measured(folder):
-    block = log(folder, odometry=True)
-    modes = (EKF, replace(EKF, name="fast", sigma_v=3.0))
-    result = run([block], modes, by_odometry_speed)
-    assert_engines(result, block, modes)
-    measured = result.visible[:, -1]
-    speed = block.measurement[2:, -2]
-    before = np.concatenate([[0.0], np.linalg.norm(result.x[:-1, 3:6], axis=1)])
-    np.testing.assert_array_equal(result.mode, np.where(measured, speed, before) > 2.0)
-    assert measured.any() and not measured.all()
 
 
 @pytest.mark.parametrize("modes", [(EKF,), pytest.param(BANK, marks=pytest.mark.slow)])
@@ -151,28 +134,17 @@ def test_a_track_on_flat_terrain_keeps_its_height(block, modes):
         assert not x[:, 5].any()
 
 
-def assert_imms(result, block, bank):
-    """Assert that the IMM engine gives the same filtered track on the same epochs."""
-    names = ("x", "P", "mixture")
-    imm = partial(run_imm, bank, TrackingReward())
-    expected = imm([episode_of(block)], *names, "mixture.probability", "memory.nis")
-    for name in names:
-        np.testing.assert_allclose(
-            result.filtered[:, 35:] if name == "mixture" else getattr(result, name),
-            expected[name][0],
-            rtol=1e-9,
-            atol=1e-9,
-            err_msg=name,
-        )
-    np.testing.assert_array_equal(result.mode, expected["mixture.probability"][0].argmax(axis=1))
-    np.testing.assert_allclose(result.nis, expected["memory.nis"][0], rtol=1e-9, atol=1e-9)
-    assert not result.nis[~result.visible].any()
-
-
 @pytest.mark.parametrize("size", [1, 50])
 def test_a_track_of_an_imm_equals_that_of_the_imm_engine(block, size):
     result = run(cut(block, [size]), BANK)
-    assert_imms(result, block, BANK)
+    ours = {"x": result.x, "P": result.P, "mixture": result.filtered[:, 35:]}
+    ours["memory.nis"] = result.nis
+    names = (*ours, "mixture.probability")
+    theirs = run_imm(BANK, TrackingReward(), [episode_of(block)], *names)
+    for name, values in ours.items():
+        np.testing.assert_allclose(values, theirs[name][0], rtol=1e-9, atol=1e-9, err_msg=name)
+    np.testing.assert_array_equal(result.mode, theirs["mixture.probability"][0].argmax(axis=1))
+    assert not result.nis[~result.visible].any()
     assert len(np.unique(result.mode)) > 2 and result.share == 1.0
 
 
@@ -234,11 +206,6 @@ def unseen(block, epochs):
     return replace(block, visible=visible, incomplete=incomplete)
 
 
-def damaged(blocks):
-    yield from blocks
-    raise LogError("log.csv, line 7: found 'x'")
-
-
 @pytest.mark.parametrize(("modes", "window"), [((EKF,), None), ((EKF,), 1000), (BANK, 50)])
 def test_the_track_before_a_damaged_line_is_returned_before_its_error(block, window, modes):
     blocks = []
@@ -251,26 +218,21 @@ def test_the_track_before_a_damaged_line_is_returned_before_its_error(block, win
 
 
 UNGATED = replace(UKF, gate=None)
+TWINS = Bank((UNGATED, replace(UNGATED, name="twin")))
 
 
-@pytest.mark.parametrize(  # finite: 1 if the damaged epoch still has a finite state, else 0
-    ("modes", "finite"),
-    [
-        ((UNGATED,), 1),
-        pytest.param(Bank((UNGATED, replace(UNGATED, name="twin"))), 0, marks=pytest.mark.slow),
-    ],
-    ids=["one", "imm"],
-)
+@pytest.mark.parametrize("modes", [(UNGATED,), pytest.param(TWINS, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("first", "window"), [(1, None), (100, 30)])
-def test_a_measurement_that_makes_a_track_infinite_is_refused(block, first, window, modes, finite):
+def test_a_measurement_that_makes_a_track_infinite_is_refused(block, first, window, modes):
     measurement, visible = block.measurement.copy(), block.visible.copy()
     measurement[2 + first, block.layout.doppler], visible[2 + first, SHIFT] = 1e300, True
-    damaged = replace(block, measurement=measurement, visible=visible)
+    wrong = replace(block, measurement=measurement, visible=visible)
     blocks = []
     with refuses("time", error=LogError):
-        blocks.extend(localized([damaged], modes, window=window))
+        blocks.extend(localized([wrong], modes, window=window))
     result = TrackBlock.joined(blocks)
-    assert len(result) == first + finite and np.isfinite(result.smooth_x).all()
+    # The belief of a single mode is still finite in the damaged epoch, but not in the next one.
+    assert len(result) == first + (modes != TWINS) and np.isfinite(result.smooth_x).all()
 
 
 # --- gaps
@@ -297,22 +259,18 @@ def test_after_a_long_gap_the_track_equals_that_of_the_remaining_log_alone(block
 
 
 @pytest.mark.parametrize(("steep", "side"), [(0.0, -1.0), (1e-9, 1.0), (0.02, -1.0)])
-def test_a_log_that_begins_straight_below_or_above_an_anchor_starts_at_the_next_usable_fix(
+def test_a_log_that_begins_straight_below_or_above_an_anchor_starts_where_the_user_has_moved_away(
     steep, side
 ):
     scene = Scene("lamp", (3.0, 4.0, 10.0), virtual_anchors_m=((3.0, 34.0, 10.0),))
     layout, epochs = Layout(2), 60
+    # The user stands below or above the base station for four epochs, then walks away.
     along = np.concatenate([np.full(4, steep), 1.5 * np.arange(1, epochs - 3)])
-    position = np.stack([3.0 + along, np.full(epochs, 4.0), np.full(epochs, 10.0 + 8.0 * side)])
-    velocity = [np.where(along > steep, 1.5, 0.0), np.zeros(epochs), np.zeros(epochs)]
-    rows = exact_rows(list(position), velocity, scene.anchors_m.tolist(), scene.hz_per_mps, layout)
-    visible, snr, spread = np.ones((epochs, 3), bool), np.full((epochs, 2), 30.0), np.zeros(epochs)
-    time, table = np.arange(epochs, dtype=float), np.stack(rows, axis=1)
-    own, first = np.full(table.shape, np.nan), np.zeros(epochs, int)
-    seen_by = table, own, visible, ~visible, first, snr, spread, spread > 0
-    block = LogBlock(layout, time, *seen_by, 1.0)
-    track_of_it = localize([block], scene, RADIO, Switching((EKF,)), window=None)
-    result = TrackBlock.joined(list(track_of_it))
+    position = [3.0, 4.0, 10.0 + 8.0 * side] + along[:, None] * [1.0, 0.0, 0.0]
+    velocity = np.where(along > steep, 1.5, 0.0)[:, None] * [1.0, 0.0, 0.0]
+    rows = geometry(position, velocity, scene, layout)
+    block = block_of(layout, np.arange(60.0), rows, np.ones((epochs, 3), bool), snr_db=30.0)
+    result = track_of([block], scene, RADIO, Switching((EKF,)), window=None)
     assert result.skipped == 4 and result.time_s[0] == 4.0
-    error = np.linalg.norm(result.x[:, :3] - position.T[4:], axis=1)
+    error = np.linalg.norm(result.x[:, :3] - position[4:], axis=1)
     assert error.max() < 1.0

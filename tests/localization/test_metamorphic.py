@@ -1,8 +1,9 @@
 """Tests that an equivalent description of a log and its scene gives an equivalent track.
 
-The correct track of a log is unknown. But if a scene is moved, turned or mirrored, if its anchors
-are renumbered, or if the columns of a log have other units, the track must be moved, turned or
-mirrored in the same way, and have the same uncertainty, NIS and gate decisions.
+The correct track of a log is unknown. But we know how the track must change with the description.
+If the scene is moved, turned or mirrored, so are the track and its covariances. If anchors are
+renumbered or columns have other units, the track stays the same. NIS and gate decisions never
+change.
 """
 
 import gzip
@@ -13,25 +14,27 @@ import numpy as np
 import pytest
 
 from mmwave_env.filters.bank import named_modes
-from mmwave_env.localization.localizer import Switching, localize
+from mmwave_env.localization.localizer import Switching
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import read_scene, scene_of_anchors
 from tests.filters.tracks import TRIANGLE, assert_same_beliefs, unpacked
 from tests.localization.mistakes import AZIMUTHS, FOLDERS, read_columns, write_columns
+from tests.logs.by_hand import track_of
 
-pytestmark = pytest.mark.slow  # half a minute in total
+pytestmark = pytest.mark.slow  # all tests together take half a minute
 
 RADIO = RADIOS["standard"]
 PIPELINES = {name: [mode] for name, mode in named_modes("standard").items()}
-ROTATABLE = ["ekf", "ekf-robust"]  # sigma points of other modes lie along the map's axes
-ROUNDING = 1e-6  # in standard deviations
+# The sigma points of other modes lie along the map's axes, so a turned map changes their tracks.
+ROTATABLE = ["ekf", "ekf-robust"]
+ROUNDING = 1e-6  # largest difference between two tracks, in standard deviations
 UNTURNED = np.eye(3)
 
 
 @pytest.fixture(scope="module", params=FOLDERS, ids=lambda folder: folder.name)
 def street(request):
-    """Return the columns of a recorded log up to 15 s, and its scene."""
+    """Return the columns of a log's first 15 s, and its scene."""
     columns = read_columns(request.param / "log.csv")
     first = columns["time_s"] < 15.0
     scene = read_scene(request.param / "scene.json")
@@ -42,18 +45,11 @@ def with_anchors(scene, anchors_m):
     return scene_of_anchors(scene.name, anchors_m, scene.carrier_hz, scene.bandwidth_hz)
 
 
-def joined(blocks):
-    """Return every array of a track by name, with epochs along the first axis."""
-    blocks = list(blocks)
-    return {
-        name: np.concatenate([getattr(block, name) for block in blocks])
-        for name in blocks[0].arrays()
-    }
-
-
-def track_of(folder, columns, scene, modes):
+def track(folder, columns, scene, modes):
+    """Write a log and localize it; return every array of the track by name."""
     write_columns(folder / "log.csv", columns)
-    return joined(localize(read_log(folder / "log.csv", scene), scene, RADIO, Switching(modes)))
+    blocks = read_log(folder / "log.csv", scene)
+    return track_of(blocks, scene, RADIO, Switching(modes)).arrays()
 
 
 def assert_moved(moved, plain, turn=UNTURNED, shift_m=(0.0, 0.0, 0.0)):
@@ -97,22 +93,19 @@ def test_a_moved_scene_gives_the_moved_track(street, tmp_path, move, pipeline):
     _, turn, shift_m, azimuths = MOVES[move]
     moved_columns = columns | {name: azimuths(columns[name]) for name in AZIMUTHS}
     place = with_anchors(scene, scene.anchors_m @ turn.T + shift_m)
-    plain = track_of(tmp_path, columns, scene, modes)
-    assert_moved(track_of(tmp_path, moved_columns, place, modes), plain, turn, shift_m)
+    plain = track(tmp_path, columns, scene, modes)
+    assert_moved(track(tmp_path, moved_columns, place, modes), plain, turn, shift_m)
 
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
 def test_the_order_of_virtual_anchors_does_not_matter(street, tmp_path, pipeline):
     (columns, scene), modes = street, PIPELINES[pipeline]
-    plain = track_of(tmp_path, columns, scene, modes)
+    plain = track(tmp_path, columns, scene, modes)
     for order in permutations(range(1, len(scene.anchors_m))):
         numbers = np.array([0, *order])
-        renumbered = columns | {
-            "anchor": 1.0 + np.argsort(numbers)[columns["anchor"].astype(int) - 1]
-        }
-        renamed = track_of(
-            tmp_path, renumbered, with_anchors(scene, scene.anchors_m[numbers]), modes
-        )
+        anchor = 1.0 + np.argsort(numbers)[columns["anchor"].astype(int) - 1]
+        other = with_anchors(scene, scene.anchors_m[numbers])
+        renamed = track(tmp_path, columns | {"anchor": anchor}, other, modes)
         groups = [*numbers, len(numbers)]
         for name in ("nis", "visible", "accepted", "incomplete"):
             renamed[name] = renamed[name][:, np.argsort(groups)]
@@ -131,9 +124,9 @@ UNITS = {  # old name -> new name and factor
 
 
 def test_units_orders_clock_and_division_of_a_log_into_parts_do_not_matter(street, tmp_path):
-    """Compare a log with its three gzipped parts that have other units, orders and later times."""
+    """Compare a log with a copy in three gzipped files that differs in units, orders and clock."""
     (columns, scene), modes = street, [replace(PIPELINES["ukf"][0], spread_gain=0.01)]
-    plain = track_of(tmp_path, columns, scene, modes)
+    plain = track(tmp_path, columns, scene, modes)
     order = np.lexsort((-columns["anchor"], columns["time_s"]))
     later = columns | {"time_s": columns["time_s"] + 1024.0}
     written = {}
@@ -150,4 +143,4 @@ def test_units_orders_clock_and_division_of_a_log_into_parts_do_not_matter(stree
         parts.append(tmp_path / f"{first}.csv.gz")
         parts[-1].write_bytes(gzip.compress((tmp_path / "part.csv").read_bytes()))
     blocks = chain.from_iterable(read_log(part, scene, epochs_per_block=50) for part in parts)
-    assert_moved(joined(localize(blocks, scene, RADIO, Switching(modes))), plain)
+    assert_moved(track_of(blocks, scene, RADIO, Switching(modes)).arrays(), plain)

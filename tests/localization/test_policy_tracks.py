@@ -1,4 +1,4 @@
-"""Tests of tracks (live and from logs) whose modes a policy chooses, compared with the engine."""
+"""Tests that tracks whose modes a policy chooses, live or from logs, equal those of the engine."""
 
 import numpy as np
 import pytest
@@ -7,19 +7,14 @@ from mmwave_env.engines.env_engine import Engine
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.correction import corrected
 from mmwave_env.interface.reward import TrackingReward
-from mmwave_env.localization.localizer import (
-    Switching,
-    TrackBlock,
-    episode_from,
-    learned,
-    localize,
-)
+from mmwave_env.localization.localizer import Switching, episode_from, learned
 from mmwave_env.localization.tracker import Tracker
 from mmwave_env.logs.log import read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.numerics.linalg import unpack
 from policies import Corrector, LearnedSwitch
 from tests.localization.test_live_epochs import RADIO, SCENE, WALK, walk
+from tests.logs.by_hand import cut, track_of
 from tests.paths import representative
 from tests.policies.test_corrector import card, network
 from tests.refusals import refuses
@@ -37,7 +32,12 @@ POLICIES = pytest.mark.parametrize(
 def blocks(size):
     """Return the first epochs of the walk in blocks of this size."""
     whole = next(read_log(WALK / "log.csv", SCENE, partial=True)).part(slice(EPOCHS))
-    return [whole.part(slice(first, first + size)) for first in range(0, EPOCHS, size)]
+    return cut(whole, [size])
+
+
+def whole_track(switching, size=50, window=None):
+    """Return the track of the walk's first epochs in one block; ``size`` is that of its blocks."""
+    return track_of(blocks(size), SCENE, RADIO, switching, window=window)
 
 
 @POLICIES
@@ -53,14 +53,14 @@ def test_the_track_equals_that_of_the_environment_to_the_last_bit(name, size):
     for _ in range(EPOCHS):
         engine.step(policy(engine.observations()))
         expected.append(engine.read(engine.at.x)[0])
-    track = TrackBlock.joined(list(localize(blocks(size), SCENE, RADIO, switching, window=None)))
+    track = whole_track(switching, size)
     np.testing.assert_array_equal(track.x, expected)
 
 
 @POLICIES
 def test_a_live_track_equals_that_of_the_complete_log_to_the_last_bit(name):
     switching = learned(name, "standard")
-    track = TrackBlock.joined(list(localize(blocks(50), SCENE, RADIO, switching, window=None)))
+    track = whole_track(switching)
     tracker = Tracker(SCENE, switching, "standard", lag=5)
     positions, late = [], []
     for epoch in ROWS:
@@ -74,7 +74,7 @@ def test_a_live_track_equals_that_of_the_complete_log_to_the_last_bit(name):
     assert (np.array([np.trace(p.covariance_m2) for p in late[6:]]) < spread).all()
 
 
-# --- correctors
+# --- correctors: policies that correct beliefs
 
 
 @pytest.fixture(scope="module")
@@ -102,31 +102,18 @@ def test_a_corrected_track_has_the_corrected_beliefs_of_the_environment(correcto
             corrected(belief, correction.shift[0].tolist(), correction.log_factor[0].tolist()).x
         )
         trusted.append(correction.trusted[0])
-    (track,) = localize([whole], SCENE, RADIO, switching, window=None)
+    track = whole_track(switching)
     np.testing.assert_allclose(track.x, expected, atol=1e-6)
     np.testing.assert_allclose(track.trusted, trusted, atol=1e-6)
     assert (track.trusted > 0.1).mean() > 0.5
 
 
 @pytest.mark.slow  # compiles large programs
-def test_a_live_corrected_track_equals_that_of_the_complete_log(corrector):
-    switching = learned(corrector, "standard")
-    track = TrackBlock.joined(list(localize(blocks(50), SCENE, RADIO, switching, window=None)))
-    tracker = Tracker(SCENE, corrector, "standard")
-    positions = [tracker.update(epoch) for epoch in ROWS]
-    np.testing.assert_array_equal([p.position_m for p in positions], track.x[:, :3])
-    np.testing.assert_array_equal([p.trusted for p in positions], track.trusted)
-
-
-@pytest.mark.slow  # compiles large programs
 def test_a_track_is_smoothed_from_beliefs_without_corrections(corrector):
     switching = learned(corrector, "standard")
     bank = Switching(switching.bank)
-    smooth = [
-        TrackBlock.joined(list(localize(blocks(50), SCENE, RADIO, each, window=50))).smooth_x
-        for each in (switching, bank)
-    ]
-    np.testing.assert_allclose(*smooth, atol=1e-9)
+    smooth, expected = (whole_track(s, window=50).smooth_x for s in (switching, bank))
+    np.testing.assert_allclose(smooth, expected, atol=1e-9)
 
 
 def test_a_live_track_begins_again_after_a_long_gap():
@@ -136,17 +123,11 @@ def test_a_live_track_begins_again_after_a_long_gap():
     assert begins == [True, *[False] * 9, True, *[False] * 9]
 
 
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [
-        ("aoa_azimuth_rad", "north"),
-        ("anchor", 9),
-        ("time_s", -1.0),
-        ("mood", 1.0),
-        ("toa_s", -1e-7),
-    ],
-)
-def test_an_error_names_the_field_of_a_damaged_row_and_the_epoch_can_be_sent_again(field, value):
+WRONG = {"aoa_azimuth_rad": "north", "anchor": 9, "time_s": -1.0, "mood": 1.0, "toa_s": -1e-7}
+
+
+@pytest.mark.parametrize("field", WRONG)
+def test_an_error_names_the_field_of_a_damaged_row_and_the_epoch_can_be_sent_again(field):
     switching = Switching(LearnedSwitch("ppo-standard").modes[:1])
     tracker, undisturbed = (Tracker(SCENE, switching, "standard") for _ in range(2))
     for epoch in ROWS[:3]:
@@ -154,5 +135,5 @@ def test_an_error_names_the_field_of_a_damaged_row_and_the_epoch_can_be_sent_aga
         undisturbed.update(epoch)
     first, second, *_ = ROWS[3]
     with refuses(field, error=LogError):
-        tracker.update([first, second | {field: value}])
+        tracker.update([first, second | {field: WRONG[field]}])
     assert tracker.update(ROWS[3]) == undisturbed.update(ROWS[3])

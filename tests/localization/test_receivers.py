@@ -1,4 +1,4 @@
-"""Tests of logs that have only some quantities and state their noise, against a textbook EKF."""
+"""Tests that logs with only some quantities, and with stated noise, give a textbook EKF's track."""
 
 import csv
 import json
@@ -9,14 +9,14 @@ import pytest
 from mmwave_env.filters import textbook
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.textbook import Sensor, tangent
-from mmwave_env.localization.localizer import Switching, TrackBlock, localize
-from mmwave_env.logs.log import LogBlock, read_log
+from mmwave_env.localization.localizer import Switching
+from mmwave_env.logs.tum import tum_lines
 from mmwave_env.models.layout import wrapped
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import scene_of_anchors
-from mmwave_env.numerics.linalg import unpack
-from tests.cli import succeed
-from tests.filters.tracks import process_noise
+from tests.commands.localizing import figures
+from tests.filters.tracks import process_noise, unpacked
+from tests.logs.by_hand import read, track_of
 from tests.paths import representative
 
 ANCHORS = np.array([[0.0, 0.0, 10.0], [0.0, 70.0, 10.0], [-90.0, 0.0, 12.0], [60.0, -50.0, 8.0]])
@@ -28,6 +28,7 @@ ROWS = {  # column -> (row of a link, or 4 for Doppler; unit; standard deviation
     "doppler": (4, "hz", 25.0),
 }
 RANGE_AZIMUTH, ANGLES = ("range", "aoa_azimuth"), ("aoa_azimuth", "aoa_elevation", "aod_azimuth")
+# Without elevations, one anchor needs a known height: otherwise, even the textbook EKF diverges.
 RECEIVERS = {  # name -> columns that are measured, time step in s, number of anchors
     "all, 1 s": (tuple(ROWS), 1.0, 3),
     "all, 0.1 s": (tuple(ROWS), 0.1, 3),
@@ -41,8 +42,8 @@ RECEIVERS = {  # name -> columns that are measured, time step in s, number of an
     "range, azimuth and Doppler shift": ((*RANGE_AZIMUTH, "doppler"), 0.1, 2),
 }
 MODE = Mode("plain", gate=None, adaptive=False, recovery=None, sigma_v=0.3, sigma_vz=0.005)
-# One anchor without elevations needs a known height: otherwise, even the textbook EKF diverges.
-RADIO, WALKS, EPOCHS, SETTLED = RADIOS["standard"], 8, 120, 20
+RADIO, WALKS, EPOCHS = RADIOS["standard"], 8, 120
+SETTLED = 20  # number of first epochs whose errors are not compared
 
 
 def noise(dt, hz_per_mps, flat):
@@ -94,7 +95,7 @@ def by_textbook(log, scene, x, P, flat):
     return np.array(means)
 
 
-# The quick cases have three anchors: for each other number, programs must be compiled.
+# Cases with another number of anchors than three are slow: they compile programs of their own.
 @pytest.mark.parametrize(
     "receiver", representative(RECEIVERS, "all, 1 s", "no Doppler shift", "angles")
 )
@@ -103,52 +104,40 @@ def test_a_track_equals_that_of_a_textbook_ekf_and_is_consistent(tmp_path, recei
     height_m, axes = (1.5, 2) if flat else (None, 3)
     for seed in range(WALKS):
         scene, truth = walk(tmp_path / "log.csv", receiver, seed)
-        log = LogBlock.joined(list(read_log(tmp_path / "log.csv", scene, partial=True)))
-        blocks = localize([log], scene, RADIO, Switching((MODE,)), None, height_m)
-        track = TrackBlock.joined(list(blocks))
-        begins, P = EPOCHS - len(track), [np.array(unpack(list(p)), float) for p in track.P]
+        log = read(tmp_path / "log.csv", scene, partial=True)
+        switching = Switching((MODE,))
+        track = track_of([log], scene, RADIO, switching, window=None, height_m=height_m)
+        begins, P = EPOCHS - len(track), unpacked(track.P)
         plain = by_textbook(log.part(slice(begins, None)), scene, track.x[0], P[0], flat)
         np.testing.assert_allclose(track.x[:, :3], plain, atol=1e-6)
         error = track.x[:, :3] - truth[begins:]
         ours.append(np.linalg.norm(error[SETTLED:], axis=1).mean())
         expected.append(np.linalg.norm((plain - truth[begins:])[SETTLED:], axis=1).mean())
-        blocks = [p[:axes, :axes] for p in P]
-        nees.append(
-            [e @ np.linalg.solve(S, e) for e, S in zip(error[:, :axes], blocks, strict=True)][
-                SETTLED:
-            ]
-        )
+        settled = error[SETTLED:, :axes, None]
+        scaled = np.linalg.solve(P[SETTLED:, :axes, :axes], settled)
+        nees.append((settled * scaled).sum(axis=1).mean())
     assert np.mean(ours) == pytest.approx(np.mean(expected), rel=0.05)
-    assert np.mean([np.mean(walk) for walk in nees]) == pytest.approx(axes, rel=0.15)
+    assert np.mean(nees) == pytest.approx(axes, rel=0.15)
 
 
 @pytest.mark.slow
-def test_places_are_found_from_range_and_azimuth_of_one_anchor_at_the_users_height(tmp_path):
-    """Localize 45 places, 0.5 m apart, from measurements like those of a 60 GHz access point."""
+def test_points_are_found_from_range_and_azimuth_of_one_anchor_at_the_users_height(tmp_path):
+    """Localize 45 points, 0.5 m apart, from measurements like those of a 60 GHz access point."""
     rng, anchor = np.random.default_rng(3), np.array([0.0, 0.0, 1.5])
     line = 0.5 * np.arange(15)
-    places = np.concatenate(
-        [
-            np.column_stack([3.0 + line, np.full(15, 2.0)]),
-            np.column_stack([np.full(15, 10.5), 2.0 + line]),
-            np.column_stack([10.5 - line, np.full(15, 9.5)]),
-        ]
-    )
+    x = np.concatenate([3.0 + line, np.full(15, 10.5), 10.5 - line])
+    y = np.concatenate([np.full(15, 2.0), 2.0 + line, np.full(15, 9.5)])
+    points = np.column_stack([x, y, np.full(45, 1.5)])
     scene = {"anchors": [anchor.tolist()], "carrier_hz": 60e9, "bandwidth_hz": 2e9}
     (tmp_path / "scene.json").write_text(json.dumps(scene))
     lines = ["time_s,anchor,range_m,aoa_azimuth_deg,range_sigma_m,aoa_azimuth_sigma_deg"]
-    for t, (x, y) in enumerate(places):
+    for t, (x, y, _) in enumerate(points):
         distance = np.hypot(x, y) + 0.15 * rng.standard_normal()
         azimuth = np.degrees(np.arctan2(y, x)) + 2.5 * rng.standard_normal()
         lines.append(f"{t},1,{distance},{azimuth},0.15,2.5")
     (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
-    poses = [f"{t} {x} {y} 1.5 0 0 0 1" for t, (x, y) in enumerate(places)]
-    (tmp_path / "truth.tum").write_text("\n".join(poses) + "\n")
-    words = ["--scene", tmp_path / "scene.json", "--truth", tmp_path / "truth.tum"]
-    succeed(
-        "localize", tmp_path / "log.csv", *words, "--height", 1.5, "--json", tmp_path / "r.json"
-    )
-    tracks = json.loads((tmp_path / "r.json").read_text())["truth"]["tracks"]
+    (tmp_path / "truth.tum").write_text(tum_lines(np.arange(45.0), points))
+    tracks = figures(tmp_path, "--height", 1.5)["truth"]["tracks"]
     assert tracks["smoothed"]["ate_m"] < tracks["filtered"]["ate_m"] < 0.45
     assert 1.0 < tracks["filtered"]["nees"] < 3.0  # its expectation for two free axes is 2
     assert tracks["filtered"]["in_bounds"] > 0.85

@@ -5,11 +5,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmwave_env.localization.segments import segments
-from mmwave_env.logs.log import LogBlock
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
+from tests.logs.by_hand import block_of, cut
 from tests.refusals import refuses
 
 STREET, HANDSET = SCENES["street"], RADIOS["handset"]
@@ -17,28 +17,23 @@ LINK_1, LINK_2, DOPPLER, ODOMETRY = range(4)
 
 
 def log(time_s, groups_seen, odometry=True):
-    """Return a log with two anchors; ``groups_seen`` has, per epoch, the visible groups of rows."""
-    layout, T = Layout(2, odometry), len(time_s)
-    visible = np.zeros((T, len(layout.groups)), bool)
+    """Return a log with two anchors; ``groups_seen`` has, for each epoch, the visible groups."""
+    layout = Layout(2, odometry)
+    visible = np.zeros((len(time_s), len(layout.groups)), bool)
     for epoch, groups in enumerate(groups_seen):
         visible[epoch, list(groups)] = True
-    time = np.array(time_s, float)
-    rows = np.full((T, layout.size), 1.0)
-    zeros = np.zeros(T)
-    own, first = np.full(rows.shape, np.nan), np.zeros(T, int)
-    return LogBlock(
-        layout, time, rows, own, visible, ~visible, first, np.zeros((T, 2)), zeros, zeros > 0, 1.0
-    )
+    return block_of(layout, np.array(time_s, float), np.ones((len(time_s), layout.size)), visible)
 
 
 def pieces_of(*blocks):
-    """Return (times, segment, begins, skipped, dropped) of every block that is yielded."""
+    """Return (times, segment, begins, skipped, dropped) of each block of the segments."""
     return [
         (p.time_s.tolist(), p.segment, p.begins, p.skipped, p.dropped)
         for p in segments(blocks, STREET, HANDSET)
     ]
 
 
+# visible groups of an epoch; only the link of anchor 1 determines a position (a fix)
 FIX, OTHER, NOTHING = (LINK_1,), (LINK_2,), ()
 
 
@@ -67,11 +62,6 @@ def test_a_segment_begins_where_the_log_marks_a_restart():
     assert pieces_of(block) == expected
 
 
-def test_every_epoch_of_a_slow_log_begins_a_segment():
-    pieces = pieces_of(log([0, 20, 40, 60], [FIX, FIX, OTHER, FIX]))
-    assert pieces == [([0], 0, True, 0, 0), ([20], 1, True, 0, 1), ([60], 2, True, 0, 1)]
-
-
 def test_a_log_without_a_line_of_sight_is_refused():
     with refuses("log"):
         pieces_of(log(range(30), [OTHER] * 30))
@@ -88,16 +78,11 @@ def test_segments_do_not_depend_on_the_sizes_of_blocks(steps, sizes, data):
     n = len(steps)
     groups = data.draw(st.lists(kinds, min_size=n, max_size=n))
     whole = log(np.cumsum(steps), [FIX, *groups[1:]])
-    cut, first = [], 0
-    while first < n:
-        size = sizes[len(cut) % len(sizes)]
-        cut.append(whole.part(slice(first, first + size)))
-        first += size
 
     def epochs(pieces):
         return [(t, p[1], p[2] and t == p[0][0]) for p in pieces for t in p[0]]
 
-    expected, pieces = pieces_of(whole), pieces_of(*cut)
+    expected, pieces = pieces_of(whole), pieces_of(*cut(whole, sizes))
     assert epochs(pieces) == epochs(expected) and pieces[-1][3:] == expected[-1][3:]
     dropped = n - sum(len(p[0]) for p in pieces)
     assert pieces[-1][4] == dropped

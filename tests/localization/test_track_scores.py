@@ -1,4 +1,4 @@
-"""Tests of scores of tracks that arrive in blocks, against metrics of complete tracks."""
+"""Tests that scores and statistics of a track in blocks equal those of the complete track."""
 
 from dataclasses import replace
 
@@ -9,20 +9,13 @@ from scipy.stats import chi2
 from mmwave_env.filters.pipeline import VERTICAL
 from mmwave_env.localization.position_errors import horizontal_level
 from mmwave_env.localization.track_scores import Course, Groups, TruthScores
-from mmwave_env.logs.truth import Truth
-from mmwave_env.logs.tum import tum_lines
 from mmwave_env.metrics import ate, rmse, rpe
 from tests.filters.tracks import unpacked
 from tests.localization.test_track_files import some_track
+from tests.logs.by_hand import cut
+from tests.logs.test_truth import truth_of
 
 T = 400
-
-
-def pieces(block, sizes):
-    first = 0
-    for size in sizes:
-        yield block.part(slice(first, first + size))
-        first += size
 
 
 @pytest.mark.parametrize("sizes", [[T], [1, 99, 300], [250, 150], [40] * 10])
@@ -31,19 +24,16 @@ def pieces(block, sizes):
 def test_scores_of_blocks_equal_the_metrics_of_complete_tracks(tmp_path, sizes, planar, known):
     block = replace(some_track(T), planar=planar)
     truth = block.x[:, :3] + np.random.default_rng(1).standard_normal((T, 3))
-    (tmp_path / "truth.tum").write_text(tum_lines(block.time_s[known], truth[known]))
-    kinds = ["filtered", "smoothed"]
-    scores = TruthScores(Truth(tmp_path / "truth.tum"), kinds, planar, risk=0.1)
-    true = np.concatenate([scores.add(piece) for piece in pieces(block, sizes)])
+    known_truth = truth_of(tmp_path, block.time_s[known], truth[known])
+    tracks = {"filtered": (block.x, block.P), "smoothed": (block.smooth_x, block.smooth_P)}
+    scores = TruthScores(known_truth, list(tracks), planar, risk=0.1)
+    true = np.concatenate([scores.add(piece) for piece in cut(block, sizes)])
     np.testing.assert_array_equal(true[known], truth[known])
     figures = scores.figures()
     n = known.stop - known.start
     assert figures["scored"] == n == np.isfinite(true[:, 0]).sum()
     axes = [i for i in range(3) if not (planar and i in VERTICAL)]
-    for name, x, P in (
-        ("filtered", block.x, block.P),
-        ("smoothed", block.smooth_x, block.smooth_P),
-    ):
+    for name, (x, P) in tracks.items():
         error, row = (x[:, :3] - truth)[known], figures["tracks"][name]
         assert row["ate_m"] == pytest.approx(ate(error), rel=1e-12)
         assert row["rmse_m"] == pytest.approx(rmse(error), rel=1e-12)
@@ -69,9 +59,8 @@ def test_scores_of_blocks_equal_the_metrics_of_complete_tracks(tmp_path, sizes, 
 def test_only_a_ground_truth_in_another_frame_causes_a_warning(tmp_path, recwarn):
     block = some_track(T)
     for x, y in ((0, 1), (1, 0)):
-        truth = block.x[:, [x, y, 2]] + 0.01
-        (tmp_path / "truth.tum").write_text(tum_lines(block.time_s, truth))
-        scores = TruthScores(Truth(tmp_path / "truth.tum"), ["filtered"], planar=False)
+        truth = truth_of(tmp_path, block.time_s, block.x[:, [x, y, 2]] + 0.01)
+        scores = TruthScores(truth, ["filtered"], planar=False)
         scores.add(block)
         assert not recwarn
         scores.warn_if_far("filtered")
@@ -79,20 +68,19 @@ def test_only_a_ground_truth_in_another_frame_causes_a_warning(tmp_path, recwarn
     assert "truth.tum: found a mean NEES" in str(warning.message)
 
 
-def scored_at(tmp_path, time_s, known, sizes=(T,), segment=None):
-    """Return RPE, the time it spans, and the track; the truth is 0, known in epochs ``known``."""
+def scored_at(tmp_path, time_s, known, sizes=(T,), segments=False):
+    """Return RPE, the time between its epochs, and the track; the truth, where ``known``, is 0."""
     block = replace(some_track(len(time_s)), time_s=time_s)
-    (tmp_path / "truth.tum").write_text(tum_lines(time_s[known], np.zeros((len(known), 3))))
-    scores = TruthScores(Truth(tmp_path / "truth.tum"), ["filtered"], planar=False)
-    first = 0
-    for piece in pieces(block, sizes):
-        scores.add(replace(piece, segment=0 if segment is None else segment[first]))
-        first += len(piece)
+    truth = truth_of(tmp_path, time_s[known], np.zeros((len(known), 3)))
+    scores = TruthScores(truth, ["filtered"], planar=False)
+    for number, piece in enumerate(cut(block, sizes)):
+        scores.add(replace(piece, segment=number if segments else 0))
     figures = scores.figures()
     return figures["tracks"]["filtered"]["rpe_m"], figures["rpe_s"], block.x[:, :3]
 
 
 def mean_change(x, pairs):
+    """Return the mean distance in m between the positions of two epochs, for pairs of epochs."""
     return np.mean([np.linalg.norm(x[second] - x[first]) for first, second in pairs])
 
 
@@ -122,16 +110,15 @@ def test_rpe_of_slow_logs_pairs_only_neighboring_epochs(tmp_path, step):
 
 
 def test_rpe_does_not_pair_epochs_of_different_segments(tmp_path):
-    segment = [0] * 100 + [1] * 300
     time = 20.0 * np.arange(T)
-    rpe_m, _, x = scored_at(tmp_path, time, np.arange(T), [100, 300], segment)
+    rpe_m, _, x = scored_at(tmp_path, time, np.arange(T), [100, 300], segments=True)
     assert rpe_m == pytest.approx(mean_change(x, [(k, k + 1) for k in range(T - 1) if k != 99]))
 
 
 def test_epochs_between_poses_are_scored_and_counted_as_interpolated(tmp_path):
     block = replace(some_track(T), time_s=np.arange(T) * 0.001)
-    (tmp_path / "truth.tum").write_text(tum_lines(np.arange(0.0, 0.3, 0.1), np.zeros((3, 3))))
-    scores = TruthScores(Truth(tmp_path / "truth.tum"), ["filtered"], planar=False)
+    truth = truth_of(tmp_path, np.arange(0.0, 0.3, 0.1), np.zeros((3, 3)))
+    scores = TruthScores(truth, ["filtered"], planar=False)
     scores.add(block)
     figures = scores.figures()
     # Epochs up to 10 ms after the last pose are scored, too.
@@ -150,7 +137,7 @@ def test_statistics_of_groups_equal_those_of_the_complete_track(sizes):
         block, accepted=accepted, nis=block.visible * rng.chisquare([4, 4, 4, 1], (T, 4))
     )
     groups = Groups()
-    for piece in pieces(block, sizes):
+    for piece in cut(block, sizes):
         groups.add(piece)
     figures = groups.figures()
     assert list(figures) == ["anchor 1", "anchor 2", "anchor 3", "Doppler", "all"]
@@ -176,7 +163,7 @@ def test_statistics_of_groups_equal_those_of_the_complete_track(sizes):
 def test_the_course_of_a_track_does_not_depend_on_its_pieces(sizes):
     block = replace(some_track(T), skipped=5, segment=2, dropped=7)
     course = Course(["slow", "fast"])
-    for piece in pieces(block, sizes):
+    for piece in cut(block, sizes):
         course.add(piece)
     figures = course.figures()
     speed = np.linalg.norm(block.x[:, 3:6], axis=1)

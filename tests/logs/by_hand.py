@@ -1,4 +1,4 @@
-"""Helpers that write logs by hand, read them, and compare blocks of epochs."""
+"""Helpers that make, read and localize small logs, and that cut and compare blocks of epochs."""
 
 from functools import lru_cache
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mmwave_env.datasets.log_writer import log_columns, log_text
+from mmwave_env.localization.localizer import TrackBlock, localize
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.radio import RADIOS
@@ -14,25 +15,30 @@ from mmwave_env.world.simulated import SimulatedSource
 from tests.refusals import refuses
 
 SCENE = SCENES["street"]
-L = 3
+L = 3  # number of anchors
 HEADER = "time_s,anchor,toa_s,aoa_azimuth_rad,aoa_elevation_rad,aod_azimuth_rad,doppler_hz,snr_db"
-BODY = HEADER.replace("aod_azimuth_rad", "aod_azimuth_body_deg")
-TIME, ANCHOR, TOA, AOA, ELEVATION, AOD, DOPPLER, SNR = range(8)
+COLUMNS = HEADER.split(",")
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
 
 
 def rows(epochs=4):
-    """Return the cells of a log, a list for each epoch and anchor; numbers differ by anchor."""
+    """Return the rows of a log, one for each epoch and anchor: dicts of cells by column."""
     lines = (
         f"{t},{a},{t + a}e-7,0.{a}{t},-0.{a},{a - 2}.{t},{t + 0.5 if a == 1 else ''},{20 + a}"
         for t in range(epochs)
         for a in range(1, L + 1)
     )
-    return [line.split(",") for line in lines]
+    return [dict(zip(COLUMNS, line.split(","), strict=True)) for line in lines]
 
 
-def text(lines, header=HEADER):
-    return "\n".join([header, *(",".join(line) for line in lines)]) + "\n"
+def text(lines):
+    """Return rows of a log as CSV; the columns of the first row are the header."""
+    return "\n".join([",".join(lines[0]), *(",".join(line.values()) for line in lines)]) + "\n"
+
+
+def in_body(content):
+    """Return the text of a log whose angles of departure are in degrees, relative to the user."""
+    return content.replace("aod_azimuth_rad", "aod_azimuth_body_deg")
 
 
 def store(folder, content, name="log.csv"):
@@ -45,11 +51,50 @@ def read(path, scene=SCENE, **options):
     return LogBlock.joined(list(read_log(path, scene, **options)))
 
 
+def block_of(layout, time_s, measurement, visible, snr_db=20.0):
+    """Return a block with these values; groups that are not visible are incomplete."""
+    T = len(time_s)
+    return LogBlock(
+        layout=layout,
+        time_s=time_s,
+        measurement=measurement,
+        sigma=np.full(measurement.shape, np.nan),
+        visible=visible,
+        incomplete=~visible,
+        doppler_anchor=np.zeros(T, int),
+        snr_db=np.full((T, layout.anchors), snr_db),
+        doppler_spread_hz=np.zeros(T),
+        restarts=np.zeros(T, bool),
+        share=1.0,
+    )
+
+
+def cut(block, sizes):
+    """Cut a block into blocks of these sizes, which are repeated until the block ends."""
+    blocks, first = [], 0
+    while first < len(block):
+        size = sizes[len(blocks) % len(sizes)]
+        blocks.append(block.part(slice(first, first + size)))
+        first += size
+    return blocks
+
+
+def track_of(blocks, scene, radio, switching, **options):
+    """Localize a log and return its track in one block; the options are those of ``localize``."""
+    return TrackBlock.joined(list(localize(blocks, scene, radio, switching, **options)))
+
+
+def damaged(epochs):
+    """Yield the epochs or blocks of a log, then raise the error of a damaged line."""
+    yield from epochs
+    raise LogError("log.csv, line 7: found 'x'")
+
+
 def delivered(path, *fields, reader=read_log, **options):
-    """Return the blocks before the error, which must name the damaged file and the fields."""
+    """Read a damaged log; return the blocks before the error, which must name file and fields."""
     blocks = []
     with refuses(path, *fields, error=LogError):
-        blocks.extend(reader(path, SCENE, **options))  # keeps the blocks before the error
+        blocks.extend(reader(path, SCENE, **options))  # list() would lose the first blocks
     return blocks
 
 
@@ -65,24 +110,25 @@ def shown(block):
 
 
 @lru_cache
-def episode(seed=0, epochs=25, odometry=False, radio="handset"):
-    source = SimulatedSource(SCENE, RADIOS[radio], "mixed", epochs=epochs, odometry=odometry)
+def episode(seed=0, epochs=25, odometry=False):
+    source = SimulatedSource(SCENE, RADIOS["handset"], "mixed", epochs=epochs, odometry=odometry)
     return source.sample(np.random.default_rng(seed))
 
 
-def require_pyarrow(suffix=".parquet"):
+def require_pyarrow(suffix):
+    """Skip the test if it needs pyarrow, which is not installed."""
     if suffix == ".parquet":
         pytest.importorskip("pyarrow")
 
 
 def hide_anchors(path, episode, false_paths=0, seed=0):
-    """Write an episode as a log of paths in random order, with false paths among them."""
+    """Write an episode as a log of paths in random order; add ``false_paths`` to every epoch."""
     columns, rng = log_columns(episode), np.random.default_rng(seed)
     del columns["anchor"]
     n = false_paths * len(episode)
     false = {name: np.full(n, np.nan) for name in columns}
     false["time_s"] = np.repeat(episode.time_s, false_paths)
-    for name in HEADER.split(",")[TOA:]:
+    for name in COLUMNS[2:]:
         false[name] = rng.uniform(np.nanmin(columns[name]), np.nanmax(columns[name]), n)
     columns = {name: np.concatenate([values, false[name]]) for name, values in columns.items()}
     order = np.lexsort([rng.random(len(columns["time_s"])), columns["time_s"]])

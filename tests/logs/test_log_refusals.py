@@ -1,32 +1,23 @@
-"""Tests of damaged logs: epochs before the damage are returned, then an error names it."""
+"""Tests of damaged logs: the epochs before the damage are read, then an error names the damage."""
 
-import gzip
 import sys
 
 import numpy as np
 import pytest
 
-from mmwave_env.datasets.log_writer import log_columns, log_text
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from tests.logs.by_hand import (
-    ANCHOR,
-    AOA,
-    AOD,
-    BODY,
-    DOPPLER,
-    ELEVATION,
+    COLUMNS,
     HEADER,
     SCENE,
-    SNR,
     SUFFIXES,
-    TIME,
-    TOA,
     L,
     assert_same,
     delivered,
     episode,
+    in_body,
     read,
     require_pyarrow,
     rows,
@@ -41,49 +32,45 @@ from tests.refusals import refuses
 
 def edit(row, column, value):
     """Return a function that changes a cell; rows are counted from 0, so row r is line r + 2."""
-
-    def change(lines):
-        lines[row][column] = value
-
-    return change
+    return lambda lines: lines[row].update({column: value})
 
 
 CELLS = [  # row, column and wrong content of the cell
-    (7, SNR, '"1"'),
-    (7, SNR, "1_0"),
-    (7, AOD, "1\udcff"),  # not UTF-8
-    (7, TIME, ""),
-    (6, TIME, "inf"),
-    (7, TIME, "1"),
-    (1, TIME, "-1"),
-    (6, TIME, "1.0000000001"),
-    *((7, ANCHOR, number) for number in ("", "0", "4", "1.5")),
-    (8, ANCHOR, "2"),
-    (7, TOA, "-1e-9"),
-    (7, ELEVATION, "1.67"),
-    (7, AOD, "-57.3"),
-    (6, DOPPLER, "1e308"),
-    (7, DOPPLER, "3"),
-    (7, SNR, "-1e4"),
+    (7, "snr_db", '"1"'),
+    (7, "snr_db", "1_0"),
+    (7, "aod_azimuth_rad", "1\udcff"),  # not UTF-8
+    (7, "time_s", ""),
+    (6, "time_s", "inf"),
+    (7, "time_s", "1"),
+    (1, "time_s", "-1"),
+    (6, "time_s", "1.0000000001"),
+    *((7, "anchor", number) for number in ("", "0", "4", "1.5")),
+    (8, "anchor", "2"),
+    (7, "toa_s", "-1e-9"),
+    (7, "aoa_elevation_rad", "1.67"),
+    (7, "aod_azimuth_rad", "-57.3"),
+    (6, "doppler_hz", "1e308"),
+    (7, "doppler_hz", "3"),
+    (7, "snr_db", "-1e4"),
 ]
 DAMAGE = {  # name -> change, fields that the message names, number of epochs before the error
-    f"line {row + 2}, {HEADER.split(',')[column]} {value!a}": (
+    f"line {row + 2}, {column} {value!a}": (
         edit(row, column, value),
-        (f"line {row + 2}", HEADER.split(",")[column]),
+        [f"line {row + 2}", column],
         row // L,
     )
     for row, column, value in CELLS
 } | {
-    "one cell": (lambda lines: lines.insert(7, ["xyz"]), ["line 9"], 2),
-    "NULs": (lambda lines: lines.insert(9, ["\0" * 90]), ["line 11"], 3),
-    "additional row": (lambda lines: lines.append(list(lines[9])), ["line 14", "anchor"], 3),
+    "one cell": (lambda lines: lines.insert(7, {"": "xyz"}), ["line 9"], 2),
+    "NULs": (lambda lines: lines.insert(9, {"": "\0" * 90}), ["line 11"], 3),
+    "additional row": (lambda lines: lines.append(lines[9]), ["line 14", "anchor"], 3),
     "first of two errors": (
-        lambda lines: (edit(7, TOA, "-1")(lines), edit(10, SNR, "x")(lines)),
+        lambda lines: (lines[7].update(toa_s="-1"), lines[10].update(snr_db="x")),
         ["line 9", "toa_s"],
         2,
     ),
     "text before a wrong number": (
-        lambda lines: (edit(7, SNR, "x")(lines), edit(10, TOA, "-1")(lines)),
+        lambda lines: (lines[7].update(snr_db="x"), lines[10].update(toa_s="-1")),
         ["line 9", "snr_db"],
         2,
     ),
@@ -110,14 +97,14 @@ def test_the_error_names_a_damaged_row_and_comes_after_the_epochs_before_it(
 @pytest.mark.parametrize("angle", [np.pi / 2, -np.pi / 2, float(np.float32(np.pi / 2))])
 def test_elevations_of_straight_up_and_down_are_accepted(tmp_path, angle):
     lines = rows()
-    edit(7, ELEVATION, repr(angle))(lines)
+    lines[7]["aoa_elevation_rad"] = repr(angle)
     assert read(store(tmp_path, text(lines))).measurement[2, 6] == angle
 
 
 def test_numbers_beyond_the_limits_are_kept_if_limits_are_off(tmp_path):
     lines = rows()
-    for column, value in ((AOA, "57.3"), (ELEVATION, "95.7"), (AOD, "-360.5"), (TOA, "1.0")):
-        edit(7, column, value)(lines)
+    lines[7].update(aoa_azimuth_rad="57.3", aoa_elevation_rad="95.7")
+    lines[7].update(aod_azimuth_rad="-360.5", toa_s="1.0")
     block = read(store(tmp_path, text(lines)), limits=False)
     np.testing.assert_allclose(block.measurement[2, 4:8], [SPEED_OF_LIGHT, 57.3, 95.7, -360.5])
 
@@ -133,13 +120,9 @@ def test_numbers_beyond_the_limits_are_kept_if_limits_are_off(tmp_path):
     ],
 )
 def test_wrong_values_that_apply_to_a_whole_epoch_are_refused(tmp_path, column, cells, line):
-    columns = ["doppler_spread_hz", "speed_mps", "heading_rad"]
-    lines = [
-        [*row, *(cell if name == column else "" for name in columns)]
-        for row, cell in zip(rows(1), cells, strict=True)
-    ]
-    path = store(tmp_path, text(lines, f"{HEADER},{','.join(columns)}"))
-    assert not delivered(path, f"line {line}", column)
+    of_epochs = dict.fromkeys(("doppler_spread_hz", "speed_mps", "heading_rad"), "")
+    lines = [row | of_epochs | {column: cell} for row, cell in zip(rows(1), cells, strict=True)]
+    assert not delivered(store(tmp_path, text(lines)), f"line {line}", column)
 
 
 HEADERS = {  # name -> header, fields that the message names
@@ -151,7 +134,7 @@ HEADERS = {  # name -> header, fields that the message names
     "unknown": (HEADER + ",color", ["column 'color'"]),
     "no unit": (HEADER.replace("toa_s", "toa"), ["column 'toa'"]),
     "not UTF-8": (b"time_s,\xff\xfe", ["column"]),
-    **{  # additional columns that conflict with others or need others
+    **{  # each conflicts with a column of the header, or needs another column
         f"{columns} added": (f"{HEADER},{columns}", ["columns"])
         for columns in (
             "range_m",
@@ -162,10 +145,10 @@ HEADERS = {  # name -> header, fields that the message names
             "aod_azimuth_body_deg,heading_deg",
         )
     },
-    "body without heading": (BODY, ["columns"]),
+    "body without heading": (in_body(HEADER), ["columns"]),
     **{
-        f"no {name}": (",".join(c for c in HEADER.split(",") if c != name), ["columns"])
-        for name in HEADER.split(",")
+        f"no {name}": (",".join(column for column in COLUMNS if column != name), ["columns"])
+        for name in COLUMNS
         if name != "doppler_hz"
     },
 }
@@ -184,10 +167,10 @@ def test_the_error_about_decimal_commas_names_the_line_and_the_column(tmp_path):
     assert not delivered(path, "line 2", "column 'aoa_azimuth_rad'")
 
 
-@pytest.mark.parametrize("cells", [[], [["1", *[""] * 6]], [["1", "1e-7", *[""] * 5]] * 9])
-def test_a_log_without_any_measurement_is_refused_at_its_end(tmp_path, cells):
-    path = store(tmp_path, text([[f"{t}", *row] for t, row in enumerate(cells)]))
-    assert sum(map(len, delivered(path))) == len(cells)
+@pytest.mark.parametrize("lines", [[], ["0,1,,,,,,"], [f"{t},1,1e-7,,,,," for t in range(9)]])
+def test_a_log_without_any_measurement_is_refused_at_its_end(tmp_path, lines):
+    path = store(tmp_path, "\n".join([HEADER, *lines]))
+    assert sum(map(len, delivered(path))) == len(lines)
 
 
 @pytest.mark.parametrize("name", ["log.txt", "log", "log.csv.zip", "log.gz"])
@@ -208,8 +191,10 @@ def test_missing_files_and_files_that_do_not_match_their_ending_are_refused(tmp_
 @pytest.mark.parametrize("left", [0.2, 0.5, 0.99])
 def test_the_epochs_of_a_gzip_file_that_ends_early_are_returned_before_its_error(tmp_path, left):
     true = episode(epochs=2000)
-    packed = gzip.compress(log_text(log_columns(true)).encode(), mtime=0)
-    path = store(tmp_path, packed[: int(left * len(packed))], "log.csv.gz")
+    path = tmp_path / "log.csv.gz"
+    write_log(path, true)
+    packed = path.read_bytes()
+    path.write_bytes(packed[: int(left * len(packed))])
     block = LogBlock.joined(delivered(path, "line", epochs_per_block=100))
     assert len(block) > (left - 0.1) * 2000
     np.testing.assert_array_equal(block.time_s, true.time_s[: len(block)])
@@ -217,9 +202,12 @@ def test_the_epochs_of_a_gzip_file_that_ends_early_are_returned_before_its_error
 
 @pytest.mark.parametrize("byte", [2, 3, 5000, -6])
 def test_a_gzip_file_with_a_wrong_byte_is_refused(tmp_path, byte):
-    packed = bytearray(gzip.compress(log_text(log_columns(episode(epochs=2000))).encode(), mtime=0))
+    path = tmp_path / "log.csv.gz"
+    write_log(path, episode(epochs=2000))
+    packed = bytearray(path.read_bytes())
     packed[byte] ^= 0xFF
-    delivered(store(tmp_path, bytes(packed), "log.csv.gz"))
+    path.write_bytes(packed)
+    delivered(path)
 
 
 def test_the_epochs_before_a_line_without_an_end_are_returned_before_its_error(tmp_path):
@@ -235,13 +223,15 @@ class TestParquet:
         self.parquet = pytest.importorskip("pyarrow.parquet")
 
     def columns(self, **changes):
-        cells = zip(*rows(), strict=True)
-        numbers = ([float(cell) if cell else None for cell in column] for column in cells)
-        return dict(zip(HEADER.split(","), numbers, strict=True)) | changes
+        def number(cell):
+            return float(cell) if cell else None
 
-    def store(self, folder, columns, **options):
+        lines = rows()
+        return {name: [number(line[name]) for line in lines] for name in COLUMNS} | changes
+
+    def store(self, folder, columns):
         path = folder / "log.parquet"
-        self.parquet.write_table(self.arrow.table(columns), path, **options)
+        self.parquet.write_table(self.arrow.table(columns), path)
         return path
 
     @pytest.mark.parametrize("kind", ["int8", "int64", "float32", "decimal"])

@@ -1,4 +1,4 @@
-"""Tests of reading logs whose rows are paths without anchor numbers, and of refusing wrong ones."""
+"""Tests of reading logs of paths, whose rows have no anchor numbers, and of refusing wrong logs."""
 
 import numpy as np
 import pytest
@@ -16,8 +16,8 @@ HEADER = "time_s,toa_s,aoa_azimuth_rad,aoa_elevation_rad,aod_azimuth_rad,doppler
 PATH = "1e-7,0.5,-0.1,-2.6,12.5,20"
 
 
-def store(folder, *lines, header=HEADER, name="log.csv"):
-    path = folder / name
+def store(folder, *lines, header=HEADER):
+    path = folder / "log.csv"
     path.write_text("\n".join([header, *lines]) + "\n")
     return path
 

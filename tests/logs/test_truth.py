@@ -8,11 +8,11 @@ from scipy.interpolate import CubicHermiteSpline
 
 from mmwave_env.datasets.samples import sample_folder
 from mmwave_env.logs.clock import clock_offset
-from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.truth import BRIDGED_S, TOLERANCE_S, TrueEpochs, Truth
 from mmwave_env.logs.tum import read_tum, tum_lines
 from mmwave_env.models.layout import LINK, Layout
 from mmwave_env.models.scene import SCENES, read_scene
+from tests.logs.by_hand import block_of, read
 
 
 def truth_of(folder, time_s, position_m):
@@ -22,7 +22,7 @@ def truth_of(folder, time_s, position_m):
 
 
 def expected(pose_s, position, time_s):
-    """Return positions and velocities from SciPy's cubics with NumPy's gradients; NaN in gaps."""
+    """Return positions and velocities on SciPy's cubics with NumPy's gradients; NaN in gaps."""
     p, v = np.full((2, len(time_s), 3), np.nan)
     runs = np.split(np.arange(len(pose_s)), np.flatnonzero(np.diff(pose_s) > BRIDGED_S) + 1)
     for run in runs:
@@ -31,9 +31,9 @@ def expected(pose_s, position, time_s):
         near = away.min(axis=1) <= TOLERANCE_S
         p[near] = x[away[near].argmin(axis=1)]
         if len(run) > 1:
-            way = CubicHermiteSpline(t, x, np.gradient(x, t, axis=0))
+            curve = CubicHermiteSpline(t, x, np.gradient(x, t, axis=0))
             inside = (time_s >= t[0]) & (time_s <= t[-1])
-            p[inside], v[inside] = way(time_s[inside]), way(time_s[inside], 1)
+            p[inside], v[inside] = curve(time_s[inside]), curve(time_s[inside], 1)
     return p, v
 
 
@@ -57,15 +57,6 @@ def test_poses_are_interpolated_between_gaps(tmp_path_factory, poses, epochs, la
     assert (truth.first_s, truth.last_s) == (pose_s[0], pose_s[-1])
 
 
-def test_a_pose_at_the_time_of_an_epoch_is_returned_unchanged(tmp_path):
-    rng = np.random.default_rng(1)
-    pose_s = np.cumsum(rng.uniform(0.01, 2.0, 300))
-    position = 1e3 * rng.standard_normal((300, 3))
-    true = truth_of(tmp_path, pose_s, position).at(pose_s)
-    np.testing.assert_array_equal(true.position_m, position)
-    np.testing.assert_array_equal(true.away_s, 0.0)
-
-
 STREET = SCENES["street"]
 
 
@@ -87,27 +78,15 @@ def exact_links(position_m, anchors_m):
 
 def log_of(time_s, position_m, rng, bias=0.0):
     """Return a noisy log of a receiver at given positions; ``bias`` is in standard deviations."""
-    layout = Layout(3)
     sigma = np.tile([0.3, 0.01, 0.01, 0.02], 3)
     z = exact_links(position_m, STREET.anchors_m)
     z = z + sigma * (rng.standard_normal(z.shape) + bias)
-    T = len(time_s)
-    return LogBlock(
-        layout=layout,
-        time_s=time_s,
-        measurement=np.column_stack([z, np.zeros(T)]),
-        sigma=np.full((T, 13), np.nan),
-        visible=rng.random((T, 4)) < 0.8,
-        incomplete=np.zeros((T, 4), bool),
-        doppler_anchor=np.zeros(T, int),
-        snr_db=np.full((T, 3), 20.0),
-        doppler_spread_hz=np.zeros(T),
-        restarts=np.zeros(T, bool),
-        share=1.0,
-    )
+    visible = rng.random((len(z), 4)) < 0.8
+    return block_of(Layout(3), time_s, np.column_stack([z, np.zeros(len(z))]), visible)
 
 
 def compared(log, seconds, shift=(0.0, 0.0, 0.0)):
+    """Return the estimated offset of the clock of :func:`late`'s true track from the log's."""
     return clock_offset(log, STREET, lambda time_s: late(time_s, seconds, shift))
 
 
@@ -147,16 +126,16 @@ def test_the_offset_equals_a_least_squares_fit_of_all_unknowns_at_once():
     def links(p):
         return exact_links(p, STREET.anchors_m)
 
-    def turned(rows):
+    def wrapped(rows):
         rows = rows.reshape(len(rows), -1, len(LINK))
         rows[..., 1:] = np.remainder(rows[..., 1:] + np.pi, 2.0 * np.pi) - np.pi
         return rows.reshape(len(rows), -1)
 
-    error = turned(log.measurement[:, :12] - links(position))
+    error = wrapped(log.measurement[:, :12] - links(position))
     error[~np.repeat(log.visible[:, :3], 4, axis=1)] = np.nan
     middle = np.nanmedian(error, axis=0)
     sigma = 1.4826 * np.nanmedian(np.abs(error - middle), axis=0)
-    slopes = [turned(links(position + h) - links(position - h)) / 2e-4 for h in 1e-4 * np.eye(3)]
+    slopes = [wrapped(links(position + h) - links(position - h)) / 2e-4 for h in 1e-4 * np.eye(3)]
     columns = [sum(velocity[:, i, None] * slope for i, slope in enumerate(slopes)), *slopes]
     scaled = [column / sigma for column in columns]
     biases = [np.tile(row, (len(time_s), 1)) for row in np.eye(12)]
@@ -184,7 +163,8 @@ def test_a_short_log_or_an_unknown_ground_truth_gives_no_offset():
     time_s = np.arange(0.0, 8.0, 0.1)
     log = log_of(time_s, user(time_s)[0], np.random.default_rng(7))
     assert compared(log, 0.1) is None
-    nothing = TrueEpochs(np.full((80, 3), np.nan), np.full((80, 3), np.nan), np.full(80, np.nan))
+    unknown = np.full((80, 3), np.nan)
+    nothing = TrueEpochs(unknown, unknown, unknown[:, 0])
     assert clock_offset(log, STREET, lambda time_s: nothing) is None
 
 
@@ -194,7 +174,6 @@ def test_an_offset_is_found_even_if_it_is_too_large_for_one_linearization(tmp_pa
     poses = read_tum(folder / "truth.tum")
     path.write_text(tum_lines(poses.time_s + late_s, poses.position_m))
     scene = read_scene(folder / "scene.json")
-    log = LogBlock.joined(list(read_log(folder / "log.csv", scene)))
-    clock = clock_offset(log, scene, Truth(path).at)
+    clock = clock_offset(read(folder / "log.csv", scene), scene, Truth(path).at)
     assert clock.matters and clock.seconds == pytest.approx(late_s, abs=0.03)
     assert clock.deviation_s < 0.02

@@ -5,15 +5,17 @@ import shutil
 
 import numpy as np
 
+from mmwave_env.models.layout import wrapped
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from tests.filters.tracks import geometry
+from tests.logs.by_hand import shown
 from tests.paths import RECORDINGS
 
 VEHICLE, PEDESTRIAN = RECORDINGS / "canyon28_vehicle", RECORDINGS / "canyon28_pedestrian"
 STATION = "t000_tx000"
 LINK = f"{STATION}_r001"
-KEYS = ("rx_pos", "tx_pos", "power", "delay", "aoa_az", "aoa_el", "aod_az", "aod_el", "inter",
-        "inter_pos")  # fmt: skip
+OF_PATHS = ("power", "delay", "aoa_az", "aoa_el", "aod_az", "aod_el", "inter", "inter_pos")
+KEYS = ("rx_pos", "tx_pos", *OF_PATHS)
 TRUTH = "trajectory.csv"
 SAVE = {  # functions that write an array to a file, by suffix
     ".npz": lambda file, key, array: np.savez_compressed(file, **{key: array}),
@@ -37,7 +39,17 @@ def edit(folder, key, change, link=LINK):
     store(folder, key, array if changed is None else changed, link)
 
 
+def set_at(index, value):
+    """Return a change for :func:`edit` that sets elements of an array."""
+
+    def change(array):
+        array[index] = value
+
+    return change
+
+
 def edit_params(folder, change):
+    """Change params.json; ``change`` changes its content in place."""
     file = folder / "params.json"
     params = json.loads(file.read_text())
     change(params)
@@ -45,6 +57,8 @@ def edit_params(folder, change):
 
 
 def set_counts(folder, receivers, scenes=1):
+    """Set the numbers of receivers per scene and of scenes that params.json states."""
+
     def change(params):
         params["txrx_sets"]["txrx_set_1"]["num_points"] = receivers
         params["scene"]["num_scenes"] = scenes
@@ -92,29 +106,27 @@ def dynamic_twin(static, folder, others=0):
         most = int(np.isfinite(arrays["inter"][rows]).sum(axis=1).max())
         for key, array in arrays.items():
             chosen = array if key == "tx_pos" else array[rows]
-            store(scene, key, chosen if key[1:] == "x_pos" else chosen[:, :most])
+            store(scene, key, chosen[:, :most] if key in OF_PATHS else chosen)
     return folder
 
 
 def reflect(point, normal, offset):
+    """Return the mirror image of a point in a wall, the plane ``p @ normal == offset``."""
     return point - 2.0 * (point @ normal - offset)[..., None] * normal
 
 
 def assert_fits(recording, scene, near_m=1e-6, near_rad=1e-5):
-    """Assert that the rows of all visible links fit the geometry of a scene."""
+    """Assert that visible rows fit the geometry of a scene, within ``near_m`` and ``near_rad``."""
     layout = recording.layout
     exact = geometry(recording.position_m, recording.velocity_mps, scene, layout)
-    difference = np.where(
-        np.repeat(recording.visible, layout.widths, axis=1), recording.measurement - exact, 0.0
-    )
-    angles = np.remainder(difference[:, layout.angles] + np.pi, 2.0 * np.pi) - np.pi
-    np.testing.assert_allclose(angles, 0.0, atol=near_rad)
+    difference = np.where(shown(recording), recording.measurement - exact, 0.0)
+    np.testing.assert_allclose(wrapped(difference[:, layout.angles]), 0.0, atol=near_rad)
     np.testing.assert_allclose(difference[:, : layout.doppler : 4], 0.0, atol=near_m)
     np.testing.assert_allclose(difference[:, layout.doppler], 0.0, atol=1e-9)
 
 
 def write_hall(folder, gnb, receivers, walls, link=LINK):
-    """Write a scenario with a line of sight and a reflection per wall, a plane (normal, offset)."""
+    """Write a scenario with a line of sight and, at each wall (normal, offset), a reflection."""
     (folder / "params.json").write_text((VEHICLE / "params.json").read_text())
     N, P = len(receivers), 1 + len(walls)
     set_counts(folder, N)

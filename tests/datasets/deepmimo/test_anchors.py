@@ -9,35 +9,29 @@ from mmwave_env.datasets.deepmimo import read_deepmimo
 from mmwave_env.datasets.deepmimo.anchors import find_links
 from mmwave_env.datasets.deepmimo.v4 import open_scenario
 from tests.datasets.deepmimo.scenarios import (
-    KEYS,
     LINK,
+    OF_PATHS,
     PEDESTRIAN,
     assert_fits,
     edit,
     load,
     reflect,
+    set_at,
     shortened,
     store,
     write_hall,
 )
 from tests.refusals import refuses
 
+# links of the second and the third base station
 OTHERS = ("t000_tx001_r001", "t002_tx000_r001")
 STATIONS = np.array([[0.0, 0.0, 8.0], [60.0, 5.0, 10.0], [20.0, -25.0, 6.0]])
-WALL = (np.array([0.0, -1.0, 0.0]), 30.0)  # the plane y = -30
+WALL = (np.array([0.0, -1.0, 0.0]), 30.0)  # normal and offset of the plane y = -30
 USERS = np.column_stack([np.linspace(5.0, 55.0, 26), np.full(26, -8.0), np.full(26, 1.5)])
 
 
-def paths_of(folder):
-    scenario = open_scenario(folder)
-    return scenario.paths(scenario.epochs(None))
-
-
 def hide_line_of_sight(folder, link, epochs):
-    def hide(inter):
-        inter[epochs, 0] = np.nan
-
-    edit(folder, "inter", hide, link)
+    edit(folder, "inter", set_at((epochs, 0), np.nan), link)
 
 
 @pytest.fixture
@@ -92,7 +86,8 @@ def test_sloping_ground_counts_as_ground_and_a_leaning_wall_as_a_wall(tmp_path_f
         points = np.vstack([USERS, STATIONS[:1]])
         surfaces.append((normal, float((points @ normal).max()) + 2.0))
     write_hall(folder, STATIONS[0], USERS, surfaces)
-    (station,) = paths_of(folder)
+    scenario = open_scenario(folder)
+    (station,) = scenario.paths(scenario.epochs(None))
     links = find_links(station, USERS)
     images = [reflect(STATIONS[0], *surface) for surface in surfaces]
     np.testing.assert_allclose(links.anchors_m[1:], images, atol=1e-4)
@@ -102,15 +97,12 @@ def test_sloping_ground_counts_as_ground_and_a_leaning_wall_as_a_wall(tmp_path_f
 def test_paths_with_two_reflections_are_left_out_whatever_their_values(tmp_path):
     folder = shortened(tmp_path / "walk", 20, source=PEDESTRIAN)
     expected = read_deepmimo(folder)
-    paths = {key: load(folder, key) for key in KEYS}
-    inter = paths.pop("inter")
-    store(folder, "inter", np.concatenate([inter, np.full_like(inter, 11.0)], axis=1))
-    for key, array in paths.items():
-        if key[1:] != "x_pos":
-            odd = np.where(
-                np.arange(len(array))[(...,) + (None,) * (array.ndim - 1)] % 2, 1e30, np.nan
-            )
-            store(folder, key, np.concatenate([array, odd + 0 * np.nan_to_num(array)], axis=1))
+    for key in OF_PATHS:
+        array = load(folder, key)
+        twice = np.full_like(array, 11.0 if key == "inter" else np.nan)
+        if key != "inter":
+            twice[::2] = 1e30
+        store(folder, key, np.concatenate([array, twice], axis=1))
     recording = read_deepmimo(folder)
     np.testing.assert_array_equal(recording.measurement, expected.measurement)
     np.testing.assert_array_equal(recording.visible, expected.visible)

@@ -16,12 +16,12 @@ from mmwave_env.datasets.deepmimo.arrays import find_array, read_array
 from tests.datasets.deepmimo.scenarios import SAVE
 from tests.refusals import refuses
 
-ANY = ("N", "P")
+ANY = ("N", "P")  # shape of an array with two axes of any length
 SMALL = 2**22  # bytes of memory that reading a small file may need
 
 
 @pytest.fixture(scope="module")
-def room(tmp_path_factory):
+def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("arrays")
 
 
@@ -36,8 +36,8 @@ def room(tmp_path_factory):
     order=st.sampled_from("CF"),
     data=st.data(),
 )
-def test_chosen_rows_equal_those_of_numpy(room, array, suffix, order, data):
-    file = room / f"delay{suffix}"
+def test_chosen_rows_equal_those_of_numpy(folder, array, suffix, order, data):
+    file = folder / f"delay{suffix}"
     SAVE[suffix](file, "delay", np.asarray(array, order=order))
     rows = data.draw(st.lists(st.integers(0, len(array) - 1), max_size=12))
     shape = tuple("NPIX"[: array.ndim])

@@ -1,6 +1,7 @@
 """Tests of reading DeepMIMO v4 folders: scenes, formats of arrays, sets of receivers, refusals.
 
-Random damage is tested in tests/test_damaged_files.py.
+A dynamic scenario has a sub-folder for each epoch, its scene. In a static scenario, epochs are the
+receivers of a single scene. tests/test_damaged_files.py tests random damage.
 """
 
 import os
@@ -11,7 +12,6 @@ import pytest
 
 from mmwave_env.datasets.deepmimo import arrays, read_deepmimo
 from mmwave_env.datasets.deepmimo.v4 import open_scenario
-from mmwave_env.datasets.samples import source_from
 from tests.datasets.deepmimo.scenarios import (
     LINK,
     SAVE,
@@ -44,16 +44,9 @@ def dynamic(tmp_path, static):
     return dynamic_twin(static, tmp_path / "scenes")
 
 
-def test_a_dynamic_scenario_of_50_scenes_gives_the_same_episode_as_its_static_twin(tmp_path):
+def test_a_dynamic_scenario_gives_the_same_recording_as_its_static_twin(tmp_path):
     static = shortened(tmp_path / "twin", 50)
-    dynamic = dynamic_twin(static, tmp_path / "dynamic")
-    require_same(read_deepmimo(dynamic), read_deepmimo(static))
-    episodes = [
-        source_from(folder, "standard").sample(np.random.default_rng(7))
-        for folder in (static, dynamic)
-    ]
-    for field in ("measurement", "sigma", "visible", "snr_db", "prior_mean", "truth_position_m"):
-        np.testing.assert_array_equal(*(getattr(episode, field) for episode in episodes), field)
+    require_same(read_deepmimo(dynamic_twin(static, tmp_path / "dynamic")), read_deepmimo(static))
 
 
 def test_scenes_are_sorted_by_their_names(dynamic):
@@ -75,14 +68,10 @@ def test_one_of_several_users_in_a_dynamic_scenario_can_be_chosen(tmp_path, stat
     np.testing.assert_allclose(still.velocity_mps, 0.0, atol=1e-12)
     with refuses("users"):
         read_deepmimo(busy)
-    edit_line(busy, 3, None)
-    with refuses(TRUTH, "rows"):
-        read_deepmimo(busy, users=2)
 
 
-@pytest.mark.parametrize("suffix", sorted(SAVE))
-def test_every_format_of_arrays_gives_the_same_recording(tmp_path, static, suffix):
-    require_same(read_deepmimo(shortened(tmp_path / "other", 12, suffix)), read_deepmimo(static))
+def test_npy_files_give_the_same_recording_as_npz_files(tmp_path, static):
+    require_same(read_deepmimo(shortened(tmp_path / "npy", 12, ".npy")), read_deepmimo(static))
 
 
 @pytest.mark.parametrize("suffix", sorted(SAVE))
@@ -122,7 +111,7 @@ def test_positions_of_a_grid_are_read_without_its_paths(static):
 
 def test_a_grid_that_is_too_large_is_refused_before_it_is_read(tmp_path, monkeypatch):
     static = shortened(tmp_path / "grid", 12, ".npy")
-    monkeypatch.setattr(arrays, "MOST_BYTES", 12 * 4 * 8)  # enough for paths, not for bounces
+    monkeypatch.setattr(arrays, "MOST_BYTES", 12 * 4 * 8)  # enough for delay, but not for inter_pos
     with refuses("inter_pos"):
         read_deepmimo(static)
 
@@ -140,16 +129,10 @@ def test_names_in_the_parameters_are_never_used_as_paths(static):
     require_same(read_deepmimo(static), expected)
 
 
-@pytest.mark.parametrize("scenes", [11, 10**30, -1, 2.5, "12", True, None])
+@pytest.mark.parametrize("scenes", [11, 10**30, -1, "12", True])
 def test_a_wrong_number_of_scenes_is_refused(dynamic, scenes):
     edit_params(dynamic, lambda params: params["scene"].update(num_scenes=scenes))
     with refuses("params.json", "scene.num_scenes"):
-        read_deepmimo(dynamic)
-
-
-def test_a_dynamic_scenario_that_claims_to_be_static_is_refused(dynamic):
-    set_counts(dynamic, 1, 1)
-    with refuses(dynamic, error=FileNotFoundError):
         read_deepmimo(dynamic)
 
 
@@ -158,12 +141,10 @@ def array_in(number, key, change):
 
 
 DAMAGE = {  # name -> (function that damages a folder, files and keys that the refusal names)
+    "claims to be static": (lambda folder: set_counts(folder, 1, scenes=1), []),
     "two receivers": (array_in(5, "rx_pos", lambda a: np.tile(a, (2, 1))), ["0005", "rx_pos"]),
     "a path too few": (array_in(5, "delay", lambda a: a[:, 1:]), ["scene_0005", "delay"]),
-    "a key missing": (
-        lambda f: (f / "scene_0006" / f"delay_{LINK}.npz").unlink(),
-        ["scene_0006", "delay"],
-    ),
+    "a key missing": (lambda f: (f / f"scene_0006/delay_{LINK}.npz").unlink(), ["0006/delay"]),
     "a NaN": (array_in(7, "delay", lambda a: a * [np.nan, 1]), ["scene_0007", "delay[0, 0]"]),
     "a station that moves": (array_in(3, "tx_pos", lambda a: a + [1, 0, 0]), ["0003", "tx_pos"]),
     "a scene too many": (
@@ -183,21 +164,9 @@ def test_a_scene_that_contradicts_the_others_is_named(dynamic, damage):
         read_deepmimo(dynamic)
 
 
-@pytest.mark.parametrize("name", [f"rx_pos_{LINK}.npz", f"delay_{LINK}.npz", "params.json", TRUTH])
+@pytest.mark.parametrize("name", [f"delay_{LINK}.npz", "params.json", TRUTH])
 def test_a_pipe_instead_of_a_file_is_refused(static, name):
     (static / name).unlink()
     os.mkfifo(static / name)
     with refuses(name, error=(ValueError, OSError)):
         read_deepmimo(static)
-
-
-def test_propagation_paths_are_read_exactly_as_the_files_hold_them(static):
-    scenario = open_scenario(static)
-    (station,) = scenario.paths(scenario.epochs(None))
-    inter = load(static, "inter")
-    np.testing.assert_array_equal(station.interactions, inter)
-    path = np.isfinite(inter)
-    np.testing.assert_array_equal(station.delay_s[path], load(static, "delay")[path])
-    zenith = np.degrees(station.arrival[path, 1])
-    np.testing.assert_allclose(zenith, load(static, "aoa_el")[path], rtol=1e-12)
-    assert station.source("power", 3) == (static / f"power_{LINK}.npz", 3)
