@@ -1,4 +1,4 @@
-"""A user's own agents: functions from observations to actions, checked before episodes run."""
+"""Agents from your own code: functions from observations to actions, checked before they run."""
 
 import importlib
 import os
@@ -43,8 +43,8 @@ class Estimator(Policy):
         """Yield a mean (7,) and a packed covariance (28,) after every epoch.
 
         A mean is [px, py, pz, vx, vy, vz, Doppler bias], in m, m/s and Hz; a packed covariance is
-        the lower triangle, row by row. An unknown clock offset is the mean's eighth number; shapes
-        are then (8,) and (36,). The pipeline has the radio's default modes, the layout and terrain.
+        the lower triangle, row by row. If the clock offset is unknown, it is the mean's eighth
+        component; shapes are (8,) and (36,). The pipeline has the radio's default modes.
         """
         raise NotImplementedError
 

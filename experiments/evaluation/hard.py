@@ -1,4 +1,4 @@
-"""Hard sites of the benchmark: motion and receivers for which no filter was made."""
+"""Hard sites of the benchmark: motion and receivers that no filter was designed for."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

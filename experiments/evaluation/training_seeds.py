@@ -17,8 +17,8 @@ def over_training_seeds(run: Run, trained: Sequence[Scores], scores: Mapping[str
     """Return the rewards of a run, and its gains over the reference contenders, as JSON.
 
     Args:
-        run: trainings to compare.
-        trained: scores of the trainings, in the order of the run's seeds.
+        run: training runs to compare, one per seed.
+        trained: scores of the training runs, in the order of the run's seeds.
         scores: scores of all contenders, for the same episodes as ``trained``.
     """
     reward = np.stack([of["reward"] for of in trained])

@@ -227,7 +227,7 @@ def localized(args: LogArgs) -> None:
     figures, sampler, error = _run(args, work)
     doubts = contradictions(work.first.whole(), scene, work.radio, figures["groups"])
     for doubt in doubts:
-        warnings.warn(f"{doubt}; --diagnose tries likely mistakes", stacklevel=2)
+        warnings.warn(f"{doubt}; --diagnose looks for a likely mistake", stacklevel=2)
     kind = "smoothed" if args.smoothing else "filtered"
     written = {
         "out": f"{kind} track",

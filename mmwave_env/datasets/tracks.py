@@ -87,9 +87,9 @@ class Track(ABC):
         """Return the epochs of the track, all or a slice, as an episode with known true positions.
 
         The prior is drawn around the true state. If the bias of the oscillator is unknown, the mean
-        of its prior is 0. If the layout has a clock, a random clock offset is added to the ranges
-        of a recording, and this changes no other random number. The ranges of a measured track
-        already contain an offset.
+        of its prior is 0. If the layout has a clock, a clock offset, drawn from a random stream of
+        its own, is added to the ranges of a recording. The ranges of a measured track already
+        contain an offset.
 
         Raises:
             ValueError: the true position in an epoch is not known.
@@ -234,8 +234,8 @@ class TrackSource:
     gap of more than ``GAP_S``.
 
     Args:
-        track: a measured track, whose measurements are the same in each episode; or a recording,
-            whose measurements are drawn anew in each episode.
+        track: a measured track, whose measurements are the same in each episode; or a recording
+            of the channel, from which each episode draws new noisy measurements.
         radio: profile of the receiver, or its name.
         epochs: length of an episode, which is a window drawn at random from all stretches; None
             for the complete longest stretch.
@@ -256,7 +256,7 @@ class TrackSource:
     ) -> None:
         if clock:
             if not np.isfinite(track.measurement[:, 0 : track.layout.doppler : 4]).any():
-                refuse(track.record, "clock", "offset, but no range", "ranges, or no offset")
+                refuse(track.record, "clock", "True without ranges", "False, or ranges")
             track = replace(track, layout=replace(track.layout, clock=True))
         self.track, self.radio = track, radio_from(radio)
         self.layout, self.name, self.scene = track.layout, track.name, track.scene
@@ -272,9 +272,9 @@ class TrackSource:
         runs = stretches(track.time_s, track.position_m, GAP_S)
         if not runs:
             raise ValueError(
-                f"{track.record}: found no two consecutive epochs, at most {GAP_S:g} s apart, with "
-                "a true position, expected some, because reward and metrics need them "
-                "(docs/own-log.md): are its times in seconds?"
+                f"{track.record}: found no two consecutive epochs with true positions that are at "
+                f"most {GAP_S:g} s apart, expected some, because the reward needs true positions "
+                "(docs/own-log.md): are the track's times in seconds?"
             )
         longest = max(runs, key=lambda run: run.stop - run.start)
         most = longest.stop - longest.start
@@ -282,7 +282,7 @@ class TrackSource:
             warnings.warn(
                 f"{track.record}: found {len(track)} epochs, some without a true position or "
                 f"after a gap of more than {GAP_S:g} s; episodes use the longest stretch without "
-                f"either, {most} epochs from {track.time_s[longest.start]:g} s on",
+                f"these, {most} epochs from {track.time_s[longest.start]:g} s on",
                 stacklevel=2,
             )
         self.epochs = most if epochs is None else epochs

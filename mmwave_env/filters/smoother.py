@@ -60,7 +60,7 @@ def smooth_epoch(
     """Smooth the belief of an epoch, with the gain C = P F' P_predicted^-1.
 
     The mean is x + C (x_after - x_predicted), the covariance P + C (P_after - P_predicted) C'.
-    ``after`` is the following epoch, smoothed. The result is the ``after`` of the previous epoch.
+    ``after`` is the following epoch, smoothed. Pass the result as ``after`` for the epoch before.
     """
     P, P_predicted = unpack(now.P, zero=known_axes), unpack(after.P_predicted, zero=known_axes)
     factor, FP = cholesky(P_predicted), transition_times(P, after.dt, *now.hz_per_mps)

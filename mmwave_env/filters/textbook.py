@@ -1,4 +1,4 @@
-"""Kalman filters as textbooks write them, in one file: plain numpy, all rows at once.
+"""Textbook Kalman filters in plain numpy; each update uses all rows of a measurement.
 
 Read this file first. The filters that run (:mod:`~mmwave_env.filters.update`,
 :mod:`~mmwave_env.filters.imm`, :mod:`~mmwave_env.filters.smoother`) compute the same values in
@@ -7,7 +7,7 @@ numbers are the paper's (Sec. III); the IMM is from Bar-Shalom, Li and Kirubaraj
 
 The state x (7,) is position (m), velocity (m/s) and oscillator bias (Hz). A measurement z has four
 rows for each anchor: range (m), azimuth and elevation of arrival (rad), azimuth of departure (rad).
-Then follow the Doppler shift of one anchor (Hz) and, optionally, speed (m/s) and heading (rad). If
+The last rows are the Doppler shift of one anchor (Hz), and an optional speed and heading. If
 the user's clock is not synchronized, the state ends with the clock's range bias (m): 7 becomes 8.
 """
 

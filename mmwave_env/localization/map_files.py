@@ -143,7 +143,7 @@ def nmea(origin: Origin, moment: float, place: Array, packed: Array) -> str:
 
     Args:
         origin: place and bearing of the scene on the earth.
-        moment: time, s, of which the sentences contain the time of day.
+        moment: time, s; the sentences contain only its time of day.
         place: (3,) latitude and longitude (degrees) and height (m).
         packed: (28,) or, with a clock, (36,) packed covariance of the state.
     """

@@ -170,7 +170,7 @@ def _limit(table: Table, quantity: str, bound: Bound, unit: str) -> _Check:
         quantity,
         wrong,
         f"{bound.expected}, in the unit that the name of the column ends with; {likely}"
-        "mmwave-loc localize --diagnose tries likely mistakes",
+        "mmwave-loc localize --diagnose looks for a likely mistake",
         lambda row: f"{_show(table.raw(quantity)[row])}, which is {values[row]:.3g} {unit}",
     )
 

@@ -118,7 +118,7 @@ QUANTITIES = {
 }
 _QUANTITY_OF = {name: quantity for quantity, row in QUANTITIES.items() for name in row.columns}
 
-# For each quantity, words in names of columns that are unknown, but probably mean this quantity.
+# For each quantity, words that suggest it if they occur in the name of an unknown column.
 _SYNONYMS = {
     "time": ("t", "timestamp", "epoch", "seconds"),
     "anchor": ("bs", "gnb", "cell", "trp", "station", "beacon", "tx"),
@@ -174,8 +174,8 @@ def columns_of(
         problems = "; ".join(map(_problem, unknown[:10]))  # enough to read in one message
         known = ", ".join(next(iter(row.columns)) for row in QUANTITIES.values())
         raise ValueError(
-            f"{problems}; allowed are only {known}, or the same in other units; docs/data.md "
-            "shows a command that renames the columns of a log"
+            f"{problems}; the only allowed columns are {known}, or the same in other units; "
+            "docs/data.md shows a command that renames the columns of a log"
         )
     for number, name in enumerate(names):
         quantity = _QUANTITY_OF[name]

@@ -25,7 +25,7 @@ from mmwave_env.world.kinematics import FAR
 from mmwave_env.world.travel import PhasePlan, TravelPlan, blank_plan
 
 FASTEST_MPS = 100.0  # faster than any user in streets
-ROOM = 3  # compiled programs fit at least 3 phases of 3 gaits, as all shipped users need
+ROOM = 3  # compiled programs have room for 3 phases with 3 gaits each, or for more if needed
 
 Speed = Annotated[float, Bound(f"0 to {FASTEST_MPS:g} m/s", least=0.0, most=FASTEST_MPS)]
 Duration = Annotated[float, Bound("a number >= 0.001", least=1e-3, most=inf)]
@@ -109,7 +109,7 @@ class Mobility:
         name: name of the kind of user, which is also the name of its episodes.
         phases: phases in order of time. All but the last need a ``duration_s``; the last must not
             have one, unless ``ends_as_it_began``.
-        blocks: the scene's distance between crossings, divided by this user's distance.
+        blocks: distance between the scene's crossings, divided by that between the user's.
         ends_as_it_began: whether the first phase is repeated at the end of the episode.
     """
 

@@ -106,7 +106,7 @@ def test_an_error_while_printing_is_reported():
 @pytest.mark.skipif(os.name != "posix", reason="needs FIFOs")
 @pytest.mark.parametrize("option", ["log", "--scene", "--truth", "--modes", "--radio"])
 def test_a_fifo_is_refused_before_it_is_read(tmp_path, option):
-    """Use FIFOs, on which a reader waits; tests/io/test_files.py tests other special files."""
+    """Use FIFOs, because opening one waits for a writer; tests/io/test_files.py has other files."""
     odd = tmp_path / ("odd.csv" if option == "log" else "odd.json")
     os.mkfifo(odd)
     files = {"log": RIDE / "log.csv", "--scene": RIDE / "scene.json", option: odd}
@@ -234,7 +234,7 @@ def test_a_log_that_gives_no_track_leaves_existing_files_unchanged(tmp_path, nam
             ],
         ),
         ("t_ms,bs,delay_ns,dist_m", ["mean time_ms", "mean anchor", "mean toa_ns", "mean range_m"]),
-        ("A,B,C,D,E,F,G,H,I,J,K,L", ["column 'J': found an unknown quantity; allowed are only "]),
+        ("A,B,C,D,E,F,G,H,I,J,K,L", ["column 'J': found an unknown quantity; the only allowed "]),
     ],
 )
 def test_all_unknown_columns_are_named_with_the_nearest_known_ones(tmp_path, header, parts):

@@ -132,7 +132,7 @@ def test_each_contradiction_is_shown_as_a_warning_and_written_to_json(tmp_path, 
     done = command("localize", *words, "--json", tmp_path / "found.json")
     assert done.returncode == 0 and "NIS / dof" in done.stdout
     lines = done.stderr.splitlines()
-    warning = "warning: anchor 1: found .*, expected .*; --diagnose tries likely mistakes"
+    warning = "warning: anchor 1: found .*, expected .*; --diagnose looks for a likely mistake"
     assert re.fullmatch(warning, lines[0])
     said = json_in(tmp_path / "found.json")["contradictions"]
     assert len(said) == len(lines)

@@ -26,7 +26,7 @@ def kinds(lazy, *works):
     return [named[lazy.choice(work, 20)] for work in works]
 
 
-def test_a_function_is_compiled_after_enough_work_and_at_once_for_much_work(fresh):
+def test_a_function_is_compiled_after_enough_calls_or_immediately_for_a_large_one(fresh):
     assert kinds(fresh(), 2, 3, 1, 1) == ["plain", "plain", "compiled", "compiled"]
     assert kinds(fresh(), 6, 1) == ["compiled", "compiled"]
 

@@ -213,7 +213,7 @@ def test_environments_can_run_in_their_own_processes(context, tmp_path):
 def test_several_threads_can_step_environments_at_once(tmp_path):
     code = """
     from concurrent.futures import ThreadPoolExecutor
-    fresh = {"reward": "log-score"}  # not compiled yet, so all threads need it compiled at once
+    fresh = {"reward": "log-score"}  # not compiled yet, so all threads ask to compile it
     seeds = [0, 1, 2, 3] * 2
     with ThreadPoolExecutor(len(seeds)) as callers:
         jobs = [callers.submit(stepped, seed, 20, threads=2, **fresh) for seed in seeds]

@@ -180,7 +180,7 @@ def test_only_synchronous_vector_environments_support_fixed_infos():
 
 # --- arguments
 
-# The last argument of each case is wrong. Messages about these four begin with another name.
+# In each case, the last argument is wrong. Messages begin with its name, or as stated here.
 NAMED = {"episode_steps": "", "episodes": "", "terminate_on_divergence": "", "modes": "mode"}
 
 

@@ -26,7 +26,7 @@ LAYOUT = EPISODES[0].layout
 
 
 def begun(walked):
-    """Return an engine with a bank after ``walked`` epochs of action 0, which trusts no mode."""
+    """Return an engine with a bank that has run ``walked`` epochs with action 0 (no trust)."""
     engine = Engine(Pipeline(HANDSET.modes, LAYOUT), N, TrackingReward(), "full", HANDSET)
     engine.reset(EPISODES)
     for _ in range(walked):
@@ -35,7 +35,7 @@ def begun(walked):
 
 
 def rest(walked, action):
-    """Return sums (N,) of rewards: of ``action`` in epoch ``walked``, and of action 0 later."""
+    """Return total rewards (N,) from epoch ``walked`` on: first ``action``, then only action 0."""
     engine, total = begun(walked), 0.0
     for taken in [action, *[np.int64(0)] * (EPOCHS - walked - 1)]:
         total += engine.step(taken, rows_of(engine.at.reward))[1][:, 0]
@@ -43,7 +43,7 @@ def rest(walked, action):
 
 
 @pytest.mark.parametrize("walked", [0, 25])
-def test_a_decision_that_foresees_the_whole_episode_takes_the_best_action(walked, monkeypatch):
+def test_a_clairvoyant_with_a_long_enough_horizon_takes_the_best_action(walked, monkeypatch):
     monkeypatch.setattr(branches, "HORIZON_S", 1000.0)
     policy, engine = branches.Clairvoyant(), begun(0)
     policy.foresee(engine)

@@ -1,4 +1,4 @@
-"""Tests of which contenders are compared in pairs, of their differences, and of error tables."""
+"""Tests of paired comparisons (who is paired with whom, and the differences) and error tables."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def scores(**rewards):
 SETTING = {"scenario": "mixed", "radio": "handset", "selection": Selection(range(3))}
 
 
-def test_contenders_are_compared_with_references_and_own_agents_with_everyone():
+def test_contenders_are_paired_with_references_but_own_agents_are_paired_with_all():
     """Check that the references are the best fixed mode, the speed rule and the IMMs."""
     table = scores(mine=[0, 1], yours=[3, 3], guided=[1, 3], imm_best=[2, 2], speed_rule=[1, 1])
     table |= scores(fixed_ekf=[0, 0], fixed_ukf=[1, 0])
