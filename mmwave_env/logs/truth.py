@@ -67,9 +67,9 @@ class Truth:
     def no_match(self, first_s: float, last_s: float) -> ValueError:
         """Return the error for a track without a match in a log from ``first_s`` to ``last_s``."""
         return ValueError(
-            f"{self.path}: found poses at {self.first_s!r} to {self.last_s!r} s, but the log's "
-            f"epochs are at {first_s!r} to {last_s!r} s; expected a pose within {TOLERANCE_S} s of "
-            f"an epoch, or poses at most {BRIDGED_S:g} s apart before and after it"
+            f"{self.path}: found times from {self.first_s!r} to {self.last_s!r} s, expected some "
+            f"within {TOLERANCE_S} s of the log's times ({first_s!r} to {last_s!r} s), or pairs at "
+            f"most {BRIDGED_S:g} s apart with a time of the log between them"
         )
 
     def warn_if_few(self, matched: int, epochs: int, first_s: float, last_s: float) -> None:
