@@ -59,7 +59,7 @@ MISTAKES = {  # text of a hypothesis of the diagnosis -> the mistake that it exp
     "azimuth of arrival is in degrees": linear(180.0 / np.pi, AZIMUTHS[0]),
     "azimuth of departure is in degrees": linear(180.0 / np.pi, AZIMUTHS[1]),
     "elevation is in degrees": linear(180.0 / np.pi, "aoa_elevation_rad"),
-    "times are those of round trips": linear(2.0, "toa_s"),
+    "times are round-trip times": linear(2.0, "toa_s"),
     **{
         f"{quantity} is {mistake}": linear(factor, column)
         for quantity, column in (("time of flight", "toa_s"), ("time", "time_s"))
