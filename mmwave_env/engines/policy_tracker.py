@@ -1,6 +1,6 @@
 """A track in which a policy chooses the mode in every epoch; no ground truth is needed.
 
-First, an environment's engine steps through the episode, and the policy chooses its actions. Then
+First, an environment's engine steps through the episode, and the policy chooses actions. Then
 an engine for whole tracks runs the episode with these actions. Both engines compute exactly the
 same numbers, so the track is the same as in an environment.
 """
