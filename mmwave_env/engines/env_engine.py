@@ -30,7 +30,7 @@ class Engine:
         pipeline: modes and layout.
         n: number of environments.
         reward: function of (belief, truth).
-        observation: "full", "prior" or "signed".
+        observation: kind of observation: "full", "prior" or "signed".
         bank: the pipeline's modes and their transition probabilities, if every mode keeps its own
             belief; None if the modes share a belief.
         action, base: same as in :class:`~mmwave_env.task.Task`.
@@ -93,8 +93,8 @@ class Engine:
     def begin(self, task: Task, keys: Keys, places: Index, threads: int = 1) -> list[str]:
         """Begin the episodes with given keys (n,) in some environments (n,).
 
-        Episodes are simulated while the environments step. If the user's trajectory is given, or if
-        the engine runs on floats, complete episodes are drawn here instead.
+        Episodes are simulated while the environments step. If users follow given trajectories, or
+        if the engine runs in plain Python, complete episodes are drawn here instead.
 
         Args:
             task: a task with simulated episodes, the same in every call.

@@ -28,7 +28,7 @@ LOOK_AHEAD = 10  # number of epochs in which a line-of-sight hypothesis is teste
 
 
 class Association:
-    """Counts of the paths of a log: associated, false and missed ones.
+    """Counts of the associated, false and missed paths of a log.
 
     While a track exists, each path that is assigned to no anchor counts as a false path, and each
     anchor without a path in an epoch counts as a missed path.

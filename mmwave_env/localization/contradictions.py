@@ -62,7 +62,7 @@ def _misfits(groups: Mapping[str, Mapping[str, Any]]) -> Iterator[Contradiction]
         nis, share = group["nis_per_dof"], group["rejected_share"]
         low, high = NIS_LIMITS
         # With large process noise, a filter predicts Doppler shift and odometry far better than its
-        # covariance says. Even in correct logs, both NIS are often a tenth of the expected value.
+        # covariance says. Even in correct logs, their NIS is often a tenth of the expected value.
         if not name.startswith("anchor"):
             low = 0.0
         if nis is not None and not low <= nis <= high:

@@ -162,7 +162,7 @@ def localize(
         switching: the modes, and the rule or policy that chooses between them.
         window: number of epochs that are smoothed together; None for no smoothing.
         height_m: height of flat terrain, if it is known (paper, Sec. II-A).
-        levels: protection levels; None for Gaussian ones.
+        levels: protection levels; None for Gaussian levels.
 
     Raises:
         LogError: the log is damaged, or a belief became NaN or infinite.
@@ -231,7 +231,7 @@ def episode_from(block: LogBlock, scene: Scene, radio: Radio, begins: bool = Tru
     prior, visible = (np.zeros(n), np.eye(n)), block.visible
     if begins:
         fix = first_fix(block, 0, scene, radio)
-        if fix is None:  # segments() lets every segment begin with a first fix
+        if fix is None:  # segments() begins every segment with a position
             raise ValueError("log: found no position in the first epoch, expected a position")
         prior, visible = fix.prior, visible.copy()
         visible[0] &= ~fix.used

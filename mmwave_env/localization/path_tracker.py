@@ -134,7 +134,7 @@ class PathTracker:
         return self._updated(track._replace(labels=labels, epoch=epoch), paths)
 
     def rival(self, track: PathTrack | None, window: Sequence[PathEpoch]) -> PathTrack | None:
-        """Return a track that begins in the first epoch and explains more paths than ``track``.
+        """Return a track that begins in ``window[0]`` and explains more paths than ``track``.
 
         The result is None if there is no such track, or if a track that begins in a later epoch of
         the window explains even more paths. Without this second condition, a track might begin

@@ -148,7 +148,7 @@ def _starts(anchors: Array, center: Array) -> Iterator[Array]:
 def _descend(
     normal: Callable[[Array], tuple[float, Array, Array]], position: Array
 ) -> tuple[float, Array, Array]:
-    """Find the minimum near a start by Gauss-Newton: its squared error, position, information."""
+    """Find a minimum near a start by Gauss-Newton; return squared error, position, information."""
     cost, gradient, information = normal(position)
     for _ in range(_ROUNDS):
         step = np.linalg.solve(information, gradient)

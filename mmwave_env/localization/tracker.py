@@ -125,8 +125,8 @@ class Tracker:
             long gap until the next such epoch.
 
         Raises:
-            LogError: a row is damaged or late. All rows of the call are ignored, so the caller may
-                repair the row and pass all of them again.
+            LogError: a row is damaged, or its time is not later than the previous epoch's. All rows
+                of the call are ignored, so the caller may repair the row and pass all rows again.
         """
         rows, position = list(rows), None
         if self._log is None:
