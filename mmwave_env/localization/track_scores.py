@@ -74,7 +74,7 @@ class TruthScores:
             warnings.warn(
                 f"{self.truth.path}: found a mean NEES of {nees:.3g}, expected about "
                 f"{len(self._axes)}: is this file in m, in the scene's frame (x east, y north) and "
-                "from the same drive, and are the scene's anchors right? If so, the filter diverged",
+                "from the same drive, and are the scene's anchors right? If so, the filter failed",
                 stacklevel=2,
             )
 
