@@ -158,7 +158,8 @@ def task_from(**arguments: Any) -> Task:
     if asked.terminate_on_divergence:
         if getattr(pays, "worst", None) is None:
             raise ValueError(
-                "terminate_on_divergence: found True, but the reward lacks the attribute `worst`"
+                "terminate_on_divergence: found True, but the reward has no attribute `worst` "
+                "with its lowest value"
             )
         worst = pays.worst - max(mode.cost for mode in pipeline.modes)  # type: ignore[attr-defined]
     acts = asked.action, asked.base
