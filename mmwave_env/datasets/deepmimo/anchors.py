@@ -29,7 +29,7 @@ from mmwave_env.models.measurement import SPEED_OF_LIGHT, direction
 from mmwave_env.numerics.numbers import PI, Array, Index, Mask, wrap
 from mmwave_env.world.checks import refuse_in
 
-TOLERANCE_M = 0.05  # points closer than this are the same; float32 rounding moves them 1e-4 m
+TOLERANCE_M = 0.05  # points this close are equal; rounding to float32 moves points by 1e-4 m
 # Values of ``interactions``: numbers with a digit for each interaction on a path, or 0 for none.
 LINE_OF_SIGHT, REFLECTION = 0.0, 1.0
 
