@@ -39,7 +39,7 @@ def naming(path: Path, temporary: Path | None = None) -> Iterator[None]:
 
 
 def first_line(error: Exception) -> str:
-    """Return the first line of an error's message; for a KeyError, say which key is missing."""
+    """Return the first line of an error's message; for a KeyError, a line about the key."""
     if isinstance(error, KeyError):
         return f"{error.args[0]}: found none"
     return str(error).partition("\n")[0] or type(error).__name__

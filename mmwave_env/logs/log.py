@@ -65,7 +65,7 @@ class LogBlock(Block):
     share: float  # share of the file read so far, 0 to 1
     whole_columns: bool = True  # whether the log has a column for each value of a link
     segment: int = 0  # number, from 0, of the segment that contains all epochs of the block
-    begins: bool = False  # whether the segment begins here, with a first fix that gives its prior
+    begins: bool = False  # whether the segment begins here, with a prior from its first fix
     skipped: int = 0  # number of epochs of the log before the first segment
     # number of epochs dropped between segments so far, including those just after this block
     dropped: int = 0
