@@ -244,7 +244,7 @@ class MmWaveLocVectorEnv(
         return {} if self._infos == "none" else infos
 
     def step(self, actions: Index) -> Step:
-        """Process an epoch in each environment; actions are modes (N,), or (N, k) from a `Box`."""
+        """Run an epoch in each environment; actions are modes (N,) or numbers (N, k) in a `Box`."""
         actions, numbers = self._checked(actions)
         fresh, resets = self._over, self._ended  # mask and number of environments to reset now
         drawn = self._draw(np.flatnonzero(fresh)) if resets else {}

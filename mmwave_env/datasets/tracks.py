@@ -243,7 +243,7 @@ class TrackSource:
         clock: whether the user's clock has an unknown offset.
 
     Raises:
-        ValueError: no stretch is long enough, or the track lacks the measurements or ranges needed.
+        ValueError: no stretch suffices; the track lacks ``measurements``, or ranges for ``clock``.
     """
 
     def __init__(

@@ -49,7 +49,7 @@ def open_regular(path: Path, expected: str = "a file") -> BinaryIO:
     """Open a file to read its bytes; refuse a FIFO or a device, which may block or never end.
 
     Raises:
-        FileNotFoundError: there is no such file; the message says that ``expected`` is missing.
+        FileNotFoundError: there is no such file; ``expected`` describes it in the message.
         OSError: the path is not a regular file, or can't be opened.
     """
     if path.is_dir():

@@ -51,7 +51,7 @@ class _Check(NamedTuple):
     quantity: str
     wrong: Mask  # (n,) whether each row fails
     expected: str
-    words: Callable[[int], str] | None = None  # says what was found in a row; if None, its cell
+    words: Callable[[int], str] | None = None  # says what was found; if None, the cell is shown
 
 
 def first_damage(
