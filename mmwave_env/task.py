@@ -173,7 +173,7 @@ def _require_action(asked: TaskArguments) -> None:
         raise ValueError(f'action: found {asked.action!r}, which needs beliefs="per-mode"')
     if asked.base is not None and not (asked.action == CORRECTION and callable(asked.base)):
         raise ValueError(
-            f"base: found {asked.base!r}, expected a function, with action={CORRECTION!r}"
+            f"base: found {asked.base!r}, expected a function and action={CORRECTION!r}"
         )
 
 

@@ -66,8 +66,8 @@ class ClockOffset(NamedTuple):
         side, change = ("ahead of", "-") if self.seconds > 0.0 else ("behind", "+")
         size, deviation = (1e3 * abs(value) for value in (self.seconds, self.deviation_s))
         return (
-            f"found its clock {size:.0f} ± {deviation:.0f} ms {side} the log's, expected the same; "
-            f"nothing was changed: if this is real, shift its times by {change}{size / 1e3:.3f} s"
+            f"found its clock {size:.0f} ± {deviation:.0f} ms {side} the log's, expected no offset"
+            f"; nothing was changed; if it is real, shift its times by {change}{size / 1e3:.3f} s"
         )
 
 

@@ -38,7 +38,7 @@ def read_tum(path: Path) -> Poses:
     poses = (line for line in _lines(path) if not line.lstrip().startswith("#") and line.strip())
     first = next(poses, None)
     if first is None:
-        raise ValueError(f"{path}: found no line with a pose, expected {' '.join(COLUMNS)}")
+        raise ValueError(f"{path}: found no line with a pose, expected lines {' '.join(COLUMNS)}")
     try:
         rows = np.loadtxt(chain([first], poses), comments="#", ndmin=2, encoding=None)
     except ValueError as error:
@@ -72,4 +72,4 @@ def _damage(path: Path) -> ValueError:
         if time_s <= last_s:
             return ValueError(f"{place}, t: found {words[0]}, expected more than {last_s}")
         last_s = time_s
-    return ValueError(f"{path}: found text that numpy can't read, expected {' '.join(COLUMNS)}")
+    return ValueError(f"{path}: found unreadable text, expected lines {' '.join(COLUMNS)}")
