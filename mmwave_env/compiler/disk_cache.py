@@ -53,8 +53,7 @@ _CHECKSUM = sha256().digest_size  # length, in bytes, of the checksum with which
 def compiled(function: Callable[..., Any]) -> Any:
     """Compile a module-level function with numba, so that it runs without the interpreter's lock.
 
-    This is for functions that Python calls. If only compiled code calls a function,
-    ``register_jitable`` is enough.
+    For a function that only compiled code calls, ``register_jitable`` is enough.
     """
     return _with_cache(numba.njit(nogil=True)(function), function)
 

@@ -247,9 +247,8 @@ run_blocks = LazyJit(advance, PLAIN_BLOCK_EPOCHS)
 class Repeated:
     """A :class:`LazyJit` whose arguments have the same types in every call.
 
-    After the function has been compiled, calls skip numba's check of types, which takes
-    microseconds. ``work`` decides whether to compile; it is the number of blocks in all jobs times
-    the number of epochs.
+    Calls of the compiled function skip numba's check of types, which takes microseconds. ``work``
+    is the number of blocks in all jobs times the number of epochs; it decides whether to compile.
     """
 
     def __init__(self, function: LazyJit) -> None:

@@ -1,6 +1,6 @@
 """Features of an observation, each with its formula.
 
-An estimator knows every feature at run time; no feature uses the truth. The formulas are functions
+An estimator can compute each feature at run time; none uses the truth. The formulas are functions
 of plain numbers, so that they can be compiled into the SIMD kernel.
 """
 
@@ -157,7 +157,7 @@ def _distance(view: View, anchor: int) -> Number:
 
 
 def _links(layout: Layout, distances: bool) -> list[Feature]:
-    """Return features of links: SNRs, and ``distances`` or the number of visible links."""
+    """Return features of links: SNRs, then either distances or the number of visible links."""
     table = []
     for a in range(layout.anchors):
         table += [

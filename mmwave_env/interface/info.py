@@ -33,12 +33,12 @@ INFOS = {
 
 
 def reported(at: Any) -> Any:
-    """Return what infos describe: a workspace's corrected epoch if it has one, else all of it."""
+    """Return the part of a workspace that infos describe: a corrected epoch if any, else all."""
     return getattr(at, "reported", ()) or at
 
 
 def info_rows(at: Any) -> dict[str, Any]:
-    """Return the rows of a workspace with the value of each key of infos, except mode and cost.
+    """Return the rows of a workspace that contain the values of infos, except mode and cost.
 
     Args:
         at: workspace of :mod:`~mmwave_env.engines.environment_epoch` whose values are row numbers.
