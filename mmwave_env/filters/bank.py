@@ -41,8 +41,8 @@ class Bank:
 
     Attributes:
         modes: one or more modes with different names.
-        transition: (modes, modes) transition probabilities over one second, indexed [from, to];
-            None for a probability of 0.95 of staying in the same mode.
+        transition: (modes, modes) transition probabilities over one second, indexed [from, to]; if
+            None, the probability of staying in the same mode is 0.95.
         nis_quantile: probability p; in a mode's likelihood, the NIS (normalized innovation squared)
             of each group of measurements is limited to the chi-square quantile of p; 1 for no
             limit, as in the textbook.

@@ -13,8 +13,8 @@ from mmwave_env.numerics.numbers import Array
 
 MODE, WEIGHTS, CORRECTION = "mode", "weights", "correction"
 ACTIONS = {
-    MODE: "the number of the mode to run or, if each has a belief, to make more probable",
-    WEIGHTS: "for each mode, a number w: its probability is multiplied by exp(w) per second",
+    MODE: "the number of the mode to run or, if each mode has a belief, to make more probable",
+    WEIGHTS: "a number w for each mode, whose probability is multiplied by exp(w) per second",
     CORRECTION: "three shifts of the position, and log factors on its three standard deviations",
 }
 

@@ -230,10 +230,10 @@ def _mixture(pipeline: Pipeline) -> list[Feature]:
 def coming(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
     """Return features of each mode's result for the coming epoch, such as its likelihood.
 
-    First come the Doppler innovation and the NIS of the pipeline's last mode, then features of each
-    mode in the pipeline's order. Every mode except the last is also compared with the last. If
-    ``per_mode``, each mode's probability and velocity follow. An observation of the kind "prior"
-    does not contain any of these features. The arguments are the same as for :func:`context`.
+    The list begins with the Doppler innovation and the NIS of the pipeline's last mode. Features of
+    each mode follow, in the pipeline's order; all modes but the last are compared with the last. If
+    ``per_mode``, the list ends with probabilities and velocities of modes. An observation of the
+    kind "prior" has none of these features. The arguments are the same as for :func:`context`.
     """
     layout, modes = pipeline.layout, pipeline.modes
     table = _innovation(pipeline)

@@ -35,7 +35,7 @@ class Canvas:
         self._words: list[tuple[Any, Point]] = []
 
     def clip(self, part: Rect | None) -> None:
-        """Draw the following shapes only inside a part of the picture; None for all of it."""
+        """Draw the following shapes only inside a part of the picture; None removes the limit."""
         self._large.set_clip(part and self._scaled(part))
 
     def fill(self, color: Color, part: Rect | None = None) -> None:
