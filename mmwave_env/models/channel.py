@@ -1,8 +1,8 @@
 """Effects of the channel on the links: shadowing, blockage, multipath and detection.
 
 Like the filters, the channel is written as functions of plain numbers, so that it can be compiled
-to simulate eight episodes at once on SIMD lanes. The functions draw no random numbers, but receive
-them as arguments. A :class:`ChannelState` is the state of the channel between two epochs.
+to simulate eight episodes at once on SIMD lanes. Only :func:`draw_channel` draws random numbers;
+the other functions receive them as arguments.
 """
 
 import math
@@ -49,12 +49,12 @@ class Channel(NamedTuple):
     # detection_snr_db, detection_slope_db: parameters of the logistic probability of detection
     detection_snr_db: Number
     detection_slope_db: Number
-    # floor_variance, bound_variance: (rows,) noise floors, and Cramer-Rao bounds at an SNR of 0 dB
+    # floor_variance, bound_variance: (rows,) variances: noise floors, Cramer-Rao bounds at 0 dB SNR
     floor_variance: list[Number]
     bound_variance: list[Number]
     spread_gain_hz: Number  # Doppler spread per m/s of speed
     spread_sigma: Number  # standard deviation of the logarithm of a random factor on this spread
-    spread_floor_hz: Number  # standard deviation of a noise whose absolute value is added
+    spread_floor_hz: Number  # standard deviation of a noise; its absolute value adds to the spread
     odometry_slowest_mps: Number  # below this speed odometry is missing
 
 
