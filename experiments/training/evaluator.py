@@ -1,4 +1,4 @@
-"""Evaluation of a training's policies: their gains in reward over rivals (a rule and IMMs)."""
+"""Evaluation of the policies of a training run: gains in reward over rivals (a rule and IMMs)."""
 
 import warnings
 from collections.abc import Callable, Sequence
