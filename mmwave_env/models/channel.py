@@ -109,7 +109,7 @@ class SpellDraws(NamedTuple):
     """Random numbers for a link's spell in an epoch."""
 
     uniform: Number  # in [0, 1)
-    length: Number  # exponential with mean 1, for the range bias
+    excess: Number  # exponential with mean 1, for the range bias
     angles: list[Number]  # (3,) standard normals, for the angle biases
 
 
@@ -138,8 +138,8 @@ def draw_channel(dice: Dice, anchors: int) -> ChannelDraws:
 
     shadowing = each(dice.normal)
     uniforms, outage = [each(dice.uniform), each(dice.uniform)], dice.uniform()
-    lengths = [each(dice.exponential), each(dice.exponential)]
-    spells = zip(uniforms, lengths, [each(angles), each(angles)], strict=True)
+    excess = [each(dice.exponential), each(dice.exponential)]
+    spells = zip(uniforms, excess, [each(angles), each(angles)], strict=True)
     blockage, multipath = (list(map(SpellDraws, *drawn)) for drawn in spells)
     detection = each(dice.uniform)
     return ChannelDraws(
@@ -168,7 +168,7 @@ def _next_spell(
     was_on = where(is_first, 0.0, before.on)
     on = spell_goes_on(was_on, draws.uniform, onset, params.end)
     angles = [params.angle_rad * a for a in draws.angles]
-    drawn = [params.constant_m + params.mean_m * draws.length, *angles]
+    drawn = [params.constant_m + params.mean_m * draws.excess, *angles]
     lasts = was_on > 0.5
     return Spell(on, [where(lasts, old, new) for old, new in zip(before.bias, drawn, strict=True)])
 

@@ -126,8 +126,8 @@ class Mobility:
                 raise ValueError(f"phases[{i}].duration_s: found none, expected [low, high]")
         if self.phases[last].duration_s[0] < inf and not self.ends_as_it_began:
             raise ValueError(
-                f"phases[{last}].duration_s: found one, expected none: the last phase lasts until "
-                "the episode ends"
+                f"phases[{last}].duration_s: found a range, expected none: the last phase lasts "
+                "until the episode ends"
             )
 
 

@@ -220,7 +220,7 @@ class World:
 
     @cached_property
     def _compiled(self) -> Any:
-        """Return the compiled :attr:`parts` as one function; it skips events if none is due."""
+        """Return the compiled :attr:`parts` as one function, which skips events if none is due."""
         parts, ends = self.parts, self.ends
         look, happen, substep = (tree_kernel(part, self.template, ends) for part in parts)
         row = 8 * WIDTH  # bytes
@@ -283,7 +283,7 @@ def as_measured(layout: Layout) -> Program[AsMeasured]:
     return Program(lambda w: w, AsMeasured(blank_incoming(layout)))
 
 
-# Each key seeds three streams of random numbers. So another receiver does not change a user's way,
+# Each key seeds three streams of random numbers. So another radio does not change a user's way,
 # and an offset of the clock changes neither the way nor the receiver's noise.
 USER, RECEIVER, CLOCK = 0, 1, 2
 
