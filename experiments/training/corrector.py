@@ -106,7 +106,7 @@ class CorrectorTraining:
         self._scales: dict[str, Array] = {}
 
     def run(self) -> Json:
-        """Train to the end; return figures of the training and of its best policy."""
+        """Train to the end; return the outcome from :meth:`Record.close`."""
         job, record, stand = self._job, self._record, self._record.stand
         if "state" in stand:
             with going_on_from(job.checkpoint):

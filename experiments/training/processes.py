@@ -18,7 +18,7 @@ from mmwave_env.io.files import Json, read_json
 
 
 def train(job: Job[Any], tell: Tell) -> Json:
-    """Run a training in this process; return figures about the training and its best policy.
+    """Run a training in this process; return its outcome.
 
     Raises:
         ValueError: the checkpoint is damaged.

@@ -47,7 +47,7 @@ START = (
 
 
 def tuned_bank(radio: str, episodes: int, seed: int, evaluations: int) -> Json:
-    """Search for a radio's best bank; return the content of its mode file, with figures.
+    """Search for a radio's best bank; return the content of its mode file, with results.
 
     Args:
         radio: radio profile, a name or a JSON file.
