@@ -8,7 +8,7 @@ from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import PI, Array, wrap
 
-# Longest gap in a track. Of 100 vehicles, filters lost none in gaps of 10 s, but some in 20 s.
+# Longest gap in a track: filters lost none of 100 vehicles in gaps of 10 s, but some in 20 s gaps.
 GAP_S = 15.0
 # Largest elevation of a link from which a prior is computed: 5 degrees off the vertical, or 2.5
 # standard deviations of the elevation that the handset profile measures.

@@ -45,7 +45,7 @@ class Episode:
         snr_db: (T, L) SNR of each link.
         doppler_spread_hz: (T,) measured Doppler spread; 0 where none was measured.
         prior_mean: (7,) mean of the state at the first epoch; (8,) with a clock offset.
-        prior_covariance: (7, 7) positive definite covariance of the state; (8, 8) with an offset.
+        prior_covariance: (7, 7) positive definite covariance; (8, 8) with a clock offset.
         truth_position_m: (T, 3) true positions; None if unknown.
         truth_velocity_mps: (T, 3) true velocities; None if unknown.
         layout: which quantity is in which row, and which rows form a group.

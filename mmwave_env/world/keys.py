@@ -83,7 +83,7 @@ class Stream:
 
     def next(self, rng: np.random.Generator, seed: int) -> int:
         """Return the next episode's key, given the environment's current generator and seed."""
-        if rng is not self._from:  # seeded anew, or a new generator (then with seed -1)
+        if rng is not self._from:  # it was seeded, or replaced (the seed is then -1)
             self._from = rng
             self._state[:] = draw_key(rng) if seed == -1 else stream_of(seed), 0
         (key,) = keys_at(*self._state)

@@ -64,7 +64,7 @@ class PhasePlan(NamedTuple):
 class TravelPlan(NamedTuple):
     """A kind of user, described by numbers only."""
 
-    closer: Number  # distance between crossings of the scene / distance between the user's
+    closer: Number  # scene's distance between crossings / user's distance between crossings
     phases: list[PhasePlan]
 
 
