@@ -12,8 +12,8 @@ from experiments.console.options import TUNING_SEED, JsonArgs, WorldArgs
 class Args(JsonArgs):
     """Tune the process noise of modes by the likelihood of the measurements, without the truth.
 
-    With --bank, tune the five modes of imm-best and the probabilities of changes between them (a
-    bank), for the largest reward of their IMM in all scenes, at 1 and 10 Hz (extra "tune").
+    With --bank, tune a bank: the five modes of imm-best and the probabilities of changes between
+    them. The reward of the bank's IMM in all scenes, at 1 and 10 Hz, is maximized (extra "tune").
     With --levels, train and calibrate the protection levels anew (extra "train").
 
     mmwave-loc tune --radio handset --out modes.json
@@ -126,7 +126,7 @@ def main(args: Args) -> None:
     if args.out:
         require_writable(args.out)
         if args.out.resolve() == Path(args.radio).resolve():
-            raise ValueError(f"out: found {args.out}, which is the radio; expected another file")
+            raise ValueError(f"out: found {args.out}, which is the radio file; expected another")
     for chosen, owned, name in ((args.levels, OF_LEVELS, "levels"), (args.bank, OF_BANK, "bank")):
         for option in fields(Args) if chosen else ():
             if option.name not in owned and getattr(args, option.name) != option.default:

@@ -1,7 +1,7 @@
 """The command line ``mmwave-loc <command>``.
 
 A command is a module in ``experiments`` with a class ``Args``, which declares its options, and a
-function ``main``. Options are read before slow imports, so help and mistakes appear at once.
+function ``main``. Options are read before slow imports, so help and errors appear immediately.
 """
 
 import importlib
@@ -140,7 +140,7 @@ def run(name: str, words: Sequence[str] | None = None) -> None:
         print(f"{program}: interrupted", file=sys.stderr)
         sys.exit(130)
     except Ended as end:
-        for number in ENDING:  # the signal may arrive again, sent to the process group
+        for number in ENDING:  # the signal may arrive again, this time sent to the process group
             signal.signal(number, signal.SIG_IGN)
         with suppress(OSError):  # the terminal may be gone
             print(f"{program}: {end.told}", file=sys.stderr)

@@ -11,7 +11,7 @@ from typing import Any, Literal
 from tyro.conf import Positional
 
 USUAL_EPISODES = 1000
-AUTO = "auto"  # --radio auto: the radio whose noise is nearest to that of a log
+AUTO = "auto"  # --radio auto: the radio profile whose noise is nearest to the noise of a log
 TUNING_SEED = 5_000_000  # first of the seeds for tuning
 
 
@@ -181,7 +181,7 @@ class FilterArgs:
     modes, and weights each by how well it explains the log"""
     radio: str = AUTO
     """radio profile, which sets how modes are tuned and how noise depends on the SNR: handset,
-    standard, high or a JSON file; auto takes the profile whose noise is nearest to the log's"""
+    standard, high or a JSON file; auto: the profile whose noise is nearest to the log's noise"""
     snr: float | None = None
     """SNR of links that have none in the log, dB; needed if the log has neither SNR nor standard
     deviations"""
