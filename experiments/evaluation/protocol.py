@@ -36,8 +36,8 @@ TRAINED, UNSEEN_KIND, RECORDED, HARD = KINDS = ("to train in", "unseen", "record
 UNSEEN_SCENES, UNSEEN_RADIOS = ("avenue", "plaza", "alley"), ("tablet",)
 UNSEEN = UNSEEN_SCENES + UNSEEN_RADIOS  # nothing is tuned or trained on them
 OTHER_RADIOS = ("handset", "standard")  # radios for unseen streets and for recordings
-EPISODES, DRAWS = 2000, 200  # episodes at each simulated site, noise draws of each recording
-CEILING_EPISODES, CEILING_DRAWS = 400, 20  # scores use at most so many episodes and draws
+EPISODES, DRAWS = 2000, 200  # episodes at each simulated site, noise draws for each recording
+CEILING_EPISODES, CEILING_DRAWS = 400, 20  # maximum numbers of episodes and draws in a score
 
 
 def unseen_file(name: str) -> str:
@@ -106,7 +106,7 @@ class Judged:
 
 
 def scored_over(figures: Json) -> int:
-    """Return the number of a site's first episodes that a score uses."""
+    """Return how many of a site's episodes, counted from the first, are used for a score."""
     recorded, episodes = figures["kind"] == RECORDED, int(figures["episodes"])
     return min(episodes, CEILING_DRAWS if recorded else CEILING_EPISODES)
 
@@ -239,8 +239,8 @@ def ranking(entries: Sequence[Json]) -> str:
 def by_site(entries: Sequence[Json]) -> str:
     """Return a Markdown table by site: every entry's reward minus the reward of the best IMM.
 
-    Policy files (such as those of single trainings) and IMMs are left out if there are other
-    entries; the ranking includes them.
+    Policy files (for example, of a single training seed) and IMMs are left out if there are other
+    entries; the ranking includes all entries.
     """
     named = {content["entry"]: content["sites"] for content in entries}
     names = {name: at for name, at in named.items() if "/" not in name}
