@@ -27,7 +27,7 @@ class Args:
     """
 
     policies: tuple[str, ...] = ()
-    """contenders, as in mmwave-loc compare; if none is named, only the entries there are shown"""
+    """contenders, as in mmwave-loc compare; if none is named, only existing entries are shown"""
     episodes: int = 2000
     """number of episodes on each simulated street"""
     draws: int = 200

@@ -41,7 +41,7 @@ class Branches:
     def __init__(self, engine: Engine, horizon: int) -> None:
         self._batch, self.horizon = engine.batch, horizon
         self._actions, at = len(engine.observation.actions), engine.at
-        # State is kept in blocks of WIDTH environments; the last block is copied even if not full.
+        # State is kept in blocks of WIDTH environments; the copies include a partly filled block.
         n = self._actions * len(engine.batch.state.rows) * WIDTH
         program, layout = engine.batch.program, engine.batch.layout
         self._copies = Batch(program, layout, n, rows_of(at.action))

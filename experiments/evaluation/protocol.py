@@ -118,7 +118,7 @@ def require_contenders(names: Sequence[str]) -> None:
         ValueError, FileNotFoundError: same as from
             :func:`~experiments.evaluation.contenders.contender_from`.
     """
-    # Suppress the warning that the modes of an unseen radio are untuned, which is intended.
+    # Suppress the warning that the modes of an unseen radio are untuned: they are meant to be.
     with warnings.catch_warnings(action="ignore"):
         for radio in dict.fromkeys(site.radio for site in sites()):
             for name in names:
@@ -128,7 +128,7 @@ def require_contenders(names: Sequence[str]) -> None:
 def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> Judged:
     """Run contenders, the paper's rule and every IMM at a site, on the same episodes."""
     selection = Selection(range(seed, seed + episodes))
-    # Suppress the warning that the modes of an unseen radio are untuned, which is intended.
+    # Suppress the warning that the modes of an unseen radio are untuned: they are meant to be.
     with warnings.catch_warnings(action="ignore"):
         imms = [name for name in contenders(site.radio) if name.startswith("imm")]
         everybody = dict.fromkeys([*names, RULE, *imms])
@@ -171,7 +171,7 @@ def read_entry(path: Path) -> Json:
 
 
 def ceiling_in(folder: Path) -> Json:
-    """Return the clairvoyant's entry from a folder or, if the folder has none, the shipped one."""
+    """Return the clairvoyant's entry: from the folder if it is there, otherwise as shipped."""
     own = folder / f"{CLAIRVOYANT}.json"
     return read_entry(own if own.is_file() else Path(__file__).with_name(own.name))
 

@@ -106,7 +106,7 @@ def _check(args: LogArgs, files: Inputs) -> None:
 
 def _outputs(args: LogArgs) -> list[tuple[str, Path | None]]:
     tracks, tables = [("out", out) for out in args.out], map(table_beside, args.out)
-    beside = [("the table beside out", table) for table in tables if table not in args.out]
+    beside = [("the table of --out", table) for table in tables if table not in args.out]
     return [*tracks, *beside, ("plot", args.plot), ("json", args.json)]
 
 
@@ -231,7 +231,7 @@ def localized(args: LogArgs) -> None:
     kind = "smoothed" if args.smoothing else "filtered"
     written = {
         "out": f"{kind} track",
-        "the table beside out": "its standard deviations and modes",
+        "the table of --out": "its standard deviations and modes",
         "plot": "picture",
     }
     figures = {
