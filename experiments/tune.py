@@ -126,7 +126,7 @@ def main(args: Args) -> None:
     if args.out:
         require_writable(args.out)
         if args.out.resolve() == Path(args.radio).resolve():
-            raise ValueError(f"out: found {args.out}, which is the radio file; expected another")
+            raise ValueError(f"out: found {args.out}, which is the radio; expected another file")
     for chosen, owned, name in ((args.levels, OF_LEVELS, "levels"), (args.bank, OF_BANK, "bank")):
         for option in fields(Args) if chosen else ():
             if option.name not in owned and getattr(args, option.name) != option.default:

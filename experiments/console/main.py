@@ -125,7 +125,7 @@ def run(name: str, words: Sequence[str] | None = None) -> None:
                 if isinstance(stream, TextIOWrapper):  # the encoding may lack characters
                     stream.reconfigure(errors="backslashreplace")
             args, command = read_arguments(name, words), importlib.import_module(page_of(name))
-            # Most commands need this slow import. Here, Ctrl-C still ends it immediately.
+            # Most commands need this slow import; during it, Ctrl-C ends the program immediately.
             importlib.import_module("experiments.evaluation.asked")
         with ended_by_signals(), _quiet() if "--quiet" in words else nullcontext():
             _require_results_can_be_written(args)

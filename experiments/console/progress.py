@@ -16,7 +16,7 @@ QUIET: ContextVar[bool] = ContextVar("quiet", default=False)  # True: show neith
 
 
 def bars(*columns: ProgressColumn | str) -> Progress:
-    """Return progress bars, drawn on standard error, which vanish when they end.
+    """Return progress bars that are drawn on standard error and vanish at the end.
 
     No bar is shown if standard error is not a terminal. ``columns`` follow rich's default columns.
     """

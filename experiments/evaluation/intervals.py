@@ -3,7 +3,7 @@
 The policies from all training seeds are judged on the same episodes, so their scores are an array
 (seeds, episodes). Its complete rows and complete columns are resampled, independently of each other
 (Owen 2007). The stratified bootstrap of rliable (Agarwal et al. 2021) would be wrong: it assumes
-that each score comes from another policy, and would count K policies on n episodes as K n policies.
+that each score has its own policy, and would count K policies on n episodes as K n policies.
 """
 
 import math
