@@ -21,7 +21,7 @@ def over_training_seeds(run: Run, trained: Sequence[Scores], scores: Mapping[str
         trained: scores of these policies, in the order of the run's seeds.
         scores: scores of all contenders, for the same episodes as ``trained``.
     """
-    reward = np.stack([of["reward"] for of in trained])
+    reward = np.stack([metrics["reward"] for metrics in trained])
     baselines = {rival: scores[rival]["reward"] for rival in references(scores)}
     imms = [rival for rival in baselines if rival.startswith("imm")]
     minus = {rival: _figures(run, reward - baseline) for rival, baseline in baselines.items()}

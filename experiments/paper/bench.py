@@ -168,10 +168,10 @@ def section(
 ) -> Callable[[Rows], Callable[[Bench], Section]]:
     """Return a decorator that turns a generator of rows into a function that returns a section."""
 
-    def of(rows: Rows) -> Callable[[Bench], Section]:
+    def decorate(rows: Rows) -> Callable[[Bench], Section]:
         return wraps(rows)(lambda bench: Section(title, note, header, labels, [*rows(bench)]))
 
-    return of
+    return decorate
 
 
 def _shown(cell: Cell) -> str:
