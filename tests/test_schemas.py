@@ -97,7 +97,7 @@ def damaged(draw, name):
 
 
 def refusal(name, content, folder):
-    """Return the reader's error ("" if it does not name file and schema), None without an error."""
+    """Return the reader's message, "" if it lacks file or schema, or None if there is no error."""
     path = folder / f"{name}.json"
     path.write_text(json.dumps(content), encoding="utf-8")
     try:
