@@ -113,7 +113,7 @@ def test_copies_and_restored_states_continue_identically(kind):
 
 
 @pytest.mark.parametrize("dt", [1.0, 0.25])
-def test_a_weight_of_three_has_the_effect_of_trusting_a_mode(dt):
+def test_a_weight_of_three_has_the_effect_of_the_discrete_action_of_its_mode(dt):
     options = PER_MODE | {"episode_steps": 30, "dt": dt}
     modes = np.random.default_rng(0).integers(0, 3, 30)
     trusted = played(gym.make(ID, **options), modes)

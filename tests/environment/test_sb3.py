@@ -1,4 +1,4 @@
-"""Tests with Stable-Baselines3: the adapter for vector environments, wrappers and a checker."""
+"""Tests of the adapter for Stable-Baselines3, and of its wrappers and checker with our classes."""
 
 import warnings
 

@@ -1,4 +1,4 @@
-"""Tests of the native vector environment: Gymnasium's rules; equality with single environments."""
+"""Tests that the native vector environment obeys Gymnasium and equals single environments."""
 
 import tracemalloc
 from dataclasses import replace
