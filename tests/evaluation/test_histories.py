@@ -1,4 +1,4 @@
-"""Tests that contenders' histories, from which pictures are drawn, equal environments' records."""
+"""Tests that a contender's history, from which pictures are drawn, equals an environment's."""
 
 import gymnasium as gym
 import numpy as np
