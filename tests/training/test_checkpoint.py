@@ -1,4 +1,4 @@
-"""Tests of a training's checkpoint, which may be damaged or forged, and of its progress log."""
+"""Tests of checkpoints of training runs, which may be damaged or forged, and of progress logs."""
 
 from hashlib import sha256
 
