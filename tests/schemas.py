@@ -1,4 +1,4 @@
-"""JSON schemas of the files that users write, made from the dataclasses of their contents.
+"""JSON schemas of the files that users write, made from the dataclasses that readers return.
 
 After changing such a dataclass, run ``make generated`` to write mmwave_env/data/schemas again.
 """
@@ -127,7 +127,7 @@ def log():
             needed = quantity is QUANTITIES["time"]
             kind = "number" if needed else ["number", "null"]  # null: not measured
             part = {"type": kind, "description": quantity.meaning}
-            if quantity.limits and not name.endswith("_mps"):  # Doppler: depends on the carrier
+            if quantity.limits and not name.endswith("_mps"):  # Doppler limits vary by carrier
                 bound, of = quantity.limits
                 scale = (
                     (math.radians(1.0) if of == "degrees" else 1.0) * unit.divide / unit.multiply

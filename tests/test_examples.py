@@ -225,7 +225,7 @@ def write_traffic(path):
 
 
 @pytest.mark.parametrize("name", ["traffic.xml", "traffic.xml.gz"])
-def test_trips_become_ways_from_which_episodes_are_drawn(tmp_path, name):
+def test_trips_are_written_as_trajectories_from_which_episodes_are_drawn(tmp_path, name):
     write_traffic(tmp_path / name)
     text = run(FOLDER / "sumo.py", name, "ways.csv", "--shift", 0, -140, cwd=tmp_path)
     for part in (

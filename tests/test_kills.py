@@ -51,7 +51,7 @@ def contents(folder):
 
 
 def begun(words, folder, most):
-    """Start a command whose files may have ``most`` bytes each (None: any size); return its id."""
+    """Start a command that may write ``most`` bytes per file (None: any number); return its PID."""
     (folder.parent / PRINTED).write_text("")
     child = os.fork()
     if child:

@@ -97,7 +97,7 @@ def damaged(draw, name):
 
 
 def refusal(name, content, folder):
-    """Return the reader's message, "" if it lacks file or schema, or None if there is no error."""
+    """Return the reader's error, "" if it fails to name file and schema, None if there is none."""
     path = folder / f"{name}.json"
     path.write_text(json.dumps(content), encoding="utf-8")
     try:

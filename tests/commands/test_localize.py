@@ -20,7 +20,7 @@ from tests.cli import command, succeed
 from tests.commands.localizing import EPOCHS, RIDE, WALK, figures, lines_of, options, refused
 from tests.paths import json_in
 
-# --- the speed (Algorithm 1)
+# --- the speed (Algorithm 1 of the paper)
 
 
 @pytest.mark.parametrize(

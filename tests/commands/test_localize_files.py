@@ -72,7 +72,7 @@ def mapped(tmp_path):
 MAPPED = ("localize", "my_ride.csv.gz", "--scene", "scene.json", "--speed", "9", "--out")
 
 
-def test_one_run_writes_several_files_and_tracks_on_maps_are_named_after_the_log(mapped):
+def test_one_run_writes_several_files_and_names_tracks_in_map_files_after_the_log(mapped):
     shown = succeed(*MAPPED, "t.gpx", "t.geojson", "new/t.tum", cwd=mapped)
     (track,) = gpxpy.parse((mapped / "t.gpx").read_text()).tracks
     line = json_in(mapped / "t.geojson")["features"][0]

@@ -129,7 +129,7 @@ def test_an_interrupt_at_startup_ends_the_program_with_one_line(module):
 
 
 def test_defaults_of_options_equal_the_constants_of_the_library():
-    """Compare constants with their copies in options, which spare --help the slow imports."""
+    """Compare constants with their copies in options; thanks to copies, --help imports little."""
     from experiments.evaluation import protocol
     from mmwave_env.filters.smoother import SMOOTHING_WINDOW
     from mmwave_env.interface.reward import TrackingReward

@@ -1,4 +1,4 @@
-"""Tests that inputs give sound beliefs within the bounds of models.envelope, or are refused."""
+"""Tests that inputs inside models.envelope give sound beliefs and inputs outside are refused."""
 
 from collections.abc import Callable
 from contextlib import suppress

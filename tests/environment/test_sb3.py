@@ -1,4 +1,4 @@
-"""Tests of the adapter for Stable-Baselines3, and of its wrappers and checker with our classes."""
+"""Tests of our adapter for Stable-Baselines3, and of the wrappers and checker of that library."""
 
 import warnings
 

@@ -1,4 +1,4 @@
-"""Tests that a contender's history, from which pictures are drawn, equals an environment's."""
+"""Tests that a contender's history (the data of pictures) equals an environment's history."""
 
 import gymnasium as gym
 import numpy as np

@@ -137,7 +137,7 @@ def test_shipped_policies_are_contenders_of_their_radio(file, ship):
         contender_from("ppo-high", "high")
 
 
-def test_a_policy_for_all_radios_is_a_contender_for_each_radio_with_its_bank(file, ship, per_mode):
+def test_a_policy_for_all_radios_is_a_contender_with_the_bank_of_each_radio(file, ship, per_mode):
     ship({"ppo-handset": file, "guided": per_mode, "guided-standard": file})
     for radio, modes in {"handset": HANDSET.modes, "high": STANDARD.modes}.items():
         guided = contenders(radio)["guided"]()

@@ -52,7 +52,7 @@ def run(folder: Path, over=2):
 
 
 def write(path: Path, content):
-    """Write a JSON file."""
+    """Write a JSON file; return its path."""
     path.write_text(json.dumps(content), encoding="utf-8")
     return path
 

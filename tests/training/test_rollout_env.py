@@ -166,7 +166,7 @@ def assert_same_ends(infos, expected):
 
 @pytest.mark.slow
 def test_several_places_together_equal_each_place_alone():
-    """Give the second place the seeds that follow, and end its episodes earlier."""
+    """Give the second place later seeds, and end its episodes earlier."""
     together = PlacesVecEnv(TASK, PAIRED)
     first, second = alone(PLACES[0], 3), alone(PLACES[1], 2)
     together.seed(10_000_000)

@@ -1,4 +1,4 @@
-"""Tests that a training run that is killed and continued writes the same files as a whole run."""
+"""Tests that a killed and continued training run writes the same files as an uninterrupted run."""
 
 import csv
 import io
