@@ -17,7 +17,7 @@ from tests.paths import representative
 
 N, T = 11, 60
 ACTIONS = np.random.default_rng(0).integers(0, 2, (N, T)).astype(np.uint8)
-FAVORED = np.random.default_rng(3).integers(0, 3, (N, T)).astype(np.uint8)  # from 1; 0: none
+FAVORED = np.random.default_rng(3).integers(0, 3, (N, T)).astype(np.uint8)  # 0 favors no mode
 
 
 def flat(episodes):

@@ -35,7 +35,7 @@ def begun(past):
 
 
 def rest(past, action):
-    """Return total rewards (N,) from epoch ``past`` on, for ``action`` followed by actions 0."""
+    """Return total rewards (N,) from epoch ``past`` on, for ``action`` and then action 0."""
     engine, total = begun(past), 0.0
     for taken in [action, *[np.int64(0)] * (EPOCHS - past - 1)]:
         total += engine.step(taken, rows_of(engine.at.reward))[1][:, 0]
