@@ -135,7 +135,7 @@ def test_the_layout_depends_on_scene_and_odometry(episode):
         ("sigma", 8, 2, np.inf),
     ],
 )
-def test_measurements_and_deviations_that_are_not_finite_are_missing_and_counted(
+def test_measurements_that_are_not_finite_or_whose_sigma_is_not_are_missing_and_counted(
     episode, field, row, group, value
 ):
     t = int(np.flatnonzero(episode.visible[:, group])[0])
@@ -208,7 +208,7 @@ def test_an_engine_reads_the_episode_from_the_table():
         np.testing.assert_array_equal(incoming.truth, state)
 
 
-def test_the_table_of_an_episode_without_truth_has_nan_in_its_place(episode):
+def test_the_table_of_an_episode_without_truth_has_nan_instead_of_the_truth(episode):
     unknown = replace(episode, truth_position_m=None, truth_velocity_mps=None)
     table = unknown.table()
     assert np.isnan(table[:, -6:]).all() and np.isfinite(table[:, :-6]).all()
