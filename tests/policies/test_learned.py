@@ -1,4 +1,4 @@
-"""Tests of learned policies: their networks and banks, and finding their features by name."""
+"""Tests of learned policies: networks, banks, and features, which are found by name."""
 
 from dataclasses import replace
 
@@ -52,7 +52,7 @@ def logits_by_hand(tensors, observations):
 
 
 @pytest.mark.parametrize("hidden", [(5, 4), ()])
-def test_logits_equal_those_in_double_precision(tmp_path, hidden):
+def test_logits_equal_logits_in_double_precision(tmp_path, hidden):
     """Check also observations outside the limits to which policies clip."""
     tensors = actor(hidden=hidden)
     policy = LearnedSwitch(write(tmp_path / "mine.safetensors", tensors, card_of()))
@@ -106,7 +106,7 @@ def test_a_policy_accepts_the_modes_of_each_of_its_banks_and_no_other_modes(per_
             policy.read_from(table)
 
 
-def test_a_policy_over_a_shared_belief_has_no_bank_and_accepts_no_other_beliefs(shared):
+def test_a_policy_for_a_shared_belief_has_no_bank_and_accepts_no_beliefs_per_mode(shared):
     policy = LearnedSwitch(shared)
     assert policy.beliefs == "shared"
     with refuses(shared):
@@ -115,7 +115,7 @@ def test_a_policy_over_a_shared_belief_has_no_bank_and_accepts_no_other_beliefs(
         policy.read_from(PER_MODE_TABLE)
 
 
-def test_a_policy_finds_its_features_among_others(shared):
+def test_a_policy_finds_its_features_among_other_features(shared):
     more = Observation(Pipeline(MODES, Layout(5, odometry=True)))
     columns = [more.names.index(name) for name in TABLE.names]
     observed = np.random.default_rng(3).normal(size=(50, len(more))).astype(np.float32)
@@ -141,7 +141,7 @@ def test_an_anchor_that_a_scene_lacks_counts_as_never_visible(per_mode):
 def test_a_feature_that_is_missing_or_has_another_scale_is_refused_by_name(shared, per_mode):
     with refuses("feature 'coming Doppler innovation'"):
         LearnedSwitch(shared, Observation(Pipeline(MODES, Layout()), "prior"))
-    with refuses("feature 'distance anchor 3'"):  # no distance can mean that an anchor is missing
+    with refuses("feature 'distance anchor 3'"):  # no distance can state that there is no anchor
         LearnedSwitch(shared, Observation(Pipeline(MODES, Layout(anchors=2))))
     with refuses("feature 'coming Doppler innovation'"):
         LearnedSwitch(per_mode, Observation(Pipeline(MODES, Layout(2)), "prior", "per-mode"))
