@@ -1,4 +1,4 @@
-"""Random update problems, to be solved by one of our filters and by its textbook version."""
+"""Random update problems, to be solved by a shipped filter and by its textbook version."""
 
 from typing import NamedTuple
 

@@ -64,7 +64,7 @@ def test_an_update_with_any_scaled_sigma_points_equals_the_textbook(kind, parame
 @pytest.mark.parametrize(
     ("algorithm", "moments"),
     [
-        # Sigma points of 5 states with kappa = 2 are as far out as those of 7 with kappa = 0.
+        # 5 states with kappa = 2 have sigma points as far out as 7 states with kappa = 0.
         ("ekf", textbook.tangent),
         ("ukf", textbook.unscented(1.0, 2.0, 2.0)),
         ("ckf", textbook.unscented(1.0, 0.0, 2.0)),
