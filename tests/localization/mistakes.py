@@ -1,4 +1,4 @@
-"""Mistakes in logs, as functions from the correct columns (arrays by name) to the wrong ones."""
+"""Mistakes in logs, as functions from correct columns (arrays by name) to wrong columns."""
 
 import csv
 from itertools import permutations

@@ -102,7 +102,7 @@ def test_a_wrong_order_of_anchors_causes_a_warning_and_is_diagnosed(folder, orde
 
 
 @both
-def test_two_mistakes_at_once_are_both_diagnosed(tmp_path, folder):
+def test_two_mistakes_in_one_log_are_both_diagnosed(tmp_path, folder):
     scene = read_scene(folder / "scene.json")
     zenith = MISTAKES["elevation is a zenith angle"]
     path = wrong_log(tmp_path, folder, lambda c: zenith(exchanged(c)))
