@@ -1,6 +1,6 @@
 """Tests of reading DeepMIMO v4 folders: scenes, formats of arrays, sets of receivers, refusals.
 
-A dynamic scenario has a sub-folder for each epoch, its scene. In a static scenario, epochs are the
+A dynamic scenario has a sub-folder (a scene) for each epoch. In a static scenario, epochs are the
 receivers of a single scene. tests/test_damaged_files.py tests random damage.
 """
 
