@@ -29,7 +29,7 @@ print(function(20), sum(function.stats.cache_hits.values()))
 
 @pytest.fixture
 def package(tmp_path):
-    """Return the folder of a small installed package with a copy of the module of the cache."""
+    """Return the folder of a small installed package with a copy of disk_cache.py."""
     folder = tmp_path / "site" / "mmwave_env"
     own = Path(mmwave_env.__file__).parent / "compiler" / "disk_cache.py"
     for name, source in (SOURCES | {"compiler/disk_cache.py": own.read_text("utf-8")}).items():
@@ -237,7 +237,7 @@ def planted(package, tmp_path):
 
 
 def given_away(path):
-    """Make another user the owner of a path or, without root's rights, return code to fake it."""
+    """Make another user the owner of a path; without root's rights, return code that fakes this."""
     if hasattr(os, "geteuid") and os.geteuid() == 0:
         os.chown(path, 65534, 65534)
         return ""

@@ -200,7 +200,7 @@ KEPT += ("memory.accepted", "memory.lockout")
 
 
 def assert_floats_equal_lanes(pipeline, episodes, actions):
-    """Check that both give the same results within rounding; return the results on lanes."""
+    """Check that floats and lanes agree up to rounding; return the results on lanes."""
     epochs = len(episodes[0])
     a, b = (
         track(pipeline, episodes, actions, epochs, KEPT, on_floats) for on_floats in (False, True)
@@ -213,7 +213,7 @@ def assert_floats_equal_lanes(pipeline, episodes, actions):
     return a
 
 
-@pytest.mark.parametrize("name", representative(OPTIONS, "default"))  # each compiles three programs
+@pytest.mark.parametrize("name", representative(OPTIONS, "default"))  # each case needs 3 programs
 def test_filters_on_lanes_equal_filters_on_floats(name):
     """Run each filter alone, and with random switching between the filters."""
     actions = np.random.default_rng(0).integers(3, size=(60, 5))
@@ -227,7 +227,7 @@ def test_filters_on_lanes_equal_filters_on_floats(name):
 @pytest.mark.parametrize("planar", [False, True])
 @pytest.mark.slow
 def test_odometry_on_lanes_equals_odometry_on_floats(planar):
-    """Start the filters from a user at rest, whose heading is not defined."""
+    """Start the filters with a velocity of zero, for which the heading is not defined."""
     episodes = [
         replace(episode, prior_mean=episode.prior_mean * [1, 1, 1, 0, 0, 0, 1])
         for episode in simulated(3, epochs=60, odometry=True)
@@ -257,7 +257,7 @@ def test_the_stack_of_a_kernel_is_aligned(monkeypatch):
 
 
 @pytest.mark.parametrize("scenario", representative(MOBILITIES, "walk-ride"))
-def test_a_world_on_lanes_equals_the_world_on_floats(scenario):
+def test_a_simulated_world_on_lanes_equals_the_world_on_floats(scenario):
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], scenario, epochs=60)
     episodes = source.sample_batch(np.arange(3, dtype=np.uint64))
     begun, world = source.begin(np.arange(3, dtype=np.uint64)), source.world

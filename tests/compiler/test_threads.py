@@ -102,7 +102,7 @@ if __name__ == "__main__":
 
 def process(code, tmp_path):
     """Run a program that steps an environment and then runs ``code``; return the printed words."""
-    program = tmp_path / "program.py"  # a file, which spawned processes can read
+    program = tmp_path / "program.py"  # spawned processes need a file
     program.write_text(STEPPED + textwrap.indent(textwrap.dedent(code), "    "))
     path = os.pathsep.join([str(Path(mmwave_env.__file__).parents[1]), *sys.path])
     run = {"capture_output": True, "text": True, "timeout": 120}

@@ -1,4 +1,4 @@
-"""Tests that the NIS of paths equals the textbook and that anchors get the best paths."""
+"""Tests that the NIS of paths equals the textbook value, and that anchors get the best paths."""
 
 from itertools import permutations
 

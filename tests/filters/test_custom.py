@@ -103,7 +103,7 @@ class Filter:
 
 
 @pytest.mark.parametrize("algorithm", [helped, wrapped, partial(helped), Filter()])
-def test_the_message_shows_the_innermost_line_of_the_users_code(algorithm):
+def test_the_message_shows_the_innermost_line_of_the_custom_code(algorithm):
     number = 1 + next(
         i for i, line in enumerate(linecache.getlines(__file__)) if "# refused here" in line
     )

@@ -29,7 +29,7 @@ everywhere = pytest.mark.parametrize("where", OFFSETS)
 
 
 def near(where, odometry=False):
-    """Return an update whose prior mean is at the offset ``where``, about 2 m from the truth."""
+    """Return a Problem whose prior mean is at the offset ``where``, about 2 m from the truth."""
     sensor = textbook.Sensor(ANCHORS, HZ_PER_MPS, odometry)
     x = np.array([*(ANCHORS[0] + OFFSETS[where][0]), 3.0, -2.0, 0.1, 20.0])
     scale = np.array([3.0, 3.0, 1.0, 1.0, 1.0, 0.3, 50.0])

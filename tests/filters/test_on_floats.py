@@ -1,4 +1,4 @@
-"""Tests that modes, memory and IMMs on plain floats equal the textbook's modes, memory and IMMs.
+"""Tests that modes, memory and IMMs on plain floats equal their textbook formulas.
 
 Engines run the same functions compiled; these tests run them as plain Python, so that each test
 takes at most a second.
