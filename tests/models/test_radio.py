@@ -76,7 +76,7 @@ def assert_variance(values, variance):
 
 
 def changes(on):
-    """Return whether each epoch in a spell is its last, and whether a spell follows each other."""
+    """Return, for epochs in a spell, whether it ends next; for the rest, whether a spell begins."""
     before, after = on[:-1], on[1:]
     return ~after[before], after[~before]
 

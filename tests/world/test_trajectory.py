@@ -113,7 +113,7 @@ def test_a_trajectory_of_a_user_who_never_moves_causes_a_warning():
         (([0, -20, 1.5], [50, 60, 1.5]), 1.0, "row 7: x, y, z"),  # behind a wall
         (([5, 5, 10], [15, 15, 10]), 1.0, "row 6: x, y, z"),  # at an anchor
         (([-9e5, -5e5, 1], [-9e5, -5e5 + 50, 1]), 1.0, "row 1: x, y, z"),  # far from the anchors
-        (([-2e6, 0, 1], [-2e6, 50, 1]), 1.0, "row 1: x, y, z"),  # beyond the limit of positions
+        (([-2e6, 0, 1], [-2e6, 50, 1]), 1.0, "row 1: x, y, z"),  # beyond 1e6 m
         (([0, -20, 1], [50, -20, 1]), 20.0, "mine"),  # lasts 10 s, shorter than a step
     ],
 )
