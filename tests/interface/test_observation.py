@@ -24,7 +24,7 @@ from mmwave_env.models.scene import SCENES
 from mmwave_env.world.simulated import SimulatedSource
 from tests.filters.tracks import replay
 
-# The groups of measurements, in their order, and their degrees of freedom.
+# group of measurements, in the order of the layout -> degrees of freedom
 GROUPS = {"anchor 1": 4, "anchor 2": 4, "anchor 3": 4, "Doppler": 1}
 DOF = np.array([*GROUPS.values()])
 

@@ -19,7 +19,7 @@ def number(key):
 
 
 def theirs(key, stream):
-    """Return NumPy's generator, seeded with a key like ours, after dropping its first 18 words."""
+    """Return NumPy's generator, seeded like :class:`Dice`, after dropping its first 18 words."""
     bits = np.random.SFC64(0)
     state = bits.state
     state["state"]["state"] = np.array([key, key, stream, 1], np.uint64)

@@ -39,7 +39,7 @@ def per_mode(tmp_path):
     return write_per_mode(tmp_path / "trust.safetensors")
 
 
-def logits_by_hand(tensors, observations):
+def exact_logits(tensors, observations):
     """Return logits (episodes, steps, modes), computed in double precision."""
     exact = {name: tensor.astype(float) for name, tensor in tensors.items()}
     x = np.clip(observations, exact["low"], exact["high"])
@@ -60,7 +60,7 @@ def test_logits_equal_logits_in_double_precision(tmp_path, hidden):
     episodes = rng.normal(0.0, 1.5, (20, 15, FEATURES)).astype(np.float32)
     policy.reset(np.ones(20, bool))
     logits = np.stack([policy.logits(now) for now in episodes.swapaxes(0, 1)], axis=1)
-    np.testing.assert_allclose(logits, logits_by_hand(tensors, episodes), atol=1e-4)
+    np.testing.assert_allclose(logits, exact_logits(tensors, episodes), atol=1e-4)
 
 
 @pytest.mark.parametrize("shape", [(FEATURES,), (2, FEATURES - 1), (1, 2, FEATURES)])
@@ -94,7 +94,7 @@ def test_a_radio_gets_the_bank_trained_for_it_and_other_radios_the_bank_of_stand
     banks = {"handset": HANDSET, "lab": STANDARD}
     mine = LearnedSwitch(write_per_mode(tmp_path / "mine.safetensors", banks=banks))
     assert mine.bank(str(tmp_path / "radio.json")) == STANDARD  # by the radio's name, not its base
-    assert mine.bank("standard") == HANDSET  # no bank fits, so the first one is used
+    assert mine.bank("standard") == HANDSET  # no bank fits, so the first bank is used
 
 
 def test_a_policy_accepts_the_modes_of_each_of_its_banks_and_no_other_modes(per_mode):
@@ -141,7 +141,7 @@ def test_an_anchor_that_a_scene_lacks_counts_as_never_visible(per_mode):
 def test_a_feature_that_is_missing_or_has_another_scale_is_refused_by_name(shared, per_mode):
     with refuses("feature 'coming Doppler innovation'"):
         LearnedSwitch(shared, Observation(Pipeline(MODES, Layout()), "prior"))
-    with refuses("feature 'distance anchor 3'"):  # no distance can state that there is no anchor
+    with refuses("feature 'distance anchor 3'"):  # no value of a distance means "no anchor"
         LearnedSwitch(shared, Observation(Pipeline(MODES, Layout(anchors=2))))
     with refuses("feature 'coming Doppler innovation'"):
         LearnedSwitch(per_mode, Observation(Pipeline(MODES, Layout(2)), "prior", "per-mode"))

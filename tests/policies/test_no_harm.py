@@ -87,7 +87,7 @@ def played(name, radio, episodes):
 
 
 def against_base(radio, episodes):
-    """Return the corrector's gain in mean reward over its base (n,), and the trust (n, T)."""
+    """Return the corrector's gain in mean reward over its base policy (n,), and trusts (n, T)."""
     ours, trusted = played("corrector", radio, episodes)
     return ours - played("guided", radio, episodes)[0], trusted
 
