@@ -248,7 +248,7 @@ def test_episodes_lie_within_stretches():
     assert starts == {*range(11), *range(22, 41), 70}
 
 
-def test_without_a_length_the_longest_stretch_is_played():
+def test_without_a_number_of_epochs_the_longest_stretch_is_played():
     with pytest.warns(UserWarning, match="28 epochs"):
         source = TrackSource(broken(), RADIO)
     assert {source.sample(generator(seed)).time_s[0] for seed in range(20)} == {22.0}

@@ -96,7 +96,7 @@ def test_a_shipped_log_without_anchor_numbers_gives_nearly_the_same_track(tmp_pa
 
 
 def test_angles_of_arrival_may_be_measured_at_the_base_station():
-    """Compare with the same log with angles of arrival at the mirror images of the station."""
+    """Compare with the same log, whose angles of arrival are at the station's mirror images."""
 
     def as_the_station_sees(epoch, anchor):
         z = epoch.measurement.copy()

@@ -46,13 +46,13 @@ def doubts(blocks, scene, radio=RADIO):
 
 
 def findings(path, scene, partial=False):
-    """Diagnose the first block of a log; return the findings, the most likely one first."""
+    """Diagnose the first block of a log; return the findings, the most likely finding first."""
     block = next(read_log(path, scene, odometry=False, limits=False, partial=partial))
     return diagnose(block, scene, RADIO, MODES[1])
 
 
 def reordered(scene, order):
-    """Return the scene with its anchors in another order; the first is the base station."""
+    """Return the scene with its anchors in another order; the first anchor is the base station."""
     gnb, *others = [tuple(scene.anchors_m[n - 1].tolist()) for n in order]
     return replace(scene, base_station_m=gnb, virtual_anchors_m=tuple(others))
 

@@ -31,7 +31,7 @@ SCENE, RADIO, EKF = read_scene(WALK / "scene.json"), RADIOS["standard"], named_m
 
 
 def walk(count=60, **changed):
-    """Return the first epochs of a recorded walk, with changed columns; a row is a dict by column.
+    """Return the first epochs of a shipped log, with changed columns; a row is a dict by column.
 
     A keyword names a column; its value is a function from row to cell, or None to drop the column.
     """

@@ -160,7 +160,7 @@ def test_statistics_of_groups_equal_statistics_of_the_complete_track(sizes):
 
 
 @pytest.mark.parametrize("sizes", [[T], [1, 99, 300]])
-def test_the_course_of_a_track_does_not_depend_on_its_pieces(sizes):
+def test_the_statistics_of_a_whole_track_do_not_depend_on_its_pieces(sizes):
     block = replace(some_track(T), skipped=5, segment=2, dropped=7)
     course = Course(["slow", "fast"])
     for piece in cut(block, sizes):

@@ -1,4 +1,4 @@
-"""Tests of interpolating a true track, and of estimating the offset of its clock from a log."""
+"""Tests of interpolating a true track, and of estimating its clock's offset from a log's clock."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def truth_of(folder, time_s, position_m):
 
 
 def expected(pose_s, position, time_s):
-    """Return positions and velocities on SciPy's cubics with NumPy's gradients; NaN in gaps."""
+    """Return positions and velocities from SciPy's cubic splines; NaN in gaps."""
     p, v = np.full((2, len(time_s), 3), np.nan)
     runs = np.split(np.arange(len(pose_s)), np.flatnonzero(np.diff(pose_s) > BRIDGED_S) + 1)
     for run in runs:

@@ -157,7 +157,7 @@ DAMAGE = {  # name -> (function that damages a folder, files and keys that the r
 
 
 @pytest.mark.parametrize("damage", DAMAGE)
-def test_a_scene_that_contradicts_the_others_is_named(dynamic, damage):
+def test_a_scene_that_contradicts_the_other_scenes_is_named(dynamic, damage):
     spoil, parts = DAMAGE[damage]
     spoil(dynamic)
     with refuses(dynamic, *parts, error=(ValueError, FileNotFoundError)):
