@@ -109,7 +109,7 @@ def test_a_process_whose_sources_change_stores_nothing(package):
 
 READ_ONLY = {  # name -> environment variables, number of files that are stored and loaded again
     "a writable home": ({}, 1),
-    "a cache folder outside the home": ({"XDG_CACHE_HOME": "{tmp}/mine"}, 1),
+    "a cache folder set by a variable": ({"XDG_CACHE_HOME": "{tmp}/mine"}, 1),
     "no writable home": ({"HOME": "{tmp}/blocked"}, 0),
     "the home of an unknown user": ({"HOME": "~nobody-at-all"}, 0),
     "no writable folder for numba": ({"NUMBA_CACHE_DIR": "{tmp}/blocked"}, 1),
