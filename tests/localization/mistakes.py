@@ -1,4 +1,4 @@
-"""Mistakes in logs, as functions from the correct columns (arrays by name) to the wrong ones."""
+"""Mistakes in logs, as functions from correct columns (arrays by name) to wrong columns."""
 
 import csv
 from itertools import permutations
@@ -71,4 +71,4 @@ MISTAKES = {  # text of a hypothesis of the diagnosis -> the mistake that it exp
     "Doppler shift is in kHz, not in Hz": linear(1e-3, "doppler_hz"),
     "Doppler shift is in Hz, not in kHz": linear(1e3, "doppler_hz"),
 }
-ORDERS = list(permutations((1, 2, 3)))[1:]  # all orders of three anchors but the right one
+ORDERS = list(permutations((1, 2, 3)))[1:]  # all wrong orders of three anchors
