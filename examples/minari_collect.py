@@ -2,11 +2,11 @@
 
 python examples/minari_collect.py guided none random --episodes 100 --id mmwave-loc/mixed-v0
 
-A policy is one of: `guided`; `guided-ppo`; the file of a policy with a belief per mode; `none`, the
-IMM; `trust-NAME`, which always raises the probability of the mode NAME; `random`. The environment
-has the modes of the first learned policy, or of `guided` if no policy is learned. Data sets are
-stored in the folder MINARI_DATASETS_PATH. The episodes have training seeds, so that test episodes
-can judge the policies that learn from the data set.
+A policy is one of: `guided`; `guided-ppo`; the file of a policy with a belief per mode; `none` (the
+plain IMM); `trust-NAME`, which always raises the probability of the mode NAME; `random`. The
+environment has the modes of the first learned policy, or else of `guided`. Data sets are stored in
+the folder MINARI_DATASETS_PATH. The episodes have training seeds, so that test episodes can judge
+the policies that learn from the data set.
 """
 
 import argparse
@@ -23,7 +23,7 @@ FIRST_SEED = 10_000_000
 
 
 def player(name, learned, actions, rng):
-    """Return a function act(observations (1, features), begins: True at an episode's start)."""
+    """Return a function act(observations (1, features), whether an episode begins)."""
     if name in learned:
         policy = learned[name]
 

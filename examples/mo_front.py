@@ -11,7 +11,7 @@ class Terms(gym.Wrapper):
 
     def __init__(self, env):
         super().__init__(env)
-        env.unwrapped.reward_space = Box(-np.inf, 0.0, (2,))  # where MO-Gymnasium looks for it
+        env.unwrapped.reward_space = Box(-np.inf, 0.0, (2,))  # MO-Gymnasium reads this
 
     def step(self, action):
         """Step the environment; return both terms instead of the reward."""

@@ -15,8 +15,8 @@ import numpy as np
 
 from mmwave_env.datasets.ways import read_trajectory
 
-RAYS, SEED, BLOCK = 10**5, 1, 200  # number of rays; their seed; number of receivers traced at once
-INTERACTIONS = {1: 1.0, 2: 3.0, 4: 4.0, 8: 2.0}  # kind: Sionna's number -> DeepMIMO's digit
+RAYS, SEED, BLOCK = 10**5, 1, 200  # number of rays; their seed; number of receivers per call
+INTERACTIONS = {1: 1.0, 2: 3.0, 4: 4.0, 8: 2.0}  # Sionna's code -> DeepMIMO's code (a digit)
 
 
 def trace(geometry, carrier_hz, base_station_m, receivers_m):

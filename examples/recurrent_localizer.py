@@ -74,7 +74,7 @@ class Network(nn.Module):
             x: (n, 7) predicted states.
             kept: (n, MEMORY + 1) memory, and sigma (m) of a position found from one epoch alone.
             rows: (n, 3 L + 1, 10) from :func:`rows_of`.
-            others: (n, 2) seconds since the last epoch, and Doppler spread, Hz.
+            others: (n, 2) seconds since the previous epoch, and Doppler spread, Hz.
         """
         (innovation, variance, visible), gradient = rows[..., :3].unbind(-1), rows[..., 3:]
         innovation = visible * (innovation - (gradient @ (x - x.detach())[..., None])[..., 0])

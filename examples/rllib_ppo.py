@@ -1,7 +1,7 @@
 """RLlib: PPO on normalized observations.
 
 Without normalization, RLlib needs only the environment's id and `env_config`. The optional argument
-(0 by default) is the number of the training, which determines the seed.
+(0 by default) is the number of the training run, which determines its seed.
 """
 
 import sys

@@ -49,7 +49,7 @@ def main(args: Args) -> None:
 
     for path, ending in ((args.model, ".zip"), (args.policy, ".safetensors")):
         if path.suffix != ending:
-            raise ValueError(f"{path}: found another ending, expected {ending}")
+            raise ValueError(f"found {path}, expected a name that ends with {ending}")
     require_writable(args.policy)
     task = task_from(
         scenario=args.scenario, radio=args.radio, modes=args.modes or None, beliefs=args.beliefs

@@ -1,4 +1,4 @@
-"""mmwave-loc demo: a comparison of all policies, which makes the tables of docs/results.md."""
+"""mmwave-loc demo: comparisons of all policies, as in the tables of docs/results.md."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,7 +20,7 @@ class Args(JsonArgs):
     episodes: int = 1000
     """number of simulated episodes"""
     draws: int = 200
-    """number of draws of receiver noise on each ray-traced recording"""
+    """number of episodes on each recording; every episode draws new receiver noise"""
     percentiles: bool = False
     """also write percentiles of errors and protection levels to the files"""
     out: Path = Path("results")

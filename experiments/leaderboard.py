@@ -27,7 +27,7 @@ class Args:
     """
 
     policies: tuple[str, ...] = ()
-    """contenders, as in mmwave-loc compare; without any, only show the entries in the folder"""
+    """contenders, as in mmwave-loc compare; if none is named, only existing entries are shown"""
     episodes: int = 2000
     """number of episodes on each simulated street"""
     draws: int = 200
@@ -75,7 +75,7 @@ def main(args: Args) -> None:
             write_json(files[name], provenance("leaderboard", args) | entry)
     entries = [protocol.read_entry(path) for path in sorted(args.out.glob("*.json"))]
     if not entries:
-        raise ValueError(f"out: found no entries in {args.out}; --policies makes some")
+        raise ValueError(f"out: found no entries in {args.out}; name contenders with --policies")
     if all(entry["entry"] != CLAIRVOYANT for entry in entries):
         entries.insert(0, ceiling)
     protocol.add_scores(entries, ceiling)

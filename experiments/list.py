@@ -28,7 +28,7 @@ class Args:
     out: Path | None = None
     """folder for the files of the sample that --copy names; only with `list samples`"""
     copy: str | None = None
-    """name of the sample to copy into --out, as a log if there is one, otherwise as a recording"""
+    """name of the sample to copy into --out: its log if it has one, otherwise its recording"""
 
 
 COLUMN = 25  # column in which the descriptions of names begin
@@ -88,7 +88,7 @@ def scenes() -> dict[str, str]:
 
 
 def samples() -> dict[str, str]:
-    """Return the recordings that come with the package, and whether each is also a log."""
+    """Return the samples that come with the package, and whether each is also a log."""
     from mmwave_env.datasets.samples import log_names, recording_from, sample_names
 
     logs = dict.fromkeys(log_names(), "; also as a log, for localize --sample")

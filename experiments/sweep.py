@@ -1,4 +1,4 @@
-"""mmwave-loc sweep: many evaluations and trainings, on one machine or a cluster."""
+"""mmwave-loc sweep: many evaluations and training runs, on one machine or a cluster."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,11 +10,11 @@ from experiments.console.options import require_at_least
 
 @dataclass(kw_only=True)
 class Args:
-    """Run grids of evaluations and trainings, and searches for hyperparameters, on Ray.
+    """Run grids of evaluations and training runs, and searches for hyperparameters, on Ray.
 
     A file says what to combine (docs/sweep.md); each combination is a cell. Cells whose results are
-    in the folder --out are not computed again, so that an interrupted sweep continues. If a cell
-    fails, this is reported, and the others continue.
+    in the folder --out are not computed again, so the same command continues an interrupted sweep.
+    If a cell fails, the failure is reported, and the other cells continue.
 
     mmwave-loc sweep examples/sweep.toml
     """
@@ -27,7 +27,7 @@ class Args:
     address: str | None = None
     """address of a Ray cluster: auto, or HOST:PORT (default: only this machine)"""
     workers: int | None = None
-    """number of cells to compute at once on this machine (default: its number of cores)"""
+    """number of cells to compute in parallel on this machine (default: its number of cores)"""
 
 
 def main(args: Args) -> None:

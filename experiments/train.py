@@ -15,25 +15,25 @@ class Args(TaskArgs):
     """
 
     seeds: int = 5
-    """number of trainings"""
+    """number of training runs, one per seed"""
     total_timesteps: int | None = None
-    """length of each training, rounded up to complete updates. With --algo ppo or corrector, it is
-    the number of epochs (default: 4000000 for ppo, 150000000 for corrector); with --algo rollouts,
-    it is the number of states in which every action is tried (default: 1200000)"""
+    """length of each training run, rounded up to complete updates: for --algo ppo or corrector, the
+    number of epochs (default: 4000000 for ppo, 150000000 for corrector); for --algo rollouts, the
+    number of states in which every action is tried (default: 1200000)"""
     hyperparameters: Path | None = None
     """JSON file of hyperparameters, instead of the algorithm's default file in
     experiments/training, such as ppo.json or, with --beliefs per-mode, guided-ppo.json"""
     jobs: int = min(2, os.cpu_count() or 1)
-    """number of trainings to run at once"""
+    """number of training runs in parallel"""
     checkpoint_every: int = 32
-    """number of updates between two checkpoints of a training; --resume continues from the last"""
+    """number of updates between two checkpoints; --resume continues from the last checkpoint"""
     out: Path = Path("runs/train")
-    """folder to write: one folder per seed, policy.safetensors (from the training with the median
+    """folder to write: one folder per seed, policy.safetensors (from the seed with the median
     reward) and summary.json"""
     resume: bool = False
-    """continue the run in the folder --out; the options must be the same as at its start"""
+    """continue the training in the folder --out; the options must be the same as at its start"""
     overwrite: bool = False
-    """replace the run in the folder --out"""
+    """replace the training in the folder --out"""
 
 
 def main(args: Args) -> None:

@@ -12,8 +12,8 @@ from experiments.console.options import TUNING_SEED, JsonArgs, WorldArgs
 class Args(JsonArgs):
     """Tune the process noise of modes by the likelihood of the measurements, without the truth.
 
-    With --bank, tune the five modes of imm-best and the probabilities of changes between them (a
-    bank), for the largest reward of their IMM in all scenes, at 1 and 10 Hz (extra "tune").
+    With --bank, tune a bank: the five modes of imm-best and the probabilities of changes between
+    them. The reward of the bank's IMM in all scenes, at 1 and 10 Hz, is maximized (extra "tune").
     With --levels, train and calibrate the protection levels anew (extra "train").
     With --two-way, train the network of localize --two-way anew (extra "train").
 
@@ -43,10 +43,10 @@ class Args(JsonArgs):
     """with --bank, maximum number of banks to try"""
     levels: bool = False
     """train the network of the protection levels on training seeds, and calibrate it on tuning
-    seeds, with the shipped policies; no option but --seed, --out and --json applies"""
+    seeds, with the shipped policies; the only other options are --seed, --out and --json"""
     two_way: bool = False
-    """train the network that corrects smoothed tracks, on training seeds, in about an hour; no
-    option but --out applies, and it is required"""
+    """train the network that corrects smoothed tracks, on training seeds, in about an hour; the
+    only other option is --out, which is required"""
     out: Path | None = None
     """mode file to write, which `--modes` and the environment's `modes` accept; with --levels,
     file to write the levels to; with --two-way, policy file (.safetensors) to write"""
@@ -68,7 +68,7 @@ def _tuned_bank(args: Args) -> Content:
     name = radio_from(args.radio).name
     bank = tuned_bank(args.radio, args.episodes, args.seed, args.evaluations)
     reward, gain = (Interval.of(bank["held_out"][column]) for column in ("reward", "minus imm"))
-    say(f"{name}, on as many new episodes as for tuning: reward {reward}, gain over imm {gain}")
+    say(f"{name}, on new episodes (as many as for tuning): reward {reward}, gain over imm {gain}")
     return bank
 
 

@@ -29,7 +29,7 @@ class Args(ModeArgs):
     out: Path | None = None
     """write a video to this .gif or .mp4 file instead of opening a window"""
     fps: int = 10
-    """epochs per second; in a window, you can change this speed (the title names the keys)"""
+    """epochs per second; in a window, keys change this speed (the window's title shows them)"""
     render_size: int = 480
     """height and width of each policy's picture, px, 480 to 1080"""
     render_theme: str = "light"
@@ -37,8 +37,8 @@ class Args(ModeArgs):
     seed: int | None = None
     """seed of the episode (default: 0); mmwave-loc compare runs the same episode for this seed"""
     key: int | None = None
-    """key of a simulated episode, a number that determines it, to give instead of --seed;
-    mmwave-loc compare --episodes-csv writes the keys of its episodes"""
+    """number that determines a simulated episode, instead of --seed; mmwave-loc compare
+    --episodes-csv writes the keys of its episodes"""
     begin: float | None = None
     """time to begin at, s from the start of the episode (default: its start)"""
     end: float | None = None
@@ -155,7 +155,7 @@ def _show(
     window = Window(size * len(contenders), size)
     window.speed = args.fps
     for row in rows:
-        window.paused |= row == rows[-1]  # at the end, wait for space, n or the closing
+        window.paused |= row == rows[-1]  # at the end, wait for space, n or a closed window
         window.show(playback.draw(row))
         if not window.is_open:
             break

@@ -1,6 +1,6 @@
 """MmWaveLoc-v0: an agent chooses which Kalman filter pipeline localizes a mobile user.
 
-Importing this package registers the environment; making an environment loads heavy packages.
+Importing this package only registers the environment; heavy packages load when it is made.
 """
 
 import gymnasium

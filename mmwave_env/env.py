@@ -275,7 +275,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         self.action_space = cast(Any, space_of(self._limits, len(self.observation.actions)))
 
     def _set_up(self) -> None:
-        """Create everything that follows from the arguments, for a new environment or a copy."""
+        """Create all objects that the arguments determine, for a new environment or a copy."""
         pipeline, on_floats = self._task.pipeline, self._backend == "filterpy"
         if on_floats:
             require_extra("filterpy", "filterpy", 'backend="filterpy"')
@@ -382,7 +382,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         return observation, float(rewards[0]), terminated, truncated, info
 
     def _take(self, action: Any) -> int:
-        """Pass an action to the engine, or refuse it; return it if it is a mode, else 0."""
+        """Check an action and pass it to the engine; return the mode, or 0 for a `Box` action."""
         inputs = self._io.inputs[0, 0]
         if len(self._limits):
             inputs[1:] = numbers_in("action", action, self._limits)
@@ -420,7 +420,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         return worded(info, self._infos, at_end, groups, beliefs, terms)
 
     def _episode_info(self) -> dict[str, Any]:
-        """Return metrics of the processed epochs, and how many of them had nonfinite beliefs."""
+        """Return the episode's metrics, and how many epochs had nonfinite beliefs, if any."""
         metrics: dict[str, Any] = {k: float(v[0]) for k, v in self._metrics_of(_HERE).items()}
         (lost,) = self._tally.nonfinite(_HERE).tolist()
         if lost:

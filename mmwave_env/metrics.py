@@ -1,7 +1,7 @@
 """Metrics of a track: position errors and consistency (paper, Sec. IV).
 
 Tracks and truth are in the same frame, so they are not aligned with each other before they are
-compared. The tool evo computes the same ATE, RMSE and RPE for translation without alignment.
+compared. ATE, RMSE and RPE equal those of the tool evo (translation part, without alignment).
 :meth:`mmwave_env.filters.belief.Belief.nees` computes the NEES of the position. For a consistent
 filter and 3 axes, the NEES has the expectation 3, and is in the two-sided chi-square interval
 [0.22, 9.35] in 95 % of the epochs. (The paper gates a 3-D NEES at 5.99, the one-sided 95 % quantile
@@ -16,8 +16,8 @@ import numpy as np
 from mmwave_env.numerics.numbers import Array
 
 BURN_IN = 10  # number of first epochs left out of averages, because the prior still affects them
-RISK = 1e-3  # default probability that an error exceeds its protection level
-DIVERGENCE_M = 50.0  # an episode in which the error exceeds this has diverged
+RISK = 1e-3  # default probability that an error exceeds its bound, the protection level
+DIVERGENCE_M = 50.0  # an episode has diverged if its position error exceeds this
 
 
 def _squared(error: Array) -> Array:

@@ -24,11 +24,11 @@ Infos = list[dict[str, Any]]
 class SB3VecEnv(VecEnv):
     """A Gymnasium vector environment as a ``VecEnv`` of Stable-Baselines3.
 
-    When an episode ends, the step returns the info of the last step, including the metrics of the
-    episode. The info also has the keys that Stable-Baselines3 reads: ``terminal_observation``, the
-    last observation; ``TimeLimit.truncated``, True if the episode was cut short (so that the value
-    of its last state is not 0); ``episode`` with the return "r", the length "l", and "t", the
-    seconds since this object was created.
+    The info of an episode's last step contains the metrics of the episode and the keys that
+    Stable-Baselines3 reads: ``terminal_observation``, the last observation;
+    ``TimeLimit.truncated``, True if the episode was truncated (the value of its last state is then
+    not 0); ``episode`` with the return "r", the length "l", and "t", the seconds since this object
+    was created. All other infos are empty.
 
     Raises:
         ValueError: the autoreset mode is not "SameStep"; other modes begin the next episode one
@@ -108,7 +108,7 @@ class SB3VecEnv(VecEnv):
         return [getattr(self.env, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """Set an attribute of the vector environment; the indices must be all or None."""
+        """Set an attribute of the vector environment; ``indices`` must be None or all indices."""
         self._require_all(indices, f"set_attr({attr_name!r})")
         setattr(self.env, attr_name, value)
 
@@ -126,7 +126,7 @@ class SB3VecEnv(VecEnv):
 
     def _require_all(self, indices: Indices, call: str) -> None:
         if len(set(self._get_indices(indices))) < self.num_envs:
-            raise ValueError(f"{call}: found indices {indices}, expected all of them")
+            raise ValueError(f"{call}: found indices {indices}, expected all indices")
 
 
 def _of(batched: dict[str, Any], i: int) -> dict[str, Any]:

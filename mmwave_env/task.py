@@ -43,13 +43,13 @@ class Task:
     source: EpisodeSource
     radio: Radio  # profile of the receiver
     pipeline: Pipeline
-    bank: Bank | None  # modes and transition probabilities if every mode has its belief; else None
+    bank: Bank | None  # modes and transition probabilities; None if modes share a belief
     reward: Reward  # function of (belief, truth)
     baseline: Bank | None  # bank of the IMM whose reward a paired reward subtracts, or None
     # reward of each epoch that remains after a divergence; None if divergence does not end episodes
     worst: float | None
     action: str = MODE  # kind of actions
-    # if actions correct beliefs: function that makes the agent for modes; None for a plain IMM
+    # with corrections: function that returns the agent that chooses modes; None for a plain IMM
     base: Base | None = None
 
     def draw(self, rng: np.random.Generator) -> Episode:
@@ -84,8 +84,8 @@ class Task:
         """Refuse a key if episodes have no keys, or if a seed (which determines a key) is given."""
         if not self.has_keys:
             raise ValueError(
-                f"options['episode_key']: found a key, but {self.source.name!r} is recorded or "
-                "your own source; only simulated episodes have keys"
+                f"options['episode_key']: found a key, but the episodes of {self.source.name!r} "
+                "have no keys; only episodes that the package simulates have keys"
             )
         if seed is not None:
             raise ValueError(
@@ -158,7 +158,8 @@ def task_from(**arguments: Any) -> Task:
     if asked.terminate_on_divergence:
         if getattr(pays, "worst", None) is None:
             raise ValueError(
-                "terminate_on_divergence: needs a reward with an attribute `worst`, its minimum"
+                "terminate_on_divergence: found True, but the reward has no attribute `worst` "
+                "with its lowest value"
             )
         worst = pays.worst - max(mode.cost for mode in pipeline.modes)  # type: ignore[attr-defined]
     acts = asked.action, asked.base
@@ -172,7 +173,7 @@ def _require_action(asked: TaskArguments) -> None:
         raise ValueError(f'action: found {asked.action!r}, which needs beliefs="per-mode"')
     if asked.base is not None and not (asked.action == CORRECTION and callable(asked.base)):
         raise ValueError(
-            f"base: found {asked.base!r}, expected a function, with action={CORRECTION!r}"
+            f"base: found {asked.base!r}, expected a function and action={CORRECTION!r}"
         )
 
 

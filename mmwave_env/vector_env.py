@@ -35,7 +35,7 @@ from mmwave_env.world.keys import Keys, Streams, keys_from, option_of
 Observations = NDArray[np.float32]
 Step = tuple[Observations, Array, Mask, Mask, dict[str, Any]]
 
-BEGUN = 512  # maximum number of episodes drawn at once, to limit the memory that they need
+BEGUN = 512  # maximum number of episodes drawn in one call, to limit the memory that they need
 
 
 class MmWaveLocVectorEnv(
@@ -180,7 +180,7 @@ class MmWaveLocVectorEnv(
         if keys is not None:
             self._task.require_keys(seed)
             keys = keys_from(keys, self.num_envs)[places]
-        self._begun &= not chosen.all()  # if all are reset, False until all episodes are drawn
+        self._begun &= not chosen.all()  # while all are being reset, no episode is under way
         self._streams.seed_some(seed, places)
         drawn = self._draw(places, keys)
         _, state = self._stepper.start(places)
@@ -244,7 +244,7 @@ class MmWaveLocVectorEnv(
         return {} if self._infos == "none" else infos
 
     def step(self, actions: Index) -> Step:
-        """Process an epoch in every environment. Actions are modes (N,) or, in a `Box`, (N, k)."""
+        """Run an epoch in each environment; actions are modes (N,) or numbers (N, k) in a `Box`."""
         actions, numbers = self._checked(actions)
         fresh, resets = self._over, self._ended  # mask and number of environments to reset now
         drawn = self._draw(np.flatnonzero(fresh)) if resets else {}
@@ -291,7 +291,7 @@ class MmWaveLocVectorEnv(
         return infos
 
     def _checked(self, actions: Any) -> tuple[Index, Array | None]:
-        """Return copies of discrete actions (N,) and None, or zeros (N,) and a `Box`'s (N, k).
+        """Return copies of the actions: modes (N,) and None, or zeros (N,) and numbers (N, k).
 
         Invalid actions are refused, except in environments that ignore their action.
         """

@@ -19,12 +19,12 @@ class FixedMode(Policy):
 
 
 class LikelihoodRule(Policy):
-    """A policy that chooses the mode with the best average likelihood up to the coming epoch.
+    """A policy that chooses the mode with the best average likelihood, the coming epoch included.
 
-    It compares moving averages of each mode's log-likelihood minus the last mode's.
+    A mode's score is a moving average of its log-likelihood relative to the last mode.
 
     Args:
-        observation: the environment's table of features, of the kind "full".
+        observation: the environment's table of features; its kind must be "full".
         modes: names of the modes, in order.
     """
 

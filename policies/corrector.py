@@ -23,12 +23,12 @@ from policies.learned import LearnedPolicy, LearnedSwitch, taken
 from policies.policy import Policy
 from policies.policy_file import CORRECTIONS, Tensors
 
-BASE_IMM = "imm-best"  # the name of a base that is the IMM of the policy's bank
+BASE_IMM = "imm-best"  # the name of the base if it is the IMM of the policy's bank
 # file of the shipped two-way corrector, in a folder of its own because it is no policy
 TWO_WAY = Path(str(files("policies").joinpath("data", "smoothing", "two-way.safetensors")))
 # "Trust" is the factor, 0 to 1, by which corrections are scaled.
 RANGE_FADE = 2.0  # trust is exp(-2 d) if a feature is d standard deviations outside its range
-RECOVERY = 0.1  # maximum growth of trust per epoch: slow, as the network remembers unusual features
+RECOVERY = 0.1  # maximum growth of trust per epoch, as the network remembers unusual features
 # The network is an ensemble, whose members compute different shifts. If the spread of the shifts,
 # in corrected standard deviations, is at most SPREAD[0], trust is not reduced; from SPREAD[1] on,
 # trust is 0.
@@ -36,7 +36,7 @@ SPREAD = (0.5, 1.0)
 
 
 class Correction(NamedTuple):
-    """Corrections of n beliefs in the last epoch (:mod:`mmwave_env.filters.correction`).
+    """Corrections of n beliefs after the latest epoch (:mod:`mmwave_env.filters.correction`).
 
     For n tracks of T epochs, arrays are (n, T, 3) and (n, T).
 
@@ -155,7 +155,7 @@ class Corrector(CorrectionNetwork, Policy):
         return self._base(observation)
 
     def correct(self, observation: Array32) -> Correction:
-        """Return corrections of the beliefs after the latest epoch; the network then remembers it.
+        """Return corrections of the beliefs after the latest epoch; update the network's memory.
 
         Call this once after every step, with the observations (n, features) of the step.
         """

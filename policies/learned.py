@@ -56,7 +56,7 @@ class LearnedPolicy:
             self.read_from(observation)
 
     def bank(self, radio: str = "handset") -> Bank:
-        """Return the bank to use with a radio, if the policy needs a belief per mode.
+        """Return the bank (set of modes) for a radio, if the policy needs a belief per mode.
 
         Args:
             radio: name or file of the radio profile. If the policy has no bank for the profile, the
@@ -86,7 +86,7 @@ class LearnedPolicy:
 
         Raises:
             ValueError: the environment lacks the beliefs or modes of the training, or a feature is
-                missing or has another unit or scale; the message names difference and remedy.
+                missing or has another unit or scale; the message names both values and a remedy.
         """
         card = self.card
         banks = [card.modes, *(bank.modes for bank in card.banks.values())]

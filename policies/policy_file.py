@@ -61,8 +61,8 @@ class Card:
         ValueError: a field is invalid; the message says what is wrong.
     """
 
-    # modes that the actions choose; if every mode has its own belief: the modes of the first bank,
-    # preceded by action 0, "none"
+    # modes that the actions choose; if every mode has its own belief, these are the modes of the
+    # first bank, and the actions begin with "none"
     modes: tuple[Mode, ...]
     observation: str  # "full", "prior" or "signed"
     # names, units and scales of the features that the network reads, in the network's order
@@ -228,7 +228,7 @@ def _require_header(path: Path) -> None:
     with open_regular(path, "a policy (.safetensors)") as file, naming(path):
         size, header = os.fstat(file.fileno()).st_size, int.from_bytes(file.read(8), "little")
     if size > MOST_BYTES or header > MOST_HEADER:
-        sizes = f"a file of {size} bytes and a header of {header}"
+        sizes = f"a file of {size} bytes with a header of {header}"
         most = f"at most {MOST_BYTES} and {MOST_HEADER}"
         raise ValueError(f"{path}: not a policy file: found {sizes}, expected {most}")
 
@@ -253,7 +253,7 @@ def _document(text: str | None) -> Json:
 
 
 def _tensor(file: Any, name: str) -> Array32:
-    """Return a tensor of an open file; refuse types except float32, which numpy may not support."""
+    """Return a tensor of an open file; refuse types except float32, as numpy lacks some of them."""
     dtype = file.get_slice(name).get_dtype()
     if dtype != "F32":
         raise ValueError(f"tensor {name!r}: found type {dtype}, expected F32")

@@ -23,7 +23,7 @@ def command(*words, cwd=ROOT, columns=200, stdin=b""):
     """
     out, err, before = StringIO(), StringIO(), os.getcwd()
     typed = ["mmwave-loc", *map(str, words)]
-    # The program changes how warnings are displayed; catch_warnings restores that, too.
+    # The program replaces warnings.showwarning; catch_warnings restores this function, too.
     with (
         patch.object(sys, "argv", typed),
         patch.object(sys, "stdin", TextIOWrapper(BytesIO(stdin))),
@@ -59,7 +59,7 @@ def python(code, *options, cwd=ROOT):
 def started(*words, **options):
     """Start ``mmwave-loc <words>`` with pipes for output; return the new process.
 
-    The options are arguments of ``subprocess.Popen`` that replace or complete the usual ones.
+    The options are passed to ``subprocess.Popen``; they override the usual arguments.
     """
     usual = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     usual |= {"env": environment(), "cwd": ROOT}
@@ -75,7 +75,7 @@ def succeed(*words, cwd=ROOT):
 
 
 def with_json(*words):
-    """Run a command with the option --json; return what it prints, and the file's content."""
+    """Run a command with the option --json; return its output and the content of the file."""
     with TemporaryDirectory() as folder:
         file = Path(folder) / "results.json"
         return succeed(*words, "--json", file), json_in(file)

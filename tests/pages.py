@@ -12,7 +12,7 @@ A comment above a block says what is done with the block:
 
 The output of a block is shown below it, between ``<!-- table: printed -->`` and ``<!-- end -->``.
 If text follows ``printed``, only one table is shown: the first at or below a line that begins with
-this text. If a file name precedes ``printed``, this file is shown instead: the block wrote it.
+this text. If a file name precedes ``printed``, this file, which the block wrote, is shown instead.
 """
 
 import re

@@ -1,6 +1,6 @@
-"""JSON schemas of the files that users write, made from the dataclasses of their contents.
+"""JSON schemas of the files that users write, made from the dataclasses that readers return.
 
-Run ``make generated`` after changing such a dataclass: it writes mmwave_env/data/schemas.
+After changing such a dataclass, run ``make generated`` to write mmwave_env/data/schemas again.
 """
 
 import inspect
@@ -26,7 +26,7 @@ from tests.paths import ROOT
 FOLDER = ROOT / "mmwave_env" / "data" / "schemas"
 TYPES = {str: "string", bool: "boolean", int: "integer", float: "number", NoneType: "null"}
 
-# Readers refuse all unprintable characters; a pattern can exclude only control characters.
+# Readers refuse all unprintable characters, but a pattern can exclude only control characters.
 NAME = {"minLength": 1, "maxLength": LONGEST, "pattern": r"^[^\x00-\x1f\x7f-\x9f]*$"}
 
 

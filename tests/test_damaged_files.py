@@ -164,7 +164,7 @@ def test_an_undamaged_file_is_read(tmp_path, kind):
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 @given(data=st.data())
-def test_a_damaged_file_is_read_or_refused_with_its_name(tmp_path, kind, data):
+def test_a_damaged_file_is_read_or_the_refusal_names_it(tmp_path, kind, data):
     reader, folder = READERS[kind], tmp_path / "scenario"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()

@@ -1,6 +1,6 @@
 """Tests that example agents beat simple rivals, that other examples work, and that notebooks run.
 
-The rival is the policy `guided` if the example prints the reward of `guided`, or else the UKF.
+The rival is the policy `guided` if the example prints its reward, and `fixed-ukf` if not.
 Examples whose libraries are not installed are skipped; `make examples` installs them all.
 """
 
@@ -33,7 +33,7 @@ from tests.cli import environment
 from tests.paths import RECORDINGS, ROOT, json_in, loaded
 
 FOLDER = ROOT / "examples"
-# Examples without an agent: they make data, draw a Pareto front, compare or train localizers.
+# Examples without an agent: they make data, draw a Pareto front, or compare or train localizers.
 OTHERS = {"raytrace", "sumo", "minari_collect", "mo_front", "recurrent_localizer", "stone_soup"}
 EXAMPLES = {path.stem: path for path in sorted(FOLDER.glob("*.py")) if path.stem not in OTHERS}
 
@@ -47,14 +47,14 @@ def imported(source: str) -> set[str]:
 
 
 def rewards(printed: str) -> dict[str, float]:
-    """Return rewards by name, the agent's first, from a table of `compare` or from single lines."""
+    """Return name -> reward, agent first, from a table of `compare` or lines "NAME: reward ..."."""
     row, line = r"\| ([\w-]+) \| (-\d+\.\d+) ±", r"([\w-]+): reward (-\d+\.\d+)"
     lines = re.findall(rf"^(?:{row}|{line})", printed.partition("Paired")[0], re.MULTILINE)
     return {a or c: float(b or d) for a, b, c, d in lines}
 
 
 def made_before(source: str) -> list[list[str]]:
-    """Return the commands from an example's docstring that make the files the example reads."""
+    """Return the commands in an example's docstring; they make the files that the example reads."""
     lines = re.findall(r"^python (examples/.*)$", ast.get_docstring(ast.parse(source)) or "", re.M)
     return [[str(ROOT / script), *words] for script, *words in map(shlex.split, lines)]
 
@@ -80,7 +80,7 @@ def run(script, *options, cwd, **variables):
 @pytest.mark.slow
 @pytest.mark.release
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_an_example_beats_guided_or_the_best_fixed_mode(name, tmp_path):
+def test_an_example_beats_guided_or_the_fixed_ukf(name, tmp_path):
     source = EXAMPLES[name].read_text("utf-8")
     for module in imported(source):
         pytest.importorskip(module, exc_type=ImportError)
@@ -111,10 +111,10 @@ def localizer(tmp_path, monkeypatch):
 
 @pytest.mark.torch
 @pytest.mark.parametrize("receiver", [{}, {"measurements": ("range", "azimuth")}, {"clock": True}])
-def test_a_localizer_always_states_a_covariance(localizer, receiver):
+def test_the_covariances_of_a_localizer_are_always_positive_definite(localizer, receiver):
     source = replace(sites()[0].source(), epochs=30, **receiver)
     batch = source.sample_batch(keys_of(range(5_000_000, 5_000_004)))
-    batch.table[:, 10:, columns_of(batch.layout).signed_sigma] = -1.0  # nothing is measured
+    batch.table[:, 10:, columns_of(batch.layout).signed_sigma] = -1.0  # no measurements
     x, P = localizer.Localizer().estimate(Pipeline(default_modes(), batch.layout), batch)
     assert np.isfinite(x).all()
     assert (np.linalg.eigvalsh(np.moveaxis(unpack([*P.T]), (0, 1), (-2, -1))) > 0.0).all()
@@ -225,7 +225,7 @@ def write_traffic(path):
 
 
 @pytest.mark.parametrize("name", ["traffic.xml", "traffic.xml.gz"])
-def test_trips_become_ways_from_which_episodes_are_drawn(tmp_path, name):
+def test_trips_are_written_as_trajectories_from_which_episodes_are_drawn(tmp_path, name):
     write_traffic(tmp_path / name)
     text = run(FOLDER / "sumo.py", name, "ways.csv", "--shift", 0, -140, cwd=tmp_path)
     for part in (
@@ -247,7 +247,7 @@ def test_the_traffic_is_moved_to_the_middle_of_the_street(tmp_path, capsys):
     write_traffic(tmp_path / "traffic.xml")
     sumo, street = loaded("examples/sumo.py"), SCENES["street"]
     sumo.ways_in(street, sumo.read_trips(tmp_path / "traffic.xml"), 60.0)
-    assert "moved by (5.0, -224.5) m" in capsys.readouterr().out  # from x 0..150, y 9..280
+    assert "moved by (5.0, -224.5) m" in capsys.readouterr().out  # trips span x 0..150, y 9..280 m
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Tests that commands and environments name a missing extra (optional package) before any work."""
+"""Tests that commands and environments name a missing extra (a group of optional packages)."""
 
 import sys
 

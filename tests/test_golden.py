@@ -1,4 +1,4 @@
-"""Tests that running again reproduces the golden traces, which are stored outputs of fixed runs."""
+"""Tests that new runs reproduce the golden traces, which are the stored outputs of earlier runs."""
 
 import pytest
 

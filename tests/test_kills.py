@@ -51,7 +51,7 @@ def contents(folder):
 
 
 def begun(words, folder, most):
-    """Start a command that can write ``most`` bytes per file (None: any); return its process id."""
+    """Start a command that may write ``most`` bytes per file (None: any number); return its PID."""
     (folder.parent / PRINTED).write_text("")
     child = os.fork()
     if child:
@@ -81,7 +81,7 @@ def begun(words, folder, most):
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory):
-    """Return a function that runs a named command and returns its inputs, outputs and duration."""
+    """Return a function: command's name -> folder of its inputs, its outputs, its duration (s)."""
     known = {}
 
     def find(name):

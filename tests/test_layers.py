@@ -44,7 +44,7 @@ SEES = {  # room -> rooms that it may import
     "experiments.sweeping": LIBRARY | {"experiments.training", *BELOW},
 }
 SEES["experiments"] = frozenset({*SEES, *LIBRARY})  # the commands, one module each
-ROOMS, ARROWS_BETWEEN_ROOMS = 28, 200  # maximum numbers; an arrow means that a room imports another
+ROOMS, ARROWS_BETWEEN_ROOMS = 28, 200  # limits; imports from one room to another are one arrow
 
 
 def room(module):

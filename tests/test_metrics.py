@@ -61,7 +61,7 @@ def test_metrics_accept_leading_axes(tracks):
         np.testing.assert_allclose(metric(batch), [metric(error), 2.0 * metric(error)])
 
 
-def test_the_rpe_of_a_track_of_at_most_one_interval_is_zero():
+def test_the_rpe_is_zero_if_the_track_is_not_longer_than_the_interval():
     np.testing.assert_array_equal(rpe(np.ones((2, 5, 3)), 5), [0.0, 0.0])
 
 
@@ -108,7 +108,7 @@ def test_the_rpe_of_the_summary_spans_one_second(rate, delta):
 
 
 @pytest.mark.parametrize(("error_m", "diverged"), [(49.9, 0.0), (50.1, 1.0), (np.nan, 1.0)])
-def test_one_epoch_beyond_50_m_or_without_a_finite_error_is_divergence(error_m, diverged):
+def test_one_epoch_with_an_error_above_50_m_or_a_nan_error_is_divergence(error_m, diverged):
     _, error, nees = columns(episodes=1)
     error[0, 100] = [error_m, 0.0, 0.0]
     assert summary(error, nees)["divergence_rate"] == [diverged]

@@ -97,7 +97,7 @@ def damaged(draw, name):
 
 
 def refusal(name, content, folder):
-    """Return the reader's error ("" if it does not name file and schema), None without an error."""
+    """Return the error's text ("" unless it names file and schema), or None if the file is read."""
     path = folder / f"{name}.json"
     path.write_text(json.dumps(content), encoding="utf-8")
     try:

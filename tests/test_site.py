@@ -71,7 +71,7 @@ def test_the_page_of_help_texts_has_every_command(hooks):
     assert names == list(COMMANDS)
 
 
-def test_sphinx_roles_become_links_and_names_and_numbers_stay_on_one_line(hooks):
+def test_sphinx_roles_become_links_and_table_cells_with_one_name_or_number_do_not_wrap(hooks):
     html = "<p>:func:<code>~mmwave_env.metrics.ate</code> :func:<code>draw</code></p>"
     links = re.findall('identifier="(.*?)"><code>(.*?)<', hooks.on_page_content(html))
     assert links == [("mmwave_env.metrics.ate", "ate")]
@@ -86,7 +86,7 @@ def test_a_paragraph_with_only_a_link_to_a_report_shows_the_report_in_a_frame(ho
     assert frames == ["../report.html#episodes"]
 
 
-def test_links_in_the_package_description_lead_to_the_repository_at_its_tag():
+def test_links_in_the_package_description_lead_to_the_tagged_version_of_files():
     files = ("README.md", "pyproject.toml", "mmwave_env/__init__.py")
     texts = [(ROOT / name).read_text("utf-8") for name in files]
     text = loaded("setup.py").described(*texts)

@@ -84,7 +84,7 @@ def _arc(axes: Any, center: Array, radius: float, degrees: float, label: str, co
     axes.plot(x, [center[1]] * 2, color=color, linewidth=0.8, linestyle=":")
     axes.plot(*line[:, :-1], color=color, linewidth=1.5)
     axes.annotate("", line[:, -1], line[:, -3], arrowprops={"arrowstyle": "-|>", "color": color})
-    at = np.clip(0.5 * turn[-1], -0.8, 0.8)  # the middle of the arc, or less if the arc is long
+    at = np.clip(0.5 * turn[-1], -0.8, 0.8)  # angle of the label: half of the arc, or 0.8 rad
     axes.text(
         *(center + (radius + 0.6) * np.array([np.cos(at), np.sin(at)])),
         label,

@@ -26,7 +26,7 @@ from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource
 from policies import Corrector
 
-EPISODES, FEWER = 1000, 500  # number of test episodes to compare errors, and to withhold features
+EPISODES, FEWER = 1000, 500  # numbers of test episodes: to compare errors; to withhold features
 NAMES = ("speed-rule", "imm-best", "guided", "corrector")
 AROUND = np.arange(-6, 16)  # epochs shown around an event
 GROUPS = {  # group of features -> words that the names of its features begin with
@@ -99,7 +99,7 @@ def events(played: Played) -> dict[str, NDArray[np.bool_]]:
 
 
 def _begins(state: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the epochs (n, T) in which a state begins that was absent in the previous 5 epochs."""
+    """Return a mask (n, T): whether a state begins that was absent in the previous 5 epochs."""
     begins = state.copy()
     for back in range(1, 6):
         begins[:, back:] &= ~state[:, :-back]
@@ -108,7 +108,7 @@ def _begins(state: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _lying(episode: Episode) -> NDArray[np.bool_]:
-    """Return in which epochs (T,) a measured range is over 5 standard deviations wrong."""
+    """Return a mask (T,): whether a measured range is over 5 standard deviations wrong."""
     assert episode.truth_position_m is not None
     ways = episode.truth_position_m[:, None] - episode.scene_anchors_m
     rows = slice(0, episode.layout.doppler, 4)

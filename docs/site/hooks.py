@@ -151,7 +151,7 @@ def notebook_page(path: Path) -> str:
     # A link by reference: :func:`relinked` would turn an inline link into a link to this page.
     parts = [
         "".join(first["source"]),
-        "This page is a notebook with its stored outputs, and is made to be run. [Download it]"
+        "This page shows a notebook and its stored outputs. To run the notebook, [download it]"
         f"[file]{{ download }}.\n\n[file]: {path.name}",
     ]
     for cell in others:
@@ -191,8 +191,8 @@ def api_index() -> str:
     """Return the overview of the API, with the first sentence of every module."""
     lines = [
         "# API",
-        "`gymnasium.make` and `gymnasium.make_vec` are the way in, and [the environment's page]"
-        "(../environment.md) says what they take. The pages below document the modules inside, "
+        "`gymnasium.make` and `gymnasium.make_vec` are the entry points; [the environment's page]"
+        "(../environment.md) lists their arguments. The pages below document the modules inside, "
         "grouped as in the [architecture](../architecture.md).",
     ]
     for name, (title, parts) in API.items():
@@ -287,5 +287,5 @@ def on_page_content(html: str, **_: Any) -> str:
 
 
 def on_post_page(output: str, **_: Any) -> str:
-    """Keep the theme from asking the code host for stars: the site loads only its own files."""
+    """Stop the theme from fetching the number of stars: the site loads only its own files."""
     return output.replace(' data-md-component="source"', "")

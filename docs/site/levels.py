@@ -20,7 +20,7 @@ from mmwave_env.metrics import scored
 from mmwave_env.numerics.numbers import Array
 
 POLICIES = ("guided", "corrector")
-EPISODES, FEWER = 400, 60  # test episodes at a site; fewer on a recording or at a hard site
+EPISODES, FEWER = 400, 60  # test episodes at a site; fewer at recorded or hard sites
 DIRECTIONS, RISKS = ("Horizontally", "Vertically"), (1e-3, 1e-2)
 
 

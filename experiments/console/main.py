@@ -1,7 +1,7 @@
 """The command line ``mmwave-loc <command>``.
 
 A command is a module in ``experiments`` with a class ``Args``, which declares its options, and a
-function ``main``. Options are read before slow imports, so help and mistakes appear at once.
+function ``main``. Options are read before slow imports, so help and errors appear immediately.
 """
 
 import importlib
@@ -125,7 +125,7 @@ def run(name: str, words: Sequence[str] | None = None) -> None:
                 if isinstance(stream, TextIOWrapper):  # the encoding may lack characters
                     stream.reconfigure(errors="backslashreplace")
             args, command = read_arguments(name, words), importlib.import_module(page_of(name))
-            # Most commands need this slow import. Here, Ctrl-C still ends the program at once.
+            # Most commands need this slow import; during it, Ctrl-C ends the program immediately.
             importlib.import_module("experiments.evaluation.asked")
         with ended_by_signals(), _quiet() if "--quiet" in words else nullcontext():
             _require_results_can_be_written(args)
@@ -140,7 +140,7 @@ def run(name: str, words: Sequence[str] | None = None) -> None:
         print(f"{program}: interrupted", file=sys.stderr)
         sys.exit(130)
     except Ended as end:
-        for number in ENDING:  # the signal may arrive again, sent to the process group
+        for number in ENDING:  # the signal may arrive again, this time sent to the process group
             signal.signal(number, signal.SIG_IGN)
         with suppress(OSError):  # the terminal may be gone
             print(f"{program}: {end.told}", file=sys.stderr)

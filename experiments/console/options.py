@@ -11,7 +11,7 @@ from typing import Any, Literal
 from tyro.conf import Positional
 
 USUAL_EPISODES = 1000
-AUTO = "auto"  # --radio auto: the radio whose noise is nearest to that of a log
+AUTO = "auto"  # --radio auto: the radio profile whose noise is nearest to the noise of a log
 TUNING_SEED = 5_000_000  # first of the seeds for tuning
 
 
@@ -81,7 +81,7 @@ class ModeArgs(WorldArgs):
     if there are two modes, speed-rule (the first for low mobility, the second for high). Learned
     policies keep their own modes"""
     observation: str = "full"
-    """observation of your own agents in training: full, prior or signed; policy files record it"""
+    """observation that your own agents get: full, prior or signed; policy files record it"""
     beliefs: str = "shared"
     """beliefs (estimates) that your own agents were trained with: shared, or per-mode (the default
     modes are then the modes of the radio's best IMM); policy files record them"""
@@ -126,8 +126,8 @@ class LearnedArgs:
     """modes to choose from: names and mode files; by default the radio's ekf and ukf or, with
     --beliefs per-mode, its best bank"""
     observation: str = "full"
-    """features that the agent observes: full; prior, without the features that say how well each
-    mode explains the coming epoch; or signed: full, and residuals along and across the velocity"""
+    """features that the agent observes: full; prior (without the features that say how well each
+    mode explains the coming epoch); or signed (full, plus residuals along and across velocity)"""
 
 
 @dataclass(kw_only=True)
@@ -181,7 +181,7 @@ class FilterArgs:
     modes, and weights each by how well it explains the log"""
     radio: str = AUTO
     """radio profile, which sets how modes are tuned and how noise depends on the SNR: handset,
-    standard, high or a JSON file; auto takes the profile whose noise is nearest to the log's"""
+    standard, high or a JSON file; auto: the profile whose noise is nearest to the log's noise"""
     snr: float | None = None
     """SNR of links that have none in the log, dB; needed if the log has neither SNR nor standard
     deviations"""
@@ -208,8 +208,8 @@ class AlgorithmArgs:
     """Algorithm 1: the user's speed, m/s, which selects the pipeline that runs; or auto, to decide
     in every epoch"""
     outside: Literal["fallback", "abort"] = "fallback"
-    """if --speed is above 20 m/s, outside the paper's design window: fallback runs the UKF
-    pipeline, abort stops"""
+    """action if --speed is above 20 m/s, outside the paper's design window: fallback (run the UKF
+    pipeline) or abort"""
     follow: Literal["prediction", "odometry"] = "prediction"
     """speed by which --speed auto decides: predicted by the filter, or measured by odometry"""
     modes: Path | None = None
@@ -227,8 +227,8 @@ class LogArgs(AlgorithmArgs, FilterArgs, IntegrityArgs, TrackOutputArgs):
     scene: str | None = None
     """scene of the log: a JSON file with the anchors; or street, o1, dynamic-doppler"""
     sample: str | None = None
-    """recording to use instead of a log: canyon28_vehicle or canyon28_pedestrian, which have a
-    scene and ground truth"""
+    """sample to use instead of a log: canyon28_vehicle or canyon28_pedestrian, which have a scene
+    and ground truth"""
     live: bool = False
     """read rows from standard input (log -) as CSV or JSON lines, and print a JSON line immediately
     after each epoch"""

@@ -1,4 +1,4 @@
-"""Printed lines, and progress bars, which are shown on a terminal unless the command is quiet."""
+"""Printed lines and progress bars; the bars are shown only on a terminal."""
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -16,9 +16,9 @@ QUIET: ContextVar[bool] = ContextVar("quiet", default=False)  # True: show neith
 
 
 def bars(*columns: ProgressColumn | str) -> Progress:
-    """Return bars on standard error, so that standard output stays clean; they vanish at the end.
+    """Return progress bars that are drawn on standard error and vanish at the end.
 
-    No bar is shown if standard error is not a terminal. ``columns`` are added to rich's own.
+    No bar is shown if standard error is not a terminal. ``columns`` follow rich's default columns.
     """
     console = Console(stderr=True, quiet=QUIET.get())
     _, *others = Progress.get_default_columns()

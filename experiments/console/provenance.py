@@ -72,7 +72,7 @@ def options_from(kind: type[T], content: Json) -> T:
 
 
 def versions_of(*packages: str) -> dict[str, str]:
-    """Return the versions of mmwave-loc and of some packages, to store in a policy file."""
+    """Return the versions of mmwave-loc and of the named packages, to store in a policy file."""
     return {"mmwave-loc": __version__} | {name: version(name) for name in packages}
 
 

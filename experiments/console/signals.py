@@ -33,7 +33,7 @@ def _told(number: int) -> str:
 def answered(
     numbers: Sequence[int], answer: Callable[[int, Any], None] | signal.Handlers
 ) -> Iterator[None]:
-    """Handle signals in the block with ``answer``, except signals already ignored (by nohup)."""
+    """Handle signals in the block with ``answer``, except signals ignored before it (nohup)."""
     before = {number: signal.getsignal(number) for number in numbers}
     heeded = {number: old for number, old in before.items() if old is not signal.SIG_IGN}
     for number in heeded:
@@ -82,7 +82,7 @@ def ended_by_the_system() -> Iterator[None]:
 
 
 def _in_callback(frame: FrameType | None) -> bool:
-    """Return whether C code, which would drop an exception, called the running Python code."""
+    """Return whether the running code is a callback from C code that would drop exceptions."""
     while frame is not None:
         if frame.f_code.co_name.startswith("_raw_object_cache"):  # a callback of llvmlite
             return True

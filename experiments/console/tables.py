@@ -16,7 +16,7 @@ CELL = re.compile(r"((?:\\.|[^|\\])*)\|")  # a cell, with the | that ends it
 UNIT = re.compile(r" (?=(?:m|s|%)(?: |$))")  # the space before a unit, where a line must not break
 GLUED = "\u00a0"  # a space where :mod:`textwrap` does not break
 GAP = 2  # spaces between columns
-# Characters that Markdown or HTML reads as markup; an underscore, only at the edge of a word.
+# Characters that are markup in Markdown or HTML. An underscore is markup only at a word's edge.
 _READ = re.compile(
     r"[\\`*|$~]|<(?=[A-Za-z/!?])|&(?=[A-Za-z#])|\](?=[(\[:])"
     r"|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9])"
@@ -66,7 +66,7 @@ def booktabs(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
 def show(text: str) -> None:
     """Print Markdown; on a terminal, split tables that are too wide.
 
-    Control characters, such as those in a name from a file, do not reach the terminal.
+    Control characters, for example in a name from a file, do not reach the terminal.
     """
     console, text = Console(), printable_lines(text)
     if not console.is_terminal:

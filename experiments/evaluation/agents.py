@@ -23,7 +23,7 @@ Act = Callable[[Array32], Any]  # observations (n, features) -> actions (n,)
 MODULE = re.compile(r"[\w.]+:[\w.]+")
 GUIDE = "docs/own-agent.md"
 OF_A_MODEL = "for a model, use lambda seen: model.predict(seen, deterministic=True)[0]"
-NO_FILTERS = "which runs no filters and works only in comparisons, expected another policy"
+NO_FILTERS = "which runs no filters and works only in comparisons; expected another policy"
 TRIED = 3  # number of random observations to try an agent on
 
 
@@ -44,7 +44,7 @@ class Estimator(Policy):
 
         A mean is [px, py, pz, vx, vy, vz, Doppler bias], in m, m/s and Hz; a packed covariance is
         the lower triangle, row by row. If the clock offset is unknown, it is the mean's eighth
-        component; shapes are (8,) and (36,). The pipeline has the radio's default modes.
+        component, and the shapes are (8,) and (36,). The pipeline has the radio's default modes.
         """
         raise NotImplementedError
 
@@ -64,8 +64,8 @@ class Estimator(Policy):
             shape = len(beliefs), len(min(beliefs, key=len, default=()))
             if shape != (T, size + layout.triangle):
                 raise ValueError(
-                    f"beliefs of {type(self).__name__}: found {shape[0]} with {shape[1]} numbers "
-                    f"each, expected {T} with {size} (mean) + {layout.triangle} (covariance) each"
+                    f"beliefs of {type(self).__name__}: found {shape[0]} beliefs of {shape[1]} "
+                    f"numbers, expected {T} of {size} (mean) + {layout.triangle} (covariance)"
                 )
             full = np.array([np.broadcast_arrays(site.hz_per_mps, *row)[1:] for row in beliefs])
             tracks.append(np.moveaxis(full, -1, 0) if self.at_once else full)
@@ -123,7 +123,7 @@ def tried(name: str, agent: Act, table: Observation) -> Policy:
     The agent's method ``reset(begins)``, if any, is called, too. An estimator is returned as it is.
 
     Raises:
-        ValueError: the agent is not a function, raises, or does not return actions.
+        ValueError: the agent is not a function, raises an exception, or returns invalid actions.
     """
     if isinstance(agent, Estimator):
         return agent
@@ -148,7 +148,7 @@ def tried(name: str, agent: Act, table: Observation) -> Policy:
 
 
 def in_one_line(error: Exception) -> str:
-    """Return the type and the first line of an exception that a user's code raised."""
+    """Return the type of an exception, and the first line of its message."""
     return f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"
 
 

@@ -55,7 +55,7 @@ def compare(
         policies: agents by their name in the tables. An agent is either a function that maps
             observations (n, features), float32, of ``n`` episodes to ``n`` integer actions, or
             anything that ``mmwave-loc compare --policies`` accepts: a policy file,
-            "module:function", the folder of a run, or a name. A function may have a method
+            "module:function", a run's folder, or a contender's name. A function may have a method
             ``reset(begins)``; ``begins``, a bool (n,), marks the episodes that begin. If a
             function has attributes ``modes``, ``observation`` or ``beliefs``, they override the
             arguments here. If a function has a method ``correct``, its corrections are scored
@@ -80,8 +80,8 @@ def compare(
     Raises:
         ValueError: ``policies`` is not a dict; ``episodes`` is not a number; a scenario, radio or
             contender is unknown; a name occurs twice; or an agent fails to load, raises, or does
-            not return actions. Errors are raised before any episode runs, except those of agents
-            that fail in an episode.
+            not return actions. All errors are raised before any episode runs, except errors of
+            agents that fail in an episode.
         FileNotFoundError: a file that an argument names does not exist.
     """
     if not isinstance(policies, Mapping):

@@ -98,7 +98,7 @@ class Comparison:
         return None
 
     def __str__(self) -> str:
-        """Return policies' means ± half of their 95 % intervals, then paired reward differences."""
+        """Return a table of the policies' means, then a table of paired reward differences."""
         # The title names an unusual reward, since rewards of different kinds are not comparable.
         reward = "" if self.reward == "tracking" else f", reward {escaped(self.reward)}"
         parts = [f"### {escaped(self.scenario)}, {escaped(self.radio)}, {self.selection}{reward}\n"]

@@ -84,10 +84,10 @@ class Contender:
 
         If ``modes`` is None, the agent gets the radio profile's default modes. The agent's own
         attributes ``modes``, ``observation`` and ``beliefs`` override the arguments. If beliefs are
-        "per-mode", its method ``bank(radio)`` overrides ``modes``, too.
+        "per-mode", the agent's method ``bank(radio)`` overrides ``modes``, too.
 
         Raises:
-            ValueError: modes or beliefs are unknown; the message lists the valid ones.
+            ValueError: modes or beliefs are unknown; the message lists the valid names.
         """
         beliefs, modes = getattr(agent, "beliefs", beliefs), getattr(agent, "modes", modes)
         bank_of = getattr(agent, "bank", None) if beliefs == "per-mode" else None
@@ -126,12 +126,12 @@ Make = Callable[[], Contender]
 
 
 def imm_banks(radio: str) -> dict[str, Callable[[], Bank]]:
-    """Return functions that make the IMMs' banks, by name; a function reads files when called."""
+    """Return functions that make the IMMs' banks, by name; they read files only when called."""
     return {"imm": lambda: Bank(default_modes(radio)), BEST_IMM: lambda: best_bank(radio)}
 
 
 def _of_any_modes(bank: Bank) -> dict[str, Make]:
-    """Return the contenders over a bank's modes: each mode alone, the rules and the IMM."""
+    """Return functions that make contenders with a bank's modes: each mode, the rules, the IMM."""
     names = [mode.name for mode in bank.modes]
     policies: dict[str, Callable[[Observation], Policy]] = {
         f"fixed-{name}": lambda table, i=i: FixedMode(i)  # type: ignore[misc]
@@ -146,14 +146,14 @@ def _of_any_modes(bank: Bank) -> dict[str, Make]:
 
 
 def contenders(radio: str, modes: Modes = None) -> dict[str, Make]:
-    """Return functions that make the contenders, by name; a function reads files when called.
+    """Return functions that make the contenders, by name; they read files only when called.
 
     Args:
         radio: radio profile, a name or a JSON file.
         modes: modes of the contenders, as in ``MmWaveLoc-v0``; a bank or a mode file also sets
-            the transition and NIS quantile of the IMM. None stands for the profile's EKF and UKF,
-            and adds three kinds of contenders: the CKF, the IMM of the profile's best bank, and the
-            learned policies that are shipped for the profile.
+            the transition and NIS quantile of the IMM. If None, the modes are the profile's EKF and
+            UKF, and three kinds of contenders are added: the CKF, the IMM of the profile's best
+            bank, and the learned policies that are shipped for the profile.
     """
     if modes is not None:
         return _of_any_modes(bank_over(modes, radio))
@@ -175,7 +175,7 @@ def contender_from(
     Args:
         name: name of a contender or shipped policy, "clairvoyant" (which knows the truth and is
             a ceiling for policies that choose modes), a policy file (``.safetensors``), the folder
-            of a run (its median training is used), or module:function, as in
+            of a run (the policy with the median reward is used), or module:function, as in
             :func:`~experiments.evaluation.agents.agent_from`.
         radio, modes: same as in :func:`contenders`.
         observation, beliefs: settings of a user's agent, as in :meth:`Contender.own`.

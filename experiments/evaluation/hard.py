@@ -39,7 +39,7 @@ def corners() -> Trajectory:
 
 
 def bus() -> Trajectory:
-    """Return the path of a bus that goes to and fro and stops for 15 s every 300 m."""
+    """Return the path of a bus that goes back and forth and stops for 15 s every 300 m."""
     speed_mps = np.interp(np.arange(50), [0, 10, 25, 35], [0, 12, 12, 0])
     gone = np.cumsum(np.resize(speed_mps, DURATION_S)) % 600.0
     x = np.minimum(gone, 600.0 - gone) - 150.0

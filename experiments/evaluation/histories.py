@@ -58,7 +58,7 @@ def _after(prior: Array | float, epochs: Array) -> Array:
 class EpochErrors:
     """Errors and NEES of contenders in all scored epochs of equally long episodes."""
 
-    names: Mapping[str, str]  # contender's name -> name to show; contenders not named are skipped
+    names: Mapping[str, str]  # contender's name -> name to show; other contenders are skipped
     time_s: Array = field(default_factory=lambda: np.zeros(0))  # (T,) s since the first epoch
     # name to show -> (errors, NEES) of each part of the episodes
     _parts: dict[str, list[tuple[Array, Array]]] = field(default_factory=dict)

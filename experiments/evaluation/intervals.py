@@ -1,9 +1,9 @@
 """Means and their 95 % bootstrap intervals, over episodes and over training seeds.
 
-Scores of trainings are an array (seeds, episodes), because every training is judged on the same
-episodes. So complete rows and complete columns are resampled, independently of each other (Owen
-2007). The stratified bootstrap of rliable (Agarwal et al. 2021) would not fit: it assumes that each
-score comes from a separate training, and would count K policies on n episodes as K n trainings.
+The policies from all training seeds are judged on the same episodes, so their scores are an array
+(seeds, episodes). Its complete rows and complete columns are resampled, independently of each other
+(Owen 2007). The stratified bootstrap of rliable (Agarwal et al. 2021) would be wrong: it assumes
+that each score has its own policy, and would count K policies on n episodes as K n policies.
 """
 
 import math
@@ -20,7 +20,7 @@ from mmwave_env.io.files import Json
 from mmwave_env.numerics.numbers import Array, Index
 
 RESAMPLES = 4000
-BLOCK = 100  # resamples computed at once, to bound the memory
+BLOCK = 100  # number of resamples that are computed together, to bound the memory
 KEPT = 20_000  # largest number of episodes whose resamples are small enough to cache
 
 
@@ -122,7 +122,7 @@ def few_seeds_factor(seeds: int) -> float:
     """Return the factor by which a percentile interval over few seeds is too narrow.
 
     Resampling K of K seeds narrows an interval by the factor sqrt((K - 1) / K). Also, percentiles
-    assume a normal instead of a t distribution. For both reasons, a 95 % interval over 5 seeds
+    assume a normal instead of a t distribution. Without this factor, a 95 % interval over 5 seeds
     would contain the true mean with a probability of only 85 % (Hesterberg 2015).
     """
     if seeds == 1:

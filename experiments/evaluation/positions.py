@@ -1,4 +1,4 @@
-"""Position errors of contenders: percentiles, shares within a distance, and protection levels."""
+"""Statistics of contenders' position errors and protection levels."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -27,7 +27,7 @@ HEADER = (
 class Positions:
     """Position errors of all scored epochs, with protection levels."""
 
-    names: Mapping[str, str]  # contender's name -> name to show; contenders not named are skipped
+    names: Mapping[str, str]  # contender's name -> name to show; other contenders are skipped
     levels: Levels = field(default_factory=Levels)
     anchors: int = 3  # number of anchors in the episodes
     planar: bool = False  # whether the height is known
@@ -60,9 +60,9 @@ def positions_markdown(title: str, rows: Json, risk: float, kind: str) -> str:
     probability that an error exceeds its level. ``kind`` is "calibrated" or "gaussian".
     """
     cells = [
-        [f"{name}, {kind}", *row_of(errors)]
-        for name, kinds in rows.items()
-        for kind, errors in kinds.items()
+        [f"{name}, {axis}", *row_of(errors)]
+        for name, axes in rows.items()
+        for axis, errors in axes.items()
     ]
     return (
         f"{grid([title, *HEADER], cells)}\n\n50 % m is the error that 50 % of the epochs stay "

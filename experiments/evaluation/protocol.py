@@ -36,8 +36,8 @@ TRAINED, UNSEEN_KIND, RECORDED, HARD = KINDS = ("to train in", "unseen", "record
 UNSEEN_SCENES, UNSEEN_RADIOS = ("avenue", "plaza", "alley"), ("tablet",)
 UNSEEN = UNSEEN_SCENES + UNSEEN_RADIOS  # nothing is tuned or trained on them
 OTHER_RADIOS = ("handset", "standard")  # radios for unseen streets and for recordings
-EPISODES, DRAWS = 2000, 200  # episodes at each simulated site, noise draws of each recording
-CEILING_EPISODES, CEILING_DRAWS = 400, 20  # scores use at most so many episodes and draws
+EPISODES, DRAWS = 2000, 200  # episodes at each simulated site, noise draws for each recording
+CEILING_EPISODES, CEILING_DRAWS = 400, 20  # maximum numbers of episodes and draws in a score
 
 
 def unseen_file(name: str) -> str:
@@ -106,7 +106,7 @@ class Judged:
 
 
 def scored_over(figures: Json) -> int:
-    """Return the number of a site's first episodes that a score uses."""
+    """Return how many of a site's episodes, counted from the first, are used for a score."""
     recorded, episodes = figures["kind"] == RECORDED, int(figures["episodes"])
     return min(episodes, CEILING_DRAWS if recorded else CEILING_EPISODES)
 
@@ -118,7 +118,7 @@ def require_contenders(names: Sequence[str]) -> None:
         ValueError, FileNotFoundError: same as from
             :func:`~experiments.evaluation.contenders.contender_from`.
     """
-    # Suppress the warning that the modes of an unseen radio are untuned, which is intended.
+    # Suppress the warning that the modes of an unseen radio are untuned: they are meant to be.
     with warnings.catch_warnings(action="ignore"):
         for radio in dict.fromkeys(site.radio for site in sites()):
             for name in names:
@@ -128,7 +128,7 @@ def require_contenders(names: Sequence[str]) -> None:
 def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> Judged:
     """Run contenders, the paper's rule and every IMM at a site, on the same episodes."""
     selection = Selection(range(seed, seed + episodes))
-    # Suppress the warning that the modes of an unseen radio are untuned, which is intended.
+    # Suppress the warning that the modes of an unseen radio are untuned: they are meant to be.
     with warnings.catch_warnings(action="ignore"):
         imms = [name for name in contenders(site.radio) if name.startswith("imm")]
         everybody = dict.fromkeys([*names, RULE, *imms])
@@ -171,7 +171,7 @@ def read_entry(path: Path) -> Json:
 
 
 def ceiling_in(folder: Path) -> Json:
-    """Return the clairvoyant's entry from a folder or, if the folder has none, the shipped one."""
+    """Return the clairvoyant's entry: from the folder if it is there, otherwise as shipped."""
     own = folder / f"{CLAIRVOYANT}.json"
     return read_entry(own if own.is_file() else Path(__file__).with_name(own.name))
 
@@ -239,8 +239,8 @@ def ranking(entries: Sequence[Json]) -> str:
 def by_site(entries: Sequence[Json]) -> str:
     """Return a Markdown table by site: every entry's reward minus the reward of the best IMM.
 
-    Policy files (such as those of single trainings) and IMMs are left out if there are other
-    entries; the ranking includes them.
+    Policy files (for example, of a single training seed) and IMMs are left out if there are other
+    entries; the ranking includes all entries.
     """
     named = {content["entry"]: content["sites"] for content in entries}
     names = {name: at for name, at in named.items() if "/" not in name}

@@ -41,7 +41,7 @@ class Scoring(NamedTuple):
         """Return the scoring of a task; refuse a paired reward."""
         if task.baseline is not None:
             raise ValueError(
-                "reward: found a paired reward, expected an unpaired one; paired differences "
+                "reward: found a paired reward, expected an unpaired reward; paired differences "
                 "between policies, including the IMM, are shown in any case"
             )
         return cls(task.reward, task.pipeline.planar)
@@ -54,8 +54,8 @@ Scores = dict[str, Array]  # metric -> (episodes,)
 EpochResults = dict[str, NDArray[Any]]
 
 PARTS = ("reward", "nees", "error")
-BELIEF = ("x", "P")  # parts that a corrector (a policy with a method "correct") changes
-CHUNK = 1000  # episodes in memory at once
+BELIEF = ("x", "P")  # parts of the state that a corrector (a policy with "correct") changes
+CHUNK = 1000  # maximum number of episodes in memory
 
 Watch = Callable[[Contender, Array, EpochResults], None]
 
@@ -67,7 +67,7 @@ def score(contender: Contender, policy: Policy | None, episodes: Sequence[Episod
 
 
 def _scorable(episodes: Sequence[Episode]) -> Sequence[Episode]:
-    """Return the episodes; refuse one without ground truth."""
+    """Return the episodes; refuse episodes without ground truth."""
     for episode in episodes:
         episode.require_truth()
     return episodes
@@ -175,7 +175,7 @@ def _warn_of_short(time_s: Array) -> None:
     if counted <= max(1, second):
         warnings.warn(
             f"episodes of {len(time_s)} epochs: metrics leave out the first {BURN_IN}; "
-            f"{counted} are left, but RPE needs more than {max(1, second)}, so it is 0",
+            f"{counted} are left, but RPE needs more than {max(1, second)}, so RPE is 0",
             stacklevel=3,
         )
 

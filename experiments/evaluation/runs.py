@@ -15,11 +15,11 @@ from mmwave_env.io.files import Json, first_line, read_json, read_text
 
 @dataclass(frozen=True)
 class Run:
-    """The trainings of a run, ordered by their reward on tuning seeds, best first."""
+    """A run of ``mmwave-loc train``, with one policy per training seed."""
 
     name: str  # the folder, as on the command line and in results
-    seeds: tuple[int, ...]  # training seeds, which identify the trainings
-    median: int  # seed of the training with the median reward, which represents the run
+    seeds: tuple[int, ...]  # training seeds, ordered by reward on tuning seeds, best first
+    median: int  # training seed of the policy with the median reward, which represents the run
 
     @classmethod
     def read(cls, name: str) -> "Run":
@@ -27,13 +27,13 @@ class Run:
 
         Raises:
             ValueError: the summary is invalid; the message names the file and what is wrong in it.
-            FileNotFoundError: the folder holds no run, or an unfinished one.
+            FileNotFoundError: the folder holds no finished run.
         """
         path = Path(name) / "summary.json"
         if not path.is_file():
             raise FileNotFoundError(
                 f"{path}: found no file, expected the summary of a finished run; "
-                "mmwave-loc train --resume continues an unfinished one"
+                "mmwave-loc train --resume continues an unfinished run"
             )
         return read_json(path, "the summary of a run", partial(cls._of, name))
 
@@ -50,12 +50,12 @@ class Run:
 
     @property
     def policies(self) -> list[str]:
-        """Return the policy file of every training."""
+        """Return the policy file of every training seed."""
         return [self._policy(seed) for seed in self.seeds]
 
     @property
     def policy(self) -> str:
-        """Return the policy file of the median training."""
+        """Return the policy file of the median seed."""
         return self._policy(self.median)
 
     def _policy(self, seed: int) -> str:
@@ -63,7 +63,7 @@ class Run:
 
 
 def trainings(names: Sequence[str], runs: Mapping[str, Run]) -> list[str]:
-    """Return names of contenders, with each run replaced by the policy files of its trainings."""
+    """Return names of contenders, with each run replaced by the policy files of its seeds."""
     return [file for name in names for file in (runs[name].policies if name in runs else [name])]
 
 
@@ -88,7 +88,7 @@ def curves_of(log: Path) -> dict[str, tuple[list[float], list[float]]]:
 
 
 def outcomes_markdown(outcomes: Sequence[Json]) -> str:
-    """Return a Markdown table of the outcomes of one or more trainings, in the given order."""
+    """Return a Markdown table of training outcomes, one row per seed, in the given order."""
     rows: list[list[Any]] = []
     minus = [key for key in outcomes[0]["best"] if key.startswith("minus ")]
     for outcome in outcomes:

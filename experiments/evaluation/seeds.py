@@ -13,8 +13,8 @@ from mmwave_env.io.files import Json
 from mmwave_env.world.episode import Episode, EpisodeSource
 from mmwave_env.world.keys import Keys, keys_of
 
-TRAINING_SEED = 10_000_000  # first seed of the first training
-SEEDS_EACH = 1_000_000  # number of seeds that each training owns
+TRAINING_SEED = 10_000_000  # first seed of the episodes for training
+SEEDS_EACH = 1_000_000  # number of seeds reserved for the episodes of each training run
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Selection:
     """A selection of a source's episodes, by their seeds.
 
     Raises:
-        ValueError: there are no seeds, or one is negative.
+        ValueError: there are no seeds, or a seed is negative.
     """
 
     seeds: Sequence[int]  # seed of each episode, in order

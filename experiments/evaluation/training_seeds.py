@@ -17,11 +17,11 @@ def over_training_seeds(run: Run, trained: Sequence[Scores], scores: Mapping[str
     """Return the rewards of a run, and its gains over the reference contenders, as JSON.
 
     Args:
-        run: training runs to compare, one per seed.
-        trained: scores of the training runs, in the order of the run's seeds.
+        run: the run, which has one policy per training seed.
+        trained: scores of these policies, in the order of the run's seeds.
         scores: scores of all contenders, for the same episodes as ``trained``.
     """
-    reward = np.stack([of["reward"] for of in trained])
+    reward = np.stack([metrics["reward"] for metrics in trained])
     baselines = {rival: scores[rival]["reward"] for rival in references(scores)}
     imms = [rival for rival in baselines if rival.startswith("imm")]
     minus = {rival: _figures(run, reward - baseline) for rival, baseline in baselines.items()}
@@ -34,9 +34,9 @@ def over_training_seeds(run: Run, trained: Sequence[Scores], scores: Mapping[str
 
 
 def _figures(run: Run, values: Array) -> Json:
-    """Return the mean of values (trainings, episodes) for each training, and over all trainings.
+    """Return the mean of values (seeds, episodes) for each training seed, and over all seeds.
 
-    "above_zero" is the number of trainings whose interval is above zero.
+    "above_zero" is the number of seeds whose interval is above zero.
     """
     each = bootstrap(values.T)
     return {
@@ -49,7 +49,7 @@ def _figures(run: Run, values: Array) -> Json:
 def seeds_markdown(run: Run, content: Json) -> str:
     """Return results of :func:`over_training_seeds` as a Markdown table.
 
-    The table has every training, then all trainings together.
+    The table has a row for each training seed, then two rows for all seeds together.
     """
     minus, best = content["minus"], {content["best_imm"]: " (best IMM)"}
     columns = [content["reward"], *minus.values()]

@@ -82,9 +82,9 @@ def draw_consistency(
 
 
 def draw_learning_curves(label: str, lines: Sequence[Line], path: Path) -> None:
-    """Draw a quantity over the steps of training, with one line per training and a line at zero.
+    """Draw a quantity over training steps, with one line per training seed and a line at zero.
 
-    ``label`` is for the y axis.
+    ``label`` is the label of the y axis.
     """
     from matplotlib.ticker import EngFormatter, NullFormatter
 

@@ -16,7 +16,7 @@ _LOOKS = [  # colors and line styles of contenders; the first two modes have oth
     {"color": color, "ls": style}
     for color, style in (("C3", "-"), ("C4", "--"), ("C6", "-."), ("C2", ":"))
 ]
-_TRUE = {"color": "0.55", "lw": 3.5, "alpha": 0.6}  # pale and wide, below other lines
+_TRUE = {"color": "0.55", "lw": 3.5, "alpha": 0.6}  # style of the line of the true speed
 
 
 def mode_ribbon(axes: Any, time: Array, mode: Index, modes: int, low: float = 0.0) -> None:

@@ -1,4 +1,4 @@
-"""Picture of a track: its view from above with error ellipses, its error over time, its modes."""
+"""Picture of a track: view from above with error ellipses, error over time, and modes."""
 
 import textwrap
 from collections.abc import Sequence
@@ -71,7 +71,7 @@ def _draw_above(axes: Any, track: DrawnTrack) -> None:
 
 
 def _add_steps(axes: Any, track: DrawnTrack, chosen: Array, look: dict[str, Any]) -> None:
-    """Draw the ``chosen`` (T - 1,) steps between epochs, except those that join segments."""
+    """Draw the ``chosen`` (T - 1,) steps between epochs, except steps that join two segments."""
     from matplotlib.collections import LineCollection
 
     position = track.position_m[:, :2]
@@ -100,7 +100,7 @@ def _draw_ellipses(axes: Any, track: DrawnTrack) -> None:
 
 
 def draw_anchors(axes: Any, position: Array, anchors_m: Array) -> None:
-    """Draw anchors in the track's bounding box, widened by its longer side but at least 30 m."""
+    """Draw anchors in the track's bounding box, or up to max(30 m, its longer side) outside it."""
     low, high = position.min(axis=0), position.max(axis=0)
     reach = max(float((high - low).max()), 30.0)
     middle = 0.5 * (low + high)

@@ -25,7 +25,7 @@ from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource
 
-CHUNK = 128  # number of tracks at a time: few enough for the processor's caches
+CHUNK = 128  # number of tracks computed together: few enough for the processor's caches
 TUNED_ON = {"pedestrian": 0, "vehicle": 1}  # index of the shipped mode tuned for a kind of user
 
 
@@ -37,8 +37,8 @@ class Setting:
     radio: str  # name of the radio profile
     clean: bool = False  # whether blockage and multipath are left out
     odometry: bool = False  # whether the user also measures speed and heading
-    walls: bool = True  # False for the base station alone, without virtual anchors
-    changes: tuple[tuple[str, object], ...] = ()  # fields of the radio to change, and new values
+    walls: bool = True  # whether there are walls, which add virtual anchors to the base station
+    changes: tuple[tuple[str, object], ...] = ()  # pairs (field of the radio to change, new value)
 
     def source(self) -> SimulatedSource:
         """Return the source of the episodes."""
@@ -129,7 +129,7 @@ class Section:
     title: str  # title, in Markdown
     note: str  # note below the table, in Markdown
     header: str  # headers of the columns, with " | " between them
-    labels: int = 1  # number of first columns, which together name a row
+    labels: int = 1  # number of columns at the left that together name a row
     rows: list[Row] = field(default_factory=list)
 
     @property
@@ -168,10 +168,10 @@ def section(
 ) -> Callable[[Rows], Callable[[Bench], Section]]:
     """Return a decorator that turns a generator of rows into a function that returns a section."""
 
-    def of(rows: Rows) -> Callable[[Bench], Section]:
+    def decorate(rows: Rows) -> Callable[[Bench], Section]:
         return wraps(rows)(lambda bench: Section(title, note, header, labels, [*rows(bench)]))
 
-    return of
+    return decorate
 
 
 def _shown(cell: Cell) -> str:

@@ -129,7 +129,7 @@ def smoothing(bench: Bench) -> Iterator[Row]:
     labels=2,
 )
 def improvement(bench: Bench) -> Iterator[Row]:
-    """Measure by how much optimizing reduces untuned filters' errors (the paper: "30 to 60 %")."""
+    """Measure how much optimizing reduces untuned filters' errors (the paper: by 30 to 60 %)."""
     for setting in SETTINGS:
         tuned, best = _ates(bench.run(setting.tuned(), setting))
         before = _ates([bench.run(untuned(a, True), setting).filtered for a in ALGORITHMS])
@@ -186,12 +186,12 @@ def units(bench: Bench) -> Iterator[Row]:
 
 
 def _drifting_in_hz(mode: Mode, episode: Episode) -> Mode:
-    """Return the mode with oscillator noise in Hz, for a filter whose hz_per_mps was set to 1."""
+    """Return the mode with oscillator noise in Hz, for episodes whose hz_per_mps is set to 1."""
     return replace(mode, sigma_b_mps=mode.sigma_b_mps * episode.hz_per_mps)
 
 
 def _read_as_mps(episode: Episode) -> Episode:
-    """Return an episode for a filter that takes Doppler shifts in Hz for m/s; noise is in m/s."""
+    """Return an episode whose shifts in Hz a filter reads as m/s; their noise is in m/s."""
     sigma = episode.sigma.copy()
     sigma[:, episode.layout.doppler] /= episode.hz_per_mps
     return replace(episode, hz_per_mps=1.0, sigma=sigma)
@@ -253,7 +253,7 @@ def contradictions(_: Bench) -> Iterator[Row]:
 
 
 def _accuracy(errors: Errors) -> Row:
-    """Return ATE, median NEES, share of the NEES in its 95 % bounds and mean NEES."""
+    """Return ATE, median NEES, share of epochs with NEES in its 95 % bounds, and mean NEES."""
     scores = errors.scores
     ate, share, nees = _means(scores["ate_m"], scores["in_bounds"], scores["nees"])
     return [ate, float(np.median(errors.nees)), share, nees]

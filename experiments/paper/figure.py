@@ -10,7 +10,7 @@ from experiments.paper.bench import Cell, Section
 from mmwave_env.models.radio import TUNED_RADIOS
 
 COUPLED = 3  # column of our ATE with coupled process noise; column 1 has the paper's ATE
-FILTERS = 4  # number of first rows, which are also in the paper
+FILTERS = 4  # number of rows at the top that the paper has, too
 COLORS = {"ekf": "C0", "ukf": "C1"}
 
 
@@ -31,7 +31,7 @@ def _meters(axes: Any) -> None:
 
 
 def _bars(axes: Any, sections: Sequence[Section], title: str) -> None:
-    """Draw the ATE of each filter: the paper's value, and ours for each radio profile."""
+    """Draw the ATE of each filter: the paper's value, and our value for each radio profile."""
     rows = sections[0].rows[:FILTERS]
     axes.scatter(
         range(FILTERS), [row[1] for row in rows], marker="_", s=900, color="black", label="paper"

@@ -1,4 +1,4 @@
-"""Tables I, II and III with the values printed in the paper (arXiv 2510.06861) and ours."""
+"""Tables I, II and III with the paper's printed values (arXiv 2510.06861) and our values."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -50,7 +50,7 @@ def untuned(algorithm: str, coupling: bool) -> Mode:
 
 
 def _row(name: str, printed: Published | None, forms: Sequence[Scores]) -> Row:
-    """Return a row: for each metric the paper's value, then ours for each form of process noise."""
+    """Return a row: per metric, the paper's value, then our value per form of process noise."""
     ours = iter(bootstrap(np.stack([scores[m] for m in PRINTED for scores in forms], axis=1)))
     row: Row = [name]
     for metric in PRINTED:

@@ -1,4 +1,4 @@
-"""Runs of contenders, and the tables that ``compare`` and ``demo`` print about them."""
+"""Runs of contenders, and the tables of results that ``compare`` and ``demo`` print."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -25,7 +25,7 @@ from mmwave_env.interface.reward import reward_name
 from mmwave_env.io.files import Json, write_text
 from mmwave_env.localization.levels import PARTS, Levels
 
-WIDTH_MM = (80.0, 500.0)  # least and largest width of a readable picture
+WIDTH_MM = (80.0, 500.0)  # smallest and largest width of a readable picture
 
 
 class Results(NamedTuple):
@@ -45,8 +45,8 @@ def results(
 ) -> Results:
     """Run contenders on the episodes that options select.
 
-    If a name is the folder of a run, the run's median training is the contender. ``pictures`` maps
-    the options "errors" and "consistency" to the files to write, which are ``width_mm`` wide.
+    If a name is a run's folder, the run's policy with the median reward is the contender.
+    ``pictures`` maps "errors" and "consistency" to the picture files, which are ``width_mm`` wide.
 
     Raises:
         ValueError: an option is not valid, or both pictures have the same file.

@@ -25,7 +25,7 @@ SOURCE = "standard input"
 
 
 def run_live(args: LogArgs) -> None:
-    """Read rows until the end of the input; print the belief after each epoch.
+    """Read rows until the end of the input; print the estimated position after each epoch.
 
     A damaged or late row causes a warning and is left out.
 

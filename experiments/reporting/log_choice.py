@@ -23,7 +23,7 @@ DEFAULT_POLICY = "corrector"
 WITHOUT_ELEVATIONS = "imm-best"
 # Correctors read the standard deviation of the height, which does not exist for a known height.
 WITH_HEIGHT = "guided"
-RULES: dict[str, tuple[Rule, str]] = {  # by --follow: rule, and words before "speed" in reports
+RULES: dict[str, tuple[Rule, str]] = {  # --follow -> (rule, words before "speed" in reports)
     "prediction": (by_predicted_speed, "the predicted"),
     "odometry": (by_odometry_speed, "odometry's"),
 }

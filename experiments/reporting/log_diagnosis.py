@@ -74,7 +74,7 @@ class _Sums:
 
 
 def diagnosed(args: LogArgs, log: Path, scene: Scene, truth_file: Path | None) -> None:
-    """Show facts about a log, and whether undoing a likely mistake makes it consistent.
+    """Show facts about a log, and whether undoing a likely mistake makes the log consistent.
 
     Raises:
         LogError: the log is damaged.
@@ -87,7 +87,7 @@ def diagnosed(args: LogArgs, log: Path, scene: Scene, truth_file: Path | None) -
         blocks = read(log, scene, partial=True, snr_db=args.snr)
     first = next(blocks)
     radio = nearest_radio(first, scene) if args.radio == AUTO else args.radio
-    with progress("trying likely mistakes"):
+    with progress("looking for likely mistakes"):
         findings = diagnose(first, scene, radio_from(radio), modes_of(args, radio)[-1])
         truth = Truth(truth_file) if truth_file else None
         facts, damage = log_facts(chain([first], blocks), scene, truth)

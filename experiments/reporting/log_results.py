@@ -102,14 +102,14 @@ def _check(args: LogArgs, files: Inputs) -> None:
     banks = {"modes": args.modes, "imm": Path(args.imm) if args.imm else None}
     for name, path in (*read.items(), *banks.items(), *_outputs(args)):
         if path is not None and (owner := owners.setdefault(path.resolve(), name)) != name:
-            raise ValueError(f"{name}: found {path}, which is also {owner}, expected another file")
+            raise ValueError(f"{name}: found {path}, which is also {owner}; expected another file")
     for out in args.out:
         require_own_files(out)
 
 
 def _outputs(args: LogArgs) -> list[tuple[str, Path | None]]:
     tracks, tables = [("out", out) for out in args.out], map(table_beside, args.out)
-    beside = [("the table beside out", table) for table in tables if table not in args.out]
+    beside = [("the table of --out", table) for table in tables if table not in args.out]
     return [*tracks, *beside, ("plot", args.plot), ("json", args.json)]
 
 
@@ -244,7 +244,7 @@ def localized(args: LogArgs) -> None:
     kind = "smoothed" if args.smoothing else "filtered"
     written = {
         "out": f"{kind} track",
-        "the table beside out": "its standard deviations and modes",
+        "the table of --out": "its standard deviations and modes",
         "plot": "picture",
     }
     figures = {
@@ -268,7 +268,7 @@ def localized(args: LogArgs) -> None:
     finally:  # the results are shown even if a picture fails
         try:
             show(track_markdown(figures))
-        finally:  # an error in the log is reported even if nobody reads the results
+        finally:  # an error in the log is reported even if the results can't be shown
             if error:
                 shown = "written" if args.out else "shown"
                 raise ValueError(f"{error}; {figures['epochs']} epochs are {shown}") from error

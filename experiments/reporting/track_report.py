@@ -15,8 +15,8 @@ from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.numerics.numbers import Array
 
-_POINTS = 6000  # maximum number of points in a picture; a longer track gets 3000 or more
-_POSITION = [0, 1, 3, 1, 2, 4, 3, 4, 5]  # 3 x 3 position entries in a packed P
+_POINTS = 6000  # maximum number of points in a picture; a longer track is thinned to 3000 or more
+_POSITION = [0, 1, 3, 1, 2, 4, 3, 4, 5]  # indices of the position's 3 x 3 covariance in a packed P
 
 
 class TrackSampler:

@@ -38,7 +38,7 @@ class Weighed(NamedTuple):
 
 @lru_cache(maxsize=8)
 def _program(layout: Layout, dof: float) -> Program[Weighed]:
-    """Return the compiled program that weighs particles."""
+    """Return the compiled program that computes the log likelihoods of particles."""
 
     def function(w: Weighed) -> Weighed:
         total: Number = 0.0

@@ -1,1 +1,1 @@
-"""Sweeps (grids of evaluations or trainings, or searches), and the rows of results they write."""
+"""Sweeps (grids of evaluations or training runs, or searches), and the rows that they write."""

@@ -40,7 +40,7 @@ def evaluated(values: Values) -> Row:
 
 
 def trained(values: Values, tell: Callable[[Row], None] = lambda row: None) -> Row:
-    """Train a policy; return its best version: the metrics on tuning seeds, and the policy file.
+    """Train a policy; return the metrics of its best version on tuning seeds, and its policy file.
 
     During the training, ``tell`` is called with a row for each evaluation.
     """
@@ -72,7 +72,7 @@ def _row(figures: Mapping[str, float]) -> Row:
 
 
 def training_of(values: Values) -> tuple[Training, Hyperparameters]:
-    """Return the options of a training, and the shipped hyperparameters with the cell's changes."""
+    """Return a cell's options of `train`, and the shipped hyperparameters with its changes."""
     options, changed = dict[str, Any](), dict[str, Any]()
     for axis, value in values.items():
         name = axis.removeprefix(HYPERPARAMETER)
@@ -87,8 +87,8 @@ def kept(folder: Path, spec: Spec) -> set[str]:
     for name in names:
         if not (name.startswith(spec.trial) if spec.free else name in spec.cells):
             raise ValueError(
-                f"{folder / name}.parquet: found a row of another sweep or version (or of this "
-                "sweep, before a file that it names was changed); choose another folder with --out"
+                f"{folder / name}.parquet: found a row of another sweep or version, or a row from "
+                "before a change of a file that the sweep names; choose another folder with --out"
             )
     return names
 

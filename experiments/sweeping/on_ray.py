@@ -15,7 +15,7 @@ from mmwave_env.io.files import first_line
 from mmwave_env.metrics import METRICS
 
 RETRIES = 2  # repeats of a cell whose process ran out of memory, ended, or raised OSError
-AHEAD = 1000  # number of cells submitted to Ray at once, which limits the number of busy workers
+AHEAD = 1000  # maximum number of cells that Ray has not finished, and so of busy workers
 ENVIRONMENT = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_task_oom_retries": str(RETRIES),  # unlimited by default

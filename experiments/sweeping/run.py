@@ -34,7 +34,7 @@ def sweep(file: Path, folder: Path, address: str | None, workers: int | None) ->
     """
     spec = read_spec(file)
     if spec.kind != "evaluate":
-        require_extra("stable_baselines3", "train", f"{file}, which trains,")
+        require_extra("stable_baselines3", "train", f"training policies, as in {file},")
     done, failed = kept(folder, spec), list[str]()
     note(f"{len(spec)} cells, {len(done)} of them already in {folder}")
     if len(done) < len(spec):
@@ -88,7 +88,7 @@ def _table(spec: Spec, rows: Mapping[str, Values]) -> str:
 
 
 def _tell_best(spec: Spec, folder: Path, rows: Mapping[str, Values]) -> None:
-    """Print which training was best on tuning seeds and, for a search, how to repeat it."""
+    """Print which training run was best on tuning seeds and, for a search, how to repeat it."""
     best = max(rows, key=lambda name: rows[name]["reward_mean"])
     if not spec.free:
         say(f"The best of the trainings is {folder / best}.safetensors")

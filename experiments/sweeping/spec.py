@@ -45,7 +45,7 @@ class Training(TaskArgs):
     """Keys of a table [train], except hyperparameters: options of `mmwave-loc train`."""
 
     total_timesteps: Count
-    seed: Seed = 0  # number of the training, which determines its random numbers
+    seed: Seed = 0  # training seed, which determines the random numbers of the training
     episodes: Count = 200  # number of episodes to evaluate policies on
 
 
@@ -57,7 +57,7 @@ class Spec:
     """A sweep: the axes of a grid, or the distributions of a search."""
 
     kind: str  # name of the table in the file
-    axes: Mapping[str, Sequence[Any]]  # values of each key; in a search, one value each
+    axes: Mapping[str, Sequence[Any]]  # values of each key; in a search, a key has one value
     trials: int = 0  # number of trials of a search
     # Optuna's distributions of the hyperparameters that a search varies, by axis
     free: Values = field(default_factory=dict)
@@ -86,7 +86,7 @@ class Spec:
         return values
 
     def _digest(self, values: Values) -> str:
-        """Return a name that depends on the version, the values, and files named by values."""
+        """Return a name that depends on the version, the values, and files that values name."""
         words = itertools.chain(*(v if isinstance(v, tuple) else (v,) for v in values.values()))
         paths = (Path(word) for word in words if isinstance(word, str) and os.path.isfile(word))
         files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]
@@ -95,7 +95,7 @@ class Spec:
 
 
 def plain(value: Any) -> Any:
-    """Return a bool or a tuple as JSON, and other values as they are, for Parquet and Optuna."""
+    """Return a bool or a tuple as JSON text, other values unchanged, for Parquet and Optuna."""
     return json.dumps(value) if isinstance(value, (bool, tuple)) else value
 
 
@@ -139,7 +139,7 @@ def _spec(content: Any) -> Spec:
 def _options(kind: str, table: Values) -> Iterator[tuple[str, Sequence[Any]]]:
     for option in fields(KINDS[kind]):
         if option.default is MISSING and option.name not in table:
-            raise ValueError(f"{kind}.{option.name}: found none, expected one")
+            raise ValueError(f"{kind}.{option.name}: found none, expected a value")
     for key, content in table.items():
         hint, values = choose(hints_of(KINDS[kind]), key, f"{kind}: key"), _values(key, content)
         for value in values:
@@ -174,7 +174,7 @@ def _distribution(axis: str, choices: Any, whole: bool) -> Any:
         kind = distributions.IntDistribution if whole else distributions.FloatDistribution
         return kind(**choices)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{axis}: found {quoted(choices)}, expected low, high: {error}") from error
+        raise ValueError(f"{axis}: found {quoted(choices)}, expected a range: {error}") from error
 
 
 def _values(key: str, content: Any) -> Sequence[Any]:

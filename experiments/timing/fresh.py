@@ -11,14 +11,14 @@ import time
 from pathlib import Path
 from typing import Any
 
-STEPS = 210  # enough to end all episodes and to draw the next ones
+STEPS = 210  # number of steps: enough to end all episodes and to draw new episodes
 
 
 def fresh(name: str, n: int) -> tuple[float, float]:
     """Start Python, make an environment in it, and measure the time and memory of steps.
 
     ``n`` is the number of environments in a vector environment; 0 for a single environment. Return
-    first the seconds from Python's start to the end of the first step, and second the peak resident
+    two values: the seconds from Python's start to the end of the first step, and the peak resident
     memory, MiB (2^20 bytes), in a run that is longer than an episode.
     """
     words = [sys.executable, "-m", __name__, name, str(n)]

@@ -21,10 +21,10 @@ from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import scene_from
 from mmwave_env.world.simulated import SimulatedSource
 
-SCENE, EPOCHS, WARM_UP = "street", 4000, 1000  # epochs of a track; the first 1000 do not count
+SCENE, EPOCHS, WARM_UP = "street", 4000, 1000  # 4000 epochs; the first 1000 do not count
 PERCENTILES = (50.0, 99.0, 99.9)
 PIPE, PYTHON = "through a pipe", "in Python"  # localize --live, or calls of Tracker.update
-# name -> options of `mmwave-loc localize`, and a function that returns the same choice
+# name -> options of `mmwave-loc localize`, and a function that makes the same choice in Python
 CONTENDERS: dict[str, tuple[tuple[str, str], Callable[[], Switching]]] = {
     "EKF": (("--speed", "1"), lambda: Switching((named_modes(RADIO)["ekf"],))),
     "imm-best": (("--imm", "imm-best"), lambda: Switching(imm_banks(RADIO)["imm-best"]())),
@@ -35,7 +35,7 @@ LATENCIES = [(name, way) for name in CONTENDERS for way in (PYTHON, PIPE)]
 
 
 def latency_us(name: str, way: str) -> list[float]:
-    """Return a contender's percentiles of microseconds per epoch; ``way`` is PYTHON or PIPE."""
+    """Return percentiles of a contender's latency, microseconds; ``way`` is PYTHON or PIPE."""
     source = SimulatedSource(scene_from(SCENE), radio_from(RADIO), epochs=EPOCHS)
     columns = log_columns(source.sample(np.random.default_rng(0)))
     cells = np.stack(list(columns.values()), axis=1).reshape(EPOCHS, -1, len(columns)).tolist()

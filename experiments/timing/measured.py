@@ -26,8 +26,8 @@ from mmwave_env.world.travel import stride_of
 
 FRESH_RUNS = 3  # maximum number of new processes per environment; each takes seconds
 FRESH_SIZES = 3  # number of vector environments that also run in new processes: the largest ones
-STEP = "step"  # name of the kernel (compiled function) that makes an environment's whole step
-BASES = ("filterpy", workloads.SYNC_NAME)  # workloads with which ours are compared
+STEP = "step"  # name of the kernel (compiled function) that computes an environment's whole step
+BASES = ("filterpy", workloads.SYNC_NAME)  # workloads with which our environments are compared
 
 Rounds = dict[str, list[float]]
 
@@ -73,7 +73,7 @@ class Measured:
     def pieces(self, seconds: float, repeats: int) -> list[Callable[[], None]]:
         """Return functions that each make one measurement, to be called in this order.
 
-        Every round runs each workload once, so a drift of the machine's speed affects all equally.
+        Every round runs all workloads, so a drift of the machine's speed affects them equally.
         """
         running: dict[str, workloads.Laps] = {}
         makes = workloads.environments(self.sizes) | workloads.filters()
@@ -112,7 +112,7 @@ class Measured:
 
     @property
     def ours(self) -> list[str]:
-        """Return names of our environments, the single one first."""
+        """Return names of our environments, the single environment first."""
         return ["single"] + [n for threads in workloads.THREADS for n in self.natives(threads)]
 
     def ratios(self) -> Rounds:

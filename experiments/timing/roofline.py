@@ -19,7 +19,7 @@ from experiments.timing.operations import Operations
 from mmwave_env.compiler.lanes import WIDTH, kernel
 from mmwave_env.numerics.numbers import sqrt, where
 
-CHAINS = (8, 16, 24)  # numbers of chains to try: the best depends on registers and latencies
+CHAINS = (8, 16, 24)  # numbers of chains to try: the best number depends on the processor
 LENGTH = 480  # operations per pass of a timed loop: many, but their code fits into any cache
 BLOCKS, ROWS = 4, 64  # size of the copied data: 16 KiB, which fits into any first-level cache
 CALLS, TRIES = 1000, 10

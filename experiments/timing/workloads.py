@@ -35,9 +35,9 @@ from mmwave_env.world.simulated import SimulatedSource
 
 RADIO = "handset"
 EPISODE = 200  # number of steps of an episode
-SYNC = 8  # number of environments in Gymnasium's vector environment, stepped one by one
+SYNC = 8  # number of environments that Gymnasium's vector environment steps one by one
 SYNC_NAME = f"sync_{SYNC}"
-TRACKS = 1024  # number of tracks that a filter without an environment runs at once
+TRACKS = 1024  # number of tracks that a filter without an environment computes together
 BOTH = 2  # number of threads that `gymnasium.make_vec` uses by default on two cores
 THREADS = (BOTH, 1)
 FILTERS = ("ekf", "ukf", "ckf")
@@ -110,7 +110,7 @@ def filterpy_episode(twin: Pipeline, episode: Episode) -> float:
 
 
 def stepped(n: int = 0, **options: Any) -> Laps:
-    """Step n environments from `gymnasium.make_vec` or, if n is 0, one from `gymnasium.make`.
+    """Step n environments (`gym.make_vec`) or, if n is 0, a single environment (`gym.make`).
 
     All episodes end at the same time.
     """

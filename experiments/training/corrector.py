@@ -2,10 +2,10 @@
 
 A corrector corrects the beliefs of another policy, its base. In a simulation the truth is known, so
 the network learns the errors of the base from examples. The loss has two terms. The first is the
-length of the error that remains, divided by the mean length of the belief's standard deviations.
-The second, with a small weight, is the negative log-likelihood of this error; it teaches the
-network to scale the standard deviations. The base does not depend on the corrections, so it plays
-each episode only once. Every update has new episodes in *lots*, batches of equally long episodes.
+length of the remaining error, divided by the mean length of the vector of the belief's standard
+deviations. The second, with a small weight, is the negative log-likelihood of this error; it
+teaches the network to scale the standard deviations. The base does not depend on corrections, so it
+plays each episode only once. Every update has new *lots* (batches of equally long episodes).
 """
 
 from collections.abc import Iterator
@@ -167,7 +167,7 @@ class CorrectorTraining:
     """
 
     def __init__(self, job: Job[CorrectorHyperparameters], tell: Tell) -> None:
-        torch.set_num_threads(1)  # trainings run side by side
+        torch.set_num_threads(1)  # training runs share the cores
         torch.manual_seed(job.first_seed)
         self._job, self._tell, hyper = job, tell, job.hyperparameters
         elsewhere = replace(job.task, places=places_from(hyper.judged_at))
@@ -179,7 +179,7 @@ class CorrectorTraining:
         self.learner = Learner(CorrectorNetwork(len(self._names), hyper), hyper)
 
     def run(self) -> Json:
-        """Train to the end; return figures of the training and of its best policy."""
+        """Train to the end; return the outcome from :meth:`Record.close`."""
         job, record, stand = self._job, self._record, self._record.stand
         if "state" in stand:
             with going_on_from(job.checkpoint):

@@ -48,8 +48,8 @@ SUBSETS = (  # a receiver that lacks quantities measures only the quantities of 
 # noise, measures only some anchors, or does not know its orientation exactly.
 LACKING, DRIFTING, MISJUDGING, FEWER, TURNED = 0.3, 0.15, 0.3, 0.15, 0.15
 ORIENTATION_RAD = 0.1  # standard deviation of an orientation that is not known exactly
-# Probability that the users of a random lot weave and vary their speed, as real users do. All other
-# users keep to the middle of the street; with them alone, the network would come to expect this.
+# Probability that the users of a random lot weave from side to side and vary their speed, as real
+# users do. Other users keep to the middle of the street, which the network must not come to expect.
 WEAVING = 0.5
 WAYS = 64  # maximum number of weaving trajectories from which the episodes of one Lot are drawn
 WEAVE_S = (8.0, 40.0)  # shortest and longest period of weaving at an episode's highest speed, s

@@ -1,4 +1,4 @@
-"""Evaluation of a training's policies: their gains in reward over rivals (a rule and IMMs)."""
+"""Evaluation of the policies of a training run: gains in reward over rivals (a rule and IMMs)."""
 
 import warnings
 from collections.abc import Callable, Sequence
@@ -45,9 +45,9 @@ class Evaluator:
             }
 
     def examine(self, path: Path) -> Json:
-        """Evaluate a policy file; return figures by name.
+        """Evaluate a policy file; return results by name.
 
-        The figures are the first seed, the number of episodes, the mean of every metric and, as
+        The results are the first seed, the number of episodes, the mean of every metric and, as
         "minus NAME", the mean gain in reward over each rival, with a 95 % interval. If there are
         several places, the gain at each place is under "PLACE minus NAME".
         """

@@ -1,4 +1,4 @@
-"""Hyperparameters of trainings, and the JSON files that hold them."""
+"""Hyperparameters of training runs, and the JSON files that hold them."""
 
 from dataclasses import dataclass, fields
 from functools import partial
@@ -27,7 +27,7 @@ Neurons = Annotated[tuple[Count, ...], Size(1, 100)]
 class _Hyperparameters:
     """Hyperparameters of every algorithm."""
 
-    num_envs: Count  # number of environments stepped, or of episodes played, at once
+    num_envs: Count  # number of environments stepped, or episodes played, at the same time
     batch_size: Count  # epochs (PPO), states (rollouts) or episodes (corrector) per gradient step
     learning_rate: NotNegative  # initial learning rate; it falls linearly
     final_fraction: Probability  # share of learning_rate and ent_coef that is left at the end
@@ -47,7 +47,7 @@ class _SwitcherHyperparameters(_Hyperparameters):
     hidden: Neurons  # sizes of the tanh layers; PPO's critic has layers of the same sizes
     clip_observation: NotNegative  # largest absolute value of a normalized observation
     # Initial logit of action 0; the other initial logits are about 0. If every mode keeps its own
-    # belief, action 0 leaves the mixing to the IMM, so a policy with a large bias begins like it.
+    # belief, action 0 leaves the mixing to the IMM; with a large bias, a policy begins as the IMM.
     first_action_bias: NotNegative = 0.0
 
 

@@ -19,7 +19,7 @@ class News(NamedTuple):
     Attributes:
         timesteps: number of timesteps so far.
         text: text to print; empty in most messages.
-        evaluation: figures of a periodic evaluation, "reward" among them, by name.
+        evaluation: results of a periodic evaluation by name, including "reward".
     """
 
     timesteps: int

@@ -34,13 +34,13 @@ from mmwave_env.world.episode import columns_of
 
 RISKS = (1e-2, 1e-3)
 SINGLE = ("speed-rule", "fixed-ekf", "fixed-ukf")
-# LEARNED_FROM, KINDS: groups of policies that play the episodes to train and to calibrate on. Each
-# batch of episodes is played once for every group, by a random policy of the group.
+# LEARNED_FROM, KINDS: groups of policies that play the episodes for training and for calibration.
+# Each batch of episodes is played once for every group, by a random policy of the group.
 LEARNED_FROM = (("guided",), ("corrector",), ("imm-best", "imm", *SINGLE))
 KINDS = (SINGLE, ("guided", "imm-best"), ("corrector",))
 PLACES = [f"{scene}:{radio}" for scene in TRAINED_SCENES for radio in TUNED_RADIOS]
 SEED = TRAINING_SEED + 9 * SEEDS_EACH  # seed of episodes that no corrector was trained on
-# ENVS: episodes per place in each round. ROUNDS, CALIBRATION: rounds to train and to calibrate on.
+# ENVS: episodes per place in each round. ROUNDS, CALIBRATION: training and calibration rounds.
 ENVS, ROUNDS, CALIBRATION = 64, 24, 30
 HIDDEN, STEPS, BATCH, RATE = 64, 2500, 8192, 3e-3  # the learning rate falls linearly to 0
 EVERY = 4  # neighboring epochs are alike, so the network learns from one epoch in four

@@ -56,7 +56,7 @@ class PpoTraining(BaseCallback):
         self._ended: list[Json] = []
 
     def run(self) -> Json:
-        """Train to the end; return figures of the training and of its best policy."""
+        """Train to the end; return the outcome from :meth:`Record.close`."""
         job, model, stand = self._job, self.model, self._record.stand
         model.set_logger(Logger(None, [self._record.log]))
         if "learner" in stand:

@@ -1,4 +1,4 @@
-"""Parallel trainings, each in its own process."""
+"""Parallel training runs, each in its own process."""
 
 import multiprocessing
 import os
@@ -18,7 +18,7 @@ from mmwave_env.io.files import Json, read_json
 
 
 def train(job: Job[Any], tell: Tell) -> Json:
-    """Run a training in this process; return figures about the training and its best policy.
+    """Run a training in this process; return its outcome.
 
     Raises:
         ValueError: the checkpoint is damaged.
@@ -33,11 +33,11 @@ def train(job: Job[Any], tell: Tell) -> Json:
 def side_by_side(
     jobs: Sequence[Job[Any]], at_once: int, tell: Callable[[Job[Any], News], None]
 ) -> list[Json]:
-    """Run trainings in parallel; return their outcomes. If one training fails, end all others.
+    """Run training jobs in parallel; return their outcomes. If one job fails, end all others.
 
     Args:
-        jobs: trainings to run.
-        at_once: number of processes that run at once.
+        jobs: training runs.
+        at_once: number of processes that run at the same time.
         tell: function that is called with a job and each :class:`News` of the job.
 
     Raises:
@@ -82,7 +82,7 @@ def side_by_side(
 def _started(job: Job[Any]) -> tuple[Connection, BaseProcess]:
     """Start a process that trains; return the connection for its messages, and the process."""
     spawn = multiprocessing.get_context("spawn")  # a fork would share PyTorch's locks
-    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # otherwise the trainings compete for cores
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # otherwise the processes compete for cores
     ours, theirs = spawn.Pipe(duplex=False)
     process = spawn.Process(target=_train, args=(job, theirs), daemon=True)
     with answered([signal.SIGINT], signal.SIG_IGN), theirs:  # only the parent handles Ctrl-C

@@ -21,7 +21,7 @@ STEP = "timesteps"
 
 
 class ProgressLog(KVWriter):
-    """A log of a training; each row has figures of recent episodes and of the latest update.
+    """A log of a training; each row has statistics of recent episodes and of the latest update.
 
     Args:
         folder: folder of ``progress.csv``.
@@ -42,7 +42,7 @@ class ProgressLog(KVWriter):
         self.rows.append({STEP: float(step), **numbers})
 
     def save(self) -> None:
-        """Write the CSV file; if a row lacks a figure, its cell is empty."""
+        """Write the CSV file; the cell of a missing value is empty."""
         names = dict.fromkeys(name for row in self.rows for name in row)
         text = io.StringIO()
         table = csv.DictWriter(text, list(names), lineterminator="\n")
@@ -62,9 +62,9 @@ class Record:
 
     Attributes:
         stand: state of the training, by name. "update" and "timesteps" count updates and timesteps.
-            "best" has figures of the best policy so far. "beat_rule" has the timesteps and seconds
+            "best" has results of the best policy so far. "beat_rule" has the timesteps and seconds
             until a policy first beat the paper's rule. "best" and "beat_rule" are None at first.
-            "seconds" (wall time) and "rows" (of the log) are from the checkpoint that was read. Its
+            "seconds" (wall time) and "rows" (of the log) are from the checkpoint that was read. All
             other entries belong to the trainer, which removes them as it restores them.
         log: log of the training's progress.
 

@@ -97,14 +97,14 @@ class RolloutEnv:
             self._begin(over)
         return rewards[:, 0]
 
-    def _begin(self, places: Index) -> None:
-        """Start new episodes in the environments with these indices (k,)."""
+    def _begin(self, some: Index) -> None:
+        """Start new episodes in the environments with the indices ``some`` (k,)."""
         for i, source in enumerate(self._sources):
-            here = places[self._place[places] == i]
+            here = some[self._place[some] == i]
             if len(here):
                 self._engine.batch.load(source.sample_batch(self._streams.keys(here)), here)
-        begun, _ = self._engine.start(places)
-        self.observations[places] = begun[places]
+        begun, _ = self._engine.start(some)
+        self.observations[some] = begun[some]
 
     def measured_normalization(self, clip: float) -> Normalization:
         """Take action 0 for the length of an episode; return the observations' normalization.

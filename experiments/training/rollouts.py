@@ -96,7 +96,7 @@ class RolloutLearner:
             left: share of the learning rate and of the entropy bonus that remains, 1 at the start.
 
         Returns:
-            Figures for the log: the policy's expected gain over action 0, the gain of the best
+            Statistics for the log: the policy's expected gain over action 0, the gain of the best
             actions (both means over states), and the entropy.
         """
         hyper, filled = self._hyper, min(self._seen, len(self._gains))
@@ -165,7 +165,7 @@ class RolloutTraining:
         self.learner = RolloutLearner(len(table), len(table.actions), hyper, self._normal)
 
     def run(self) -> Json:
-        """Train to the end; return figures of the training and of its best policy."""
+        """Train to the end; return the outcome from :meth:`Record.close`."""
         job, record, stand = self._job, self._record, self._record.stand
         if "learner" in stand:
             with going_on_from(job.checkpoint):
@@ -188,7 +188,7 @@ class RolloutTraining:
         return record.close()
 
     def _update(self) -> dict[str, float]:
-        """Try all actions in some states and learn from them; return figures for the log."""
+        """Try all actions in some states and learn from them; return statistics for the log."""
         hyper, env, learner = self._job.hyperparameters, self.env, self.learner
         new, taken = 0, np.zeros(len(env.observation.actions), np.int64)
         while new < hyper.states:

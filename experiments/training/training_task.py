@@ -51,7 +51,7 @@ class Place:
         for argument, name in (("scene", source.scene.name), ("radio", source.radio.name)):
             if name in UNSEEN:
                 raise ValueError(
-                    f"{argument}: found {name!r}, expected one to train on; the benchmark keeps "
+                    f"{argument}: found {name!r}, expected another {argument}; the benchmark keeps "
                     f"{', '.join(UNSEEN)} unseen"
                 )
 
@@ -172,7 +172,7 @@ class TrainingTask:
             if table.columns != tables[0].columns:
                 raise ValueError(
                     f"places: found {len(tables[0])} features at {self.places[0]} and "
-                    f"{len(table)} others at {place}, expected the same features everywhere: the "
+                    f"{len(table)} different ones at {place}, expected the same everywhere: the "
                     "same number of anchors, and modes of the same names"
                 )
 

@@ -47,7 +47,7 @@ START = (
 
 
 def tuned_bank(radio: str, episodes: int, seed: int, evaluations: int) -> Json:
-    """Search for a radio's best bank; return the content of its mode file, with figures.
+    """Search for a radio's best bank; return the content of its mode file, with results.
 
     Args:
         radio: radio profile, a name or a JSON file.
@@ -132,7 +132,7 @@ Value = Callable[[Bank, int], float]
 # Ranges to search:
 ODDS = (-14.0, 8.0)  # log(probability to change to another mode / probability to stay)
 # A sigma_v below 0.04 would earn a slightly higher reward, because simulated users walk straight.
-# But it would lose users whose direction varies by a few degrees, as in recordings.
+# But it would lose real users, whose direction varies by a few degrees.
 FREE = {
     "sigma_p": (0.005, 2.0),
     "sigma_v": (0.04, 6.0),

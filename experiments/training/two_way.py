@@ -6,6 +6,7 @@ first; then the network learns from each of them several times.
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -36,7 +37,7 @@ from mmwave_env.io.files import Json
 from mmwave_env.metrics import BURN_IN
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import blank_site
-from mmwave_env.numerics.numbers import Index
+from mmwave_env.numerics.numbers import Array, Array32, Index
 from mmwave_env.numerics.pytree import unflatten
 from mmwave_env.world.episode import EpisodeBatch, columns_of
 from policies import LearnedSwitch
@@ -48,32 +49,54 @@ TOGETHER = 18  # number of lots whose episodes are mixed
 PARTS = ("x", "error", "mixture", *(f"memory.{gate}" for gate in GATES))
 
 
+class Smoothed(NamedTuple):
+    """Smoothed tracks of n episodes of T epochs each.
+
+    Attributes:
+        features: (n, T, features) features for the network.
+        x, P: (n, T, 7) means and (n, T, 28) packed covariances.
+        error: (n, T, 3) estimate minus truth, m.
+    """
+
+    features: Array32
+    x: Array
+    P: Array
+    error: Array
+
+
+def smoothed(batch: EpisodeBatch, bank: Bank, base: str) -> Smoothed:
+    """Filter episodes with the policy ``base`` and a bank, and smooth the tracks."""
+    pipeline, at = Pipeline(bank.modes, batch.layout), columns_of(batch.layout)
+    actions = _actions(batch, bank, base)
+    of = run_imm(bank, TrackingReward(), batch, *PARTS, actions=actions)
+    hz_per_mps = float(unflatten(blank_site(batch.layout), iter(batch.site[0])).hz_per_mps)
+    dt, spread_hz = (batch.table[:, :, i] for i in (at.dt, at.doppler_spread_hz))
+    x, P = smooth_modes(bank, pipeline, of["mixture"], dt, spread_hz, hz_per_mps)
+    gates = [of[f"memory.{gate}"] for gate in GATES]
+    features = smoothed_features(pipeline, batch, x, P, of["mixture"], gates)
+    return Smoothed(features, x, P, of["error"] + (x - of["x"])[..., :3])
+
+
+def _actions(batch: EpisodeBatch, bank: Bank, base: str) -> Index:
+    """Return the actions (n, T) of a policy."""
+    n, epochs, _ = batch.table.shape
+    engine = Engine(Pipeline(bank.modes, batch.layout), n, TrackingReward(), "full", bank)
+    act = LearnedSwitch(base, engine.observation)
+    engine.reset(batch)
+    observations, actions = engine.observations(), np.empty((n, epochs), np.int64)
+    for t in range(epochs):
+        actions[:, t] = act(observations)
+        observations, _ = engine.step(actions[:, t])
+    return actions
+
+
 class SmoothedData(CorrectorData):
-    """A source of lots with smoothed tracks: features, errors and deviations are the smoother's."""
+    """A source of lots of smoothed tracks, with their features, errors and deviations."""
 
     def _play(self, batch: EpisodeBatch, bank: Bank) -> Lot:
-        pipeline, at = Pipeline(bank.modes, batch.layout), columns_of(batch.layout)
-        of = run_imm(bank, TrackingReward(), batch, *PARTS, actions=self._actions(batch, bank))
-        hz_per_mps = float(unflatten(blank_site(batch.layout), iter(batch.site[0])).hz_per_mps)
-        dt, spread_hz = (batch.table[:, :, i] for i in (at.dt, at.doppler_spread_hz))
-        x, P = smooth_modes(bank, pipeline, of["mixture"], dt, spread_hz, hz_per_mps)
-        gates = [of[f"memory.{gate}"] for gate in GATES]
-        features = smoothed_features(pipeline, batch, x, P, of["mixture"], gates)
-        error = of["error"] + (x - of["x"])[..., :3]
-        x, P, error = (np.swapaxes(part, 0, 1) for part in (x, P, error))
-        return lot_of(np.swapaxes(features, 0, 1), x, P, error)
-
-    def _actions(self, batch: EpisodeBatch, bank: Bank) -> Index:
-        """Return the actions (n, T) of the base."""
-        n, epochs, _ = batch.table.shape
-        engine = Engine(Pipeline(bank.modes, batch.layout), n, TrackingReward(), "full", bank)
-        act = LearnedSwitch(self._hyper.base, engine.observation)
-        engine.reset(batch)
-        observations, actions = engine.observations(), np.empty((n, epochs), np.int64)
-        for t in range(epochs):
-            actions[:, t] = act(observations)
-            observations, _ = engine.step(actions[:, t])
-        return actions
+        track = smoothed(batch, bank, self._hyper.base)
+        x, P, error = (np.swapaxes(part, 0, 1) for part in track[1:])
+        return lot_of(np.swapaxes(track.features, 0, 1), x, P, error)
 
 
 def trained_two_way(command: str, rounds: int = ROUNDS, passes: int = PASSES) -> bytes:

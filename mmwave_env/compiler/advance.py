@@ -57,7 +57,7 @@ def _jump(_, run, addresses):  # type: ignore[no-untyped-def]
 
 @register_jitable  # type: ignore[untyped-decorator]
 def _load(block, sources, first, here, step, blank, state):  # type: ignore[no-untyped-def]
-    """Load the incoming rows; lanes ``here`` and above have no track and repeat lane 0."""
+    """Load the incoming rows; lanes from ``here`` on have no track and get the rows of lane 0."""
     for lane in range(WIDTH):
         e = first + lane if lane < here else first
         t = state.epoch[e] + step
@@ -189,8 +189,8 @@ def advance(begin, end, run, blank, state, io):  # type: ignore[no-untyped-def]
     A program reads its rows in an order that hardware prefetchers cannot guess. If the blocks do
     not all fit into the core's own caches, reading the rows once in order, before the program runs,
     saves a fifth of the run time or more. The core's first-level cache can't hold the code of both
-    feed and program, so the feed runs for some blocks before the program runs for these blocks. All
-    loops are plain because numba takes long to compile slices of arrays.
+    feed and program, so the feed runs for some blocks before the program runs for these blocks. The
+    loops copy single numbers because numba takes long to compile slices of arrays.
 
     Args:
         begin, end: first block, and the block after the last.

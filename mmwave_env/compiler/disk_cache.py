@@ -45,7 +45,7 @@ from numba.misc.appdirs import user_cache_dir
 
 _PACKAGE = Path(__file__).parents[1]  # an edit anywhere in the package makes a new version
 _SOURCES = "**/*.py"
-_READ = time.time()  # this process may have read either version of a source edited later
+_READ = time.time()  # if a source is edited later, this process may have read either version
 _KEPT = 8  # number of versions of the sources whose compiled functions are kept
 _CHECKSUM = sha256().digest_size  # length, in bytes, of the checksum with which a file begins
 
@@ -53,7 +53,7 @@ _CHECKSUM = sha256().digest_size  # length, in bytes, of the checksum with which
 def compiled(function: Callable[..., Any]) -> Any:
     """Compile a module-level function with numba, so that it runs without the interpreter's lock.
 
-    This is for functions that Python calls; ``register_jitable`` is enough for all others.
+    For a function that only compiled code calls, ``register_jitable`` is enough.
     """
     return _with_cache(numba.njit(nogil=True)(function), function)
 
@@ -114,8 +114,8 @@ def _folder() -> Path | None:
 def kept_functions() -> dict[str, Any]:
     """Describe the folder for this process's compiled functions; create it if possible.
 
-    Return the folder under "place" (None if no private folder can be written), and under
-    "functions" and "bytes" the number and the size of the compiled functions in this folder.
+    Return a dict with "place", the folder (None if no private folder can be written), "functions",
+    the number of compiled functions in the folder, and "bytes", the size of all these functions.
     """
     folder = _folder()
     sizes = [file.stat().st_size for file in folder.iterdir()] if folder else []
@@ -124,7 +124,7 @@ def kept_functions() -> dict[str, Any]:
 
 
 def _prune(parent: Path) -> None:
-    """Remove this user's folders of versions in ``parent``, except the most recently used ones."""
+    """Remove this user's cache folders in ``parent``, except the most recently used ones."""
     with suppress(OSError):  # another process may be removing them, too
         versions = parent.glob(f"{_PACKAGE.name}-*")
         ours = [path for path in versions if _is_ours(os.lstat(path), stat.S_IFDIR)]

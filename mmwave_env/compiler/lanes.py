@@ -59,7 +59,7 @@ class _Value:
         self.builder, self.value = builder, value
 
     def _with(self, instruction: str, other: Any) -> Any:
-        """Return the result of an instruction on this value and another, in this value's type."""
+        """Return the result of an instruction on this and another value; keep this value's type."""
         term = _bits(other) if isinstance(other, int) else other.value
         return type(self)(self.builder, getattr(self.builder, instruction)(self.value, term))
 
@@ -157,7 +157,7 @@ class Lanes(_Value, Tracer):
         return Lanes(b, b.bitcast(b.xor(b.bitcast(self.value, _BITS), sign), _VECTOR))
 
     def log(self) -> "Lanes":
-        """Return the natural logarithm of positive numbers that are not subnormal, or of NaN."""
+        """Return the natural logarithm of finite, positive, normal numbers; NaN for NaN."""
         b = self.builder
         bits = b.bitcast(self.value, _BITS)
         mantissa_bits = b.or_(b.and_(bits, _bits(0xFFFFFFFFFFFFF)), _bits(0x3FF0000000000000))
@@ -226,7 +226,7 @@ def _align_stack(builder: Any) -> None:
     """Align the stack, so that no vector on it crosses a cache line.
 
     The compiler aligns the stack for variables that require it, but not for values that it spills.
-    Without this, a step of the environment takes 10 to 50 % longer, depending on the process.
+    Without alignment, a step of the environment takes 10 to 50 % longer, depending on the process.
     """
     vector = cgutils.alloca_once(builder, _VECTOR)  # type: ignore[no-untyped-call]
     vector.align = 8 * WIDTH

@@ -1,6 +1,6 @@
 """Programs: functions of numbers, compiled to run epoch after epoch for many environments.
 
-A *workspace* is a tree of all numbers that a program reads and writes in an environment. The
+A *workspace* is a tree of all numbers that a program reads and writes for one environment. The
 program is a function from a workspace to the workspace one epoch later. Workspaces are stored in
 an array (blocks, rows, 8): a block has eight environments, and a row for each number of the tree.
 Before each epoch, the field ``incoming`` of a workspace is set from a table or by a :class:`Feed`.
@@ -76,7 +76,7 @@ def fill(blocks: Array, rows: Index, values: Array) -> Array:
 
 
 class Feed(NamedTuple):
-    """A function that computes the incoming rows of every epoch, instead of a table.
+    """A function that replaces the table of epochs: it computes the incoming rows of every epoch.
 
     A feed has its own workspaces; a track has the same block and lane as in the program's arrays.
     """
@@ -98,7 +98,7 @@ class BatchState(NamedTuple):
     """The workspaces of n tracks, their epochs, and the index of each track's next epoch."""
 
     rows: Array  # (blocks, size, 8) the workspaces, changed in place
-    feed: Feed  # computes the epochs if there is no table
+    feed: Feed  # computes the incoming rows if there is no table
     table: Array  # (n, epochs, incoming) the epochs to load
     length: Index  # (n,) number of epochs of each track; after the last, a blank epoch is loaded
     epoch: Index  # (n,) index of the epoch that each track runs next, changed in place
@@ -160,7 +160,7 @@ def tree_kernel(
 
 
 class Program(Generic[Workspace]):
-    """A function of numbers and its workspace. Its first use compiles it or reads it from disk.
+    """A function of numbers, compiled or read from disk at its first use, and its workspace.
 
     Args:
         function: maps a workspace tree to a workspace tree of the same shape.
@@ -247,8 +247,8 @@ run_blocks = LazyJit(advance, PLAIN_BLOCK_EPOCHS)
 class Repeated:
     """A :class:`LazyJit` whose arguments have the same types in every call.
 
-    Later calls skip numba's check of the types, which takes microseconds. ``work`` is the number of
-    blocks in all jobs times the number of epochs; it decides whether the function is compiled.
+    Calls of the compiled function skip numba's check of types, which takes microseconds. ``work``
+    is the number of blocks in all jobs times the number of epochs; it decides whether to compile.
     """
 
     def __init__(self, function: LazyJit) -> None:

@@ -28,8 +28,8 @@ def share(
 ) -> list[Result]:
     """Return the result of ``function(*job)`` for every job, in order.
 
-    At most ``threads`` threads work at once, including the calling thread. After an error or an
-    interrupt no further job begins; the exception is raised once the running jobs have ended.
+    At most ``threads`` threads, including the calling thread, work in parallel. After an error or
+    interrupt, no further job begins; the exception is raised once the running jobs have ended.
     """
     if threads == 1 or len(jobs) == 1:
         return [function(*job) for job in jobs]
@@ -60,7 +60,7 @@ def share(
 
 
 def spans(count: int, parts: int) -> list[tuple[int, int]]:
-    """Split ``count`` things into nearly equal ``parts``; return (first, end) of each."""
+    """Split ``count`` things into ``parts`` nearly equal parts; return each part's (first, end)."""
     return list(pairwise(count * i // parts for i in range(parts + 1)))
 
 

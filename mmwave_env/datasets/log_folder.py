@@ -27,8 +27,8 @@ def read_log_folder(folder: Path, clock: bool = False) -> MeasuredTrack:
     """Read a folder with a log, its scene and its true track, completely into memory.
 
     :class:`~mmwave_env.logs.truth.Truth` interpolates the true positions at the times of the
-    epochs. True velocities are computed from these positions. The layout is partial (each value of
-    a link may be missing alone) if a link lacks some of its values, if the log states standard
+    epochs. True velocities are computed from these positions. The layout is partial (single values
+    of a link may be missing) if a link lacks some of its values, if the log states standard
     deviations, or if a Doppler shift was measured at an anchor other than the base station. If the
     clocks of log and track seem to differ, there is a warning.
 
@@ -37,9 +37,8 @@ def read_log_folder(folder: Path, clock: bool = False) -> MeasuredTrack:
         clock: whether ranges contain an unknown offset of the user's clock.
 
     Raises:
-        ValueError: a file is missing, damaged or not of the expected kind, or no epoch
-            has a known true position; the message names file and row, what was found and what
-            was expected.
+        ValueError: a file is missing, damaged or of a wrong kind, or no epoch has a known true
+            position; the message names file and row, what was found and what was expected.
         OSError: a file can't be read.
     """
     path = log_of(folder)

@@ -141,7 +141,7 @@ def _require_noise(
 def _as_partial(
     record: str, fields: dict[str, Any], heard: Mask, deviations: dict[str, ArrayLike | None]
 ) -> dict[str, Any]:
-    """Return those fields that differ in a partial layout; {} if the plain layout suffices.
+    """Return the ``fields`` that a partial layout changes; {} if the plain layout suffices.
 
     The plain layout suffices if no noise is stated and every group is complete or wholly missing.
     ``heard`` (T, L) says whether a link has an SNR. ``deviations`` maps the name of a measurement

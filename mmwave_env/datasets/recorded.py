@@ -53,12 +53,12 @@ class Recording(Track):
         """Return a recording of the paths of a ray tracer or survey; NaN stands for a missing path.
 
         Arguments are as in :meth:`~mmwave_env.datasets.measured.MeasuredTrack.from_arrays`, but
-        without noise. The radio profile converts ``path_gain_db``, (T, L) and negative, to an
-        SNR. The Doppler shift is computed from the true velocity if there is a line of sight.
+        measurements are exact. The radio profile converts ``path_gain_db`` (T, L), which is
+        negative, to an SNR. Where there is a line of sight, the Doppler shift is computed from the
+        true velocity.
 
         Raises:
-            ValueError: an array has the wrong shape or invalid values; the message names the
-                array.
+            ValueError: an array has a wrong shape or invalid values; the message names the array.
         """
         links = (range_m, aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad)
         strength, signal = ("path_gain_db", path_gain_db), (carrier_hz, bandwidth_hz)

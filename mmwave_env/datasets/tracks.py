@@ -243,7 +243,7 @@ class TrackSource:
         clock: whether the user's clock has an unknown offset.
 
     Raises:
-        ValueError: there is no stretch or none of this length, or the track lacks ``measurements``.
+        ValueError: no stretch suffices; the track lacks ``measurements``, or ranges for ``clock``.
     """
 
     def __init__(
@@ -256,7 +256,7 @@ class TrackSource:
     ) -> None:
         if clock:
             if not np.isfinite(track.measurement[:, 0 : track.layout.doppler : 4]).any():
-                refuse(track.record, "clock", "True without ranges", "False, or ranges")
+                refuse(track.record, "clock", "True, but no ranges", "False or a track with ranges")
             track = replace(track, layout=replace(track.layout, clock=True))
         self.track, self.radio = track, radio_from(radio)
         self.layout, self.name, self.scene = track.layout, track.name, track.scene
@@ -272,9 +272,9 @@ class TrackSource:
         runs = stretches(track.time_s, track.position_m, GAP_S)
         if not runs:
             raise ValueError(
-                f"{track.record}: found no two consecutive epochs with true positions that are at "
-                f"most {GAP_S:g} s apart, expected some, because the reward needs true positions "
-                "(docs/own-log.md): are the track's times in seconds?"
+                f"{track.record}: found no two consecutive epochs with true positions at most "
+                f"{GAP_S:g} s apart, but the reward needs true positions (docs/own-log.md): are "
+                "the track's times in seconds?"
             )
         longest = max(runs, key=lambda run: run.stop - run.start)
         most = longest.stop - longest.start

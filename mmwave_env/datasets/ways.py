@@ -16,7 +16,7 @@ from mmwave_env.io.records import Printable
 from mmwave_env.world.checks import refuse_in
 from mmwave_env.world.trajectory import Scenario, Trajectory, Ways
 
-COLUMNS = ("t", "x", "y", "z", "vx", "vy", "vz")  # a file may lack the last three together
+COLUMNS = ("t", "x", "y", "z", "vx", "vy", "vz")  # a file has all or none of the last three
 ID = "id"
 
 
@@ -73,7 +73,7 @@ def _rows(file: Path) -> Iterator[tuple[int, str, list[float]]]:
             numbers = [_number(file, f"{line}, column {name}", row[name]) for name in names]
             yield reader.line_num, user, numbers
     except csv.Error as error:
-        raise ValueError(f"{file}: found no readable CSV ({error}), expected CSV") from error
+        raise ValueError(f"{file}: found text that is not CSV ({error}), expected CSV") from error
 
 
 def _number(file: Path, cell: str, text: str) -> float:

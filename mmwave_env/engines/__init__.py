@@ -1,1 +1,1 @@
-"""Engines that run filters on episodes: step by step for an agent, or whole episodes at once."""
+"""Engines that run filters on episodes: step by step for an agent, or from start to end."""

@@ -31,7 +31,7 @@ from mmwave_env.world.episode import Episode, EpisodeBatch, columns_of
 from mmwave_env.world.simulated import Begun, SimulatedSource
 
 # Waking a thread takes as long as running 32 blocks, of eight environments each, for one epoch.
-BLOCKS_PER_THREAD = 64  # each thread gets at least this many
+BLOCKS_PER_THREAD = 64  # minimum number of blocks for each thread
 
 
 class Batch(Generic[Workspace]):
@@ -43,14 +43,14 @@ class Batch(Generic[Workspace]):
         n: number of environments.
         input_rows: indices of the workspace's rows that receive an input in every epoch.
         on_floats: whether to run in plain Python instead of on SIMD lanes.
-        threads: number of threads that may work at once; results do not depend on it.
+        threads: maximum number of threads in use; results do not depend on it.
         ahead: number of epochs to run before the first action: 1 if an action corrects the belief
             of an epoch that was already filtered, else 0.
 
     Attributes:
         at: workspace whose leaves are row indices; :meth:`read` and :meth:`write` take parts of it.
-        state: the environments' workspaces and episodes, and the index of each one's next epoch.
-        parts: for each thread, the first block that it runs, and the block after its last.
+        state: the environments' workspaces and episodes, and the indices of their next epochs.
+        parts: for each thread, the range of blocks that it runs: first block, last block + 1.
     """
 
     def __init__(
@@ -218,7 +218,7 @@ class Batch(Generic[Workspace]):
     def write(self, tree: Any, values: Any, places: Index | None = None) -> None:
         """Set the rows of a subtree of ``at`` to values: (n,) for a leaf, else (n, leaves).
 
-        ``values`` has one entry for each environment in ``places``; None means all environments.
+        ``values`` has one entry for each environment in ``places``, by default in all.
         """
         places = np.arange(self.n) if places is None else places
         block, lane = np.divmod(places, WIDTH)

@@ -30,17 +30,17 @@ class Engine:
         pipeline: modes and layout.
         n: number of environments.
         reward: function of (belief, truth).
-        observation: "full", "prior" or "signed".
+        observation: kind of observation: "full", "prior" or "signed".
         bank: the pipeline's modes and their transition probabilities, if every mode keeps its own
             belief; None if the modes share a belief.
         action, base: same as in :class:`~mmwave_env.task.Task`.
-        on_floats: whether to run in plain Python, which filterpy needs, instead of on SIMD lanes.
-        threads: number of threads that may work at once; results do not depend on this number.
+        on_floats: whether to run in plain Python, as filterpy requires, instead of on SIMD lanes.
+        threads: maximum number of threads in use; results do not depend on it.
 
     Attributes:
         batch: workspaces and episodes of the environments.
         keys: (n,) keys of the episodes; only :meth:`begin` sets them.
-        at, read, column, span: same as those of ``batch``.
+        at, read, column, span: same as in ``batch``.
     """
 
     def __init__(
@@ -93,14 +93,14 @@ class Engine:
     def begin(self, task: Task, keys: Keys, places: Index, threads: int = 1) -> list[str]:
         """Begin the episodes with given keys (n,) in some environments (n,).
 
-        Episodes are simulated while the environments step. If the user's trajectory is given, or if
-        the engine runs on floats, complete episodes are drawn here instead.
+        Episodes are simulated while the environments step. If users follow given trajectories, or
+        if the engine runs in plain Python, complete episodes are drawn here instead.
 
         Args:
             task: a task with simulated episodes, the same in every call.
             keys: (n,) 64-bit numbers, each of which determines an episode.
             places: (n,) indices of the environments.
-            threads: number of threads that may draw episodes at once.
+            threads: maximum number of threads that draw episodes.
 
         Returns:
             The names (n,) of the episodes.
@@ -185,7 +185,7 @@ class Engine:
     def step(
         self, actions: NDArray[np.integer[Any]] | np.int64, output_rows: Index = NO_ROWS
     ) -> tuple[NDArray[np.float32], Array]:
-        """Apply one action per environment (n,), or one to all; run the modes on the next epoch.
+        """Apply actions (n,), or one action to all; run the modes on the next epoch.
 
         An environment that was just loaded starts its episode instead.
 

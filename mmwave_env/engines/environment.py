@@ -32,12 +32,12 @@ from mmwave_env.task import Task
 from mmwave_env.world.episode import EpisodeBatch
 from mmwave_env.world.keys import Streams
 
-# maximum numbers of episodes that a job replays (REPLAYED) or filters, to limit its memory
+# maximum numbers of episodes that a job replays (REPLAYED) or filters (FILTERED), to save memory
 REPLAYED, FILTERED = 8, 256
 
 
 class Baseline:
-    """The baseline of a paired reward: an IMM's rewards, which are subtracted from the agent's.
+    """The baseline of a paired reward: an IMM's rewards, subtracted from the agent's rewards.
 
     No action changes an episode, so these rewards are known once the episode is loaded. If actions
     are corrections, the baseline is the reward of the uncorrected belief, which each step computes.
@@ -45,7 +45,7 @@ class Baseline:
     Args:
         task: the task, whose ``baseline`` is the bank of the IMM.
         batch: the batch that runs the episodes.
-        threads: number of threads that may work at once; results do not depend on it.
+        threads: maximum number of threads in use; results do not depend on it.
     """
 
     def __init__(self, task: Task, batch: Batch[Any], threads: int = 1) -> None:
@@ -195,7 +195,7 @@ class Environment:
         return metrics | {SMOOTHED_KEY: smoothed}
 
     def _charge(self, rewards: Array, places: Index) -> None:
-        """Add the worst reward for each epoch lost by an early end, and subtract any baseline."""
+        """Add the worst reward for each epoch that an early end cuts off; subtract any baseline."""
         assert self._task.worst is not None
         batch = self._engine.batch
         rewards[places] += self._task.worst * (batch.state.length - batch.completed)[places]
@@ -256,7 +256,7 @@ class RestorableEnvironment(Environment):
         }
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the arrays that a state copies unchanged."""
+        """Return the arrays that :meth:`state` copies unchanged."""
         tracks, counts = self._engine.batch.state, self._tally.counts
         arrays: dict[str, NDArray[Any]] = {
             "rows": tracks.rows,
@@ -293,14 +293,14 @@ class RestorableEnvironment(Environment):
         if wrong := sorted({*state["length"].tolist()} - {source.epochs}):
             raise ValueError(
                 f"length of the state: found episodes of {wrong[0]} epochs, "
-                f"expected {source.epochs}"
+                f"expected {source.epochs} epochs"
             )
         for name, array in arrays.items():
             array[:] = state[name]
         self._streams.set_states(state["streams"])
         self._over, self._ended = state["over"].copy(), int(np.count_nonzero(state["over"]))
         self._begin_baseline(np.arange(n))
-        self._begin_pictures(np.arange(n))  # a state does not contain the path so far
+        self._begin_pictures(np.arange(n))  # a state does not contain the path that pictures show
         self._begun = True
 
     def _require_simulated(self, call: str) -> None:

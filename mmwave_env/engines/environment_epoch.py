@@ -7,7 +7,7 @@ chosen, because the observation shows the results of all modes. No action change
 If the modes share a belief, their results are *candidates*, and the action chooses one. If every
 mode keeps its own belief, the modes interact as in an IMM (:mod:`mmwave_env.filters.imm`), and an
 action is the mode to trust in the epoch that was just filtered: the probability of that mode is
-raised before the beliefs are combined, scored and mixed again. Action 0 trusts no mode, so that
+raised before the beliefs are combined, scored and mixed again. Action 0 raises no probability, so
 the IMM itself decides. With ``action="weights"``, the action scales every mode's probability. With
 ``action="correction"``, an action corrects the belief of the epoch before the one that was just
 filtered, and the step scores the corrected belief. The filters continue without corrections.
@@ -128,7 +128,7 @@ class PerModeState(NamedTuple):
     incoming: Incoming  # the epoch that this step filters
     site: Site  # anchors, carrier and prior
     is_first: Number  # 1 to start over from the prior instead of taking the action
-    action: Number  # number of the mode to trust, from 1; 0 for none
+    action: Number  # number of the mode to trust (modes are counted from 1); 0 for none
     numbers: list[Number]  # (k,) the action if it is weights or a correction; else empty
     settings: ImmSettings  # parameters of the bank
     pending: PendingEpoch  # the epoch whose mixture waits for an action
@@ -138,7 +138,7 @@ class PerModeState(NamedTuple):
     mode_probabilities: list[Number]  # (modes,) probabilities after the action
     x: list[Number]  # (7,) mean of the combined belief
     P: list[Number]  # (28,) its covariance, packed
-    memory: Memory  # of the most probable mode, but its field ``preference`` covers all modes
+    memory: Memory  # memory of the most probable mode, but ``preference`` covers all modes
     observation: list[Number]  # (features,)
     # the fields from ``reward`` to ``nees`` are the same as in :class:`EnvState`
     reward: Number
@@ -214,7 +214,7 @@ def program_of(
     """Return the program of an epoch, shared by all environments with the same arguments.
 
     Args:
-        pipeline: modes and layout; with ``per_mode``, the tunings in the state replace its own.
+        pipeline: modes and layout; with ``per_mode``, the state's tunings are used instead.
         kind: kind of observation.
         reward: function of (belief, truth).
         per_mode: whether every mode keeps its own belief.

@@ -1,6 +1,6 @@
 """Filtering with interacting multiple models (IMM), whole episodes in one call.
 
-Compiled code need not stop between epochs, because there is no agent or its actions are known.
+Compiled code need not stop between epochs, because there is no agent or all actions are known.
 Transition probabilities, process noise and NIS limits are inputs, so one program runs any tuning.
 """
 
@@ -46,10 +46,10 @@ class ImmState(NamedTuple):
     incoming: Incoming  # the epoch that was just filtered
     site: Site  # anchors, carrier and prior
     is_first: Number  # 1 to start over from the prior
-    action: Number  # number of the mode whose probability is raised, from 1; 0 for none
+    action: Number  # number of the mode whose probability is raised, counted from 1; 0 for none
     settings: ImmSettings  # parameters of the bank
     mixture: Mixture  # belief and probability of every mode
-    # x, P: (7,), (28,) combined belief; x_predicted, P_predicted: the same before the update
+    # x, P: (7,), (28,) combined belief; x_predicted, P_predicted: the same belief before its update
     x: list[Number]
     P: list[Number]
     x_predicted: list[Number]
@@ -130,7 +130,7 @@ def run_imm(
     planar: bool = False,
     actions: Index | None = None,
 ) -> dict[str, Array]:
-    """Filter complete episodes, from their priors on, with an IMM and without an agent.
+    """Filter complete episodes with an IMM, without an agent, starting from the episodes' priors.
 
     Args:
         bank: the modes and the parameters of their interaction.
@@ -165,7 +165,7 @@ class ImmTracker(EpisodeFilter[ImmState]):
         n: number of tracks.
         planar: same as in :class:`~mmwave_env.filters.pipeline.Pipeline`.
         acted: whether :meth:`run` receives actions: the modes whose probability is raised.
-        signed: whether the part "signed" has features for a policy that corrects beliefs.
+        signed: whether to compute the part "signed": features for a policy that corrects beliefs.
     """
 
     def __init__(

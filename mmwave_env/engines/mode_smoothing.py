@@ -42,7 +42,7 @@ class ModeBeliefs(NamedTuple):
 
 
 def merged(beliefs: ModeBeliefs) -> tuple[Array, Array]:
-    """Return the means (..., 7) and the covariances (..., 7, 7) of mixtures over their modes."""
+    """Return the means (..., 7) and the covariances (..., 7, 7) of mixtures of all modes."""
     weight = beliefs.probability[..., None]
     mean = (weight * beliefs.x).sum(axis=-2)
     offset = beliefs.x - mean[..., None, :]
@@ -58,7 +58,7 @@ def smooth_modes(
     spread_hz: Array,
     hz_per_mps: float,
 ) -> tuple[Array, Array]:
-    """Return the smoothed means (N, T, 7) and packed covariances (N, T, 28) of finished tracks.
+    """Return smoothed means (N, T, 7 or 8) and packed covariances (N, T, 28 or 36) of tracks.
 
     Args:
         bank: modes, with their tunings, and transition probabilities.
@@ -85,7 +85,7 @@ def smooth_modes(
 
 
 def _beliefs(mixtures: Array, pipeline: Pipeline) -> tuple[ModeBeliefs, Array]:
-    """Return the modes' beliefs, and gamma (N, T, modes), the adaptive scale of their noise."""
+    """Return the modes' beliefs, and gamma (N, T, modes), the scale of adaptive modes' noise."""
     n, triangle = pipeline.layout.state_size, pipeline.layout.triangle
     at = indices(begin(pipeline, [0.0] * n, [0.0] * triangle))
     packed = mixtures[..., np.array([track.P for track in at.tracks])]
@@ -110,11 +110,11 @@ def _backwards(
 
     Args:
         pipeline: pipeline of the modes.
-        now, gamma: filtered beliefs of the epoch, and adaptive scales (N, modes) of modes' noise.
+        now, gamma: filtered beliefs of the epoch, and scales (N, modes) of adaptive modes' noise.
         after: smoothed beliefs of the following epoch.
         coming: the following epoch; only its dt and Doppler spread, both (N, 1), are used.
         hz_per_mps: carrier frequency divided by the speed of light.
-        transition: (N, modes, modes) probabilities, indexed [track, mode now, following mode].
+        transition: (N, modes, modes) probabilities [track, mode now, mode in the following epoch].
     """
     known, n = list(pipeline.known_axes), now.x.shape[-1]
     x_now = [now.x[..., i] for i in range(n)]  # each an array (N, modes now)

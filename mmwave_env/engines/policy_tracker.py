@@ -1,6 +1,6 @@
 """A track in which a policy chooses the mode in every epoch; no ground truth is needed.
 
-First, an environment's engine steps through the episode, and the policy chooses its actions. Then
+First, an environment's engine steps through the episode, and the policy chooses actions. Then
 an engine for whole tracks runs the episode with these actions. Both engines compute exactly the
 same numbers, so the track is the same as in an environment.
 """
@@ -31,7 +31,7 @@ class Choice(Protocol):
 
 
 class PolicyTracker:
-    """One track in which a policy takes an action, as in the environment, in every epoch.
+    """One track in which a policy chooses an action in every epoch, as in an environment.
 
     Args:
         pipeline: modes and layout.
@@ -39,7 +39,7 @@ class PolicyTracker:
             ``reset(mask)`` that is called when a track starts over. A policy that corrects beliefs
             also has the methods ``read_from_track`` and ``correct_track`` of
             :class:`policies.corrector.Corrector`.
-        observation: "full", "prior" or "signed".
+        observation: kind of observation: "full", "prior" or "signed".
         bank: modes and transition probabilities, if every mode keeps its own belief; else None.
     """
 

@@ -103,16 +103,16 @@ def smooth(
     planar: bool = False,
     hz_per_mps: float = np.nan,
 ) -> tuple[Array, Array]:
-    """Return smoothed means (N, T, 7) and packed covariances (N, T, 28) of finished tracks.
+    """Return smoothed means (N, T, 7 or 8) and packed covariances (N, T, 28 or 36) of tracks.
 
     Args:
-        x: (N, T, 7) filtered means.
-        P: (N, T, 28) filtered covariances, packed.
-        x_predicted, P_predicted: (N, T, 7), (N, T, 28) beliefs predicted for each epoch, before its
-            update.
+        x: (N, T, 7 or 8) filtered means; the eighth component is the range bias.
+        P: (N, T, 28 or 36) filtered covariances, packed.
+        x_predicted, P_predicted: means and covariances predicted for each epoch before its update,
+            with the shapes of ``x`` and ``P``.
         dt: (T - 1,) seconds from each epoch to the next; (N, T - 1) if they differ between tracks.
         planar: whether z and vz are known exactly.
-        hz_per_mps: carrier frequency over the speed of light; needed only if x has a range bias.
+        hz_per_mps: carrier frequency divided by the speed of light; needed only with a range bias.
     """
     N, T, size = x.shape
     program = _program(VERTICAL if planar else (), size)

@@ -20,7 +20,7 @@ SUMS = 7
 # divided by the variance along the longer axis of the error ellipse, lies between these numbers:
 # NARROWEST if the shorter axis is 0, WIDEST if both axes are equal.
 NARROWEST, WIDEST = NormalDist().inv_cdf(0.5 * RISK) ** 2, -2.0 * math.log(RISK)
-ANGLES, LEAST = 64, 1e-12  # angles per quadrant in the integral; smallest variance, m^2
+ANGLES, LEAST = 64, 1e-12  # for exceeds(): number of angles per quadrant, smallest variance (m^2)
 
 
 class Counts(NamedTuple):
@@ -55,7 +55,7 @@ class Tally:
         self.counts = Counts(sums, errors, second, interval, modes)
 
     def begin(self, places: Index, step_s: Array, epochs: Index) -> None:
-        """Start over in some environments with these seconds per epoch and numbers of epochs."""
+        """Start episodes in k environments, given seconds per epoch and numbers of epochs (k,)."""
         second = self.counts.second
         second[places] = np.clip(np.round(1.0 / step_s), 1, epochs)
         self.make_room(int(second.max()), int(epochs.max(initial=0)))

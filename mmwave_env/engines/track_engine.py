@@ -31,10 +31,10 @@ Rule = Callable[[Vector, Epoch], Number]
 class TrackState(NamedTuple):
     """The state of a track between two epochs."""
 
-    incoming: Incoming  # the epoch to run, or the epoch that just ran
+    incoming: Incoming  # the epoch that the program filters
     site: Site  # anchors, carrier and prior
     is_first: Number  # 1 to start over from the prior
-    action: Number  # number of the mode whose result becomes the belief if no rule picks one
+    action: Number  # number of the mode whose result becomes the belief without a rule
     tunings: list[Tuning]  # motion model of every mode
     # x, P: (7,), (28,) belief after the epoch
     x: list[Number]
@@ -128,7 +128,7 @@ class EpisodeFilter(Generic[Workspace]):
             go_on: whether the episodes continue the tracks just filtered; priors are then ignored.
 
         Raises:
-            ValueError: the number of episodes is not N, or a layout differs from the pipeline's.
+            ValueError: there are not N episodes, or their layout is not the pipeline's.
         """
         gap_s = float(episodes[0].time_s[0]) - self._end_s if go_on else None
         self._batch.load(episodes, gap_s=gap_s)
@@ -148,7 +148,7 @@ class EpisodeFilter(Generic[Workspace]):
             actions: (N, epochs) values of the state's part ``action``; None for zeros.
 
         Returns:
-            For each name, (N, epochs) for a part of one number, (N, epochs, k) for k numbers.
+            For each name, an array: (N, epochs), or (N, epochs, k) if the part has k numbers.
         """
         io = self._batch.io(self.epochs, self.program.rows(names))
         io.inputs[..., 0] = 0 if actions is None else actions
@@ -162,8 +162,8 @@ class Tracker(EpisodeFilter[TrackState]):
     Args:
         pipeline: the mode, or the modes to choose from.
         n: number of tracks.
-        rule: function that receives the mean (7,) after the previous epoch and the coming epoch,
-            and returns the number of a mode; None for one mode, or to pass modes to :meth:`run`.
+        rule: function of (mean (7,) before the epoch, epoch) that returns the number of a mode;
+            None if there is only one mode or if :meth:`run` receives the modes' numbers.
         on_floats: whether to run in plain Python (slow, for reference) instead of on SIMD lanes.
     """
 

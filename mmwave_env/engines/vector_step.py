@@ -81,7 +81,7 @@ class Stepper:
         Args:
             actions: (n,) numbers of the modes; infos contain this array itself, not a copy.
             numbers: (n, k) the agents' weights of the modes or corrections of the beliefs;
-                ``actions`` are zeros then. None if the agents choose modes.
+                ``actions`` must then be zeros. None if the agents choose modes.
 
         Returns:
             New results; the number of environments that have no epoch left; and new infos about all

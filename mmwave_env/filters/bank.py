@@ -1,8 +1,8 @@
-"""Modes and banks of modes, which are shipped with the package or come from the user.
+"""Modes and banks of modes, shipped with the package or supplied by the user.
 
 A mode is a filter with its tuning. A bank is a set of modes, together with the parameters of an IMM
-(interacting multiple models) that combines them. A mode file contains a bank. If the modes share
-one belief (mean and covariance), only the bank's modes are used, not its parameters.
+(interacting multiple models) that combines them. A mode file contains a bank. An environment whose
+modes share one belief (mean and covariance) uses the modes of a bank and ignores the parameters.
 """
 
 import os
@@ -41,8 +41,8 @@ class Bank:
 
     Attributes:
         modes: one or more modes with different names.
-        transition: (modes, modes) transition probabilities over one second, indexed [from, to];
-            None for a probability of 0.95 of staying in the same mode.
+        transition: (modes, modes) transition probabilities over one second, indexed [from, to]; if
+            None, the probability of staying in the same mode is 0.95.
         nis_quantile: probability p; in a mode's likelihood, the NIS (normalized innovation squared)
             of each group of measurements is limited to the chi-square quantile of p; 1 for no
             limit, as in the textbook.
@@ -140,9 +140,9 @@ def _tuned_profile(radio: Radio) -> str:
     """Return the radio's base: the shipped profile whose modes and banks the radio uses."""
     if radio.name not in TUNED_RADIOS:
         warnings.warn(
-            f"radio {radio.name!r}: found no modes tuned for it, using those of {radio.base!r}; "
-            "to tune some for modes= and --modes, run mmwave-loc tune --radio "
-            f"{radio.name}.json --out modes.json (with --bank for a bank)",
+            f"radio {radio.name!r}: found no modes tuned for this radio, so the modes of "
+            f"{radio.base!r} are used; to tune modes for modes= and --modes, run mmwave-loc tune "
+            f"--radio {radio.name}.json --out modes.json (with --bank for a bank)",
             stacklevel=3,
         )
     return radio.base
@@ -177,13 +177,13 @@ def named_modes(radio: str | Radio = "handset") -> dict[str, Mode]:
 def best_bank(radio: str | Radio = "handset") -> Bank:
     """Return the bank of the best IMM that ``mmwave-loc tune --bank`` found for a radio profile.
 
-    A profile without a tuned bank of its own gets its base's bank, with a warning.
+    If no bank was tuned for the profile, warn and return the bank of the profile's base.
     """
     return _shipped(f"banks/{_tuned_profile(radio_from(radio))}")
 
 
 def bank_over(modes: Modes, radio: str | Radio = "handset") -> Bank:
-    """Return the bank, of one mode or more, that a ``modes=`` argument describes.
+    """Return the bank that a ``modes=`` argument describes; it may have a single mode.
 
     Args:
         modes: a bank, a mode file, the content of a mode file, or a list of names, mode files and
@@ -222,7 +222,7 @@ def modes_from(modes: Modes, radio: str | Radio = "handset") -> tuple[Mode, ...]
 def bank_from(modes: Modes, radio: str | Radio = "handset") -> Bank:
     """Return the bank of a ``modes=`` argument for modes that each keep their own belief.
 
-    Arguments are the same as for :func:`bank_over`; ``modes`` None stands for :func:`best_bank`.
+    Arguments are the same as for :func:`bank_over`; if ``modes`` is None, use :func:`best_bank`.
 
     Raises:
         ValueError: same as for :func:`bank_over`, or there are fewer than two modes.
@@ -230,7 +230,7 @@ def bank_from(modes: Modes, radio: str | Radio = "handset") -> Bank:
     bank = best_bank(radio) if modes is None else bank_over(modes, radio)
     if len(bank.modes) < 2:
         raise ValueError(
-            f"modes: found only {bank.modes[0].name!r}, expected two or more if every mode keeps "
-            "its own belief"
+            f"modes: found only {bank.modes[0].name!r}, expected two or more modes, because every "
+            "mode keeps its own belief"
         )
     return bank

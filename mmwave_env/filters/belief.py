@@ -39,7 +39,7 @@ class Belief(NamedTuple):
         return -0.5 * (nees + log(determinant) + len(self.axes) * math.log(2.0 * math.pi))
 
     def _whiten(self, truth: Vector) -> tuple[Number, Number]:
-        """Return the NEES and the determinant of the position covariance."""
+        """Return the value of :meth:`nees` and the determinant of the position covariance."""
         factor = cholesky([[self.P[i][j] for j in self.axes] for i in self.axes])
         error = self.error(truth)
         y = forward(factor, [error[i] for i in self.axes])

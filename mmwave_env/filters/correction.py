@@ -2,7 +2,7 @@
 
 The *frame of motion* has axes along the estimated horizontal velocity, across it (to the left) and
 up. A correction has two numbers for each axis: the shift of the estimated position, in units of its
-standard deviation along the axis, and the logarithm of a factor that scales this deviation.
+standard deviation along the axis, and the log of a factor that scales this standard deviation.
 """
 
 from typing import NamedTuple
@@ -13,7 +13,7 @@ from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.numerics.numbers import Array, Matrix, Number, Vector, exp, maximum, sqrt, where
 
-MOST_SHIFT, MOST_LOG_FACTOR = 4.0, 2.0  # limits: shift in standard deviations, log of a factor
+MOST_SHIFT, MOST_LOG_FACTOR = 4.0, 2.0  # largest shift (standard deviations) and log factor
 SLOWEST_MPS = 1e-3  # below this speed, the x axis counts as the direction of motion
 
 
@@ -57,9 +57,9 @@ class Frame(NamedTuple):
 
 
 def deviations_of(belief: Belief) -> tuple[Frame, list[Number]]:
-    """Return the frame of motion and the position's standard deviations along, across and up, m.
+    """Return the frame of motion and the standard deviations (3,) of the position in it, m.
 
-    On flat terrain, the standard deviation up is 0.
+    On flat terrain, the standard deviation of the height is 0.
     """
     frame = Frame.of(belief.x[3:5])
     along, across, _ = frame.covariance(belief.P)
@@ -70,12 +70,12 @@ def deviations_of(belief: Belief) -> tuple[Frame, list[Number]]:
 def corrected(belief: Belief, shift: Vector, log_factor: Vector) -> Belief:
     """Return the belief with its position shifted and the position's standard deviations scaled.
 
-    The covariance P becomes M P M', where M scales the position along, across and up and leaves the
-    other components as they are. So the covariance stays positive definite.
+    The covariance P becomes M P M', where M scales the position in the frame of motion and
+    leaves the other components as they are. M is invertible, so M P M' stays positive definite.
 
     Args:
         belief: belief to correct.
-        shift: (3,) shifts along, across and up, in units of the belief's standard deviations.
+        shift: (3,) shifts in the frame of motion, in units of the belief's standard deviations.
         log_factor: (3,) logarithms of the factors that scale these standard deviations.
     """
     frame, deviations = deviations_of(belief)
@@ -106,7 +106,7 @@ def corrected_all(
     Args:
         x, P: (..., 7) means and (..., 28) packed covariances (lower triangles) of the batch.
         shift, log_factor: (..., 3), same as for :func:`corrected`.
-        pipeline: pipeline of the filters, which knows whether the terrain is flat.
+        pipeline: the filters' pipeline; it says whether the terrain is flat (``planar``).
     """
     mean, packed, *correction = (
         part.tolist() if part.ndim == 1 else list(np.moveaxis(part, -1, 0))

@@ -37,7 +37,7 @@ _LIBRARIES = (
 
 
 class AlgorithmError(TypeError):
-    """An error in a user's algorithm; the message says where, why, and what to write instead."""
+    """An error in a user's algorithm; the message names the line, the reason and a remedy."""
 
 
 def name_of(function: Callable[..., Any]) -> str:
@@ -76,7 +76,7 @@ def complaint(
     error: BaseException | None = None,
     advice: str = "",
 ) -> str:
-    """Return the message that refuses a user's function and shows a line of the user's code.
+    """Return the error message about a user's function, with a line of the user's code.
 
     The message begins with ``subject``. The line is the innermost line of the user's code in the
     traceback of ``error``; without an error, it is the line on which the function begins.
@@ -94,7 +94,7 @@ def try_out(
     """Call a user's function with arguments whose numbers hide their values; return the result.
 
     Raises:
-        Exception: the function cannot run; the exception is of this ``kind``.
+        Exception: the function cannot run; ``kind`` is the type of the exception.
     """
     try:
         return function(*arguments)
@@ -111,7 +111,7 @@ def try_out(
 
 @lru_cache(maxsize=64)
 def check_algorithm(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> None:
-    """Try the algorithm of a mode, unless it is built in.
+    """Call the algorithm of a mode in a trial run, unless the algorithm is built in.
 
     Raises:
         AlgorithmError: the algorithm cannot run on lanes, takes the wrong arguments, modifies

@@ -7,8 +7,8 @@ implementations, and so can you if you doubt a result. To run such modes, use
 ``Engine(filterpy_pipeline(...), on_floats=True)``.
 
 An update works in coordinates relative to the prior mean m: dx = x - m and dz = z - h(m). Small
-values are needed for two reasons. filterpy subtracts angles without wrapping them. And it computes
-the CKF's covariance from raw second moments, in which digits of large values cancel.
+values are needed for two reasons: filterpy subtracts angles without wrapping them, and it computes
+the CKF's covariance from raw second moments, where large values would cancel and lose digits.
 """
 
 from collections.abc import Callable
@@ -38,7 +38,7 @@ from mmwave_env.numerics.numbers import Array, Index, Matrix, Vector
 
 
 def full_noise(noise: ProcessNoise) -> Array:
-    """Return Q, (7, 7), or (8, 8) if the state has a clock's bias, from its non-zero entries."""
+    """Return Q (7, 7), or (8, 8) with a clock's range bias, given its non-zero entries."""
     Q = np.diag(np.array(noise.diagonal, float))
     pairs = [(0, 3), (1, 4), (2, 5), (7, 6)]
     for (i, j), covariance in zip(pairs, noise.coupling, strict=False):
@@ -47,7 +47,7 @@ def full_noise(noise: ProcessNoise) -> Array:
 
 
 class _Relative:
-    """A measurement and its function h, both relative to h(m) at the prior mean m."""
+    """The differences z - h(m) and h(m + dx) - h(m) of a measurement z at the prior mean m."""
 
     def __init__(self, mean: Array, measurement: Measurement) -> None:
         layout, anchors = measurement.layout, np.array(measurement.anchors, float)
@@ -81,7 +81,7 @@ class _Filtered(NamedTuple):
 
 
 class _Ekf:
-    """The EKF of filterpy. In this and the next classes, ``predict`` computes F x and F P F' + Q.
+    """The EKF of filterpy. In this and the following classes, ``predict`` computes F x, F P F' + Q.
 
     ``update`` conditions N(0, P) on the chosen rows, whose noise covariance is R.
     """

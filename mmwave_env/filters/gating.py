@@ -71,14 +71,14 @@ def at_degrees(limits: Sequence[Number], rows: Number) -> Number:
 
 
 def passes(nis: Number, rows: Number, quantile: float | None) -> Number:
-    """Return 1 if the NIS of a group with this number of rows is within its gate, else 0."""
+    """Return 1 if a group with this NIS and number of rows passes its gate, else 0."""
     if quantile is None:
         return 1.0
     return where(nis <= at_degrees(chi_square_limits(quantile), rows), 1.0, 0.0)
 
 
 class GateResult(NamedTuple):
-    """The decisions of the gates about each group, at the prior."""
+    """The decision of the gate about each group, from innovations at the prior."""
 
     # nis, accepted, log_likelihood: same as in :class:`~mmwave_env.filters.update.Posterior`
     nis: list[Number]
@@ -88,7 +88,7 @@ class GateResult(NamedTuple):
 
 
 def gate_groups(prior: Prior, measurement: Measurement, gate: Gate) -> GateResult:
-    """Apply the gates to every group of an epoch, at the prior."""
+    """Apply the gate to the innovation of every group at the prior."""
     groups, V, latents, layout = prior.groups, prior.V, prior.latents, measurement.layout
     degrees = layout.degrees(measurement.measured)
     nis, accepted, noise = [], [], []

@@ -22,7 +22,7 @@ from mmwave_env.numerics.numbers import Matrix, Number, Vector, exp, maximum, mi
 from mmwave_env.numerics.pytree import select, tree_at
 
 DEFAULT_STAY = 0.95  # probability that the mode does not change within a second
-TRUST = 3.0  # an agent's trust multiplies a mode's probability by exp(TRUST) per second
+TRUST = 3.0  # if an agent trusts a mode, exp(TRUST) per second multiplies the mode's probability
 _LEAST = 1e-12  # minimum probability of a mode; a probability of zero could not grow again
 
 
@@ -32,7 +32,7 @@ class ImmSettings(NamedTuple):
     transition: list[list[Number]]  # (modes, modes) probabilities over one second, [from, to]
     tunings: list[Tuning]  # motion model of every mode
     # (groups,) limits of NIS for :func:`~mmwave_env.filters.update.limited_likelihood`, infinite in
-    # the textbook's IMM; in a partial layout, (4,) limits for groups of 1 to 4 measured rows
+    # the textbook's IMM; (4,) limits for 1 to 4 measured rows if single rows may be missing
     limits: list[Number]
 
 
@@ -42,7 +42,7 @@ class ModeTrack(NamedTuple):
     # x, P: (7,) mean and (28,) packed covariance (its lower triangle)
     x: list[Number]
     P: list[Number]
-    memory: Memory  # past values that the mode's gates and its scaling of noise depend on
+    memory: Memory  # past values on which the mode's gates and its scaling of noise depend
 
 
 class Mixture(NamedTuple):
@@ -130,7 +130,7 @@ def imm_epoch(
 ) -> ImmEpoch:
     """Run an epoch: mix the beliefs, run every mode, weight the modes by their likelihood.
 
-    The tunings in ``settings`` replace the modes' own; ``mixture`` is from the previous epoch.
+    The tunings in ``settings`` replace those of the modes; ``mixture`` is from the previous epoch.
     """
     predicted, mixed = mix(mixture, over_step(settings.transition, epoch.dt))
     tracks, results = [], []
@@ -159,10 +159,10 @@ def imm_epoch(
 
 
 def trusting(mixture: Mixture, mode: Number, dt: Number) -> Mixture:
-    """Multiply the probability of a mode in a mixture by a factor, then normalize all of them.
+    """Multiply the probability of a mode in a mixture by a factor, then normalize.
 
     Modes are counted from 1; ``mode`` 0 leaves the probabilities as they are. The factor is
-    exp(TRUST) per second, and ``dt`` is the epoch's step, seconds (:func:`step_weight`).
+    exp(TRUST) per second, and ``dt`` is the time since the previous epoch, s (:func:`step_weight`).
     """
     gain = exp(TRUST * step_weight(dt))
     weights = [
@@ -175,7 +175,7 @@ def trusting(mixture: Mixture, mode: Number, dt: Number) -> Mixture:
 def reweighted(mixture: Mixture, log_factors: Vector, dt: Number) -> Mixture:
     """Multiply the modes' probabilities by factors, given as logarithms per second, and normalize.
 
-    ``dt`` is the epoch's step, seconds.
+    ``dt`` is the time since the previous epoch, seconds.
     """
     step = step_weight(dt)
     pairs = zip(mixture.probability, log_factors, strict=True)
@@ -218,8 +218,8 @@ def prediction(now: ImmEpoch, dt: Number, hz_per_mps: Number) -> tuple[list[Numb
 
     The Rauch-Tung-Striebel smoother assumes x_predicted = F x + noise, with noise independent of x.
     A mode with a known acceleration or turn rate moves x_predicted further. These moves count as
-    noise, so their covariance is added to the result's. Their correlation with x is ignored, as it
-    could make smoothed variances negative.
+    noise, so their covariance is added to the mixture's covariance. Their correlation with x is
+    ignored, because it could make smoothed variances negative.
     """
     moved = [move(x, dt, hz_per_mps) for x in now.mixed]
     shifts = [

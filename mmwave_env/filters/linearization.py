@@ -7,16 +7,16 @@ the *latents*:
     h(x) = h(m) + mean shift + V eta + noise,   eta = (xi, zeta)
 
 The tangent (EKF) has V = dh/dx L, no mean shift, and no curvature latents zeta. For sigma points at
-m + s L_j and m - s L_j, let up and down be the changes of h from m. Then xi_j has the column
-(up - down) / 2s of V. If h is curved along L_j, there is also a curvature latent zeta_j, with the
-column up + down. The mean shift is w times the sum of the columns of zeta. Let cov(zeta) =
+m + s L_j and m - s L_j, let up and down be the changes of h from m. Then V has the column
+(up - down) / 2s for xi_j. If h is curved along L_j, V also has the column up + down for a
+curvature latent zeta_j. The mean shift is w times the sum of the columns of zeta. Let cov(zeta) =
 (w / 2) I + bend w^2 e e', where e is a vector of ones and :class:`Latents` defines w and bend. Then
 V cov(eta) V' is exactly the covariance of h over all 2n + 1 points (x is (n,)).
 
 Only columns 0 to 2 of L move the position, on which a link (range and angles at an anchor) depends.
 So the order of the latents is [xi_0..2, zeta, xi_3..6], and links depend only on the first
 3 + len(zeta). If the state includes the range bias of a clock, links depend on this bias, too.
-Column 3 moves it (:func:`factor_of`), so the order is [xi_0..3, zeta, xi_4..7].
+Column 3 of L moves the bias (:func:`factor_of`), so the order is [xi_0..3, zeta, xi_4..7].
 
 Source: Julier and Uhlmann 2004, Sec. IV (scaled sigma points as in van der Merwe 2004). The sigma
 points of the cubature filter (Arasaratnam and Haykin 2009) have alpha = 1, beta = 0, kappa = 0. For
@@ -70,7 +70,7 @@ class SigmaPoints:
             raise ValueError(
                 f"beta: found {self.beta}, expected at least "
                 f"{self.alpha**2 - spread / STATE_SIZE:g} for alpha {self.alpha} and kappa "
-                f"{self.kappa}, so that the curvature has a valid covariance"
+                f"{self.kappa}, so that cov(zeta) is a valid covariance"
             )
 
     def reach(self, size: int = STATE_SIZE) -> float:

@@ -17,9 +17,9 @@ from mmwave_env.numerics.numbers import Number, Vector, clip, sqrt, where
 WINDOW = 10  # number of epochs in the window for adaptive scaling
 GAMMA_LIMITS = (0.5, 2.0)  # limits of the adaptive scale; paper, Sec. III-E
 NIS_MEMORY = (0.6, 0.9)  # weights of the past in the fast and the slow NIS average
-CORRECTION_MEMORY = 0.8  # weight of the past in the average shift of the position in updates
+CORRECTION_MEMORY = 0.8  # weight of the past in the average shift of the position by updates
 PREFERENCE_MEMORY = (0.6, 0.85)  # weights of the past in averages of log-likelihood differences
-PREFERENCE_LIMIT = 30.0  # largest absolute difference that counts in these averages
+PREFERENCE_LIMIT = 30.0  # differences are clipped to plus or minus this limit
 SNR_MEMORY = 0.95  # weight of the past in a link's mean SNR
 SPREAD_MEMORY = 0.8  # weight of the past in the average Doppler spread
 SNR_UNSEEN_DB = -100.0  # slow mean SNR of a link that has never been measured
@@ -29,21 +29,21 @@ class Memory(NamedTuple):
     """Statistics of a track's measurements so far."""
 
     mode: Number  # number of the mode that ran last
-    lockout: Number  # number of successive epochs with links in which every link failed its gate
-    window: list[Number]  # (WINDOW,) NIS / dof of the accepted groups per epoch, newest first
+    lockout: Number  # number of epochs with links since a link last passed its gate
+    window: list[Number]  # (WINDOW,) NIS / dof of the accepted groups in an epoch, newest first
     gamma: Number  # adaptive scale of Q and R
     # nis, accepted, rejected: (groups,) in the last epoch; missing groups have 0 in all three
     nis: list[Number]
     accepted: list[Number]
     rejected: list[Number]
     nis_average: list[Number]  # (2,) fast and slow average of NIS / dof
-    # (2,) average shift of the position in updates, along and across the velocity, m
+    # (2,) average shift of the position by updates, along and across the velocity, m
     correction: list[Number]
     unfixed_s: Number  # seconds since a link was last accepted
     snr_mean_db: list[Number]  # (L,) slow mean SNR per link
     spread_average_hz: Number  # slow average of the Doppler spread
-    # (2, modes) fast and slow average of a difference: the mode's log-likelihood minus that of the
-    # pipeline's last mode, both from :func:`~mmwave_env.filters.update.capped_log_likelihood`
+    # (2, modes) fast and slow average of the log-likelihood of a mode minus the log-likelihood of
+    # the pipeline's last mode, from :func:`~mmwave_env.filters.update.capped_log_likelihood`
     preference: list[list[Number]]
 
 
@@ -118,8 +118,8 @@ def memory_after(
     ]
     each_link = [1.0] * layout.anchors
     links, fixes = dot(each_link, visible), dot(each_link, chosen.accepted)
-    # If links are accepted by force, the lock-out goes on: the update mends the position, but the
-    # velocity may still be wrong. All links stay accepted until one passes its gate again.
+    # Links accepted by force do not end the lock-out: the update corrects the position, but the
+    # velocity may still be wrong. All links are accepted until one passes its gate again.
     lockout = where(links > 0.5, memory.lockout + 1.0, memory.lockout)
     predicted = move(before[:6], dt)
     step = [chosen.x[i] - predicted[i] for i in range(2)]

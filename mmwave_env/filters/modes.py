@@ -13,13 +13,13 @@ ALGORITHMS: dict[str, Algorithm] = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
 Noise = Annotated[float, PROCESS_NOISE]
 Quantile = Annotated[float, Bound("a quantile in (0, 1)", above=0.0, below=1.0)]
 
-DESIGN_LIMIT_MPS = 20.0  # greater speeds are outside the paper's design window
+DESIGN_LIMIT_MPS = 20.0  # the paper's filters are not designed for greater speeds
 
 
 class Tuning(NamedTuple):
     """A mode's motion model as numbers, so that one compiled filter can run many tunings.
 
-    Its attributes are those of :class:`Mode`; ``coupling`` is 1 or 0.
+    The attributes mean the same as in :class:`Mode`; ``coupling`` is 1 or 0.
     """
 
     sigma_p: Number
@@ -37,8 +37,8 @@ class Tuning(NamedTuple):
 class Mode:
     """One filter pipeline of the paper (Sec. III).
 
-    The unit of process noise contains 1 / sqrt(s), so a tuning is valid at any rate of epochs. At
-    the paper's rate, dt = 1 s, the values are the standard deviations per epoch.
+    The unit of process noise contains 1 / sqrt(s), so a tuning is valid for any time dt between
+    epochs. If dt is 1 s, as in the paper, the values are the standard deviations per epoch.
 
     Attributes:
         name: name to show in tables and messages; up to 80 characters.
@@ -59,8 +59,8 @@ class Mode:
             the left.
         gate: probability, such as 0.99: a gate accepts NIS up to the chi-square quantile of this
             probability; None for no gates (paper, Sec. III-D).
-        recovery: if all visible links fail their gates in this number of epochs in a row, links are
-            accepted until one passes its gate again; None for never, as in the paper.
+        recovery: if all visible links fail their gates in this number of epochs in a row, all links
+            are accepted until one passes its gate again; None for never, as in the paper.
         adaptive: whether to scale Q and R by the windowed mean of NIS (paper, Sec. III-E).
         blockage_aware: whether to inflate R of a link whose SNR fell below its slow running mean.
         robust: whether to inflate R of a link with a large NIS instead of rejecting it.

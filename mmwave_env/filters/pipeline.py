@@ -41,7 +41,7 @@ Predictor = Callable[
 def _linear_prediction(
     mode: Mode, x: Vector, P: Matrix, noise: ProcessNoise, dt: Number, hz_per_mps: Number
 ) -> tuple[list[Number], Matrix]:
-    """Return the Kalman prediction; it is exact for every algorithm, as motion is linear."""
+    """Return the Kalman prediction; it is exact for every algorithm because motion is linear."""
     return move(x, dt, hz_per_mps), predict_covariance(P, noise, dt, hz_per_mps)
 
 
@@ -170,7 +170,7 @@ def predict_update(
         x, P: mean (7,) and packed covariance (28,) after the previous epoch, or of the prior.
         memory: the memory of the track.
         site: anchors and carrier.
-        tuning: motion model to use instead of the mode's own.
+        tuning: parameters of the motion model, if not those of the mode.
     """
     x_predicted, P_predicted = predict(
         pipeline, mode, x, P, memory.gamma, epoch, site.hz_per_mps, tuning

@@ -22,7 +22,7 @@ class ForwardEpoch(NamedTuple):
     # x, P: mean (7,) and packed covariance (28,), its lower triangle, after the epoch
     x: list[Number]
     P: list[Number]
-    # x_predicted, P_predicted: the same before the epoch's update
+    # x_predicted, P_predicted: mean and covariance before the epoch's update
     x_predicted: list[Number]
     P_predicted: list[Number]
     hz_per_mps: Vector = ()  # (1,) f_c / c if the state has a clock's range bias; else empty
@@ -59,8 +59,8 @@ def smooth_epoch(
 ) -> BackwardState:
     """Smooth the belief of an epoch, with the gain C = P F' P_predicted^-1.
 
-    The mean is x + C (x_after - x_predicted), the covariance P + C (P_after - P_predicted) C'.
-    ``after`` is the following epoch, smoothed. Pass the result as ``after`` for the epoch before.
+    The mean is x + C (x_after - x_predicted), the covariance is P + C (P_after - P_predicted) C'.
+    ``after`` is the following epoch, smoothed. Pass the result as ``after`` for the previous epoch.
     """
     P, P_predicted = unpack(now.P, zero=known_axes), unpack(after.P_predicted, zero=known_axes)
     factor, FP = cholesky(P_predicted), transition_times(P, after.dt, *now.hz_per_mps)

@@ -1,4 +1,4 @@
-"""Textbook Kalman filters in plain numpy; each update uses all rows of a measurement.
+"""Textbook Kalman filters in plain numpy; an update processes all rows of a measurement together.
 
 Read this file first. The filters that run (:mod:`~mmwave_env.filters.update`,
 :mod:`~mmwave_env.filters.imm`, :mod:`~mmwave_env.filters.smoother`) compute the same values in
@@ -7,8 +7,8 @@ numbers are the paper's (Sec. III); the IMM is from Bar-Shalom, Li and Kirubaraj
 
 The state x (7,) is position (m), velocity (m/s) and oscillator bias (Hz). A measurement z has four
 rows for each anchor: range (m), azimuth and elevation of arrival (rad), azimuth of departure (rad).
-The last rows are the Doppler shift of one anchor (Hz), and an optional speed and heading. If
-the user's clock is not synchronized, the state ends with the clock's range bias (m): 7 becomes 8.
+The last rows are the Doppler shift of one anchor (Hz) and, optionally, speed (m/s) and heading
+(rad). If the user's clock is not synchronized, its range bias (m) is an eighth state component.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -19,7 +19,7 @@ import numpy as np
 
 from mmwave_env.numerics.numbers import Array, Mask
 
-NEAREST_M = 1e-3  # this close to an anchor or to the vertical line through it, angles are undefined
+NEAREST_M = 1e-3  # angles are undefined this near an anchor or the vertical line through it
 
 
 def F(dt: float, hz_per_mps: float | None = None) -> Array:
@@ -47,7 +47,7 @@ class Moments(NamedTuple):
     """Moments of the measurement that a belief predicts, without the measurement noise."""
 
     mean: Array  # (rows,)
-    S: Array  # (rows, rows) its covariance
+    S: Array  # (rows, rows) covariance of the measurement
     C: Array  # (7, rows) covariance of the state with the measurement
 
 
@@ -157,9 +157,9 @@ def rts(
     """Smooth one track with the Rauch-Tung-Striebel smoother: eqs. (17) and (18).
 
     Args:
-        x, P: (T, 7) and (T, 7, 7) filtered beliefs at times (T,).
-        P_predicted, x_predicted: (T, 7, 7), (T, 7) predicted covariances and means; None as
-            ``x_predicted`` stands for the means F x.
+        x, P: (T, 7) and (T, 7, 7) filtered beliefs at the times ``time_s`` (T,).
+        P_predicted, x_predicted: (T, 7, 7), (T, 7) predicted covariances and means; if
+            ``x_predicted`` is None, the predicted means are F x.
         free: indices of the uncertain components of x; on flat terrain there are five.
         hz_per_mps: same as for :func:`F`.
     """

@@ -1,6 +1,6 @@
 """The measurement update shared by EKF, UKF and CKF (paper, Sec. III-C).
 
-The usual form, K = P H' S^-1 with all rows at once, is in :mod:`~mmwave_env.filters.textbook`. The
+The usual form, K = P H' S^-1 for all rows together, is in :mod:`~mmwave_env.filters.textbook`. The
 form here has the same result, but smaller matrices. It uses the latent variables (*latents*) of
 :mod:`~mmwave_env.filters.linearization`: xi, where the state is mean + L xi, and the curvatures.
 """
@@ -100,10 +100,10 @@ def update(
 ) -> Posterior:
     """Gate every group at the prior N(x, P), then condition on the groups that passed.
 
-    The links depend only on the *coupled latents*: those of the first three columns of the factor L
-    of P (four with a clock), and the curvature latents. So prior and links add up to one small
-    information matrix B: given the links, the covariance of the coupled latents is B^-1. The other
-    latents are *free*. The rows of the other groups are added one by one. The new covariance is
+    The links depend only on the *coupled latents*: the latents of the first three columns of the
+    factor L of P (four with a clock), and the curvature latents. So prior and links add up to one
+    small information matrix B: given the links, the covariance of the coupled latents is B^-1. The
+    other latents are *free*. Rows of other groups are added one by one. The new covariance is
 
         L_c D L_c' + sum_j L_j L_j' - sum_i gain_i c_i c_i'
 
@@ -178,7 +178,7 @@ def ckf(x: Vector, P: Matrix, measurement: Measurement, gate: Gate) -> Posterior
     return update(x, P, measurement, gate, SigmaPoints(1.0, 0.0, 0.0))
 
 
-CAP_QUANTILE = 0.999  # a comparison of modes limits NIS to this chi-square quantile
+CAP_QUANTILE = 0.999  # to compare modes, NIS is limited to this chi-square quantile
 
 
 class ModeResult(NamedTuple):
@@ -186,7 +186,7 @@ class ModeResult(NamedTuple):
 
     x: list[Number]  # (7,) posterior mean
     P: list[Number]  # (28,) packed posterior covariance (lower triangle); (36,) with a clock
-    # x_predicted, P_predicted: the same before the update, for smoothing
+    # x_predicted, P_predicted: mean and packed covariance before the update, for smoothing
     x_predicted: list[Number]
     P_predicted: list[Number]
     # nis, accepted: (groups,) as in :class:`Posterior`

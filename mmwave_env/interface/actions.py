@@ -13,14 +13,14 @@ from mmwave_env.numerics.numbers import Array
 
 MODE, WEIGHTS, CORRECTION = "mode", "weights", "correction"
 ACTIONS = {
-    MODE: "the number of the mode to run or, if each has a belief, to make more probable",
-    WEIGHTS: "for each mode, a number w: its probability is multiplied by exp(w) per second",
+    MODE: "the number of the mode to run or, if each mode has a belief, to make more probable",
+    WEIGHTS: "a number w for each mode, whose probability is multiplied by exp(w) per second",
     CORRECTION: "three shifts of the position, and log factors on its three standard deviations",
 }
 
 
 def limits_of(action: str, modes: int) -> Array:
-    """Return the largest absolute values (k,) of an action's numbers; (0,) if actions are modes."""
+    """Return the largest absolute values (k,) of an action's numbers; (0,) for mode numbers."""
     if action == WEIGHTS:
         return np.full(modes, TRUST)
     return np.repeat([MOST_SHIFT, MOST_LOG_FACTOR], 3) if action == CORRECTION else np.zeros(0)

@@ -1,6 +1,6 @@
 """Features of an observation, each with its formula.
 
-An estimator knows every feature at run time; no feature uses the truth. The formulas are functions
+An estimator can compute each feature at run time; none uses the truth. The formulas are functions
 of plain numbers, so that they can be compiled into the SIMD kernel.
 """
 
@@ -157,7 +157,7 @@ def _distance(view: View, anchor: int) -> Number:
 
 
 def _links(layout: Layout, distances: bool) -> list[Feature]:
-    """Return features of links: SNRs, and ``distances`` or the number of visible links."""
+    """Return features of links: SNRs, then either distances or the number of visible links."""
     table = []
     for a in range(layout.anchors):
         table += [
@@ -230,10 +230,10 @@ def _mixture(pipeline: Pipeline) -> list[Feature]:
 def coming(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
     """Return features of each mode's result for the coming epoch, such as its likelihood.
 
-    First come the Doppler innovation and the NIS of the pipeline's last mode, then features of each
-    mode in the pipeline's order. Every mode except the last is also compared with the last. If
-    ``per_mode``, each mode's probability and velocity follow. An observation of the kind "prior"
-    does not contain any of these features. The arguments are the same as for :func:`context`.
+    The list begins with the Doppler innovation and the NIS of the pipeline's last mode. Features of
+    each mode follow, in the pipeline's order; all modes but the last are compared with the last. If
+    ``per_mode``, the list ends with probabilities and velocities of modes. An observation of the
+    kind "prior" has none of these features. The arguments are the same as for :func:`context`.
     """
     layout, modes = pipeline.layout, pipeline.modes
     table = _innovation(pipeline)

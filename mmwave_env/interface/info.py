@@ -33,12 +33,12 @@ INFOS = {
 
 
 def reported(at: Any) -> Any:
-    """Return what infos describe: a workspace's corrected epoch if it has one, else all of it."""
+    """Return the part of a workspace that infos describe: a corrected epoch if any, else all."""
     return getattr(at, "reported", ()) or at
 
 
 def info_rows(at: Any) -> dict[str, Any]:
-    """Return the rows of a workspace with the value of each key of infos, except mode and cost.
+    """Return the rows of a workspace that contain the values of infos, except mode and cost.
 
     Args:
         at: workspace of :mod:`~mmwave_env.engines.environment_epoch` whose values are row numbers.
@@ -67,7 +67,7 @@ def drawn_rows(at: Any, span: Callable[[Any], Any]) -> dict[str, Any]:
 
 
 def masked(values: dict[str, NDArray[Any]], where: Mask) -> dict[str, Any]:
-    """Return infos (n, ...) and Gymnasium's masks, which are True where ``where`` (n,) is True.
+    """Return infos (n, ...) and Gymnasium's masks, which are copies of ``where`` (n,).
 
     Values of other environments are replaced by 0 or None, in place. Every key gets a mask
     ``_key``; all masks are the same array. If ``where`` is False everywhere, the result is empty.
@@ -81,7 +81,7 @@ def masked(values: dict[str, NDArray[Any]], where: Mask) -> dict[str, Any]:
 
 
 def stepped(infos: dict[str, Any], where: Mask) -> dict[str, Any]:
-    """Return a step's infos; environments where ``where`` (n,) is False keep only STATE_KEYS."""
+    """Return a step's infos, but only STATE_KEYS for environments whose ``where`` (n,) is False."""
     did = {key: infos[key] for key in (*STEP_KEYS, PROBABILITIES) if key in infos}
     kept = (*STATE_KEYS, *mask_keys(STATE_KEYS))
     return masked(did, where) | {key: infos[key] for key in kept if key in infos}

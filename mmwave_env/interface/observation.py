@@ -41,7 +41,7 @@ BELIEFS = {  # a belief is a mean and a covariance
 
 
 def action_names(modes: Sequence[Mode], beliefs: str) -> list[str]:
-    """Return the names of actions: the modes; first "none" if each mode has its own belief."""
+    """Return names of actions: the modes, after "none" if each mode has its own belief."""
     names = [mode.name for mode in modes]
     return ["none", *names] if beliefs == "per-mode" else names
 
@@ -58,7 +58,7 @@ def feature_scales() -> dict[str, Scale]:
     """Read mean and standard deviation of every kind of feature from data/feature_scales.json."""
     # Measured 2026-11-23 (code at commit 476d657): 24 episodes with random actions in each
     # combination of scene, radio, kind of beliefs and set of modes (two; two, with odometry; eight;
-    # the radio's bank). The file has the medians over combinations, of values before clipping.
+    # the radio's bank). The file has medians over the combinations; no value was clipped.
     text = files("mmwave_env").joinpath("data/feature_scales.json").read_text(encoding="utf-8")
     return {kind: Scale(**scale) for kind, scale in json.loads(text)["kinds"].items()}
 
@@ -196,7 +196,7 @@ def _shown(value: Number, feature: Feature, scale: Scale) -> Number:
 
 
 def with_tables(docstring: str) -> str:
-    """Put tables of default modes and features in place of ``{modes}`` and ``{table}``."""
+    """Replace ``{modes}`` by a table of the default modes and ``{table}`` by one of features."""
     observed = Observation(Pipeline(default_modes(), Layout())).table()
     lines = ["| action | mode | algorithm | horizontal velocity noise, m/s |", "|---|---|---|---|"]
     for action, (kind, algorithm) in enumerate(

@@ -4,7 +4,7 @@ A reward is called as ``reward(belief, truth)`` with a
 :class:`~mmwave_env.filters.belief.Belief` and the true position and velocity (6,). It returns the
 reward, or a dict of named terms, whose sum is the reward. Pass your own reward to
 ``MmWaveLoc-v0`` as ``reward=``. It must follow the rules of :mod:`mmwave_env.numerics.numbers`,
-because it is compiled for SIMD lanes. Any reward can be paired (:class:`PairedReward`).
+because it is compiled for SIMD lanes. :class:`PairedReward` subtracts the reward of an IMM.
 """
 
 from collections.abc import Callable
@@ -32,7 +32,7 @@ class TrackingReward:
     """The default reward, which penalizes the error and a NEES that is too large or too small.
 
     It is -(error_weight min(error, error_limit_m) + nees_weight min(|ln(NEES / d)|, nees_limit)),
-    where d is the number of estimated position axes. So neither inflating P nor shrinking it pays.
+    where d is the number of estimated position axes. So it does not pay to inflate or shrink P.
     """
 
     error_weight: float = 1.0
@@ -82,10 +82,10 @@ class PairedReward:
     """The agent's reward minus the reward of an IMM, in the same epoch of the same episode.
 
     If modes share a belief, the IMM mixes the two default modes of the radio. If each mode has its
-    own belief, the IMM mixes the modes of the agent's bank. Actions do not change what the IMM
-    earns, so the best policy stays the same. The difficulty of an episode cancels out, so the
-    variance is smaller. If an episode ends early because of divergence, what the IMM earns in the
-    remaining epochs is also subtracted.
+    own belief, the IMM mixes the modes of the agent's bank. Actions do not change the IMM's reward,
+    so the best policy stays the same. The difficulty of an episode cancels out in the difference,
+    whose variance is smaller. If an episode ends early because of divergence, the IMM's rewards in
+    the remaining epochs are also subtracted.
 
     Attributes:
         reward: reward of agent and IMM, a function of (belief, truth).
@@ -153,7 +153,7 @@ def reward_name(reward: Reward) -> str:
 
 
 def _trial() -> tuple[Belief, Vector]:
-    """Return a belief and a truth; like SIMD lanes, their numbers can't be a condition of an if."""
+    """Return a belief and a truth whose numbers, like SIMD lanes, can't decide an ``if``."""
     numbers: list[Any] = [[0.0] * 7, [[0.0] * 7] * 7, [0.0] * 6]
     x, P, truth = taped(numbers, [])
     return Belief(x, P), truth
@@ -168,7 +168,7 @@ def _check(reward: Reward) -> None:
 
     terms = _as_terms(try_out(reward, _trial(), subject, ValueError))
     if not terms or not all(isinstance(name, str) for name in terms):
-        raise refused(f"returned terms named {list(terms)}, expected one or more, named by strings")
+        raise refused(f"returned terms named {list(terms)}, expected one or more strings")
     for name, value in terms.items():
         if problem := next(wrong_parts(name, value, 0.0), ""):
             raise refused(f"returned {problem}")

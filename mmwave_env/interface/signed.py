@@ -17,9 +17,9 @@ from mmwave_env.models.measurement import Epoch, direction
 from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import PI, Number, Vector, log, maximum, minimum, sqrt, where, wrap
 
-_LEAST_M = 0.05  # m: residuals are divided by standard deviations of at least this
-_LEAST_RAD = 1e-3  # rad: elevation residuals are divided by at least this
-_LEAST_S = 1e-3  # s: minimum of the time between epochs in a logarithm
+_LEAST_M = 0.05  # minimum standard deviation by which residuals are divided, m
+_LEAST_RAD = 1e-3  # minimum standard deviation by which elevation residuals are divided, rad
+_LEAST_S = 1e-3  # minimum time between epochs in a logarithm, s
 _WAYS = ("along", "across")  # components of a horizontal vector in the frame of motion
 _ROWS = {"range": 0, "azimuth": 1, "elevation": 2, "departure": 3}  # index within a link's rows
 
@@ -94,7 +94,7 @@ def _squashed(q: Number) -> Number:
 
 
 def _ray(view: View, anchor: int) -> tuple[list[Number], Number, tuple[Number, Number, Number]]:
-    """Return the vector from an anchor to the user, its horizontal length and :func:`direction`."""
+    """Return the vector from anchor to user, its horizontal length, and its :func:`direction`."""
     step = [view.x[i] - view.site.anchors[anchor][i] for i in range(3)]
     flat = sqrt(step[0] * step[0] + step[1] * step[1])
     return step, flat, direction(step)

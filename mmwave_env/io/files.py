@@ -26,7 +26,7 @@ def _named(error: OSError, path: Path) -> OSError:
 
 @contextmanager
 def naming(path: Path, temporary: Path | None = None) -> Iterator[None]:
-    """Add the name of a file to OS errors that do not name one, such as a full disk.
+    """Add the name of a file to OS errors that name no file, such as the error of a full disk.
 
     Errors of the ``temporary`` file are also reported with the name of ``path``.
     """
@@ -39,7 +39,7 @@ def naming(path: Path, temporary: Path | None = None) -> Iterator[None]:
 
 
 def first_line(error: Exception) -> str:
-    """Return the first line of an error's message; for a KeyError, the missing key."""
+    """Return the first line of an error's message; for a KeyError, a line about the key."""
     if isinstance(error, KeyError):
         return f"{error.args[0]}: found none"
     return str(error).partition("\n")[0] or type(error).__name__
@@ -49,7 +49,7 @@ def open_regular(path: Path, expected: str = "a file") -> BinaryIO:
     """Open a file to read its bytes; refuse a FIFO or a device, which may block or never end.
 
     Raises:
-        FileNotFoundError: there is no such file; the message calls it ``expected``.
+        FileNotFoundError: there is no such file; ``expected`` describes it in the message.
         OSError: the path is not a regular file, or can't be opened.
     """
     if path.is_dir():

@@ -77,7 +77,7 @@ class MissingExtraError(ImportError, ValueError):
 
 
 def require_extra(package: str, extra: str, user: str) -> None:
-    """Refuse to start work if a package is missing; ``user`` names what needs the package.
+    """Refuse to start work if a package is missing; ``user`` is the feature that needs it.
 
     Raises:
         MissingExtraError: the package is not installed; the message says how to get it.

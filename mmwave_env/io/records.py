@@ -173,8 +173,8 @@ def require(name: str, value: Any, hint: Any, of: str = "") -> None:
 def object_from(kind: type[T], content: Any, where: str = "") -> T:
     """Return a dataclass made from an object of a JSON file.
 
-    In it, lists become tuples, and inner objects become dataclasses, too. ``where`` is a prefix for
-    messages, which says where the object is in the file, such as "walls[1].".
+    Inner lists become tuples, and inner objects become dataclasses. ``where`` is a prefix for
+    messages that says where the object is in the file, such as "walls[1].".
 
     Raises:
         ValueError: a key is unknown or missing, or the dataclass refuses a value.

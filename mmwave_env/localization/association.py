@@ -2,11 +2,11 @@
 
 A separate filter follows the user (``path_tracker.py``) and predicts the user's state in every
 epoch. Given this state, the method of the global nearest neighbor assigns the paths to anchors.
-The result is an ordinary log, so all code that localizes a log can localize it.
+The result is an ordinary log, which can be localized like any other log.
 
-A track begins from a path that is assumed to be the line of sight, if the track then explains
-enough paths of the coming epochs, that is, assigns them to anchors. A track ends after a long gap,
-or when a new track that explains clearly more paths replaces it.
+A path that may be the line of sight begins a track if this track would explain (assign to anchors)
+enough paths of the coming epochs. A track ends after a long gap, or when a new track that explains
+clearly more paths replaces it.
 """
 
 from collections.abc import Iterable, Iterator
@@ -28,7 +28,7 @@ LOOK_AHEAD = 10  # number of epochs in which a line-of-sight hypothesis is teste
 
 
 class Association:
-    """Counts of the paths of a log: associated, false and missed ones.
+    """Counts of the associated, false and missed paths of a log.
 
     While a track exists, each path that is assigned to no anchor counts as a false path, and each
     anchor without a path in an epoch counts as a missed path.
@@ -40,7 +40,7 @@ class Association:
         self._associated, self._missed = np.zeros((2, anchors), np.int64)
 
     def add(self, paths: PathEpoch, labels: Index | None, begins: bool) -> None:
-        """Add an epoch; ``labels`` are those of its :class:`PathTrack`, or None without a track."""
+        """Add an epoch with the ``labels`` of its :class:`PathTrack`; None if there is no track."""
         self.epochs += 1
         self.starts += begins
         self._paths += len(paths.snr_db)
@@ -109,7 +109,7 @@ def _labelled(
         except ArithmeticError as error:
             raise LogError(
                 f"log, time {paths.time_s} s: found a user straight above or below an anchor, or "
-                "too far away to compute with; expected measurements that a receiver can make"
+                "too far away for the computation, expected measurements that a receiver can make"
             ) from error
         track = rival or track
         tally.add(paths, track and track.labels, rival is not None)
@@ -135,7 +135,7 @@ def _block(paths: PathEpoch, epoch: Epoch, begins: bool) -> LogBlock:
 
 
 def _windows(epochs: Iterable[PathEpoch], size: int) -> Iterator[list[PathEpoch]]:
-    """Yield, for each epoch, a list of ``size`` epochs that begins with it; fewer at the end."""
+    """Yield, for each epoch, a list that begins with it: ``size`` epochs, or fewer at the end."""
     held: list[PathEpoch] = []
     try:
         for epoch in epochs:

@@ -22,12 +22,12 @@ NIS_LIMITS = (0.2, 5.0)  # per degree of freedom
 SNR_LIMITS_DB = (-60.0, 90.0)
 REJECTED_LIMIT = 1.0 / 3.0
 _ENOUGH = 20  # minimum number of epochs for a conclusion
-_ENOUGH_IF_BLOCKED = 100  # the same for a conclusion that a blockage of a few seconds may distort
+_ENOUGH_IF_BLOCKED = 100  # minimum number if a blockage of a few seconds may distort a conclusion
 _WINDOW_S = 30.0  # the oscillator's offset hardly changes over this time
 _MOST_APART_S = 3.0  # longest gap over which the Doppler shift is integrated
-_SLOPE_LIMITS = (0.5, 1.5)  # growth of the range, m, where the Doppler shift predicts 1 m
-# Minimum distance of a wrong slope from 1, in standard errors. It is large, because the standard
-# errors assume that ranges have independent errors, but errors of a blocked link correlate.
+_SLOPE_LIMITS = (0.5, 1.5)  # limits of the range's growth (m) if the Doppler shift predicts 1 m
+# A slope is wrong only if it differs from 1 by more than this many standard errors. The number is
+# large: standard errors assume independent range errors, but a blocked link's errors correlate.
 _SURE = 10.0
 
 
@@ -48,8 +48,8 @@ def contradictions(
     """Return all contradictions between a log and its scene, its radio or physical limits.
 
     ``block`` is the beginning of the log. ``groups`` maps the name of each group of measurements to
-    its statistics: ``seen`` (number of epochs with the group), ``rejected_share`` (of these epochs)
-    and ``nis_per_dof``, as :meth:`~mmwave_env.localization.track_scores.Groups.figures` returns.
+    its statistics: ``seen`` (number of epochs with it), ``rejected_share`` (fraction of these
+    epochs in which a gate rejected it) and ``nis_per_dof``. ``track_scores.Groups`` computes them.
     """
     return [*impossible(block), *_oddities(block, scene, radio), *_misfits(groups)]
 
@@ -62,7 +62,7 @@ def _misfits(groups: Mapping[str, Mapping[str, Any]]) -> Iterator[Contradiction]
         nis, share = group["nis_per_dof"], group["rejected_share"]
         low, high = NIS_LIMITS
         # With large process noise, a filter predicts Doppler shift and odometry far better than its
-        # covariance says. Even in correct logs, both NIS are often a tenth of the expected value.
+        # covariance says. Even in correct logs, their NIS is often a tenth of the expected value.
         if not name.startswith("anchor"):
             low = 0.0
         if nis is not None and not low <= nis <= high:
@@ -73,7 +73,7 @@ def _misfits(groups: Mapping[str, Mapping[str, Any]]) -> Iterator[Contradiction]
 
 
 def impossible(block: LogBlock) -> Iterator[Contradiction]:
-    """Yield the time steps, ranges and angles that no receiver can have measured."""
+    """Yield a contradiction for time steps, ranges and angles that no receiver can measure."""
     step = float(np.median(np.diff(block.time_s))) if len(block) > 1 else 0.0
     if step > GAP_S:
         yield Contradiction(
@@ -98,7 +98,7 @@ def impossible(block: LogBlock) -> Iterator[Contradiction]:
 
 
 def _oddities(block: LogBlock, scene: Scene, radio: Radio) -> Iterator[Contradiction]:
-    """Yield what is possible but rare: odd SNRs or Doppler shifts, or a user above anchor 1."""
+    """Yield a contradiction for values that are possible but unlikely, such as odd SNRs."""
     low, high = SNR_LIMITS_DB
     for anchor in range(block.layout.anchors):
         snr = block.snr_db[np.isfinite(block.snr_db[:, anchor]), anchor]
@@ -111,21 +111,21 @@ def _oddities(block: LogBlock, scene: Scene, radio: Radio) -> Iterator[Contradic
         if above > 0.5 + 1.5 / np.sqrt(direct.sum()):  # half plus three standard errors
             yield Contradiction(
                 "anchor 1",
-                f"the user above it in {100.0 * above:.0f} % of epochs",
-                "the user below it: a negative elevation",
+                f"a user above this anchor in {100.0 * above:.0f} % of epochs",
+                "a user below this anchor (with negative elevations)",
             )
     slope, error = _range_per_doppler(block, scene, radio)
     if not _SLOPE_LIMITS[0] <= slope <= _SLOPE_LIMITS[1] and abs(slope - 1.0) > _SURE * error:
         value = f"a range that grows by {slope:.3g} m where the shift predicts 1 m"
-        yield Contradiction("Doppler", value, "1 m: are sign and unit right?")
+        yield Contradiction("Doppler", value, "1 m: are the sign and the unit right?")
 
 
 def _range_per_doppler(block: LogBlock, scene: Scene, radio: Radio) -> tuple[float, float]:
     """Return the slope of anchor 1's range over the distance that the Doppler shift predicts.
 
     Also return the slope's standard error. The slope is 1 if sign and unit of the shift are right;
-    the result is (1, inf) if epochs are too few or nothing moves. Ranges are regressed on the
-    integrated shift, a constant and time. The coefficient of time is the oscillator's offset in
+    the result is (1, inf) if epochs are too few or the user stands still. Ranges are regressed on a
+    constant, time and the integrated shift. The coefficient of time is the oscillator's offset in
     m/s, whose prior is in ``radio``. Each window of 30 s has its own constant and offset.
     """
     direct = block.visible[:, 0] & block.visible[:, block.layout.anchors]
@@ -147,7 +147,7 @@ def _range_per_doppler(block: LogBlock, scene: Scene, radio: Radio) -> tuple[flo
 
 
 def _windows(time_s: Array) -> Iterator[slice]:
-    """Yield windows of epochs at times (T,), as slices, with 4 epochs or more and no long gap."""
+    """Yield slices of the epochs at times (T,): windows of at least 4 epochs without a long gap."""
     if not len(time_s):
         return
     gap = np.diff(time_s, prepend=time_s[:1]) > _MOST_APART_S

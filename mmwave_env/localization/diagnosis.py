@@ -2,10 +2,10 @@
 
 A hypothesis says how to read the values in the file. For every hypothesis, the same filter
 without gates computes a track from the first epochs. A hypothesis makes the log consistent if
-:mod:`~mmwave_env.localization.contradictions` finds none with it; for example, the NIS per degree
-of freedom (dof) must be near 1. Consistent hypotheses are ranked by the likelihood of the values in
-the file, not of the converted values, because likelihoods in different units can't be compared. If
-no single mistake explains the log, pairs of mistakes are tried.
+:mod:`~mmwave_env.localization.contradictions` finds no contradiction; for example, the NIS per
+degree of freedom (dof) must be near 1. Consistent hypotheses are ranked by the likelihood of the
+values in the file, not of the converted values, because likelihoods in different units can't be
+compared. If no single mistake explains the log, pairs of mistakes are tried.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -51,7 +51,7 @@ _FACTORS = {  # mistake -> the factor that undoes it, and the unit that the colu
 }
 _SEARCHED_EPOCHS = 50  # number of epochs among which the track's first epoch is chosen
 _ADVANTAGE = 0.01  # bonus for the log as it is, added to its log-likelihood per epoch
-_OUTLIER_QUANTILE = 1e-6  # NIS is capped at the value that chi-square exceeds this rarely
+_OUTLIER_QUANTILE = 1e-6  # NIS is capped at the value that chi-square exceeds with this probability
 
 
 class Reading(NamedTuple):
@@ -97,7 +97,7 @@ def _values(block: LogBlock) -> Mask:
 def _scaled(parts: Sequence[int], factor: float, offset: float = 0.0) -> Hypothesis:
     """Return a hypothesis that scales some values of every link and adds an offset.
 
-    ``parts`` are the indices of these values; without any, the Doppler shift is scaled instead.
+    ``parts`` are the indices of these values. If there are none, the Doppler shift is changed.
     """
 
     def change(reading: Reading) -> Reading:
@@ -155,22 +155,22 @@ def hypotheses(scene: Scene, radio: Radio) -> dict[str, tuple[Hypothesis, str]]:
     zenith, nadir = (_scaled([_ELEVATION], sign, -sign * PI / 2.0) for sign in (-1.0, 1.0))
     swap, north = "exchange the columns of aoa_azimuth and", _scaled(_AZIMUTHS, -1.0, PI / 2.0)
     flipped = f"{swap} aod_azimuth, negate aoa_elevation"
-    clockwise = "write 90 degrees - aoa_azimuth and 90 degrees - aod_azimuth"
+    clockwise = "subtract aoa_azimuth and aod_azimuth from 90 degrees"
     mistakes: dict[str, tuple[Hypothesis, str]] = {
         "arrival and departure are exchanged": (ends, f"{swap} aod_azimuth"),
         "azimuth and elevation of arrival are exchanged": (vertical, f"{swap} aoa_elevation"),
         "elevation has the other sign": (turned, "negate aoa_elevation"),
         "arrival is measured at the user (downlink)": (lambda r: turned(ends(r)), flipped),
-        "elevation is a zenith angle": (zenith, "write 90 degrees - aoa_elevation"),
-        "elevation is a nadir angle": (nadir, "write aoa_elevation - 90 degrees"),
+        "elevation is a zenith angle": (zenith, "subtract aoa_elevation from 90 degrees"),
+        "elevation is a nadir angle": (nadir, "subtract 90 degrees from aoa_elevation"),
         "azimuths are clockwise from north": (north, clockwise),
-        "times are those of round trips": (_scaled([_RANGE], 0.5), "halve the time of flight"),
+        "times are round-trip times": (_scaled([_RANGE], 0.5), "halve the time of flight"),
         "Doppler shift has the other sign": (_scaled((), -1.0), "negate doppler"),
     }
     if scene.origin and (bearing := scene.origin.bearing_deg) != 90.0:
         compass = _scaled(_AZIMUTHS, -1.0, np.radians(bearing))
         east = _scaled(_AZIMUTHS, 1.0, np.radians(bearing - 90.0))
-        write = f"write {bearing:g} degrees - aoa_azimuth and {bearing:g} degrees - aod_azimuth"
+        write = f"subtract aoa_azimuth and aod_azimuth from {bearing:g} degrees"
         mistakes["azimuths are compass bearings"] = compass, write
         cure = f"add {bearing - 90.0:g} degrees to aoa_azimuth and to aod_azimuth"
         mistakes["azimuths are counterclockwise from east"] = east, cure
@@ -212,9 +212,9 @@ def _has_effect(reading: Reading, original: Reading) -> bool:
 def _start(block: LogBlock) -> int:
     """Return the index of the epoch at which the tracks begin.
 
-    It is the first epoch with a link of the base station. In a partial layout, where a position may
-    need several incomplete links, it is the epoch whose links have the most values, among the 50
-    epochs that begin with the first link.
+    This is the first epoch with a link of the base station. In a partial layout, where a position
+    may need several incomplete links, it is the epoch whose links have the most measured values,
+    among the 50 epochs from the first link on.
 
     Raises:
         ValueError: no epoch has a link of the base station, and the layout is not partial.
@@ -231,9 +231,9 @@ def _start(block: LogBlock) -> int:
 
 
 def diagnose(block: LogBlock, scene: Scene, radio: Radio, mode: Mode) -> list[Finding]:
-    """Test, on the first epochs of a log, which likely mistakes would explain it.
+    """Test which likely mistakes would explain the first epochs of a log.
 
-    The user states ``scene`` and ``radio``. The filter has the tuning and algorithm of ``mode``,
+    ``scene`` and ``radio`` may be wrong. The filter has the tuning and algorithm of ``mode``,
     but not its safeguards, such as gates. The block must come from
     :func:`~mmwave_env.logs.log.read_log` with ``limits=False`` and ``odometry=False``.
 
@@ -257,7 +257,7 @@ def diagnose(block: LogBlock, scene: Scene, radio: Radio, mode: Mode) -> list[Fi
         double = {
             f"{a}; {b}": single[b][0](undone[a])
             for a, b in permutations(effective, 2)
-            # a first position from partial links takes too long to compute for all pairs
+            # computing a first position from incomplete links takes too long for all pairs
             if not block.layout.partial or a.startswith(_OTHER_RADIO)
         }
         best = [f for f in _findings(double, mode) if not f.contradictions]
@@ -299,7 +299,7 @@ def _track(readings: dict[str, Reading], mode: Mode) -> Iterable[Finding]:
         try:
             episodes[name] = episode_from(readings[name].block, reading.scene, reading.radio)
         except ValueError as error:
-            yield Finding(name, {}, None, [Contradiction("track", f"none ({error})", "one")])
+            yield Finding(name, {}, None, [Contradiction("track", f"none ({error})", "a track")])
     if not episodes:
         return
     layout = next(iter(readings.values())).block.layout

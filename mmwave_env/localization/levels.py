@@ -2,14 +2,14 @@
 
 A protection level is a bound that an error exceeds with a stated probability, the risk. Errors
 exceed Gaussian levels (:mod:`mmwave_env.localization.position_errors`) with this probability only
-if the covariance is right. So a small network, trained by quantile regression, reads what a filter
-knows after an epoch, and returns the logarithm of a factor for the Gaussian level. A constant,
-which depends on the kind of filter, the risk and the direction, is added to this logarithm. The
+if the covariance is right. So each Gaussian level is multiplied by a factor. A small network,
+trained by quantile regression, computes the factor's logarithm from features of a filter's state. A
+constant for the kind of filter, the risk and the direction is added to this logarithm. The
 constants were computed by split conformal prediction on episodes that the training did not use (Y.
 Romano, R. Patterson and E. Candès, "Conformalized quantile regression", NeurIPS 2019; for epochs
 grouped in episodes: Y. Lee, R. F. Barber and R. Willett, "Distribution-free inference with
 hierarchical data", 2023). docs/errors.md says what levels guarantee. experiments/training/levels.py
-trains networks.
+trains the network.
 """
 
 from base64 import b64decode, b64encode
@@ -56,13 +56,13 @@ class Network(NamedTuple):
 
     @classmethod
     def of(cls, content: Mapping[str, Any]) -> "Network":
-        """Return the network from the content of a file."""
+        """Return the network that is stored in a file, given the file's content."""
         low, high, *flat = (_numbers(text) for text in content["tensors"])
         layers = [(w.reshape(len(b), -1), b) for w, b in zip(flat[::2], flat[1::2], strict=True)]
         return cls(content["risks"], np.array(content["constants"]), low, high, layers)
 
     def as_written(self) -> dict[str, Any]:
-        """Return the content of a file with the network."""
+        """Return the content of a file that stores the network."""
         tensors = self.low, self.high, *chain(*self.layers)
         texts = [b64encode(tensor.astype("<f4").tobytes()).decode() for tensor in tensors]
         return {"risks": self.risks, "constants": self.constants.tolist(), "tensors": texts}
@@ -84,7 +84,7 @@ def _numbers(text: str) -> Array:
 
 @cache
 def shipped() -> Network:
-    """Return the network of the package."""
+    """Return the network that is shipped with the package."""
     path = Path(str(files("policies").joinpath("data", "levels.json")))
     return read_json(path, "a calibration of levels", Network.of)
 
@@ -113,8 +113,8 @@ class Levels:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past, because new tracks begin."""
-        self._means: Array | None = None  # (n, 3, numbers) running means
+        """Forget the current tracks; the next epoch begins new tracks."""
+        self._means: Array | None = None  # (n, weights, quantities) running means
         self._x = np.empty(0)  # (n, 1, 7 or 8) states after the last epoch
         self._first_s = self._last_s = 0.0
 
@@ -133,8 +133,8 @@ class Levels:
             mixes: whether the beliefs come from a bank of interacting modes.
             time_s: (T,) times of the epochs.
             parts: means x (n, T, 7 or 8); packed covariances P (n, T, 28 or 36); NIS, acceptance
-                and rejection (0 or 1) of each group, as three arrays (n, T, groups); optionally,
-                the trust in a corrector (n, T), which is NaN without a corrector.
+                and rejection (0 or 1) of each group of measurements, as three arrays (n, T,
+                groups); optionally, factors (n, T) that scaled a policy's corrections, or NaN.
         """
         x, P, nis, accepted, rejected, trusted = (*parts, None)[:6]
         if self._means is None:
@@ -162,7 +162,7 @@ class Levels:
 
 
 def _gates(anchors: int, nis: Any, accepted: Any, rejected: Any) -> list[Array]:
-    """Return eight arrays (n, T) about innovations and gates, for any number of anchors."""
+    """Return eight features (n, T) of innovations and gates, whatever the number of anchors."""
     measured = accepted + rejected
     links, nis = measured[..., :anchors].sum(axis=-1), nis * measured
     return [
@@ -188,13 +188,13 @@ def _sizes(P: Array) -> list[Array]:
 
 
 def _relative(moved: Array, sizes: Sequence[Array]) -> list[Array]:
-    """Return log(1 + 10 length / level) of vectors (..., 3), in x-y and in z, given log(level)."""
+    """Return log(1 + 10 length / level) in x-y and in z, given vectors (..., 3) and log(level)."""
     lengths = horizontal(moved), np.abs(moved[..., 2])
     return [np.log1p(10.0 * a * np.exp(-b)) for a, b in zip(lengths, sizes, strict=True)]
 
 
 def _shape(x: Array, P: Array) -> list[Array]:
-    """Return four arrays (n, T) about the position's error ellipse and about the velocity."""
+    """Return four features (n, T) of the position's error ellipse and of the velocity."""
     xx, xy, yy, vx, vy = P[..., 0], P[..., 1], P[..., 2], x[..., 3], x[..., 4]
     mean, square = np.maximum(0.5 * (xx + yy), _LEAST), vx * vx + vy * vy
     along = vx * vx * xx + 2.0 * vx * vy * xy + vy * vy * yy

@@ -55,7 +55,7 @@ class TrackBlock(LogBlock):
     """
 
     planar: bool  # whether z and vz are known exactly
-    # x, P: mean (T, 7), packed covariance (T, 28) after each epoch; with a clock (T, 8), (T, 36)
+    # x, P: means (T, 7), packed covariances (T, 28); (T, 8), (T, 36) if the clock has an offset
     x: Array
     P: Array
     # (T, values) input of the smoother: x, P, then the predicted belief or (IMM) the mixture
@@ -82,8 +82,8 @@ class Switching:
         modes: one or several modes, of which one runs at a time; or a bank, whose modes interact.
         rule: function that chooses a mode in every epoch;
             :class:`~mmwave_env.engines.track_engine.Tracker` describes it.
-        policy: function that makes a policy, given the table of features that it will observe. The
-            policy chooses the mode to run or, with a bank, the mode to trust.
+        policy: function that makes a policy, given the table of features that the policy observes.
+            The policy chooses the mode to run or, in a bank, the mode whose probability is raised.
         observation: kind of observation that the policy reads: "full", "prior" or "signed".
 
     Raises:
@@ -97,7 +97,7 @@ class Switching:
 
     def __post_init__(self) -> None:
         if self.rule and (self.bank or self.policy):
-            raise ValueError("rule: cannot be combined with a bank or a policy, which replace it")
+            raise ValueError("rule: found a rule with a bank or a policy, expected None")
 
     @property
     def bank(self) -> Bank | None:
@@ -117,7 +117,7 @@ class Switching:
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Return names of the parts of the state to keep; the last ones are for the smoother."""
+        """Return the names of the state's parts that the results and the smoother need."""
         return (*_FILTERED, "mixture") if self.bank else (*_FILTERED, *_PREDICTED)
 
     def pipeline(self, layout: Layout, planar: bool) -> Pipeline:
@@ -167,7 +167,7 @@ def localize(
         switching: the modes, and the rule or policy that chooses between them.
         window: number of epochs that are smoothed together; None for no smoothing.
         height_m: height of flat terrain, if it is known (paper, Sec. II-A).
-        levels: protection levels; None for Gaussian ones.
+        levels: protection levels; None for Gaussian levels.
         two_way: network that corrects the smoothed track, if any. ``switching`` needs a bank with
             modes of the same names as in its training, and the height must not be given.
 
@@ -223,8 +223,8 @@ def _filtered(
             yield whole.part(slice(end))
         if end < len(block):
             raise LogError(
-                f"log, time {block.time_s[end]} s: found NaN or infinity in the estimate, "
-                "expected measurements that a receiver can make"
+                f"log, time {block.time_s[end]} s: found measurements that cause NaN or infinity "
+                "in the estimate, expected measurements that a receiver can make"
             )
 
 
@@ -241,8 +241,8 @@ def episode_from(block: LogBlock, scene: Scene, radio: Radio, begins: bool = Tru
     prior, visible = (np.zeros(n), np.eye(n)), block.visible
     if begins:
         fix = first_fix(block, 0, scene, radio)
-        if fix is None:  # segments() lets every segment begin with a first fix
-            raise ValueError("log: found a first epoch that determines no position, expected one")
+        if fix is None:  # segments() begins every segment with a position
+            raise ValueError("log: found no position in the first epoch, expected a position")
         prior, visible = fix.prior, visible.copy()
         visible[0] &= ~fix.used
     return Episode.measured(
@@ -326,7 +326,7 @@ def smoothed(
 ) -> tuple[Array, Array]:
     """Return smoothed means (N, T, 7 or 8) and packed covariances (N, T, 28 or 36) of N windows.
 
-    ``filtered`` (N, T, values) holds rows of :func:`filtered_of`. ``time_s`` and the Doppler
+    ``filtered`` (N, T, values) comes from :func:`filtered_of`. ``time_s`` and the Doppler
     spreads ``spread_hz`` are (N, T).
     """
     n = layout.state_size

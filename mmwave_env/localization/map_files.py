@@ -25,14 +25,14 @@ from mmwave_env.numerics.numbers import Array
 ELLIPSE_SHARE = 0.95
 _ELLIPSE_NIS = -2.0 * np.log(1.0 - ELLIPSE_SHARE)  # chi-square quantile, 2 degrees of freedom
 Write = Callable[[TrackBlock], None]
-_CORNERS = 32  # number of corners of the polygon that stands for an ellipse
+_CORNERS = 32  # number of corners of the polygon that approximates an ellipse
 _ELLIPSES_APART_S = 1.0  # minimum time between ellipses; one per epoch would make files too large
 _GEOJSON = '{"type": "FeatureCollection", "features": ['
 _GPX = (
     '<?xml version="1.0" encoding="UTF-8"?>\n'
     '<gpx version="1.1" creator="mmwave-loc" xmlns="http://www.topografix.com/GPX/1/1">'
 )
-_UNIX_S = 1e8  # larger times (1973 or later) are written to GPX files, because they are Unix times
+_UNIX_S = 1e8  # larger times are Unix times (1973 or later) and are written to GPX files
 
 
 def geodetic(origin: Origin, points_m: Array) -> Array:
@@ -198,7 +198,7 @@ def map_file(path: Path, scene: Scene, name: str) -> Iterator[Write]:
     """Yield a function that writes the next block of a track; the finished file appears at the end.
 
     Args:
-        path: file to write; its ending is one of :data:`MAP_FILES`.
+        path: file to write; its ending is a key of :data:`MAP_FILES`.
         scene: scene with an origin.
         name: name of the track.
 

@@ -1,4 +1,4 @@
-"""Tracker that follows a user by means of propagation paths whose anchors are unknown.
+"""Tracker of users by propagation paths with unknown anchors (base station or mirror images).
 
 A track begins with the hypothesis that a certain path is the line of sight. This path determines a
 position, and the paths of the next epochs confirm or contradict the hypothesis. Tracks are
@@ -7,7 +7,7 @@ immutable values, so several hypotheses can be tried side by side.
 Paths are assigned to anchors by global nearest neighbor (Blackman and Popoli 1999, Sec. 6.4). Each
 path and each anchor is used at most once. A path may belong to an anchor only if the pair's NIS is
 below a limit, the gate. The assignment with the smallest sum of NIS is chosen; an anchor without a
-path adds the gate to this sum. The NIS is that of an EKF, linearized at the prediction.
+path adds the gate to this sum. An EKF, linearized at the prediction, computes the NIS.
 """
 
 from collections.abc import Iterator, Sequence
@@ -69,7 +69,7 @@ def disagreement(paths: Array, sigma: Array) -> Array:
     The NIS has 1 degree of freedom. The user's position is not needed, because the azimuths of
     arrival and departure measure the same bearing (paper, Sec. II-B).
     """
-    # For a user exactly in the direction of arrival, no residual is near pi, where it would wrap.
+    # The user is placed in the direction of arrival, so that this residual is 0 and can't wrap.
     user = [np.cos(paths[:, 1]), np.sin(paths[:, 1]), 1.0, *[0.0] * 4]
     group = link_group(user, [0.0] * 3, list(paths.T), list(np.square(sigma).T))
     return np.asarray(group.spare_nis)
@@ -92,7 +92,7 @@ class PathTrack(NamedTuple):
 
     @property
     def fitted(self) -> int:
-        """Return the number of paths that the track explains in this epoch."""
+        """Return the number of paths that the track explains (assigns to anchors) in this epoch."""
         return int((self.labels != NO_PATH).sum())
 
 
@@ -134,7 +134,7 @@ class PathTracker:
         return self._updated(track._replace(labels=labels, epoch=epoch), paths)
 
     def rival(self, track: PathTrack | None, window: Sequence[PathEpoch]) -> PathTrack | None:
-        """Return a track from the window's first epoch that explains more paths than ``track``.
+        """Return a track that begins in ``window[0]`` and explains more paths than ``track``.
 
         The result is None if there is no such track, or if a track that begins in a later epoch of
         the window explains even more paths. Without this second condition, a track might begin
@@ -157,7 +157,7 @@ class PathTracker:
     def _best(
         self, track: PathTrack | None, paths: PathEpoch, coming: Sequence[PathEpoch]
     ) -> tuple[PathTrack | None, int]:
-        """Return the track that begins in this epoch and explains most paths, and their number."""
+        """Return the best track that begins in this epoch, and how many paths it explains."""
         begun = ((new, self._fitted(new, coming)) for new in self._beginnings(track, paths))
         return max(begun, key=lambda pair: pair[1], default=(None, 0))
 
@@ -184,7 +184,7 @@ class PathTracker:
                 yield begun
 
     def _begin(self, paths: PathEpoch, links: _Links, path: int) -> PathTrack | None:
-        """Return a track with this path as line of sight; None if its user is behind a wall."""
+        """Return a track with this path as line of sight; None if a wall would block this path."""
         anchors, fix = self._scene.anchors_m, (links.z[0, path], links.sigma[0, path])
         mean, covariance = prior_from_fix(anchors[0], *fix, self._radio, self._scene)
         distance = np.linalg.norm(mean[:3] - anchors, axis=1)
@@ -225,7 +225,7 @@ class PathTracker:
         return Epoch(dt, z, sigma, visible, snr, paths.doppler_spread_hz)
 
     def _with_labels(self, epoch: Epoch, paths: PathEpoch, links: _Links, labels: Index) -> Epoch:
-        """Return the epoch with the values of each anchor's path as the link of that anchor."""
+        """Return the epoch in which the values of each assigned path are the link of its anchor."""
         layout = self._layout
         z, sigma, visible, snr = (list(part) for part in epoch[1:5])
         for anchor in np.flatnonzero(labels != NO_PATH).tolist():

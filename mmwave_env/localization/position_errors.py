@@ -2,7 +2,7 @@
 
 The horizontal error is the length of the error in x and y; the vertical error is the absolute value
 of the error in z. A share is the fraction of the epochs in which the error is at most a certain
-distance; the distances are those of 3GPP TS 22.261, Table 7.3.2.2-1, for positioning services.
+distance; 3GPP TS 22.261, Table 7.3.2.2-1, states these distances for positioning services.
 Covariances P are packed: they are lower triangles, row by row (:mod:`mmwave_env.numerics.linalg`).
 
 A protection level is a bound that an error exceeds with a stated probability, the risk, if the
@@ -16,7 +16,7 @@ Horizontally, let a >= b be the standard deviations along the axes of the error 
 and e = (a rho cos t, b rho sin t), where the density of rho and t is rho exp(-rho^2/2) / (2 pi).
 Then the level is the distance d with Pr(|e| > d) = r, where
 
-    Pr(|e| > d) = 1/(2 pi) int_0^(2 pi) exp(-d^2 / (2 (a^2 cos^2 t + b^2 sin^2 t))) dt,
+    Pr(|e| > d) = 1/(2 pi) int_0^(2 pi) exp(-d^2 / (2 (a^2 cos^2 t + b^2 sin^2 t))) dt.
 
 This is the exact quantile. The usual level, a sqrt(chi2^-1(1 - r; 2)), is an upper bound, which is
 exact only if a = b. (J. W. Craig, MILCOM 1991, has the integral for b = 0.)
@@ -30,7 +30,7 @@ import numpy as np
 from mmwave_env.metrics import RISK
 from mmwave_env.numerics.numbers import Array
 
-CONFIDENCE = 0.95  # confidence of the intervals of shares
+CONFIDENCE = 0.95  # confidence of the interval "ci95" of :func:`exceedance`
 _RATIOS = np.linspace(0.0, 1.0, 1025)  # values of b / a; between them, levels are interpolated
 _ANGLES = (np.arange(64) + 0.5) * (np.pi / 128)  # values of t; one quadrant represents all
 _HALVINGS = 60
@@ -81,8 +81,8 @@ def exceedance(error: Array, level: Array) -> dict[str, Any]:
     """Count how often errors (n,) exceed their levels (n,); "share" and "ci95" are None if n is 0.
 
     If an error or its level is NaN, the level counts as exceeded. "ci95" is the interval of Clopper
-    and Pearson (1934) with :data:`CONFIDENCE`, which assumes independent epochs. But epochs of a
-    track are correlated, so the share in another track may well lie outside the interval.
+    and Pearson (1934) for the share. It assumes independent epochs. But epochs of a track are
+    correlated, so the share in another track may well lie outside the interval.
     """
     from scipy.stats import binomtest
 
@@ -137,7 +137,7 @@ class PositionErrors:
         self._sizes_of = {"horizontal": horizontal}
         if not planar:
             self._sizes_of["vertical"] = vertical
-        # parts (2, n) of each kind: errors and levels, m
+        # for each kind, a list of arrays (2, n): errors and levels, m
         self._parts = {kind: [np.empty((2, 0))] for kind in self._sizes_of}
 
     def add(self, error: Array, P: Array, factors: Array | float = 1.0) -> None:

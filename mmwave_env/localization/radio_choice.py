@@ -1,4 +1,4 @@
-"""Default radio profile of a log: the shipped profile whose noise is nearest to the log's."""
+"""Default radio profile of a log: the shipped profile whose noise is most similar."""
 
 import numpy as np
 
@@ -14,13 +14,13 @@ _ROBUST = 1.4826 / np.sqrt(6.0)  # white noise: standard deviation / median |sec
 
 
 def nearest_radio(block: LogBlock, scene: Scene) -> str:
-    """Return the name of the shipped profile whose standard deviations are nearest to a log's.
+    """Return the name of the shipped profile whose standard deviations best match a log.
 
     The standard deviation of a measurement (such as the range) is the median of the values that the
-    receiver states. If it states none, the deviation is estimated from second differences in time,
-    in which steady motion cancels. For each profile, the log's deviations are divided by those of
-    the profile; the nearest profile has the smallest mean square of the logarithms of these ratios.
-    If no deviation can be computed, the result is "handset".
+    receiver states. If it states none, it is estimated from second differences in time, in which
+    steady motion cancels. Each profile's standard deviations are then compared with the log's by
+    their ratios: the best profile has the smallest mean square of the logarithms of these ratios.
+    If no standard deviation can be computed, the result is "handset".
     """
     measured = np.array([_deviation(block, row) for row in range(len(LINK))])
     snr = block.snr_db[np.isfinite(block.snr_db)]

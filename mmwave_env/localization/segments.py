@@ -1,7 +1,7 @@
 """Segments of a log, each tracked separately, and their first positions.
 
-A filter can predict over some seconds without a link. After half a minute it is often far from the
-user, with a covariance that is too small. So a segment ends after a long gap. The next segment
+A filter can predict for some seconds without a link. After half a minute, its estimate is often far
+from the user, and the covariance is too small. So a segment ends after a long gap. The next segment
 begins with the next epoch that determines a position, the first fix of the segment.
 
 A complete link of the base station gives this position directly. If the log lacks a column that a
@@ -24,12 +24,12 @@ from mmwave_env.models.radio import CLOCK_OFFSET_S, Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Mask
 
-# Standard deviations of the weak prior: of the height, whose mean is the height of the streets, and
-# of x and y, whose means are those of the anchors.
+# Standard deviations of the weak prior: of the height (its mean is the height of the streets), and
+# of x and y (their mean is the mean position of the anchors).
 HEIGHT_SIGMA_M, _FARTHEST_M = 2.0, 1e3
 _WORST_FIX_M = 50.0  # maximum horizontal standard deviation of a position to begin a track with
-_AMBIGUOUS = 12.0  # two solutions are credible if their normalized squared errors differ by less
-_UNKNOWN = [0, 1, 2, 7]  # indices in the state of the position and of a clock's range bias
+_AMBIGUOUS = 12.0  # minima are ambiguous if normalized squared errors differ by less than this
+_UNKNOWN = [0, 1, 2, 7]  # indices of the state's position and range bias
 # Searches start in 12 directions from every anchor, at three distances, and take at most 15 steps.
 _DIRECTIONS, _STARTS_M, _ROUNDS = 12, (10.0, 40.0, 160.0), 15
 
@@ -37,7 +37,7 @@ _DIRECTIONS, _STARTS_M, _ROUNDS = 12, (10.0, 40.0, 160.0), 15
 class Fix(NamedTuple):
     """A first position, from the links of one epoch."""
 
-    prior: tuple[Array, Array]  # mean (7,), covariance (7, 7) of the state; (8,), (8, 8) with clock
+    prior: tuple[Array, Array]  # mean (7,), covariance (7, 7); (8,), (8, 8) with a clock offset
     used: Mask  # (groups,) whether each group of measurements was used to compute the prior
 
 
@@ -87,7 +87,7 @@ def can_begin(block: LogBlock, epoch: int, scene: Scene, radio: Radio) -> bool:
 def _least_squares(row: LogBlock, sigma: Array, scene: Scene) -> tuple[Array, Array] | None:
     """Return the position (3,) and its covariance from all links of an epoch (T = 1), or None.
 
-    If the clock is not synchronized, its range bias is a fourth unknown; its prior is the filters'.
+    If the clock is not synchronized, its range bias is a fourth unknown, with the filters' prior.
     The search starts around every anchor, in all directions, because there may be several minima.
     The result is None if the best minimum is too uncertain, or if a minimum more than 4 standard
     deviations away from it fits the links about as well.
@@ -112,9 +112,9 @@ def _least_squares(row: LogBlock, sigma: Array, scene: Scene) -> tuple[Array, Ar
         e = np.array([value for link in links for value in link.innovation])
         H = np.array([[g[i] for i in unknown] for link in links for g in link.jacobian])
         w = 1.0 / np.array([value for link in links for value in link.variance])
-        disagreement = sum(float(link.spare_nis) for link in links)  # between a link's two azimuths
+        azimuth_nis = sum(float(link.spare_nis) for link in links)  # NIS of azimuth differences
         away = center - position
-        cost = float((w * e * e).sum() + (weight * away * away).sum()) + disagreement
+        cost = float((w * e * e).sum() + (weight * away * away).sum()) + azimuth_nis
         return cost, H.T @ (w * e) + weight * away, (H.T * w) @ H + np.diag(weight)
 
     descents = (_descend(normal, start) for start in _starts(anchors, center))
@@ -131,7 +131,7 @@ def _least_squares(row: LogBlock, sigma: Array, scene: Scene) -> tuple[Array, Ar
 
 
 def _state(unknown: Array) -> list[float]:
-    """Return the state of a user at rest, given its position and, with a clock, the range bias."""
+    """Return the state of a user at rest, given its position and possibly its range bias."""
     return [*unknown[:3].tolist(), *[0.0] * 4, *unknown[3:].tolist()]
 
 
@@ -148,7 +148,7 @@ def _starts(anchors: Array, center: Array) -> Iterator[Array]:
 def _descend(
     normal: Callable[[Array], tuple[float, Array, Array]], position: Array
 ) -> tuple[float, Array, Array]:
-    """Find the minimum near a start by Gauss-Newton: its squared error, position, information."""
+    """Find a minimum near a start by Gauss-Newton; return squared error, position, information."""
     cost, gradient, information = normal(position)
     for _ in range(_ROUNDS):
         step = np.linalg.solve(information, gradient)
@@ -214,8 +214,8 @@ def segments(blocks: Iterable[LogBlock], scene: Scene, radio: Radio) -> Iterator
         raise ValueError(
             f"log: found {skipped} epochs, none of which determines a position, expected one in "
             f"which anchor 1 has a range of at least {RANGE_LIMITS_M[0]:g} m, an SNR and all "
-            f"angles (elevation at most {np.degrees(STEEPEST_FIX_RAD):g} degrees); or, if the log "
-            "lacks these columns or the clock has an offset, links that have a unique solution"
+            f"angles (elevation at most {np.degrees(STEEPEST_FIX_RAD):g} degrees); if the log "
+            "lacks these columns or the clock has an offset, one whose links have a unique solution"
         )
     yield held
 
@@ -226,7 +226,7 @@ def _direct(block: LogBlock) -> bool:
 
 
 def _first_fix(block: LogBlock, scene: Scene, radio: Radio) -> int:
-    """Return the index of the first epoch to begin a track with, or the block's length if none."""
+    """Return the index of the first epoch with a fix, or the block's length if there is none."""
     links = 1 if _direct(block) else block.layout.anchors
     for epoch in np.flatnonzero(block.visible[:, :links].any(axis=1)):
         if can_begin(block, int(epoch), scene, radio):
@@ -235,9 +235,9 @@ def _first_fix(block: LogBlock, scene: Scene, radio: Radio) -> int:
 
 
 def _end(block: LogBlock, last_s: float, begins: bool) -> tuple[int, float | None]:
-    """Return how many epochs at the block's beginning are in the segment, and a time.
+    """Return how many epochs at the block's beginning are in the segment, and the last time.
 
-    The time is that of the last measurement, None if the segment ends within the block. ``begins``
+    This is the time of the last measurement; None if the segment ends within the block. ``begins``
     tells whether the segment begins with the block.
     """
     measured = block.visible[:, : block.layout.anchors].any(axis=1)

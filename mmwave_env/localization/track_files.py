@@ -37,8 +37,8 @@ def table_beside(track: Path) -> Path | None:
     """
     if track.suffix not in ENDINGS:
         raise ValueError(
-            f"out: found {track}, expected a name that ends with {', '.join(ENDINGS)}; the "
-            "standard deviations of a TUM file are written to a .csv file next to it"
+            f"out: found {track}, expected a name that ends with one of {', '.join(ENDINGS)}; "
+            "the standard deviations of a TUM file are written to a .csv file next to it"
         )
     return track.with_suffix(TABLE_ENDING) if track.suffix in TRACK_ENDINGS else None
 
@@ -58,7 +58,7 @@ def require_own_files(track: Path) -> None:
     headers |= {ending: kind.header for ending, kind in MAP_FILES.items()}
     table = table_beside(track)
     for path, problem in (
-        (track, "not a track of mmwave-loc localize and would be replaced by the new one"),
+        (track, "not a track of mmwave-loc localize and would be replaced by the new track"),
         (table, f"not a table of a track and would be replaced by the table of {track}"),
     ):
         if path is None or not path.is_file():
@@ -93,7 +93,7 @@ def track_files(
         modes: names of the modes.
         scene: the scene; files for maps need its origin.
         name: name of the track in files for maps.
-        corrected: whether a corrector runs; if so, tables have a column ``trusted``.
+        corrected: whether the policy corrects beliefs; if so, tables have a column ``trusted``.
         risk: risk of the protection levels in tables.
 
     Raises:
@@ -141,7 +141,7 @@ def _table_file(path: Path, modes: Sequence[str], corrected: bool, risk: float) 
 
         def write(block: TrackBlock) -> None:
             x = block.smooth_x
-            # Because of rounding, a variance that is known to be 0 may be negative.
+            # Because of rounding, a variance may be negative where its exact value is 0.
             sigma = np.sqrt(np.maximum(block.smooth_P[:, _VARIANCES], 0.0))
             numbers = np.column_stack(
                 [block.time_s, x[:, :3], sigma[:, :3], x[:, 3:6], sigma[:, 3:]]

@@ -17,7 +17,7 @@ from mmwave_env.metrics import RISK, Sums, nees_interval, running_summary
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array, Index
 
-FAR_NEES = 100.0  # a larger mean NEES means that the track is far from the truth
+FAR_NEES = 100.0  # a larger mean NEES means that the track is far from the true positions
 _ENOUGH = 100  # number of epochs that are used to estimate the time step
 
 
@@ -39,14 +39,14 @@ class TruthScores:
         self.errors = {name: PositionErrors(risk, planar) for name in names}
         self._axes: tuple[int, ...] = (0, 1) if planar else (0, 1, 2)
         self._pinned: tuple[int, ...] = VERTICAL if planar else ()
-        self._first_s = np.empty(0)  # the first times of the log, from which its step is estimated
+        self._first_s = np.empty(0)  # the log's first times, from which its time step is estimated
         self._between, self._away_s = 0, 0.0
         # for scored epochs: [time, segment] (n, 2); by track, [error x, y, z, NEES] (n, 4)
         self._times = [np.empty((0, 2))]
         self._scores = {name: [np.empty((0, 4))] for name in names}
 
     def add(self, block: TrackBlock) -> Array:
-        """Score a block; return true positions (T, 3), NaN where not known."""
+        """Score a block; return the true positions (T, 3), NaN where unknown."""
         truth, _, away = self.truth.at(block.time_s)
         known = np.flatnonzero(~np.isnan(truth[:, 0]))
         self._first_s = np.append(self._first_s, block.time_s)[:_ENOUGH]
@@ -74,7 +74,7 @@ class TruthScores:
             warnings.warn(
                 f"{self.truth.path}: found a mean NEES of {nees:.3g}, expected about "
                 f"{len(self._axes)}: is this file in m, in the scene's frame (x east, y north) and "
-                "from the same drive, and are the scene's anchors right? If so, the track is lost",
+                "from the same drive, and are the scene's anchors right? If so, the filter failed",
                 stacklevel=2,
             )
 
@@ -102,9 +102,9 @@ class TruthScores:
 def _pairs(time_s: Array, segment: Array, first_s: Array) -> tuple[Index, float | None]:
     """Pair scored epochs (n,) that are a second apart, or one time step if steps are longer.
 
-    Return the indices (pairs, 2) of the earlier and the later epoch, and the time between them, the
-    multiple of the time step nearest to a second; it is None if there are too few epochs. Epochs of
-    different segments are not paired. The time step is estimated from ``first_s``, the first times.
+    Return indices (pairs, 2) of the earlier and the later epochs, and the time (s) between them:
+    the multiple of the time step that is nearest to a second, or None if epochs are too few. Epochs
+    of different segments are not paired. The time step is estimated from the times ``first_s``.
     """
     if len(first_s) < 2 or not len(time_s):
         return np.empty((0, 2), np.int64), None
@@ -129,7 +129,7 @@ def _accuracy(
 
     Args:
         scores: (n, 4) errors, m, and NEES of the scored epochs.
-        pairs: (pairs, 2) indices of epochs that are a second apart.
+        pairs: (pairs, 2) indices of epochs, as :func:`_pairs` returns them.
         interval: interval of the NEES of a consistent filter.
     """
     error, nees, n = scores[:, :3], scores[:, 3], len(scores)
@@ -174,7 +174,7 @@ class Groups:
         self._sums = self._sums + sums if self._sums.size else sums
 
     def figures(self) -> dict[str, dict[str, float | None]]:
-        """Return the statistics under the names of the groups, and under "all"."""
+        """Return the statistics of each group under its name, and their totals under "all"."""
         columns = [*self._sums.T, self._sums.sum(axis=1)]
         return {
             name: {

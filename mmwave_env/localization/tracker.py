@@ -46,7 +46,7 @@ class Position(NamedTuple):
         geodetic: latitude and longitude (degrees) and height (m); None in a scene without origin.
         clock_m, clock_sigma_m: range bias of the user's clock and its standard deviation; None
             if clocks are synchronized.
-        trusted: factor, 0 to 1, by which the correction was scaled; None without a corrector.
+        trusted: factor, 0 to 1, that scaled the belief's correction; None without a correction.
         levels_m: horizontal and vertical protection level; None if they are not computed.
     """
 
@@ -78,13 +78,13 @@ class Tracker:
 
     Args:
         scene: scene whose anchors are measured: a name, a JSON file or a Scene.
-        policy: policy file, or name of a shipped policy, or a :class:`Switching` between modes.
+        policy: policy file, name of a shipped policy, or a :class:`Switching` between modes.
         radio: profile of the receiver.
         snr_db: SNR to assume for links without an SNR.
         height_m: height of flat terrain, if it is known.
         lag: number of epochs by which :meth:`smoothed` lags behind.
         clock: "synchronized", or "offset" if the offset of the user's clock is unknown.
-        levels: protection levels to compute; None for none.
+        levels: protection levels to compute; None to compute none.
     """
 
     def __init__(
@@ -125,8 +125,8 @@ class Tracker:
             long gap until the next such epoch.
 
         Raises:
-            LogError: a row is damaged or late. All rows of the call are ignored, so the caller may
-                repair the row and pass all of them again.
+            LogError: a row is damaged, or its time is not later than the previous epoch's. All rows
+                of the call are ignored, so the caller may repair the row and pass all rows again.
         """
         rows, position = list(rows), None
         if self._log is None:

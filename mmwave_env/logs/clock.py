@@ -66,8 +66,8 @@ class ClockOffset(NamedTuple):
         side, change = ("ahead of", "-") if self.seconds > 0.0 else ("behind", "+")
         size, deviation = (1e3 * abs(value) for value in (self.seconds, self.deviation_s))
         return (
-            f"found its clock {size:.0f} ± {deviation:.0f} ms {side} the log's, expected the same; "
-            f"nothing was changed: if this is real, shift its times by {change}{size / 1e3:.3f} s"
+            f"found its clock {size:.0f} ± {deviation:.0f} ms {side} the log's, expected no offset"
+            f"; nothing was changed; if it is real, shift its times by {change}{size / 1e3:.3f} s"
         )
 
 
@@ -136,8 +136,8 @@ def _linear(log: LogBlock, scene: Scene, truth: TrueEpochs) -> tuple[ClockOffset
     while log.time_s[-1] - log.time_s[0] >= _STRETCHES * stretch_s:
         stretch_s *= 2.0
     ends_at = np.flatnonzero(np.diff((log.time_s - log.time_s[0]) // stretch_s)) + 1
-    # Sums over the epochs of every stretch, for every row, of the products of any two of the terms
-    # 1, error, and the error's derivatives with respect to tau and s.
+    # For each stretch and row: sums over the epochs of the products of any two of these terms: 1,
+    # the error, and the derivatives of the error with respect to tau and s.
     sums = np.array([np.einsum("tri,trj->rij", part, part) for part in np.split(terms, ends_at)])
     sums = sums[sums[:, :, 0, 0].any(axis=1)]
     total, n = sums.sum(axis=0), len(sums)
@@ -156,7 +156,7 @@ def _fit(sums: Array) -> tuple[float, float] | None:
     ones = sums[:, 0]
     of_means = ones[:, :, None] * ones[:, None] / np.maximum(ones[:, :1, None], 1.0)
     centered = (sums - of_means).sum(axis=0)[1:, 1:]
-    # Subtract what s explains from the error and from the error's derivative with respect to tau.
+    # From the error, and from its derivative with respect to tau, subtract what s explains.
     by_shift = np.linalg.pinv(centered[2:, 2:], hermitian=True) @ centered[2:, :2]
     error, rate = np.vstack([np.eye(2), -by_shift]).T
     changes, errors = float(rate @ centered @ rate), float(error @ centered @ error)

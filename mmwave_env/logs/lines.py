@@ -14,7 +14,7 @@ _BLOCK_BYTES = 1 << 20
 
 
 class DamagedFileError(ValueError):
-    """Error for a file that is damaged from some row on; the rows before it are yielded first.
+    """Error for a file that is damaged from some row on; all rows before that are yielded first.
 
     Rows are counted from 1; ``unit`` is the word for a row in the message.
     """
@@ -78,7 +78,7 @@ def _read(file: Any) -> tuple[bytes, bool, str]:
 
 
 def number(word: str) -> float:
-    """Parse a number that numpy can read; return NaN for other words, also for 1_0 and ١."""
+    """Parse a number that numpy can read; return NaN for other words, such as 1_0 and ١."""
     try:
         return float(word) if word.isascii() and "_" not in word else math.nan
     except ValueError:

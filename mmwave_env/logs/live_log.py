@@ -184,7 +184,7 @@ class LiveLog:
         return cells
 
     def _sound_numbers(self, row: Mapping[str, Any]) -> list[float] | None:
-        """Return the cells of a row of surely sound numbers; None if it needs the full checks."""
+        """Return the cells of a row that is surely sound; None if the row needs the full checks."""
         cells = []
         for name, (low, high) in self._limits.items():
             value = row.get(name)

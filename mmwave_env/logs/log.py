@@ -45,7 +45,7 @@ class LogBlock(Block):
     :func:`~mmwave_env.localization.segments.segments` sets the fields that describe segments.
     """
 
-    layout: Layout  # which values a measurement has, in order, and their groups
+    layout: Layout  # a measurement's values, in order; groups are links, Doppler shift, odometry
     time_s: Array  # (T,) increasing, also across blocks
     measurement: Array  # (T, rows) m, rad, Hz, m/s; angles in [-pi, pi)
     sigma: Array  # (T, rows) the receiver's own standard deviations; NaN where it states none
@@ -65,7 +65,7 @@ class LogBlock(Block):
     share: float  # share of the file read so far, 0 to 1
     whole_columns: bool = True  # whether the log has a column for each value of a link
     segment: int = 0  # number, from 0, of the segment that contains all epochs of the block
-    begins: bool = False  # whether the segment begins here, with a first fix that gives its prior
+    begins: bool = False  # whether the segment begins here, with a prior from its first fix
     skipped: int = 0  # number of epochs of the log before the first segment
     # number of epochs dropped between segments so far, including those just after this block
     dropped: int = 0
@@ -127,7 +127,7 @@ def read_log(
 
     If the log is damaged, every complete epoch before the damaged row is yielded before the error.
     The last of these epochs is complete if the damaged row has a later time. It is also complete
-    if every anchor already has a row in it, and the damaged row's time is unreadable or another.
+    if every anchor has a row in it, and the damaged row has a different time or no readable time.
 
     Args:
         path: CSV (``.csv``, ``.csv.gz``) or Parquet (``.parquet``, needs the extra `data`).
@@ -135,8 +135,8 @@ def read_log(
         epochs_per_block: number of epochs in a block.
         odometry: False to ignore columns of odometry. Otherwise the blocks' layout has odometry
             if the log has it.
-        limits: False to accept values beyond physical limits, and not to wrap angles, for
-            a diagnosis.
+        limits: whether to refuse values beyond physical limits, and to wrap angles; False to
+            diagnose a log.
         partial: whether a link may lack some of its values, in some epochs or everywhere, and
             any anchor may have the Doppler shift.
         snr_db: SNR to assume for links without an SNR.

@@ -51,13 +51,13 @@ class _Check(NamedTuple):
     quantity: str
     wrong: Mask  # (n,) whether each row fails
     expected: str
-    words: Callable[[int], str] | None = None  # says what was found in a row; None shows the cell
+    words: Callable[[int], str] | None = None  # says what was found; if None, the cell is shown
 
 
 def first_damage(
     log: LogFile, table: Table, anchors: int | None, limits: bool
 ) -> tuple[int, LogError | None]:
-    """Return the first damaged row's index and error; without one, the number of rows and None."""
+    """Return the first damaged row's index and error; if all are sound, the row count and None."""
     n = len(table)
     first, error = (n - 1, table.damage) if table.damage else (n, None)
     if not n:

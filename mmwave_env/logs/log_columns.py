@@ -14,7 +14,7 @@ from mmwave_env.numerics.numbers import Number
 
 
 class Unit(NamedTuple):
-    """A unit: its values * ``multiply`` / ``divide`` are values in SI units.
+    """A unit: a value in this unit, times ``multiply`` / ``divide``, is the value in SI units.
 
     A division by 1000 rounds correctly; a factor of 0.001 would not, as floats can't represent it.
     """
@@ -135,7 +135,7 @@ ODOMETRY_QUANTITIES = ("speed", "heading")
 SIGMA_OF = {quantity: f"{quantity}_sigma" for quantity in (*LINK_QUANTITIES, "doppler")}
 SIGMA_OF |= {STATION: "aoa_azimuth_sigma", BODY: "aod_azimuth_sigma"}
 ROW_QUANTITIES = (*LINK_QUANTITIES, "doppler")  # quantities that belong to an anchor
-HORIZONTAL = ("toa", "aoa_azimuth", STATION, "aod_azimuth", BODY)  # a log needs one or more
+HORIZONTAL = ("toa", "aoa_azimuth", STATION, "aod_azimuth", BODY)  # a log needs one or more of them
 _WHOLE = (*LINK_QUANTITIES, "snr")  # required unless links may lack values
 _OTHER_FRAMES = {  # angle -> the angle in another frame, and the quantity that is then required
     "aoa_azimuth": (STATION, STATION),
@@ -227,7 +227,7 @@ def _require(
 
 
 def _problem(name: str) -> str:
-    """Return a message: what is wrong with the unknown name of a column, and what may be meant."""
+    """Return the message about an unknown column name, with a suggestion if there is one."""
     # The longest match counts, so that doppler_spread_x is not taken for a Doppler shift.
     spelled = {**{quantity: quantity for quantity in QUANTITIES}, "range": "toa"}
     meant = [start for start in spelled if name == start or name.startswith(f"{start}_")]

@@ -34,7 +34,7 @@ class LogError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Base class for dataclasses of n rows or epochs: arrays (n, ...), and common values."""
+    """Base class of dataclasses of n rows or epochs: arrays (n, ...), and values common to all."""
 
     def arrays(self) -> dict[str, Array]:
         """Return the arrays by name."""
@@ -167,7 +167,7 @@ def _is_parquet(path: Path) -> bool:
 
 
 def _csv_names(path: Path) -> tuple[list[str], str]:
-    """Return the names of the columns and the delimiter: a comma, or else a semicolon."""
+    """Return the names of columns and the delimiter: a semicolon if the header has no comma."""
     try:
         lines, _ = next(line_blocks(path), ([], 0.0))
     except DamagedFileError as error:
@@ -272,7 +272,7 @@ def _open_parquet(path: Path) -> Any:
             path, buffer_size=1 << 20, pre_buffer=False, page_checksum_verification=True
         )
     except (OSError, pyarrow.ArrowException) as error:
-        raise LogError(f"{path}: found no readable Parquet ({error}), expected Parquet") from error
+        raise LogError(f"{path}: found unreadable data ({error}), expected Parquet") from error
 
 
 def _parquet_types(path: Path) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from mmwave_env.logs.tum import read_tum
 from mmwave_env.numerics.numbers import Array
 
 BRIDGED_S = 1.5  # longest gap that is interpolated: GPS gives a pose per second, sometimes late
-TOLERANCE_S = 0.01  # maximum time to a pose that is used as it is; the tool evo has the same limit
+TOLERANCE_S = 0.01  # maximum time to a pose used without interpolation, as in the tool evo
 
 
 class TrueEpochs(NamedTuple):
@@ -28,8 +28,8 @@ class Truth:
 
     Between two poses that are at most ``BRIDGED_S`` apart, the position is on the cubic Hermite
     spline through both. The spline's velocity at a pose is that of the parabola through this pose
-    and its neighbors. Next to a gap and at the ends, the position is that of a pose within
-    ``TOLERANCE_S``, or unknown if there is no such pose.
+    and its neighbors. In longer gaps and beyond the ends, the position is that of the nearest pose
+    if it is at most ``TOLERANCE_S`` away, else unknown.
 
     Raises:
         ValueError, OSError: as for :func:`~mmwave_env.logs.tum.read_tum`.

@@ -23,7 +23,7 @@ class Poses(NamedTuple):
 
 
 def tum_lines(time_s: Array, position_m: Array) -> str:
-    """Return lines of exact times (T,) and positions (T, 3), with the identity as orientation."""
+    """Return lines of times (T,) and positions (T, 3), all digits, with identity orientations."""
     rows = np.column_stack([time_s, position_m]).tolist()
     return "".join([f"{t!r} {x!r} {y!r} {z!r} 0 0 0 1\n" for t, x, y, z in rows])
 
@@ -38,7 +38,7 @@ def read_tum(path: Path) -> Poses:
     poses = (line for line in _lines(path) if not line.lstrip().startswith("#") and line.strip())
     first = next(poses, None)
     if first is None:
-        raise ValueError(f"{path}: found no line with a pose, expected {' '.join(COLUMNS)}")
+        raise ValueError(f"{path}: found no line with a pose, expected lines {' '.join(COLUMNS)}")
     try:
         rows = np.loadtxt(chain([first], poses), comments="#", ndmin=2, encoding=None)
     except ValueError as error:
@@ -72,4 +72,4 @@ def _damage(path: Path) -> ValueError:
         if time_s <= last_s:
             return ValueError(f"{place}, t: found {words[0]}, expected more than {last_s}")
         last_s = time_s
-    return ValueError(f"{path}: found text that numpy can't read, expected {' '.join(COLUMNS)}")
+    return ValueError(f"{path}: found unreadable text, expected lines {' '.join(COLUMNS)}")

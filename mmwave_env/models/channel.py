@@ -1,8 +1,8 @@
 """Effects of the channel on the links: shadowing, blockage, multipath and detection.
 
 Like the filters, the channel is written as functions of plain numbers, so that it can be compiled
-to simulate eight episodes at once on SIMD lanes. The functions draw no random numbers, but receive
-them as arguments. A :class:`ChannelState` is the state of the channel between two epochs.
+to simulate eight episodes at once on SIMD lanes. Only :func:`draw_channel` draws random numbers;
+the other functions receive them as arguments.
 """
 
 import math
@@ -49,12 +49,12 @@ class Channel(NamedTuple):
     # detection_snr_db, detection_slope_db: parameters of the logistic probability of detection
     detection_snr_db: Number
     detection_slope_db: Number
-    # floor_variance, bound_variance: (rows,) noise floors, and Cramer-Rao bounds at an SNR of 0 dB
+    # floor_variance, bound_variance: (rows,) variances: noise floors, Cramer-Rao bounds at 0 dB SNR
     floor_variance: list[Number]
     bound_variance: list[Number]
     spread_gain_hz: Number  # Doppler spread per m/s of speed
     spread_sigma: Number  # standard deviation of the logarithm of a random factor on this spread
-    spread_floor_hz: Number  # standard deviation of a noise whose absolute value is added
+    spread_floor_hz: Number  # standard deviation of a noise; its absolute value adds to the spread
     odometry_slowest_mps: Number  # below this speed odometry is missing
 
 
@@ -109,7 +109,7 @@ class SpellDraws(NamedTuple):
     """Random numbers for a link's spell in an epoch."""
 
     uniform: Number  # in [0, 1)
-    length: Number  # exponential with mean 1, for the range bias
+    excess: Number  # exponential with mean 1, for the range bias
     angles: list[Number]  # (3,) standard normals, for the angle biases
 
 
@@ -138,8 +138,8 @@ def draw_channel(dice: Dice, anchors: int) -> ChannelDraws:
 
     shadowing = each(dice.normal)
     uniforms, outage = [each(dice.uniform), each(dice.uniform)], dice.uniform()
-    lengths = [each(dice.exponential), each(dice.exponential)]
-    spells = zip(uniforms, lengths, [each(angles), each(angles)], strict=True)
+    excess = [each(dice.exponential), each(dice.exponential)]
+    spells = zip(uniforms, excess, [each(angles), each(angles)], strict=True)
     blockage, multipath = (list(map(SpellDraws, *drawn)) for drawn in spells)
     detection = each(dice.uniform)
     return ChannelDraws(
@@ -168,7 +168,7 @@ def _next_spell(
     was_on = where(is_first, 0.0, before.on)
     on = spell_goes_on(was_on, draws.uniform, onset, params.end)
     angles = [params.angle_rad * a for a in draws.angles]
-    drawn = [params.constant_m + params.mean_m * draws.length, *angles]
+    drawn = [params.constant_m + params.mean_m * draws.excess, *angles]
     lasts = was_on > 0.5
     return Spell(on, [where(lasts, old, new) for old, new in zip(before.bias, drawn, strict=True)])
 

@@ -8,8 +8,8 @@ Each *group* of rows (a link, the Doppler shift, the odometry) is gated separate
 present or missing as a whole, except in a *partial* layout, in which single rows may be missing,
 and in which the Doppler shift may belong to any anchor instead of anchor 1.
 
-With a *clock* that is not synchronized, the state has an eighth component, the range bias B: the
-offset of the user's clock times the speed of light. Every measured range contains B.
+If the user's *clock* has an unknown offset, the state has an eighth component, the range bias B:
+this offset times the speed of light. Every measured range contains B.
 """
 
 from collections.abc import Iterable, Sequence
@@ -25,7 +25,7 @@ from mmwave_env.numerics.numbers import PI, Number, Vector, where
 STATE = ("px", "py", "pz", "vx", "vy", "vz", "b")  # m, m/s, Hz
 STATE_SIZE = len(STATE)
 LINK = ("range_m", "aoa_azimuth_rad", "aoa_elevation_rad", "aod_azimuth_rad")
-# Names of what a receiver may measure: the four rows of every link, and the Doppler shift.
+# Quantities that a receiver may measure: the four rows of every link, and the Doppler shift.
 MEASUREMENTS = ("range", "azimuth", "elevation", "departure", "doppler")
 CLOCKS = {  # states of the user's clock
     "synchronized": "in step with the anchors' clocks",
@@ -53,12 +53,12 @@ class Layout:
 
     @property
     def state_size(self) -> int:
-        """Return the number of components of the state: 7, or 8 with a clock's range bias (m)."""
+        """Return the number of components of the state: 7, or 8 with a clock offset."""
         return STATE_SIZE + self.clock
 
     @property
     def triangle(self) -> int:
-        """Return the number of entries of the state's packed covariance: 28, or 36 with a clock."""
+        """Return the number of entries of the packed covariance: 28, or 36 with a clock offset."""
         return self.state_size * (self.state_size + 1) // 2
 
     @property
@@ -90,7 +90,7 @@ class Layout:
         return [rows.stop - rows.start for rows in self.groups]
 
     def degrees(self, measured: Vector) -> Sequence[Number]:
-        """Return the number of measured rows of each group, its degrees of freedom.
+        """Return the number of measured rows (degrees of freedom) of each group.
 
         Args:
             measured: (rows,) 1 where a row was measured; empty unless the layout is partial.
@@ -113,7 +113,7 @@ class Layout:
 
 
 def measurements_from(names: Sequence[str] | None) -> tuple[str, ...] | None:
-    """Return names of measurements in the order of :data:`MEASUREMENTS`; None, for all, stays None.
+    """Return the names in the order of :data:`MEASUREMENTS`; None, which selects all, stays None.
 
     Raises:
         ValueError: a name is unknown, or nothing measures the horizontal position.
@@ -177,7 +177,7 @@ def wrap_angles(measurement: NDArray[np.float64], layout: Layout) -> None:
 
 
 def wrapped(angles: Number) -> Number:
-    """Return angles of any size moved into [-pi, pi); angles within it keep their value."""
+    """Return angles of any size moved into [-pi, pi); angles in this interval keep their value."""
     moved = (angles + PI) % (2.0 * PI) - PI
     return where((angles >= -PI) & (angles < PI), angles, moved)
 
@@ -187,7 +187,7 @@ def whole_groups(
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return masks (T, groups): measured groups, and groups lost because a row or SNR is missing.
 
-    In a partial layout, a group is measured if at least one of its rows is, and none is lost.
+    In a partial layout, a group is measured if any of its rows is, and no group is ever lost.
 
     Args:
         measurement: (T, rows), NaN where not measured.

@@ -9,9 +9,9 @@ The paper prints the first term in m/s and adds b in hertz. Here, the factor f_c
 to hertz; its sign is the paper's (positive while the range grows). :mod:`mmwave_env.models.layout`
 says which quantity is in which row.
 
-A group of rows (a link, the Doppler shift or the odometry) is described by its value, its Jacobian
-and its exact change when the state changes by a finite step. Filters with sigma points need this
-change. It does not jump where angles wrap.
+A group of rows (a link, the Doppler shift or odometry) is described by its innovation, its Jacobian
+and the exact change of its values when the state changes by a finite step, which filters with sigma
+points need. This change does not jump where angles wrap.
 
 Straight below or above an anchor the azimuth is undefined, and at the anchor itself the elevation
 is undefined, too. Near these points, the gradient of the azimuth grows as 1 / (horizontal
@@ -76,12 +76,12 @@ class Group(NamedTuple):
     Attributes:
         innovation: (k,) z - h(x), angles wrapped.
         variance: (k,) noise variances.
-        jacobian: (k, 7) dh/dx, (k, 8) with a clock; constant zeros for components of the state on
-            which h does not depend.
+        jacobian: (k, 7) dh/dx, (k, 8) with a clock offset; constant zeros for components of the
+            state on which h does not depend.
         change: function that returns the exact h(x + step) - h(x) for a step of the state (7,).
-        curved: number of first columns of the covariance's factor along which h is nonlinear
+        curved: number of leading columns of the covariance's factor along which h is nonlinear
             (:func:`~mmwave_env.filters.linearization.factor_of`).
-        spare_nis, spare_determinant: NIS and variance of a row that :func:`link_group` drops.
+        spare_nis, spare_determinant: NIS and variance of a row, if :func:`link_group` drops one.
     """
 
     innovation: Vector
@@ -136,7 +136,7 @@ def _inverse(length: Number) -> Number:
 def exact_rows(
     position: Vector, velocity: Vector, anchors: Matrix, hz_per_mps: Number, layout: Layout
 ) -> list[Number]:
-    """Compute a user's measurement (rows,) in m, rad, Hz, m/s, without noise or a clock's biases.
+    """Compute a user's measurement (rows,) in m, rad, Hz, m/s, without noise and biases.
 
     Position and velocity are (3,), m and m/s; anchors (L, 3), m.
     """
@@ -163,8 +163,8 @@ def link_group(
     Fusing drops their difference, which has variance ra + rd and does not depend on the state.
     ``Sensor`` in :mod:`mmwave_env.filters.textbook` keeps all four rows.
 
-    The prior mean is (7,), the anchor (3,), m; z and variance are (4,), and ``measured`` (4,) is 1
-    where a row was measured, else 0; it is empty if all rows were measured.
+    ``x`` (7,) is the prior mean, and ``anchor`` (3,) the anchor's position, m. ``z`` and
+    ``variance`` are (4,). ``measured`` (4,) is 1 where a row was measured, else 0; () means all.
     """
     d = [x[i] - anchor[i] for i in range(3)]
     distance, azimuth, elevation = direction(d)
@@ -225,8 +225,8 @@ def link_group(
 def _only(group: Group, measured: Vector) -> Group:
     """Return a group whose rows (k,) carry information only if they were measured.
 
-    The other rows have innovation, gradient and change 0 and variance 1, so that they add nothing
-    to NIS, determinant and information.
+    The rows that were not measured get innovation, gradient and change 0, and variance 1, so that
+    they add nothing to NIS, determinant and information.
     """
 
     def change(step: Vector) -> list[Number]:
@@ -320,7 +320,7 @@ def groups_of(x: Vector, m: Measurement) -> list[Group]:
 
 
 class Epoch(NamedTuple):
-    """The input of an estimator in an epoch; missing groups contain any finite numbers."""
+    """The input of an estimator in an epoch; missing groups hold arbitrary finite numbers."""
 
     dt: Number  # seconds since the previous epoch; 0 in the first, for which the prior is given
     z: list[Number]  # (rows,) measured values: m, rad, Hz, m/s
@@ -338,8 +338,8 @@ class Site(NamedTuple):
 
     anchors: list[list[Number]]  # (L, 3) positions, m
     hz_per_mps: Number  # carrier frequency divided by the speed of light
-    prior_x: list[Number]  # (7,) mean at the first epoch; (8,) with a clock
-    prior_P: list[Number]  # (28,) its packed covariance (lower triangle); (36,) with a clock
+    prior_x: list[Number]  # (7,) mean at the first epoch; (8,) with a clock offset
+    prior_P: list[Number]  # (28,) packed covariance (lower triangle); (36,) with a clock offset
 
 
 def blank_site(layout: Layout) -> Site:

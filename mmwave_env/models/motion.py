@@ -10,17 +10,17 @@ STANDING_MPS = 0.2  # much below this speed a user has no direction in which to 
 # White noise of a user's clock, m / sqrt(s), besides the drift due to the oscillator's bias:
 # 0.01 m^2/s, as for a temperature-compensated crystal (Groves 2013, Sec. 9.4.2).
 CLOCK_SIGMA_M = 0.1
-_SHORTEST_S = 1e-9  # a speed is divided by the step, s, or by this if the step is shorter
+_SHORTEST_S = 1e-9  # shortest step by which a speed is divided
 _LEAST_RAD = 1e-9  # an arc of a smaller angle differs from a straight line only by rounding
 
 
 class ProcessNoise(NamedTuple):
     """The non-zero entries of the process noise covariance Q."""
 
-    # (7,) variances, m^2, (m/s)^2 and Hz^2; with a clock (8,), the last in m^2
+    # (7,) variances, m^2, (m/s)^2 and Hz^2; with a clock offset, (8,): its variance, m^2, is last
     diagonal: list[Number]
-    # (3,) covariances of position and velocity per axis, m^2/s; with a clock (4,), the last is the
-    # covariance of the clock's range bias and the oscillator's bias, m Hz
+    # (3,) covariances of position and velocity per axis, m^2/s; with a clock offset, (4,): the
+    # last is the covariance of the clock's range bias and the oscillator's bias, m Hz
     coupling: list[Number]
 
 
@@ -36,7 +36,7 @@ def white_noise_acceleration(
     in the step (discrete white-noise acceleration, Bar-Shalom et al. 2001, Sec. 6.3.2). On an axis,
     a velocity noise of variance q = ``velocity`` * dt then adds [[q dt^2 / 4, q dt / 2],
     [q dt / 2, q]] to Q, which is positive semidefinite for any variances. With ``coupling`` 0, Q is
-    the paper's diagonal matrix, which understates the growth of the position's variance in 1 s.
+    the paper's diagonal matrix, which understates the growth of the position's variance.
     """
     q = [v * dt for v in velocity]
     half = coupling * (0.5 * dt)
@@ -49,8 +49,8 @@ def with_clock(
 ) -> ProcessNoise:
     """Extend the process noise of a step ``dt``, s, to a state with the clock's range bias B.
 
-    One oscillator drives the carrier and the clock. So its bias b changes B at the rate
-    b / hz_per_mps, like a velocity. Within a step, the noise of b moves B in the same way as the
+    One oscillator drives the carrier and the clock. Its bias b changes B at the rate
+    b / hz_per_mps, as a velocity changes a position. Within a step, the noise of b moves B as the
     velocity noise moves the position in :func:`white_noise_acceleration`. The clock's own noise is
     added (Groves 2013, Sec. 9.4.2; Brown and Hwang 2012, Sec. 9.3).
     """
@@ -60,7 +60,7 @@ def with_clock(
 
 
 def move(x: Vector, dt: Number, hz_per_mps: Number | None = None) -> list[Number]:
-    """Return F x, the mean one step later; if x is (8,), with a clock, ``hz_per_mps`` is needed."""
+    """Return F x, the mean one step later; if x is (8,), ``hz_per_mps`` is needed."""
     moved = [x[i] + dt * x[i + 3] if i < 3 else x[i] for i in range(min(len(x), STATE_SIZE))]
     return moved + [bias + (dt / hz_per_mps) * x[6] for bias in x[STATE_SIZE:]]
 

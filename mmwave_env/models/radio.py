@@ -63,7 +63,7 @@ class Radio:
     """A radio profile.
 
     Sources: path loss of 3GPP TR 38.901, Table 7.4.1-1 (UMi, line of sight); Cramer-Rao bounds
-    of Kay 1993, Secs. 3.11 and 15.10. All other figures are this project's model.
+    of Kay 1993, Secs. 3.11 and 15.10. All other numbers are assumptions of this project.
 
     Attributes:
         name: name of the profile.
@@ -196,7 +196,7 @@ class Radio:
         return np.stack(rows, axis=1)
 
     def prior_covariance(self, scene: Scene, clock: bool = False) -> Array:
-        """Return the covariance P0 (7, 7) of the state at the first epoch, (8, 8) with a clock."""
+        """Return the prior covariance P0 (7, 7) of the first epoch; (8, 8) with a clock offset."""
         p, v = self.prior_position_m, self.prior_velocity_mps
         bias_hz = self.prior_bias_mps * scene.hz_per_mps
         deviations = [p, p, self.prior_height_m, v, v, self.prior_vertical_mps, bias_hz]

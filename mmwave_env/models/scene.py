@@ -179,7 +179,7 @@ class Scene:
 
     @property
     def streets_known(self) -> bool:
-        """Return whether the streets are known, which is not the case in recordings."""
+        """Return whether the scene has walls, or streets other than the default."""
         return bool(self.walls) or self.streets != Streets()
 
     def require_streets_in_front(self) -> None:
@@ -194,7 +194,7 @@ class Scene:
             )
 
     def behind_walls(self, points_m: Array) -> Iterator[tuple[int, Wall]]:
-        """Yield (first point's index, wall) for each wall with points (n, 3) in or behind it."""
+        """Yield (i, wall) for walls with points (n, 3) in or behind them; i is the first point."""
         for wall in self.walls:
             side = wall.signed_distance(self.base_station_m)
             behind = wall.signed_distance(points_m.T) * side <= 0.0
@@ -215,9 +215,9 @@ class Scene:
 
 
 SCENES: dict[str, Scene] = {
-    # Design of this project: gNB over a crossing, a facade to the north and one to the east.
+    # Design of this project: gNB beside a crossing, a facade to the north and one to the east.
     "street": Scene("street", (10.0, 10.0, 10.0), (Wall((0, 1), 25.0), Wall((1, 0), 185.0))),
-    # After DeepMIMO O1 (28 GHz): main street 600 x 40 m, facades 52 m apart, BS3, users at 2 m.
+    # After DeepMIMO O1 (28 GHz): main street 600 x 40 m, facades 52 m apart, base station BS3.
     # The building that closes the street to the north is this project's assumption.
     "o1": Scene(
         "o1",

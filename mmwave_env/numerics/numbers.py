@@ -33,7 +33,7 @@ def _is_float(a: Number) -> bool:
 
 
 def _function(name: str, module: Any = math) -> Callable[[Number], Number]:
-    """Return the function ``name``: numpy's for arrays, ``module``'s for floats, else a method."""
+    """Return a function that calls ``name`` of numpy (arrays), ``module`` (floats) or the lanes."""
     of_float, of_array = getattr(module, name), getattr(np, name)
 
     def function(a: Number) -> Number:
@@ -69,7 +69,7 @@ def cos_sin(angle: Number) -> tuple[Number, Number]:
 
 
 def where(condition: Any, a: Number, b: Number) -> Number:
-    """Return ``a`` where the condition is true, else ``b``; nothing else may branch on a value."""
+    """Return ``a`` where the condition is true, else ``b``."""
     if isinstance(condition, (bool, np.bool_)):
         return a if condition else b
     if isinstance(condition, np.ndarray):

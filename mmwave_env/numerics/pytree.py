@@ -1,7 +1,7 @@
 """Functions that flatten trees of numbers, such as the state of a track, or choose between them.
 
-A *tree* is a number, or a list or NamedTuple of trees. Its numbers are its leaves. A workspace, the
-array that SIMD code works on, has one row for each leaf, in order.
+A *tree* is a number, or a list or NamedTuple of trees. The numbers in a tree are its leaves. A
+workspace, the array that SIMD code works on, has one row for each leaf, in order.
 """
 
 import itertools

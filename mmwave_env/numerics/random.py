@@ -1,7 +1,7 @@
 """Random numbers, drawn by functions that run on floats and on SIMD lanes (eight environments).
 
-The generator is SFC64 (Chris Doty-Humphrey, PractRand), which needs only additions, shifts, a
-rotation and xor. numpy contains it, too. Its state is four 64-bit words, stored as the bits of four
+The generator is SFC64 (Chris Doty-Humphrey, PractRand), which numpy also has and which needs only
+additions, shifts, a rotation and xor. Its state is four 64-bit words, stored as the bits of four
 floats. On SIMD lanes, four vectors of eight floats store the states of eight environments.
 """
 
@@ -76,7 +76,7 @@ class Dice:
 
     def __init__(self, state: Vector) -> None:
         self._words = [word_of(number) for number in state]
-        self._spare: Number | None = None  # normal numbers are drawn in pairs: the second number
+        self._spare: Number | None = None  # second of a pair of normal numbers, drawn but not used
 
     @property
     def state(self) -> list[Number]:

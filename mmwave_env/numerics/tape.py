@@ -3,10 +3,10 @@
 These numbers hide their value, as lanes (SIMD numbers for eight environments) do. So a function
 that runs on them can also be compiled for lanes.
 
-A hash of the tape, the *fingerprint*, is the name under which a function's compiled code is stored.
-Two functions have the same name only if they apply the same operations to the same inputs and
-constants; then each can run the compiled code of the other. A function that was changed gets a new
-name, so old code is never run for it. Writing a tape takes a hundredth of the time of compiling.
+A function's compiled code is stored under a hash of the tape, the *fingerprint*. Two functions have
+the same fingerprint only if they apply the same operations to the same inputs and constants; then
+each can run the compiled code of the other. A function that was changed gets a new fingerprint, so
+old code is never run for it. Writing a tape takes a hundredth of the time of compiling.
 """
 
 from collections.abc import Callable, Sequence

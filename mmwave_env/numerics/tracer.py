@@ -3,7 +3,7 @@
 A function that runs on such numbers never asks for a value, so it can be compiled for SIMD lanes
 (numbers that stand for eight environments). An operation that needs a value is refused, and the
 message says what to write instead. Lanes hide their value, and so do the numbers of
-:mod:`mmwave_env.numerics.tape`, on which a function is tried before it is compiled.
+:mod:`mmwave_env.numerics.tape`, on which a function runs once before it is compiled.
 """
 
 from typing import Any, NoReturn

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.rendering.theme import SMALLEST, Color
 
-os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # pygame would print its greeting
+os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # else pygame prints a greeting
 import pygame
 
 Point = tuple[float, float]
@@ -35,7 +35,7 @@ class Canvas:
         self._words: list[tuple[Any, Point]] = []
 
     def clip(self, part: Rect | None) -> None:
-        """Draw the following shapes only inside a part of the picture; None for all of it."""
+        """Draw the following shapes only inside a part of the picture; None removes the limit."""
         self._large.set_clip(part and self._scaled(part))
 
     def fill(self, color: Color, part: Rect | None = None) -> None:
@@ -79,8 +79,8 @@ class Canvas:
     ) -> Rect:
         """Write one line of text, centered vertically at a point; return the part that it covers.
 
-        Pass text from users through :func:`~mmwave_env.io.lookup.printable`. ``align`` is the share
-        of the text's width that is left of the point.
+        Text from users must have passed :func:`~mmwave_env.io.lookup.printable`. ``align`` is the
+        fraction of the text's width that is left of the point.
         """
         drawn = _font(round(size * self._unit)).render(text, True, color)
         width, height = (length / self._unit for length in drawn.get_size())

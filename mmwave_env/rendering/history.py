@@ -11,7 +11,7 @@ from mmwave_env.models.scene import Streets
 from mmwave_env.numerics.numbers import Array, Index, Mask
 
 NO_MODE = -1  # replaces the mode's number for the prior, which no mode computed
-POSITION_NUMBERS = 6  # a packed covariance begins with the numbers of the position
+POSITION_NUMBERS = 6  # number of entries for the position, with which a packed covariance begins
 
 
 class Scenery(NamedTuple):
@@ -31,7 +31,7 @@ class History:
     time_s: Array  # (k + 1,) time since the first epoch
     modes: Index  # (k + 1,) number of the mode that ran; ``NO_MODE`` in the first row
     truth: Array  # (k + 1, 6) position (m), velocity (m/s)
-    estimate: Array  # (k + 1, 7 or more) position (m), velocity (m/s), bias (Hz); clock (m) if any
+    estimate: Array  # (k + 1, 7) position (m), velocity (m/s), bias (Hz); 8 with range bias (m)
     P: Array  # (k + 1, 6) covariance of the position (m^2), packed: xx, xy, yy, xz, yz, zz
     nees: Array  # (k + 1,) NEES; NaN in the first row
     # accepted, rejected: (k + 1, groups) decisions of the gate about the links, then the Doppler
@@ -61,9 +61,9 @@ class Recorder:
     """A recorder that copies epochs from an environment's workspace, an array of all its values.
 
     Args:
-        rows: slices of the workspace that contain ``anchors``, ``truth``, ``estimate``, ``P``
-            (packed), ``accepted`` and ``rejected``; indices of ``nees`` and of ``dt``, the seconds
-            until the next epoch.
+        rows: by name, the slices of the workspace that contain ``anchors``, ``truth``,
+            ``estimate``, ``P`` (packed), ``accepted`` and ``rejected``, and the indices of ``nees``
+            and ``dt`` (seconds until the next epoch).
         axes: number of position axes that NEES covers.
     """
 

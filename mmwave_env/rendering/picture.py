@@ -1,6 +1,6 @@
 """Picture of an episode from above, with the state of the filter; needs pygame.
 
-Strips (diagrams over time) show speed, error and NEES; a ribbon has the color of the mode that ran.
+Strips (diagrams over time) show speed, error and NEES; a ribbon shows the mode of each epoch.
 """
 
 import math

@@ -21,7 +21,7 @@ _LEAST_M = 25.0  # minimum distance from the center to the upper edge
 _INNER = 0.5  # central share of the picture's height and width; user and estimate stay in it
 _STREET_M = 14.0  # width of streets in the picture, if blocks leave enough room
 _FACADE_M = 4.0  # depth of a wall in the picture
-_SAME_HEIGHT_M = 0.1  # tolerance; an image in a vertical wall is as high as the base station
+_SAME_HEIGHT_M = 0.1  # tolerance: mirror images in vertical walls are as high as the base station
 _TRAIL = 1500  # maximum number of epochs of a trajectory that are drawn
 
 
@@ -165,7 +165,7 @@ def _draw_links(canvas: Canvas, view: View, history: History, theme: Theme) -> N
 
 
 def _draw_tracks(canvas: Canvas, view: View, history: History, theme: Theme) -> None:
-    """Draw the trajectories of user and estimate, and their positions."""
+    """Draw the trajectories and current positions of user and estimate, and the 2σ ellipse."""
     rows = slice(-_TRAIL, None)
     truth, track = (view.pixels(way[rows]) for way in (history.truth, history.estimate))
     color = theme.quiet if history.epochs == 0 else theme.mode(int(history.modes[-1]))
@@ -213,7 +213,7 @@ def _draw_scale(canvas: Canvas, view: View, theme: Theme) -> Rect:
 
 
 def _draw_anchors(canvas: Canvas, view: View, history: History, theme: Theme) -> None:
-    """Draw scale bar and anchors; an arrow and a distance stand for an anchor outside the map."""
+    """Draw scale bar and anchors; if an anchor is out of view, draw an arrow and its distance."""
     inner = view.frame.inflate(-14.0, -14.0)
     user, here = _point(view, history.truth[-1]), history.truth[-1, :3]
     around = 9.0

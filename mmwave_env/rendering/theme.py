@@ -1,8 +1,8 @@
 """Light and dark colors for videos; figures and reports use the same colors for modes.
 
 The colors of modes are those of Okabe and Ito (2008), which color-blind readers can distinguish.
-Consecutive modes differ clearly. Some colors are lighter or darker than the original ones, to
-contrast with the background.
+Consecutive colors differ clearly. Some are lighter or darker than the original colors, to contrast
+with the background.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from mmwave_env.io.lookup import choose, require_extra
 
 Color = tuple[int, ...]  # red, green and blue, 0 to 255
 
-# Name, light color, dark color. "quiet" is for explanations, "none" for the action of this name.
+# Name, light color, dark color. "quiet" is for explanations, "none" for the action "none".
 _COLORS = """\
     paper     ffffff 111318
     ink       222226 eeeeeb

@@ -20,7 +20,7 @@ _LAST_S = 2.0  # time for which a GIF shows its last picture, before it repeats
 
 
 def require_video(option: str, path: Path) -> None:
-    """Refuse, before any work, a file that could not be written; messages begin with ``option``.
+    """Refuse a file that can't be written, before work begins; messages begin with ``option``.
 
     Raises:
         ValueError: the name does not end with .gif or .mp4.
@@ -37,10 +37,10 @@ def require_video(option: str, path: Path) -> None:
 def write_video(
     path: Path, draw: Draw, numbers: Sequence[int], fps: int, report: Callable[[float], None]
 ) -> None:
-    """Write a complete video; if that fails, leave the file at ``path`` as it is, if any.
+    """Write a complete video; if that fails, an older file at ``path`` remains unchanged.
 
     ``draw`` returns the picture (height, width, 3) for one of the ``numbers``, and ``report``
-    receives the share of pictures that is done. Check the path with :func:`require_video` first.
+    receives the fraction of pictures drawn so far. Check the path with :func:`require_video` first.
     """
 
     def pictures() -> Iterator[NDArray[np.uint8]]:

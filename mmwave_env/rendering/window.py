@@ -44,7 +44,7 @@ def require_display(
 class Window:
     """A window that shows one picture after another, at a speed that the user changes with keys.
 
-    The title lists the keys. After the user closes the window, :meth:`show` returns at once.
+    The title lists the keys. After the user closes the window, :meth:`show` returns immediately.
     """
 
     def __init__(self, width: int, height: int) -> None:
@@ -55,7 +55,7 @@ class Window:
         self._name()
 
     def show(self, picture: NDArray[np.uint8]) -> None:
-        """Show a picture (height, width, 3) until the next is due; a pause ends with space or n."""
+        """Show a picture (height, width, 3) until the next is due; space or n ends a pause."""
         surface = pygame.image.frombuffer(picture.tobytes(), picture.shape[1::-1], "RGB")
         self._stepping = False
         while self._screen is not None:

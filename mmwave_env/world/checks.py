@@ -10,7 +10,7 @@ from mmwave_env.numerics.numbers import Array
 
 
 def refuse(record: str, field: str, value: object, expected: str) -> NoReturn:
-    """Raise a ValueError about a field of the ``record`` with a name such as "episode 'jam'"."""
+    """Raise a ValueError about a field of a record; ``record`` is a name like "episode 'jam'"."""
     raise ValueError(f"{field} of {record}: found {value}, expected {expected}")
 
 

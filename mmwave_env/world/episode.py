@@ -1,7 +1,7 @@
 """Episodes: arrays with the truth, the measurements and the noise of all epochs.
 
-No action of an agent changes these data. So they can be complete before the first step, whether
-they come from a simulation or from a recording.
+No action of an agent changes these data, so they can be complete before the first step. They are
+simulated or recorded.
 """
 
 from collections.abc import Iterator, Sequence
@@ -44,8 +44,8 @@ class Episode:
         visible: (T, groups) whether the group was measured.
         snr_db: (T, L) SNR of each link.
         doppler_spread_hz: (T,) measured Doppler spread; 0 where none was measured.
-        prior_mean: (7,) mean of the state at the first epoch; (8,) with a clock.
-        prior_covariance: (7, 7) positive definite covariance of the state; (8, 8) with a clock.
+        prior_mean: (7,) mean of the state at the first epoch; (8,) with a clock offset.
+        prior_covariance: (7, 7) positive definite covariance; (8, 8) with a clock offset.
         truth_position_m: (T, 3) true positions; None if unknown.
         truth_velocity_mps: (T, 3) true velocities; None if unknown.
         layout: which quantity is in which row, and which rows form a group.
@@ -202,7 +202,7 @@ class Episode:
             raise ValueError(f"{self._record}: found no truth, which reward and metrics need")
 
     def on_flat_ground(self, height_m: float | None = None) -> "Episode":
-        """Return the episode with vz = 0 and this height (None: the true one) in its prior mean."""
+        """Return the episode with prior vz = 0 and this prior height (None: the true height)."""
         if height_m is None:
             self.require_truth()
             height_m = self.truth_position_m[0, 2]  # type: ignore[index]
@@ -211,7 +211,7 @@ class Episode:
         return replace(self, prior_mean=mean)
 
     def only(self, measurements: Sequence[str]) -> "Episode":
-        """Return the episode in a partial layout, with only some measurements, such as "range"."""
+        """Return the episode with only these measurements, e.g. "range", in a partial layout."""
         layout = replace(self.layout, partial=True)
         rows = self._used & offered_rows(layout, measurements)
         measurement = np.where(rows, self.measurement, np.nan)

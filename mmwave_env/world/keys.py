@@ -2,7 +2,7 @@
 
 The seed of an environment determines its *stream*, a number of 64 bits. The generator SplitMix64
 (Steele, Lea and Flood 2014) starts at the stream, and its n-th output is the key of the n-th
-episode. A key is a function of stream and n, so many environments can draw their keys at once.
+episode. A key is a function of stream and n, so many keys can be computed together.
 """
 
 import operator
@@ -46,7 +46,7 @@ def draw_key(rng: np.random.Generator) -> int:
 
 
 def key_from(key: Any) -> int:
-    """Return a user's key as an int; refuse anything but an integer from 0 to 2**64 - 1."""
+    """Return an episode's key as an int; refuse anything but an integer from 0 to 2**64 - 1."""
     try:
         number = operator.index(key)
     except TypeError:
@@ -57,7 +57,7 @@ def key_from(key: Any) -> int:
 
 
 def keys_from(keys: Any, n: int) -> Keys:
-    """Return the keys (n,) that a user passed, one for each environment; see :func:`key_from`."""
+    """Return the keys (n,) of n environments; refuse wrong keys as :func:`key_from` does."""
     numbers = np.atleast_1d(np.asarray(keys, object))
     if numbers.shape != (n,):
         raise ValueError(
@@ -75,7 +75,7 @@ def option_of(options: Any, name: str) -> Any:
 
 
 class Stream:
-    """The position of one environment in its stream of keys; the seed determines the stream."""
+    """The stream of one environment, and the number of keys drawn from it."""
 
     def __init__(self) -> None:
         self._state = np.zeros(2, np.uint64)  # stream, and number of keys drawn from it
@@ -83,7 +83,7 @@ class Stream:
 
     def next(self, rng: np.random.Generator, seed: int) -> int:
         """Return the next episode's key, given the environment's current generator and seed."""
-        if rng is not self._from:  # seeded anew, or replaced by a user (the seed is then -1)
+        if rng is not self._from:  # it was seeded, or replaced (the seed is then -1)
             self._from = rng
             self._state[:] = draw_key(rng) if seed == -1 else stream_of(seed), 0
         (key,) = keys_at(*self._state)
@@ -92,7 +92,7 @@ class Stream:
 
 
 class Streams:
-    """The positions of n environments in their streams of keys; unseeded streams are random."""
+    """The streams of n environments (random until seeded), and the numbers of keys drawn."""
 
     def __init__(self, n: int) -> None:
         self._states = np.zeros((n, 2), np.uint64)  # streams, and number of keys drawn from each

@@ -1,8 +1,8 @@
 """Motion of users along streets, written so that SIMD lanes can move eight users at once.
 
-A traveler speeds up and brakes within limits of acceleration, braking and jerk, to reach its
-target speed and to slow down for corners and red lights. Each substep takes about 0.1 s. Between
-substeps, :mod:`mmwave_env.world.travel` draws events: new target speeds, crossings and phases.
+A traveler (a moving user) speeds up to its target speed, and brakes for corners and red lights,
+within limits of acceleration, braking and jerk. Each substep takes about 0.1 s. Between substeps,
+:mod:`mmwave_env.world.travel` draws events: new target speeds, crossings and phases.
 """
 
 from typing import NamedTuple
@@ -30,7 +30,7 @@ class Traveler(NamedTuple):
     """The state of a traveler.
 
     The way ahead is a straight stretch, then an arc over the next crossing (no arc if the traveler
-    goes straight on). The second crossing follows this one; travelers may already brake for it.
+    goes straight on). The second crossing is the one after that; travelers may brake for it early.
     """
 
     due: Number  # 1 if an event is due now: a new target speed, crossing or phase
@@ -57,7 +57,7 @@ class Traveler(NamedTuple):
     phase: Number  # number of the phase (a style of moving); it ends at ``phase_end`` s
     phase_end: Number
     stopping: Number  # 1 while the traveler brakes to a standstill, before the next phase
-    # turn, red: quarter turns to the left, and seconds of red light left, at the next crossing
+    # turn, red: quarter turns to the left, and remaining seconds of red light, at the next crossing
     turn: Number
     red: Number
     # turn_after, red_after: the same for the second crossing
@@ -97,15 +97,15 @@ def state_of(t: Traveler) -> tuple[list[Number], list[Number]]:
 
 
 def wanted_acceleration(t: Traveler, net: Net) -> Number:
-    """Return the acceleration, m/s^2, that a traveler wants, given its target and what is ahead.
+    """Return the acceleration, m/s^2, that a traveler wants, given its target and the road ahead.
 
     Two things ahead limit the speed. A turn at a crossing limits it to v_c, where v_c^2 is the
     limit of lateral acceleration times the radius; a red light limits it to v_c = 0 one meter
-    before the crossing. Let d be the distance to that point, and b the limit of braking. Travelers
-    plan to brake at b / 2 only, so they aim at a speed u with u^2 = v_c^2 + 2 (b / 2) d. At their
-    current speed v, they need to brake at (v^2 - v_c^2) / (2 d'), where d' is d minus the distance
-    that they travel while the braking builds up (the jerk is limited). If this exceeds 0.7 b, they
-    brake as hard as needed, up to b.
+    before the crossing. Let d be the distance to this turn or stop, and b the limit of braking.
+    Travelers plan to brake at b / 2, so they aim at a speed u with u^2 = v_c^2 + 2 (b / 2) d. At
+    their current speed v, they need to brake at (v^2 - v_c^2) / (2 d'), where d' is d minus the
+    distance that they travel while the braking builds up (the jerk is limited). If this exceeds
+    0.7 b, they brake as hard as needed, up to b.
     """
     left, turns, turns_after = t.stretch - t.traveled, t.arc > 0.0, abs(t.turn_after) > 0.5
     beyond = left + net.block - where(turns_after, t.radius, 0.0)
@@ -117,7 +117,7 @@ def wanted_acceleration(t: Traveler, net: Net) -> Number:
     aim = minimum(cornering + t.braking * maximum(corner, 0.0), t.braking * light)
     aim = sqrt(minimum(t.target * t.target, aim))
     pull = clip((aim - t.v) * 2.0, -t.braking, t.acceleration)
-    built_up = 0.6 / t.jerk * (maximum(t.a, 0.0) + t.braking) * t.v  # m until braking is built up
+    built_up = 0.6 / t.jerk * (maximum(t.a, 0.0) + t.braking) * t.v  # m, until it brakes fully
     need = maximum(
         where(corner > 0.0, squared - cornering, 0.0) / (2.0 * maximum(corner - built_up, 0.5)),
         where(light > 0.0, squared, 0.0) / (2.0 * maximum(light - built_up, 0.5)),

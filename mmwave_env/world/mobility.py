@@ -109,7 +109,7 @@ class Mobility:
         name: name of the kind of user, which is also the name of its episodes.
         phases: phases in order of time. All but the last need a ``duration_s``; the last must not
             have one, unless ``ends_as_it_began``.
-        blocks: distance between the scene's crossings, divided by that between the user's.
+        blocks: distance between the scene's crossings / distance between this user's crossings.
         ends_as_it_began: whether the first phase is repeated at the end of the episode.
     """
 
@@ -126,8 +126,8 @@ class Mobility:
                 raise ValueError(f"phases[{i}].duration_s: found none, expected [low, high]")
         if self.phases[last].duration_s[0] < inf and not self.ends_as_it_began:
             raise ValueError(
-                f"phases[{last}].duration_s: found one, expected none: the last phase lasts until "
-                "the episode ends"
+                f"phases[{last}].duration_s: found a range, expected none: the last phase lasts "
+                "until the episode ends"
             )
 
 

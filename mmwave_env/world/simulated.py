@@ -54,7 +54,7 @@ class Begun(NamedTuple):
         worlds: (n, numbers) state of receiver and user before the first epoch; if ways are given,
             only the state of the receiver.
         truth: (n, epochs, 6) true positions and velocities on given ways; else (n, epochs, 0).
-        first: (n, 7) true states at the first epoch; (n, 8) with a clock.
+        first: (n, 7) true states at the first epoch; (n, 8) with a clock offset.
         sites: (n, numbers) anchors, carrier and prior, each row as :meth:`Episode.site` returns it.
     """
 

@@ -220,7 +220,7 @@ class World:
 
     @cached_property
     def _compiled(self) -> Any:
-        """Return the compiled :attr:`parts` as one function; it skips events if none is due."""
+        """Return the compiled :attr:`parts` as one function, which skips events if none is due."""
         parts, ends = self.parts, self.ends
         look, happen, substep = (tree_kernel(part, self.template, ends) for part in parts)
         row = 8 * WIDTH  # bytes
@@ -283,7 +283,7 @@ def as_measured(layout: Layout) -> Program[AsMeasured]:
     return Program(lambda w: w, AsMeasured(blank_incoming(layout)))
 
 
-# Each key seeds three streams of random numbers. So another receiver does not change a user's way,
+# Each key seeds three streams of random numbers. So another radio does not change a user's way,
 # and an offset of the clock changes neither the way nor the receiver's noise.
 USER, RECEIVER, CLOCK = 0, 1, 2
 
@@ -294,10 +294,10 @@ class FirstDraws(NamedTuple):
     receiver: ReceiverState
     user: UserState  # not used if a way is given
     choice: Number  # index of the kind of user; for a given way: uniform in [0, 1)
-    # (7,) true state at the first epoch, followed by the clock's bias (m) if there is a clock; if
-    # ways are given, the position and velocity in it are meaningless
+    # (7,) true state at the first epoch, followed by the range bias (m) if the clock has an offset;
+    # if ways are given, the position and velocity in it are meaningless
     first: list[Number]
-    # (7,) error of the prior's mean; with a clock, the negative of the clock's bias is appended
+    # (7,) error of the prior's mean; with a clock offset, followed by minus the range bias
     prior_noise: list[Number]
 
 
@@ -308,7 +308,7 @@ class Beginning(NamedTuple):
     plans: list[TravelPlan]  # kinds of users; empty if ways are given
     scene: SceneNumbers  # the scene; not used if every episode draws its own
     duration_s: Number  # duration of the episode
-    prior_deviation: list[Number]  # (7,) or, with a clock, (8,) standard deviation of the prior
+    prior_deviation: list[Number]  # (7,) standard deviations; (8,) with a clock offset
     first_bias_hz: Number  # standard deviation of the oscillator's first bias
     begun: FirstDraws
 

@@ -105,7 +105,7 @@ class Trajectory:
     def resampled(self, dt: float) -> Array:
         """Return positions and velocities (E, 6) every ``dt`` seconds from the first time on.
 
-        Positions are cubic between rows (Hermite); velocities are the derivatives of positions.
+        Positions are interpolated by cubic Hermite splines; velocities are their derivatives.
         """
         from scipy.interpolate import CubicHermiteSpline
 
@@ -118,7 +118,7 @@ class Trajectory:
         """Return positions and velocities (E, 6) from :meth:`resampled`, if they fit a scene.
 
         Raises:
-            ValueError: the way is shorter than ``dt``, behind a wall or not in :data:`REACH_M`.
+            ValueError: the way is shorter than ``dt``, behind a wall, or outside :data:`REACH_M`.
         """
         way = self.resampled(dt)
         if len(way) < 2:

@@ -18,7 +18,7 @@ from mmwave_env.numerics.random import Dice
 from mmwave_env.world.kinematics import FAR, STANDING_MPS, Net, Traveler, around, unit
 
 FINEST_STEP_S = 0.1  # approximate length of a substep
-STOPPING_S = 5.0  # time that a ride needs to stop before its passenger walks on
+STOPPING_S = 5.0  # time reserved at the end of a ride for braking to a standstill
 
 
 class Gait(NamedTuple):
@@ -57,14 +57,14 @@ class PhasePlan(NamedTuple):
     acceleration: list[Number]
     braking: list[Number]
     lateral: list[Number]
-    ends_early: Number  # 1 if it must end early enough to repeat the first phase afterwards
+    ends_early: Number  # 1 if the phase must leave time to repeat the first phase
     phase: Phase  # the values that are not drawn
 
 
 class TravelPlan(NamedTuple):
     """A kind of user, described by numbers only."""
 
-    closer: Number  # distance between the scene's crossings / between this kind of user's
+    closer: Number  # scene's distance between crossings / user's distance between crossings
     phases: list[PhasePlan]
 
 

@@ -1,4 +1,4 @@
-"""Test of what ``mmwave-loc demo`` prints and writes, with invented scores of all policies."""
+"""Test of the output and the files of ``mmwave-loc demo``, with invented scores of all policies."""
 
 import numpy as np
 

@@ -20,7 +20,7 @@ from tests.cli import command, succeed
 from tests.commands.localizing import EPOCHS, RIDE, WALK, figures, lines_of, options, refused
 from tests.paths import json_in
 
-# --- the speed (Algorithm 1)
+# --- the speed (Algorithm 1 of the paper)
 
 
 @pytest.mark.parametrize(
@@ -147,7 +147,7 @@ def test_the_printed_figures_equal_those_in_the_json_file(capsys, tmp_path):
     assert all(abs(groups[f"anchor {a}"]["nis_in_bounds"] - 0.95) < 0.03 for a in (1, 2, 3))
 
 
-def test_the_json_file_records_the_command_that_makes_the_figures_again(tmp_path):
+def test_the_json_file_records_a_command_that_reproduces_the_figures(tmp_path):
     """Run the recorded command again; the record leaves out the options for output files."""
     file, again = tmp_path / "figures.json", tmp_path / "again.json"
     words = ["--sample", RIDE.name, "--speed", "9", "--robust"]

@@ -22,7 +22,7 @@ from tests.paths import json_in
 SAMPLE = ("localize", "--sample", RIDE.name, "--speed", "9")
 
 
-def test_a_picture_is_drawn_for_any_name(tmp_path):
+def test_a_picture_is_drawn_for_a_log_in_a_folder_with_an_odd_name(tmp_path):
     folder = tmp_path / "a$b_{^$ | \x1b[31m\n"
     shutil.copytree(RIDE, folder)
     words = ("--truth", folder / "truth.tum", "--speed", "9", "--plot", folder / "new" / "t.png")
@@ -33,7 +33,7 @@ def test_a_picture_is_drawn_for_any_name(tmp_path):
     assert content.startswith(b"\x89PNG") and len(content) > 20_000
 
 
-def test_files_and_figures_are_written_even_if_the_picture_fails(tmp_path, monkeypatch):
+def test_tracks_and_statistics_are_written_even_if_the_picture_fails(tmp_path, monkeypatch):
     def fails(*_):
         raise ValueError("no such font")
 
@@ -72,7 +72,7 @@ def mapped(tmp_path):
 MAPPED = ("localize", "my_ride.csv.gz", "--scene", "scene.json", "--speed", "9", "--out")
 
 
-def test_one_run_writes_several_files_and_map_files_name_the_track_after_the_log(mapped):
+def test_one_run_writes_several_files_and_names_tracks_in_map_files_after_the_log(mapped):
     shown = succeed(*MAPPED, "t.gpx", "t.geojson", "new/t.tum", cwd=mapped)
     (track,) = gpxpy.parse((mapped / "t.gpx").read_text()).tracks
     line = json_in(mapped / "t.geojson")["features"][0]
@@ -106,7 +106,7 @@ def test_an_error_while_printing_is_reported():
 @pytest.mark.skipif(os.name != "posix", reason="needs FIFOs")
 @pytest.mark.parametrize("option", ["log", "--scene", "--truth", "--modes", "--radio"])
 def test_a_fifo_is_refused_before_it_is_read(tmp_path, option):
-    """Use FIFOs, because opening one waits for a writer; tests/io/test_files.py has other files."""
+    """Use FIFOs, which block a reader; tests/io/test_files.py tests other odd files."""
     odd = tmp_path / ("odd.csv" if option == "log" else "odd.json")
     os.mkfifo(odd)
     files = {"log": RIDE / "log.csv", "--scene": RIDE / "scene.json", option: odd}
@@ -243,7 +243,7 @@ def test_all_unknown_columns_are_named_with_the_nearest_known_ones(tmp_path, hea
     assert not [part for part in parts if part not in line], line
 
 
-def test_a_truth_without_common_times_is_refused_with_both_time_spans(tmp_path):
+def test_a_truth_without_any_time_of_the_log_is_refused_with_both_time_spans(tmp_path):
     truth, out = tmp_path / "truth.tum", tmp_path / "track.tum"
     truth.write_text(tum_lines(np.array([1000.0, 1002.5]), np.zeros((2, 3))))
     more = ("--speed", "1", "--truth", truth, "--out", out)
@@ -289,5 +289,5 @@ def test_memory_does_not_grow_with_the_log(tmp_path):
         done = subprocess.run(words, env=environment(), capture_output=True, text=True, check=True)
         assert f"{rows // 1200 * 400} epochs" in done.stdout
         peaks.append(1024 * int(done.stdout.split()[-1]))  # bytes
-    # Rows kept in memory would take 100 bytes each. Peaks of equal runs differ by up to 10 MiB.
+    # Rows kept in memory would take 100 bytes each. Peaks of identical runs differ by up to 10 MiB.
     assert peaks[1] < 500 * 2**20 and peaks[1] - peaks[0] < 20 * 1_800_000, peaks

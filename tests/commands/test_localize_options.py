@@ -43,7 +43,7 @@ def as_json(lines, whole):
     return "\n".join(map(json.dumps, objects)).encode()
 
 
-def test_every_epoch_has_a_line_and_the_last_position_equals_the_end_of_a_track_file(tmp_path):
+def test_live_output_has_a_line_per_epoch_and_ends_at_the_last_position_of_a_track_file(tmp_path):
     content = (WALK / "log.csv").read_bytes()
     positions, errors, code = live(content, "--speed", "1")
     # The only line of standard error explains the choice of modes.
@@ -77,7 +77,7 @@ def test_damaged_and_late_rows_are_named_and_left_out():
 
 
 @pytest.mark.parametrize("content", [b"", b"\n", b"time,mood\n1,2\n", b'{"rows": 5}\n', b"[1]\n"])
-def test_input_that_is_not_a_log_ends_with_one_line(content):
+def test_input_that_is_not_a_log_is_refused_in_one_line(content):
     positions, errors, code = live(content)
     assert not positions and code == 2 and len(errors) == 1
 
@@ -96,7 +96,7 @@ def test_options_that_conflict_with_live_are_refused(more):
 
 @pytest.fixture(scope="module")
 def hidden(tmp_path_factory):
-    """Return a log of propagation paths without anchor numbers; some of the paths are false."""
+    """Return a log of propagation paths without anchor numbers; false paths belong to no anchor."""
     log = tmp_path_factory.mktemp("hidden") / "log.csv"
     source = source_from(RIDE, "standard")
     hide_anchors(log, source.sample(np.random.default_rng(0)), false_paths=5)

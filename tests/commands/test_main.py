@@ -20,7 +20,7 @@ HEAVY = {"numba", "gymnasium", "numpy", "scipy", "matplotlib", "torch", "rich", 
 # --- help and mistakes
 
 
-def test_without_a_command_the_commands_are_listed_and_the_version_can_be_shown():
+def test_the_program_lists_its_commands_and_shows_its_version():
     helped, bare = command("--help"), command()
     assert helped.returncode == 0 and bare.returncode == 2
     assert all(name in helped.stdout for name in COMMANDS) and helped.stdout == bare.stdout
@@ -31,7 +31,7 @@ def test_without_a_command_the_commands_are_listed_and_the_version_can_be_shown(
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_explains_its_options(name):
     shown = command(name, "--help", columns=80).stdout
-    # The package tyro does not wrap the line of usage.
+    # The package tyro does not wrap the usage line.
     lines = [line for line in shown.splitlines() if not line.startswith("usage: ")]
     assert max(map(len, lines)) <= 80
     assert f"\nusage: mmwave-loc {name} " in shown and "None" not in shown
@@ -82,8 +82,8 @@ RECORDED = ("simulate", "--out", "never", "--data", "canyon28_vehicle")
 MISTAKES = {  # name -> words typed, expected message
     "missing scene": (("evaluate", "--scene", "plaza.json"), "plaza.json"),
     "negative count": (("evaluate", "--episodes", "-5"), "episodes: found -5, expected at least 1"),
-    "JSON into a .tex file": (("compare", "--json", "t.tex"), "json: .* ends with .json"),
-    "a table as text": (("compare", "--episodes-csv", "t.txt"), "episodes-csv: .* ends with .csv"),
+    "JSON to a .tex file": (("compare", "--json", "t.tex"), "json: .* ends with .json"),
+    "a table to .txt": (("compare", "--episodes-csv", "t.txt"), "episodes-csv: .* ends with .csv"),
     "scenario of recorded data": ((*RECORDED, "--scenario", "jam"), "scenario: found 'jam', but"),
     "unknown option": (("evaluate", "--color", "red"), "--color"),
     "mistyped option": (("evaluate", "--episode=3"), "--episode=3; did you mean --episodes[?]"),
@@ -111,7 +111,7 @@ def test_the_error_about_an_unknown_command_lists_all_names_and_suggests_a_simil
 @pytest.mark.slow
 @pytest.mark.parametrize("module", ["experiments.console.parser", "experiments.compare", "numba"])
 def test_an_interrupt_at_startup_ends_the_program_with_one_line(module):
-    # If a shell runs tests in the background, SIGINT is ignored unless signal.signal restores it.
+    # If a shell runs tests in the background, SIGINT is ignored until signal.signal sets a handler.
     code = (
         "import os, signal, sys\n"
         "from experiments.console.main import main\n"
@@ -129,7 +129,7 @@ def test_an_interrupt_at_startup_ends_the_program_with_one_line(module):
 
 
 def test_defaults_of_options_equal_the_constants_of_the_library():
-    """Compare constants with their copies in options; the copies keep --help quick."""
+    """Compare constants with their copies in options; thanks to copies, --help imports little."""
     from experiments.evaluation import protocol
     from mmwave_env.filters.smoother import SMOOTHING_WINDOW
     from mmwave_env.interface.reward import TrackingReward
@@ -196,7 +196,7 @@ def test_a_traceback_is_shown_only_with_the_option_debug(monkeypatch):
 
 
 @pytest.mark.parametrize("word", ["lab\x1b]0;owned\x07", "a\nb", "a\u202eb", "\udcff"])
-def test_a_mistake_shows_no_control_characters(word):
+def test_messages_about_mistakes_contain_no_control_characters(word):
     for words in (("evaluate", "--radio", word), ("evaluate", "--policy", word), (word,)):
         done = command(*words)
         assert all(line.isprintable() for line in (done.stdout + done.stderr).splitlines())

@@ -35,7 +35,7 @@ def test_simulate_writes_the_episode_that_evaluate_draws_with_the_same_seed(tmp_
     assert (out / "log.csv").read_text() == log_text(log_columns(episode))
 
 
-def test_odometry_is_written_and_the_truth_file_records_the_options_that_made_it(tmp_path):
+def test_odometry_is_written_and_the_options_are_recorded_in_the_truth_file(tmp_path):
     options = ["--scenario", "jam", "--seed", "3", "--odometry", "--scene", "o1", "--radio", "high"]
     simulate(tmp_path, *options)
     block = next(read_log(tmp_path / "log.csv", read_scene(tmp_path / "scene.json")))

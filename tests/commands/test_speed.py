@@ -42,7 +42,7 @@ def test_a_short_run_prints_and_writes_all_results(tmp_path, monkeypatch):
         (["--docs", "docs/paper.md"], "found 'Table I: pedestrian, handset', expected one of"),
     ],
 )
-def test_mistakes_end_with_one_clear_line_before_any_work(options, message):
+def test_mistakes_end_with_one_clear_line_before_anything_is_timed(options, message):
     assert_one_clear_line(command("speed", *options), f"^mmwave-loc speed: .*{message}")
 
 

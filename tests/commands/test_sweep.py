@@ -142,7 +142,7 @@ hyperparameters.learning_rate = 1e-3
 
 @pytest.mark.slow
 @pytest.mark.torch
-def test_the_policies_of_trainings_are_kept(tmp_path):
+def test_the_policies_of_training_runs_are_kept(tmp_path):
     shown = succeed("sweep", written(tmp_path, TRAIN), "--out", tmp_path / "out")
     (best,) = re.findall(r"^The best of the trainings is (.*)", shown, re.MULTILINE)
     (row,) = (tmp_path / "out").glob("*.parquet")

@@ -1,4 +1,4 @@
-"""Tests that tuning recovers the noise of simulated data, and that it gives the shipped modes."""
+"""Tests that tuning recovers the noise of simulated data and reproduces the shipped modes."""
 
 import shlex
 from dataclasses import replace
@@ -79,14 +79,14 @@ def test_a_mistake_ends_with_one_clear_line(options, message):
 
 
 def marked(file):
-    """Mark all files except handset.json, so that only the tests for a release tune their modes."""
+    """Mark a file, except handset.json, so that its modes are tuned only in tests for a release."""
     return file if file.stem == "handset" else pytest.param(file, marks=pytest.mark.release)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("file", [*map(marked, SHIPPED)], ids=lambda file: file.stem)
 def test_tuning_on_the_original_episodes_finds_the_shipped_modes(file):
-    """Use the episodes, with keys drawn by NumPy, on which the shipped modes were tuned."""
+    """Use the episodes on which the shipped modes were tuned; NumPy draws their keys."""
     seeds = range(5_000_000, 5_000_300)
     keys = np.array([draw_key(np.random.default_rng(seed)) for seed in seeds], np.uint64)
     radio = file.stem.removesuffix("-diagonal")
@@ -94,6 +94,6 @@ def test_tuning_on_the_original_episodes_finds_the_shipped_modes(file):
         source = SimulatedSource(SCENES["street"], RADIOS[radio], scenario)
         objective = objective_of(shipped, source.episodes(keys))
         made = tune(shipped, ["sigma_v", "sigma_p"], objective)
-        # The optimum is flat: modes found now are as likely as the shipped ones, but digits differ.
+        # The optimum is flat: tuned and shipped modes are equally likely, but sigma_v differs.
         assert objective(shipped).mean() == pytest.approx(objective(made).mean(), abs=0.002)
         assert made.sigma_v == pytest.approx(shipped.sigma_v, rel=0.05)

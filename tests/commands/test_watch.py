@@ -53,7 +53,7 @@ def test_contenders_are_shown_side_by_side_beginning_with_the_prior(tmp_path):
     assert second.startswith("imm: ") and written == f"written to {out}: 13 pictures"
 
 
-def test_a_key_plays_the_episode_of_its_seed(tmp_path):
+def test_a_seed_and_its_key_play_the_same_episode(tmp_path):
     pytest.importorskip("PIL")
     files = [tmp_path / "seed.gif", tmp_path / "key.gif"]
     options = ("--policies", "fixed-ukf", *SHORT, "--out")
@@ -91,7 +91,7 @@ MISTAKES = {  # name -> options, expected message
     "key and seed": (("--key", 1, "--seed", 2), "key: cannot be combined with seed 2"),
     "unknown ending": (("--out", "video.avi"), "out: found video.avi, expected.*.gif or .mp4$"),
     "unknown theme": (("--render-theme", "blue"), "render_theme: found 'blue'.*light, dark"),
-    "small": (("--render-size", 100), "render_size: found 100, expected an even number from 480"),
+    "tiny": (("--render-size", 100), "render_size: found 100, expected an even number from 480"),
     "no pictures per second": (("--fps", 0), "fps: found 0, expected 1 to 50$"),
     "begin after the end": (("--begin", 9000), "begin, end: found 9000 to inf s, expected.*199 s"),
 }  # fmt: skip

@@ -29,7 +29,7 @@ print(function(20), sum(function.stats.cache_hits.values()))
 
 @pytest.fixture
 def package(tmp_path):
-    """Return the folder of a small installed package that uses our disk cache."""
+    """Return the folder of a small installed package with a copy of disk_cache.py."""
     folder = tmp_path / "site" / "mmwave_env"
     own = Path(mmwave_env.__file__).parent / "compiler" / "disk_cache.py"
     for name, source in (SOURCES | {"compiler/disk_cache.py": own.read_text("utf-8")}).items():
@@ -74,7 +74,7 @@ def kept(package):
 
 
 def edit(path, old, new):
-    """Change a source file but keep its time and size, as unpacking an archive over it may do."""
+    """Change a source file but keep its time and size, as unpacking an archive may do."""
     stat, source = path.stat(), path.read_text()
     assert source.count(old) == 1
     path.write_text(source.replace(old, new))
@@ -108,10 +108,10 @@ def test_a_process_whose_sources_change_stores_nothing(package):
 
 
 READ_ONLY = {  # name -> environment variables, number of files that are stored and loaded again
-    "a home": ({}, 1),
-    "a cache folder of one's own": ({"XDG_CACHE_HOME": "{tmp}/mine"}, 1),
+    "a writable home": ({}, 1),
+    "a cache folder set by a variable": ({"XDG_CACHE_HOME": "{tmp}/mine"}, 1),
     "no writable home": ({"HOME": "{tmp}/blocked"}, 0),
-    "nobody's home": ({"HOME": "~nobody-at-all"}, 0),
+    "the home of an unknown user": ({"HOME": "~nobody-at-all"}, 0),
     "no writable folder for numba": ({"NUMBA_CACHE_DIR": "{tmp}/blocked"}, 1),
 }
 
@@ -201,7 +201,7 @@ def test_a_file_of_another_function_is_not_loaded(package):
     assert finished(started(package, both)) == ["41", "1", "7"]
 
 
-def test_several_processes_can_start_at_once(package):
+def test_several_processes_can_start_simultaneously(package):
     together = [started(package) for _ in range(4)]
     assert {finished(process)[0] for process in together} == {"41"}
     assert len(kept(package)) == 1
@@ -237,7 +237,7 @@ def planted(package, tmp_path):
 
 
 def given_away(path):
-    """Give a path to another user. Without root's rights, return code that fakes this owner."""
+    """Make another user the owner of a path; without root's rights, return code that fakes this."""
     if hasattr(os, "geteuid") and os.geteuid() == 0:
         os.chown(path, 65534, 65534)
         return ""
@@ -254,7 +254,7 @@ def given_away(path):
 
 
 def linked(path):
-    """Move a file to another private folder, and leave a link in its place."""
+    """Move a file to a new private folder, and leave a link in its place."""
     private = path.parent.parent / "private"
     private.mkdir(mode=0o700)
     path.symlink_to(path.rename(private / path.name))
@@ -315,7 +315,7 @@ def test_stored_files_are_private_but_are_loaded_even_if_others_may_read_them(pa
 
 
 @posix
-def test_cleaning_keeps_the_version_in_use_links_and_folders_of_other_users(package, tmp_path):
+def test_cleaning_deletes_only_unused_old_folders_of_the_same_user(package, tmp_path):
     shared, precious = tmp_path / "shared", tmp_path / "precious"
     assert run(package, NUMBA_CACHE_DIR=str(shared)) == (41, 0)
     (used,) = shared.iterdir()

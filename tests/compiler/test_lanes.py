@@ -51,7 +51,7 @@ NAN, INF = math.nan, math.inf
 
 @cache
 def compiled(function, arity):
-    """Compile a function of ``arity`` rows of a block of lanes; its result goes to the last row."""
+    """Compile a kernel that applies a function to ``arity`` rows and writes the row after them."""
 
     def build(rows):
         rows[arity] = function(*(rows[i] for i in range(arity)))
@@ -101,7 +101,7 @@ def mixed_arithmetic(a, b):
 
 
 ANY = (-1e9, 1e9)
-FUNCTIONS = {  # function on lanes -> the same in numpy, limits of arguments, rtol, atol
+FUNCTIONS = {  # function on lanes -> function of numpy, limits of the arguments, rtol, atol
     sqrt: (np.sqrt, [(0.0, 1e300)], 0.0, 0.0),
     log: (np.log, [(1e-300, 1e300)], 4e-16, 4e-16),
     exp: (np.exp, [(-700.0, 700.0)], 1e-15, 0.0),
@@ -138,7 +138,7 @@ NEXT_TO_ONE = 1.0 + np.outer([1.0, -1.0], np.logspace(-15, -0.5, 500)).ravel()
 TURNS = np.concatenate([4.0 * ANGLE, (math.pi / 2) * np.arange(-8, 9)])
 SPECIAL = {  # name -> function, arguments, expected, rtol, atol
     "log next to 1": (log, [NEXT_TO_ONE], np.log(NEXT_TO_ONE), 1e-15, 0.0),
-    "exp instead of overflowing": (exp, [LARGE], np.exp(CLIPPED), 1e-12, 0.0),
+    "exp of arguments beyond 708": (exp, [LARGE], np.exp(CLIPPED), 1e-12, 0.0),
     "atan2 all around a circle": (atan2, CIRCLE, np.arctan2(*CIRCLE), 5e-16, 1e-16),
     "atan2 on axes and diagonals": (atan2, EDGES, np.tile(np.arctan2(*EDGE), 3), 1e-15, 0.0),
     "atan2 next to the branch cut": (atan2, [CUT, -1.0], [math.pi, -math.pi] * 2, 1e-15, 0.0),
@@ -149,7 +149,7 @@ SPECIAL = {  # name -> function, arguments, expected, rtol, atol
 
 
 @pytest.mark.parametrize("name", SPECIAL)
-def test_functions_on_lanes_are_accurate_at_special_places(name):
+def test_functions_on_lanes_are_accurate_at_special_arguments(name):
     function, arguments, expected, rtol, atol = SPECIAL[name]
     np.testing.assert_allclose(on_lanes(function, *arguments), expected, rtol=rtol, atol=atol)
 
@@ -200,7 +200,7 @@ KEPT += ("memory.accepted", "memory.lockout")
 
 
 def assert_floats_equal_lanes(pipeline, episodes, actions):
-    """Check beliefs to 1e-12 standard deviations, the rest to 1e-9; return the results on lanes."""
+    """Check that floats and lanes agree up to rounding; return the results on lanes."""
     epochs = len(episodes[0])
     a, b = (
         track(pipeline, episodes, actions, epochs, KEPT, on_floats) for on_floats in (False, True)
@@ -213,7 +213,7 @@ def assert_floats_equal_lanes(pipeline, episodes, actions):
     return a
 
 
-@pytest.mark.parametrize("name", representative(OPTIONS, "default"))  # each compiles 3 programs
+@pytest.mark.parametrize("name", representative(OPTIONS, "default"))  # each case needs 3 programs
 def test_filters_on_lanes_equal_filters_on_floats(name):
     """Run each filter alone, and with random switching between the filters."""
     actions = np.random.default_rng(0).integers(3, size=(60, 5))
@@ -227,7 +227,7 @@ def test_filters_on_lanes_equal_filters_on_floats(name):
 @pytest.mark.parametrize("planar", [False, True])
 @pytest.mark.slow
 def test_odometry_on_lanes_equals_odometry_on_floats(planar):
-    """Start the filters from a user at rest, whose heading is not defined."""
+    """Start the filters with a velocity of zero, for which the heading is not defined."""
     episodes = [
         replace(episode, prior_mean=episode.prior_mean * [1, 1, 1, 0, 0, 0, 1])
         for episode in simulated(3, epochs=60, odometry=True)
@@ -257,7 +257,7 @@ def test_the_stack_of_a_kernel_is_aligned(monkeypatch):
 
 
 @pytest.mark.parametrize("scenario", representative(MOBILITIES, "walk-ride"))
-def test_a_world_on_lanes_equals_the_world_on_floats(scenario):
+def test_a_simulated_world_on_lanes_equals_the_world_on_floats(scenario):
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], scenario, epochs=60)
     episodes = source.sample_batch(np.arange(3, dtype=np.uint64))
     begun, world = source.begin(np.arange(3, dtype=np.uint64)), source.world

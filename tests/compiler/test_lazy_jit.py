@@ -15,7 +15,7 @@ def function(x):
 
 @pytest.fixture
 def fresh(tmp_path, monkeypatch):
-    """Return a function that makes a LazyJit as a new process would; all share one disk cache."""
+    """Return a function that makes a new LazyJit; all these LazyJits share one disk cache."""
     monkeypatch.setattr(disk_cache, "_folder", lambda: tmp_path)
     return lambda: LazyJit(function, 5)  # runs as plain Python for 5 units of work
 
@@ -26,7 +26,7 @@ def kinds(lazy, *works):
     return [named[lazy.choice(work, 20)] for work in works]
 
 
-def test_a_function_is_compiled_after_enough_calls_or_immediately_for_a_large_one(fresh):
+def test_a_function_is_compiled_after_several_small_calls_or_for_the_first_large_call(fresh):
     assert kinds(fresh(), 2, 3, 1, 1) == ["plain", "plain", "compiled", "compiled"]
     assert kinds(fresh(), 6, 1) == ["compiled", "compiled"]
 

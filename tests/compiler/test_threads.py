@@ -55,7 +55,7 @@ def test_an_error_in_any_thread_is_raised_and_the_next_call_works():
 
 
 def test_jobs_can_share_jobs_of_their_own_among_threads():
-    """Run more jobs than threads; each job waits for jobs of its own, but there is no deadlock."""
+    """Check that there is no deadlock although each of 200 jobs waits for jobs of its own."""
 
     def job(i):
         return share(lambda j: i + j, [(j,) for j in range(4)], 4)
@@ -101,8 +101,8 @@ if __name__ == "__main__":
 
 
 def process(code, tmp_path):
-    """Run a program that steps with two threads, then runs ``code``; return the words it prints."""
-    program = tmp_path / "program.py"  # a file, which spawned processes can read
+    """Run a program that steps an environment and then runs ``code``; return the printed words."""
+    program = tmp_path / "program.py"  # spawned processes need a file
     program.write_text(STEPPED + textwrap.indent(textwrap.dedent(code), "    "))
     path = os.pathsep.join([str(Path(mmwave_env.__file__).parents[1]), *sys.path])
     run = {"capture_output": True, "text": True, "timeout": 120}
@@ -210,7 +210,7 @@ def test_environments_can_run_in_their_own_processes(context, tmp_path):
 
 
 @pytest.mark.slow
-def test_several_threads_can_step_environments_at_once(tmp_path):
+def test_several_threads_can_step_environments_simultaneously(tmp_path):
     code = """
     from concurrent.futures import ThreadPoolExecutor
     fresh = {"reward": "log-score"}  # not compiled yet, so all threads ask to compile it

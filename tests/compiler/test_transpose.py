@@ -1,4 +1,4 @@
-"""Tests that plain and compiled functions move numbers between tables and lanes as numpy does."""
+"""Tests that plain and compiled functions copy numbers between tables and lanes correctly."""
 
 import os
 import subprocess
@@ -88,7 +88,7 @@ def out_of(function, kind):
 
 @pytest.mark.slow
 def test_functions_stored_by_two_processes_work_in_a_third(tmp_path):
-    """Check that equal symbols do not collide: each process numbers its functions anew."""
+    """Check that symbols do not collide although each process numbers its functions anew."""
     (tmp_path / "users.py").write_text(USERS)
     site = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
     variables = os.environ | {"PYTHONPATH": site, "NUMBA_CACHE_DIR": str(tmp_path)}

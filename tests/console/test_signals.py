@@ -45,7 +45,7 @@ def heed():
 
 @pytest.fixture
 def writing(tmp_path):
-    """Return a function that starts WRITING and returns its process once that prints "writing"."""
+    """Return a function that starts WRITING, waits for "writing" and returns the process."""
     started = []
 
     def start(before=heed):
@@ -96,7 +96,7 @@ def test_under_nohup_a_command_continues_after_its_terminal_is_closed(writing, t
     assert command.poll() is None and len(list(tmp_path.iterdir())) == 1
 
 
-def test_signals_end_the_with_block_after_which_the_earlier_handlers_are_restored():
+def test_a_signal_ends_the_with_block_and_the_earlier_handlers_are_restored():
     before = signal.getsignal(signal.SIGTERM)
     with pytest.raises(Ended) as end, ended_by_signals():
         signal.raise_signal(signal.SIGTERM)
@@ -104,7 +104,7 @@ def test_signals_end_the_with_block_after_which_the_earlier_handlers_are_restore
     assert signal.getsignal(signal.SIGTERM) is before
 
 
-def test_a_signal_repeated_at_once_is_ignored_but_a_later_one_is_not():
+def test_a_signal_repeated_immediately_is_ignored_but_a_later_signal_is_not():
     def clean_up():
         signal.raise_signal(signal.SIGTERM)
         time.sleep(1.1 * SAME_S)

@@ -166,7 +166,7 @@ def test_names_with_special_characters_are_escaped_in_tables(shown, name):
     rows = [line for line in lines if line.endswith(("-1.5", "-1.0"))]
     assert [row.rpartition("  ")[0].rstrip() for row in rows] == [plain, "imm"]
     assert not re.search(r"(?<!\\)<[a-z/]", escaped(name))
-    assert len({cell_len(row) for row in rows}) == 1  # wide characters leave columns aligned
+    assert len({cell_len(row) for row in rows}) == 1  # columns stay aligned
 
 
 def test_text_outside_tables_is_shown_without_control_characters(monkeypatch, capsys):

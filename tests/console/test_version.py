@@ -13,7 +13,7 @@ from experiments.console import version
 from tests.cli import command, environment, started
 
 
-@pytest.mark.slow  # the self-test compiles five modes at once
+@pytest.mark.slow  # compiles a program of five modes
 def test_versions_kernels_and_a_self_test_are_reported():
     done = command("--version", "--json")
     report = json.loads(done.stdout)
@@ -24,7 +24,7 @@ def test_versions_kernels_and_a_self_test_are_reported():
     assert 0.0 <= max(test["deviation"] for test in report["self_test"]) < 1e-9
 
 
-def test_a_kernel_that_fails_the_self_test_ends_with_code_1(monkeypatch):
+def test_the_program_ends_with_code_1_if_a_kernel_fails_the_self_test(monkeypatch):
     monkeypatch.setattr(version, "self_test", lambda: [{"kernel": "x", "passed": False}])
     done = command("--version", "--json")
     assert done.returncode == 1 and not json.loads(done.stdout)["self_test"][0]["passed"]

@@ -100,10 +100,10 @@ def test_a_wrong_clock_of_the_truth_is_reported_but_not_corrected(sample):
 
 
 def test_a_log_that_lacks_rows_and_states_its_noise_can_be_played_and_written_again(folder):
-    """Replace the log by one that lacks quantities and has Doppler shifts of anchor 2."""
+    """Replace the log by a log that lacks quantities and has Doppler shifts of anchor 2."""
     whole, columns = read_log_folder(folder), read_columns(folder / "log.csv")
     own = {name: columns[name] for name in ("time_s", "anchor", "toa_s", "aod_azimuth_rad")}
-    own["doppler_hz"] = np.roll(columns["doppler_hz"], 1)  # from anchor 1's rows to anchor 2's
+    own["doppler_hz"] = np.roll(columns["doppler_hz"], 1)  # from anchor 1's to anchor 2's rows
     for sigma, name, value in (
         ("range_sigma_m", "toa_s", 0.4),
         ("aod_azimuth_sigma_rad", "aod_azimuth_rad", 0.03),

@@ -32,7 +32,7 @@ def simulated(seed=3, epochs=60, radio=RADIO, scenario="vehicle"):
 
 
 def links(record, visible):
-    """Return the numbers of links as arrays (T, L) by name; NaN where a link is not visible."""
+    """Return the measurements of links: arrays (T, L) by name, NaN where a link is not visible."""
     rows = record.measurement[:, : record.layout.doppler].reshape(len(record), -1, 4)
     return {name: np.where(visible, rows[:, :, i], np.nan) for i, name in enumerate(LINK)}
 
@@ -234,7 +234,7 @@ def test_stretches_are_runs_of_epochs_with_known_truth_and_without_a_gap(known, 
 
 
 def broken():
-    """Return a track of 60 epochs: truth unknown in epochs 20 and 21, a gap before epoch 50."""
+    """Return a track of 60 epochs; epochs 20 and 21 have no truth, and epoch 50 follows a gap."""
     episode = simulated()
     position, time = episode.truth_position_m.copy(), episode.time_s.copy()
     position[20:22] = np.nan
@@ -248,7 +248,7 @@ def test_episodes_lie_within_stretches():
     assert starts == {*range(11), *range(22, 41), 70}
 
 
-def test_without_a_length_the_longest_stretch_is_played():
+def test_without_a_number_of_epochs_the_longest_stretch_is_played():
     with pytest.warns(UserWarning, match="28 epochs"):
         source = TrackSource(broken(), RADIO)
     assert {source.sample(generator(seed)).time_s[0] for seed in range(20)} == {22.0}

@@ -1,4 +1,4 @@
-"""Tests that inputs within the bounds of models.envelope give sound beliefs; others are refused."""
+"""Tests that inputs inside models.envelope give sound beliefs and inputs outside are refused."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -111,7 +111,7 @@ QUANTITIES = (
     Quantity("Hz per m/s", envelope.HZ_PER_MPS, lambda e, value: replace(e, hz_per_mps=value)),
 )  # fmt: skip
 LOUD = dict.fromkeys(NOISES, envelope.PROCESS_NOISE.most)
-CHANGES = (  # changes of each mode
+CHANGES = (  # sets of changes that are made to each mode
     {}, {"gate": None}, dict.fromkeys(NOISES, 0.0), LOUD, LOUD | {"gate": None},
     {"spread_gain": envelope.PROCESS_NOISE.most},
     {"acceleration_mps2": -100.0, "turn_rate_radps": 10.0},

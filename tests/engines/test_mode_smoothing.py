@@ -19,7 +19,7 @@ TUNING = 5_000_000  # key of the first episode
 
 
 def smoothed(task, bank, n):
-    """Return n episodes, the PARTS of an IMM's tracks, their time steps (s), smoothed (x, P)."""
+    """Return n episodes, the PARTS of an IMM's tracks, their time steps (s) and smoothed (x, P)."""
     batch = task.tables(np.arange(TUNING, TUNING + n).astype(np.uint64))
     pipeline = Pipeline(bank.modes, batch.layout, task.pipeline.planar)
     track = run_imm(bank, TrackingReward(), batch, *PARTS, planar=pipeline.planar)

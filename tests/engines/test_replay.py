@@ -17,7 +17,7 @@ from tests.paths import representative
 
 N, T = 11, 60
 ACTIONS = np.random.default_rng(0).integers(0, 2, (N, T)).astype(np.uint8)
-TRUSTED = np.random.default_rng(3).integers(0, 3, (N, T)).astype(np.uint8)  # 0: no mode
+FAVORED = np.random.default_rng(3).integers(0, 3, (N, T)).astype(np.uint8)  # 0 favors no mode
 
 
 def flat(episodes):
@@ -29,7 +29,7 @@ def flat(episodes):
 def test_a_replay_repeats_the_results_of_the_engine(planar, bank):
     episodes = flat(simulated(N, epochs=T)) if planar else simulated(N, epochs=T)
     pipeline = Pipeline(bank.modes if bank else default_modes(), STREET, planar)
-    actions = TRUSTED if bank else ACTIONS
+    actions = FAVORED if bank else ACTIONS
     played = track(pipeline, episodes, actions.T, T, ("error", "nees"), bank=bank)
     error, nees, smoothed = Replay(pipeline, bank).run(EpisodeBatch.of(episodes), actions)
     np.testing.assert_allclose(error, played["error"].swapaxes(0, 1), rtol=1e-9, atol=1e-9)
@@ -61,11 +61,11 @@ def test_smoothed_errors_equal_the_errors_of_the_smoothed_track(planar):
 
 @pytest.mark.slow
 def test_two_equal_modes_with_their_own_beliefs_are_smoothed_as_a_single_filter():
-    """Check that the smoothed track equals a single filter's track, whichever mode is trusted."""
+    """Check that the smoothed track equals a single filter's track, whichever mode is favored."""
     mode, episodes = Mode("a", "ukf", sigma_v=1.2), simulated(N, epochs=T)
     twins = Bank((mode, replace(mode, name="b")))
     replay = Replay(Pipeline(twins.modes, STREET), twins)
-    _, _, smoothed = replay.run(EpisodeBatch.of(episodes), TRUSTED)
+    _, _, smoothed = replay.run(EpisodeBatch.of(episodes), FAVORED)
     expected = smoothed_errors(Pipeline((mode,), STREET), episodes)
     np.testing.assert_allclose(smoothed, expected, rtol=1e-7, atol=1e-7)
 

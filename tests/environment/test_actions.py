@@ -27,7 +27,7 @@ PER_MODE = {"beliefs": "per-mode", "modes": ["ekf", "ukf"]}
 
 
 def alternating(table):
-    """Return a base policy whose choice (no mode, ekf or ukf) depends on one feature."""
+    """Return a base policy that favors no mode, ekf or ukf, depending on one feature."""
     column = table.names.index("coming NIS anchor 1 ukf")
     return lambda shown: np.digitize(shown[:, column], [-0.5, 0.5])
 
@@ -113,7 +113,7 @@ def test_copies_and_restored_states_continue_identically(kind):
 
 
 @pytest.mark.parametrize("dt", [1.0, 0.25])
-def test_a_weight_of_three_has_the_effect_of_trusting_a_mode(dt):
+def test_a_weight_of_three_has_the_effect_of_the_discrete_action_of_its_mode(dt):
     options = PER_MODE | {"episode_steps": 30, "dt": dt}
     modes = np.random.default_rng(0).integers(0, 3, 30)
     trusted = played(gym.make(ID, **options), modes)
@@ -190,7 +190,7 @@ def bad(limits):
     yield ["a"] * len(limits)
 
 
-def test_bad_numbers_are_refused_and_change_nothing(kind):
+def test_bad_actions_are_refused_and_change_nothing(kind):
     env, twin = (gym.make(ID, **kind).unwrapped for _ in range(2))
     vectors = [gym.make_vec(ID, num_envs=2, **kind) for _ in range(2)]
     good = drawn(env.action_space, 1)[0]
@@ -227,7 +227,7 @@ def test_unknown_and_conflicting_arguments_are_refused(arguments):
 @pytest.mark.parametrize(
     "answer", [np.array([3]), np.array([-1]), np.array([0.0]), np.zeros(2, int)]
 )
-def test_a_base_must_return_actions(answer):
+def test_a_base_policy_must_return_valid_actions(answer):
     env = gym.make(ID, action="correction", base=lambda table: lambda shown: answer, **PER_MODE)
     with refuses("actions of base"):
         env.reset(seed=0)

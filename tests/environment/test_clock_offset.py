@@ -44,7 +44,7 @@ SOURCES = {
 
 
 def tasks(**arguments):
-    """Return two tasks: one with a synchronized user's clock, one whose clock has an offset."""
+    """Return two tasks: the user's clock is synchronized in the first and not in the second."""
     return [task_from(clock=clock, **arguments) for clock in ("synchronized", "offset")]
 
 
@@ -126,7 +126,7 @@ def test_the_offset_is_estimated_with_a_correct_standard_deviation():
     error, sigma = (run["x"][..., 7] - bias)[late], np.sqrt(run["P"][..., 35])[late]
     assert np.sqrt(np.median(error**2)) < 0.5
     assert 0.93 < (abs(error) < 1.96 * sigma).mean() < 0.97
-    assert np.median(run["nees"][:, 20:]) == pytest.approx(2.37, rel=0.2)  # median for 3 axes
+    assert np.median(run["nees"][:, 20:]) == pytest.approx(2.37, rel=0.2)  # chi-square, 3 axes
 
 
 @pytest.mark.parametrize("planar", representative([False, True], False))
@@ -159,7 +159,7 @@ def unpacked(P):
     return np.transpose(unpack([*P.T]), (2, 0, 1))
 
 
-def test_a_clock_that_cannot_be_estimated_or_is_unknown_is_refused():
+def test_an_invalid_clock_and_a_clock_that_cannot_be_estimated_are_refused():
     for arguments in (
         {"clock": "late"},
         {"clock": "offset", "measurements": ["azimuth", "doppler"]},

@@ -1,4 +1,4 @@
-"""Tests of what other libraries need: copies, lengths of episodes, fixed infos, clear errors."""
+"""Tests of features for other libraries: copies, lengths of episodes, fixed infos, clear errors."""
 
 import copy
 import math
@@ -20,7 +20,7 @@ EKF = {"modes": ["ekf"]}
 
 
 class Closeness:
-    """A reward without ``__eq__``: a copy differs from it and would be compiled again."""
+    """A reward without ``__eq__``, whose copies differ from it and would be compiled again."""
 
     compiled = 0
 
@@ -159,7 +159,7 @@ def test_fixed_infos_always_have_the_same_keys_types_and_shapes():
     infos = [(env.reset(seed=0)[1], *(env.step(1)[4] for _ in range(3))) for env in (fixed, every)]
     first, *others = ({k: (np.shape(v), v.dtype) for k, v in known.items()} for known in infos[0])
     assert all(list(other.items()) == list(first.items()) for other in others)
-    # Where usual infos lack a key, fixed infos have NaN, -1 or False, and 0 as nonfinite_beliefs.
+    # Where usual infos lack a key, fixed infos contain NaN, -1 or False; nonfinite_beliefs is 0.
     for known, expected in zip(*infos, strict=True):
         assert set(first) >= set(expected) - {"episode_name", "episode_key"}
         for key, value in known.items():
@@ -180,7 +180,7 @@ def test_only_synchronous_vector_environments_support_fixed_infos():
 
 # --- arguments
 
-# In each case, the last argument is wrong. Messages begin with its name, or as stated here.
+# The last argument of each case is wrong. Messages must contain its name or, instead, this text.
 NAMED = {"episode_steps": "", "episodes": "", "terminate_on_divergence": "", "modes": "mode"}
 
 

@@ -107,7 +107,7 @@ TASKS = {
 
 
 @pytest.mark.parametrize("name", representative(TASKS, "some measurements"))
-def test_own_algorithms_filterpy_and_paired_rewards_work_with_every_receiver(name):
+def test_every_receiver_works_with_own_algorithms_filterpy_and_paired_rewards(name):
     def mine(x, P, measurement, gate):
         return ekf(x, P, measurement, gate)
 

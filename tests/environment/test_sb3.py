@@ -1,4 +1,4 @@
-"""Tests with Stable-Baselines3: the adapter for vector environments, wrappers and a checker."""
+"""Tests of our adapter for Stable-Baselines3, and of the wrappers and checker of that library."""
 
 import warnings
 

@@ -1,4 +1,4 @@
-"""Tests of the native vector environment: Gymnasium's rules; equality with single environments."""
+"""Tests that the vector environment obeys Gymnasium's rules and equals single environments."""
 
 import tracemalloc
 from dataclasses import replace
@@ -49,7 +49,7 @@ class Twice(SimulatedSource):
         return super().sample(rng)
 
 
-# This filter assumes that users never change their speed, and therefore loses most vehicles.
+# This filter assumes that users never change their speed, and so it loses track of most cars.
 STUBBORN = Mode("ekf", sigma_v=1e-3, sigma_p=1e-3, adaptive=False, recovery=None)
 LOSING = {"scenario": "vehicle", "modes": [STUBBORN]}
 OWN = {"modes": ["ckf", Mode("robust", robust=True, cost=0.1), "ekf"]}

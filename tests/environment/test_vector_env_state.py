@@ -109,7 +109,7 @@ def test_a_missing_part_of_a_state_is_named():
 
 
 class Own(SimulatedSource):
-    """A user's own source of episodes, which might have a memory that the state lacks."""
+    """A custom source of episodes, which might have a memory that the state lacks."""
 
 
 @pytest.mark.parametrize(

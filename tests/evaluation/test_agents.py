@@ -1,4 +1,4 @@
-"""Tests of comparing a user's agents, given as objects, as files, or by functions in modules."""
+"""Tests of comparisons of users' agents, given as objects, files, or functions in modules."""
 
 import json
 import sys

@@ -25,32 +25,32 @@ EPISODES = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=EPOCHS).e
 LAYOUT = EPISODES[0].layout
 
 
-def begun(walked):
-    """Return an engine with a bank that has run ``walked`` epochs with action 0 (no trust)."""
+def begun(past):
+    """Return an engine with a bank after ``past`` epochs with action 0, which favors no mode."""
     engine = Engine(Pipeline(HANDSET.modes, LAYOUT), N, TrackingReward(), "full", HANDSET)
     engine.reset(EPISODES)
-    for _ in range(walked):
+    for _ in range(past):
         engine.step(np.int64(0))
     return engine
 
 
-def rest(walked, action):
-    """Return total rewards (N,) from epoch ``walked`` on: first ``action``, then only action 0."""
-    engine, total = begun(walked), 0.0
-    for taken in [action, *[np.int64(0)] * (EPOCHS - walked - 1)]:
+def rest(past, action):
+    """Return total rewards (N,) from epoch ``past`` on, for ``action`` and then action 0."""
+    engine, total = begun(past), 0.0
+    for taken in [action, *[np.int64(0)] * (EPOCHS - past - 1)]:
         total += engine.step(taken, rows_of(engine.at.reward))[1][:, 0]
     return total
 
 
-@pytest.mark.parametrize("walked", [0, 25])
-def test_a_clairvoyant_with_a_long_enough_horizon_takes_the_best_action(walked, monkeypatch):
+@pytest.mark.parametrize("past", [0, 25])
+def test_a_clairvoyant_with_a_long_enough_horizon_takes_the_best_action(past, monkeypatch):
     monkeypatch.setattr(branches, "HORIZON_S", 1000.0)
     policy, engine = branches.Clairvoyant(), begun(0)
     policy.foresee(engine)
-    for _ in range(walked):
+    for _ in range(past):
         engine.step(np.int64(0))
-    best = rest(walked, policy(engine.observations()))
-    every = [rest(walked, np.int64(action)) for action in range(len(HANDSET.modes) + 1)]
+    best = rest(past, policy(engine.observations()))
+    every = [rest(past, np.int64(action)) for action in range(len(HANDSET.modes) + 1)]
     np.testing.assert_allclose(best, np.max(every, axis=0), rtol=1e-9)
     assert (best > every[0]).any()
 

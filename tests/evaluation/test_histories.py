@@ -1,4 +1,4 @@
-"""Tests that contenders' histories, from which pictures are drawn, equal environments' records."""
+"""Tests that a contender's history (the data of pictures) equals an environment's history."""
 
 import gymnasium as gym
 import numpy as np

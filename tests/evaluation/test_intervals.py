@@ -32,9 +32,9 @@ def test_one_episode_gives_a_mean_and_no_interval():
 def test_intervals_agree_with_scipy_s_bootstrap(n):
     values = np.random.default_rng(0).exponential(2.0, (n, 2))
     ours = bootstrap(values)
-    # The standard error of a 2.5 % quantile of the resampled means is this factor times their
-    # standard deviation. Two independent quantiles differ by more than 4.5 sqrt(2) standard errors
-    # in only one of 10^5 tests.
+    # The standard error of a 2.5 % quantile of resampled means is this factor times the standard
+    # deviation of the means. Two independent quantiles differ by more than 4.5 sqrt(2) standard
+    # errors in only one of 10^5 tests.
     quantile_error = np.sqrt(0.025 * 0.975 / RESAMPLES) / norm.pdf(norm.ppf(0.025))
     for column, interval in zip(values.T, ours, strict=True):
         same = {"n_resamples": RESAMPLES, "method": "percentile", "rng": np.random.default_rng(0)}
@@ -124,8 +124,8 @@ def test_few_seeds_have_wider_intervals():
     assert few_seeds_factor(1) == 1.0 < few_seeds_factor(1000) < 1.002
 
 
-# A score is the sum of random numbers of the training seed, the episode, and the pair of both.
-# These are the standard deviations of the three numbers.
+# A score is the sum of three random numbers: one drawn for the training seed, one for the episode,
+# and one for the pair of both. These are the standard deviations of the three numbers.
 SPREADS = {"seeds": (1.0, 0.0, 0.1), "episodes": (0.0, 1.0, 0.1), "all": (0.2, 0.7, 0.7)}
 
 

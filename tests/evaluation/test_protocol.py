@@ -137,7 +137,7 @@ def test_a_bus_stops_every_300_m(hard):
         assert len(stops) >= 3 and np.diff(stops) == pytest.approx(300.0)
 
 
-def test_the_receivers_of_hard_sites_have_the_faults_in_the_names_of_the_sites(hard):
+def test_hard_sites_have_the_receiver_faults_after_which_they_are_named(hard):
     ordinary = next(s for s in sites() if s.name == "street:handset").source()
     keys = np.arange(4, dtype=np.uint64)
     for stated, true in zip(hard["noise-twice"], ordinary.episodes(keys), strict=True):

@@ -38,8 +38,8 @@ def assert_equal(scores, expected):
 
 
 @pytest.mark.parametrize("beliefs", BELIEFS)
-def test_scores_equal_the_results_of_stepping_a_single_environment(beliefs, trust):
-    contender = Contender.learned(trust)
+def test_scores_equal_the_results_of_stepping_a_single_environment(beliefs, per_mode):
+    contender = Contender.learned(per_mode)
     if beliefs == "shared":
         contender = contender_from("speed-rule", "handset")
     taken = []
@@ -137,8 +137,8 @@ def test_shipped_policies_are_contenders_of_their_radio(file, ship):
         contender_from("ppo-high", "high")
 
 
-def test_a_policy_for_all_radios_is_a_contender_for_each_radio_with_its_bank(file, ship, trust):
-    ship({"ppo-handset": file, "guided": trust, "guided-standard": file})
+def test_a_policy_for_all_radios_is_a_contender_with_the_bank_of_each_radio(file, ship, per_mode):
+    ship({"ppo-handset": file, "guided": per_mode, "guided-standard": file})
     for radio, modes in {"handset": HANDSET.modes, "high": STANDARD.modes}.items():
         guided = contenders(radio)["guided"]()
         assert (guided.name, guided.modes, guided.beliefs) == ("guided", modes, "per-mode")
@@ -151,9 +151,9 @@ def test_a_policy_for_all_radios_is_a_contender_for_each_radio_with_its_bank(fil
 
 
 @pytest.fixture
-def trust(tmp_path):
+def per_mode(tmp_path):
     """Return the file of a policy with beliefs "per-mode": every mode keeps its own belief."""
-    return write_per_mode(tmp_path / "trust.safetensors")
+    return write_per_mode(tmp_path / "per_mode.safetensors")
 
 
 def test_the_imm_uses_the_transition_of_a_bank_or_bank_file_with_any_beliefs(tmp_path):

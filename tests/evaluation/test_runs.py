@@ -34,7 +34,7 @@ def test_a_damaged_summary_is_named(tmp_path, damage):
 
 
 @pytest.mark.parametrize("name", ["guided", "guided-ppo", "ppo-handset", "ppo-standard"])
-def test_a_shipped_policy_is_the_median_of_its_five_trainings(name):
+def test_a_shipped_policy_is_the_median_of_its_five_training_seeds(name):
     run = Run.read(str(ROOT / "docs" / "learning" / name))
     shipped = shipped_policies()[name]
     assert len(run.seeds) == 5 and run.median == run.seeds[2]

@@ -1,4 +1,4 @@
-"""Tests of the results of a run (trainings with several seeds): differences, and intervals."""
+"""Tests of the results of a run (one policy per training seed): differences and intervals."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def scores():
 
 @pytest.fixture(scope="module")
 def trained():
-    """Return rewards (trainings, episodes) of two runs, of which the second is better."""
+    """Return rewards (seeds, episodes) of two runs, of which the second is better."""
     return {RUN: rewards(10, 3), OTHER: rewards(11, 4) + 9.0}
 
 

@@ -17,7 +17,7 @@ from mmwave_env.filters.textbook import Sensor, tangent
 
 @dataclass(frozen=True)
 class Restricted:
-    """Sensor whose argument is the free components of the state; the others are known exactly."""
+    """Sensor as a function of the ``free`` components of the state; ``known`` has all others."""
 
     sensor: Sensor
     known: np.ndarray
@@ -136,8 +136,8 @@ def iterated(iterations, sensor, groups, links, x, P, z, R, *gate):
 def textbook_imm(episode, modes, transitions, nis_quantile=1.0, change=None):
     """Run the IMM of Bar-Shalom, Li and Kirubarajan 2001, Sec. 11.6.6, without gates.
 
-    ``modes`` are pairs (method, Q of one second), whose noise is not adapted; ``transitions`` has
-    one matrix per epoch. In likelihoods, NIS is capped at the chi-square quantile of
+    ``modes`` are pairs (method, Q of one second); noise is not adapted. ``transitions`` has one
+    matrix per epoch. In likelihoods, NIS is capped at the chi-square quantile of
     ``nis_quantile``. If given, ``change(t, probabilities)`` returns new probabilities after epoch
     t. The results are x (T, 7), P (T, 7, 7) and probabilities (T, M).
     """

@@ -1,4 +1,4 @@
-"""Random update problems, to be solved by one of our filters and by its textbook version."""
+"""Random update problems, to be solved by a shipped filter and by its textbook version."""
 
 from typing import NamedTuple
 
@@ -62,9 +62,9 @@ class Problem(NamedTuple):
         return [0, 1, 2, 7, 3, 4, 5, 6] if self.sensor.clock else [*range(7)]
 
     def textbook(self, moments, gate, force=None, free=None):
-        """Return the textbook's update of the ``free`` components; the others are known exactly.
+        """Return the textbook's update of the ``free`` components; all others are known exactly.
 
-        By default, all components are free, and ``force`` is the gate's own.
+        By default, all components are free, and ``force`` is ``gate.force``.
         """
         free = self.order if free is None else free
         groups, links, x, P, *measured = self.update
@@ -128,7 +128,7 @@ def assert_same(ours, expected, rtol=RTOL, visible=None):
     """Assert that posteriors agree; x and P are compared in units of standard deviations.
 
     Args:
-        visible: (groups,) mask of the groups in ``expected``; others must be rejected, with NIS 0.
+        visible: (groups,) mask of the groups in ``expected``; all others are rejected with NIS 0.
     """
     if visible is not None:
         assert not np.array([ours.nis, ours.accepted])[:, ~visible].any()

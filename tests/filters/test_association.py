@@ -1,4 +1,4 @@
-"""Tests that a path's NIS equals the textbook value, and that the best assignment is found."""
+"""Tests that the NIS of paths equals the textbook value, and that anchors get the best paths."""
 
 from itertools import permutations
 
@@ -59,7 +59,7 @@ def test_no_other_assignment_is_better(data):
     assert cost(np.where(assigned == NO_PATH, n, assigned)) == pytest.approx(best)
 
 
-def test_a_path_disagrees_if_its_departure_is_not_opposite_to_its_arrival():
+def test_the_azimuths_of_a_path_disagree_if_departure_is_not_opposite_to_arrival():
     sigma = np.tile([0.2, 0.03, 0.01, 0.04], (4, 1))
     arrivals, apart = np.array([1.0, 3.0, -3.1, -0.75 * np.pi]), np.array([0.0, 0.1, -0.05, -0.02])
     departures = (arrivals + apart) % (2.0 * np.pi) - np.pi

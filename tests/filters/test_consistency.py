@@ -1,9 +1,9 @@
-"""Tests that the covariances of filters are right if users move and are measured as assumed.
+"""Tests that covariances are right if motion and measurements are as the filters assume.
 
-Users move as the modes assume (white-noise acceleration, oscillator drift), start from the
-prior and are measured with Gaussian noise, far enough from the anchors for measurements to be
-nearly linear across the prior. Then NEES and NIS are chi-square for every algorithm, and
-errors exceed protection levels as often as the levels state.
+Users start from the prior and move as the modes assume (white-noise acceleration, oscillator
+drift). Noise is Gaussian. Anchors are so far away that measurements are nearly linear across the
+prior. NEES and NIS must then be chi-square for every algorithm, and errors must exceed
+protection levels with the probability that the levels state.
 Each test would fail by chance with 1 % of all seeds (Bonferroni over its checks); the seed is 0.
 """
 
@@ -28,8 +28,8 @@ TUNING = {"sigma_v": 0.3, "adaptive": False}
 
 @pytest.fixture(scope="module")
 def runs():
-    """Return five arrays for each algorithm: NEES (T, runs), NIS (T, runs, groups), rejections by a
-    99 % gate, 0 or 1 (T, runs, groups), errors (T, runs, 3) and packed covariances (T, runs, 28).
+    """Return five arrays for each algorithm: NEES (T, runs), NIS (T, runs, groups), 0 or 1 for
+    rejection by a 99 % gate (T, runs, groups), errors (T, runs, 3), packed P (T, runs, 28).
     """
     plain = [Mode(a, a, gate=None, **TUNING) for a in ALGORITHMS]
     gated = [Mode(f"{a} gated", a, gate=0.99, **TUNING) for a in ALGORITHMS]

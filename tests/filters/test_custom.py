@@ -103,7 +103,7 @@ class Filter:
 
 
 @pytest.mark.parametrize("algorithm", [helped, wrapped, partial(helped), Filter()])
-def test_the_message_shows_the_innermost_line_of_the_users_code(algorithm):
+def test_the_message_shows_the_innermost_line_of_the_custom_code(algorithm):
     number = 1 + next(
         i for i, line in enumerate(linecache.getlines(__file__)) if "# refused here" in line
     )
@@ -130,7 +130,7 @@ def test_other_failures_keep_their_cause_and_show_the_line(algorithm, part):
     assert isinstance(error.__cause__, AttributeError)
 
 
-# --- signatures, returns and arguments
+# --- signatures, results and arguments
 
 
 def changed(**fields):
@@ -169,7 +169,7 @@ RETURNS = {
 
 
 @pytest.mark.parametrize(("algorithm", "problem"), RETURNS.items(), ids=RETURNS.values())
-def test_wrong_returns_and_signatures_are_refused(algorithm, problem):
+def test_wrong_results_and_signatures_are_refused(algorithm, problem):
     message = str(refusal(algorithm))
     assert message.startswith(f"algorithm {algorithm.__name__} of mode 'own' ")
     assert problem in message
@@ -195,7 +195,7 @@ def test_an_algorithm_that_changes_its_arguments_is_refused(name, algorithm):
     assert f"changed its argument {name}" in str(refusal(algorithm))
 
 
-# --- trials: a new pipeline runs its algorithms once, to see whether lanes can run them
+# --- trials: a new pipeline runs its algorithms once, to see whether they can run on lanes
 
 
 def test_making_an_environment_with_an_algorithm_that_cannot_run_is_refused(written):

@@ -1,4 +1,4 @@
-"""Tests that filterpy's filters and ours give the same tracks over complete episodes."""
+"""Tests that filterpy's filters and our filters give the same tracks over complete episodes."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ ALGORITHMS = ("ekf", "ukf", "ckf")
 
 
 def both(pipeline, episodes, actions, parts):
-    """Return the tracks of our filters and of filterpy's, both run on plain floats."""
+    """Return the tracks of our filters and of filterpy's filters, both on plain floats."""
     epochs = len(episodes[0])
     return [
         track(p, episodes, actions, epochs, parts, on_floats=True)

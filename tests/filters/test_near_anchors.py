@@ -29,7 +29,7 @@ everywhere = pytest.mark.parametrize("where", OFFSETS)
 
 
 def near(where, odometry=False):
-    """Return a problem whose prior mean is at the offset ``where``, about 2 m from the truth."""
+    """Return a Problem whose prior mean is at the offset ``where``, about 2 m from the truth."""
     sensor = textbook.Sensor(ANCHORS, HZ_PER_MPS, odometry)
     x = np.array([*(ANCHORS[0] + OFFSETS[where][0]), 3.0, -2.0, 0.1, 20.0])
     scale = np.array([3.0, 3.0, 1.0, 1.0, 1.0, 0.3, 50.0])
@@ -54,7 +54,7 @@ def test_an_update_near_an_anchor_equals_the_textbook(algorithm, where, odometry
 
 
 @everywhere
-def test_a_jacobian_row_is_the_derivative_or_zero_if_its_angle_is_undefined(where):
+def test_a_jacobian_row_is_zero_if_its_angle_is_undefined_and_else_the_derivative(where):
     problem, (_, lost) = near(where), OFFSETS[where]
     s, x = problem.sensor, problem.x
     silent = SILENT.get(lost, [])

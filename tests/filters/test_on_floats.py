@@ -1,4 +1,4 @@
-"""Tests of epochs on plain floats against the textbook: modes, memory, IMMs, smoothing, scores.
+"""Tests that modes, memory and IMMs on plain floats equal their textbook formulas.
 
 Engines run the same functions compiled; these tests run them as plain Python, so that each test
 takes at most a second.
@@ -228,7 +228,7 @@ def spread(weights, points):
     return np.einsum("m,mi,mj->ij", weights, offset, offset)
 
 
-def test_the_stay_matrix_gives_all_other_modes_the_same_probability():
+def test_the_stay_matrix_gives_all_changes_of_the_mode_the_same_probability():
     np.testing.assert_allclose(imm.stay_matrix(3), 0.025 + 0.925 * np.eye(3))
     assert imm.stay_matrix(1) == [[1.0]]
 
@@ -240,7 +240,7 @@ def test_transition_probabilities_per_second_are_scaled_to_shorter_steps():
         np.testing.assert_allclose(imm.over_step(matrix, dt), matrix)
 
 
-def test_trusting_a_mode_raises_its_probability_even_from_zero():
+def test_a_trusted_mode_gets_a_higher_probability_even_if_it_was_zero():
     track = imm.ModeTrack([], [], None)
     dead = imm.trusting(imm.Mixture([track] * 2, [1.0, 0.0]), 1.0, 1.0)
     assert 0.0 < dead.probability[1] == pytest.approx(1e-12 / np.exp(3.0), rel=1e-6)

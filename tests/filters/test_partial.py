@@ -1,6 +1,6 @@
 """Tests of partial layouts, in which any row of a measurement may be missing.
 
-With missing rows, NEES and NIS are chi-square. Without, tracks equal those in a plain layout.
+With missing rows, NEES and NIS are chi-square. If no row is missing, the layout has no effect.
 """
 
 from dataclasses import replace

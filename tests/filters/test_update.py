@@ -1,4 +1,4 @@
-"""Tests of the update, which fuses azimuths, against the textbook, which uses all rows at once."""
+"""Tests that updates, which fuse azimuths, equal textbook updates, which use all rows jointly."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ GATES = [Gate(None), Gate(0.99), Gate(0.5), Gate(0.5, force=1.0), Gate(0.99, rob
 
 KINDS = {
     "radio": {},
-    "nine anchors": {"anchors": 9},  # gates take one logarithm per eight groups
+    "nine anchors": {"anchors": 9},  # more than eight groups: the gates need two logarithms
     "odometry": {"odometry": True},
     "some rows": {"partial": True},
     "odometry and some rows": {"odometry": True, "partial": True},
@@ -64,7 +64,7 @@ def test_an_update_with_any_scaled_sigma_points_equals_the_textbook(kind, parame
 @pytest.mark.parametrize(
     ("algorithm", "moments"),
     [
-        # With kappa = 2, sigma points of 5 states are as far from the mean as sigma points of 7.
+        # 5 states with kappa = 2 have sigma points as far out as 7 states with kappa = 0.
         ("ekf", textbook.tangent),
         ("ukf", textbook.unscented(1.0, 2.0, 2.0)),
         ("ckf", textbook.unscented(1.0, 0.0, 2.0)),

@@ -26,13 +26,13 @@ HZ_PER_MPS = 93.4
 
 
 def geometry(position, velocity, scene, layout):
-    """Return exact measurements (T, rows) of positions and velocities (T, 3)."""
+    """Return the exact measurements (T, rows) at positions (T, 3) with velocities (T, 3)."""
     tracks = list(position.T), list(velocity.T)
     return np.stack(exact_rows(*tracks, scene.anchors_m, scene.hz_per_mps, layout), axis=1)
 
 
 def simulated(n, epochs=200, odometry=False, seed=0, scene=SCENES["street"]):
-    """Return n episodes of the noisiest radio, with outliers and more missing groups than usual."""
+    """Return n episodes of the noisiest radio, with more outliers and missing rows than usual."""
     source = SimulatedSource(scene, RADIOS["handset"], epochs=epochs, odometry=odometry)
     return [spoiled(source.sample(np.random.default_rng([seed, i])), i) for i in range(n)]
 
@@ -48,14 +48,14 @@ def around_a_block(corner=(10.0, -20.0)):
 
 
 def replay(episode):
-    """Return an episode source that always gives this episode."""
+    """Return an episode source that always returns ``episode``."""
     return SimpleNamespace(
         layout=episode.layout, epochs=len(episode), name=episode.name, sample=lambda rng: episode
     )
 
 
 def spoiled(episode, seed):
-    """Return the episode with a tenth of its groups missing and 1 % of its rows far off."""
+    """Return a copy without a tenth of the groups of measurements; 1 % of its rows are far off."""
     rng = np.random.default_rng([99, seed])
     far = rng.random(episode.measurement.shape) < 0.01
     measurement = episode.measurement + 20.0 * far * episode.sigma
@@ -89,11 +89,11 @@ def process_noise(mode, dt=1.0, spread_hz=0.0, gamma=1.0, hz_per_mps=HZ_PER_MPS)
 
 @dataclass(frozen=True, eq=False)
 class OwnModel:
-    """Model of users who start, move and are measured exactly as a filter assumes.
+    """Model of users whose start, motion and measurements are exactly as a filter assumes.
 
     ``start`` (7,) and ``prior`` (7,) are mean and standard deviations of the first state. Q (7, 7)
-    is the process noise of one second. The noise of a measurement is ``sigma`` (rows,) times a
-    random factor, exp(``fading`` N(0, 1)). Groups are visible with probability ``detection``.
+    is the process noise of one second. The noise has the standard deviations ``sigma`` (rows,)
+    times exp(``fading`` N(0, 1)). Groups of rows are visible with probability ``detection``.
     """
 
     sensor: textbook.Sensor
@@ -146,7 +146,7 @@ def track(pipeline, episodes, actions, epochs, parts, on_floats=False, bank=None
     """Run an engine and record ``parts`` of its workspace, such as "memory.gamma", every epoch.
 
     Args:
-        actions: (epochs, n) or (n,) modes to choose; with a bank, modes whose probability to raise.
+        actions: (epochs, n) or (n,) modes to choose; with a bank, modes to make more probable.
 
     Returns:
         An array (epochs, n, ...) per part; "P_predicted" comes from a tracker, not an engine.

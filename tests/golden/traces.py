@@ -1,8 +1,8 @@
 """Golden traces: outputs of filters, smoother and environments; counts of operations and bytes.
 
 A trace is a function that yields rows. A row maps columns to cells; its first cell names the row.
-Episodes are given by their keys (64-bit numbers) instead of seeds: a new version may draw another
-key from a seed, but a key always gives the same episode.
+Episodes are given by their keys (64-bit numbers) instead of seeds: a new version of the package may
+draw another key from the same seed, but a key always gives the same episode.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -83,7 +83,7 @@ def _belief(k: int, x: Any, P: Any) -> Row:
 
 
 def _gates(visible: Any, accepted: Any) -> str:
-    """Return one letter per group: a (accepted), r (rejected) or - (missing)."""
+    """Return a letter per group of measurements: a (accepted), r (rejected) or - (missing)."""
     return "".join("-ra"[int(v) + int(v and a)] for v, a in zip(visible, accepted, strict=True))
 
 
@@ -106,7 +106,7 @@ class Recorded(TrackSource):
 
 
 def rollout(keys: Sequence[int | None], **arguments: Any) -> Iterator[Row]:
-    """Play the episodes of keys to their ends; a key is None for an environment without keys."""
+    """Play the episode of each key to its end; use the key None if the environment has no keys."""
     env = gym.make(ID, **arguments)
     for key in keys:
         options = None if key is None else {"episode_key": key}

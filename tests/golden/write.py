@@ -2,7 +2,7 @@
 
 The last bits of results depend on the processor, because compilers and libraries choose
 instructions for it. Tests therefore allow differences of 1e-9 (1e-5 in observations, which have
-single precision): relative for numbers above 1, else absolute. Integers and words must agree.
+single precision), relative for numbers above 1, absolute for others. Integers and words must agree.
 ``--check`` compares text, to see on one machine whether a refactoring changes any bit.
 """
 
@@ -59,7 +59,7 @@ def _same(a: str, b: str, tolerance: float) -> bool:
 
 
 def main(check: bool) -> None:
-    """Write all traces; with ``check``, only compare them with files, and fail if any differs."""
+    """Write all traces; with ``check``, only compare them with their files; fail if any differ."""
     differ = 0
     for name, trace in TRACES.items():
         path, text = FOLDER / f"{name}.csv", text_of(trace())

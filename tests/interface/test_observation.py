@@ -24,7 +24,7 @@ from mmwave_env.models.scene import SCENES
 from mmwave_env.world.simulated import SimulatedSource
 from tests.filters.tracks import replay
 
-# The groups of measurements, in their order, and their degrees of freedom.
+# group of measurements, in the order of the layout -> degrees of freedom
 GROUPS = {"anchor 1": 4, "anchor 2": 4, "anchor 3": 4, "Doppler": 1}
 DOF = np.array([*GROUPS.values()])
 
@@ -35,14 +35,14 @@ def draw(seed, **changes):
 
 
 def blinded(episode, first, last):
-    """Return the episode without measurements from epoch ``first`` until before ``last``."""
+    """Return the episode without the measurements of the epochs ``first`` to ``last`` - 1."""
     visible = episode.visible.copy()
     visible[first:last] = False
     return replace(episode, visible=visible)
 
 
 def absurd(episode):
-    """Return the episode with impossible measurements, SNRs and Doppler spread, and a far prior."""
+    """Return the episode with absurd measurements, SNRs and Doppler spreads, and a wrong prior."""
     measurement = episode.measurement.copy()
     measurement[::7] *= 1e6
     return replace(
@@ -89,7 +89,7 @@ class Rollout(NamedTuple):
         return np.array([info[key] for info in self.infos[1:]])
 
     def limited(self, name, values):
-        """Return values, clipped to the feature's limits and to ten deviations from its mean."""
+        """Clip values to the feature's limits and to ten standard deviations from its mean."""
         i = self.table.names.index(name)
         feature, (mean, deviation) = self.table.features[i], self.table.scales[i]
         reach = 10.0 * deviation
@@ -128,7 +128,7 @@ def test_predicted_speed_is_the_speed_of_the_estimate(rollout):
     assert_feature(rollout, "predicted speed", speed)
 
 
-def test_nis_and_verdicts_are_those_of_the_last_epoch(rollout):
+def test_nis_and_verdicts_describe_the_last_epoch(rollout):
     verdicts = rollout.info("accepted").astype(int) - rollout.info("rejected")
     np.testing.assert_array_equal(verdicts != 0, rollout.episode.usable)
     for g, name in enumerate(GROUPS):
@@ -138,7 +138,7 @@ def test_nis_and_verdicts_are_those_of_the_last_epoch(rollout):
     assert rollout.read("NIS Doppler")[0] == 0.0 == rollout.read("verdict Doppler")[0]
 
 
-def test_snr_is_that_of_the_coming_epoch(rollout):
+def test_snr_describes_the_coming_epoch(rollout):
     for a in range(3):
         visible, snr = rollout.episode.usable[:, a], rollout.episode.snr_db[:, a]
         coming = np.clip(np.where(visible, snr, -20.0), -20.0, 80.0)
@@ -150,14 +150,14 @@ def averages(values, keep):
     return list(accumulate(values, lambda a, now: keep * a + (1.0 - keep) * now, initial=0.0))
 
 
-def test_doppler_spread_is_that_of_the_coming_epoch_and_is_averaged(rollout):
+def test_doppler_spread_describes_the_coming_epoch_and_is_averaged(rollout):
     spread = np.append(rollout.episode.doppler_spread_hz / rollout.episode.hz_per_mps, 0.0)
     close(rollout.read("Doppler spread"), np.minimum(spread, 50.0))
     close(rollout.read("Doppler spread average"), averages(spread, 0.8)[1:])
 
 
 @pytest.mark.parametrize("speed_mps", [0.0, 2.0, 15.0])
-def test_a_missing_doppler_spread_is_about_the_mean_of_those_drawn_at_the_speed(speed_mps):
+def test_a_missing_doppler_spread_is_about_the_mean_spread_drawn_at_the_speed(speed_mps):
     site = blank_site(Layout())._replace(hz_per_mps=93.4)
     velocity, speeds = [0.6 * speed_mps, 0.8 * speed_mps, 0.0], np.full(100_000, speed_mps)
     drawn = doppler_spread(RADIOS["handset"], 93.4, speeds, np.random.default_rng(0))
@@ -186,7 +186,7 @@ def predictions(rollout):
         yield t, x
 
 
-def test_distances_are_those_of_the_predicted_position(rollout):
+def test_distances_are_measured_from_the_predicted_position(rollout):
     predicted = np.array([x[:3] for _, x in predictions(rollout)])
     for a, anchor in enumerate(rollout.episode.scene_anchors_m):
         distance = np.minimum(np.linalg.norm(predicted - anchor, axis=1), 1000.0)

@@ -1,4 +1,4 @@
-"""Tests of shipped rewards, users' own rewards, and paired rewards (minus the reward of an IMM)."""
+"""Tests of shipped, custom and paired rewards; a paired reward is relative to an IMM's reward."""
 
 import math
 from pathlib import Path
@@ -46,7 +46,7 @@ def pays(reward, belief):
     return total(terms_of(reward, belief, ORIGIN))
 
 
-def test_shipped_rewards_have_names_and_others_are_named_after_their_class_or_function():
+def test_shipped_rewards_have_names_and_other_rewards_the_name_of_their_class_or_function():
     for name, reward in REWARDS.items():
         assert reward_name(reward) == name
     assert reward_name(TrackingReward(error_limit_m=5.0)) == "TrackingReward"
@@ -141,7 +141,7 @@ def test_the_environment_pays_the_tracking_reward():
         assert reward == pytest.approx(expected, abs=1e-9)
 
 
-def test_the_environment_pays_a_users_own_reward_function():
+def test_the_environment_pays_a_custom_reward_function():
     for reward, info in steps(reward=capped, modes=["ekf"]):
         assert reward == pytest.approx(max(-info["position_error_m"], -2.0), abs=1e-12)
 
@@ -221,8 +221,8 @@ def imm_rewards(seed, episodes, reward=REWARDS["tracking"], **task):
     ],
     ids=["three modes", "own reward on flat ground"],
 )
-def test_paired_rewards_are_rewards_minus_those_of_the_imm_on_the_same_episodes(reward, task):
-    """Check equality to the last bit; the agent's modes differ from those of the IMM."""
+def test_paired_rewards_are_rewards_minus_the_imms_rewards_in_the_same_episodes(reward, task):
+    """Check equality to the last bit; the agent's modes differ from the IMM's modes."""
     n, epochs = 5, 3 * task["episode_steps"]
     envs = [
         gym.make_vec("MmWaveLoc-v0", num_envs=n, autoreset_mode="SameStep", reward=each, **task)
@@ -239,7 +239,7 @@ def test_paired_rewards_are_rewards_minus_those_of_the_imm_on_the_same_episodes(
     assert np.abs(baseline).min() > 0.0
 
 
-def test_a_paired_return_is_the_return_minus_that_of_the_imm_even_if_an_episode_ends_early():
+def test_a_paired_return_is_the_return_minus_the_imms_return_even_if_an_episode_ends_early():
     ended = 0
     for seed in range(12):
         returns = []

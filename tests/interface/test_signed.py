@@ -54,7 +54,7 @@ def random_actions():
     return np.random.default_rng(0).integers(3, size=(N, EPOCHS))
 
 
-def test_tracks_and_environments_compute_the_same_bits(episodes):
+def test_tracks_and_environments_compute_bit_identical_features(episodes):
     actions = random_actions()
     *others, last = episodes
     unmeasured = np.zeros(EPOCHS)  # 0 means that the Doppler spread was not measured
@@ -136,7 +136,7 @@ def test_features_do_not_depend_on_the_coming_epoch(episodes):
     assert (before[:, changed] != after[:, changed]).any()
 
 
-def test_the_signed_observation_begins_with_all_features_of_the_full_one():
+def test_the_signed_observation_begins_with_all_features_of_the_full_observation():
     pipeline = Pipeline(BANK.modes, Layout())
     full, signed = (Observation(pipeline, kind, "per-mode") for kind in ("full", "signed"))
     assert signed.columns[: len(full)] == full.columns

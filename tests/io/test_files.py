@@ -87,7 +87,7 @@ def test_a_path_that_is_not_a_regular_file_or_links_to_a_device_is_not_written(t
 
 @pytest.fixture
 def umask():
-    """Return a function that sets the umask; restore the old one after the test."""
+    """Return a function that sets the umask; restore the old umask after the test."""
     before = os.umask(0o022)
     yield os.umask
     os.umask(before)
@@ -112,7 +112,7 @@ def test_a_file_that_is_replaced_keeps_its_permissions(tmp_path, umask, mode):
     path.write_text("old")
     path.chmod(mode)
     with atomic_path(path) as temporary:
-        assert mode_of(temporary) == 0o600  # others can't read an incomplete file
+        assert mode_of(temporary) == 0o600  # other users can't read an incomplete file
         temporary.write_text("new")
     assert (path.read_text(), mode_of(path)) == ("new", mode)
 
@@ -195,7 +195,7 @@ def test_a_path_that_is_not_a_regular_file_is_refused_before_it_is_opened(specia
             read(special)
 
 
-def test_the_error_about_a_missing_file_names_it(tmp_path):
+def test_the_error_about_a_missing_file_names_the_file(tmp_path):
     for path in (tmp_path / "a", tmp_path / "a\0b"):
         with refuses(path, error=FileNotFoundError):
             open_regular(path, "a log")

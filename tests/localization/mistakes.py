@@ -1,4 +1,4 @@
-"""Mistakes in logs, as functions from the correct columns (arrays by name) to the wrong ones."""
+"""Mistakes in logs, as functions from correct columns (arrays by name) to wrong columns."""
 
 import csv
 from itertools import permutations
@@ -59,7 +59,7 @@ MISTAKES = {  # text of a hypothesis of the diagnosis -> the mistake that it exp
     "azimuth of arrival is in degrees": linear(180.0 / np.pi, AZIMUTHS[0]),
     "azimuth of departure is in degrees": linear(180.0 / np.pi, AZIMUTHS[1]),
     "elevation is in degrees": linear(180.0 / np.pi, "aoa_elevation_rad"),
-    "times are those of round trips": linear(2.0, "toa_s"),
+    "times are round-trip times": linear(2.0, "toa_s"),
     **{
         f"{quantity} is {mistake}": linear(factor, column)
         for quantity, column in (("time of flight", "toa_s"), ("time", "time_s"))
@@ -71,4 +71,4 @@ MISTAKES = {  # text of a hypothesis of the diagnosis -> the mistake that it exp
     "Doppler shift is in kHz, not in Hz": linear(1e-3, "doppler_hz"),
     "Doppler shift is in Hz, not in kHz": linear(1e3, "doppler_hz"),
 }
-ORDERS = list(permutations((1, 2, 3)))[1:]  # all orders of three anchors but the right one
+ORDERS = list(permutations((1, 2, 3)))[1:]  # all wrong orders of three anchors

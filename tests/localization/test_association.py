@@ -1,4 +1,4 @@
-"""Tests of associating paths with anchors, of the epochs in which tracks begin, and of counts."""
+"""Tests of associating paths with anchors, of where tracks begin, and of the numbers of paths."""
 
 from itertools import islice
 
@@ -65,7 +65,7 @@ def seen_in(block):
 
 
 def ate(block, true):
-    """Return the mean position error in m of a block's track; ``true`` is the measured track."""
+    """Return the mean position error in m of a block's track; ``true`` has the true positions."""
     track = track_of([block], true.scene, RADIO, Switching(MODES, by_predicted_speed), window=None)
     position_m = true.position_m[np.searchsorted(true.time_s, track.time_s)]
     return np.linalg.norm(track.x[:, :3] - position_m, axis=1).mean()
@@ -96,7 +96,7 @@ def test_a_shipped_log_without_anchor_numbers_gives_nearly_the_same_track(tmp_pa
 
 
 def test_angles_of_arrival_may_be_measured_at_the_base_station():
-    """Compare with the same log whose angles are those at the mirror images of the station."""
+    """Compare with the same log, whose angles of arrival are at the station's mirror images."""
 
     def as_the_station_sees(epoch, anchor):
         z = epoch.measurement.copy()
@@ -137,7 +137,7 @@ def test_a_track_waits_for_the_line_of_sight_instead_of_starting_from_a_reflecti
 
 def test_a_track_that_started_from_a_reflection_gives_way_to_the_line_of_sight():
     anchors_seen, tally = [(1,)] * 30 + [ALL] * 20, Association(3)
-    # The image is 14 m north of the base station, so the user seems to be 14 m further south.
+    # The image, 14 m north of the base station, is taken for it: the track is 14 m too far south.
     block = associated(walk(anchors_seen, seed=4, y_m=6.0), tally=tally)
     begins = np.flatnonzero(block.restarts).tolist()
     # While there is only one path, nothing contradicts that it is the line of sight.
@@ -179,7 +179,7 @@ def test_association_does_not_change_odometry(tmp_path):
     np.testing.assert_array_equal(block.measurement[shown, 13:], episode.measurement[shown, 13:])
 
 
-def test_epochs_before_a_damaged_line_are_returned_before_its_error():
+def test_epochs_before_a_damaged_line_are_returned_before_the_error():
     epochs, blocks = damaged(walk([ALL] * 12)), []
     with refuses("line 7", error=LogError):
         blocks.extend(associate(epochs, SCENE, RADIO, MODES[-1], Association(3), 5))

@@ -46,13 +46,13 @@ def doubts(blocks, scene, radio=RADIO):
 
 
 def findings(path, scene, partial=False):
-    """Diagnose the first block of a log; return the findings, the most likely one first."""
+    """Diagnose the first block of a log; return the findings, the most likely finding first."""
     block = next(read_log(path, scene, odometry=False, limits=False, partial=partial))
     return diagnose(block, scene, RADIO, MODES[1])
 
 
 def reordered(scene, order):
-    """Return the scene with its anchors in another order; the first is the base station."""
+    """Return the scene with its anchors in another order; the first anchor is the base station."""
     gnb, *others = [tuple(scene.anchors_m[n - 1].tolist()) for n in order]
     return replace(scene, base_station_m=gnb, virtual_anchors_m=tuple(others))
 
@@ -102,7 +102,7 @@ def test_a_wrong_order_of_anchors_causes_a_warning_and_is_diagnosed(folder, orde
 
 
 @both
-def test_two_mistakes_at_once_are_both_diagnosed(tmp_path, folder):
+def test_two_mistakes_in_one_log_are_both_diagnosed(tmp_path, folder):
     scene = read_scene(folder / "scene.json")
     zenith = MISTAKES["elevation is a zenith angle"]
     path = wrong_log(tmp_path, folder, lambda c: zenith(exchanged(c)))

@@ -60,7 +60,7 @@ def test_a_risk_that_no_calibration_covers_and_an_unknown_kind_are_refused():
 
 
 @pytest.mark.parametrize("risk", [0.01, 0.001])
-def test_factors_are_positive_and_finite_whatever_a_filter_went_through(risk):
+def test_factors_are_positive_and_finite_for_any_outputs_of_a_filter(risk):
     x, P, nis, accepted, rejected, trusted = parts()
     levels = Levels(risk)
     for extreme in (
@@ -75,7 +75,7 @@ def test_factors_are_positive_and_finite_whatever_a_filter_went_through(risk):
         assert factors.shape == (N, T, 2) and np.isfinite(factors).all() and (factors > 0.0).all()
 
 
-def test_epochs_in_pieces_have_the_factors_of_the_whole_track():
+def test_the_factors_of_a_track_do_not_depend_on_its_division_into_pieces():
     read, time_s = parts(), np.cumsum(np.random.default_rng(1).random(T))
     whole, levels = Levels().factors(ANCHORS, True, time_s, *read), Levels()
     cut = [slice(0, 1), slice(1, 25), slice(25, T)]
@@ -86,7 +86,7 @@ def test_epochs_in_pieces_have_the_factors_of_the_whole_track():
 
 
 @pytest.mark.parametrize("name", representative(["corrector", "ekf"], "ekf"))
-def test_live_positions_and_levels_are_those_of_the_complete_log(corrector, name):  # noqa: F811
+def test_a_live_track_has_the_positions_and_levels_of_the_log(corrector, name):  # noqa: F811
     modes = learned("ppo-standard", "standard").modes[:1]
     switching = Switching(modes) if name == "ekf" else learned(corrector, "standard")
     track = track_of(blocks(50), SCENE, RADIO, switching, window=None, levels=Levels())
@@ -101,7 +101,7 @@ def test_live_positions_and_levels_are_those_of_the_complete_log(corrector, name
     assert Tracker(SCENE, switching, "standard").update(ROWS[0]).levels_m is None
 
 
-def test_gaussian_levels_are_those_that_covariances_promise():
+def test_gaussian_levels_follow_from_the_covariances():
     task, plain = task_from(radio="handset", episode_steps=30), PositionErrors(0.05)
     positions = Positions({"imm": "imm"}, Levels(0.05, "gaussian"))
 
@@ -118,7 +118,7 @@ def test_gaussian_levels_are_those_that_covariances_promise():
 @pytest.mark.parametrize("place", ["street:handset", "o1:standard", "dynamic-doppler:high"])
 @pytest.mark.parametrize("risk", [0.01, 0.001])
 def test_errors_exceed_levels_at_most_as_often_as_stated(place, risk):
-    """Fail only if 300 episodes show with 99.9 % confidence that a share is above the risk."""
+    """Fail only if 300 episodes show with 99.9 % confidence that errors exceed levels too often."""
     scene, radio = place.split(":")
     source, seeds = task_from(scene=scene, radio=radio).source, range(FRESH, FRESH + 300)
     policies = ("guided", "corrector", "imm-best")

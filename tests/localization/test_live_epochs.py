@@ -31,7 +31,7 @@ SCENE, RADIO, EKF = read_scene(WALK / "scene.json"), RADIOS["standard"], named_m
 
 
 def walk(count=60, **changed):
-    """Return the first epochs of a recorded walk, with changed columns; a row is a dict by column.
+    """Return the first epochs of a shipped log, with changed columns; a row is a dict by column.
 
     A keyword names a column; its value is a function from row to cell, or None to drop the column.
     """
@@ -63,14 +63,14 @@ LOGGED = {  # name -> changed columns, stated SNR, whether epochs are loaded by 
     "other units": (UNITS, None, True),
     "own noise": ({"snr_db": None} | {k: lambda row, v=v: v for k, v in OWN.items()}, None, True),
     "a stated SNR": ({"snr_db": None}, 18.0, True),
-    "the second anchor's shift": (SECOND, 20.0, True),
+    "a Doppler shift of anchor 2": (SECOND, 20.0, True),
     "odometry": (MOVES, None, True),
     "angles of the body": (BODY, None, False),
 }
 
 
 @pytest.mark.parametrize(("changed", "snr_db", "quick"), LOGGED.values(), ids=LOGGED)
-def test_live_epochs_are_those_of_the_log_to_the_last_bit(tmp_path, changed, snr_db, quick):
+def test_live_epochs_equal_epochs_of_a_log_to_the_last_bit(tmp_path, changed, snr_db, quick):
     epochs, path = walk(**changed), tmp_path / "log.csv"
     with path.open("w", newline="") as file:
         writer = csv.DictWriter(file, list(epochs[0][0]))

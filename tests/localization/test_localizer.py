@@ -38,7 +38,7 @@ BANK = best_bank()
 
 @cache
 def log(folder, odometry=False):
-    """Return a log in one block, with uneven time steps; two epochs lack the line of sight."""
+    """Return a log with uneven time steps; the first two epochs lack the line of sight."""
     source = SimulatedSource(SCENE, RADIO, "walk-ride", epochs=T, odometry=odometry)
     episode = source.sample(np.random.default_rng(3))
     time = 1.7e9 + np.random.default_rng(0).uniform(0.5, 1.5, T).cumsum()
@@ -86,7 +86,7 @@ def episode_of(block):
 
 
 def assert_engines(result, block, modes, planar=False):
-    """Assert that the engine, running the modes that were chosen, gives the same filtered track."""
+    """Assert that the engine gives the same filtered track if it runs the chosen modes."""
     episode = episode_of(block)
     if planar:
         episode = episode.on_flat_ground(1.5)
@@ -103,7 +103,7 @@ def assert_engines(result, block, modes, planar=False):
 
 
 @pytest.mark.parametrize("mode", representative([EKF, robust(UKF)], EKF))
-def test_a_track_in_one_mode_equals_that_of_the_engine(block, mode):
+def test_a_track_in_one_mode_equals_the_track_of_the_engine(block, mode):
     result = run(cut(block, [50]), [mode])
     assert_engines(result, block, [mode])
     assert (result.mode == 0).all() and result.share == 1.0
@@ -135,7 +135,7 @@ def test_a_track_on_flat_terrain_keeps_its_height(block, modes):
 
 
 @pytest.mark.parametrize("size", [1, 50])
-def test_a_track_of_an_imm_equals_that_of_the_imm_engine(block, size):
+def test_a_track_of_an_imm_equals_the_track_of_the_imm_engine(block, size):
     result = run(cut(block, [size]), BANK)
     ours = {"x": result.x, "P": result.P, "mixture": result.filtered[:, 35:]}
     ours["memory.nis"] = result.nis
@@ -207,7 +207,7 @@ def unseen(block, epochs):
 
 
 @pytest.mark.parametrize(("modes", "window"), [((EKF,), None), ((EKF,), 1000), (BANK, 50)])
-def test_the_track_before_a_damaged_line_is_returned_before_its_error(block, window, modes):
+def test_the_track_before_a_damaged_line_is_returned_before_the_error(block, window, modes):
     blocks = []
     pieces = cut(block.part(slice(0, 130)), [40])
     with refuses("line 7", error=LogError):
@@ -231,7 +231,7 @@ def test_a_measurement_that_makes_a_track_infinite_is_refused(block, first, wind
     with refuses("time", error=LogError):
         blocks.extend(localized([wrong], modes, window=window))
     result = TrackBlock.joined(blocks)
-    # The belief of a single mode is still finite in the damaged epoch, but not in the next one.
+    # The belief of a single mode is still finite in the damaged epoch, but not in the next epoch.
     assert len(result) == first + (modes != TWINS) and np.isfinite(result.smooth_x).all()
 
 
@@ -247,7 +247,7 @@ def with_gap(block, seconds, at=100):
 
 
 @pytest.mark.parametrize(("modes", "window"), [((EKF,), None), ((EKF,), 1000), (BANK, 30)])
-def test_after_a_long_gap_the_track_equals_that_of_the_remaining_log_alone(block, window, modes):
+def test_after_a_long_gap_the_track_equals_the_track_of_the_remaining_log(block, window, modes):
     before, after = with_gap(block, 60.0)
     blocks = list(localized([LogBlock.joined([before, after])], modes, window=window))
     assert [b.segment for b in blocks] == sorted(b.segment for b in blocks)
@@ -259,9 +259,7 @@ def test_after_a_long_gap_the_track_equals_that_of_the_remaining_log_alone(block
 
 
 @pytest.mark.parametrize(("steep", "side"), [(0.0, -1.0), (1e-9, 1.0), (0.02, -1.0)])
-def test_a_log_that_begins_straight_below_or_above_an_anchor_starts_where_the_user_has_moved_away(
-    steep, side
-):
+def test_a_track_starts_only_where_the_user_is_no_longer_below_or_above_an_anchor(steep, side):
     scene = Scene("lamp", (3.0, 4.0, 10.0), virtual_anchors_m=((3.0, 34.0, 10.0),))
     layout, epochs = Layout(2), 60
     # The user stands below or above the base station for four epochs, then walks away.

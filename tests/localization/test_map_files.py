@@ -91,7 +91,7 @@ def area(ring):
     return 0.5 * abs(np.dot(east[:-1], north[1:]) - np.dot(east[1:], north[:-1]))
 
 
-def test_geojson_has_lines_within_segments_and_ellipses_of_95_percent(tmp_path):
+def test_geojson_has_lines_within_segments_and_95_percent_error_ellipses(tmp_path):
     blocks = tracks()
     pieces = [blocks[0].part(slice(4)), blocks[0].part(slice(4, None)), blocks[1]]
     features = json.loads(written(tmp_path, ".geojson", pieces).read_text())["features"]

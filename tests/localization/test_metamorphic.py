@@ -26,7 +26,7 @@ pytestmark = pytest.mark.slow  # all tests together take half a minute
 
 RADIO = RADIOS["standard"]
 PIPELINES = {name: [mode] for name, mode in named_modes("standard").items()}
-# The sigma points of other modes lie along the map's axes, so a turned map changes their tracks.
+# The sigma points of all other modes lie along the map's axes: a turned map changes the tracks.
 ROTATABLE = ["ekf", "ekf-robust"]
 ROUNDING = 1e-6  # largest difference between two tracks, in standard deviations
 UNTURNED = np.eye(3)
@@ -123,8 +123,8 @@ UNITS = {  # old name -> new name and factor
 }
 
 
-def test_units_orders_clock_and_division_of_a_log_into_parts_do_not_matter(street, tmp_path):
-    """Compare a log with a copy in three gzipped files that differs in units, orders and clock."""
+def test_the_units_order_clock_and_number_of_files_do_not_matter(street, tmp_path):
+    """Compare a log with a copy in three gzipped files with other units, orders and clock."""
     (columns, scene), modes = street, [replace(PIPELINES["ukf"][0], spread_gain=0.01)]
     plain = track(tmp_path, columns, scene, modes)
     order = np.lexsort((-columns["anchor"], columns["time_s"]))

@@ -1,4 +1,4 @@
-"""Tests of logs that lack values or state their own noise, and of the radio nearest to a log."""
+"""Tests of logs that lack values or state their noise, and of the radio with the nearest noise."""
 
 import numpy as np
 import pytest

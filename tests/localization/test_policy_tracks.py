@@ -1,4 +1,4 @@
-"""Tests that tracks whose modes a policy chooses, live or from logs, equal those of the engine."""
+"""Tests that tracks whose modes a policy chooses, live or from logs, equal the engine's tracks."""
 
 import numpy as np
 import pytest
@@ -36,13 +36,13 @@ def blocks(size):
 
 
 def whole_track(switching, size=50, window=None):
-    """Return the track of the walk's first epochs in one block; ``size`` is that of its blocks."""
+    """Return the track of the walk's first epochs; the log is in blocks of ``size`` epochs."""
     return track_of(blocks(size), SCENE, RADIO, switching, window=window)
 
 
 @POLICIES
 @pytest.mark.parametrize("size", [7, EPOCHS])
-def test_the_track_equals_that_of_the_environment_to_the_last_bit(name, size):
+def test_the_track_equals_the_track_in_the_environment_to_the_last_bit(name, size):
     switching = learned(name, "standard")
     (whole,) = blocks(EPOCHS)
     episode = episode_from(whole, SCENE, RADIO)
@@ -58,7 +58,7 @@ def test_the_track_equals_that_of_the_environment_to_the_last_bit(name, size):
 
 
 @POLICIES
-def test_a_live_track_equals_that_of_the_complete_log_to_the_last_bit(name):
+def test_a_live_track_equals_the_track_of_the_complete_log_to_the_last_bit(name):
     switching = learned(name, "standard")
     track = whole_track(switching)
     tracker = Tracker(SCENE, switching, "standard", lag=5)

@@ -67,7 +67,7 @@ def test_levels_of_a_line_and_of_a_circle_equal_the_textbook(risk, sigma):
     assert vertical_level(upwards, risk) == pytest.approx(sigma * norm.isf(0.5 * risk))
 
 
-def test_levels_of_many_covariances_equal_those_of_each_one():
+def test_levels_of_many_covariances_equal_the_levels_of_single_covariances():
     P = np.stack([turned(3.0, 1.0, 0.3), turned(1.0, 1.0, 0.0), turned(2.0, 0.0, 1.0)])
     many = horizontal_level(P.reshape(3, 1, 6), 1e-3)
     assert many.shape == (3, 1)
@@ -75,7 +75,7 @@ def test_levels_of_many_covariances_equal_those_of_each_one():
 
 
 @pytest.mark.parametrize(("exceeded", "epochs"), [(0, 50), (3, 200), (7, 7)])
-def test_the_interval_of_the_share_is_that_of_clopper_and_pearson(exceeded, epochs):
+def test_the_interval_of_the_share_is_the_clopper_pearson_interval(exceeded, epochs):
     error = np.zeros(epochs)
     error[:exceeded] = 2.0
     figures = exceedance(error, np.ones(epochs))
@@ -85,7 +85,7 @@ def test_the_interval_of_the_share_is_that_of_clopper_and_pearson(exceeded, epoc
     assert figures["ci95"] == pytest.approx([low, high])
 
 
-def test_nan_counts_as_exceeded():
+def test_an_error_or_a_level_of_nan_counts_as_an_exceeded_level():
     error, level = np.array([np.nan, 1.0, 1.0]), np.array([5.0, np.nan, 5.0])
     assert exceedance(error, level)["exceeded"] == 2
 
@@ -117,7 +117,7 @@ def assert_figures(figures, size, level):
 
 @settings(max_examples=25, deadline=None)
 @given(error=ERRORS, cut=st.integers(0, 60))
-def test_statistics_of_errors_in_any_pieces_equal_those_of_numpy(error, cut):
+def test_statistics_of_errors_in_any_pieces_equal_statistics_in_numpy(error, cut):
     errors, P = PositionErrors(risk=0.05), covariances(len(error))
     for part in (slice(cut), slice(cut, None)):
         errors.add(error[part], P[part])

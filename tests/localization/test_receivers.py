@@ -28,7 +28,7 @@ ROWS = {  # column -> (row of a link, or 4 for Doppler; unit; standard deviation
     "doppler": (4, "hz", 25.0),
 }
 RANGE_AZIMUTH, ANGLES = ("range", "aoa_azimuth"), ("aoa_azimuth", "aoa_elevation", "aod_azimuth")
-# Without elevations, one anchor needs a known height: otherwise, even the textbook EKF diverges.
+# Without elevations and a known height, even the textbook EKF diverges for a single anchor.
 RECEIVERS = {  # name -> columns that are measured, time step in s, number of anchors
     "all, 1 s": (tuple(ROWS), 1.0, 3),
     "all, 0.1 s": (tuple(ROWS), 0.1, 3),
@@ -55,7 +55,7 @@ def noise(dt, hz_per_mps, flat):
 
 
 def walk(path, receiver, seed):
-    """Write a log of a user who moves as the filter assumes; return its scene and true track."""
+    """Write a log of a user who moves as the filter assumes; return scene and true positions."""
     measured, dt, anchors = RECEIVERS[receiver]
     scene = scene_of_anchors("receiver", ANCHORS[:anchors], 28e9, 100e6)
     rng, sensor = np.random.default_rng(seed), Sensor(ANCHORS[:anchors], scene.hz_per_mps)
@@ -95,11 +95,11 @@ def by_textbook(log, scene, x, P, flat):
     return np.array(means)
 
 
-# Cases with another number of anchors than three are slow: they compile programs of their own.
+# Cases without three anchors are slow: each number of anchors needs programs of its own.
 @pytest.mark.parametrize(
     "receiver", representative(RECEIVERS, "all, 1 s", "no Doppler shift", "angles")
 )
-def test_a_track_equals_that_of_a_textbook_ekf_and_is_consistent(tmp_path, receiver):
+def test_a_track_equals_the_track_of_a_textbook_ekf_and_is_consistent(tmp_path, receiver):
     ours, expected, nees, flat = [], [], [], "height" in receiver
     height_m, axes = (1.5, 2) if flat else (None, 3)
     for seed in range(WALKS):
@@ -122,7 +122,7 @@ def test_a_track_equals_that_of_a_textbook_ekf_and_is_consistent(tmp_path, recei
 
 @pytest.mark.slow
 def test_points_are_found_from_range_and_azimuth_of_one_anchor_at_the_users_height(tmp_path):
-    """Localize 45 points, 0.5 m apart, from measurements like those of a 60 GHz access point."""
+    """Localize 45 points, 0.5 m apart, with the noise of a 60 GHz access point."""
     rng, anchor = np.random.default_rng(3), np.array([0.0, 0.0, 1.5])
     line = 0.5 * np.arange(15)
     x = np.concatenate([3.0 + line, np.full(15, 10.5), 10.5 - line])

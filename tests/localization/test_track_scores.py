@@ -1,4 +1,4 @@
-"""Tests that scores and statistics of a track in blocks equal those of the complete track."""
+"""Tests that scores and statistics of a track do not depend on its division into blocks."""
 
 from dataclasses import replace
 
@@ -69,7 +69,7 @@ def test_only_a_ground_truth_in_another_frame_causes_a_warning(tmp_path, recwarn
 
 
 def scored_at(tmp_path, time_s, known, sizes=(T,), segments=False):
-    """Return RPE, the time between its epochs, and the track; the truth, where ``known``, is 0."""
+    """Return the RPE, the time between its epochs, and positions; known true positions are 0."""
     block = replace(some_track(len(time_s)), time_s=time_s)
     truth = truth_of(tmp_path, time_s[known], np.zeros((len(known), 3)))
     scores = TruthScores(truth, ["filtered"], planar=False)
@@ -128,7 +128,7 @@ def test_epochs_between_poses_are_scored_and_counted_as_interpolated(tmp_path):
 
 
 @pytest.mark.parametrize("sizes", [[T], [1, 99, 300]])
-def test_statistics_of_groups_equal_those_of_the_complete_track(sizes):
+def test_statistics_of_groups_equal_statistics_of_the_complete_track(sizes):
     block = some_track(T)
     rng = np.random.default_rng(2)
     accepted = block.visible & (rng.random((T, 4)) < 0.9)
@@ -160,7 +160,7 @@ def test_statistics_of_groups_equal_those_of_the_complete_track(sizes):
 
 
 @pytest.mark.parametrize("sizes", [[T], [1, 99, 300]])
-def test_the_course_of_a_track_does_not_depend_on_its_pieces(sizes):
+def test_the_statistics_of_a_whole_track_do_not_depend_on_its_pieces(sizes):
     block = replace(some_track(T), skipped=5, segment=2, dropped=7)
     course = Course(["slow", "fast"])
     for piece in cut(block, sizes):

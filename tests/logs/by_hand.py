@@ -80,7 +80,7 @@ def cut(block, sizes):
 
 
 def track_of(blocks, scene, radio, switching, **options):
-    """Localize a log and return its track in one block; the options are those of ``localize``."""
+    """Localize a log and return its track in one block; ``options`` are passed to ``localize``."""
     return TrackBlock.joined(list(localize(blocks, scene, radio, switching, **options)))
 
 
@@ -116,7 +116,7 @@ def episode(seed=0, epochs=25, odometry=False):
 
 
 def require_pyarrow(suffix):
-    """Skip the test if it needs pyarrow, which is not installed."""
+    """Skip the test if it needs pyarrow and pyarrow is not installed."""
     if suffix == ".parquet":
         pytest.importorskip("pyarrow")
 

@@ -132,7 +132,7 @@ def test_times_in_milliseconds_equal_times_in_seconds(tmp_path):
 
 
 @pytest.mark.parametrize("place", [slice(1), slice(2, 3), slice(3)], ids=str)
-def test_odometry_and_spread_may_stand_in_any_row_of_an_epoch_or_in_all(tmp_path, place):
+def test_odometry_and_doppler_spread_may_be_in_any_or_all_rows_of_an_epoch(tmp_path, place):
     values = {"doppler_spread_mps": "0.5", "speed_kmh": "7.2", "heading_deg": "270"}
     lines = [line | dict.fromkeys(values, "") for line in rows(2)]
     for line in lines[place]:

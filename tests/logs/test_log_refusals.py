@@ -79,7 +79,7 @@ DAMAGE = {  # name -> change, fields that the message names, number of epochs be
 
 @pytest.mark.parametrize(("size", "table_bytes"), [(1, 100), (2, 150), (2, 190), (1000, 1 << 20)])
 @pytest.mark.parametrize("name", DAMAGE)
-def test_the_error_names_a_damaged_row_and_comes_after_the_epochs_before_it(
+def test_epochs_before_a_damaged_row_are_read_before_an_error_names_the_row(
     tmp_path, monkeypatch, name, size, table_bytes
 ):
     monkeypatch.setattr("mmwave_env.logs.lines._BLOCK_BYTES", table_bytes)
@@ -134,7 +134,7 @@ HEADERS = {  # name -> header, fields that the message names
     "unknown": (HEADER + ",color", ["column 'color'"]),
     "no unit": (HEADER.replace("toa_s", "toa"), ["column 'toa'"]),
     "not UTF-8": (b"time_s,\xff\xfe", ["column"]),
-    **{  # each conflicts with a column of the header, or needs another column
+    **{  # each added column conflicts with the header, or needs another column
         f"{columns} added": (f"{HEADER},{columns}", ["columns"])
         for columns in (
             "range_m",
@@ -189,7 +189,7 @@ def test_missing_files_and_files_that_do_not_match_their_ending_are_refused(tmp_
 
 
 @pytest.mark.parametrize("left", [0.2, 0.5, 0.99])
-def test_the_epochs_of_a_gzip_file_that_ends_early_are_returned_before_its_error(tmp_path, left):
+def test_the_epochs_of_a_gzip_file_that_ends_early_are_returned_before_the_error(tmp_path, left):
     true = episode(epochs=2000)
     path = tmp_path / "log.csv.gz"
     write_log(path, true)
@@ -210,7 +210,7 @@ def test_a_gzip_file_with_a_wrong_byte_is_refused(tmp_path, byte):
     delivered(path)
 
 
-def test_the_epochs_before_a_line_without_an_end_are_returned_before_its_error(tmp_path):
+def test_the_epochs_before_a_line_without_an_end_are_returned_before_the_error(tmp_path):
     content = text(rows()).encode() + b"\0" * (3 << 20)
     blocks = delivered(store(tmp_path, content), "line 14")
     assert sum(map(len, blocks)) == 4
@@ -260,7 +260,7 @@ class TestParquet:
         ],
     )
     @pytest.mark.parametrize("batch", [2, 5, 1000])
-    def test_the_epochs_before_a_damaged_row_are_returned_before_its_error(
+    def test_the_epochs_before_a_damaged_row_are_returned_before_the_error(
         self, tmp_path, monkeypatch, column, row, value, batch
     ):
         monkeypatch.setattr("mmwave_env.logs.log_tables._BATCH_ROWS", batch)
@@ -282,7 +282,7 @@ class TestParquet:
         with refuses("log.parquet", error=LogError):
             read_log(path, SCENE)
 
-    def test_epochs_before_a_broken_page_are_returned_before_its_error(self, tmp_path, monkeypatch):
+    def test_epochs_before_a_broken_page_are_returned_before_the_error(self, tmp_path, monkeypatch):
         monkeypatch.setattr("mmwave_env.logs.log_tables._BATCH_ROWS", 30)
         true = episode(epochs=200)
         path = tmp_path / "log.parquet"

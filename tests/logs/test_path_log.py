@@ -52,7 +52,7 @@ def test_a_path_with_only_some_of_its_numbers_is_left_out(tmp_path):
     assert len(epoch.snr_db) == 1 and epoch.incomplete == 2
 
 
-def test_values_that_apply_to_a_whole_epoch_may_stand_in_any_of_its_rows(tmp_path):
+def test_values_that_apply_to_a_whole_epoch_may_be_in_any_of_its_rows(tmp_path):
     header = HEADER + ",doppler_spread_hz,speed_mps,heading_deg"
     lines = [f"0,{PATH},,,", f"0,{PATH},7,,190", f"0,{PATH},,2.5,", f"1,{PATH},,,"]
     first, second = read_paths(store(tmp_path, *lines, header=header), SCENE)
@@ -63,7 +63,7 @@ def test_values_that_apply_to_a_whole_epoch_may_stand_in_any_of_its_rows(tmp_pat
     assert without.layout == Layout(3)
 
 
-def test_epochs_before_a_damaged_row_are_returned_before_its_error(tmp_path):
+def test_epochs_before_a_damaged_row_are_returned_before_the_error(tmp_path):
     lines = [f"0,{PATH}", f"0,{PATH}", f"1,{PATH}", "2,1e-7,0.5,x,-2.6,12.5,20"]
     epochs = delivered(store(tmp_path, *lines), "line 5, column 'aoa_elevation_rad'")
     assert [len(e.snr_db) for e in epochs] == [2, 1]

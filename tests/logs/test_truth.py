@@ -1,4 +1,4 @@
-"""Tests of interpolating a true track, and of estimating how far its clock is ahead of a log's."""
+"""Tests of interpolating a true track, and of estimating its clock's offset from a log's clock."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def truth_of(folder, time_s, position_m):
 
 
 def expected(pose_s, position, time_s):
-    """Return positions and velocities on SciPy's cubics with NumPy's gradients; NaN in gaps."""
+    """Return positions and velocities from SciPy's cubic splines; NaN in gaps."""
     p, v = np.full((2, len(time_s), 3), np.nan)
     runs = np.split(np.arange(len(pose_s)), np.flatnonzero(np.diff(pose_s) > BRIDGED_S) + 1)
     for run in runs:
@@ -86,7 +86,7 @@ def log_of(time_s, position_m, rng, bias=0.0):
 
 
 def compared(log, seconds, shift=(0.0, 0.0, 0.0)):
-    """Return the estimated offset of the clock of :func:`late`'s true track from the log's."""
+    """Return the estimated clock offset between the true track of :func:`late` and the log."""
     return clock_offset(log, STREET, lambda time_s: late(time_s, seconds, shift))
 
 
@@ -117,7 +117,7 @@ def test_the_standard_error_of_an_offset_is_the_spread_over_many_logs():
     assert not any(clock.matters for clock in clocks)
 
 
-def test_the_offset_equals_a_least_squares_fit_of_all_unknowns_at_once():
+def test_the_offset_equals_a_joint_least_squares_fit_of_all_unknowns():
     """Fit the clock's offset, the frame's shift and a bias for every row by NumPy's lstsq."""
     time_s, rng = np.arange(0.0, 30.0, 0.25), np.random.default_rng(4)
     log, truth = log_of(time_s, user(time_s)[0], rng), late(time_s, 0.05, (0.3, 0.2, 0.0))

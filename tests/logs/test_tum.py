@@ -1,4 +1,4 @@
-"""Tests of TUM trajectory files: written and read back, read by evo, refused if damaged."""
+"""Tests that TUM trajectory files are read back as written, read by evo, and refused if damaged."""
 
 import numpy as np
 import pytest
@@ -61,7 +61,7 @@ def test_all_spellings_of_a_file_are_read_alike(tmp_path, name):
     assert poses.position_m.tolist() == [[1.0, 2.0, 3.0], [1.5, 2.0, 3.0], [2.0, 2.0, 3.0]]
 
 
-DAMAGE = {  # damaged line -> comma and name of the damaged column, if the message names one
+DAMAGE = {  # damaged line -> comma and name of the damaged column, if the message names a column
     "0.15 1 2 3 0 0 1": "",
     "0.15,1,2,3,0,0,0,1": "",
     "0.15 1 two 3 0 0 0 1": ", y",

@@ -95,7 +95,7 @@ def test_braking_ends_at_a_standstill(heading, speed, dt):
     v = speed * np.array([np.cos(heading), np.sin(heading)])
     moved = np.array(accelerate([0.0, 0.0, 1.5, *v, 0.1, 7.0], -100.0, dt))
     np.testing.assert_allclose(moved[3:5], 0.0, atol=1e-12)
-    # The position passed in includes dt v, the movement without braking. Braking halves it.
+    # The given position already includes the movement without braking, dt v. Braking halves it.
     np.testing.assert_allclose(moved[:2], -0.5 * dt * v, atol=1e-12)
     np.testing.assert_array_equal(moved[[2, 5, 6]], [1.5, 0.1, 7.0])
 

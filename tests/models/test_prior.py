@@ -13,7 +13,7 @@ from tests.filters.tracks import geometry
 
 SCENE = SCENES["street"]
 GNB = SCENE.anchors_m[0]
-# The deviations of a link: range (m), azimuth of arrival, elevation, azimuth of departure (rad).
+# Standard deviations of range (m), azimuth of arrival, elevation and azimuth of departure (rad).
 SIGMA = np.array([0.3, 0.02, 0.015, 0.01])
 
 

@@ -76,7 +76,7 @@ def assert_variance(values, variance):
 
 
 def changes(on):
-    """Return, for epochs in a spell, whether it ends next; for other epochs, whether one begins."""
+    """Return, for epochs in a spell, whether it ends next; for the rest, whether a spell begins."""
     before, after = on[:-1], on[1:]
     return ~after[before], after[~before]
 
@@ -102,9 +102,9 @@ def test_blockage_reduces_the_snr_by_25_db():
     np.testing.assert_allclose(loss, np.where(blocked, 25.0, 0.0), atol=1e-9)
 
 
-# A profile has the numbers of antenna elements of base station and user, then noise floors: of the
-# range on the direct path and on reflected paths (m), of the azimuth of arrival, the elevation and
-# the azimuth of departure (deg), and of the Doppler shift (m/s).
+# Numbers of antenna elements of the base station and of the user; noise floors of the range on the
+# direct path and on reflected paths (m), of the azimuth of arrival, the elevation and the azimuth
+# of departure (deg), and of the Doppler shift (m/s).
 PROFILES = {
     "handset": (4, 2, 0.5, 0.8, 3.0, 2.0, 2.0, 0.1),
     "standard": (8, 4, 0.2, 0.4, 1.0, 0.7, 0.5, 0.1),
@@ -143,7 +143,7 @@ def test_doppler_noise_follows_the_snr_of_the_base_station():
 
 
 @every_radio
-def test_the_prior_covariance_is_diagonal_with_the_profiles_deviations(name):
+def test_the_prior_covariance_is_diagonal_with_the_variances_of_the_profile(name):
     position = {"handset": 4.0, "standard": 3.0, "high": 2.0}[name]
     P = RADIOS[name].prior_covariance(STREET)
     np.testing.assert_allclose(np.sqrt(np.diag(P)[:2]), position)
@@ -207,7 +207,7 @@ def test_a_blockage_lasts_4_s_on_average(dt):
     radio = replace(CLEAR, blockage_scale=0.5)
     blocked = channel(radio, 1000, 200, dt=dt).range_bias_m > 0.0
     ends, begins = changes(blocked)
-    leave = 1.0 - np.exp(-dt / 4.0)  # chance that an exponential length ends within dt
+    leave = 1.0 - np.exp(-dt / 4.0)  # chance that a blockage ends within dt
     assert_share(ends, leave)
     assert_share(begins, leave * 0.075 / (1.0 - 0.075))
 
@@ -232,8 +232,8 @@ def test_an_outage_affects_every_link():
     assert_share(ends, 1.0 - np.exp(-1.0 / 3.0))
 
 
-# Each entry has a radio with this cause of biases only, the minimum of range biases and their mean
-# excess over it (m), and the standard deviation of angle biases (deg).
+# Cause of biases -> radio without any other cause; minimum of the range biases (m); their mean
+# minus this minimum (m); standard deviation of the angle biases (deg).
 BIASES = {
     "blockage": (replace(CLEAR, blockage_scale=0.5), 0.0, 3.0, 3.0),
     "multipath": (replace(CLEAR, multipath_rate_hz=0.008), 1.0, 4.0, 5.0),

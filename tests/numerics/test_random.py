@@ -19,7 +19,7 @@ def number(key):
 
 
 def theirs(key, stream):
-    """Return NumPy's generator, seeded with a key as ours, without the 18 words that ours drops."""
+    """Return NumPy's generator, seeded like :class:`Dice`, after dropping its first 18 words."""
     bits = np.random.SFC64(0)
     state = bits.state
     state["state"]["state"] = np.array([key, key, stream, 1], np.uint64)
@@ -29,7 +29,7 @@ def theirs(key, stream):
 
 
 @pytest.mark.parametrize("stream", [0, 1])
-def test_random_words_equal_those_of_numpy(stream):
+def test_random_words_equal_numpys_random_words(stream):
     for key in KEYS:
         state = [word_of(each) for each in seeded(number(key), stream)]
         expected = theirs(key, stream)
@@ -57,7 +57,7 @@ DRAWER = Program(_draw, [[], [0.0] * 4, *[[0.0] * EACH] * 3])
 
 
 def drawn(keys, runs):
-    """Draw uniforms, exponentials and normals (3, keys, runs * 8) on SIMD lanes."""
+    """Draw uniform, exponential and normal numbers (3, keys, runs * 8) on SIMD lanes."""
     n = len(keys)
     rows = np.tile(SEEDER.start[None, :, None], (-(-n // 8), 1, 8))
     io = StepIO.of(n, 1, output_rows=rows_of(SEEDER.index[1]))
@@ -136,8 +136,8 @@ def test_consecutive_numbers_and_keys_are_not_correlated(many):
 
 
 @pytest.mark.slow
-def test_keys_that_differ_in_one_bit_and_the_two_streams_are_not_correlated():
-    """Bound the correlations with 99.9 % confidence for all pairs together."""
+def test_similar_keys_and_the_two_streams_of_a_key_give_uncorrelated_numbers():
+    """Compare keys that differ in one bit; bound all correlations with 99.9 % confidence."""
     base = np.uint64(0x0123456789ABCDEF)
     keys = np.append(base, base ^ _BITS)
     first, *others = stats.norm.ppf(drawn(keys, 2500)[0])

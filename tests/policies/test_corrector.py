@@ -1,4 +1,4 @@
-"""Tests of correctors, which correct beliefs: network, memory, trust in corrections, and files."""
+"""Tests of correctors, which correct beliefs: network, memory, fading of corrections, and files."""
 
 import numpy as np
 import pytest
@@ -138,7 +138,7 @@ def test_an_environment_without_signed_features_is_refused(path):
         Corrector(path, PER_MODE_TABLE)
 
 
-def test_switchers_and_correctors_are_told_apart(path, tmp_path):
+def test_files_of_switchers_and_of_correctors_are_distinguished(path, tmp_path):
     switcher = write_per_mode(tmp_path / "switcher.safetensors")
     assert isinstance(learned_policy(path), Corrector)
     assert isinstance(learned_policy(switcher), LearnedSwitch)
@@ -148,7 +148,7 @@ def test_switchers_and_correctors_are_told_apart(path, tmp_path):
         Corrector(switcher)
 
 
-def test_networks_with_other_shapes_or_numbers_that_are_not_finite_are_refused(tmp_path):
+def test_networks_with_wrong_shapes_or_nonfinite_numbers_are_refused(tmp_path):
     whole = network()
     bad = [(name, whole[name][..., :-1]) for name in ("gru.weight_hh", "out.weight", "low")]
     bad += [("low", whole["high"] + 1.0), ("head.bias", whole["head.bias"] * np.nan)]

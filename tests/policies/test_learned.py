@@ -1,4 +1,4 @@
-"""Tests of learned policies: their networks and banks, and finding their features by name."""
+"""Tests of learned policies: networks, banks, and features, which are found by name."""
 
 from dataclasses import replace
 
@@ -39,7 +39,7 @@ def per_mode(tmp_path):
     return write_per_mode(tmp_path / "trust.safetensors")
 
 
-def logits_by_hand(tensors, observations):
+def exact_logits(tensors, observations):
     """Return logits (episodes, steps, modes), computed in double precision."""
     exact = {name: tensor.astype(float) for name, tensor in tensors.items()}
     x = np.clip(observations, exact["low"], exact["high"])
@@ -52,7 +52,7 @@ def logits_by_hand(tensors, observations):
 
 
 @pytest.mark.parametrize("hidden", [(5, 4), ()])
-def test_logits_equal_those_in_double_precision(tmp_path, hidden):
+def test_logits_equal_logits_in_double_precision(tmp_path, hidden):
     """Check also observations outside the limits to which policies clip."""
     tensors = actor(hidden=hidden)
     policy = LearnedSwitch(write(tmp_path / "mine.safetensors", tensors, card_of()))
@@ -60,7 +60,7 @@ def test_logits_equal_those_in_double_precision(tmp_path, hidden):
     episodes = rng.normal(0.0, 1.5, (20, 15, FEATURES)).astype(np.float32)
     policy.reset(np.ones(20, bool))
     logits = np.stack([policy.logits(now) for now in episodes.swapaxes(0, 1)], axis=1)
-    np.testing.assert_allclose(logits, logits_by_hand(tensors, episodes), atol=1e-4)
+    np.testing.assert_allclose(logits, exact_logits(tensors, episodes), atol=1e-4)
 
 
 @pytest.mark.parametrize("shape", [(FEATURES,), (2, FEATURES - 1), (1, 2, FEATURES)])
@@ -94,7 +94,7 @@ def test_a_radio_gets_the_bank_trained_for_it_and_other_radios_the_bank_of_stand
     banks = {"handset": HANDSET, "lab": STANDARD}
     mine = LearnedSwitch(write_per_mode(tmp_path / "mine.safetensors", banks=banks))
     assert mine.bank(str(tmp_path / "radio.json")) == STANDARD  # by the radio's name, not its base
-    assert mine.bank("standard") == HANDSET  # no bank fits, so the first one is used
+    assert mine.bank("standard") == HANDSET  # no bank fits, so the first bank is used
 
 
 def test_a_policy_accepts_the_modes_of_each_of_its_banks_and_no_other_modes(per_mode):
@@ -106,7 +106,7 @@ def test_a_policy_accepts_the_modes_of_each_of_its_banks_and_no_other_modes(per_
             policy.read_from(table)
 
 
-def test_a_policy_over_a_shared_belief_has_no_bank_and_accepts_no_other_beliefs(shared):
+def test_a_policy_for_a_shared_belief_has_no_bank_and_accepts_no_beliefs_per_mode(shared):
     policy = LearnedSwitch(shared)
     assert policy.beliefs == "shared"
     with refuses(shared):
@@ -115,7 +115,7 @@ def test_a_policy_over_a_shared_belief_has_no_bank_and_accepts_no_other_beliefs(
         policy.read_from(PER_MODE_TABLE)
 
 
-def test_a_policy_finds_its_features_among_others(shared):
+def test_a_policy_finds_its_features_among_other_features(shared):
     more = Observation(Pipeline(MODES, Layout(5, odometry=True)))
     columns = [more.names.index(name) for name in TABLE.names]
     observed = np.random.default_rng(3).normal(size=(50, len(more))).astype(np.float32)
@@ -141,7 +141,7 @@ def test_an_anchor_that_a_scene_lacks_counts_as_never_visible(per_mode):
 def test_a_feature_that_is_missing_or_has_another_scale_is_refused_by_name(shared, per_mode):
     with refuses("feature 'coming Doppler innovation'"):
         LearnedSwitch(shared, Observation(Pipeline(MODES, Layout()), "prior"))
-    with refuses("feature 'distance anchor 3'"):  # no distance can mean that an anchor is missing
+    with refuses("feature 'distance anchor 3'"):  # no value of a distance means "no anchor"
         LearnedSwitch(shared, Observation(Pipeline(MODES, Layout(anchors=2))))
     with refuses("feature 'coming Doppler innovation'"):
         LearnedSwitch(per_mode, Observation(Pipeline(MODES, Layout(2)), "prior", "per-mode"))

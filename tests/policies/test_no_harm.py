@@ -1,6 +1,6 @@
 """Tests that the shipped corrector does no harm in tasks that it was not trained for.
 
-The keys of the episodes are in the range of the tuning seeds.
+A corrector corrects another policy's beliefs. The episodes' keys are in the range of tuning seeds.
 """
 
 from dataclasses import replace
@@ -87,7 +87,7 @@ def played(name, radio, episodes):
 
 
 def against_base(radio, episodes):
-    """Return the corrector's gain in mean reward over its base (n,), and the trust (n, T)."""
+    """Return the corrector's gain in mean reward over its base policy (n,), and trusts (n, T)."""
     ours, trusted = played("corrector", radio, episodes)
     return ours - played("guided", radio, episodes)[0], trusted
 
@@ -113,7 +113,7 @@ def print_table(n=300):
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_the_corrector_is_hardly_below_its_base_where_it_was_never_trained(case):
+def test_the_corrector_earns_hardly_less_than_its_base_policy_in_any_case(case):
     gains, trusted = gain(case)
     assert gains.mean() > -MOST_HARM
     assert ((trusted >= 0.0) & (trusted <= 1.0)).all()

@@ -59,10 +59,10 @@ def test_the_threshold_of_the_paper_is_the_default(table):
     np.testing.assert_array_equal(actions, [0, 1])
 
 
-def test_above_its_range_of_speeds_the_rule_warns_once_and_still_chooses_the_fast_mode(table):
+def test_the_speed_rule_warns_once_above_its_range_of_speeds_but_chooses_the_fast_mode(table):
     rule = SpeedRule(table)
     fast = observe(table, predicted_speed=[1.0, 20.5, 35.0])
-    rule(observe(table, predicted_speed=[19.99]))  # does not warn: tests make warnings errors
+    rule(observe(table, predicted_speed=[19.99]))  # must not warn: a warning fails the test
     with pytest.warns(UserWarning, match="20 m/s") as caught:
         np.testing.assert_array_equal(rule(fast), [0, 1, 1])
     assert len(caught) == 1

@@ -1,4 +1,4 @@
-"""Tests that policy files are read back as written, refused if wrong, and never unpickled."""
+"""Tests that policy files (tensors and a card of metadata) are read as written, or refused."""
 
 import json
 import pickle
@@ -254,7 +254,7 @@ def test_a_card_with_a_wrong_field_is_neither_read_nor_made(path, field, value):
     "rows",
     [[], [["a", "m", 0.0]], [["a", 1, 0.0, 1.0]], [["a", "m", 0.0, 0.0]], [["a", "m", 1e999, 1.0]]],
 )
-def test_a_missing_feature_or_one_without_valid_name_unit_and_scale_is_refused(path, rows):
+def test_too_few_features_and_features_without_valid_name_unit_and_scale_are_refused(path, rows):
     content = CARD.as_json()
     features = [*content["features"][:2], *rows]
     refused(path, assembled(card=content | {"features": features}), "features")
@@ -313,7 +313,7 @@ def test_a_card_with_deeply_nested_lists_is_refused(path):
     refused(path, save(TENSORS, metadata), "metadata 'policy'")
 
 
-def test_the_error_about_a_missing_file_names_it(path, tmp_path):
+def test_the_error_about_a_missing_file_names_the_file(path, tmp_path):
     with refuses(path, error=FileNotFoundError):
         read_policy(path)
     with refuses(tmp_path, error=IsADirectoryError):

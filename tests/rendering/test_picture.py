@@ -129,7 +129,7 @@ def test_a_wall_is_drawn_halfway_between_the_base_station_and_its_image():
     column = int(np.argmax(wall.sum(axis=0)))
     assert wall[:, column].sum() > 200  # from top to bottom
     assert 250 < column < 400  # 10 m east of the user
-    # an anchor at another height is not a mirror image in a vertical wall
+    # An anchor at another height is not a mirror image in a vertical wall.
     lower = near(drawn(anchors=[gnb, (20.0, 10.0, 4.0)])[20:280], LIGHT.wall)
     assert lower.sum(axis=0).max() < 100
 
@@ -138,7 +138,7 @@ def test_streets_are_drawn_if_they_are_known():
     with_streets = drawn(streets=Streets((-80.0, 80.0), (-80.0, 80.0), 80.0))[20:280]
     without = drawn()[20:280]
     assert near(with_streets, LIGHT.building).mean() > 0.3
-    assert near(without, LIGHT.building).mean() < 0.02  # except for edges of other things
+    assert near(without, LIGHT.building).mean() < 0.02  # smoothed edges of other shapes
 
 
 OUTSIDE = {"east": (500.0, 0.0), "west": (-500.0, 3.0), "north": (0.0, 900.0), "south": (2.0, -1e7)}
@@ -257,7 +257,7 @@ def views(seed, action, **arguments):
 
 @pytest.mark.parametrize(("seed", "scenario"), [(0, "mixed"), (3, "mixed"), (0, "vehicle")])
 def test_user_and_estimate_are_always_in_the_frame(seed, scenario):
-    """Check also the episode of a vehicle whose estimate is lost: its error exceeds 15 m."""
+    """Include an episode of a vehicle whose estimate is lost, with an error of more than 15 m."""
     worst = 0.0
     for so_far, _, pixels in views(seed, 0, scenario=scenario):
         worst = max(worst, so_far.error_m[-1])

@@ -108,7 +108,7 @@ def test_errors_side_by_side_have_the_same_scale():
     assert (alone[ticks] != of_near).any()
 
 
-def test_strips_side_by_side_are_at_the_same_height_for_any_modes():
+def test_strips_side_by_side_are_at_the_same_height_for_any_number_of_modes():
     many = [f"mode {number}" for number in range(9)]
     whole = Playback([leaving(1.0)] * 2, [["ekf"], many], ["one", "two"], 480, "light").draw(5)
     few, more = whole[240:420, 20:480], whole[240:420, 500:]

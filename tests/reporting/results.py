@@ -37,7 +37,7 @@ def comparison(names=("imm", "speed-rule"), **more):
 
 
 def run(folder: Path, over=2):
-    """Make the folder of a run of two trainings; the first ``over`` of them are finished."""
+    """Make the folder of a run with two training seeds; the first ``over`` seeds are finished."""
     log = "timesteps,tuning/reward,tuning/minus imm\n1000,,\n2000,-1.5,0.25\n4000,-1.4,0.3\n"
     for seed in range(2):
         training = folder / f"seed-{seed}"
@@ -52,7 +52,7 @@ def run(folder: Path, over=2):
 
 
 def write(path: Path, content):
-    """Write a JSON file."""
+    """Write a JSON file; return its path."""
     path.write_text(json.dumps(content), encoding="utf-8")
     return path
 

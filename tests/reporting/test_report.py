@@ -1,4 +1,4 @@
-"""Tests of what the page of ``mmwave-loc report`` shows, and of what the command refuses."""
+"""Tests of the page that ``mmwave-loc report`` writes, and of results that the command refuses."""
 
 import json
 import re
@@ -15,12 +15,12 @@ from tests.paths import ROOT
 from tests.reporting import results
 from tests.reporting.results import HOSTILE, Read, write
 
-NONE = ("--episodes", 0)  # options with which no episode is played again
+NONE = ("--episodes", 0)  # options: play no episode again
 
 
 @pytest.fixture(scope="module")
 def track():
-    """Return results of `localize`."""
+    """Return the results of `localize` for a track."""
     return with_json("localize", "--sample", "canyon28_vehicle", "--imm", "imm")[1]
 
 
@@ -45,7 +45,7 @@ def compared(tmp_path, content):
         ({}, "a has a reward of -1.000 [-1.100, -0.900]"),
     ],
 )
-def test_the_title_says_who_won_by_how_much_if_the_results_show_it(tmp_path, pairs, title):
+def test_the_title_states_the_main_result(tmp_path, pairs, title):
     paired = {name: results.metrics(mean) for name, mean in pairs.items()}
     page = compared(tmp_path, results.comparison(("a", "b", "c"), paired=paired))
     assert page.title == f"{title} - mmwave-loc"
@@ -78,7 +78,7 @@ def test_tracks_and_training_runs_have_their_tables_and_a_title(tmp_path, track)
 
 @pytest.mark.slow
 def test_the_report_plays_the_compared_episodes_again(tmp_path):
-    """Check that the episodes that the report plays have the means in the results file."""
+    """Check that the means over the replayed episodes equal the means in the results file."""
     file = tmp_path / "r.json"
     options = "--policies imm guided speed-rule --episodes 3 --episode-steps 40 --seed 7"
     succeed("compare", *options.split(), "--percentiles", "--json", file)
@@ -153,7 +153,7 @@ def test_the_wheel_has_all_files_that_make_up_a_page():
             assert f'"reporting/webpage/*{path.suffix}"' in project
 
 
-MISTAKES = {
+MISTAKES = {  # name -> content of a results file, expected message
     "no results": ({"a": 1}, "policies: found none"),
     "no interval": (results.comparison(policies={"imm": {"reward": 3}}), ""),
     "no mean": (results.comparison(paired={"a": {"reward": {"ci95": None}}}), "mean: found"),

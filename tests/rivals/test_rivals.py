@@ -1,4 +1,4 @@
-"""Tests of rivals, with which filters are compared: particles, Student-t and adaptive noise."""
+"""Tests of rivals of the shipped filters: particle filters, Student-t noise and adaptive noise."""
 
 from dataclasses import replace
 
@@ -59,7 +59,7 @@ def priors_and_measurements():
             yield agent.site.prior_x, P, stated(epoch, agent.site, episode.layout)
 
 
-def test_particles_agree_with_the_ekf_where_all_is_nearly_linear():
+def test_particles_agree_with_the_ekf_in_a_nearly_linear_problem():
     """Use large noise, so that thousands of particles have weight and their mean errs little."""
     good = replace(SOURCE, radio=RADIOS["standard"])
     some = [replace(episode, sigma=4.0 * episode.sigma) for episode in episodes(4, good)]
@@ -102,7 +102,7 @@ def test_an_outlier_hardly_moves_a_belief_with_student_t_noise():
 
 
 def test_adaptive_noise_converges_to_the_true_noise():
-    """Let the receiver state half of the true deviations; the factor on variances should be 4."""
+    """State half of the true standard deviations; the estimated factor on variances should be 4."""
     x, _, measurement = next(priors_and_measurements())
     layout, rng, P = measurement.layout, np.random.default_rng(0), (1e-6 * np.eye(7)).tolist()
     exact = exact_rows(x[:3], x[3:6], measurement.anchors, measurement.hz_per_mps, layout)
@@ -137,7 +137,7 @@ def test_rivals_track_with_any_receiver_and_on_flat_ground(agent, options):
         assert np.isfinite(results["nees"]).all()
 
 
-def test_a_rival_is_a_contender_by_its_name():
+def test_a_rival_can_be_named_as_a_contender():
     contender = contender_from("experiments.rivals:variational", "handset")
     results = run_contender(contender, contender.start(SOURCE.layout), episodes(2))
     assert results["reward"].shape == (2, SOURCE.epochs)

@@ -79,7 +79,7 @@ def test_too_many_cells_are_refused_before_they_are_made(tmp_path):
         spec_of(tmp_path, POLICY + "\n".join(lines))
 
 
-def test_results_are_kept_per_cell_and_those_of_other_sweeps_are_refused(tmp_path):
+def test_results_are_kept_per_cell_and_results_of_other_sweeps_are_refused(tmp_path):
     pytest.importorskip("pyarrow")
     spec = spec_of(tmp_path, '[evaluate]\npolicy = ["imm", "ppo"]\nreward = "tracking"\n')
     folder, (name, _) = tmp_path / "out", spec.cells

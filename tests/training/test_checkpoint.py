@@ -1,4 +1,4 @@
-"""Tests of a training's checkpoint, which may be damaged or forged, and of its progress log."""
+"""Tests of checkpoints of training runs, which may be damaged or forged, and of progress logs."""
 
 from hashlib import sha256
 
@@ -80,7 +80,7 @@ BEGIN = {"update": 0, "timesteps": 0, "best": None, "beat_rule": None, "seconds"
 
 
 def test_a_checkpoint_of_another_network_is_refused(path, tmp_path):
-    """Use a checkpoint with correct form and checksum, but without the entries of this training."""
+    """Use a checkpoint whose form and checksum are correct, but which lacks entries of this run."""
     write_checkpoint(path, BEGIN | {"learner": {"timesteps": 3}, "env": {}})
     with refuses("checkpoint.pt", "updates"):
         PpoTraining(job_of(tmp_path), lambda *_: None).run()

@@ -1,4 +1,4 @@
-"""Tests of converting models of Stable-Baselines3 to policy files."""
+"""Tests of the conversion of models of Stable-Baselines3 to policy files."""
 
 import base64
 import builtins
@@ -151,7 +151,7 @@ def normalized():
     return trained("ppo", environment(normalized=True))
 
 
-MISTAKES = {
+MISTAKES = {  # name -> function that makes a model, options, expected message
     "not a zip": (None, (), "model.zip: not a model"),
     "relu": (lambda: layered(activation_fn=torch.nn.ReLU), (), "model.zip: network: found"),
     "q network": (lambda: DQN("MlpPolicy", environment(), buffer_size=100), (), "network: found"),
@@ -177,7 +177,7 @@ def test_a_model_that_cannot_become_a_policy_file_is_refused(mistake, tmp_path, 
 
 
 @pytest.mark.usefixtures("forked")
-def test_a_model_whose_layers_alone_act_differently_is_refused(tmp_path, modes, monkeypatch):
+def test_a_model_is_refused_if_its_extracted_layers_act_differently(tmp_path, modes, monkeypatch):
     """Change the last of the extracted layers, so that the layers and the model act differently."""
     file = tmp_path / "model.zip"
     trained("ppo", environment()).save(file)

@@ -101,7 +101,7 @@ def test_the_policy_file_gives_the_corrections_of_the_network(tmp_path, lots):
         )
 
 
-def test_the_loss_is_smallest_for_the_true_shift_and_deviation():
+def test_the_loss_is_smallest_for_the_true_shift_and_standard_deviation():
     rng = np.random.default_rng(0)
     T, n = BURN_IN + 400, 3
     bias, deviation = torch.tensor([0.5, -1.0, 2.0]), torch.full((T, n, 3), 2.0)
@@ -119,7 +119,7 @@ def test_the_loss_is_smallest_for_the_true_shift_and_deviation():
 
 @pytest.mark.slow
 def test_a_short_training_beats_its_base(tmp_path):
-    """Compare with a training that learns almost nothing, so that its policy is nearly the base."""
+    """Compare with a run that learns almost nothing, so that its policy is nearly the base."""
     policies = []
     for rate, timesteps in ((1e-12, 1), (0.01, 400_000)):
         hyper = replace(HYPER, num_envs=16, front=16, units=16, head=16, learning_rate=rate)

@@ -1,4 +1,4 @@
-"""Tests of places to train at (scene, radio and time step): their names, banks and refusals."""
+"""Tests of places of training (scene, radio and time step): names, banks and invalid places."""
 
 import json
 from dataclasses import replace
@@ -48,7 +48,7 @@ def test_if_a_place_lacks_quantities_all_places_have_a_partial_layout():
 
 
 def test_the_street_is_the_default_scene_of_environments():
-    """Compare to the last bit; otherwise, published trainings could not be repeated."""
+    """Compare all bits, because it must be possible to repeat published training runs."""
     episode = Place("street", "handset").source("mixed").sample(np.random.default_rng(10_000_000))
     expected = task_from().source.sample(np.random.default_rng(10_000_000))
     np.testing.assert_array_equal(episode.measurement, expected.measurement)
@@ -88,7 +88,7 @@ def test_words_that_are_not_places_are_refused(words, named):
 
 @pytest.mark.parametrize("unseen", ["square", "mine"])
 def test_custom_files_named_like_an_unseen_scene_or_radio_are_refused(unseen, files, monkeypatch):
-    """Use a radio whose file contains its name, and a scene that is named like its file."""
+    """Use a radio whose file contains its name, and a scene named after its file."""
     monkeypatch.setattr(module, "UNSEEN", ("square-2", unseen))
     with refuses("places"):
         place_from(":".join(map(str, files)))
@@ -123,7 +123,7 @@ def test_every_place_has_the_bank_of_its_radio():
 
 
 def test_modes_that_share_a_belief_are_the_same_at_all_places():
-    """Check that these modes are the ones that were tuned for the first place's radio."""
+    """Check that they are the modes that were tuned for the radio of the first place."""
     shared = task(beliefs="shared")
     assert {bank.modes for bank in shared.banks.values()} == {default_modes("handset")}
     at = task_from(**shared.arguments(PLACES[1]))

@@ -1,4 +1,4 @@
-"""Tests of the environments for training: one tries all actions, one combines several places."""
+"""Tests of the environments for training: RolloutEnv, which tries all actions, and PlacesVecEnv."""
 
 from dataclasses import replace
 
@@ -23,7 +23,7 @@ from tests.training.test_train import HYPER
 pytestmark = pytest.mark.torch
 
 SEED, DISCOUNT, HORIZON = 10_000_000, 0.9, 5
-WALKED = 20  # number of epochs before all actions are tried
+EPOCHS = 20  # number of epochs before all actions are tried
 TUNED = Bank(tuple(replace(mode, sigma_v=1.5 * mode.sigma_v) for mode in MODES), nis_quantile=0.99)
 BANKS = {"handset": Bank(MODES), "standard": TUNED}
 PLACES = (Place("street", "handset"), Place("o1", "standard", 0.5))
@@ -42,7 +42,7 @@ def chaotic(actions):
     return lambda observed: (np.abs(observed[:, 1:9]).sum(1) * 1e4).astype(np.int64) % actions
 
 
-def walked(env, epochs=WALKED, seed=0):
+def stepped(env, epochs=EPOCHS, seed=0):
     """Step an environment with random actions; return the actions (epochs, n)."""
     rng = np.random.default_rng(seed)
     actions = rng.integers(len(env.observation.actions), size=(epochs, len(env.observations)))
@@ -51,8 +51,8 @@ def walked(env, epochs=WALKED, seed=0):
     return actions
 
 
-def by_hand(place, seed, first_episode, actions, first, act, beliefs):
-    """Replay ``actions``, then take ``first``; return the discounted sum of rewards from there on.
+def replayed(place, seed, first_episode, actions, first, act, beliefs):
+    """Replay ``actions``, then take ``first``; return the discounted sum of rewards from then on.
 
     The first episode lasts ``first_episode`` epochs. After ``first``, ``act`` chooses the actions.
     """
@@ -79,13 +79,13 @@ def by_hand(place, seed, first_episode, actions, first, act, beliefs):
 )
 def test_a_tried_action_earns_what_it_earns_in_a_separate_environment(beliefs, places):
     env = environment(task(beliefs, places, {p.radio: BANKS[p.radio] for p in places}))
-    actions, count = walked(env), len(env.observation.actions)
+    actions, count = stepped(env), len(env.observation.actions)
     tried = env.try_all(chaotic(count))
     assert tried.values.shape == (16, count) == (len(env.observations), count)
     np.testing.assert_array_equal(tried.observations, env.observations)
-    for i, place, first_episode in ((0, places[0], 1), (13, places[1], WALKED)):
+    for i, place, first_episode in ((0, places[0], 1), (13, places[1], EPOCHS)):
         expected = [
-            by_hand(place, SEED + i, first_episode, actions[:, i], a, chaotic(count), beliefs)
+            replayed(place, SEED + i, first_episode, actions[:, i], a, chaotic(count), beliefs)
             for a in range(count)
         ]
         np.testing.assert_allclose(tried.values[i], expected, rtol=1e-9)
@@ -95,7 +95,7 @@ def test_a_tried_action_earns_what_it_earns_in_a_separate_environment(beliefs, p
 def test_trying_actions_does_not_change_the_environment():
     tries, plain = environment(), environment()
     for env in (tries, plain):
-        walked(env)
+        stepped(env)
     first = tries.try_all(chaotic(4))
     second = tries.try_all(chaotic(4))
     np.testing.assert_array_equal(first.values, second.values)
@@ -108,11 +108,11 @@ def test_trying_actions_does_not_change_the_environment():
 def test_states_near_the_end_of_an_episode_are_left_out():
     """Use 16 environments, of which the first eight begin a new episode after one epoch."""
     env = environment()
-    walked(env, 200 - HORIZON + 1)
+    stepped(env, 200 - HORIZON + 1)
     assert len(env.try_all(chaotic(4)).values) == 16
-    walked(env, 1)
+    stepped(env, 1)
     assert len(env.try_all(chaotic(4)).values) == 8
-    walked(env, HORIZON - 1)
+    stepped(env, HORIZON - 1)
     assert len(env.try_all(chaotic(4)).values) == 16
 
 
@@ -151,7 +151,7 @@ PAIRED = replace(HYPER, num_envs=5, paired=True)  # 3 environments at one place,
 
 
 def alone(place, n):
-    """Return n environments at one place, as a training at this place alone has them."""
+    """Return n environments, as in a training run at this place alone."""
     arguments = TASK.arguments(place) | {"reward": PairedReward(TASK.reward)}
     return SB3VecEnv(MmWaveLocVectorEnv(n, **arguments, autoreset_mode="SameStep"))
 
@@ -166,7 +166,7 @@ def assert_same_ends(infos, expected):
 
 @pytest.mark.slow
 def test_several_places_together_equal_each_place_alone():
-    """Give the second place the seeds after those of the first, and end its episodes earlier."""
+    """Give the second place later seeds, and end its episodes earlier."""
     together = PlacesVecEnv(TASK, PAIRED)
     first, second = alone(PLACES[0], 3), alone(PLACES[1], 2)
     together.seed(10_000_000)

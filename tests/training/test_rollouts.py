@@ -1,4 +1,4 @@
-"""Tests of rollout policy iteration: interruptions, policy files, and what it learns."""
+"""Tests of rollout policy iteration: interruptions, policy files, and learning."""
 
 from dataclasses import replace
 
@@ -45,7 +45,7 @@ class Interrupted(Exception):
 
 
 def interrupt_after(calls):
-    """Return a callback that does nothing in its first calls and then interrupts a training."""
+    """Return a callback that does nothing ``calls`` times and then interrupts the training."""
     left = iter(range(calls))
 
     def tell(*_):
@@ -56,7 +56,7 @@ def interrupt_after(calls):
 
 
 def test_an_interrupted_training_continues_to_the_same_result(tmp_path):
-    """Interrupt a training three times, once at an evaluation; its memory can't hold all states."""
+    """Interrupt three times, once at an evaluation; the learner's memory cannot hold all states."""
     whole, job = job_of(tmp_path / "whole"), job_of(tmp_path / "part", checkpoint_every=2)
     train(whole)
     for calls in (3, 2, 4):
@@ -91,7 +91,7 @@ QUICK = replace(LARGE, batch_size=1024, learning_rate=0.002, hidden=(32, 32), fi
 
 @pytest.mark.slow
 def test_a_short_training_from_scratch_beats_the_rule_and_the_imm(tmp_path):
-    """Train a policy with the rule's modes; untrained, it acts like the IMM of these modes."""
+    """Train a policy with the rule's modes. At first, it acts like the IMM of these modes."""
     modes = Bank(default_modes("handset"))
     street = TrainingTask(
         "mixed", PLACES[:1], {"handset": modes}, "full", TrackingReward(), "per-mode"
@@ -120,8 +120,8 @@ def learner(hyper=LEARNING, seed=0):
 def states(n, seed, turned=False):
     """Return states and their best actions: 1 if feature 0 is above its mean, else 2.
 
-    ``turned`` swaps the two actions. In a state, all actions earn the same large random sum; the
-    best one earns a little more.
+    ``turned`` swaps the two actions. In each state, all actions earn the same large random sum, and
+    the best action a little more.
     """
     rng = np.random.default_rng(seed)
     x = rng.normal(size=(n, FEATURES))

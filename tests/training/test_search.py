@@ -12,7 +12,7 @@ from mmwave_env.models.radio import RADIOS
 
 
 def distance(bank, planted):
-    """Return the sum of squared differences between the logarithms of two banks' numbers."""
+    """Return the sum of squared differences between the logarithms of two banks' parameters."""
     pairs = [(np.array(bank.transition), np.array(planted.transition))]
     for field in ("sigma_p", "sigma_v", "acceleration_mps2"):
         values = [[getattr(mode, field) for mode in bank_of.modes] for bank_of in (bank, planted)]
@@ -22,7 +22,7 @@ def distance(bank, planted):
 
 @pytest.mark.slow
 def test_the_search_finds_a_planted_bank():
-    """Plant a random bank near the start of the search; a bank's score is its closeness to it."""
+    """Score each bank by its closeness to a random bank, which is planted near the start."""
     space = search_space(START[:3])
     away = np.random.default_rng(0).standard_normal(len(space.start))
     planted = space.bank_at(space.start + 0.7 * space.deviation * away)
@@ -46,7 +46,7 @@ def test_generations_are_numbered_and_the_number_of_evaluations_is_limited():
     assert 40 - size < len(asked) <= 40
 
 
-def test_the_search_starts_from_the_modes_and_varies_every_number():
+def test_the_search_starts_from_the_modes_and_varies_every_parameter():
     space, n = search_space(START), len(START)
     start = space.bank_at(space.start)
     assert start.modes == START and start.nis_quantile == 0.999
@@ -60,7 +60,7 @@ def test_the_search_starts_from_the_modes_and_varies_every_number():
 
 
 @pytest.mark.parametrize("radio", RADIOS)
-def test_shipped_banks_differ_from_the_start_only_in_numbers_that_are_searched(radio):
+def test_shipped_banks_differ_from_the_start_only_in_searched_parameters(radio):
     for before, after in zip(START, best_bank(radio).modes, strict=True):
         free = {"sigma_p", "sigma_v", "acceleration_mps2"}
         fixed = {f.name: getattr(before, f.name) for f in fields(before) if f.name not in free}

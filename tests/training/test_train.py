@@ -85,7 +85,7 @@ def test_the_exported_actor_chooses_the_actions_of_the_trained_model(tmp_path):
 
 
 def test_a_training_reports_its_periodic_evaluations(tmp_path):
-    """Check that all evaluations are reported, which a search needs to stop bad trials."""
+    """Check that all evaluations are reported; a search needs them to stop bad trials."""
     heard = []
     outcome = train(job_of(tmp_path), heard.append)
     rewards = {news.timesteps: news.evaluation["reward"] for news in heard if news.evaluation}
@@ -183,7 +183,7 @@ def test_wrong_options_are_refused_before_a_folder_is_made(words, message, tmp_p
 
 
 @pytest.mark.parametrize("algorithm", KINDS)
-def test_too_few_environments_for_the_places_are_refused_before_any_work(algorithm, tmp_path):
+def test_too_few_environments_are_refused_before_a_folder_is_made(algorithm, tmp_path):
     shipped = json_in(shipped_hyperparameters(algorithm))
     path, out = tmp_path / "few.json", tmp_path / "run"
     path.write_text(json.dumps(shipped | {"num_envs": 1}))
@@ -256,7 +256,7 @@ def test_a_policy_trained_at_two_places_with_beliefs_per_mode_plays_at_a_third(t
     best = outcome["best"]
     for rival in ("speed-rule", "imm", "imm-best"):
         each = [best[f"{place} minus {rival}"]["mean"] for place in PLACES]
-        # The mean over episodes is the mean over places, which have equally many episodes.
+        # All places have equally many episodes, so the mean over episodes is the mean over places.
         assert best[f"minus {rival}"]["mean"] == pytest.approx(np.mean(each))
     assert abs(best["minus imm-best"]["mean"]) < 0.05  # the policy starts near the IMM
 

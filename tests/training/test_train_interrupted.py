@@ -1,4 +1,4 @@
-"""Tests that a killed training, if continued, writes the same files as without interruptions."""
+"""Tests that a killed and continued training run writes the same files as an uninterrupted run."""
 
 import csv
 import io
@@ -80,7 +80,7 @@ def untimed(outcome):
 
 
 def assert_same_training(actual, expected):
-    """Assert that two trainings wrote the same files, except for times."""
+    """Assert that two training runs wrote the same files, except for times."""
     for name in ("policy.safetensors", "latest.safetensors"):
         assert (actual / name).read_bytes() == (expected / name).read_bytes()
     assert progress(actual) == progress(expected)
@@ -132,7 +132,7 @@ def test_a_training_killed_before_the_first_checkpoint_starts_over(tmp_path):
     assert_same_training(job.folder, whole.folder)
 
 
-def test_trainings_of_different_seeds_differ(tmp_path):
+def test_training_runs_with_different_seeds_differ(tmp_path):
     for seed in range(2):
         train(job_of(tmp_path / str(seed), seed=seed))
     a, b = ((tmp_path / str(seed) / "latest.safetensors").read_bytes() for seed in range(2))
@@ -143,7 +143,7 @@ def test_trainings_of_different_seeds_differ(tmp_path):
 
 
 def outcome(seed):
-    """Return the outcome that a training writes."""
+    """Return the outcome that a training process writes."""
     best = {"reward": 0.5, "timesteps": 100}
     return {"seed": seed, "timesteps": 200, "seconds": 1.5, "beat_rule": None, "best": best}
 
@@ -154,13 +154,13 @@ def finished(folder, seed):
     return job_of(folder, seed=seed)
 
 
-def test_finished_trainings_are_not_run_again(tmp_path):
+def test_finished_training_runs_are_not_repeated(tmp_path):
     jobs = [finished(tmp_path / f"{seed}", seed) for seed in range(3)]
     assert side_by_side(jobs, 2, silent) == [outcome(seed) for seed in range(3)]
     assert not multiprocessing.active_children()
 
 
-def test_a_damaged_checkpoint_ends_all_trainings(tmp_path):
+def test_a_damaged_checkpoint_ends_all_training_processes(tmp_path):
     jobs = [job_of(tmp_path / f"{seed}", seed=seed) for seed in range(3)]
     jobs[1].folder.mkdir()
     (jobs[1].folder / "checkpoint.pt").write_bytes(b"damaged")
@@ -215,8 +215,8 @@ def until_replaced(path, process):
         time.sleep(0.005)
 
 
-def test_an_interrupted_command_ends_at_once_and_continues_when_resumed(tmp_path, started):
-    """Interrupt the command by killing it, by killing its training, by Ctrl-C, and by SIGTERM."""
+def test_an_interrupted_command_ends_all_processes_and_continues_when_resumed(tmp_path, started):
+    """Interrupt the command by killing it or its training process, by Ctrl-C, and by SIGTERM."""
     street = replace(TASK, banks={"handset": Bank(default_modes("handset"))})
     job = job_of(tmp_path / "whole", task=street)
     # The training must take seconds, so that it can be interrupted.
@@ -249,7 +249,7 @@ def test_an_interrupted_command_ends_at_once_and_continues_when_resumed(tmp_path
         if message:
             assert re.fullmatch(f"mmwave-loc train: {message}", errors.splitlines()[-1])
             assert not list(out.rglob(".*"))
-        assert gone(command.pid)  # the processes of the trainings end, too
+        assert gone(command.pid)  # training processes end, too
 
     command = started(*words, "--resume")
     summary, _ = command.communicate(timeout=1800)

@@ -21,7 +21,7 @@ from tests.refusals import refuses
 STREET = SCENES["street"]
 HZ_PER_MPS = 28e9 / 299_792_458.0
 SIGNIFICANCE = 0.001
-# A radio without other errors than noise: blockage, multipath and oscillator add nothing.
+# A radio whose only errors are noise: blockage, multipath and oscillator add nothing.
 SILENT = {"blockage_scale": 0.0, "multipath_rate_hz": 0.0, "drift_mps": 0.0, "prior_bias_mps": 1e-9}
 NOISE_ONLY = replace(RADIOS["standard"], **SILENT)
 
@@ -135,7 +135,7 @@ def test_the_layout_depends_on_scene_and_odometry(episode):
         ("sigma", 8, 2, np.inf),
     ],
 )
-def test_measurements_and_deviations_that_are_not_finite_are_missing_and_counted(
+def test_measurements_with_a_nonfinite_value_or_sigma_are_missing_and_counted(
     episode, field, row, group, value
 ):
     t = int(np.flatnonzero(episode.visible[:, group])[0])
@@ -208,7 +208,7 @@ def test_an_engine_reads_the_episode_from_the_table():
         np.testing.assert_array_equal(incoming.truth, state)
 
 
-def test_the_table_of_an_episode_without_truth_has_nan_in_its_place(episode):
+def test_the_table_of_an_episode_without_truth_has_nan_instead_of_the_truth(episode):
     unknown = replace(episode, truth_position_m=None, truth_velocity_mps=None)
     table = unknown.table()
     assert np.isnan(table[:, -6:]).all() and np.isfinite(table[:, :-6]).all()

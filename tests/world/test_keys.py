@@ -25,7 +25,7 @@ def test_keys_are_the_published_numbers_of_splitmix64():
 
 def test_the_end_of_a_stream_is_followed_by_its_beginning():
     last = keys_at(numbers(5), numbers(2**64 - 1))
-    # SplitMix64 adds this number from key to key, so the following stream begins one key earlier.
+    # SplitMix64 adds this constant for each key. The stream below therefore begins one key earlier.
     assert last == keys_at(numbers(5 - 0x9E3779B97F4A7C15 + 2**64), numbers(0))
 
 

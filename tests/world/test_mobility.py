@@ -1,4 +1,4 @@
-"""Tests that simulated users move as people and cars can, and tests of mobility files."""
+"""Tests that simulated users move as people and cars can, and that mobility files are checked."""
 
 from collections import Counter
 from dataclasses import asdict, replace
@@ -48,7 +48,7 @@ BOUNDS = {
     "jam": DRIVING._replace(speed=7.0),
     "cyclist": Bounds(6.5, 1.2, 2.5, 2.0, 4.0),
 }
-MIXED = ("pedestrian", "vehicle", "walk-ride", "jam", "cyclist")  # keys draw indices of this tuple
+MIXED = ("pedestrian", "vehicle", "walk-ride", "jam", "cyclist")  # a key determines an index
 LATERAL_MPS2 = 5.0  # drivers aim at no more than 3.5 m/s^2, but take corners a little faster
 
 every_mobility = pytest.mark.parametrize("name", BOUNDS)
@@ -119,7 +119,7 @@ def test_users_stay_in_the_streets(name, scene):
     low = np.array([streets.x_m[0], streets.y_m[0]])
     high = np.array([streets.x_m[1], streets.y_m[1]])
     # Users leave the center line of a street where they cut a corner on an arc of radius R. At a
-    # dead end, they turn on a half circle, and then walk back 2 R beside the line.
+    # dead end, they turn on a half circle, and then return at a distance of 2 R from the line.
     radius = BOUNDS[name].radius
     dead_ends = low[0] == high[0] or low[1] == high[1]
     aside = 2.0 * radius if dead_ends else (1.0 - np.sqrt(0.5)) * radius
@@ -160,7 +160,7 @@ def test_the_time_step_does_not_change_the_trajectory(name, dt):
     np.testing.assert_allclose(coarse, fine[:, :, :: round(dt / STEP_S)], atol=1e-8)
 
 
-def test_scenarios_are_the_mobilities_and_mixed_which_draws_them_with_the_same_probability():
+def test_the_scenario_mixed_draws_every_kind_of_user_with_the_same_probability():
     assert set(SCENARIOS) == {*BOUNDS, "mixed"}
     assert tuple(m.name for m in mobilities_of("mixed")) == MIXED
     draws = 2000

@@ -33,8 +33,8 @@ SOURCES = {
     "random streets": SimulatedSource(RandomScene(), RADIOS["standard"], epochs=60),
 }
 KEYS = np.random.default_rng(0).integers(0, 2**64, 20, np.uint64)
-# For two in a thousand keys (none of these), the two simulations give different trajectories. As
-# they round sums differently, a user may choose, for example, a new speed one substep later in one
+# For two in a thousand keys (none of KEYS), the two simulations give different trajectories: they
+# round sums differently. A user may choose, for example, a new speed one substep later in one
 # simulation than in the other.
 
 
@@ -154,7 +154,7 @@ def way(source, scene, dice):
 
 
 def plain(source, key):
-    """Simulate the episode of a key, straight from the model's description."""
+    """Simulate the episode of a key, with formulas from the description of the model."""
     scene, radio, layout, T = source.scene, source.radio, source.layout, source.epochs
     dice, others = PlainDice(key, USER), PlainDice(key, RECEIVER)
     if isinstance(scene, RandomScene):
@@ -221,7 +221,7 @@ def test_a_random_generator_draws_the_key_of_a_sample():
     )
 
 
-def test_the_scene_of_a_key_is_that_of_its_episode():
+def test_the_scene_of_a_key_equals_the_scene_of_its_episode():
     source = SOURCES["random streets"]
     for key, episode in zip(KEYS, source.episodes(KEYS), strict=True):
         scene = source.scene_of(int(key))

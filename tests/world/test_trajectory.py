@@ -1,4 +1,4 @@
-"""Tests that a user's own trajectories are read, resampled, and refused if impossible."""
+"""Tests that trajectories in files and arrays are resampled, and refused if impossible."""
 
 import numpy as np
 import pytest
@@ -51,7 +51,7 @@ def test_columns_may_be_in_any_order_and_other_columns_are_ignored(tmp_path):
     v=st.lists(st.floats(-9.0, 9.0), min_size=3, max_size=3),
 )
 def test_constant_acceleration_is_resampled_exactly(dt, steps, a, v):
-    """Check resampled rows and velocities computed from positions (except in the end rows)."""
+    """Check resampled rows, and velocities computed from positions (except the first and last)."""
     t = np.cumsum(steps)
     position = np.outer(t, v) + 0.5 * np.outer(t * t, a)
     velocity = v + np.outer(t, a)
@@ -112,8 +112,8 @@ def test_a_trajectory_of_a_user_who_never_moves_causes_a_warning():
     [
         (([0, -20, 1.5], [50, 60, 1.5]), 1.0, "row 7: x, y, z"),  # behind a wall
         (([5, 5, 10], [15, 15, 10]), 1.0, "row 6: x, y, z"),  # at an anchor
-        (([-9e5, -5e5, 1], [-9e5, -5e5 + 50, 1]), 1.0, "row 1: x, y, z"),  # out of reach
-        (([-2e6, 0, 1], [-2e6, 50, 1]), 1.0, "row 1: x, y, z"),  # beyond the limit of positions
+        (([-9e5, -5e5, 1], [-9e5, -5e5 + 50, 1]), 1.0, "row 1: x, y, z"),  # far from the anchors
+        (([-2e6, 0, 1], [-2e6, 50, 1]), 1.0, "row 1: x, y, z"),  # beyond 1e6 m
         (([0, -20, 1], [50, -20, 1]), 20.0, "mine"),  # lasts 10 s, shorter than a step
     ],
 )

@@ -23,7 +23,7 @@ def straight(seconds, y=-80.0, speed=2.0, name="way"):
 
 
 def write(folder, ways):
-    """Write ways (id -> way) to a file; like traffic simulators, sort its rows by time."""
+    """Write ways (id -> way) to a file with rows sorted by time, as traffic simulators do."""
     pairs = [
         (i, row) for i, way in ways.items() for row in zip(way.time_s, way.position_m, strict=True)
     ]

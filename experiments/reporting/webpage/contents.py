@@ -36,15 +36,15 @@ def results_of(source: Source) -> tuple[Verdict, str]:
         return _track_verdict(content), html_of(track_markdown(dict(content)))
     if source.kind == "run":
         over, begun = len(content["seeds"]), len(content["curves"])
-        title = f"{over} of {begun} trainings of {source.path} are finished"
-        more = "" if over == begun else "; mmwave-loc train --resume continues the others"
+        title = f"{over} of {begun} training seeds of {source.path} are finished"
+        more = "" if over == begun else "; mmwave-loc train --resume continues the other seeds"
         return Verdict(source.path, title, f"{title}{more}."), "".join(_trainings(source))
     comparison = Comparison.from_json(content)
     return _verdict(comparison), "".join(_compared(comparison))
 
 
 def _verdict(comparison: Comparison) -> Verdict:
-    """Return the best contender and its margin over the next that is paired with it."""
+    """Return the best contender, and its margin over the next contender that is paired with it."""
     best, *others = comparison.policies
     name = f"{comparison.scenario}, {comparison.radio}, {comparison.selection}"
     about = f"{len(others) + 1} contenders on {name}." if others else f"{best} on {name}."
@@ -57,9 +57,9 @@ def _verdict(comparison: Comparison) -> Verdict:
     title = f"{best} beats {other} by {by}"
     if by.low <= 0.0:
         title = f"{best} and {other} are level"
-        about += f" No winner: the reward of {best} minus that of {other} is {by}{interval}."
+        about += f" No winner: the reward of {best} minus the reward of {other} is {by}{interval}."
     else:
-        about += f" {best} won: its reward is {by} above that of {other}{interval}."
+        about += f" {best} won: its reward is {by} above the reward of {other}{interval}."
     if unpaired := others[: others.index(other)]:
         about += f" Ranked between these two, but not paired with {best}: {', '.join(unpaired)}."
     return Verdict(name, title, about)
@@ -75,27 +75,27 @@ def _track_verdict(c: Json) -> Verdict:
 
 def _compared(comparison: Comparison) -> Iterator[str]:
     header, rows = comparison.table(METRICS)
-    yield table("Means ± half of their 95 % intervals, best reward first", header, rows)
+    yield table("Means ± half the widths of 95 % intervals, best reward first", header, rows)
     pairs = [
         [name, other, pair["reward"], pair["ate_m"]]
         for name in comparison.policies
         for other in comparison.policies
         if (pair := comparison.paired.get(f"{name} - {other}"))
     ]
-    caption = "Differences in the same episodes, with 95 % intervals"
+    caption = "Differences, paired by episode, with 95 % intervals"
     yield table(caption, ["contender", "minus", "reward", "ATE m"], pairs) if pairs else ""
 
 
 def _trainings(source: Source) -> Iterator[str]:
     seeds, curves = source.content["seeds"], source.content["curves"].values()
     if seeds:
-        yield element("p", "The best policy of each training, on tuning seeds", "caption")
+        yield element("p", "The best policy of each training seed, on tuning seeds", "caption")
         yield html_of(outcomes_markdown(seeds))
     rivals = dict.fromkeys(rival for curve in curves for rival in curve)
     for rival in rivals:
         lines = [curve[rival] for curve in curves if rival in curve]
-        draw = partial(draw_learning_curves, f"reward minus {rival}'s", lines)
-        yield drawn(f"Learning curves against {rival} on tuning seeds, a line per training", draw)
+        draw = partial(draw_learning_curves, f"reward minus reward of {rival}", lines)
+        yield drawn(f"Gain in reward over {rival} on tuning seeds, a line per training seed", draw)
 
 
 def errors_of(source: Source, played: Played) -> Iterator[str]:

@@ -1,8 +1,8 @@
 // Functions for elements, scales and lines. Names reach the page only as text, never as markup.
 
-function change(one, attributes) {
-  for (const [key, value] of Object.entries(attributes)) one.setAttribute(key, value);
-  return one;
+function change(node, attributes) {
+  for (const [key, value] of Object.entries(attributes)) node.setAttribute(key, value);
+  return node;
 }
 
 function element(name, attributes = {}, ...children) {

@@ -6,7 +6,7 @@ function drawMap(place, episode, chosen) {
   const svg = picture(width, height, `Map of ${episode.name}: the true track, and the estimates of ${chosen.join(" and ")}. North is up.`);
   const courses = chosen.map((name) => episode.contenders[name]);
   const [toX, toY, perMeter] = mapScale(episode, courses, width, height);
-  const placed = (one) => [pixels(one.x, toX), pixels(one.y, toY)]; // coordinates are null where a log has no ground truth
+  const placed = (track) => [pixels(track.x, toX), pixels(track.y, toY)]; // coordinates are null where a log has no ground truth
   shape(svg, "rect", { width, height, fill: "var(--ground)" });
   drawStreets(svg, episode, toX, toY, perMeter);
   const links = episode.anchors.map(() => shape(svg, "line", { "stroke-width": 1.4 }));
@@ -22,7 +22,7 @@ function drawMap(place, episode, chosen) {
   shape(svg, "text", { x: 18, y: height - 18 }, `${meters} m`);
   place.replaceChildren(svg);
   return (at) => {
-    const put = (one, x, y, more) => change(one, { visibility: x === null ? "hidden" : "visible", cx: x ?? 0, cy: y ?? 0, ...more });
+    const put = (node, x, y, more) => change(node, { visibility: x === null ? "hidden" : "visible", cx: x ?? 0, cy: y ?? 0, ...more });
     put(user, xs[at], ys[at]);
     const now = courses.map((course) => [pixels([course.x[at]], toX)[0], pixels([course.y[at]], toY)[0]]);
     now.forEach(([x, y], i) => { trails[i](at); put(estimates[i], x, y); });
@@ -39,7 +39,7 @@ function drawMap(place, episode, chosen) {
 
 function mapScale(episode, courses, width, height) {
   const ends = (axis) => {
-    const known = [episode, ...courses].flatMap((one) => one[axis]).filter((v) => v !== null);
+    const known = [episode, ...courses].flatMap((track) => track[axis]).filter((v) => v !== null);
     return [known.reduce((a, b) => Math.min(a, b)), known.reduce((a, b) => Math.max(a, b))];
   };
   const [[west, east], [south, north]] = [ends("x"), ends("y")];
@@ -72,7 +72,7 @@ function drawStreets(svg, episode, toX, toY, perMeter) {
   }
 }
 
-// An anchor outside the map is drawn as an arrow at the rim, which points to the anchor. Names are placed where they cover neither symbols nor other names.
+// An anchor outside the map is drawn as an arrow at the rim that points to the anchor. Names are placed where they cover neither symbols nor other names.
 function drawAnchors(svg, episode, toX, toY, width, height) {
   const margin = 14;
   const signs = episode.anchors.map(([x, y], i) => {
@@ -96,7 +96,7 @@ function drawAnchors(svg, episode, toX, toY, width, height) {
   });
 }
 
-// Draws the track of an estimate, and returns a function that shows the track up to an epoch. Contender number 0 has a track in the colors of its modes.
+// Draws an estimated track, and returns a function that shows the track up to an epoch. The track of contender number 0 has the colors of its modes.
 function trail(svg, course, xs, ys, number) {
   if (number) {
     const line = shape(svg, "path", lineOf(number));

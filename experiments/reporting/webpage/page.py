@@ -1,4 +1,4 @@
-"""The web page as one file, made from template, style, script and data."""
+"""The web page as one file, made from a template, a style sheet, scripts and data."""
 
 import json
 import re
@@ -46,7 +46,7 @@ def page_of(args: PageArgs) -> str:
 
 
 def _folded(verdicts: Sequence[Verdict], parts: Sequence[str]) -> str:
-    """Return the parts of all sources, each under its source's name; only the first is open."""
+    """Return foldable parts, one per source, below the source's name; only the first is open."""
     named = [(verdict.name, part) for verdict, part in zip(verdicts, parts, strict=True) if part]
     return "".join(
         f"<details{'' if number else ' open'}><summary>{text(name)}</summary>{part}</details>"
@@ -91,7 +91,7 @@ def _html(verdicts: Sequence[Verdict], sections: Mapping[str, str], data: Any) -
 
 
 def _colors() -> str:
-    """Return the page's colors, which are also those of videos, as CSS variables."""
+    """Return the page's colors, which videos also have, as CSS variables."""
     light, dark = THEMES["light"]._asdict(), THEMES["dark"]._asdict()
     lines = (
         f"--{name}: light-dark({hex_of(light[name])}, {hex_of(dark[name])});"

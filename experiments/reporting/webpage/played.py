@@ -36,11 +36,11 @@ class Played:
     """Results of contenders in episodes that were played again."""
 
     which: str = "no episodes"  # description of the episodes
-    # epochs: errors and NEES; positions: errors and protection levels; only of scored epochs
+    # epochs: errors and NEES; positions: errors and protection levels (both in scored epochs)
     epochs: EpochErrors = field(default_factory=lambda: EpochErrors({}))
     positions: Positions = field(default_factory=lambda: Positions({}))
     shown: list[Json] = field(default_factory=list)  # episodes to watch, as JSON
-    # names of missing contenders, with the reasons; the name "" stands for all contenders
+    # name of a missing contender -> reason; the name "" stands for all contenders
     missing: dict[str, str] = field(default_factory=dict)
 
 
@@ -168,8 +168,8 @@ def _episode(name: str, history: History, rows: slice, groups: Sequence[str]) ->
 def _course(history: History, rows: slice, modes: Sequence[str], weighed: bool) -> Json:
     """Return the results of a contender in an episode, in the form that the player needs.
 
-    If ``weighed``, the mode of an epoch is the most probable one; otherwise, it is the mode or
-    action that was chosen.
+    If ``weighed``, the contender weights all modes, and the mode of an epoch is the most probable
+    mode; otherwise, it is the mode or action that was chosen.
     """
     accepted, rejected = history.accepted[rows], history.rejected[rows]
     letters = np.where(accepted, "a", np.where(rejected, "r", "m"))  # m: missing

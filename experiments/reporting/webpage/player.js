@@ -1,4 +1,4 @@
-// The player of episodes: a map, and plots over a common time axis with one cursor.
+// The player of episodes: a map, and plots over time that share one axis and one cursor.
 
 const FRAME_MS = 60;
 const RULE = "speed-rule";
@@ -25,7 +25,7 @@ function player(place, episodes) {
     const others = ["none", ...names.filter((name) => name !== state.main)];
     const focused = document.activeElement && document.activeElement.id;
     choices.replaceChildren(
-      selector("which", "Episode", episodes.map((one) => one.name), state.episode, (i) => { state.episode = i; state.at = 0; choose(); }),
+      selector("which", "Episode", episodes.map((episode) => episode.name), state.episode, (i) => { state.episode = i; state.at = 0; choose(); }),
       selector("main", "Contender", names, names.indexOf(state.main), (i) => { state.main = names[i]; choose(); }),
       selector("beside", "Compared with", others, Math.max(0, others.indexOf(state.beside)), (i) => { state.beside = i ? others[i] : ""; choose(); }),
     );
@@ -156,7 +156,7 @@ function drawStrips(place, episode, chosen) {
   });
   top += 4;
   const known = episode.speed_mps.some((v) => v !== null); // a log may have no ground truth
-  const most = known ? 2 * Math.max(1, ...episode.speed_mps) : Infinity; // higher speeds are drawn at the edge
+  const most = known ? 2 * Math.max(1, ...episode.speed_mps) : Infinity; // higher speeds are drawn at this speed
   const speeds = courses.map((course) => course.speed_mps.map((v) => (v === null ? null : Math.min(v, most))));
   const speed = fromZero(46, "speed m/s", [...episode.speed_mps, ...speeds.flat()]);
   speeds.forEach((values, i) => line(values, speed, i));

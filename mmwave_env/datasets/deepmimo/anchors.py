@@ -1,13 +1,13 @@
 """Assignment of ray-traced paths to anchors: a base station and its mirror images.
 
 The line of sight is the link to the station, which is at g. If a path bounces once, at q, the
-receiver at p sees the signal come from a, the station's mirror image (paper, Sec. II):
+receiver at p sees the signal come from the station's mirror image, at a (paper, Sec. II):
 
     a = q + |g - q| (q - p) / |q - p|
 
 A flat wall gives all receivers the same image, so each cluster of images is a virtual anchor. The
-arrival and the range of such a path are those of the straight line from the image. In the files,
-the departure is the direction at the station, before the bounce, so it must be mirrored, too.
+range and the angles of arrival of a reflected path are those of the straight line from the image.
+In the files, departures are directions at the station, before the bounce, and must be mirrored.
 
 Other paths (two bounces, diffraction, scattering, transmission) are left out: they have no fixed
 image, or their image can't be computed from their first point of interaction.
@@ -29,7 +29,7 @@ from mmwave_env.models.measurement import SPEED_OF_LIGHT, direction
 from mmwave_env.numerics.numbers import PI, Array, Index, Mask, wrap
 from mmwave_env.world.checks import refuse_in
 
-TOLERANCE_M = 0.05  # points closer than this are the same; float32 rounding moves them 1e-4 m
+TOLERANCE_M = 0.05  # points this close are equal; rounding to float32 moves points by 1e-4 m
 # Values of ``interactions``: numbers with a digit for each interaction on a path, or 0 for none.
 LINE_OF_SIGHT, REFLECTION = 0.0, 1.0
 

@@ -1,7 +1,7 @@
 """DeepMIMO scenarios, read as recordings of one user.
 
 :mod:`~mmwave_env.datasets.deepmimo.v4` reads the paths that a scenario lists, and
-:mod:`~mmwave_env.datasets.deepmimo.anchors` converts them to links to anchors for the recording.
+:mod:`~mmwave_env.datasets.deepmimo.anchors` finds the anchors that these paths lead to.
 """
 
 import os
@@ -26,7 +26,7 @@ from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.world.checks import refuse_in
 from mmwave_env.world.trajectory import Trajectory
 
-SIDECAR = "trajectory.csv"  # with times and positions; users add it to the files of DeepMIMO
+SIDECAR = "trajectory.csv"  # file with times, positions and perhaps velocities, added by users
 
 
 def read_deepmimo(
@@ -46,8 +46,8 @@ def read_deepmimo(
     ``trajectory.csv`` in the folder, which has a row for each receiver or, if dynamic, each scene.
 
     If there is one station, or ``base_station`` selects one, the anchors are this station and
-    its mirror images. Otherwise the anchors are all stations that are in sight in some epoch, the
-    one seen most often first. The first anchor's Doppler shift is computed from the true velocity.
+    its mirror images. Otherwise the anchors are all stations that are ever in sight, the most often
+    seen station first. The first anchor's Doppler shift is computed from the true velocity.
 
     Args:
         folder: folder of a DeepMIMO v4 scenario.

@@ -1,4 +1,4 @@
-"""Scenario folders for tests: shortened or damaged copies of shipped ones, and synthetic ones."""
+"""Scenario folders for tests: shortened or damaged copies of shipped folders, and a simple hall."""
 
 import json
 import shutil
@@ -88,7 +88,7 @@ def shortened(folder, epochs, suffix=".npz", source=VEHICLE):
 
 
 def dynamic_twin(static, folder, others=0):
-    """Write a dynamic scenario with a scene for every receiver of a static one.
+    """Write a dynamic scenario with a scene for every receiver of a static scenario.
 
     The arrays of a scene have room only for the paths that occur in it. The last receiver of a
     scene is the user; ``others`` receivers before it stand still at the user's first position.

@@ -36,7 +36,7 @@ def folder(tmp_path_factory):
     order=st.sampled_from("CF"),
     data=st.data(),
 )
-def test_chosen_rows_equal_those_of_numpy(folder, array, suffix, order, data):
+def test_chosen_rows_equal_the_same_rows_in_numpy(folder, array, suffix, order, data):
     file = folder / f"delay{suffix}"
     SAVE[suffix](file, "delay", np.asarray(array, order=order))
     rows = data.draw(st.lists(st.integers(0, len(array) - 1), max_size=12))
@@ -56,7 +56,7 @@ def test_an_npz_file_is_preferred_to_an_npy_file(tmp_path):
 
 
 def npy_header(shape, descr="<f4", claimed=None):
-    """Return the header of an .npy file; ``claimed`` replaces the header length that it states."""
+    """Return the header of an .npy file; ``claimed`` replaces the stated length of the header."""
     text = repr({"descr": descr, "fortran_order": False, "shape": shape}).encode() + b"\n"
     return b"\x93NUMPY\x01\x00" + struct.pack("<H", claimed or len(text)) + text
 

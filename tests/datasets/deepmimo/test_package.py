@@ -1,4 +1,4 @@
-"""Tests that DeepMIMO's own package reads our folders as we do; `make deepmimo` runs them."""
+"""Tests that DeepMIMO's own package agrees with our reader; `make deepmimo` runs these tests."""
 
 import shutil
 

@@ -187,7 +187,7 @@ def test_damage_is_refused_with_its_place(folder, damage):
         read_deepmimo(folder)
 
 
-def test_a_wrong_path_is_named_by_its_receiver(folder):
+def test_the_error_about_a_wrong_path_names_path_and_receiver(folder):
     edit(folder, "delay", set_at((7, 0), 1.0))
     with pytest.raises(ValueError, match="on path 0 of receiver 7,"):
         read_deepmimo(folder, users=[3, 7], dt_s=1.0)

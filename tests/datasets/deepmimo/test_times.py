@@ -1,4 +1,4 @@
-"""Tests of times and velocities, from dt_s or the sidecar (trajectory.csv, which users add)."""
+"""Tests of times and velocities, from dt_s or from the sidecar (the file trajectory.csv)."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ def folder(tmp_path):
     return shortened(tmp_path / "walk", 30)
 
 
-def test_velocities_that_a_sidecar_lacks_are_computed_from_positions_and_times_from_dt_s(folder):
+def test_missing_velocities_are_computed_from_positions_and_missing_times_from_dt_s(folder):
     expected = read_deepmimo(folder)
     lines = (folder / TRUTH).read_text().splitlines()
     (folder / TRUTH).write_text("\n".join(",".join(line.split(",")[:4]) for line in lines))

@@ -1,6 +1,6 @@
 """Tests of reading DeepMIMO v4 folders: scenes, formats of arrays, sets of receivers, refusals.
 
-A dynamic scenario has a sub-folder for each epoch, its scene. In a static scenario, epochs are the
+A dynamic scenario has a sub-folder (a scene) for each epoch. In a static scenario, epochs are the
 receivers of a single scene. tests/test_damaged_files.py tests random damage.
 """
 
@@ -157,7 +157,7 @@ DAMAGE = {  # name -> (function that damages a folder, files and keys that the r
 
 
 @pytest.mark.parametrize("damage", DAMAGE)
-def test_a_scene_that_contradicts_the_others_is_named(dynamic, damage):
+def test_a_scene_that_contradicts_the_other_scenes_is_named(dynamic, damage):
     spoil, parts = DAMAGE[damage]
     spoil(dynamic)
     with refuses(dynamic, *parts, error=(ValueError, FileNotFoundError)):
