@@ -230,7 +230,7 @@ def test_a_log_that_gives_no_track_leaves_existing_files_unchanged(tmp_path, nam
                 "column 'range_yd': found no known unit, expected toa_s, ",
                 ", range_m or range_ft; column 'azimuth_deg_compass'",
                 "(did you mean aoa_azimuth_rad or aoa_azimuth_deg, the azimuth from",
-                "column 'speed_knots': found no known unit, expected speed_mps or speed_kmh; a",
+                "column 'speed_knots': found no known unit, expected speed_mps or speed_kmh; the",
             ],
         ),
         ("t_ms,bs,delay_ns,dist_m", ["mean time_ms", "mean anchor", "mean toa_ns", "mean range_m"]),
