@@ -232,7 +232,7 @@ def ranking(entries: Sequence[Json]) -> str:
         rows.append((short, -gains[TRAINED]["mean"], cells))
     header = ["entry", "episodes / draws"]
     for kind in KINDS:
-        header += [f"{kind}: score", "minus imm-best", "above / level / below every IMM"]
+        header += [f"{kind}: score", "minus imm-best", "above every IMM / level / below one"]
     return grid(header, [cells for *_, cells in sorted(rows, key=lambda row: row[:2])])
 
 

@@ -283,8 +283,8 @@ def as_measured(layout: Layout) -> Program[AsMeasured]:
     return Program(lambda w: w, AsMeasured(blank_incoming(layout)))
 
 
-# Each key seeds three streams of random numbers. So another radio does not change a user's way,
-# and an offset of the clock changes neither the way nor the receiver's noise.
+# Each key seeds three streams of random numbers. So the trajectory is the same with any radio, and
+# a clock offset changes neither the trajectory nor the receiver's noise.
 USER, RECEIVER, CLOCK = 0, 1, 2
 
 
