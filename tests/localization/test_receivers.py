@@ -1,4 +1,4 @@
-"""Tests that logs with only some quantities, and with stated noise, give a textbook EKF's track."""
+"""Tests that a log with only some quantities, and their deviations, has a textbook EKF's track."""
 
 import csv
 import json
