@@ -58,7 +58,7 @@ def feature_scales() -> dict[str, Scale]:
     """Read mean and standard deviation of every kind of feature from data/feature_scales.json."""
     # Measured 2026-11-23 (code at commit 476d657): 24 episodes with random actions in each
     # combination of scene, radio, kind of beliefs and set of modes (two modes, without and with
-    # odometry; eight modes; the radio's bank). The file has medians over the combinations; no value was clipped.
+    # odometry; eight modes; the radio's bank). The file has medians; no value was clipped.
     text = files("mmwave_env").joinpath("data/feature_scales.json").read_text(encoding="utf-8")
     return {kind: Scale(**scale) for kind, scale in json.loads(text)["kinds"].items()}
 
