@@ -21,7 +21,7 @@ class Args:
     together with the paper's rule and every IMM, at four kinds of sites: the nine sites where
     policies may be trained, unseen sites, recordings and hard sites. A contender's entry (its
     results at all sites) is written to a JSON file in the folder --out; the tables show all entries
-    there, and the clairvoyant (a policy that knows the truth), whose score is 100.
+    there beside shipped ones, such as the clairvoyant (knows the truth), whose score is 100.
 
     mmwave-loc leaderboard --policies imm-best --episodes 400 --draws 20
     """
@@ -61,7 +61,7 @@ def main(args: Args) -> None:
     files = {name: args.out / f"{stem}.json" for name, stem in stems.items()}
     if args.keep:
         groups = [(name,) for name, file in files.items() if not file.exists()]
-    ceiling = protocol.ceiling_in(args.out)
+    ceiling = next(e for e in protocol.entries_in(args.out) if e["entry"] == CLAIRVOYANT)
     for names in groups:
         judged = []
         for site in protocol.sites():
@@ -73,11 +73,9 @@ def main(args: Args) -> None:
         protocol.add_scores(made.values(), ceiling)
         for name, entry in made.items():
             write_json(files[name], provenance("leaderboard", args) | entry)
-    entries = [protocol.read_entry(path) for path in sorted(args.out.glob("*.json"))]
-    if not entries:
+    if not any(args.out.glob("*.json")):
         raise ValueError(f"out: found no entries in {args.out}; name contenders with --policies")
-    if all(entry["entry"] != CLAIRVOYANT for entry in entries):
-        entries.insert(0, ceiling)
+    entries = protocol.entries_in(args.out)
     protocol.add_scores(entries, ceiling)
     tables = protocol.tables_of(entries, ceiling)
     show("\n\n".join(f"{TITLES[name]}:\n\n{table}" for name, table in tables.items()))

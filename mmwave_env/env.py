@@ -105,7 +105,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
       later. The action corrects the belief of that epoch; reward and infos use the result.
       The filters go on without corrections, so actions have no later effect (use a discount of 0);
       `reward="paired"` subtracts the reward of the belief without correction. By default the
-      filters are an IMM. With `base`, an agent without memory also trusts modes: `base`
+      filters are an IMM. With `base`, a second agent, without memory, trusts modes: `base`
       is a function that takes the table of the filters' features and returns the agent, such as
       `partial(LearnedSwitch, "guided")`. If your actions are those of the shipped `corrector`, you
       earn the reward that `mmwave-loc compare` shows.
@@ -121,7 +121,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
 
     `reward="paired"`: the tracking reward minus the reward of an IMM over the radio's two default
     modes, in the same epoch of the same episode. The agent cannot change what the IMM earns, so
-    the best policy stays the same, and the reward is less noisy. `PairedReward` pairs others.
+    the best policy stays the same, and the reward is less noisy. `PairedReward` pairs another one.
 
     ## Starting State
 

@@ -65,10 +65,10 @@ def positions_markdown(title: str, rows: Json, risk: float, kind: str) -> str:
         for axis, errors in axes.items()
     ]
     return (
-        f"{grid([title, *HEADER], cells)}\n\n50 % m is the error that 50 % of the epochs stay "
-        "below, and so on; within 1 m is the share of the epochs with at most this error. Level is "
-        f"the median {kind} protection level; at a risk of {risk:g}, errors should exceed their "
-        f"levels in {percent(risk)} of the epochs.\n"
+        f'{grid([title, *HEADER], cells)}\n\n"50 % m" is the error in m that 50 % of the epochs '
+        'stay below, and so on; "within 1 m" is the share of epochs with an error of at most 1 m. '
+        f"Level is the median {kind} protection level; at a risk of {risk:g}, errors should exceed "
+        f"their levels in {percent(risk)} of the epochs.\n"
     )
 
 

@@ -38,6 +38,8 @@ UNSEEN = UNSEEN_SCENES + UNSEEN_RADIOS  # nothing is tuned or trained on them
 OTHER_RADIOS = ("handset", "standard")  # radios for unseen streets and for recordings
 EPISODES, DRAWS = 2000, 200  # episodes at each simulated site, noise draws for each recording
 CEILING_EPISODES, CEILING_DRAWS = 400, 20  # maximum numbers of episodes and draws in a score
+SHIPPED = Path(__file__).with_name("entries")  # folder of the published entries
+BESIDE = (CLAIRVOYANT, "corrector", "guided", "imm-best")  # entries to show beside a user's entries
 
 
 def unseen_file(name: str) -> str:
@@ -170,10 +172,12 @@ def read_entry(path: Path) -> Json:
     return read_json(path, "an entry", checked)
 
 
-def ceiling_in(folder: Path) -> Json:
-    """Return the clairvoyant's entry: from the folder if it is there, otherwise as shipped."""
-    own = folder / f"{CLAIRVOYANT}.json"
-    return read_entry(own if own.is_file() else Path(__file__).with_name(own.name))
+def entries_in(folder: Path) -> list[Json]:
+    """Return the entries in a folder, after those of :data:`BESIDE` that the folder lacks."""
+    own = [read_entry(path) for path in sorted(folder.glob("*.json"))]
+    names = {entry["entry"] for entry in own}
+    shipped = (read_entry(SHIPPED / f"{name}.json") for name in BESIDE if name not in names)
+    return [*shipped, *own]
 
 
 def add_scores(entries: Iterable[Json], ceiling: Json) -> None:
@@ -232,7 +236,7 @@ def ranking(entries: Sequence[Json]) -> str:
         rows.append((short, -gains[TRAINED]["mean"], cells))
     header = ["entry", "episodes / draws"]
     for kind in KINDS:
-        header += [f"{kind}: score", "minus imm-best", "above / level / below every IMM"]
+        header += [f"{kind}: score", "minus imm-best", "above every IMM / level / below one"]
     return grid(header, [cells for *_, cells in sorted(rows, key=lambda row: row[:2])])
 
 

@@ -1,4 +1,4 @@
-"""Localization of a recorded log by a policy, an IMM or the paper's Algorithm 1."""
+"""The command localize for a recorded log: options, track, scores, files and printed results."""
 
 import warnings
 from collections.abc import Iterable, Iterator

@@ -80,13 +80,13 @@ def _course(figures: Json) -> list[str]:
     shares = ", ".join(f"{escaped(name)} {_percent(n / epochs)}" for name, n in f["modes"].items())
     switches = f", switched {_times(f['switches'])}" if len(f["modes"]) > 1 else ""
     lines.append(f"modes {escaped(f['rule'])}: {shares} of the epochs{switches}")
-    lines.append(f"noise of radio {escaped(f['radio'])}")
+    lines.append(f"measurement noise of the radio profile {escaped(f['radio'])}")
     expected = " and ".join(f"{size:.2f} m {axis}" for axis, size in f["expected_rmse_m"].items())
     lines.append(f"expected error (RMS, by the track's covariances): {expected}")
     for key, kind in (("trusted", "filtered"), ("smooth_trusted", "smoothed")):
         if key in f:
-            trusted = _percent(f[key])
-            lines.append(f"trust in the corrections of the {kind} track, on average: {trusted}")
+            weight = _percent(f[key])
+            lines.append(f"weight of the corrections in the {kind} track: {weight} on average")
     if "clock" in f:
         keys = "range_bias_m", "deviation_m"
         ahead, deviation = (f["clock"][key] / SPEED_OF_LIGHT * 1e9 for key in keys)
@@ -118,7 +118,7 @@ def _groups(groups: Json) -> str:
 
 
 def _clock(truth: Json) -> str:
-    """Return the end of "... epochs have a true position", and a sentence on the truth's clock."""
+    """Return words after the number of true positions, and a sentence on the truth's clock."""
     between, clock = truth["interpolated"], truth["clock"]
     away = f"{1e3 * truth['nearest_pose_s']:.1f} ms from the nearest pose on average"
     said = f", {between} of them between poses, {away}." if between else "."
@@ -150,7 +150,7 @@ def _accuracy(truth: Json, epochs: int) -> str:
     rows = [[name, *(_decimals(row[m]) for m in metrics)] for name, row in truth["tracks"].items()]
     low, high = truth["nees_interval"]
     kinds = {n: {k: row[k] for k in KINDS if k in row} for n, row in truth["tracks"].items()}
-    over = "" if truth["rpe_s"] is None else f"RPE is over {truth['rpe_s']:.3g} s; "
+    over = "" if truth["rpe_s"] is None else f"RPE is computed over {truth['rpe_s']:.3g} s; "
     return (
         f"{grid(header, rows)}\n\n{truth['scored']} of {epochs} epochs have a true position"
         f"{_clock(truth)} {over}"

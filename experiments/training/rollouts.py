@@ -29,7 +29,7 @@ EVALUATE = 8  # number of updates between two evaluations
 class RolloutLearner:
     """The network, its optimizer and the states that it learns from.
 
-    The memory has states s in which all actions a were tried; the network of that time chose the
+    The memory has states s in which all actions a were tried; the network as it was then chose the
     actions after a. Q(s, a) is the value of a. The network, which chooses a with probability
     pi(a | s), maximizes the mean of sum_a pi(a | s) (Q(s, a) - Q(s, 0)) and a small entropy bonus.
 

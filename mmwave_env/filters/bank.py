@@ -141,8 +141,8 @@ def _tuned_profile(radio: Radio) -> str:
     if radio.name not in TUNED_RADIOS:
         warnings.warn(
             f"radio {radio.name!r}: found no modes tuned for this radio, so the modes of "
-            f"{radio.base!r} are used; to tune modes for modes= and --modes, run mmwave-loc tune "
-            f"--radio {radio.name}.json --out modes.json (with --bank for a bank)",
+            f"{radio.base!r} are used; to tune some, run mmwave-loc tune --radio {radio.name}.json "
+            "--out modes.json (--bank for a bank), and pass the file as modes= or --modes",
             stacklevel=3,
         )
     return radio.base

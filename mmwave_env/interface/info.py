@@ -33,7 +33,7 @@ INFOS = {
 
 
 def reported(at: Any) -> Any:
-    """Return the part of a workspace that infos describe: a corrected epoch if any, else all."""
+    """Return the part of a workspace that infos describe: the corrected epoch, if it has one."""
     return getattr(at, "reported", ()) or at
 
 
@@ -69,7 +69,7 @@ def drawn_rows(at: Any, span: Callable[[Any], Any]) -> dict[str, Any]:
 def masked(values: dict[str, NDArray[Any]], where: Mask) -> dict[str, Any]:
     """Return infos (n, ...) and Gymnasium's masks, which are copies of ``where`` (n,).
 
-    Values of other environments are replaced by 0 or None, in place. Every key gets a mask
+    Values where ``where`` is False are replaced by 0 or None, in place. Every key gets a mask
     ``_key``; all masks are the same array. If ``where`` is False everywhere, the result is empty.
     """
     if not where.any():

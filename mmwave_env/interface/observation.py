@@ -41,7 +41,7 @@ BELIEFS = {  # a belief is a mean and a covariance
 
 
 def action_names(modes: Sequence[Mode], beliefs: str) -> list[str]:
-    """Return names of actions: the modes, after "none" if each mode has its own belief."""
+    """Return names of actions: "none" if each mode has its own belief; then the modes."""
     names = [mode.name for mode in modes]
     return ["none", *names] if beliefs == "per-mode" else names
 
@@ -57,8 +57,8 @@ class Scale(NamedTuple):
 def feature_scales() -> dict[str, Scale]:
     """Read mean and standard deviation of every kind of feature from data/feature_scales.json."""
     # Measured 2026-11-23 (code at commit 476d657): 24 episodes with random actions in each
-    # combination of scene, radio, kind of beliefs and set of modes (two; two, with odometry; eight;
-    # the radio's bank). The file has medians over the combinations; no value was clipped.
+    # combination of scene, radio, kind of beliefs and set of modes (two modes, without and with
+    # odometry; eight modes; the radio's bank). The file has medians; no value was clipped.
     text = files("mmwave_env").joinpath("data/feature_scales.json").read_text(encoding="utf-8")
     return {kind: Scale(**scale) for kind, scale in json.loads(text)["kinds"].items()}
 

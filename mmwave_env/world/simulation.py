@@ -47,8 +47,8 @@ class WorldSettings(NamedTuple):
     step_s: Number  # length of a substep
     stride: Number  # number of substeps in an epoch
     offered: Vector = ()  # (rows,) 1 where the receiver measures the row; empty if it measures all
-    # empty if the user's clock is synchronized; else [0]: the factor that converts the sum of two
-    # successive oscillator biases (Hz) to the drift (m) between these epochs; [1]: the standard
+    # empty if the user's clock is synchronized; else [0]: the factor that converts the sum of the
+    # oscillator biases (Hz) at two epochs to the drift (m) between them; [1]: the standard
     # deviation (m) of the noise that the clock itself adds between epochs
     clock: Vector = ()
 
@@ -283,8 +283,8 @@ def as_measured(layout: Layout) -> Program[AsMeasured]:
     return Program(lambda w: w, AsMeasured(blank_incoming(layout)))
 
 
-# Each key seeds three streams of random numbers. So another radio does not change a user's way,
-# and an offset of the clock changes neither the way nor the receiver's noise.
+# Each key seeds three streams of random numbers. So the trajectory is the same with any radio, and
+# a clock offset changes neither the trajectory nor the receiver's noise.
 USER, RECEIVER, CLOCK = 0, 1, 2
 
 
@@ -297,7 +297,7 @@ class FirstDraws(NamedTuple):
     # (7,) true state at the first epoch, followed by the range bias (m) if the clock has an offset;
     # if ways are given, the position and velocity in it are meaningless
     first: list[Number]
-    # (7,) error of the prior's mean; with a clock offset, followed by minus the range bias
+    # (7,) error of the prior's mean; with a clock offset, then the negative range bias
     prior_noise: list[Number]
 
 

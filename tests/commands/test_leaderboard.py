@@ -11,7 +11,7 @@ from experiments.leaderboard import Args, main
 from tests.cli import assert_one_clear_line, command, succeed
 from tests.paths import ROOT, json_in
 
-FOLDER = ROOT / "docs" / "leaderboard"
+FOLDER = ROOT / "experiments" / "evaluation" / "entries"
 GOOD, POOR = "guided", "imm-best"  # two entries in this folder, the better one first
 
 

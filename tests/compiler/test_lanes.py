@@ -1,4 +1,4 @@
-"""Tests that functions, filters and simulations give equal results on SIMD lanes and on floats."""
+"""Tests that functions, filters and simulations give equal results on SIMD lanes and in Python."""
 
 import math
 import platform

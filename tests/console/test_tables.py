@@ -137,7 +137,7 @@ def test_no_cell_of_a_table_is_cut_and_no_line_is_too_long(shown, names, cells, 
         assert [cell for table in tables for cell in table[i].split()[1:]] == cells
 
 
-def test_headers_are_folded_but_not_before_a_unit(shown):
+def test_headers_wrap_but_not_between_a_number_and_its_unit(shown):
     _, *header = shown(grid(["track", "NEES in 95 % bounds"], [["filtered", "0.9"]]), 60)
     words = [line.strip() for line in header if line][:4]
     assert words == ["track     NEES", "in", "95 %", "bounds"]

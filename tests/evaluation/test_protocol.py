@@ -10,13 +10,14 @@ import pytest
 
 from experiments.evaluation.hard import HARD_SOURCES
 from experiments.evaluation.protocol import (
+    BESIDE,
     KINDS,
     RECORDED,
     TRAINED,
     UNSEEN,
     Judged,
     add_scores,
-    ceiling_in,
+    entries_in,
     entry,
     judge,
     sites,
@@ -106,11 +107,12 @@ def test_scores_are_dashes_if_an_entry_has_fewer_episodes_than_the_clairvoyant()
         assert f" | {shown} |\n| street:standard" in tables["scores"]
 
 
-def test_a_folder_without_the_clairvoyant_uses_the_shipped_entry(tmp_path):
-    shipped = ceiling_in(tmp_path)
-    assert shipped["sites"].keys() >= {site.name for site in sites()}
-    (tmp_path / "clairvoyant.json").write_text(json.dumps(shipped | {"command": "mine"}))
-    assert ceiling_in(tmp_path)["command"] == "mine"
+def test_shipped_entries_are_shown_beside_those_in_a_folder_unless_it_has_its_own(tmp_path):
+    shipped = entries_in(tmp_path)
+    assert [content["entry"] for content in shipped] == [*BESIDE]
+    (tmp_path / "mine.json").write_text(json.dumps(shipped[0] | {"command": "mine"}))
+    own = {content["entry"]: content["command"] for content in entries_in(tmp_path)}
+    assert own.keys() == {*BESIDE} and own["clairvoyant"] == "mine"
 
 
 @pytest.fixture(scope="module")

@@ -46,7 +46,7 @@ def pays(reward, belief):
     return total(terms_of(reward, belief, ORIGIN))
 
 
-def test_shipped_rewards_have_names_and_other_rewards_the_name_of_their_class_or_function():
+def test_shipped_rewards_have_names_and_others_are_named_after_their_class_or_function():
     for name, reward in REWARDS.items():
         assert reward_name(reward) == name
     assert reward_name(TrackingReward(error_limit_m=5.0)) == "TrackingReward"
@@ -189,7 +189,7 @@ def branch(belief, truth):
         lambda belief, truth: belief.speed,
     ],
 )
-def test_a_function_that_is_not_a_valid_reward_is_refused_with_its_line(own):
+def test_the_error_about_an_invalid_reward_function_names_its_file(own):
     with pytest.raises(ValueError, match=rf"^reward {own.__name__} (?s:.)*{Path(__file__).name}"):
         gym.make("MmWaveLoc-v0", reward=own)
 

@@ -1,4 +1,4 @@
-"""Tests that logs with only some quantities, and with stated noise, give a textbook EKF's track."""
+"""Tests that a log with only some quantities, and their deviations, has a textbook EKF's track."""
 
 import csv
 import json
@@ -28,7 +28,7 @@ ROWS = {  # column -> (row of a link, or 4 for Doppler; unit; standard deviation
     "doppler": (4, "hz", 25.0),
 }
 RANGE_AZIMUTH, ANGLES = ("range", "aoa_azimuth"), ("aoa_azimuth", "aoa_elevation", "aod_azimuth")
-# Without elevations and a known height, even the textbook EKF diverges for a single anchor.
+# A single anchor without elevations needs a known height, or even the textbook EKF diverges.
 RECEIVERS = {  # name -> columns that are measured, time step in s, number of anchors
     "all, 1 s": (tuple(ROWS), 1.0, 3),
     "all, 0.1 s": (tuple(ROWS), 0.1, 3),

@@ -55,7 +55,7 @@ SPELLINGS = {
 
 
 @pytest.mark.parametrize("name", SPELLINGS)
-def test_all_spellings_of_a_file_are_read_alike(tmp_path, name):
+def test_comments_spaces_line_ends_and_a_byte_order_mark_do_not_change_what_is_read(tmp_path, name):
     poses = read_tum(store(tmp_path, SPELLINGS[name](POSES)))
     assert poses.time_s.tolist() == [0.0, 0.1, 0.2]
     assert poses.position_m.tolist() == [[1.0, 2.0, 3.0], [1.5, 2.0, 3.0], [2.0, 2.0, 3.0]]
@@ -91,7 +91,7 @@ def test_a_file_without_poses_is_refused(tmp_path, content):
 
 
 @pytest.mark.parametrize("line", ["0 1 2 3 0 0\r0 1", "0 1 2 3 0 0 0 1\r1 1 2 3 0 0 0 1"])
-def test_a_line_end_inside_a_line_is_refused(tmp_path, line):
+def test_a_carriage_return_inside_a_line_is_refused(tmp_path, line):
     path = store(tmp_path, f"# t x y z\r\n{line}\n")
     with refuses(f"{path}, line"):
         read_tum(path)

@@ -101,7 +101,7 @@ def test_a_set_of_receivers_is_chosen_by_its_number(static):
     require_same(read_deepmimo(static, receiver_set=2), expected)
 
 
-def test_positions_of_a_grid_are_read_without_its_paths(static):
+def test_receiver_positions_of_a_grid_are_read_if_files_of_paths_are_missing(static):
     for file in static.glob("[!r]*.npz"):
         file.unlink()
     scenario = open_scenario(static)
