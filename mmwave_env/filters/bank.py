@@ -91,7 +91,7 @@ def bank_in(content: Mapping[str, Any]) -> Bank:
     """Return the bank in a mode file's content, or in a mapping of the same form.
 
     The key "modes" contains a list of modes, each with the attributes of :class:`Mode` that differ
-    from the defaults. Keys of :data:`NOTES` are ignored; others are attributes of :class:`Bank`.
+    from the defaults. Keys of :data:`NOTES` are ignored; the rest are attributes of :class:`Bank`.
 
     Raises:
         ValueError: the content is wrong; the message names the error.
