@@ -195,7 +195,7 @@ class Environment:
         return metrics | {SMOOTHED_KEY: smoothed}
 
     def _charge(self, rewards: Array, places: Index) -> None:
-        """Add the worst reward for each epoch cut off by an early end; subtract baseline rewards."""
+        """Add the worst reward, minus the baseline reward, for epochs that an early end omits."""
         assert self._task.worst is not None
         batch = self._engine.batch
         rewards[places] += self._task.worst * (batch.state.length - batch.completed)[places]
