@@ -218,7 +218,7 @@ class Batch(Generic[Workspace]):
     def write(self, tree: Any, values: Any, places: Index | None = None) -> None:
         """Set the rows of a subtree of ``at`` to values: (n,) for a leaf, else (n, leaves).
 
-        ``values`` has one entry for each environment in ``places``; None for all environments.
+        ``values`` has one entry for each environment in ``places`` (None for all environments).
         """
         places = np.arange(self.n) if places is None else places
         block, lane = np.divmod(places, WIDTH)

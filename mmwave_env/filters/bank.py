@@ -230,7 +230,7 @@ def bank_from(modes: Modes, radio: str | Radio = "handset") -> Bank:
     bank = best_bank(radio) if modes is None else bank_over(modes, radio)
     if len(bank.modes) < 2:
         raise ValueError(
-            f"modes: found only {bank.modes[0].name!r}, expected two or more modes, because every "
-            "mode keeps its own belief"
+            f"modes: found only {bank.modes[0].name!r}, expected two or more modes "
+            "that each keep their own belief"
         )
     return bank

@@ -130,7 +130,7 @@ def imm_epoch(
 ) -> ImmEpoch:
     """Run an epoch: mix the beliefs, run every mode, weight the modes by their likelihood.
 
-    The tunings in ``settings`` replace the modes' own; ``mixture`` is from the previous epoch.
+    The tunings in ``settings`` replace the modes' tunings; ``mixture`` is from the previous epoch.
     """
     predicted, mixed = mix(mixture, over_step(settings.transition, epoch.dt))
     tracks, results = [], []
