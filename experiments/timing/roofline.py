@@ -104,7 +104,7 @@ def _repeated(build: Callable[[Any], None]) -> Any:
 
 def _seconds(repeat: Any, blocks: Any) -> float:
     """Return the seconds of a pass over the blocks, the minimum of several tries."""
-    repeat(blocks.copy(), 1)  # compiles
+    repeat(blocks.copy(), 1)  # the first call compiles
     shortest = np.inf
     for _ in range(TRIES):
         used = blocks.copy()
