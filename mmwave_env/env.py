@@ -420,7 +420,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         return worded(info, self._infos, at_end, groups, beliefs, terms)
 
     def _episode_info(self) -> dict[str, Any]:
-        """Return the episode's metrics, and how many epochs had nonfinite beliefs, if any."""
+        """Return the episode's metrics, and the number of nonfinite beliefs if it is not 0."""
         metrics: dict[str, Any] = {k: float(v[0]) for k, v in self._metrics_of(_HERE).items()}
         (lost,) = self._tally.nonfinite(_HERE).tolist()
         if lost:

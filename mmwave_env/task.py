@@ -222,7 +222,7 @@ def _source(asked: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
         return simulated, radio
     for name in ("scenario", "scene", "dt", "odometry"):
         if (value := getattr(asked, name)) is not None and value is not False:
-            raise ValueError(f"{name}: found {value!r}, but recorded episodes have their own")
+            raise ValueError(f"{name}: found {value!r}, but recorded episodes determine this value")
     episodes, steps = asked.episodes, asked.episode_steps
     if isinstance(episodes, str | os.PathLike | Recording | MeasuredTrack):
         track = source_from(episodes, radio, steps, measurements, clock)
@@ -236,5 +236,5 @@ def _source(asked: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
     own = {"episode_steps": steps, "measurements": measurements, "clock": drift}
     for name, value in own.items():
         if value is not None:
-            raise ValueError(f"{name}: found {value}, but the source in episodes= has its own")
+            raise ValueError(f"{name}: found {value}, but the source in episodes= determines this")
     return episodes, getattr(episodes, "radio", radio)

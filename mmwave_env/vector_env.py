@@ -51,7 +51,7 @@ class MmWaveLocVectorEnv(
         autoreset_mode: "NextStep" (the step after the end of an episode ignores its action and
             resets), "SameStep" (the step that ends an episode also resets; the results of the old
             episode are in ``final_obs`` and ``final_info``) or "Disabled" (call
-            ``reset(options={"reset_mask": mask})`` with a bool array (N,) to reset only some).
+            ``reset(options={"reset_mask": mask})`` with a bool array (N,), True where to reset).
         threads: maximum number of threads; several are used only from N = 1024 on, where they
             save time. Results do not depend on this number.
         max_episode_steps: None or the length of the episodes; Gymnasium may pass this argument,

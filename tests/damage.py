@@ -27,13 +27,13 @@ def damaged(draw, content):
     return content
 
 
-def places(content, path=()):
+def paths_in(content, path=()):
     """Yield the path (keys, indices) to each part of JSON content, at most five per list."""
     parts = content.items() if isinstance(content, dict) else enumerate(content[:5])
     for key, value in parts:
         yield (*path, key)
         if isinstance(value, (dict, list)):
-            yield from places(value, (*path, key))
+            yield from paths_in(value, (*path, key))
 
 
 @st.composite
@@ -41,7 +41,7 @@ def changed(draw, content):
     """Draw the JSON content with one or two parts replaced or removed."""
     content = json.loads(json.dumps(content))
     for _ in range(draw(st.integers(1, 2))):
-        paths = list(places(content))
+        paths = list(paths_in(content))
         if not paths:
             break
         *path, last = draw(st.sampled_from(paths))

@@ -125,7 +125,7 @@ class Session:
     @contextmanager
     def _inside(self) -> Iterator[None]:
         """Let a block import modules from the folder, and unload these modules afterwards."""
-        before = list(sys.path)  # loading an agent by name adds the current folder
+        before = list(sys.path)  # loading an agent by name adds the current folder to sys.path
         sys.path.insert(0, str(self.folder))
         try:
             with chdir(self.folder):

@@ -1,4 +1,4 @@
-"""Helpers for tests: paths of the checkout, contents of files, and marking cases as slow."""
+"""Helpers for tests: paths in the checkout, reading and writing of files, marks for slow cases."""
 
 import json
 import re

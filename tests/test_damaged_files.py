@@ -82,7 +82,7 @@ def log(name, content=b""):
 LIMITS = {"jerk_mps3": 1.0, "corner_radius_m": 1.0}
 LIMITS |= {f"{kind}_mps2": [0.5, 1.0] for kind in ("acceleration", "braking", "lateral")}
 WALK = {"phases": [{"limits": LIMITS, "gaits": [{"low_mps": 1.0, "high_mps": 1.5}]}]}
-WAY = b"t,x,y,z\n" + b"".join(b"%.1f,%.2f,-20.0,1.5\n" % (0.1 * i, 20 + i) for i in range(30))
+ROUTE = b"t,x,y,z\n" + b"".join(b"%.1f,%.2f,-20.0,1.5\n" % (0.1 * i, 20 + i) for i in range(30))
 PROGRESS = b"timesteps,train/loss,tuning/minus imm\n" + b"".join(
     b"%d,%.2f,%s\n" % (1000 * i, 1.0 / (1 + i), b"" if i % 2 else b"0.0%d" % i) for i in range(9)
 )
@@ -93,7 +93,7 @@ READERS = {
     "log": log("log.csv", LOG),
     "gzipped log": log("log.csv.gz", gzip.compress(LOG, mtime=0)),
     "Parquet log": log("log.parquet")._replace(files=parquet),
-    "log of paths": alone("log.csv", LOG, lambda path: list(read_paths(path, SCENE))),
+    "log of signal paths": alone("log.csv", LOG, lambda path: list(read_paths(path, SCENE))),
     "truth": alone("truth.tum", head(RIDE / "truth.tum", 30), read_tum),
     "scene": alone("scene.json", json_in(RIDE / "scene.json"), read_scene),
     "scene of walls": alone("scene.json", scene_json(SCENES["street"]), read_scene),
@@ -103,7 +103,7 @@ READERS = {
     "modes": alone("m.json", {"modes": BANK["modes"]}, modes_from),
     "bank": alone("m.json", BANK, read_bank),
     "mobility": alone("walk.json", WALK, read_mobility),
-    "way": alone("way.csv", WAY, read_ways),
+    "trajectory": alone("route.csv", ROUTE, read_ways),
     **{f"DeepMIMO{end}": Reader(partial(deepmimo, end), read_deepmimo) for end in SAVE},
     "policy": alone("p.safetensors", to_bytes(actor(3), CARD), read_policy),
     "hyperparameters": alone(
@@ -135,8 +135,8 @@ def numbers_in(content):
 
 
 # Readers accept NaN in these files. Most of these files are only displayed, and no computation uses
-# their numbers; in logs of paths, NaN means a missing value.
-MAY_BE_NAN = ("results", "run", "summary", "progress log", "policy", "log of paths")
+# their numbers; in logs of signal paths, NaN means a missing value.
+MAY_BE_NAN = ("results", "run", "summary", "progress log", "policy", "log of signal paths")
 
 
 def read(kind, folder):

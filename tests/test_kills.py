@@ -81,7 +81,7 @@ def begun(words, folder, most):
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory):
-    """Return a function: command's name -> folder of its inputs, its outputs, its duration (s)."""
+    """Return a function that maps a command's name to its input folder, outputs and duration, s."""
     known = {}
 
     def find(name):

@@ -44,7 +44,7 @@ SEES = {  # room -> rooms that it may import
     "experiments.sweeping": LIBRARY | {"experiments.training", *BELOW},
 }
 SEES["experiments"] = frozenset({*SEES, *LIBRARY})  # the commands, one module each
-ROOMS, ARROWS_BETWEEN_ROOMS = 28, 200  # limits; imports from one room to another are one arrow
+ROOMS, ARROWS_BETWEEN_ROOMS = 28, 200  # limits; an arrow joins a room to a room that it imports
 
 
 def room(module):
@@ -165,7 +165,7 @@ def test_imports_between_modules_form_no_circle():
     )
 
 
-def test_no_module_imports_a_private_name_of_another():
+def test_no_module_imports_a_private_name_of_another_module():
     assert not [arrow for arrow in arrows() if re.match("_(?!_version__)", arrow[2])]
 
 

@@ -71,7 +71,7 @@ def test_default_nees_interval_is_95_percent_of_three_axes():
 
 
 @pytest.mark.parametrize(("epochs", "counted"), [(200, 190), (11, 1), (10, 1), (1, 1)])
-def test_the_first_ten_epochs_do_not_count(epochs, counted):
+def test_the_first_ten_epochs_do_not_count_but_the_last_epoch_always_does(epochs, counted):
     assert len(np.arange(epochs)[scored(epochs)]) == counted
 
 
@@ -108,7 +108,7 @@ def test_the_rpe_of_the_summary_spans_one_second(rate, delta):
 
 
 @pytest.mark.parametrize(("error_m", "diverged"), [(49.9, 0.0), (50.1, 1.0), (np.nan, 1.0)])
-def test_one_epoch_with_an_error_above_50_m_or_a_nan_error_is_divergence(error_m, diverged):
+def test_an_error_above_50_m_or_nan_at_any_epoch_counts_as_divergence(error_m, diverged):
     _, error, nees = columns(episodes=1)
     error[0, 100] = [error_m, 0.0, 0.0]
     assert summary(error, nees)["divergence_rate"] == [diverged]

@@ -71,7 +71,7 @@ def test_the_page_of_help_texts_has_every_command(hooks):
     assert names == list(COMMANDS)
 
 
-def test_sphinx_roles_become_links_and_table_cells_with_one_name_or_number_do_not_wrap(hooks):
+def test_table_cells_with_one_name_or_number_do_not_wrap_and_sphinx_roles_become_links(hooks):
     html = "<p>:func:<code>~mmwave_env.metrics.ate</code> :func:<code>draw</code></p>"
     links = re.findall('identifier="(.*?)"><code>(.*?)<', hooks.on_page_content(html))
     assert links == [("mmwave_env.metrics.ate", "ate")]

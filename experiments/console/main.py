@@ -122,7 +122,7 @@ def run(name: str, words: Sequence[str] | None = None) -> None:
                 f"warning: {_in_one_line(str(message))}", file=sys.stderr
             )
             for stream in (sys.stdout, sys.stderr):
-                if isinstance(stream, TextIOWrapper):  # the encoding may lack characters
+                if isinstance(stream, TextIOWrapper):  # some encodings lack characters
                     stream.reconfigure(errors="backslashreplace")
             args, command = read_arguments(name, words), importlib.import_module(page_of(name))
             # Most commands need this slow import; during it, Ctrl-C ends the program immediately.
@@ -184,7 +184,7 @@ def _report() -> NoReturn:
 
 
 def _complete(words: Sequence[str]) -> None:
-    """Print or write the script that a shell needs to complete commands and options, and exit."""
+    """Print or write a shell's completion script for commands and options, and exit."""
     import tyro
 
     from experiments.console.parser import described

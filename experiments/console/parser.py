@@ -19,7 +19,7 @@ from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 T = TypeVar("T")
 WIDTH = 80  # maximum width of help texts, columns
-UNLIMITED = 10_000  # so many columns that tyro does not wrap the lines of a message
+UNLIMITED = 10_000  # number of columns that no line of tyro's messages reaches
 RULE = re.compile(r"^ +-+ *$", re.MULTILINE)  # line between the parts of tyro's messages
 
 
@@ -45,11 +45,11 @@ def parse(arguments: type[T], words: Sequence[str], program: str) -> T:
     width, box = min(WIDTH, shutil.get_terminal_size().columns), StringIO()
     helped = not {"-h", "--help"}.isdisjoint(words)
     if helped:
-        print(_folded(inspect.getdoc(arguments) or "", width), end="\n\n")
+        print(_wrapped(inspect.getdoc(arguments) or "", width), end="\n\n")
     try:
         with (
             _columns(width if helped else UNLIMITED),
-            redirect_stdout(sys.stdout if helped else box),  # tyro's help needs stdout's encoding
+            redirect_stdout(sys.stdout if helped else box),  # for help, tyro reads stdout.encoding
             redirect_stderr(box),
         ):
             parsed = tyro.cli(read, prog=program, description="", args=words, config=config)
@@ -105,11 +105,11 @@ def is_positional(kind: Any) -> bool:
     return Positional in get_args(kind)
 
 
-def _folded(text: str, width: int) -> str:
-    """Fold paragraphs at a width, except the last, an example with one command on each line."""
+def _wrapped(text: str, width: int) -> str:
+    """Wrap all paragraphs but the last, which is an example with one command on each line."""
     *about, example = text.split("\n\n")
-    folded = ["\n".join(textwrap.wrap(part, width, break_on_hyphens=False)) for part in about]
-    return "\n\n".join([*folded, "example:\n" + textwrap.indent(example, "  ")])
+    wrapped = ["\n".join(textwrap.wrap(part, width, break_on_hyphens=False)) for part in about]
+    return "\n\n".join([*wrapped, "example:\n" + textwrap.indent(example, "  ")])
 
 
 @contextmanager

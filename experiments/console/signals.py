@@ -33,7 +33,7 @@ def _told(number: int) -> str:
 def answered(
     numbers: Sequence[int], answer: Callable[[int, Any], None] | signal.Handlers
 ) -> Iterator[None]:
-    """Handle signals in the block with ``answer``, except signals ignored before it (nohup)."""
+    """Handle signals in the block with ``answer``; already ignored signals (nohup) stay ignored."""
     before = {number: signal.getsignal(number) for number in numbers}
     heeded = {number: old for number, old in before.items() if old is not signal.SIG_IGN}
     for number in heeded:

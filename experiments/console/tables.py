@@ -83,7 +83,7 @@ def show(text: str) -> None:
 def _tables(text: str, width: int) -> Iterator[list[str]]:
     """Split a Markdown table into tables that fit a width; yield the lines of each.
 
-    Every table repeats the first column. Headers are folded at spaces; cells are never folded.
+    Every table repeats the first column. Headers are wrapped at spaces; cells are never wrapped.
     """
     lines = (
         [unescaped(cell.strip()) for cell in CELL.findall(line[1:])] for line in text.splitlines()
@@ -105,11 +105,11 @@ def _tables(text: str, width: int) -> Iterator[list[str]]:
 
 def _table(rows: Sequence[Sequence[str]], widths: Sequence[int]) -> list[str]:
     """Return the lines of a table whose first row is the header."""
-    folded = [
+    wrapped = [
         [line.replace(GLUED, " ") for line in textwrap.wrap(title, n)]
         for title, n in zip(rows[0], widths, strict=True)
     ]
-    header = zip_longest(*folded, fillvalue="")
+    header = zip_longest(*wrapped, fillvalue="")
     rule = ["─" * (sum(widths) + GAP * (len(widths) - 1))]
     return [*_aligned(header, widths), *rule, *_aligned(rows[1:], widths)]
 

@@ -59,7 +59,7 @@ def draw_consistency(
 
     Args:
         time_s: (T,) times since the first epoch of an episode.
-        nees: contender -> NEES (n, T), over ``dof`` coordinates, in n episodes.
+        nees: contender -> NEES (n, T) of n episodes; each is a sum over ``dof`` coordinates.
         path, width_mm: arguments of :func:`~experiments.figures.canvas.panels`.
     """
     episodes = len(next(iter(nees.values())))

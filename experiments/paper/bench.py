@@ -26,7 +26,7 @@ from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource
 
 CHUNK = 128  # number of tracks computed together: few enough for the processor's caches
-TUNED_ON = {"pedestrian": 0, "vehicle": 1}  # index of the shipped mode tuned for a kind of user
+TUNED_ON = {"pedestrian": 0, "vehicle": 1}  # kind of user -> index of the mode tuned for it
 
 
 @dataclass(frozen=True)

@@ -191,7 +191,7 @@ def _drifting_in_hz(mode: Mode, episode: Episode) -> Mode:
 
 
 def _read_as_mps(episode: Episode) -> Episode:
-    """Return an episode whose shifts in Hz a filter reads as m/s; their noise is in m/s."""
+    """Return the episode as the filter misreads it: shifts of as many m/s as Hz, noise in m/s."""
     sigma = episode.sigma.copy()
     sigma[:, episode.layout.doppler] /= episode.hz_per_mps
     return replace(episode, hz_per_mps=1.0, sigma=sigma)

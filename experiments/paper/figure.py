@@ -10,7 +10,7 @@ from experiments.paper.bench import Cell, Section
 from mmwave_env.models.radio import TUNED_RADIOS
 
 COUPLED = 3  # column of our ATE with coupled process noise; column 1 has the paper's ATE
-FILTERS = 4  # number of rows at the top that the paper has, too
+FILTERS = 4  # number of rows that the paper's tables also have; ours begin with them
 COLORS = {"ekf": "C0", "ukf": "C1"}
 
 

@@ -45,7 +45,7 @@ def results(
 ) -> Results:
     """Run contenders on the episodes that options select.
 
-    If a name is a run's folder, the run's policy with the median reward is the contender.
+    If a name is the folder of a training run, its policy with the median reward is the contender.
     ``pictures`` maps "errors" and "consistency" to the picture files, which are ``width_mm`` wide.
 
     Raises:

@@ -21,7 +21,7 @@ DEFAULT_POLICY = "corrector"
 # Without elevations, the policy "guided", whose beliefs "corrector" corrects, chooses wrong modes
 # too often to be useful (docs/learning.md).
 WITHOUT_ELEVATIONS = "imm-best"
-# Correctors read the standard deviation of the height, which does not exist for a known height.
+# Default for a known height: it has no standard deviation, which correctors read.
 WITH_HEIGHT = "guided"
 RULES: dict[str, tuple[Rule, str]] = {  # --follow -> (rule, words before "speed" in reports)
     "prediction": (by_predicted_speed, "the predicted"),

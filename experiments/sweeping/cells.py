@@ -72,7 +72,7 @@ def _row(figures: Mapping[str, float]) -> Row:
 
 
 def training_of(values: Values) -> tuple[Training, Hyperparameters]:
-    """Return a cell's options of `train`, and the shipped hyperparameters with its changes."""
+    """Return a cell's options of `train`, and shipped hyperparameters with the cell's changes."""
     options, changed = dict[str, Any](), dict[str, Any]()
     for axis, value in values.items():
         name = axis.removeprefix(HYPERPARAMETER)

@@ -118,7 +118,7 @@ def read_spec(path: Path) -> Spec:
 
 def _spec(content: Any) -> Spec:
     if not isinstance(content, dict) or len(content) != 1:
-        raise ValueError(f"found {quoted(content)}, expected one table, one of {', '.join(KINDS)}")
+        raise ValueError(f"found {quoted(content)}, expected one table: {' or '.join(KINDS)}")
     ((kind, table),) = content.items()
     choose(KINDS, kind, "table")
     require(kind, table, dict)
@@ -185,6 +185,6 @@ def _values(key: str, content: Any) -> Sequence[Any]:
     values = [tuple(v) if isinstance(v, list) else v for v in (content if several else [content])]
     if not values or len(set(map(repr, values))) < len(values):
         raise ValueError(f"{key}: found {quoted(content)}, expected values without repeats")
-    if any(isinstance(value, float) for value in values):  # numbers of a column must have one type
+    if any(isinstance(value, float) for value in values):  # a Parquet column has one type
         return [float(value) if type(value) is int else value for value in values]
     return values

@@ -22,7 +22,7 @@ def fresh(name: str, n: int) -> tuple[float, float]:
     memory, MiB (2^20 bytes), in a run that is longer than an episode.
     """
     words = [sys.executable, "-m", __name__, name, str(n)]
-    # The new process finds the same packages as this one.
+    # The new process finds the same packages as this process.
     packages = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     begin = time.perf_counter()
     with subprocess.Popen(words, env=packages, stdout=subprocess.PIPE, text=True) as child:

@@ -1,4 +1,4 @@
-"""Latency of a live track: the time from the rows of an epoch to the user's position."""
+"""Latency of a live track: the time to compute the user's position from the rows of an epoch."""
 
 import json
 import os
@@ -24,18 +24,18 @@ from mmwave_env.world.simulated import SimulatedSource
 SCENE, EPOCHS, WARM_UP = "street", 4000, 1000  # 4000 epochs; the first 1000 do not count
 PERCENTILES = (50.0, 99.0, 99.9)
 PIPE, PYTHON = "through a pipe", "in Python"  # localize --live, or calls of Tracker.update
-# name -> options of `mmwave-loc localize`, and a function that makes the same choice in Python
+# name -> options of `mmwave-loc localize`, and a function that selects the same filters in Python
 CONTENDERS: dict[str, tuple[tuple[str, str], Callable[[], Switching]]] = {
     "EKF": (("--speed", "1"), lambda: Switching((named_modes(RADIO)["ekf"],))),
     "imm-best": (("--imm", "imm-best"), lambda: Switching(imm_banks(RADIO)["imm-best"]())),
     "guided": (("--policy", "guided"), lambda: learned("guided", RADIO)),
     "corrector": (("--policy", "corrector"), lambda: learned("corrector", RADIO)),
 }
-LATENCIES = [(name, way) for name in CONTENDERS for way in (PYTHON, PIPE)]
+LATENCIES = [(name, interface) for name in CONTENDERS for interface in (PYTHON, PIPE)]
 
 
-def latency_us(name: str, way: str) -> list[float]:
-    """Return percentiles of a contender's latency, microseconds; ``way`` is PYTHON or PIPE."""
+def latency_us(name: str, interface: str) -> list[float]:
+    """Return percentiles of a contender's latency (microseconds); interface: PYTHON or PIPE."""
     source = SimulatedSource(scene_from(SCENE), radio_from(RADIO), epochs=EPOCHS)
     columns = log_columns(source.sample(np.random.default_rng(0)))
     cells = np.stack(list(columns.values()), axis=1).reshape(EPOCHS, -1, len(columns)).tolist()
@@ -44,7 +44,7 @@ def latency_us(name: str, way: str) -> list[float]:
         for rows in cells
     ]
     options, make = CONTENDERS[name]
-    if way == PYTHON:
+    if interface == PYTHON:
         times = _timed(Tracker(SCENE, make(), RADIO).update, epochs)
     else:
         times = _through_a_pipe(options, epochs)
@@ -53,7 +53,7 @@ def latency_us(name: str, way: str) -> list[float]:
 
 def _through_a_pipe(options: tuple[str, str], epochs: list[Any]) -> Any:
     words = [sys.executable, "-m", "experiments.console", "localize", "-", "--live", "--scene"]
-    # The new process finds the same packages as this one.
+    # The new process finds the same packages as this process.
     packages = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     with subprocess.Popen(
         [*words, SCENE, "--radio", RADIO, *options], env=packages,

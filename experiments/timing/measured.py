@@ -85,16 +85,16 @@ class Measured:
 
         def warm_up(name: str) -> None:
             running[name] = makes[name]()
-            rate(running[name], seconds)  # compiles
+            rate(running[name], seconds)  # the first run compiles
 
         def run(name: str) -> None:
             steps_per_s, cores = rate(running[name], seconds)
             self.steps_per_s[name].append(steps_per_s)
             self.cores_busy[name].append(cores)
 
-        def answer(name: str, way: str) -> None:
-            for percentile, value in zip(PERCENTILES, latency_us(name, way), strict=True):
-                self.latency_us[f"{name} {way}, p{percentile:g}"].append(value)
+        def answer(name: str, interface: str) -> None:
+            for percentile, value in zip(PERCENTILES, latency_us(name, interface), strict=True):
+                self.latency_us[f"{name} {interface}, p{percentile:g}"].append(value)
 
         def limit(name: str) -> None:
             self.limits_s[name].append(limit_s(self.operations[name]) / WIDTH)

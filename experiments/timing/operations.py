@@ -15,7 +15,7 @@ from mmwave_env.compiler.lanes import Lanes
 from mmwave_env.numerics.pytree import flatten, unflatten
 
 _KINDS = {"fadd": "add", "fsub": "add", "fmul": "multiply", "fdiv": "divide"}
-_KINDS |= {"llvm.sqrt": "root", "load": "load", "bitcast": "free"}  # others are "select"
+_KINDS |= {"llvm.sqrt": "root", "load": "load", "bitcast": "free"}  # all others: "select"
 _COMMUTE = ("fadd", "fmul", "and_", "or_")  # instructions whose operands may be exchanged
 
 

@@ -1,4 +1,4 @@
-"""Lower bound on a core's time for the operations of a kernel, a compiled function (roofline).
+"""Roofline model: the least time that a core needs for a kernel (a compiled function).
 
 The model assumes that all arithmetic shares the core's vector units. So the operations are timed
 together, in the kernel's proportions. They form several independent *chains*: each operation needs
@@ -104,7 +104,7 @@ def _repeated(build: Callable[[Any], None]) -> Any:
 
 def _seconds(repeat: Any, blocks: Any) -> float:
     """Return the seconds of a pass over the blocks, the minimum of several tries."""
-    repeat(blocks.copy(), 1)  # compiles
+    repeat(blocks.copy(), 1)  # the first call compiles
     shortest = np.inf
     for _ in range(TRIES):
         used = blocks.copy()

@@ -134,6 +134,6 @@ def tracks(mode: Mode, episodes: Sequence[Episode]) -> Laps:
     tracker = Tracker(Pipeline((mode,), episodes[0].layout), len(episodes))
     tracker.load(episodes)
     while True:
-        tracker.tune([mode.tuning])  # starts over
+        tracker.tune([mode.tuning])  # also puts the tracks back to their first epoch
         tracker.run()
         yield len(episodes) * EPISODE

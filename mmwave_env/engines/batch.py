@@ -1,7 +1,7 @@
 """Batches of environments that run a program on episodes.
 
 A program (:mod:`mmwave_env.compiler.program`) computes one epoch of an environment. Its workspace
-contains the environment's state, one number per row. A :class:`Batch` sets the first three fields
+contains the environment's state: numbers, called rows. A :class:`Batch` sets the first three fields
 of the workspace: ``incoming`` is the next epoch; ``site`` contains the anchors, carrier and prior;
 ``is_first`` is 1 if an episode begins, and the program sets it back to 0.
 """
@@ -44,8 +44,8 @@ class Batch(Generic[Workspace]):
         input_rows: indices of the workspace's rows that receive an input in every epoch.
         on_floats: whether to run in plain Python instead of on SIMD lanes.
         threads: maximum number of threads in use; results do not depend on it.
-        ahead: number of epochs to run before the first action: 1 if an action corrects the belief
-            of an epoch that was already filtered, else 0.
+        ahead: number of epochs, after the first, to run before the first action: 1 if an action
+            corrects the belief of the epoch before the last filtered one, else 0.
 
     Attributes:
         at: workspace whose leaves are row indices; :meth:`read` and :meth:`write` take parts of it.
@@ -175,7 +175,7 @@ class Batch(Generic[Workspace]):
     def io(
         self, epochs: int = 1, output_rows: Index = NO_ROWS, obs_rows: Index = NO_ROWS
     ) -> StepIO:
-        """Return buffers for a run of ``epochs``: zeros as inputs, and arrays for outputs."""
+        """Return buffers for this number of epochs: zeros as inputs, and arrays for outputs."""
         return StepIO.of(self.n, epochs, self._input_rows, output_rows, obs_rows)
 
     def advance(self, io: StepIO | None = None, running: NDArray[np.bool_] | None = None) -> None:
@@ -218,7 +218,7 @@ class Batch(Generic[Workspace]):
     def write(self, tree: Any, values: Any, places: Index | None = None) -> None:
         """Set the rows of a subtree of ``at`` to values: (n,) for a leaf, else (n, leaves).
 
-        ``values`` has one entry for each environment in ``places``, by default in all.
+        ``values`` has one entry for each environment in ``places`` (None for all environments).
         """
         places = np.arange(self.n) if places is None else places
         block, lane = np.divmod(places, WIDTH)

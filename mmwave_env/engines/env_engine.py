@@ -168,7 +168,7 @@ class Engine:
             self.start(places)
 
     def choices(self) -> Index:
-        """Return the current actions (n,) of the agent ``base``, or zeros if there is no agent."""
+        """Return the current actions (n,) of the agent ``base``; zeros if ``base`` is None."""
         n = self.batch.n
         if self._base is None:
             return np.zeros(n, np.int64)
@@ -187,7 +187,7 @@ class Engine:
     ) -> tuple[NDArray[np.float32], Array]:
         """Apply actions (n,), or one action to all; run the modes on the next epoch.
 
-        An environment that was just loaded starts its episode instead.
+        An environment that was just loaded ignores its action and starts its episode.
 
         Args:
             actions: modes, counted from 0. If every mode has its own belief, modes are counted

@@ -195,7 +195,7 @@ class Environment:
         return metrics | {SMOOTHED_KEY: smoothed}
 
     def _charge(self, rewards: Array, places: Index) -> None:
-        """Add the worst reward for each epoch that an early end cuts off; subtract any baseline."""
+        """Add the worst reward, minus the baseline reward, for epochs that an early end omits."""
         assert self._task.worst is not None
         batch = self._engine.batch
         rewards[places] += self._task.worst * (batch.state.length - batch.completed)[places]
@@ -307,5 +307,5 @@ class RestorableEnvironment(Environment):
         if not self._task.has_keys:
             raise ValueError(
                 f"{call}: found episodes from your own source or a recording, expected "
-                "simulated episodes, because the state of other sources is unknown"
+                "simulated episodes, because only their state can be saved"
             )

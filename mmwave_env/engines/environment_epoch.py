@@ -71,7 +71,7 @@ class EnvState(NamedTuple):
     candidates: list[ModeResult]  # the modes' results; predicted beliefs are dropped to save cache
     observation: list[Number]  # (features,)
     reward: Number  # reward of the last epoch in which an action was taken
-    reward_terms: list[Number]  # terms of the reward; the last one is minus the mode's cost
+    reward_terms: list[Number]  # terms of the reward, then the negative cost of the mode
     # truth: (6,) truth in the epoch of the reward; before any action, truth in the first epoch
     truth: list[Number]
     error: list[Number]  # (3,) position error in the epoch of the reward, m
@@ -214,7 +214,7 @@ def program_of(
     """Return the program of an epoch, shared by all environments with the same arguments.
 
     Args:
-        pipeline: modes and layout; with ``per_mode``, the state's tunings are used instead.
+        pipeline: modes and layout; with ``per_mode``, the state's tunings replace the modes' own.
         kind: kind of observation.
         reward: function of (belief, truth).
         per_mode: whether every mode keeps its own belief.

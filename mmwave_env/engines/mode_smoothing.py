@@ -31,7 +31,7 @@ class ModeBeliefs(NamedTuple):
     """Beliefs of all modes of N tracks, after one epoch or after every epoch.
 
     Attributes:
-        x: (N, ..., modes, 7) means.
+        x: (N, ..., modes, 7) means; with the range bias of a clock, 8 numbers instead of 7.
         P: (N, ..., modes, 7, 7) covariances.
         probability: (N, ..., modes) probabilities of the modes.
     """
@@ -85,7 +85,7 @@ def smooth_modes(
 
 
 def _beliefs(mixtures: Array, pipeline: Pipeline) -> tuple[ModeBeliefs, Array]:
-    """Return the modes' beliefs, and gamma (N, T, modes), the scale of adaptive modes' noise."""
+    """Return the modes' beliefs, and gamma (N, T, modes), adaptive modes' scale of Q."""
     n, triangle = pipeline.layout.state_size, pipeline.layout.triangle
     at = indices(begin(pipeline, [0.0] * n, [0.0] * triangle))
     packed = mixtures[..., np.array([track.P for track in at.tracks])]
@@ -110,7 +110,7 @@ def _backwards(
 
     Args:
         pipeline: pipeline of the modes.
-        now, gamma: filtered beliefs of the epoch, and scales (N, modes) of adaptive modes' noise.
+        now, gamma: filtered beliefs of the epoch, and the scale (N, modes) of Q in adaptive modes.
         after: smoothed beliefs of the following epoch.
         coming: the following epoch; only its dt and Doppler spread, both (N, 1), are used.
         hz_per_mps: carrier frequency divided by the speed of light.

@@ -55,7 +55,7 @@ class Tally:
         self.counts = Counts(sums, errors, second, interval, modes)
 
     def begin(self, places: Index, step_s: Array, epochs: Index) -> None:
-        """Start episodes in k environments, given seconds per epoch and numbers of epochs (k,)."""
+        """Start k episodes, given their seconds per epoch (k,) and their numbers of epochs (k,)."""
         second = self.counts.second
         second[places] = np.clip(np.round(1.0 / step_s), 1, epochs)
         self.make_room(int(second.max()), int(epochs.max(initial=0)))

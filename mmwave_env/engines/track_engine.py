@@ -34,7 +34,7 @@ class TrackState(NamedTuple):
     incoming: Incoming  # the epoch that the program filters
     site: Site  # anchors, carrier and prior
     is_first: Number  # 1 to start over from the prior
-    action: Number  # number of the mode whose result becomes the belief without a rule
+    action: Number  # if there is no rule: number of the mode whose result becomes the belief
     tunings: list[Tuning]  # motion model of every mode
     # x, P: (7,), (28,) belief after the epoch
     x: list[Number]

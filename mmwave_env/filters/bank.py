@@ -91,7 +91,7 @@ def bank_in(content: Mapping[str, Any]) -> Bank:
     """Return the bank in a mode file's content, or in a mapping of the same form.
 
     The key "modes" contains a list of modes, each with the attributes of :class:`Mode` that differ
-    from the defaults. Keys of :data:`NOTES` are ignored; others are attributes of :class:`Bank`.
+    from the defaults. Keys of :data:`NOTES` are ignored; the rest are attributes of :class:`Bank`.
 
     Raises:
         ValueError: the content is wrong; the message names the error.
@@ -230,7 +230,7 @@ def bank_from(modes: Modes, radio: str | Radio = "handset") -> Bank:
     bank = best_bank(radio) if modes is None else bank_over(modes, radio)
     if len(bank.modes) < 2:
         raise ValueError(
-            f"modes: found only {bank.modes[0].name!r}, expected two or more modes, because every "
-            "mode keeps its own belief"
+            f"modes: found only {bank.modes[0].name!r}, expected two or more modes "
+            "that each keep their own belief"
         )
     return bank

@@ -98,7 +98,7 @@ def mix(mixture: Mixture, transition: Matrix) -> tuple[list[Number], list[tuple[
 
 
 def over_step(transition: Matrix, dt: Number) -> list[list[Number]]:
-    """Return transition probabilities [from, to] over a step, given those over one second.
+    """Return transition probabilities [from, to] over dt seconds; ``transition`` covers one second.
 
     If p is the probability of staying in a mode over one second, the probability of leaving it
     within dt seconds is (1 - p) dt. A step of more than 1 s counts as 1 s, so that no probability
@@ -130,7 +130,7 @@ def imm_epoch(
 ) -> ImmEpoch:
     """Run an epoch: mix the beliefs, run every mode, weight the modes by their likelihood.
 
-    The tunings in ``settings`` replace those of the modes; ``mixture`` is from the previous epoch.
+    The tunings in ``settings`` replace the modes' tunings; ``mixture`` is from the previous epoch.
     """
     predicted, mixed = mix(mixture, over_step(settings.transition, epoch.dt))
     tracks, results = [], []
@@ -190,7 +190,7 @@ def _normalized(weights: Sequence[Number]) -> list[Number]:
 
 
 def most_probable(mixture: Mixture) -> Number:
-    """Return the most probable mode, counted from 0; if several are equal, the first of them."""
+    """Return the most probable mode, counted from 0; if several are equally probable, the first."""
     number: Number = 0.0
     best = mixture.probability[0]
     for m, probability in enumerate(mixture.probability[1:], start=1):
@@ -217,7 +217,7 @@ def prediction(now: ImmEpoch, dt: Number, hz_per_mps: Number) -> tuple[list[Numb
     """Return the mixture's mean (7,) and packed covariance (28,) before an epoch's update.
 
     The Rauch-Tung-Striebel smoother assumes x_predicted = F x + noise, with noise independent of x.
-    A mode with a known acceleration or turn rate moves x_predicted further. These moves count as
+    A mode with an assumed acceleration or turn rate moves x_predicted further. These moves count as
     noise, so their covariance is added to the mixture's covariance. Their correlation with x is
     ignored, because it could make smoothed variances negative.
     """

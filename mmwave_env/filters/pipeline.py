@@ -136,8 +136,8 @@ def predict(
 ) -> tuple[list[Number], Matrix]:
     """Predict the mean (7,) and the covariance (7, 7) of a mode for the coming epoch.
 
-    :func:`predict_update` describes the other arguments. ``gamma`` is the adaptive scale of Q; a
-    mode that is not adaptive ignores it.
+    ``gamma`` is the adaptive scale of Q, which modes that are not adaptive ignore. The other
+    arguments are the same as for :func:`predict_update`.
     """
     scale, tuning = gamma if mode.adaptive else 1.0, tuning or mode.tuning
     noise = process_noise(tuning, epoch, hz_per_mps, scale, pipeline.planar)
@@ -170,7 +170,7 @@ def predict_update(
         x, P: mean (7,) and packed covariance (28,) after the previous epoch, or of the prior.
         memory: the memory of the track.
         site: anchors and carrier.
-        tuning: parameters of the motion model, if not those of the mode.
+        tuning: motion model to use instead of the mode's own; None for the mode's own.
     """
     x_predicted, P_predicted = predict(
         pipeline, mode, x, P, memory.gamma, epoch, site.hz_per_mps, tuning

@@ -2,8 +2,8 @@
 
 Read this file first. The filters that run (:mod:`~mmwave_env.filters.update`,
 :mod:`~mmwave_env.filters.imm`, :mod:`~mmwave_env.filters.smoother`) compute the same values in
-forms that compile to SIMD lanes, and tests check that both agree except for rounding. Equation
-numbers are the paper's (Sec. III); the IMM is from Bar-Shalom, Li and Kirubarajan 2001, 11.6.6.
+forms that compile to SIMD lanes, and tests compare them with this file. Equation numbers are the
+paper's (Sec. III); the IMM is from Bar-Shalom, Li and Kirubarajan 2001, 11.6.6.
 
 The state x (7,) is position (m), velocity (m/s) and oscillator bias (Hz). A measurement z has four
 rows for each anchor: range (m), azimuth and elevation of arrival (rad), azimuth of departure (rad).

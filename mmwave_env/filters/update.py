@@ -25,7 +25,7 @@ class Posterior(NamedTuple):
         accepted: (groups,) 1 if the group was used, else 0.
         log_likelihood: sum of the log densities of the visible groups' innovations, as if groups
             were independent. Groups that were not accepted are included; the constant
-            -(rows / 2) log(2 pi) is not.
+            -(rows / 2) log(2 pi) is left out.
     """
 
     x: list[Number]
@@ -108,7 +108,7 @@ def update(
         L_c D L_c' + sum_j L_j L_j' - sum_i gain_i c_i c_i'
 
     L_c are the first columns of L, D is the block of B^-1 for their latents, L_j are the other
-    columns, and c_i is the covariance of the state with row i. Only the last term is subtracted.
+    columns, c_i is the covariance of the state with row i, and gain_i is the gain in :class:`_Row`.
 
     The prior is x (7,) and P (7, 7), positive definite except for the zeros of components that are
     known exactly. The linearization is the tangent (EKF) or sigma points (UKF, CKF).
@@ -192,7 +192,7 @@ class ModeResult(NamedTuple):
     # nis, accepted: (groups,) as in :class:`Posterior`
     nis: list[Number]
     accepted: list[Number]
-    passed: Number  # number of links within their gates, not counting those accepted by force
+    passed: Number  # number of links that passed their gates, without links accepted by force
     log_likelihood: Number  # log-likelihood of the visible groups
 
 

@@ -57,7 +57,7 @@ def cholesky(a: Matrix) -> list[list[Number]]:
 
 
 def forward(factor: Matrix, b: Vector) -> list[Number]:
-    """Solve ``factor y = b``; y is 0 where the lower triangle's diagonal is a structural zero."""
+    """Solve ``factor y = b`` for a factor from :func:`cholesky`; y_i is 0 where column i is 0."""
     y: list[Number] = []
     for i in range(len(b)):
         pivot = factor[i][i]

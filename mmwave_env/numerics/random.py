@@ -60,8 +60,8 @@ def next_word(state: Sequence[Any]) -> tuple[Any, list[Any]]:
 def seeded(key: Number, stream: int) -> list[Number]:
     """Return the generator's state (4,) for a key and the number of a stream.
 
-    A key is a word of 64 bits, for example one that determines an episode. ``key`` is the float (or
-    lanes of floats) with these bits. Streams of one key are independent.
+    A key is a word of 64 bits, such as the key of an episode. ``key`` is the float (or lanes of
+    floats) with these bits. Streams of one key are independent.
     """
     word = word_of(key)
     zero = word ^ word

@@ -68,7 +68,7 @@ def test_a_signal_removes_half_written_files(writing, tmp_path, sent):
     command = writing()
     assert len(list(tmp_path.iterdir())) == 1
     command.send_signal(sent)
-    # Some senders send a signal of ENDING twice: to the process and, shortly after, to its group.
+    # A scheduler may send SIGTERM or SIGHUP twice: to the process and, shortly after, to its group.
     time.sleep(0.003)
     command.send_signal(sent if sent in ENDING else 0)
     out, err = command.communicate(timeout=30)

@@ -45,7 +45,7 @@ DIAGONAL = [i * (i + 3) // 2 for i in range(7)]  # indices of the variances in a
 
 
 def track(log: str, mode: str) -> Iterator[Row]:
-    """Filter a log in a mode, or with the IMM of the default modes ("imm"); yield some epochs."""
+    """Filter a log with a mode, or with the IMM of the default modes ("imm"); yield some epochs."""
     block = _localized(log, mode)
     for k in _shown(block.x):
         yield (
@@ -56,7 +56,7 @@ def track(log: str, mode: str) -> Iterator[Row]:
 
 
 def smoother(log: str, mode: str) -> Iterator[Row]:
-    """Smooth the track of a log in one mode; yield means and variances of some epochs."""
+    """Smooth a log's track, filtered with a mode; yield means and variances of some epochs."""
     block = _localized(log, mode, window=SMOOTHING_WINDOW)
     for k in _shown(block.smooth_x):
         yield _belief(k, block.smooth_x, block.smooth_P)

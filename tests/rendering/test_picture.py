@@ -103,10 +103,10 @@ def test_the_header_counts_links_but_not_the_doppler_shift_or_odometry():
 
 
 def test_the_trail_has_the_color_of_the_mode_that_ran():
-    way = [(2.0 * k, 0.0) for k in range(10)]
-    beside = [(x, 4.0) for x, _ in way]
+    route = [(2.0 * k, 0.0) for k in range(10)]
+    beside = [(x, 4.0) for x, _ in route]
     single, both = (
-        drawn(truth=way, estimate=beside, modes=modes)[20:280]
+        drawn(truth=route, estimate=beside, modes=modes)[20:280]
         for modes in ([0] * 10, [0] * 5 + [1] * 5)
     )
     blue, orange = LIGHT.modes[:2]

@@ -26,7 +26,7 @@ from mmwave_env.numerics.numbers import Array
 from mmwave_env.rendering.history import POSITION_NUMBERS, History, Scenery
 from mmwave_env.rendering.theme import THEMES, hex_of
 
-LONGEST = 600  # maximum number of epochs that can be watched
+LONGEST = 600  # maximum number of epochs of an episode that can be watched
 WATCHED = 8  # maximum number of contenders to watch: the best by reward, and the paper's rule
 RULE = "speed-rule"
 
@@ -48,7 +48,7 @@ def play(source: Source, most: int, watched: int) -> Played:
     """Run the first episodes of a comparison, or the beginning of a log, again.
 
     A user's code is not run: contenders given as module:function or as a .zip file are left out.
-    At most ``most`` episodes run; all epochs of the first ``watched`` episodes are kept.
+    At most ``most`` episodes run; the first LONGEST epochs of the first ``watched`` are kept.
     """
     if source.kind == "run":
         return Played()
