@@ -108,7 +108,7 @@ def worded(
     """Return an info in the form that ``infos`` selects.
 
     "fixed" infos always have the same keys, numpy types and shapes. They contain all numbers that
-    an info may contain; unknown values are NaN, False or -1, and ``nonfinite_beliefs`` is then 0.
+    an info may contain; unknown values are NaN, False or -1, but 0 for ``nonfinite_beliefs``.
 
     Args:
         info: everything that is known.

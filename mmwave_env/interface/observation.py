@@ -56,7 +56,7 @@ class Scale(NamedTuple):
 @cache
 def feature_scales() -> dict[str, Scale]:
     """Read mean and standard deviation of every kind of feature from data/feature_scales.json."""
-    # Measured 2026-11-23 (commit 476d657) in 24 episodes with random actions for each combination of
+    # Measured 2026-11-23 (commit 476d657): 24 episodes with random actions for each combination of
     # scene, radio, kind of beliefs and set of modes (two modes, without and with odometry; eight
     # modes; the radio's bank). The file has medians over the combinations. No value was clipped.
     text = files("mmwave_env").joinpath("data/feature_scales.json").read_text(encoding="utf-8")

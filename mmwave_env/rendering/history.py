@@ -10,7 +10,7 @@ import numpy as np
 from mmwave_env.models.scene import Streets
 from mmwave_env.numerics.numbers import Array, Index, Mask
 
-NO_MODE = -1  # stands for the mode's number in the row of the prior, which no mode computed
+NO_MODE = -1  # mode number of the prior, which no mode computed
 POSITION_NUMBERS = 6  # number of entries for the position at the beginning of a packed covariance
 
 
