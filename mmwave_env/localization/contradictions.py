@@ -74,13 +74,12 @@ def _misfits(groups: Mapping[str, Mapping[str, Any]]) -> Iterator[Contradiction]
 
 def impossible(block: LogBlock) -> Iterator[Contradiction]:
     """Yield a contradiction for time steps, ranges and angles that no receiver can measure."""
-    step = float(np.median(np.diff(block.time_s))) if len(block) > 1 else 0.0
-    if step > GAP_S:
-        yield Contradiction(
-            "time", f"epochs {step:.3g} s apart", f"at most {GAP_S:g} s: is the unit right?"
-        )
-    elif len(block) > 1 and not STEP_S.holds(np.diff(block.time_s).min()):
-        yield Contradiction("time", f"epochs {step:.3g} s apart", STEP_S.expected)
+    steps = np.diff(block.time_s)
+    if len(steps) and (usual := np.median(steps)) > GAP_S:
+        expected = f"at most {GAP_S:g} s: is the unit right?"
+        yield Contradiction("time", f"epochs {usual:.3g} s apart", expected)
+    elif len(steps) and not STEP_S.holds(shortest := float(steps.min())):
+        yield Contradiction("time", f"epochs {shortest:.3g} s apart", STEP_S.expected)
     visible = block.visible[:, : block.layout.anchors]
     ranges = block.measurement[:, : block.layout.doppler : 4][visible]
     ranges = ranges[ranges > 0.0]
