@@ -14,7 +14,7 @@ _BLOCK_BYTES = 1 << 20
 
 
 class DamagedFileError(ValueError):
-    """Error for a file that is damaged from some row on; it is raised after the sound rows before.
+    """Error for a file that is damaged from some row on; all earlier rows are yielded first.
 
     Rows are counted from 1; ``unit`` is the word for a row in the message.
     """

@@ -239,7 +239,7 @@ TRAINED_SCENES = ("street", "o1", "dynamic-doppler")
 
 
 def scene_of_anchors(name: str, anchors_m: Array, carrier_hz: float, bandwidth_hz: float) -> Scene:
-    """Return a scene without walls, from anchors (L, 3), the physical gNB first."""
+    """Return a scene of anchors (L, 3), the physical gNB first, with default streets, no walls."""
     gnb, *virtual = [(float(x), float(y), float(z)) for x, y, z in anchors_m]
     return Scene(name, gnb, (), Streets(), carrier_hz, bandwidth_hz, tuple(virtual))
 
