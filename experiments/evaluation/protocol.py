@@ -171,7 +171,7 @@ def read_entry(path: Path) -> Json:
 
 
 def ceiling_in(folder: Path) -> Json:
-    """Return the clairvoyant's entry: from the folder if it is there, otherwise as shipped."""
+    """Return the clairvoyant's entry in a folder, or the shipped entry if the folder has none."""
     own = folder / f"{CLAIRVOYANT}.json"
     return read_entry(own if own.is_file() else Path(__file__).with_name(own.name))
 
@@ -210,8 +210,8 @@ def ranking(entries: Sequence[Json]) -> str:
     """Return a Markdown table of all entries, ranked by their mean gain at the training sites.
 
     The protocol requires EPISODES at each simulated site and DRAWS of each recording; for the
-    clairvoyant, CEILING_EPISODES and CEILING_DRAWS are enough. An entry with fewer is marked and
-    comes last, because luck would decide its rank.
+    clairvoyant, CEILING_EPISODES and CEILING_DRAWS are enough. An entry with too few of either is
+    marked and comes last, because luck would decide its rank.
     """
     rows: list[tuple[bool, float, list[Any]]] = []
     for content in entries:
