@@ -21,7 +21,7 @@ class Args:
     together with the paper's rule and every IMM, at four kinds of sites: the nine sites where
     policies may be trained, unseen sites, recordings, and hard sites (unusual motion or receivers).
     A contender's entry (its results at all sites) is written to a JSON file in the folder --out.
-    The tables show all entries there, and the clairvoyant, a policy that knows the truth.
+    The tables show all entries, and the clairvoyant, which knows the truth and has the score 100.
 
     mmwave-loc leaderboard --policies imm-best --episodes 400 --draws 20
     """

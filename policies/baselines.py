@@ -19,7 +19,7 @@ class FixedMode(Policy):
 
 
 class LikelihoodRule(Policy):
-    """A policy that chooses the mode that explained the measurements best, up to the coming epoch.
+    """A policy that chooses the mode that best explains recent measurements and the coming one.
 
     A mode's score is a moving average of its log-likelihood relative to the last mode.
 

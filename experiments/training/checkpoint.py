@@ -14,7 +14,7 @@ from mmwave_env.io.files import first_line, read_bounded, write_bytes
 
 State = dict[str, Any]  # numbers, strings, arrays and tensors in nested lists, tuples and dicts
 
-MOST_BYTES = 1 << 30  # size limit of a checkpoint; with --algo rollouts, it holds all tried states
+MOST_BYTES = 1 << 30  # size limit of a checkpoint; with --algo rollouts, it holds many states
 
 
 def write_checkpoint(path: Path, state: State) -> None:

@@ -110,8 +110,8 @@ def _trained(features: Array, logs: Array, steps: int) -> Network:
 def _constants(network: Network, seed: int, rounds: int) -> Array:
     """Return the constants (kinds, risks, 2) of the calibration.
 
-    A constant is the larger of two: the constant for the episodes of all places plus an episode of
-    infinite errors (split conformal prediction, Lee et al. 2023), and the largest for one place.
+    A constant is the larger of two: the constant for all episodes plus an episode of infinite
+    errors (split conformal prediction, Lee et al. 2023), and the largest constant of one place.
     """
     over: list[list[Array]] = [[] for _ in range(len(PLACES) * len(KINDS))]
     for i, (features, logs) in enumerate(_played(seed, rounds, KINDS, random_share=0.0)):
