@@ -15,7 +15,7 @@ class Args(EpisodeArgs):
 
     All metrics, including the reward, leave out the first 10 epochs of an episode. Every policy is
     paired with the references (best fixed mode, speed-rule, imm, imm-best). Your own agents and
-    policy files are paired with every other policy. If no reference runs, all pairs are compared.
+    policy files are paired with all others. If no policy is a reference, all pairs are compared.
 
     mmwave-loc compare --policies fixed-ukf speed-rule imm ppo --episodes 200
     """

@@ -41,7 +41,7 @@ class Branches:
     def __init__(self, engine: Engine, horizon: int) -> None:
         self._batch, self.horizon = engine.batch, horizon
         self._actions, at = len(engine.observation.actions), engine.at
-        # Environments are in blocks of WIDTH; unused places in the last block are copied, too.
+        # State is kept in blocks of WIDTH environments; the last block is copied even if not full.
         n = self._actions * len(engine.batch.state.rows) * WIDTH
         program, layout = engine.batch.program, engine.batch.layout
         self._copies = Batch(program, layout, n, rows_of(at.action))
@@ -84,8 +84,8 @@ class Clairvoyant(Policy):
     """A policy that knows the truth; its reward is the ceiling for policies that choose modes.
 
     In every epoch it tries each action (raise one mode's probability, or none) on the same
-    measurements, always followed by action 0 (raise none), and chooses the action with the largest
-    sum of rewards within :data:`HORIZON_S`. It even knows future noise, so others earn far less.
+    measurements, then always action 0 (raise none), and chooses the action with the largest sum of
+    rewards within :data:`HORIZON_S`. It even knows future noise, so other policies earn far less.
     """
 
     _branches: Branches | None = None
