@@ -43,7 +43,7 @@ def as_json(lines, whole):
     return "\n".join(map(json.dumps, objects)).encode()
 
 
-def test_live_output_has_a_line_per_epoch_and_ends_at_the_last_position_of_a_track_file(tmp_path):
+def test_live_output_has_a_line_per_epoch_and_ends_like_a_track_file(tmp_path):
     content = (WALK / "log.csv").read_bytes()
     positions, errors, code = live(content, "--speed", "1")
     # The only line of standard error explains the choice of modes.
@@ -103,7 +103,7 @@ def hidden(tmp_path_factory):
     return log
 
 
-def test_the_command_reports_how_many_paths_were_associated(hidden):
+def test_the_command_reports_how_many_paths_were_associated_with_each_anchor(hidden):
     more = ("--radio", "standard", "--speed", "auto", "--associate")
     shown, figures = with_json("localize", *options(hidden, *more, folder=RIDE))
     association = figures["association"]
