@@ -180,7 +180,7 @@ def test_only_synchronous_vector_environments_support_fixed_infos():
 
 # --- arguments
 
-# The last argument of each case is wrong. Messages must contain its name or, instead, this text.
+# The last argument of each case is wrong. Messages must contain its name or the text given here.
 NAMED = {"episode_steps": "", "episodes": "", "terminate_on_divergence": "", "modes": "mode"}
 
 
