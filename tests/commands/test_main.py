@@ -176,7 +176,7 @@ def test_quiet_shows_nothing_and_still_writes_the_results(tmp_path):
     done = command("compare", *options, "--quiet", "--json", tmp_path / "all.json")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     assert list(json_in(tmp_path / "all.json")["policies"]) == ["fixed-ukf", "imm"]
-    assert "fixed-ukf" in command("compare", *options).stdout  # --quiet does not affect later commands
+    assert "fixed-ukf" in command("compare", *options).stdout  # later commands are not quiet
     assert_one_clear_line(command("evaluate", "--quiet", "--radio", "lab"), "'lab'.*handset")
 
 
