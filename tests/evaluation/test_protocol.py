@@ -85,7 +85,7 @@ def entries():
     return {name: entry(name, judged) for name in rewards}
 
 
-def test_the_rule_has_score_0_and_the_clairvoyant_100_at_every_site():
+def test_the_speed_rule_scores_0_and_the_clairvoyant_scores_100_at_every_site():
     made = entries()
     add_scores(made.values(), made["clairvoyant"])
     for name, expected in {"mine": 50, "imm-best": 25, "speed-rule": 0, "clairvoyant": 100}.items():
@@ -106,7 +106,7 @@ def test_scores_are_dashes_if_an_entry_has_fewer_episodes_than_the_clairvoyant()
         assert f" | {shown} |\n| street:standard" in tables["scores"]
 
 
-def test_a_folder_without_the_clairvoyant_uses_the_shipped_entry(tmp_path):
+def test_the_shipped_clairvoyant_is_used_unless_the_folder_has_one(tmp_path):
     shipped = ceiling_in(tmp_path)
     assert shipped["sites"].keys() >= {site.name for site in sites()}
     (tmp_path / "clairvoyant.json").write_text(json.dumps(shipped | {"command": "mine"}))
