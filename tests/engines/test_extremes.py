@@ -1,4 +1,4 @@
-"""Tests that inputs inside models.envelope give sound beliefs and inputs outside are refused."""
+"""Tests that inputs within models.envelope give sound beliefs and that others are refused."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -139,7 +139,7 @@ def sound(x, P):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", named_modes())
-def test_beliefs_are_sound_with_any_one_or_two_quantities_at_the_ends_of_the_envelope(name):
+def test_beliefs_are_sound_if_one_or_two_quantities_are_at_the_ends_of_their_bounds(name):
     single = [(quantity, value) for quantity in QUANTITIES for value in quantity.within()]
     pairs = [pair for pair in combinations(single, 2) if pair[0][0].put is not pair[1][0].put]
     ordinary, cases = {seed: drawn(seed, epochs=30) for seed in SEEDS}, {}
@@ -207,7 +207,7 @@ FIELDS = [
         record,
         *number,
         id=f"{record} {number[0]}",
-        marks=[pytest.mark.slow] if record == "streets drawn" else [],  # each case is compiled
+        marks=[pytest.mark.slow] if record == "streets drawn" else [],  # each case compiles
     )
     for record, (of, _) in RECORDS.items()
     for number in numbers_of(of)
