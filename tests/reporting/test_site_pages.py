@@ -16,7 +16,7 @@ pytest.importorskip("material")
 pytest.importorskip("mkdocstrings")
 pytestmark = pytest.mark.slow
 
-PHONE = 390  # px
+PHONE = 390  # px, width of a phone
 LACKING = """() => [...document.querySelectorAll("img, iframe")]
   .filter((shown) => !(shown.getAttribute("alt") || shown.title)).map((shown) => shown.outerHTML)"""
 
