@@ -140,9 +140,9 @@ def test_a_bus_stops_every_300_m(hard):
 def test_hard_sites_have_the_receiver_faults_after_which_they_are_named(hard):
     ordinary = next(s for s in sites() if s.name == "street:handset").source()
     keys = np.arange(4, dtype=np.uint64)
-    for stated, true in zip(hard["noise-twice"], ordinary.episodes(keys), strict=True):
-        np.testing.assert_array_equal(stated.measurement, true.measurement)
-        np.testing.assert_allclose(stated.sigma, 0.5 * true.sigma)
+    for halved, true in zip(hard["noise-twice"], ordinary.episodes(keys), strict=True):
+        np.testing.assert_array_equal(halved.measurement, true.measurement)
+        np.testing.assert_allclose(halved.sigma, 0.5 * true.sigma)
     assert all(episode.layout.clock for episode in hard["clock-offset"])
     for episode in hard["range-azimuth"]:
         links = np.isfinite(episode.measurement[:, :12]).reshape(-1, 3, 4).any(axis=(0, 1))

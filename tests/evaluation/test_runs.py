@@ -14,7 +14,7 @@ from policies import LearnedSwitch, shipped_policies
 from tests.paths import ROOT
 from tests.refusals import refuses
 
-DAMAGE = {  # name -> content of a summary, key that the error names
+DAMAGE = {  # name -> content of a summary, keys that the error names
     "not JSON": ("{", []),
     "no seeds": ({"median": 0}, ["seeds"]),
     "no median": ({"seeds": [{"seed": 0}]}, ["median"]),
