@@ -144,7 +144,7 @@ def cell(line, column, word):
 OLD = f"# {' '.join(COLUMNS)}; mmwave-loc localize\n"
 
 
-def test_files_that_cannot_be_written_are_named(tmp_path):
+def test_the_error_names_a_file_that_cannot_be_written(tmp_path):
     blocked = tmp_path / "file"
     blocked.write_text("")
     for option, name in (("--out", "t.tum"), ("--plot", "t.png"), ("--json", "t.json")):

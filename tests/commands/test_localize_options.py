@@ -64,7 +64,7 @@ def test_json_lines_give_the_same_positions_as_csv(whole):
     assert late[:3] == [None] * 3 and late[3]["time_s"] == csv_lines[0]["time_s"]
 
 
-def test_damaged_and_late_rows_are_named_and_left_out():
+def test_damaged_and_late_rows_are_reported_and_left_out():
     content = first_rows(30) + b"\x00\xff noise\n" + b"0.0,1,1e-7,0,0,0,0,20,0\n" + b"x" * 70_000
     tail = "\n".join(lines_of()[31:61]).encode()
     positions, errors, code = live(content + b"\n" + tail, "--speed", "1")

@@ -160,7 +160,7 @@ def test_a_terminal_that_reports_zero_columns_gets_the_output():
     os.close(ours)
 
 
-def test_a_deleted_working_folder_is_named(tmp_path):
+def test_the_error_names_a_deleted_working_folder(tmp_path):
     code = (
         f"import os; os.chdir({str(tmp_path)!r}); os.rmdir({str(tmp_path)!r})\n"
         "import sys; sys.argv = ['mmwave-loc', 'localize', 'log.csv', '--scene', 'scene.json']\n"

@@ -171,7 +171,7 @@ BEYOND = [(quantity, value) for quantity in QUANTITIES for value in quantity.bey
 @pytest.mark.parametrize(
     ("quantity", "value"), BEYOND, ids=[f"{quantity.name} {value:g}" for quantity, value in BEYOND]
 )
-def test_an_episode_beyond_the_envelope_is_refused_by_name(quantity, value, episode):
+def test_an_episode_beyond_the_envelope_is_refused(quantity, value, episode):
     with np.errstate(all="ignore"), refuses("of episode"):
         quantity.put(episode, value)
 
@@ -220,7 +220,7 @@ def moving(**changes):
 
 
 @pytest.mark.parametrize(("record", "name", "bound", "shape"), FIELDS)
-def test_a_setting_far_beyond_its_bounds_is_refused_by_name(record, name, bound, shape):
+def test_the_error_names_a_setting_that_is_far_beyond_its_bounds(record, name, bound, shape):
     of, _ = RECORDS[record]
     for value in (-1e300, 1e300, np.nan, -(10**200), 10**200):
         if value < 0 or bound.most != np.inf:  # durations may be infinite

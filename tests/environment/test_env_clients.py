@@ -218,7 +218,7 @@ NAMED = {"episode_steps": "", "episodes": "", "terminate_on_divergence": "", "mo
     ids=lambda arguments: ", ".join(arguments),
 )
 @pytest.mark.filterwarnings("ignore:.*render_mode")  # Gymnasium warns first
-def test_wrong_arguments_are_refused_by_name(arguments):
+def test_the_error_about_a_wrong_argument_names_it(arguments):
     *_, name = arguments
     with refuses(NAMED.get(name, name)):
         gym.make(ID, **arguments)

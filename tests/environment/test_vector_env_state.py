@@ -99,7 +99,7 @@ def test_the_state_of_another_environment_is_refused(name, arguments):
         other.state()
 
 
-def test_a_missing_part_of_a_state_is_named():
+def test_the_error_names_a_missing_part_of_a_state():
     env = make()
     env.reset(seed=0)
     state = env.state()
