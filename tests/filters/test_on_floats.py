@@ -162,10 +162,10 @@ def test_the_nis_of_outliers_is_limited_to_a_quantile_when_modes_are_compared():
 # --- mixtures
 
 
-def run_imm(modes, episode, transition, limits=(np.inf,) * 4, rates=None):
+def run_imm(modes, episode, transition, limits=(np.inf,) * 4):
     """Run an IMM on floats; yield the result and the time step dt of every epoch."""
     pipeline, P = Pipeline(tuple(modes), Layout(3)), pack(episode.prior_covariance.tolist())
-    tunings = rates or [mode.tuning for mode in modes]
+    tunings = [mode.tuning for mode in modes]
     rows = imm.ImmSettings([list(row) for row in transition], tunings, list(limits))
     mixture = imm.begin(pipeline, episode.prior_mean.tolist(), P)
     site = Site(
