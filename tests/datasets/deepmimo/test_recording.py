@@ -149,7 +149,7 @@ USER = (-45.0, -2.0, 1.5)  # first position of the user
 # name -> (function that damages a folder, its other arguments, file or part named in the refusal)
 DAMAGE = {
     "no params": (drop, ["params.json"], "params.json"),
-    "params not JSON": (write, ["params.json", b"{"], "params.json"),
+    "params that are not JSON": (write, ["params.json", b"{"], "params.json"),
     "a word as frequency": (
         edit_params,
         [lambda p: p["rt_params"].update(frequency="28 GHz")],
@@ -168,8 +168,8 @@ DAMAGE = {
     "bounce at the receiver": (edit, ["inter_pos", set_at((0, 1, 0), USER)], "inter_pos"),
     "no interactions stored": (edit, ["inter_pos", lambda a: a[:, :, :0]], "inter_pos[0, 1, 0]"),
     "no line of sight": (edit, ["inter", lambda a: np.where(a == 0.0, 11.0, a)], "inter"),
-    "no sidecar": (drop, [TRUTH], TRUTH),
-    "empty sidecar": (write, [TRUTH, b""], "header"),
+    "no trajectory": (drop, [TRUTH], TRUTH),
+    "an empty trajectory": (write, [TRUTH, b""], "header"),
     "other columns": (edit_line, [1, "t,x,y,z,vx,vy,w"], "header"),
     "one row too few": (edit_line, [50, None], "rows"),
     "one value too few": (edit_line, [2, "0,-45,-2,1.5,10,0"], "line 2"),
