@@ -3,7 +3,7 @@
 python examples/raytrace.py way.csv canyon-way
 mmwave-loc compare --policies fixed-ekf fixed-ukf --data canyon-way
 
-The file way.csv describes the user's way in the columns t, x, y, z, in the frame of the geometry.
+The file way.csv has the user's trajectory in columns t, x, y, z, in the frame of --geometry.
 Sionna traces lines of sight and single reflections between vertically polarized isotropic antennas.
 """
 
@@ -105,7 +105,7 @@ def write_folder(folder, arrays, carrier_hz, base_station_m, time_s, track):
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("way", type=Path, help="CSV file of the way, with columns t, x, y, z")
+    parser.add_argument("way", type=Path, help="CSV file of a trajectory: columns t, x, y, z")
     parser.add_argument("out", type=Path, help="folder to write")
     geometry = "name of one of Sionna's scenes, or a Mitsuba .xml file"
     parser.add_argument("--geometry", default="simple_street_canyon", help=geometry)

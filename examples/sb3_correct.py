@@ -1,4 +1,4 @@
-"""Stable-Baselines3: PPO, or SAC with the argument sac, learns to correct the policy `guided`."""
+"""Stable-Baselines3: PPO (SAC if the argument is sac) learns to correct the policy `guided`."""
 
 import sys
 from functools import partial

@@ -1,4 +1,4 @@
-"""Stone Soup's UKF and particle filter, compared with ours on the same ranges and arrival angles.
+"""Stone Soup's UKF and particle filter, and our EKF and UKF, on the same ranges and arrival angles.
 
 python examples/stone_soup.py 50         (50 simulated episodes)
 python examples/stone_soup.py 5 ride     (5 episodes of recorded data, the folder or sample `ride`)

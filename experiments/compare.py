@@ -15,7 +15,7 @@ class Args(EpisodeArgs):
 
     All metrics, including the reward, leave out the first 10 epochs of an episode. Every policy is
     paired with the references (best fixed mode, speed-rule, imm, imm-best). Your own agents and
-    policy files are paired with every other policy. Without references, all pairs are compared.
+    policy files are paired with all others. If no policy is a reference, all pairs are compared.
 
     mmwave-loc compare --policies fixed-ukf speed-rule imm ppo --episodes 200
     """
@@ -23,7 +23,7 @@ class Args(EpisodeArgs):
     policies: Annotated[tuple[str, ...], arg(aliases=("--policy",))] = ()
     """names that `mmwave-loc list policies` shows; policy files (.safetensors); folders of runs
     from `mmwave-loc train`; and module:function, a function without arguments that returns an
-    agent. By default, all policies with a name run, except `clairvoyant`, which knows the truth.
+    agent. By default, all listed policies run, except `clairvoyant`, which knows the truth.
     If `speed-rule` (score 0) and `clairvoyant` (score 100) both run, all policies get a score"""
     errors: Path | None = None
     """draw the distribution (CDF) of horizontal and of vertical errors to this .png, .svg or .pdf

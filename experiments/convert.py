@@ -74,7 +74,7 @@ def main(args: Args) -> None:
 
 
 def _require_trained_on(args: Args, table: "Observation", tensors: "Tensors") -> None:
-    """Refuse a model that was trained with other observations or modes."""
+    """Refuse a model whose observations or number of actions do not match the options."""
     import numpy as np
 
     last = sum(name.endswith(".bias") for name in tensors) - 1
@@ -90,7 +90,7 @@ def _require_trained_on(args: Args, table: "Observation", tensors: "Tensors") ->
     if args.normalize is None and not np.array_equal(bounds, [table.space.low, table.space.high]):
         raise ValueError(
             f"{args.model}: found observations with other bounds, expected the bounds of this "
-            "version; train the model again"
+            "version of mmwave-loc; train the model again"
         )
 
 

@@ -22,7 +22,7 @@ class Args(JsonArgs):
     draws: int = 200
     """number of episodes on each recording; every episode draws new receiver noise"""
     percentiles: bool = False
-    """also write percentiles of errors and protection levels to the files"""
+    """also write percentiles of errors, and protection levels, to the files"""
     out: Path = Path("results")
     """folder for tables.md, one JSON file per comparison, and report.html, a web page"""
 

@@ -19,9 +19,10 @@ class Args:
 
     A site is a street or a recording, with a radio. Contenders are not trained here. They run,
     together with the paper's rule and every IMM, at four kinds of sites: the nine sites where
-    policies may be trained, unseen sites, recordings and hard sites. A contender's entry (its
-    results at all sites) is written to a JSON file in the folder --out; the tables show all entries
-    there beside shipped ones, such as the clairvoyant (knows the truth), whose score is 100.
+    policies may be trained, unseen sites, recordings, and hard sites (unusual motion or receivers).
+    A contender's entry (its results at all sites) is written to a JSON file in the folder --out.
+    The tables show all entries there, beside shipped ones, such as that of the clairvoyant, which
+    knows the truth and has the score 100.
 
     mmwave-loc leaderboard --policies imm-best --episodes 400 --draws 20
     """

@@ -1,4 +1,4 @@
-"""mmwave-loc list: one line for everything that has a name."""
+"""mmwave-loc list: names that options and arguments accept, each with a description."""
 
 import inspect
 import sys

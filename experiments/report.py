@@ -13,7 +13,7 @@ class Args(PageArgs):
     episodes to play. Results are JSON files (--json) from mmwave-loc compare, demo and localize,
     and folders of runs from mmwave-loc train. They do not store single epochs, so the command
     runs episodes again, with the stored options. Agents in your own code (module:function) are not
-    run again, so the page lacks their episodes, and their errors unless the files store them.
+    run again: the page lacks their episodes, and shows their errors only if the files store them.
 
     mmwave-loc report results.json runs/train --out report.html
     """

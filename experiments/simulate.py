@@ -1,4 +1,4 @@
-"""mmwave-loc simulate: one episode as files, for localize and for other people's tools."""
+"""mmwave-loc simulate: one episode written as files, for localize and for other programs."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path

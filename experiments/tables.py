@@ -26,7 +26,7 @@ class Args:
     """folder for tables.md, tables.csv and tables.png"""
     docs: Path | None = None
     """Markdown page to update: each table after a comment `<!-- table: ... -->` is replaced, and
-    the picture of the same name (.png) is drawn"""
+    a picture with the page's name, but the ending .png, is drawn"""
 
 
 SECTIONS = 19  # number of sections, for the progress bar

@@ -29,7 +29,7 @@ class Args(ModeArgs):
     out: Path | None = None
     """write a video to this .gif or .mp4 file instead of opening a window"""
     fps: int = 10
-    """epochs per second; in a window, keys change this speed (the window's title shows them)"""
+    """epochs per second; in a window, keys change this speed (the window's title names the keys)"""
     render_size: int = 480
     """height and width of each policy's picture, px, 480 to 1080"""
     render_theme: str = "light"

@@ -19,12 +19,12 @@ class FixedMode(Policy):
 
 
 class LikelihoodRule(Policy):
-    """A policy that chooses the mode with the best average likelihood, the coming epoch included.
+    """A policy that chooses the mode that best explains recent measurements and the coming one.
 
     A mode's score is a moving average of its log-likelihood relative to the last mode.
 
     Args:
-        observation: the environment's table of features; its kind must be "full".
+        observation: the environment's table of features; its kind must be "full" or "signed".
         modes: names of the modes, in order.
     """
 

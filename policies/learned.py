@@ -101,7 +101,7 @@ class LearnedPolicy:
         self._columns, self._unseen = self._found_in(observation.columns)
 
     def _found_in(self, shown: Sequence[Column]) -> tuple[Index | None, Array32 | None]:
-        """Find the policy's features, by name, in columns.
+        """Find the policy's features, by name, in the columns of an environment's observations.
 
         Returns:
             Two arrays (features,). The first has the index of each feature's column; it is None if
@@ -216,7 +216,7 @@ class LearnedSwitch(LearnedPolicy, Policy):
 
 
 def taken(observation: Array32, columns: Index | None, unseen: Array32 | None) -> Array32:
-    """Return the columns of observations that a policy reads; ``unseen`` replaces missing ones."""
+    """Return the features that a policy reads; ``unseen`` has the values for missing anchors."""
     if columns is not None:
         observation = np.take(observation, columns, axis=1)
         if unseen is not None:

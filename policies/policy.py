@@ -9,7 +9,7 @@ class Policy(Protocol):
     """A map from a batch of observations to a batch of actions."""
 
     def reset(self, mask: Mask) -> None:
-        """Forget the past of environments where ``mask`` is True, as a new episode begins."""
+        """Forget the past of environments where ``mask`` is True: a new episode begins there."""
         return  # a policy without a memory has no past to forget
 
     def __call__(self, observation: Array32) -> Index:

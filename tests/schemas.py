@@ -127,7 +127,8 @@ def log():
             needed = quantity is QUANTITIES["time"]
             kind = "number" if needed else ["number", "null"]  # null: not measured
             part = {"type": kind, "description": quantity.meaning}
-            if quantity.limits and not name.endswith("_mps"):  # Doppler limits vary by carrier
+            by_carrier = name.startswith("doppler") and name.endswith("_mps")
+            if quantity.limits and not by_carrier:
                 bound, of = quantity.limits
                 scale = (
                     (math.radians(1.0) if of == "degrees" else 1.0) * unit.divide / unit.multiply

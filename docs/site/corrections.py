@@ -26,7 +26,7 @@ from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource
 from policies import Corrector
 
-EPISODES, FEWER = 1000, 500  # numbers of test episodes: to compare errors; to withhold features
+EPISODES, FEWER = 1000, 500  # numbers of test episodes in play() and in without_groups()
 NAMES = ("speed-rule", "imm-best", "guided", "corrector")
 AROUND = np.arange(-6, 16)  # epochs shown around an event
 GROUPS = {  # group of features -> words that the names of its features begin with

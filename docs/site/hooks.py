@@ -56,7 +56,7 @@ def repository() -> str:
 
 
 def on_config(config: Any) -> Any:
-    """Give the theme the address of the code, for the header of every page."""
+    """Give the theme the address of the repository, for the header of every page."""
     config.repo_url = repository()
     config.repo_name = "source"
     return config

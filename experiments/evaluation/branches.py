@@ -41,7 +41,7 @@ class Branches:
     def __init__(self, engine: Engine, horizon: int) -> None:
         self._batch, self.horizon = engine.batch, horizon
         self._actions, at = len(engine.observation.actions), engine.at
-        # State is kept in blocks of WIDTH environments; the copies include a partly filled block.
+        # State is kept in blocks of WIDTH environments; the last block is copied even if not full.
         n = self._actions * len(engine.batch.state.rows) * WIDTH
         program, layout = engine.batch.program, engine.batch.layout
         self._copies = Batch(program, layout, n, rows_of(at.action))
@@ -84,7 +84,7 @@ class Clairvoyant(Policy):
     """A policy that knows the truth; its reward is the ceiling for policies that choose modes.
 
     In every epoch it tries each action (raise one mode's probability, or none) on the same
-    measurements, followed by epochs with action 0, and chooses the action with the largest sum of
+    measurements, then always action 0 (raise none), and chooses the action with the largest sum of
     rewards within :data:`HORIZON_S`. It even knows future noise, so other policies earn far less.
     """
 

@@ -66,8 +66,8 @@ def compare(
         episodes: number of episodes, 200 by default; results to publish need 1000 or more.
         seed: seed of the first episode, 0 by default; training uses seeds from 10 million on.
         modes, observation, beliefs: settings that agents were trained with, as in the environment;
-            policy files state their own. An agent given as "imm" is an IMM that mixes these modes;
-            a bank or a mode file also sets its transition probabilities and NIS quantile.
+            policy files contain theirs. An agent given as "imm" is an IMM that mixes these modes;
+            a bank or file in ``modes`` also sets its transition probabilities and NIS quantile.
         data: recorded episodes or episodes of your own, as in the environment's ``episodes``.
         world: further arguments of the environment: ``scene``, ``dt``, ``episode_steps``,
             ``planar``, ``odometry``, ``reward``.

@@ -81,7 +81,7 @@ class Comparison:
 
     @property
     def scores(self) -> dict[str, float | None]:
-        """Return the score of every contender if the rule and the clairvoyant are among them."""
+        """Return every contender's score; return {} if the rule or the clairvoyant is missing."""
         if not {RULE, CLAIRVOYANT} <= self.policies.keys():
             return {}
         rewards = {name: row["reward"].mean for name, row in self.policies.items()}
@@ -99,7 +99,7 @@ class Comparison:
 
     def __str__(self) -> str:
         """Return a table of the policies' means, then a table of paired reward differences."""
-        # The title names an unusual reward, since rewards of different kinds are not comparable.
+        # Rewards of different kinds are not comparable, so the title names all but the default.
         reward = "" if self.reward == "tracking" else f", reward {escaped(self.reward)}"
         parts = [f"### {escaped(self.scenario)}, {escaped(self.radio)}, {self.selection}{reward}\n"]
         parts.append(grid(*self.table(METRICS)))

@@ -45,7 +45,7 @@ class Contender:
             matter only for an IMM, or if beliefs are "per-mode".
         policy: function from an :class:`Observation` to a policy; None for the IMM of the bank.
         observation: kind of observation that the policy reads: "full", "prior" or "signed".
-        beliefs: beliefs of the modes, "shared" or "per-mode".
+        beliefs: "shared" if all modes work on one belief, "per-mode" if each keeps its own.
     """
 
     name: str
@@ -151,9 +151,9 @@ def contenders(radio: str, modes: Modes = None) -> dict[str, Make]:
     Args:
         radio: radio profile, a name or a JSON file.
         modes: modes of the contenders, as in ``MmWaveLoc-v0``; a bank or a mode file also sets
-            the transition and NIS quantile of the IMM. If None, the modes are the profile's EKF and
-            UKF, and three kinds of contenders are added: the CKF, the IMM of the profile's best
-            bank, and the learned policies that are shipped for the profile.
+            the IMM's transition probabilities and NIS quantile. If None, the modes are the
+            profile's EKF and UKF, and three kinds of contenders are added: the CKF, the IMM of the
+            profile's best bank, and the learned policies that are shipped for the profile.
     """
     if modes is not None:
         return _of_any_modes(bank_over(modes, radio))

@@ -19,7 +19,7 @@ _KEPT = ("x", "P", "memory.accepted", "memory.rejected", "memory.mode")
 def history_of(
     contender: Contender, episode: Episode, scoring: Scoring = PLAIN, streets: Streets | None = None
 ) -> History:
-    """Return the prior and the contender's results in every epoch of an episode with a true track.
+    """Run a contender on an episode with a true track; return its history, from the prior on.
 
     For a policy, the modes in the history are its actions. For an IMM, they are the most probable
     modes, and the history has the groups of measurements that these modes accepted and rejected.
@@ -60,7 +60,7 @@ class EpochErrors:
 
     names: Mapping[str, str]  # contender's name -> name to show; other contenders are skipped
     time_s: Array = field(default_factory=lambda: np.zeros(0))  # (T,) s since the first epoch
-    # name to show -> (errors, NEES) of each part of the episodes
+    # name to show -> (errors, NEES) for each call of add()
     _parts: dict[str, list[tuple[Array, Array]]] = field(default_factory=dict)
 
     def add(self, contender: Contender, time_s: Array, results: EpochResults) -> None:

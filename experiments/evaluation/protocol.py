@@ -214,8 +214,8 @@ def ranking(entries: Sequence[Json]) -> str:
     """Return a Markdown table of all entries, ranked by their mean gain at the training sites.
 
     The protocol requires EPISODES at each simulated site and DRAWS of each recording; for the
-    clairvoyant, CEILING_EPISODES and CEILING_DRAWS are enough. An entry with fewer is marked and
-    comes last, because luck would decide its rank.
+    clairvoyant, CEILING_EPISODES and CEILING_DRAWS are enough. An entry with too few of either is
+    marked and comes last, because luck would decide its rank.
     """
     rows: list[tuple[bool, float, list[Any]]] = []
     for content in entries:

@@ -86,8 +86,8 @@ def run_contender(
         contender, policy: same as in :func:`score`.
         episodes: the episodes; they need ground truth only if ``scoring.planar``.
         scoring: reward and terrain.
-        after: names of parts of the filters' state to return for every epoch; every contender has
-            "x", "P", "memory.nis", "memory.accepted" and "memory.rejected".
+        after: names of parts of the filters' state to return for every epoch. All contenders have
+            "x" and "P"; all but estimators have "memory.nis", "memory.accepted", "memory.rejected".
 
     Returns:
         "reward" and "nees" (n, T); "error" (n, T, 3) in m; for a policy also "mode" (n, T), its

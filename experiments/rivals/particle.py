@@ -24,7 +24,7 @@ from mmwave_env.world.episode import blank_incoming
 PARTICLES = 10_000
 LEAST_M = 0.001  # its square is added to variances, which are 0 if only one particle has weight
 SPREAD = 0.35  # width of the kernel that moves particles, in standard deviations of the cloud
-KEPT = (1.0 - SPREAD**2) ** 0.5  # shrinks the cloud before the kernel widens it again, as much
+KEPT = (1.0 - SPREAD**2) ** 0.5  # factor to shrink the cloud, whose width the kernel then restores
 
 
 class Weighed(NamedTuple):

@@ -14,7 +14,7 @@ from mmwave_env.io.files import first_line, read_bounded, write_bytes
 
 State = dict[str, Any]  # numbers, strings, arrays and tensors in nested lists, tuples and dicts
 
-MOST_BYTES = 1 << 30  # size limit of a checkpoint, which holds the whole memory of `rollouts`
+MOST_BYTES = 1 << 30  # size limit of a checkpoint; with --algo rollouts, it holds many states
 
 
 def write_checkpoint(path: Path, state: State) -> None:
@@ -43,7 +43,7 @@ def read_checkpoint(path: Path) -> State:
 
 @contextmanager
 def going_on_from(path: Path) -> Iterator[None]:
-    """Convert any exception raised while a checkpoint is used into a ValueError.
+    """Turn any exception into a ValueError while a checkpoint is read or restored.
 
     Raises:
         ValueError: an exception was raised; the message names the checkpoint's file.

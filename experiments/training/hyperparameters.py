@@ -17,7 +17,7 @@ from mmwave_env.io.records import (
     require_fields,
 )
 
-MOST = 10**15  # largest value; a larger one would need too much memory and time
+MOST = 10**15  # largest value of a hyperparameter; more would need too much memory and time
 Count = Annotated[int, counts(1, MOST)]
 NotNegative = Annotated[float, Bound(f"a number from 0 to {MOST:g}", least=0.0, most=MOST)]
 Neurons = Annotated[tuple[Count, ...], Size(1, 100)]
@@ -40,7 +40,7 @@ class _Hyperparameters:
 
 @dataclass(frozen=True, kw_only=True)
 class _SwitcherHyperparameters(_Hyperparameters):
-    """Hyperparameters of the algorithms that train switchers."""
+    """Hyperparameters of the algorithms that train switchers (policies that choose modes)."""
 
     gamma: Probability  # discount per epoch (PPO) or per second (rollouts)
     ent_coef: NotNegative  # initial weight of the entropy; it falls linearly
@@ -75,7 +75,7 @@ class RolloutHyperparameters(_SwitcherHyperparameters):
 
     horizon: Count  # length of a rollout, epochs
     stride: Count  # epochs of an environment between two states in which all actions are tried
-    states: Count  # minimum number of states, with all actions tried, between two updates
+    states: Count  # minimum number of new states between two updates; each has all actions tried
     memory: Count  # number of latest states that an update learns from
     gradient_steps: Count  # number of gradient steps of an update
 
@@ -93,7 +93,7 @@ class CorrectorHyperparameters(_Hyperparameters):
     """Hyperparameters of correctors (:mod:`experiments.training.corrector`)."""
 
     base: str  # policy whose beliefs are corrected: a shipped switcher, or imm-best
-    # places, held out from the training, at which the best of its policies is chosen
+    # places, held out from the training, whose rewards decide which policy is kept
     judged_at: Annotated[tuple[Name, ...], Size(1, 100)]
     random_share: Probability  # share of episodes whose streets, radio and receiver are random
     long_epochs: Count  # length of long episodes, epochs; they are used only at 5 Hz or more

@@ -64,8 +64,8 @@ class Record:
         stand: state of the training, by name. "update" and "timesteps" count updates and timesteps.
             "best" has results of the best policy so far. "beat_rule" has the timesteps and seconds
             until a policy first beat the paper's rule. "best" and "beat_rule" are None at first.
-            "seconds" (wall time) and "rows" (of the log) are from the checkpoint that was read. All
-            other entries belong to the trainer, which removes them as it restores them.
+            "seconds" (wall time) and "rows" (of the log) are from the checkpoint, or 0 and empty.
+            All other entries belong to the trainer, which removes them when it restores them.
         log: log of the training's progress.
 
     Raises:

@@ -155,7 +155,7 @@ def _one_pipeline(task: TrainingTask, layouts: set[Layout]) -> Pipeline:
     """
     layout, *others = layouts
     if others:
-        raise ValueError("places: found several settings of clock, expected one for all places")
+        raise ValueError("places: found several kinds of clock, expected one for all places")
     pipeline = Pipeline(task.bank.modes, layout)
     for radio, bank in task.banks.items():
         if untuned(replace(pipeline, modes=bank.modes)) != untuned(pipeline):

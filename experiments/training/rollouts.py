@@ -29,9 +29,9 @@ EVALUATE = 8  # number of updates between two evaluations
 class RolloutLearner:
     """The network, its optimizer and the states that it learns from.
 
-    The memory has states s in which all actions a were tried; the network as it was then chose the
-    actions after a. Q(s, a) is the value of a. The network, which chooses a with probability
-    pi(a | s), maximizes the mean of sum_a pi(a | s) (Q(s, a) - Q(s, 0)) and a small entropy bonus.
+    The memory has states s in which all actions a were tried. The network, with the weights it had
+    then, chose the actions after a. Q(s, a) is the value of a; pi(a | s) is its probability now.
+    Training maximizes the mean of sum_a pi(a | s) (Q(s, a) - Q(s, 0)) and a small entropy bonus.
 
     Args:
         features, actions: numbers of features and of actions.

@@ -121,7 +121,7 @@ def begin(args: "Args", manifest: Json) -> None:
                 "--overwrite replaces it, --out names another folder"
             )
         if not path.is_file():
-            raise ValueError(f"out: found files in {args.out} but no run, so left them there")
+            raise ValueError(f"out: found files but no run in {args.out}, and left them there")
         shutil.rmtree(args.out)
     write_json(path, manifest)
 

@@ -30,7 +30,7 @@ RANGES = {
 # Likelihoods cap the NIS at this chi-square quantile. On data simulated with the filter's own
 # model, a cap at 0.99 would bias sigma_v by -6 %, a cap at 0.999 by less than 1 %.
 CAP = 0.999
-POINTS = (6, 11)  # number of grid points along the second and the first parameter
+POINTS = (11, 6)  # numbers of grid points for the first and the second parameter
 STEP = 0.3  # size of the first simplex, in logarithms: each parameter changes by about a third
 
 
@@ -67,7 +67,7 @@ def tune(mode: Mode, free: Sequence[str], objective: Objective) -> Mode:
     A Nelder-Mead search over all free parameters starts at the best point of a logarithmic grid
     over the first two of them.
     """
-    axes = [np.geomspace(*RANGES[name], POINTS[-1 - i]) for i, name in enumerate(free[:2])]
+    axes = [np.geomspace(*RANGES[name], n) for name, n in zip(free, POINTS, strict=False)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
 
     def at(numbers: Iterable[float]) -> Mode:

@@ -114,8 +114,8 @@ def _folder() -> Path | None:
 def kept_functions() -> dict[str, Any]:
     """Describe the folder for this process's compiled functions; create it if possible.
 
-    Return a dict with "place", the folder (None if no private folder can be written), "functions",
-    the number of compiled functions in the folder, and "bytes", the size of all these functions.
+    Return a dict: "place" (the folder; None if no private folder can be written), "functions" (the
+    number of compiled functions in the folder) and "bytes" (the size of all these functions).
     """
     folder = _folder()
     sizes = [file.stat().st_size for file in folder.iterdir()] if folder else []

@@ -231,7 +231,7 @@ def _align_stack(builder: Any) -> None:
     vector = cgutils.alloca_once(builder, _VECTOR)  # type: ignore[no-untyped-call]
     vector.align = 8 * WIDTH
     use = ir.FunctionType(ir.VoidType(), [vector.type])
-    builder.asm(use, "", "r", [vector], side_effect=True)  # an unused vector is optimized away
+    builder.asm(use, "", "r", [vector], side_effect=True)  # keeps the unused vector on the stack
 
 
 def kernel(function: Callable[[Any], None], ends: Sequence[int]) -> Any:

@@ -1,4 +1,4 @@
-"""Measured tracks: a log with the true positions of the user, replayed as it was measured.
+"""Measured tracks: logs with the true positions of the user, replayed as they were measured.
 
 Measurements are the same in every episode. A seed determines only the prior and, if episodes are
 shorter than the log, the epoch of the log at which an episode begins.
@@ -81,7 +81,7 @@ class MeasuredTrack(Track):
             doppler_hz: (T,) Doppler shift of the base station, positive while the range grows.
             snr_db: (T, L) SNR of links, dB; with the radio profile it determines the noise.
             range_sigma_m, aoa_azimuth_sigma_rad, aoa_elevation_sigma_rad, aod_azimuth_sigma_rad:
-                (T, L) the receiver's own standard deviations, which replace the profile's.
+                (T, L) the receiver's own standard deviations, which replace the radio profile's.
             doppler_sigma_hz: (T,) the receiver's own standard deviation of the Doppler shift.
             doppler_spread_hz: (T,) Doppler spread; None, NaN or 0 if it was not measured.
             velocity_mps: (T, 3) true velocities, m/s; None to compute them from the positions.

@@ -1,9 +1,9 @@
 """Recordings: one track through a known scene, with measurements drawn anew in every episode.
 
 A ray tracer (or a survey) gives the paths and what a perfect receiver would measure on them. Each
-episode adds noise and an oscillator's bias, and it has its own prior. All three are drawn from a
-seed and a radio profile. Blockage, multipath, missed detections and outages are not
-simulated, because the recording already says which paths exist.
+episode adds noise and an oscillator's bias, and it has its own prior. A seed and a radio profile
+determine all three. Blockage, multipath, missed detections and outages are not simulated, because
+the recording already says which paths exist.
 """
 
 from dataclasses import dataclass

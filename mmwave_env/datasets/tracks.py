@@ -238,12 +238,13 @@ class TrackSource:
             of the channel, from which each episode draws new noisy measurements.
         radio: profile of the receiver, or its name.
         epochs: length of an episode, which is a window drawn at random from all stretches; None
-            for the complete longest stretch.
+            if the whole longest stretch is the episode.
         measurements: names of the measurements to use; None for all.
         clock: whether the user's clock has an unknown offset.
 
     Raises:
-        ValueError: no stretch suffices; the track lacks ``measurements``, or ranges for ``clock``.
+        ValueError: no stretch has enough epochs; or the track lacks the ``measurements``, or the
+            ranges that ``clock`` needs.
     """
 
     def __init__(

@@ -20,7 +20,7 @@ ACTIONS = {
 
 
 def limits_of(action: str, modes: int) -> Array:
-    """Return the largest absolute values (k,) of an action's numbers; (0,) for mode numbers."""
+    """Return the largest absolute values (k,) of an action's numbers; k is 0 for the kind MODE."""
     if action == WEIGHTS:
         return np.full(modes, TRUST)
     return np.repeat([MOST_SHIFT, MOST_LOG_FACTOR], 3) if action == CORRECTION else np.zeros(0)

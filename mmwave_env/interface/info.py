@@ -18,7 +18,7 @@ STEP_KEYS = (
     TERMS_KEY,
     COST_KEY,
 )
-PROBABILITIES = "mode_probabilities"  # only with a belief per mode
+PROBABILITIES = "mode_probabilities"  # in infos only if each mode has its own belief
 FLAGS = ("accepted", "rejected")
 NAMED = ("episode_name", "episode_key")  # in the info of a reset: they identify an episode
 SMOOTHED_KEY = "smoothed_ate_m"
@@ -33,7 +33,7 @@ INFOS = {
 
 
 def reported(at: Any) -> Any:
-    """Return the part of a workspace that infos describe: the corrected epoch, if it has one."""
+    """Return what infos describe: the corrected epoch of a workspace, or else the workspace."""
     return getattr(at, "reported", ()) or at
 
 
@@ -67,10 +67,10 @@ def drawn_rows(at: Any, span: Callable[[Any], Any]) -> dict[str, Any]:
 
 
 def masked(values: dict[str, NDArray[Any]], where: Mask) -> dict[str, Any]:
-    """Return infos (n, ...) and Gymnasium's masks, which are copies of ``where`` (n,).
+    """Return infos (n, ...) for the environments in which ``where`` (n,) is True.
 
-    Values where ``where`` is False are replaced by 0 or None, in place. Every key gets a mask
-    ``_key``; all masks are the same array. If ``where`` is False everywhere, the result is empty.
+    The values of other environments are replaced by 0 or None, in place. Every key gets a mask
+    ``_key``; all masks are one copy of ``where``. If no environment is left, the result is empty.
     """
     if not where.any():
         return {}
@@ -108,7 +108,7 @@ def worded(
     """Return an info in the form that ``infos`` selects.
 
     "fixed" infos always have the same keys, numpy types and shapes. They contain all numbers that
-    an info may contain; NaN, False or -1 stand for unknown values.
+    an info may contain; unknown values are NaN, False or -1, but 0 for ``nonfinite_beliefs``.
 
     Args:
         info: everything that is known.

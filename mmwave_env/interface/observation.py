@@ -56,9 +56,9 @@ class Scale(NamedTuple):
 @cache
 def feature_scales() -> dict[str, Scale]:
     """Read mean and standard deviation of every kind of feature from data/feature_scales.json."""
-    # Measured 2026-11-23 (code at commit 476d657): 24 episodes with random actions in each
-    # combination of scene, radio, kind of beliefs and set of modes (two modes, without and with
-    # odometry; eight modes; the radio's bank). The file has medians; no value was clipped.
+    # Measured 2026-11-23 (commit 476d657): 24 episodes with random actions for each combination of
+    # scene, radio, kind of beliefs and set of modes (two modes, without and with odometry; eight
+    # modes; the radio's bank). The file has medians over the combinations. No value was clipped.
     text = files("mmwave_env").joinpath("data/feature_scales.json").read_text(encoding="utf-8")
     return {kind: Scale(**scale) for kind, scale in json.loads(text)["kinds"].items()}
 
@@ -196,7 +196,7 @@ def _shown(value: Number, feature: Feature, scale: Scale) -> Number:
 
 
 def with_tables(docstring: str) -> str:
-    """Replace ``{modes}`` by a table of the default modes and ``{table}`` by one of features."""
+    """Replace ``{table}`` by a table of features and ``{modes}`` by a table of default modes."""
     observed = Observation(Pipeline(default_modes(), Layout())).table()
     lines = ["| action | mode | algorithm | horizontal velocity noise, m/s |", "|---|---|---|---|"]
     for action, (kind, algorithm) in enumerate(

@@ -68,7 +68,7 @@ class TrackingReward:
 
 @dataclass(frozen=True)
 class LogScore:
-    """The log density of the true position (a proper score, in nats), at least ``worst``."""
+    """The log density of the true position (a proper score, in nats), limited to >= ``worst``."""
 
     worst: float = -30.0
 
@@ -84,8 +84,8 @@ class PairedReward:
     If modes share a belief, the IMM mixes the two default modes of the radio. If each mode has its
     own belief, the IMM mixes the modes of the agent's bank. Actions do not change the IMM's reward,
     so the best policy stays the same. The difficulty of an episode cancels out in the difference,
-    whose variance is smaller. If an episode ends early because of divergence, the IMM's rewards in
-    the remaining epochs are also subtracted.
+    so its variance is smaller than the reward's. If an episode ends early because of divergence,
+    the IMM's rewards in the remaining epochs are also subtracted.
 
     Attributes:
         reward: reward of agent and IMM, a function of (belief, truth).
@@ -144,7 +144,7 @@ def reward_from(reward: str | Reward | PairedReward) -> Reward | PairedReward:
 def reward_name(reward: Reward) -> str:
     """Return the name of a reward in :data:`REWARDS`, else the name of its function or class.
 
-    A known reward with other weights is named after its class.
+    An object of a known class with other parameters than in :data:`REWARDS` has the class's name.
     """
     for name, known in REWARDS.items():
         if reward == known:

@@ -1,8 +1,8 @@
 """Association of propagation paths with anchors, for logs without anchor numbers.
 
-A separate filter follows the user (``path_tracker.py``) and predicts the user's state in every
-epoch. Given this state, the method of the global nearest neighbor assigns the paths to anchors.
-The result is an ordinary log, which can be localized like any other log.
+A filter (``path_tracker.py``) follows the user and predicts the user's state in every epoch. Given
+this state, the method of the global nearest neighbor assigns the paths to anchors. The result is an
+ordinary log, in which every measurement belongs to a known anchor.
 
 A path that may be the line of sight begins a track if this track would explain (assign to anchors)
 enough paths of the coming epochs. A track ends after a long gap, or when a new track that explains
@@ -40,7 +40,7 @@ class Association:
         self._associated, self._missed = np.zeros((2, anchors), np.int64)
 
     def add(self, paths: PathEpoch, labels: Index | None, begins: bool) -> None:
-        """Add an epoch with the ``labels`` of its :class:`PathTrack`; None if there is no track."""
+        """Add an epoch; ``labels`` are those of its :class:`PathTrack`, or None without a track."""
         self.epochs += 1
         self.starts += begins
         self._paths += len(paths.snr_db)
@@ -108,8 +108,8 @@ def _labelled(
             rival = tracker.rival(track, window)
         except ArithmeticError as error:
             raise LogError(
-                f"log, time {paths.time_s} s: found a user straight above or below an anchor, or "
-                "too far away for the computation, expected measurements that a receiver can make"
+                f"log, time {paths.time_s} s: found measurements of a user straight above or below "
+                "an anchor, or extremely far away, expected measurements that a receiver can make"
             ) from error
         track = rival or track
         tally.add(paths, track and track.labels, rival is not None)
@@ -135,7 +135,7 @@ def _block(paths: PathEpoch, epoch: Epoch, begins: bool) -> LogBlock:
 
 
 def _windows(epochs: Iterable[PathEpoch], size: int) -> Iterator[list[PathEpoch]]:
-    """Yield, for each epoch, a list that begins with it: ``size`` epochs, or fewer at the end."""
+    """Yield, for each epoch, the list of ``size`` epochs (fewer at the end) that begins with it."""
     held: list[PathEpoch] = []
     try:
         for epoch in epochs:

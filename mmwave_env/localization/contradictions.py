@@ -18,16 +18,16 @@ from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array
 
-NIS_LIMITS = (0.2, 5.0)  # per degree of freedom
+NIS_LIMITS = (0.2, 5.0)  # limits of the NIS per degree of freedom
 SNR_LIMITS_DB = (-60.0, 90.0)
-REJECTED_LIMIT = 1.0 / 3.0
+REJECTED_LIMIT = 1.0 / 3.0  # largest fraction of a group's measurements that gates may reject
 _ENOUGH = 20  # minimum number of epochs for a conclusion
 _ENOUGH_IF_BLOCKED = 100  # minimum number if a blockage of a few seconds may distort a conclusion
-_WINDOW_S = 30.0  # the oscillator's offset hardly changes over this time
+_WINDOW_S = 30.0  # length of a window of epochs, in which the oscillator's offset hardly changes
 _MOST_APART_S = 3.0  # longest gap over which the Doppler shift is integrated
-_SLOPE_LIMITS = (0.5, 1.5)  # limits of the range's growth (m) if the Doppler shift predicts 1 m
-# A slope is wrong only if it differs from 1 by more than this many standard errors. The number is
-# large: standard errors assume independent range errors, but a blocked link's errors correlate.
+_SLOPE_LIMITS = (0.5, 1.5)  # limits of the range's growth, m, if the Doppler shift predicts 1 m
+# A slope is reported only if it differs from 1 by more than this many standard errors. The number
+# is large: standard errors assume independent range errors, but a blockage correlates the errors.
 _SURE = 10.0
 
 
@@ -74,13 +74,12 @@ def _misfits(groups: Mapping[str, Mapping[str, Any]]) -> Iterator[Contradiction]
 
 def impossible(block: LogBlock) -> Iterator[Contradiction]:
     """Yield a contradiction for time steps, ranges and angles that no receiver can measure."""
-    step = float(np.median(np.diff(block.time_s))) if len(block) > 1 else 0.0
-    if step > GAP_S:
-        yield Contradiction(
-            "time", f"epochs {step:.3g} s apart", f"at most {GAP_S:g} s: is the unit right?"
-        )
-    elif len(block) > 1 and not STEP_S.holds(np.diff(block.time_s).min()):
-        yield Contradiction("time", f"epochs {step:.3g} s apart", STEP_S.expected)
+    steps = np.diff(block.time_s)
+    if len(steps) and (usual := np.median(steps)) > GAP_S:
+        expected = f"at most {GAP_S:g} s: is the unit right?"
+        yield Contradiction("time", f"epochs {usual:.3g} s apart", expected)
+    elif len(steps) and not STEP_S.holds(shortest := float(steps.min())):
+        yield Contradiction("time", f"epochs {shortest:.3g} s apart", STEP_S.expected)
     visible = block.visible[:, : block.layout.anchors]
     ranges = block.measurement[:, : block.layout.doppler : 4][visible]
     ranges = ranges[ranges > 0.0]

@@ -1,7 +1,7 @@
 """Diagnosis of a log: a search for the mistake whose correction makes the log consistent.
 
-A hypothesis says how to read the values in the file. For every hypothesis, the same filter
-without gates computes a track from the first epochs. A hypothesis makes the log consistent if
+A hypothesis says how to read the values in the file. For every hypothesis, a filter without
+gates computes a track from the first epochs. A hypothesis makes the log consistent if
 :mod:`~mmwave_env.localization.contradictions` finds no contradiction; for example, the NIS per
 degree of freedom (dof) must be near 1. Consistent hypotheses are ranked by the likelihood of the
 values in the file, not of the converted values, because likelihoods in different units can't be
@@ -89,15 +89,15 @@ class Finding(NamedTuple):
 
 
 def _values(block: LogBlock) -> Mask:
-    """Tell which values (T, rows) of a log were measured, in groups that are visible."""
+    """Tell which values (T, rows) of a log were measured and belong to a visible group."""
     visible = np.repeat(block.visible, block.layout.widths, axis=1)
     return visible & np.isfinite(block.measurement)
 
 
 def _scaled(parts: Sequence[int], factor: float, offset: float = 0.0) -> Hypothesis:
-    """Return a hypothesis that scales some values of every link and adds an offset.
+    """Return a hypothesis that scales some values of every link, then adds an offset to them.
 
-    ``parts`` are the indices of these values. If there are none, the Doppler shift is changed.
+    ``parts`` are the indices of these values. If ``parts`` is empty, the Doppler shift is changed.
     """
 
     def change(reading: Reading) -> Reading:
@@ -213,8 +213,8 @@ def _start(block: LogBlock) -> int:
     """Return the index of the epoch at which the tracks begin.
 
     This is the first epoch with a link of the base station. In a partial layout, where a position
-    may need several incomplete links, it is the epoch whose links have the most measured values,
-    among the 50 epochs from the first link on.
+    may need several incomplete links, it is the epoch whose links have the most measured values.
+    Only 50 epochs are searched, beginning with the first epoch that has a link.
 
     Raises:
         ValueError: no epoch has a link of the base station, and the layout is not partial.
@@ -239,9 +239,9 @@ def diagnose(block: LogBlock, scene: Scene, radio: Radio, mode: Mode) -> list[Fi
 
     Returns:
         A finding for the log as it is and for every hypothesis that changes a number. Hypotheses
-        that make the log consistent come first, the most likely one at the top; the others follow,
-        best fit first. If only pairs of hypotheses make the log consistent, the most likely pair
-        is added at the top. In a partial layout, only pairs with another radio profile are tried.
+        that make the log consistent come first, in order of likelihood; the others follow, in order
+        of fit. If only pairs of hypotheses make the log consistent, the most likely pair is added
+        at the top. In a partial layout, only pairs with another radio profile are tried.
 
     Raises:
         ValueError: there is no link with which a track could begin.

@@ -8,8 +8,8 @@ constant for the kind of filter, the risk and the direction is added to this log
 constants were computed by split conformal prediction on episodes that the training did not use (Y.
 Romano, R. Patterson and E. Candès, "Conformalized quantile regression", NeurIPS 2019; for epochs
 grouped in episodes: Y. Lee, R. F. Barber and R. Willett, "Distribution-free inference with
-hierarchical data", 2023). docs/errors.md says what levels guarantee. experiments/training/levels.py
-trains the network.
+hierarchical data", 2023). docs/errors.md says what these levels guarantee; the network is trained
+by experiments/training/levels.py.
 """
 
 from base64 import b64decode, b64encode
@@ -31,9 +31,9 @@ from mmwave_env.numerics.numbers import Array
 # parts of a filter's state from which the network's inputs, the features, are computed
 PARTS = ("x", "P", "memory.nis", "memory.accepted", "memory.rejected")
 CALIBRATED, GAUSSIAN = KINDS = ("calibrated", "gaussian")
-_MEMORY = np.array([[0.6], [0.9], [0.97]])  # weight of a running mean's old value after 1 s
+_MEMORY = np.array([[0.6], [0.9], [0.97]])  # weights of three running means' old values after 1 s
 _LEAST, _LEAST_S = 1e-9, 1e-2  # lower limits, so that logarithms and quotients are finite
-_KIND = [18, 20]  # indices of two 0/1 features: whether a corrector runs, whether a bank runs
+_KIND = [18, 20]  # indices of two 0/1 features: presence of a corrector and of a bank of modes
 
 
 class Network(NamedTuple):
@@ -97,7 +97,7 @@ class Levels:
         kind: "calibrated", or "gaussian" for levels computed from covariances alone.
 
     Raises:
-        ValueError: the kind or the risk is invalid, or no calibrated levels have this risk.
+        ValueError: the kind or the risk is invalid, or no levels were calibrated for this risk.
     """
 
     def __init__(self, risk: float = RISK, kind: str = CALIBRATED) -> None:
@@ -114,12 +114,12 @@ class Levels:
 
     def reset(self) -> None:
         """Forget the current tracks; the next epoch begins new tracks."""
-        self._means: Array | None = None  # (n, weights, quantities) running means
+        self._means: Array | None = None  # (n, 3, quantities) running means with three weights
         self._x = np.empty(0)  # (n, 1, 7 or 8) states after the last epoch
         self._first_s = self._last_s = 0.0
 
     def factors(self, anchors: int, mixes: bool, time_s: Array, *parts: Any) -> Array:
-        """Return factors (n, T, 2) for both Gaussian levels; arguments as for :meth:`features`."""
+        """Return factors (n, T, 2) of Gaussian levels; :meth:`features` describes the arguments."""
         if self.kind == GAUSSIAN:
             return np.ones((*parts[0].shape[:2], 2))
         logs = shipped().log_factors(self.features(anchors, mixes, time_s, *parts))
@@ -134,7 +134,7 @@ class Levels:
             time_s: (T,) times of the epochs.
             parts: means x (n, T, 7 or 8); packed covariances P (n, T, 28 or 36); NIS, acceptance
                 and rejection (0 or 1) of each group of measurements, as three arrays (n, T,
-                groups); optionally, factors (n, T) that scaled a policy's corrections, or NaN.
+                groups); optionally, factors (n, T) that scaled corrections, NaN if uncorrected.
         """
         x, P, nis, accepted, rejected, trusted = (*parts, None)[:6]
         if self._means is None:

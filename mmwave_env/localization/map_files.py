@@ -79,8 +79,8 @@ def _geojson(file: TextIO, origin: Origin, name: str) -> Iterator[Write]:
         nonlocal last
         time_s, x, P, segment = block.time_s, block.smooth_x, block.smooth_P, block.segment
         before, ellipse_s, point = last
-        ways = geodetic(origin, x[:, :3]).round(9)[:, [1, 0, 2]].tolist()
-        line = [*([point] if segment == before else []), *ways]
+        points = geodetic(origin, x[:, :3]).round(9)[:, [1, 0, 2]].tolist()
+        line = [*([point] if segment == before else []), *points]
         if len(line) > 1:
             span = {"from_s": float(time_s[0]), "to_s": float(time_s[-1])}
             feature("LineString", line, name=name, segment=segment, **span)
@@ -92,7 +92,7 @@ def _geojson(file: TextIO, origin: Origin, name: str) -> Iterator[Write]:
         for number, ring in zip(shown, _ellipses(origin, x[shown], P[shown]), strict=True):
             corners = ring.round(9).tolist()
             feature("Polygon", [corners], time_s=float(time_s[number]), share=ELLIPSE_SHARE)
-        last = segment, ellipse_s, ways[-1]
+        last = segment, ellipse_s, points[-1]
 
     yield write
     file.write("\n]}\n")
@@ -100,7 +100,7 @@ def _geojson(file: TextIO, origin: Origin, name: str) -> Iterator[Write]:
 
 @contextmanager
 def _gpx(file: TextIO, origin: Origin, name: str) -> Iterator[Write]:
-    """Write a GPX 1.1 track, in which each segment of the log is a segment (``trkseg``)."""
+    """Write a GPX 1.1 track; each segment of the log becomes an element ``trkseg``."""
     ascii_name = escape(name).encode("ascii", "xmlcharrefreplace").decode("ascii")
     file.write(f"{_GPX}<trk><name>{ascii_name}</name>")
     current = -1
@@ -127,7 +127,7 @@ def _iso(moment: float) -> str:
 
 @contextmanager
 def _nmea(file: TextIO, origin: Origin, name: str) -> Iterator[Write]:
-    """Write NMEA 0183: GGA (position) and GST (standard deviations, ellipse) of every epoch."""
+    """Write NMEA 0183: the sentences GGA (position) and GST (error statistics) of every epoch."""
 
     def write(block: TrackBlock) -> None:
         places = geodetic(origin, block.smooth_x[:, :3])
@@ -145,7 +145,7 @@ def nmea(origin: Origin, moment: float, place: Array, packed: Array) -> str:
         origin: place and bearing of the scene on the earth.
         moment: time, s; the sentences contain only its time of day.
         place: (3,) latitude and longitude (degrees) and height (m).
-        packed: (28,) or, with a clock, (36,) packed covariance of the state.
+        packed: (28,) packed covariance of the state, or (36,) with a clock offset.
     """
     hundredths = round(moment % 86400.0 * 100.0) % 8_640_000
     seconds, minutes = hundredths / 100.0 % 60.0, hundredths // 6000
@@ -195,7 +195,7 @@ MAP_FILES = {  # formats by the ending of the file's name
 
 @contextmanager
 def map_file(path: Path, scene: Scene, name: str) -> Iterator[Write]:
-    """Yield a function that writes the next block of a track; the finished file appears at the end.
+    """Yield a function that writes the next block of a track; the file appears once it is complete.
 
     Args:
         path: file to write; its ending is a key of :data:`MAP_FILES`.

@@ -49,7 +49,7 @@ def path_nis(x: Vector, P: Matrix, anchors: Matrix, paths: Array, sigma: Array) 
 
 
 def assign(nis: Array, gate: float) -> Index:
-    """Return the index of every anchor's path (L,), or ``NO_PATH`` if an anchor gets no path.
+    """Return the indices (L,) of the anchors' paths; ``NO_PATH`` for an anchor without a path.
 
     ``nis`` is (L, n); a path may belong to an anchor only if its NIS is below ``gate``.
     """
@@ -69,7 +69,7 @@ def disagreement(paths: Array, sigma: Array) -> Array:
     The NIS has 1 degree of freedom. The user's position is not needed, because the azimuths of
     arrival and departure measure the same bearing (paper, Sec. II-B).
     """
-    # The user is placed in the direction of arrival, so that this residual is 0 and can't wrap.
+    # With the user in the direction of arrival, the azimuth residual is 0 and can't wrap.
     user = [np.cos(paths[:, 1]), np.sin(paths[:, 1]), 1.0, *[0.0] * 4]
     group = link_group(user, [0.0] * 3, list(paths.T), list(np.square(sigma).T))
     return np.asarray(group.spare_nis)
@@ -97,7 +97,7 @@ class PathTrack(NamedTuple):
 
 
 class _Links(NamedTuple):
-    """The n paths of an epoch, each converted to a link of every one of the L anchors."""
+    """The n paths of an epoch, each converted to L links, one for each anchor."""
 
     # z, sigma: (L, n, 4) values of the links and their standard deviations, m and rad
     z: Array
@@ -138,7 +138,7 @@ class PathTracker:
 
         The result is None if there is no such track, or if a track that begins in a later epoch of
         the window explains even more paths. Without this second condition, a track might begin
-        during a blockage, from a reflection that it mistakes for the line of sight.
+        during a blockage, from a reflection that is mistaken for the line of sight.
         """
         horizon = window[0].time_s + GAP_S
         paths, *coming = (epoch for epoch in window if epoch.time_s <= horizon)
@@ -188,7 +188,7 @@ class PathTracker:
         anchors, fix = self._scene.anchors_m, (links.z[0, path], links.sigma[0, path])
         mean, covariance = prior_from_fix(anchors[0], *fix, self._radio, self._scene)
         distance = np.linalg.norm(mean[:3] - anchors, axis=1)
-        if distance.argmin() != 0:  # nearer to a mirror image than to the base station
+        if distance.argmin() != 0:  # a position behind a wall is nearest to a mirror image
             return None
         x, P = mean.tolist(), covariance.tolist()
         nis = path_nis(x, P, self._anchors, links.z, links.sigma)

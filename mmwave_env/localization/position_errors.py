@@ -1,8 +1,8 @@
-"""Statistics of position errors: percentiles, shares of epochs and protection levels.
+"""Statistics of position errors: percentiles, fractions of small errors and protection levels.
 
 The horizontal error is the length of the error in x and y; the vertical error is the absolute value
-of the error in z. A share is the fraction of the epochs in which the error is at most a certain
-distance; 3GPP TS 22.261, Table 7.3.2.2-1, states these distances for positioning services.
+of the error in z. An error is small if it is at most a certain distance; 3GPP TS 22.261, Table
+7.3.2.2-1, states these distances for positioning services.
 Covariances P are packed: they are lower triangles, row by row (:mod:`mmwave_env.numerics.linalg`).
 
 A protection level is a bound that an error exceeds with a stated probability, the risk, if the
@@ -11,7 +11,7 @@ exceeds with probability r. A track has integrity if its errors exceed their lev
 fraction r of epochs (Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation
 Systems, 2nd ed., 2013, ch. 17).
 
-Vertically, |e| has a normal distribution folded at zero, so the level is sigma_z Phi^-1(1 - r/2).
+Vertically, e has a normal distribution with mean 0, so the level is sigma_z Phi^-1(1 - r/2).
 Horizontally, let a >= b be the standard deviations along the axes of the error ellipse of x and y,
 and e = (a rho cos t, b rho sin t), where the density of rho and t is rho exp(-rho^2/2) / (2 pi).
 Then the level is the distance d with Pr(|e| > d) = r, where
@@ -80,9 +80,9 @@ def _multiples(risk: float) -> Array:
 def exceedance(error: Array, level: Array) -> dict[str, Any]:
     """Count how often errors (n,) exceed their levels (n,); "share" and "ci95" are None if n is 0.
 
-    If an error or its level is NaN, the level counts as exceeded. "ci95" is the interval of Clopper
-    and Pearson (1934) for the share. It assumes independent epochs. But epochs of a track are
-    correlated, so the share in another track may well lie outside the interval.
+    If an error or its level is NaN, the level counts as exceeded. "share" is the count divided by
+    n. "ci95" is the interval of Clopper and Pearson (1934) for the share. It assumes independent
+    epochs, but a track's epochs are correlated, so another track's share may well lie outside.
     """
     from scipy.stats import binomtest
 
@@ -97,7 +97,7 @@ def exceedance(error: Array, level: Array) -> dict[str, Any]:
     }
 
 
-SHARES = (0.50, 0.67, 0.80, 0.90, 0.95)  # percentiles, as shares of the epochs
+SHARES = (0.50, 0.67, 0.80, 0.90, 0.95)  # the percentiles to compute, divided by 100
 DISTANCES_M = (0.2, 1.0, 3.0, 10.0)
 
 

@@ -17,10 +17,10 @@ def nearest_radio(block: LogBlock, scene: Scene) -> str:
     """Return the name of the shipped profile whose standard deviations best match a log.
 
     The standard deviation of a measurement (such as the range) is the median of the values that the
-    receiver states. If it states none, it is estimated from second differences in time, in which
-    steady motion cancels. Each profile's standard deviations are then compared with the log's by
-    their ratios: the best profile has the smallest mean square of the logarithms of these ratios.
-    If no standard deviation can be computed, the result is "handset".
+    receiver states. If the receiver states none, the standard deviation is estimated from second
+    differences in time, in which steady motion cancels. Then the log's standard deviations are
+    divided by each profile's; the best profile has the smallest mean square of the logarithms of
+    these ratios. If no standard deviation can be computed, the result is "handset".
     """
     measured = np.array([_deviation(block, row) for row in range(len(LINK))])
     snr = block.snr_db[np.isfinite(block.snr_db)]
@@ -34,7 +34,7 @@ def nearest_radio(block: LogBlock, scene: Scene) -> str:
 
 
 def _deviation(block: LogBlock, row: int) -> float:
-    """Return the standard deviation (m or rad) of ``LINK[row]``; NaN if it has too few values."""
+    """Return the standard deviation (m or rad) of ``LINK[row]``; NaN if values are too few."""
     columns = slice(row, block.layout.doppler, len(LINK))
     own = block.sigma[:, columns]
     if np.isfinite(own).any():

@@ -2,7 +2,7 @@
 
 A filter can predict for some seconds without a link. After half a minute, its estimate is often far
 from the user, and the covariance is too small. So a segment ends after a long gap. The next segment
-begins with the next epoch that determines a position, the first fix of the segment.
+begins with the next epoch that determines a position; this position is the segment's first fix.
 
 A complete link of the base station gives this position directly. If the log lacks a column that a
 complete link needs, or if the user's clock has an offset, the position is computed from all links
@@ -214,8 +214,8 @@ def segments(blocks: Iterable[LogBlock], scene: Scene, radio: Radio) -> Iterator
         raise ValueError(
             f"log: found {skipped} epochs, none of which determines a position, expected one in "
             f"which anchor 1 has a range of at least {RANGE_LIMITS_M[0]:g} m, an SNR and all "
-            f"angles (elevation at most {np.degrees(STEEPEST_FIX_RAD):g} degrees); if the log "
-            "lacks these columns or the clock has an offset, one whose links have a unique solution"
+            f"angles (elevation at most {np.degrees(STEEPEST_FIX_RAD):g} degrees) or, if columns "
+            "are missing or the clock has an offset, in which all links determine one position"
         )
     yield held
 
@@ -235,10 +235,10 @@ def _first_fix(block: LogBlock, scene: Scene, radio: Radio) -> int:
 
 
 def _end(block: LogBlock, last_s: float, begins: bool) -> tuple[int, float | None]:
-    """Return how many epochs at the block's beginning are in the segment, and the last time.
+    """Return how many of the block's first epochs are in the segment, and the segment's last time.
 
-    This is the time of the last measurement; None if the segment ends within the block. ``begins``
-    tells whether the segment begins with the block.
+    The last time is the time of the last measurement, or None if the segment ends within the block.
+    ``begins`` tells whether the segment begins with the block.
     """
     measured = block.visible[:, : block.layout.anchors].any(axis=1)
     if block.layout.odometry:  # with odometry alone, a filter keeps the track for two minutes

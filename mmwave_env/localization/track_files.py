@@ -85,7 +85,7 @@ def track_files(
     corrected: bool = False,
     risk: float = RISK,
 ) -> Iterator[Write]:
-    """Yield a function that writes the next block of a track; finished files appear at the end.
+    """Yield a function that writes the next block of a track; files appear once they are complete.
 
     Args:
         track: file for the smoothed track; its ending determines the format. Values for which a

@@ -117,7 +117,7 @@ class Tracker:
         """Process the rows of an epoch; return the belief after it.
 
         Args:
-            rows: one mapping per anchor, from names of columns (docs/data.md) to values. If a
+            rows: mappings, one per anchor, whose keys are names of columns (docs/data.md). If a
                 value was not measured, it is None or its key is missing.
 
         Returns:

@@ -13,9 +13,9 @@ estimated by least squares. Errors are correlated over seconds, so the standard 
 by the jackknife, from estimates that each leave out one stretch of time (B. Efron, C. Stein, "The
 jackknife estimate of variance", 1981).
 
-The formula is only correct to first order: in some tenths of a second, a user moves by meters, and
-h is not linear over this distance. So the log is compared again with the track at times shifted by
-the estimate, until the remaining offset is far smaller than its standard error (Gauss-Newton).
+The formula is only correct to first order: a user moves by meters within a few tenths of a second,
+and h is not linear over this distance. So the log is compared again with the track at times shifted
+by the estimate, until the remaining offset is far smaller than its standard error (Gauss-Newton).
 """
 
 import math
@@ -39,7 +39,7 @@ _STEP_M = 1e-3  # step of the numerical derivatives dh/dp
 _ENOUGH = 20  # minimum number of epochs for a standard deviation
 _OUTLIER = 6.0  # standard deviations; larger errors are ignored
 _COMPARED = 4096  # maximum number of epochs, from the beginning of the log, that are compared
-_ROUNDS, _FARTHEST_S = 12, 10.0  # maximum number of comparisons; maximum credible offset
+_ROUNDS, _FARTHEST_S = 12, 10.0  # maximum number of comparisons, and largest credible offset
 _LEAST = 1e-6  # m, rad: minimum standard deviation, for logs without noise
 
 
@@ -67,7 +67,8 @@ class ClockOffset(NamedTuple):
         size, deviation = (1e3 * abs(value) for value in (self.seconds, self.deviation_s))
         return (
             f"found its clock {size:.0f} ± {deviation:.0f} ms {side} the log's, expected no offset"
-            f"; nothing was changed; if it is real, shift its times by {change}{size / 1e3:.3f} s"
+            f"; nothing was changed; if the offset is real, shift its times by "
+            f"{change}{size / 1e3:.3f} s"
         )
 
 
@@ -136,7 +137,7 @@ def _linear(log: LogBlock, scene: Scene, truth: TrueEpochs) -> tuple[ClockOffset
     while log.time_s[-1] - log.time_s[0] >= _STRETCHES * stretch_s:
         stretch_s *= 2.0
     ends_at = np.flatnonzero(np.diff((log.time_s - log.time_s[0]) // stretch_s)) + 1
-    # For each stretch and row: sums over the epochs of the products of any two of these terms: 1,
+    # For each stretch and row, sum the products of any two terms over the epochs. The terms are 1,
     # the error, and the derivatives of the error with respect to tau and s.
     sums = np.array([np.einsum("tri,trj->rij", part, part) for part in np.split(terms, ends_at)])
     sums = sums[sums[:, :, 0, 0].any(axis=1)]

@@ -14,7 +14,7 @@ _BLOCK_BYTES = 1 << 20
 
 
 class DamagedFileError(ValueError):
-    """Error for a file that is damaged from some row on; all rows before that are yielded first.
+    """Error for a file that is damaged from some row on; all earlier rows are yielded first.
 
     Rows are counted from 1; ``unit`` is the word for a row in the message.
     """
@@ -34,7 +34,7 @@ def line_blocks(path: Path) -> Iterator[tuple[list[str], float]]:
 
     Raises:
         OSError: the file can't be opened or read.
-        DamagedFileError: the gzip data are broken, or a line is longer than a block.
+        DamagedFileError: the gzip data are broken, or a line is longer than 1 MiB.
     """
     with open_regular(path) as raw, naming(path):
         total = max(os.fstat(raw.fileno()).st_size, 1)

@@ -1,6 +1,6 @@
 """Measurement logs that arrive row by row; every epoch is returned as soon as it is complete.
 
-Rows whose cells are well within their limits pass quick checks. Only other rows need the full
+A row whose cells are well within their limits passes quick checks. All other rows need the full
 checks of ``log_checks.py``, which are slower and also find out what is wrong.
 """
 
@@ -213,7 +213,7 @@ class LiveLog:
 
 
 def _limits(quantity: str, unit: Unit) -> tuple[float, float]:
-    """Return limits for cells that are surely sound, a little tighter than the quantity's own."""
+    """Return limits within which cells are surely sound, slightly tighter than the real limits."""
     limits = QUANTITIES[quantity].limits
     if not limits:
         return -1e300, 1e300

@@ -42,19 +42,19 @@ from mmwave_env.numerics.numbers import Array, Index, Mask
 class LogBlock(Block):
     """T consecutive epochs of a log; values in groups that are not visible are meaningless.
 
-    :func:`~mmwave_env.localization.segments.segments` sets the fields that describe segments.
+    A segment is a part of a log without a long gap, and is tracked separately. Its fields are set
+    by :func:`~mmwave_env.localization.segments.segments`.
     """
 
     layout: Layout  # a measurement's values, in order; groups are links, Doppler shift, odometry
     time_s: Array  # (T,) increasing, also across blocks
     measurement: Array  # (T, rows) m, rad, Hz, m/s; angles in [-pi, pi)
     sigma: Array  # (T, rows) the receiver's own standard deviations; NaN where it states none
-    # (T, groups) whether the group can be used. It can if all its values were measured; links and
-    # the Doppler shift also need an SNR. In a partial layout, whose groups may lack values, one
-    # value with known noise is enough
+    # (T, groups) whether the group can be used. All its values must be measured; links and the
+    # Doppler shift also need an SNR. In a partial layout, one value with known noise is enough
     visible: Mask
-    # (T, groups) whether the group is left out because only some of its values were measured. In a
-    # partial layout, whether a value of the group is left out because its noise is unknown
+    # (T, groups) whether the group is left out because a value or the SNR is missing. In a partial
+    # layout, whether a value of the group is left out because its noise is unknown
     incomplete: Mask
     doppler_anchor: Index  # (T,) index, from 0, of the anchor with the Doppler shift
     snr_db: Array  # (T, L); -inf (no signal) where no SNR was measured
@@ -65,7 +65,7 @@ class LogBlock(Block):
     share: float  # share of the file read so far, 0 to 1
     whole_columns: bool = True  # whether the log has a column for each value of a link
     segment: int = 0  # number, from 0, of the segment that contains all epochs of the block
-    begins: bool = False  # whether the segment begins here, with a prior from its first fix
+    begins: bool = False  # whether the segment begins here, with a prior from its first position
     skipped: int = 0  # number of epochs of the log before the first segment
     # number of epochs dropped between segments so far, including those just after this block
     dropped: int = 0

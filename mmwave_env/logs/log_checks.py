@@ -57,7 +57,7 @@ class _Check(NamedTuple):
 def first_damage(
     log: LogFile, table: Table, anchors: int | None, limits: bool
 ) -> tuple[int, LogError | None]:
-    """Return the first damaged row's index and error; if all are sound, the row count and None."""
+    """Return the first damaged row's index and error; if there is none, the row count and None."""
     n = len(table)
     first, error = (n - 1, table.damage) if table.damage else (n, None)
     if not n:
@@ -165,7 +165,7 @@ def _limit(table: Table, quantity: str, bound: Bound, unit: str) -> _Check:
     likely = f"if the value is in degrees, name the column {stem}_deg; " if ending == "rad" else ""
     azimuth = table.columns.get("aoa_azimuth") or table.columns.get(STATION)
     if quantity == "aoa_elevation" and azimuth and abs(values[np.argmax(wrong)]) <= 360.0:
-        likely += f"if the value is the azimuth, exchange the column with {azimuth.name}; "
+        likely += f"if the value is the azimuth, swap the names of this column and {azimuth.name}; "
     return _Check(
         quantity,
         wrong,
@@ -180,7 +180,7 @@ def _show(value: float) -> str:
 
 
 def _end_of_epochs(time: Array, damaged: int, anchors: int | None) -> int:
-    """Count the rows, before the damaged row, of epochs that are known to be complete."""
+    """Count the rows before the damaged row whose epochs are known to be complete."""
     if damaged == 0:
         return 0
     last = time[damaged - 1]

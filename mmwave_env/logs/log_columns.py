@@ -32,8 +32,8 @@ class Quantity(NamedTuple):
 
     columns: dict[str, Unit]  # names of the columns that may hold the quantity, with their units
     meaning: str  # the quantity in words, for messages
-    # limits of what a receiver can measure, and their unit (degrees for angles). A diagnosis
-    # ignores them, except a lower limit of 0
+    # limits of what a receiver can measure, and their unit (degrees for angles). They are not
+    # checked in ``localize --diagnose``, except a lower limit of 0
     limits: tuple[Bound, str] | None = None
     per_epoch: bool = False  # whether the quantity belongs to the epoch instead of an anchor
 
@@ -45,7 +45,7 @@ def _in(name: str, units: dict[str, Unit]) -> dict[str, Unit]:
 _TIME = {"_s": Unit(), "_ms": Unit(1.0, 1e3), "_us": Unit(1.0, 1e6), "_ns": Unit(1.0, 1e9)}
 _LENGTH = {"_m": Unit(), "_ft": Unit(0.3048)}  # international foot
 _ANGLE = {"_rad": Unit(), "_deg": Unit(np.pi, 180.0)}
-_SHIFT = {"_hz": Unit(), "_khz": Unit(1e3), "_mps": Unit()}  # columns_of multiplies _mps by f_c / c
+_SHIFT = {"_hz": Unit(), "_khz": Unit(1e3), "_mps": Unit()}  # columns_of converts m/s to Hz
 
 
 def _flight(name: str) -> dict[str, Unit]:
@@ -137,7 +137,7 @@ SIGMA_OF |= {STATION: "aoa_azimuth_sigma", BODY: "aod_azimuth_sigma"}
 ROW_QUANTITIES = (*LINK_QUANTITIES, "doppler")  # quantities that belong to an anchor
 HORIZONTAL = ("toa", "aoa_azimuth", STATION, "aod_azimuth", BODY)  # a log needs one or more of them
 _WHOLE = (*LINK_QUANTITIES, "snr")  # required unless links may lack values
-_OTHER_FRAMES = {  # angle -> the angle in another frame, and what is required if a log has it
+_OTHER_FRAMES = {  # angle: its quantity in another frame, and the quantity that is then required
     "aoa_azimuth": (STATION, STATION),
     "aod_azimuth": (BODY, "heading"),
 }

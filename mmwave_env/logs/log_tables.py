@@ -1,4 +1,4 @@
-"""Measurement logs as tables of numbers, the same for CSV and Parquet.
+"""Measurement logs as tables of numbers, read from CSV or Parquet.
 
 A table is a few thousand consecutive rows. This module checks only the names of the columns, the
 number of cells in a row, and that cells are numbers; ``log_checks.py`` checks the numbers.
@@ -34,7 +34,7 @@ class LogError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Base class of dataclasses of n rows or epochs: arrays (n, ...), and values common to all."""
+    """Base dataclass of n rows or epochs: arrays (n, ...), and values that are the same in all."""
 
     def arrays(self) -> dict[str, Array]:
         """Return the arrays by name."""
@@ -84,7 +84,7 @@ class Table(Block):
         return np.concatenate([[0], np.cumsum(np.diff(self.raw("time")) != 0.0)])
 
     def first(self, values: Array) -> Array:
-        """Return (epochs,): the first of each epoch's ``values`` (n,) that is not NaN, else NaN."""
+        """Return (epochs,) the first number in each epoch's ``values`` (n,); NaN if all are NaN."""
         first = np.full(self.epoch[-1] + 1, np.nan)
         some = np.flatnonzero(~np.isnan(values))[::-1]
         first[self.epoch[some]] = values[some]  # backwards, so that the first row's value remains

@@ -49,13 +49,13 @@ class Channel(NamedTuple):
     # detection_snr_db, detection_slope_db: parameters of the logistic probability of detection
     detection_snr_db: Number
     detection_slope_db: Number
-    # floor_variance, bound_variance: (rows,) variances: noise floors, Cramer-Rao bounds at 0 dB SNR
+    # floor_variance, bound_variance: (rows,) from :meth:`~mmwave_env.models.radio.Radio.variances`
     floor_variance: list[Number]
     bound_variance: list[Number]
     spread_gain_hz: Number  # Doppler spread per m/s of speed
     spread_sigma: Number  # standard deviation of the logarithm of a random factor on this spread
-    spread_floor_hz: Number  # standard deviation of a noise; its absolute value adds to the spread
-    odometry_slowest_mps: Number  # below this speed odometry is missing
+    spread_floor_hz: Number  # |N(0, 1)| times this number is added to the spread
+    odometry_slowest_mps: Number  # speed below which odometry is missing
 
 
 def channel_of(radio: Radio, scene: Scene, layout: Layout, dt: float) -> Channel:

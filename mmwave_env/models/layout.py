@@ -168,10 +168,7 @@ def sigma_name(name: str) -> str:
 
 
 def wrap_angles(measurement: NDArray[np.float64], layout: Layout) -> None:
-    """Move the angles of measurements (T, rows) into [-pi, pi), in place.
-
-    Angles within the interval keep their exact value.
-    """
+    """Move the angles of measurements (T, rows) into [-pi, pi), in place."""
     rows = layout.angles
     measurement[:, rows] = wrapped(measurement[:, rows])
 
@@ -217,10 +214,10 @@ def without_noise(
 
     Args:
         measurement, heard, layout: same as for :func:`whole_groups`.
-        sigma: (T, rows) stated standard deviations, NaN where none is stated.
+        sigma: (T, rows) the receiver's own standard deviations, NaN where it states none.
         doppler_anchor: (T,) index, from 0, of the anchor whose Doppler shift was measured.
     """
-    known = np.ones(measurement.shape, np.bool_)  # stays True for odometry
+    known = np.ones(measurement.shape, np.bool_)  # stays True for odometry, which needs no SNR
     known[:, : layout.doppler] = np.repeat(heard, 4, axis=1)
     known[:, layout.doppler] = heard[np.arange(len(heard)), doppler_anchor]
     return np.isfinite(measurement) & ~known & ~np.isfinite(sigma)

@@ -1,9 +1,9 @@
 """The geometry of an epoch's measurement, for one group of rows at a time (paper, Sec. II-B).
 
-Inside the package the time of arrival is given as the range c tau in meters, angles are in radians
-and the Doppler shift is in hertz:
+Inside the package the time of arrival is given as the range c tau in meters, and angles are in
+radians. With position p, velocity v, first anchor p1 and oscillator bias b, the Doppler shift is
 
-    d = (f_c / c) v . (p - p1) / |p - p1| + b
+    (f_c / c) v . (p - p1) / |p - p1| + b  (Hz)
 
 The paper prints the first term in m/s and adds b in hertz. Here, the factor f_c / c scales the term
 to hertz; its sign is the paper's (positive while the range grows). :mod:`mmwave_env.models.layout`
@@ -81,7 +81,7 @@ class Group(NamedTuple):
         change: function that returns the exact h(x + step) - h(x) for a step of the state (7,).
         curved: number of leading columns of the covariance's factor along which h is nonlinear
             (:func:`~mmwave_env.filters.linearization.factor_of`).
-        spare_nis, spare_determinant: NIS and variance of a row, if :func:`link_group` drops one.
+        spare_nis, spare_determinant: NIS and variance of the row that :func:`link_group` may drop.
     """
 
     innovation: Vector

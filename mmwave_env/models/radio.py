@@ -103,8 +103,8 @@ class Radio:
         drift_mps: standard deviation of the oscillator bias's random walk, (m/s) / sqrt(s).
         odometry_speed_mps, odometry_heading_rad: standard deviations of the odometry's noise.
         odometry_slowest_mps: speed below which there is no odometry, as the heading is undefined.
-        base: shipped profile whose modes, banks and policies this radio uses, as only shipped
-            profiles have modes, banks and policies of their own.
+        base: shipped profile whose filter modes, banks of modes and policies this radio uses; only
+            shipped profiles have their own.
     """
 
     name: Name
@@ -176,7 +176,7 @@ class Radio:
         """Return variances of every row: noise floors, and Cramer-Rao bounds at an SNR of 0 dB."""
         range_bound = SPEED_OF_LIGHT / (2.0 * math.pi * scene.bandwidth_hz / math.sqrt(12.0))
         elements = self.ue_elements, self.gnb_elements
-        # The bound of a single element, which cannot measure angles, is infinite; count it as two.
+        # One element cannot measure angles: its bound is infinite. Use the bound of two elements.
         arrival, departure = (6.0 / ((max(n, 2) ** 2 - 1.0) * math.pi**2) for n in elements)
         angles = (self.aoa_floor_rad, self.elevation_floor_rad, self.aod_floor_rad)
         floor, bound = [], []
@@ -231,7 +231,7 @@ RADIOS: dict[str, Radio] = {
         prior_position_m=2.0,
     ),
 }
-# Radios with modes tuned for them; the benchmark and the paper's tables have results for each.
+# Radios for which filter modes were tuned; the benchmark and the paper's tables cover all three.
 TUNED_RADIOS = ("handset", "standard", "high")
 
 

@@ -24,7 +24,7 @@ class RandomRadio:
     """A distribution of radios: a profile with random changes of noise, rates and link budget.
 
     Attributes:
-        profile: profile to change; filters use its modes.
+        profile: profile to change; filters use the modes tuned for it.
         factor: largest factor that a field is multiplied by; the smallest is 1 / factor. Factors
             are log-uniformly distributed between these two.
         budget_db: largest change of the link budget, in either direction.

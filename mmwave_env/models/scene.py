@@ -183,7 +183,7 @@ class Scene:
         return bool(self.walls) or self.streets != Streets()
 
     def require_streets_in_front(self) -> None:
-        """Raise ValueError if streets are behind a wall, where it reflects no signals."""
+        """Raise ValueError if streets are behind a wall, where the wall reflects no signals."""
         corners = [(x, y, 0.0) for x in self.streets.x_m for y in self.streets.y_m]
         default = " (the default; give the real ones)" if self.streets == Streets() else ""
         for _, wall in self.behind_walls(np.array(corners)):
@@ -194,7 +194,7 @@ class Scene:
             )
 
     def behind_walls(self, points_m: Array) -> Iterator[tuple[int, Wall]]:
-        """Yield (i, wall) for walls with points (n, 3) in or behind them; i is the first point."""
+        """Yield (i, wall) for walls with points (n, 3) in or behind them; point i is the first."""
         for wall in self.walls:
             side = wall.signed_distance(self.base_station_m)
             behind = wall.signed_distance(points_m.T) * side <= 0.0
@@ -217,7 +217,7 @@ class Scene:
 SCENES: dict[str, Scene] = {
     # Design of this project: gNB beside a crossing, a facade to the north and one to the east.
     "street": Scene("street", (10.0, 10.0, 10.0), (Wall((0, 1), 25.0), Wall((1, 0), 185.0))),
-    # After DeepMIMO O1 (28 GHz): main street 600 x 40 m, facades 52 m apart, base station BS3.
+    # From DeepMIMO O1 (28 GHz): main street 600 x 40 m, facades 52 m apart, base station BS3.
     # The building that closes the street to the north is this project's assumption.
     "o1": Scene(
         "o1",
@@ -225,7 +225,7 @@ SCENES: dict[str, Scene] = {
         (Wall((1, 0), 286.504), Wall((0, 1), 845.0)),
         Streets((260.5, 260.5), (240.0, 840.0), block_m=120.0, height_m=2.0),
     ),
-    # After DeepMIMO Dynamic Doppler (28 GHz): main street 430 x 15 m, first base station; users
+    # From DeepMIMO Dynamic Doppler (28 GHz): main street 430 x 15 m, first base station. Users
     # stay on the main street. The two walls are this project's assumption.
     "dynamic-doppler": Scene(
         "dynamic-doppler",
@@ -234,12 +234,12 @@ SCENES: dict[str, Scene] = {
         Streets((-215.0, 215.0), (0.0, 0.0), block_m=107.5),
     ),
 }
-# Scenes in which the shipped banks and policies were trained.
+# Scenes for which the shipped filter banks were tuned and the shipped policies trained.
 TRAINED_SCENES = ("street", "o1", "dynamic-doppler")
 
 
 def scene_of_anchors(name: str, anchors_m: Array, carrier_hz: float, bandwidth_hz: float) -> Scene:
-    """Return a scene with anchors (L, 3), the physical gNB first, but without walls and streets."""
+    """Return a scene of anchors (L, 3), the physical gNB first, with default streets, no walls."""
     gnb, *virtual = [(float(x), float(y), float(z)) for x, y, z in anchors_m]
     return Scene(name, gnb, (), Streets(), carrier_hz, bandwidth_hz, tuple(virtual))
 
@@ -289,7 +289,7 @@ def scene_json(scene: Scene) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class AnchorScene:
-    """The content of a scene file that lists its anchors.
+    """The content of a scene file that lists anchors instead of walls.
 
     Attributes:
         name: name to show in results.

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.rendering.theme import SMALLEST, Color
 
-os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # else pygame prints a greeting
+os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # otherwise pygame prints a greeting
 import pygame
 
 Point = tuple[float, float]
@@ -77,7 +77,7 @@ class Canvas:
     def words(
         self, text: str, at: Point, color: Color, size: float = 15.0, align: float = 0.0
     ) -> Rect:
-        """Write one line of text, centered vertically at a point; return the part that it covers.
+        """Write one line of text, centered vertically at a point; return the part it covers.
 
         Text from users must have passed :func:`~mmwave_env.io.lookup.printable`. ``align`` is the
         fraction of the text's width that is left of the point.
@@ -129,7 +129,7 @@ def _font(size: int) -> Any:
 
 
 def ellipse(center: Array, P: Array, deviations: float) -> Array:
-    """Return the outline (n, 2) of a covariance (2, 2) at this number of standard deviations."""
+    """Return an ellipse (n, 2) that is ``deviations`` standard deviations of P from ``center``."""
     angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
     variances, axes = np.linalg.eigh(P)
     lengths = np.sqrt(np.maximum(variances, 0.0))

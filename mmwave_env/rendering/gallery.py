@@ -1,4 +1,4 @@
-"""Pictures of the first few of many environments, for Gymnasium's vector wrappers."""
+"""Pictures of the first environments of a vector environment, for Gymnasium's vector wrappers."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -46,8 +46,8 @@ class Gallery:
     ) -> None:
         """Begin new recordings of some environments, whose workspaces contain the prior.
 
-        ``names`` (n,) are the names of the episodes. Given the index of an environment, ``streets``
-        returns the streets of its episode, and ``workspace`` the array (size,) of all its values.
+        ``names`` (n,) are the names of the episodes. Functions of an environment's index return the
+        ``streets`` of its episode and its ``workspace``, an array (size,) of all its values.
         """
         for index in indices[indices < len(self.recorders)].tolist():
             self.recorders[index].begin(names[index], streets(index), workspace(index))

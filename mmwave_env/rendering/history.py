@@ -10,8 +10,8 @@ import numpy as np
 from mmwave_env.models.scene import Streets
 from mmwave_env.numerics.numbers import Array, Index, Mask
 
-NO_MODE = -1  # replaces the mode's number for the prior, which no mode computed
-POSITION_NUMBERS = 6  # number of entries for the position, with which a packed covariance begins
+NO_MODE = -1  # mode number of the prior, which no mode computed
+POSITION_NUMBERS = 6  # number of entries for the position at the beginning of a packed covariance
 
 
 class Scenery(NamedTuple):
@@ -31,11 +31,11 @@ class History:
     time_s: Array  # (k + 1,) time since the first epoch
     modes: Index  # (k + 1,) number of the mode that ran; ``NO_MODE`` in the first row
     truth: Array  # (k + 1, 6) position (m), velocity (m/s)
-    estimate: Array  # (k + 1, 7) position (m), velocity (m/s), bias (Hz); 8 with range bias (m)
+    estimate: Array  # (k + 1, 7 or 8) position (m), velocity (m/s), bias (Hz), maybe range bias (m)
     P: Array  # (k + 1, 6) covariance of the position (m^2), packed: xx, xy, yy, xz, yz, zz
     nees: Array  # (k + 1,) NEES; NaN in the first row
-    # accepted, rejected: (k + 1, groups) decisions of the gate about the links, then the Doppler
-    # shift, then odometry, if any; both are False for a missing group
+    # accepted, rejected: (k + 1, groups) decisions of the gate about the links, the Doppler shift
+    # and, if it is measured, odometry; both are False for a missing group
     accepted: Mask
     rejected: Mask
 

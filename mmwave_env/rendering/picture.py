@@ -1,6 +1,6 @@
-"""Picture of an episode from above, with the state of the filter; needs pygame.
+"""Picture of an episode: a map above strips (diagrams over time) and a legend; needs pygame.
 
-Strips (diagrams over time) show speed, error and NEES; a ribbon shows the mode of each epoch.
+The strips show speed, error and NEES; a ribbon below them shows the mode of each epoch.
 """
 
 import math
@@ -30,8 +30,8 @@ def legend_rows(modes: int) -> int:
 class Picture:
     """Painter of the epochs of an episode.
 
-    The picture is ``size`` px high and wide, and has a ``title`` unless that is empty. Its legend
-    shows ``modes``, the names of the actions, in at least ``rows`` rows.
+    The picture is ``size`` px high and wide, with a ``title``, which may be empty. Its legend shows
+    ``modes``, the names of the actions, and has room for at least ``rows`` rows.
     """
 
     def __init__(
@@ -176,10 +176,10 @@ class Strip:
     """A diagram of a quantity over n epochs."""
 
     title: str  # quantity and unit
-    curve: Array  # (n,) values of the estimate, drawn in the colors of the modes
+    curve: Array  # (n,) values computed from the estimate, drawn in the colors of the modes
     values: tuple[float, float]  # values at the lower and upper edge of the strip
     truth: Array | None = None  # (n,) true values, if known
-    band: tuple[float, float, str] | None = None  # expected values: lower and upper edge, label
+    band: tuple[float, float, str] | None = None  # interval of expected values, and its label
     # values that label a logarithmic scale; if there are none, the scale is linear
     ticks: tuple[float, ...] = ()
 
@@ -222,7 +222,7 @@ def _speed(history: History, rows: slice) -> Strip:
     states = history.truth[rows], history.estimate[rows]
     with np.errstate(over="ignore"):  # the speed of a lost track may be arbitrarily large
         true, estimated = (np.linalg.norm(state[:, 3:6], axis=1) for state in states)
-    most = 2.0 * float(true.max(initial=1.0))  # a larger estimate is drawn at the edge
+    most = 2.0 * float(true.max(initial=1.0))  # a larger estimate is drawn at the upper edge
     top = _top(np.maximum(true, np.fmin(estimated, most)))
     return Strip("speed, m/s", estimated, (0.0, top), true)
 
@@ -248,7 +248,7 @@ def _top(values: Array) -> float:
 def _draw_strip(
     canvas: Canvas, plot: Rect, strip: Strip, x: Array, modes: Index, theme: Theme
 ) -> None:
-    """Draw frame, ticks, band and lines of a strip, and the legend of the lines to its left."""
+    """Draw background, ticks, band and lines of a strip, and a legend to the left of the strip."""
 
     def y(values: Array | float) -> Array:
         return plot.bottom - strip.heights(values) * plot.height

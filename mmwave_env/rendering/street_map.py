@@ -18,7 +18,7 @@ from mmwave_env.rendering.theme import Color, Theme
 _MEMORY_S, _LAG_S = 20.0, 4.0  # length of moving averages, and time constant of their weights
 _AHEAD_S = 4.0  # minimum time in which the user would travel from the center to the upper edge
 _LEAST_M = 25.0  # minimum distance from the center to the upper edge
-_INNER = 0.5  # central share of the picture's height and width; user and estimate stay in it
+_INNER = 0.5  # user and estimate stay within this central fraction of the map's height and width
 _STREET_M = 14.0  # width of streets in the picture, if blocks leave enough room
 _FACADE_M = 4.0  # depth of a wall in the picture
 _SAME_HEIGHT_M = 0.1  # tolerance: mirror images in vertical walls are as high as the base station
@@ -148,7 +148,7 @@ def _draw_walls(canvas: Canvas, view: View, anchors_m: Array, theme: Theme) -> N
 
 
 def _draw_links(canvas: Canvas, view: View, history: History, theme: Theme) -> None:
-    """Draw a line from the user to every anchor: accepted, rejected or missing."""
+    """Draw lines from the user to all anchors, styled by link: accepted, rejected or missing."""
     if history.epochs == 0:
         return
     user = _point(view, history.truth[-1])
@@ -167,7 +167,7 @@ def _draw_links(canvas: Canvas, view: View, history: History, theme: Theme) -> N
 def _draw_tracks(canvas: Canvas, view: View, history: History, theme: Theme) -> None:
     """Draw the trajectories and current positions of user and estimate, and the 2σ ellipse."""
     rows = slice(-_TRAIL, None)
-    truth, track = (view.pixels(way[rows]) for way in (history.truth, history.estimate))
+    truth, track = (view.pixels(states[rows]) for states in (history.truth, history.estimate))
     color = theme.quiet if history.epochs == 0 else theme.mode(int(history.modes[-1]))
     if np.isfinite(history.P[-1, :3]).all():
         xx, xy, yy = history.P[-1, :3]

@@ -1,8 +1,8 @@
 """Light and dark colors for videos; figures and reports use the same colors for modes.
 
-The colors of modes are those of Okabe and Ito (2008), which color-blind readers can distinguish.
-Consecutive colors differ clearly. Some are lighter or darker than the original colors, to contrast
-with the background.
+The colors of modes are based on the palette of Okabe and Ito (2008), which color-blind readers can
+distinguish. Some are lighter or darker than in the palette, to contrast with the background.
+Consecutive colors differ clearly.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from mmwave_env.io.lookup import choose, require_extra
 
 Color = tuple[int, ...]  # red, green and blue, 0 to 255
 
-# Name, light color, dark color. "quiet" is for explanations, "none" for the action "none".
+# Name, light color, dark color. "quiet" colors explanations; "none" colors the action "none".
 _COLORS = """\
     paper     ffffff 111318
     ink       222226 eeeeeb
@@ -42,7 +42,7 @@ _COLORS = """\
 
 
 class Theme(NamedTuple):
-    """The colors of everything that is drawn, in the order of the table."""
+    """The colors of everything that is drawn, in the order of ``_COLORS``."""
 
     paper: Color
     ink: Color
@@ -81,7 +81,7 @@ def hex_of(color: Color) -> str:
 
 
 def _theme(column: int) -> Theme:
-    """Return the theme in a column of the table: 1 for light, 2 for dark."""
+    """Return the theme in a column of ``_COLORS``: 1 for light, 2 for dark."""
     colors = [tuple(bytes.fromhex(line.split()[column])) for line in _COLORS.splitlines()]
     plain = len(Theme._fields) - 1
     return Theme._make([*colors[:plain], tuple(colors[plain:])])
@@ -89,7 +89,7 @@ def _theme(column: int) -> Theme:
 
 THEMES = {"light": _theme(1), "dark": _theme(2)}
 SMALLEST, LARGEST = 480, 1080  # limits of the height and width of a picture, px
-FRAMES_PER_SECOND = 10  # default speed of videos and windows
+FRAMES_PER_SECOND = 10  # default number of pictures per second in videos and windows
 
 
 def require_drawable(size: int, theme: str, purpose: str) -> None:

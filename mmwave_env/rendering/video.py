@@ -39,8 +39,8 @@ def write_video(
 ) -> None:
     """Write a complete video; if that fails, an older file at ``path`` remains unchanged.
 
-    ``draw`` returns the picture (height, width, 3) for one of the ``numbers``, and ``report``
-    receives the fraction of pictures drawn so far. Check the path with :func:`require_video` first.
+    The video shows the picture (height, width, 3) that ``draw`` returns for each of the
+    ``numbers``. ``report`` receives the fraction of pictures drawn. First call ``require_video``.
     """
 
     def pictures() -> Iterator[NDArray[np.uint8]]:

@@ -202,7 +202,7 @@ class Episode:
             raise ValueError(f"{self._record}: found no truth, which reward and metrics need")
 
     def on_flat_ground(self, height_m: float | None = None) -> "Episode":
-        """Return the episode with prior vz = 0 and this prior height (None: the true height)."""
+        """Return the episode with prior vz = 0 and prior height (by default the true height)."""
         if height_m is None:
             self.require_truth()
             height_m = self.truth_position_m[0, 2]  # type: ignore[index]

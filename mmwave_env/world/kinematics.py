@@ -30,7 +30,7 @@ class Traveler(NamedTuple):
     """The state of a traveler.
 
     The way ahead is a straight stretch, then an arc over the next crossing (no arc if the traveler
-    goes straight on). The second crossing is the one after that; travelers may brake for it early.
+    goes straight on). The second crossing comes after that; travelers may brake for it early.
     """
 
     due: Number  # 1 if an event is due now: a new target speed, crossing or phase
@@ -117,7 +117,7 @@ def wanted_acceleration(t: Traveler, net: Net) -> Number:
     aim = minimum(cornering + t.braking * maximum(corner, 0.0), t.braking * light)
     aim = sqrt(minimum(t.target * t.target, aim))
     pull = clip((aim - t.v) * 2.0, -t.braking, t.acceleration)
-    built_up = 0.6 / t.jerk * (maximum(t.a, 0.0) + t.braking) * t.v  # m, until it brakes fully
+    built_up = 0.6 / t.jerk * (maximum(t.a, 0.0) + t.braking) * t.v  # m, until braking is full
     need = maximum(
         where(corner > 0.0, squared - cornering, 0.0) / (2.0 * maximum(corner - built_up, 0.5)),
         where(light > 0.0, squared, 0.0) / (2.0 * maximum(light - built_up, 0.5)),

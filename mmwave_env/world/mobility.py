@@ -109,7 +109,7 @@ class Mobility:
         name: name of the kind of user, which is also the name of its episodes.
         phases: phases in order of time. All but the last need a ``duration_s``; the last must not
             have one, unless ``ends_as_it_began``.
-        blocks: distance between the scene's crossings / distance between this user's crossings.
+        blocks: crossings are this many times closer together for this user than in the scene.
         ends_as_it_began: whether the first phase is repeated at the end of the episode.
     """
 

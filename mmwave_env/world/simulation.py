@@ -293,11 +293,11 @@ class FirstDraws(NamedTuple):
 
     receiver: ReceiverState
     user: UserState  # not used if a way is given
-    choice: Number  # index of the kind of user; for a given way: uniform in [0, 1)
+    choice: Number  # index of the kind of user; if ways are given, a number in [0, 1)
     # (7,) true state at the first epoch, followed by the range bias (m) if the clock has an offset;
     # if ways are given, the position and velocity in it are meaningless
     first: list[Number]
-    # (7,) error of the prior's mean; with a clock offset, then the negative range bias
+    # (7,) error of the prior's mean; with a clock offset, (8,): the last is the negative range bias
     prior_noise: list[Number]
 
 

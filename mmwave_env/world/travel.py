@@ -64,7 +64,7 @@ class PhasePlan(NamedTuple):
 class TravelPlan(NamedTuple):
     """A kind of user, described by numbers only."""
 
-    closer: Number  # scene's distance between crossings / user's distance between crossings
+    closer: Number  # crossings are this many times closer together than in the scene
     phases: list[PhasePlan]
 
 
@@ -164,7 +164,7 @@ def _enter(t: Traveler, number: Number, phase: Phase) -> Traveler:
 def _change_over(t: Traveler, following: Phase) -> Traveler:
     """Make a traveler stop when its phase is over; begin the next phase once it stands still."""
     left, wider = t.stretch - t.traveled, following.radius - t.radius
-    # If there is no room left for the wider corner of the next phase, pass the corner first.
+    # If there is no room left for the wider corner of the next phase, first pass this corner.
     room = (abs(t.turn) < 0.5) | (left > wider + 4.0)
     over = (t.time >= t.phase_end) & (t.stopping < 0.5) & room
     t = t._replace(

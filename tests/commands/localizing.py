@@ -17,7 +17,7 @@ def options(log, *more, folder=WALK):
 
 
 def figures(folder, *more, log=None, truth=True):
-    """Run the command on a folder's log, or on ``log``; return the content of its JSON file.
+    """Run the command on ``log`` or on the folder's log; return the content of its JSON file.
 
     ``truth`` says whether the track is compared with the folder's true track.
     """
@@ -30,7 +30,7 @@ def figures(folder, *more, log=None, truth=True):
 
 
 def refused(arguments, cwd=ROOT):
-    """Check that the command refuses the arguments; return what it printed, and its error."""
+    """Check that the command refuses the arguments; return its output and its error line."""
     done = command("localize", *arguments, cwd=cwd)
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()

@@ -114,7 +114,7 @@ def test_results_match_their_schema(results):
     validate(alone, SCHEMA)
 
 
-def test_the_option_percentiles_adds_percentiles_to_the_tables_and_the_file(results):
+def test_the_option_percentiles_adds_percentiles_to_the_printed_tables_and_to_json(results):
     assert "position_errors" not in results[0]
     shown, content = with_json("compare", *TWO, "--percentiles")
     pytest.importorskip("jsonschema").validate(content, SCHEMA)
@@ -133,7 +133,7 @@ def test_the_option_percentiles_adds_percentiles_to_the_tables_and_the_file(resu
     assert "at a risk of 0.001" in shown
 
 
-def test_the_table_of_episodes_has_a_row_with_a_key_for_every_policy_and_seed(results):
+def test_the_csv_of_episodes_has_a_row_with_an_episode_key_for_every_policy_and_seed(results):
     content, rows = results
     assert list(rows[0]) == ["policy", "seed", "key", *METRICS, *TERMS]
     env = gymnasium.make("MmWaveLoc-v0", episode_steps=15)
@@ -147,7 +147,7 @@ def test_the_table_of_episodes_has_a_row_with_a_key_for_every_policy_and_seed(re
             assert np.mean(values) == pytest.approx(interval["mean"])
 
 
-def test_recorded_episodes_have_seeds_but_no_keys(tmp_path):
+def test_recorded_episodes_have_seeds_but_no_episode_keys(tmp_path):
     where = ("--data", "canyon28_vehicle", "--episode-steps", 15, "--episodes", 2)
     words = ("evaluate", "--policy", "fixed-ukf", *where, "--episodes-csv", tmp_path / "r.csv")
     _, content = with_json(*words)

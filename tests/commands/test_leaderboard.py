@@ -41,7 +41,7 @@ def test_entries_are_ranked_and_a_page_is_updated(entries, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_option_keep_skips_policies_that_have_a_file(entries, tmp_path, monkeypatch):
+def test_the_option_keep_skips_policies_that_already_have_a_file(entries, tmp_path, monkeypatch):
     shutil.copy(entries / "imm-best.json", tmp_path)
     judged = set()
 

@@ -72,7 +72,7 @@ def mapped(tmp_path):
 MAPPED = ("localize", "my_ride.csv.gz", "--scene", "scene.json", "--speed", "9", "--out")
 
 
-def test_one_run_writes_several_files_and_names_tracks_in_map_files_after_the_log(mapped):
+def test_tracks_in_map_files_are_named_after_the_log_and_one_run_writes_several_files(mapped):
     shown = succeed(*MAPPED, "t.gpx", "t.geojson", "new/t.tum", cwd=mapped)
     (track,) = gpxpy.parse((mapped / "t.gpx").read_text()).tracks
     line = json_in(mapped / "t.geojson")["features"][0]
@@ -116,7 +116,7 @@ def test_a_fifo_is_refused_before_it_is_read(tmp_path, option):
 
 
 @pytest.mark.parametrize("name", ["e\x1b]0;owned\x07", "x" * 81, 7])
-def test_an_invalid_name_is_refused_with_its_file_and_key(tmp_path, name):
+def test_the_error_about_an_invalid_scene_name_contains_the_file_and_the_key(tmp_path, name):
     path = tmp_path / "scene.json"
     path.write_text(json.dumps({"name": name, "base_station_m": [0.0, 0.0, 10.0]}))
     done = command("localize", RIDE / "log.csv", "--scene", path, "--speed", "9")
@@ -134,7 +134,7 @@ def with_line(number, change):
 
 
 def cell(line, column, word):
-    """Return a line of CSV with another word in a column; columns are counted from 0."""
+    """Return a line of CSV with ``word`` in the given column; columns are counted from 0."""
     cells = line.split(",")
     cells[column] = word
     return ",".join(cells)
@@ -144,7 +144,7 @@ def cell(line, column, word):
 OLD = f"# {' '.join(COLUMNS)}; mmwave-loc localize\n"
 
 
-def test_files_that_cannot_be_written_are_named(tmp_path):
+def test_the_error_names_a_file_that_cannot_be_written(tmp_path):
     blocked = tmp_path / "file"
     blocked.write_text("")
     for option, name in (("--out", "t.tum"), ("--plot", "t.png"), ("--json", "t.json")):
@@ -172,7 +172,7 @@ def test_results_and_errors_are_reported_if_standard_output_is_closed(
 
 # --- damage
 
-# name -> log, expected message, number of complete epochs. Line 602 is the first of epoch 201.
+# name -> log, expected message, number of complete epochs. Epoch 201 begins in line 602.
 DAMAGED = {
     "not a number": (with_line(602, lambda l: cell(l, 2, "far")), "line 602, column 'toa_s'", 200),
     "last row cut": (with_line(1199, lambda l: l[:20]), "line 1199: found", 399),
@@ -243,7 +243,7 @@ def test_all_unknown_columns_are_named_with_the_nearest_known_ones(tmp_path, hea
     assert not [part for part in parts if part not in line], line
 
 
-def test_a_truth_without_any_time_of_the_log_is_refused_with_both_time_spans(tmp_path):
+def test_the_error_about_a_truth_without_times_of_the_log_shows_both_time_spans(tmp_path):
     truth, out = tmp_path / "truth.tum", tmp_path / "track.tum"
     truth.write_text(tum_lines(np.array([1000.0, 1002.5]), np.zeros((2, 3))))
     more = ("--speed", "1", "--truth", truth, "--out", out)

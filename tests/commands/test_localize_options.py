@@ -43,7 +43,7 @@ def as_json(lines, whole):
     return "\n".join(map(json.dumps, objects)).encode()
 
 
-def test_live_output_has_a_line_per_epoch_and_ends_at_the_last_position_of_a_track_file(tmp_path):
+def test_live_output_has_a_line_per_epoch_and_ends_like_a_track_file(tmp_path):
     content = (WALK / "log.csv").read_bytes()
     positions, errors, code = live(content, "--speed", "1")
     # The only line of standard error explains the choice of modes.
@@ -64,7 +64,7 @@ def test_json_lines_give_the_same_positions_as_csv(whole):
     assert late[:3] == [None] * 3 and late[3]["time_s"] == csv_lines[0]["time_s"]
 
 
-def test_damaged_and_late_rows_are_named_and_left_out():
+def test_damaged_and_late_rows_are_reported_and_left_out():
     content = first_rows(30) + b"\x00\xff noise\n" + b"0.0,1,1e-7,0,0,0,0,20,0\n" + b"x" * 70_000
     tail = "\n".join(lines_of()[31:61]).encode()
     positions, errors, code = live(content + b"\n" + tail, "--speed", "1")
@@ -103,7 +103,7 @@ def hidden(tmp_path_factory):
     return log
 
 
-def test_the_command_reports_how_many_paths_were_associated(hidden):
+def test_the_command_reports_how_many_paths_were_associated_with_each_anchor(hidden):
     more = ("--radio", "standard", "--speed", "auto", "--associate")
     shown, figures = with_json("localize", *options(hidden, *more, folder=RIDE))
     association = figures["association"]

@@ -92,7 +92,7 @@ MISTAKES = {  # name -> words typed, expected message
     "unknown choice": (("train", "--algo", "pp"), "pp.*--algo.*ppo.*rollouts"),
     "an option without its value": (("evaluate", "--json"), "--json"),
     "a required option missing": (("simulate",), "--out PATH"),
-    "an uncalibrated risk": (("compare", "--risk", "0.05"), "risk: found 0.05, expected 0.01 or"),
+    "an unsupported risk": (("compare", "--risk", "0.05"), "risk: found 0.05, expected 0.01 or"),
 }
 
 
@@ -129,7 +129,7 @@ def test_an_interrupt_at_startup_ends_the_program_with_one_line(module):
 
 
 def test_defaults_of_options_equal_the_constants_of_the_library():
-    """Compare constants with their copies in options; thanks to copies, --help imports little."""
+    """Compare constants with their copies in options, which --help shows without slow imports."""
     from experiments.evaluation import protocol
     from mmwave_env.filters.smoother import SMOOTHING_WINDOW
     from mmwave_env.interface.reward import TrackingReward
@@ -160,7 +160,7 @@ def test_a_terminal_that_reports_zero_columns_gets_the_output():
     os.close(ours)
 
 
-def test_a_deleted_working_folder_is_named(tmp_path):
+def test_the_error_names_a_deleted_working_folder(tmp_path):
     code = (
         f"import os; os.chdir({str(tmp_path)!r}); os.rmdir({str(tmp_path)!r})\n"
         "import sys; sys.argv = ['mmwave-loc', 'localize', 'log.csv', '--scene', 'scene.json']\n"
@@ -176,7 +176,7 @@ def test_quiet_shows_nothing_and_still_writes_the_results(tmp_path):
     done = command("compare", *options, "--quiet", "--json", tmp_path / "all.json")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     assert list(json_in(tmp_path / "all.json")["policies"]) == ["fixed-ukf", "imm"]
-    assert "fixed-ukf" in command("compare", *options).stdout  # --quiet affects only one command
+    assert "fixed-ukf" in command("compare", *options).stdout  # later commands are not quiet
     assert_one_clear_line(command("evaluate", "--quiet", "--radio", "lab"), "'lab'.*handset")
 
 

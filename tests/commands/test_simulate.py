@@ -67,12 +67,12 @@ def test_the_command_reproduces_the_shipped_sample_logs(tmp_path, name):
 
 
 def test_the_chosen_user_is_named_if_a_file_has_several_users(tmp_path, capsys):
-    ways = tmp_path / "ways.csv"
+    users = tmp_path / "users.csv"
     rows = [f"{t},{i},{20 + t},{y},1.5" for t in range(40) for i, y in (("a", -80), ("b", -70))]
-    ways.write_text("\n".join(["t,id,x,y,z", *rows]))
-    simulate(tmp_path / "out", "--scenario", ways, "--episode-steps", 20, "--seed", 1)
+    users.write_text("\n".join(["t,id,x,y,z", *rows]))
+    simulate(tmp_path / "out", "--scenario", users, "--episode-steps", 20, "--seed", 1)
     _, line = capsys.readouterr().out.splitlines()
-    user = line.removeprefix("the user is ").removesuffix(f" of {ways}")
+    user = line.removeprefix("the user is ").removesuffix(f" of {users}")
     y = read_tum(tmp_path / "out" / "truth.tum").position_m[:, 1]
     np.testing.assert_allclose(y, {"a": -80.0, "b": -70.0}[user])
 

@@ -51,6 +51,6 @@ def test_a_page_is_renewed_only_between_its_marks():
     page = "before\n<!-- table: T -->\nold\n<!-- end -->\nafter\n"
     expected = "before\n<!-- table: T -->\n| a |\n|---|\n| 1 |\n\nnote\n<!-- end -->\nafter\n"
     assert renewed(page, tables) == renewed(expected, tables) == expected
-    # A table whose title begins with "printed" comes from an example in docs/, not from a command.
+    # A table whose title begins with "printed" comes from an example in docs/ and is kept.
     printed = "<!-- table: printed | a -->\nby an example\n<!-- end -->\n"
     assert renewed(page + printed, tables) == expected + printed

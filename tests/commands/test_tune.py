@@ -51,7 +51,7 @@ def test_the_command_writes_a_mode_file_that_environments_and_commands_accept(tm
 
 
 @pytest.mark.slow
-def test_a_tuned_bank_is_written_with_its_results_on_held_out_episodes(tmp_path):
+def test_a_tuned_bank_of_modes_is_written_with_its_results_on_held_out_episodes(tmp_path):
     options = ["--bank", "--radio", "high", "--episodes", 18, "--evaluations", 30]
     shown = succeed("tune", *options, "--out", tmp_path / "bank.json")
     written = json_in(tmp_path / "bank.json")
@@ -79,7 +79,7 @@ def test_a_mistake_ends_with_one_clear_line(options, message):
 
 
 def marked(file):
-    """Mark a file, except handset.json, so that its modes are tuned only in tests for a release."""
+    """Leave all files except handset.json to the tests for a release."""
     return file if file.stem == "handset" else pytest.param(file, marks=pytest.mark.release)
 
 
@@ -94,6 +94,6 @@ def test_tuning_on_the_original_episodes_finds_the_shipped_modes(file):
         source = SimulatedSource(SCENES["street"], RADIOS[radio], scenario)
         objective = objective_of(shipped, source.episodes(keys))
         made = tune(shipped, ["sigma_v", "sigma_p"], objective)
-        # The optimum is flat: tuned and shipped modes are equally likely, but sigma_v differs.
+        # The optimum is flat: both modes fit the episodes equally well, but their sigma_v differ.
         assert objective(shipped).mean() == pytest.approx(objective(made).mean(), abs=0.002)
         assert made.sigma_v == pytest.approx(shipped.sigma_v, rel=0.05)

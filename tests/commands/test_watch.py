@@ -41,7 +41,7 @@ def window(monkeypatch):
     return shown
 
 
-def test_contenders_are_shown_side_by_side_beginning_with_the_prior(tmp_path):
+def test_policies_are_shown_side_by_side_and_the_first_picture_shows_the_prior(tmp_path):
     pytest.importorskip("PIL")
     out = tmp_path / "new" / "both.gif"
     words = ("--policies", "fixed-ekf", "imm", *SHORT, "--seed", 3, "--render-size", 500)

@@ -51,7 +51,7 @@ NAN, INF = math.nan, math.inf
 
 @cache
 def compiled(function, arity):
-    """Compile a kernel that applies a function to ``arity`` rows and writes the row after them."""
+    """Compile a kernel that applies a function to ``arity`` rows and writes the next row."""
 
     def build(rows):
         rows[arity] = function(*(rows[i] for i in range(arity)))

@@ -21,7 +21,7 @@ def fresh(tmp_path, monkeypatch):
 
 
 def kinds(lazy, *works):
-    """Return, for each amount of work in turn, the form that a LazyJit chooses."""
+    """Return which form, plain or compiled, a LazyJit chooses for each amount of work in turn."""
     named = {lazy.plain: "plain", lazy.compiled: "compiled"}
     return [named[lazy.choice(work, 20)] for work in works]
 

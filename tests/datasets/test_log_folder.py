@@ -92,14 +92,14 @@ def test_a_wrong_clock_of_the_truth_is_reported_but_not_corrected(sample):
     """Write a true track of 30 poses per second instead of 10, with a clock that is 0.1 s ahead."""
     track = read_log_folder(sample)
     time = np.arange(0.004, track.time_s[-1], 1.0 / 30.0)
-    way = CubicSpline(track.time_s, track.position_m)(time)
-    (sample / "truth.tum").write_text(tum_lines(time + 0.1, way))
+    position = CubicSpline(track.time_s, track.position_m)(time)
+    (sample / "truth.tum").write_text(tum_lines(time + 0.1, position))
     with pytest.warns(UserWarning, match=r"truth.tum: found its clock 1\d\d ± \d+ ms"):
         position = read_log_folder(sample).position_m
     np.testing.assert_allclose(position[2:-1], track.position_m[1:-2], atol=1e-3)
 
 
-def test_a_log_that_lacks_rows_and_states_its_noise_can_be_played_and_written_again(folder):
+def test_a_log_with_missing_quantities_and_sigma_columns_can_be_played_and_written_again(folder):
     """Replace the log by a log that lacks quantities and has Doppler shifts of anchor 2."""
     whole, columns = read_log_folder(folder), read_columns(folder / "log.csv")
     own = {name: columns[name] for name in ("time_s", "anchor", "toa_s", "aod_azimuth_rad")}

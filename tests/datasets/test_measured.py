@@ -101,7 +101,7 @@ def test_a_link_may_lack_a_measurement_but_without_snr_it_is_not_visible(name):
 SIGMA = {"range_sigma_m": 0.3, "aoa_azimuth_sigma_rad": 0.02}
 
 
-def test_a_receiver_that_states_its_noise_needs_no_snr():
+def test_measurements_with_standard_deviations_need_no_snr():
     own = arrays(simulated())
     shape = own["range_m"].shape
     some = {name: own[name] for name in ("time_s", "anchors_m", "position_m")}
@@ -112,7 +112,7 @@ def test_a_receiver_that_states_its_noise_needs_no_snr():
     assert not episode.usable[:, 3].any() and episode.layout.partial
     seen = np.isfinite(episode.measurement[:, :2])
     np.testing.assert_array_equal(episode.sigma[:, :2][seen], np.tile([0.3, 0.02], (60, 1))[seen])
-    stated["range_sigma_m"][:, 0] = np.nan  # a range with neither noise nor SNR counts as missing
+    stated["range_sigma_m"][:, 0] = np.nan  # without sigma and SNR, a range counts as missing
     lost = MeasuredTrack.from_arrays(**some, **stated)
     np.testing.assert_array_equal(
         np.isfinite(lost.measurement[:, [0, 4]]), np.isfinite(own["range_m"][:, :2]) & [False, True]

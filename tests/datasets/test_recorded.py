@@ -95,7 +95,7 @@ def test_sigmas_follow_from_the_radio_profile_and_the_recorded_gain():
     assert (episode.snr_db[~visible] < -50.0).all()
 
 
-def test_noise_has_the_stated_standard_deviation():
+def test_noise_divided_by_sigma_has_unit_variance():
     source = TrackSource(PEDESTRIAN, RADIO)
     rows = shown(PEDESTRIAN)[:, :-1]
     scores = []
@@ -144,7 +144,7 @@ def test_an_episode_is_a_contiguous_part_of_the_recording(epochs, seed):
     np.testing.assert_array_equal(episode.truth_position_m, VEHICLE.position_m[cut])
 
 
-def test_odometry_is_kept_with_noise_of_the_stated_standard_deviation():
+def test_odometry_is_kept_and_its_noise_has_the_standard_deviation_sigma():
     recording = track(odometry=True)
     episode = TrackSource(recording, RADIO).sample(generator())
     assert episode.visible.shape == (50, 4)

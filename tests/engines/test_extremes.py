@@ -1,4 +1,4 @@
-"""Tests that inputs inside models.envelope give sound beliefs and inputs outside are refused."""
+"""Tests that inputs within models.envelope give sound beliefs and that others are refused."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -139,7 +139,7 @@ def sound(x, P):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", named_modes())
-def test_beliefs_are_sound_with_any_one_or_two_quantities_at_the_ends_of_the_envelope(name):
+def test_beliefs_are_sound_if_one_or_two_quantities_are_at_the_ends_of_their_bounds(name):
     single = [(quantity, value) for quantity in QUANTITIES for value in quantity.within()]
     pairs = [pair for pair in combinations(single, 2) if pair[0][0].put is not pair[1][0].put]
     ordinary, cases = {seed: drawn(seed, epochs=30) for seed in SEEDS}, {}
@@ -171,7 +171,7 @@ BEYOND = [(quantity, value) for quantity in QUANTITIES for value in quantity.bey
 @pytest.mark.parametrize(
     ("quantity", "value"), BEYOND, ids=[f"{quantity.name} {value:g}" for quantity, value in BEYOND]
 )
-def test_an_episode_beyond_the_envelope_is_refused_by_name(quantity, value, episode):
+def test_an_episode_beyond_the_envelope_is_refused(quantity, value, episode):
     with np.errstate(all="ignore"), refuses("of episode"):
         quantity.put(episode, value)
 
@@ -207,7 +207,7 @@ FIELDS = [
         record,
         *number,
         id=f"{record} {number[0]}",
-        marks=[pytest.mark.slow] if record == "streets drawn" else [],  # each case is compiled
+        marks=[pytest.mark.slow] if record == "streets drawn" else [],  # each case compiles
     )
     for record, (of, _) in RECORDS.items()
     for number in numbers_of(of)
@@ -220,7 +220,7 @@ def moving(**changes):
 
 
 @pytest.mark.parametrize(("record", "name", "bound", "shape"), FIELDS)
-def test_a_setting_far_beyond_its_bounds_is_refused_by_name(record, name, bound, shape):
+def test_the_error_names_a_setting_that_is_far_beyond_its_bounds(record, name, bound, shape):
     of, _ = RECORDS[record]
     for value in (-1e300, 1e300, np.nan, -(10**200), 10**200):
         if value < 0 or bound.most != np.inf:  # durations may be infinite

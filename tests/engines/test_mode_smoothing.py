@@ -15,7 +15,7 @@ from mmwave_env.world.episode import columns_of
 from tests.filters.tracks import unpacked
 
 PARTS = ("x", "P", "x_predicted", "P_predicted", "mixture")
-TUNING = 5_000_000  # key of the first episode
+TUNING = 5_000_000  # episode key of the first episode
 
 
 def smoothed(task, bank, n):

@@ -104,7 +104,7 @@ def test_smoothing_a_mixture_equals_plain_numpy(mixture):
 
 def test_smoothing_a_mixture_reduces_its_errors_and_its_covariances(mixture):
     dt, truth, (x, P, x_predicted, P_predicted) = mixture
-    # A predicted covariance is F P F' plus noise, where P is the covariance of the epoch before.
+    # A predicted covariance is F P F' plus process noise, where P belongs to the epoch before.
     F = textbook.F(dt)
     noise = unpacked(P_predicted)[:, 1:] - F @ unpacked(P)[:, :-1] @ F.T
     assert np.linalg.eigvalsh(noise).min() > 0.0

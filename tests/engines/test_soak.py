@@ -92,7 +92,7 @@ def test_all_numbers_stay_finite_and_covariances_positive_definite():
 
 
 def rotten(x, P, measurement, gate):
-    """Update as an EKF, but return an indefinite covariance after very unlikely measurements."""
+    """Update as an EKF does, but return an indefinite covariance after unlikely measurements."""
     after = ekf(x, P, measurement, gate)
     rows = [list(row) for row in after.P]
     bad = after.nis[0] > 1e3

@@ -27,7 +27,7 @@ PER_MODE = {"beliefs": "per-mode", "modes": ["ekf", "ukf"]}
 
 
 def alternating(table):
-    """Return a base policy that favors no mode, ekf or ukf, depending on one feature."""
+    """Return a base policy, which chooses modes (none, ekf or ukf) before beliefs are corrected."""
     column = table.names.index("coming NIS anchor 1 ukf")
     return lambda shown: np.digitize(shown[:, column], [-0.5, 0.5])
 

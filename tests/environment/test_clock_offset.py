@@ -49,7 +49,7 @@ def tasks(**arguments):
 
 
 def pair(**arguments):
-    """Return the same episode with a synchronized clock and with an offset."""
+    """Return one episode twice: with a synchronized clock and with a clock offset."""
     both = tasks(episode_steps=40, radio="standard", **arguments)
     return [task.draw(np.random.default_rng(4)) for task in both]
 
@@ -92,7 +92,7 @@ def test_no_offset_is_added_to_the_ranges_of_a_log():
 
 
 def biases(n, **arguments):
-    """Return the range biases (n, T) of simulated episodes with an offset, and these episodes."""
+    """Return the range biases (n, T) in m of n episodes with a clock offset, and the episodes."""
     plain, shifted = (task.simulated.episodes(keys_of(range(n))) for task in tasks(**arguments))
     return np.array([bias_of(*pair) for pair in zip(plain, shifted, strict=True)]), shifted
 
@@ -126,7 +126,7 @@ def test_the_offset_is_estimated_with_a_correct_standard_deviation():
     error, sigma = (run["x"][..., 7] - bias)[late], np.sqrt(run["P"][..., 35])[late]
     assert np.sqrt(np.median(error**2)) < 0.5
     assert 0.93 < (abs(error) < 1.96 * sigma).mean() < 0.97
-    assert np.median(run["nees"][:, 20:]) == pytest.approx(2.37, rel=0.2)  # chi-square, 3 axes
+    assert np.median(run["nees"][:, 20:]) == pytest.approx(2.37, rel=0.2)  # chi2(3).median()
 
 
 @pytest.mark.parametrize("planar", representative([False, True], False))

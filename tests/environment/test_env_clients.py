@@ -180,7 +180,7 @@ def test_only_synchronous_vector_environments_support_fixed_infos():
 
 # --- arguments
 
-# The last argument of each case is wrong. Messages must contain its name or, instead, this text.
+# The last argument of each case is wrong. Messages must contain its name or the text given here.
 NAMED = {"episode_steps": "", "episodes": "", "terminate_on_divergence": "", "modes": "mode"}
 
 
@@ -218,7 +218,7 @@ NAMED = {"episode_steps": "", "episodes": "", "terminate_on_divergence": "", "mo
     ids=lambda arguments: ", ".join(arguments),
 )
 @pytest.mark.filterwarnings("ignore:.*render_mode")  # Gymnasium warns first
-def test_wrong_arguments_are_refused_by_name(arguments):
+def test_the_error_about_a_wrong_argument_names_it(arguments):
     *_, name = arguments
     with refuses(NAMED.get(name, name)):
         gym.make(ID, **arguments)

@@ -29,7 +29,7 @@ SOURCES = {
 
 
 def rows_of(subset, layout):
-    """Return a mask (rows,) of the rows that belong to a subset of measurements."""
+    """Return a mask (rows,) of the measurement rows that belong to a subset of quantities."""
     link = [name in subset for name in MEASUREMENTS[:4]]
     return np.array([*link * layout.anchors, "doppler" in subset, *[True] * 2 * layout.odometry])
 

@@ -27,8 +27,7 @@ def rotten(x, P, measurement, gate):
     """Update as an EKF does, but return a NaN belief if the first link's NIS is from 20 to 90."""
     after = ekf(x, P, measurement, gate)
     lost = where(after.nis[0] > 20.0, math.nan, 0.0)
-    # Before a function is compiled, it is tried on an outlier with NIS > 90, and refused if it
-    # returns NaN.
+    # Before compilation, a function is tried on an outlier with NIS > 90 and must not return NaN.
     lost = where(after.nis[0] > 90.0, 0.0, lost)
     return after._replace(x=[after.x[0] + lost, *after.x[1:]])
 

@@ -75,7 +75,7 @@ def test_the_adapter_gives_the_same_results_as_a_dummy_vec_env(configuration):
     assert truncated == ({True, False} if configuration == "ends early" else {True})
 
 
-def test_seeds_and_options_affect_only_one_reset():
+def test_seeds_and_options_affect_only_the_next_reset():
     venv, env = SB3VecEnv(native()), native()
     venv.seed(3)
     venv.set_options({"reset_mask": np.ones(4, bool)})
@@ -94,7 +94,7 @@ def test_options_that_differ_between_environments_are_refused():
 
 def test_autoreset_modes_other_than_same_step_are_refused():
     ours = [gym.make_vec(ID, num_envs=2, autoreset_mode=m) for m in ("NextStep", "Disabled")]
-    for env in (*ours, gym.vector.VectorEnv()):  # the last one states no autoreset mode
+    for env in (*ours, gym.vector.VectorEnv()):  # the last has no autoreset mode
         with refuses("autoreset_mode"):
             SB3VecEnv(env)
 

@@ -131,7 +131,7 @@ def test_the_native_vector_environment_equals_the_synchronous_environment(mode, 
 
 
 @pytest.mark.parametrize("n", [1, 7, 8, 20])
-def test_any_number_of_environments_equals_as_many_single_environments(n):
+def test_a_vector_of_n_environments_equals_n_single_environments(n):
     arguments = CONFIGURATIONS["patchy"]
     assert same(*(rollout(make(n, **arguments), 7, 40) for make in (native, sync)))
 
@@ -253,9 +253,9 @@ def test_wrong_seeds_are_refused(seed):
 
 
 def peak_bytes(n):
-    """Return the peak of the memory (bytes) that NumPy holds while n environments are stepped.
+    """Return the peak memory (bytes) of Python and NumPy while n environments are stepped.
 
-    All episodes end in these 202 steps. Resident memory would vary by megabytes, because the
+    Every episode ends within these 202 steps. Resident memory would vary by megabytes, because the
     operating system hands out huge pages. With more than one thread, the peak would depend on which
     jobs run at the same time.
     """

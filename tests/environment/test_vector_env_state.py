@@ -44,7 +44,7 @@ def test_environments_continue_from_a_state_saved_at_any_step(mode, configuratio
     elsewhere = make(mode, **CONFIGURATIONS[configuration])
     elsewhere.reset(seed=50)
     go_on(elsewhere, 2, actions=9)
-    env.reset(seed=13)  # a seed with which "ends early" has both kinds of ends
+    env.reset(seed=13)  # with this seed, "ends early" terminates and truncates episodes
     ends = np.zeros(2, int)  # numbers of terminated and of truncated episodes
     for taken in range(8):
         state = env.state()
@@ -99,7 +99,7 @@ def test_the_state_of_another_environment_is_refused(name, arguments):
         other.state()
 
 
-def test_a_missing_part_of_a_state_is_named():
+def test_the_error_names_a_missing_part_of_a_state():
     env = make()
     env.reset(seed=0)
     state = env.state()

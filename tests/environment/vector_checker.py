@@ -7,7 +7,7 @@ from gymnasium.vector import AutoresetMode
 def check_vector_env(make):
     """Check seeds and shared memory.
 
-    Comparisons of native with synchronous vector environments check all other rules.
+    Other tests check all other rules: they compare native with synchronous vector environments.
     """
     check_seeds(make)
     check_memory(make)

@@ -71,7 +71,7 @@ def folder(tmp_path, monkeypatch):
 
 
 class Upward:
-    """An agent without a method ``reset`` that shifts the height by one standard deviation."""
+    """An agent that has no method ``reset`` and shifts the height by one standard deviation."""
 
     beliefs = "per-mode"
 

@@ -26,7 +26,7 @@ LAYOUT = EPISODES[0].layout
 
 
 def begun(past):
-    """Return an engine with a bank after ``past`` epochs with action 0, which favors no mode."""
+    """Return an engine with beliefs per mode after ``past`` epochs of action 0 (favor no mode)."""
     engine = Engine(Pipeline(HANDSET.modes, LAYOUT), N, TrackingReward(), "full", HANDSET)
     engine.reset(EPISODES)
     for _ in range(past):
@@ -55,7 +55,7 @@ def test_a_clairvoyant_with_a_long_enough_horizon_takes_the_best_action(past, mo
     assert (best > every[0]).any()
 
 
-def test_the_clairvoyant_earns_more_than_the_imm_of_its_bank_and_does_not_change_episodes():
+def test_the_clairvoyant_earns_more_than_an_imm_with_its_modes_and_leaves_episodes_unchanged():
     policy, imm = (contender_from(name, "handset", HANDSET) for name in ("clairvoyant", "imm"))
     knows, mixes = (score(c, c.start(LAYOUT), EPISODES)["reward"] for c in (policy, imm))
     assert knows.mean() > mixes.mean()

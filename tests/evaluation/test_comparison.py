@@ -1,4 +1,4 @@
-"""Tests of paired comparisons (who is paired with whom, and the differences) and error tables."""
+"""Tests of comparisons: which policies are paired, their differences, scores and error tables."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def scores(**rewards):
 SETTING = {"scenario": "mixed", "radio": "handset", "selection": Selection(range(3))}
 
 
-def test_contenders_are_paired_with_references_but_own_agents_are_paired_with_all():
+def test_contenders_are_paired_with_references_but_users_agents_are_paired_with_all():
     """Check that the references are the best fixed mode, the speed rule and the IMMs."""
     table = scores(mine=[0, 1], yours=[3, 3], guided=[1, 3], imm_best=[2, 2], speed_rule=[1, 1])
     table |= scores(fixed_ekf=[0, 0], fixed_ukf=[1, 0])
@@ -61,7 +61,7 @@ def test_paired_differences_are_taken_episode_by_episode():
     assert (gain.low, gain.high) == pytest.approx((expected.low, expected.high))
 
 
-def test_scores_run_from_the_paper_s_rule_at_0_to_the_clairvoyant_at_100():
+def test_the_speed_rule_has_score_0_and_the_clairvoyant_has_score_100():
     table = scores(mine=[-1, -2], speed_rule=[-3, -4], clairvoyant=[1, 0], worse=[-5, -4])
     result = compare_scores(table, **SETTING)
     assert result.scores == {"mine": 50.0, "speed-rule": 0.0, "clairvoyant": 100.0, "worse": -25.0}

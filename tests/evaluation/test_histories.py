@@ -1,4 +1,4 @@
-"""Tests that a contender's history (the data of pictures) equals an environment's history."""
+"""Tests of a policy's history (the data of its pictures) against an environment's history."""
 
 import gymnasium as gym
 import numpy as np

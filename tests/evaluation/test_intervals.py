@@ -68,7 +68,7 @@ def test_each_column_has_a_ratio_which_is_nan_if_the_denominator_is_zero():
     assert (equal.mean, half.mean) == pytest.approx((1.0, 0.5))
     assert np.isnan([nothing.mean, nothing.low, nothing.high]).all()
     (once,) = bootstrap_ratio(over[:, :1], np.eye(50)[:, :1])
-    # Here, some resamples have only zeros in the denominator.
+    # Some resamples have only zeros in the denominator, so the interval is unknown.
     assert once.mean == pytest.approx(over[:, 0].sum()) and not once.known
 
 
@@ -76,7 +76,7 @@ def test_each_column_has_a_ratio_which_is_nan_if_the_denominator_is_zero():
 
 
 def plain_deviations(scores, rng, resamples):
-    """Draw resamples one by one; return their means, minus the mean of the scores."""
+    """Widen the spread over seeds, resample in a loop, and return means minus the mean score."""
     K, n = scores.shape
     apart = scores.mean(axis=1) - scores.mean()
     moved = scores + ((few_seeds_factor(K) - 1.0) * apart)[:, None]
@@ -104,7 +104,7 @@ def alike(interval):
 
 
 @pytest.mark.parametrize("seeds", [1, 5])
-def test_one_seed_or_equal_seeds_have_the_interval_of_their_episodes(seeds):
+def test_one_seed_or_seeds_with_equal_scores_have_the_interval_over_episodes(seeds):
     episodes = np.random.default_rng(0).exponential(size=50)
     assert crossed_bootstrap(np.tile(episodes, (seeds, 1))) == alike(*bootstrap(episodes[:, None]))
 

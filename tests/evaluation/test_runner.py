@@ -67,7 +67,7 @@ def test_scores_equal_the_results_of_stepping_a_single_environment(beliefs, per_
     assert np.max(taken) == len(contender.actions) - 1  # even the last mode was used
 
 
-def test_scores_do_not_depend_on_chunks_other_seeds_or_other_contenders(monkeypatch):
+def test_scores_do_not_depend_on_the_chunk_size_other_seeds_or_other_contenders(monkeypatch):
     names = ["fixed-ekf", "fixed-ukf"]
     whole = score_contenders(names, SOURCE, "handset", Selection(range(5)))
     monkeypatch.setattr(evaluation, "CHUNK", 2)
@@ -96,7 +96,7 @@ def test_episodes_without_truth_are_refused():
         score(contender, contender.start(SOURCE.layout), [blind])
 
 
-def test_own_modes_determine_the_contenders():
+def test_custom_modes_determine_the_contenders():
     modes = modes_from(["ekf", "ckf", "ukf-robust"])
     makes = contenders("handset", modes)
     fixed = [f"fixed-{mode.name}" for mode in modes]
@@ -156,7 +156,7 @@ def per_mode(tmp_path):
     return write_per_mode(tmp_path / "per_mode.safetensors")
 
 
-def test_the_imm_uses_the_transition_of_a_bank_or_bank_file_with_any_beliefs(tmp_path):
+def test_for_any_beliefs_the_imm_uses_the_transition_matrix_of_a_bank_or_bank_file(tmp_path):
     path = tmp_path / "bank.json"
     path.write_text(json.dumps(bank_as_written(HANDSET)))
     for modes in (HANDSET, path, str(path), (str(path),)):
@@ -182,7 +182,7 @@ def corrector(folder, tensors):
 
 
 @pytest.mark.slow
-def test_a_corrector_that_corrects_nothing_scores_as_its_base(tmp_path, short):
+def test_a_corrector_that_corrects_nothing_has_the_scores_of_its_imm(tmp_path, short):
     tensors = network()
     tensors["out.weight"][:], tensors["out.bias"][:] = 0.0, 0.0
     mine = corrector(tmp_path, tensors)

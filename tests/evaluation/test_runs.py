@@ -14,7 +14,7 @@ from policies import LearnedSwitch, shipped_policies
 from tests.paths import ROOT
 from tests.refusals import refuses
 
-DAMAGE = {  # name -> content of a summary, key that the error names
+DAMAGE = {  # name -> content of a summary, keys that the error names
     "not JSON": ("{", []),
     "no seeds": ({"median": 0}, ["seeds"]),
     "no median": ({"seeds": [{"seed": 0}]}, ["median"]),
@@ -25,7 +25,7 @@ DAMAGE = {  # name -> content of a summary, key that the error names
 
 
 @pytest.mark.parametrize("damage", DAMAGE)
-def test_a_damaged_summary_is_named(tmp_path, damage):
+def test_the_error_names_a_damaged_summary(tmp_path, damage):
     content, named = DAMAGE[damage]
     text = content if isinstance(content, str) else json.dumps(content)
     (tmp_path / "summary.json").write_text(text)

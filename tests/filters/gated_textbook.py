@@ -17,7 +17,7 @@ from mmwave_env.filters.textbook import Sensor, tangent
 
 @dataclass(frozen=True)
 class Restricted:
-    """Sensor as a function of the ``free`` components of the state; ``known`` has all others."""
+    """Sensor as a function of the ``free`` components of the state; all others equal ``known``."""
 
     sensor: Sensor
     known: np.ndarray

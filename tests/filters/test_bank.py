@@ -126,7 +126,7 @@ def test_the_transition_in_a_mode_file_is_used_if_no_other_modes_are_given(tmp_p
     path.write_text(json.dumps(bank_as_written(BANK)))
     assert bank_from(path) == bank_from(str(path)) == bank_from([path]) == bank_from((str(path),))
     assert bank_from([path]) == BANK
-    assert bank_from([path, "ekf"]).transition is None  # the file says nothing about three modes
+    assert bank_from([path, "ekf"]).transition is None  # the file's matrix is for two modes
 
 
 def test_the_parsed_content_of_a_mode_file_is_accepted_instead_of_the_file():

@@ -54,7 +54,7 @@ def test_an_update_near_an_anchor_equals_the_textbook(algorithm, where, odometry
 
 
 @everywhere
-def test_a_jacobian_row_is_zero_if_its_angle_is_undefined_and_else_the_derivative(where):
+def test_jacobian_rows_of_undefined_angles_are_zero_and_other_rows_are_derivatives(where):
     problem, (_, lost) = near(where), OFFSETS[where]
     s, x = problem.sensor, problem.x
     silent = SILENT.get(lost, [])

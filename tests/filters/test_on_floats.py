@@ -162,10 +162,10 @@ def test_the_nis_of_outliers_is_limited_to_a_quantile_when_modes_are_compared():
 # --- mixtures
 
 
-def run_imm(modes, episode, transition, limits=(np.inf,) * 4, rates=None):
+def run_imm(modes, episode, transition, limits=(np.inf,) * 4):
     """Run an IMM on floats; yield the result and the time step dt of every epoch."""
     pipeline, P = Pipeline(tuple(modes), Layout(3)), pack(episode.prior_covariance.tolist())
-    tunings = rates or [mode.tuning for mode in modes]
+    tunings = [mode.tuning for mode in modes]
     rows = imm.ImmSettings([list(row) for row in transition], tunings, list(limits))
     mixture = imm.begin(pipeline, episode.prior_mean.tolist(), P)
     site = Site(
@@ -240,7 +240,7 @@ def test_transition_probabilities_per_second_are_scaled_to_shorter_steps():
         np.testing.assert_allclose(imm.over_step(matrix, dt), matrix)
 
 
-def test_a_trusted_mode_gets_a_higher_probability_even_if_it_was_zero():
+def test_the_probability_of_a_mode_can_be_raised_even_from_zero():
     track = imm.ModeTrack([], [], None)
-    dead = imm.trusting(imm.Mixture([track] * 2, [1.0, 0.0]), 1.0, 1.0)
-    assert 0.0 < dead.probability[1] == pytest.approx(1e-12 / np.exp(3.0), rel=1e-6)
+    raised = imm.trusting(imm.Mixture([track] * 2, [1.0, 0.0]), 1.0, 1.0)
+    assert 0.0 < raised.probability[1] == pytest.approx(1e-12 / np.exp(3.0), rel=1e-6)

@@ -66,7 +66,7 @@ def test_the_iekf_equals_the_textbook(iekf, iterations, gate, odometry, data):
     assert_same(problem.ours(partial(iekf, iterations=iterations), gate), expected)
 
 
-def test_a_log_is_localized_with_a_custom_filter(iekf, tmp_path):
+def test_a_custom_filter_can_localize_the_user_of_a_log(iekf, tmp_path):
     scene, radio = SCENES["street"], RADIOS["handset"]
     source = SimulatedSource(scene, radio, epochs=30)
     write_log(tmp_path / "log.csv", source.sample(np.random.default_rng(0)))

@@ -124,7 +124,7 @@ class OwnModel:
 
 
 def far_from_the_anchors(Q, **options):
-    """Return an OwnModel whose measurements are nearly linear across the filters' covariance."""
+    """Return an OwnModel whose measurements are nearly linear within the filters' uncertainty."""
     anchors = np.array([[-60.0, 120.0, 40.0], [160.0, 60.0, 60.0], [40.0, -150.0, 50.0]])
     return OwnModel(
         sensor=textbook.Sensor(anchors, HZ_PER_MPS),

@@ -72,7 +72,7 @@ def test_reading_a_feature_inverts_its_standardization(pipeline, beliefs):
         np.testing.assert_array_equal(read[1000:], integers, err_msg=feature.name)
 
 
-def test_every_kind_that_has_scales_has_a_feature():
+def test_the_kinds_of_features_are_exactly_the_kinds_that_have_scales():
     tables = [Observation(PIPELINES["odometry"], "signed", beliefs) for beliefs in BELIEFS]
     kinds = {feature.kind for table in tables for feature in table.features}
     assert kinds == feature_scales().keys()

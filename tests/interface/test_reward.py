@@ -72,7 +72,7 @@ def test_the_tracking_reward_equals_values_computed_by_hand(error_m, variance_m2
 
 @pytest.mark.parametrize("axes", [(0, 1, 2), (0, 1)])
 @pytest.mark.parametrize("reward", [TrackingReward(), TrackingReward(2.0, 5.0, 1.0, 0.5)])
-def test_a_reward_is_minus_the_sum_of_its_terms(reward, axes):
+def test_a_reward_is_minus_the_sum_of_its_costs(reward, axes):
     for error_m in ((0.0, 0.0, 0.0), (0.1, 0.2, 0.0), (3.0, 2.0, 1.0), (60.0, 0.0, 0.0)):
         held = belief(error_m, 2.0, axes)
         epoch = np.array(held.distance(ORIGIN)), np.array(held.nees(ORIGIN))
@@ -146,7 +146,7 @@ def test_the_environment_pays_a_custom_reward_function():
         assert reward == pytest.approx(max(-info["position_error_m"], -2.0), abs=1e-12)
 
 
-DEAR = [Mode("free", sigma_v=0.3), Mode("dear", sigma_v=1.8, cost=0.25)]
+PRICED = [Mode("free", sigma_v=0.3), Mode("paid", sigma_v=1.8, cost=0.25)]
 
 
 def weighed(belief, truth):
@@ -157,7 +157,7 @@ def weighed(belief, truth):
 
 @pytest.mark.parametrize("beliefs", ["shared", "per-mode"])
 def test_infos_contain_the_terms_that_add_up_to_the_reward(beliefs):
-    task = {"modes": DEAR, "reward": weighed, "beliefs": beliefs, "episode_steps": 12}
+    task = {"modes": PRICED, "reward": weighed, "beliefs": beliefs, "episode_steps": 12}
     for infos in ("all", "fixed", "episode"):
         env = gym.make("MmWaveLoc-v0", infos=infos, **task)
         assert env.unwrapped.reward_terms == ("east", "north", "cost")
@@ -168,7 +168,7 @@ def test_infos_contain_the_terms_that_add_up_to_the_reward(beliefs):
             if "reward_terms" in info:
                 east, north, cost = info["reward_terms"]
                 assert reward == pytest.approx(east + north + cost, abs=1e-12)
-                assert cost == (-0.25 if env.unwrapped.observation.actions[action] == "dear" else 0)
+                assert cost == (-0.25 if env.unwrapped.observation.actions[action] == "paid" else 0)
         assert "reward_terms" in info and east < 0.0 and north < 0.0
 
 

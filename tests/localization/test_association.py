@@ -1,4 +1,4 @@
-"""Tests of associating paths with anchors, of where tracks begin, and of the numbers of paths."""
+"""Tests of associating paths with anchors, of where tracks begin, and of counts of paths."""
 
 from itertools import islice
 
@@ -96,7 +96,7 @@ def test_a_shipped_log_without_anchor_numbers_gives_nearly_the_same_track(tmp_pa
 
 
 def test_angles_of_arrival_may_be_measured_at_the_base_station():
-    """Compare with the same log, whose angles of arrival are at the station's mirror images."""
+    """Compare with angles of arrival that are measured at the station's mirror images."""
 
     def as_the_station_sees(epoch, anchor):
         z = epoch.measurement.copy()
@@ -137,10 +137,10 @@ def test_a_track_waits_for_the_line_of_sight_instead_of_starting_from_a_reflecti
 
 def test_a_track_that_started_from_a_reflection_gives_way_to_the_line_of_sight():
     anchors_seen, tally = [(1,)] * 30 + [ALL] * 20, Association(3)
-    # The image, 14 m north of the base station, is taken for it: the track is 14 m too far south.
+    # The image, 14 m north of the base station, is mistaken for it. So the track is 14 m too far
+    # south. While there is only one path, nothing contradicts that it is the line of sight.
     block = associated(walk(anchors_seen, seed=4, y_m=6.0), tally=tally)
     begins = np.flatnonzero(block.restarts).tolist()
-    # While there is only one path, nothing contradicts that it is the line of sight.
     assert seen_in(block)[:20] == [(0,)] * 20 and begins[0] == 0
     assert len(begins) == 2 and 20 < begins[1] <= 30
     assert seen_in(block)[30:] == anchors_seen[30:] and tally.figures()["starts"] == 2

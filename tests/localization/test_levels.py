@@ -19,7 +19,7 @@ from tests.paths import representative
 from tests.refusals import refuses
 
 N, T, ANCHORS = 3, 40, 3
-FRESH = 5_900_000  # first tuning seed that no calibration of factors used
+FRESH = 5_900_000  # first tuning seed with which no levels were calibrated
 
 
 def parts(seed=0):
@@ -86,7 +86,7 @@ def test_the_factors_of_a_track_do_not_depend_on_its_division_into_pieces():
 
 
 @pytest.mark.parametrize("name", representative(["corrector", "ekf"], "ekf"))
-def test_a_live_track_has_the_positions_and_levels_of_the_log(corrector, name):  # noqa: F811
+def test_live_tracks_and_tracks_of_logs_have_equal_levels(corrector, name):  # noqa: F811
     modes = learned("ppo-standard", "standard").modes[:1]
     switching = Switching(modes) if name == "ekf" else learned(corrector, "standard")
     track = track_of(blocks(50), SCENE, RADIO, switching, window=None, levels=Levels())
@@ -131,7 +131,7 @@ def test_errors_exceed_levels_at_most_as_often_as_stated(place, risk):
 @pytest.mark.slow
 @pytest.mark.torch
 @pytest.mark.filterwarnings("ignore:speed above")
-def test_levels_are_infinite_for_a_risk_that_too_few_episodes_calibrate():
+def test_levels_are_infinite_for_a_risk_that_is_too_small_for_the_calibration():
     pytest.importorskip("torch")
     from experiments.training.levels import RISKS, tuned_levels
 

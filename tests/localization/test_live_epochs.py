@@ -58,11 +58,11 @@ UNITS |= {"toa_s": None, "rtt_ns": of("toa_s", lambda t: 2e9 * t)}
 MOVES = {"speed_mps": lambda row: 1.2, "heading_deg": lambda row: 350.0}
 BODY = MOVES | {DEPARTURE: None, "aod_azimuth_body_rad": of(DEPARTURE, lambda a: a - 6.0)}
 SECOND = {"doppler_hz": lambda row: -20.0 if row["anchor"] == 2 else None}
-LOGGED = {  # name -> changed columns, stated SNR, whether epochs are loaded by the quick method
+LOGGED = {  # name -> changed columns, argument snr_db, whether the quick method loads the epochs
     "as it is": ({}, None, True),
     "other units": (UNITS, None, True),
     "own noise": ({"snr_db": None} | {k: lambda row, v=v: v for k, v in OWN.items()}, None, True),
-    "a stated SNR": ({"snr_db": None}, 18.0, True),
+    "an SNR as argument": ({"snr_db": None}, 18.0, True),
     "a Doppler shift of anchor 2": (SECOND, 20.0, True),
     "odometry": (MOVES, None, True),
     "angles of the body": (BODY, None, False),

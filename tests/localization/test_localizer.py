@@ -1,4 +1,4 @@
-"""Tests of localizing a log: filters, smoothing, gaps, where tracks begin, and sizes of blocks."""
+"""Tests of tracks from logs: filters, smoothing, gaps, where tracks begin, and sizes of blocks."""
 
 from dataclasses import replace
 from functools import cache

@@ -1,4 +1,4 @@
-"""Tests of logs that lack values or state their noise, and of the radio with the nearest noise."""
+"""Tests of logs that lack values or have standard deviations, and of choosing a radio for a log."""
 
 import numpy as np
 import pytest

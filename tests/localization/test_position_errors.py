@@ -75,7 +75,7 @@ def test_levels_of_many_covariances_equal_the_levels_of_single_covariances():
 
 
 @pytest.mark.parametrize(("exceeded", "epochs"), [(0, 50), (3, 200), (7, 7)])
-def test_the_interval_of_the_share_is_the_clopper_pearson_interval(exceeded, epochs):
+def test_the_share_of_exceeded_levels_has_the_clopper_pearson_interval(exceeded, epochs):
     error = np.zeros(epochs)
     error[:exceeded] = 2.0
     figures = exceedance(error, np.ones(epochs))

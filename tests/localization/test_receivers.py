@@ -1,4 +1,4 @@
-"""Tests that a log with only some quantities, and their deviations, has a textbook EKF's track."""
+"""Tests that tracks from logs with only some quantities equal the tracks of a textbook EKF."""
 
 import csv
 import json

@@ -69,7 +69,7 @@ def test_only_a_ground_truth_in_another_frame_causes_a_warning(tmp_path, recwarn
 
 
 def scored_at(tmp_path, time_s, known, sizes=(T,), segments=False):
-    """Return the RPE, the time between its epochs, and positions; known true positions are 0."""
+    """Return RPE, time between paired epochs, and positions; the known true positions are zero."""
     block = replace(some_track(len(time_s)), time_s=time_s)
     truth = truth_of(tmp_path, time_s[known], np.zeros((len(known), 3)))
     scores = TruthScores(truth, ["filtered"], planar=False)

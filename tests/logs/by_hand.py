@@ -37,7 +37,7 @@ def text(lines):
 
 
 def in_body(content):
-    """Return the text of a log whose angles of departure are in degrees, relative to the user."""
+    """Return a log's text with angles of departure in degrees, relative to the user's heading."""
     return content.replace("aod_azimuth_rad", "aod_azimuth_body_deg")
 
 

@@ -1,4 +1,4 @@
-"""Tests of measurement logs: columns, units, spellings of CSV, and writing and reading back."""
+"""Tests of measurement logs: columns, units, variants of CSV, and writing and reading back."""
 
 import tempfile
 from dataclasses import replace
@@ -92,7 +92,7 @@ def test_a_link_is_incomplete_if_its_departure_needs_a_missing_heading(tmp_path)
     np.testing.assert_array_equal(block.incomplete[:, :L], [[True] * 3, [False] * 3])
 
 
-# columns of the time of flight -> cell that means 1e-7 s
+# column for the time of flight -> its value for a flight of 1e-7 s
 FLIGHTS = {"toa_s": 1e-7, "toa_ms": 1e-4, "toa_us": 0.1, "toa_ns": 100, "range_m": 29.9792458}
 FLIGHTS |= {"range_ft": 29.9792458 / 0.3048, "rtt_ns": 200}
 AZIMUTHS = ("aoa_azimuth", "aod_azimuth")
@@ -196,7 +196,7 @@ def test_the_doppler_shift_is_missing_if_the_log_has_no_such_column(tmp_path):
     assert block.visible[:, :L].all() and not block.visible[:, L].any()
 
 
-SPELLINGS = {
+VARIANTS = {
     "CRLF": lambda s: s.replace("\n", "\r\n"),
     "BOM": lambda s: "\ufeff" + s,
     "no last newline": lambda s: s.rstrip("\n"),
@@ -210,9 +210,9 @@ SPELLINGS = {
 }
 
 
-@pytest.mark.parametrize("name", SPELLINGS)
-def test_all_spellings_of_a_csv_file_are_read_alike(tmp_path, name):
-    plain, other = text(rows()), SPELLINGS[name](text(rows()))
+@pytest.mark.parametrize("name", VARIANTS)
+def test_separators_line_ends_and_the_order_of_columns_do_not_change_what_is_read(tmp_path, name):
+    plain, other = text(rows()), VARIANTS[name](text(rows()))
     assert other != plain
     assert_same(read(store(tmp_path, other, "other.csv")), read(store(tmp_path, plain)))
 

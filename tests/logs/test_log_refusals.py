@@ -174,7 +174,7 @@ def test_a_log_without_any_measurement_is_refused_at_its_end(tmp_path, lines):
 
 
 @pytest.mark.parametrize("name", ["log.txt", "log", "log.csv.zip", "log.gz"])
-def test_files_with_another_ending_are_refused(tmp_path, name):
+def test_files_with_an_unknown_ending_are_refused(tmp_path, name):
     with refuses(name, error=LogError):
         read_log(store(tmp_path, text(rows()), name), SCENE)
 

@@ -76,7 +76,7 @@ def assert_variance(values, variance):
 
 
 def changes(on):
-    """Return, for epochs in a spell, whether it ends next; for the rest, whether a spell begins."""
+    """Return whether a spell ends next (for epochs in a spell) or begins next (for all others)."""
     before, after = on[:-1], on[1:]
     return ~after[before], after[~before]
 

@@ -15,7 +15,7 @@ from tests.refusals import refuses
 HANDSET = RADIOS["handset"]
 
 
-def test_floors_and_rates_differ_by_at_most_the_factor():
+def test_floors_and_rates_differ_from_the_profile_by_at_most_the_factor():
     rng = np.random.default_rng(0)
     drawn = [RandomRadio(HANDSET, 2.0, 3.0).draw(rng) for _ in range(200)]
     for name in ("aoa_floor_rad", "range_floor_m", "multipath_rate_hz", "blockage_mean_s"):

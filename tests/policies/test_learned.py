@@ -83,9 +83,7 @@ def test_an_environment_with_other_modes_is_refused(shared, modes):
         LearnedSwitch(shared, other)
 
 
-def test_a_radio_gets_the_bank_trained_for_it_and_other_radios_the_bank_of_standard(
-    per_mode, tmp_path
-):
+def test_a_radio_without_a_bank_of_its_own_gets_the_bank_of_standard(per_mode, tmp_path):
     policy = LearnedSwitch(per_mode)
     assert policy.modes == MODES and policy.beliefs == "per-mode"
     assert policy.bank() == policy.bank("handset") == HANDSET

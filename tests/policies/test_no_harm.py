@@ -22,7 +22,8 @@ pytestmark = pytest.mark.slow
 
 N, SEED = 100, 5_400_000
 MOST_HARM = 0.02  # mean reward per epoch that the corrector may lose against its base policy
-FACTORS = (1.0, 4.0, 8.0, 16.0)  # factors by which the stated noise is too high or too low
+# Factors by which the stated noise (the standard deviations in an episode) is too high or too low
+FACTORS = (1.0, 4.0, 8.0, 16.0)
 
 
 def turned(episode, angle=0.2):

@@ -29,7 +29,7 @@ from tests.training.actors import HANDSET, MODES, STANDARD, TABLE, actor, card_o
 
 SMALL = {"features": 3, "hidden": (2,)}
 READ = TABLE.columns[:3]  # the features that the policies below read
-PLAIN = replace(STANDARD, transition=None)  # a bank without probabilities of transitions
+PLAIN = replace(STANDARD, transition=None)  # a bank without transition probabilities
 KINDS = {
     "plain": (actor(**SMALL), card_of(features=READ)),
     "linear": (actor(3, hidden=()), card_of(features=READ)),
@@ -182,7 +182,7 @@ def test_a_card_with_any_value_is_read_unchanged_or_refused(path, place, data):
 
 @in_one_folder
 @given(ANYTHING)
-def test_metadata_with_any_other_content_is_refused(path, value):
+def test_arbitrary_json_as_metadata_is_refused(path, value):
     refused(path, save(TENSORS, {"policy": json.dumps(value)}))
 
 
@@ -212,7 +212,7 @@ def test_a_file_that_is_not_a_policy_file_is_refused(path, content, fields):
 
 
 @pytest.mark.parametrize(("dtype", "size"), [("F64", 8), ("BF16", 2), ("F8_E4M3", 1), ("I32", 4)])
-def test_tensors_of_other_number_types_are_refused(path, dtype, size):
+def test_tensors_that_are_not_float32_are_refused(path, dtype, size):
     low = {"dtype": dtype, "shape": [3], "data_offsets": [0, 3 * size]}
     content = raw({"__metadata__": document(), "low": low}, bytes(3 * size))
     refused(path, content, "tensor 'low'")
@@ -254,7 +254,7 @@ def test_a_card_with_a_wrong_field_is_neither_read_nor_made(path, field, value):
     "rows",
     [[], [["a", "m", 0.0]], [["a", 1, 0.0, 1.0]], [["a", "m", 0.0, 0.0]], [["a", "m", 1e999, 1.0]]],
 )
-def test_too_few_features_and_features_without_valid_name_unit_and_scale_are_refused(path, rows):
+def test_missing_features_and_invalid_names_units_and_scales_are_refused(path, rows):
     content = CARD.as_json()
     features = [*content["features"][:2], *rows]
     refused(path, assembled(card=content | {"features": features}), "features")

@@ -19,7 +19,7 @@ def chromium():
 
 @pytest.fixture
 def opened(chromium, address):
-    """Return a function that opens pages; console messages and outside requests fail the test."""
+    """Return a function to open pages; console messages or requests to other sites fail a test."""
     contexts, complaints = [], []
 
     def open_page(path="", width=1280, **options):

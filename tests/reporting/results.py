@@ -58,7 +58,7 @@ def write(path: Path, content):
 
 
 class Read(HTMLParser):
-    """Parsed page: tags with their attributes, data, title and text."""
+    """Parsed page: tags with their attributes, embedded data, title and text."""
 
     def __init__(self, page):
         super().__init__()
@@ -77,7 +77,7 @@ class Read(HTMLParser):
             self.text += data
 
     def attributes(self, *names):
-        """Return the values of attributes in order."""
+        """Return the values of all attributes with these names, in the order of the page."""
         return [known[name] for _, known in self.tags for name in names if name in known]
 
     def table(self, words):

@@ -10,7 +10,7 @@ from tests.reporting.results import HOSTILE, write
 
 playwright = pytest.importorskip("playwright.sync_api")
 pytestmark = pytest.mark.slow
-SCREEN = 844  # px, the height of a phone 390 px wide
+SCREEN = 844  # px, height of a phone that is 390 px wide
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def test_the_page_fits_the_screen_and_its_sections_are_not_too_long(opened, widt
     assert all(section.bounding_box()["height"] <= 10 * SCREEN for section in sections)
 
 
-def test_an_episode_can_be_played_stopped_and_moved_with_keys(opened):
+def test_keys_play_and_stop_an_episode_and_move_its_slider(opened):
     page = opened("#episodes")
     slider, now = page.locator("#time"), page.locator("#now")
     first = now.inner_text()
@@ -53,7 +53,7 @@ def test_an_episode_can_be_played_stopped_and_moved_with_keys(opened):
     assert slider.input_value() == stopped
 
 
-def test_the_player_shows_the_numbers_of_the_data(opened):
+def test_the_player_shows_the_errors_in_the_data_of_the_page(opened):
     page = opened()
     page.locator("#main").select_option(label="speed-rule")
     assert page.locator("#now").inner_text().count("error") == 1

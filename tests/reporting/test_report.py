@@ -15,7 +15,7 @@ from tests.paths import ROOT
 from tests.reporting import results
 from tests.reporting.results import HOSTILE, Read, write
 
-NONE = ("--episodes", 0)  # options: play no episode again
+NONE = ("--episodes", 0)  # options: replay no episodes
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,7 @@ def report(tmp_path, *words):
 
 
 def compared(tmp_path, content):
-    """Return the parsed page of a comparison, without episodes played again."""
+    """Return the parsed page of a comparison, without replayed episodes."""
     return report(tmp_path, write(tmp_path / "r.json", content), *NONE)
 
 
@@ -66,7 +66,7 @@ def test_tables_show_the_numbers_of_the_file_and_the_best_policy_first(tmp_path)
     assert page.table("Differences")[1] == pair
 
 
-def test_tracks_and_training_runs_have_their_tables_and_a_title(tmp_path, track):
+def test_pages_of_tracks_and_training_runs_have_tables_and_a_title(tmp_path, track):
     broken = write(tmp_path / "t.json", track | {"error": "log.csv: line 41: found 'x'"})
     page = report(tmp_path, broken, results.run(tmp_path / "run", over=1))
     assert "log.csv: line 41: found 'x'" in page.text

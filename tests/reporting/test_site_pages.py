@@ -16,8 +16,8 @@ pytest.importorskip("material")
 pytest.importorskip("mkdocstrings")
 pytestmark = pytest.mark.slow
 
-PHONE = 390  # px
-LACKING = """() => [...document.querySelectorAll("img, iframe")]
+PHONE = 390  # px, width of a phone
+UNLABELED = """() => [...document.querySelectorAll("img, iframe")]
   .filter((shown) => !(shown.getAttribute("alt") || shown.title)).map((shown) => shown.outerHTML)"""
 
 
@@ -51,6 +51,6 @@ def test_every_page_fits_a_phone_and_makes_no_requests_to_other_sites(site, open
         page = opened(path, PHONE)
         width = page.evaluate("document.documentElement.scrollWidth")
         complaints += [f"{path}: {width} px wide"] * (width > PHONE)
-        complaints += [f"{path}: no alt or title: {shown}" for shown in page.evaluate(LACKING)]
+        complaints += [f"{path}: no alt or title: {shown}" for shown in page.evaluate(UNLABELED)]
         page.close()
     assert complaints == []

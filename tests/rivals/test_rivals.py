@@ -60,7 +60,7 @@ def priors_and_measurements():
 
 
 def test_particles_agree_with_the_ekf_in_a_nearly_linear_problem():
-    """Use large noise, so that thousands of particles have weight and their mean errs little."""
+    """Use large noise, so that thousands of particles have weight and their mean is accurate."""
     good = replace(SOURCE, radio=RADIOS["standard"])
     some = [replace(episode, sigma=4.0 * episode.sigma) for episode in episodes(4, good)]
     cloud, kalman = (
@@ -102,7 +102,7 @@ def test_an_outlier_hardly_moves_a_belief_with_student_t_noise():
 
 
 def test_adaptive_noise_converges_to_the_true_noise():
-    """State half of the true standard deviations; the estimated factor on variances should be 4."""
+    """Use half of the true standard deviations; the estimated factor on variances should be 4."""
     x, _, measurement = next(priors_and_measurements())
     layout, rng, P = measurement.layout, np.random.default_rng(0), (1e-6 * np.eye(7)).tolist()
     exact = exact_rows(x[:3], x[3:6], measurement.anchors, measurement.hz_per_mps, layout)
@@ -119,7 +119,7 @@ def test_adaptive_noise_converges_to_the_true_noise():
     np.testing.assert_allclose(np.divide(rate, shape), 4.0, rtol=0.3)
 
 
-def test_beliefs_of_another_size_and_missing_epochs_are_refused():
+def test_beliefs_of_a_wrong_size_and_missing_epochs_are_refused():
     for agent in (Recorder(size=6), Recorder(epochs=3)):
         with refuses("beliefs of Recorder"):
             played(agent, episodes(2))
@@ -144,7 +144,7 @@ def test_a_rival_can_be_named_as_a_contender():
     Pipeline(StudentImm().bank("handset").modes, Layout())  # raises if SIMD lanes can't run it
 
 
-def test_an_estimator_is_refused_as_a_switcher():
+def test_an_estimator_is_refused_as_a_policy_that_chooses_modes():
     with refuses("policy"):
         Variational()(np.zeros((1, 3), np.float32))
     contender = Contender.own("own", Variational(), "handset")

@@ -50,7 +50,7 @@ def test_names_of_cells_do_not_depend_on_order_or_file_format(tmp_path):
     assert toml.cells.keys() == spec_of(tmp_path, text, "grid.json").cells.keys()
 
 
-def test_a_changed_mode_file_makes_another_cell(tmp_path, monkeypatch):
+def test_cells_have_new_names_if_a_mode_file_changes(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text, names = POLICY + 'modes = ["ekf", "own.json"]\n', set()
     for content in ("", "1", "2"):
@@ -123,7 +123,7 @@ RATE = SEARCHED + "hyperparameters."
         (RATE + "n_epochs = { low = 1.5, high = 3 }\n", "n_epochs"),
     ],
 )
-def test_a_wrong_sweep_is_refused_with_the_name_of_the_field(tmp_path, text, field):
+def test_the_error_about_a_wrong_sweep_names_the_field(tmp_path, text, field):
     if "search" in text:
         pytest.importorskip("optuna")
     with refuses(field):

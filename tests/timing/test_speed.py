@@ -1,4 +1,4 @@
-"""Tests of the figures of ``mmwave-loc speed``; tests/commands/test_speed.py runs the command."""
+"""Tests of the results of ``mmwave-loc speed``; tests/commands/test_speed.py runs the command."""
 
 import numpy as np
 import pytest
@@ -64,7 +64,7 @@ def test_ratios_are_computed_round_by_round(measured):
 
 
 @pytest.mark.parametrize(("name", "kernel"), [("ukf", "ukf"), ("native_64_1_thread", "step")])
-def test_fractions_of_the_limit_refer_to_the_kernel_that_runs(measured, name, kernel):
+def test_fractions_of_the_speed_limit_refer_to_the_kernel_that_runs(measured, name, kernel):
     expected = np.multiply(measured.limits_s[kernel], measured.steps_per_s[name])
     assert measured.fractions()[name] == pytest.approx(expected)
 

@@ -1,4 +1,4 @@
-"""Tests of checkpoints of training runs, which may be damaged or forged, and of progress logs."""
+"""Tests of the checkpoints (also damaged and forged ones) and progress logs of training runs."""
 
 from hashlib import sha256
 
@@ -79,8 +79,8 @@ def test_a_forged_checkpoint_with_a_correct_checksum_is_read_or_refused(path, da
 BEGIN = {"update": 0, "timesteps": 0, "best": None, "beat_rule": None, "seconds": 0.0, "rows": []}
 
 
-def test_a_checkpoint_of_another_network_is_refused(path, tmp_path):
-    """Use a checkpoint whose form and checksum are correct, but which lacks entries of this run."""
+def test_a_checkpoint_that_lacks_entries_of_the_learner_is_refused(path, tmp_path):
+    """Use a checkpoint whose format and checksum are correct."""
     write_checkpoint(path, BEGIN | {"learner": {"timesteps": 3}, "env": {}})
     with refuses("checkpoint.pt", "updates"):
         PpoTraining(job_of(tmp_path), lambda *_: None).run()

@@ -75,7 +75,7 @@ def trained(kind, env):
 @pytest.mark.usefixtures("forked")
 @pytest.mark.parametrize("normalized", [False, True], ids=["raw", "normalized"])
 @pytest.mark.parametrize("kind", ALGORITHMS)
-def test_a_converted_model_chooses_the_actions_of_the_model(kind, normalized, tmp_path, modes):
+def test_a_converted_model_still_chooses_the_same_actions(kind, normalized, tmp_path, modes):
     """Compare actions in 50 steps, which include ends of episodes."""
     env = environment(normalized)
     model, words = trained(kind, env), []

@@ -57,10 +57,10 @@ def test_every_episode_is_in_one_mixed_lot_and_a_mixed_lot_combines_several_lots
 def test_weaving_users_move_along_both_street_axes_and_their_velocity_fits_their_positions():
     scene = replace(WIDE_SCENE, behind_m=WEAVING_BEHIND_M)
     source = replace(task().places[0].source("mixed"), dt=0.1, scene=scene)
-    ways = np.concatenate(weaving(source, np.random.default_rng(1)).ways.tables)
-    velocity = (ways[2:, :2] - ways[:-2, :2]) / 0.2
-    assert np.median(np.abs(velocity - ways[1:-1, 3:5])) < 0.05
-    moving = ways[np.linalg.norm(ways[:, 3:5], axis=1) > 0.5, 3:5]
+    rows = np.concatenate(weaving(source, np.random.default_rng(1)).ways.tables)
+    velocity = (rows[2:, :2] - rows[:-2, :2]) / 0.2
+    assert np.median(np.abs(velocity - rows[1:-1, 3:5])) < 0.05
+    moving = rows[np.linalg.norm(rows[:, 3:5], axis=1) > 0.5, 3:5]
     # Other users move along one axis at a time, except in corners.
     assert (np.abs(moving).min(axis=1) > 0.01).mean() > 0.8
 

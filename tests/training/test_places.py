@@ -1,4 +1,4 @@
-"""Tests of places of training (scene, radio and time step): names, banks and invalid places."""
+"""Tests of places of training (scene, radio, time step), and of the modes at each place."""
 
 import json
 from dataclasses import replace
@@ -24,7 +24,7 @@ from tests.refusals import refuses
 from tests.training.actors import MODES
 
 
-def test_a_word_names_scene_radio_and_time_step():
+def test_a_word_names_the_scene_the_radio_and_the_time_step():
     assert place_from("street:handset") == Place("street", "handset", 1.0)
     assert place_from("o1:standard:0.1") == Place("o1", "standard", 0.1)
     assert str(place_from("o1:standard:0.1")) == "o1:standard:0.1"
@@ -41,7 +41,7 @@ def test_a_word_can_name_measured_quantities_and_a_clock():
     assert layout.partial and layout.clock
 
 
-def test_if_a_place_lacks_quantities_all_places_have_a_partial_layout():
+def test_if_one_place_measures_fewer_quantities_all_places_have_a_partial_layout():
     whole, part = places_from(["street:handset", "street:handset:range+azimuth"])
     assert whole.source("mixed").layout == part.source("mixed").layout
     assert np.isfinite(whole.source("mixed").episode(7).measurement[:, :12]).any(axis=0).all()

@@ -56,7 +56,7 @@ def interrupt_after(calls):
 
 
 def test_an_interrupted_training_continues_to_the_same_result(tmp_path):
-    """Interrupt three times, once at an evaluation; the learner's memory cannot hold all states."""
+    """Interrupt three times, once at an evaluation. The memory is too small for all states."""
     whole, job = job_of(tmp_path / "whole"), job_of(tmp_path / "part", checkpoint_every=2)
     train(whole)
     for calls in (3, 2, 4):
@@ -90,8 +90,8 @@ QUICK = replace(LARGE, batch_size=1024, learning_rate=0.002, hidden=(32, 32), fi
 
 
 @pytest.mark.slow
-def test_a_short_training_from_scratch_beats_the_rule_and_the_imm(tmp_path):
-    """Train a policy with the rule's modes. At first, it acts like the IMM of these modes."""
+def test_a_short_training_from_scratch_beats_the_speed_rule_and_the_imm(tmp_path):
+    """Train a policy with the speed rule's modes. At first, it acts like the IMM of these modes."""
     modes = Bank(default_modes("handset"))
     street = TrainingTask(
         "mixed", PLACES[:1], {"handset": modes}, "full", TrackingReward(), "per-mode"
@@ -146,7 +146,7 @@ def test_sampled_actions_follow_the_probabilities_of_the_network():
 
 
 def test_the_learner_learns_which_action_is_best_and_forgets_the_oldest_states():
-    """Fill the memory, then replace all of it by states in which the other action is best."""
+    """Fill the memory, then replace all states with states in which the other action is best."""
     model, (fresh, best) = learner(), states(1000, 9)
     model.remember(states(512, 0, turned=True)[0])
     newer = [states(n, seed)[0] for seed, n in enumerate((300, 200, 12), start=1)]

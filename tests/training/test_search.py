@@ -1,4 +1,4 @@
-"""Tests of the search for the best bank: how numbers become a bank, and which bank is found."""
+"""Tests of the search for the best bank (the modes of an IMM and their transition matrix)."""
 
 from dataclasses import fields
 

@@ -63,7 +63,7 @@ def content(hyper=HYPER):
 
 
 def test_the_exported_actor_chooses_the_actions_of_the_trained_model(tmp_path):
-    """Compare on 2000 observations, which include the ends of all episodes."""
+    """Compare on 2000 observations, which include ends of episodes."""
     training = PpoTraining(job_of(tmp_path), lambda *_: None)
     env, model = training.normal, training.model
     now, rng = env.reset(), np.random.default_rng(0)
@@ -123,7 +123,7 @@ def test_hyperparameters_that_have_a_default_may_be_left_out(tmp_path):
     assert read_hyperparameters(path, "ppo") == biased
 
 
-BAD = {
+BAD = {  # name -> change or text of the file, expected message
     "text": ("gamma: 0.9\n", "Expecting value"),
     "missing": ({"gamma": None}, "gamma: found none, expected one in addition to num_envs"),
     "unknown": ({"gama": 0.9}, "key: found 'gama', did you mean gamma"),

@@ -216,7 +216,7 @@ def until_replaced(path, process):
 
 
 def test_an_interrupted_command_ends_all_processes_and_continues_when_resumed(tmp_path, started):
-    """Interrupt the command by killing it or its training process, by Ctrl-C, and by SIGTERM."""
+    """Kill the command, kill its training process, press Ctrl-C, and send SIGTERM."""
     street = replace(TASK, banks={"handset": Bank(default_modes("handset"))})
     job = job_of(tmp_path / "whole", task=street)
     # The training must take seconds, so that it can be interrupted.

@@ -126,8 +126,8 @@ def channel(radio, scene, distance, speed, dt, draws):
     return snr, detected, bias, scene.hz_per_mps * spread
 
 
-def way(source, scene, dice):
-    """Return a user's name, positions and velocities: a string and an array (T, 6)."""
+def moving_user(source, scene, dice):
+    """Return a user's name (a string), and positions and velocities (T, 6)."""
     scenario, T, streets = source.scenario, source.epochs, scene.streets
     if isinstance(scenario, Trajectory):
         whole = scenario.resampled(source.dt)
@@ -159,7 +159,7 @@ def plain(source, key):
     dice, others = PlainDice(key, USER), PlainDice(key, RECEIVER)
     if isinstance(scene, RandomScene):
         scene = scene.scene_of(scene.draw_numbers(dice))
-    name, track = way(source, scene, dice)
+    name, track = moving_user(source, scene, dice)
     first, prior = others.normal(), others.many(others.normal, 7)
     position, velocity = track[:, :3], track[:, 3:]
     speed = np.linalg.norm(velocity, axis=1)

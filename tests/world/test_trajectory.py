@@ -79,19 +79,19 @@ def test_constant_acceleration_is_resampled_exactly(dt, steps, a, v):
         ([[*row, 3.6 * 2.0, 0.0, 0.0] for row in straight()], "way.csv: vx, vy, vz"),  # km/h
     ],
 )
-def test_an_impossible_trajectory_is_refused_with_its_line(tmp_path, rows, place):
+def test_the_error_about_an_impossible_trajectory_names_the_place(tmp_path, rows, place):
     path = write(tmp_path, rows)
     with refuses(path, place):
         SimulatedSource(STREET, RADIOS["handset"], read_ways(path))
 
 
 @pytest.mark.parametrize("header", ["time,x,y,z", "t,x,y,vx"])
-def test_a_file_without_all_columns_is_refused(tmp_path, header):
+def test_a_file_that_lacks_a_column_is_refused(tmp_path, header):
     with refuses("way.csv", "header"):
         read_trajectory(write(tmp_path, straight(), header))
 
 
-def test_wrong_arrays_are_refused_with_the_row():
+def test_the_error_about_a_wrong_array_names_the_row_or_the_array():
     time_s, position = np.arange(5.0), np.zeros((5, 3))
     position[2, 1] = np.nan
     with refuses("mine, row 3: x, y, z"):

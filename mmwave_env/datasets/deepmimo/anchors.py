@@ -5,7 +5,7 @@ receiver at p sees the signal come from the station's mirror image, at a (paper,
 
     a = q + |g - q| (q - p) / |q - p|
 
-A flat wall gives all receivers the same image, so each cluster of images is a virtual anchor. The
+A flat wall gives all receivers the same image, so images that coincide are one virtual anchor. The
 range and the angles of arrival of a reflected path are those of the straight line from the image.
 In the files, departures are directions at the station, before the bounce, and must be mirrored.
 
@@ -76,7 +76,7 @@ def propagation(angles: Array, sight: Array, direct: Mask) -> Array:
 
 
 _FLAT = 0.7  # a mirror is the ground, not a wall, if its normal is steeper than 45 degrees
-_ROW_KEYS = ("delay", "aoa_az", "aoa_el", "aod_az")  # arrays with the values of a link, in order
+_ROW_KEYS = ("delay", "aoa_az", "aoa_el", "aod_az")  # arrays with the values of ``LINK``, in order
 _TOLERANCES = (2.0 * TOLERANCE_M, 0.02, 0.02, 0.02)  # m, rad; wrong conventions cause larger errors
 
 

@@ -72,7 +72,7 @@ def _stored(file: Path, key: str) -> NDArray[Any]:
     with zipfile.ZipFile(file) as archive:
         names = [name.removesuffix(".npy") for name in archive.namelist()]
         if key not in names:
-            raise ValueError(f"it contains {', '.join(names[:5]) or 'nothing'}, but not {key}")
+            raise ValueError(f"the file has {', '.join(names[:5]) or 'nothing'}, but not {key}")
         size = archive.getinfo(f"{key}.npy").file_size
     if size > MOST_BYTES:
         raise ValueError(f"{size} bytes, more than {MOST_BYTES}: use an .npy file instead")

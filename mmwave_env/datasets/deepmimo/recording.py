@@ -43,7 +43,7 @@ def read_deepmimo(
 
     In a static scenario, the epochs are successive receivers on the user's trajectory; in a dynamic
     scenario, they are successive scenes (moments in time). Times and velocities come from the file
-    ``trajectory.csv`` in the folder, which has a row for each receiver or, if dynamic, each scene.
+    ``trajectory.csv`` in the folder, with a row for each receiver (static) or scene (dynamic).
 
     If there is one station, or ``base_station`` selects one, the anchors are this station and
     its mirror images. Otherwise the anchors are all stations that are ever in sight, the most often

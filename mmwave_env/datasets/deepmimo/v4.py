@@ -250,7 +250,7 @@ def _finite(
 ) -> Array:
     """Return an array, or refuse it if it contains NaN or infinity.
 
-    If ``used`` (R, P) is given, only values of these paths are checked; all others become NaN.
+    If ``used`` (R, P) is given, only paths where it is True are checked; all others become NaN.
     """
     if used is not None:
         used = used.reshape(used.shape + (1,) * (array.ndim - 2))

@@ -57,7 +57,7 @@ def edit_params(folder, change):
 
 
 def set_counts(folder, receivers, scenes=1):
-    """Set the numbers of receivers per scene and of scenes that params.json states."""
+    """Set, in params.json, the number of receivers per scene and the number of scenes."""
 
     def change(params):
         params["txrx_sets"]["txrx_set_1"]["num_points"] = receivers

@@ -75,7 +75,7 @@ def test_a_station_that_is_never_visible_is_not_an_anchor(three_stations):
 
 @settings(max_examples=25, deadline=None)
 @given(lean=st.floats(-0.3, 0.3), turn=st.floats(0.0, 2.0 * np.pi))
-def test_sloping_ground_counts_as_ground_and_a_leaning_wall_as_a_wall(tmp_path_factory, lean, turn):
+def test_sloping_ground_and_leaning_walls_are_told_apart(tmp_path_factory, lean, turn):
     folder = tmp_path_factory.mktemp("slope")
     side = np.array([np.cos(turn), np.sin(turn), 0.0])
     up = np.array([0.0, 0.0, 1.0])

@@ -81,7 +81,7 @@ BODY = bytes(4 * 12)
 FORGED = {
     "1e12 rows": (".npy", npy_header((10**12, 3)) + BODY),
     "a negative number of rows": (".npy", npy_header((-4, -3)) + BODY),
-    "a byte short": (".npy", npy_header((4, 3)) + BODY[1:]),
+    "one byte too few": (".npy", npy_header((4, 3)) + BODY[1:]),
     "rows without columns": (".npy", npy_header((10**12, 0)) + BODY),
     "a long header": (".npy", npy_header((4, 3), claimed=65535) + BODY),
     "another version": (".npy", b"\x93NUMPY\x07\x00\x76\x00" + BODY),

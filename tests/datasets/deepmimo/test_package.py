@@ -30,7 +30,7 @@ def assert_read_alike(theirs, position_m, station):
     there = np.isfinite(station.interactions)
     np.testing.assert_array_equal(theirs.num_paths, there.sum(axis=1))
     np.testing.assert_array_equal(theirs.inter[there], station.interactions[there])
-    usual = np.isin(station.interactions, (0.0, 1.0))  # our values of other paths are meaningless
+    usual = np.isin(station.interactions, (0.0, 1.0))  # direct or reflected once: paths that we use
     np.testing.assert_array_equal(theirs.delay[usual], station.delay_s[usual].astype(np.float32))
     np.testing.assert_array_equal(theirs.power[usual], station.gain_db[usual].astype(np.float32))
     for key, name in ANGLES.items():

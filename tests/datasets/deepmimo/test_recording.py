@@ -149,38 +149,38 @@ USER = (-45.0, -2.0, 1.5)  # first position of the user
 # name -> (function that damages a folder, its other arguments, file or part named in the refusal)
 DAMAGE = {
     "no params": (drop, ["params.json"], "params.json"),
-    "params not JSON": (write, ["params.json", b"{"], "params.json"),
-    "frequency a word": (
+    "params that are not JSON": (write, ["params.json", b"{"], "params.json"),
+    "a word as frequency": (
         edit_params,
         [lambda p: p["rt_params"].update(frequency="28 GHz")],
         "rt_params.frequency",
     ),
     "dynamic scenario": (set_counts, [120, 7], "scene.num_scenes"),
-    "no receivers' file": (drop, [f"rx_pos_{LINK}.npz"], "scenario"),
+    "no file of receivers": (drop, [f"rx_pos_{LINK}.npz"], "scenario"),
     "no delays": (drop, [f"delay_{LINK}.npz"], f"delay_{LINK}.npz"),
-    "half a transmitter": (store, ["rx_pos", np.zeros((1, 3)), OTHER], f"inter_{OTHER}"),
+    "an incomplete transmitter": (store, ["rx_pos", np.zeros((1, 3)), OTHER], f"inter_{OTHER}"),
     "two positions of the transmitter": (edit, ["tx_pos", lambda a: np.tile(a, (2, 1))], "tx_pos"),
     "another key": (lambda f: np.savez(f / f"delay_{LINK}.npz", toa=load(f, "delay")), [], "delay"),
-    "one path short": (edit, ["aoa_az", lambda a: a[:, :3]], "aoa_az"),
+    "one path too few": (edit, ["aoa_az", lambda a: a[:, :3]], "aoa_az"),
     "no paths": (lambda f: [edit(f, key, lambda a: a[:, :0]) for key in OF_PATHS], [], "inter"),
     "a receiver at NaN": (edit, ["rx_pos", set_at((3, 1), np.nan)], "rx_pos[3, 1]"),
     "delay missing on a path": (edit, ["delay", set_at((5, 0), np.nan)], "delay[5, 0]"),
     "bounce at the receiver": (edit, ["inter_pos", set_at((0, 1, 0), USER)], "inter_pos"),
     "no interactions stored": (edit, ["inter_pos", lambda a: a[:, :, :0]], "inter_pos[0, 1, 0]"),
     "no line of sight": (edit, ["inter", lambda a: np.where(a == 0.0, 11.0, a)], "inter"),
-    "no sidecar": (drop, [TRUTH], TRUTH),
-    "empty sidecar": (write, [TRUTH, b""], "header"),
+    "no trajectory": (drop, [TRUTH], TRUTH),
+    "an empty trajectory": (write, [TRUTH, b""], "header"),
     "other columns": (edit_line, [1, "t,x,y,z,vx,vy,w"], "header"),
-    "a row short": (edit_line, [50, None], "rows"),
-    "a value short": (edit_line, [2, "0,-45,-2,1.5,10,0"], "line 2"),
-    "a word": (edit_line, [2, "0,-45,-2,1.5,fast,0,0"], "line 2, column vx"),
+    "one row too few": (edit_line, [50, None], "rows"),
+    "one value too few": (edit_line, [2, "0,-45,-2,1.5,10,0"], "line 2"),
+    "a word as velocity": (edit_line, [2, "0,-45,-2,1.5,fast,0,0"], "line 2, column vx"),
     "time stands still": (edit_line, [3, "0,-44.00014,-2,1.5,10,0,0"], "line 3: t"),
     "a position elsewhere": (edit_line, [2, "0,-45,-3,1.5,10,0,0"], "line 2, columns x, y, z"),
 }
 
 
 @pytest.mark.parametrize("damage", DAMAGE)
-def test_damage_is_refused_with_its_place(folder, damage):
+def test_the_error_about_damage_names_its_place(folder, damage):
     spoil, arguments, part = DAMAGE[damage]
     spoil(folder, *arguments)
     with refuses(folder, part, error=(ValueError, FileNotFoundError)):

@@ -143,11 +143,11 @@ def array_in(number, key, change):
 DAMAGE = {  # name -> (function that damages a folder, files and keys that the refusal names)
     "claims to be static": (lambda folder: set_counts(folder, 1, scenes=1), []),
     "two receivers": (array_in(5, "rx_pos", lambda a: np.tile(a, (2, 1))), ["0005", "rx_pos"]),
-    "a path too few": (array_in(5, "delay", lambda a: a[:, 1:]), ["scene_0005", "delay"]),
+    "one path too few": (array_in(5, "delay", lambda a: a[:, 1:]), ["scene_0005", "delay"]),
     "a key missing": (lambda f: (f / f"scene_0006/delay_{LINK}.npz").unlink(), ["0006/delay"]),
     "a NaN": (array_in(7, "delay", lambda a: a * [np.nan, 1]), ["scene_0007", "delay[0, 0]"]),
     "a station that moves": (array_in(3, "tx_pos", lambda a: a + [1, 0, 0]), ["0003", "tx_pos"]),
-    "a scene too many": (
+    "one scene too many": (
         lambda f: shutil.copytree(f / "scene_0003", f / "scene_0003b"),
         ["params.json", "scene.num_scenes"],
     ),
