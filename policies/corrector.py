@@ -66,9 +66,10 @@ class CorrectionNetwork(LearnedPolicy):
         if not self.card.base:
             raise ValueError(f"{self._path}: found a switcher, expected a corrector")
         if ("back.bias_hh" in tensors) != ("back" in self.recurrent):
-            kinds = "of filtered tracks", "of smoothed tracks"
-            found, expected = kinds if "back" in self.recurrent else kinds[::-1]
-            raise ValueError(f"{self._path}: found a corrector {found}, expected one {expected}")
+            wrong, right = ("filtered", "smoothed")[:: 1 if "back" in self.recurrent else -1]
+            raise ValueError(
+                f"{self._path}: found a corrector of {wrong} tracks, expected one of {right} tracks"
+            )
         self._front, self._head = (
             (tensors[f"{name}.weight"].T.copy(), tensors[f"{name}.bias"])
             for name in ("front", "head")
