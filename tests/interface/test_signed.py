@@ -72,9 +72,8 @@ def test_features_of_a_track_that_smoothing_did_not_change_are_those_of_the_filt
     actions, pipeline = random_actions(), Pipeline(BANK.modes, episodes[0].layout)
     observed, _ = played(episodes, actions)
     names = ("x", "P", "mixture", *(f"memory.{gate}" for gate in GATES))
-    x, P, mixtures, *gates = run_imm(
-        BANK, TrackingReward(), episodes, *names, actions=actions
-    ).values()
+    parts = run_imm(BANK, TrackingReward(), episodes, *names, actions=actions)
+    x, P, mixtures, *gates = parts.values()
     features = smoothed_features(pipeline, EpisodeBatch.of(episodes), x, P, mixtures, gates)
     # The first epoch has no previous belief in the track, so its turn differs.
     np.testing.assert_allclose(features[:, 1:], observed[:, 1:], atol=1e-5)
