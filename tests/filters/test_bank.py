@@ -109,6 +109,9 @@ def test_a_mode_whose_algorithm_is_a_function_cannot_be_written_to_a_file():
         as_written(Mode("own", ekf))
 
 
+BANK = Bank((Mode("slow", "ckf", sigma_v=0.1 + 0.2), Mode("fast")), ((0.9, 0.1), (0.3, 0.7)), 0.99)
+
+
 @pytest.mark.parametrize("bank", [BANK, Bank(BANK.modes), best_bank("standard")])
 def test_a_bank_read_from_json_equals_the_bank_that_was_written(bank):
     written = bank_as_written(bank)

@@ -146,6 +146,9 @@ def test_impossible_scenes_are_refused():
         Scene("odd", (10.0, 10.0, 10.0), (Wall((0, 1), -50.0),)).require_streets_in_front()
 
 
+SOURCE = SimulatedSource(RandomScene(), RADIOS["handset"])
+
+
 @pytest.fixture(scope="module")
 def drawn():
     """Return 2000 random scenes."""

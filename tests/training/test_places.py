@@ -106,6 +106,9 @@ def test_scenes_and_radios_that_the_benchmark_keeps_unseen_are_refused():
                 place_from(word)
 
 
+PLACES = places_from(["street:handset", "o1:standard", "street:standard:0.5"])
+
+
 def task(places=PLACES, banks=None, beliefs="per-mode"):
     banks = banks_of((), places, beliefs) if banks is None else banks
     return TrainingTask("mixed", places, banks, "full", TrackingReward(), beliefs)
