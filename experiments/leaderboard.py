@@ -1,4 +1,4 @@
-"""mmwave-loc leaderboard: the benchmark in docs/benchmark.md, from entries in a folder."""
+"""mmwave-loc leaderboard: the benchmark of docs/benchmark.md, and the ranking of its entries."""
 
 import re
 from dataclasses import dataclass
@@ -21,8 +21,8 @@ class Args:
     together with the paper's rule and every IMM, at four kinds of sites: the nine sites where
     policies may be trained, unseen sites, recordings, and hard sites (unusual motion or receivers).
     A contender's entry (its results at all sites) is written to a JSON file in the folder --out.
-    The tables show all entries there, beside shipped ones, such as that of the clairvoyant, which
-    knows the truth and has the score 100.
+    The tables show all entries in this folder, and four shipped entries. One of them is the
+    clairvoyant's, a policy that knows the truth; its score is 100 by definition.
 
     mmwave-loc leaderboard --policies imm-best --episodes 400 --draws 20
     """
@@ -34,7 +34,7 @@ class Args:
     draws: int = 200
     """number of draws of receiver noise on each recording"""
     seed: int = 0
-    """seed of the first episode; test seeds start at 0"""
+    """seed of the first episode; test seeds, for reported results, start at 0"""
     out: Path = Path("results/leaderboard")
     """folder of entries, one JSON file each"""
     keep: bool = False

@@ -21,12 +21,12 @@ class Args:
     episodes: int = 1000
     """number of simulated episodes for each kind of user and radio"""
     seed: int = 0
-    """seed of the first episode; test seeds start at 0"""
+    """seed of the first episode; test seeds, for reported results, start at 0"""
     out: Path = Path("results/paper")
     """folder for tables.md, tables.csv and tables.png"""
     docs: Path | None = None
     """Markdown page to update: each table after a comment `<!-- table: ... -->` is replaced, and
-    a picture with the page's name, but the ending .png, is drawn"""
+    a picture is saved beside the page, under the same name with the ending .png"""
 
 
 SECTIONS = 19  # number of sections, for the progress bar

@@ -155,7 +155,7 @@ def _show(
     window = Window(size * len(contenders), size)
     window.speed = args.fps
     for row in rows:
-        window.paused |= row == rows[-1]  # at the end, wait for space, n or a closed window
+        window.paused |= row == rows[-1]  # after the last row, wait for the user
         window.show(playback.draw(row))
         if not window.is_open:
             break

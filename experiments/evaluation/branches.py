@@ -83,9 +83,9 @@ class Branches:
 class Clairvoyant(Policy):
     """A policy that knows the truth; its reward is the ceiling for policies that choose modes.
 
-    In every epoch it tries each action (raise one mode's probability, or none) on the same
-    measurements, then always action 0 (raise none), and chooses the action with the largest sum of
-    rewards within :data:`HORIZON_S`. It even knows future noise, so other policies earn far less.
+    In every epoch it tries each action (raising the probability of one mode, or of none) on the
+    same measurements, followed by action 0 in all later epochs. It chooses the action with the
+    largest sum of rewards within :data:`HORIZON_S`. It knows future noise, as no other policy does.
     """
 
     _branches: Branches | None = None

@@ -18,10 +18,10 @@ from mmwave_env.logs.log import LogBlock
 from policies.speed_rule import SLOW_MPS, by_odometry_speed, by_predicted_speed, mode_at
 
 DEFAULT_POLICY = "corrector"
-# Without elevations, the policy "guided", whose beliefs "corrector" corrects, chooses wrong modes
-# too often to be useful (docs/learning.md).
+# "corrector" corrects the beliefs of the policy "guided". Without elevations, "guided" chooses
+# wrong modes too often for either to be useful (docs/learning.md).
 WITHOUT_ELEVATIONS = "imm-best"
-# Default for a known height: it has no standard deviation, which correctors read.
+# Default for a known height, whose standard deviation, which "corrector" reads, does not exist
 WITH_HEIGHT = "guided"
 RULES: dict[str, tuple[Rule, str]] = {  # --follow -> (rule, words before "speed" in reports)
     "prediction": (by_predicted_speed, "the predicted"),
@@ -61,7 +61,7 @@ def require_one_choice(args: LogArgs) -> None:
             "because a policy is trained with its own modes"
         )
     if not by_speed and args.outside == "abort":
-        raise ValueError("outside: abort needs --speed with a number of m/s")
+        raise ValueError("outside: abort needs a number for --speed (in m/s)")
     if (args.imm or by_speed) and args.follow == "odometry":
         raise ValueError("follow: odometry needs --speed auto, and cannot be combined with --imm")
 
@@ -136,5 +136,5 @@ def parse_speed(word: str) -> float:
     """
     speed = number(word.strip())
     if not 0.0 <= speed < float("inf"):
-        raise ValueError(f"speed: found {word.strip()!r}, expected a number of m/s, at least 0")
+        raise ValueError(f"speed: found {word.strip()!r}, expected a speed in m/s, 0 or more")
     return speed

@@ -87,8 +87,8 @@ def kept(folder: Path, spec: Spec) -> set[str]:
     for name in names:
         if not (name.startswith(spec.trial) if spec.free else name in spec.cells):
             raise ValueError(
-                f"{folder / name}.parquet: found a row of another sweep or version, or a row from "
-                "before a change of a file that the sweep names; choose another folder with --out"
+                f"{folder / name}.parquet: found a row of another sweep or version, or from before "
+                "a file of the sweep was changed; choose another folder with --out"
             )
     return names
 

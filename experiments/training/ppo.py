@@ -35,7 +35,7 @@ class PpoTraining(BaseCallback):
         tell: function that is called with :class:`News` of the training.
 
     Attributes:
-        env: environments of all places.
+        env: environments of all places (scenes with a radio).
         normal: wrapper of ``env`` that normalizes its observations.
 
     Raises:

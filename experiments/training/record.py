@@ -65,7 +65,7 @@ class Record:
             "best" has results of the best policy so far. "beat_rule" has the timesteps and seconds
             until a policy first beat the paper's rule. "best" and "beat_rule" are None at first.
             "seconds" (wall time) and "rows" (of the log) are from the checkpoint, or 0 and empty.
-            All other entries belong to the trainer, which removes them when it restores them.
+            All other entries are the trainer's state, which the trainer takes out to restore it.
         log: log of the training's progress.
 
     Raises:

@@ -19,8 +19,8 @@ from mmwave_env.task import task_from
 from mmwave_env.world.simulated import SimulatedSource
 
 FORM = (
-    "SCENE:RADIO, optionally with :SECONDS between epochs, :QUANTITIES measured and :offset (of "
-    "the user's clock), such as street:handset or o1:standard:0.1:range+azimuth"
+    "SCENE:RADIO[:SECONDS][:QUANTITIES][:offset], with seconds between epochs, measured quantities "
+    "and a clock with an offset, such as street:handset or o1:standard:0.1:range+azimuth"
 )
 
 
@@ -35,7 +35,7 @@ class Place:
         clock: "synchronized" or "offset".
 
     Raises:
-        ValueError: an argument is invalid, or the benchmark keeps the scene or radio unseen.
+        ValueError: an argument is invalid, or the benchmark holds the scene or radio out.
         FileNotFoundError: there is no such file.
     """
 

@@ -195,7 +195,7 @@ def advance(begin, end, run, blank, state, io):  # type: ignore[no-untyped-def]
     Args:
         begin, end: first block, and the block after the last.
         run: address of the program, as ``Program.on_lanes`` returns it.
-        blank: (incoming,) data of the epoch that is loaded past the end of a track.
+        blank: (incoming,) placeholder to load when a track has ended.
         state, io: the tracks (:class:`~mmwave_env.compiler.program.BatchState`), and their inputs
             and outputs (:class:`~mmwave_env.compiler.program.StepIO`).
     """

@@ -86,7 +86,7 @@ class PolicyTracker:
         epochs = self._filter.epochs
         actions = np.empty((1, epochs), np.int64)
         for t in range(epochs):
-            # An environment that starts over ignores the action.
+            # The first epoch of an episode ignores the action.
             observations, _ = self._engine.step(np.int64(self._action))
             (self._action,) = actions[:, t] = self._policy(observations)
         if not self._correct:

@@ -106,7 +106,7 @@ def untuned(pipeline: Pipeline) -> Pipeline:
 
 
 class EpisodeFilter(Generic[Workspace]):
-    """N tracks that a program filters, each from the first epoch of an episode to the last.
+    """N tracks, filtered by a program, each from the first epoch of its episode to the last.
 
     Args:
         batch: batch of N environments; the caller sets the rows that :meth:`load` does not set.

@@ -241,7 +241,7 @@ def diagnose(block: LogBlock, scene: Scene, radio: Radio, mode: Mode) -> list[Fi
         A finding for the log as it is and for every hypothesis that changes a number. Hypotheses
         that make the log consistent come first, in order of likelihood; the others follow, in order
         of fit. If only pairs of hypotheses make the log consistent, the most likely pair is added
-        at the top. In a partial layout, only pairs with another radio profile are tried.
+        at the top. In a partial layout, one of the pair must be another radio profile.
 
     Raises:
         ValueError: there is no link with which a track could begin.

@@ -66,7 +66,7 @@ class Position(NamedTuple):
 
 
 class Tracker:
-    """A tracker of one user; its track equals, bit for bit, the filtered track of the complete log.
+    """A live tracker of one user; ``localize`` computes bit-identical filtered tracks from logs.
 
     ```python
     >>> tracker = Tracker("street", policy="corrector")

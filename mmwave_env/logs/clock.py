@@ -67,7 +67,7 @@ class ClockOffset(NamedTuple):
         size, deviation = (1e3 * abs(value) for value in (self.seconds, self.deviation_s))
         return (
             f"found its clock {size:.0f} ± {deviation:.0f} ms {side} the log's, expected no offset"
-            f"; nothing was changed; if the offset is real, shift its times by "
+            "; nothing was changed; if the offset is real, shift the times in this file by "
             f"{change}{size / 1e3:.3f} s"
         )
 

@@ -23,7 +23,7 @@ class Poses(NamedTuple):
 
 
 def tum_lines(time_s: Array, position_m: Array) -> str:
-    """Return lines of times (T,) and positions (T, 3) in full precision, without rotations."""
+    """Return lines of times (T,) and positions (T, 3) in full precision; rotations are 0 0 0 1."""
     rows = np.column_stack([time_s, position_m]).tolist()
     return "".join([f"{t!r} {x!r} {y!r} {z!r} 0 0 0 1\n" for t, x, y, z in rows])
 

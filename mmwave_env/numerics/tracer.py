@@ -25,11 +25,11 @@ _REFUSALS = {  # refused operation -> (the operation in words, what to write ins
     "numpy": ("numpy", f"lists and the functions of {_NUMBERS} and mmwave_env.numerics.linalg"),
     "equality": ("a comparison by == or !=", "where(abs(a - b) < tolerance, ...)"),
     "power": ("a power", "a * a for a ** 2, sqrt(a) for a ** 0.5, exp(p * log(a)) for a ** p"),
-    "remainder": ("a remainder", "wrap(a) for angles, where(a > b, a - b, a) for one period"),
+    "remainder": ("a remainder", "wrap(a) for angles, where(a > b, a - b, a) if a < 2 * b"),
     "floor": ("a division with //", "a / b"),
     "key": ("a key of a dict or set", "a list and a constant index, or where(condition, a, b)"),
     "mask as number": ("arithmetic with a condition", "where(condition, 1.0, 0.0)"),
-    "inverse": ("the inverse of a condition", "where(condition, b, a) with exchanged branches"),
+    "inverse": ("negating a condition", "where(condition, b, a) for where(~condition, a, b)"),
     "number as mask": ("using a number as a condition", "where(a > 0.5, ...)"),
 }
 

@@ -2,7 +2,7 @@
 
 The seed of an environment determines its *stream*, a number of 64 bits. The generator SplitMix64
 (Steele, Lea and Flood 2014) starts at the stream, and its n-th output is the key of the n-th
-episode. A key is a function of stream and n, so many keys can be computed together.
+episode. A key depends only on the stream and n, so any number of keys can be computed at once.
 """
 
 import operator

@@ -38,7 +38,7 @@ def test_a_speed_chooses_the_mode(folder, speed, mode):
 @pytest.mark.parametrize("word", ["fast", "-1", "nan", "", "1_0"])
 def test_an_invalid_speed_is_refused(word):
     _, line = refused(options(WALK / "log.csv", "--speed", word))
-    assert f"speed: found {word!r}, expected a number of m/s, at least 0" in line
+    assert f"speed: found {word!r}, expected a speed in m/s, 0 or more" in line
 
 
 @pytest.mark.slow  # compiles large programs
@@ -258,7 +258,7 @@ MISTAKES = {  # name -> options, expected message
     "an imm and a speed": (["--imm", "imm", "--speed", "1"], "speed: cannot be combined"),
     "an imm and modes": (["--imm", "imm", "--modes", "m.json"], "modes: cannot be combined"),
     "a diagnosis with --out": (["--diagnose", "--out", "t.tum"], "diagnose: cannot be combined"),
-    "a diagnosis of paths": (["--diagnose", "--associate"], "diagnose: .* with --associate"),
+    "--diagnose with --associate": (["--diagnose", "--associate"], "diagnose: .* with --associate"),
     "a mistyped imm": (["--imm", "imm-bets"], "imm: found 'imm-bets', did you mean imm-best"),
     "a missing bank file": (["--imm", "missing.json"], "missing.json"),
     "window": (["--speed", "1", "--window", "1"], "window: found 1, expected 2 to 20000 epochs"),

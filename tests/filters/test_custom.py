@@ -45,7 +45,7 @@ REFUSED = {
     "c = {a: 1.0}": ("a key of a dict or set", "a list and a constant index"),
     "c = (a > 0.0) * 2.0": ("arithmetic with a condition", "write where(condition, 1.0, 0.0)"),
     "c = where(b, 1.0, 0.0)": ("using a number as a condition", "write where(a > 0.5, ...)"),
-    "c = where(~(a > 0.0), 1.0, 0.0)": ("the inverse of a condition", "where(condition, b, a)"),
+    "c = where(~(a > 0.0), 1.0, 0.0)": ("negating a condition", "where(condition, b, a)"),
 }
 
 

@@ -259,7 +259,7 @@ def corrections(rollout):
         yield axes @ (info["estimate"][:2] - x[:2]), axes @ (info["estimate"][3:5] - x[3:5])
 
 
-def test_features_of_the_coming_epoch_are_what_the_chosen_mode_then_computes(rollout):
+def test_coming_features_equal_the_results_of_the_chosen_mode_in_the_next_step(rollout):
     variance = rollout.read("position variance")[1:]
     for t, changes in enumerate(corrections(rollout)):
         info, visible = rollout.infos[t + 1], rollout.episode.usable[t]

@@ -146,7 +146,7 @@ def test_a_rotated_frame_causes_a_warning_and_no_hypothesis_explains_it(tmp_path
     ("azimuths are compass bearings", -1.0, 60.0),
     ("azimuths are counterclockwise from east", 1.0, 30.0),
 ])  # fmt: skip
-def test_bearings_are_diagnosed_by_the_direction_of_the_x_axis(tmp_path, name, sign, degrees):
+def test_compass_bearings_are_diagnosed_if_the_x_axis_is_known(tmp_path, name, sign, degrees):
     scene = read_scene(FOLDERS[0] / "scene.json")
     scene = replace(scene, origin=Origin(48.0, 11.0, bearing_deg=60.0))
     mistake = linear(sign, *AZIMUTHS, offset=np.radians(degrees))

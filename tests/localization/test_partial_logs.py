@@ -30,8 +30,8 @@ def read(path, **options):
     return next(read_log(path, SCENE, partial=True, **options))
 
 
-def test_a_link_that_lacks_one_number_is_used_with_its_other_numbers(tmp_path):
-    lacks = COLUMNS["anchor"] % 4  # index in LINK of the number that a row lacks
+def test_a_link_that_lacks_one_value_is_used_with_its_other_values(tmp_path):
+    lacks = COLUMNS["anchor"] % 4  # index in LINK of the value that a row lacks
     links = {name: np.where(lacks == i, np.nan, COLUMNS[name]) for i, name in enumerate(LINK)}
     block = read(written(tmp_path, ("time_s", "anchor", "doppler_hz", "snr_db"), **links))
     whole = read(WALK / "log.csv")

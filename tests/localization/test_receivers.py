@@ -1,4 +1,4 @@
-"""Tests that tracks from logs with only some quantities equal the tracks of a textbook EKF."""
+"""Tests that logs that lack some measured quantities yield the tracks of a textbook EKF."""
 
 import csv
 import json
@@ -95,7 +95,7 @@ def by_textbook(log, scene, x, P, flat):
     return np.array(means)
 
 
-# Cases without three anchors are slow: each number of anchors needs programs of its own.
+# Cases with other than three anchors are slow: each number needs compiled programs of its own.
 @pytest.mark.parametrize(
     "receiver", representative(RECEIVERS, "all, 1 s", "no Doppler shift", "angles")
 )

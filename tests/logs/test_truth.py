@@ -105,7 +105,7 @@ def test_an_offset_is_found_despite_biases_and_a_shifted_frame(seconds, shift):
     assert clock.seconds == pytest.approx(seconds, abs=4.0 * clock.deviation_s + 0.01)
     assert 0.0 < clock.deviation_s < 0.01 and clock.matters == bool(seconds)
     if seconds:
-        assert f"shift its times by {'-' if seconds > 0.0 else '+'}" in clock.advice
+        assert f"shift the times in this file by {'-' if seconds > 0.0 else '+'}" in clock.advice
 
 
 def test_the_standard_error_of_an_offset_is_the_spread_over_many_logs():

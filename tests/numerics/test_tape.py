@@ -107,7 +107,7 @@ PROGRAMS = """
 
 @pytest.mark.slow
 def test_kernels_of_several_processes_are_not_mixed_up(started):
-    """Compile each kernel in its own process; load all in one process: equal symbols would clash.
+    """Compile each kernel in its own process, and load all in one, where equal names would clash.
 
     A process prints each kernel's result for 1, and how many times the kernel was found on disk.
     """

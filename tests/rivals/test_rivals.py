@@ -114,8 +114,8 @@ def test_adaptive_noise_converges_to_the_true_noise():
         shape, rate = ([0.99 * value for value in part] for part in (shape, rate))
         everywhere = measurement._replace(z=z.tolist(), visible=[1.0] * len(layout.groups))
         *_, shape, rate = adapted(x, P, everywhere, shape, rate, ekf)
-    # The factor 0.99 keeps about 100 epochs in memory, so few values determine an estimate: 400 of
-    # a link, and 100 Doppler shifts.
+    # The factor 0.99 gives a memory of about 100 epochs, so estimates rest on few values: 400 for a
+    # link, 100 for the Doppler shift.
     np.testing.assert_allclose(np.divide(rate, shape), 4.0, rtol=0.3)
 
 

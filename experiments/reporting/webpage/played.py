@@ -1,4 +1,4 @@
-"""Replay of a comparison's episodes or of a log, for details that results do not store."""
+"""Replay of episodes of a comparison, or of a log, for details that files do not store."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -48,7 +48,7 @@ def play(source: Source, most: int, watched: int) -> Played:
     """Run the first episodes of a comparison, or the beginning of a log, again.
 
     A user's code is not run: contenders given as module:function or as a .zip file are left out.
-    At most ``most`` episodes run; the first LONGEST epochs of the first ``watched`` are kept.
+    At most ``most`` episodes run. Of the first ``watched`` ones, LONGEST epochs are kept.
     """
     if source.kind == "run":
         return Played()
