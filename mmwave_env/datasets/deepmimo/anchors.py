@@ -29,7 +29,7 @@ from mmwave_env.models.measurement import SPEED_OF_LIGHT, direction
 from mmwave_env.numerics.numbers import PI, Array, Index, Mask, wrap
 from mmwave_env.world.checks import refuse_in
 
-TOLERANCE_M = 0.05  # closer points count as the same; rounding to float32 moves points by 1e-4 m
+TOLERANCE_M = 0.05  # points this close count as equal; rounding to float32 moves points by 1e-4 m
 # ``interactions`` has one digit for each interaction on a path; 0 means no interaction.
 LINE_OF_SIGHT, REFLECTION = 0.0, 1.0
 
@@ -76,7 +76,7 @@ def propagation(angles: Array, sight: Array, direct: Mask) -> Array:
 
 
 _FLAT = 0.7  # a mirror is the ground, not a wall, if its normal is steeper than 45 degrees
-_ROW_KEYS = ("delay", "aoa_az", "aoa_el", "aod_az")  # names of the arrays from which LINK comes
+_ROW_KEYS = ("delay", "aoa_az", "aoa_el", "aod_az")  # names of arrays, in the order of ``LINK``
 _TOLERANCES = (2.0 * TOLERANCE_M, 0.02, 0.02, 0.02)  # m, rad; wrong conventions cause larger errors
 
 

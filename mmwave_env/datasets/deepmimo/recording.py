@@ -142,7 +142,7 @@ def _way_of(scenario: Scenario, epochs: Index, dt_s: float | None) -> Trajectory
 def _links(
     stations: list[StationPaths], position_m: Array, virtual_anchors: int
 ) -> list[tuple[StationLinks, int]]:
-    """Return, for each anchor, the links of its station, and its row in their ``anchors_m``."""
+    """Return a pair (links, k) for each anchor, so that the anchor is ``links.anchors_m[k]``."""
     if len(stations) == 1:
         links = find_links(stations[0], position_m)
         images = np.flatnonzero(~links.is_ground)[1:].tolist()
