@@ -87,8 +87,8 @@ def is_compiled(function: Any, arguments: tuple[Any, ...]) -> bool:
 def _folder() -> Path | None:
     """Return the folder for code compiled from the current sources; None if no folder can be used.
 
-    The first of these parents in which it can be private and written is used: ``NUMBA_CACHE_DIR``,
-    if that is set; the package's folder for bytecode; the user's folder for caches.
+    Its parent is numba's ``NUMBA_CACHE_DIR`` (if set), the package's ``__pycache__`` or the user's
+    folder for caches: the first of the three that can hold a private, writable folder.
     """
     version = _version()
     if version is None:
