@@ -26,7 +26,7 @@ model.learn(total_timesteps=2_000_000)
 
 
 def reward(act, episodes=500):
-    """Return the reward per epoch in test episodes, without their first ten epochs."""
+    """Return the mean reward per epoch of each test episode, without its first ten epochs."""
     env = gym.make_vec(**task, num_envs=episodes)
     rewards, (observations, _) = [], env.reset(seed=0)
     for _ in range(200):

@@ -55,7 +55,7 @@ def main(args: Args) -> None:
     made = results(args, names, pictures, args.width_mm)
     if args.table:
         write_text(args.table, booktabs(*made.comparison.table(METRICS)))
-    if args.json:  # before show(), which fails if the reader of the tables closes the pipe
+    if args.json:  # before show(), which fails if the program that reads its output stops
         write_json(args.json, provenance("compare", args) | made.json)
     try:
         for draw in made.pictures:

@@ -34,7 +34,7 @@ class Args(LearnedArgs):
     """radio profile that the model was trained with: handset, standard, high or a JSON file"""
 
 
-TIES = 0.001  # largest share of observations whose action may differ because of rounding
+TIES = 0.001  # maximum fraction of observations on which rounding may change the action
 
 
 def main(args: Args) -> None:

@@ -47,7 +47,7 @@ class Args:
 def main(args: Args) -> None:
     """Run the command."""
     from experiments.console.doc_pages import page_to_renew, renewed
-    from experiments.console.progress import note
+    from experiments.console.progress import note, say
     from experiments.console.provenance import provenance
     from experiments.console.tables import show
     from experiments.evaluation import protocol
@@ -80,5 +80,7 @@ def main(args: Args) -> None:
     protocol.add_scores(entries, ceiling)
     tables = protocol.tables_of(entries, ceiling)
     show("\n\n".join(f"{TITLES[name]}:\n\n{table}" for name, table in tables.items()))
+    if files:
+        say(f"entries in {', '.join(map(str, files.values()))}")
     if args.docs:
         write_text(args.docs, renewed(page, tables))

@@ -1,4 +1,4 @@
-"""mmwave-loc localize: the track of a log, by a learned policy, Algorithm 1 or an IMM."""
+"""mmwave-loc localize: the track of a log, from a learned policy, Algorithm 1 or an IMM."""
 
 from dataclasses import dataclass
 

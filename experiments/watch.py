@@ -116,7 +116,7 @@ def _drawn(
 
 
 def _between(time_s: "Array", begin: float | None, end: float | None) -> list[int]:
-    """Return a history's rows between two times, without row 0 (the prior) if ``begin`` is set."""
+    """Return indices of rows between two times, without row 0 (the prior) if ``begin`` is set."""
     import numpy as np
 
     low, high = -np.inf if begin is None else begin, np.inf if end is None else end

@@ -136,7 +136,7 @@ def task_from(**arguments: Any) -> Task:
         if name not in known:
             # commands and ``compare`` call this argument "data"
             hint = did_you_mean("episodes" if name == "data" else name, known)
-            raise TypeError(  # some libraries look for these words of Python's own message
+            raise TypeError(  # some libraries look for these words, as in Python's own message
                 f"got an unexpected keyword argument {name!r}, expected one of "
                 f"{', '.join(known)}{hint}"
             )

@@ -210,7 +210,7 @@ class MmWaveLocVectorEnv(
 
     @property  # type: ignore[misc]
     def np_random(self) -> Any:
-        """Return one random generator per environment; a custom source draws episodes from it."""
+        """Return one random generator per environment, from which custom sources draw episodes."""
         return self._streams.generators()
 
     @property

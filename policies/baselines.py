@@ -21,7 +21,7 @@ class FixedMode(Policy):
 class LikelihoodRule(Policy):
     """A policy that chooses the mode that best explains recent measurements and the coming one.
 
-    A mode's score is a moving average of its log-likelihood relative to the last mode.
+    A mode's score is a moving average of its log-likelihood relative to the mode ``modes[-1]``.
 
     Args:
         observation: the environment's table of features; its kind must be "full" or "signed".

@@ -60,7 +60,7 @@ class LearnedPolicy:
 
         Args:
             radio: name or file of the radio profile. If the policy has no bank for the profile, the
-                result is the bank for the profile's base, else for "standard", else the first one.
+                result is the bank for its base profile, else for "standard", else the first bank.
 
         Raises:
             ValueError: the policy was trained with a shared belief.
@@ -86,7 +86,7 @@ class LearnedPolicy:
 
         Raises:
             ValueError: the environment lacks the beliefs or modes of the training, or a feature is
-                missing or has another unit or scale; the message names both values and a remedy.
+                missing or has another unit or scale; the message names the mismatch and a remedy.
         """
         card = self.card
         banks = [card.modes, *(bank.modes for bank in card.banks.values())]

@@ -23,7 +23,7 @@ def command(*words, cwd=ROOT, columns=200, stdin=b""):
     """
     out, err, before = StringIO(), StringIO(), os.getcwd()
     typed = ["mmwave-loc", *map(str, words)]
-    # The program replaces warnings.showwarning; catch_warnings restores this function, too.
+    # The program replaces warnings.showwarning; catch_warnings restores it.
     with (
         patch.object(sys, "argv", typed),
         patch.object(sys, "stdin", TextIOWrapper(BytesIO(stdin))),

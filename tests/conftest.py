@@ -12,8 +12,8 @@ collect_ignore_glob = [] if find_spec("pygame") else ["rendering/test_*.py"]
 # threads do not survive a fork.
 os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
-# Unless the disk cache has them, the loops that draw episodes and that step and reset environments
-# take half a minute to compile. Until they are compiled, they run as plain Python.
+# The loops that draw episodes and that step and reset environments take half a minute to compile,
+# unless the disk cache has them. Until they are compiled, they run as plain Python.
 LOOPS = """
 import gymnasium as gym
 env = gym.make_vec("mmwave_env:MmWaveLoc-v0", num_envs=8192, episode_steps=3)

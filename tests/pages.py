@@ -5,7 +5,7 @@ A comment above a block says what is done with the block:
 - ``<!-- example -->``: the block is run. All Python blocks of a page share one session, lines that
   begin with ``mmwave-loc`` are run as commands, and functions named test_... are called.
 - ``<!-- example: ride.csv -->``: it is written to this file, in the folder where blocks are run.
-- ``<!-- example: few -->``: it is run with 2 episodes and 4096 steps instead of its own numbers.
+- ``<!-- example: few -->``: it is run with only 2 episodes and 4096 time steps of training.
 - ``<!-- example: slow -->``: only slow tests run it; ``few`` and ``slow`` can be combined.
 - ``<!-- published -->``: it takes minutes or more, so only the renewal of tables runs it.
 - ``<!-- not run: why -->``: it is never run, for this reason.

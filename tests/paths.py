@@ -25,7 +25,7 @@ def write_json(path: Path, content) -> Path:
 
 
 def loaded(path: str):
-    """Run a Python file of the checkout that is not in a package, and return its names."""
+    """Run a Python file of the checkout that is not in a package; return its global variables."""
     return SimpleNamespace(**run_path(str(ROOT / path)))
 
 

@@ -1,4 +1,4 @@
-"""JSON schemas of the files that users write, made from the dataclasses that readers return.
+"""JSON schemas of the files that users write, made from dataclasses that hold their content.
 
 After changing such a dataclass, run ``make generated`` to write mmwave_env/data/schemas again.
 """

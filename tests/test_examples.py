@@ -1,6 +1,6 @@
 """Tests that example agents beat simple rivals, that other examples work, and that notebooks run.
 
-The rival is the policy `guided` if the example prints its reward, and `fixed-ukf` if not.
+The rival is the policy `guided` if the example prints the reward of `guided`, else `fixed-ukf`.
 Examples whose libraries are not installed are skipped; `make examples` installs them all.
 """
 
@@ -102,7 +102,7 @@ def test_along_the_pareto_front_a_smaller_error_costs_consistency(tmp_path):
 
 @pytest.fixture
 def localizer(tmp_path, monkeypatch):
-    """Run recurrent_localizer.py, save an untrained network, and return the script's names."""
+    """Run recurrent_localizer.py, save an untrained network, and return the script's variables."""
     monkeypatch.chdir(tmp_path)
     names = loaded("examples/recurrent_localizer.py")
     names.save_file(names.Network().state_dict(), names.FILE)
@@ -145,7 +145,7 @@ STORED = {"first_switcher": 0, "corrector": 5}  # number of pictures stored with
 
 
 @pytest.mark.parametrize("name", STORED)
-def test_notebooks_are_stored_with_pictures_but_without_details_of_a_run(name):
+def test_notebooks_are_stored_without_details_of_a_run(name):
     notebook = json_in(NOTEBOOKS / f"{name}.ipynb")
     code = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
     assert all(cell["execution_count"] is None for cell in code)
@@ -184,7 +184,7 @@ def test_the_notebook_of_the_corrector_shows_that_every_step_helps():
 
 @pytest.mark.slow
 @pytest.mark.torch
-def test_the_agent_of_the_first_notebook_beats_the_rule_and_the_ukf():
+def test_the_agent_of_the_first_notebook_beats_the_speed_rule_and_the_ukf():
     printed, shown = outputs_of("first_switcher")
     assert "Warning: speed" not in printed
     assert sum("image/png" in data for data in shown) == 3

@@ -105,7 +105,7 @@ def assert_alike(shown, now):
 
 @pytest.mark.slow
 @pytest.mark.torch
-@pytest.mark.filterwarnings("default:speed above 20 m/s")  # some cars are too fast for the rule
+@pytest.mark.filterwarnings("default:speed above 20 m/s")  # some cars are faster
 def test_the_agent_trained_in_the_readme_beats_a_fixed_mode_and_the_speed_rule(tmp_path):
     """Expect a gain of 0.02 or more in reward. Three seeds beat `fixed-ukf` by 0.046 to 0.061."""
     pytest.importorskip("stable_baselines3")

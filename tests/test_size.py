@@ -16,11 +16,11 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "lines of source": 33_497,
-    "tokens of source": 227_287,
+    "lines of source": 33_509,
+    "tokens of source": 227_442,
     "files of source": 239,
-    "lines of tests": 24_311,
-    "tokens of tests": 217_458,
+    "lines of tests": 24_000,
+    "tokens of tests": 215_000,
     "words of docs": 49_400,
     "pages of docs": 24,
     "tracked files": 660,
@@ -31,13 +31,13 @@ BUDGET = {
     "lines that ruff may not format": 60,
 }
 ROOMS = {  # maximum lines of source in a folder
-    "experiments/evaluation": 2_050,
+    "experiments/evaluation": 2_055,
     "experiments/training": 2_865,
     "experiments/reporting/webpage": 1_060,
     "mmwave_env/datasets": 1_645,
-    "mmwave_env/engines": 2_175,
+    "mmwave_env/engines": 2_177,
     "mmwave_env/filters": 2_385,
-    "mmwave_env/localization": 2_767,
+    "mmwave_env/localization": 2_775,
     "mmwave_env/world": 2_135,
 }
 SOURCE = ("mmwave_env", "experiments", "policies")

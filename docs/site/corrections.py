@@ -1,7 +1,7 @@
 """A study of what the shipped corrector learned, for docs/corrections.png and docs/learning.md.
 
-``PYTHONPATH=. python docs/site/corrections.py`` plays test episodes for about two minutes,
-draws the picture and prints the tables.
+The policy `corrector` corrects the positions of the policy `guided` with a network. In about two
+minutes, ``PYTHONPATH=. python docs/site/corrections.py`` draws the picture and prints the tables.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -99,7 +99,7 @@ def events(played: Played) -> dict[str, NDArray[np.bool_]]:
 
 
 def _begins(state: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return a mask (n, T): whether a state begins that was absent in the previous 5 epochs."""
+    """Return a mask (n, T) of the epochs in which ``state`` begins after 5 epochs without it."""
     begins = state.copy()
     for back in range(1, 6):
         begins[:, back:] &= ~state[:, :-back]

@@ -24,7 +24,7 @@ PAGE_OF = {  # command -> the page about it
 
 
 def environment_page() -> str:
-    """Return environment.md: a title, a comment and the docstring of the class."""
+    """Return environment.md: a title, a comment and the docstring of MmWaveLocEnv."""
     text = inspect.cleandoc(MmWaveLocEnv.__doc__ or "")
     made = "<!-- made from the docstring of MmWaveLocEnv by `make generated` -->"
     return f"# MmWaveLoc-v0\n\n{made}\n\n{text}\n"

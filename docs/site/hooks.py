@@ -1,4 +1,4 @@
-"""Hooks of mkdocs that make pages, and links that work on the site, during the build.
+"""Hooks of mkdocs that generate pages and adapt links to the site during the build.
 
 Besides the files of docs/, the site shows text whose only source is elsewhere: the README, the
 help of the commands, CITATION.cff, notebooks and the docstrings of the modules.
@@ -28,7 +28,7 @@ MIRRORED = {  # pages of the site whose files are outside docs/
 SHOWN = ("first_switcher", "corrector")
 NOTEBOOKS = {f"notebooks/{name}.md": f"docs/notebooks/{name}.ipynb" for name in SHOWN}
 REPORTS = {"docs/results.json": "report.html"}  # results that the site shows as a web page
-API = {  # page: title, and paths of modules and folders, in mmwave_env unless they begin with "/"
+API = {  # page -> title, and paths of modules and folders (in mmwave_env unless "/" is first)
     "environment": ("Around the environment", ["vector_env", "sb3"]),
     "signals": ("Rewards and observations", ["interface/", "metrics"]),
     "numerics": ("Numbers", ["numerics/numbers", "numerics/linalg"]),
@@ -148,7 +148,7 @@ The same entries are in [CITATION.cff]({source_of("CITATION.cff")}), which refer
 def notebook_page(path: Path) -> str:
     """Return the cells of a notebook and their stored outputs, with a link to the file."""
     first, *others = json.loads(path.read_text("utf-8"))["cells"]
-    # A link by reference: :func:`relinked` would turn an inline link into a link to this page.
+    # The link is by reference: :func:`relinked` would make an inline link lead to this page.
     parts = [
         "".join(first["source"]),
         "This page shows a notebook and its stored outputs. To run the notebook, [download it]"

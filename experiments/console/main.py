@@ -122,7 +122,7 @@ def run(name: str, words: Sequence[str] | None = None) -> None:
                 f"warning: {_in_one_line(str(message))}", file=sys.stderr
             )
             for stream in (sys.stdout, sys.stderr):
-                if isinstance(stream, TextIOWrapper):  # some encodings lack characters
+                if isinstance(stream, TextIOWrapper):  # its encoding may lack a character
                     stream.reconfigure(errors="backslashreplace")
             args, command = read_arguments(name, words), importlib.import_module(page_of(name))
             # Most commands need this slow import; during it, Ctrl-C ends the program immediately.

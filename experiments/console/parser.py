@@ -126,7 +126,7 @@ def _columns(count: int) -> Iterator[None]:
 
 
 def _message(box: str) -> str:
-    """Return tyro's message about a mistake in one line, with the option that it suggests."""
+    """Return, in one line, tyro's message about a mistake and the option that tyro suggests."""
     _, message, suggestion, *_ = (" ".join(part.split()) for part in RULE.split(box))
     close = re.match(r"Perhaps you meant: (\S+)", suggestion)
     end = f"; did you mean {close[1]}?" if close else "; --help lists all options"

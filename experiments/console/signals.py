@@ -18,7 +18,7 @@ SAME_S = 1.0
 
 
 class Ended(SystemExit):
-    """A signal that ended the program, with the exit code that shells expect."""
+    """An exit that a signal caused, with the exit code that shells expect."""
 
     def __init__(self, number: int) -> None:
         super().__init__(128 + number)

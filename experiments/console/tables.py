@@ -1,4 +1,4 @@
-"""Text and tables of results, as Markdown and on a terminal."""
+"""Text and tables of results, as Markdown, as LaTeX and on a terminal."""
 
 import re
 import textwrap
@@ -53,7 +53,7 @@ def grid(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
 
 
 def booktabs(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Return plain text as a LaTeX ``tabular`` environment in the style of the package booktabs."""
+    """Return plain-text cells as a LaTeX ``tabular`` in the style of the package booktabs."""
     head, *body = (
         " & ".join(_MINUS.sub("$-$", printable(str(cell)).translate(_LATEX)) for cell in cells)
         for cells in (header, *rows)

@@ -25,7 +25,7 @@ from mmwave_env.task import Task, task_from
 from mmwave_env.world.episode import EpisodeBatch
 
 TOLERANCE = 1e-6  # largest relative deviation that passes; correct kernels stay within 1e-9
-_KEYS = np.arange(3, dtype=np.uint64)  # keys of episodes: too few to fill a block of SIMD lanes
+_KEYS = np.arange(3, dtype=np.uint64)  # keys of episodes; fewer than the SIMD lanes of a block
 _EPOCHS = 25
 
 

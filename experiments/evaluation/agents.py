@@ -78,7 +78,7 @@ class Estimator(Policy):
 
 
 class _Function(Policy):
-    """A policy without memory, made from a function that may have a method ``correct``."""
+    """A policy without memory that calls a function, and has its method ``correct``, if any."""
 
     def __init__(self, act: Act) -> None:
         self._act = act

@@ -52,7 +52,7 @@ def compare(
     """Compare a user's agents with known contenders on the same episodes.
 
     Args:
-        policies: agents by their name in the tables. An agent is either a function that maps
+        policies: agents, by the names to show in tables. An agent is either a function that maps
             observations (n, features), float32, of ``n`` episodes to ``n`` integer actions, or
             anything that ``mmwave-loc compare --policies`` accepts: a policy file,
             "module:function", a run's folder, or a contender's name. A function may have a method
@@ -66,7 +66,7 @@ def compare(
         episodes: number of episodes, 200 by default; results to publish need 1000 or more.
         seed: seed of the first episode, 0 by default; training uses seeds from 10 million on.
         modes, observation, beliefs: settings that agents were trained with, as in the environment;
-            policy files contain theirs. An agent given as "imm" is an IMM that mixes these modes;
+            policy files have their own. An agent given as "imm" is an IMM that mixes these modes;
             a bank or file in ``modes`` also sets its transition probabilities and NIS quantile.
         data: recorded episodes or episodes of your own, as in the environment's ``episodes``.
         world: further arguments of the environment: ``scene``, ``dt``, ``episode_steps``,

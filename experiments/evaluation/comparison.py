@@ -99,7 +99,7 @@ class Comparison:
 
     def __str__(self) -> str:
         """Return a table of the policies' means, then a table of paired reward differences."""
-        # Rewards of different kinds are not comparable, so the title names a kind that is unusual.
+        # Rewards of different kinds are not comparable. So the title names any kind but "tracking".
         reward = "" if self.reward == "tracking" else f", reward {escaped(self.reward)}"
         parts = [f"### {escaped(self.scenario)}, {escaped(self.radio)}, {self.selection}{reward}\n"]
         parts.append(grid(*self.table(METRICS)))

@@ -116,7 +116,7 @@ class Contender:
         return action_names(self.modes, self.beliefs)
 
     def start(self, layout: Layout, planar: bool = False) -> Policy | None:
-        """Return a new policy for measurements with this layout; None for the IMM."""
+        """Return a new policy for measurements with this layout; None for an IMM."""
         pipeline = Pipeline(self.modes, layout, planar)
         table = Observation(pipeline, self.observation, self.beliefs)
         return self.policy and self.policy(table)
@@ -131,7 +131,7 @@ def imm_banks(radio: str) -> dict[str, Callable[[], Bank]]:
 
 
 def _of_any_modes(bank: Bank) -> dict[str, Make]:
-    """Return functions that make contenders with a bank's modes: each mode, the rules, the IMM."""
+    """Return functions that make a bank's contenders: each mode alone, the rules and the IMM."""
     names = [mode.name for mode in bank.modes]
     policies: dict[str, Callable[[Observation], Policy]] = {
         f"fixed-{name}": lambda table, i=i: FixedMode(i)  # type: ignore[misc]

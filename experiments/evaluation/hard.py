@@ -1,4 +1,4 @@
-"""Hard sites of the benchmark: motion and receivers that no filter was designed for."""
+"""Hard sites of the benchmark: streets with motion or receivers that no filter is designed for."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -55,9 +55,9 @@ class Positions:
 def positions_markdown(title: str, rows: Json, risk: float, kind: str) -> str:
     """Return a table of errors and protection levels, with a note on the columns.
 
-    The first column has the header ``title`` and contains the keys of ``rows``, whose values are
-    figures of :class:`~mmwave_env.localization.position_errors.PositionErrors`. ``risk`` is the
-    probability that an error exceeds its level. ``kind`` is "calibrated" or "gaussian".
+    The first column has the header ``title``. ``rows`` maps the names in this column to figures of
+    :class:`~mmwave_env.localization.position_errors.PositionErrors`. ``risk`` is the probability
+    that an error exceeds its level. ``kind`` is "calibrated" or "gaussian".
     """
     cells = [
         [f"{name}, {axis}", *row_of(errors)]

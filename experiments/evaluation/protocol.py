@@ -80,7 +80,7 @@ def sites() -> list[Site]:
 
 @dataclass(frozen=True)
 class Judged:
-    """Scores of contenders at one site."""
+    """Metrics of contenders at one site."""
 
     site: Site
     scores: dict[str, Scores]  # metrics by contender
@@ -120,7 +120,7 @@ def require_contenders(names: Sequence[str]) -> None:
         ValueError, FileNotFoundError: same as from
             :func:`~experiments.evaluation.contenders.contender_from`.
     """
-    # Suppress the warning that the modes of an unseen radio are untuned: they are meant to be.
+    # Modes of an unseen radio are untuned on purpose, so suppress the warning about untuned modes.
     with warnings.catch_warnings(action="ignore"):
         for radio in dict.fromkeys(site.radio for site in sites()):
             for name in names:
@@ -130,7 +130,7 @@ def require_contenders(names: Sequence[str]) -> None:
 def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> Judged:
     """Run contenders, the paper's rule and every IMM at a site, on the same episodes."""
     selection = Selection(range(seed, seed + episodes))
-    # Suppress the warning that the modes of an unseen radio are untuned: they are meant to be.
+    # Modes of an unseen radio are untuned on purpose, so suppress the warning about untuned modes.
     with warnings.catch_warnings(action="ignore"):
         imms = [name for name in contenders(site.radio) if name.startswith("imm")]
         everybody = dict.fromkeys([*names, RULE, *imms])
@@ -142,7 +142,7 @@ def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> Judged:
 def entry(name: str, judged: Sequence[Judged]) -> Json:
     """Return the entry of a contender: figures at every site, and mean gain per kind of site.
 
-    A gain is the reward minus the reward of imm-best, the best classical method.
+    A gain here is the reward minus the reward of imm-best, the best classical method.
     """
     gains: dict[str, list[Array]] = {}
     for at in judged:
@@ -173,7 +173,7 @@ def read_entry(path: Path) -> Json:
 
 
 def entries_in(folder: Path) -> list[Json]:
-    """Return the entries in a folder, after those of :data:`BESIDE` that the folder lacks."""
+    """Return the entries of :data:`BESIDE` that a folder lacks, then the entries in the folder."""
     own = [read_entry(path) for path in sorted(folder.glob("*.json"))]
     names = {entry["entry"] for entry in own}
     shipped = (read_entry(SHIPPED / f"{name}.json") for name in BESIDE if name not in names)

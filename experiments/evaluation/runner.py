@@ -91,8 +91,8 @@ def run_contender(
 
     Returns:
         "reward" and "nees" (n, T); "error" (n, T, 3) in m; for a policy also "mode" (n, T), its
-        actions; and an array (n, T, values) for each part in ``after``. Without ground truth, the
-        first three are NaN.
+        actions; and an array (n, T, values) for each part in ``after``. Without ground truth,
+        "reward", "nees" and "error" are NaN.
     """
     if scoring.planar and not isinstance(episodes, EpisodeBatch):
         _scorable(episodes)

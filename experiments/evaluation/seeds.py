@@ -58,7 +58,7 @@ class Selection:
         return Selection(self.seeds[first : first + count])
 
     def keys(self, source: EpisodeSource) -> Keys | None:
-        """Return the keys (n,), which determine simulated episodes; other episodes have none."""
+        """Return the keys (n,) that determine simulated episodes; None for other episodes."""
         from mmwave_env.world.simulated import SimulatedSource  # slow: loads numba
 
         return keys_of(self.seeds) if type(source) is SimulatedSource else None

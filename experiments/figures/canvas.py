@@ -73,7 +73,7 @@ def caption(name: str) -> str:
 
 
 def contenders(names: Iterable[str]) -> dict[str, str]:
-    """Map names of contenders to their labels in a picture.
+    """Map names of contenders (policies and IMMs) to their labels in a picture.
 
     A path is shortened to its shortest ending that distinguishes it from all other names.
     """
@@ -96,8 +96,8 @@ def panels(
 ) -> Iterator[tuple[Any, list[Any]]]:
     """Yield a picture and its ``count`` panels: side by side, or stacked if they would be narrow.
 
-    There is room for a legend with ``entries`` labels, which :func:`legend_of` draws. Letters
-    shrink in pictures that are narrower than usual, so that labels fit.
+    The picture has room for the legend that :func:`legend_of` draws, with ``entries`` labels. The
+    font is smaller in narrow pictures, so that labels fit.
     """
     usual = PHONE_MM / MM_PER_IN if stacked(width_mm) else 2.2 + 4.4 * count
     width = usual if width_mm is None else width_mm / MM_PER_IN

@@ -39,7 +39,7 @@ def draw_error_cdf(
         for number, (name, errors) in enumerate(errors_m.items()):
             look = _style(number) | {"label": labels[name]}
             for axes, sizes in ((left, horizontal(errors)), (right, vertical(errors))):
-                values = np.maximum(sizes, SMALLEST_M)  # a known height has an error of 0
+                values = np.maximum(sizes, SMALLEST_M)  # the error of a known height is 0
                 axes.plot(np.quantile(values, _SHARES), _SHARES, **look)
                 axes.plot(np.quantile(values, SHARES), SHARES, "o", ms=3.5, color=look["color"])
         for axes, kind in ((left, "horizontal"), (right, "vertical")):
@@ -59,7 +59,7 @@ def draw_consistency(
 
     Args:
         time_s: (T,) times since the first epoch of an episode.
-        nees: contender -> NEES (n, T) of n episodes; each is a sum over ``dof`` coordinates.
+        nees: contender -> NEES (n, T) of n episodes; each value sums over ``dof`` coordinates.
         path, width_mm: arguments of :func:`~experiments.figures.canvas.panels`.
     """
     episodes = len(next(iter(nees.values())))

@@ -12,7 +12,7 @@ from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.rendering.history import History
 
 _LINES_IN = 2.0  # height of a panel with lines, inches
-_LOOKS = [  # colors and line styles of contenders, unlike the colors of the first two modes
+_LOOKS = [  # line colors and styles of contenders; the first two modes have other colors
     {"color": color, "ls": style}
     for color, style in (("C3", "-"), ("C4", "--"), ("C6", "-."), ("C2", ":"))
 ]
@@ -41,7 +41,7 @@ def draw_histories(
 ) -> None:
     """Draw speeds, errors and modes of contenders during a part of an episode.
 
-    ``rows`` are epochs, counted from 1, because row 0 of a history is the prior.
+    ``rows`` selects rows of the histories: row 0 is the prior, and row 1 is the first epoch.
     """
     first = next(iter(histories.values()))
     time_s, ribbons = first.time_s[rows], max(0.45 * len(histories), 0.2 * len(modes))

@@ -191,7 +191,7 @@ def _drifting_in_hz(mode: Mode, episode: Episode) -> Mode:
 
 
 def _read_as_mps(episode: Episode) -> Episode:
-    """Return the episode as the filter misreads it: shifts of as many m/s as Hz, noise in m/s."""
+    """Return the episode with Doppler shifts in Hz that count as m/s, and their noise in m/s."""
     sigma = episode.sigma.copy()
     sigma[:, episode.layout.doppler] /= episode.hz_per_mps
     return replace(episode, hz_per_mps=1.0, sigma=sigma)
@@ -288,7 +288,7 @@ def headline(bench: Bench) -> Iterator[Row]:
 
 
 def _changes(radio: Radio) -> dict[str, dict[str, object]]:
-    """Return improvements of a radio: the changed fields, by name of the improvement."""
+    """Return improvements of a radio: name of the improvement -> new values of changed fields."""
     angles = ("aoa_floor_rad", "aod_floor_rad", "elevation_floor_rad")
     larger = {"gnb_elements": 2 * radio.gnb_elements, "ue_elements": 2 * radio.ue_elements}
     halved, quartered = ({name: getattr(radio, name) / n for name in angles} for n in (2, 4))

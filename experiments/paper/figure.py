@@ -10,7 +10,7 @@ from experiments.paper.bench import Cell, Section
 from mmwave_env.models.radio import TUNED_RADIOS
 
 COUPLED = 3  # column of our ATE with coupled process noise; column 1 has the paper's ATE
-FILTERS = 4  # number of rows that the paper's tables also have; ours begin with them
+FILTERS = 4  # number of rows of the paper's tables; our tables begin with the same rows
 COLORS = {"ekf": "C0", "ukf": "C1"}
 
 

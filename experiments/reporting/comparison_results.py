@@ -1,4 +1,4 @@
-"""Runs of contenders, and the tables of results that ``compare`` and ``demo`` print."""
+"""Runs of contenders (policies and IMMs), and the tables that ``compare`` and ``demo`` print."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -46,7 +46,7 @@ def results(
     """Run contenders on the episodes that options select.
 
     If a name is the folder of a training run, its policy with the median reward is the contender.
-    ``pictures`` maps "errors" and "consistency" to the picture files, which are ``width_mm`` wide.
+    ``pictures`` maps "errors" and "consistency" to files; ``width_mm`` is the pictures' width.
 
     Raises:
         ValueError: an option is not valid, or both pictures have the same file.

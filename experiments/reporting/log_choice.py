@@ -21,7 +21,7 @@ DEFAULT_POLICY = "corrector"
 # "corrector" corrects the beliefs of the policy "guided". Without elevations, "guided" chooses
 # wrong modes too often for either to be useful (docs/learning.md).
 WITHOUT_ELEVATIONS = "imm-best"
-# Default for a known height, whose standard deviation, which "corrector" reads, does not exist
+# Default for a known height, which has no standard deviation that "corrector" could read
 WITH_HEIGHT = "guided"
 RULES: dict[str, tuple[Rule, str]] = {  # --follow -> (rule, words before "speed" in reports)
     "prediction": (by_predicted_speed, "the predicted"),
@@ -93,7 +93,7 @@ def choice_of(args: LogArgs, radio: str, block: LogBlock) -> Choice:
 
 
 def _bank(name: str, radio: str) -> Bank:
-    """Return the bank of an IMM, by its name or from a mode file."""
+    """Return an IMM's bank (modes, transition probabilities), by name or from a mode file."""
     if name.endswith(".json"):
         return bank_from(name, radio)
     return choose(imm_banks(radio), name, "imm")()

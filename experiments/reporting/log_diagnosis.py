@@ -25,7 +25,7 @@ from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.mobility import FASTEST_MPS
 
-_UNEVEN = 0.1  # tolerated deviation of a time between epochs, as a share of the usual time
+_UNEVEN = 0.1  # tolerated difference between a time step and the usual step, as a fraction
 
 
 class _Sums:

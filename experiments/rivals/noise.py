@@ -25,7 +25,7 @@ from mmwave_env.numerics.numbers import Matrix, Number, Vector, log
 from policies import FixedMode
 
 DOF = 3.0  # degrees of freedom of Student-t noise, chosen on tuning seeds
-MEMORY = 0.5  # share of the distributions' parameters that is kept per epoch; tuned like DOF
+MEMORY = 0.5  # factor on the distributions' parameters in every epoch; tuned like DOF
 ITERATIONS = 3
 LEAST_VARIANCE = 1e-9  # variance added to a known height, m^2, and to its rate, (m/s)^2
 EVERYTHING = Gate(None)
@@ -108,7 +108,7 @@ class StudentImm(FixedMode):
         super().__init__(0)  # action 0 changes no mode probability
 
     def bank(self, radio: str) -> Bank:
-        """Return a radio's bank; the probability that a mode lasts another second is 0.95."""
+        """Return the modes of the IMM; each continues for another second with probability 0.95."""
         plain = [replace(mode, gate=None, adaptive=False) for mode in default_modes(radio)]
         heavy = (replace(m, algorithm=partial(student_t, base=m.update)) for m in plain)
         return Bank(tuple(heavy))

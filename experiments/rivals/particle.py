@@ -105,6 +105,6 @@ class Particles(Estimator):
 
 
 def resampled(share: Array, rng: np.random.Generator) -> Index:
-    """Draw indices of particles in proportion to their shares, by systematic resampling."""
+    """Draw indices of particles with probabilities ``share`` (n,), by systematic resampling."""
     places = (np.arange(len(share)) + rng.random()) / len(share)
     return np.minimum(np.searchsorted(np.cumsum(share), places), len(share) - 1)

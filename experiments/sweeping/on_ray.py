@@ -48,7 +48,7 @@ def connected(address: str | None, workers: int | None) -> Iterator[None]:
     options |= {"include_dashboard": False, "log_to_driver": False, "logging_level": logging.ERROR}
     ray.init(**options)
     try:
-        # Ray has just installed its own signal handlers, and would print between our tables.
+        # Replace the signal handlers that Ray has just installed, and hide what Ray prints.
         with ended_by_signals(), open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
             yield
     finally:

@@ -1,4 +1,4 @@
-"""The sweep command: its file is read, missing cells are computed, and a table is shown.
+"""The sweep command, which reads a sweep's file, computes missing cells and shows a table.
 
 A cell is a combination of values, one for each axis of the sweep.
 """

@@ -86,7 +86,7 @@ class Spec:
         return values
 
     def _digest(self, values: Values) -> str:
-        """Return a name that depends on the version, the values, and files that values name."""
+        """Return a name that depends on our version, the values, and files that they name."""
         words = itertools.chain(*(v if isinstance(v, tuple) else (v,) for v in values.values()))
         paths = (Path(word) for word in words if isinstance(word, str) and os.path.isfile(word))
         files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]
@@ -148,7 +148,7 @@ def _options(kind: str, table: Values) -> Iterator[tuple[str, Sequence[Any]]]:
 
 
 def _hyperparameters(kind: str, table: Values, axes: Values) -> Iterator[tuple[str, Any]]:
-    """Yield the values or the distribution of each hyperparameter; refuse invalid ones."""
+    """Yield the values or the distribution of each hyperparameter; refuse invalid values."""
     algo, beliefs = (axes.get(name, [getattr(Training, name)])[0] for name in ("algo", "beliefs"))
     checked = read_hyperparameters(shipped_hyperparameters(algo, beliefs), algo)
     types = get_type_hints(type(checked))

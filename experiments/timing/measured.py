@@ -51,7 +51,7 @@ def rate(laps: workloads.Laps, seconds: float) -> tuple[float, float]:
 class Measured:
     """All measured values; each list has one entry per round or, for new processes, per process.
 
-    ``sizes`` are numbers of environments in the native vector environment.
+    ``sizes`` are the sizes of our vector environment (numbers of environments) to measure.
     """
 
     def __init__(self, sizes: Sequence[int]) -> None:
@@ -59,7 +59,7 @@ class Measured:
         largest = {workloads.native_name(n): n for n in self.sizes[-FRESH_SIZES:]}
         self._processes = {"single": 0} | largest
         self.operations = kernels()
-        # steps per second and cores busy, by workload: environments, and filters on one thread
+        # steps per second and number of busy cores, by workload (environments, single filters)
         self.steps_per_s: Rounds = defaultdict(list)
         self.cores_busy: Rounds = defaultdict(list)
         # minimum seconds for a step on one core, by kernel

@@ -20,7 +20,7 @@ from mmwave_env.compiler.lanes import WIDTH, kernel
 from mmwave_env.numerics.numbers import sqrt, where
 
 CHAINS = (8, 16, 24)  # numbers of chains to try: the best number depends on the processor
-LENGTH = 480  # operations per pass of a timed loop: many, but their code fits into any cache
+LENGTH = 480  # operations per pass of a timed loop; their code fits into any cache
 BLOCKS, ROWS = 4, 64  # size of the copied data: 16 KiB, which fits into any first-level cache
 CALLS, TRIES = 1000, 10
 
@@ -48,7 +48,7 @@ def limit_s(operations: Operations) -> float:
 
 
 def interleaved(operations: Operations) -> tuple[str, ...]:
-    """Return ``LENGTH`` operations, by kind, in the given proportions and evenly mixed."""
+    """Return the kinds of ``LENGTH`` operations, evenly mixed, in the proportions of a kernel."""
     steps = _steps(operations)
     total = sum(steps.values())
     order: list[str] = []

@@ -1,6 +1,6 @@
 """Timed workloads: steps of environments, and filters alone.
 
-The step of an environment is made in three ways: in a loop over filterpy's filters, in our single
+An environment's step is computed in three ways: in a loop over filterpy's filters, in our single
 environment, and in our vector environments. All three compute the predictions, gates, innovations
 and posteriors of both modes and the reward of the chosen mode (always mode 1), and draw episodes
 when needed. The filterpy loop leaves out observations, adaptive noise, recovery, and the metrics of

@@ -75,7 +75,7 @@ class RolloutHyperparameters(_SwitcherHyperparameters):
 
     horizon: Count  # length of a rollout, epochs
     stride: Count  # epochs of an environment between two states in which all actions are tried
-    states: Count  # minimum number of new states between two updates; each has all actions tried
+    states: Count  # minimum number of new states per update; all actions are tried in each state
     memory: Count  # number of latest states that an update learns from
     gradient_steps: Count  # number of gradient steps of an update
 

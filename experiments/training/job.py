@@ -36,7 +36,7 @@ class Job(Generic[H]):
 
     task: TrainingTask
     hyperparameters: H
-    seed: int  # number of the training, from 0
+    seed: int  # training seed; a run numbers its trainings from 0
     # length of the training: number of epochs of all environments together; if the algorithm is
     # "rollouts", number of states in which all actions are tried
     timesteps: int

@@ -2,8 +2,8 @@
 
 A protection level is a bound that a position error exceeds with a given probability, the risk. The
 Gaussian level is this bound if errors are Gaussian with the belief's covariance. A network learns
-quantiles of log(error / Gaussian level) by minimizing the pinball loss. It learns from the same
-kinds of episodes as correctors. Constants, calibrated on other episodes, are added to its outputs.
+quantiles of log(error / Gaussian level), by the pinball loss, from the same kinds of episodes as
+correctors of beliefs. Constants, calibrated on other episodes, are added to the network's outputs.
 """
 
 from collections.abc import Iterator, Sequence
@@ -110,8 +110,8 @@ def _trained(features: Array, logs: Array, steps: int) -> Network:
 def _constants(network: Network, seed: int, rounds: int) -> Array:
     """Return the constants (kinds, risks, 2) of the calibration.
 
-    A constant is the larger of two: the constant for all episodes plus an episode of infinite
-    errors (split conformal prediction, Lee et al. 2023), and the largest constant of one place.
+    A constant is the larger of two: one for the episodes of all places and an extra episode with
+    infinite errors (split conformal prediction, Lee et al. 2023), and the largest for any place.
     """
     over: list[list[Array]] = [[] for _ in range(len(PLACES) * len(KINDS))]
     for i, (features, logs) in enumerate(_played(seed, rounds, KINDS, random_share=0.0)):

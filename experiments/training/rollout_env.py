@@ -37,8 +37,8 @@ class Tried(NamedTuple):
 class RolloutEnv:
     """A set of n environments at the places of a task; a place is a scene with a radio.
 
-    Eight adjacent environments share a place and an epoch. The first episodes of these groups of
-    eight are cut to different lengths, so that the groups are in different epochs afterwards.
+    A group of eight adjacent environments has one place, and all eight are in the same epoch. The
+    groups' first episodes are cut to different lengths, so that later their epochs differ.
 
     Args:
         task: task of the training.

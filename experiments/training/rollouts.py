@@ -29,8 +29,8 @@ EVALUATE = 8  # number of updates between two evaluations
 class RolloutLearner:
     """The network, its optimizer and the states that it learns from.
 
-    The memory has states s in which all actions a were tried. The network, with the weights it had
-    then, chose the actions after a. Q(s, a) is the value of a; pi(a | s) is its probability now.
+    The memory has states s in which all actions a were tried; the network, with its weights at that
+    time, chose the later actions. Q(s, a) is the value of a; pi(a | s) is its current probability.
     Training maximizes the mean of sum_a pi(a | s) (Q(s, a) - Q(s, 0)) and a small entropy bonus.
 
     Args:
@@ -142,8 +142,8 @@ class RolloutTraining:
 
     Args:
         job: training to run; if its folder has a checkpoint, the training continues from it.
-        tell: function that is called with :class:`News`; its ``timesteps`` is the number of states
-            in which all actions were tried so far.
+        tell: function that is called with :class:`News`; ``News.timesteps`` is the number of
+            states in which all actions were tried so far.
 
     Attributes:
         env: environments in which actions are tried.

@@ -35,7 +35,7 @@ class Place:
         clock: "synchronized" or "offset".
 
     Raises:
-        ValueError: an argument is invalid, or the benchmark holds the scene or radio out.
+        ValueError: an argument is invalid, or the benchmark holds out the scene or radio.
         FileNotFoundError: there is no such file.
     """
 
@@ -127,7 +127,7 @@ def require_environments(count: int, places: int, together: int = 1) -> None:
         together: number of adjacent environments that must share a place.
 
     Raises:
-        ValueError: the number is not possible; the message says which numbers are.
+        ValueError: the number is not possible; the message says which numbers are possible.
     """
     if count % together or count < together * places:
         multiple = f"a multiple of {together}, " if together > 1 else ""
@@ -198,8 +198,8 @@ def banks_of(modes: Sequence[str], places: Sequence[Place], beliefs: str) -> dic
     Args:
         modes: names and mode files, as on the command line; empty for the defaults.
         places: places to train at.
-        beliefs: "per-mode" for a bank tuned for each radio; "shared" for the modes tuned for the
-            radio of the first place, at all places.
+        beliefs: "per-mode" for a bank tuned for each radio; "shared" for one bank at all places,
+            with the modes tuned for the radio of the first place.
 
     Raises:
         ValueError: same as from :func:`~mmwave_env.filters.bank.bank_from`.

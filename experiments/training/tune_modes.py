@@ -35,7 +35,7 @@ STEP = 0.3  # size of the first simplex, in logarithms: each parameter changes b
 
 
 def likelihood(history: dict[str, Array], layout: Layout) -> Array:
-    """Return every episode's log-likelihood (episodes,) per epoch, with outliers capped.
+    """Return each episode's mean log-likelihood per epoch (episodes,), with outliers capped.
 
     Without the cap, unmodeled blockage would dominate. The constant -(n / 2) log(2 pi) of n
     measured values is left out.

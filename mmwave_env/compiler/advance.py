@@ -161,7 +161,7 @@ def _finish(b, state, before, kept_before, epochs):  # type: ignore[no-untyped-d
 
 @register_jitable  # type: ignore[untyped-decorator]
 def _some_blocks(b, end, state, before, kept_before, some):  # type: ignore[no-untyped-def]
-    """Find the next blocks with a running track; copy those that also have an idle track.
+    """Find the next blocks with a running track; copy a block if it also has an idle track.
 
     Return the number of blocks found, and the block to continue with.
     """

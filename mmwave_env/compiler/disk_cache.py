@@ -3,8 +3,8 @@
 A process that steps one environment a few hundred times would spend most of its time compiling, so
 small amounts of work run as plain Python (:class:`LazyJit`).
 
-numba's ``cache=True`` checks only the file of the function itself. So it returns stale code after
-an edit in another file, whose code the function calls. Some versions of numba also miss an edit
+numba's ``cache=True`` checks only the file of the function itself. If another file, whose code the
+function calls, is edited, numba returns stale code. Some versions of numba also miss an edit
 that leaves the file's time and size unchanged. Processes that start at the same time can mix up
 numba's files, and a damaged file or a full disk ends the program. This cache names its folder after
 a hash of all sources, and writes each compiled function to one file. After an error with a file, it
@@ -85,10 +85,10 @@ def is_compiled(function: Any, arguments: tuple[Any, ...]) -> bool:
 
 @cache  # so the process keeps its folder, even if a source is edited while it runs
 def _folder() -> Path | None:
-    """Return the folder for functions of this version of the sources; None if none can be used.
+    """Return the folder for code compiled from the current sources; None if no folder can be used.
 
-    The folder is in numba's ``NUMBA_CACHE_DIR`` if that is set; otherwise next to Python's bytecode
-    if the package is writable; otherwise in the user's folder for caches.
+    Its parent is numba's ``NUMBA_CACHE_DIR`` (if set), the package's ``__pycache__`` or the user's
+    folder for caches: the first of the three that can hold a private, writable folder.
     """
     version = _version()
     if version is None:
@@ -188,7 +188,7 @@ def _is_ours(status: os.stat_result, kind: int) -> bool:
 
 
 def _checksum(key: str, content: bytes) -> bytes:
-    """Return the checksum of a key and a content, so that a file for another key is refused."""
+    """Return a checksum of key and content, so that a file for another key is refused."""
     return sha256(key.encode() + content).digest()
 
 

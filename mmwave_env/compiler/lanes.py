@@ -1,8 +1,8 @@
 """Lanes: SIMD numbers with one value for each of eight environments.
 
-Arithmetic on :class:`Lanes` emits LLVM ``<8 x double>`` instructions. If a numba ``@intrinsic``
-(made by :func:`kernel`) calls a function of numbers with Lanes, the instructions of the function
-become SIMD code without branches. If the function is called with floats, it runs as usual.
+Arithmetic on :class:`Lanes` emits LLVM ``<8 x double>`` instructions. A numba ``@intrinsic`` (made
+by :func:`kernel`) passes Lanes to a function of numbers, and thereby compiles the function to SIMD
+code without branches. If the function is called with floats, it runs as usual.
 """
 
 import math
@@ -205,7 +205,7 @@ def _lift(a: Any) -> Any:
 
 
 class _Rows:
-    """Rows of a workspace: reading loads eight lanes, writing stores them."""
+    """Rows of a workspace: reading a row loads its eight lanes, assigning to it stores them."""
 
     def __init__(self, builder: Any, bases: Sequence[Any], ends: Sequence[int]) -> None:
         self.builder, self.bases, self.ends = builder, bases, ends

@@ -29,8 +29,8 @@ Workspace = TypeVar("Workspace", bound=tuple[Any, ...])
 Blocks = tuple[int, int]  # first block, and the block after the last
 
 NO_ROWS = np.empty(0, np.int64)
-# Number of times that a block runs an epoch in plain Python before the loop is compiled.
-# Compiling takes as long as running 4000 blocks for one epoch in plain Python.
+# Number of epochs, summed over blocks, that run in plain Python before the loop is compiled.
+# Compiling takes as long as 4000 of these epochs.
 PLAIN_BLOCK_EPOCHS = 1000
 
 # numba holds a lock while it compiles. A child that is forked meanwhile would wait forever for the
@@ -78,7 +78,7 @@ def fill(blocks: Array, rows: Index, values: Array) -> Array:
 class Feed(NamedTuple):
     """A function that replaces the table of epochs: it computes the incoming rows of every epoch.
 
-    A feed has its own workspaces; a track has the same block and lane as in the program's arrays.
+    A feed has its own workspaces; each track has the same block and lane as in the program's.
     """
 
     # address of a C function, whose arguments are three addresses: incoming rows, settings, kept
@@ -117,10 +117,10 @@ class StepIO(NamedTuple):
 
     input_rows: Index  # (f,) rows to set before an epoch
     inputs: Array  # (n, E, f) values of these rows
-    output_rows: Index  # (k,) rows to keep after an epoch
-    outputs: Array  # (n, E, k) filled with these rows
-    obs_rows: Index  # (s,) rows to keep in single precision
-    observations: NDArray[np.float32]  # (n, E, s) filled with the rows in single precision
+    output_rows: Index  # (k,) rows to copy to ``outputs`` after an epoch
+    outputs: Array  # (n, E, k) values of these rows
+    obs_rows: Index  # (s,) rows to copy to ``observations`` after an epoch
+    observations: NDArray[np.float32]  # (n, E, s) values in single precision
 
     @classmethod
     def of(
@@ -143,7 +143,7 @@ def tree_kernel(
 ) -> Any:
     """Return a numba function that applies a function of numbers to a workspace, in place.
 
-    The function maps a tree to a tree; both have the shape of the ``template``. The leaves of a
+    ``function`` maps a tree to a tree; both have the shape of the ``template``. The leaves of a
     tree, in order, are the rows. :func:`~mmwave_env.compiler.lanes.kernel` describes ``ends``
     (None: all rows are one part) and the returned function.
     """

@@ -1,4 +1,4 @@
-"""Folders with the log, the scene and the true track of an episode: a reader and a writer."""
+"""Reader and writer of folders with the log, the scene and the true track of an episode."""
 
 import warnings
 from pathlib import Path
@@ -94,7 +94,7 @@ def write_log_folder(folder: Path, episode: Episode, scene: Scene, origin: str) 
         episode: the episode, whose prior is not written. If its true positions are unknown, an
             existing ``truth.tum`` is removed, because it does not belong to the new log.
         scene: scene of the episode.
-        origin: text for a comment in ``truth.tum`` that says how the episode was made.
+        origin: how the episode was made, as text for a comment in ``truth.tum``.
 
     Raises:
         OSError: a file can't be written.

@@ -66,10 +66,10 @@ class MeasuredTrack(Track):
 
         A link may lack some of its values. A value that has no SNR and no standard deviation is
         treated as not measured, because its noise is unknown. Angles are in the frame of the map.
-        Even if the base station transmits, arrival is the direction (dx, dy, dz) from the anchor to
-        the user, with azimuth ``atan2(dy, dx)`` and elevation ``atan2(dz, hypot(dx, dy))``;
-        departure is the azimuth from the user to the anchor. A virtual anchor is a mirror image of
-        the base station; its angles are those of the straight line between the image and the user.
+        "Arrival" is always the direction (dx, dy, dz) from the anchor to the user, even if the base
+        station transmits: azimuth ``atan2(dy, dx)``, elevation ``atan2(dz, hypot(dx, dy))``.
+        "Departure" is the azimuth from the user to the anchor. A virtual anchor is a mirror image
+        of the base station; its angles are the angles of the straight line between image and user.
         docs/data.md, "Angles", converts other conventions.
 
         Args:
@@ -143,9 +143,9 @@ def _as_partial(
 ) -> dict[str, Any]:
     """Return the ``fields`` that a partial layout changes; {} if the plain layout suffices.
 
-    The plain layout suffices if no noise is stated and every group is complete or wholly missing.
-    ``heard`` (T, L) says whether a link has an SNR. ``deviations`` maps the name of a measurement
-    to its standard deviations: (T, L) for links, (T,) for Doppler shifts, or None.
+    The plain layout suffices if no standard deviations are given, and all values of a link are
+    measured or none is. ``heard`` (T, L) says whether a link has an SNR. ``deviations`` maps names
+    of measurements to standard deviations: (T, L) for links, (T,) for Doppler shifts, or None.
     """
     layout: Layout = fields["layout"]
     rows, sigma = fields["measurement"], np.full_like(fields["measurement"], np.nan)

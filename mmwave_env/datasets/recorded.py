@@ -23,7 +23,7 @@ _NO_PATH_DB = -200.0  # gain of a missing path: so low that it is negligible, bu
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Recording(Track):
-    """T epochs of one user, as a perfect receiver would measure them.
+    """T epochs of one user, with the measurements of a perfect receiver.
 
     Attributes:
         path_gain_db: (T, L) gain of every link, negative; meaningless if the link is not visible.

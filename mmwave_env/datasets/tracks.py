@@ -43,7 +43,7 @@ class Received(NamedTuple):
     doppler_spread_hz: Array  # (T,)
     bias_hz: Array | None  # (T,) the oscillator's bias, None if unknown
     sigma: Array | None = None  # (T, rows) standard deviations, NaN where the receiver states none
-    doppler_anchor: Index | None = None  # (T,) index, from 0, of the anchor with the Doppler shift
+    doppler_anchor: Index | None = None  # (T,) index, from 0, of the Doppler shift's anchor
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -87,9 +87,9 @@ class Track(ABC):
         """Return the epochs of the track, all or a slice, as an episode with known true positions.
 
         The prior is drawn around the true state. If the bias of the oscillator is unknown, the mean
-        of its prior is 0. If the layout has a clock, a clock offset, drawn from a random stream of
-        its own, is added to the ranges of a recording. The ranges of a measured track already
-        contain an offset.
+        of its prior is 0. If the layout has a clock, the ranges of a recording get the bias that a
+        clock offset causes; it is drawn from its own random stream. The ranges of a measured track
+        already contain such a bias.
 
         Raises:
             ValueError: the true position in an epoch is not known.
@@ -216,7 +216,7 @@ class Track(ABC):
                     continue
                 sizes = (np.abs(wrap(e) if i else e) for e in (error, np.diff(error)))
                 median, differ = (float(np.median(size)) for size in sizes)
-                # With noise alone, the median is about 0.67 times the noise's standard deviation.
+                # With noise alone, the median of |error| is about 0.67 standard deviations.
                 if median > min(_FAR[i], max(_NEAR[i], 2.0 * differ / _NOISE)):
                     far.append(f"{name} of anchor {a + 1}: {median:.3g}")
         if far:
@@ -237,8 +237,8 @@ class TrackSource:
         track: a measured track, whose measurements are the same in each episode; or a recording
             of the channel, from which each episode draws new noisy measurements.
         radio: profile of the receiver, or its name.
-        epochs: length of an episode, which is a window drawn at random from all stretches; None
-            if the whole longest stretch is the episode.
+        epochs: length of an episode, a window drawn at random from all stretches; None if every
+            episode is the whole longest stretch.
         measurements: names of the measurements to use; None for all.
         clock: whether the user's clock has an unknown offset.
 
@@ -305,7 +305,7 @@ class TrackSource:
 
 
 def numbers(record: str, field: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array:
-    """Return ``values`` as a new array; in its ``shape``, None stands for any length except 0."""
+    """Return a new array of ``values``, refused unless it has this shape (None: any length > 0)."""
     try:
         array = np.array(values, float)
     except (TypeError, ValueError) as error:

@@ -23,8 +23,8 @@ ID = "id"
 def read_ways(path: str | os.PathLike[str]) -> Ways:
     """Read trajectories from a CSV file with columns t, x, y, z; vx, vy, vz and id are optional.
 
-    Units are s, m and m/s, in the frame of the scene. Rows with the same id belong to one user, in
-    order of time; without a column id, all rows belong to one user. Other columns are ignored.
+    Units are s, m and m/s, in the frame of the scene. Rows with the same id belong to one user and
+    are in order of time; without a column id, all rows are one user's. Other columns are ignored.
 
     Raises:
         ValueError: the file is invalid; the message names the file, the row and the error.
@@ -87,6 +87,6 @@ def _number(file: Path, cell: str, text: str) -> float:
 
 
 def scenario_from(scenario: Scenario) -> Scenario:
-    """Return a ``scenario=`` argument, or the trajectories in the CSV file that it names."""
+    """Return a ``scenario=`` argument; if it names a CSV file, return the file's trajectories."""
     is_file = isinstance(scenario, str | os.PathLike) and str(scenario).lower().endswith(".csv")
     return read_ways(scenario) if is_file else scenario  # type: ignore[arg-type]

@@ -45,7 +45,7 @@ class Batch(Generic[Workspace]):
         on_floats: whether to run in plain Python instead of on SIMD lanes.
         threads: maximum number of threads in use; results do not depend on it.
         ahead: number of epochs, after the first, to run before the first action: 1 if an action
-            corrects the belief of the epoch before the last filtered one, else 0.
+            corrects the belief of the second-to-last filtered epoch, else 0.
 
     Attributes:
         at: workspace whose leaves are row indices; :meth:`read` and :meth:`write` take parts of it.

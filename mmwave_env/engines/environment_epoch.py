@@ -1,4 +1,4 @@
-"""A step of an environment, for modes that share a belief and for modes that each keep their own.
+"""A step of an environment whose modes share a belief or each keep their own belief.
 
 A step takes the result of the chosen mode as the new belief (mean and covariance), scores the
 belief against the truth, and runs every mode on the next epoch. Modes run before the next action is
@@ -9,8 +9,8 @@ mode keeps its own belief, the modes interact as in an IMM (:mod:`mmwave_env.fil
 action is the mode to trust in the epoch that was just filtered: the probability of that mode is
 raised before the beliefs are combined, scored and mixed again. Action 0 raises no probability, so
 the IMM itself decides. With ``action="weights"``, the action scales every mode's probability. With
-``action="correction"``, an action corrects the belief of the epoch before the one that was just
-filtered, and the step scores the corrected belief. The filters continue without corrections.
+``action="correction"``, an action corrects the belief of the second-to-last filtered epoch, and the
+step scores the corrected belief. The filters continue without corrections.
 """
 
 from functools import lru_cache, partial
@@ -68,7 +68,7 @@ class EnvState(NamedTuple):
     x: list[Number]
     P: list[Number]
     memory: Memory  # memory of the track
-    candidates: list[ModeResult]  # the modes' results; predicted beliefs are dropped to save cache
+    candidates: list[ModeResult]  # the modes' results, without predicted beliefs (to save memory)
     observation: list[Number]  # (features,)
     reward: Number  # reward of the last epoch in which an action was taken
     reward_terms: list[Number]  # terms of the reward, then the negative cost of the mode
@@ -138,7 +138,7 @@ class PerModeState(NamedTuple):
     mode_probabilities: list[Number]  # (modes,) probabilities after the action
     x: list[Number]  # (7,) mean of the combined belief
     P: list[Number]  # (28,) its covariance, packed
-    memory: Memory  # memory of the most probable mode, but ``preference`` covers all modes
+    memory: Memory  # the most probable mode's memory; its field ``preference`` covers all modes
     observation: list[Number]  # (features,)
     # the fields from ``reward`` to ``nees`` are the same as in :class:`EnvState`
     reward: Number

@@ -87,7 +87,7 @@ def with_expected_spread(epoch: Epoch, velocity: Vector, site: Site) -> Epoch:
 
 
 def last_of(w: Any, layout: Layout, probabilities: Vector = ()) -> LastEpoch | None:
-    """Return the epoch before the coming one if the observation has signed features; else None."""
+    """Return the last epoch if the observation has signed features (residuals); else None."""
     if not w.pending.incoming:
         return None
     epoch = with_expected_spread(w.pending.incoming.epoch(layout), w.x[3:6], w.site)

@@ -85,7 +85,7 @@ def smooth_modes(
 
 
 def _beliefs(mixtures: Array, pipeline: Pipeline) -> tuple[ModeBeliefs, Array]:
-    """Return the modes' beliefs, and gamma (N, T, modes), adaptive modes' scale of Q."""
+    """Return the modes' beliefs, and gamma (N, T, modes), the scale of Q in adaptive modes."""
     n, triangle = pipeline.layout.state_size, pipeline.layout.triangle
     at = indices(begin(pipeline, [0.0] * n, [0.0] * triangle))
     packed = mixtures[..., np.array([track.P for track in at.tracks])]

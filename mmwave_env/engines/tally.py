@@ -24,7 +24,7 @@ ANGLES, LEAST = 64, 1e-12  # for exceeds(): number of angles per quadrant, small
 
 
 class Counts(NamedTuple):
-    """The records of n environments; uncompiled code may use nested sequences of these shapes."""
+    """The records of n environments; uncompiled code may use nested sequences instead of arrays."""
 
     sums: Array  # (n, 7)
     errors: Array  # (n, T, 3) ring buffer of the latest position errors, m
@@ -45,7 +45,7 @@ class Tally:
         actions: number of different actions, which are recorded as modes.
 
     Attributes:
-        counts: the records; the ring buffer covers a second, or a whole episode if that is shorter.
+        counts: the records; the ring buffer covers a second, or a shorter episode as a whole.
     """
 
     def __init__(self, n: int, axes: int, replayed: bool = False, actions: int = 1) -> None:

@@ -40,7 +40,7 @@ class Frame(NamedTuple):
         return self.cosine * along - self.sine * across, self.sine * along + self.cosine * across
 
     def covariance(self, P: Matrix, first: int = 0) -> tuple[Number, Number, Number]:
-        """Return the variances along and across the motion, and the covariance of the two.
+        """Return the variances of the components along and across the motion, and their covariance.
 
         Args:
             P: (n, n) covariance.

@@ -2,8 +2,8 @@
 
 The compiler calls a function once, with *lanes*: numbers that each stand for eight environments,
 and so have no single value. A trial run calls the function with other numbers, which refuse the
-same operations as lanes. A trial run takes milliseconds, because nothing is compiled, and its error
-names the line that needed a value. It does not notice wrong values in a function's results.
+same operations as lanes. A trial run takes milliseconds, because nothing is compiled. If it fails,
+the error names the line that needed a value. Trial runs do not notice wrong values in results.
 """
 
 import os

@@ -12,7 +12,7 @@ from mmwave_env.models.measurement import Group, Measurement
 from mmwave_env.numerics.linalg import cholesky, dot, forward, symmetric
 from mmwave_env.numerics.numbers import Matrix, Number, log, maximum, where
 
-_GROUPS_PER_LOG = 8  # number of determinants whose product is sure to fit into a double
+_GROUPS_PER_LOG = 8  # the product of the determinants of this many groups fits into a double
 ROBUST_ONSET = 1.5  # a link is doubtful if its NIS, divided by its number of rows, exceeds this
 
 
@@ -22,7 +22,7 @@ class Gate(NamedTuple):
     Attributes:
         quantile: probability, such as 0.99: a group is accepted if its NIS is at most the
             chi-square quantile of this probability; None to accept all groups.
-        force: 1 to accept all links, after too many epochs in which all failed their gates; else 0.
+        force: 1 to accept all links, because all failed their gates in too many epochs; else 0.
         robust: whether to inflate the noise of a doubtful link instead of rejecting it.
     """
 

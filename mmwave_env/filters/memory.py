@@ -30,7 +30,7 @@ class Memory(NamedTuple):
 
     mode: Number  # number of the mode that ran last
     lockout: Number  # number of epochs with links since a link last passed its gate
-    window: list[Number]  # (WINDOW,) NIS / dof of the accepted groups in an epoch, newest first
+    window: list[Number]  # (WINDOW,) NIS / dof of all accepted groups, per epoch, newest first
     gamma: Number  # adaptive scale of Q and R
     # nis, accepted, rejected: (groups,) in the last epoch; missing groups have 0 in all three
     nis: list[Number]

@@ -1,7 +1,7 @@
 """The measurement update shared by EKF, UKF and CKF (paper, Sec. III-C).
 
 The usual form, K = P H' S^-1 for all rows together, is in :mod:`~mmwave_env.filters.textbook`. The
-form here has the same result, but smaller matrices. It uses the latent variables (*latents*) of
+form here computes the same result with smaller matrices. It uses latent variables (*latents*) of
 :mod:`~mmwave_env.filters.linearization`: xi, where the state is mean + L xi, and the curvatures.
 """
 

@@ -68,7 +68,7 @@ class TrackingReward:
 
 @dataclass(frozen=True)
 class LogScore:
-    """The log density of the true position (a proper score, in nats), limited to >= ``worst``."""
+    """The log density of the true position (a proper score, in nats), but at least ``worst``."""
 
     worst: float = -30.0
 
@@ -144,7 +144,7 @@ def reward_from(reward: str | Reward | PairedReward) -> Reward | PairedReward:
 def reward_name(reward: Reward) -> str:
     """Return the name of a reward in :data:`REWARDS`, else the name of its function or class.
 
-    An object of a known class with other parameters than in :data:`REWARDS` has the class's name.
+    For example, the name of a :class:`TrackingReward` with other parameters is "TrackingReward".
     """
     for name, known in REWARDS.items():
         if reward == known:

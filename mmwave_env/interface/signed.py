@@ -1,6 +1,6 @@
 """Signed features: residuals and belief after an epoch's update, relative to the user's motion.
 
-Directions are those of the *frame of motion*: along the estimated horizontal velocity, across it
+Directions refer to the *frame of motion*: along the estimated horizontal velocity, across it
 (to the left) and up. No feature depends on an absolute position or direction: if the world is
 turned and shifted, the features stay the same. So a network that learns from them in one street
 also works in another. All features describe the last epoch; none depends on the coming epoch.

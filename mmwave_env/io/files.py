@@ -14,7 +14,7 @@ T = TypeVar("T")
 Json = dict[str, Any]  # an object of a JSON file
 AnyPath = str | os.PathLike[str]
 
-TEXT_BYTES = 16 << 20  # maximum size of a text file; longer logs and tracks are read in blocks
+TEXT_BYTES = 16 << 20  # maximum size of a text file; logs and tracks may be longer (read in blocks)
 JSON_BYTES = 8 << 20  # maximum size of a JSON file; the largest in this project has 0.06 MB
 JSON_DEPTH = 50  # maximum depth of nested lists and objects
 
@@ -162,7 +162,7 @@ def _target_of(path: Path) -> Path:
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """Yield a temporary file beside ``path``, with the same suffixes, that replaces it at the end.
+    """Yield a temporary file beside ``path``, with its suffixes; at the end, it replaces ``path``.
 
     If the block fails, the temporary file is removed and ``path`` stays as it was. Missing folders
     are created. A new file gets its permissions from the umask; a replaced file keeps its own.

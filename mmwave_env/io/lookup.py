@@ -63,7 +63,7 @@ def unknown(field: str, name: object, known: Iterable[str]) -> str:
 
 
 def did_you_mean(name: object, known: Iterable[str], most: int = 1) -> str:
-    """Return words that suggest the closest known names in a message; "" if none is close."""
+    """Return the end of a message that suggests up to ``most`` close names; "" if none is close."""
     typed = isinstance(name, str) and len(name) <= LONGEST
     close = get_close_matches(str(name), list(known), most) if typed else []
     return f"; did you mean {' or '.join(close)}?" if close else ""

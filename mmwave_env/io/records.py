@@ -34,7 +34,7 @@ class Bound:
     below: float = math.inf
 
     def holds(self, value: Any) -> Any:
-        """Tell whether a number or, separately, each element of an array is valid; NaN is not."""
+        """Tell whether a number is valid or, for an array, which elements are valid; NaN is not."""
         low = value > self.above if self.least is None else value >= self.least
         return low & (value < self.below if self.most is None else value <= self.most)
 

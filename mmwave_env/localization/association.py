@@ -24,7 +24,7 @@ from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Index
 
-LOOK_AHEAD = 10  # number of epochs in which a line-of-sight hypothesis is tested
+LOOK_AHEAD = 10  # number of epochs whose paths decide whether a track begins in the first of them
 
 
 class Association:
@@ -40,7 +40,7 @@ class Association:
         self._associated, self._missed = np.zeros((2, anchors), np.int64)
 
     def add(self, paths: PathEpoch, labels: Index | None, begins: bool) -> None:
-        """Add an epoch; ``labels`` are those of its :class:`PathTrack`, or None without a track."""
+        """Add an epoch, with the ``labels`` of its :class:`PathTrack`; None if no track exists."""
         self.epochs += 1
         self.starts += begins
         self._paths += len(paths.snr_db)
@@ -135,7 +135,7 @@ def _block(paths: PathEpoch, epoch: Epoch, begins: bool) -> LogBlock:
 
 
 def _windows(epochs: Iterable[PathEpoch], size: int) -> Iterator[list[PathEpoch]]:
-    """Yield, for each epoch, the list of ``size`` epochs (fewer at the end) that begins with it."""
+    """Yield, for each epoch, the list of ``size`` epochs (fewer at the end) that begins there."""
     held: list[PathEpoch] = []
     try:
         for epoch in epochs:

@@ -25,7 +25,7 @@ _ENOUGH = 20  # minimum number of epochs for a conclusion
 _ENOUGH_IF_BLOCKED = 100  # minimum number if a blockage of a few seconds may distort a conclusion
 _WINDOW_S = 30.0  # length of a window of epochs, in which the oscillator's offset hardly changes
 _MOST_APART_S = 3.0  # longest gap over which the Doppler shift is integrated
-_SLOPE_LIMITS = (0.5, 1.5)  # limits of the range's growth, m, if the Doppler shift predicts 1 m
+_SLOPE_LIMITS = (0.5, 1.5)  # limits of the slope: measured / predicted growth of the range
 # A slope is reported only if it differs from 1 by more than this many standard errors. The number
 # is large: standard errors assume independent range errors, but a blockage correlates the errors.
 _SURE = 10.0

@@ -138,7 +138,7 @@ def _anchors(order: Sequence[int], reading: Reading) -> Reading:
 
 
 def _orders(anchors: int) -> list[tuple[int, ...]]:
-    """Return the orders of anchors in which two are exchanged, or all are shifted by one."""
+    """Return orders of the anchors in which two are exchanged, or all are rotated by one place."""
     right = list(range(anchors))
     orders = [tuple(right[1:] + right[:1]), tuple(right[-1:] + right[:-1])]
     for i, j in combinations(right, 2):
@@ -212,9 +212,9 @@ def _has_effect(reading: Reading, original: Reading) -> bool:
 def _start(block: LogBlock) -> int:
     """Return the index of the epoch at which the tracks begin.
 
-    This is the first epoch with a link of the base station. In a partial layout, where a position
-    may need several incomplete links, it is the epoch whose links have the most measured values.
-    Only 50 epochs are searched, beginning with the first epoch that has a link.
+    This is the first epoch with a link of the base station. In a partial layout, links may be
+    incomplete, and a position may need several of them. Then it is the epoch whose links have the
+    most measured values among 50 epochs, beginning with the first epoch that has a link.
 
     Raises:
         ValueError: no epoch has a link of the base station, and the layout is not partial.
@@ -241,7 +241,7 @@ def diagnose(block: LogBlock, scene: Scene, radio: Radio, mode: Mode) -> list[Fi
         A finding for the log as it is and for every hypothesis that changes a number. Hypotheses
         that make the log consistent come first, in order of likelihood; the others follow, in order
         of fit. If only pairs of hypotheses make the log consistent, the most likely pair is added
-        at the top. In a partial layout, one of the pair must be another radio profile.
+        at the top. In a partial layout, a pair must include the hypothesis of another radio.
 
     Raises:
         ValueError: there is no link with which a track could begin.

@@ -2,14 +2,14 @@
 
 A protection level is a bound that an error exceeds with a stated probability, the risk. Errors
 exceed Gaussian levels (:mod:`mmwave_env.localization.position_errors`) with this probability only
-if the covariance is right. So each Gaussian level is multiplied by a factor. A small network,
-trained by quantile regression, computes the factor's logarithm from features of a filter's state. A
-constant for the kind of filter, the risk and the direction is added to this logarithm. The
-constants were computed by split conformal prediction on episodes that the training did not use (Y.
-Romano, R. Patterson and E. Candès, "Conformalized quantile regression", NeurIPS 2019; for epochs
-grouped in episodes: Y. Lee, R. F. Barber and R. Willett, "Distribution-free inference with
-hierarchical data", 2023). docs/errors.md says what these levels guarantee; the network is trained
-by experiments/training/levels.py.
+if the covariance is right. As it may be wrong, each Gaussian level is multiplied by a factor. A
+network, trained by quantile regression, computes the factor's logarithm from features of a filter's
+state. A constant, which depends on the kind of filter, the risk and the direction (horizontal or
+vertical), is added to this logarithm. The constants were computed by split conformal prediction on
+episodes that the training did not use (Y. Romano, R. Patterson and E. Candès, "Conformalized
+quantile regression", NeurIPS 2019; for epochs grouped in episodes: Y. Lee, R. F. Barber and R.
+Willett, "Distribution-free inference with hierarchical data", 2023). docs/errors.md says what these
+levels guarantee; the network is trained by experiments/training/levels.py.
 """
 
 from base64 import b64decode, b64encode
@@ -31,7 +31,7 @@ from mmwave_env.numerics.numbers import Array
 # parts of a filter's state from which the network's inputs, the features, are computed
 PARTS = ("x", "P", "memory.nis", "memory.accepted", "memory.rejected")
 CALIBRATED, GAUSSIAN = KINDS = ("calibrated", "gaussian")
-_MEMORY = np.array([[0.6], [0.9], [0.97]])  # weights of three running means' old values after 1 s
+_MEMORY = np.array([[0.6], [0.9], [0.97]])  # weights of the past, per second, in running means
 _LEAST, _LEAST_S = 1e-9, 1e-2  # lower limits, so that logarithms and quotients are finite
 _KIND = [18, 20]  # indices of two 0/1 features: presence of a corrector and of a bank of modes
 
@@ -134,7 +134,7 @@ class Levels:
             time_s: (T,) times of the epochs.
             parts: means x (n, T, 7 or 8); packed covariances P (n, T, 28 or 36); NIS, acceptance
                 and rejection (0 or 1) of each group of measurements, as three arrays (n, T,
-                groups); optionally, factors (n, T) that scaled corrections, NaN if uncorrected.
+                groups); optionally, factors (n, T) that scaled corrections; NaN if uncorrected.
         """
         x, P, nis, accepted, rejected, trusted = (*parts, None)[:6]
         if self._means is None:

@@ -82,7 +82,7 @@ def exceedance(error: Array, level: Array) -> dict[str, Any]:
 
     If an error or its level is NaN, the level counts as exceeded. "share" is the count divided by
     n. "ci95" is the interval of Clopper and Pearson (1934) for the share. It assumes independent
-    epochs, but a track's epochs are correlated, so another track's share may well lie outside.
+    epochs, but a track's epochs are correlated, so another track's share may well lie outside it.
     """
     from scipy.stats import binomtest
 

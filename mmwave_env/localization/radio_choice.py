@@ -1,4 +1,4 @@
-"""Default radio profile of a log: the shipped profile whose noise is most similar."""
+"""Default radio profile of a log: the shipped profile with the noise most like the log's."""
 
 import numpy as np
 

@@ -28,7 +28,7 @@ from mmwave_env.numerics.numbers import Array, Mask
 # of x and y (their mean is the mean position of the anchors).
 HEIGHT_SIGMA_M, _FARTHEST_M = 2.0, 1e3
 _WORST_FIX_M = 50.0  # maximum horizontal standard deviation of a position to begin a track with
-_AMBIGUOUS = 12.0  # minima are ambiguous if normalized squared errors differ by less than this
+_AMBIGUOUS = 12.0  # minima whose normalized squared errors differ by less than this are ambiguous
 _UNKNOWN = [0, 1, 2, 7]  # indices of the state's position and range bias
 # Searches start in 12 directions from every anchor, at three distances, and take at most 15 steps.
 _DIRECTIONS, _STARTS_M, _ROUNDS = 12, (10.0, 40.0, 160.0), 15
@@ -170,7 +170,7 @@ def segments(blocks: Iterable[LogBlock], scene: Scene, radio: Radio) -> Iterator
     """Yield the epochs of the segments of a log, in blocks that each belong to one segment.
 
     A segment ends if all links and odometry are missing for more than ``GAP_S``, or before an epoch
-    that the log marks in ``restarts``. The next segment begins with the next first fix.
+    that the log marks in ``restarts``. The next segment begins with the next epoch that has a fix.
 
     Raises:
         LogError: the log is damaged; the epochs before the damage are yielded first.

@@ -93,7 +93,7 @@ def track_files(
         modes: names of the modes.
         scene: the scene; files for maps need its origin.
         name: name of the track in files for maps.
-        corrected: whether the policy corrects beliefs; if so, tables have a column ``trusted``.
+        corrected: whether beliefs are corrected; a column ``trusted`` then shows by what factors.
         risk: risk of the protection levels in tables.
 
     Raises:

@@ -1,17 +1,16 @@
 """Estimate of a constant offset between the clock of a ground-truth track and the clock of a log.
 
 If the clock of the track is ahead by tau, the track's position at time t is where the user was at
-t - tau. The measurements of a log then differ from those computed from the track, to first order,
-by
+t - tau. A range or angle in the log then differs from h(p), its value computed for the track's
+position p, by the error
 
     e = c + (dh/dp) (tau v + s) + noise
 
-for every value of a link: a range or an angle h(p) at position p. The velocity is v, the constant
-c is a bias of the value, and s is a shift of the frame by some meters. Only changes of the velocity
-distinguish tau from s and c: on a straight line at constant speed, tau is unobservable. tau is
-estimated by least squares. Errors are correlated over seconds, so the standard error is computed
-by the jackknife, from estimates that each leave out one stretch of time (B. Efron, C. Stein, "The
-jackknife estimate of variance", 1981).
+to first order. Here, v is the velocity, c is a constant bias of the range or angle, and s is a
+constant shift of the frame. Only changes of the velocity distinguish tau from s and c: on a
+straight line at constant speed, tau is unobservable. tau is estimated by least squares. Errors are
+correlated over seconds, so the standard error is computed by the jackknife, from estimates that
+each leave out one stretch of time (B. Efron, C. Stein, "The jackknife estimate of variance", 1981).
 
 The formula is only correct to first order: a user moves by meters within a few tenths of a second,
 and h is not linear over this distance. So the log is compared again with the track at times shifted
@@ -31,13 +30,13 @@ from mmwave_env.models.measurement import exact_rows
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, wrap
 
-_STRETCHES, _SHORTEST_S = 32, 2.0  # maximum number and minimum length of stretches
+_STRETCHES, _SHORTEST_S = 32, 2.0  # maximum number and minimum length of the jackknife's stretches
 _FEWEST = 5  # minimum number of stretches for a standard error
 _CHANCE = 0.005  # probability of finding an offset if there is none
 _PART = 0.01  # an offset matters if it explains more than this share of the squared errors
 _STEP_M = 1e-3  # step of the numerical derivatives dh/dp
 _ENOUGH = 20  # minimum number of epochs for a standard deviation
-_OUTLIER = 6.0  # standard deviations; larger errors are ignored
+_OUTLIER = 6.0  # larger errors, in standard deviations, are ignored
 _COMPARED = 4096  # maximum number of epochs, from the beginning of the log, that are compared
 _ROUNDS, _FARTHEST_S = 12, 10.0  # maximum number of comparisons, and largest credible offset
 _LEAST = 1e-6  # m, rad: minimum standard deviation, for logs without noise
@@ -137,8 +136,8 @@ def _linear(log: LogBlock, scene: Scene, truth: TrueEpochs) -> tuple[ClockOffset
     while log.time_s[-1] - log.time_s[0] >= _STRETCHES * stretch_s:
         stretch_s *= 2.0
     ends_at = np.flatnonzero(np.diff((log.time_s - log.time_s[0]) // stretch_s)) + 1
-    # For each stretch and row, sum the products of any two terms over the epochs. The terms are 1,
-    # the error, and the derivatives of the error with respect to tau and s.
+    # For each stretch and row, sum the product of every pair of terms over the epochs. The terms
+    # are 1, the error, and the derivatives of the error with respect to tau and s.
     sums = np.array([np.einsum("tri,trj->rij", part, part) for part in np.split(terms, ends_at)])
     sums = sums[sums[:, :, 0, 0].any(axis=1)]
     total, n = sums.sum(axis=0), len(sums)

@@ -61,7 +61,7 @@ def line_blocks(path: Path) -> Iterator[tuple[list[str], float]]:
 
 
 def _read(file: Any) -> tuple[bytes, bool, str]:
-    """Return the next bytes, whether the file ends after them, and what is damaged ("" if none)."""
+    """Return the next bytes, whether the file ends after them, and what is damaged, or ""."""
     pieces: list[bytes] = []
     size = 0
     while size < _BLOCK_BYTES:
@@ -78,7 +78,7 @@ def _read(file: Any) -> tuple[bytes, bool, str]:
 
 
 def number(word: str) -> float:
-    """Parse a number that numpy can read; return NaN for other words, such as 1_0 and ١."""
+    """Parse a number; return NaN for other words, and for 1_0 and ١, which numpy cannot read."""
     try:
         return float(word) if word.isascii() and "_" not in word else math.nan
     except ValueError:

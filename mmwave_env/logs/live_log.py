@@ -28,17 +28,17 @@ class LiveEpoch(NamedTuple):
 
     time_s: float
     block: Callable[[], LogBlock]  # returns the epoch as a block, T = 1
-    # None if some angles are not in the map's frame; else a pair: the values in the order of
-    # :func:`~mmwave_env.logs.log.places`, NaN where not measured; and the index, from 0, of the
-    # Doppler shift's anchor
+    # None if some angles are not in the map's frame. Otherwise a pair: all values in the order of
+    # :func:`~mmwave_env.logs.log.places` (NaN where not measured), and the index, from 0, of the
+    # anchor with the Doppler shift
     placed: tuple[list[float], int] | None
 
 
 class LiveLog:
     """A collector that groups the rows of a log into epochs as the rows arrive.
 
-    An epoch is over when every anchor has a row, when a row with a later time arrives, or when
-    :meth:`end_epoch` is called. Only the rows of one epoch are kept in memory.
+    An epoch is over when every anchor has a row, when a row with a later time or a blank line
+    arrives, or when :meth:`end_epoch` is called. Only the rows of one epoch are kept in memory.
 
     Args:
         names: names of the columns, as in the header of a log.
@@ -46,7 +46,7 @@ class LiveLog:
         source: name of the source, for messages.
 
     Raises:
-        LogError: the columns are not those of a log, or do not say how large the noise is.
+        LogError: a column is wrong or missing, or the noise of a quantity is unknown.
     """
 
     def __init__(

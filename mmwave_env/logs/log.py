@@ -1,15 +1,15 @@
-"""Measurement logs: one row per epoch and anchor, as a receiver writes them.
+"""Measurement logs, which receivers write: one row per epoch and anchor.
 
 The name of a column (`log_columns.py`) is a quantity and a unit: ``time_s, anchor, toa_s,
 aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad, doppler_hz, snr_db``, and optionally
 ``doppler_spread_hz``, ``speed_mps`` and ``heading_rad`` (odometry). An anchor is given by its
 number in the scene. Number 1 is the physical gNB, usually the only anchor with a Doppler shift. A
-cell is empty if its value was not measured. An anchor without any value may lack its row. Doppler
-spread and odometry belong to the epoch, not to an anchor, so they may be in any row of the epoch.
+cell is empty if its value was not measured. A row without any value may be missing. Doppler spread
+and odometry belong to the epoch, not to an anchor, so they may be in any row of the epoch.
 
-A log of paths has the same columns without ``anchor``: one row per epoch and path, as a receiver
-finds them. The rows of an epoch are in any order and may include false paths. Every path may have
-a Doppler shift, because it is not known yet which path belongs to the base station.
+A log of paths has the same columns without ``anchor``, and one row for each path that a receiver
+finds in an epoch. The rows of an epoch are in any order and may include false paths. Every path may
+have a Doppler shift, because it is not known yet which path belongs to the base station.
 
 A log may be larger than memory, so it is read in blocks of consecutive epochs.
 """
@@ -42,8 +42,8 @@ from mmwave_env.numerics.numbers import Array, Index, Mask
 class LogBlock(Block):
     """T consecutive epochs of a log; values in groups that are not visible are meaningless.
 
-    A segment is a part of a log without a long gap, and is tracked separately. Its fields are set
-    by :func:`~mmwave_env.localization.segments.segments`.
+    A segment is a part of a log without a long gap, and is tracked separately. The fields about
+    segments are set by :func:`~mmwave_env.localization.segments.segments`.
     """
 
     layout: Layout  # a measurement's values, in order; groups are links, Doppler shift, odometry
@@ -65,7 +65,7 @@ class LogBlock(Block):
     share: float  # share of the file read so far, 0 to 1
     whole_columns: bool = True  # whether the log has a column for each value of a link
     segment: int = 0  # number, from 0, of the segment that contains all epochs of the block
-    begins: bool = False  # whether the segment begins here, with a prior from its first position
+    begins: bool = False  # whether this block begins the segment; its first epoch gives the prior
     skipped: int = 0  # number of epochs of the log before the first segment
     # number of epochs dropped between segments so far, including those just after this block
     dropped: int = 0
@@ -126,8 +126,8 @@ def read_log(
     user, angles of departure the azimuth from the user to the anchor (a figure: docs/data.md).
 
     If the log is damaged, every complete epoch before the damaged row is yielded before the error.
-    The last of these epochs is complete if the damaged row has a later time. It is also complete
-    if every anchor has a row in it, and the damaged row has a different time or no readable time.
+    The epoch just before the damaged row is complete if that row has a later time. It is also
+    complete if every anchor has a row in it and the damaged row has another time, or none.
 
     Args:
         path: CSV (``.csv``, ``.csv.gz``) or Parquet (``.parquet``, needs the extra `data`).
@@ -283,7 +283,7 @@ class PathEpoch(NamedTuple):
     layout: Layout  # layout of the scene's anchors, with or without odometry
     time_s: float
     measurement: Array  # (n, 5) range (m), three angles (rad), Doppler shift (Hz, or NaN)
-    # whether the angles of arrival are those at the base station. If not, a path that a wall
+    # whether all angles of arrival are angles at the base station. If not, a path that a wall
     # reflected has the angles at the base station's mirror image in the wall
     at_station: bool
     snr_db: Array  # (n,)
@@ -296,7 +296,7 @@ class PathEpoch(NamedTuple):
 def read_paths(path: Path, scene: Scene, odometry: bool = True) -> Iterator[PathEpoch]:
     """Read the epochs of a log of paths, one after the other; see :func:`read_log`.
 
-    A column of anchors is ignored, so that a log with anchor numbers can be read like one without.
+    A column of anchors is ignored, so that a log with anchor numbers can be read, too.
 
     Raises:
         LogError: as for :func:`read_log`; also for too many paths in an epoch.

@@ -20,7 +20,7 @@ _ROUNDING_DEG = 1e-4  # rounding error of angles that were once stored as 32-bit
 
 
 def whole_epochs(log: LogFile, anchors: int | None, limits: bool) -> Iterator[Table]:
-    """Yield the rows of complete epochs, in tables about as long as those of ``log.tables()``.
+    """Yield the rows of complete epochs, in tables about as long as the log's own tables.
 
     Args:
         log: the file.
@@ -51,7 +51,7 @@ class _Check(NamedTuple):
     quantity: str
     wrong: Mask  # (n,) whether each row fails
     expected: str
-    words: Callable[[int], str] | None = None  # says what was found; if None, the cell is shown
+    words: Callable[[int], str] | None = None  # row -> what was found; if None, the cell is shown
 
 
 def first_damage(
@@ -87,7 +87,7 @@ def _checks(table: Table, anchors: int | None, clock: bool) -> Iterator[_Check]:
         lambda row: f"{_show(time[row])} after {_show(time[row - 1])}",
     )
     if anchors is None:
-        number = np.arange(len(epoch)) - np.searchsorted(epoch, epoch)  # index in the epoch
+        number = np.arange(len(epoch)) - np.searchsorted(epoch, epoch)  # path's index in its epoch
         yield _Check(
             "time",
             number >= MOST_PATHS,
@@ -180,12 +180,12 @@ def _show(value: float) -> str:
 
 
 def _end_of_epochs(time: Array, damaged: int, anchors: int | None) -> int:
-    """Count the rows before the damaged row whose epochs are known to be complete."""
+    """Count the rows, before the damaged row, that belong to epochs known to be complete."""
     if damaged == 0:
         return 0
     last = time[damaged - 1]
     start = int(np.searchsorted(time[:damaged], last))
-    if damaged == len(time):  # no damage, but the next table may continue the epoch
+    if damaged == len(time):  # no damage, but the next table may continue the last epoch
         return start
     following = time[damaged]
     moved_on = last < following < np.inf

@@ -34,7 +34,7 @@ class LogError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Base dataclass of n rows or epochs: arrays (n, ...), and values that are the same in all."""
+    """Base dataclass of n rows or epochs: arrays (n, ...), and values shared by all n."""
 
     def arrays(self) -> dict[str, Array]:
         """Return the arrays by name."""
@@ -50,7 +50,7 @@ class Block:
 
     @classmethod
     def joined(cls, blocks: Sequence[AnyBlock]) -> AnyBlock:
-        """Join consecutive blocks; common values are taken from the last block."""
+        """Join consecutive blocks; shared values are taken from the last block."""
         last = blocks[-1]
         names = last.arrays()
         return replace(last, **{n: np.concatenate([getattr(b, n) for b in blocks]) for n in names})
@@ -80,21 +80,21 @@ class Table(Block):
     @cached_property
     def epoch(self) -> Index:
         """Return every row's epoch (n,), counted from 0; rows of one epoch have the same time."""
-        # Compare times as in the file: different times may become equal when converted to seconds.
+        # Compare times in the file's unit: different times may become equal in seconds.
         return np.concatenate([[0], np.cumsum(np.diff(self.raw("time")) != 0.0)])
 
     def first(self, values: Array) -> Array:
-        """Return (epochs,) the first number in each epoch's ``values`` (n,); NaN if all are NaN."""
+        """Return each epoch's first number (epochs,) in ``values`` (n,); NaN if all are NaN."""
         first = np.full(self.epoch[-1] + 1, np.nan)
         some = np.flatnonzero(~np.isnan(values))[::-1]
         first[self.epoch[some]] = values[some]  # backwards, so that the first row's value remains
         return first
 
     def links(self) -> Array:
-        """Return ranges (m) and angles (rad) of links, (n, 4); departures are in the map's frame.
+        """Return (n, 4) ranges (m) and angles (rad); azimuths of departure are in the map's frame.
 
-        Azimuths of arrival are those from each anchor to the user or, if the log has a column
-        :data:`STATION`, those at which paths arrive at the base station.
+        An azimuth of arrival points from the anchor to the user or, if the log has a column
+        :data:`STATION`, is the azimuth at which the path arrives at the base station.
         """
         arrival = self[STATION if STATION in self.columns else "aoa_azimuth"]
         departure = self["aod_azimuth"]
@@ -111,7 +111,7 @@ class LogFile:
     columns: dict[str, Column]  # the columns that are used, by quantity
     width: int  # number of columns in the file
     clock: bool = False  # whether the user's clock has an offset, so that ranges may be negative
-    delimiter: str = ","  # between the cells of a CSV file
+    delimiter: str = ","  # character between the cells of a CSV file
 
     def error(self, row: int, quantity: str, problem: str, expected: str) -> LogError:
         """Return an error that names a cell; in a CSV file, the row number is the line number."""
@@ -140,11 +140,11 @@ def open_log(
 
     Args:
         path: path of a CSV (plain or gzipped) or Parquet file.
-        hz_per_mps, odometry, associated, partial: as
-            :func:`~mmwave_env.logs.log_columns.columns_of` takes them.
+        hz_per_mps, odometry, associated, partial: same as for
+            :func:`~mmwave_env.logs.log_columns.columns_of`.
 
     Raises:
-        LogError: the file has another format, or its columns are not those of a log.
+        LogError: the file has another format, or a column is wrong or missing.
         OSError: the file can't be read.
     """
     if not path.name.lower().endswith(SUFFIXES):
@@ -255,7 +255,7 @@ def parse_carefully(log: LogFile, lines: list[str], first: int, share: float) ->
 
 
 def require_arrow(path: Path) -> tuple[Any, Any]:
-    """Return pyarrow and its Parquet module, or refuse if they are not installed."""
+    """Return pyarrow and its Parquet module; raise a LogError if they are not installed."""
     try:
         import pyarrow
         import pyarrow.parquet

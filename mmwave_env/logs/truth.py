@@ -12,7 +12,7 @@ from mmwave_env.logs.tum import read_tum
 from mmwave_env.numerics.numbers import Array
 
 BRIDGED_S = 1.5  # longest gap that is interpolated: GPS gives a pose per second, sometimes late
-TOLERANCE_S = 0.01  # poses at most this far away are used without interpolation, as in evo
+TOLERANCE_S = 0.01  # a pose this close in time is used without interpolation, as in evo
 
 
 class TrueEpochs(NamedTuple):
@@ -20,16 +20,16 @@ class TrueEpochs(NamedTuple):
 
     position_m: Array  # (T, 3), NaN where not known
     velocity_mps: Array  # (T, 3), NaN where not known
-    away_s: Array  # (T,) time of the nearest pose minus the epoch's; NaN where no position is known
+    away_s: Array  # (T,) time of the nearest pose minus the epoch's time; NaN where not known
 
 
 class Truth:
     """A track of true positions, from a TUM file.
 
     Between two poses that are at most ``BRIDGED_S`` apart, the position is on the cubic Hermite
-    spline through both. The spline's velocity at a pose is that of the parabola through this pose
-    and its neighbors. In longer gaps and beyond the ends of the track, the nearest pose is used if
-    it is at most ``TOLERANCE_S`` away; otherwise the position is unknown.
+    spline through both. At a pose, the spline has the velocity of the parabola through this
+    pose and its neighbors. In longer gaps and beyond the ends of the track, the nearest pose
+    is used if it is at most ``TOLERANCE_S`` away; otherwise the position is unknown.
 
     Raises:
         ValueError, OSError: as for :func:`~mmwave_env.logs.tum.read_tum`.

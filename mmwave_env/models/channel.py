@@ -128,7 +128,7 @@ class ChannelDraws(NamedTuple):
 
 
 def draw_channel(dice: Dice, anchors: int) -> ChannelDraws:
-    """Draw the random numbers for an epoch with the given number of anchors."""
+    """Draw the random numbers for one epoch, for the links of ``anchors`` anchors."""
 
     def each(draw: Callable[[], Number]) -> list[Number]:
         return [draw() for _ in range(anchors)]

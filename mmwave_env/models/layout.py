@@ -31,7 +31,7 @@ CLOCKS = {  # states of the user's clock
     "synchronized": "in step with the anchors' clocks",
     "offset": "ahead of or behind the anchors' clocks, by an unknown time that drifts",
 }
-_HORIZONTAL = {"range", "azimuth", "departure"}  # a horizontal position needs one of these
+_HORIZONTAL = {"range", "azimuth", "departure"}  # a horizontal position needs one or more
 
 
 @dataclass(frozen=True)
@@ -182,7 +182,7 @@ def wrapped(angles: Number) -> Number:
 def whole_groups(
     measurement: NDArray[np.float64], heard: NDArray[np.bool_], layout: Layout
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return masks (T, groups): measured groups, and groups lost because a row or SNR is missing.
+    """Return two masks (T, groups): measured groups, and groups lost due to a missing row or SNR.
 
     In a partial layout, a group is measured if any of its rows is, and no group is ever lost.
 
@@ -190,7 +190,7 @@ def whole_groups(
         measurement: (T, rows), NaN where not measured.
         heard: (T, L) whether a link's SNR is known. The SNR determines the noise of the link's
             rows; the first link's SNR also determines the noise of the Doppler shift.
-        layout: rows and groups.
+        layout: layout of the measurements.
     """
     starts = [group.start for group in layout.groups]
     finite = np.isfinite(measurement)

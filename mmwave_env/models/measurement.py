@@ -10,8 +10,8 @@ to hertz; its sign is the paper's (positive while the range grows). :mod:`mmwave
 says which quantity is in which row.
 
 A group of rows (a link, the Doppler shift or odometry) is described by its innovation, its Jacobian
-and the exact change of its values when the state changes by a finite step, which filters with sigma
-points need. This change does not jump where angles wrap.
+and the exact change of its values when the state changes by a finite step. Filters with sigma
+points need this change. It does not jump where angles wrap.
 
 Straight below or above an anchor the azimuth is undefined, and at the anchor itself the elevation
 is undefined, too. Near these points, the gradient of the azimuth grows as 1 / (horizontal

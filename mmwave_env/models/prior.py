@@ -10,8 +10,8 @@ from mmwave_env.numerics.numbers import PI, Array, wrap
 
 # Longest gap in a track: filters lost none of 100 vehicles in gaps of 10 s, but some in 20 s gaps.
 GAP_S = 15.0
-# Largest elevation of a link from which a prior is computed: 5 degrees off the vertical, which
-# is 2.5 standard deviations of the elevations that the handset profile measures.
+# A prior is computed only from links with elevations up to this one, 5 degrees off the vertical.
+# These 5 degrees are 2.5 standard deviations of an elevation measured by the radio "handset".
 STEEPEST_FIX_RAD = math.radians(85.0)
 # Standard deviation per axis of an unknown horizontal velocity: half of the paper's 20 m/s limit.
 UNKNOWN_VELOCITY_MPS = 10.0

@@ -35,7 +35,7 @@ from mmwave_env.numerics.numbers import Array, Number, Vector, clip, exp, sqrt
 SHIPPED = ("handset", "standard", "high")
 DEGREE = math.pi / 180.0
 CLOCK_OFFSET_S = 1e-7  # prior standard deviation of an unsynchronized clock's offset
-DECIBEL = math.log(10.0) / 10.0  # natural logarithm of 1 dB
+DECIBEL = math.log(10.0) / 10.0  # natural logarithm of a power ratio of 1 dB
 Elements = Annotated[int, counts(1, 1024)]
 AngleFloor = Annotated[
     float,

@@ -70,7 +70,7 @@ class RandomScene:
         Keep the order of the draws; otherwise the same episode key would give another scene.
         """
         block, each = dice.uniform(*self.block_m), float(self.blocks + 1)
-        counts = floor(1.0 + (each * each - 1.0) * dice.uniform())  # both counts in one number
+        counts = floor(1.0 + (each * each - 1.0) * dice.uniform())  # encodes both counts
         east = floor((counts + 0.5) * (1.0 / each))
         extent, base, walls = [], [], []
         for count in (east, counts - each * east):

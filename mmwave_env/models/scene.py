@@ -173,7 +173,7 @@ class Scene:
 
     @property
     def anchors_m(self) -> Array:
-        """Return the anchors (L, 3): the gNB, its image in each wall, ``virtual_anchors_m``."""
+        """Return the anchors (L, 3): the gNB, its image in each wall, and ``virtual_anchors_m``."""
         images = [wall.mirror(self.base_station_m) for wall in self.walls]
         return np.array([self.base_station_m, *images, *self.virtual_anchors_m], float)
 
@@ -194,7 +194,7 @@ class Scene:
             )
 
     def behind_walls(self, points_m: Array) -> Iterator[tuple[int, Wall]]:
-        """Yield (i, wall) for walls with points (n, 3) in or behind them; point i is the first."""
+        """Yield (index of the first point, wall) for walls with points (n, 3) in or behind them."""
         for wall in self.walls:
             side = wall.signed_distance(self.base_station_m)
             behind = wall.signed_distance(points_m.T) * side <= 0.0

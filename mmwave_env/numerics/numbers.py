@@ -33,7 +33,7 @@ def _is_float(a: Number) -> bool:
 
 
 def _function(name: str, module: Any = math) -> Callable[[Number], Number]:
-    """Return a function that calls ``name`` of numpy (arrays), ``module`` (floats) or the lanes."""
+    """Return the function ``name`` for all kinds of numbers; ``module`` has it for floats."""
     of_float, of_array = getattr(module, name), getattr(np, name)
 
     def function(a: Number) -> Number:

@@ -1,4 +1,4 @@
-"""Functions that flatten trees of numbers, such as the state of a track, or choose between them.
+"""Functions that flatten trees of numbers (such as the state of a track) and select among trees.
 
 A *tree* is a number, or a list or NamedTuple of trees. The numbers in a tree are its leaves. A
 workspace, the array that SIMD code works on, has one row for each leaf, in order.

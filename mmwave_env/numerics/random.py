@@ -1,8 +1,8 @@
 """Random numbers, drawn by functions that run on floats and on SIMD lanes (eight environments).
 
-The generator is SFC64 (Chris Doty-Humphrey, PractRand), which numpy also has and which needs only
-additions, shifts, a rotation and xor. Its state is four 64-bit words, stored as the bits of four
-floats. On SIMD lanes, four vectors of eight floats store the states of eight environments.
+The generator is SFC64 (Chris Doty-Humphrey, PractRand), as in numpy. It needs only additions,
+shifts, a rotation and xor. Its state is four 64-bit words, stored as the bits of four floats. On
+SIMD lanes, four vectors of eight floats store the states of eight environments.
 """
 
 import math

@@ -48,7 +48,7 @@ class Picture:
         self._title, self._rows = printable(title), max(rows, legend_rows(len(modes)))
 
     def draw(self, history: History, beside: Sequence[History] = ()) -> NDArray[np.uint8]:
-        """Draw the last epoch of a history and the trajectory so far; return (size, size, 3).
+        """Draw a history's last epoch and the trajectory so far; return pixels (size, size, 3).
 
         The picture depends only on the arguments: the same history gives the same picture. The
         histories ``beside`` belong to the same episode, and their pictures are shown next to this
@@ -154,7 +154,7 @@ class Playback:
         self._parts = list(zip(histories, pictures, strict=True))
 
     def draw(self, epochs: int) -> NDArray[np.uint8]:
-        """Draw all histories after this number of epochs; return (size, sum of widths, 3)."""
+        """Draw all histories after ``epochs`` epochs; return pixels (size, sum of widths, 3)."""
         known = [history.until(epochs) for history, _ in self._parts]
         drawn = [
             picture.draw(history, known)
@@ -166,7 +166,7 @@ class Playback:
 
 
 _WINDOW = 120  # number of epochs that strips show
-_NEES = (0.03, 300.0)  # range of the NEES strip; other values are drawn at its edge
+_NEES = (0.03, 300.0)  # range of the NEES strip; other values are drawn at its edges
 _LEFT, _WIDTH = 112.8, 338.4  # left edge and width of the strips; words are beside them
 _HEIGHT, _GAP, _RIBBON = 121.0 / 3.0, 4.0, 12.0  # heights of a strip, of a gap and of the ribbon
 

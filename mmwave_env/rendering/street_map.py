@@ -186,7 +186,7 @@ def _draw_tracks(canvas: Canvas, view: View, history: History, theme: Theme) -> 
 
 
 def draw_by_mode(canvas: Canvas, points: Array, modes: Index, theme: Theme, width: float) -> None:
-    """Draw a line (n, 2); each piece has the color of the mode (n,) at its end point."""
+    """Draw a line through points (n, 2); each piece has the color of the mode at its end."""
     for begin, end in runs(modes[1:]):
         color = theme.mode(int(modes[begin + 1]))
         canvas.line(points[begin : end + 1], color, width)

@@ -13,7 +13,7 @@ from mmwave_env.io.lookup import choose, require_extra
 
 Color = tuple[int, ...]  # red, green and blue, 0 to 255
 
-# Name, light color, dark color. "quiet" colors explanations; "none" colors the action "none".
+# Name, light color, dark color. "quiet" is for explanations, "none" for the action "none".
 _COLORS = """\
     paper     ffffff 111318
     ink       222226 eeeeeb

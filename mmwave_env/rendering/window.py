@@ -44,7 +44,8 @@ def require_display(
 class Window:
     """A window that shows one picture after another, at a speed that the user changes with keys.
 
-    The title lists the keys. After the user closes the window, :meth:`show` returns immediately.
+    The title lists the keys. Space begins or ends a pause; n shows the next picture and begins a
+    pause. After the user closes the window, :meth:`show` returns immediately.
     """
 
     def __init__(self, width: int, height: int) -> None:
@@ -55,7 +56,7 @@ class Window:
         self._name()
 
     def show(self, picture: NDArray[np.uint8]) -> None:
-        """Show a picture (height, width, 3) until the next is due; space or n ends a pause."""
+        """Show a picture (height, width, 3) until the next is due or asked for."""
         surface = pygame.image.frombuffer(picture.tobytes(), picture.shape[1::-1], "RGB")
         self._stepping = False
         while self._screen is not None:

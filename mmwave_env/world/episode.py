@@ -150,7 +150,7 @@ class Episode:
         known = np.isfinite(snr_db)
         stated = radio.sigma(snr_db, scene, layout)
         if layout.partial:
-            snr_db = np.where(known, snr_db, NEUTRAL_SNR_DB)  # observations need a number
+            snr_db = np.where(known, snr_db, NEUTRAL_SNR_DB)  # observations must be finite
             if doppler_anchor is not None:
                 shifted = np.repeat(snr_db[np.arange(len(snr_db)), doppler_anchor], layout.anchors)
                 of_doppler = radio.sigma(shifted.reshape(snr_db.shape), scene, layout)
@@ -202,7 +202,7 @@ class Episode:
             raise ValueError(f"{self._record}: found no truth, which reward and metrics need")
 
     def on_flat_ground(self, height_m: float | None = None) -> "Episode":
-        """Return the episode with prior vz = 0 and prior height (by default the true height)."""
+        """Return the episode with vz = 0 and this height (None: the true height) as prior mean."""
         if height_m is None:
             self.require_truth()
             height_m = self.truth_position_m[0, 2]  # type: ignore[index]
@@ -245,7 +245,7 @@ class Episode:
 
 
 def sigma_bounds(layout: Layout) -> list[tuple[list[int], Bound]]:
-    """Return three lists of rows, each with its bound: ranges and speed, angles, Doppler shift."""
+    """Return rows and their bound, for ranges and speed, for angles and for the Doppler shift."""
     lengths = np.setdiff1d(np.arange(layout.size), [*layout.angles, layout.doppler]).tolist()
     angles, doppler = envelope.ANGLE_SIGMA_RAD, envelope.DOPPLER_SIGMA_HZ
     of_lengths = lengths, envelope.RANGE_SIGMA_M

@@ -35,7 +35,7 @@ def stream_of(seed: int) -> np.uint64:
 
 
 def keys_of(seeds: Iterable[int]) -> Keys:
-    """Return the keys of the episodes that ``env.reset(seed=...)`` draws from a simulation."""
+    """Return, for each seed, the key of the episode that ``env.reset(seed=...)`` simulates."""
     streams = np.array([stream_of(seed) for seed in seeds], np.uint64)
     return keys_at(streams, np.zeros(len(streams), np.uint64))
 
@@ -83,7 +83,7 @@ class Stream:
 
     def next(self, rng: np.random.Generator, seed: int) -> int:
         """Return the next episode's key, given the environment's current generator and seed."""
-        if rng is not self._from:  # it was seeded, or replaced (the seed is then -1)
+        if rng is not self._from:  # a new rng: seeded, or set by the user (seed -1)
             self._from = rng
             self._state[:] = draw_key(rng) if seed == -1 else stream_of(seed), 0
         (key,) = keys_at(*self._state)
@@ -95,7 +95,7 @@ class Streams:
     """The streams of n environments (random until seeded), and the numbers of keys drawn."""
 
     def __init__(self, n: int) -> None:
-        self._states = np.zeros((n, 2), np.uint64)  # streams, and number of keys drawn from each
+        self._states = np.zeros((n, 2), np.uint64)  # streams, and numbers of keys drawn from them
         self._states[:, 0] = np.random.SeedSequence().generate_state(n, np.uint64)
         self.set_states(self._states)
 

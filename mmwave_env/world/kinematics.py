@@ -2,7 +2,7 @@
 
 A traveler (a moving user) speeds up to its target speed, and brakes for corners and red lights,
 within limits of acceleration, braking and jerk. Each substep takes about 0.1 s. Between substeps,
-:mod:`mmwave_env.world.travel` draws events: new target speeds, crossings and phases.
+:mod:`mmwave_env.world.travel` draws events: target speeds, crossings, phases (styles of moving).
 """
 
 from typing import NamedTuple
@@ -104,8 +104,8 @@ def wanted_acceleration(t: Traveler, net: Net) -> Number:
     before the crossing. Let d be the distance to this turn or stop, and b the limit of braking.
     Travelers plan to brake at b / 2, so they aim at a speed u with u^2 = v_c^2 + 2 (b / 2) d. At
     their current speed v, they need to brake at (v^2 - v_c^2) / (2 d'), where d' is d minus the
-    distance that they travel while the braking builds up (the jerk is limited). If this exceeds
-    0.7 b, they brake as hard as needed, up to b.
+    distance that they travel while the braking builds up (the jerk is limited). If they need more
+    than 0.7 b, they brake as hard as needed, up to b.
     """
     left, turns, turns_after = t.stretch - t.traveled, t.arc > 0.0, abs(t.turn_after) > 0.5
     beyond = left + net.block - where(turns_after, t.radius, 0.0)
@@ -117,7 +117,7 @@ def wanted_acceleration(t: Traveler, net: Net) -> Number:
     aim = minimum(cornering + t.braking * maximum(corner, 0.0), t.braking * light)
     aim = sqrt(minimum(t.target * t.target, aim))
     pull = clip((aim - t.v) * 2.0, -t.braking, t.acceleration)
-    built_up = 0.6 / t.jerk * (maximum(t.a, 0.0) + t.braking) * t.v  # m, until braking is full
+    built_up = 0.6 / t.jerk * (maximum(t.a, 0.0) + t.braking) * t.v  # distance d - d'
     need = maximum(
         where(corner > 0.0, squared - cornering, 0.0) / (2.0 * maximum(corner - built_up, 0.5)),
         where(light > 0.0, squared, 0.0) / (2.0 * maximum(light - built_up, 0.5)),

@@ -136,7 +136,7 @@ class SimulatedSource:
 
     @cached_property
     def _example(self) -> Scene:
-        """Return the scene, or an example of the random scene with its carrier and anchor count."""
+        """Return the scene; for a random scene, an example with its carrier and anchor count."""
         return self.scene.example if isinstance(self.scene, RandomScene) else self.scene
 
     @property
@@ -308,7 +308,7 @@ class SimulatedSource:
     @property
     def _beginning(self) -> Program[Beginning]:
         streets = None
-        if isinstance(self.scene, RandomScene):  # one program for all carriers
+        if isinstance(self.scene, RandomScene):  # share one program among all carriers
             same = RandomScene()
             streets = replace(
                 self.scene, carrier_hz=same.carrier_hz, bandwidth_hz=same.bandwidth_hz

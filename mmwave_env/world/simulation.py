@@ -47,9 +47,9 @@ class WorldSettings(NamedTuple):
     step_s: Number  # length of a substep
     stride: Number  # number of substeps in an epoch
     offered: Vector = ()  # (rows,) 1 where the receiver measures the row; empty if it measures all
-    # empty if the user's clock is synchronized; else [0]: the factor that converts the sum of the
-    # oscillator biases (Hz) at two epochs to the drift (m) between them; [1]: the standard
-    # deviation (m) of the noise that the clock itself adds between epochs
+    # empty if the user's clock is synchronized; else (2,): factor that converts the sum of the
+    # oscillator biases (Hz) at two successive epochs to the change (m) of the range bias between
+    # them, and standard deviation (m) of the noise that the clock itself adds to this change
     clock: Vector = ()
 
 
@@ -138,7 +138,7 @@ def measure(
 def _run_on(receiver: ReceiverState, bias_hz: Number, clock: Vector) -> Clock | tuple[()]:
     """Return the clock one epoch later; () if the clock is synchronized.
 
-    The range bias changes by noise, and by the drift that the oscillator's mean bias causes.
+    The range bias changes by noise, and by a drift due to the mean oscillator bias of both epochs.
     """
     if not isinstance(receiver.clock, Clock):
         return ()
@@ -297,7 +297,7 @@ class FirstDraws(NamedTuple):
     # (7,) true state at the first epoch, followed by the range bias (m) if the clock has an offset;
     # if ways are given, the position and velocity in it are meaningless
     first: list[Number]
-    # (7,) error of the prior's mean; with a clock offset, (8,): the last is the negative range bias
+    # (7,) error of the prior's mean; with a clock offset, (8,): the last is minus the range bias
     prior_noise: list[Number]
 
 

@@ -118,7 +118,7 @@ class Trajectory:
         """Return positions and velocities (E, 6) from :meth:`resampled`, if they fit a scene.
 
         Raises:
-            ValueError: the way is shorter than ``dt``, behind a wall, or violates :data:`REACH_M`.
+            ValueError: the way is shorter than ``dt``, behind a wall, or outside :data:`REACH_M`.
         """
         way = self.resampled(dt)
         if len(way) < 2:

@@ -164,7 +164,7 @@ def _enter(t: Traveler, number: Number, phase: Phase) -> Traveler:
 def _change_over(t: Traveler, following: Phase) -> Traveler:
     """Make a traveler stop when its phase is over; begin the next phase once it stands still."""
     left, wider = t.stretch - t.traveled, following.radius - t.radius
-    # If there is no room left for the wider corner of the next phase, first pass this corner.
+    # If too little street is left for the next phase's wider corner, turn at this corner first.
     room = (abs(t.turn) < 0.5) | (left > wider + 4.0)
     over = (t.time >= t.phase_end) & (t.stopping < 0.5) & room
     t = t._replace(

@@ -1,4 +1,4 @@
-"""Tests of ``mmwave-loc leaderboard``, which ranks JSON files, each with one policy's results."""
+"""Tests of ``mmwave-loc leaderboard``, which ranks policies by their results in JSON files."""
 
 import json
 import shutil
@@ -12,7 +12,7 @@ from tests.cli import assert_one_clear_line, command, succeed
 from tests.paths import ROOT, json_in
 
 FOLDER = ROOT / "experiments" / "evaluation" / "entries"
-GOOD, POOR = "guided", "imm-best"  # two entries in this folder, the better one first
+GOOD, POOR = "guided", "imm-best"  # two policies with files in this folder, the better policy first
 
 
 @pytest.fixture(scope="module")

@@ -106,7 +106,7 @@ def test_an_error_while_printing_is_reported():
 @pytest.mark.skipif(os.name != "posix", reason="needs FIFOs")
 @pytest.mark.parametrize("option", ["log", "--scene", "--truth", "--modes", "--radio"])
 def test_a_fifo_is_refused_before_it_is_read(tmp_path, option):
-    """Use FIFOs, which block a reader; tests/io/test_files.py tests other odd files."""
+    """Use FIFOs, because reading them can block; tests/io/test_files.py tests other odd files."""
     odd = tmp_path / ("odd.csv" if option == "log" else "odd.json")
     os.mkfifo(odd)
     files = {"log": RIDE / "log.csv", "--scene": RIDE / "scene.json", option: odd}
@@ -237,13 +237,13 @@ def test_a_log_that_gives_no_track_leaves_existing_files_unchanged(tmp_path, nam
         ("A,B,C,D,E,F,G,H,I,J,K,L", ["column 'J': found an unknown quantity; the only allowed "]),
     ],
 )
-def test_all_unknown_columns_are_named_with_the_nearest_known_ones(tmp_path, header, parts):
+def test_the_error_names_all_unknown_columns_and_similar_known_columns(tmp_path, header, parts):
     (tmp_path / "log.csv").write_text(f"{header}\n")
     _, line = refused(options(tmp_path / "log.csv"))
     assert not [part for part in parts if part not in line], line
 
 
-def test_the_error_about_a_truth_without_times_of_the_log_shows_both_time_spans(tmp_path):
+def test_if_log_and_truth_do_not_overlap_in_time_the_error_shows_both_time_spans(tmp_path):
     truth, out = tmp_path / "truth.tum", tmp_path / "track.tum"
     truth.write_text(tum_lines(np.array([1000.0, 1002.5]), np.zeros((2, 3))))
     more = ("--speed", "1", "--truth", truth, "--out", out)

@@ -51,7 +51,7 @@ def test_help_fits_80_columns_in_any_terminal(columns):
 
 def test_help_shows_defaults_and_optional_arguments():
     shown = " ".join(command("leaderboard", "--help", columns=80).stdout.split())
-    assert "test seeds start at 0 (default: 0)" in shown and "(default: False)" not in shown
+    assert "start at 0 (default: 0)" in shown and "(default: False)" not in shown
     assert "[-h] [WHAT] [--radio STR]" in command("list", "--help").stdout
     assert "[OPTIONS] MODEL POLICY" in command("convert", "--help").stdout
 

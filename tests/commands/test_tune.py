@@ -94,6 +94,6 @@ def test_tuning_on_the_original_episodes_finds_the_shipped_modes(file):
         source = SimulatedSource(SCENES["street"], RADIOS[radio], scenario)
         objective = objective_of(shipped, source.episodes(keys))
         made = tune(shipped, ["sigma_v", "sigma_p"], objective)
-        # The optimum is flat: both modes fit the episodes equally well, but their sigma_v differ.
+        # The optimum is flat: modes with slightly different sigma_v fit the episodes equally well.
         assert objective(shipped).mean() == pytest.approx(objective(made).mean(), abs=0.002)
         assert made.sigma_v == pytest.approx(shipped.sigma_v, rel=0.05)

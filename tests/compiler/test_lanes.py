@@ -178,7 +178,7 @@ def test_where_ignores_nan_in_the_other_branch():
 
 
 def test_lanes_and_numbers_on_a_tape_have_the_same_operations():
-    """Check this because a function is run on a tape before it is compiled for lanes."""
+    """Check this because a tape records a function's operations before it is compiled for lanes."""
     inner = {"builder", "value", "_call", "_negated", "_with", "number", "tape", "_record"}
     number = taped(0.0, [])
     for ours, theirs in ((Lanes, number), (Mask, number < 1.0)):
@@ -213,7 +213,7 @@ def assert_floats_equal_lanes(pipeline, episodes, actions):
     return a
 
 
-@pytest.mark.parametrize("name", representative(OPTIONS, "default"))  # each case needs 3 programs
+@pytest.mark.parametrize("name", representative(OPTIONS, "default"))  # each case compiles
 def test_filters_on_lanes_equal_filters_on_floats(name):
     """Run each filter alone, and with random switching between the filters."""
     actions = np.random.default_rng(0).integers(3, size=(60, 5))

@@ -64,7 +64,7 @@ def test_a_simulated_log_gives_the_simulated_episode(tmp_path, odometry):
     ranges[: true.layout.doppler : 4] = True
     z, expected = episode.measurement, true.measurement
     np.testing.assert_array_equal(z[at & ~ranges], expected[at & ~ranges])
-    # Writing a log divides ranges by the speed of light; reading multiplies them again.
+    # Writing a log divides ranges by the speed of light; reading multiplies them by it again.
     np.testing.assert_array_max_ulp(z[at & ranges], expected[at & ranges])
     np.testing.assert_array_max_ulp(episode.sigma[at], true.sigma[at], maxulp=4)
 
@@ -99,11 +99,11 @@ def test_a_wrong_clock_of_the_truth_is_reported_but_not_corrected(sample):
     np.testing.assert_allclose(position[2:-1], track.position_m[1:-2], atol=1e-3)
 
 
-def test_a_log_with_missing_quantities_and_sigma_columns_can_be_played_and_written_again(folder):
+def test_a_log_with_sigma_columns_and_missing_quantities_can_be_played_and_written_again(folder):
     """Replace the log by a log that lacks quantities and has Doppler shifts of anchor 2."""
     whole, columns = read_log_folder(folder), read_columns(folder / "log.csv")
     own = {name: columns[name] for name in ("time_s", "anchor", "toa_s", "aod_azimuth_rad")}
-    own["doppler_hz"] = np.roll(columns["doppler_hz"], 1)  # from anchor 1's to anchor 2's rows
+    own["doppler_hz"] = np.roll(columns["doppler_hz"], 1)  # moved to anchor 2's rows
     for sigma, name, value in (
         ("range_sigma_m", "toa_s", 0.4),
         ("aod_azimuth_sigma_rad", "aod_azimuth_rad", 0.03),
@@ -129,7 +129,7 @@ def test_a_log_with_missing_quantities_and_sigma_columns_can_be_played_and_writt
 
 
 @pytest.mark.parametrize("name", log_names())
-def test_samples_are_found_by_name_and_by_folder_and_have_the_plain_layout(name):
+def test_samples_are_found_by_name_and_by_folder_and_their_layout_is_not_partial(name):
     assert sample_folder(name) == LOGS / name
     assert sample_folder(name, "recording") == RECORDINGS / name
     for where in (name, RECORDINGS / name):

@@ -155,7 +155,7 @@ def test_angles_that_differ_by_a_full_turn_give_the_same_track():
         ("carrier_hz", 28.0),
     ],
 )
-def test_arrays_of_a_wrong_shape_or_value_are_refused_by_name(field, value):
+def test_the_error_names_an_array_of_a_wrong_shape_or_value(field, value):
     with refuses(field):
         track(**{field: value})
 
@@ -199,7 +199,7 @@ def test_correct_tracks_cause_no_warning(seeds):
 # --- episodes
 
 
-def test_seeds_draw_the_prior_and_nothing_else():
+def test_seeds_change_the_prior_and_nothing_else():
     source = TrackSource(track(), "handset")
     first, same, other = (source.sample(generator(seed)) for seed in (5, 5, 6))
     np.testing.assert_array_equal(first.table(), other.table())
@@ -256,12 +256,12 @@ def test_without_a_number_of_epochs_the_longest_stretch_is_played():
 
 
 @pytest.mark.parametrize("epochs", [0, 29])
-def test_windows_that_are_empty_or_longer_than_every_stretch_are_refused(epochs):
+def test_episodes_that_are_empty_or_longer_than_every_stretch_are_refused(epochs):
     with refuses("epochs"):
         TrackSource(broken(), RADIO, epochs)
 
 
-def test_a_track_without_truth_or_with_another_unit_of_time_is_refused():
+def test_a_track_without_truth_or_with_times_in_milliseconds_is_refused():
     with refuses("track 'own'"):
         TrackSource(track(position_m=np.full((60, 3), np.nan)), RADIO)
     with refuses("track 'own'"):

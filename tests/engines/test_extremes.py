@@ -1,4 +1,4 @@
-"""Tests that inputs within models.envelope give sound beliefs and that others are refused."""
+"""Tests that inputs within models.envelope give sound beliefs and other inputs are refused."""
 
 from collections.abc import Callable
 from contextlib import suppress

@@ -36,7 +36,7 @@ def test_a_track_equals_the_track_of_the_engine_that_stops_at_every_epoch(
 ):
     pipeline = Pipeline(default_modes(), STREET)
     actions = np.random.default_rng(0).integers(0, 2, (n, T))
-    actions[0], actions[1] = 0, 1  # two tracks do not switch
+    actions[0], actions[1] = 0, 1  # two tracks do not switch modes
     tracker = Tracker(pipeline, n, on_floats=on_floats)
     tracker.load(episodes[:n])
     names = ("x", "P", "error", "nees", "memory.accepted", "memory.mode")

@@ -116,11 +116,11 @@ def test_copies_and_restored_states_continue_identically(kind):
 def test_a_weight_of_three_has_the_effect_of_the_discrete_action_of_its_mode(dt):
     options = PER_MODE | {"episode_steps": 30, "dt": dt}
     modes = np.random.default_rng(0).integers(0, 3, 30)
-    trusted = played(gym.make(ID, **options), modes)
+    discrete = played(gym.make(ID, **options), modes)
     weights = np.vstack([np.zeros(2), 3.0 * np.eye(2)])[modes]
     weighted = played(gym.make(ID, action="weights", **options), weights)
-    np.testing.assert_allclose(rewards(weighted), rewards(trusted), atol=1e-9)
-    np.testing.assert_allclose(weighted[-1][0], trusted[-1][0], atol=1e-5)
+    np.testing.assert_allclose(rewards(weighted), rewards(discrete), atol=1e-9)
+    np.testing.assert_allclose(weighted[-1][0], discrete[-1][0], atol=1e-5)
 
 
 def test_corrections_change_the_reported_belief_but_not_the_filters():
@@ -236,7 +236,7 @@ def test_a_base_policy_must_return_valid_actions(answer):
 # --- costs: 1 if the error exceeds the protection level, else 0
 
 
-def test_errors_exceed_the_protection_level_of_a_nan_or_exact_belief():
+def test_errors_exceed_the_protection_level_of_a_belief_with_nan_or_zero_variance():
     assert exceeds(math.nan, 0.0, 1.0, 0.0, 1.0) == exceeds(1.0, 0.0, *[math.nan] * 3) == 1.0
     assert exceeds(1.0, 0.0, 0.0, 0.0, 0.0) == 1.0 and exceeds(0.0, 0.0, 0.0, 0.0, 0.0) == 0.0
 

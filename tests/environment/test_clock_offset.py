@@ -111,9 +111,9 @@ def test_the_offset_is_drawn_and_the_oscillator_drives_it():
     first = bias[:, 0][np.isfinite(bias[:, 0])]
     assert abs(first.mean()) < 4.0 * SIGMA_M / 20.0
     assert first.std() == pytest.approx(SIGMA_M, rel=0.15)
-    explained = 59.0 * np.nanmean([unexplained(episode) for episode in shifted], axis=1)
+    by_oscillator = 59.0 * np.nanmean([unexplained(episode) for episode in shifted], axis=1)
     grown = bias[:, -1] - bias[:, 0]
-    left = (grown - explained)[np.isfinite(grown)]
+    left = (grown - by_oscillator)[np.isfinite(grown)]
     assert left.std() < 0.15 * grown[np.isfinite(grown)].std()
 
 

@@ -29,7 +29,7 @@ from tests.filters.tracks import replay, unpacked
 from tests.refusals import refuses
 
 ID = "MmWaveLoc-v0"
-EKF = {"modes": ["ekf"]}  # a single mode is compiled fastest
+EKF = {"modes": ["ekf"]}  # a single mode compiles fastest
 
 STEP_KEYS = {"position_error_m", "nees", "nis", "accepted", "rejected", "mode", "gamma"}
 STEP_KEYS |= {"truth", "estimate", "reward_terms", "cost"}
@@ -61,7 +61,7 @@ def adrift(drift_mps, epochs=200):
 
 
 def roll(env, seed=0, steps=200):
-    """Return the results of the steps of an episode, in which the modes take turns."""
+    """Play an episode in which the modes take turns; return the results of its steps."""
     env.reset(seed=seed)
     done = []
     for t in range(steps):

@@ -20,7 +20,7 @@ EKF = {"modes": ["ekf"]}
 
 
 class Closeness:
-    """A reward without ``__eq__``, whose copies differ from it and would be compiled again."""
+    """A reward without ``__eq__``. A copy of it is not equal to it and would be compiled again."""
 
     compiled = 0
 
@@ -180,7 +180,7 @@ def test_only_synchronous_vector_environments_support_fixed_infos():
 
 # --- arguments
 
-# The last argument of each case is wrong. Messages must contain its name or the text given here.
+# The last argument of each case is wrong. The error names it or contains its text in this dict.
 NAMED = {"episode_steps": "", "episodes": "", "terminate_on_divergence": "", "modes": "mode"}
 
 

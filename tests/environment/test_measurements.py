@@ -92,7 +92,7 @@ def test_vector_and_single_environments_agree(name):
         assert "smoothed" not in arguments or infos["smoothed_ate_m"][i] == info["smoothed_ate_m"]
 
 
-def test_all_subsets_share_one_compiled_world():
+def test_all_subsets_share_one_compiled_simulation():
     sources = [SimulatedSource(STREET, RADIO, epochs=40, measurements=subset) for subset in SUBSETS]
     worlds = {id(source.world) for source in sources}
     assert len(worlds) == 1

@@ -78,7 +78,7 @@ def test_a_vector_environment_without_infos_warns_too():
 
 
 @pytest.mark.slow
-def test_a_comparison_includes_episodes_with_nan_beliefs_and_names_the_contender():
+def test_a_comparison_includes_episodes_with_nan_beliefs_and_names_the_policy():
     source = SimulatedSource(SCENES["street"], RADIOS["standard"], epochs=STEPS)
     chosen = Contender("mine", Bank(tuple(TASK["modes"])), lambda observation: FixedMode(0))
     selection = Selection(range(6))

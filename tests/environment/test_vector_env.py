@@ -255,9 +255,9 @@ def test_wrong_seeds_are_refused(seed):
 def peak_bytes(n):
     """Return the peak memory (bytes) of Python and NumPy while n environments are stepped.
 
-    Every episode ends within these 202 steps. Resident memory would vary by megabytes, because the
-    operating system hands out huge pages. With more than one thread, the peak would depend on which
-    jobs run at the same time.
+    Every episode ends within these 202 steps. Resident memory is not measured: it varies by
+    megabytes, because the operating system hands out huge pages. With more than one thread, the
+    peak would depend on which jobs run at the same time.
     """
     tracemalloc.start()
     try:

@@ -55,7 +55,7 @@ def test_a_clairvoyant_with_a_long_enough_horizon_takes_the_best_action(past, mo
     assert (best > every[0]).any()
 
 
-def test_the_clairvoyant_earns_more_than_an_imm_with_its_modes_and_leaves_episodes_unchanged():
+def test_the_clairvoyant_earns_more_than_the_imm_and_leaves_episodes_unchanged():
     policy, imm = (contender_from(name, "handset", HANDSET) for name in ("clairvoyant", "imm"))
     knows, mixes = (score(c, c.start(LAYOUT), EPISODES)["reward"] for c in (policy, imm))
     assert knows.mean() > mixes.mean()

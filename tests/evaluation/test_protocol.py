@@ -47,7 +47,7 @@ def test_the_protocol_has_the_documented_numbers_of_sites():
 
 
 @pytest.mark.slow  # compiles every IMM
-def test_a_contender_is_compared_with_every_imm_on_the_same_episodes():
+def test_a_policy_is_compared_with_every_imm_on_the_same_episodes():
     (site,) = (site for site in sites() if site.name == "street:tablet")
     judged = judge(["speed-rule", "imm-best"], site, 4, seed=3)
     assert judged.imms == ("imm", "imm-best")
@@ -86,7 +86,7 @@ def entries():
     return {name: entry(name, judged) for name in rewards}
 
 
-def test_the_rule_has_score_0_and_the_clairvoyant_100_at_every_site():
+def test_the_speed_rule_has_score_0_and_the_clairvoyant_100_at_every_site():
     made = entries()
     add_scores(made.values(), made["clairvoyant"])
     for name, expected in {"mine": 50, "imm-best": 25, "speed-rule": 0, "clairvoyant": 100}.items():
@@ -107,7 +107,7 @@ def test_scores_are_dashes_if_an_entry_has_fewer_episodes_than_the_clairvoyant()
         assert f" | {shown} |\n| street:standard" in tables["scores"]
 
 
-def test_shipped_entries_are_shown_beside_those_in_a_folder_unless_it_has_its_own(tmp_path):
+def test_an_entry_in_the_folder_replaces_the_shipped_entry_of_the_same_policy(tmp_path):
     shipped = entries_in(tmp_path)
     assert [content["entry"] for content in shipped] == [*BESIDE]
     (tmp_path / "mine.json").write_text(json.dumps(shipped[0] | {"command": "mine"}))
@@ -139,7 +139,7 @@ def test_a_bus_stops_every_300_m(hard):
         assert len(stops) >= 3 and np.diff(stops) == pytest.approx(300.0)
 
 
-def test_hard_sites_have_the_receiver_faults_after_which_they_are_named(hard):
+def test_hard_sites_have_the_receiver_faults_in_their_names(hard):
     ordinary = next(s for s in sites() if s.name == "street:handset").source()
     keys = np.arange(4, dtype=np.uint64)
     for stated, true in zip(hard["noise-twice"], ordinary.episodes(keys), strict=True):

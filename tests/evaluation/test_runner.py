@@ -67,7 +67,7 @@ def test_scores_equal_the_results_of_stepping_a_single_environment(beliefs, per_
     assert np.max(taken) == len(contender.actions) - 1  # even the last mode was used
 
 
-def test_scores_do_not_depend_on_the_chunk_size_other_seeds_or_other_contenders(monkeypatch):
+def test_scores_depend_neither_on_the_chunk_size_nor_on_other_seeds_or_contenders(monkeypatch):
     names = ["fixed-ekf", "fixed-ukf"]
     whole = score_contenders(names, SOURCE, "handset", Selection(range(5)))
     monkeypatch.setattr(evaluation, "CHUNK", 2)
@@ -156,7 +156,7 @@ def per_mode(tmp_path):
     return write_per_mode(tmp_path / "per_mode.safetensors")
 
 
-def test_for_any_beliefs_the_imm_uses_the_transition_matrix_of_a_bank_or_bank_file(tmp_path):
+def test_the_imm_always_uses_the_transition_matrix_of_a_bank_or_bank_file(tmp_path):
     path = tmp_path / "bank.json"
     path.write_text(json.dumps(bank_as_written(HANDSET)))
     for modes in (HANDSET, path, str(path), (str(path),)):

@@ -42,7 +42,7 @@ def drawn(name, path):
 
 
 def episode_of(name):
-    """Return {name: history of an episode}, as if its contender had this name."""
+    """Return {name: history of an episode}, as if its policy had this name."""
     (episode,) = draw_episodes(task_from(episode_steps=30).source, [0])
     return {name: history_of(contender_from("speed-rule", "handset"), episode)}
 

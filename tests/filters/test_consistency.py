@@ -28,8 +28,8 @@ TUNING = {"sigma_v": 0.3, "adaptive": False}
 
 @pytest.fixture(scope="module")
 def runs():
-    """Return five arrays for each algorithm: NEES (T, runs), NIS (T, runs, groups), 0 or 1 for
-    rejection by a 99 % gate (T, runs, groups), errors (T, runs, 3), packed P (T, runs, 28).
+    """Return five arrays for each algorithm: NEES (T, runs), NIS (T, runs, groups), rejections by a
+    99 % gate as 0 or 1 (T, runs, groups), errors (T, runs, 3) and packed P (T, runs, 28).
     """
     plain = [Mode(a, a, gate=None, **TUNING) for a in ALGORITHMS]
     gated = [Mode(f"{a} gated", a, gate=0.99, **TUNING) for a in ALGORITHMS]

@@ -123,7 +123,7 @@ def only_floats(x, P, measurement, gate):
 @pytest.mark.parametrize(
     ("algorithm", "part"), [(misspelled, "numbers"), (only_floats, "mmwave_env.numerics.numbers")]
 )
-def test_an_attribute_error_is_the_cause_of_a_refusal_that_shows_its_line(algorithm, part):
+def test_an_attribute_error_becomes_a_refusal_that_shows_the_line(algorithm, part):
     error, code = refusal(algorithm), algorithm.__code__
     assert part in str(error)
     assert f'File "{code.co_filename}", line {code.co_firstlineno + 1}, in' in str(error)
@@ -134,7 +134,7 @@ def test_an_attribute_error_is_the_cause_of_a_refusal_that_shows_its_line(algori
 
 
 def changed(**fields):
-    """Return an EKF whose posterior has some fields replaced by functions of these fields."""
+    """Return an EKF that applies the given functions to fields of its posterior."""
 
     def algorithm(x, P, measurement, gate):
         after = ekf(x, P, measurement, gate)

@@ -1,7 +1,7 @@
 """Tests that modes, memory and IMMs on plain floats equal their textbook formulas.
 
-Engines run the same functions compiled; these tests run them as plain Python, so that each test
-takes at most a second.
+Engines run the same functions compiled. These tests run them as plain Python, because compilation
+would take longer than the tests, which take at most a second each.
 """
 
 import numpy as np

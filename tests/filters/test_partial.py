@@ -82,7 +82,7 @@ def test_nees_with_missing_rows_and_doppler_shifts_of_any_anchor_is_chi_square(r
     assert_sum(nees[epoch], 3 * RUNS)
 
 
-def test_nis_is_chi_square_with_the_number_of_measured_rows(runs):
+def test_nis_is_chi_square_with_a_degree_of_freedom_per_measured_row(runs):
     _, nis, rows = runs
     links = rows[..., :12].reshape(EPOCHS, RUNS, 3, 4).sum(axis=-1)
     assert not nis[..., :3][links == 0].any()

@@ -18,7 +18,7 @@ GATES = [Gate(None), Gate(0.99), Gate(0.5), Gate(0.5, force=1.0), Gate(0.99, rob
 
 KINDS = {
     "radio": {},
-    "nine anchors": {"anchors": 9},  # ten groups: two logarithms, each of up to eight determinants
+    "nine anchors": {"anchors": 9},  # ten groups: too many determinants for one logarithm
     "odometry": {"odometry": True},
     "some rows": {"partial": True},
     "odometry and some rows": {"odometry": True, "partial": True},

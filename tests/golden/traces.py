@@ -123,7 +123,7 @@ def rollout(keys: Sequence[int | None], **arguments: Any) -> Iterator[Row]:
 def vector_rollout(keys: Sequence[int], later: Sequence[int], **arguments: Any) -> Iterator[Row]:
     """Play ``keys[i]`` in environment i; if this episode ends early, then play ``later[i]``.
 
-    Between the two, autoreset begins another episode, which is not part of the trace.
+    Between these episodes, autoreset begins another episode, which is not part of the trace.
     """
     n = len(keys)
     env = gym.make_vec(ID, num_envs=n, autoreset_mode="SameStep", **arguments)

@@ -2,8 +2,8 @@
 
 The last bits of results depend on the processor, because compilers and libraries choose
 instructions for it. Tests therefore allow differences of 1e-9 (1e-5 in observations, which have
-single precision), relative for numbers above 1, absolute for others. Integers and words must agree.
-``--check`` compares text, to see on one machine whether a refactoring changes any bit.
+single precision). Differences are relative for numbers above 1, else absolute. Integers and words
+must agree. ``--check`` compares text, to see on one machine whether a refactoring changes any bit.
 """
 
 import math

@@ -157,7 +157,7 @@ def test_doppler_spread_describes_the_coming_epoch_and_is_averaged(rollout):
 
 
 @pytest.mark.parametrize("speed_mps", [0.0, 2.0, 15.0])
-def test_a_missing_doppler_spread_is_replaced_by_about_the_mean_at_this_speed(speed_mps):
+def test_a_missing_doppler_spread_is_replaced_by_the_mean_at_the_estimated_speed(speed_mps):
     site = blank_site(Layout())._replace(hz_per_mps=93.4)
     velocity, speeds = [0.6 * speed_mps, 0.8 * speed_mps, 0.0], np.full(100_000, speed_mps)
     drawn = doppler_spread(RADIOS["handset"], 93.4, speeds, np.random.default_rng(0))

@@ -197,7 +197,7 @@ def test_the_error_about_an_invalid_reward_function_names_its_file(own):
 # --- paired with an IMM
 
 
-SLUGGISH = Mode("sluggish", sigma_v=0.05)  # diverges in about half of the vehicles' episodes
+SLUGGISH = Mode("sluggish", sigma_v=0.05)  # diverges in about half of all vehicle episodes
 DIVERGING = {"scenario": "vehicle", "episode_steps": 40, "modes": [SLUGGISH]}
 
 

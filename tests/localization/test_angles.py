@@ -23,7 +23,7 @@ def between(p, q):
 
 
 def reported(anchor, user):
-    """Return the angles in degrees that receivers report: for each row of the table, by name."""
+    """Return, for each row of the table, the angles in degrees (by name) of its receiver."""
     (out, elevation), (back, at_user) = between(anchor, user), between(user, anchor)
     return [
         {"arrival": back, "elevation": at_user, "departure": out},

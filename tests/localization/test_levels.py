@@ -23,7 +23,7 @@ FRESH = 5_900_000  # first tuning seed with which no levels were calibrated
 
 
 def parts(seed=0):
-    """Return random outputs of filters: x, P, NIS, accepted, rejected, trust in corrections."""
+    """Return random outputs: x, P, NIS, accepted, rejected, and trust in corrections (0 to 1)."""
     rng = np.random.default_rng(seed)
     # 0: the gate accepted the group; 1: the gate rejected it; 2: the group was not visible
     fate = rng.integers(3, size=(N, T, ANCHORS + 1))
@@ -115,11 +115,11 @@ def test_gaussian_levels_follow_from_the_covariances():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("place", ["street:handset", "o1:standard", "dynamic-doppler:high"])
+@pytest.mark.parametrize("pair", ["street:handset", "o1:standard", "dynamic-doppler:high"])
 @pytest.mark.parametrize("risk", [0.01, 0.001])
-def test_errors_exceed_levels_at_most_as_often_as_stated(place, risk):
+def test_errors_exceed_levels_at_most_as_often_as_stated(pair, risk):
     """Fail only if 300 episodes show with 99.9 % confidence that errors exceed levels too often."""
-    scene, radio = place.split(":")
+    scene, radio = pair.split(":")
     source, seeds = task_from(scene=scene, radio=radio).source, range(FRESH, FRESH + 300)
     policies = ("guided", "corrector", "imm-best")
     for name, over in watched(Levels(risk), policies, source, radio, seeds).items():

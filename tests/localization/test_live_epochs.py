@@ -1,7 +1,7 @@
 """Tests that live rows give the same track as a log file, and take little work and memory.
 
 For live rows, there are quick methods of parsing a row and of loading an epoch into the filter.
-Where they can't be used, the careful methods are used, which also read log files.
+Where these methods can't be used, the methods for log files (the careful methods) are used.
 """
 
 import cProfile
@@ -31,7 +31,7 @@ SCENE, RADIO, EKF = read_scene(WALK / "scene.json"), RADIOS["standard"], named_m
 
 
 def walk(count=60, **changed):
-    """Return the first epochs of a shipped log, with changed columns; a row is a dict by column.
+    """Return the first epochs of a shipped log (lists of dicts by column) with changed columns.
 
     A keyword names a column; its value is a function from row to cell, or None to drop the column.
     """

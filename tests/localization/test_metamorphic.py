@@ -26,7 +26,7 @@ pytestmark = pytest.mark.slow  # all tests together take half a minute
 
 RADIO = RADIOS["standard"]
 PIPELINES = {name: [mode] for name, mode in named_modes("standard").items()}
-# The sigma points of all other modes lie along the map's axes: a turned map changes the tracks.
+# Sigma points of all other modes lie along the map's axes: turning the map changes their tracks.
 ROTATABLE = ["ekf", "ekf-robust"]
 ROUNDING = 1e-6  # largest difference between two tracks, in standard deviations
 UNTURNED = np.eye(3)
@@ -53,7 +53,7 @@ def track(folder, columns, scene, modes):
 
 
 def assert_moved(moved, plain, turn=UNTURNED, shift_m=(0.0, 0.0, 0.0)):
-    """Assert that ``moved`` is ``plain`` turned by a matrix (3, 3), then shifted."""
+    """Assert that ``moved`` equals the track ``plain``, turned by a matrix (3, 3) and shifted."""
     whole = np.eye(7)
     whole[:3, :3] = whole[3:6, 3:6] = turn
     for x, P in (("x", "P"), ("smooth_x", "smooth_P")):
@@ -123,7 +123,7 @@ UNITS = {  # old name -> new name and factor
 }
 
 
-def test_the_units_order_clock_and_number_of_files_do_not_matter(street, tmp_path):
+def test_units_the_order_the_clock_and_the_number_of_files_do_not_matter(street, tmp_path):
     """Compare a log with a copy in three gzipped files with other units, orders and clock."""
     (columns, scene), modes = street, [replace(PIPELINES["ukf"][0], spread_gain=0.01)]
     plain = track(tmp_path, columns, scene, modes)

@@ -38,7 +38,7 @@ def test_a_link_that_lacks_one_value_is_used_with_its_other_values(tmp_path):
     np.testing.assert_array_equal(block.visible, whole.visible)
     measured, before = np.isfinite(block.measurement), np.isfinite(whole.measurement)
     assert (measured.sum(axis=0) == before.sum(axis=0) * (measured.any(axis=0))).all()
-    assert (~measured.any(axis=0)).sum() == 3  # each link lacks the same number in all epochs
+    assert (~measured.any(axis=0)).sum() == 3  # each link lacks the same quantity in all epochs
 
 
 def test_standard_deviations_in_a_log_are_used_and_make_an_snr_unnecessary(tmp_path):

@@ -1,4 +1,4 @@
-"""Tests that tracks whose modes a policy chooses, live or from logs, equal the engine's tracks."""
+"""Tests that live tracks and tracks of logs equal the engine's tracks if a policy chooses modes."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,6 @@ from tests.training.actors import write
 
 EPOCHS = 60
 ROWS = walk(EPOCHS)  # for each epoch, its rows of the log as dicts by column
-
 
 POLICIES = pytest.mark.parametrize(
     "name", representative(("guided", "ppo-standard"), "ppo-standard")

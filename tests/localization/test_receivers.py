@@ -28,7 +28,7 @@ ROWS = {  # column -> (row of a link, or 4 for Doppler; unit; standard deviation
     "doppler": (4, "hz", 25.0),
 }
 RANGE_AZIMUTH, ANGLES = ("range", "aoa_azimuth"), ("aoa_azimuth", "aoa_elevation", "aod_azimuth")
-# A single anchor without elevations needs a known height, or even the textbook EKF diverges.
+# With one anchor and neither elevations nor a known height, the textbook EKF diverges.
 RECEIVERS = {  # name -> columns that are measured, time step in s, number of anchors
     "all, 1 s": (tuple(ROWS), 1.0, 3),
     "all, 0.1 s": (tuple(ROWS), 0.1, 3),
@@ -95,7 +95,7 @@ def by_textbook(log, scene, x, P, flat):
     return np.array(means)
 
 
-# Cases with other than three anchors are slow: each number needs compiled programs of its own.
+# Cases with other than three anchors are slow: each number of anchors needs new compiled programs.
 @pytest.mark.parametrize(
     "receiver", representative(RECEIVERS, "all, 1 s", "no Doppler shift", "angles")
 )
@@ -139,5 +139,5 @@ def test_points_are_found_from_range_and_azimuth_of_one_anchor_at_the_users_heig
     (tmp_path / "truth.tum").write_text(tum_lines(np.arange(45.0), points))
     tracks = figures(tmp_path, "--height", 1.5)["truth"]["tracks"]
     assert tracks["smoothed"]["ate_m"] < tracks["filtered"]["ate_m"] < 0.45
-    assert 1.0 < tracks["filtered"]["nees"] < 3.0  # its expectation for two free axes is 2
+    assert 1.0 < tracks["filtered"]["nees"] < 3.0  # with two axes, 2 is expected
     assert tracks["filtered"]["in_bounds"] > 0.85

@@ -57,7 +57,7 @@ def test_any_link_or_odometry_continues_a_segment():
 
 def test_a_segment_begins_where_the_log_marks_a_restart():
     block = log(range(8), [FIX] * 4 + [OTHER] + [FIX] * 3)
-    block.restarts[[0, 3, 4]] = True  # the mark at 0 has no effect: a segment begins there anyway
+    block.restarts[[0, 3, 4]] = True  # epoch 0 begins a segment anyway
     expected = [([0, 1, 2], 0, True, 0, 0), ([3], 1, True, 0, 1), ([5, 6, 7], 2, True, 0, 1)]
     assert pieces_of(block) == expected
 

@@ -94,7 +94,7 @@ def delivered(path, *fields, reader=read_log, **options):
     """Read a damaged log; return the blocks before the error, which must name file and fields."""
     blocks = []
     with refuses(path, *fields, error=LogError):
-        blocks.extend(reader(path, SCENE, **options))  # list() would lose the first blocks
+        blocks.extend(reader(path, SCENE, **options))  # list() would lose these blocks
     return blocks
 
 

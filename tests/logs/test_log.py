@@ -169,7 +169,7 @@ LINK_COLUMNS = ("toa_s", "aoa_azimuth_rad", "aoa_elevation_rad", "aod_azimuth_ra
 
 @pytest.mark.parametrize("empty", ["", "NaN", " ", "-nan"])
 @pytest.mark.parametrize("column", [*LINK_COLUMNS, "snr_db"])
-def test_a_link_that_lacks_one_of_its_numbers_is_incomplete(tmp_path, column, empty):
+def test_a_link_that_lacks_a_value_is_incomplete(tmp_path, column, empty):
     lines = rows(2)
     lines[0][column] = lines[4][column] = empty
     block = read(store(tmp_path, text(lines)))
@@ -185,10 +185,10 @@ def test_a_doppler_shift_needs_only_the_snr_of_its_link(tmp_path):
     lines[0].update(dict.fromkeys(LINK_COLUMNS, ""))
     block = read(store(tmp_path, text(lines)))
     assert block.visible[0].tolist() == [False, True, True, True]
-    assert not block.incomplete.any()  # a link without any number is missing, not incomplete
+    assert not block.incomplete.any()  # a link without any value is missing, not incomplete
 
 
-def test_the_doppler_shift_is_missing_if_the_log_has_no_such_column(tmp_path):
+def test_the_doppler_shift_is_missing_if_the_log_has_no_doppler_column(tmp_path):
     lines = rows(2)
     for line in lines:
         del line["doppler_hz"]

@@ -31,7 +31,7 @@ from tests.refusals import refuses
 
 
 def edit(row, column, value):
-    """Return a function that changes a cell; rows are counted from 0, so row r is line r + 2."""
+    """Return a function that changes a cell in a row; row 0 is line 2, which follows the header."""
     return lambda lines: lines[row].update({column: value})
 
 
@@ -235,7 +235,7 @@ class TestParquet:
         return path
 
     @pytest.mark.parametrize("kind", ["int8", "int64", "float32", "decimal"])
-    def test_columns_of_any_type_of_number_are_read(self, tmp_path, kind):
+    def test_columns_of_any_numeric_type_are_read(self, tmp_path, kind):
         kind = self.arrow.decimal128(30, 1) if kind == "decimal" else getattr(self.arrow, kind)()
         anchor = self.arrow.array([1, 2, 3] * 4).cast(kind)
         empty = self.arrow.nulls(12)
@@ -243,7 +243,7 @@ class TestParquet:
         assert block.visible[:, :L].all() and not block.visible[:, L].any()
 
     @pytest.mark.parametrize("values", [["1"] * 12, [True] * 12, [[1.0]] * 12])
-    def test_columns_of_other_types_than_numbers_are_refused(self, tmp_path, values):
+    def test_columns_that_are_not_numeric_are_refused(self, tmp_path, values):
         with refuses("column 'snr_db'", error=LogError):
             read_log(self.store(tmp_path, self.columns(snr_db=values)), SCENE)
 

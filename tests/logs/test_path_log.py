@@ -46,7 +46,7 @@ def test_anchor_numbers_are_ignored(tmp_path):
     assert len(epoch.snr_db) == 3
 
 
-def test_a_path_with_only_some_of_its_numbers_is_left_out(tmp_path):
+def test_a_path_that_lacks_a_value_is_left_out(tmp_path):
     lines = ["0,1e-7,0.5,,-2.6,12.5,20", "0,1e-7,0.5,-0.1,-2.6,12.5,", f"0,{PATH}", "0,,,,,,"]
     (epoch,) = read_paths(store(tmp_path, *lines), SCENE)
     assert len(epoch.snr_db) == 1 and epoch.incomplete == 2

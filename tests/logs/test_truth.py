@@ -42,7 +42,7 @@ times = st.lists(st.integers(0, 4000), min_size=1, max_size=60, unique=True)
 
 @settings(max_examples=80, deadline=None)
 @given(poses=times, epochs=times, late=st.sampled_from([0.0, 1e-3]))
-def test_poses_are_interpolated_between_gaps(tmp_path_factory, poses, epochs, late):
+def test_poses_are_interpolated_but_not_across_gaps(tmp_path_factory, poses, epochs, late):
     pose_s, time_s = np.sort(poses) * 1e-2, np.sort(epochs) * 1e-2 + late
     position = np.random.default_rng(0).standard_normal((len(pose_s), 3))
     truth = truth_of(tmp_path_factory.mktemp("truth"), pose_s, position)
@@ -91,7 +91,7 @@ def compared(log, seconds, shift=(0.0, 0.0, 0.0)):
 
 
 def late(time_s, seconds, shift=(0.0, 0.0, 0.0)):
-    """Return the true track with a clock ahead by ``seconds`` and a frame moved by ``shift``."""
+    """Return the true track with times ``seconds`` too large and a frame moved by ``shift``."""
     p, v = user(time_s - seconds)
     return TrueEpochs(p + shift, v, np.zeros(len(time_s)))
 

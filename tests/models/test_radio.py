@@ -30,9 +30,9 @@ def channel(radio, epochs, users, distance_m=100.0, speed_mps=0.0, dt=1.0, links
     """Simulate independent channels of users at constant distance and speed.
 
     Returns:
-        A namespace with snr_db, detected and range_bias_m (epochs, users, links), or (epochs,
-        users) if there is one link; with angle_bias_rad (epochs, users, 3), the biases of the first
-        link's angles; and with doppler_spread_hz (epochs, users).
+        A namespace. snr_db, detected and range_bias_m are arrays (epochs, users, links), or
+        (epochs, users) if there is one link. angle_bias_rad (epochs, users, 3) has the biases of
+        the first link's angles. doppler_spread_hz is an array (epochs, users).
     """
     rng = np.random.default_rng(0)
     dice = SimpleNamespace(
@@ -76,7 +76,7 @@ def assert_variance(values, variance):
 
 
 def changes(on):
-    """Return whether a spell ends next (for epochs in a spell) or begins next (for all others)."""
+    """Return two masks: in spells, whether the spell ends next; elsewhere, whether one begins."""
     before, after = on[:-1], on[1:]
     return ~after[before], after[~before]
 
@@ -88,7 +88,7 @@ def changes(on):
 def test_the_snr_at_100_m_equals_the_value_computed_by_hand(name):
     # The path loss is 32.4 + 21 log10(100) + 20 log10(28) = 32.4 + 42 + 28.943 dB. The signal has
     # 27 + 21 + 12 - 10 dBm (power, antenna gains, implementation loss) minus the path loss. The
-    # noise has -174 + 80 + 8 dBm. A reflection costs the links of virtual anchors 8 dB more.
+    # noise has -174 + 80 + 8 dBm (density, bandwidth, noise figure). A reflection costs 8 dB.
     radio = replace(RADIOS[name], shadowing_db=0.0, blockage_scale=0.0)
     snr = channel(radio, 1, 1, links=3).snr_db
     np.testing.assert_allclose(snr, [[[32.657, 24.657, 24.657]]], atol=1e-3)

@@ -34,7 +34,7 @@ def test_a_factor_of_one_gives_the_profile():
 
 
 @pytest.mark.parametrize(("factor", "budget"), [(0.5, 1.0), (2.0, -1.0), (100.0, 1.0)])
-def test_impossible_ranges_are_refused(factor, budget):
+def test_impossible_limits_of_random_radios_are_refused(factor, budget):
     with refuses():
         RandomRadio(HANDSET, factor, budget)
 

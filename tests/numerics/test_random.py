@@ -122,7 +122,7 @@ def test_tails_of_normal_numbers_have_the_right_weight(many, sigma):
 
 @pytest.mark.slow
 def test_nearby_numbers_and_keys_are_not_correlated(many):
-    """Correlate numbers of a key that are at most 16 apart, and numbers of keys at most 16 apart.
+    """Correlate numbers at most 16 draws apart, and the numbers of keys that differ by at most 16.
 
     The correlation of n pairs has a standard error of 1 / sqrt(n). All correlations together stay
     within the bound with 99.9 % confidence (Bonferroni).

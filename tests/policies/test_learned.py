@@ -1,4 +1,4 @@
-"""Tests of learned policies: networks, banks, and features, which are found by name."""
+"""Tests of learned policies: networks, banks of modes, and features, which are found by name."""
 
 from dataclasses import replace
 
@@ -52,8 +52,8 @@ def exact_logits(tensors, observations):
 
 
 @pytest.mark.parametrize("hidden", [(5, 4), ()])
-def test_logits_equal_logits_in_double_precision(tmp_path, hidden):
-    """Check also observations outside the limits to which policies clip."""
+def test_logits_equal_a_computation_in_double_precision(tmp_path, hidden):
+    """Include observations outside the limits to which policies clip observations."""
     tensors = actor(hidden=hidden)
     policy = LearnedSwitch(write(tmp_path / "mine.safetensors", tensors, card_of()))
     rng = np.random.default_rng(1)
@@ -83,7 +83,7 @@ def test_an_environment_with_other_modes_is_refused(shared, modes):
         LearnedSwitch(shared, other)
 
 
-def test_a_radio_without_a_bank_of_its_own_gets_the_bank_of_standard(per_mode, tmp_path):
+def test_a_radio_without_its_own_bank_gets_the_bank_of_the_standard_radio(per_mode, tmp_path):
     policy = LearnedSwitch(per_mode)
     assert policy.modes == MODES and policy.beliefs == "per-mode"
     assert policy.bank() == policy.bank("handset") == HANDSET
@@ -136,7 +136,7 @@ def test_an_anchor_that_a_scene_lacks_counts_as_never_visible(per_mode):
     np.testing.assert_allclose(actual, expected, rtol=1e-5, atol=1e-5)
 
 
-def test_a_feature_that_is_missing_or_has_another_scale_is_refused_by_name(shared, per_mode):
+def test_the_error_names_a_feature_that_is_missing_or_has_another_scale(shared, per_mode):
     with refuses("feature 'coming Doppler innovation'"):
         LearnedSwitch(shared, Observation(Pipeline(MODES, Layout()), "prior"))
     with refuses("feature 'distance anchor 3'"):  # no value of a distance means "no anchor"

@@ -1,6 +1,7 @@
 """Tests that the shipped corrector does no harm in tasks that it was not trained for.
 
-A corrector corrects another policy's beliefs. The episodes' keys are in the range of tuning seeds.
+A corrector corrects another policy's beliefs. The episodes' keys (64-bit seeds) are in the range
+of tuning seeds.
 """
 
 from dataclasses import replace
@@ -27,7 +28,7 @@ FACTORS = (1.0, 4.0, 8.0, 16.0)
 
 
 def turned(episode, angle=0.2):
-    """Return an episode whose receiver is turned by an angle (rad) that it does not know."""
+    """Return an episode whose receiver is turned by an unknown angle (rad)."""
     z = episode.measurement.copy()
     z[:, 1:12:4] += angle
     return replace(episode, measurement=z)

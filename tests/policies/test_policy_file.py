@@ -229,7 +229,7 @@ WRONG_TENSORS = [
 
 
 @pytest.mark.parametrize(("changes", "fields"), WRONG_TENSORS)
-def test_tensors_that_are_not_an_actor_are_neither_read_nor_written(path, changes, fields):
+def test_wrong_tensors_are_neither_read_nor_written(path, changes, fields):
     refused(path, assembled(TENSORS | changes), *fields)
     with refuses(*fields):
         to_bytes(TENSORS | changes, CARD)

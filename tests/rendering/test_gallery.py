@@ -18,7 +18,7 @@ def many(n=3, mode="NextStep", **arguments):
 
 
 def single(seed, steps, before=0, **arguments):
-    """Return the picture of a single environment in episode ``before``, after ``steps`` steps."""
+    """Return the picture of an environment after ``before`` extra resets and ``steps`` steps."""
     env = gym.make(ID, render_mode="rgb_array", episode_steps=STEPS, **arguments).unwrapped
     env.reset(seed=seed)
     for _ in range(before):

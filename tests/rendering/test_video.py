@@ -73,7 +73,7 @@ def test_files_without_the_suffix_gif_or_mp4_are_refused(name, tmp_path):
 
 
 @pytest.mark.parametrize(("package", "ending"), [("PIL", "gif"), ("imageio_ffmpeg", "mp4")])
-def test_a_video_without_the_package_for_it_is_refused(package, ending, tmp_path, monkeypatch):
+def test_a_video_is_refused_if_its_package_is_not_installed(package, ending, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)  # as if it were not installed
     with refuses("out", error=ImportError):
         require_video("out", tmp_path / f"square.{ending}")

@@ -15,7 +15,7 @@ from tests.paths import ROOT
 from tests.reporting import results
 from tests.reporting.results import HOSTILE, Read, write
 
-NONE = ("--episodes", 0)  # options: replay no episodes
+NONE = ("--episodes", 0)  # options that replay no episodes
 
 
 @pytest.fixture(scope="module")

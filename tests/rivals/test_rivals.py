@@ -60,7 +60,7 @@ def priors_and_measurements():
 
 
 def test_particles_agree_with_the_ekf_in_a_nearly_linear_problem():
-    """Use large noise, so that thousands of particles have weight and their mean is accurate."""
+    """Use large noise: then, many particles have similar weights and their mean is accurate."""
     good = replace(SOURCE, radio=RADIOS["standard"])
     some = [replace(episode, sigma=4.0 * episode.sigma) for episode in episodes(4, good)]
     cloud, kalman = (

@@ -1,4 +1,4 @@
-"""Tests of the checkpoints (also damaged and forged ones) and progress logs of training runs."""
+"""Tests of checkpoints of training runs (valid, damaged and forged), and of progress logs."""
 
 from hashlib import sha256
 

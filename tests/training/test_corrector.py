@@ -1,4 +1,4 @@
-"""Tests of the training of correctors. A *lot* is a batch of equally long episodes."""
+"""Tests of training correctors of beliefs. A *lot* is a batch of equally long episodes."""
 
 from dataclasses import replace
 

@@ -26,7 +26,7 @@ SEED, DISCOUNT, HORIZON = 10_000_000, 0.9, 5
 EPOCHS = 20  # number of epochs before all actions are tried
 TUNED = Bank(tuple(replace(mode, sigma_v=1.5 * mode.sigma_v) for mode in MODES), nis_quantile=0.99)
 BANKS = {"handset": Bank(MODES), "standard": TUNED}
-PLACES = (Place("street", "handset"), Place("o1", "standard", 0.5))
+PLACES = (Place("street", "handset"), Place("o1", "standard", 0.5))  # scene, radio, time step (s)
 
 
 def task(beliefs="per-mode", places=PLACES, banks=BANKS):

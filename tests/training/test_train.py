@@ -42,7 +42,7 @@ from tests.training.actors import MODES, card_of, write
 
 pytestmark = pytest.mark.torch
 
-PLACES = ("street:handset", "o1:standard:0.5")
+PLACES = ("street:handset", "o1:standard:0.5")  # scene:radio or scene:radio:time step in s
 STREET = Place("street", "handset")
 TASK = TrainingTask("mixed", (STREET,), {"handset": Bank(MODES)}, "full", TrackingReward())
 HYPER = PpoHyperparameters(

@@ -20,7 +20,6 @@ from tests.refusals import refuses
 
 pytest.importorskip("stable_baselines3")
 
-
 from experiments.training.evaluator import EPISODES
 from experiments.training.job import Job
 from experiments.training.ppo import PpoTraining

@@ -35,7 +35,7 @@ def test_the_stream_of_a_seed_begins_with_numpys_seed_sequence():
 
 
 def test_a_stream_without_a_seed_begins_at_random():
-    """Check also that streams whose states are restored give the same keys."""
+    """Also check that a stream whose state is restored gives the same keys."""
     streams, again, places = Streams(2), Streams(2), np.arange(2)
     assert streams.seeds() == (-1, -1)  # unknown seeds
     again.set_states(streams.states())

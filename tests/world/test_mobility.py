@@ -48,7 +48,7 @@ BOUNDS = {
     "jam": DRIVING._replace(speed=7.0),
     "cyclist": Bounds(6.5, 1.2, 2.5, 2.0, 4.0),
 }
-MIXED = ("pedestrian", "vehicle", "walk-ride", "jam", "cyclist")  # a key selects by index
+MIXED = ("pedestrian", "vehicle", "walk-ride", "jam", "cyclist")  # an episode key selects one
 LATERAL_MPS2 = 5.0  # drivers aim at no more than 3.5 m/s^2, but take corners a little faster
 
 every_mobility = pytest.mark.parametrize("name", BOUNDS)

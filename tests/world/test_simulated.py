@@ -34,7 +34,7 @@ SOURCES = {
 }
 KEYS = np.random.default_rng(0).integers(0, 2**64, 20, np.uint64)
 # For two in a thousand keys (none of KEYS), the two simulations give different trajectories: they
-# round sums differently. A user may choose, for example, a new speed one substep later in one
+# round sums differently. For example, a user may choose a new speed one substep later in one
 # simulation than in the other.
 
 

@@ -34,7 +34,7 @@ def write(folder, ways):
     return path
 
 
-def test_rows_of_an_id_are_the_way_of_one_user(tmp_path):
+def test_rows_with_the_same_id_are_the_way_of_one_user(tmp_path):
     ways = {"car 7": straight(9), "walker": straight(5, -70.0, 1.0)}
     path = write(tmp_path, ways)
     users = read_ways(path)

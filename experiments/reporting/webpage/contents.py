@@ -44,7 +44,7 @@ def results_of(source: Source) -> tuple[Verdict, str]:
 
 
 def _verdict(comparison: Comparison) -> Verdict:
-    """Return the best contender, and its paired difference to the next contender that has one."""
+    """Return the verdict on the best contender and the next contender that is paired with it."""
     best, *others = comparison.policies
     name = f"{comparison.scenario}, {comparison.radio}, {comparison.selection}"
     about = f"{len(others) + 1} contenders on {name}." if others else f"{best} on {name}."

@@ -1,4 +1,4 @@
-"""Replay of episodes of a comparison, or of a log, for details that files do not store."""
+"""Replay of a comparison's episodes, or of a log, for details that results files do not store."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -48,7 +48,7 @@ def play(source: Source, most: int, watched: int) -> Played:
     """Run the first episodes of a comparison, or the beginning of a log, again.
 
     A user's code is not run: contenders given as module:function or as a .zip file are left out.
-    At most ``most`` episodes run. Of the first ``watched`` ones, LONGEST epochs are kept.
+    At most ``most`` episodes run; the page shows the first ``watched`` of these episodes.
     """
     if source.kind == "run":
         return Played()
@@ -168,8 +168,8 @@ def _episode(name: str, history: History, rows: slice, groups: Sequence[str]) ->
 def _course(history: History, rows: slice, modes: Sequence[str], weighed: bool) -> Json:
     """Return the results of a contender in an episode, in the form that the player needs.
 
-    If ``weighed``, the contender weights all modes, and the mode of an epoch is the most probable
-    mode; otherwise, it is the mode or action that was chosen.
+    If ``weighed``, the contender weights all modes, and "mode" contains the most probable mode of
+    every epoch; otherwise, "mode" contains the chosen mode or action.
     """
     accepted, rejected = history.accepted[rows], history.rejected[rows]
     letters = np.where(accepted, "a", np.where(rejected, "r", "m"))  # m: missing

@@ -29,8 +29,8 @@ from mmwave_env.models.measurement import SPEED_OF_LIGHT, direction
 from mmwave_env.numerics.numbers import PI, Array, Index, Mask, wrap
 from mmwave_env.world.checks import refuse_in
 
-TOLERANCE_M = 0.05  # points this close are equal; rounding to float32 moves points by 1e-4 m
-# Values of ``interactions``: numbers with a digit for each interaction on a path, or 0 for none.
+TOLERANCE_M = 0.05  # points this close count as equal; rounding to float32 moves points by 1e-4 m
+# ``interactions`` has one digit for each interaction on a path; 0 means no interaction.
 LINE_OF_SIGHT, REFLECTION = 0.0, 1.0
 
 
@@ -38,8 +38,8 @@ LINE_OF_SIGHT, REFLECTION = 0.0, 1.0
 class StationPaths:
     """The paths between one base station and E receivers, at most P for each receiver.
 
-    If the ``interactions`` of a path are 1, all its values are finite; if they are 0, all except
-    ``bounce_m``. The values of other paths are meaningless.
+    All values of a reflection (``interactions`` 1) are finite, and so are all values of a line of
+    sight (``interactions`` 0) except ``bounce_m``. The values of other paths are meaningless.
     """
 
     position_m: Array  # (3,) position of the station
@@ -51,7 +51,7 @@ class StationPaths:
     # rad, of the direction of propagation or of its opposite (see :func:`propagation`)
     arrival: Array
     departure: Array
-    # function that maps the name of an array and an epoch to the array's file and a row in it
+    # function that takes an array's name and an epoch, and returns the array's file and a row in it
     source: Callable[[str, int], tuple[Path, int]]
 
     def refuse(self, key: str, epoch: int, value: str, expected: str) -> NoReturn:
@@ -76,7 +76,7 @@ def propagation(angles: Array, sight: Array, direct: Mask) -> Array:
 
 
 _FLAT = 0.7  # a mirror is the ground, not a wall, if its normal is steeper than 45 degrees
-_ROW_KEYS = ("delay", "aoa_az", "aoa_el", "aod_az")  # arrays with the values of ``LINK``, in order
+_ROW_KEYS = ("delay", "aoa_az", "aoa_el", "aod_az")  # names of arrays, in the order of ``LINK``
 _TOLERANCES = (2.0 * TOLERANCE_M, 0.02, 0.02, 0.02)  # m, rad; wrong conventions cause larger errors
 
 
@@ -87,7 +87,7 @@ class StationLinks:
     paths: StationPaths  # paths of the station, for E receivers, P paths each
     anchors_m: Array  # (K, 3) position of the station, then of its images, in the order found
     member: Index  # (E, P) index of the anchor that a path leads to; -1 for none
-    rows: Array  # (E, P, 4) values of a link in the order of ``LINK``, m, rad; NaN without anchor
+    rows: Array  # (E, P, 4) values in the order of ``LINK``, m, rad; NaN if a path has no anchor
 
     @cached_property
     def is_ground(self) -> Mask:

@@ -26,7 +26,7 @@ from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.world.checks import refuse_in
 from mmwave_env.world.trajectory import Trajectory
 
-SIDECAR = "trajectory.csv"  # file with times, positions and perhaps velocities, added by users
+SIDECAR = "trajectory.csv"  # times, positions and perhaps velocities; not a file of DeepMIMO
 
 
 def read_deepmimo(
@@ -45,7 +45,7 @@ def read_deepmimo(
     scenario, they are successive scenes (moments in time). Times and velocities come from the file
     ``trajectory.csv`` in the folder, with a row for each receiver (static) or scene (dynamic).
 
-    If there is one station, or ``base_station`` selects one, the anchors are this station and
+    If there is only one station, or ``base_station`` selects one, the anchors are this station and
     its mirror images. Otherwise the anchors are all stations that are ever in sight, the most often
     seen station first. The first anchor's Doppler shift is computed from the true velocity.
 
@@ -106,8 +106,8 @@ def _way_of(scenario: Scenario, epochs: Index, dt_s: float | None) -> Trajectory
 
     Raises:
         FileNotFoundError: ``dt_s`` is None, and ``trajectory.csv`` is missing.
-        ValueError: the file is damaged, its positions are not those of the receivers, epochs are
-            more than 15 s apart, or the speed is impossible for a user.
+        ValueError: the file is damaged, its positions differ from the receivers' positions, epochs
+            are more than 15 s apart, or the speed is impossible for a user.
     """
     position = scenario.positions(epochs)
     if dt_s is not None:
@@ -142,7 +142,7 @@ def _way_of(scenario: Scenario, epochs: Index, dt_s: float | None) -> Trajectory
 def _links(
     stations: list[StationPaths], position_m: Array, virtual_anchors: int
 ) -> list[tuple[StationLinks, int]]:
-    """Return, for each anchor, its station's links and the anchor's row in their ``anchors_m``."""
+    """Return a pair (links, k) for each anchor, so that the anchor is ``links.anchors_m[k]``."""
     if len(stations) == 1:
         links = find_links(stations[0], position_m)
         images = np.flatnonzero(~links.is_ground)[1:].tolist()
