@@ -1,4 +1,4 @@
-"""mmwave-loc tune: modes, a complete bank, or protection levels, tuned on tuning seeds."""
+"""mmwave-loc tune: modes, a complete bank, protection levels, or corrections of smoothed tracks."""
 
 import math
 from dataclasses import dataclass, fields, replace
@@ -15,10 +15,12 @@ class Args(JsonArgs):
     With --bank, tune a bank: the five modes of imm-best and the probabilities of changes between
     them. The reward of the bank's IMM in all scenes, at 1 and 10 Hz, is maximized (extra "tune").
     With --levels, train and calibrate the protection levels anew (extra "train").
+    With --two-way, train the network of localize --two-way anew (extra "train").
 
     mmwave-loc tune --radio handset --out modes.json
     mmwave-loc tune --bank --radio phone.json --episodes 900 --out bank.json
     mmwave-loc tune --levels --out policies/data/levels.json
+    mmwave-loc tune --two-way --out policies/data/smoothing/two-way.safetensors
     """
 
     radio: str = "handset"
@@ -42,13 +44,17 @@ class Args(JsonArgs):
     levels: bool = False
     """train the network of the protection levels on training seeds, and calibrate it on tuning
     seeds, with the shipped policies; the only other options are --seed, --out and --json"""
+    two_way: bool = False
+    """train the network that corrects smoothed tracks, on training seeds, in about an hour; the
+    only other option is --out, which is required"""
     out: Path | None = None
     """mode file to write, which `--modes` and the environment's `modes` accept; with --levels,
-    file to write the levels to"""
+    file to write the levels to; with --two-way, policy file (.safetensors) to write"""
 
 
 OF_BANK = ("bank", "radio", "episodes", "evaluations", "seed", "out", "json")  # allowed with --bank
 OF_LEVELS = ("levels", "seed", "out", "json")  # allowed with --levels
+OF_TWO_WAY = ("two_way", "out")  # allowed with --two-way
 Content = dict[str, Any]  # content of a JSON file
 
 
@@ -77,6 +83,17 @@ def _tuned_levels(args: Args) -> Content:
             h, v = map(math.exp, both)
             say(f"{kind}, risk {risk:g}: horizontal factor {h:.3f}, vertical factor {v:.3f}")
     return content
+
+
+def _tune_two_way(args: Args) -> None:
+    """Train the two-way corrector, and write its policy file."""
+    from experiments.console.provenance import provenance
+    from experiments.training.two_way import trained_two_way
+    from mmwave_env.io.files import write_bytes
+
+    if args.out is None or args.out.suffix != ".safetensors":
+        raise ValueError(f"out: found {args.out}, expected a name that ends with .safetensors")
+    write_bytes(args.out, trained_two_way(provenance("tune", args)["command"]))
 
 
 def _tuned_modes(args: Args) -> tuple[Content, Content]:
@@ -127,11 +144,18 @@ def main(args: Args) -> None:
         require_writable(args.out)
         if args.out.resolve() == Path(args.radio).resolve():
             raise ValueError(f"out: found {args.out}, which is the radio; expected another file")
-    for chosen, owned, name in ((args.levels, OF_LEVELS, "levels"), (args.bank, OF_BANK, "bank")):
+    for chosen, owned, name in (
+        (args.levels, OF_LEVELS, "levels"),
+        (args.bank, OF_BANK, "bank"),
+        (args.two_way, OF_TWO_WAY, "two-way"),
+    ):
         for option in fields(Args) if chosen else ():
             if option.name not in owned and getattr(args, option.name) != option.default:
                 raise ValueError(f"{option.name}: cannot be combined with --{name}")
     figures: Content = {}
+    if args.two_way:
+        _tune_two_way(args)
+        return
     if args.levels:
         content = _tuned_levels(args)
     elif args.bank:

@@ -7,7 +7,9 @@ chooses modes) or an IMM. If features are outside the range that the network saw
 corrections are scaled down, far outside the range almost to zero.
 """
 
-from typing import NamedTuple
+from importlib.resources import files
+from pathlib import Path
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -19,9 +21,11 @@ from mmwave_env.io.files import AnyPath
 from mmwave_env.numerics.numbers import Array32, Index, Mask
 from policies.learned import LearnedPolicy, LearnedSwitch, taken
 from policies.policy import Policy
-from policies.policy_file import CORRECTIONS
+from policies.policy_file import CORRECTIONS, Tensors
 
 BASE_IMM = "imm-best"  # the name of the base if it is the IMM of the policy's bank
+# file of the shipped two-way corrector, in a folder of its own because it is no policy
+TWO_WAY = Path(str(files("policies").joinpath("data", "smoothing", "two-way.safetensors")))
 # "Trust" is the factor, 0 to 1, by which corrections are scaled.
 RANGE_FADE = 2.0  # trust is exp(-2 d) if a feature is d standard deviations outside its range
 RECOVERY = 0.1  # maximum growth of trust per epoch, as the network remembers unusual features
@@ -33,6 +37,8 @@ SPREAD = (0.5, 1.0)
 
 class Correction(NamedTuple):
     """Corrections of n beliefs after the latest epoch (:mod:`mmwave_env.filters.correction`).
+
+    For n tracks of T epochs, arrays are (n, T, 3) and (n, T).
 
     Attributes:
         shift: (n, 3) shifts along and across the motion, and up, in standard deviations of the
@@ -46,7 +52,64 @@ class Correction(NamedTuple):
     trusted: Array32
 
 
-class Corrector(LearnedPolicy, Policy):
+class CorrectionNetwork(LearnedPolicy):
+    """The network of a policy file that corrects beliefs.
+
+    Arguments, attributes and errors: same as for :class:`~policies.learned.LearnedPolicy`.
+    """
+
+    recurrent: ClassVar[tuple[str, ...]] = ("gru",)  # names of the recurrent units in the file
+
+    def __init__(self, path: AnyPath) -> None:
+        super().__init__(path)
+        tensors = self._tensors
+        if not self.card.base:
+            raise ValueError(f"{self._path}: found a switcher, expected a corrector")
+        if ("back.bias_hh" in tensors) != ("back" in self.recurrent):
+            wrong, right = ("filtered", "smoothed")[:: 1 if "back" in self.recurrent else -1]
+            raise ValueError(
+                f"{self._path}: found a corrector of {wrong} tracks, expected one of {right} tracks"
+            )
+        self._front, self._head = (
+            (tensors[f"{name}.weight"].T.copy(), tensors[f"{name}.bias"])
+            for name in ("front", "head")
+        )
+        self._units = [_RecurrentUnit(tensors, name) for name in self.recurrent]
+        self._out = _mean_and_differences(tensors["out.weight"].T, tensors["out.bias"])
+        # matrix that averages squared differences over the ensemble's members, for each direction
+        members = (self._out[0].shape[1] - CORRECTIONS) // 3
+        self._average = np.tile(np.eye(3, dtype=np.float32), (members, 1)) / np.float32(members)
+
+    def read_from_track(self, pipeline: Pipeline) -> None:
+        """Find the policy's features among the features that tracks of a pipeline compute."""
+        columns = columns_of(after_update(pipeline, per_mode=True))
+        self._of_track = self._found_in(columns)
+
+    def _read(self, features: Array32) -> tuple[Array32, Array32]:
+        """Return the first layer's output, and the trust that the features' ranges allow."""
+        inside = np.fmin(np.fmax(features, self._low), self._high)  # NaN becomes the low limit
+        beyond = np.abs(features - inside).max(axis=-1)
+        weight, bias = self._front
+        # Trust is 0 if a feature is NaN.
+        return np.tanh(inside @ weight + bias), np.fmax(np.exp(-RANGE_FADE * beyond), 0.0)
+
+    def _answer(self, memory: Array32, front: Array32, trust: Array32) -> Correction:
+        """Return the corrections (..., 3), scaled by the trust (...,) and by the agreement."""
+        weight, bias = self._head
+        units = memory.shape[-1]
+        head = np.tanh(memory @ weight[:units] + front @ weight[units:] + bias)
+        weight, bias = self._out
+        out = head @ weight + bias
+        shift = np.minimum(np.maximum(out[..., :3], -MOST_SHIFT), MOST_SHIFT)
+        log_factor = np.minimum(np.maximum(out[..., 3:6], -MOST_LOG_FACTOR), MOST_LOG_FACTOR)
+        variance = np.square(out[..., 6:]) @ self._average
+        spread = np.sqrt((variance * np.exp(-2.0 * log_factor)).max(axis=-1))
+        agreed = np.minimum(np.maximum((SPREAD[1] - spread) / (SPREAD[1] - SPREAD[0]), 0.0), 1.0)
+        trusted = trust * agreed
+        return Correction(shift * trusted[..., None], log_factor * trusted[..., None], trusted)
+
+
+class Corrector(CorrectionNetwork, Policy):
     """A policy that chooses the same actions as its base, and corrects the base's beliefs.
 
     ```python
@@ -65,26 +128,8 @@ class Corrector(LearnedPolicy, Policy):
     def __init__(self, path: AnyPath, observation: Observation | None = None) -> None:
         super().__init__(path)
         base = self.card.base
-        if not base:
-            raise ValueError(f"{self._path}: found a switcher, expected a corrector")
         self._base = None if base == BASE_IMM else LearnedSwitch(base)
-        tensors = self._tensors
-        self._front, self._head = (
-            (tensors[f"{name}.weight"].T.copy(), tensors[f"{name}.bias"])
-            for name in ("front", "head")
-        )
-        self._out = _mean_and_differences(tensors["out.weight"].T, tensors["out.bias"])
-        units = len(tensors["gru.bias_hh"]) // 3
-        # (weight, bias) for input and for memory: of the gates (reset, update), then the candidate
-        self._gates, self._candidate = (
-            [(tensors[f"gru.weight_{name}"][rows].T.copy(), tensors[f"gru.bias_{name}"][rows])
-             for name in ("ih", "hh")]
-            for rows in (slice(2 * units), slice(2 * units, None))
-        )  # fmt: skip
-        # matrix that averages squared differences over the ensemble's members, for each direction
-        members = (self._out[0].shape[1] - CORRECTIONS) // 3
-        self._average = np.tile(np.eye(3, dtype=np.float32), (members, 1)) / np.float32(members)
-        self._hidden = np.zeros((0, units), np.float32)
+        self._hidden = np.zeros((0, self._units[0].size), np.float32)
         self._trust = np.zeros(0, np.float32)
         if observation is not None:
             self.read_from(observation)
@@ -117,40 +162,59 @@ class Corrector(LearnedPolicy, Policy):
         """
         return self.correct_features(self.features_in(observation))
 
-    def read_from_track(self, pipeline: Pipeline) -> None:
-        """Find the policy's features among the features that tracks of a pipeline compute."""
-        columns = columns_of(after_update(pipeline, per_mode=True))
-        self._of_track = self._found_in(columns)
-
     def correct_track(self, signed: Array32) -> Correction:
         """Return corrections of n tracks after an epoch, given their features (n, features)."""
         return self.correct_features(taken(signed.astype(np.float32), *self._of_track))
 
     def correct_features(self, features: Array32) -> Correction:
         """Return corrections, given the latest values of the network's features (n, features)."""
-        inside = np.fmin(np.fmax(features, self._low), self._high)  # NaN becomes the low limit
-        beyond = np.abs(features - inside).max(axis=1)
-        strange = np.fmax(np.exp(-RANGE_FADE * beyond), 0.0)  # 0 if a feature is NaN
+        front, strange = self._read(features)
         self._trust = np.minimum(strange, self._trust + np.float32(RECOVERY))
-        weight, bias = self._front
-        front = np.tanh(inside @ weight + bias)
-        self._hidden = hidden = self._remembering(front)
-        weight, bias = self._head
-        units = hidden.shape[1]
-        head = np.tanh(hidden @ weight[:units] + front @ weight[units:] + bias)
-        weight, bias = self._out
-        out = head @ weight + bias
-        shift = np.minimum(np.maximum(out[:, :3], -MOST_SHIFT), MOST_SHIFT)
-        log_factor = np.minimum(np.maximum(out[:, 3:6], -MOST_LOG_FACTOR), MOST_LOG_FACTOR)
-        variance = np.square(out[:, 6:]) @ self._average
-        spread = np.sqrt((variance * np.exp(-2.0 * log_factor)).max(axis=1))
-        agreed = np.minimum(np.maximum((SPREAD[1] - spread) / (SPREAD[1] - SPREAD[0]), 0.0), 1.0)
-        trusted = self._trust * agreed
-        return Correction(shift * trusted[:, None], log_factor * trusted[:, None], trusted)
+        self._hidden = self._units[0](front, self._hidden)
+        return self._answer(self._hidden, front, self._trust)
 
-    def _remembering(self, front: Array32) -> Array32:
-        """Compute the next state (n, units) of the gated recurrent unit (Cho et al. 2014)."""
-        hidden, units = self._hidden, self._hidden.shape[1]
+
+class TwoWayCorrector(CorrectionNetwork):
+    """A corrector of smoothed tracks, which reads each track forwards and backwards."""
+
+    recurrent = ("gru", "back")
+
+    def correct_tracks(self, features: Array32) -> Correction:
+        """Return corrections (n, T, 3) of n smoothed tracks, given all their features.
+
+        :func:`~mmwave_env.engines.smoothed_features.smoothed_features` computes the features
+        (n, T, features); :meth:`read_from_track` must have been called for their pipeline.
+        """
+        n, epochs, width = features.shape
+        read = taken(features.reshape(-1, width), *self._of_track).reshape(n, epochs, -1)
+        front, strange = self._read(read)
+        trust, memory = strange.copy(), []
+        for unit, order in zip(self._units, (range(epochs), range(epochs)[::-1]), strict=True):
+            states = np.empty((n, epochs, unit.size), np.float32)
+            state, so_far = np.zeros((n, unit.size), np.float32), np.ones(n, np.float32)
+            for t in order:
+                states[:, t] = state = unit(front[:, t], state)
+                so_far = np.minimum(strange[:, t], so_far + np.float32(RECOVERY))
+                trust[:, t] = np.minimum(trust[:, t], so_far)
+            memory.append(states)
+        return self._answer(np.concatenate(memory, axis=-1), front, trust)
+
+
+class _RecurrentUnit:
+    """A gated recurrent unit (Cho et al. 2014) with the tensors of a policy file."""
+
+    def __init__(self, tensors: Tensors, name: str) -> None:
+        self.size = units = len(tensors[f"{name}.bias_hh"]) // 3
+        # gates (reset and update), then candidate state: weights and biases of input and memory
+        self._gates, self._candidate = (
+            [(tensors[f"{name}.weight_{end}"][rows].T.copy(), tensors[f"{name}.bias_{end}"][rows])
+             for end in ("ih", "hh")]
+            for rows in (slice(2 * units), slice(2 * units, None))
+        )  # fmt: skip
+
+    def __call__(self, front: Array32, hidden: Array32) -> Array32:
+        """Return the next state (n, units), given the input and the last state."""
+        units = self.size
         (weight, bias), (past, past_bias) = self._gates
         gates = 1.0 / (1.0 + np.exp(-(front @ weight + hidden @ past + (bias + past_bias))))
         reset, update = gates[:, :units], gates[:, units:]

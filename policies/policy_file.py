@@ -13,7 +13,9 @@ The network of a *corrector* corrects the beliefs of its *base*, which is a swit
 - ``low``, ``high`` (features,): features are clipped to these limits; ``front`` normalizes them;
 - ``front``, ``head``, ``out``: layers with a ``.weight`` (out, in) and a ``.bias`` (out,);
 - ``gru.weight_ih``, ``gru.weight_hh``, ``gru.bias_ih``, ``gru.bias_hh``: the gated recurrent unit
-  between ``front`` and ``head``, as PyTorch stores it: gates in the order reset, update, new.
+  between ``front`` and ``head``, as PyTorch stores it: gates in the order reset, update, new;
+- ``back.weight_ih``, ...: the same for a second unit, which reads the epochs backwards, if the file
+  is for smoothed tracks.
 
 The file's metadata contain, under the key "policy", a JSON object with the version of this format,
 the :class:`Card` and a checksum of card and tensors.
@@ -302,16 +304,21 @@ def _corrector_shapes(tensors: Tensors, card: Card) -> dict[str, tuple[int, ...]
     features, front, head = (size.get(name, 0) for name in ("low", "front.bias", "head.bias"))
     gates, out = size.get("gru.bias_ih", 0), size.get("out.bias", 0)
     gates, out = max(gates - gates % 3, 3), max(out - out % CORRECTIONS, CORRECTIONS)
-    return {
+    units = ("gru", "back") if any(name.startswith("back.") for name in tensors) else ("gru",)
+    recurrent: dict[str, tuple[int, ...]] = {}
+    for unit in units:
+        recurrent |= {
+            f"{unit}.weight_ih": (gates, front),
+            f"{unit}.weight_hh": (gates, gates // 3),
+            f"{unit}.bias_ih": (gates,),
+            f"{unit}.bias_hh": (gates,),
+        }
+    return recurrent | {
         "low": (features,),
         "high": (features,),
         "front.weight": (front, features),
         "front.bias": (front,),
-        "gru.weight_ih": (gates, front),
-        "gru.weight_hh": (gates, gates // 3),
-        "gru.bias_ih": (gates,),
-        "gru.bias_hh": (gates,),
-        "head.weight": (head, front + gates // 3),
+        "head.weight": (head, front + len(units) * gates // 3),
         "head.bias": (head,),
         "out.weight": (out, head),
         "out.bias": (out,),

@@ -189,6 +189,9 @@ class FilterArgs:
     """smooth the track, or each mode's track if modes interact (Rauch-Tung-Striebel smoother)"""
     window: int = 200
     """number of epochs that are smoothed together"""
+    two_way: bool = False
+    """correct the smoothed track by a network that reads it forwards and backwards; needs a policy
+    or an IMM"""
     odometry: bool = True
     """use speed and heading if the log has them"""
     height: float | None = None

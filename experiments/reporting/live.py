@@ -34,8 +34,8 @@ def run_live(args: LogArgs) -> None:
     """
     if str(args.log) != "-" or args.scene is None:
         raise ValueError('live: needs "-" (standard input) as the log, and --scene')
-    for name in ("sample", "truth", "out", "plot", "json"):
-        if getattr(args, name) not in (None, ()):
+    for name in ("sample", "truth", "out", "plot", "json", "two_way"):
+        if getattr(args, name) not in (None, (), False):
             raise ValueError(f"{name}: cannot be combined with --live, which only prints JSON")
     require_at_least(0, args, "lag")
     require_one_choice(args)

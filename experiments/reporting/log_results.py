@@ -44,6 +44,7 @@ from mmwave_env.models.layout import clock_from
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.scene import Scene, scene_from
 from mmwave_env.world.episode import NEUTRAL_SNR_DB
+from policies.corrector import TWO_WAY, TwoWayCorrector
 
 EPOCHS_PER_BLOCK = 1 << 14
 LONGEST_WINDOW = 20_000  # maximum length of the smoother's window, epochs; limits its memory
@@ -91,6 +92,8 @@ def _check(args: LogArgs, files: Inputs) -> None:
         )
     if args.height is not None and not np.isfinite(args.height):
         raise ValueError(f"height: found {args.height}, expected a number of meters")
+    if args.two_way and (args.height is not None or not args.smoothing):
+        raise ValueError("two-way: cannot be combined with --height or --no-smoothing")
     Levels(args.risk, args.levels)  # raises if there are no such protection levels
     if args.plot is not None:
         require_picture("plot", args.plot)
@@ -155,8 +158,18 @@ def _work(args: LogArgs, files: Inputs, scene: Scene, epochs_per_block: int) -> 
 
 def _track(args: LogArgs, work: Work, window: int | None) -> Iterator[TrackBlock]:
     switching = work.choice.switching
-    levels = Levels(args.risk, args.levels)
-    return localize(work.blocks, work.scene, work.radio, switching, window, args.height, levels)
+    if args.two_way and not switching.bank:
+        raise ValueError("two-way: found one belief for all modes, expected a policy or --imm")
+    return localize(
+        work.blocks,
+        work.scene,
+        work.radio,
+        switching,
+        window,
+        args.height,
+        Levels(args.risk, args.levels),
+        TwoWayCorrector(TWO_WAY) if args.two_way else None,
+    )
 
 
 def beginning(args: LogArgs, epochs: int) -> tuple[TrackBlock, Work]:

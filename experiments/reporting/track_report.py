@@ -83,9 +83,10 @@ def _course(figures: Json) -> list[str]:
     lines.append(f"measurement noise of the radio profile {escaped(f['radio'])}")
     expected = " and ".join(f"{size:.2f} m {axis}" for axis, size in f["expected_rmse_m"].items())
     lines.append(f"expected error (RMS, by the track's covariances): {expected}")
-    if "trusted" in f:
-        trusted = _percent(f["trusted"])
-        lines.append(f"weight of the corrections in the filtered track: {trusted} on average")
+    for key, kind in (("trusted", "filtered"), ("smooth_trusted", "smoothed")):
+        if key in f:
+            weight = _percent(f[key])
+            lines.append(f"weight of the corrections in the {kind} track: {weight} on average")
     if "clock" in f:
         keys = "range_bias_m", "deviation_m"
         ahead, deviation = (f["clock"][key] / SPEED_OF_LIGHT * 1e9 for key in keys)

@@ -38,13 +38,18 @@ CONSTANT = 1e-3  # added to standard deviations, which are 0 for a feature that 
 
 
 class CorrectorNetwork(nn.Module):
-    """A network: a tanh layer, a gated recurrent unit, and a head with outputs for an ensemble."""
+    """A network: a tanh layer, a gated recurrent unit, and a head with outputs for an ensemble.
 
-    def __init__(self, features: int, hyper: CorrectorHyperparameters) -> None:
+    With ``two_way``, a second recurrent unit reads the epochs backwards.
+    """
+
+    def __init__(
+        self, features: int, hyper: CorrectorHyperparameters, two_way: bool = False
+    ) -> None:
         super().__init__()
         self.front = nn.Linear(features, hyper.front)
-        self.gru = nn.GRU(hyper.front, hyper.units)
-        self.head = nn.Linear(hyper.units + hyper.front, hyper.head)
+        self.gru = nn.GRU(hyper.front, hyper.units, bidirectional=two_way)
+        self.head = nn.Linear((1 + two_way) * hyper.units + hyper.front, hyper.head)
         self.out = nn.Linear(hyper.head, hyper.members * CORRECTIONS)
         with torch.no_grad():
             self.out.weight *= 0.1  # at first, corrections are small
@@ -80,6 +85,76 @@ def loss_of(
     return loss
 
 
+class Learner:
+    """A network with its optimizer and with the scales of its features.
+
+    Args:
+        network: network to train; its hyperparameters are ``hyper``.
+
+    Attributes:
+        scales: limits, mean and standard deviation of every feature, set from the first lots.
+    """
+
+    def __init__(self, network: CorrectorNetwork, hyper: CorrectorHyperparameters) -> None:
+        self.network, self._hyper = network, hyper
+        self.optimizer = torch.optim.Adam(network.parameters(), lr=hyper.learning_rate)
+        self.scales: dict[str, Array] = {}
+
+    def measure(self, lots: list[Lot]) -> None:
+        """Set the scales to those of the features of some lots."""
+        rows = np.concatenate([lot.features.reshape(-1, lot.features.shape[2]) for lot in lots])
+        low, high = np.quantile(rows, (OUTSIDE, 1.0 - OUTSIDE), axis=0)
+        mean, sigma = rows.mean(0, np.float64), rows.std(0, np.float64) + CONSTANT
+        self.scales = {"low": low, "high": high, "mean": mean, "sigma": sigma}
+
+    def learn(self, lots: list[Lot], progress: float, rng: np.random.Generator) -> float:
+        """Take a gradient step for each of the new lots that mix ``lots``; return the mean loss.
+
+        ``progress``, from 0 to 1, is the share of the training that is over.
+        """
+        left = falling(self._hyper.final_fraction, 1.0 - progress)
+        for group in self.optimizer.param_groups:
+            group["lr"] = self._hyper.learning_rate * left
+        return float(np.mean([self._step(lot) for lot in mixed(lots, self._hyper.batch_size, rng)]))
+
+    def _step(self, lot: Lot) -> float:
+        """Take a gradient step; each member of an ensemble learns from about half of the lot."""
+        hyper = self._hyper
+        error, deviation = torch.from_numpy(lot.error), torch.from_numpy(lot.deviation)
+        losses = loss_of(self.answer(lot), error, deviation, hyper.likelihood_weight)
+        some = torch.rand(losses.shape) < (0.5 if hyper.members > 1 else 1.0)
+        loss = (losses * some).sum() / some.sum().clamp(min=1)
+        self.optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        nn.utils.clip_grad_norm_(self.network.parameters(), hyper.max_grad_norm)
+        self.optimizer.step()
+        return float(loss.item())
+
+    def answer(self, lot: Lot) -> tuple[Tensor, Tensor]:
+        """Return the network's outputs for a lot; see :meth:`CorrectorNetwork.forward`."""
+        low, high, mean, sigma = (self.scales[name] for name in ("low", "high", "mean", "sigma"))
+        normal = (np.clip(lot.features, low, high) - mean) / sigma
+        answer: tuple[Tensor, Tensor] = self.network(torch.from_numpy(normal.astype(np.float32)))
+        return answer
+
+    def tensors(self) -> Tensors:
+        """Return the network in the form that a policy file stores."""
+        state = {
+            name: value.numpy().astype(float) for name, value in self.network.state_dict().items()
+        }
+        tensors = {
+            f"back{name.removeprefix('gru').removesuffix('_l0_reverse')}"
+            if name.endswith("_reverse")
+            else name.removesuffix("_l0"): value
+            for name, value in state.items()
+        }
+        tensors["front.weight"] = state["front.weight"] / self.scales["sigma"]
+        shift = tensors["front.weight"] @ self.scales["mean"]
+        tensors["front.bias"] = state["front.bias"] - shift
+        tensors |= {name: self.scales[name] for name in ("low", "high")}
+        return {name: value.astype(np.float32) for name, value in tensors.items()}
+
+
 class CorrectorTraining:
     """A training of a corrector, in progress.
 
@@ -101,9 +176,7 @@ class CorrectorTraining:
         pipeline = Pipeline(job.task.bank.modes, Layout())
         self._table = Observation(pipeline, "signed", "per-mode")
         self._names = [feature.name for feature in after_update(pipeline, per_mode=True)]
-        self.network = CorrectorNetwork(len(self._names), hyper)
-        self._optimizer = torch.optim.Adam(self.network.parameters(), lr=hyper.learning_rate)
-        self._scales: dict[str, Array] = {}
+        self.learner = Learner(CorrectorNetwork(len(self._names), hyper), hyper)
 
     def run(self) -> Json:
         """Train to the end; return the outcome from :meth:`Record.close`."""
@@ -114,7 +187,7 @@ class CorrectorTraining:
         while stand["timesteps"] < job.timesteps:
             figures = self._update()
             if stand["update"] % EVALUATE == 0 or stand["timesteps"] >= job.timesteps:
-                figures |= record.evaluate(self._tensors(), self._table, self._names)
+                figures |= record.evaluate(self.learner.tensors(), self._table, self._names)
             record.log.write(figures | {"seconds": record.seconds}, {}, stand["timesteps"])
             if stand["update"] % job.checkpoint_every == 0:
                 record.save(state=self._state())
@@ -124,66 +197,30 @@ class CorrectorTraining:
     def _update(self) -> dict[str, float]:
         """Learn from new episodes at the task's places and in random streets; return the loss."""
         job, stand = self._job, self._record.stand
-        hyper = job.hyperparameters
         lots = list(self.data.lots())
-        if not self._scales:
+        if not self.learner.scales:
             lots += [lot for _ in range(FIRST) for lot in self.data.lots()]
-            self._scales = _scales(lots)
-        left = falling(hyper.final_fraction, 1.0 - stand["timesteps"] / job.timesteps)
-        for group in self._optimizer.param_groups:
-            group["lr"] = hyper.learning_rate * left
+            self.learner.measure(lots)
         rng = np.random.default_rng((job.first_seed, stand["update"]))
-        losses = [self._learn(lot) for lot in mixed(lots, hyper.batch_size, rng)]
+        loss = self.learner.learn(lots, stand["timesteps"] / job.timesteps, rng)
         stand["timesteps"] += sum(lot.features[..., 0].size for lot in lots)
         stand["update"] += 1
-        return {"loss": float(np.mean(losses))}
-
-    def _learn(self, lot: Lot) -> float:
-        """Take a gradient step; each member of an ensemble learns from about half of the lot."""
-        hyper = self._job.hyperparameters
-        error, deviation = torch.from_numpy(lot.error), torch.from_numpy(lot.deviation)
-        losses = loss_of(self.answer(lot), error, deviation, hyper.likelihood_weight)
-        some = torch.rand(losses.shape) < (0.5 if hyper.members > 1 else 1.0)
-        loss = (losses * some).sum() / some.sum().clamp(min=1)
-        self._optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        nn.utils.clip_grad_norm_(self.network.parameters(), hyper.max_grad_norm)
-        self._optimizer.step()
-        return float(loss.item())
-
-    def answer(self, lot: Lot) -> tuple[Tensor, Tensor]:
-        """Return the network's outputs for a lot; see :meth:`CorrectorNetwork.forward`."""
-        low, high, mean, sigma = (self._scales[name] for name in ("low", "high", "mean", "sigma"))
-        normal = (np.clip(lot.features, low, high) - mean) / sigma
-        answer: tuple[Tensor, Tensor] = self.network(torch.from_numpy(normal.astype(np.float32)))
-        return answer
-
-    def _tensors(self) -> Tensors:
-        """Return the network in the form that a policy file stores."""
-        state = {
-            name: value.numpy().astype(float) for name, value in self.network.state_dict().items()
-        }
-        tensors = {name.removesuffix("_l0"): value for name, value in state.items()}
-        tensors["front.weight"] = state["front.weight"] / self._scales["sigma"]
-        shift = tensors["front.weight"] @ self._scales["mean"]
-        tensors["front.bias"] = state["front.bias"] - shift
-        tensors |= {name: self._scales[name] for name in ("low", "high")}
-        return {name: value.astype(np.float32) for name, value in tensors.items()}
+        return {"loss": loss}
 
     def _state(self) -> State:
         """Return everything on which the rest of the training depends, for :meth:`_restore`."""
         return {
-            "network": self.network.state_dict(),
-            "optimizer": self._optimizer.state_dict(),
-            "scales": self._scales,
+            "network": self.learner.network.state_dict(),
+            "optimizer": self.learner.optimizer.state_dict(),
+            "scales": self.learner.scales,
             "played": self.data.played,
             "torch": torch.get_rng_state(),
         }
 
     def _restore(self, state: State) -> None:
-        self.network.load_state_dict(state["network"])
-        self._optimizer.load_state_dict(state["optimizer"])
-        self._scales = {name: np.asarray(value) for name, value in state["scales"].items()}
+        self.learner.network.load_state_dict(state["network"])
+        self.learner.optimizer.load_state_dict(state["optimizer"])
+        self.learner.scales = {name: np.asarray(value) for name, value in state["scales"].items()}
         self.data.played = int(state["played"])
         torch.set_rng_state(state["torch"])
 
@@ -208,11 +245,3 @@ def mixed(lots: list[Lot], size: int, rng: np.random.Generator) -> Iterator[Lot]
     for i in rng.permutation(len(parts)):
         together, some = parts[i]
         yield Lot(*(part[:, some] for part in together))
-
-
-def _scales(lots: list[Lot]) -> dict[str, Array]:
-    """Return, as arrays (features,), limits, mean and standard deviation of every feature."""
-    rows = np.concatenate([lot.features.reshape(-1, lot.features.shape[2]) for lot in lots])
-    low, high = np.quantile(rows, (OUTSIDE, 1.0 - OUTSIDE), axis=0)
-    mean, sigma = rows.mean(0, np.float64), rows.std(0, np.float64) + CONSTANT
-    return {"low": low, "high": high, "mean": mean, "sigma": sigma}

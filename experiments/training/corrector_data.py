@@ -171,7 +171,7 @@ class CorrectorData:
             observations, outputs[t] = engine.step(actions, rows)
             features[t] = observations[:, columns]
         size = batch.layout.state_size
-        return _lot(features, *np.split(outputs, [size, len(rows) - 3], axis=2))
+        return lot_of(features, *np.split(outputs, [size, len(rows) - 3], axis=2))
 
 
 def weaving(source: SimulatedSource, rng: np.random.Generator) -> SimulatedSource:
@@ -195,7 +195,7 @@ def weaving(source: SimulatedSource, rng: np.random.Generator) -> SimulatedSourc
     return replace(source, scenario=Ways("weaving", ways))
 
 
-def _lot(features: Array32, x: Array, P: Array, error: Array) -> Lot:
+def lot_of(features: Array32, x: Array, P: Array, error: Array) -> Lot:
     """Return a lot, given the features, and the base's beliefs and errors in the scene's axes.
 
     All arrays are (T, n, ...); P is packed, and errors are estimates minus truth. Episodes in which

@@ -35,7 +35,7 @@ from mmwave_env.interface.signed import LastEpoch, after_update
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Site
 from mmwave_env.numerics.linalg import pack
-from mmwave_env.numerics.numbers import Array, Number
+from mmwave_env.numerics.numbers import Array, Index, Number
 from mmwave_env.numerics.pytree import flatten, select
 from mmwave_env.world.episode import Episode, EpisodeBatch, Incoming
 
@@ -128,6 +128,7 @@ def run_imm(
     episodes: EpisodeBatch | Sequence[Episode],
     *names: str,
     planar: bool = False,
+    actions: Index | None = None,
 ) -> dict[str, Array]:
     """Filter complete episodes with an IMM, without an agent, starting from the episodes' priors.
 
@@ -137,17 +138,19 @@ def run_imm(
         episodes: n episodes with the same layout.
         names: parts of :class:`ImmState` to return, such as "reward" or "mixture.probability".
         planar: same as in :class:`~mmwave_env.filters.pipeline.Pipeline`.
+        actions: (n, epochs) numbers of the modes whose probability is raised, from 1; 0 for none.
 
     Returns:
         For each name, an array: (n, epochs) for a part that is a single number, (n, epochs, k) for
         a part of k numbers. Values past the end of an episode are meaningless.
     """
     packed = EpisodeBatch.of(episodes)
-    program = imm_program(Pipeline(bank.modes, packed.layout, planar), reward)
+    program = imm_program(Pipeline(bank.modes, packed.layout, planar), reward, actions is not None)
     start, (n, epochs, _) = program.start.copy(), packed.table.shape
     start[flatten(program.index.settings)] = flatten(settings_of(bank, packed.layout))
     rows = fill(blocks_of(start, n), rows_of(program.index.site), packed.site)
-    io = StepIO.of(n, epochs, output_rows=program.rows(names))
+    io = StepIO.of(n, epochs, rows_of([program.index.action]), program.rows(names))
+    io.inputs[..., 0] = 0 if actions is None else actions
     state = BatchState.of(packed.table, rows)._replace(length=packed.length)
     program.run_on_lanes(state, io)
     return program.by_name(names, io.outputs)

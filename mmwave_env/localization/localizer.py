@@ -5,7 +5,7 @@ interact as an IMM. A policy that is a *corrector* also corrects beliefs (polici
 A log is a sequence of blocks of epochs, because it may be larger than memory. The length of the
 blocks does not change the track. The log is divided into segments at long gaps (``segments.py``).
 In each segment, a track starts from a first position. The track is filtered first, and then
-smoothed, ``window`` epochs at a time.
+smoothed, ``window`` epochs at a time; a *two-way corrector* may correct the smoothed track.
 """
 
 import os
@@ -20,8 +20,10 @@ from mmwave_env.engines.imm_engine import ImmTracker
 from mmwave_env.engines.mode_smoothing import smooth_modes
 from mmwave_env.engines.policy_tracker import PolicyTracker
 from mmwave_env.engines.replay import smooth
+from mmwave_env.engines.smoothed_features import smoothed_features
 from mmwave_env.engines.track_engine import EpisodeFilter, Rule, Tracker
 from mmwave_env.filters.bank import Bank
+from mmwave_env.filters.correction import corrected_all
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import SMOOTHING_WINDOW
@@ -33,9 +35,10 @@ from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
+from mmwave_env.numerics.linalg import pack
 from mmwave_env.numerics.numbers import Array, Index, Mask
-from mmwave_env.world.episode import Episode
-from policies.corrector import Corrector, learned_policy
+from mmwave_env.world.episode import Episode, EpisodeBatch
+from policies.corrector import Corrector, TwoWayCorrector, learned_policy
 from policies.policy import Policy
 
 _FILTERED = ("x", "P", "memory.mode", "memory.nis", "memory.accepted")
@@ -66,6 +69,7 @@ class TrackBlock(LogBlock):
     # (T,) factor from 0 to 1 by which a corrector's correction was scaled before it was applied to
     # x and P; NaN without a corrector. Smoothing uses beliefs without corrections
     trusted: Array
+    smooth_trusted: Array  # (T,) the same for a two-way corrector, smooth_x and smooth_P
     # (T, 2) factors by which to multiply the horizontal and the vertical Gaussian protection level
     level_factors: Array
 
@@ -151,6 +155,7 @@ def localize(
     window: int | None = SMOOTHING_WINDOW,
     height_m: float | None = None,
     levels: Levels | None = None,
+    two_way: TwoWayCorrector | None = None,
 ) -> Iterator[TrackBlock]:
     """Yield the track of a log.
 
@@ -163,6 +168,8 @@ def localize(
         window: number of epochs that are smoothed together; None for no smoothing.
         height_m: height of flat terrain, if it is known (paper, Sec. II-A).
         levels: protection levels; None for Gaussian levels.
+        two_way: network that corrects the smoothed track, if any. ``switching`` needs a bank with
+            modes of the same names as in its training, and the height must not be given.
 
     Raises:
         LogError: the log is damaged, or a belief became NaN or infinite.
@@ -170,7 +177,10 @@ def localize(
     """
     levels = levels or Levels(kind=GAUSSIAN)
     track = _filtered(segments(blocks, scene, radio), scene, radio, switching, height_m, levels)
-    return track if window is None else _smoothed(track, window, scene, switching)
+    if window is None:
+        return track
+    track = _smoothed(track, window, scene, switching)
+    return _corrected(track, window, scene, radio, switching, two_way) if two_way else track
 
 
 def _filtered(
@@ -195,7 +205,7 @@ def _filtered(
         track: dict[str, Any] = {name.removeprefix("memory."): parts[name] for name in _FILTERED}
         track["mode"], track["accepted"] = track["mode"].astype(np.int64), track["accepted"] > 0.5
         track["filtered"] = filtered_of(parts)
-        track["trusted"] = np.full(len(episode), np.nan)
+        track["trusted"] = track["smooth_trusted"] = np.full(len(episode), np.nan)
         if correction[0] is not None:
             track |= dict(zip(("x", "P", "trusted"), correction, strict=True))
         track |= {"smooth_x": track["x"], "smooth_P": track["P"], "visible": episode.visible}
@@ -263,6 +273,40 @@ def _smoothed(
         )
         x, P = smoothed(switching, block.layout, block.planar, scene, parts, time_s, spread_hz)
         yield replace(block, smooth_x=x.reshape(block.x.shape), smooth_P=P.reshape(block.P.shape))
+
+
+def _corrected(
+    blocks: Iterable[TrackBlock],
+    window: int,
+    scene: Scene,
+    radio: Radio,
+    switching: Switching,
+    two_way: TwoWayCorrector,
+) -> Iterator[TrackBlock]:
+    """Yield the smoothed track, corrected window by window; the windows are the smoother's."""
+    for block in blocks:
+        layout, pipeline = block.layout, switching.pipeline(block.layout, block.planar)
+        two_way.read_from_track(pipeline)
+        epochs = min(window, len(block))
+        batch = EpisodeBatch.of([episode_from(block, scene, radio, begins=False)])
+        mixtures = block.filtered[:, layout.state_size + layout.triangle :]
+        accepted, rejected = block.accepted, block.visible & ~block.accepted
+        shown = block.nis, accepted.astype(float), rejected.astype(float)
+        table, x, P, mixtures, *gates = (
+            part.reshape(-1, epochs, part.shape[-1])
+            for part in (batch.table, block.smooth_x, block.smooth_P, mixtures, *shown)
+        )
+        features = smoothed_features(pipeline, batch._replace(table=table), x, P, mixtures, gates)
+        shift, log_factor, trusted = (
+            part.astype(float) for part in two_way.correct_tracks(features)
+        )
+        belief = corrected_all(x, P, shift, log_factor, pipeline)
+        yield replace(
+            block,
+            smooth_x=np.stack(belief.x, axis=-1).reshape(block.x.shape),
+            smooth_P=np.stack(pack(belief.P), axis=-1).reshape(block.P.shape),
+            smooth_trusted=trusted.reshape(-1),
+        )
 
 
 def filtered_of(parts: Mapping[str, Array]) -> Array:

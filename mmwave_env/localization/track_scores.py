@@ -200,7 +200,9 @@ class Course:
         self._last: TrackBlock | None = None
         self._modes, self._counts = modes, np.zeros(len(modes), np.int64)
         self._switches = self._fast = 0
-        self._speed = self._fastest = self._trusted = 0.0
+        self._speed = self._fastest = 0.0
+        # sums of the trust in corrections of the filtered and of the smoothed track
+        self._trusted = {"trusted": 0.0, "smooth_trusted": 0.0}
         self._variance = np.zeros(2)  # sums of the horizontal and the vertical variance, m^2
 
     def add(self, block: TrackBlock) -> None:
@@ -216,7 +218,8 @@ class Course:
         self._speed += float(speed.sum())
         self._fastest = max(self._fastest, float(speed.max()))
         self._fast += int((speed > DESIGN_LIMIT_MPS).sum())
-        self._trusted += float(block.trusted.sum())
+        for name in self._trusted:
+            self._trusted[name] += float(getattr(block, name).sum())
         self.last_s, self._last = float(block.time_s[-1]), block
         self.epochs += len(block)
 
@@ -246,5 +249,5 @@ class Course:
             "modes": dict(zip(self._modes, self._counts.tolist(), strict=True)),
             "switches": self._switches,
             **clock,
-            **({} if isnan(self._trusted) else {"trusted": self._trusted / self.epochs}),
+            **{name: of / self.epochs for name, of in self._trusted.items() if not isnan(of)},
         }

@@ -109,8 +109,6 @@ def test_a_mode_whose_algorithm_is_a_function_cannot_be_written_to_a_file():
         as_written(Mode("own", ekf))
 
 
-# --- banks: modes and how they interact
-
 BANK = Bank((Mode("slow", "ckf", sigma_v=0.1 + 0.2), Mode("fast")), ((0.9, 0.1), (0.3, 0.7)), 0.99)
 
 

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.imm_engine import ImmTracker
+from mmwave_env.engines.imm_engine import ImmTracker, run_imm
+from mmwave_env.engines.smoothed_features import GATES, smoothed_features
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
@@ -17,6 +18,7 @@ from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.interface.signed import after_update
 from mmwave_env.models.layout import Layout
 from mmwave_env.task import task_from
+from mmwave_env.world.episode import EpisodeBatch
 
 BANK = Bank((Mode("stand", sigma_v=0.1), Mode("ride", sigma_v=2.0)))  # quick to compile
 EPOCHS, N = 40, 8
@@ -64,6 +66,17 @@ def test_tracks_and_environments_compute_bit_identical_features(episodes):
     tracker.load(episodes)
     signed = tracker.run("signed", actions=actions)["signed"]
     np.testing.assert_array_equal(signed.astype(np.float32), observed)
+
+
+def test_features_of_a_track_that_smoothing_did_not_change_are_those_of_the_filter(episodes):
+    actions, pipeline = random_actions(), Pipeline(BANK.modes, episodes[0].layout)
+    observed, _ = played(episodes, actions)
+    names = ("x", "P", "mixture", *(f"memory.{gate}" for gate in GATES))
+    parts = run_imm(BANK, TrackingReward(), episodes, *names, actions=actions)
+    x, P, mixtures, *gates = parts.values()
+    features = smoothed_features(pipeline, EpisodeBatch.of(episodes), x, P, mixtures, gates)
+    # The first epoch has no previous belief in the track, so its turn differs.
+    np.testing.assert_allclose(features[:, 1:], observed[:, 1:], atol=1e-5)
 
 
 def turned(episode, angle, offset):

@@ -33,7 +33,8 @@ def some_track(epochs, seed=0):
     track = {"x": x, "P": P, "filtered": np.hstack([x, P])}
     track |= {"smooth_x": x + 1.0, "smooth_P": 2.0 * P, "mode": rng.integers(2, size=epochs)}
     track |= {"nis": rng.random((epochs, 4)), "accepted": groups, "planar": False}
-    track |= {"trusted": np.zeros(epochs), "level_factors": 1.0 + rng.random((epochs, 2))}
+    track |= {"trusted": np.zeros(epochs), "smooth_trusted": np.full(epochs, np.nan)}
+    track |= {"level_factors": 1.0 + rng.random((epochs, 2))}
     return TrackBlock(**vars(log), **track)
 
 

@@ -52,11 +52,6 @@ def test_process_noise_equals_the_textbook_and_is_semidefinite(
     assert np.linalg.eigvalsh(Q)[0] >= -1e-12 * max(1.0, Q.max())
 
 
-def test_uncoupled_process_noise_of_one_second_equals_the_papers_diagonal():
-    Q = matrix(white_noise_acceleration([0.01, 0.01, 4e-4], [3.24, 3.24, 9e-4], 22.0, 1.0, False))
-    np.testing.assert_allclose(Q, np.diag([0.01, 0.01, 4e-4, 3.24, 3.24, 9e-4, 22.0]))
-
-
 @given(
     x=hnp.arrays(float, 7, elements=st.floats(-300.0, 300.0)),
     factor=hnp.arrays(float, (7, 7), elements=st.floats(-3.0, 3.0)),

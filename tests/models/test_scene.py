@@ -146,8 +146,6 @@ def test_impossible_scenes_are_refused():
         Scene("odd", (10.0, 10.0, 10.0), (Wall((0, 1), -50.0),)).require_streets_in_front()
 
 
-# --- scenes drawn at random
-
 SOURCE = SimulatedSource(RandomScene(), RADIOS["handset"])
 
 

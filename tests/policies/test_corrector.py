@@ -9,6 +9,7 @@ from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.signed import after_update
 from mmwave_env.models.layout import Layout
 from policies import Corrector, LearnedSwitch, learned_policy
+from policies.corrector import TwoWayCorrector
 from policies.policy_file import CORRECTIONS
 from tests.refusals import refuses
 from tests.training.actors import MODES, PER_MODE, PER_MODE_TABLE, card_of, write, write_per_mode
@@ -20,14 +21,19 @@ FEATURES, FRONT, UNITS, HEAD = len(NAMES), 6, 5, 4  # sizes of the network's lay
 MEMBERS = 3  # output layers, whose corrections are averaged
 
 
-def network(scale=0.3, limit=5.0):
+ONE_WAY, TWO_WAY = ("gru",), ("gru", "back")  # names of recurrent units
+
+
+def network(scale=0.3, limit=5.0, units=ONE_WAY):
     """Return a corrector's tensors: random weights, and the limits ±``limit`` of all features."""
     rng = np.random.default_rng(0)
-    shapes = {
+    of_unit = {
+        "weight_ih": (3 * UNITS, FRONT), "weight_hh": (3 * UNITS, UNITS),
+        "bias_ih": (3 * UNITS,), "bias_hh": (3 * UNITS,),
+    }  # fmt: skip
+    shapes = {f"{unit}.{name}": shape for unit in units for name, shape in of_unit.items()} | {
         "front.weight": (FRONT, FEATURES), "front.bias": (FRONT,),
-        "gru.weight_ih": (3 * UNITS, FRONT), "gru.weight_hh": (3 * UNITS, UNITS),
-        "gru.bias_ih": (3 * UNITS,), "gru.bias_hh": (3 * UNITS,),
-        "head.weight": (HEAD, UNITS + FRONT), "head.bias": (HEAD,),
+        "head.weight": (HEAD, len(units) * UNITS + FRONT), "head.bias": (HEAD,),
         "out.weight": (MEMBERS * CORRECTIONS, HEAD), "out.bias": (MEMBERS * CORRECTIONS,),
     }  # fmt: skip
     tensors = {
@@ -46,6 +52,11 @@ def path(tmp_path):
     return write(tmp_path / "corrector.safetensors", network(), card())
 
 
+@pytest.fixture
+def two_way_path(tmp_path):
+    return write(tmp_path / "two-way.safetensors", network(units=TWO_WAY), card())
+
+
 def started(path, table=None):
     """Return a corrector of four environments at the beginning of their episodes."""
     corrector = Corrector(path, table) if table else Corrector(path)
@@ -58,14 +69,14 @@ def features(epochs):
     return np.random.default_rng(1).normal(size=(epochs, 4, FEATURES)).astype(np.float32)
 
 
-@pytest.mark.torch
-def test_the_network_equals_pytorch(path):
+def by_pytorch(shown, units):
+    """Return the corrections (epochs, 4, 6) that PyTorch computes from features, without trust."""
     torch = pytest.importorskip("torch")
-    tensors = {name: torch.from_numpy(value) for name, value in network().items()}
-    gru = torch.nn.GRU(FRONT, UNITS)
-    gru.load_state_dict({f"{n}_l0": tensors[f"gru.{n}"] for n in
-                         ("weight_ih", "weight_hh", "bias_ih", "bias_hh")})  # fmt: skip
-    shown = features(20)
+    tensors = {name: torch.from_numpy(part) for name, part in network(units=units).items()}
+    gru = torch.nn.GRU(FRONT, UNITS, bidirectional=units == TWO_WAY)
+    names = ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
+    ends = zip(units, ("_l0", "_l0_reverse"), strict=False)
+    gru.load_state_dict({f"{n}{end}": tensors[f"{unit}.{n}"] for unit, end in ends for n in names})
     with torch.no_grad():
         linear = torch.nn.functional.linear
         front = torch.tanh(
@@ -75,12 +86,49 @@ def test_the_network_equals_pytorch(path):
         both = torch.cat([memory, front], -1)
         head = torch.tanh(linear(both, tensors["head.weight"], tensors["head.bias"]))
         answer = linear(head, tensors["out.weight"], tensors["out.bias"])
-    mean = answer.unflatten(-1, (MEMBERS, CORRECTIONS)).mean(2).numpy()
-    corrector = started(path)
-    for epoch, expected in zip(shown, mean, strict=True):
+    return answer.unflatten(-1, (MEMBERS, CORRECTIONS)).mean(2).numpy()
+
+
+@pytest.mark.torch
+def test_the_network_equals_pytorch(path):
+    shown, corrector = features(20), started(path)
+    for epoch, expected in zip(shown, by_pytorch(shown, ONE_WAY), strict=True):
         shift, log_factor, trusted = corrector.correct_features(epoch)
         np.testing.assert_allclose(shift, expected[:, :3] * trusted[:, None], atol=1e-5)
         np.testing.assert_allclose(log_factor, expected[:, 3:] * trusted[:, None], atol=1e-5)
+
+
+def two_way(path):
+    """Return a two-way corrector, ready for tracks of the features NAMES."""
+    corrector = TwoWayCorrector(path)
+    corrector.read_from_track(Pipeline(MODES, Layout()))
+    return corrector
+
+
+@pytest.mark.torch
+def test_the_two_way_network_equals_pytorch(two_way_path):
+    shown = features(20)
+    answer = two_way(two_way_path).correct_tracks(np.swapaxes(shown, 0, 1))
+    expected = np.swapaxes(by_pytorch(shown, TWO_WAY), 0, 1) * answer.trusted[..., None]
+    both = np.concatenate([answer.shift, answer.log_factor], axis=-1)
+    np.testing.assert_allclose(both, expected, atol=1e-5)
+
+
+def test_two_way_corrections_fade_around_strange_epochs_and_are_never_nan(two_way_path):
+    tracks = np.swapaxes(features(41), 0, 1)
+    usual = two_way(two_way_path).correct_tracks(tracks).trusted[0]
+    tracks[0, 20, 5] = np.nan
+    answer = two_way(two_way_path).correct_tracks(tracks)
+    assert all(np.isfinite(part).all() for part in answer) and answer.trusted[0, 20] == 0.0
+    assert (answer.trusted[0, [18, 19, 21, 22]] < 0.3).all()
+    assert answer.trusted[0, [0, -1]].min() > 0.5 * usual[[0, -1]].min()
+
+
+def test_files_of_filtered_and_of_smoothed_tracks_are_not_confused(path, two_way_path):
+    with refuses(path):
+        TwoWayCorrector(path)
+    with refuses(two_way_path):
+        Corrector(two_way_path)
 
 
 def test_a_corrector_remembers_until_an_episode_begins(path):

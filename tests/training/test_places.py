@@ -106,8 +106,6 @@ def test_scenes_and_radios_that_the_benchmark_keeps_unseen_are_refused():
                 place_from(word)
 
 
-# --- training at several places
-
 PLACES = places_from(["street:handset", "o1:standard", "street:standard:0.5"])
 
 
