@@ -21,7 +21,7 @@ DEFAULT_POLICY = "corrector"
 # "corrector" corrects the beliefs of the policy "guided". Without elevations, "guided" chooses
 # wrong modes too often for either to be useful (docs/learning.md).
 WITHOUT_ELEVATIONS = "imm-best"
-# Default for a known height, which has no standard deviation that "corrector" could read
+# Default for a given height: "corrector" reads the deviation of an estimated height
 WITH_HEIGHT = "guided"
 RULES: dict[str, tuple[Rule, str]] = {  # --follow -> (rule, words before "speed" in reports)
     "prediction": (by_predicted_speed, "the predicted"),

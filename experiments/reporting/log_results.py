@@ -1,4 +1,4 @@
-"""The command localize for a recorded log: options, track, scores, files and printed results."""
+"""The ``localize`` command for a recorded log: options, track, scores, files, printed results."""
 
 import warnings
 from collections.abc import Iterable, Iterator
@@ -94,7 +94,7 @@ def _check(args: LogArgs, files: Inputs) -> None:
         raise ValueError(f"height: found {args.height}, expected a number of meters")
     if args.two_way and (args.height is not None or not args.smoothing):
         raise ValueError("two-way: cannot be combined with --height or --no-smoothing")
-    Levels(args.risk, args.levels)  # raises if there are no such protection levels
+    Levels(args.risk, args.levels)  # raises if the risk or the kind is invalid
     if args.plot is not None:
         require_picture("plot", args.plot)
     owners: dict[Path, str] = {}

@@ -1,7 +1,7 @@
 """Episodes for a corrector to learn from: features, and the errors and beliefs of its base.
 
 The *base* is the policy or IMM whose beliefs are corrected. Some episodes are at the places of the
-training (scenes with a radio). In the other episodes, much is random: streets, carrier, radio, rate
+training (scenes with a radio). In other episodes, these are random: streets, carrier, radio, rate
 of epochs, clock, measured quantities and anchors, and the errors of the receiver's stated noise and
 orientation. Without random episodes, a network memorizes the places.
 """
@@ -53,8 +53,8 @@ ORIENTATION_RAD = 0.1  # standard deviation of an orientation that is not known 
 WEAVING = 0.5
 WAYS = 64  # maximum number of weaving trajectories from which the episodes of one Lot are drawn
 WEAVE_S = (8.0, 40.0)  # shortest and longest period of weaving at an episode's highest speed, s
-WEAVE_SLOPE, WEAVE_M = 0.3, 2.5  # limits per axis: weaving velocity / speed; displacement, m
-WEAVING_BEHIND_M = (20.0, 60.0)  # range of distances from a wall to the last street: room to weave
+WEAVE_SLOPE, WEAVE_M = 0.3, 2.5  # limits per axis: velocity over speed, displacement
+WEAVING_BEHIND_M = (20.0, 60.0)  # distances from walls to streets, for weaving
 
 
 class Lot(NamedTuple):
@@ -99,7 +99,7 @@ class CorrectorData:
             yield self._play(batch, self.bank(radio))
 
     def batches(self) -> Iterator[tuple[str, EpisodeBatch]]:
-        """Yield, for each lot of :meth:`lots`, its radio profile's name and unplayed episodes."""
+        """Yield the name of a radio profile and unplayed episodes for each lot of :meth:`lots`."""
         places, share = self._task.places, self._hyper.random_share
         for place in places:
             rng = self._rng()
@@ -125,7 +125,7 @@ class CorrectorData:
         )
 
     def _at_random(self, rng: np.random.Generator) -> tuple[str, EpisodeBatch]:
-        """Draw episodes in random streets with a random receiver; also return its radio."""
+        """Return the radio of a random receiver, and its episodes in random streets."""
         profile = self._radios[str(rng.choice(list(self._radios)))]
         scene = replace(
             WIDE_SCENE,

@@ -65,7 +65,7 @@ class Record:
             "best" has results of the best policy so far. "beat_rule" has the timesteps and seconds
             until a policy first beat the paper's rule. "best" and "beat_rule" are None at first.
             "seconds" (wall time) and "rows" (of the log) are from the checkpoint, or 0 and empty.
-            All other entries are the trainer's state; they are removed when training resumes.
+            All other entries are the trainer's; on resuming, it takes them out of this dict.
         log: log of the training's progress.
 
     Raises:
@@ -100,7 +100,7 @@ class Record:
 
         Args:
             actor: tensors of the policy.
-            table: table of the environments' features (columns).
+            table: definition of the environments' features.
             features: names of the features that the policy's network reads; None for all.
         """
         columns = table.columns

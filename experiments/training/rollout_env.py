@@ -48,11 +48,11 @@ class RolloutEnv:
         seed: seed of the first environment; the other seeds count up from it.
 
     Attributes:
-        observation: table of features.
+        observation: definition of the observed features.
         observations: (n, features) observations of the current states.
 
     Raises:
-        ValueError: n is too small or not a multiple of eight, or one program can't run all banks.
+        ValueError: n is too small or not a multiple of eight, or banks can't share a program.
     """
 
     def __init__(

@@ -36,16 +36,16 @@ from mmwave_env.io.lookup import choose
 if TYPE_CHECKING:
     from experiments.train import Args
 
-# Default length of a training, by algorithm: number of epochs or, for rollouts, number of states
+# Default length of a training run, by algorithm: number of steps or, for rollouts, number of states
 # in which all actions are tried.
 TIMESTEPS = {"ppo": 4_000_000, "rollouts": 1_200_000, "corrector": 150_000_000}
 
-# Options that do not affect a policy; the command in a policy file leaves them out.
+# Options that do not affect a policy; the command stated in a policy file omits them.
 ASIDE = ("jobs", "checkpoint_every", "out", "resume", "overwrite")
 
 
 def rewards(args: TaskArgs) -> Reward:
-    """Return a task's reward; if it is paired, leave out the subtraction of the IMM's reward."""
+    """Return a task's reward, for a paired reward the one before subtraction of the IMM's."""
     reward = choose(REWARDS, args.reward, "reward")
     if isinstance(reward, PairedReward):
         reward = reward.reward
@@ -106,7 +106,7 @@ def begin(args: "Args", manifest: Json) -> None:
     """Make the folder of a run, or check that the folder holds the run to resume.
 
     Raises:
-        ValueError: the folder already holds files; or, to resume, it holds no run or another run.
+        ValueError: a new run's folder holds files, or there is no such run to resume.
     """
     path = args.out / "run.json"
     if args.resume:

@@ -33,7 +33,7 @@ INFOS = {
 
 
 def reported(at: Any) -> Any:
-    """Return what infos describe: the corrected epoch of a workspace, or else the workspace."""
+    """Return the part that infos report: the corrected epoch if any, otherwise the workspace."""
     return getattr(at, "reported", ()) or at
 
 

@@ -93,7 +93,7 @@ def track_files(
         modes: names of the modes.
         scene: the scene; files for maps need its origin.
         name: name of the track in files for maps.
-        corrected: whether beliefs are corrected; a column ``trusted`` then shows by what factors.
+        corrected: whether beliefs are corrected; then the table has a column ``trusted``.
         risk: risk of the protection levels in tables.
 
     Raises:

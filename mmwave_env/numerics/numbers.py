@@ -1,9 +1,9 @@
 """Elementary functions of numbers, where a number is a float, an array or eight SIMD lanes.
 
 The mathematics of this package is written once, as plain functions of numbers. Called with floats,
-these functions are the reference for tests. Called with arrays, they check recorded signal paths
-and score complete tracks. Called with :class:`~mmwave_env.compiler.lanes.Lanes`, they become a SIMD
-kernel. Python's operators work on all three kinds; the other elementary functions are here.
+these functions are the reference for tests. Called with arrays, they are used to check paths
+and to score complete tracks. Called with :class:`~mmwave_env.compiler.lanes.Lanes`, they become a
+SIMD kernel. Python's operators work on all three kinds; the other elementary functions are here.
 
 In this package, the description of an array begins with its shape. Functions of numbers follow
 three rules: they do not branch on a value (use :func:`where`), they use lists instead of arrays,
@@ -33,7 +33,7 @@ def _is_float(a: Number) -> bool:
 
 
 def _function(name: str, module: Any = math) -> Callable[[Number], Number]:
-    """Return the function ``name`` for all kinds of numbers; ``module`` has it for floats."""
+    """Return a function for all kinds of numbers; floats use ``name`` of ``module``."""
     of_float, of_array = getattr(module, name), getattr(np, name)
 
     def function(a: Number) -> Number:

@@ -54,7 +54,7 @@ def test_an_error_in_any_thread_is_raised_and_the_next_call_works():
     assert share(lambda i: i, [(i,) for i in range(9)], 2) == list(range(9))
 
 
-def test_jobs_can_share_jobs_of_their_own_among_threads():
+def test_a_job_can_itself_distribute_jobs_over_threads():
     """Check that there is no deadlock although each of 200 jobs waits for jobs of its own."""
 
     def job(i):

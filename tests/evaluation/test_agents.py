@@ -1,4 +1,4 @@
-"""Tests of comparisons of users' agents, given as objects, files, or functions in modules."""
+"""Tests of `compare` with agents that a programmer wrote: objects, files or functions."""
 
 import json
 import sys
@@ -164,7 +164,7 @@ def test_compare_accepts_objects_modules_files_and_loaded_policies(tmp_path):
     assert all(begins.all() for begins in mine.begins) and len(mine.begins[-1]) == 3
     first = mine.observed[0]
     assert all(o.shape == first.shape and o.dtype == np.float32 for o in mine.observed)
-    assert len(mine.observed) == 201 and len(first) == 3  # one trial, then 200 steps
+    assert len(mine.observed) == 201 and len(first) == 3  # one call as a check, then 200 steps
 
 
 @pytest.mark.slow

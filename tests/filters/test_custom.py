@@ -211,7 +211,7 @@ def test_making_an_environment_with_an_algorithm_that_cannot_run_is_refused(writ
 @pytest.mark.parametrize("ours", [ekf, ukf, ckf])
 @pytest.mark.parametrize("options", [{}, {"robust": True}, {"gate": None, "recovery": None}])
 def test_valid_algorithms_are_accepted_with_any_layout(layout, planar, ours, options):
-    """Include a branch on the layout and the gate, which are known before an algorithm runs."""
+    """Check branches on the layout and the gate, which are known before an algorithm runs."""
 
     def own(x, P, measurement, gate):
         if measurement.layout.odometry and gate.robust and gate.quantile is not None:

@@ -1,4 +1,4 @@
-"""Tests that updates, which fuse azimuths, equal textbook updates, which use all rows jointly."""
+"""Tests that our updates, which fuse azimuths first, equal textbook updates of all rows."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ GATES = [Gate(None), Gate(0.99), Gate(0.5), Gate(0.5, force=1.0), Gate(0.99, rob
 
 KINDS = {
     "radio": {},
-    "nine anchors": {"anchors": 9},  # ten groups: too many determinants for one logarithm
+    "nine anchors": {"anchors": 9},  # ten groups: their log determinant needs two logarithms
     "odometry": {"odometry": True},
     "some rows": {"partial": True},
     "odometry and some rows": {"odometry": True, "partial": True},
@@ -35,7 +35,7 @@ algorithms = pytest.mark.parametrize("algorithm", ALGORITHMS)
 @given(data=st.data())
 @settings(max_examples=25, deadline=None)
 def test_an_update_equals_the_textbook(algorithm, kind, data):
-    """Include missing rows, which change the limits of gates, and Doppler shifts of any anchor."""
+    """Check problems with Doppler shifts of any anchor, and with missing rows, too."""
     problem, gate = data.draw(problems(**KINDS[kind])), data.draw(st.sampled_from(GATES))
     expected = problem.textbook(textbook.METHODS[algorithm], gate)
     if gate.quantile is not None:

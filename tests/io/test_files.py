@@ -70,7 +70,7 @@ def test_writing_text_bytes_or_json_replaces_an_existing_file(tmp_path):
     assert names(tmp_path) == ["a.bin", "a.json", "a.txt"]
 
 
-def test_a_path_that_is_not_a_regular_file_or_links_to_a_device_is_not_written(tmp_path):
+def test_folders_devices_and_links_to_devices_are_not_written(tmp_path):
     require_writable(tmp_path / "new" / "a.json")
     assert names(tmp_path / "new") == []
     link = tmp_path / "a.json"

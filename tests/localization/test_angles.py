@@ -23,7 +23,7 @@ def between(p, q):
 
 
 def reported(anchor, user):
-    """Return, for each row of the table, the angles in degrees (by name) of its receiver."""
+    """Return, by name, the angles (deg) by the convention of each row of the table."""
     (out, elevation), (back, at_user) = between(anchor, user), between(user, anchor)
     return [
         {"arrival": back, "elevation": at_user, "departure": out},

@@ -76,7 +76,7 @@ def assert_variance(values, variance):
 
 
 def changes(on):
-    """Return two masks: in spells, whether the spell ends next; elsewhere, whether one begins."""
+    """Return two masks: of epochs in a spell, whether it ends next; of others, if one begins."""
     before, after = on[:-1], on[1:]
     return ~after[before], after[~before]
 
@@ -232,7 +232,7 @@ def test_an_outage_affects_every_link():
     assert_share(ends, 1.0 - np.exp(-1.0 / 3.0))
 
 
-# Cause of biases -> radio without any other cause; minimum of the range biases (m); their mean
+# Cause of biases -> radio with this cause alone; minimum of the range biases (m); their mean
 # minus this minimum (m); standard deviation of the angle biases (deg).
 BIASES = {
     "blockage": (replace(CLEAR, blockage_scale=0.5), 0.0, 3.0, 3.0),

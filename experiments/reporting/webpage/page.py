@@ -46,7 +46,7 @@ def page_of(args: PageArgs) -> str:
 
 
 def _folded(verdicts: Sequence[Verdict], parts: Sequence[str]) -> str:
-    """Return a collapsible part per verdict, titled by its name; only the first part is open."""
+    """Return collapsible parts, each titled by its verdict's name; only the first is open."""
     named = [(verdict.name, part) for verdict, part in zip(verdicts, parts, strict=True) if part]
     return "".join(
         f"<details{'' if number else ' open'}><summary>{text(name)}</summary>{part}</details>"
