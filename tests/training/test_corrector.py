@@ -93,7 +93,7 @@ def test_the_policy_file_gives_the_corrections_of_the_network(tmp_path, lots):
     lot = lots[0]
     corrector.reset(np.ones(lot.features.shape[1], bool))
     with torch.no_grad():
-        shift, _ = training.answer(lot)
+        shift, _ = training.learner.answer(lot)
     for features, expected in zip(lot.features, shift.mean(2).numpy(), strict=True):
         answer = corrector.correct_features(features)
         np.testing.assert_allclose(
