@@ -28,7 +28,7 @@ class Args(TaskArgs):
     checkpoint_every: int = 32
     """number of updates between two checkpoints; --resume continues from the last checkpoint"""
     out: Path = Path("runs/train")
-    """folder to write: one folder per seed, policy.safetensors (from the seed with the median
+    """output folder: one folder per seed, policy.safetensors (from the seed with the median
     reward) and summary.json"""
     resume: bool = False
     """continue the training in the folder --out; the options must be the same as at its start"""

@@ -167,7 +167,7 @@ def require_actions(name: str, returned: Any, n: int, count: int) -> NDArray[np.
         )
     if actions.min() < 0 or actions.max() >= count:
         raise ValueError(
-            f"actions of {name}: found {actions.min()} to {actions.max()}, expected 0 to "
-            f"{count - 1}"
+            f"actions of {name}: found {actions.min()} (smallest) and {actions.max()} (largest), "
+            f"expected 0 to {count - 1}"
         )
     return actions

@@ -244,7 +244,7 @@ def localized(args: LogArgs) -> None:
     kind = "smoothed" if args.smoothing else "filtered"
     written = {
         "out": f"{kind} track",
-        "the table of --out": "its standard deviations and modes",
+        "the table of --out": "table of standard deviations and modes",
         "plot": "picture",
     }
     figures = {

@@ -180,31 +180,31 @@ class CorrectorTraining:
 
     def run(self) -> Json:
         """Train to the end; return the outcome from :meth:`Record.close`."""
-        job, record, stand = self._job, self._record, self._record.stand
-        if "state" in stand:
+        job, record, progress = self._job, self._record, self._record.progress
+        if "state" in progress:
             with going_on_from(job.checkpoint):
-                self._restore(stand.pop("state"))
-        while stand["timesteps"] < job.timesteps:
+                self._restore(progress.pop("state"))
+        while progress["timesteps"] < job.timesteps:
             figures = self._update()
-            if stand["update"] % EVALUATE == 0 or stand["timesteps"] >= job.timesteps:
+            if progress["update"] % EVALUATE == 0 or progress["timesteps"] >= job.timesteps:
                 figures |= record.evaluate(self.learner.tensors(), self._table, self._names)
-            record.log.write(figures | {"seconds": record.seconds}, {}, stand["timesteps"])
-            if stand["update"] % job.checkpoint_every == 0:
+            record.log.write(figures | {"seconds": record.seconds}, {}, progress["timesteps"])
+            if progress["update"] % job.checkpoint_every == 0:
                 record.save(state=self._state())
-            self._tell(News(stand["timesteps"]))
+            self._tell(News(progress["timesteps"]))
         return record.close()
 
     def _update(self) -> dict[str, float]:
         """Learn from new episodes at the task's places and in random streets; return the loss."""
-        job, stand = self._job, self._record.stand
+        job, progress = self._job, self._record.progress
         lots = list(self.data.lots())
         if not self.learner.scales:
             lots += [lot for _ in range(FIRST) for lot in self.data.lots()]
             self.learner.measure(lots)
-        rng = np.random.default_rng((job.first_seed, stand["update"]))
-        loss = self.learner.learn(lots, stand["timesteps"] / job.timesteps, rng)
-        stand["timesteps"] += sum(lot.features[..., 0].size for lot in lots)
-        stand["update"] += 1
+        rng = np.random.default_rng((job.first_seed, progress["update"]))
+        loss = self.learner.learn(lots, progress["timesteps"] / job.timesteps, rng)
+        progress["timesteps"] += sum(lot.features[..., 0].size for lot in lots)
+        progress["update"] += 1
         return {"loss": loss}
 
     def _state(self) -> State:

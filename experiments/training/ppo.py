@@ -57,15 +57,15 @@ class PpoTraining(BaseCallback):
 
     def run(self) -> Json:
         """Train to the end; return the outcome from :meth:`Record.close`."""
-        job, model, stand = self._job, self.model, self._record.stand
+        job, model, progress = self._job, self.model, self._record.progress
         model.set_logger(Logger(None, [self._record.log]))
-        if "learner" in stand:
+        if "learner" in progress:
             with going_on_from(job.checkpoint):
-                self._restore(stand.pop("learner"), with_arrays(stand.pop("env")))
+                self._restore(progress.pop("learner"), with_arrays(progress.pop("env")))
         left, fresh = job.timesteps - model.num_timesteps, not model.num_timesteps
         never: Any = None  # stops SB3's own logging; the annotation of log_interval forbids None
         model.learn(left, self, log_interval=never, reset_num_timesteps=fresh)
-        stand["timesteps"] = model.num_timesteps
+        progress["timesteps"] = model.num_timesteps
         self._evaluate()
         model.dump_logs()
         return self._record.close()
@@ -83,16 +83,16 @@ class PpoTraining(BaseCallback):
         return actor_tensors(layers_of(self.model.policy), normal)
 
     def _on_rollout_start(self) -> None:
-        model, job, stand = self.model, self._job, self._record.stand
-        stand["timesteps"] = model.num_timesteps
+        model, job, progress = self.model, self._job, self._record.progress
+        progress["timesteps"] = model.num_timesteps
         hyper = job.hyperparameters
         left = 1.0 - model.num_timesteps / job.timesteps
         model.ent_coef = hyper.ent_coef * falling(hyper.final_fraction, left)
         update = model.num_timesteps // (hyper.num_envs * hyper.n_steps)
-        if update == stand["update"]:
+        if update == progress["update"]:
             return  # the training begins, or continues from a checkpoint
-        stand["update"] = update
-        if update % (LATER if stand["beat_rule"] else EARLY) == 0:
+        progress["update"] = update
+        if update % (LATER if progress["beat_rule"] else EARLY) == 0:
             self._evaluate()
         if update % LOG == 0:
             model.dump_logs()

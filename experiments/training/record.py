@@ -61,7 +61,7 @@ class Record:
         tell: function that is called with :class:`News` of the training.
 
     Attributes:
-        stand: state of the training, by name. "update" and "timesteps" count updates and timesteps.
+        progress: state of the training, by name. "update" counts updates, "timesteps" epochs.
             "best" has results of the best policy so far. "beat_rule" has the timesteps and seconds
             until a policy first beat the paper's rule. "best" and "beat_rule" are None at first.
             "seconds" (wall time) and "rows" (of the log) are from the checkpoint, or 0 and empty.
@@ -75,7 +75,7 @@ class Record:
     def __init__(self, job: Job[Any], tell: Tell) -> None:
         self._begun_s = time.monotonic()
         self._job, self._tell = job, tell
-        self.stand: State = {
+        self.progress: State = {
             "update": 0,
             "timesteps": 0,
             "best": None,
@@ -84,14 +84,14 @@ class Record:
             "rows": [],
         }
         if job.checkpoint.exists():
-            self.stand |= read_checkpoint(job.checkpoint)
+            self.progress |= read_checkpoint(job.checkpoint)
         self._evaluator = Evaluator(job.task, job.episodes)
-        self.log = ProgressLog(job.folder, self.stand["rows"])
+        self.log = ProgressLog(job.folder, self.progress["rows"])
 
     @property
     def seconds(self) -> float:
         """Return the wall time of the training, including time before an interruption."""
-        return float(self.stand["seconds"]) + time.monotonic() - self._begun_s
+        return float(self.progress["seconds"]) + time.monotonic() - self._begun_s
 
     def evaluate(
         self, actor: Tensors, table: Observation, features: Sequence[str] | None = None
@@ -106,19 +106,19 @@ class Record:
         columns = table.columns
         if features is not None:
             columns = tuple(column for column in columns if column.name in features)
-        stand, latest = self.stand, self._job.folder / "latest.safetensors"
+        progress, latest = self.progress, self._job.folder / "latest.safetensors"
         write_bytes(latest, to_bytes(actor, self._card(columns, table.kind, {})))
         figures = self._evaluator.examine(latest)
-        timesteps = stand["timesteps"]
-        if stand["best"] is None or figures["reward"] > stand["best"]["reward"]:
-            stand["best"] = {"timesteps": timesteps, **figures}
+        timesteps = progress["timesteps"]
+        if progress["best"] is None or figures["reward"] > progress["best"]["reward"]:
+            progress["best"] = {"timesteps": timesteps, **figures}
             write_bytes(
-                self._job.policy, to_bytes(actor, self._card(columns, table.kind, stand["best"]))
+                self._job.policy, to_bytes(actor, self._card(columns, table.kind, progress["best"]))
             )
         text = f"reward {figures['reward']:.3f}"
-        if stand["beat_rule"] is None and figures["minus speed-rule"]["ci95"][0] > 0.0:
+        if progress["beat_rule"] is None and figures["minus speed-rule"]["ci95"][0] > 0.0:
             seconds = round(self.seconds, 1)
-            stand["beat_rule"] = {"timesteps": timesteps, "seconds": seconds}
+            progress["beat_rule"] = {"timesteps": timesteps, "seconds": seconds}
             text = f"beats the 2 m/s rule after {timesteps} steps, {seconds} s; {text}"
         means = {
             key: float(value["mean"] if isinstance(value, dict) else value)
@@ -128,17 +128,17 @@ class Record:
         return {f"tuning/{key}": mean for key, mean in means.items()}
 
     def save(self, **more: Any) -> None:
-        """Write the log, and a checkpoint with :attr:`stand` and the entries ``more``."""
+        """Write the log, and a checkpoint with :attr:`progress` and the entries ``more``."""
         self.log.save()
         here = {"seconds": self.seconds, "rows": self.log.rows}
-        write_checkpoint(self._job.checkpoint, self.stand | here | more)
+        write_checkpoint(self._job.checkpoint, self.progress | here | more)
 
     def close(self) -> Json:
         """Write the log and the outcome, delete the checkpoint, and return the outcome."""
         self.log.save()
-        outcome = {"seed": self._job.seed, "timesteps": self.stand["timesteps"]}
+        outcome = {"seed": self._job.seed, "timesteps": self.progress["timesteps"]}
         outcome |= {"seconds": round(self.seconds, 1)}
-        outcome |= {key: self.stand[key] for key in ("beat_rule", "best")}
+        outcome |= {key: self.progress[key] for key in ("beat_rule", "best")}
         write_json(self._job.outcome, outcome)
         self._job.checkpoint.unlink(missing_ok=True)
         return outcome
@@ -153,7 +153,7 @@ class Record:
             radio=", ".join(task.banks),
             algorithm=job.hyperparameters.algorithm,
             seed=job.seed,
-            timesteps=self.stand["timesteps"],
+            timesteps=self.progress["timesteps"],
             command=job.command,
             evaluation=evaluation,
             versions=versions_of("gymnasium", "numpy", "numba", "torch", "stable-baselines3"),

@@ -166,25 +166,25 @@ class RolloutTraining:
 
     def run(self) -> Json:
         """Train to the end; return the outcome from :meth:`Record.close`."""
-        job, record, stand = self._job, self._record, self._record.stand
-        if "learner" in stand:
+        job, record, progress = self._job, self._record, self._record.progress
+        if "learner" in progress:
             with going_on_from(job.checkpoint):
-                self.env.restore(with_arrays(stand.pop("env")))
-                self.learner.restore(stand.pop("learner"))
-                torch.set_rng_state(stand.pop("torch"))
-        while stand["timesteps"] < job.timesteps:
+                self.env.restore(with_arrays(progress.pop("env")))
+                self.learner.restore(progress.pop("learner"))
+                torch.set_rng_state(progress.pop("torch"))
+        while progress["timesteps"] < job.timesteps:
             figures = self._update()
-            if stand["update"] % EVALUATE == 0 or stand["timesteps"] >= job.timesteps:
+            if progress["update"] % EVALUATE == 0 or progress["timesteps"] >= job.timesteps:
                 actor = actor_tensors(self.learner.network, self._normal)
                 figures |= record.evaluate(actor, self.env.observation)
-            record.log.write(figures | {"seconds": record.seconds}, {}, stand["timesteps"])
-            if stand["update"] % job.checkpoint_every == 0:
+            record.log.write(figures | {"seconds": record.seconds}, {}, progress["timesteps"])
+            if progress["update"] % job.checkpoint_every == 0:
                 record.save(
                     env=self.env.state(),
                     learner=self.learner.state(),
                     torch=torch.get_rng_state(),
                 )
-            self._tell(News(stand["timesteps"]))
+            self._tell(News(progress["timesteps"]))
         return record.close()
 
     def _update(self) -> dict[str, float]:
@@ -199,10 +199,10 @@ class RolloutTraining:
                 actions = learner.sampled(env.observations)
                 taken += np.bincount(actions, minlength=len(taken))
                 env.step(actions)
-        stand = self._record.stand
-        left = falling(hyper.final_fraction, 1.0 - stand["timesteps"] / self._job.timesteps)
-        stand["timesteps"] += new
-        stand["update"] += 1
+        progress = self._record.progress
+        left = falling(hyper.final_fraction, 1.0 - progress["timesteps"] / self._job.timesteps)
+        progress["timesteps"] += new
+        progress["update"] += 1
         names = (f"share/{name}" for name in env.observation.actions)
         shares = dict(zip(names, (taken / taken.sum()).tolist(), strict=True))
         return shares | learner.improve(left)

@@ -170,7 +170,7 @@ def wrong_parts(name: str, value: Any, like: Any) -> Iterator[str]:
         for i, (part, wanted) in enumerate(zip(value, like, strict=True)):
             yield from wrong_parts(f"{name}[{i}]", part, wanted)
     elif isinstance(value, bool | TracerCondition):
-        yield f"{name}: a condition, expected a number: where(condition, 1.0, 0.0)"
+        yield f"{name}: a condition, expected a number; convert it with where(condition, 1.0, 0.0)"
     elif not isinstance(value, float | int | Tracer):
         yield f"{name}: {_kind(value)}, expected a number"
 

@@ -1,4 +1,4 @@
-"""The envelope: limits of inputs; filters are accurate even if two inputs are at their limits.
+"""Limits of inputs, within which filters are accurate, even if two inputs are at their limits.
 
 Episodes and filter modes with values beyond the limits are refused. In each filter update, a matrix
 contains ratios of prior variance to noise variance, one per direction of the state. A double has 16

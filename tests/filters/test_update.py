@@ -104,7 +104,7 @@ def link_to_the_east(azimuth_of_arrival, azimuth_of_departure):
 @algorithms
 @pytest.mark.parametrize("arrival", [3.1, -3.1, np.pi, -np.pi])
 @pytest.mark.parametrize("departure", [0.05, -0.05, 0.0])
-def test_fused_azimuths_have_the_nis_of_all_rows_even_across_the_cut(algorithm, arrival, departure):
+def test_fused_azimuths_have_the_nis_of_all_rows_at_180_degrees_too(algorithm, arrival, departure):
     problem = link_to_the_east(arrival, departure)
     ours = problem.ours(ALGORITHMS[algorithm], Gate(None))
     mean, S, _ = textbook.METHODS[algorithm](problem.sensor, problem.x, problem.P)
