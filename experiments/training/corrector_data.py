@@ -1,8 +1,8 @@
 """Episodes for a corrector to learn from: features, and the errors and beliefs of its base.
 
 The *base* is the policy or IMM whose beliefs are corrected. Some episodes are at the places of the
-training (scenes with a radio). In other episodes, these are random: streets, carrier, radio, rate
-of epochs, clock, measured quantities and anchors, and the errors of the receiver's stated noise and
+training (scenes with a radio). In the other episodes, the streets, carrier, radio, rate of epochs,
+clock, measured quantities and anchors are random, and the receiver may err in its noise and
 orientation. Without random episodes, a network memorizes the places.
 """
 
@@ -53,7 +53,7 @@ ORIENTATION_RAD = 0.1  # standard deviation of an orientation that is not known 
 WEAVING = 0.5
 WAYS = 64  # maximum number of weaving trajectories from which the episodes of one Lot are drawn
 WEAVE_S = (8.0, 40.0)  # shortest and longest period of weaving at an episode's highest speed, s
-WEAVE_SLOPE, WEAVE_M = 0.3, 2.5  # limits per axis: velocity over speed, displacement
+WEAVE_SLOPE, WEAVE_M = 0.3, 2.5  # highest sideways velocity / speed, and offset, per axis
 WEAVING_BEHIND_M = (20.0, 60.0)  # distances from walls to streets, for weaving
 
 

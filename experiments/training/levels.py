@@ -110,8 +110,8 @@ def _trained(features: Array, logs: Array, steps: int) -> Network:
 def _constants(network: Network, seed: int, rounds: int) -> Array:
     """Return the constants (kinds, risks, 2) of the calibration.
 
-    A constant is the larger of two: one for the episodes of all places and an extra episode with
-    infinite errors (split conformal prediction, Lee et al. 2023), and the largest for any place.
+    Each place has a constant. All places together have one, too, for which an episode with infinite
+    errors is added (split conformal prediction, Lee et al. 2023). The largest constant is returned.
     """
     over: list[list[Array]] = [[] for _ in range(len(PLACES) * len(KINDS))]
     for i, (features, logs) in enumerate(_played(seed, rounds, KINDS, random_share=0.0)):

@@ -44,7 +44,7 @@ from policies import LearnedSwitch
 from policies.policy_file import Card, to_bytes
 
 SEED = TRAINING_SEED + 8 * SEEDS_EACH  # seed of episodes that no shipped network was trained on
-ROUNDS, PASSES = 16, 8  # rounds of lots to play, and passes over these lots to learn from
+ROUNDS, PASSES = 16, 8  # number of rounds of lots to play, and of passes over all these lots
 TOGETHER = 18  # number of lots whose episodes are mixed
 PARTS = ("x", "error", "mixture", *(f"memory.{gate}" for gate in GATES))
 

@@ -160,9 +160,9 @@ class Engine:
         return io.observations[:, 0], io.outputs[:, 0]
 
     def lead(self, places: Index) -> None:
-        """Run one more epoch at the beginning of episodes, if actions are corrections.
+        """Run the next epoch at the beginning of episodes, if actions are corrections.
 
-        The first action then corrects the belief after the first epoch.
+        An action corrects the belief of the epoch before, so the first one corrects epoch 0.
         """
         if self.batch.ahead:
             self.start(places)
@@ -190,8 +190,8 @@ class Engine:
         An environment that was just loaded ignores its action and starts its episode.
 
         Args:
-            actions: modes, counted from 0. If every mode has its own belief, modes are counted
-                from 1, and action 0 raises the probability of no mode.
+            actions: modes, counted from 0; if every mode has its own belief, counted from 1,
+                where 0 leaves all probabilities as they are.
             output_rows: (k,) indices of the rows to return, for example from :func:`rows_of`.
 
         Returns:

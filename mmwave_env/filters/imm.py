@@ -31,8 +31,8 @@ class ImmSettings(NamedTuple):
 
     transition: list[list[Number]]  # (modes, modes) probabilities over one second, [from, to]
     tunings: list[Tuning]  # motion model of every mode
-    # (groups,) limits of NIS for :func:`~mmwave_env.filters.update.limited_likelihood`, infinite in
-    # the textbook's IMM; (4,) limits for 1 to 4 measured rows if single rows may be missing
+    # limits of the NIS in :func:`~mmwave_env.filters.update.limited_likelihood`: one per group of
+    # measurements or, if single rows may be missing, one per number of rows (1 to 4) in a group
     limits: list[Number]
 
 

@@ -153,7 +153,7 @@ def reward_name(reward: Reward) -> str:
 
 
 def _trial() -> tuple[Belief, Vector]:
-    """Return a belief and a truth whose numbers, like SIMD lanes, can't decide an ``if``."""
+    """Return a belief and a truth to try a reward with; an ``if`` refuses their numbers."""
     numbers: list[Any] = [[0.0] * 7, [[0.0] * 7] * 7, [0.0] * 6]
     x, P, truth = taped(numbers, [])
     return Belief(x, P), truth

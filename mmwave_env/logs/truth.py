@@ -68,8 +68,8 @@ class Truth:
         """Return the error for a track without a match in a log from ``first_s`` to ``last_s``."""
         return ValueError(
             f"{self.path}: found times from {self.first_s!r} to {self.last_s!r} s, expected some "
-            f"within {TOLERANCE_S} s of the log's times ({first_s!r} to {last_s!r} s), or pairs at "
-            f"most {BRIDGED_S:g} s apart with a time of the log between them"
+            f"within {TOLERANCE_S} s of the log's times ({first_s!r} to {last_s!r} s); gaps of at "
+            f"most {BRIDGED_S:g} s are interpolated"
         )
 
     def warn_if_few(self, matched: int, epochs: int, first_s: float, last_s: float) -> None:

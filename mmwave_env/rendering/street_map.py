@@ -16,12 +16,12 @@ from mmwave_env.rendering.history import History
 from mmwave_env.rendering.theme import Color, Theme
 
 _MEMORY_S, _LAG_S = 20.0, 4.0  # length of moving averages, and time constant of their weights
-_AHEAD_S = 4.0  # minimum time in which the user would travel from the center to the upper edge
+_AHEAD_S = 4.0  # the upper edge is at least as far from the center as a user moves in this time
 _LEAST_M = 25.0  # minimum distance from the center to the upper edge
 _INNER = 0.5  # user and estimate stay within this central fraction of the map's height and width
 _STREET_M = 14.0  # width of streets in the picture, if blocks leave enough room
 _FACADE_M = 4.0  # depth of a wall in the picture
-_SAME_HEIGHT_M = 0.1  # tolerance: mirror images in vertical walls are as high as the base station
+_SAME_HEIGHT_M = 0.1  # walls are drawn only for mirror images within this of the station's height
 _TRAIL = 1500  # maximum number of epochs of a trajectory that are drawn
 
 

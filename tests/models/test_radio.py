@@ -76,7 +76,7 @@ def assert_variance(values, variance):
 
 
 def changes(on):
-    """Return two masks: of epochs in a spell, whether it ends next; of others, if one begins."""
+    """Return masks: for epochs in a spell, whether it ends; for others, whether one begins."""
     before, after = on[:-1], on[1:]
     return ~after[before], after[~before]
 
