@@ -78,7 +78,7 @@ class Spec:
         return self._digest({**self.axes, **self.free})
 
     def values_of(self, row: Values) -> Values:
-        """Return a trial's value on every axis; ``row`` (or Optuna) has those of the free axes."""
+        """Return a trial's values on all axes, given those on the free axes (``row``)."""
         values = {axis: value for axis, (value,) in self.axes.items()}
         for axis in self.free:
             value = json.loads(row[axis]) if isinstance(row[axis], str) else row[axis]

@@ -45,7 +45,7 @@ ASIDE = ("jobs", "checkpoint_every", "out", "resume", "overwrite")
 
 
 def rewards(args: TaskArgs) -> Reward:
-    """Return a task's reward, for a paired reward the one before subtraction of the IMM's."""
+    """Return a task's reward; of a paired reward, the one that is computed for agent and IMM."""
     reward = choose(REWARDS, args.reward, "reward")
     if isinstance(reward, PairedReward):
         reward = reward.reward

@@ -28,7 +28,7 @@ def reported(anchor, user):
     return [
         {"arrival": back, "elevation": at_user, "departure": out},
         {"zenith": 90.0 - elevation},
-        {"arrival": 90.0 - out, "departure": 90.0 - back},
+        {"arrival": 63.0 - out, "departure": 63.0 - back, "x_axis": 63.0},
         {"arrival": out - 25.0, "anchor_yaw": 25.0, "departure": back + 70.0, "user_yaw": -70.0},
     ]
 
