@@ -10,7 +10,7 @@ import pytest
 
 
 def fields_named(message: str) -> str:
-    """Return the part of a message that names the field, before " found " or else before ": "."""
+    """Return the field that a message names: its part before " found ", or else before a colon."""
     named, separator, _ = message.partition(" found ")
     return named if separator else message.partition(": ")[0]
 

@@ -71,7 +71,7 @@ def _deviation(computed: Array, expected: Array) -> float:
 
 
 def _episodes(task: Task, episodes: EpisodeBatch) -> float:
-    """Return the deviation of epochs drawn by compiled code from epochs drawn in Python floats."""
+    """Return how much epochs drawn by compiled code differ from epochs drawn in Python floats."""
     source = task.simulated
     begun, world = source.begin(_KEYS), source.world
     settings, blank = source.feed(begun.worlds).settings[:, 0], np.zeros(world.ends[0])

@@ -1,4 +1,4 @@
-"""Tests of beliefs that become NaN: they are counted, cause warnings and make means NaN."""
+"""Tests of beliefs that become NaN: they are counted and cause warnings, and averages are NaN."""
 
 import math
 

@@ -144,7 +144,7 @@ def _anchors(paths: StationPaths, position_m: Array) -> tuple[Array, Index]:
     nowhere = reflected & ~np.isfinite(image).all(axis=-1)
     if nowhere.any():
         n, p = np.argwhere(nowhere)[0].tolist()
-        paths.refuse("inter_pos", n, f"{q[n, p]}, the position", "a point away from it")
+        paths.refuse("inter_pos", n, f"{q[n, p]}, the place", "a point away from the receiver")
     anchors, images = [station], image[reflected]
     leads, tree = np.full(len(images), -1), cKDTree(images)
     for i in range(len(images)):
