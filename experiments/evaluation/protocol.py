@@ -243,8 +243,8 @@ def ranking(entries: Sequence[Json]) -> str:
 def by_site(entries: Sequence[Json]) -> str:
     """Return a Markdown table by site: every entry's reward minus the reward of the best IMM.
 
-    Policy files (for example, of a single training seed) and IMMs are left out if there are other
-    entries; the ranking includes all entries.
+    The best IMM is that of the entry with the most episodes. Policy files (for example, of a single
+    training seed) and IMMs are left out if there are other entries; the ranking has all entries.
     """
     named = {content["entry"]: content["sites"] for content in entries}
     names = {name: at for name, at in named.items() if "/" not in name}
@@ -252,13 +252,11 @@ def by_site(entries: Sequence[Json]) -> str:
     shown = next((some for some in (policies, names) if some.keys() - {CLAIRVOYANT}), named)
     rows = []
     for site in sites():
-        cells = [site.name]
-        for at in shown.values():
-            gains = at[site.name]["minus"]
-            best = min(gains, key=lambda imm: gains[imm]["mean"])
-            cells.append(f"{Interval.of(gains[best])} ({best})")
-        rows.append(cells)
-    return grid(["site", *shown], rows)
+        gains = [at[site.name]["minus"] for at in shown.values()]
+        longest = max(shown.values(), key=lambda at: at[site.name]["episodes"])[site.name]["minus"]
+        best = min(longest, key=lambda imm: longest[imm]["mean"])
+        rows.append([site.name, best, *(Interval.of(gain[best]) for gain in gains)])
+    return grid(["site", "best IMM", *shown], rows)
 
 
 def by_score(entries: Sequence[Json], ceiling: Json) -> str:
