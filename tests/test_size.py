@@ -16,8 +16,8 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "lines of source": 33_925,
-    "tokens of source": 230_605,
+    "lines of source": 33_958,
+    "tokens of source": 230_897,
     "files of source": 241,
     "lines of tests": 24_000,
     "tokens of tests": 215_000,

@@ -34,9 +34,11 @@ def run_live(args: LogArgs) -> None:
     """
     if str(args.log) != "-" or args.scene is None:
         raise ValueError('live: needs "-" (standard input) as the log, and --scene')
-    for name in ("sample", "truth", "out", "plot", "json", "two_way"):
+    for name in ("sample", "truth", "out", "plot", "json", "two_way", "associate", "diagnose"):
         if getattr(args, name) not in (None, (), False):
             raise ValueError(f"{name}: cannot be combined with --live, which only prints JSON")
+    if not args.odometry:
+        raise ValueError("odometry: --live uses the odometry in the rows; leave it out of them")
     require_at_least(0, args, "lag")
     require_one_choice(args)
     clock, levels = clock_from(args.clock), Levels(args.risk, args.levels)
@@ -72,25 +74,33 @@ def _epochs(
     A JSON object is one row, or a whole epoch: {"rows": [...]}. Line 1 must name all columns.
     """
     lines = _lines(stream)
-    number, first = next(lines, (0, ""))
-    if not first.strip():
+    number, first = next(((number, line) for number, line in lines if line.strip()), (0, ""))
+    if not first:
         raise ValueError(f"log: found nothing on {SOURCE}, expected a header or JSON lines")
-    as_json = first.lstrip().startswith("{")
+    as_json, delimiter = first.lstrip().startswith("{"), "," if "," in first else ";"
     if as_json:
         names = dict.fromkeys(name for row in _objects(first, number)[0] for name in row)
         lines = chain([(number, first)], lines)
     else:
-        names = dict.fromkeys(name.strip() for name in next(csv.reader([first])))
-    log = LiveLog([*names], scene, snr_db, SOURCE, clock)
+        header = next(csv.reader([first], delimiter=delimiter))
+        names = dict.fromkeys(name.strip() for name in header)
+    log = LiveLog([*names], scene, snr_db, SOURCE, clock, "," if as_json else delimiter)
     for number, line in lines:
-        try:
-            rows, whole = _objects(line, number) if as_json else ([line], False)
-            for row in rows:
+        rows: list[Any] = [line]
+        whole = False
+        if as_json:
+            try:
+                rows, whole = _objects(line, number)
+            except LogError as error:
+                _warn(error)
+                continue
+        for row in rows:
+            try:
                 yield from log.add(row, number)
-            if whole:
-                yield from log.end_epoch()
-        except LogError as error:
-            _warn(error)
+            except LogError as error:
+                _warn(error)
+        if whole:
+            yield from log.end_epoch()
     yield from log.end_epoch()
 
 
@@ -119,7 +129,7 @@ def _lines(stream: BinaryIO) -> Iterator[tuple[int, str]]:
         try:
             if too_long:
                 raise ValueError(f"more than {LONGEST_LINE} bytes")
-            text = content.decode("utf-8").rstrip("\r\n")
+            text = content.decode("utf-8-sig").rstrip("\r\n")
             if not text.replace("\t", " ").isprintable():
                 raise ValueError("binary data")
         except ValueError:

@@ -37,7 +37,7 @@ from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.linalg import pack
 from mmwave_env.numerics.numbers import Array, Index, Mask
-from mmwave_env.world.episode import Episode, EpisodeBatch
+from mmwave_env.world.episode import Episode, EpisodeBatch, columns_of
 from policies.corrector import Corrector, TwoWayCorrector, learned_policy
 from policies.policy import Policy
 
@@ -296,6 +296,7 @@ def _corrected(
             part.reshape(-1, epochs, part.shape[-1])
             for part in (batch.table, block.smooth_x, block.smooth_P, mixtures, *shown)
         )
+        table[:, 0, columns_of(layout).dt] = 0.0  # as in training, tracks begin with a window
         features = smoothed_features(pipeline, batch._replace(table=table), x, P, mixtures, gates)
         shift, log_factor, trusted = (
             part.astype(float) for part in two_way.correct_tracks(features)

@@ -122,7 +122,11 @@ def _gpx(file: TextIO, origin: Origin, name: str) -> Iterator[Write]:
 
 
 def _iso(moment: float) -> str:
-    return datetime.fromtimestamp(moment, UTC).isoformat(timespec="milliseconds")[:-6] + "Z"
+    try:
+        date = datetime.fromtimestamp(moment, UTC)
+    except (OSError, OverflowError, ValueError) as error:
+        raise ValueError(f"time: found {moment:g} s, expected seconds since 1970") from error
+    return date.isoformat(timespec="milliseconds")[:-6] + "Z"
 
 
 @contextmanager

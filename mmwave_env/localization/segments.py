@@ -94,6 +94,10 @@ def _least_squares(row: LogBlock, sigma: Array, scene: Scene) -> tuple[Array, Ar
     """
     layout, anchors = row.layout, scene.anchors_m
     measured = np.isfinite(row.measurement[0]).astype(float)
+    seen = row.visible[0, : layout.anchors]
+    links = measured[: layout.doppler].reshape(-1, 4)[seen]
+    if not links[:, [1, 3]].any() and _on_a_line(anchors[seen, :2]):
+        return None  # without azimuths, a mirrored position fits as well
     values = np.nan_to_num(row.measurement[0]).tolist()
     visible = row.visible[0].astype(float).tolist()
     noise = np.where(measured > 0.5, sigma**2, 1.0).tolist()
@@ -128,6 +132,12 @@ def _least_squares(row: LogBlock, sigma: Array, scene: Scene) -> tuple[Array, Ar
         if other - cost < _AMBIGUOUS and apart @ np.linalg.solve(covariance[:2, :2], apart) > 16.0:
             return None
     return position, covariance
+
+
+def _on_a_line(points: Array) -> bool:
+    """Tell whether all points (n, 2) are on a straight line, up to 1 % of its length."""
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return len(points) < 3 or bool(spread[1] <= 0.01 * spread[0])
 
 
 def _state(unknown: Array) -> list[float]:

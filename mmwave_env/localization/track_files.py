@@ -147,7 +147,8 @@ def _table_file(path: Path, modes: Sequence[str], corrected: bool, risk: float) 
                 [block.time_s, x[:, :3], sigma[:, :3], x[:, 3:6], sigma[:, 3:]]
             ).tolist()
             levels = gaussian_levels(block.smooth_P, risk) * block.level_factors
-            trusted = [f",{value:.4f}" * corrected for value in block.trusted.tolist()]
+            known = np.where(np.isnan(block.smooth_trusted), block.trusted, block.smooth_trusted)
+            trusted = [f",{value:.4f}" * corrected for value in known.tolist()]
             cells = zip(numbers, block.mode.tolist(), levels.tolist(), trusted, strict=True)
             rows = [row((*n, names[m], *bounds, last)) for n, m, bounds, last in cells]
             with naming(path):

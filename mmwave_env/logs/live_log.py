@@ -44,6 +44,7 @@ class LiveLog:
         names: names of the columns, as in the header of a log.
         scene, snr_db, clock: same as for :func:`~mmwave_env.logs.log.read_log`.
         source: name of the source, for messages.
+        delimiter: character between the cells of a row that is text.
 
     Raises:
         LogError: a column is wrong or missing, or the noise of a quantity is unknown.
@@ -56,14 +57,14 @@ class LiveLog:
         snr_db: float | None = None,
         source: str = "rows",
         clock: bool = False,
+        delimiter: str = ",",
     ) -> None:
         try:
             columns = columns_of(names, scene.hz_per_mps, partial=True)
         except ValueError as error:
             raise LogError(f"{source}: {error}") from error
-        self._log = LogFile(Path(source), columns, len(names))
-        if snr_db is None:
-            require_noise(self._log)
+        self._log = LogFile(Path(source), columns, len(names), delimiter=delimiter)
+        require_noise(self._log, snr_db)
         if clock:
             self._log = with_clock(self._log)
         self._scene, self._snr_db = scene, snr_db
@@ -176,7 +177,8 @@ class LiveLog:
                     )
             if sound := self._sound_numbers(row):
                 return sound
-            row = ",".join(str(nan if row.get(of) is None else row[of]) for of in self._limits)
+            texts = (str(nan if row.get(of) is None else row[of]) for of in self._limits)
+            row = self._log.delimiter.join(texts)
         table = parse_carefully(self._log, [row], number, 0.0)
         cells: list[float] = table.cells[0].tolist() if len(table) else []
         if table.damage or not self._plain(cells):

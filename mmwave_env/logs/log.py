@@ -14,6 +14,7 @@ have a Doppler shift, because it is not known yet which path belongs to the base
 A log may be larger than memory, so it is read in blocks of consecutive epochs.
 """
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -152,8 +153,8 @@ def read_log(
     if epochs_per_block < 1:
         raise ValueError(f"epochs_per_block: found {epochs_per_block}, expected at least 1")
     log = open_log(path, scene.hz_per_mps, odometry, partial=partial)
-    if partial and snr_db is None:
-        require_noise(log)
+    if partial:
+        require_noise(log, snr_db)
     if clock:
         log = with_clock(log)
     layout = Layout(len(scene.anchors_m), "speed" in log.columns, partial, clock)
@@ -181,8 +182,12 @@ def with_clock(log: LogFile) -> LogFile:
     return replace(log, clock=True)
 
 
-def require_noise(log: LogFile) -> None:
-    """Refuse a log with measurements that lack both a standard deviation and an SNR."""
+def require_noise(log: LogFile, snr_db: float | None) -> None:
+    """Refuse measurements with neither a standard deviation nor an SNR, and an infinite SNR."""
+    if snr_db is not None:
+        if not math.isfinite(snr_db):
+            raise LogError(f"snr: found {snr_db} dB, expected a finite number")
+        return
     for quantity in (*ROW_QUANTITIES, STATION, BODY) if "snr" not in log.columns else ():
         if quantity in log.columns and SIGMA_OF[quantity] not in log.columns:
             own = next(iter(QUANTITIES[SIGMA_OF[quantity]].columns))

@@ -264,7 +264,7 @@ MISTAKES = {  # name -> options, expected message
     "window": (["--speed", "1", "--window", "1"], "window: found 1, expected 2 to 20000 epochs"),
     "height": (["--speed", "1", "--height", "nan"], "height: found nan"),
     "two ways and a height": (["--two-way", "--height", "1.5"], "two-way: cannot be combined"),
-    "two ways and one filter": (["--two-way", "--speed", "1"], "two-way: found one belief"),
+    "two ways and one filter": (["--two-way", "--speed", "1"], "two-way: found modes with"),
     "plot": (["--speed", "1", "--plot", "track.gif"], "plot: found track.gif, expected.*png"),
     "one file twice": (["--speed", "1", "--out", "a.tum", "--plot", "a.tum"], "plot: found a.tum"),
 }

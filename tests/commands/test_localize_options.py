@@ -76,6 +76,13 @@ def test_damaged_and_late_rows_are_reported_and_left_out():
     ]  # fmt: skip
 
 
+def test_a_damaged_row_of_an_epoch_loses_no_other_row_and_csv_may_have_semicolons_and_a_mark():
+    damaged = as_json(lines_of()[:31], True).replace(b"}, {", b'}, {"time_s": "x"}, {')
+    positions, errors, code = live(damaged, "--speed", "1")
+    marked = b"\xef\xbb\xbf\n" + first_rows(30).replace(b",", b";")
+    assert code == 0 and len(errors) > 9 and positions == live(marked, "--speed", "1")[0]
+
+
 @pytest.mark.parametrize("content", [b"", b"\n", b"time,mood\n1,2\n", b'{"rows": 5}\n', b"[1]\n"])
 def test_input_that_is_not_a_log_is_refused_in_one_line(content):
     positions, errors, code = live(content)
@@ -84,11 +91,17 @@ def test_input_that_is_not_a_log_is_refused_in_one_line(content):
 
 @pytest.mark.parametrize(
     "more",
-    [("--truth", "t.tum"), ("--out", "t.tum"), ("--sample", "canyon28_vehicle"), ("--lag", "-1")],
+    [
+        ("--truth", "t.tum"),
+        ("--out", "t.tum"),
+        ("--associate",),
+        ("--no-odometry",),
+        ("--lag", "-1"),
+    ],
 )
 def test_options_that_conflict_with_live_are_refused(more):
     _, errors, code = live(first_rows(3), *more)
-    assert code == 2 and more[0].strip("-") in errors[0].split(":")[1]
+    assert code == 2 and more[0].removeprefix("--").removeprefix("no-") in errors[0].split(":")[1]
 
 
 # --- paths without anchor numbers

@@ -125,9 +125,6 @@ def test_a_log_with_sigma_columns_and_missing_quantities_can_be_played_and_writt
     np.testing.assert_array_max_ulp(again.table(), episode.table(), maxulp=2)
 
 
-# --- kinds of folders
-
-
 @pytest.mark.parametrize("name", log_names())
 def test_samples_are_found_by_name_and_by_folder_and_their_layout_is_not_partial(name):
     assert sample_folder(name) == LOGS / name

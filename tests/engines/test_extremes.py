@@ -176,9 +176,6 @@ def test_an_episode_beyond_the_envelope_is_refused(quantity, value, episode):
         quantity.put(episode, value)
 
 
-# --- settings from which episodes are simulated
-
-
 def numbers_of(record):
     """Yield each numeric field's name, its bound, and a function from a number to a field value."""
     for name, hint in hints_of(type(record)).items():

@@ -173,9 +173,6 @@ def test_an_invalid_clock_and_a_clock_that_cannot_be_estimated_are_refused():
         source_from(track, RADIOS["standard"], clock=True)
 
 
-# --- logs
-
-
 @pytest.fixture(scope="module")
 def ride(tmp_path_factory):
     folder = tmp_path_factory.mktemp("ride")

@@ -130,9 +130,6 @@ def test_an_attribute_error_becomes_a_refusal_that_shows_the_line(algorithm, par
     assert isinstance(error.__cause__, AttributeError)
 
 
-# --- signatures, results and arguments
-
-
 def changed(**fields):
     """Return an EKF that applies the given functions to fields of its posterior."""
 
@@ -193,9 +190,6 @@ CHANGES = {"P": widens_the_prior, "measurement": doubts_the_noise}
 @pytest.mark.parametrize(("name", "algorithm"), CHANGES.items(), ids=CHANGES)
 def test_an_algorithm_that_changes_its_arguments_is_refused(name, algorithm):
     assert f"changed its argument {name}" in str(refusal(algorithm))
-
-
-# --- trials: a new pipeline runs its algorithms once, to see whether they can run on lanes
 
 
 def test_making_an_environment_with_an_algorithm_that_cannot_run_is_refused(written):

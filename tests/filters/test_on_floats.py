@@ -97,9 +97,6 @@ def test_a_blockage_aware_mode_inflates_the_noise_of_a_link_with_low_snr(now_db,
     np.testing.assert_allclose(variance, [4.0 * factor] * 4 + [4.0])
 
 
-# --- memory
-
-
 def outcome(nis, accepted, passed=0.0, log_likelihood=0.0, x=(0.0,) * 7):
     return ModeResult(list(x), [], [], [], nis, accepted, passed, log_likelihood)
 
@@ -157,9 +154,6 @@ def test_the_nis_of_outliers_is_limited_to_a_quantile_when_modes_are_compared():
         outcome(nis.tolist(), [], log_likelihood=-50.0), Layout(2).widths
     )
     assert capped == pytest.approx(-50.0 + 0.5 * np.maximum(nis - cap, 0.0).sum())
-
-
-# --- mixtures
 
 
 def run_imm(modes, episode, transition, limits=(np.inf,) * 4):

@@ -117,9 +117,6 @@ def test_a_reward_is_given_by_name_or_as_a_function():
             reward_from(unknown)
 
 
-# --- in the environment
-
-
 def capped(belief, truth):
     return maximum(-belief.distance(truth), -2.0)
 
@@ -192,9 +189,6 @@ def branch(belief, truth):
 def test_the_error_about_an_invalid_reward_function_names_its_file(own):
     with pytest.raises(ValueError, match=rf"^reward {own.__name__} (?s:.)*{Path(__file__).name}"):
         gym.make("MmWaveLoc-v0", reward=own)
-
-
-# --- paired with an IMM
 
 
 SLUGGISH = Mode("sluggish", sigma_v=0.05)  # diverges in about half of all vehicle episodes

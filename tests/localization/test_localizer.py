@@ -22,6 +22,7 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, Scene
 from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource
+from policies.corrector import TWO_WAY, TwoWayCorrector
 from policies.speed_rule import by_odometry_speed, by_predicted_speed
 from tests.filters.tracks import geometry, track
 from tests.logs.by_hand import assert_same, block_of, cut, damaged, track_of
@@ -180,17 +181,25 @@ def test_without_smoothing_the_track_is_the_filtered_track(block):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("modes", "rule"), [((EKF, UKF), by_predicted_speed), (BANK, None)], ids=["rule", "imm"]
+    ("modes", "rule", "two_way"),
+    [((EKF, UKF), by_predicted_speed, None), (BANK, None, None), (BANK, None, TWO_WAY)],
+    ids=["rule", "imm", "two ways"],
 )
 @settings(max_examples=6, deadline=None)
 @given(sizes=st.lists(st.integers(1, T), min_size=1, max_size=5), window=st.integers(2, 300))
-def test_a_track_does_not_depend_on_the_sizes_of_blocks(folder, modes, rule, sizes, window):
+def test_a_track_does_not_depend_on_the_sizes_of_blocks(
+    folder, modes, rule, two_way, sizes, window
+):
     block = log(folder)
     first, second = with_gap(unseen(block, slice(101, 104)), 40.0)
     block = LogBlock.joined([first, *with_gap(second, 20.0, at=30)])
-    expected = run([block], modes, rule, window=window)
-    result = run(cut(block, sizes), modes, rule, window=window)
-    assert_same(result, expected)
+    options = {"window": window, "two_way": two_way and TwoWayCorrector(two_way)}
+    expected = run([block], modes, rule, **options)
+    result = run(cut(block, sizes), modes, rule, **options)
+    if two_way:  # its network computes in single precision
+        np.testing.assert_allclose(result.smooth_x, expected.smooth_x, rtol=0.0, atol=1e-4)
+    else:
+        assert_same(result, expected)
     for name in ("segment", "skipped", "dropped"):
         assert getattr(result, name) == getattr(expected, name)
     assert expected.segment == 2

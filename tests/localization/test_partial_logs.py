@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from mmwave_env.localization.radio_choice import nearest_radio
+from mmwave_env.localization.segments import can_begin
 from mmwave_env.logs.log import read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
+from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import read_scene
 from tests.localization.mistakes import read_columns, write_columns
 from tests.paths import LOGS
@@ -56,7 +58,17 @@ def test_a_log_without_noise_columns_is_refused_unless_an_snr_is_given(tmp_path)
     path = written(tmp_path, ("time_s", "anchor", "toa_s", "aoa_azimuth_rad"))
     with refuses("columns", error=LogError):
         read(path)
+    with refuses("snr", error=LogError):
+        read(path, snr_db=np.nan)
     assert read(path, snr_db=15.0).visible.any()
+
+
+def test_ranges_to_anchors_on_a_line_begin_no_track_because_a_mirrored_one_fits_as_well(tmp_path):
+    names = ("time_s", "anchor", "toa_s", "aoa_elevation_rad", "snr_db")
+    for columns, begins in ((names, False), ((*names, "aoa_azimuth_rad"), True)):
+        block = read(written(tmp_path, columns))
+        starts = (can_begin(block, epoch, SCENE, RADIOS["standard"]) for epoch in range(0, 400, 20))
+        assert any(starts) == begins
 
 
 @pytest.mark.parametrize(

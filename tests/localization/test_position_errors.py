@@ -96,8 +96,6 @@ def test_an_impossible_risk_is_refused(risk):
         require_risk(risk)
 
 
-# --- statistics
-
 ERRORS = hnp.arrays(float, st.tuples(st.integers(1, 60), st.just(3)), elements=st.floats(-50, 50))
 
 

@@ -32,8 +32,6 @@ from tests.logs.by_hand import (
 )
 from tests.logs.writing import write_log
 
-# --- reading
-
 
 def test_every_number_is_read_into_its_array(tmp_path):
     block = read(store(tmp_path, text(rows())))

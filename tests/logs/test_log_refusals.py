@@ -27,8 +27,6 @@ from tests.logs.by_hand import (
 from tests.logs.writing import write_log
 from tests.refusals import refuses
 
-# --- damaged rows and headers
-
 
 def edit(row, column, value):
     """Return a function that changes a cell in a row; row 0 is line 2, which follows the header."""

@@ -77,9 +77,6 @@ def assembled(tensors=TENSORS, card=None, **changes):
     return save(tensors, document(tensors, card, **changes))
 
 
-# --- valid files
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_policy_file_is_read_back_as_it_was_written(path, kind):
     tensors, card = KINDS[kind]
@@ -114,9 +111,6 @@ def test_a_policy_with_beliefs_per_mode_has_one_more_action_than_modes(path):
     for actions in (3, 5):
         tensors = actor(**SMALL, actions=actions)
         refused(path, assembled(tensors, PER_MODE_CARD.as_json()), "layer.1.weight")
-
-
-# --- damage
 
 
 def read_or_refused(path, content):

@@ -142,8 +142,6 @@ def test_the_normalization_is_measured_on_observations_of_the_environment():
     assert (normal.high - normal.mean) / normal.sigma == pytest.approx(6.0, rel=1e-4)
 
 
-# --- several places as one vector environment
-
 PAIR = MODES[:2]  # fast to compile
 SLOWER = Bank(tuple(replace(mode, sigma_v=0.5 * mode.sigma_v) for mode in PAIR), None, 0.99)
 TASK = task(banks={"handset": Bank(PAIR), "standard": SLOWER})

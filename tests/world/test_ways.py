@@ -105,9 +105,6 @@ def test_several_ways_are_refused_where_a_single_trajectory_is_expected(tmp_path
         read_trajectory(path)
 
 
-# --- scenarios
-
-
 @pytest.mark.parametrize(("name", "as_type"), [("ways.csv", Path), ("WAYS.CSV", str)])
 def test_a_csv_file_given_as_scenario_is_read_as_ways(tmp_path, name, as_type):
     path = write(tmp_path, {"a": straight(3)}).rename(tmp_path / name)
