@@ -11,7 +11,7 @@ from mmwave_env.filters.bank import Bank, best_bank
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import TrackingReward
-from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.radio import TUNED_RADIOS
 from tests.filters.gated_textbook import textbook_imm
 from tests.filters.tracks import STREET, simulated, track, unpacked
 
@@ -36,7 +36,7 @@ def played(bank, episodes, actions, *names, planar=False, on_floats=False):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("dt", [1.0, 0.1])
-@pytest.mark.parametrize("radio", RADIOS)
+@pytest.mark.parametrize("radio", TUNED_RADIOS)
 def test_trusting_no_mode_equals_the_imm(radio, dt):
     bank, episodes = best_bank(radio), in_steps_of(dt, simulated(9, epochs=200))
     ours = played(bank, episodes, np.zeros((9, 200), int), "x", "P", "reward", "nees")

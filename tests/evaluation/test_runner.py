@@ -16,7 +16,7 @@ from experiments.evaluation.seeds import Selection, draw_episodes
 from mmwave_env.filters.bank import bank_as_written, best_bank, modes_from
 from mmwave_env.interface.observation import BELIEFS
 from mmwave_env.metrics import BURN_IN, INFO_KEYS, METRICS
-from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.radio import RADIOS, TUNED_RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.simulated import SimulatedSource
 from policies import learned
@@ -78,7 +78,7 @@ def test_scores_depend_neither_on_the_chunk_size_nor_on_other_seeds_or_contender
     assert (whole["fixed-ekf"]["ate_m"] != whole["fixed-ukf"]["ate_m"]).all()
 
 
-@pytest.mark.parametrize("radio", RADIOS)
+@pytest.mark.parametrize("radio", TUNED_RADIOS)
 def test_every_radio_has_the_expected_contenders(radio):
     made = {name: make() for name, make in contenders(radio).items()}
     plain = ["fixed-ekf", "fixed-ukf", "fixed-ckf", "speed-rule", "likelihood-rule"]

@@ -8,14 +8,14 @@ import pytest
 
 from mmwave_env.localization.contradictions import contradictions
 from mmwave_env.logs.log import read_log
-from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.radio import RADIOS, TUNED_RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.simulated import SimulatedSource
 from tests.localization.test_diagnosis import doubts
 from tests.logs.writing import write_log
 
 KINDS = ("pedestrian", "vehicle", "walk-ride", "jam", "cyclist")
-WORLDS = list(product(RADIOS.values(), SCENES.values(), KINDS))
+WORLDS = list(product([RADIOS[name] for name in TUNED_RADIOS], SCENES.values(), KINDS))
 SCENE, RADIO = SCENES["street"], RADIOS["standard"]
 # figures of a group (an anchor's link or the Doppler shift) that fits the track
 FINE = {"seen": 200, "rejected_share": 0.1, "nis_per_dof": 1.0}

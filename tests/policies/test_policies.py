@@ -11,7 +11,7 @@ from mmwave_env.filters.bank import modes_from
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation
 from mmwave_env.models.layout import Layout
-from mmwave_env.models.radio import RADIOS, radio_from
+from mmwave_env.models.radio import TUNED_RADIOS, radio_from
 from mmwave_env.models.scene import scene_from
 from mmwave_env.world.episode import blank_incoming
 from mmwave_env.world.simulated import SimulatedSource
@@ -99,7 +99,7 @@ def test_the_speed_rules_for_single_tracks_switch_at_the_threshold_of_the_paper(
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:speed .* is outside the design window")
-@pytest.mark.parametrize("radio", RADIOS)
+@pytest.mark.parametrize("radio", TUNED_RADIOS)
 def test_no_threshold_of_the_speed_rule_beats_zero(radio):
     """Compare thresholds (m/s) on tuning seeds; with zero, the rule acts like `fixed-ukf`."""
     source = SimulatedSource(scene_from("street"), radio_from(radio))
