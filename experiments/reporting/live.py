@@ -14,10 +14,12 @@ from mmwave_env.io.files import Json, parse_json
 from mmwave_env.io.lookup import printable, quoted
 from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.radio_choice import nearest_radio
+from mmwave_env.localization.segments import can_begin
 from mmwave_env.localization.tracker import Position, Tracker
 from mmwave_env.logs.live_log import LiveEpoch, LiveLog
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.layout import clock_from
+from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import Scene, scene_from
 
 LONGEST_LINE = 1 << 16  # bytes; a longer line causes a warning and is left out
@@ -48,6 +50,8 @@ def run_live(args: LogArgs) -> None:
         if tracker is None:
             block = epoch.block()
             radio = nearest_radio(block, scene) if args.radio == AUTO else args.radio
+            if not can_begin(block, 0, scene, radio_from(radio)):
+                continue
             choice = choice_of(args, radio, block)
             tracker = Tracker(
                 scene, choice.switching, radio, height_m=args.height, lag=max(args.lag, 1),
@@ -59,6 +63,8 @@ def run_live(args: LogArgs) -> None:
             late = tracker.smoothed() if args.lag else None
             content = _content(position) | ({"smoothed": _content(late)} if late else {})
             print(json.dumps(content), flush=True)
+    if tracker is None:
+        _warn(f"{SOURCE}: found no epoch that determines a position")
 
 
 def _content(position: Position) -> Json:

@@ -12,17 +12,14 @@ from mmwave_env.engines.track_engine import Rule
 from mmwave_env.filters.bank import Bank, bank_from, modes_from
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS, Mode, robust
 from mmwave_env.io.lookup import choose
-from mmwave_env.localization.localizer import Switching
+from mmwave_env.localization.localizer import Switching, default_policy
 from mmwave_env.logs.lines import number
 from mmwave_env.logs.log import LogBlock
 from policies.speed_rule import SLOW_MPS, by_odometry_speed, by_predicted_speed, mode_at
 
-DEFAULT_POLICY = "corrector"
 # "corrector" corrects the beliefs of the policy "guided". Without elevations, "guided" chooses
 # wrong modes too often for either to be useful (docs/learning.md).
 WITHOUT_ELEVATIONS = "imm-best"
-# Default for a given height: "corrector" reads the deviation of an estimated height
-WITH_HEIGHT = "guided"
 RULES: dict[str, tuple[Rule, str]] = {  # --follow -> (rule, words before "speed" in reports)
     "prediction": (by_predicted_speed, "the predicted"),
     "odometry": (by_odometry_speed, "odometry's"),
@@ -84,7 +81,7 @@ def choice_of(args: LogArgs, radio: str, block: LogBlock) -> Choice:
         if args.policy is None and not np.isfinite(elevations).any():
             why = f"of {WITHOUT_ELEVATIONS} (no elevations), weighted by their probability"
             return Choice(Switching(_bank(WITHOUT_ELEVATIONS, radio)), why)
-        name = args.policy or (DEFAULT_POLICY if args.height is None else WITH_HEIGHT)
+        name = args.policy or default_policy(args.height)
         contender = contender_from(name, radio)
         bank_or_modes = contender.bank if contender.mixes else contender.modes
         switching = Switching(bank_or_modes, None, contender.policy, contender.observation)

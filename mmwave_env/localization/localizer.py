@@ -137,6 +137,14 @@ class Switching:
         return Tracker(pipeline, 1, self.rule)
 
 
+def default_policy(height_m: float | None) -> str:
+    """Return the name of the policy that is used if none is named.
+
+    ``corrector`` reads the standard deviation of the height, which is 0 where the height is known.
+    """
+    return "corrector" if height_m is None else "guided"
+
+
 def learned(path: str | os.PathLike[str], radio: str) -> Switching:
     """Return the modes and the policy of a policy file, or of a shipped policy.
 

@@ -225,7 +225,8 @@ def segments(blocks: Iterable[LogBlock], scene: Scene, radio: Radio) -> Iterator
             f"log: found {skipped} epochs, none of which determines a position, expected one in "
             f"which anchor 1 has a range of at least {RANGE_LIMITS_M[0]:g} m, an SNR and all "
             f"angles (elevation at most {np.degrees(STEEPEST_FIX_RAD):g} degrees) or, if columns "
-            "are missing or the clock has an offset, in which all links determine one position"
+            "are missing or the clock has an offset, in which all links determine one position "
+            "(without azimuths, anchors on a line determine two)"
         )
     yield held
 

@@ -12,6 +12,7 @@ from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.localizer import (
     CORRECTED,
     Switching,
+    default_policy,
     episode_from,
     filtered_of,
     learned,
@@ -78,7 +79,8 @@ class Tracker:
 
     Args:
         scene: scene whose anchors are measured: a name, a JSON file or a Scene.
-        policy: policy file, name of a shipped policy, or a :class:`Switching` between modes.
+        policy: policy file, name of a shipped policy, or a :class:`Switching` between modes; None
+            for :func:`~mmwave_env.localization.localizer.default_policy`.
         radio: profile of the receiver.
         snr_db: SNR to assume for links without an SNR.
         height_m: height of flat terrain, if it is known.
@@ -90,7 +92,7 @@ class Tracker:
     def __init__(
         self,
         scene: str | Path | Scene,
-        policy: str | Path | Switching = "corrector",
+        policy: str | Path | Switching | None = None,
         radio: str | Path | Radio = "handset",
         snr_db: float | None = None,
         height_m: float | None = None,
@@ -101,9 +103,9 @@ class Tracker:
         self._levels = levels
         self._clock = clock_from(clock)
         self._scene, self._radio = scene_from(scene), radio_from(radio)
-        self._switching = (
-            policy if isinstance(policy, Switching) else learned(policy, self._radio.name)
-        )
+        if not isinstance(policy, Switching):
+            policy = learned(policy or default_policy(height_m), self._radio.name)
+        self._switching = policy
         self._snr_db, self._height_m = snr_db, height_m
         self._log: LiveLog | None = None
         self._filter: Any = None
@@ -118,7 +120,8 @@ class Tracker:
 
         Args:
             rows: mappings, one per anchor, whose keys are names of columns (docs/data.md). If a
-                value was not measured, it is None or its key is missing.
+                value was not measured, it is None or its key is missing; but the first epoch with
+                rows must have the keys of all columns.
 
         Returns:
             The belief. It is None before the first epoch that determines a position, and after a
@@ -129,6 +132,8 @@ class Tracker:
                 of the call are ignored, so the caller may repair the row and pass all rows again.
         """
         rows, position = list(rows), None
+        if not rows:
+            return None
         if self._log is None:
             names = dict.fromkeys(name for row in rows for name in row)
             self._log = LiveLog(list(names), self._scene, self._snr_db, clock=self._clock)

@@ -74,7 +74,7 @@ class ClockOffset(NamedTuple):
 def clock_offset(
     log: LogBlock, scene: Scene, truth_at: Callable[[Array], TrueEpochs]
 ) -> ClockOffset | None:
-    """Estimate the offset; return None if there are too few data or the velocity never changes.
+    """Estimate the offset; return None if too few data or constant velocity do not determine it.
 
     ``truth_at`` maps times (T,), by the clock of the track, to true positions.
     """
@@ -87,13 +87,13 @@ def clock_offset(
     for _ in range(_ROUNDS):
         estimate = _linear(log, scene, truth_at(log.time_s + seconds))
         if estimate is None or abs(seconds + estimate[0].seconds) > _FARTHEST_S:
-            return first
+            return None
         left, moved = estimate
         seconds += left.seconds
         if abs(left.seconds) < 0.1 * left.deviation_s:
             break
     else:
-        return first
+        return None
     if abs(seconds - first.seconds) < left.deviation_s:
         return first
     noise = np.nanmean((moved / deviation) ** 2)
