@@ -94,9 +94,9 @@ def _least_squares(row: LogBlock, sigma: Array, scene: Scene) -> tuple[Array, Ar
     """
     layout, anchors = row.layout, scene.anchors_m
     measured = np.isfinite(row.measurement[0]).astype(float)
-    seen = row.visible[0, : layout.anchors]
-    links = measured[: layout.doppler].reshape(-1, 4)[seen]
-    if not links[:, [1, 3]].any() and _on_a_line(anchors[seen, :2]):
+    has_link = row.visible[0, : layout.anchors]
+    links = measured[: layout.doppler].reshape(-1, 4)[has_link]
+    if not links[:, [1, 3]].any() and _on_a_line(anchors[has_link, :2]):
         return None  # without azimuths, a mirrored position fits as well
     values = np.nan_to_num(row.measurement[0]).tolist()
     visible = row.visible[0].astype(float).tolist()
