@@ -18,6 +18,7 @@ with suppress(ImportError):  # systems without fork lack this module, too
     import resource
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")]
+SIGNALS = {signal.SIGINT, signal.SIGTERM}
 HITS, TRIES = 3, 15  # required number of interruptions of a command, maximum number of tries
 PRINTED = "printed.txt"  # file with a command's output, outside the folder where it runs
 LOG, SCENE = (str(LOGS / "canyon28_vehicle" / name) for name in ("log.csv", "scene.json"))
@@ -53,8 +54,11 @@ def contents(folder):
 def begun(words, folder, most):
     """Start a command that may write ``most`` bytes per file (None: any number); return its PID."""
     (folder.parent / PRINTED).write_text("")
+    # A signal that comes before the child has its own handlers would raise an error in pytest.
+    signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     child = os.fork()
     if child:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
         return child
     code = 1
     try:
@@ -62,6 +66,7 @@ def begun(words, folder, most):
         os.chdir(folder)
         signal.signal(signal.SIGINT, signal.default_int_handler)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
         output = os.open(f"../{PRINTED}", os.O_WRONLY)
         os.dup2(output, 1)
         os.dup2(output, 2)
