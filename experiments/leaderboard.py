@@ -55,6 +55,8 @@ def main(args: Args) -> None:
     from mmwave_env.io.files import write_json, write_text
 
     require_at_least(2, args, "episodes", "draws")
+    if args.out.is_file():
+        raise ValueError(f"out: found the file {args.out}, expected a folder")
     page = page_to_renew(args.docs) if args.docs else ""
     protocol.require_contenders(args.policies)
     groups = [args.policies] if args.policies else []

@@ -16,8 +16,8 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "lines of source": 33_975,
-    "tokens of source": 230_967,
+    "lines of source": 33_977,
+    "tokens of source": 230_981,
     "files of source": 241,
     "lines of tests": 24_000,
     "tokens of tests": 215_000,

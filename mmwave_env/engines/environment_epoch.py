@@ -172,12 +172,12 @@ def per_mode_epoch(
         reported = Reported(
             belief.x, pack(belief.P), scored, w.memory, w.mode_probabilities, earned
         )
-    probabilities = mixture.probability
     memory = most_probable_memory(mixture)._replace(preference=w.memory.preference)
 
     is_first, prior = w.is_first > 0.5, begin(pipeline, w.site.prior_x, w.site.prior_P)
     x, P, memory = begun(w, x, pack(covariance), memory, pipeline)
     mixture = select(is_first, prior, mixture)
+    probabilities = mixture.probability
     coming = w.incoming.epoch(layout)
     mixture, predicted, _, results = imm_epoch(pipeline, w.settings, mixture, coming, w.site)
     coming = with_expected_spread(coming, x[3:6], w.site)
