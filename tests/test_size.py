@@ -16,8 +16,8 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "lines of source": 33_977,
-    "tokens of source": 230_981,
+    "lines of source": 33_979,
+    "tokens of source": 230_984,
     "files of source": 241,
     "lines of tests": 24_000,
     "tokens of tests": 215_000,
@@ -37,7 +37,7 @@ ROOMS = {  # maximum lines of source in a folder
     "mmwave_env/datasets": 1_645,
     "mmwave_env/engines": 2_245,
     "mmwave_env/filters": 2_385,
-    "mmwave_env/localization": 2_852,
+    "mmwave_env/localization": 2_854,
     "mmwave_env/world": 2_135,
 }
 SOURCE = ("mmwave_env", "experiments", "policies")

@@ -136,8 +136,10 @@ def _least_squares(row: LogBlock, sigma: Array, scene: Scene) -> tuple[Array, Ar
 
 def _on_a_line(points: Array) -> bool:
     """Tell whether all points (n, 2) are on a straight line, up to 1 % of its length."""
+    if len(points) < 3:
+        return True
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return len(points) < 3 or bool(spread[1] <= 0.01 * spread[0])
+    return bool(spread[1] <= 0.01 * spread[0])
 
 
 def _state(unknown: Array) -> list[float]:
