@@ -20,7 +20,7 @@ SUMS = 7
 # divided by the variance along the longer axis of the error ellipse, lies between these numbers:
 # NARROWEST if the shorter axis is 0, WIDEST if both axes are equal.
 NARROWEST, WIDEST = NormalDist().inv_cdf(0.5 * RISK) ** 2, -2.0 * math.log(RISK)
-ANGLES, LEAST = 64, 1e-12  # for exceeds(): number of angles per quadrant, smallest variance (m^2)
+ANGLES, LEAST = 16, 1e-12  # for exceeds(): number of angles per quadrant, smallest variance (m^2)
 
 
 class Counts(NamedTuple):
@@ -118,7 +118,7 @@ def count(counts, e, k, x, y, z, nees):  # type: ignore[no-untyped-def]
         sums[INSIDE] += 1.0
     if squared > sums[LARGEST] or math.isnan(squared):  # once NaN, it stays NaN
         sums[LARGEST] = squared
-    now = errors[k % second]
+    now = errors[k % second if second > 1 else 0]  # most epochs last 1 s; a division takes longer
     if k >= BURN_IN + second:
         u, v, w = x - now[0], y - now[1], z - now[2]
         sums[CHANGE] += math.sqrt(u * u + v * v + w * w)
@@ -133,10 +133,10 @@ def exceeds(x, y, xx, xy, yy):  # type: ignore[no-untyped-def]
     a probability below RISK. Most errors are so small or so large that this probability need not be
     integrated; :mod:`mmwave_env.localization.position_errors` explains the integral.
     """
-    squared, middle = x * x + y * y, 0.5 * (xx + yy)
-    if squared <= NARROWEST * middle:
+    squared, middle, slope = x * x + y * y, 0.5 * (xx + yy), 0.5 * (xx - yy)
+    half = math.sqrt(slope * slope + xy * xy)
+    if squared <= NARROWEST * (middle + half):
         return 0.0
-    half = math.hypot(0.5 * (xx - yy), xy)
     if squared > WIDEST * (middle + half):
         return 1.0
     larger = 0.0

@@ -155,18 +155,16 @@ def _step_blocks(  # type: ignore[no-untyped-def]
     _, rewards, _, truncated, accepted, rejected, costs = result
     ended = 0
     for e in range(first, last):
-        rewards[e] = outputs[e, 0, columns.reward]
+        rewards[e], i, c = outputs[e, 0, columns.reward], columns.error, columns.covariance
+        x, y, z = outputs[e, 0, i], outputs[e, 0, i + 1], outputs[e, 0, i + 2]
         k = epoch[e] - 2 - ahead  # the epoch that the action completed
         if k >= 0:
-            i = columns.error
-            x, y, z = outputs[e, 0, i], outputs[e, 0, i + 1], outputs[e, 0, i + 2]
             count(counts, e, k, x, y, z, outputs[e, 0, columns.nees])
             if k < len(counts.modes):
                 counts.modes[k, e] = actions[e]
         if len(costs):
-            i, c = columns.error, columns.covariance
             xx, xy, yy = outputs[e, 0, c], outputs[e, 0, c + 1], outputs[e, 0, c + 2]
-            costs[e] = exceeds(outputs[e, 0, i], outputs[e, 0, i + 1], xx, xy, yy)
+            costs[e] = exceeds(x, y, xx, xy, yy)
         for g in range(accepted.shape[1]):
             accepted[e, g] = outputs[e, 0, columns.accepted + g] > 0.5
             rejected[e, g] = outputs[e, 0, columns.rejected + g] > 0.5
