@@ -31,8 +31,8 @@ from mmwave_env.world.simulated import SimulatedSource
 from mmwave_env.world.trajectory import Scenario
 
 EPISODE_STEPS = 200
-# function that receives the table of the observed features and returns an agent, which is a
-# function from observations (n, features) to actions (n,)
+# function that makes an agent: from the description of the features (which is in which column), it
+# makes a function from observations (n, features) to actions (n,)
 Base = Callable[[Observation], Callable[[NDArray[np.float32]], Any]]
 
 
@@ -45,7 +45,7 @@ class Task:
     pipeline: Pipeline
     bank: Bank | None  # modes and transition probabilities; None if modes share a belief
     reward: Reward  # function of (belief, truth)
-    baseline: Bank | None  # bank of the IMM whose reward a paired reward subtracts, or None
+    baseline: Bank | None  # bank of the IMM whose reward is subtracted; None if unpaired
     # reward of each epoch that remains after a divergence; None if divergence does not end episodes
     worst: float | None
     action: str = MODE  # kind of actions
@@ -134,7 +134,7 @@ def task_from(**arguments: Any) -> Task:
     known = [field.name for field in fields(TaskArguments)]
     for name in arguments:
         if name not in known:
-            # commands and ``compare`` call this argument "data"
+            # mmwave-loc and its function ``compare`` call this argument "data"
             hint = did_you_mean("episodes" if name == "data" else name, known)
             raise TypeError(  # some libraries look for these words, as in Python's own message
                 f"got an unexpected keyword argument {name!r}, expected one of "

@@ -74,8 +74,8 @@ def compare(
 
     Returns:
         The metrics of all contenders, and paired differences: each of the user's agents against
-        every other contender, and known contenders against each other as in ``mmwave-loc
-        compare``. ``print`` shows them as Markdown.
+        every other contender, and the pairs of known contenders that ``mmwave-loc compare``
+        shows. ``print`` shows them as Markdown.
 
     Raises:
         ValueError: ``policies`` is not a dict; ``episodes`` is not a number; a scenario, radio or

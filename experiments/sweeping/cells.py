@@ -72,7 +72,7 @@ def _row(figures: Mapping[str, float]) -> Row:
 
 
 def training_of(values: Values) -> tuple[Training, Hyperparameters]:
-    """Return a cell's options of `train`, and shipped hyperparameters with the cell's changes."""
+    """Return the options that a cell gives to `train`, and hyperparameters; a cell sets some."""
     options, changed = dict[str, Any](), dict[str, Any]()
     for axis, value in values.items():
         name = axis.removeprefix(HYPERPARAMETER)
@@ -87,8 +87,8 @@ def kept(folder: Path, spec: Spec) -> set[str]:
     for name in names:
         if not (name.startswith(spec.trial) if spec.free else name in spec.cells):
             raise ValueError(
-                f"{folder / name}.parquet: found a row of another sweep or version, or from before "
-                "a file of the sweep was changed; choose another folder with --out"
+                f"{folder / name}.parquet: found a row of another sweep, of another version, or of "
+                "this sweep before one of its files changed; choose another folder with --out"
             )
     return names
 

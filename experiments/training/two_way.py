@@ -26,9 +26,9 @@ from experiments.training.levels import PLACES
 from experiments.training.training_task import TrainingTask, banks_of, places_from
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import run_imm
-from mmwave_env.engines.mode_smoothing import smooth_modes
 from mmwave_env.engines.smoothed_features import GATES, smoothed_features
 from mmwave_env.filters.bank import Bank
+from mmwave_env.filters.mode_smoothing import smooth_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import columns_of as columns_shown
 from mmwave_env.interface.reward import TrackingReward

@@ -87,9 +87,9 @@ class Track(ABC):
         """Return the epochs of the track, all or a slice, as an episode with known true positions.
 
         The prior is drawn around the true state. If the bias of the oscillator is unknown, the mean
-        of its prior is 0. If the layout has a clock, the ranges of a recording get the bias that a
-        clock offset causes; it is drawn from its own random stream. The ranges of a measured track
-        already contain such a bias.
+        of its prior is 0. If the user's clock has an unknown offset, a range bias is drawn from a
+        random stream of its own, and added to the ranges of a recording. The ranges of a measured
+        track already contain such a bias.
 
         Raises:
             ValueError: the true position in an epoch is not known.
@@ -237,8 +237,8 @@ class TrackSource:
         track: a measured track, whose measurements are the same in each episode; or a recording
             of the channel, from which each episode draws new noisy measurements.
         radio: profile of the receiver, or its name.
-        epochs: length of an episode, a window drawn at random from all stretches; None if every
-            episode is the whole longest stretch.
+        epochs: length of an episode; each episode is a window drawn at random from all stretches.
+            None if each episode is the longest stretch, from beginning to end.
         measurements: names of the measurements to use; None for all.
         clock: whether the user's clock has an unknown offset.
 

@@ -44,8 +44,8 @@ class Batch(Generic[Workspace]):
         input_rows: indices of the workspace's rows that receive an input in every epoch.
         on_floats: whether to run in plain Python instead of on SIMD lanes.
         threads: maximum number of threads in use; results do not depend on it.
-        ahead: number of epochs, after the first, to run before the first action: 1 if an action
-            corrects the belief of the second-to-last filtered epoch, else 0.
+        ahead: number of further epochs to run after an episode's first, before the first action: 1
+            if actions are corrections (filters are then an epoch ahead of the corrected belief).
 
     Attributes:
         at: workspace whose leaves are row indices; :meth:`read` and :meth:`write` take parts of it.

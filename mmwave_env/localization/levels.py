@@ -31,7 +31,7 @@ from mmwave_env.numerics.numbers import Array
 # parts of a filter's state from which the network's inputs, the features, are computed
 PARTS = ("x", "P", "memory.nis", "memory.accepted", "memory.rejected")
 CALIBRATED, GAUSSIAN = KINDS = ("calibrated", "gaussian")
-_MEMORY = np.array([[0.6], [0.9], [0.97]])  # weights of the past, per second, in running means
+_MEMORY = np.array([[0.6], [0.9], [0.97]])  # in running means: weight of the past after 1 s
 _LEAST, _LEAST_S = 1e-9, 1e-2  # lower limits, so that logarithms and quotients are finite
 _KIND = [18, 20]  # indices of two 0/1 features: presence of a corrector and of a bank of modes
 

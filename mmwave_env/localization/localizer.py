@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 
 from mmwave_env.engines.imm_engine import ImmTracker
-from mmwave_env.engines.mode_smoothing import smooth_modes
 from mmwave_env.engines.policy_tracker import PolicyTracker
 from mmwave_env.engines.replay import smooth
 from mmwave_env.engines.smoothed_features import smoothed_features
 from mmwave_env.engines.track_engine import EpisodeFilter, Rule, Tracker
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.correction import corrected_all
+from mmwave_env.filters.mode_smoothing import smooth_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import SMOOTHING_WINDOW

@@ -51,7 +51,7 @@ def gives_fix(links: Array) -> Mask:
 
 
 def first_fix(block: LogBlock, epoch: int, scene: Scene, radio: Radio) -> Fix | None:
-    """Return the first position that an epoch of a block determines, or None if it determines none.
+    """Return a position to begin a track with, or None if an epoch of a block determines none.
 
     A complete link of the base station is used even if it is steeper than :func:`can_begin` allows.
     """
@@ -116,7 +116,7 @@ def _least_squares(row: LogBlock, sigma: Array, scene: Scene) -> tuple[Array, Ar
         e = np.array([value for link in links for value in link.innovation])
         H = np.array([[g[i] for i in unknown] for link in links for g in link.jacobian])
         w = 1.0 / np.array([value for link in links for value in link.variance])
-        azimuth_nis = sum(float(link.spare_nis) for link in links)  # NIS of azimuth differences
+        azimuth_nis = sum(float(link.spare_nis) for link in links)  # NIS of arrival minus departure
         away = center - position
         cost = float((w * e * e).sum() + (weight * away * away).sum()) + azimuth_nis
         return cost, H.T @ (w * e) + weight * away, (H.T * w) @ H + np.diag(weight)
@@ -224,11 +224,11 @@ def segments(blocks: Iterable[LogBlock], scene: Scene, radio: Radio) -> Iterator
         raise
     if not held:
         raise ValueError(
-            f"log: found {skipped} epochs, none of which determines a position, expected one in "
-            f"which anchor 1 has a range of at least {RANGE_LIMITS_M[0]:g} m, an SNR and all "
-            f"angles (elevation at most {np.degrees(STEEPEST_FIX_RAD):g} degrees) or, if columns "
-            "are missing or the clock has an offset, in which all links determine one position "
-            "(without azimuths, anchors on a line determine two)"
+            f"log: found {skipped} epochs, none of which determines a position, expected an epoch "
+            f"in which anchor 1 has a range of at least {RANGE_LIMITS_M[0]:g} m, an SNR and all "
+            f"angles (elevation at most {np.degrees(STEEPEST_FIX_RAD):g} degrees). If columns are "
+            "missing or the clock has an offset, the links of an epoch must together determine a "
+            "single position (without azimuths, anchors on a line leave two)"
         )
     yield held
 

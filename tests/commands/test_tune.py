@@ -69,7 +69,7 @@ def test_a_tuned_bank_of_modes_is_written_with_its_results_on_held_out_episodes(
         (["--scenarios", "vehicle"], "scenarios: found 1, expected 2, one for each.*ekf, ukf"),
         (["--free", "gate"], "free: found 'gate', expected one of sigma_p, sigma_v"),
         (["--free", "sigma_v", "sigma_v"], "free: .*different names"),
-        (["--bank", "--episodes", "12"], "found 2 for each scene and step, expected 3 or more, 18"),
+        (["--bank", "--episodes", "12"], "expected 3 or more, 18"),
         (["--bank", "--free", "sigma_v"], "free: cannot be combined with --bank"),
         (["--radio", "my.json", "--out", "my.json"], "out: found my.json, which is the radio"),
     ],
@@ -86,7 +86,7 @@ def marked(file):
 @pytest.mark.slow
 @pytest.mark.parametrize("file", [*map(marked, SHIPPED)], ids=lambda file: file.stem)
 def test_tuning_on_the_original_episodes_finds_the_shipped_modes(file):
-    """Use the episodes on which the shipped modes were tuned; NumPy draws their keys."""
+    """The keys are those of the episodes on which the shipped modes were tuned."""
     seeds = range(5_000_000, 5_000_300)
     keys = np.array([draw_key(np.random.default_rng(seed)) for seed in seeds], np.uint64)
     radio = file.stem.removesuffix("-diagonal")

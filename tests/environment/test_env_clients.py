@@ -180,7 +180,7 @@ def test_only_synchronous_vector_environments_support_fixed_infos():
 
 # --- arguments
 
-# The last argument of each case is wrong. The error names it or contains its text in this dict.
+# The last argument of each case is wrong. The error names it, or what this dict gives for it.
 NAMED = {"episode_steps": "", "episodes": "", "terminate_on_divergence": "", "modes": "mode"}
 
 

@@ -25,32 +25,32 @@ EPISODES = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=EPOCHS).e
 LAYOUT = EPISODES[0].layout
 
 
-def begun(past):
-    """Return an engine with beliefs per mode after ``past`` epochs of action 0 (favor no mode)."""
+def begun(done):
+    """Return an engine with beliefs per mode after ``done`` epochs of action 0 (favor no mode)."""
     engine = Engine(Pipeline(HANDSET.modes, LAYOUT), N, TrackingReward(), "full", HANDSET)
     engine.reset(EPISODES)
-    for _ in range(past):
+    for _ in range(done):
         engine.step(np.int64(0))
     return engine
 
 
-def rest(past, action):
-    """Return total rewards (N,) from epoch ``past`` on, for ``action`` and then action 0."""
-    engine, total = begun(past), 0.0
-    for taken in [action, *[np.int64(0)] * (EPOCHS - past - 1)]:
+def rest(done, action):
+    """Return total rewards (N,) after ``done`` epochs, for ``action`` once and action 0 later."""
+    engine, total = begun(done), 0.0
+    for taken in [action, *[np.int64(0)] * (EPOCHS - done - 1)]:
         total += engine.step(taken, rows_of(engine.at.reward))[1][:, 0]
     return total
 
 
-@pytest.mark.parametrize("past", [0, 25])
-def test_a_clairvoyant_with_a_long_enough_horizon_takes_the_best_action(past, monkeypatch):
+@pytest.mark.parametrize("done", [0, 25])
+def test_a_clairvoyant_with_a_long_enough_horizon_takes_the_best_action(done, monkeypatch):
     monkeypatch.setattr(branches, "HORIZON_S", 1000.0)
     policy, engine = branches.Clairvoyant(), begun(0)
     policy.foresee(engine)
-    for _ in range(past):
+    for _ in range(done):
         engine.step(np.int64(0))
-    best = rest(past, policy(engine.observations()))
-    every = [rest(past, np.int64(action)) for action in range(len(HANDSET.modes) + 1)]
+    best = rest(done, policy(engine.observations()))
+    every = [rest(done, np.int64(action)) for action in range(len(HANDSET.modes) + 1)]
     np.testing.assert_allclose(best, np.max(every, axis=0), rtol=1e-9)
     assert (best > every[0]).any()
 
@@ -70,5 +70,5 @@ def test_the_clairvoyant_is_refused_for_episodes_without_truth():
     unknown = [replace(e, truth_position_m=None, truth_velocity_mps=None) for e in EPISODES]
     with refuses("policy"):
         run_contender(policy, policy.start(LAYOUT), unknown)
-    with refuses("policy"):  # localizing a log never calls foresee
+    with refuses("policy"):  # as for a log, foresee was not called
         policy.start(LAYOUT)(begun(0).observations())

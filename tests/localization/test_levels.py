@@ -33,7 +33,7 @@ def parts(seed=0):
 
 
 def watched(levels, policies, source, radio, seeds):
-    """Return errors / levels (episodes, epochs, [horizontal, vertical]) of each policy, by name."""
+    """Return ratios of errors to levels (episodes, epochs, [horizontal, vertical]) by policy."""
     over = {}
 
     def keep(contender, time_s, results):

@@ -91,7 +91,7 @@ def compared(log, seconds, shift=(0.0, 0.0, 0.0)):
 
 
 def late(time_s, seconds, shift=(0.0, 0.0, 0.0)):
-    """Return the true track with times ``seconds`` too large and a frame moved by ``shift``."""
+    """Return the true track with a clock ``seconds`` ahead, in a frame moved by ``shift``."""
     p, v = user(time_s - seconds)
     return TrueEpochs(p + shift, v, np.zeros(len(time_s)))
 

@@ -23,7 +23,7 @@ def between(p, q):
 
 
 def reported(anchor, user):
-    """Return, by name, the angles (deg) by the convention of each row of the table."""
+    """Return the angles (deg) that a receiver with the convention of each row reports, by name."""
     (out, elevation), (back, at_user) = between(anchor, user), between(user, anchor)
     return [
         {"arrival": back, "elevation": at_user, "departure": out},

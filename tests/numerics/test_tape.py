@@ -109,8 +109,8 @@ PROGRAMS = """
 def test_kernels_of_several_processes_are_not_mixed_up(started):
     """Compile each kernel in its own process, then load all kernels in a single process.
 
-    In a single process, equal names would clash. Each process prints each kernel's result for 1,
-    and how many times the kernel was found on disk.
+    If kernels had equal names, the last process would load a wrong one. Each process prints each
+    kernel's result for 1, and how many times the kernel was found on disk.
     """
     changes = ["lambda x: x + 4.0", "lambda x: x * 3.0", "lambda x: x - 7.0"]
     for change, value in zip(changes, ["5.0", "3.0", "-6.0"], strict=True):

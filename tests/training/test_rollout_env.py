@@ -51,10 +51,10 @@ def stepped(env, epochs=EPOCHS, seed=0):
     return actions
 
 
-def replayed(place, seed, first_episode, actions, first, act, beliefs):
-    """Replay ``actions``, then take ``first``; return the discounted sum of rewards from then on.
+def replayed(place, seed, first_episode, actions, tried, act, beliefs):
+    """Replay ``actions``, then take ``tried``; return the discounted rewards from ``tried`` on.
 
-    The first episode lasts ``first_episode`` epochs. After ``first``, ``act`` chooses the actions.
+    The first episode lasts ``first_episode`` epochs; after ``tried``, ``act`` chooses actions.
     """
     bank = BANKS[place.radio]
     modes = bank if beliefs == "per-mode" else bank.modes
@@ -65,7 +65,7 @@ def replayed(place, seed, first_episode, actions, first, act, beliefs):
         if epoch == first_episode:
             env.reset()
         env.step(action)
-    value, action = 0.0, first
+    value, action = 0.0, tried
     for epoch in range(HORIZON):
         observed, reward, *_ = env.step(action)
         value += DISCOUNT ** (place.dt * epoch) * reward
@@ -164,7 +164,7 @@ def assert_same_ends(infos, expected):
 
 @pytest.mark.slow
 def test_several_places_together_equal_each_place_alone():
-    """Give the second place later seeds, and end its episodes earlier."""
+    """Seeds of the second place follow those of the first; its episodes end earlier."""
     together = PlacesVecEnv(TASK, PAIRED)
     first, second = alone(PLACES[0], 3), alone(PLACES[1], 2)
     together.seed(10_000_000)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from mmwave_env.engines.imm_engine import run_imm
-from mmwave_env.engines.mode_smoothing import smooth_modes
 from mmwave_env.engines.replay import smooth
 from mmwave_env.filters.bank import Bank, default_modes
+from mmwave_env.filters.mode_smoothing import smooth_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.metrics import BURN_IN, nees_interval
