@@ -161,6 +161,10 @@ def task_from(**arguments: Any) -> Task:
                 "terminate_on_divergence: found True, but the reward has no attribute `worst` "
                 "with its lowest value"
             )
+        if baseline and asked.action == CORRECTION:
+            raise ValueError(
+                "terminate_on_divergence: cannot be combined with corrections and a paired reward"
+            )
         worst = pays.worst - max(mode.cost for mode in pipeline.modes)  # type: ignore[attr-defined]
     acts = asked.action, asked.base
     return Task(source, radio, pipeline, bank, pays, baseline, worst, *acts)

@@ -16,8 +16,8 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "lines of source": 33_979,
-    "tokens of source": 230_984,
+    "lines of source": 33_990,
+    "tokens of source": 231_063,
     "files of source": 241,
     "lines of tests": 24_000,
     "tokens of tests": 215_000,
@@ -31,7 +31,7 @@ BUDGET = {
     "lines that ruff may not format": 60,
 }
 ROOMS = {  # maximum lines of source in a folder
-    "experiments/evaluation": 2_055,
+    "experiments/evaluation": 2_059,
     "experiments/training": 3_053,
     "experiments/reporting/webpage": 1_060,
     "mmwave_env/datasets": 1_645,
@@ -82,7 +82,7 @@ def test_the_project_is_within_its_budget(tracked):
         "lines of source": sum(text.count("\n") for text in source.values()),
         "tokens of source": sum(tokens(t) for p, t in source.items() if p.suffix == ".py"),
         "files of source": len(source),
-        "lines of tests": 24_000,
+        "lines of tests": sum(text.count("\n") for text in tests.values()),
         "tokens of tests": sum(tokens(t) for p, t in tests.items() if p.suffix == ".py"),
         "words of docs": sum(len(page.split()) for page in pages),
         "pages of docs": len(pages),

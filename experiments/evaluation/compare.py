@@ -94,6 +94,8 @@ def compare(
             f"episodes: found {episodes!r}, expected a number of episodes; recordings and logs are "
             "passed as data="
         )
+    if wrong := sorted({"action", "base", "terminate_on_divergence"} & world.keys()):
+        raise ValueError(f"{wrong[0]}: not an argument of compare, which plays complete episodes")
     task = task_from(scenario=scenario, radio=radio, episodes=data, **world)
     scoring = Scoring.of(task)
     selection = Selection.of(episodes, seed, USUAL_EPISODES)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.console.progress import bars
-from experiments.evaluation.agents import NO_FILTERS, Estimator, require_actions
+from experiments.evaluation.agents import NO_FILTERS, Estimator, in_one_line, require_actions
 from experiments.evaluation.branches import Clairvoyant
 from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.seeds import Selection
@@ -127,7 +127,11 @@ def run_contender(
     corrections: list[Correction] = []
     observations = engine.observations()
     for t in range(T):
-        choices = policy(observations)
+        try:
+            choices = policy(observations)
+        except Exception as error:  # a user's code can raise anything
+            problem = f"policy {contender.name}: {in_one_line(error)}, in epoch {t + 1}"
+            raise ValueError(problem) from error
         taken[:, t] = actions = require_actions(contender.name, choices, n, len(contender.actions))
         observations, outputs[:, t] = engine.step(actions, rows)
         if corrector:

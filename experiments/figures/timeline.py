@@ -12,7 +12,7 @@ from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.rendering.history import History
 
 _LINES_IN = 2.0  # height of a panel with lines, inches
-_LOOKS = [  # line colors and styles of contenders; the first two modes have other colors
+_LOOKS = [  # line colors (other than those of modes) and styles of contenders
     {"color": color, "ls": style}
     for color, style in (("C3", "-"), ("C4", "--"), ("C6", "-."), ("C2", ":"))
 ]

@@ -2,8 +2,8 @@
 
 A corrector corrects the beliefs of another policy, its base. In a simulation the truth is known, so
 the network learns the errors of the base from examples. The loss has two terms. The first is the
-length of the remaining error, divided by the mean length of the vector of the belief's standard
-deviations. The second, with a small weight, is the negative log-likelihood of this error; it
+length of the remaining error, divided by the square root of the belief's total variance (its mean
+over the episode). The second, with a small weight, is the negative log-likelihood of this error; it
 teaches the network to scale the standard deviations. The base does not depend on corrections, so it
 plays each episode only once. Every update has new *lots* (batches of equally long episodes).
 """
@@ -108,7 +108,7 @@ class Learner:
         self.scales = {"low": low, "high": high, "mean": mean, "sigma": sigma}
 
     def learn(self, lots: list[Lot], progress: float, rng: np.random.Generator) -> float:
-        """Take a gradient step for each of the new lots that mix ``lots``; return the mean loss.
+        """Mix the episodes anew, take a gradient step for each new lot; return the mean loss.
 
         ``progress``, from 0 to 1, is the share of the training that is over.
         """
@@ -230,8 +230,8 @@ def mixed(lots: list[Lot], size: int, rng: np.random.Generator) -> Iterator[Lot]
 
     Args:
         lots: lots to mix.
-        size: number of episodes in a new lot if they are the shortest ones. A lot of longer
-            episodes has fewer, so that all lots have about the same number of epochs.
+        size: number of episodes in a new lot of the shortest episodes. New lots of longer episodes
+            have fewer, so that all new lots have about the same number of epochs.
         rng: random generator of the order.
     """
     shortest = min(len(lot.features) for lot in lots)

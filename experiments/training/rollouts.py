@@ -4,7 +4,7 @@ In states that the current policy visits, every action is tried on the same meas
 greedy policy acts for some epochs after the action (:class:`RolloutEnv`). Then the network learns
 to prefer the better actions (:class:`RolloutLearner`), and both steps repeat. This is rollout
 policy iteration (Bertsekas, Rollout, Policy Iteration, and Distributed Reinforcement Learning,
-2020). Values of actions are exact up to the horizon, because actions do not change the world.
+2020). Actions do not change the measurements, so their values are exact up to the horizon.
 """
 
 from copy import deepcopy
@@ -29,8 +29,8 @@ EVALUATE = 8  # number of updates between two evaluations
 class RolloutLearner:
     """The network, its optimizer and the states that it learns from.
 
-    The memory has states s in which all actions a were tried; the network, with its weights at that
-    time, chose the later actions. Q(s, a) is the value of a; pi(a | s) is its current probability.
+    The memory has states s in which all actions a were tried; after each a, the network, with its
+    weights then, chose the actions. Q(s, a) is the value of a; pi(a | s) its current probability.
     Training maximizes the mean of sum_a pi(a | s) (Q(s, a) - Q(s, 0)) and a small entropy bonus.
 
     Args:

@@ -66,6 +66,8 @@ class Engine:
             self.observation = table.only(after_update(pipeline, per_mode=True))
             self._shown = [table.names.index(name) for name in self.observation.names]
         self._base = base(table) if base else None
+        if base and not callable(self._base):
+            raise ValueError(f"base: returned {self._base!r}, expected an agent (a function)")
         program = program_of(pipeline, observation, reward, bank is not None, action)
         inputs = rows_of([program.index.action, getattr(program.index, "numbers", [])])
         self._on_floats, self.keys = on_floats, np.zeros(n, np.uint64)

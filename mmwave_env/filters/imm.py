@@ -32,7 +32,7 @@ class ImmSettings(NamedTuple):
     transition: list[list[Number]]  # (modes, modes) probabilities over one second, [from, to]
     tunings: list[Tuning]  # motion model of every mode
     # limits of the NIS in :func:`~mmwave_env.filters.update.limited_likelihood`: one per group of
-    # measurements or, if rows may be missing, four: for groups of which 1, 2, 3 or 4 rows are there
+    # measurements; if rows may be missing, four limits, for groups with 1, 2, 3 and 4 rows
     limits: list[Number]
 
 

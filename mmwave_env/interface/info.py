@@ -33,7 +33,7 @@ INFOS = {
 
 
 def reported(at: Any) -> Any:
-    """Return the part that infos report: the corrected epoch if any, otherwise the workspace."""
+    """Return the fields that infos report: those of a corrected belief, or of the state ``at``."""
     return getattr(at, "reported", ()) or at
 
 
@@ -41,7 +41,7 @@ def info_rows(at: Any) -> dict[str, Any]:
     """Return the rows of a workspace that contain the values of infos, except mode and cost.
 
     Args:
-        at: workspace of :mod:`~mmwave_env.engines.environment_epoch` whose values are row numbers.
+        at: state of :mod:`~mmwave_env.engines.environment_epoch`, with row numbers as values.
     """
     of = reported(at)
     memory = of.memory

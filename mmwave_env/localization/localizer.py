@@ -69,7 +69,7 @@ class TrackBlock(LogBlock):
     # (T,) factor from 0 to 1 by which a corrector's correction was scaled before it was applied to
     # x and P; NaN without a corrector. Smoothing uses beliefs without corrections
     trusted: Array
-    smooth_trusted: Array  # (T,) the same for a two-way corrector, smooth_x and smooth_P
+    smooth_trusted: Array  # (T,) the same factor of a two-way corrector, for smooth_x, smooth_P
     # (T, 2) factors by which to multiply the horizontal and the vertical Gaussian protection level
     level_factors: Array
 
@@ -176,8 +176,8 @@ def localize(
         window: number of epochs that are smoothed together; None for no smoothing.
         height_m: height of flat terrain, if it is known (paper, Sec. II-A).
         levels: protection levels; None for Gaussian levels.
-        two_way: network that corrects the smoothed track, if any. ``switching`` needs a bank with
-            modes of the same names as in its training, and the height must not be given.
+        two_way: network that corrects the smoothed track, if any. ``switching`` must then have a
+            bank whose modes have the names with which the network was trained, and no height.
 
     Raises:
         LogError: the log is damaged, or a belief became NaN or infinite.
@@ -304,7 +304,7 @@ def _corrected(
             part.reshape(-1, epochs, part.shape[-1])
             for part in (batch.table, block.smooth_x, block.smooth_P, mixtures, *shown)
         )
-        table[:, 0, columns_of(layout).dt] = 0.0  # as in training, tracks begin with a window
+        table[:, 0, columns_of(layout).dt] = 0.0  # each window begins a track, as in training
         features = smoothed_features(pipeline, batch._replace(table=table), x, P, mixtures, gates)
         shift, log_factor, trusted = (
             part.astype(float) for part in two_way.correct_tracks(features)

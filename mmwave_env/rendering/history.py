@@ -11,7 +11,7 @@ from mmwave_env.models.scene import Streets
 from mmwave_env.numerics.numbers import Array, Index, Mask
 
 NO_MODE = -1  # mode number of the prior, which no mode computed
-POSITION_NUMBERS = 6  # number of entries for the position at the beginning of a packed covariance
+POSITION_NUMBERS = 6  # a packed covariance begins with this many entries about the position
 
 
 class Scenery(NamedTuple):

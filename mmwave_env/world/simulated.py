@@ -216,7 +216,7 @@ class SimulatedSource:
         )
 
     def feed(self, worlds: Array) -> Feed:
-        """Return the feed, which computes each epoch of n episodes, given :attr:`Begun.worlds`."""
+        """Return compiled code that simulates n episodes, which begin with :attr:`Begun.worlds`."""
         _, _, receiver, user = self.world.template  # numbers that fill unused SIMD lanes
         kept = blocks_of(np.array(flatten([receiver, user]), float), len(worlds))
         fill(kept, np.arange(kept.shape[1]), worlds)

@@ -23,7 +23,7 @@ from mmwave_env.world.simulated import SimulatedSource
 
 pytestmark = pytest.mark.slow
 
-N = 128  # number of environments for each kind of user and each radio; 384,000 steps together
+N = 128  # number of environments for each kind of user and each radio; 384,000 steps in all tests
 PARTS = ("x", "P", "memory", "candidates", "observation", "reward", "nees", "distance")
 STAY = (0.0, 0.95, 1.0)  # probabilities of keeping the mode; each environment draws one of them
 EXTREME = (  # modes with much smaller or larger covariances than the named modes

@@ -178,9 +178,8 @@ def test_only_synchronous_vector_environments_support_fixed_infos():
         gym.make_vec(ID, num_envs=2, infos="fixed")
 
 
-# --- arguments
-
-# The last argument of each case is wrong. The error names it, or what this dict gives for it.
+# The last argument of each case is wrong, and the error names it, except as follows ("": any name).
+CORRECTION = {"beliefs": "per-mode", "action": "correction"}
 NAMED = {"episode_steps": "", "episodes": "", "terminate_on_divergence": "", "modes": "mode"}
 
 
@@ -214,6 +213,8 @@ NAMED = {"episode_steps": "", "episodes": "", "terminate_on_divergence": "", "mo
         {"episodes": "canyon28_vehicle", "dt": 1.0},
         {"episodes": "canyon28_vehicle", "odometry": True},
         {"reward": lambda belief, truth: 0.0, "terminate_on_divergence": True},
+        {**CORRECTION, "base": lambda table: None},
+        {**CORRECTION, "reward": "paired", "terminate_on_divergence": True},
     ],
     ids=lambda arguments: ", ".join(arguments),
 )

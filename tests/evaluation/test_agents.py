@@ -209,6 +209,8 @@ def test_invalid_actions_are_refused(act):
         ("modes", {"mine": np.zeros_like}, {"modes": HANDSET}),
         ("episodes", {}, {"episodes": "ride"}),
         ("reward", {"mine": np.zeros_like}, {"reward": "paired"}),
+        ("action", {"mine": np.zeros_like}, {"action": "weights"}),
+        ("policy", {"mine": lambda o, few=[0] * 9: np.full(len(o), few.pop())}, {}),
     ],
 )
 def test_wrong_arguments_of_compare_are_refused(refused, agents, options):

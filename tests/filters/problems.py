@@ -57,7 +57,7 @@ class Problem(NamedTuple):
     def order(self):
         """Return the indices of the state's components in the order in which our filters factor P.
 
-        With odometry, which is nonlinear in the velocity, sigma points depend on this order.
+        The order changes the results of sigma points if measurements are nonlinear in the velocity.
         """
         return [0, 1, 2, 7, 3, 4, 5, 6] if self.sensor.clock else [*range(7)]
 

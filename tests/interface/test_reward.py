@@ -112,7 +112,7 @@ def test_a_reward_is_given_by_name_or_as_a_function():
     assert reward_from(capped) is capped
     assert reward_from("paired") == PairedReward(TrackingReward())
     assert reward_from(PairedReward(capped)).reward is capped
-    for unknown in ("speed", PairedReward(PairedReward())):
+    for unknown in ("speed", PairedReward(PairedReward()), lambda belief, truth: {"cost": 0.0}):
         with refuses("reward"):
             reward_from(unknown)
 

@@ -79,9 +79,9 @@ CASES = {  # name -> source of episodes, radio, function that falsifies an episo
 
 
 def played(name, radio, episodes):
-    """Return each episode's mean reward (n,) from its 11th epoch on, and trusts (n, T) in [0, 1].
+    """Return each episode's mean reward (n,) from its 11th epoch on, and the policy's trust.
 
-    A trust is the factor that the policy applies to its correction.
+    Trust (n, T), from 0 to 1, is the factor that the policy applies to its correction.
     """
     contender = Contender.learned(name, name, radio)
     results = run_contender(contender, contender.start(episodes[0].layout), episodes)

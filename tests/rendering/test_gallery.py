@@ -17,11 +17,11 @@ def many(n=3, mode="NextStep", **arguments):
     )
 
 
-def single(seed, steps, before=0, **arguments):
-    """Return the picture of an environment after ``before`` extra resets and ``steps`` steps."""
+def single(seed, steps, resets=0, **arguments):
+    """Return an environment's picture after ``resets`` extra resets and ``steps`` steps."""
     env = gym.make(ID, render_mode="rgb_array", episode_steps=STEPS, **arguments).unwrapped
     env.reset(seed=seed)
-    for _ in range(before):
+    for _ in range(resets):
         env.reset()
     for _ in range(steps):
         env.step(1)
