@@ -85,7 +85,7 @@ PAIRED = {"reward": "paired", "terminate_on_divergence": True, "scenario": "vehi
     [
         ("weights", "NextStep", PAIRED),
         ("correction", "SameStep", {}),
-        ("base", "Disabled", PAIRED),
+        ("base", "Disabled", {"reward": "paired"}),
     ],
 )
 def test_the_native_vector_environment_equals_the_synchronous_environment(name, mode, more):
