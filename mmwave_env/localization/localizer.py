@@ -140,7 +140,7 @@ class Switching:
 def default_policy(height_m: float | None) -> str:
     """Return the name of the policy that is used if none is named.
 
-    ``corrector`` reads the standard deviation of the height, which is 0 where the height is known.
+    ``corrector`` needs a standard deviation of the height above 0; a known height has 0.
     """
     return "corrector" if height_m is None else "guided"
 
@@ -176,8 +176,8 @@ def localize(
         window: number of epochs that are smoothed together; None for no smoothing.
         height_m: height of flat terrain, if it is known (paper, Sec. II-A).
         levels: protection levels; None for Gaussian levels.
-        two_way: network that corrects the smoothed track, if any. ``switching`` must then have a
-            bank whose modes have the names with which the network was trained, and no height.
+        two_way: network that corrects the smoothed track, if any. Then ``height_m`` must be None,
+            and ``switching`` must have a bank with the modes (names) of the network's training.
 
     Raises:
         LogError: the log is damaged, or a belief became NaN or infinite.

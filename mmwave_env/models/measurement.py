@@ -79,7 +79,7 @@ class Group(NamedTuple):
         jacobian: (k, 7) dh/dx, (k, 8) with a clock offset; constant zeros for components of the
             state on which h does not depend.
         change: function that returns the exact h(x + step) - h(x) for a step of the state (7,).
-        curved: number of leading columns of the covariance's factor along which h is nonlinear
+        curved: h is nonlinear along this many first columns of the covariance's factor
             (:func:`~mmwave_env.filters.linearization.factor_of`).
         spare_nis, spare_determinant: NIS and variance of the row that :func:`link_group` may drop.
     """

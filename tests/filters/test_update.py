@@ -1,4 +1,4 @@
-"""Tests that our updates, which fuse azimuths first, equal textbook updates of all rows."""
+"""Tests that our updates equal textbook updates, although ours first fuse a link's azimuths."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ GATES = [Gate(None), Gate(0.99), Gate(0.5), Gate(0.5, force=1.0), Gate(0.99, rob
 
 KINDS = {
     "radio": {},
-    "nine anchors": {"anchors": 9},  # ten groups: log(determinant) is taken in two parts
+    "nine anchors": {"anchors": 9},  # so many groups that log(determinant) is computed in two parts
     "odometry": {"odometry": True},
     "some rows": {"partial": True},
     "odometry and some rows": {"odometry": True, "partial": True},

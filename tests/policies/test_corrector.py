@@ -99,7 +99,7 @@ def test_the_network_equals_pytorch(path):
 
 
 def two_way(path):
-    """Return a two-way corrector, ready for tracks of the features NAMES."""
+    """Return a two-way corrector that is ready for tracks whose columns are the features NAMES."""
     corrector = TwoWayCorrector(path)
     corrector.read_from_track(Pipeline(MODES, Layout()))
     return corrector
