@@ -15,7 +15,7 @@ class Args(JsonArgs):
     With --bank, tune a bank: the five modes of imm-best and the probabilities of changes between
     them. The reward of the bank's IMM in all scenes, at 1 and 10 Hz, is maximized.
     With --levels, train and calibrate the protection levels anew. With --two-way, train the network
-    of localize --two-way anew. --bank needs the extra "tune", the other two need "train".
+    of localize --two-way anew. --bank needs the extra "tune"; --levels and --two-way need "train".
 
     mmwave-loc tune --radio handset --out modes.json
     mmwave-loc tune --bank --radio phone.json --episodes 900 --out bank.json

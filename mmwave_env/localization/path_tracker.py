@@ -69,7 +69,7 @@ def disagreement(paths: Array, sigma: Array) -> Array:
     The NIS has 1 degree of freedom. The user's position is not needed, because the azimuths of
     arrival and departure measure the same bearing (paper, Sec. II-B).
     """
-    # The user is placed in the direction of arrival, so its azimuth's residual is 0 and can't wrap.
+    # The user is placed in the direction of arrival, so the arrival's residual is 0 and can't wrap.
     user = [np.cos(paths[:, 1]), np.sin(paths[:, 1]), 1.0, *[0.0] * 4]
     group = link_group(user, [0.0] * 3, list(paths.T), list(np.square(sigma).T))
     return np.asarray(group.spare_nis)

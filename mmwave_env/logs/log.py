@@ -127,8 +127,8 @@ def read_log(
     user, angles of departure the azimuth from the user to the anchor (a figure: docs/data.md).
 
     If the log is damaged, every complete epoch before the damaged row is yielded before the error.
-    The epoch just before the damaged row is complete if that row has a later time, or if every
-    anchor has a row in the epoch and the damaged row has an earlier time or an unreadable one.
+    The epoch just before the damaged row is complete if the damaged row has a later time. If this
+    time is earlier or unreadable, the epoch is complete only if every anchor has a row in it.
 
     Args:
         path: CSV (``.csv``, ``.csv.gz``) or Parquet (``.parquet``, needs the extra `data`).

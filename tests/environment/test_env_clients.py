@@ -20,7 +20,7 @@ EKF = {"modes": ["ekf"]}
 
 
 class Closeness:
-    """A reward without ``__eq__``. A copy of it is not equal to it and would be compiled again."""
+    """A reward without ``__eq__``: a copy differs from the original and would be compiled again."""
 
     compiled = 0
 
@@ -30,7 +30,7 @@ class Closeness:
 
 
 def go_on(env, steps, seed=0):
-    """Return the results of random steps and, if the environment is single, of resets, too."""
+    """Return the results of random steps, and of a single environment's resets between them."""
     rng, results = np.random.default_rng(seed), []
     if isinstance(env, gym.vector.VectorEnv):
         return [env.step(rng.integers(env.single_action_space.n, size=3)) for _ in range(steps)]
@@ -67,7 +67,7 @@ VECTORS = {
 @pytest.mark.parametrize("how", COPIES)
 @pytest.mark.parametrize("configuration", CONFIGURATIONS | VECTORS)
 def test_a_copy_continues_independently_with_identical_results(how, configuration):
-    """Copy an environment before its first reset, and in the middle of an episode."""
+    """Check copies made before the first reset, and copies made in the middle of an episode."""
     if configuration in VECTORS:
         env = gym.make_vec(ID, num_envs=3, **VECTORS[configuration])
     else:
@@ -179,7 +179,7 @@ def test_only_synchronous_vector_environments_support_fixed_infos():
 
 
 CORRECTION = {"beliefs": "per-mode", "action": "correction"}
-# The error about an argument begins with its name, except for these ("": with any word).
+# argument -> how its error begins, if not with the argument's name ("": with any word)
 NAMED = {"episode_steps": "", "episodes": "", "terminate_on_divergence": "", "modes": "mode"}
 
 

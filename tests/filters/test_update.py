@@ -35,7 +35,7 @@ algorithms = pytest.mark.parametrize("algorithm", ALGORITHMS)
 @given(data=st.data())
 @settings(max_examples=25, deadline=None)
 def test_an_update_equals_the_textbook(algorithm, kind, data):
-    """Check problems with Doppler shifts of any anchor, and with missing rows, too."""
+    """Check also problems with missing rows, in which any anchor may have the Doppler shift."""
     problem, gate = data.draw(problems(**KINDS[kind])), data.draw(st.sampled_from(GATES))
     expected = problem.textbook(textbook.METHODS[algorithm], gate)
     if gate.quantile is not None:

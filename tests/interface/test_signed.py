@@ -75,7 +75,7 @@ def test_features_of_a_track_that_smoothing_did_not_change_are_those_of_the_filt
     parts = run_imm(BANK, TrackingReward(), episodes, *names, actions=actions)
     x, P, mixtures, *gates = parts.values()
     features = smoothed_features(pipeline, EpisodeBatch.of(episodes), x, P, mixtures, gates)
-    # The heading changes since the last epoch; the track's first epoch has no epoch before it.
+    # A feature compares the heading with the previous epoch's heading; the first epoch has none.
     np.testing.assert_allclose(features[:, 1:], observed[:, 1:], atol=1e-5)
 
 

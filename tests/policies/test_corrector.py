@@ -70,7 +70,7 @@ def features(epochs):
 
 
 def by_pytorch(shown, units):
-    """Return the corrections (epochs, 4, 6) that PyTorch computes from features, without trust."""
+    """Return the corrections (epochs, 4, 6) that PyTorch computes, not yet scaled by trust."""
     torch = pytest.importorskip("torch")
     tensors = {name: torch.from_numpy(part) for name, part in network(units=units).items()}
     gru = torch.nn.GRU(FRONT, UNITS, bidirectional=units == TWO_WAY)
