@@ -4,9 +4,9 @@ python examples/minari_collect.py guided none random --episodes 100 --id mmwave-
 
 A policy is one of: `guided`; `guided-ppo`; the file of a policy with a belief per mode; `none` (the
 plain IMM); `trust-NAME`, which always raises the probability of the mode NAME; `random`. The
-environment has the modes of the first learned policy (if there is none, of `guided`). The shell
-variable MINARI_DATASETS_PATH names the folder of the data sets. The episodes have training seeds,
-so policies that learn from the data set can be judged on test episodes.
+environment has the modes of the first learned policy; without a learned policy, it has the modes of
+`guided`. The shell variable MINARI_DATASETS_PATH names the folder of the data sets. The episodes
+have training seeds, so policies that learn from the data set can be judged on test episodes.
 """
 
 import argparse

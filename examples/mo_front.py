@@ -14,7 +14,7 @@ class Terms(gym.Wrapper):
         env.unwrapped.reward_space = Box(-np.inf, 0.0, (2,))  # MO-Gymnasium reads this
 
     def step(self, action):
-        """Step the environment; return both terms instead of the reward."""
+        """Step the environment; return the terms of error and inconsistency as the reward."""
         observation, _, *ends, info = self.env.step(action)
         return observation, info["reward_terms"][:2].astype(np.float32), *ends, info
 

@@ -3,7 +3,7 @@
 python examples/raytrace.py way.csv canyon-way
 mmwave-loc compare --policies fixed-ekf fixed-ukf --data canyon-way
 
-The file way.csv has the user's trajectory in columns t, x, y, z, in the frame of --geometry.
+The file way.csv has the user's trajectory in columns t, x, y, z, in the scene's coordinates.
 Sionna traces lines of sight and single reflections between vertically polarized isotropic antennas.
 """
 

@@ -72,7 +72,7 @@ class Network(nn.Module):
 
         Args:
             x: (n, 7) predicted states.
-            kept: (n, MEMORY + 1) memory, then the position's standard deviation, m, from one epoch.
+            kept: (n, MEMORY + 1) memory, then the standard deviation, m, of a fix from one epoch.
             rows: (n, 3 L + 1, 10) from :func:`rows_of`.
             others: (n, 2) seconds since the previous epoch, and Doppler spread, Hz.
         """

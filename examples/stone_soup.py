@@ -1,7 +1,7 @@
 """Stone Soup's UKF and particle filter, and our EKF and UKF, on the same ranges and arrival angles.
 
 python examples/stone_soup.py 50         (50 simulated episodes)
-python examples/stone_soup.py 5 ride     (5 episodes of recorded data, the folder or sample `ride`)
+python examples/stone_soup.py 5 ride     (5 recorded episodes from the folder or sample `ride`)
 
 Stone Soup's filters and `plain`, our UKF without gates, assume the same motion and noise, so Stone
 Soup's UKF should give the same results as `plain`.

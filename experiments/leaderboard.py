@@ -9,7 +9,7 @@ from experiments.console.options import require_at_least
 TITLES = {
     "leaderboard": "Entries, ranked by their mean gain over imm-best at the sites to train in",
     "scores": "Score at each site, where 100 is the clairvoyant and 0 the paper's rule",
-    "sites": "Reward at each site minus the best IMM's reward there; parentheses name this IMM",
+    "sites": "Reward at each site minus the reward of the best IMM there (second column)",
 }
 
 
@@ -21,8 +21,8 @@ class Args:
     together with the paper's rule and every IMM, at four kinds of sites: the nine sites where
     policies may be trained, unseen sites, recordings, and hard sites (unusual motion or receivers).
     A contender's entry (its results at all sites) is written to a JSON file in the folder --out.
-    The tables show all entries in this folder, and four shipped entries. One of them is the
-    clairvoyant's, a policy that knows the truth; its score is 100 by definition.
+    The tables show all entries in this folder, and four shipped entries. One of them is
+    for the clairvoyant, a policy that knows the truth; its score is 100 by definition.
 
     mmwave-loc leaderboard --policies imm-best --episodes 400 --draws 20
     """

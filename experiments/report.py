@@ -11,7 +11,7 @@ class Args(PageArgs):
 
     The page says which policy won by how much, and has tables, distributions of errors (CDF) and
     episodes to play. Results are JSON files (--json) from mmwave-loc compare, demo and localize,
-    and folders of runs from mmwave-loc train. They do not store single epochs, so the command
+    and folders of runs from mmwave-loc train. Results do not store single epochs, so the command
     runs episodes again, with the stored options. Agents in your own code (module:function) are not
     run again: the page lacks their episodes, and shows their errors only if the files store them.
 

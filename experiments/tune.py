@@ -13,9 +13,9 @@ class Args(JsonArgs):
     """Tune the process noise of modes by the likelihood of the measurements, without the truth.
 
     With --bank, tune a bank: the five modes of imm-best and the probabilities of changes between
-    them. The reward of the bank's IMM in all scenes, at 1 and 10 Hz, is maximized (extra "tune").
-    With --levels, train and calibrate the protection levels anew (extra "train").
-    With --two-way, train the network of localize --two-way anew (extra "train").
+    them. The reward of the bank's IMM in all scenes, at 1 and 10 Hz, is maximized.
+    With --levels, train and calibrate the protection levels anew. With --two-way, train the network
+    of localize --two-way anew. --bank needs the extra "tune"; --levels and --two-way need "train".
 
     mmwave-loc tune --radio handset --out modes.json
     mmwave-loc tune --bank --radio phone.json --episodes 900 --out bank.json
@@ -108,7 +108,7 @@ def _tuned_modes(args: Args) -> tuple[Content, Content]:
     from mmwave_env.models.radio import radio_from
 
     radio = radio_from(args.radio)
-    modes = modes_from(args.modes, radio.base)  # names select modes of the shipped profile
+    modes = modes_from(args.modes, radio.base)  # named modes are tuned for a shipped radio
     if len(args.scenarios) != len(modes):
         raise ValueError(
             f"scenarios: found {len(args.scenarios)}, expected {len(modes)}, one for each of the "

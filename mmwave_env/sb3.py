@@ -32,7 +32,7 @@ class SB3VecEnv(VecEnv):
 
     Raises:
         ValueError: the autoreset mode is not "SameStep"; other modes begin the next episode one
-            step later, or not by themselves.
+            step later, or only when ``reset`` is called.
     """
 
     def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any]) -> None:
@@ -130,7 +130,7 @@ class SB3VecEnv(VecEnv):
 
 
 def _of(batched: dict[str, Any], i: int) -> dict[str, Any]:
-    """Return environment i's info from batched infos, without keys whose mask is False for it."""
+    """Return environment i's info from batched infos; skip a key if its mask is False at i."""
     info: dict[str, Any] = {}
     for key, value in batched.items():
         mask = batched.get(f"_{key}")

@@ -31,8 +31,8 @@ from mmwave_env.world.simulated import SimulatedSource
 from mmwave_env.world.trajectory import Scenario
 
 EPISODE_STEPS = 200
-# function that makes an agent: from the description of the features (which is in which column), it
-# makes a function from observations (n, features) to actions (n,)
+# function that makes an agent from the description of the observations (which feature is in which
+# column); an agent is a function from observations (n, features) to actions (n,)
 Base = Callable[[Observation], Callable[[NDArray[np.float32]], Any]]
 
 
@@ -45,11 +45,11 @@ class Task:
     pipeline: Pipeline
     bank: Bank | None  # modes and transition probabilities; None if modes share a belief
     reward: Reward  # function of (belief, truth)
-    baseline: Bank | None  # bank of the IMM whose reward is subtracted; None if unpaired
+    baseline: Bank | None  # bank of the IMM whose reward is subtracted; None to subtract nothing
     # reward of each epoch that remains after a divergence; None if divergence does not end episodes
     worst: float | None
     action: str = MODE  # kind of actions
-    # with corrections: function that returns the agent that chooses modes; None for a plain IMM
+    # for corrections: makes the agent that chooses modes; None if an IMM weighs the modes
     base: Base | None = None
 
     def draw(self, rng: np.random.Generator) -> Episode:

@@ -291,7 +291,7 @@ class MmWaveLocVectorEnv(
         return infos
 
     def _checked(self, actions: Any) -> tuple[Index, Array | None]:
-        """Return copies of the actions: modes (N,) and None, or zeros (N,) and numbers (N, k).
+        """Return copies: (modes (N,), None), or (zeros (N,), numbers (N, k)) for actions in a Box.
 
         Invalid actions are refused, except in environments that ignore their action.
         """

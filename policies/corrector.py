@@ -4,7 +4,7 @@ After every update, the network reads residuals and beliefs, and returns a corre
 position and factors for its standard deviations. Only the output is corrected: the filters continue
 from their own beliefs. The filters are combined by the *base*, which is a switcher (a policy that
 chooses modes) or an IMM. If features are outside the range that the network saw in training,
-corrections are scaled down, far outside the range almost to zero.
+corrections are scaled down: the farther outside the features are, the closer to zero.
 """
 
 from importlib.resources import files
@@ -28,7 +28,7 @@ BASE_IMM = "imm-best"  # the name of the base if it is the IMM of the policy's b
 TWO_WAY = Path(str(files("policies").joinpath("data", "smoothing", "two-way.safetensors")))
 # "Trust" is the factor, 0 to 1, by which corrections are scaled.
 RANGE_FADE = 2.0  # trust is exp(-2 d) if a feature is d standard deviations outside its range
-RECOVERY = 0.1  # maximum growth of trust per epoch, as the network remembers unusual features
+RECOVERY = 0.1  # maximum growth of trust per epoch; slow, as unusual features stay in the memory
 # The network is an ensemble, whose members compute different shifts. If the spread of the shifts,
 # in corrected standard deviations, is at most SPREAD[0], trust is not reduced; from SPREAD[1] on,
 # trust is 0.
@@ -205,7 +205,7 @@ class _RecurrentUnit:
 
     def __init__(self, tensors: Tensors, name: str) -> None:
         self.size = units = len(tensors[f"{name}.bias_hh"]) // 3
-        # gates (reset and update), then candidate state: weights and biases of input and memory
+        # weights and biases of input and memory: those of the gates, then of the candidate state
         self._gates, self._candidate = (
             [(tensors[f"{name}.weight_{end}"][rows].T.copy(), tensors[f"{name}.bias_{end}"][rows])
              for end in ("ih", "hh")]

@@ -157,7 +157,7 @@ class LearnedPolicy:
 
 
 class LearnedSwitch(LearnedPolicy, Policy):
-    """A policy whose network chooses a mode to run, or a mode whose probability is raised.
+    """A policy whose network chooses the mode to run or, with a belief per mode, the mode to trust.
 
     ```python
     >>> policy = LearnedSwitch("runs/mine.safetensors")

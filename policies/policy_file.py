@@ -14,8 +14,8 @@ The network of a *corrector* corrects the beliefs of its *base*, which is a swit
 - ``front``, ``head``, ``out``: layers with a ``.weight`` (out, in) and a ``.bias`` (out,);
 - ``gru.weight_ih``, ``gru.weight_hh``, ``gru.bias_ih``, ``gru.bias_hh``: the gated recurrent unit
   between ``front`` and ``head``, as PyTorch stores it: gates in the order reset, update, new;
-- ``back.weight_ih``, ...: the same for a second unit, which reads the epochs backwards, if the file
-  is for smoothed tracks.
+- ``back.weight_ih``, ...: a second such unit, which reads the epochs backwards; only files for
+  smoothed tracks contain this unit.
 
 The file's metadata contain, under the key "policy", a JSON object with the version of this format,
 the :class:`Card` and a checksum of card and tensors.

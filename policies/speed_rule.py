@@ -20,7 +20,7 @@ def mode_at(speed: Number, threshold: float = SLOW_MPS) -> Number:
 
 
 def by_predicted_speed(x: Vector, epoch: Epoch) -> Number:
-    """Apply the rule to the speed in the state x (7,); a prediction does not change the speed."""
+    """Apply the rule to the speed in the state x (7,), which is also the predicted speed."""
     return mode_at(sqrt(dot(x[3:6], x[3:6])))
 
 

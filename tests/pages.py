@@ -4,15 +4,15 @@ A comment above a block says what is done with the block:
 
 - ``<!-- example -->``: the block is run. All Python blocks of a page share one session, lines that
   begin with ``mmwave-loc`` are run as commands, and functions named test_... are called.
-- ``<!-- example: ride.csv -->``: it is written to this file, in the folder where blocks are run.
-- ``<!-- example: few -->``: it is run with only 2 episodes and 4096 time steps of training.
-- ``<!-- example: slow -->``: only slow tests run it; ``few`` and ``slow`` can be combined.
-- ``<!-- published -->``: it takes minutes or more, so only the renewal of tables runs it.
-- ``<!-- not run: why -->``: it is never run, for this reason.
+- ``<!-- example: ride.csv -->``: the block is written to this file, which other blocks can read.
+- ``<!-- example: few -->``: the block is run with only 2 episodes and 4096 time steps of training.
+- ``<!-- example: slow -->``: only slow tests run the block; ``few`` and ``slow`` can be combined.
+- ``<!-- published -->``: the block takes minutes or more and is run only to renew tables.
+- ``<!-- not run: why -->``: the block is never run; the comment says why.
 
 The output of a block is shown below it, between ``<!-- table: printed -->`` and ``<!-- end -->``.
-If text follows ``printed``, only one table is shown: the first at or below a line that begins with
-this text. If a file name precedes ``printed``, this file, which the block wrote, is shown instead.
+If text follows ``printed``, only the first table at or below a line that begins with this text is
+shown. If a file name precedes ``printed``, the file (written by the block) replaces the output.
 """
 
 import re
@@ -75,7 +75,7 @@ def blocks_of(page: Path) -> list[Block]:
     matches = list(BLOCK.finditer(text))
     ends = [*(match.start() for match in matches[1:]), len(text)]
     blocks = []
-    for match, end in zip(matches, ends, strict=False):  # without blocks, ``ends`` is longer
+    for match, end in zip(matches, ends, strict=False):  # a page without blocks has one end
         line, tables = (
             text.count("\n", 0, match.start("text")),
             TABLE.finditer(text, match.end(), end),

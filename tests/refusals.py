@@ -1,6 +1,6 @@
 """A check that bad input raises an error of the right type whose message names the right field.
 
-It ignores the other words of a message, so that sentences can be improved without changing tests.
+The check ignores all other words, so that messages can be improved without changing tests.
 """
 
 from collections.abc import Iterator
@@ -10,7 +10,7 @@ import pytest
 
 
 def fields_named(message: str) -> str:
-    """Return the field that a message names: its part before " found ", or else before a colon."""
+    """Return the field that a message names: the text before " found " or else before a colon."""
     named, separator, _ = message.partition(" found ")
     return named if separator else message.partition(": ")[0]
 

@@ -295,7 +295,7 @@ def sionna_paths(users_m, hidden=()):
 
 
 def test_traced_paths_are_written_to_a_folder_and_read_back(tmp_path):
-    """Use arrays shaped as in Sionna RT 2.2; the next test runs Sionna's solver if installed."""
+    """Write arrays shaped like those of Sionna RT 2.2; the next test runs Sionna RT itself."""
     raytrace, velocity = loaded("examples/raytrace.py"), np.tile([10.0, 0.0, 0.0], (21, 1))
     traced = sionna_paths(USERS[:12], hidden=[3]), sionna_paths(USERS[12:])
     blocks = [raytrace.arrays_of(paths) for paths in traced]

@@ -107,7 +107,7 @@ def assert_alike(shown, now):
 @pytest.mark.torch
 @pytest.mark.filterwarnings("default:speed above 20 m/s")  # some cars are faster
 def test_the_agent_trained_in_the_readme_beats_a_fixed_mode_and_the_speed_rule(tmp_path):
-    """Expect a gain of 0.02 or more in reward. Three seeds beat `fixed-ukf` by 0.046 to 0.061."""
+    """Check for a reward gain of 0.02 or more; three seeds beat `fixed-ukf` by 0.046 to 0.061."""
     pytest.importorskip("stable_baselines3")
     page = ROOT / "README.md"
     (block,) = (block for block in BLOCKS[page] if block.language == "python")

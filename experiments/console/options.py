@@ -81,10 +81,10 @@ class ModeArgs(WorldArgs):
     if there are two modes, speed-rule (the first for low mobility, the second for high). Learned
     policies keep their own modes"""
     observation: str = "full"
-    """observation that your own agents get: full, prior or signed; policy files record it"""
+    """observation that your own agents get: full, prior or signed; policy files set their own"""
     beliefs: str = "shared"
     """beliefs (estimates) that your own agents were trained with: shared, or per-mode (the default
-    modes are then the modes of the radio's best IMM); policy files record them"""
+    modes are then the modes of the radio's best IMM); policy files set their own"""
     planar: bool = False
     """flat terrain: height and vertical velocity are known"""
 
@@ -253,4 +253,4 @@ class PageArgs:
     """number of episodes of each comparison to run again, for the distributions of errors and NEES;
     0 for none"""
     watch: int = 2
-    """number of these episodes that the page can play epoch by epoch"""
+    """for each comparison, number of rerun episodes that the page can play epoch by epoch"""

@@ -49,7 +49,7 @@ def parse(arguments: type[T], words: Sequence[str], program: str) -> T:
     try:
         with (
             _columns(width if helped else UNLIMITED),
-            redirect_stdout(sys.stdout if helped else box),  # help asks its stream for an encoding
+            redirect_stdout(sys.stdout if helped else box),  # help needs a stream with an encoding
             redirect_stderr(box),
         ):
             parsed = tyro.cli(read, prog=program, description="", args=words, config=config)

@@ -78,7 +78,7 @@ class Estimator(Policy):
 
 
 class _Function(Policy):
-    """A policy without memory that calls a function, and has its method ``correct``, if any."""
+    """A policy without memory that calls a function and takes over its optional ``correct``."""
 
     def __init__(self, act: Act) -> None:
         self._act = act

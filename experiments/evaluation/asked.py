@@ -30,7 +30,7 @@ def contender_of(args: ModeArgs, name: str) -> Contender:
 
 
 def runs_of(args: EpisodeArgs, names: Sequence[str]) -> dict[str, Run]:
-    """Read the run of each name that is a folder; skip the names of known contenders."""
+    """Read the training runs whose folders are among the names; skip known contenders."""
     known = all_contenders(args)
     return {n: Run.read(n) for n in names if n not in known and Path(n).is_dir()}
 

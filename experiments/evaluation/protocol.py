@@ -37,7 +37,7 @@ UNSEEN_SCENES, UNSEEN_RADIOS = ("avenue", "plaza", "alley"), ("tablet",)
 UNSEEN = UNSEEN_SCENES + UNSEEN_RADIOS  # nothing is tuned or trained on them
 OTHER_RADIOS = ("handset", "standard")  # radios for unseen streets and for recordings
 EPISODES, DRAWS = 2000, 200  # episodes at each simulated site, noise draws for each recording
-CEILING_EPISODES, CEILING_DRAWS = 400, 20  # maximum numbers of episodes and draws in a score
+CEILING_EPISODES, CEILING_DRAWS = 400, 20  # a score uses at most so many episodes and draws
 SHIPPED = Path(__file__).with_name("entries")  # folder of the published entries
 BESIDE = (CLAIRVOYANT, "corrector", "guided", "imm-best")  # entries to show beside a user's entries
 
@@ -214,8 +214,8 @@ def ranking(entries: Sequence[Json]) -> str:
     """Return a Markdown table of all entries, ranked by their mean gain at the training sites.
 
     The protocol requires EPISODES at each simulated site and DRAWS of each recording; for the
-    clairvoyant, CEILING_EPISODES and CEILING_DRAWS are enough. An entry with too few of either is
-    marked and comes last, because luck would decide its rank.
+    clairvoyant, CEILING_EPISODES and CEILING_DRAWS are enough. An entry with too few episodes or
+    draws is marked and comes last, because luck would decide its rank.
     """
     rows: list[tuple[bool, float, list[Any]]] = []
     for content in entries:
@@ -243,7 +243,7 @@ def ranking(entries: Sequence[Json]) -> str:
 def by_site(entries: Sequence[Json]) -> str:
     """Return a Markdown table by site: every entry's reward minus the reward of the best IMM.
 
-    The best IMM is that of the entry with the most episodes. Policy files (for example, of a single
+    The entry with the most episodes determines the best IMM. Policy files (for example, of a single
     training seed) and IMMs are left out if there are other entries; the ranking has all entries.
     """
     named = {content["entry"]: content["sites"] for content in entries}

@@ -234,7 +234,7 @@ def score_contenders(
         source, selection: source of the episodes, and the seeds of the episodes to run.
         radio, modes: radio profile and modes that :func:`contender_from` gets for each name.
         watch: functions called with a contender, the times (T,) and the contender's epoch results.
-        after: parts of the state that these results include, as in :func:`run_contender`.
+        after: parts of the state that epoch results include, as in :func:`run_contender`.
 
     Raises:
         ValueError: a contender is unknown, or occurs twice.

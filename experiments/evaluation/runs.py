@@ -68,7 +68,7 @@ def trainings(names: Sequence[str], runs: Mapping[str, Run]) -> list[str]:
 
 
 def curves_of(log: Path) -> dict[str, tuple[list[float], list[float]]]:
-    """Read learning curves from a log: steps and reward minus the rival's, by rival (rule or IMM).
+    """Read a log's learning curves by rival (rule or IMM): steps, and reward minus the rival's.
 
     Raises:
         ValueError: the log is not CSV, or a value is not a number; the message names the line.

@@ -22,7 +22,7 @@ _TRUE = {"color": "0.55", "lw": 3.5, "alpha": 0.6}  # style of the line of the t
 def mode_ribbon(axes: Any, time: Array, mode: Index, modes: int, low: float = 0.0) -> None:
     """Draw a band of height 1 above ``low``, in the colors of the modes that ran.
 
-    ``mode`` (T,) has the number of the mode that ran at each ``time`` (T,); -1 stands for none.
+    ``mode`` (T,) has the number of the mode that ran at each ``time`` (T,), or -1 if no mode ran.
     """
     begins = np.flatnonzero(np.diff(mode, prepend=-2))
     ends = np.append(begins[1:], len(mode) - 1)

@@ -40,7 +40,7 @@ def run_live(args: LogArgs) -> None:
         if getattr(args, name) not in (None, (), False):
             raise ValueError(f"{name}: cannot be combined with --live, which only prints JSON")
     if not args.odometry:
-        raise ValueError("odometry: --live uses the odometry in the rows; leave it out of them")
+        raise ValueError("odometry: instead of --no-odometry, --live needs rows without odometry")
     require_at_least(0, args, "lag")
     require_one_choice(args)
     clock, levels = clock_from(args.clock), Levels(args.risk, args.levels)

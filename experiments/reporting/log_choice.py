@@ -17,8 +17,8 @@ from mmwave_env.logs.lines import number
 from mmwave_env.logs.log import LogBlock
 from policies.speed_rule import SLOW_MPS, by_odometry_speed, by_predicted_speed, mode_at
 
-# "corrector" corrects the beliefs of the policy "guided". Without elevations, "guided" chooses
-# wrong modes too often for either to be useful (docs/learning.md).
+# "corrector" corrects the beliefs of "guided". Without elevations, "guided" chooses wrong modes so
+# often that neither of the two is useful (docs/learning.md).
 WITHOUT_ELEVATIONS = "imm-best"
 RULES: dict[str, tuple[Rule, str]] = {  # --follow -> (rule, words before "speed" in reports)
     "prediction": (by_predicted_speed, "the predicted"),

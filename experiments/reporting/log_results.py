@@ -159,7 +159,7 @@ def _work(args: LogArgs, files: Inputs, scene: Scene, epochs_per_block: int) -> 
 def _track(args: LogArgs, work: Work, window: int | None) -> Iterator[TrackBlock]:
     switching = work.choice.switching
     if args.two_way and not switching.bank:
-        raise ValueError("two-way: found modes that share a belief, expected an IMM's (--imm)")
+        raise ValueError("two-way: found modes with a shared belief, expected an IMM (--imm)")
     return localize(
         work.blocks,
         work.scene,

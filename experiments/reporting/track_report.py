@@ -118,7 +118,7 @@ def _groups(groups: Json) -> str:
 
 
 def _clock(truth: Json) -> str:
-    """Return words after the number of true positions, and a sentence on the truth's clock."""
+    """Return the end of a sentence about true positions, and a sentence on the truth's clock."""
     between, clock = truth["interpolated"], truth["clock"]
     away = f"{1e3 * truth['nearest_pose_s']:.1f} ms from the nearest pose on average"
     said = f", {between} of them between poses, {away}." if between else "."

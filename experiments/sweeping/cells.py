@@ -72,7 +72,7 @@ def _row(figures: Mapping[str, float]) -> Row:
 
 
 def training_of(values: Values) -> tuple[Training, Hyperparameters]:
-    """Return the options that a cell gives to `train`, and hyperparameters; a cell sets some."""
+    """Return options for `train`, and hyperparameters; a cell's values replace the defaults."""
     options, changed = dict[str, Any](), dict[str, Any]()
     for axis, value in values.items():
         name = axis.removeprefix(HYPERPARAMETER)

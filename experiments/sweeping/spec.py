@@ -78,7 +78,7 @@ class Spec:
         return self._digest({**self.axes, **self.free})
 
     def values_of(self, row: Values) -> Values:
-        """Return a trial's values on all axes, given those on the free axes (``row``)."""
+        """Return a trial's values on all axes; ``row`` has the values that the search drew."""
         values = {axis: value for axis, (value,) in self.axes.items()}
         for axis in self.free:
             value = json.loads(row[axis]) if isinstance(row[axis], str) else row[axis]
@@ -86,7 +86,7 @@ class Spec:
         return values
 
     def _digest(self, values: Values) -> str:
-        """Return a name that depends on our version, the values, and files that they name."""
+        """Return a hash of our version, the values, and the contents of files that values name."""
         words = itertools.chain(*(v if isinstance(v, tuple) else (v,) for v in values.values()))
         paths = (Path(word) for word in words if isinstance(word, str) and os.path.isfile(word))
         files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]
@@ -102,7 +102,7 @@ def plain(value: Any) -> Any:
 def read_spec(path: Path) -> Spec:
     """Read the file of a sweep: one table, whose name is one of :data:`KINDS`.
 
-    Its keys are fields of the class in KINDS. [train] and [search] may also have the key
+    The table's keys are fields of the class in KINDS. [train] and [search] may also have the key
     "hyperparameters", and [search] also has the key "trials".
 
     Raises:

@@ -1,7 +1,7 @@
 """Exact counts of the operations of a function of numbers, obtained by running the function.
 
 :class:`~mmwave_env.compiler.lanes.Lanes` (SIMD values) emit instructions through an LLVM builder.
-The builder here only records them, so they are counted without compiling the function.
+The builder here only records instructions, which are counted without compiling the function.
 """
 
 from collections import Counter

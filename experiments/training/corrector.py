@@ -2,8 +2,8 @@
 
 A corrector corrects the beliefs of another policy, its base. In a simulation the truth is known, so
 the network learns the errors of the base from examples. The loss has two terms. The first is the
-length of the remaining error, divided by the square root of the belief's total variance (its mean
-over the episode). The second, with a small weight, is the negative log-likelihood of this error; it
+length of the remaining error, divided by the square root of the belief's total variance, averaged
+over the episode. The second, with a small weight, is the negative log-likelihood of this error; it
 teaches the network to scale the standard deviations. The base does not depend on corrections, so it
 plays each episode only once. Every update has new *lots* (batches of equally long episodes).
 """
@@ -101,7 +101,7 @@ class Learner:
         self.scales: dict[str, Array] = {}
 
     def measure(self, lots: list[Lot]) -> None:
-        """Set the scales to those of the features of some lots."""
+        """Set the scales from the features in some lots."""
         rows = np.concatenate([lot.features.reshape(-1, lot.features.shape[2]) for lot in lots])
         low, high = np.quantile(rows, (OUTSIDE, 1.0 - OUTSIDE), axis=0)
         mean, sigma = rows.mean(0, np.float64), rows.std(0, np.float64) + CONSTANT

@@ -33,7 +33,7 @@ from mmwave_env.world.trajectory import Trajectory, Ways
 from policies import LearnedSwitch
 from policies.corrector import BASE_IMM
 
-STEPS_S = (1.0, 1.0, 0.5, 0.25, 0.1, 0.1, 0.1, 2.0)  # times between epochs to draw from, s
+STEPS_S = (1.0, 1.0, 0.5, 0.25, 0.1, 0.1, 0.1, 2.0)  # times between epochs, s; repeats are likelier
 EPOCHS = 200  # number of epochs of an episode, unless it is a long one
 SUBSETS = (  # a receiver that lacks quantities measures only the quantities of one row
     ("range", "azimuth", "elevation", "departure"),
@@ -53,8 +53,8 @@ ORIENTATION_RAD = 0.1  # standard deviation of an orientation that is not known 
 WEAVING = 0.5
 WAYS = 64  # maximum number of weaving trajectories from which the episodes of one Lot are drawn
 WEAVE_S = (8.0, 40.0)  # shortest and longest period of weaving at an episode's highest speed, s
-WEAVE_SLOPE, WEAVE_M = 0.3, 2.5  # highest sideways velocity / speed, and offset, per axis
-WEAVING_BEHIND_M = (20.0, 60.0)  # distances from walls to streets, for weaving
+WEAVE_SLOPE, WEAVE_M = 0.3, 2.5  # per axis: largest weaving velocity / speed; largest offset, m
+WEAVING_BEHIND_M = (20.0, 60.0)  # range of distances from streets to walls, if users weave, m
 
 
 class Lot(NamedTuple):

@@ -93,7 +93,7 @@ class CorrectorHyperparameters(_Hyperparameters):
     """Hyperparameters of correctors (:mod:`experiments.training.corrector`)."""
 
     base: str  # policy whose beliefs are corrected: a shipped switcher, or imm-best
-    # places, held out from the training, whose rewards decide which policy is kept
+    # places that the training does not use; the policy with the best reward there is kept
     judged_at: Annotated[tuple[Name, ...], Size(1, 100)]
     random_share: Probability  # share of episodes whose streets, radio and receiver are random
     long_epochs: Count  # length of long episodes, epochs; they are used only at 5 Hz or more

@@ -34,13 +34,13 @@ from mmwave_env.world.episode import columns_of
 
 RISKS = (1e-2, 1e-3)
 SINGLE = ("speed-rule", "fixed-ekf", "fixed-ukf")  # policies that run one filter at a time
-# LEARNED_FROM, KINDS: groups of policies that play the episodes for training and for calibration.
+# LEARNED_FROM: groups of policies that play the training episodes. KINDS: groups for calibration.
 # Each batch of episodes is played once for every group, by a random policy of the group.
 LEARNED_FROM = (("guided",), ("corrector",), ("imm-best", "imm", *SINGLE))
 KINDS = (SINGLE, ("guided", "imm-best"), ("corrector",))
 PLACES = [f"{scene}:{radio}" for scene in TRAINED_SCENES for radio in TUNED_RADIOS]
 SEED = TRAINING_SEED + 9 * SEEDS_EACH  # seed of episodes that no corrector was trained on
-# ENVS: episodes per place in a round. ROUNDS, CALIBRATION: numbers of rounds for each purpose.
+# ENVS: episodes per place in a round. ROUNDS: training rounds. CALIBRATION: calibration rounds.
 ENVS, ROUNDS, CALIBRATION = 64, 24, 30
 HIDDEN, STEPS, BATCH, RATE = 64, 2500, 8192, 3e-3  # the learning rate falls linearly to 0
 EVERY = 4  # neighboring epochs are alike, so the network learns from one epoch in four
@@ -110,8 +110,8 @@ def _trained(features: Array, logs: Array, steps: int) -> Network:
 def _constants(network: Network, seed: int, rounds: int) -> Array:
     """Return the constants (kinds, risks, 2) of the calibration.
 
-    Each place has a constant. All places together have one, too, for which an episode with infinite
-    errors is added (split conformal prediction, Lee et al. 2023). The largest constant is returned.
+    The episodes of each place yield a constant. All episodes, plus one with infinite errors, yield
+    another (split conformal prediction, Lee et al. 2023). The largest of these constants is used.
     """
     over: list[list[Array]] = [[] for _ in range(len(PLACES) * len(KINDS))]
     for i, (features, logs) in enumerate(_played(seed, rounds, KINDS, random_share=0.0)):

@@ -54,7 +54,7 @@ class ProgressLog(KVWriter):
 
 
 class Record:
-    """The record of a training, which continues from the checkpoint in the job's folder, if any.
+    """The record of a training. If the job's folder has a checkpoint, the record continues from it.
 
     Args:
         job: training to record.
@@ -64,8 +64,8 @@ class Record:
         progress: state of the training, by name. "update" counts updates, "timesteps" epochs.
             "best" has results of the best policy so far. "beat_rule" has the timesteps and seconds
             until a policy first beat the paper's rule. "best" and "beat_rule" are None at first.
-            "seconds" (wall time) and "rows" (of the log) are from the checkpoint, or 0 and empty.
-            All other entries are the trainer's; on resuming, it takes them out of this dict.
+            "seconds" (wall time) and "rows" (log) are from the checkpoint; without one, 0 and [].
+            All other entries belong to the trainer, which removes them when it resumes.
         log: log of the training's progress.
 
     Raises:

@@ -29,8 +29,8 @@ EVALUATE = 8  # number of updates between two evaluations
 class RolloutLearner:
     """The network, its optimizer and the states that it learns from.
 
-    The memory has states s in which all actions a were tried; after each a, the network, with its
-    weights then, chose the actions. Q(s, a) is the value of a; pi(a | s) its current probability.
+    The memory has states s in which every action a was tried. After a, the network chose actions
+    with the weights it had then. Q(s, a) is the value of a; pi(a | s) is its current probability.
     Training maximizes the mean of sum_a pi(a | s) (Q(s, a) - Q(s, 0)) and a small entropy bonus.
 
     Args:

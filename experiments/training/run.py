@@ -45,7 +45,7 @@ ASIDE = ("jobs", "checkpoint_every", "out", "resume", "overwrite")
 
 
 def rewards(args: TaskArgs) -> Reward:
-    """Return a task's reward; of a paired reward, the one that is computed for agent and IMM."""
+    """Return a task's reward; if it is paired (agent minus IMM), return the unpaired reward."""
     reward = choose(REWARDS, args.reward, "reward")
     if isinstance(reward, PairedReward):
         reward = reward.reward

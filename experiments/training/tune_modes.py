@@ -49,7 +49,7 @@ def likelihood(history: dict[str, Array], layout: Layout) -> Array:
 
 
 def objective_of(mode: Mode, episodes: Sequence[Episode]) -> Objective:
-    """Return a function: from a variant of ``mode`` to the likelihoods (episodes,) of episodes."""
+    """Return a function that maps a variant of ``mode`` to likelihoods (episodes,) of episodes."""
     layout = episodes[0].layout
     tracker = Tracker(Pipeline((mode,), layout), len(episodes))
     tracker.load(episodes)

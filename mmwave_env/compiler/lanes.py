@@ -46,7 +46,7 @@ _EXP = tuple(1.0 / math.factorial(k) for k in range(14, -1, -1))
 _COS = tuple((-1) ** (k // 2) / math.factorial(k) for k in range(18, -1, -2))
 _SIN = tuple((-1) ** (k // 2) / math.factorial(k) for k in range(17, 1, -2))
 _HALF_PI_HIGH, _HALF_PI_LOW = 1.57079632673412561417, 6.07710050650619224932e-11  # sum: pi / 2
-_ROUND = 1.5 * 2.0**52  # adding it rounds a number; the lowest bits of the sum are that integer
+_ROUND = 1.5 * 2.0**52  # adding it rounds to an integer, which is in the sum's lowest bits
 _LN2_HIGH, _LN2_LOW = 0.693147180369123816490, 1.90821492927058770002e-10  # sum: ln(2)
 
 

@@ -78,7 +78,7 @@ def fill(blocks: Array, rows: Index, values: Array) -> Array:
 class Feed(NamedTuple):
     """A function that replaces the table of epochs: it computes the incoming rows of every epoch.
 
-    A feed has its own workspaces; each track has the same block and lane as in the program's.
+    A feed has its own workspaces. A track has the same block and lane there as in the program's.
     """
 
     # address of a C function, whose arguments are three addresses: incoming rows, settings, kept

@@ -143,9 +143,9 @@ def _as_partial(
 ) -> dict[str, Any]:
     """Return the ``fields`` that a partial layout changes; {} if the plain layout suffices.
 
-    The plain layout suffices if no standard deviations are given, and all values of a link are
-    measured or none is. ``heard`` (T, L) says whether a link has an SNR. ``deviations`` maps names
-    of measurements to standard deviations: (T, L) for links, (T,) for Doppler shifts, or None.
+    The plain layout suffices if no standard deviations are given, and every link has all of its
+    values or none. ``heard`` (T, L) says whether a link has an SNR. ``deviations`` maps names of
+    measurements to standard deviations: (T, L) for links, (T,) for Doppler shifts, or None.
     """
     layout: Layout = fields["layout"]
     rows, sigma = fields["measurement"], np.full_like(fields["measurement"], np.nan)

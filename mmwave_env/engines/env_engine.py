@@ -164,7 +164,7 @@ class Engine:
     def lead(self, places: Index) -> None:
         """Run the next epoch at the beginning of episodes, if actions are corrections.
 
-        An action corrects the belief of the epoch before, so the first one corrects epoch 0.
+        The first action corrects the belief after epoch 0 once the filters have run epoch 1.
         """
         if self.batch.ahead:
             self.start(places)
@@ -192,8 +192,8 @@ class Engine:
         An environment that was just loaded ignores its action and starts its episode.
 
         Args:
-            actions: modes, counted from 0; if every mode has its own belief, counted from 1,
-                where 0 leaves all probabilities as they are.
+            actions: numbers of modes, counted from 0; if every mode has its own belief, modes are
+                counted from 1, and action 0 leaves all probabilities as they are.
             output_rows: (k,) indices of the rows to return, for example from :func:`rows_of`.
 
         Returns:

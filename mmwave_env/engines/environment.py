@@ -195,7 +195,7 @@ class Environment:
         return metrics | {SMOOTHED_KEY: smoothed}
 
     def _charge(self, rewards: Array, places: Index) -> None:
-        """Add, for each epoch cut off by an early end, the worst reward minus the baseline's."""
+        """Add the worst reward minus the baseline for every epoch that an early end cut off."""
         assert self._task.worst is not None
         batch = self._engine.batch
         rewards[places] += self._task.worst * (batch.state.length - batch.completed)[places]

@@ -214,7 +214,7 @@ def program_of(
     """Return the program of an epoch, shared by all environments with the same arguments.
 
     Args:
-        pipeline: modes and layout; with ``per_mode``, the state's tunings replace the modes' own.
+        pipeline: modes and layout; with ``per_mode``, tunings come from the state, not the modes.
         kind: kind of observation.
         reward: function of (belief, truth).
         per_mode: whether every mode keeps its own belief.

@@ -1,6 +1,6 @@
 """Features of smoothed tracks, for a network that corrects them.
 
-They are the features that correctors read after every update
+The features are the same that correctors read after every update
 (:func:`mmwave_env.interface.signed.after_update`). But the belief, its residuals and its frame of
 motion are those of the smoothed track; gates and modes' probabilities are those of the filter.
 """
@@ -42,7 +42,7 @@ def smoothed_features(
         x, P: (N, T, 7) means and (N, T, 28) packed covariances of the smoothed beliefs.
         mixtures: (N, T, numbers) the filter's :class:`~mmwave_env.filters.imm.Mixture` after each
             epoch, flattened.
-        gates: the three arrays (N, T, groups) of :data:`GATES`, of the most probable mode.
+        gates: for each name in :data:`GATES`, values (N, T, groups) from the most probable mode.
     """
     layout, n = pipeline.layout, x.shape[-1]
     epoch = unflatten(blank_incoming(layout), _leaves(batch.table)).epoch(layout)

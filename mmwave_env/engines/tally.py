@@ -45,7 +45,7 @@ class Tally:
         actions: number of different actions, which are recorded as modes.
 
     Attributes:
-        counts: the records; the ring buffer covers a second, or a shorter episode as a whole.
+        counts: the records; the buffer of errors covers a second, but at most the whole episode.
     """
 
     def __init__(self, n: int, axes: int, replayed: bool = False, actions: int = 1) -> None:
@@ -118,7 +118,7 @@ def count(counts, e, k, x, y, z, nees):  # type: ignore[no-untyped-def]
         sums[INSIDE] += 1.0
     if squared > sums[LARGEST] or math.isnan(squared):  # once NaN, it stays NaN
         sums[LARGEST] = squared
-    now = errors[k % second if second > 1 else 0]  # most epochs last 1 s; a division takes longer
+    now = errors[k % second if second > 1 else 0]  # no slow division if epochs last 1 s
     if k >= BURN_IN + second:
         u, v, w = x - now[0], y - now[1], z - now[2]
         sums[CHANGE] += math.sqrt(u * u + v * v + w * w)

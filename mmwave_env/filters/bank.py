@@ -222,7 +222,7 @@ def modes_from(modes: Modes, radio: str | Radio = "handset") -> tuple[Mode, ...]
 def bank_from(modes: Modes, radio: str | Radio = "handset") -> Bank:
     """Return the bank of a ``modes=`` argument for modes that each keep their own belief.
 
-    Arguments are the same as for :func:`bank_over`; if ``modes`` is None, use :func:`best_bank`.
+    Arguments are as for :func:`bank_over`, but ``modes=None`` stands for :func:`best_bank`.
 
     Raises:
         ValueError: same as for :func:`bank_over`, or there are fewer than two modes.

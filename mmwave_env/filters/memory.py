@@ -32,7 +32,7 @@ class Memory(NamedTuple):
     lockout: Number  # number of epochs with links since a link last passed its gate
     window: list[Number]  # (WINDOW,) NIS / dof of all accepted groups, per epoch, newest first
     gamma: Number  # adaptive scale of Q and R
-    # nis, accepted, rejected: (groups,) in the last epoch; missing groups have 0 in all three
+    # nis, accepted, rejected: (groups,) NIS and verdicts of the last epoch; 0 for missing groups
     nis: list[Number]
     accepted: list[Number]
     rejected: list[Number]
@@ -118,8 +118,8 @@ def memory_after(
     ]
     each_link = [1.0] * layout.anchors
     links, fixes = dot(each_link, visible), dot(each_link, chosen.accepted)
-    # Links accepted by force do not end the lock-out: the update corrects the position, but the
-    # velocity may still be wrong. All links are accepted until one passes its gate again.
+    # A link that is accepted only because of a lock-out does not end the lock-out: the update
+    # corrects the position, but the velocity may still be wrong. A link must pass its gate again.
     lockout = where(links > 0.5, memory.lockout + 1.0, memory.lockout)
     predicted = move(before[:6], dt)
     step = [chosen.x[i] - predicted[i] for i in range(2)]

@@ -5,7 +5,7 @@ mixture as one Gaussian is overconfident. Here every mode has its own smoothed b
 step computes a smoothed belief for each pair (mode j in this epoch, mode i in the following one)
 with the motion model of mode i. Then it merges the beliefs with the same j. A pair's weight is the
 probability of i given all measurements, times the probability of j given i. The second factor
-depends on how well mode i, starting from the belief of j, predicts the smoothed state.
+depends on how well mode i, starting from the belief of j, predicts the smoothed state of i.
 
 Sources: for the pairs, Kim 1994, "Dynamic linear models with Markov-switching"; for their weights,
 Barber 2006, "Expectation correction for smoothed inference in switching linear dynamical systems",

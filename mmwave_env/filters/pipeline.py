@@ -54,8 +54,8 @@ class Pipeline:
         layout: which quantity is in which row of a measurement.
         planar: whether the terrain is flat, so that z and vz keep their prior values (paper, Sec.
             II-A). The spacing of sigma points still assumes seven uncertain components.
-        predict: function that predicts the state; ``filterpy_pipeline`` replaces it.
-        update: function that returns a mode's algorithm; ``filterpy_pipeline`` replaces it, too.
+        predict: function that predicts the state; ``filterpy_pipeline`` replaces it by filterpy's.
+        update: function that returns a mode's algorithm; ``filterpy_pipeline`` also replaces this.
 
     Raises:
         AlgorithmError: a user's algorithm cannot run at all, or cannot run on SIMD lanes; the

@@ -1,8 +1,8 @@
 """The measurement update shared by EKF, UKF and CKF (paper, Sec. III-C).
 
 The usual form, K = P H' S^-1 for all rows together, is in :mod:`~mmwave_env.filters.textbook`. The
-form here computes the same result with smaller matrices. It uses latent variables (*latents*) of
-:mod:`~mmwave_env.filters.linearization`: xi, where the state is mean + L xi, and the curvatures.
+form here computes the same result with smaller matrices. It uses the *latents* (latent variables)
+of :mod:`~mmwave_env.filters.linearization`: xi, such that the state is mean + L xi, and curvatures.
 """
 
 from collections.abc import Callable, Sequence
@@ -192,7 +192,7 @@ class ModeResult(NamedTuple):
     # nis, accepted: (groups,) as in :class:`Posterior`
     nis: list[Number]
     accepted: list[Number]
-    passed: Number  # number of links that passed their gates, without links accepted by force
+    passed: Number  # number of links whose NIS passed the gate; recovery also accepts other links
     log_likelihood: Number  # log-likelihood of the visible groups
 
 

@@ -13,7 +13,7 @@ from mmwave_env.numerics.numbers import Array
 
 MODE, WEIGHTS, CORRECTION = "mode", "weights", "correction"
 ACTIONS = {
-    MODE: "the number of the mode to run or, if each mode has a belief, to make more probable",
+    MODE: "the number of a mode: to run it or, if each mode has a belief, to raise its probability",
     WEIGHTS: "a number w for each mode, whose probability is multiplied by exp(w) per second",
     CORRECTION: "three shifts of the position, and log factors on its three standard deviations",
 }

@@ -33,7 +33,7 @@ INFOS = {
 
 
 def reported(at: Any) -> Any:
-    """Return the fields that infos report: those of a corrected belief, or of the state ``at``."""
+    """Return the epoch to report: ``at.reported`` if actions correct beliefs, else ``at``."""
     return getattr(at, "reported", ()) or at
 
 
@@ -57,7 +57,7 @@ def drawn_rows(at: Any, span: Callable[[Any], Any]) -> dict[str, Any]:
     """Return the rows of a workspace that a :class:`~mmwave_env.rendering.history.Recorder` reads.
 
     Args:
-        at: workspace whose values are row numbers, as for :func:`info_rows`.
+        at: state with row numbers as values, the same as for :func:`info_rows`.
         span: function that converts the row numbers of a value to an index or a slice.
     """
     rows = info_rows(at)
@@ -70,7 +70,7 @@ def masked(values: dict[str, NDArray[Any]], where: Mask) -> dict[str, Any]:
     """Return infos (n, ...) for the environments in which ``where`` (n,) is True.
 
     The values of other environments are replaced by 0 or None, in place. Every key gets a mask
-    ``_key``; all masks are one copy of ``where``. If no environment is left, the result is empty.
+    ``_key``; all masks share one copy of ``where``. If no environment is left, the result is empty.
     """
     if not where.any():
         return {}

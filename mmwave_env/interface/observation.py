@@ -30,9 +30,9 @@ from mmwave_env.numerics.numbers import Number, clip
 LIMIT = 10.0  # maximum distance of a feature from its mean, in standard deviations
 
 OBSERVATIONS = {
-    "full": "all features",
-    "prior": "all features except those that say how well each mode explains the coming epoch",
-    "signed": "all features, and residuals of the last epoch along and across the velocity",
+    "full": "all features except signed ones",
+    "prior": "as full, except features that say how well each mode explains the coming epoch",
+    "signed": "as full, and signed residuals of the last epoch along and across the velocity",
 }
 BELIEFS = {  # a belief is a mean and a covariance
     "shared": "one belief, which the chosen mode updates",
@@ -41,7 +41,7 @@ BELIEFS = {  # a belief is a mean and a covariance
 
 
 def action_names(modes: Sequence[Mode], beliefs: str) -> list[str]:
-    """Return names of actions: "none" if each mode has its own belief; then the modes."""
+    """Return names of actions: the modes, preceded by "none" if each mode has its own belief."""
     names = [mode.name for mode in modes]
     return ["none", *names] if beliefs == "per-mode" else names
 

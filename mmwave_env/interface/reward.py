@@ -153,7 +153,7 @@ def reward_name(reward: Reward) -> str:
 
 
 def _trial() -> tuple[Belief, Vector]:
-    """Return a belief and a truth to try a reward with; their numbers refuse to be in an ``if``."""
+    """Return a belief and a truth to try a reward with; an ``if`` on their numbers is an error."""
     numbers: list[Any] = [[0.0] * 7, [[0.0] * 7] * 7, [0.0] * 6]
     x, P, truth = taped(numbers, [])
     return Belief(x, P), truth
@@ -168,7 +168,7 @@ def _check(reward: Reward) -> None:
 
     terms = _as_terms(try_out(reward, _trial(), subject, ValueError))
     if not terms or not all(isinstance(name, str) and name != "cost" for name in terms):
-        expected = 'one or more strings other than "cost", the term of the modes\' costs'
+        expected = 'one or more strings other than "cost", which names the modes\' costs'
         raise refused(f"returned terms named {list(terms)}, expected {expected}")
     for name, value in terms.items():
         if problem := next(wrong_parts(name, value, 0.0), ""):

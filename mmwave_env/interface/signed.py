@@ -51,7 +51,7 @@ def signed(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
         *_belief(2 not in pipeline.known_axes),
         Feature("turn sine", "sine of the turn of the direction of motion in the last epoch", "",
                 -1, 1, lambda v: _turn(v)[1]),
-        Feature("turn cosine", "cosine of the same turn", "", -1, 1, lambda v: _turn(v)[0]),
+        Feature("turn cosine", "cosine of the last epoch's turn", "", -1, 1, lambda v: _turn(v)[0]),
         Feature("last step", "ln of the last epoch's dt; 0 in an episode's first epoch", "ln s",
                 -7, 4, _step),
         Feature("last speed", "ln(1 + estimated horizontal speed / (1 m/s))", "", 0, 4,
@@ -101,7 +101,7 @@ def _ray(view: View, anchor: int) -> tuple[list[Number], Number, tuple[Number, N
 
 
 def _residual(view: View, layout: Layout, anchor: int, name: str) -> tuple[Number, Number]:
-    """Return a row's :func:`_squashed` residual: components along and across the velocity."""
+    """Return the components of a row's :func:`_squashed` residual along and across the velocity."""
     row = _ROWS[name]
     step, flat, (distance, azimuth, _) = _ray(view, anchor)
     scale = 1.0 / maximum(flat, 1.0)

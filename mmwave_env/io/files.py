@@ -162,7 +162,7 @@ def _target_of(path: Path) -> Path:
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """Yield a temporary file beside ``path``, with its suffixes; at the end, it replaces ``path``.
+    """Yield a temporary file beside ``path``, with its suffixes, that replaces ``path`` at the end.
 
     If the block fails, the temporary file is removed and ``path`` stays as it was. Missing folders
     are created. A new file gets its permissions from the umask; a replaced file keeps its own.

@@ -155,7 +155,7 @@ def require_ordered(record: object, *names: str) -> None:
     for name in names:
         low, high = getattr(record, name)
         if low > high:
-            raise ValueError(f"{name}: found {(low, high)}, expected [low, high]")
+            raise ValueError(f"{name}: found {(low, high)}, expected [low, high] with low <= high")
 
 
 def require(name: str, value: Any, hint: Any, of: str = "") -> None:

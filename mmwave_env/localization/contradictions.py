@@ -122,10 +122,10 @@ def _oddities(block: LogBlock, scene: Scene, radio: Radio) -> Iterator[Contradic
 def _range_per_doppler(block: LogBlock, scene: Scene, radio: Radio) -> tuple[float, float]:
     """Return by how many meters the range grows where the Doppler shift predicts 1 m.
 
-    Both are of anchor 1. Also return the standard error. The result is (1, inf) if epochs are too
-    few or the user stands still. Ranges are regressed on a constant, time and the integrated shift.
-    The coefficient of time is the oscillator's offset in m/s, whose prior is in ``radio``. Each
-    window of 30 s has its own constant and offset.
+    Range and shift are those of anchor 1. Also return the standard error. The result is (1, inf) if
+    epochs are too few or the user stands still. Ranges are regressed on a constant, time and the
+    integrated shift. The coefficient of time is the oscillator's offset in m/s, whose prior is in
+    ``radio``. Each window of 30 s has its own constant and offset.
     """
     direct = block.visible[:, 0] & block.visible[:, block.layout.anchors]
     direct &= block.doppler_anchor == 0

@@ -213,8 +213,8 @@ def _start(block: LogBlock) -> int:
     """Return the index of the epoch at which the tracks begin.
 
     This is the first epoch with a link of the base station. In a partial layout, links may be
-    incomplete, and a position may need several of them. Then it is the epoch whose links have the
-    most measured values among 50 epochs, beginning with the first epoch that has a link.
+    incomplete, and a position may need several links. Then the tracks begin at the epoch with the
+    most measured values of links among 50 epochs, starting with the first that has a link.
 
     Raises:
         ValueError: no epoch has a link of the base station, and the layout is not partial.

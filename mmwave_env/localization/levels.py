@@ -134,7 +134,7 @@ class Levels:
             time_s: (T,) times of the epochs.
             parts: means x (n, T, 7 or 8); packed covariances P (n, T, 28 or 36); NIS, acceptance
                 and rejection (0 or 1) of each group of measurements, as three arrays (n, T,
-                groups); optionally, the trust (n, T) of corrected beliefs, or NaN for others.
+                groups); optionally, factors (n, T) that scaled corrections; NaN if not corrected.
         """
         x, P, nis, accepted, rejected, trusted = (*parts, None)[:6]
         if self._means is None:

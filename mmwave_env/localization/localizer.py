@@ -69,7 +69,7 @@ class TrackBlock(LogBlock):
     # (T,) factor from 0 to 1 by which a corrector's correction was scaled before it was applied to
     # x and P; NaN without a corrector. Smoothing uses beliefs without corrections
     trusted: Array
-    smooth_trusted: Array  # (T,) the same factor of a two-way corrector, for smooth_x, smooth_P
+    smooth_trusted: Array  # (T,) such a factor, from a two-way corrector, for smooth_x, smooth_P
     # (T, 2) factors by which to multiply the horizontal and the vertical Gaussian protection level
     level_factors: Array
 
@@ -140,7 +140,7 @@ class Switching:
 def default_policy(height_m: float | None) -> str:
     """Return the name of the policy that is used if none is named.
 
-    ``corrector`` reads the standard deviation of the height, which is 0 where the height is known.
+    ``corrector`` needs an uncertain height; a known height has the standard deviation 0.
     """
     return "corrector" if height_m is None else "guided"
 
@@ -176,8 +176,8 @@ def localize(
         window: number of epochs that are smoothed together; None for no smoothing.
         height_m: height of flat terrain, if it is known (paper, Sec. II-A).
         levels: protection levels; None for Gaussian levels.
-        two_way: network that corrects the smoothed track, if any. ``switching`` must then have a
-            bank whose modes have the names with which the network was trained, and no height.
+        two_way: network that corrects the smoothed track; None for no correction. A network needs
+            ``height_m=None``, and a bank whose modes have the names of the modes in its training.
 
     Raises:
         LogError: the log is damaged, or a belief became NaN or infinite.

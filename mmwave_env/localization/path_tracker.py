@@ -69,7 +69,7 @@ def disagreement(paths: Array, sigma: Array) -> Array:
     The NIS has 1 degree of freedom. The user's position is not needed, because the azimuths of
     arrival and departure measure the same bearing (paper, Sec. II-B).
     """
-    # The user is placed in the direction of arrival, so its azimuth's residual is 0 and can't wrap.
+    # The user is placed in the direction of arrival, so the arrival's residual is 0 and can't wrap.
     user = [np.cos(paths[:, 1]), np.sin(paths[:, 1]), 1.0, *[0.0] * 4]
     group = link_group(user, [0.0] * 3, list(paths.T), list(np.square(sigma).T))
     return np.asarray(group.spare_nis)
@@ -88,7 +88,7 @@ class PathTrack(NamedTuple):
     time_s: float
     seen_s: float  # last time at which the track used a path or odometry
     labels: Index  # (L,) index of every anchor's path in this epoch, or NO_PATH
-    epoch: Epoch  # the measurements of this epoch, each path as the link to its anchor
+    epoch: Epoch  # this epoch; each assigned path is the link to its anchor
 
     @property
     def fitted(self) -> int:
@@ -225,7 +225,7 @@ class PathTracker:
         return Epoch(dt, z, sigma, visible, snr, paths.doppler_spread_hz)
 
     def _with_labels(self, epoch: Epoch, paths: PathEpoch, links: _Links, labels: Index) -> Epoch:
-        """Return the epoch with the values of each assigned path as the link to its anchor."""
+        """Return the epoch in which each assigned path provides the values of its anchor's link."""
         layout = self._layout
         z, sigma, visible, snr = (list(part) for part in epoch[1:5])
         for anchor in np.flatnonzero(labels != NO_PATH).tolist():

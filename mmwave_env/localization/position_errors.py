@@ -67,7 +67,7 @@ def gaussian_levels(P: Array, risk: float) -> Array:
 
 @lru_cache(maxsize=16)
 def _multiples(risk: float) -> Array:
-    """Compute an array (ratios,): for every ratio ``b / a``, level over ``a``; by bisection."""
+    """Compute, by bisection, the level divided by ``a`` for every ratio ``b / a``: (ratios,)."""
     spread = np.cos(_ANGLES) ** 2 + np.outer(_RATIOS**2, np.sin(_ANGLES) ** 2)
     low, high = np.zeros(len(_RATIOS)), np.full(len(_RATIOS), np.sqrt(-2.0 * np.log(risk)))
     for _ in range(_HALVINGS):

@@ -24,8 +24,8 @@ from mmwave_env.models.radio import CLOCK_OFFSET_S, Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Mask
 
-# Standard deviations of the weak prior: of the height (its mean is the height of the streets), and
-# of x and y (their mean is the mean position of the anchors).
+# Standard deviations of the weak prior: of the height around the height of the streets, and of x
+# and y around the mean position of the anchors.
 HEIGHT_SIGMA_M, _FARTHEST_M = 2.0, 1e3
 _WORST_FIX_M = 50.0  # maximum horizontal standard deviation of a position to begin a track with
 _AMBIGUOUS = 12.0  # minima whose normalized squared errors differ by less than this are ambiguous
@@ -135,7 +135,7 @@ def _least_squares(row: LogBlock, sigma: Array, scene: Scene) -> tuple[Array, Ar
 
 
 def _on_a_line(points: Array) -> bool:
-    """Tell whether all points (n, 2) are on a straight line, up to 1 % of its length."""
+    """Tell whether points (n, 2) are on a line, with deviations of at most 1 % of its length."""
     if len(points) < 3:
         return True
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)

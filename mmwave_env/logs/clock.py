@@ -74,7 +74,7 @@ class ClockOffset(NamedTuple):
 def clock_offset(
     log: LogBlock, scene: Scene, truth_at: Callable[[Array], TrueEpochs]
 ) -> ClockOffset | None:
-    """Estimate the offset; return None if too few data or constant velocity do not determine it.
+    """Estimate the offset; return None if data are too few, or velocity too constant, to do so.
 
     ``truth_at`` maps times (T,), by the clock of the track, to true positions.
     """

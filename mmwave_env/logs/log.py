@@ -127,8 +127,8 @@ def read_log(
     user, angles of departure the azimuth from the user to the anchor (a figure: docs/data.md).
 
     If the log is damaged, every complete epoch before the damaged row is yielded before the error.
-    The epoch just before the damaged row is complete if that row has a later time. It is also
-    complete if every anchor has a row in it and the damaged row has another time, or none.
+    The epoch just before the damaged row is complete if the damaged row has a later time. If this
+    time is earlier or unreadable, the epoch is complete only if every anchor has a row in it.
 
     Args:
         path: CSV (``.csv``, ``.csv.gz``) or Parquet (``.parquet``, needs the extra `data`).
@@ -183,7 +183,7 @@ def with_clock(log: LogFile) -> LogFile:
 
 
 def require_noise(log: LogFile, snr_db: float | None) -> None:
-    """Refuse measurements with neither a standard deviation nor an SNR, and an infinite SNR."""
+    """Refuse an infinite SNR, and measurements with neither a standard deviation nor an SNR."""
     if snr_db is not None:
         if not math.isfinite(snr_db):
             raise LogError(f"snr: found {snr_db} dB, expected a finite number")

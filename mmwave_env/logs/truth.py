@@ -12,7 +12,7 @@ from mmwave_env.logs.tum import read_tum
 from mmwave_env.numerics.numbers import Array
 
 BRIDGED_S = 1.5  # longest gap that is interpolated: GPS gives a pose per second, sometimes late
-TOLERANCE_S = 0.01  # a pose this close in time is used without interpolation, as in evo
+TOLERANCE_S = 0.01  # a pose this close in time is used without interpolation, as in the tool evo
 
 
 class TrueEpochs(NamedTuple):

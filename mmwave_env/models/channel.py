@@ -53,7 +53,7 @@ class Channel(NamedTuple):
     floor_variance: list[Number]
     bound_variance: list[Number]
     spread_gain_hz: Number  # Doppler spread per m/s of speed
-    spread_sigma: Number  # standard deviation of the logarithm of a random factor on this spread
+    spread_sigma: Number  # standard deviation of the logarithm of a random factor on the spread
     spread_floor_hz: Number  # |N(0, 1)| times this number is added to the spread
     odometry_slowest_mps: Number  # speed below which odometry is missing
 

@@ -79,8 +79,8 @@ class Group(NamedTuple):
         jacobian: (k, 7) dh/dx, (k, 8) with a clock offset; constant zeros for components of the
             state on which h does not depend.
         change: function that returns the exact h(x + step) - h(x) for a step of the state (7,).
-        curved: number of leading columns of the covariance's factor along which h is nonlinear
-            (:func:`~mmwave_env.filters.linearization.factor_of`).
+        curved: number of first columns of the covariance's factor
+            (:func:`~mmwave_env.filters.linearization.factor_of`) along which h is nonlinear.
         spare_nis, spare_determinant: NIS and variance of the row that :func:`link_group` may drop.
     """
 
@@ -322,9 +322,9 @@ def groups_of(x: Vector, m: Measurement) -> list[Group]:
 class Epoch(NamedTuple):
     """The input of an estimator in an epoch; missing groups hold arbitrary finite numbers."""
 
-    dt: Number  # seconds since the previous epoch; 0 in the first, for which the prior is given
+    dt: Number  # seconds since the previous epoch; 0 in the first epoch, which the prior describes
     z: list[Number]  # (rows,) measured values: m, rad, Hz, m/s
-    sigma: list[Number]  # (rows,) their standard deviations, positive
+    sigma: list[Number]  # (rows,) standard deviations of the values z, positive
     visible: list[Number]  # (groups,) 1 where measured, else 0
     snr_db: list[Number]  # (L,) signal-to-noise ratio per link, dB
     doppler_spread_hz: Number

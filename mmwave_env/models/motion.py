@@ -17,10 +17,10 @@ _LEAST_RAD = 1e-9  # an arc of a smaller angle differs from a straight line only
 class ProcessNoise(NamedTuple):
     """The non-zero entries of the process noise covariance Q."""
 
-    # (7,) variances, m^2, (m/s)^2 and Hz^2; with a clock offset, (8,): its variance, m^2, is last
+    # variances (7,), m^2, (m/s)^2, Hz^2; or (8,), the last for the range bias of a clock, m^2
     diagonal: list[Number]
-    # (3,) covariances of position and velocity per axis, m^2/s; with a clock offset, (4,): the
-    # last is the covariance of the clock's range bias and the oscillator's bias, m Hz
+    # covariances (3,) of position and velocity per axis, m^2/s; or (4,), the last for the
+    # range bias of a clock and the oscillator's bias, m Hz
     coupling: list[Number]
 
 

@@ -16,7 +16,7 @@ _SCALED = (
     "multipath_rate_hz", "multipath_mean_s", "multipath_angle_rad", "spread_gain",
     "spread_floor_mps", "drift_mps",
 )  # fmt: skip
-_PAIRS = ("range_floor_m", "multipath_range_m")  # both numbers get the same factor
+_PAIRS = ("range_floor_m", "multipath_range_m")  # pairs, each multiplied by one factor
 
 
 @dataclass(frozen=True)

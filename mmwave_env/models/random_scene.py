@@ -67,10 +67,10 @@ class RandomScene:
     def draw_numbers(self, dice: Dice) -> SceneNumbers:
         """Draw the numbers of a scene.
 
-        Keep the order of the draws; otherwise the same episode key would give another scene.
+        The order of the draws must not change, so that an episode key always gives the same scene.
         """
         block, each = dice.uniform(*self.block_m), float(self.blocks + 1)
-        counts = floor(1.0 + (each * each - 1.0) * dice.uniform())  # encodes both counts
+        counts = floor(1.0 + (each * each - 1.0) * dice.uniform())  # encodes the blocks in x and y
         east = floor((counts + 0.5) * (1.0 / each))
         extent, base, walls = [], [], []
         for count in (east, counts - each * east):

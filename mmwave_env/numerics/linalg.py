@@ -67,7 +67,7 @@ def forward(factor: Matrix, b: Vector) -> list[Number]:
 
 
 def backward(factor: Matrix, b: Vector) -> list[Number]:
-    """Solve ``factor' y = b`` for the same kind of factor as :func:`forward`."""
+    """Solve ``factor' y = b`` for a factor from :func:`cholesky`; y_i is 0 where column i is 0."""
     n = len(b)
     y: list[Number] = [0.0] * n
     for i in reversed(range(n)):

@@ -1,8 +1,8 @@
 """Elementary functions of numbers, where a number is a float, an array or eight SIMD lanes.
 
 The mathematics of this package is written once, as plain functions of numbers. Called with floats,
-these functions are the reference for tests. Called with arrays, they are used to check paths
-and to score complete tracks. Called with :class:`~mmwave_env.compiler.lanes.Lanes`, they become a
+these functions are the reference for tests. Called with arrays, they check propagation paths
+and score complete tracks. Called with :class:`~mmwave_env.compiler.lanes.Lanes`, they become a
 SIMD kernel. Python's operators work on all three kinds; the other elementary functions are here.
 
 In this package, the description of an array begins with its shape. Functions of numbers follow

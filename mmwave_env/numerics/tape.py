@@ -26,7 +26,7 @@ def taped(template: Tree, tape: Tape) -> Tree:
 
 
 def fingerprint(function: Callable[[Tree], Tree], template: Tree) -> str:
-    """Return a name (20 hexadecimal digits) for a function between trees of the same shape."""
+    """Return the fingerprint, 20 hexadecimal digits, of a function of trees like the template."""
     tape: Tape = []
     results = _references(flatten(function(taped(template, tape))))
     whole = len(flatten(template)), tape, results

@@ -99,7 +99,7 @@ class Tracer:
 
 
 def _settled(op: str, a: Any, b: Any) -> Any:
-    """Return the result if no instruction is needed, because of a constant 0 or 1; else None."""
+    """Return the result if a constant 0 or 1 makes the instruction unnecessary; else None."""
     if op == "mul":
         for u, v in ((a, b), (b, a)):
             if not isinstance(u, Tracer) and u in (0.0, 1.0):

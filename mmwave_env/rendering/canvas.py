@@ -129,7 +129,7 @@ def _font(size: int) -> Any:
 
 
 def ellipse(center: Array, P: Array, deviations: float) -> Array:
-    """Return the ellipse (n, 2) of ``deviations`` standard deviations, given the covariance P."""
+    """Return the ellipse (n, 2) at ``deviations`` times the standard deviations of covariance P."""
     angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
     variances, axes = np.linalg.eigh(P)
     lengths = np.sqrt(np.maximum(variances, 0.0))

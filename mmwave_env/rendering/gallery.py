@@ -46,8 +46,8 @@ class Gallery:
     ) -> None:
         """Begin new recordings of some environments, whose workspaces contain the prior.
 
-        ``names`` (n,) are the names of the episodes. ``streets`` and ``workspace`` map the index of
-        an environment to its episode's streets and to an array (size,) of all its values.
+        ``names`` (n,) are the names of the episodes. Given an environment's index, ``streets``
+        returns the streets of its episode, and ``workspace`` the array (size,) of its numbers.
         """
         for index in indices[indices < len(self.recorders)].tolist():
             self.recorders[index].begin(names[index], streets(index), workspace(index))

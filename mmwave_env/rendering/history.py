@@ -34,8 +34,8 @@ class History:
     estimate: Array  # (k + 1, 7 or 8) position (m), velocity (m/s), bias (Hz), maybe range bias (m)
     P: Array  # (k + 1, 6) covariance of the position (m^2), packed: xx, xy, yy, xz, yz, zz
     nees: Array  # (k + 1,) NEES; NaN in the first row
-    # accepted, rejected: (k + 1, groups) decisions of the gate about the links, the Doppler shift
-    # and, if it is measured, odometry; both are False for a missing group
+    # accepted, rejected: (k + 1, groups) decisions of the gate; the groups are the links, the
+    # Doppler shift and (if measured) odometry. A missing group is neither accepted nor rejected.
     accepted: Mask
     rejected: Mask
 
@@ -58,7 +58,7 @@ class History:
 
 
 class Recorder:
-    """A recorder that copies epochs from an environment's workspace, an array of all its values.
+    """A recorder that copies epochs from a workspace, the array of all numbers of an environment.
 
     Args:
         rows: by name, the slices of the workspace that contain ``anchors``, ``truth``,

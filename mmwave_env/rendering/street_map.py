@@ -21,7 +21,7 @@ _LEAST_M = 25.0  # minimum distance from the center to the upper edge
 _INNER = 0.5  # user and estimate stay within this central fraction of the map's height and width
 _STREET_M = 14.0  # width of streets in the picture, if blocks leave enough room
 _FACADE_M = 4.0  # depth of a wall in the picture
-_SAME_HEIGHT_M = 0.1  # walls are drawn only for mirror images within this of the station's height
+_SAME_HEIGHT_M = 0.1  # a mirror image at most this far above or below the station gets a wall
 _TRAIL = 1500  # maximum number of epochs of a trajectory that are drawn
 
 
@@ -148,7 +148,7 @@ def _draw_walls(canvas: Canvas, view: View, anchors_m: Array, theme: Theme) -> N
 
 
 def _draw_links(canvas: Canvas, view: View, history: History, theme: Theme) -> None:
-    """Draw lines from the user to all anchors, styled by link: accepted, rejected or missing."""
+    """Draw each link, a line from the user to an anchor, as accepted, rejected or missing."""
     if history.epochs == 0:
         return
     user = _point(view, history.truth[-1])
@@ -247,7 +247,7 @@ def _draw_arrow(canvas: Canvas, start: Point, tip: Point, color: Color) -> None:
 def _label(
     canvas: Canvas, text: str, at: Point, frame: Rect, theme: Theme, taken: list[Rect]
 ) -> None:
-    """Draw a name near a point, inside the frame and, if possible, not over the parts ``taken``."""
+    """Draw a name near a point, inside the frame and, if possible, beside the ``taken`` parts."""
     width, height, gap = canvas.width_of(text, 14) + 6.0, 15.0, 10.0
     places = [
         Rect(left, at[1] + (row - 0.5) * height, width, height).clamp(frame)

@@ -40,7 +40,7 @@ def write_video(
     """Write a complete video; if that fails, an older file at ``path`` remains unchanged.
 
     The video shows the picture (height, width, 3) that ``draw`` returns for each of the
-    ``numbers``. ``report`` receives the fraction of pictures drawn. First call ``require_video``.
+    ``numbers``. ``report`` receives the fraction of pictures drawn. Call ``require_video`` first.
     """
 
     def pictures() -> Iterator[NDArray[np.uint8]]:

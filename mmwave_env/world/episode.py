@@ -143,8 +143,8 @@ class Episode:
         Args:
             scene, radio: scene that contains the anchors, and profile of the receiver.
             prior: ``prior_mean`` and ``prior_covariance``.
-            sigma: (T, rows) standard deviations that the receiver reports. Where sigma is NaN (or
-                everywhere, if None), the radio profile computes them from the SNR.
+            sigma: (T, rows) standard deviations that the receiver reports. The radio profile
+                computes those that are NaN (all of them, if sigma is None) from the SNR.
             position_m, velocity_mps: true positions and velocities (T, 3); None if unknown.
         """
         known = np.isfinite(snr_db)
@@ -202,7 +202,7 @@ class Episode:
             raise ValueError(f"{self._record}: found no truth, which reward and metrics need")
 
     def on_flat_ground(self, height_m: float | None = None) -> "Episode":
-        """Return the episode with vz = 0 and this height (None: the true height) as prior mean."""
+        """Return a copy whose prior mean has vz = 0 and this height (None: the true height)."""
         if height_m is None:
             self.require_truth()
             height_m = self.truth_position_m[0, 2]  # type: ignore[index]
@@ -245,7 +245,7 @@ class Episode:
 
 
 def sigma_bounds(layout: Layout) -> list[tuple[list[int], Bound]]:
-    """Return rows and their bound, for ranges and speed, for angles and for the Doppler shift."""
+    """Return three pairs (rows, bound of sigma): ranges and speed; angles; the Doppler shift."""
     lengths = np.setdiff1d(np.arange(layout.size), [*layout.angles, layout.doppler]).tolist()
     angles, doppler = envelope.ANGLE_SIGMA_RAD, envelope.DOPPLER_SIGMA_HZ
     of_lengths = lengths, envelope.RANGE_SIGMA_M

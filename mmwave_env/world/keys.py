@@ -83,7 +83,7 @@ class Stream:
 
     def next(self, rng: np.random.Generator, seed: int) -> int:
         """Return the next episode's key, given the environment's current generator and seed."""
-        if rng is not self._from:  # a new rng: seeded, or set by the user (seed -1)
+        if rng is not self._from:  # a reset was seeded, or the user set another rng (seed -1)
             self._from = rng
             self._state[:] = draw_key(rng) if seed == -1 else stream_of(seed), 0
         (key,) = keys_at(*self._state)

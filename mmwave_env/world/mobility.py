@@ -25,7 +25,7 @@ from mmwave_env.world.kinematics import FAR
 from mmwave_env.world.travel import PhasePlan, TravelPlan, blank_plan
 
 FASTEST_MPS = 100.0  # faster than any user in streets
-ROOM = 3  # compiled programs have room for 3 phases with 3 gaits each, or for more if needed
+ROOM = 3  # compiled programs have room for at least 3 phases with 3 gaits each
 
 Speed = Annotated[float, Bound(f"0 to {FASTEST_MPS:g} m/s", least=0.0, most=FASTEST_MPS)]
 Duration = Annotated[float, Bound("a number >= 0.001", least=1e-3, most=inf)]

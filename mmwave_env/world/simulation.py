@@ -47,9 +47,9 @@ class WorldSettings(NamedTuple):
     step_s: Number  # length of a substep
     stride: Number  # number of substeps in an epoch
     offered: Vector = ()  # (rows,) 1 where the receiver measures the row; empty if it measures all
-    # empty if the user's clock is synchronized; else (2,): factor that converts the sum of the
-    # oscillator biases (Hz) at two successive epochs to the change (m) of the range bias between
-    # them, and standard deviation (m) of the noise that the clock itself adds to this change
+    # empty if the user's clock is synchronized; else (2,): the first number times the sum of the
+    # oscillator biases (Hz) at two successive epochs is the drift (m) of the range bias from one
+    # epoch to the next; the second is the standard deviation (m) of noise added to the drift
     clock: Vector = ()
 
 
@@ -297,7 +297,7 @@ class FirstDraws(NamedTuple):
     # (7,) true state at the first epoch, followed by the range bias (m) if the clock has an offset;
     # if ways are given, the position and velocity in it are meaningless
     first: list[Number]
-    # (7,) error of the prior's mean; with a clock offset, (8,): the last is minus the range bias
+    # (7,) error of the prior's mean; with a clock offset (8,), ending with minus the range bias
     prior_noise: list[Number]
 
 

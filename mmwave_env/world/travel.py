@@ -57,7 +57,7 @@ class PhasePlan(NamedTuple):
     acceleration: list[Number]
     braking: list[Number]
     lateral: list[Number]
-    ends_early: Number  # 1 if it must end in time for the next phase, the last one, else 0
+    ends_early: Number  # 1 if the phase must end in time for the last phase, which is next
     phase: Phase  # the values that are not drawn
 
 

@@ -34,7 +34,7 @@ COMMANDS = {
     "tune": ("tune", "--modes", "ekf", "--scenarios", "pedestrian", "--free", "sigma_v",
              "--episodes", "2", "--out", "modes.json"),
 }  # fmt: skip
-INTERRUPTIONS = {  # name -> signal to send (None: limit file sizes), exit codes if interrupted
+INTERRUPTIONS = {  # name -> signal sent (None: file sizes are limited), exit codes if interrupted
     "KILL": (signal.SIGKILL, {-signal.SIGKILL}),
     "TERM": (signal.SIGTERM, {-signal.SIGTERM, 128 + signal.SIGTERM}),
     "INT": (signal.SIGINT, {-signal.SIGINT, 128 + signal.SIGINT}),
@@ -86,7 +86,7 @@ def begun(words, folder, most):
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory):
-    """Return a function that maps a command's name to its input folder, outputs and duration, s."""
+    """Return a function from a command's name to its input folder, outputs and duration (s)."""
     known = {}
 
     def find(name):

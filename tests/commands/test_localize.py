@@ -175,7 +175,7 @@ def test_a_late_start_a_restart_and_an_end_at_a_long_gap_are_reported(capsys, tm
     """Use the walk at a tenth of its rate, without the epochs from 100 to 129 s.
 
     The base station (anchor 1), without which no track begins, is not visible in the first 20 s.
-    In the second case, it is not visible after the gap either, so the track ends at the gap.
+    In the second case, anchor 1 is not visible after the gap either, so the track ends at the gap.
     """
     log, gap = tmp_path / "gap.csv", range(100, 130)
     header, *lines = lines_of()

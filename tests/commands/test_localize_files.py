@@ -106,7 +106,7 @@ def test_an_error_while_printing_is_reported():
 @pytest.mark.skipif(os.name != "posix", reason="needs FIFOs")
 @pytest.mark.parametrize("option", ["log", "--scene", "--truth", "--modes", "--radio"])
 def test_a_fifo_is_refused_before_it_is_read(tmp_path, option):
-    """Use FIFOs, because reading them can block; tests/io/test_files.py tests other odd files."""
+    """Check FIFOs, because reading one can block; tests/io/test_files.py checks other odd files."""
     odd = tmp_path / ("odd.csv" if option == "log" else "odd.json")
     os.mkfifo(odd)
     files = {"log": RIDE / "log.csv", "--scene": RIDE / "scene.json", option: odd}

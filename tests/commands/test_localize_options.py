@@ -32,7 +32,7 @@ def first_rows(count):
 
 
 def as_json(lines, whole):
-    """Return CSV lines as JSON lines, one for each row or, if ``whole``, one for each epoch."""
+    """Return CSV lines as JSON lines; each contains a row, or an epoch if ``whole`` is True."""
     names, *rows = (line.split(",") for line in lines)
     objects = [
         {n: float(v) if v else None for n, v in zip(names, row, strict=True)} for row in rows

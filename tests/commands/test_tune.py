@@ -79,14 +79,14 @@ def test_a_mistake_ends_with_one_clear_line(options, message):
 
 
 def marked(file):
-    """Leave all files except handset.json to the tests for a release."""
+    """Mark a file, unless it is handset.json, so that only the tests for a release use it."""
     return file if file.stem == "handset" else pytest.param(file, marks=pytest.mark.release)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("file", [*map(marked, SHIPPED)], ids=lambda file: file.stem)
 def test_tuning_on_the_original_episodes_finds_the_shipped_modes(file):
-    """The keys are those of the episodes on which the shipped modes were tuned."""
+    """Draw the keys of the episodes on which the shipped modes were tuned, and tune again."""
     seeds = range(5_000_000, 5_000_300)
     keys = np.array([draw_key(np.random.default_rng(seed)) for seed in seeds], np.uint64)
     radio = file.stem.removesuffix("-diagonal")

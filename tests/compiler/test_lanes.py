@@ -178,7 +178,7 @@ def test_where_ignores_nan_in_the_other_branch():
 
 
 def test_lanes_and_numbers_on_a_tape_have_the_same_operations():
-    """Check this because a tape records a function's operations before it is compiled for lanes."""
+    """Check that every function that can be recorded on a tape can also be compiled for lanes."""
     inner = {"builder", "value", "_call", "_negated", "_with", "number", "tape", "_record"}
     number = taped(0.0, [])
     for ours, theirs in ((Lanes, number), (Mask, number < 1.0)):

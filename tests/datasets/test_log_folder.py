@@ -89,7 +89,7 @@ def test_epochs_are_matched_to_poses_by_time(folder):
 
 
 def test_a_wrong_clock_of_the_truth_is_reported_but_not_corrected(sample):
-    """Write a true track of 30 poses per second instead of 10, with a clock that is 0.1 s ahead."""
+    """Check a true track at 30 Hz (the log has 10 Hz) whose clock is 0.1 s ahead."""
     track = read_log_folder(sample)
     time = np.arange(0.004, track.time_s[-1], 1.0 / 30.0)
     position = CubicSpline(track.time_s, track.position_m)(time)
@@ -100,7 +100,7 @@ def test_a_wrong_clock_of_the_truth_is_reported_but_not_corrected(sample):
 
 
 def test_a_log_with_sigma_columns_and_missing_quantities_can_be_played_and_written_again(folder):
-    """Replace the log by a log that lacks quantities and has Doppler shifts of anchor 2."""
+    """Check a log without SNRs and angles of arrival, whose Doppler shifts belong to anchor 2."""
     whole, columns = read_log_folder(folder), read_columns(folder / "log.csv")
     own = {name: columns[name] for name in ("time_s", "anchor", "toa_s", "aod_azimuth_rad")}
     own["doppler_hz"] = np.roll(columns["doppler_hz"], 1)  # moved to anchor 2's rows

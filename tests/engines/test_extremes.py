@@ -25,7 +25,7 @@ from mmwave_env.world.simulated import SimulatedSource
 from tests.filters.tracks import TRIANGLE, unpacked
 from tests.refusals import refuses
 
-ASIDE = 0.01  # distance of a tested value from an end of a bound, relative to this end
+ASIDE = 0.01  # tested values differ from a limit of their bound by this share of the limit
 FAR = (1e30, 1e150, 1e300, np.nan)  # without inf: an infinite sigma means a missing row
 SEEDS = (0, 5)  # seeds of the episodes that get extreme values
 NOISES = ("sigma_p", "sigma_v", "sigma_pz", "sigma_vz", "sigma_b_mps")

@@ -1,4 +1,4 @@
-"""Tests of engines with a belief per mode; actions trust (raise the odds of) one mode or none."""
+"""Tests of engines with a belief per mode, in which an action raises the odds of a mode or none."""
 
 from dataclasses import replace
 

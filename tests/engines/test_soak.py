@@ -23,7 +23,7 @@ from mmwave_env.world.simulated import SimulatedSource
 
 pytestmark = pytest.mark.slow
 
-N = 128  # number of environments for each kind of user and each radio; 384,000 steps in all tests
+N = 128  # environments for each kind of user with each radio; together, they take 384,000 steps
 PARTS = ("x", "P", "memory", "candidates", "observation", "reward", "nees", "distance")
 STAY = (0.0, 0.95, 1.0)  # probabilities of keeping the mode; each environment draws one of them
 EXTREME = (  # modes with much smaller or larger covariances than the named modes
@@ -69,7 +69,7 @@ def unsound(engine):
 
 
 def soaked(modes, users, n, epochs=200):
-    """Run damaged episodes with random modes; return the first unsound epoch and parts, or None."""
+    """Run damaged episodes in random modes; return the first epoch with unsound parts, or None."""
     engine = Engine(Pipeline(tuple(modes), Layout(3)), n, TrackingReward())
     for turn, (scenario, radio) in enumerate(users):
         rng = np.random.default_rng(turn)

@@ -72,7 +72,7 @@ def test_the_environment_passes_gymnasium_s_checker(name, more):
     env = gym.make(ID, episode_steps=5, disable_env_checker=True, **KINDS[name], **more)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        # Gymnasium recommends limits of -1 and 1. Users get them with the wrapper RescaleAction.
+        # Gymnasium recommends limits of -1 and 1, which users can get with RescaleAction.
         warnings.filterwarnings("ignore", ".*symmetric and normalized")
         check_env(env.unwrapped, skip_render_check=True)
 

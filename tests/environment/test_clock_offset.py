@@ -181,7 +181,7 @@ def ride(tmp_path_factory):
 
 
 def words_of(folder):
-    """Return the words of a command that name a simulated log, its scene and its radio."""
+    """Return the arguments by which a command gets a simulated log, its scene and its radio."""
     return folder / "log.csv", "--scene", folder / "scene.json", "--radio", "standard"
 
 

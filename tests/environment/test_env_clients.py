@@ -20,7 +20,7 @@ EKF = {"modes": ["ekf"]}
 
 
 class Closeness:
-    """A reward without ``__eq__``. A copy of it is not equal to it and would be compiled again."""
+    """A reward without ``__eq__``: a copy differs from the original and would be compiled again."""
 
     compiled = 0
 
@@ -29,9 +29,9 @@ class Closeness:
         return -belief.distance(truth)
 
 
-def go_on(env, steps, actions=0):
-    """Return results of random steps (seed ``actions``) and, in a single environment, of resets."""
-    rng, results = np.random.default_rng(actions), []
+def go_on(env, steps, seed=0):
+    """Return the results of random steps, and of a single environment's resets between them."""
+    rng, results = np.random.default_rng(seed), []
     if isinstance(env, gym.vector.VectorEnv):
         return [env.step(rng.integers(env.single_action_space.n, size=3)) for _ in range(steps)]
     for _ in range(steps):
@@ -67,7 +67,7 @@ VECTORS = {
 @pytest.mark.parametrize("how", COPIES)
 @pytest.mark.parametrize("configuration", CONFIGURATIONS | VECTORS)
 def test_a_copy_continues_independently_with_identical_results(how, configuration):
-    """Copy an environment before its first reset, and in the middle of an episode."""
+    """Check copies made before the first reset, and copies made in the middle of an episode."""
     if configuration in VECTORS:
         env = gym.make_vec(ID, num_envs=3, **VECTORS[configuration])
     else:
@@ -78,7 +78,7 @@ def test_a_copy_continues_independently_with_identical_results(how, configuratio
     assert same(twin.reset(seed=3), env.reset(seed=3))
     go_on(env, 2)
     twin = COPIES[how](env)
-    elsewhere = go_on(copy.deepcopy(twin), 26, actions=5)
+    elsewhere = go_on(copy.deepcopy(twin), 26, seed=5)
     expected = go_on(env, 26)
     assert same(go_on(twin, 26), expected)
     if env.action_space != gym.spaces.Discrete(1):
@@ -178,8 +178,8 @@ def test_only_synchronous_vector_environments_support_fixed_infos():
         gym.make_vec(ID, num_envs=2, infos="fixed")
 
 
-# The last argument of each case is wrong, and the error names it, except as follows ("": any name).
 CORRECTION = {"beliefs": "per-mode", "action": "correction"}
+# argument -> how its error begins, if not with the argument's name ("": with any word)
 NAMED = {"episode_steps": "", "episodes": "", "terminate_on_divergence": "", "modes": "mode"}
 
 

@@ -94,7 +94,7 @@ def test_options_that_differ_between_environments_are_refused():
 
 def test_autoreset_modes_other_than_same_step_are_refused():
     ours = [gym.make_vec(ID, num_envs=2, autoreset_mode=m) for m in ("NextStep", "Disabled")]
-    for env in (*ours, gym.vector.VectorEnv()):  # the last has no autoreset mode
+    for env in (*ours, gym.vector.VectorEnv()):  # a plain VectorEnv has no autoreset mode
         with refuses("autoreset_mode"):
             SB3VecEnv(env)
 

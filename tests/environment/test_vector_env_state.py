@@ -39,7 +39,7 @@ def go_on(env, steps, actions):
 @pytest.mark.parametrize("configuration", representative(CONFIGURATIONS, "ends early", "short"))
 @pytest.mark.parametrize("mode", AUTORESET)
 def test_environments_continue_from_a_state_saved_at_any_step(mode, configuration):
-    """Restore a state in a new environment, in a used environment and in the original."""
+    """Check a state restored in a new environment, in a used environment and in the original."""
     env = make(mode, **CONFIGURATIONS[configuration])
     elsewhere = make(mode, **CONFIGURATIONS[configuration])
     elsewhere.reset(seed=50)
@@ -95,7 +95,7 @@ def test_the_state_of_another_environment_is_refused(name, arguments):
     env.reset(seed=0)
     with refuses(f"{name} of the state"):
         other.restore(env.state())
-    with pytest.raises(ResetNeeded):  # other was neither restored nor reset
+    with pytest.raises(ResetNeeded):  # this environment was neither restored nor reset
         other.state()
 
 

@@ -72,8 +72,8 @@ def check_seeds(make):
 
 
 def assert_own_memory(results):
-    """Check that no two results share memory. Then overwrite them all, so that a caller can check
-    that the environment does not use them.
+    """Check that no two results share memory. Then overwrite all results, so that a caller can
+    check that the environment does not use their arrays.
     """
     for i, earlier in enumerate(results):
         for later in results[i + 1 :]:

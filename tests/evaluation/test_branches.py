@@ -35,7 +35,7 @@ def begun(done):
 
 
 def rest(done, action):
-    """Return total rewards (N,) after ``done`` epochs, for ``action`` once and action 0 later."""
+    """Return total rewards (N,) after ``done`` epochs if ``action`` is taken, and later only 0."""
     engine, total = begun(done), 0.0
     for taken in [action, *[np.int64(0)] * (EPOCHS - done - 1)]:
         total += engine.step(taken, rows_of(engine.at.reward))[1][:, 0]
@@ -70,5 +70,5 @@ def test_the_clairvoyant_is_refused_for_episodes_without_truth():
     unknown = [replace(e, truth_position_m=None, truth_velocity_mps=None) for e in EPISODES]
     with refuses("policy"):
         run_contender(policy, policy.start(LAYOUT), unknown)
-    with refuses("policy"):  # as for a log, foresee was not called
+    with refuses("policy"):  # nothing called foresee, as when a log is localized
         policy.start(LAYOUT)(begun(0).observations())

@@ -12,7 +12,7 @@ from mmwave_env.metrics import HEADERS, METRICS, TERMS
 
 
 def scores(**rewards):
-    """Return metrics of contenders (policies): the given rewards, and multiples of the rewards."""
+    """Return metrics of contenders (policies): rewards, and their multiples as other metrics."""
     return {
         name.replace("_", "-"): {
             metric: (i + 1.0) * np.asarray(reward, float)

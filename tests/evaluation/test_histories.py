@@ -24,7 +24,7 @@ STREETS = TASK.streets_of(int(keys_of([SEED])[0]))
     ("name", "arguments"),
     [
         ("speed-rule", {}),
-        # These compile their own kernels.
+        # The next two cases are slow, because each compiles its own kernels.
         pytest.param("fixed-ukf", {"planar": True}, marks=pytest.mark.slow),
         pytest.param("guided", {"beliefs": "per-mode"}, marks=pytest.mark.slow),
     ],

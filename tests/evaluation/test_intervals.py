@@ -32,8 +32,8 @@ def test_one_episode_gives_a_mean_and_no_interval():
 def test_intervals_agree_with_scipy_s_bootstrap(n):
     values = np.random.default_rng(0).exponential(2.0, (n, 2))
     ours = bootstrap(values)
-    # The standard error of a 2.5 % quantile of resampled means is this factor times the standard
-    # deviation of the means. Two independent quantiles differ by more than 4.5 sqrt(2) standard
+    # A 2.5 % quantile of resampled means has a standard error of quantile_error times the standard
+    # deviation of these means. Two independent quantiles differ by more than 4.5 sqrt(2) standard
     # errors in only one of 10^5 tests.
     quantile_error = np.sqrt(0.025 * 0.975 / RESAMPLES) / norm.pdf(norm.ppf(0.025))
     for column, interval in zip(values.T, ours, strict=True):

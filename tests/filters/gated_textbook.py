@@ -138,8 +138,8 @@ def textbook_imm(episode, modes, transitions, nis_quantile=1.0, change=None):
 
     ``modes`` are pairs (method, Q of one second); noise is not adapted. ``transitions`` has one
     matrix per epoch. In likelihoods, NIS is capped at the chi-square quantile of
-    ``nis_quantile``. If given, ``change(t, probabilities)`` returns new probabilities after epoch
-    t. The results are x (T, 7), P (T, 7, 7) and probabilities (T, M).
+    ``nis_quantile``. The function ``change(t, probabilities)`` may replace the probabilities after
+    epoch t. The results are x (T, 7), P (T, 7, 7) and probabilities (T, M).
     """
     most = chi2.ppf(nis_quantile, [4, 4, 4, 1])
     sensor = textbook.Sensor(episode.scene_anchors_m, episode.hz_per_mps)

@@ -51,7 +51,7 @@ REFUSED = {
 
 @pytest.fixture
 def written(tmp_path):
-    """Return a function that writes an algorithm with a given line to a file and imports it."""
+    """Return a function that writes an algorithm with one chosen line of code, and imports it."""
 
     def write(line):
         file = tmp_path / "filters.py"
@@ -205,7 +205,7 @@ def test_making_an_environment_with_an_algorithm_that_cannot_run_is_refused(writ
 @pytest.mark.parametrize("ours", [ekf, ukf, ckf])
 @pytest.mark.parametrize("options", [{}, {"robust": True}, {"gate": None, "recovery": None}])
 def test_valid_algorithms_are_accepted_with_any_layout(layout, planar, ours, options):
-    """Check branches on the layout and the gate, which are known before an algorithm runs."""
+    """Check an algorithm with an ``if`` on layout and gate, which are known before it runs."""
 
     def own(x, P, measurement, gate):
         if measurement.layout.odometry and gate.robust and gate.quantile is not None:

@@ -37,7 +37,7 @@ def both(pipeline, episodes, actions, parts):
 
 
 def assert_agree(pipeline, episodes, *more):
-    """Assert equal beliefs, memories and observations; return both tracks with parts ``more``."""
+    """Assert that our track and filterpy's track are equal; return both with the parts ``more``."""
     ours, twin = both(pipeline, episodes, 0, ("x", "P", "memory", "observation", *more))
     assert_same_beliefs(twin, ours, rtol=1e-9)
     for part in ("memory", "observation"):

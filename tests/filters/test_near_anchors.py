@@ -14,7 +14,7 @@ from tests.filters.tracks import OwnModel, assert_same_beliefs, pipeline_of, pro
 
 ANCHORS = np.array([[0.0, 0.0, 10.0], [80.0, 60.0, 12.0], [-50.0, 70.0, 15.0]])
 SILENT = {"vertical": [1, 3], "anchor": [1, 2, 3, 12]}  # position -> rows without information
-# name -> (offset in m of the prior mean from the first anchor, key of SILENT or None)
+# name -> (prior mean minus first anchor in m, key of SILENT; None if all rows have information)
 OFFSETS = {
     "below": ((0.0, 0.0, -8.5), "vertical"),
     "above": ((0.0, 0.0, 20.0), "vertical"),

@@ -1,7 +1,7 @@
 """Tests that modes, memory and IMMs on plain floats equal their textbook formulas.
 
-Engines run the same functions compiled. These tests run them as plain Python, because compilation
-would take longer than the tests, which take at most a second each.
+Engines compile the tested functions. The tests run the functions as plain Python, because
+compilation would take longer than a test, which takes at most a second.
 """
 
 import numpy as np
@@ -176,7 +176,7 @@ def run_imm(modes, episode, transition, limits=(np.inf,) * 4):
 
 @pytest.mark.parametrize(("nis_quantile", "off_m"), [(1.0, 0.0), (0.9, 0.0), (1.0, 90.0)])
 def test_a_mixture_equals_the_textbook(nis_quantile, off_m):
-    """Include a range that is off by 90 m: without logarithms, all likelihoods would underflow."""
+    """Check also a range that is 90 m off: without logarithms, all likelihoods would underflow."""
     (episode,) = simulated(1, epochs=8)
     episode.measurement[:, 4] += off_m
     plain = {"gate": None, "adaptive": False, "coupling": False}

@@ -158,7 +158,7 @@ def _scored(row: str, action: Any, reward: Any, terminated: Any, truncated: Any)
 
 
 def _of(i: int, infos: Row) -> Row:
-    """Return the infos of environment i, given the infos of a vector environment."""
+    """Return the part of a vector environment's infos that belongs to environment i."""
     keys = [key for key in infos if key[0] != "_" and not key.startswith("final")]
     return {key: infos[key][i] for key in keys if infos[f"_{key}"][i]}
 

@@ -59,7 +59,7 @@ def _same(a: str, b: str, tolerance: float) -> bool:
 
 
 def main(check: bool) -> None:
-    """Write all traces; with ``check``, only compare them with their files; fail if any differ."""
+    """Write all traces; with ``check``, write none, but fail if a file differs from its trace."""
     differ = 0
     for name, trace in TRACES.items():
         path, text = FOLDER / f"{name}.csv", text_of(trace())

@@ -24,7 +24,7 @@ from mmwave_env.models.scene import SCENES
 from mmwave_env.world.simulated import SimulatedSource
 from tests.filters.tracks import replay
 
-# group of measurements, in the order of the layout -> degrees of freedom
+# group of measurements -> degrees of freedom; the groups are in the order of the layout
 GROUPS = {"anchor 1": 4, "anchor 2": 4, "anchor 3": 4, "Doppler": 1}
 DOF = np.array([*GROUPS.values()])
 

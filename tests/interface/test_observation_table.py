@@ -17,7 +17,7 @@ PIPELINES = {
     "one anchor": Pipeline(modes_from(["ukf"]), Layout(1)),
     "three modes": Pipeline(modes_from(["ekf", "ukf", "ckf"]), Layout(5, True), planar=True),
 }
-COMING = ("coming ", "preference ")  # beginnings of names of features that use the coming epoch
+COMING = ("coming ", "preference ")  # features whose names begin like this use the coming epoch
 
 every_pipeline = pytest.mark.parametrize("pipeline", PIPELINES.values(), ids=PIPELINES)
 every_kind = pytest.mark.parametrize("kind", ["full", "prior"])

@@ -75,7 +75,7 @@ def test_features_of_a_track_that_smoothing_did_not_change_are_those_of_the_filt
     parts = run_imm(BANK, TrackingReward(), episodes, *names, actions=actions)
     x, P, mixtures, *gates = parts.values()
     features = smoothed_features(pipeline, EpisodeBatch.of(episodes), x, P, mixtures, gates)
-    # The first epoch has no previous belief in the track, so its turn differs.
+    # A feature compares the heading with the previous epoch's heading; the first epoch has none.
     np.testing.assert_allclose(features[:, 1:], observed[:, 1:], atol=1e-5)
 
 
@@ -128,8 +128,8 @@ def test_residuals_equal_the_formula_in_numpy(episodes):
         deviation = np.maximum(episode.sigma[:, 5] * flat, 0.05)
         q = np.sign(residual) * np.log1p(np.abs(residual) / deviation) * episode.visible[:, 1]
         heading = np.arctan2(x[i, :, 4], x[i, :, 3])
-        # A positive residual points to the left of the ray from the anchor to the user. The cosine
-        # gives the component of this direction that points to the left of the motion.
+        # A positive residual points to the left of the ray from the anchor to the user; the cosine
+        # projects it onto the direction to the left of the motion.
         expected = q * np.cos(bearing - heading)
         np.testing.assert_allclose(
             value("azimuth residual across anchor 2", i), expected, atol=1e-4

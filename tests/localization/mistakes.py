@@ -42,7 +42,7 @@ def exchange(column, other):
 
 exchanged = exchange(*AZIMUTHS)  # azimuths of arrival and departure
 upside_down = linear(-1.0, "aoa_elevation_rad")
-FACTORS = {  # end of the text of a hypothesis about times -> factor by which times are wrong
+FACTORS = {  # how the text of a hypothesis about times ends -> factor by which times are wrong
     f"1e{n} times too large ({unit}?)": 10.0**n for n, unit in ((3, "ms"), (6, "us"), (9, "ns"))
 }
 FACTORS |= {f"1e{n} times too small (s?)": 10.0**-n for n in (3, 6, 9)}

@@ -137,8 +137,8 @@ def test_a_track_waits_for_the_line_of_sight_instead_of_starting_from_a_reflecti
 
 def test_a_track_that_started_from_a_reflection_gives_way_to_the_line_of_sight():
     anchors_seen, tally = [(1,)] * 30 + [ALL] * 20, Association(3)
-    # The image, 14 m north of the base station, is mistaken for it. So the track is 14 m too far
-    # south. While there is only one path, nothing contradicts that it is the line of sight.
+    # The only path is from the station's image, 14 m to the north. The image is mistaken for the
+    # station, so the track is 14 m too far south. Until other paths appear, nothing reveals this.
     block = associated(walk(anchors_seen, seed=4, y_m=6.0), tally=tally)
     begins = np.flatnonzero(block.restarts).tolist()
     assert seen_in(block)[:20] == [(0,)] * 20 and begins[0] == 0

@@ -19,7 +19,7 @@ from tests.paths import representative
 from tests.refusals import refuses
 
 N, T, ANCHORS = 3, 40, 3
-FRESH = 5_900_000  # first tuning seed with which no levels were calibrated
+FRESH = 5_900_000  # first tuning seed that was not used to calibrate levels
 
 
 def parts(seed=0):

@@ -87,7 +87,7 @@ def episode_of(block):
 
 
 def assert_engines(result, block, modes, planar=False):
-    """Assert that the engine gives the same filtered track if it runs the chosen modes."""
+    """Assert that an engine that runs the modes chosen in ``result`` filters the same track."""
     episode = episode_of(block)
     if planar:
         episode = episode.on_flat_ground(1.5)
@@ -196,7 +196,7 @@ def test_a_track_does_not_depend_on_the_sizes_of_blocks(
     options = {"window": window, "two_way": two_way and TwoWayCorrector(two_way)}
     expected = run([block], modes, rule, **options)
     result = run(cut(block, sizes), modes, rule, **options)
-    if two_way:  # its network computes in single precision
+    if two_way:  # the corrector's network computes in single precision
         np.testing.assert_allclose(result.smooth_x, expected.smooth_x, rtol=0.0, atol=1e-4)
     else:
         assert_same(result, expected)

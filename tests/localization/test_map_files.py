@@ -84,7 +84,7 @@ def test_nmea_has_positions_and_standard_deviations(tmp_path):
 
 
 def area(ring):
-    """Return the area in m^2 of a ring, given as longitudes and latitudes near the origin."""
+    """Return the area in m^2 of a ring of points (longitude, latitude) near the map's origin."""
     longitude, latitude = np.array(ring).T
     where = ORIGIN.latitude_deg, ORIGIN.longitude_deg, ORIGIN.height_m
     east, north, _ = pymap3d.geodetic2enu(latitude, longitude, ORIGIN.height_m, *where)

@@ -20,7 +20,7 @@ from tests.logs.by_hand import read, track_of
 from tests.paths import representative
 
 ANCHORS = np.array([[0.0, 0.0, 10.0], [0.0, 70.0, 10.0], [-90.0, 0.0, 12.0], [60.0, -50.0, 8.0]])
-ROWS = {  # column -> (row of a link, or 4 for Doppler; unit; standard deviation in that unit)
+ROWS = {  # column -> row in a link (4: the Doppler shift), unit, standard deviation in this unit
     "range": (0, "m", 0.3),
     "aoa_azimuth": (1, "deg", 1.0),
     "aoa_elevation": (2, "deg", 1.0),
@@ -28,7 +28,7 @@ ROWS = {  # column -> (row of a link, or 4 for Doppler; unit; standard deviation
     "doppler": (4, "hz", 25.0),
 }
 RANGE_AZIMUTH, ANGLES = ("range", "aoa_azimuth"), ("aoa_azimuth", "aoa_elevation", "aod_azimuth")
-# With one anchor and neither elevations nor a known height, the textbook EKF diverges.
+# A single anchor with neither elevations nor a known height is left out: the EKF diverges.
 RECEIVERS = {  # name -> columns that are measured, time step in s, number of anchors
     "all, 1 s": (tuple(ROWS), 1.0, 3),
     "all, 0.1 s": (tuple(ROWS), 0.1, 3),
@@ -95,7 +95,7 @@ def by_textbook(log, scene, x, P, flat):
     return np.array(means)
 
 
-# Cases with other than three anchors are slow: each number of anchors needs new compiled programs.
+# Quick cases have three anchors; any other number of anchors needs new compiled programs.
 @pytest.mark.parametrize(
     "receiver", representative(RECEIVERS, "all, 1 s", "no Doppler shift", "angles")
 )

@@ -26,7 +26,7 @@ def log(time_s, groups_seen, odometry=True):
 
 
 def pieces_of(*blocks):
-    """Return (times, segment, begins, skipped, dropped) of each block of the segments."""
+    """Return (times, segment, begins, skipped, dropped) of each block that ``segments`` yields."""
     return [
         (p.time_s.tolist(), p.segment, p.begins, p.skipped, p.dropped)
         for p in segments(blocks, STREET, HANDSET)

@@ -22,7 +22,7 @@ SUFFIXES = (".csv", ".csv.gz", ".parquet")
 
 
 def rows(epochs=4):
-    """Return the rows of a log, one for each epoch and anchor: dicts of cells by column."""
+    """Return the rows of a log, one dict (column -> cell) for each epoch and anchor."""
     lines = (
         f"{t},{a},{t + a}e-7,0.{a}{t},-0.{a},{a - 2}.{t},{t + 0.5 if a == 1 else ''},{20 + a}"
         for t in range(epochs)
@@ -52,7 +52,7 @@ def read(path, scene=SCENE, **options):
 
 
 def block_of(layout, time_s, measurement, visible, snr_db=20.0):
-    """Return a block with these values; groups that are not visible are incomplete."""
+    """Return a block with these values; each group (such as a link) is visible or incomplete."""
     T = len(time_s)
     return LogBlock(
         layout=layout,
@@ -94,7 +94,7 @@ def delivered(path, *fields, reader=read_log, **options):
     """Read a damaged log; return the blocks before the error, which must name file and fields."""
     blocks = []
     with refuses(path, *fields, error=LogError):
-        blocks.extend(reader(path, SCENE, **options))  # list() would lose these blocks
+        blocks.extend(reader(path, SCENE, **options))  # list() would lose all blocks
     return blocks
 
 

@@ -1,4 +1,4 @@
-"""Tests of interpolating a true track, and of estimating its clock's offset from a log's clock."""
+"""Tests of interpolating a true track and estimating the offset between its clock and a log's."""
 
 import numpy as np
 import pytest

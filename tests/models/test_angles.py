@@ -23,7 +23,7 @@ def between(p, q):
 
 
 def reported(anchor, user):
-    """Return the angles (deg) that a receiver with the convention of each row reports, by name."""
+    """Return a dict for each row: the angles (deg) that a receiver of this convention reports."""
     (out, elevation), (back, at_user) = between(anchor, user), between(user, anchor)
     return [
         {"arrival": back, "elevation": at_user, "departure": out},

@@ -31,7 +31,7 @@ def matrix(noise):
 def written_out(position, velocity, bias, dt, coupled):
     """Return Q (7, 7) of a step, in which position, velocity and bias are random walks.
 
-    If ``coupled``, the user also moves by the change of velocity, spread evenly over the step.
+    If ``coupled``, the velocity changes evenly during the step, which also moves the user.
     """
     Q = np.diag([*(position * dt), 0.0, 0.0, 0.0, bias * dt])
     for i, q in enumerate(velocity * dt):
@@ -90,7 +90,7 @@ def test_braking_ends_at_a_standstill(heading, speed, dt):
     v = speed * np.array([np.cos(heading), np.sin(heading)])
     moved = np.array(accelerate([0.0, 0.0, 1.5, *v, 0.1, 7.0], -100.0, dt))
     np.testing.assert_allclose(moved[3:5], 0.0, atol=1e-12)
-    # The given position already includes dt v, the movement without braking; braking halves dt v.
+    # Position 0, the input, already includes the unbraked movement dt v; braking undoes half of it.
     np.testing.assert_allclose(moved[:2], -0.5 * dt * v, atol=1e-12)
     np.testing.assert_array_equal(moved[[2, 5, 6]], [1.5, 0.1, 7.0])
 

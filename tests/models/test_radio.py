@@ -76,7 +76,7 @@ def assert_variance(values, variance):
 
 
 def changes(on):
-    """Return masks: for epochs in a spell, whether it ends; for others, whether one begins."""
+    """Return two masks: whether a spell ends (epochs in a spell) or begins (other epochs)."""
     before, after = on[:-1], on[1:]
     return ~after[before], after[~before]
 
@@ -102,9 +102,9 @@ def test_blockage_reduces_the_snr_by_25_db():
     np.testing.assert_allclose(loss, np.where(blocked, 25.0, 0.0), atol=1e-9)
 
 
-# Numbers of antenna elements of the base station and of the user; noise floors of the range on the
-# direct path and on reflected paths (m), of the azimuth of arrival, the elevation and the azimuth
-# of departure (deg), and of the Doppler shift (m/s).
+# Columns: antenna elements of the base station, antenna elements of the user, and noise floors of
+# the range on the direct path (m), the range on reflected paths (m), the azimuth of arrival (deg),
+# the elevation (deg), the azimuth of departure (deg) and the Doppler shift (m/s).
 PROFILES = {
     "handset": (4, 2, 0.5, 0.8, 3.0, 2.0, 2.0, 0.1),
     "standard": (8, 4, 0.2, 0.4, 1.0, 0.7, 0.5, 0.1),

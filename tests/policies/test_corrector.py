@@ -70,7 +70,7 @@ def features(epochs):
 
 
 def by_pytorch(shown, units):
-    """Return the corrections (epochs, 4, 6) that PyTorch computes from features, without trust."""
+    """Return the corrections (epochs, 4, 6) that PyTorch computes, not yet scaled by trust."""
     torch = pytest.importorskip("torch")
     tensors = {name: torch.from_numpy(part) for name, part in network(units=units).items()}
     gru = torch.nn.GRU(FRONT, UNITS, bidirectional=units == TWO_WAY)
@@ -99,7 +99,7 @@ def test_the_network_equals_pytorch(path):
 
 
 def two_way(path):
-    """Return a two-way corrector, ready for tracks of the features NAMES."""
+    """Return a two-way corrector that is ready for tracks whose columns are the features NAMES."""
     corrector = TwoWayCorrector(path)
     corrector.read_from_track(Pipeline(MODES, Layout()))
     return corrector

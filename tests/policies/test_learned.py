@@ -53,7 +53,7 @@ def exact_logits(tensors, observations):
 
 @pytest.mark.parametrize("hidden", [(5, 4), ()])
 def test_logits_equal_a_computation_in_double_precision(tmp_path, hidden):
-    """Include observations outside the limits to which policies clip observations."""
+    """Check observations inside and outside the limits to which a policy clips observations."""
     tensors = actor(hidden=hidden)
     policy = LearnedSwitch(write(tmp_path / "mine.safetensors", tensors, card_of()))
     rng = np.random.default_rng(1)
@@ -139,7 +139,7 @@ def test_an_anchor_that_a_scene_lacks_counts_as_never_visible(per_mode):
 def test_the_error_names_a_feature_that_is_missing_or_has_another_scale(shared, per_mode):
     with refuses("feature 'coming Doppler innovation'"):
         LearnedSwitch(shared, Observation(Pipeline(MODES, Layout()), "prior"))
-    with refuses("feature 'distance anchor 3'"):  # a distance can't say that there is no anchor
+    with refuses("feature 'distance anchor 3'"):  # no distance can mean 'no anchor'
         LearnedSwitch(shared, Observation(Pipeline(MODES, Layout(anchors=2))))
     with refuses("feature 'coming Doppler innovation'"):
         LearnedSwitch(per_mode, Observation(Pipeline(MODES, Layout(2)), "prior", "per-mode"))

@@ -27,7 +27,7 @@ def table():
 
 
 def observe(table, **features):
-    """Return observations (n, features): given features, and the means of all other features."""
+    """Return observations (n, features) with the values in ``features`` and means elsewhere."""
     columns = {name.replace("_", " "): np.atleast_1d(v) for name, v in features.items()}
     n = max(len(column) for column in columns.values())
     observation = np.zeros((n, len(table)))

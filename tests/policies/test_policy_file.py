@@ -73,7 +73,7 @@ def document(tensors=TENSORS, card=None, **changes):
 
 
 def assembled(tensors=TENSORS, card=None, **changes):
-    """Return the content of a file without the checks of ``to_bytes``; see :func:`document`."""
+    """Return a file's content, made without the checks of ``to_bytes``; see :func:`document`."""
     return save(tensors, document(tensors, card, **changes))
 
 

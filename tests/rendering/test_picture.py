@@ -257,7 +257,7 @@ def views(seed, action, **arguments):
 
 @pytest.mark.parametrize(("seed", "scenario"), [(0, "mixed"), (3, "mixed"), (0, "vehicle")])
 def test_user_and_estimate_are_always_in_the_frame(seed, scenario):
-    """Include an episode of a vehicle whose estimate is lost, with an error of more than 15 m."""
+    """Check three episodes, one with a vehicle whose estimate has an error of more than 15 m."""
     worst = 0.0
     for so_far, _, pixels in views(seed, 0, scenario=scenario):
         worst = max(worst, so_far.error_m[-1])

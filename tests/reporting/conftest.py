@@ -19,7 +19,7 @@ def chromium():
 
 @pytest.fixture
 def opened(chromium, address):
-    """Return a function to open pages; console messages or requests to other sites fail a test."""
+    """Return a function that opens pages; console messages and external requests fail the test."""
     contexts, complaints = [], []
 
     def open_page(path="", width=1280, **options):

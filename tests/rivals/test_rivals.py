@@ -50,7 +50,7 @@ class Recorder(Estimator):
 
 
 def priors_and_measurements():
-    """Yield x and P of the prior and a measurement, for every fifth epoch of three episodes."""
+    """Yield (x, P, measurement) for every fifth epoch of three episodes; x and P are the prior."""
     for episode in episodes(3):
         agent = Recorder()
         played(agent, [episode])
@@ -60,7 +60,7 @@ def priors_and_measurements():
 
 
 def test_particles_agree_with_the_ekf_in_a_nearly_linear_problem():
-    """Use large noise: then, many particles have similar weights and their mean is accurate."""
+    """Use large noise, so that many particles have similar weights and their mean is accurate."""
     good = replace(SOURCE, radio=RADIOS["standard"])
     some = [replace(episode, sigma=4.0 * episode.sigma) for episode in episodes(4, good)]
     cloud, kalman = (
@@ -102,7 +102,7 @@ def test_an_outlier_hardly_moves_a_belief_with_student_t_noise():
 
 
 def test_adaptive_noise_converges_to_the_true_noise():
-    """Use half of the true standard deviations; the estimated factor on variances should be 4."""
+    """State half the true standard deviations, so the estimated factor on variances should be 4."""
     x, _, measurement = next(priors_and_measurements())
     layout, rng, P = measurement.layout, np.random.default_rng(0), (1e-6 * np.eye(7)).tolist()
     exact = exact_rows(x[:3], x[3:6], measurement.anchors, measurement.hz_per_mps, layout)

@@ -80,7 +80,7 @@ BEGIN = {"update": 0, "timesteps": 0, "best": None, "beat_rule": None, "seconds"
 
 
 def test_a_checkpoint_that_lacks_entries_of_the_learner_is_refused(path, tmp_path):
-    """Use a checkpoint whose format and checksum are correct."""
+    """Check that a correct format and a correct checksum are not enough."""
     write_checkpoint(path, BEGIN | {"learner": {"timesteps": 3}, "env": {}})
     with refuses("checkpoint.pt", "updates"):
         PpoTraining(job_of(tmp_path), lambda *_: None).run()

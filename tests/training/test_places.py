@@ -121,7 +121,7 @@ def test_every_place_has_the_bank_of_its_radio():
 
 
 def test_modes_that_share_a_belief_are_the_same_at_all_places():
-    """Check that they are the modes that were tuned for the radio of the first place."""
+    """Check that all places use the modes that were tuned for the radio of the first place."""
     shared = task(beliefs="shared")
     assert {bank.modes for bank in shared.banks.values()} == {default_modes("handset")}
     at = task_from(**shared.arguments(PLACES[1]))

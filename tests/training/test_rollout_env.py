@@ -52,9 +52,9 @@ def stepped(env, epochs=EPOCHS, seed=0):
 
 
 def replayed(place, seed, first_episode, actions, tried, act, beliefs):
-    """Replay ``actions``, then take ``tried``; return the discounted rewards from ``tried`` on.
+    """Replay ``actions``, then take the action ``tried``; return the discounted reward since then.
 
-    The first episode lasts ``first_episode`` epochs; after ``tried``, ``act`` chooses actions.
+    The first episode lasts ``first_episode`` epochs; the policy ``act`` chooses all later actions.
     """
     bank = BANKS[place.radio]
     modes = bank if beliefs == "per-mode" else bank.modes
@@ -106,7 +106,7 @@ def test_trying_actions_does_not_change_the_environment():
 
 
 def test_states_near_the_end_of_an_episode_are_left_out():
-    """Use 16 environments, of which the first eight begin a new episode after one epoch."""
+    """Check 16 environments, of which the first eight end an episode after 201 epochs."""
     env = environment()
     stepped(env, 200 - HORIZON + 1)
     assert len(env.try_all(chaotic(4)).values) == 16
@@ -164,7 +164,7 @@ def assert_same_ends(infos, expected):
 
 @pytest.mark.slow
 def test_several_places_together_equal_each_place_alone():
-    """Seeds of the second place follow those of the first; its episodes end earlier."""
+    """Check places with different episode lengths; the second place's seeds follow the first's."""
     together = PlacesVecEnv(TASK, PAIRED)
     first, second = alone(PLACES[0], 3), alone(PLACES[1], 2)
     together.seed(10_000_000)

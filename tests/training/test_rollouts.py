@@ -56,7 +56,7 @@ def interrupt_after(calls):
 
 
 def test_an_interrupted_training_continues_to_the_same_result(tmp_path):
-    """Interrupt three times, once at an evaluation. The memory is too small for all states."""
+    """Interrupt three times, once at an evaluation, with a memory too small for all states."""
     whole, job = job_of(tmp_path / "whole"), job_of(tmp_path / "part", checkpoint_every=2)
     train(whole)
     for calls in (3, 2, 4):
@@ -91,7 +91,7 @@ QUICK = replace(LARGE, batch_size=1024, learning_rate=0.002, hidden=(32, 32), fi
 
 @pytest.mark.slow
 def test_a_short_training_from_scratch_beats_the_speed_rule_and_the_imm(tmp_path):
-    """Train a policy with the speed rule's modes. At first, it acts like the IMM of these modes."""
+    """Train a policy with the speed rule's modes; at first, the policy acts like their IMM."""
     modes = Bank(default_modes("handset"))
     street = TrainingTask(
         "mixed", PLACES[:1], {"handset": modes}, "full", TrackingReward(), "per-mode"

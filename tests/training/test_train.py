@@ -202,7 +202,7 @@ def test_the_error_without_pytorch_says_what_to_install(tmp_path, monkeypatch):
 
 
 def folder_of(path, modes=None, hyper=None, **options):
-    """Make the folder of a run whose manifest (run.json) has these options; return it."""
+    """Make the folder of a run whose manifest (run.json) has these options; return the path."""
     args = Args(out=path, **options)
     banks = {"handset": Bank(modes or default_modes("handset"))}
     manifest = manifest_of(args, banks, hyper or hyperparameters(args, 1))

@@ -179,7 +179,7 @@ def started():
     After the test, processes that remain in the groups are killed.
     """
     commands = []
-    # Commands that a shell runs in the background ignore Ctrl-C, and so do their children.
+    # Make Ctrl-C work even if a shell runs the tests in the background, where it is ignored.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def start(*words):

@@ -25,7 +25,7 @@ def test_keys_are_the_published_numbers_of_splitmix64():
 
 def test_the_end_of_a_stream_is_followed_by_its_beginning():
     last = keys_at(numbers(5), numbers(2**64 - 1))
-    # SplitMix64 adds this constant for each key. The stream below therefore begins one key earlier.
+    # SplitMix64 adds this constant for each key, so subtracting it begins a stream one key earlier.
     assert last == keys_at(numbers(5 - 0x9E3779B97F4A7C15 + 2**64), numbers(0))
 
 
@@ -35,7 +35,7 @@ def test_the_stream_of_a_seed_begins_with_numpys_seed_sequence():
 
 
 def test_a_stream_without_a_seed_begins_at_random():
-    """Also check that a stream whose state is restored gives the same keys."""
+    """Check also that another stream with the same state gives the same keys."""
     streams, again, places = Streams(2), Streams(2), np.arange(2)
     assert streams.seeds() == (-1, -1)  # unknown seeds
     again.set_states(streams.states())
@@ -45,7 +45,7 @@ def test_a_stream_without_a_seed_begins_at_random():
 
 
 def test_a_seed_gives_the_same_keys_everywhere():
-    """Compare a single environment, both kinds of vector environments, and evaluation."""
+    """Compare a single environment, our and Gymnasium's vector environments, and evaluation."""
     single = gym.make("MmWaveLoc-v0", **SHORT)
     native = gym.make_vec("MmWaveLoc-v0", num_envs=2, autoreset_mode="Disabled", **SHORT)
     gymnasiums = gym.make_vec("MmWaveLoc-v0", num_envs=2, vectorization_mode="sync", **SHORT)

@@ -66,9 +66,9 @@ class PlainDice:
 
 
 def spells(uniform, onset, leave, first):
-    """Run a two-state Markov chain per column; return whether it is on, and since which epoch.
+    """Run an on-off Markov chain per column; return whether each is on, and since which epoch.
 
-    The chances are ``onset`` to begin, ``leave`` to end, and ``first`` to be on in the first epoch.
+    The chance to turn on is ``onset``, to turn off ``leave``, and to be on in epoch 0 ``first``.
     """
     on, since = np.zeros(uniform.shape, bool), np.zeros(uniform.shape, int)
     for t, draw in enumerate(uniform):

@@ -36,7 +36,7 @@ class Played:
     """Results of contenders in episodes that were played again."""
 
     which: str = "no episodes"  # description of the episodes
-    # epochs: errors and NEES; positions: errors and protection levels (both in scored epochs)
+    # ``epochs`` has errors and NEES of scored epochs, ``positions`` errors and protection levels
     epochs: EpochErrors = field(default_factory=lambda: EpochErrors({}))
     positions: Positions = field(default_factory=lambda: Positions({}))
     shown: list[Json] = field(default_factory=list)  # episodes to watch, as JSON

@@ -150,7 +150,7 @@ def _links(
         return [(links, k) for k in [0, *images[:virtual_anchors]]]
     in_sight = [s for s in stations if (s.interactions == LINE_OF_SIGHT).any()]
     if not in_sight:
-        expected = "a line of sight in the file of at least one station (this is the first file)"
+        expected = "a line of sight in this file or in the file of another station"
         stations[0].refuse("inter", 0, "no line of sight (0)", expected)
     by_station = [find_links(station, position_m) for station in in_sight]
     return [(links, 0) for links in sorted(by_station, key=lambda links: -links.epochs_seen[0])]

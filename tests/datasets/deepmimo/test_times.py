@@ -55,7 +55,7 @@ def test_impossible_times_and_velocities_in_a_sidecar_are_refused(folder, cells,
 
 def test_impossible_speeds_and_time_steps_are_refused_without_a_sidecar(folder):
     with refuses(folder, "row 2: t"):
-        read_deepmimo(folder, dt_s=100.0)  # a time step in milliseconds
+        read_deepmimo(folder, dt_s=100.0)  # meant as 100 ms, but dt_s is in seconds
     edit(folder, "rx_pos", lambda a: np.where(np.arange(30)[:, None] < 9, a, a + 50.0))
     with refuses(folder, "row 10: speed"):
         read_deepmimo(folder, dt_s=0.1)

@@ -1,7 +1,7 @@
 """Tests of reading DeepMIMO v4 folders: scenes, formats of arrays, sets of receivers, refusals.
 
-A dynamic scenario has a sub-folder (a scene) for each epoch. In a static scenario, epochs are the
-receivers of a single scene. tests/test_damaged_files.py tests random damage.
+A dynamic scenario has a sub-folder (a scene) for each epoch. A static scenario has a single
+scene, whose receivers are the epochs. tests/test_damaged_files.py tests random damage.
 """
 
 import os
