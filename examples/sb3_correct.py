@@ -17,12 +17,13 @@ task = {"id": "mmwave_env:MmWaveLoc-v0", "infos": "none", "action": "correction"
 task |= {"beliefs": "per-mode", "modes": guided.bank(), "base": partial(LearnedSwitch, "guided")}
 envs = SB3VecEnv(gym.make_vec(**task, num_envs=512, autoreset_mode="SameStep", reward="paired"))
 usual = {"gamma": 0.0, "seed": 10_000_000, "device": "cpu"}  # corrections affect no later epoch
-if "sac" in sys.argv:
-    model = SAC("MlpPolicy", envs, 1e-3, 500_000, 50_000, 1024, ent_coef=0.003, **usual)
+if "sac" in sys.argv:  # both algorithms explore only small corrections
+    envs.action_space = gym.spaces.Box(envs.action_space.low / 8, envs.action_space.high / 8)
+    usual |= {"gradient_steps": 4, "ent_coef": 3e-4, "policy_kwargs": {"net_arch": [64, 64]}}
+    model = SAC("MlpPolicy", envs, 1e-3, 500_000, 50_000, 1024, **usual).learn(500_000)
 else:
-    small = {"log_std_init": -2.0}  # explore only small corrections
-    model = PPO("MlpPolicy", envs, 1e-3, 16, 2048, 6, policy_kwargs=small, **usual)
-model.learn(total_timesteps=2_000_000)
+    usual["policy_kwargs"] = {"log_std_init": -2.0}
+    model = PPO("MlpPolicy", envs, 1e-3, 16, 2048, 6, **usual).learn(2_000_000)
 
 
 def reward(act, episodes=500):

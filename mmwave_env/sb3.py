@@ -26,9 +26,9 @@ class SB3VecEnv(VecEnv):
 
     The info of an episode's last step contains the metrics of the episode and the keys that
     Stable-Baselines3 reads: ``terminal_observation``, the last observation;
-    ``TimeLimit.truncated``, True if the episode was truncated (the value of its last state is then
-    not 0); ``episode`` with the return "r", the length "l", and "t", the seconds since this object
-    was created. All other infos are empty.
+    ``TimeLimit.truncated``, True if the episode was truncated (learners then do not assume that no
+    reward would follow); ``episode`` with the return "r", the length "l", and "t", the seconds
+    since this object was created. All other infos are empty.
 
     Raises:
         ValueError: the autoreset mode is not "SameStep"; other modes begin the next episode one

@@ -243,8 +243,8 @@ def ranking(entries: Sequence[Json]) -> str:
 def by_site(entries: Sequence[Json]) -> str:
     """Return a Markdown table by site: every entry's reward minus the reward of the best IMM.
 
-    The entry with the most episodes determines the best IMM. Policy files (for example, of a single
-    training seed) and IMMs are left out if there are other entries; the ranking has all entries.
+    The best IMM is the one over which the entry with the most episodes gains least. Policy files
+    (such as single training seeds) and IMMs are left out if there are other entries.
     """
     named = {content["entry"]: content["sites"] for content in entries}
     names = {name: at for name, at in named.items() if "/" not in name}

@@ -72,7 +72,7 @@ def adapted(
 
 def misfit(group: Group, P: Matrix) -> Number:
     """Return the expectation of r' R^-1 r for a group's residual r, given the covariance P."""
-    total = group.spare_nis  # NIS of the difference of a link's two azimuths, which is part of r
+    total = group.spare_nis  # r includes the difference of a link's two azimuths: its NIS
     for residual, h, variance in zip(group.innovation, group.jacobian, group.variance, strict=True):
         total = total + (residual * residual + dot(h, [dot(row, h) for row in P])) / variance
     return total

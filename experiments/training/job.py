@@ -37,8 +37,8 @@ class Job(Generic[H]):
     task: TrainingTask
     hyperparameters: H
     seed: int  # training seed; a run numbers its trainings from 0
-    # length of the training in epochs, summed over all environments; for the algorithm "rollouts",
-    # number of states in which all actions are tried
+    # length of the training: number of environment steps, summed over all environments; for the
+    # algorithm "rollouts", number of states in which all actions are tried
     timesteps: int
     folder: Path  # folder for all files of the training
     command: str  # command that the policy file records as its origin

@@ -66,11 +66,11 @@ class MeasuredTrack(Track):
 
         A link may lack some of its values. A value that has no SNR and no standard deviation is
         treated as not measured, because its noise is unknown. Angles are in the frame of the map.
-        "Arrival" is always the direction (dx, dy, dz) from the anchor to the user, even if the base
-        station transmits: azimuth ``atan2(dy, dx)``, elevation ``atan2(dz, hypot(dx, dy))``.
-        "Departure" is the azimuth from the user to the anchor. A virtual anchor is a mirror image
-        of the base station; its angles are the angles of the straight line between image and user.
-        docs/data.md, "Angles", converts other conventions.
+        As in the uplink, angles of arrival give the direction (dx, dy, dz) from the anchor to the
+        user: azimuth ``atan2(dy, dx)``, elevation ``atan2(dz, hypot(dx, dy))``. "Departure" is
+        the azimuth from the user to the anchor. A virtual anchor is a mirror image of the base
+        station; its angles are those of the straight line between image and user. docs/data.md,
+        "Angles", converts other conventions.
 
         Args:
             time_s: (T,) times of the epochs, increasing, s.

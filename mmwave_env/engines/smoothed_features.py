@@ -1,8 +1,8 @@
 """Features of smoothed tracks, for a network that corrects them.
 
 The features are the same that correctors read after every update
-(:func:`mmwave_env.interface.signed.after_update`). But the belief, its residuals and its frame of
-motion are those of the smoothed track; gates and modes' probabilities are those of the filter.
+(:func:`mmwave_env.interface.signed.after_update`). However, belief, residuals and the direction of
+motion come from the smoothed track; only gates and modes' probabilities come from the filter.
 """
 
 from collections.abc import Iterator, Sequence

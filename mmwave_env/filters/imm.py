@@ -217,9 +217,9 @@ def prediction(now: ImmEpoch, dt: Number, hz_per_mps: Number) -> tuple[list[Numb
     """Return the mixture's mean (7,) and packed covariance (28,) before an epoch's update.
 
     The Rauch-Tung-Striebel smoother assumes x_predicted = F x + noise, with noise independent of x.
-    A mode with an assumed acceleration or turn rate moves x_predicted further. These moves count as
-    noise, so their covariance is added to the mixture's covariance. Their correlation with x is
-    ignored, because it could make smoothed variances negative.
+    A mode with an assumed acceleration or turn rate adds a shift to F x. Shifts count as noise: the
+    covariance of the modes' shifts is added to the mixture's covariance. The correlation of shifts
+    with x is ignored, because it could make smoothed variances negative.
     """
     moved = [move(x, dt, hz_per_mps) for x in now.mixed]
     shifts = [

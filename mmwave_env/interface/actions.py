@@ -13,7 +13,7 @@ from mmwave_env.numerics.numbers import Array
 
 MODE, WEIGHTS, CORRECTION = "mode", "weights", "correction"
 ACTIONS = {
-    MODE: "the number of a mode: to run it or, if each mode has a belief, to raise its probability",
+    MODE: "the mode to run or, if each mode has a belief, the mode whose probability is raised",
     WEIGHTS: "a number w for each mode, whose probability is multiplied by exp(w) per second",
     CORRECTION: "three shifts of the position, and log factors on its three standard deviations",
 }
@@ -35,7 +35,7 @@ def space_of(limits: Array, count: int) -> spaces.Space[Any]:
 
 
 def numbers_in(name: str, action: Any, limits: Array, *n: int, ignored: Any = False) -> Array:
-    """Return a copy of an action's numbers (*n, k), which are 0 where they are ``ignored`` (*n,).
+    """Return a copy of an action's numbers (*n, k); where ``ignored`` (*n,), they are set to 0.
 
     Raises:
         InvalidAction: the shape differs, or a number is NaN or beyond its limit.

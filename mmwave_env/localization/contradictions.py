@@ -124,8 +124,8 @@ def _range_per_doppler(block: LogBlock, scene: Scene, radio: Radio) -> tuple[flo
 
     Range and shift are those of anchor 1. Also return the standard error. The result is (1, inf) if
     epochs are too few or the user stands still. Ranges are regressed on a constant, time and the
-    integrated shift. The coefficient of time is the oscillator's offset in m/s, whose prior is in
-    ``radio``. Each window of 30 s has its own constant and offset.
+    integrated shift. An offset of the oscillator makes ranges appear to grow with time; its prior,
+    in ``radio``, limits the coefficient of time. Each window of 30 s has its own coefficients.
     """
     direct = block.visible[:, 0] & block.visible[:, block.layout.anchors]
     direct &= block.doppler_anchor == 0
@@ -160,8 +160,8 @@ def _windows(time_s: Array) -> Iterator[slice]:
 def _regression(time_s: Array, range_m: Array, rate: Array, sigma: float, radio: Radio) -> Array:
     """Return [degrees of freedom, moved^2, moved * range, range^2] of a window.
 
-    The last three are sums over epochs, divided by sigma^2. ``moved`` is the integral of ``rate``.
-    In the sums, ``moved`` and range are residuals of their regressions on a constant and on time.
+    The last three are sums over epochs, divided by sigma^2. Their ``moved`` is the residual of a
+    regression of the integral of ``rate`` on a constant and on time; their range, that of ranges.
     """
     time = time_s - time_s.mean()
     moved = np.cumsum(np.diff(time, prepend=time[0]) * 0.5 * (rate + np.roll(rate, 1)))

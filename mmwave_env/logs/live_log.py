@@ -19,7 +19,7 @@ from mmwave_env.models.layout import Layout, wrapped
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import PI
 
-_NUMBERS = {float, int, np.float64}  # types whose numbers do not change if printed and parsed
+_NUMBERS = {float, int, np.float64}  # types that need no parsing; others are parsed as text
 _MARGIN = 1e-9  # values this close to a limit (relative distance) need the full checks
 
 

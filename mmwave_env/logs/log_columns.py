@@ -32,8 +32,8 @@ class Quantity(NamedTuple):
 
     columns: dict[str, Unit]  # names of the columns that may hold the quantity, with their units
     meaning: str  # the quantity in words, for messages
-    # limits of what a receiver can measure, and their unit (degrees for angles). They are not
-    # checked in ``localize --diagnose``, except a lower limit of 0
+    # limits of what a receiver can measure, and their unit. ``localize --diagnose`` checks only
+    # lower limits of 0
     limits: tuple[Bound, str] | None = None
     per_epoch: bool = False  # whether the quantity belongs to the epoch instead of an anchor
 
@@ -137,7 +137,7 @@ SIGMA_OF |= {STATION: "aoa_azimuth_sigma", BODY: "aod_azimuth_sigma"}
 ROW_QUANTITIES = (*LINK_QUANTITIES, "doppler")  # quantities that belong to an anchor
 HORIZONTAL = ("toa", "aoa_azimuth", STATION, "aod_azimuth", BODY)  # a log needs one or more of them
 _WHOLE = (*LINK_QUANTITIES, "snr")  # required unless links may lack values
-_OTHER_FRAMES = {  # angle: (the angle in another frame, the quantity required with it)
+_OTHER_FRAMES = {  # angle: (angle in another frame, quantity required in place of the angle)
     "aoa_azimuth": (STATION, STATION),
     "aod_azimuth": (BODY, "heading"),
 }

@@ -79,9 +79,9 @@ class Group(NamedTuple):
         jacobian: (k, 7) dh/dx, (k, 8) with a clock offset; constant zeros for components of the
             state on which h does not depend.
         change: function that returns the exact h(x + step) - h(x) for a step of the state (7,).
-        curved: number of first columns of the covariance's factor
-            (:func:`~mmwave_env.filters.linearization.factor_of`) along which h is nonlinear.
-        spare_nis, spare_determinant: NIS and variance of the row that :func:`link_group` may drop.
+        curved: k if h is nonlinear along columns 0 to k - 1 of the covariance's factor
+            (:func:`~mmwave_env.filters.linearization.factor_of`), and linear along the others.
+        spare_nis, spare_determinant: NIS and variance of the azimuths' difference in a link.
     """
 
     innovation: Vector

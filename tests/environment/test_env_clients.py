@@ -30,7 +30,7 @@ class Closeness:
 
 
 def go_on(env, steps, seed=0):
-    """Return the results of random steps, and of a single environment's resets between them."""
+    """Return the results of random steps; a non-vector environment is reset after each episode."""
     rng, results = np.random.default_rng(seed), []
     if isinstance(env, gym.vector.VectorEnv):
         return [env.step(rng.integers(env.single_action_space.n, size=3)) for _ in range(steps)]
@@ -179,7 +179,7 @@ def test_only_synchronous_vector_environments_support_fixed_infos():
 
 
 CORRECTION = {"beliefs": "per-mode", "action": "correction"}
-# argument -> how its error begins, if not with the argument's name ("": with any word)
+# errors that do not begin with the argument's name, but with this word ("" is any word)
 NAMED = {"episode_steps": "", "episodes": "", "terminate_on_divergence": "", "modes": "mode"}
 
 

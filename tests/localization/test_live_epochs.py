@@ -46,7 +46,7 @@ def walk(count=60, **changed):
 
 
 def of(name, function):
-    """Return a function from a row to ``function`` of its cell, or to None if the cell is empty."""
+    """Return a function that applies ``function`` to a row's cell ``name``; None stays None."""
     return lambda row: None if row[name] is None else function(row[name])
 
 
@@ -110,7 +110,7 @@ def outcome(rows):
 def test_quick_and_careful_reading_accept_and_refuse_the_same_rows(name, first):
     for value in VALUES:
         row = ROW | {name: value}
-        # The careful method must accept the space with which these cells begin.
+        # Cells that begin with a space are read by the careful method, which must accept them.
         text = {n: "" if v is None else f" {v!s}" for n, v in row.items()}
         line = ",".join(word.strip() for word in text.values())
         outcomes = {outcome([*first, row]), outcome([*first, text]), outcome([*first, line])}
