@@ -68,7 +68,7 @@ def trainings(names: Sequence[str], runs: Mapping[str, Run]) -> list[str]:
 
 
 def curves_of(log: Path) -> dict[str, tuple[list[float], list[float]]]:
-    """Read a log's learning curves by rival (rule or IMM): steps, and reward minus the rival's.
+    """Read the learning curves in a log: for each rival, steps and reward minus its reward.
 
     Raises:
         ValueError: the log is not CSV, or a value is not a number; the message names the line.

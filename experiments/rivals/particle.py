@@ -24,7 +24,7 @@ from mmwave_env.world.episode import blank_incoming
 PARTICLES = 10_000
 LEAST_M = 0.001  # its square is added to variances, which are 0 if only one particle has weight
 SPREAD = 0.35  # width of the kernel that moves particles, in standard deviations of the cloud
-KEPT = (1.0 - SPREAD**2) ** 0.5  # factor to shrink the cloud, whose width the kernel then restores
+KEPT = (1.0 - SPREAD**2) ** 0.5  # shrinks the cloud; adding the kernel's noise restores its width
 
 
 class Weighed(NamedTuple):
@@ -85,9 +85,9 @@ class Particles(Estimator):
             return np.array(cholesky(covariance)) @ rng.standard_normal((layout.state_size, n))
 
         x = np.array(site.prior_x)[:, None] + noise(unpack(site.prior_P, pipeline.known_axes))
-        weight, apart = np.zeros(n), [0.0] * layout.triangle  # log weights; kernel's covariance
+        weight, kernel = np.zeros(n), [0.0] * layout.triangle  # log weights; a packed covariance
         for epoch in epochs:
-            moved, Q = predict(pipeline, mode, list(x), apart, 1.0, epoch, site.hz_per_mps)
+            moved, Q = predict(pipeline, mode, list(x), kernel, 1.0, epoch, site.hz_per_mps)
             x = np.array(moved) + noise(Q)
             io.inputs[:, 0], state.table[:], state.epoch[:] = x.T, flatten(epoch), 0
             program.run_on_lanes(state, io)
@@ -99,7 +99,7 @@ class Particles(Estimator):
             P = (away * share) @ away.T + LEAST_M**2 * np.eye(len(x))
             yield mean, pack(P)
             few = 1.0 / (share @ share) < 0.5 * n
-            apart = pack(SPREAD**2 * few * P)
+            kernel = pack(SPREAD**2 * few * P)
             if few:
                 x, weight = mean[:, None] + KEPT * away[:, resampled(share, rng)], np.zeros(n)
 

@@ -33,7 +33,7 @@ from mmwave_env.world.trajectory import Trajectory, Ways
 from policies import LearnedSwitch
 from policies.corrector import BASE_IMM
 
-STEPS_S = (1.0, 1.0, 0.5, 0.25, 0.1, 0.1, 0.1, 2.0)  # times between epochs, s; repeats are likelier
+STEPS_S = (1.0, 1.0, 0.5, 0.25, 0.1, 0.1, 0.1, 2.0)  # to draw times between epochs from, s
 EPOCHS = 200  # number of epochs of an episode, unless it is a long one
 SUBSETS = (  # a receiver that lacks quantities measures only the quantities of one row
     ("range", "azimuth", "elevation", "departure"),
@@ -48,12 +48,12 @@ SUBSETS = (  # a receiver that lacks quantities measures only the quantities of 
 # noise, measures only some anchors, or does not know its orientation exactly.
 LACKING, DRIFTING, MISJUDGING, FEWER, TURNED = 0.3, 0.15, 0.3, 0.15, 0.15
 ORIENTATION_RAD = 0.1  # standard deviation of an orientation that is not known exactly
-# Probability that the users of a random lot weave from side to side and vary their speed, as real
-# users do. Other users keep to the middle of the street, which the network must not come to expect.
+# Probability that the users of a batch of random episodes weave from side to side and vary their
+# speed, as real users do. Others keep to the middle of the street; a network must not rely on this.
 WEAVING = 0.5
 WAYS = 64  # maximum number of weaving trajectories from which the episodes of one Lot are drawn
-WEAVE_S = (8.0, 40.0)  # shortest and longest period of weaving at an episode's highest speed, s
-WEAVE_SLOPE, WEAVE_M = 0.3, 2.5  # per axis: largest weaving velocity / speed; largest offset, m
+WEAVE_S = (8.0, 40.0)  # limits of the period of weaving when a user moves at top speed, s
+WEAVE_SLOPE, WEAVE_M = 0.3, 2.5  # per axis: limits of (weaving velocity : speed), and offset, m
 WEAVING_BEHIND_M = (20.0, 60.0)  # range of distances from streets to walls, if users weave, m
 
 

@@ -4,7 +4,7 @@ In states that the current policy visits, every action is tried on the same meas
 greedy policy acts for some epochs after the action (:class:`RolloutEnv`). Then the network learns
 to prefer the better actions (:class:`RolloutLearner`), and both steps repeat. This is rollout
 policy iteration (Bertsekas, Rollout, Policy Iteration, and Distributed Reinforcement Learning,
-2020). Actions do not change the measurements, so their values are exact up to the horizon.
+2020). Actions do not change measurements, so the values of actions are exact up to the horizon.
 """
 
 from copy import deepcopy

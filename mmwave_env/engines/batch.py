@@ -44,8 +44,8 @@ class Batch(Generic[Workspace]):
         input_rows: indices of the workspace's rows that receive an input in every epoch.
         on_floats: whether to run in plain Python instead of on SIMD lanes.
         threads: maximum number of threads in use; results do not depend on it.
-        ahead: 1 if actions are corrections, since one more epoch then runs before the first action
-            (the filters are an epoch ahead of the belief that an action corrects); else 0.
+        ahead: number of epochs by which the filters are ahead of the belief that an action changes:
+            1 if actions are corrections, else 0.
 
     Attributes:
         at: workspace whose leaves are row indices; :meth:`read` and :meth:`write` take parts of it.

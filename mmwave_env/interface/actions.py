@@ -35,7 +35,7 @@ def space_of(limits: Array, count: int) -> spaces.Space[Any]:
 
 
 def numbers_in(name: str, action: Any, limits: Array, *n: int, ignored: Any = False) -> Array:
-    """Return a copy of an action's numbers (*n, k); where ``ignored`` (*n,), they are set to 0.
+    """Return a copy of an action's numbers (*n, k), with 0 where the mask ``ignored`` is True.
 
     Raises:
         InvalidAction: the shape differs, or a number is NaN or beyond its limit.

@@ -93,8 +93,8 @@ class Table(Block):
     def links(self) -> Array:
         """Return (n, 4) ranges (m) and angles (rad); azimuths of departure are in the map's frame.
 
-        An azimuth of arrival points from the anchor to the user or, if the log has a column
-        :data:`STATION`, is the azimuth at which the path arrives at the base station.
+        An azimuth of arrival is that of the line from the anchor to the user; for a mirror image in
+        a log with a column :data:`STATION`, it is the azimuth measured at the base station instead.
         """
         arrival = self[STATION if STATION in self.columns else "aoa_azimuth"]
         departure = self["aod_azimuth"]

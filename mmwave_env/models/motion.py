@@ -7,8 +7,8 @@ from mmwave_env.numerics.linalg import symmetric
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, cos_sin, maximum, sqrt, where
 
 STANDING_MPS = 0.2  # far below this speed, the direction is unclear, so accelerate() does little
-# White noise of a user's clock, m / sqrt(s), besides the drift due to the oscillator's bias:
-# 0.01 m^2/s, as for a temperature-compensated crystal (Groves 2013, Sec. 9.4.2).
+# White noise of a user's clock, m / sqrt(s), besides the drift due to the oscillator's bias. Its
+# square is 0.01 m^2/s, as for a temperature-compensated crystal (Groves 2013, Sec. 9.4.2).
 CLOCK_SIGMA_M = 0.1
 _SHORTEST_S = 1e-9  # shortest step by which a speed is divided
 _LEAST_RAD = 1e-9  # an arc of a smaller angle differs from a straight line only by rounding

@@ -194,7 +194,7 @@ class Scene:
             )
 
     def behind_walls(self, points_m: Array) -> Iterator[tuple[int, Wall]]:
-        """Yield (i, wall) for each wall that has points (n, 3) in or behind it; i is the first."""
+        """Yield (i, wall) for each wall with points (n, 3) behind it; point i is the first."""
         for wall in self.walls:
             side = wall.signed_distance(self.base_station_m)
             behind = wall.signed_distance(points_m.T) * side <= 0.0

@@ -57,7 +57,7 @@ class PhasePlan(NamedTuple):
     acceleration: list[Number]
     braking: list[Number]
     lateral: list[Number]
-    ends_early: Number  # 1 if the phase must end in time for the last phase, which is next
+    ends_early: Number  # 1 if the next phase is the last one and needs the rest of the time
     phase: Phase  # the values that are not drawn
 
 
