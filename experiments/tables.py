@@ -21,7 +21,7 @@ class Args:
     episodes: int = 1000
     """number of simulated episodes for each kind of user and radio"""
     seed: int = 0
-    """seed of the first episode; test seeds, for reported results, start at 0"""
+    """seed of the first episode; 0 is the first seed for results that are published"""
     out: Path = Path("results/paper")
     """folder for tables.md, tables.csv and tables.png"""
     docs: Path | None = None

@@ -108,7 +108,7 @@ def _tuned_modes(args: Args) -> tuple[Content, Content]:
     from mmwave_env.models.radio import radio_from
 
     radio = radio_from(args.radio)
-    modes = modes_from(args.modes, radio.base)  # named modes are tuned for a shipped radio
+    modes = modes_from(args.modes, radio.base)  # named modes have tunings for shipped radios
     if len(args.scenarios) != len(modes):
         raise ValueError(
             f"scenarios: found {len(args.scenarios)}, expected {len(modes)}, one for each of the "

@@ -31,13 +31,13 @@ BUDGET = {
     "lines that ruff may not format": 60,
 }
 ROOMS = {  # maximum lines of source in a folder
-    "experiments/evaluation": 2_059,
+    "experiments/evaluation": 1_988,
     "experiments/training": 3_053,
     "experiments/reporting/webpage": 1_060,
     "mmwave_env/datasets": 1_645,
-    "mmwave_env/engines": 2_094,
+    "mmwave_env/engines": 1_990,
     "mmwave_env/filters": 2_536,
-    "mmwave_env/localization": 2_854,
+    "mmwave_env/localization": 2_958,
     "mmwave_env/world": 2_135,
 }
 SOURCE = ("mmwave_env", "experiments", "policies")

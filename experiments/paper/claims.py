@@ -191,7 +191,7 @@ def _drifting_in_hz(mode: Mode, episode: Episode) -> Mode:
 
 
 def _read_as_mps(episode: Episode) -> Episode:
-    """Return the episode with Doppler shifts in Hz that count as m/s, and their noise in m/s."""
+    """Return the episode with its shifts in Hz taken for m/s, but their noise converted to m/s."""
     sigma = episode.sigma.copy()
     sigma[:, episode.layout.doppler] /= episode.hz_per_mps
     return replace(episode, hz_per_mps=1.0, sigma=sigma)

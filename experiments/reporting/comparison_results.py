@@ -18,9 +18,9 @@ from experiments.evaluation.histories import EpochErrors
 from experiments.evaluation.positions import Positions, positions_markdown
 from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.evaluation.runs import trainings
-from experiments.evaluation.training_seeds import over_training_seeds, seeds_markdown
 from experiments.figures.canvas import require_picture
 from experiments.figures.curves import draw_consistency, draw_error_cdf
+from experiments.reporting.training_seeds import over_training_seeds, seeds_markdown
 from mmwave_env.interface.reward import reward_name
 from mmwave_env.io.files import Json, write_text
 from mmwave_env.localization.levels import PARTS, Levels

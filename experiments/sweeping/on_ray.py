@@ -15,7 +15,7 @@ from mmwave_env.io.files import first_line
 from mmwave_env.metrics import METRICS
 
 RETRIES = 2  # maximum repeats of a cell whose process ran out of memory, ended, or raised OSError
-AHEAD = 1000  # maximum number of cells submitted to Ray at a time, and so of busy workers
+AHEAD = 1000  # maximum number of cells submitted to Ray at a time; also limits busy workers
 ENVIRONMENT = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_task_oom_retries": str(RETRIES),  # unlimited by default

@@ -13,7 +13,7 @@ is edited while a process runs, the process stops using the cache: it may have r
 
 The files are pickles, like numba's own, and reading a pickle runs code that its author chose. So
 folders and files are private to this user: the cache rejects links and anything that another user
-owns or may write to. It then tries the next possible folder. The parent folder may be shared, like
+owns or may write to. It then tries the next folder of a list. The parent folder may be shared, like
 ``/tmp``: a folder that another user created there fails the check of the owner.
 """
 
@@ -61,9 +61,9 @@ def compiled(function: Callable[..., Any]) -> Any:
 def compiled_callback(signature: Any, function: Callable[..., Any]) -> Any:
     """Compile a function as ``numba.cfunc`` does, with the disk cache.
 
-    Code may differ between processes without a change in the sources, for example if it calls a
-    user's function. The qualified name of ``function`` must then differ, too, because files and
-    symbols are named after it.
+    Compiled code may differ between processes without a change in the sources, for example if it
+    calls a user's function. Then callers must give ``function`` another qualified name for each,
+    because files and symbols are named after it.
     """
     arguments, returned = normalize_signature(signature)
     callback = _with_cache(CFunc(function, (arguments, returned), {}, {}), function)

@@ -1,8 +1,8 @@
 """Lanes: SIMD numbers with one value for each of eight environments.
 
-Arithmetic on :class:`Lanes` emits LLVM ``<8 x double>`` instructions. A numba ``@intrinsic`` (made
-by :func:`kernel`) passes Lanes to a function of numbers, and thereby compiles the function to SIMD
-code without branches. If the function is called with floats, it runs as usual.
+Arithmetic on :class:`Lanes` emits LLVM ``<8 x double>`` instructions. To compile a function of
+numbers, :func:`kernel` calls it once with Lanes; the instructions emitted by this call are the
+compiled function, which has no branches. If the function is called with floats, it runs as usual.
 """
 
 import math
@@ -124,7 +124,7 @@ class Lanes(_Value, Tracer):
         return Lanes(self.builder, self.builder.call(function, [self.value], fastmath=_FLAGS))
 
     def atan2(self, x: Any) -> "Lanes":
-        """Return the angle of (x, self), by a polynomial for angles up to pi / 8; error 2e-16."""
+        """Return the angle of (x, self), reduced to pi / 8 for a polynomial; error 2e-16."""
         ax, ay = abs(x), abs(self)
         steep = ay > ax
         low, high = where(steep, ax, ay), where(steep, ay, ax)
@@ -139,7 +139,7 @@ class Lanes(_Value, Tracer):
         return where(self < 0.0, -angle, angle)  # type: ignore[no-any-return]
 
     def cos_sin(self) -> "tuple[Lanes, Lanes]":
-        """Return cosine and sine for |angle| < 1e5, by polynomials for angles up to pi / 4."""
+        """Return cosine and sine, if |self| < 1e5: reduced to at most pi / 4, then polynomials."""
         b = self.builder
         rounded: Any = self * (2.0 / math.pi) + _ROUND
         quarters, turns = b.bitcast(rounded.value, _BITS), rounded - _ROUND
@@ -238,9 +238,9 @@ def kernel(function: Callable[[Any], None], ends: Sequence[int]) -> Any:
     """Return a numba function that runs ``function(rows)`` on a workspace of one or more parts.
 
     ``rows[i]`` reads row i as Lanes and ``rows[i] = value`` writes it. ``function`` is called only
-    once, when numba compiles the caller. Every part is an array (rows, 8) of doubles. The row
-    numbers continue from one part to the next; ``ends`` contains, for each part, the number of its
-    last row plus 1. The numba function has one argument: a tuple of the parts' addresses.
+    once, when numba compiles the caller. Every part is an array (rows, 8) of doubles. The rows
+    are numbered from 0 through all parts; ``ends`` contains, for each part, the number of the row
+    after its last. The numba function has one argument: a tuple of the parts' addresses.
     """
 
     @intrinsic  # type: ignore[untyped-decorator]

@@ -28,8 +28,8 @@ from mmwave_env.numerics.numbers import Array, Index, Mask, wrap
 from mmwave_env.world.checks import refuse, require_increasing
 from mmwave_env.world.episode import Episode
 
-# Limits of the median errors of a link's range (m) and angles (rad). Noise can't cause a median
-# above _FAR; a median below _NEAR is acceptable.
+# Median errors of a link's range (m) and angles (rad). Medians above _FAR are warned of, medians
+# below _NEAR are not; between them, the limit depends on the noise.
 _FAR, _NEAR = (50.0, 0.5, 0.5, 0.5), (5.0, 0.05, 0.05, 0.05)
 _NOISE = 0.6745 * np.sqrt(2.0)  # median of the absolute difference of two N(0, 1) errors
 _ENOUGH = 20  # minimum number of epochs for a median
@@ -87,9 +87,9 @@ class Track(ABC):
         """Return the epochs of the track, all or a slice, as an episode with known true positions.
 
         The prior is drawn around the true state. If the bias of the oscillator is unknown, the mean
-        of its prior is 0. If the user's clock has an unknown offset, a range bias is drawn from a
-        random stream of its own, and added to the ranges of a recording. The ranges of a measured
-        track already contain such a bias.
+        of its prior is 0. If the user's clock has an unknown offset, the ranges of a recording get
+        a bias, drawn from a random stream of its own. A measured track's ranges already contain the
+        bias of a real clock.
 
         Raises:
             ValueError: the true position in an epoch is not known.
@@ -273,9 +273,9 @@ class TrackSource:
         runs = stretches(track.time_s, track.position_m, GAP_S)
         if not runs:
             raise ValueError(
-                f"{track.record}: found no two consecutive epochs with true positions at most "
-                f"{GAP_S:g} s apart, but the reward needs true positions (docs/own-log.md): are "
-                "the track's times in seconds?"
+                f"{track.record}: found no two consecutive epochs at most {GAP_S:g} s apart "
+                "with true positions, which the reward needs (docs/own-log.md). Are the track's "
+                "times in seconds?"
             )
         longest = max(runs, key=lambda run: run.stop - run.start)
         most = longest.stop - longest.start

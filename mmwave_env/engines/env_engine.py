@@ -164,7 +164,7 @@ class Engine:
     def lead(self, places: Index) -> None:
         """Run the next epoch at the beginning of episodes, if actions are corrections.
 
-        The first action corrects the belief after epoch 0 once the filters have run epoch 1.
+        The filters must have run epoch 1 before an action can correct the belief of epoch 0.
         """
         if self.batch.ahead:
             self.start(places)

@@ -37,10 +37,10 @@ REPLAYED, FILTERED = 8, 256
 
 
 class Baseline:
-    """The baseline of a paired reward: an IMM's rewards, subtracted from the agent's rewards.
+    """The baseline of a paired reward, which is subtracted from the agent's rewards.
 
-    No action changes an episode, so these rewards are known once the episode is loaded. If actions
-    are corrections, the baseline is the reward of the uncorrected belief, which each step computes.
+    If actions are corrections, each step computes the baseline: the reward of the uncorrected
+    belief. Otherwise, it is an IMM's rewards, known as soon as an episode is loaded.
 
     Args:
         task: the task, whose ``baseline`` is the bank of the IMM.
@@ -195,7 +195,7 @@ class Environment:
         return metrics | {SMOOTHED_KEY: smoothed}
 
     def _charge(self, rewards: Array, places: Index) -> None:
-        """Add the worst reward minus the baseline for every epoch that an early end cut off."""
+        """Add (worst reward - baseline) for each epoch that is missing because of an early end."""
         assert self._task.worst is not None
         batch = self._engine.batch
         rewards[places] += self._task.worst * (batch.state.length - batch.completed)[places]

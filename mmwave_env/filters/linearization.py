@@ -9,9 +9,9 @@ the *latents*:
 The tangent (EKF) has V = dh/dx L, no mean shift, and no curvature latents zeta. For sigma points at
 m + s L_j and m - s L_j, let up and down be the changes of h from m. Then V has the column
 (up - down) / 2s for xi_j. If h is curved along L_j, V also has the column up + down for a
-curvature latent zeta_j. The mean shift is w times the sum of these columns up + down. Let cov(zeta)
-= (w / 2) I + bend w^2 e e', where e is a vector of ones and :class:`Latents` defines w and bend.
-Then V cov(eta) V' is exactly the covariance of h over all 2n + 1 points, if x is (n,).
+curvature latent zeta_j. Let w and bend be the weights in :class:`Latents`. The mean shift is w
+times the sum of all columns (up + down). Let cov(zeta) = (w / 2) I + bend w^2 e e', where e is a
+vector of ones. Then V cov(eta) V' is exactly the covariance of h over all 2n + 1 points, x in R^n.
 
 Only columns 0 to 2 of L move the position, on which a link (range and angles at an anchor) depends.
 So the order of the latents is [xi_0..2, zeta, xi_3..6], and links depend only on the first

@@ -41,7 +41,7 @@ def info_rows(at: Any) -> dict[str, Any]:
     """Return the rows of a workspace that contain the values of infos, except mode and cost.
 
     Args:
-        at: state of :mod:`~mmwave_env.engines.environment_epoch`, with row numbers as values.
+        at: state of :mod:`~mmwave_env.engines.environment_epoch` with row numbers in all fields.
     """
     of = reported(at)
     memory = of.memory

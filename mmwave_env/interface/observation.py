@@ -161,7 +161,7 @@ class Observation:
         i = self._index[name]
         shown, (mean, deviation) = observation[..., i].astype(np.float32), self.scales[i]
         value = shown.astype(np.float64) * deviation + mean
-        # Round to a multiple of a power of two that single precision can resolve at this value.
+        # Round to the step, a power of two, with which single precision resolves such values.
         step = np.exp2(np.ceil(np.log2(np.spacing(np.abs(shown)).astype(np.float64) * deviation)))
         return np.asarray(np.rint(value / step) * step)
 

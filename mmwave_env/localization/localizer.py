@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from mmwave_env.engines.imm_engine import ImmTracker
-from mmwave_env.engines.policy_tracker import PolicyTracker
 from mmwave_env.engines.replay import smooth
 from mmwave_env.engines.smoothed_features import smoothed_features
 from mmwave_env.engines.track_engine import EpisodeFilter, Rule, Tracker
@@ -29,6 +28,7 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import SMOOTHING_WINDOW
 from mmwave_env.interface.observation import Observation
 from mmwave_env.localization.levels import GAUSSIAN, Levels
+from mmwave_env.localization.policy_tracker import PolicyTracker
 from mmwave_env.localization.segments import first_fix, segments
 from mmwave_env.logs.log import LogBlock, in_windows
 from mmwave_env.logs.log_tables import LogError

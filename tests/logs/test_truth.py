@@ -91,7 +91,7 @@ def compared(log, seconds, shift=(0.0, 0.0, 0.0)):
 
 
 def late(time_s, seconds, shift=(0.0, 0.0, 0.0)):
-    """Return the true track with a clock ``seconds`` ahead, in a frame moved by ``shift``."""
+    """Return the truth as a track whose times are too late by ``seconds``, moved by ``shift``."""
     p, v = user(time_s - seconds)
     return TrueEpochs(p + shift, v, np.zeros(len(time_s)))
 

@@ -134,7 +134,7 @@ def _anchors(paths: StationPaths, position_m: Array) -> tuple[Array, Index]:
     station, q = paths.position_m, paths.bounce_m
     member = np.where(paths.interactions == LINE_OF_SIGHT, 0, -1)
     if not (member == 0).any():
-        expected = "a line of sight in some epoch; the file named here is that of the first epoch"
+        expected = "a line of sight in this epoch or a later one"
         paths.refuse("inter", 0, "no line of sight (0)", expected)
     reflected = paths.interactions == REFLECTION
     back = q - position_m[:, None]
@@ -144,7 +144,7 @@ def _anchors(paths: StationPaths, position_m: Array) -> tuple[Array, Index]:
     nowhere = reflected & ~np.isfinite(image).all(axis=-1)
     if nowhere.any():
         n, p = np.argwhere(nowhere)[0].tolist()
-        paths.refuse("inter_pos", n, f"{q[n, p]}, the place", "a point away from the receiver")
+        paths.refuse("inter_pos", n, f"a reflection at {q[n, p]}, the place", "another point")
     anchors, images = [station], image[reflected]
     leads, tree = np.full(len(images), -1), cKDTree(images)
     for i in range(len(images)):
