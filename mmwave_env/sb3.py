@@ -26,8 +26,8 @@ class SB3VecEnv(VecEnv):
 
     The info of an episode's last step contains the metrics of the episode and the keys that
     Stable-Baselines3 reads: ``terminal_observation``, the last observation;
-    ``TimeLimit.truncated``, True if the episode was truncated (learners then do not assume that no
-    reward would follow); ``episode`` with the return "r", the length "l", and "t", the seconds
+    ``TimeLimit.truncated``, True if the episode was truncated (learners then assume that rewards
+    would follow); ``episode`` with the return "r", the length "l", and "t", the seconds
     since this object was created. All other infos are empty.
 
     Raises:

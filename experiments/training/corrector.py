@@ -2,8 +2,8 @@
 
 A corrector corrects the beliefs of another policy, its base. In a simulation the truth is known, so
 the network learns the errors of the base from examples. The loss has two terms. The first is the
-length of the remaining error, divided by the square root of the belief's total variance, averaged
-over the episode. The second, with a small weight, is the negative log-likelihood of this error; it
+length of the remaining error, divided by the length of the vector of standard deviations (its mean
+over the episode). The second, with a small weight, is the negative log-likelihood of this error; it
 teaches the network to scale the standard deviations. The base does not depend on corrections, so it
 plays each episode only once. Every update has new *lots* (batches of equally long episodes).
 """
@@ -230,8 +230,8 @@ def mixed(lots: list[Lot], size: int, rng: np.random.Generator) -> Iterator[Lot]
 
     Args:
         lots: lots to mix.
-        size: number of episodes in a new lot of the shortest episodes. New lots of longer episodes
-            have fewer, so that all new lots have about the same number of epochs.
+        size: number of episodes in a new lot, if they have the least length. Lots of longer
+            episodes have fewer episodes, so that all lots have about the same number of epochs.
         rng: random generator of the order.
     """
     shortest = min(len(lot.features) for lot in lots)

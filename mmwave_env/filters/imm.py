@@ -22,7 +22,7 @@ from mmwave_env.numerics.numbers import Matrix, Number, Vector, exp, maximum, mi
 from mmwave_env.numerics.pytree import select, tree_at
 
 DEFAULT_STAY = 0.95  # probability that the mode does not change within a second
-TRUST = 3.0  # if an agent trusts a mode, exp(TRUST) per second multiplies the mode's probability
+TRUST = 3.0  # if an agent trusts a mode, its probability is multiplied by exp(TRUST) each second
 _LEAST = 1e-12  # minimum probability of a mode; a probability of zero could not grow again
 
 
@@ -217,9 +217,9 @@ def prediction(now: ImmEpoch, dt: Number, hz_per_mps: Number) -> tuple[list[Numb
     """Return the mixture's mean (7,) and packed covariance (28,) before an epoch's update.
 
     The Rauch-Tung-Striebel smoother assumes x_predicted = F x + noise, with noise independent of x.
-    A mode with an assumed acceleration or turn rate adds a shift to F x. Shifts count as noise: the
-    covariance of the modes' shifts is added to the mixture's covariance. The correlation of shifts
-    with x is ignored, because it could make smoothed variances negative.
+    A mode with an assumed acceleration or turn rate adds a shift to F x. The mean of the modes'
+    shifts is added to the mean, and their covariance to the covariance, as if shifts were noise.
+    Their correlation with x is ignored, because it could make smoothed variances negative.
     """
     moved = [move(x, dt, hz_per_mps) for x in now.mixed]
     shifts = [

@@ -116,7 +116,7 @@ def _least_squares(row: LogBlock, sigma: Array, scene: Scene) -> tuple[Array, Ar
         e = np.array([value for link in links for value in link.innovation])
         H = np.array([[g[i] for i in unknown] for link in links for g in link.jacobian])
         w = 1.0 / np.array([value for link in links for value in link.variance])
-        azimuth_nis = sum(float(link.spare_nis) for link in links)  # NIS of arrival minus departure
+        azimuth_nis = sum(float(link.spare_nis) for link in links)  # of azimuth differences
         away = center - position
         cost = float((w * e * e).sum() + (weight * away * away).sum()) + azimuth_nis
         return cost, H.T @ (w * e) + weight * away, (H.T * w) @ H + np.diag(weight)
@@ -188,7 +188,7 @@ def segments(blocks: Iterable[LogBlock], scene: Scene, radio: Radio) -> Iterator
         LogError: the log is damaged; the epochs before the damage are yielded first.
         ValueError: no epoch determines a position with which a track could begin.
     """
-    held: LogBlock | None = None  # block to yield once its number of dropped epochs is known
+    held: LogBlock | None = None  # yielded once the number of epochs dropped after it is known
     skipped = 0
     last_s: float | None = None  # last time with a measurement; None between segments
     try:

@@ -1,9 +1,9 @@
 """Limits of inputs, within which filters are accurate, even if two inputs are at their limits.
 
-Episodes and filter modes with values beyond the limits are refused. In each filter update, a matrix
-contains ratios of prior variance to noise variance, one per direction of the state. A double has 16
-digits, so next to a ratio of 1e16 (1e8 for standard deviations), ratios near 1 are lost. Receivers
-report values far inside the limits; tests/engines/test_extremes.py tests the limits.
+Episodes and filter modes with values beyond the limits are refused. Each update adds ratios of
+prior variance to noise variance, one per direction of the state. A double has 16 digits: a ratio
+near 1 is lost beside a ratio of 1e16 (1e8 for standard deviations). Receivers report values far
+inside the limits; tests/engines/test_extremes.py tests the limits.
 """
 
 from mmwave_env.io.records import between

@@ -47,7 +47,7 @@ class Gallery:
         """Begin new recordings of some environments, whose workspaces contain the prior.
 
         ``names`` (n,) are the names of the episodes. Given an environment's index, ``streets``
-        returns the streets of its episode, and ``workspace`` the array (size,) of its numbers.
+        returns the streets of its episode; ``workspace`` returns its state, an array (size,).
         """
         for index in indices[indices < len(self.recorders)].tolist():
             self.recorders[index].begin(names[index], streets(index), workspace(index))

@@ -86,7 +86,7 @@ def test_an_episode_ends_with_the_metrics_of_its_track(epochs, dt, axes):
         {key: float(expected[key]) for key in INFO_KEYS}, rel=1e-12
     )
     assert not tally.counts.sums[[0, 2]].any()
-    assert tally.counts.errors.shape[1] <= epochs  # even if the episode is shorter than 1 s
+    assert tally.counts.errors.shape[1] <= epochs  # no longer than the episode, if < 1 s
 
 
 def test_an_episode_with_one_nan_error_has_diverged():

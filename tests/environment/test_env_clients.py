@@ -20,7 +20,7 @@ EKF = {"modes": ["ekf"]}
 
 
 class Closeness:
-    """A reward without ``__eq__``: a copy differs from the original and would be compiled again."""
+    """A reward without ``__eq__``: if it were copied, the copy would be compiled again."""
 
     compiled = 0
 
@@ -179,7 +179,7 @@ def test_only_synchronous_vector_environments_support_fixed_infos():
 
 
 CORRECTION = {"beliefs": "per-mode", "action": "correction"}
-# errors that do not begin with the argument's name, but with this word ("" is any word)
+# argument -> first word of its error, if this is not the argument ("": any word)
 NAMED = {"episode_steps": "", "episodes": "", "terminate_on_divergence": "", "modes": "mode"}
 
 

@@ -35,7 +35,7 @@ def block(tmp_path_factory):
 
 
 def doubts_of(block):
-    """Return the warnings about a block; its only group fits the track ("all" is no group)."""
+    """Return the warnings about a block that fits the track; the NIS of "all" must be ignored."""
     groups = {"anchor 1": FINE, "all": FINE | {"nis_per_dof": 1e9}}
     return [str(doubt) for doubt in contradictions(block, SCENE, RADIO, groups)]
 

@@ -37,7 +37,7 @@ def turned(major, minor, angle):
 
 
 def beyond(distance, major, minor):
-    """Integrate P(|e| > distance), for e ~ N(0, diag(major^2, minor^2)), over the minor axis."""
+    """Return P(|e| > distance), e ~ N(0, diag(major^2, minor^2)), by an integral over e_2."""
 
     def given_minor(y):
         rest = np.sqrt(max(distance**2 - (minor * y) ** 2, 0.0)) / major
