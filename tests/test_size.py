@@ -16,8 +16,8 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "lines of source": 33_990,
-    "tokens of source": 231_063,
+    "lines of source": 33_997,
+    "tokens of source": 231_113,
     "files of source": 241,
     "lines of tests": 24_000,
     "tokens of tests": 215_000,
@@ -31,11 +31,11 @@ BUDGET = {
     "lines that ruff may not format": 60,
 }
 ROOMS = {  # maximum lines of source in a folder
-    "experiments/evaluation": 1_988,
+    "experiments/evaluation": 1_992,
     "experiments/training": 3_053,
     "experiments/reporting/webpage": 1_060,
     "mmwave_env/datasets": 1_645,
-    "mmwave_env/engines": 1_990,
+    "mmwave_env/engines": 1_991,
     "mmwave_env/filters": 2_536,
     "mmwave_env/localization": 2_958,
     "mmwave_env/world": 2_135,

@@ -22,7 +22,7 @@ from mmwave_env.interface.reward import Reward, TrackingReward, terms_of, total
 from mmwave_env.io.lookup import printable
 from mmwave_env.metrics import BURN_IN, METRICS, TERMS, scored, summary
 from mmwave_env.numerics.linalg import pack, unpack
-from mmwave_env.numerics.numbers import Array
+from mmwave_env.numerics.numbers import Array, Array32
 from mmwave_env.task import Task
 from mmwave_env.world.episode import Episode, EpisodeBatch, EpisodeSource, columns_of
 from mmwave_env.world.simulated import SimulatedSource
@@ -127,19 +127,23 @@ def run_contender(
     corrections: list[Correction] = []
     observations = engine.observations()
     for t in range(T):
-        try:
-            choices = policy(observations)
-        except Exception as error:  # a user's code can raise anything
-            problem = f"policy {contender.name}: {in_one_line(error)}, in epoch {t + 1}"
-            raise ValueError(problem) from error
+        choices = _answer(contender.name, t, policy, observations)
         taken[:, t] = actions = require_actions(contender.name, choices, n, len(contender.actions))
         observations, outputs[:, t] = engine.step(actions, rows)
         if corrector:
-            corrections.append(corrector.correct(observations))
+            corrections.append(_answer(contender.name, t, corrector.correct, observations))
     results = program.by_name(names, outputs) | {"mode": taken}
     if corrector:
         results |= _corrected(results, corrections, pipeline, scoring.reward)
     return results
+
+
+def _answer(name: str, epoch: int, ask: Callable[[Array32], Any], observations: Array32) -> Any:
+    """Return a policy's answer to observations (n, features); an error names policy and epoch."""
+    try:
+        return ask(observations)
+    except Exception as error:  # a user's code can raise anything
+        raise ValueError(f"policy {name}: {in_one_line(error)}, in epoch {epoch + 1}") from error
 
 
 def _corrected(

@@ -155,7 +155,8 @@ def _step_blocks(  # type: ignore[no-untyped-def]
     _, rewards, _, truncated, accepted, rejected, costs = result
     ended = 0
     for e in range(first, last):
-        rewards[e], i, c = outputs[e, 0, columns.reward], columns.error, columns.covariance
+        rewards[e] = outputs[e, 0, columns.reward]
+        i, c = columns.error, columns.covariance
         x, y, z = outputs[e, 0, i], outputs[e, 0, i + 1], outputs[e, 0, i + 2]
         k = epoch[e] - 2 - ahead  # the epoch that the action completed
         if k >= 0:
