@@ -16,8 +16,8 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "lines of source": 33_997,
-    "tokens of source": 231_113,
+    "lines of source": 33_995,
+    "tokens of source": 231_111,
     "files of source": 241,
     "lines of tests": 24_000,
     "tokens of tests": 215_000,

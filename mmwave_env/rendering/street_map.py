@@ -21,9 +21,7 @@ _LEAST_M = 25.0  # minimum distance from the center to the upper edge
 _INNER = 0.5  # user and estimate stay within this central fraction of the map's height and width
 _STREET_M = 14.0  # width of streets in the picture, if blocks leave enough room
 _FACADE_M = 4.0  # depth of a wall in the picture
-_SAME_HEIGHT_M = (
-    0.1  # walls are drawn for mirror images whose height differs less from the station's
-)
+_SAME_HEIGHT_M = 0.1  # mirror images get a wall if their height is so close to the station's
 _TRAIL = 1500  # maximum number of epochs of a trajectory that are drawn
 
 
