@@ -33,6 +33,7 @@ RECOVERY = 0.1  # maximum growth of trust per epoch; slow, as unusual features s
 # in corrected standard deviations, is at most SPREAD[0], trust is not reduced; from SPREAD[1] on,
 # trust is 0.
 SPREAD = (0.5, 1.0)
+_MOST = np.array([MOST_SHIFT] * 3 + [MOST_LOG_FACTOR] * 3, np.float32)  # limits of an answer
 
 
 class Correction(NamedTuple):
@@ -100,13 +101,13 @@ class CorrectionNetwork(LearnedPolicy):
         head = np.tanh(memory @ weight[:units] + front @ weight[units:] + bias)
         weight, bias = self._out
         out = head @ weight + bias
-        shift = np.minimum(np.maximum(out[..., :3], -MOST_SHIFT), MOST_SHIFT)
-        log_factor = np.minimum(np.maximum(out[..., 3:6], -MOST_LOG_FACTOR), MOST_LOG_FACTOR)
-        variance = np.square(out[..., 6:]) @ self._average
-        spread = np.sqrt((variance * np.exp(-2.0 * log_factor)).max(axis=-1))
+        answer = np.minimum(np.maximum(out[..., :CORRECTIONS], -_MOST), _MOST)
+        variance = np.square(out[..., CORRECTIONS:]) @ self._average
+        spread = np.sqrt((variance * np.exp(-2.0 * answer[..., 3:])).max(axis=-1))
         agreed = np.minimum(np.maximum((SPREAD[1] - spread) / (SPREAD[1] - SPREAD[0]), 0.0), 1.0)
         trusted = trust * agreed
-        return Correction(shift * trusted[..., None], log_factor * trusted[..., None], trusted)
+        answer *= trusted[..., None]
+        return Correction(answer[..., :3], answer[..., 3:], trusted)
 
 
 class Corrector(CorrectionNetwork, Policy):

@@ -94,11 +94,11 @@ class PolicyTracker:
         parts = self._filter.run(*dict.fromkeys((*names, "x", "P", "signed")), actions=actions)
         corrections = [self._correct(signed[None]) for signed in parts.pop("signed")[0]]
         shift, log_factor, trusted = (
-            np.stack(each, axis=1) for each in zip(*corrections, strict=True)
+            np.array(each).swapaxes(0, 1) for each in zip(*corrections, strict=True)
         )
         before = parts["x"], parts["P"], shift, log_factor
         if epochs == 1:  # numbers are faster than arrays of one number
             before = tuple(part[0, 0] for part in before)
         belief = corrected_all(*before, self._pipeline)
-        x, P = (np.stack(of, axis=-1).reshape(1, epochs, -1) for of in (belief.x, pack(belief.P)))
+        x, P = (np.array(of).T.reshape(1, epochs, -1) for of in (belief.x, pack(belief.P)))
         return parts | {"corrected_x": x, "corrected_P": P, "trusted": trusted}
