@@ -16,8 +16,8 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "lines of source": 33_995,
-    "tokens of source": 231_111,
+    "lines of source": 33_996,
+    "tokens of source": 231_120,
     "files of source": 241,
     "lines of tests": 24_000,
     "tokens of tests": 215_000,

@@ -70,7 +70,7 @@ class _Sums:
     def problems(self) -> list[str]:
         """Return a phrase about each kind of irregularity, with its count."""
         never = [f"anchor {a + 1} was never measured" for a in np.flatnonzero(self.links == 0)]
-        return [f"{count} {words}" for words, count in self.irregular.items() if count] + never
+        return [f"{words}: {count}" for words, count in self.irregular.items() if count] + never
 
 
 def diagnosed(args: LogArgs, log: Path, scene: Scene, truth_file: Path | None) -> None:
@@ -135,7 +135,7 @@ def facts_markdown(facts: Json) -> str:
     """Return the facts about a log as Markdown."""
     f, step, speed = facts, facts["step_s"], facts["speed_mps"]
     rate = f", {1.0 / step:.4g} Hz" if step else ""
-    lines = [f"{f['epochs']} epochs, {f['first_s']:.10g} to {f['last_s']:.10g} s{rate}"]
+    lines = [f"{f['epochs']} epochs, {f['first_s']:.12g} to {f['last_s']:.12g} s{rate}"]
     if speed:
         mean, most = speed["mean"], speed["max"]
         lines.append(f"true speed: {mean:.2f} m/s on average, {most:.2f} m/s at most")

@@ -66,7 +66,7 @@ def _course(figures: Json) -> list[str]:
     f, speed = figures, figures["speed_mps"]
     epochs = f["epochs"]
     lines = [
-        f"{epochs} epochs, {f['first_s']:.10g} to {f['last_s']:.10g} s; estimated speed "
+        f"{epochs} epochs, {f['first_s']:.12g} to {f['last_s']:.12g} s; estimated speed "
         f"{speed['mean']:.2f} m/s on average, {speed['max']:.2f} m/s at most"
     ]
     if f["skipped"]:
