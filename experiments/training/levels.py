@@ -41,8 +41,8 @@ KINDS = (SINGLE, ("guided", "imm-best"), ("corrector",))
 PLACES = [f"{scene}:{radio}" for scene in TRAINED_SCENES for radio in TUNED_RADIOS]
 SEED = TRAINING_SEED + 9 * SEEDS_EACH  # seed of episodes that no corrector was trained on
 # ENVS: episodes per place in a round. ROUNDS: training rounds. CALIBRATION: calibration rounds.
-ENVS, ROUNDS, CALIBRATION = 64, 24, 30
-HIDDEN, STEPS, BATCH, RATE = 64, 2500, 8192, 3e-3  # the learning rate falls linearly to 0
+ENVS, ROUNDS, CALIBRATION = 64, 24, 60
+HIDDEN, STEPS, BATCH, RATE = 64, 4000, 8192, 3e-3  # the learning rate falls linearly to 0
 EVERY = 4  # neighboring epochs are alike, so the network learns from one epoch in four
 LEAST_M = 1e-4  # smaller errors count as 0.1 mm
 LIMIT, HALVINGS = 8.0, 24  # largest finite constant; number of bisection steps to find a constant
