@@ -18,7 +18,7 @@ class Args(TaskArgs):
     """number of training runs, one per seed"""
     total_timesteps: int | None = None
     """length of each training run, rounded up to complete updates: for --algo ppo or corrector, the
-    number of steps of environments (default: 4000000 for ppo, 150000000 for corrector); for --algo
+    number of steps of environments (default: 4000000 for ppo, 320000000 for corrector); for --algo
     rollouts, the number of states in which every action is tried (default: 1200000)"""
     hyperparameters: Path | None = None
     """JSON file of hyperparameters, instead of the algorithm's default file in

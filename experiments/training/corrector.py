@@ -32,8 +32,8 @@ from policies.policy_file import CORRECTIONS, Tensors
 
 EVALUATE = 32  # number of updates between two evaluations
 FIRST = 3  # number of extra rounds of lots in the first update, to measure the features' ranges
-OUTSIDE = 1e-4  # share of a feature's values below its lower limit, and also above its upper limit
-MOST_LENGTH, MOST_SQUARE = 20.0, 50.0  # limits in the loss, so that lost tracks do not dominate it
+OUTSIDE = 2e-4  # share of a feature's values below its lower limit, and also above its upper limit
+MOST_LENGTH, MOST_SQUARE = 20.0, 18.0  # limits in the loss, so that lost tracks do not dominate it
 CONSTANT = 1e-3  # added to standard deviations, which are 0 for a feature that never changes
 
 

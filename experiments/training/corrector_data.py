@@ -33,7 +33,8 @@ from mmwave_env.world.trajectory import Trajectory, Ways
 from policies import LearnedSwitch
 from policies.corrector import BASE_IMM
 
-STEPS_S = (1.0, 1.0, 0.5, 0.25, 0.1, 0.1, 0.1, 2.0)  # to draw times between epochs from, s
+# times between epochs to draw from, s
+STEPS_S = (1.0, 1.0, 1.0, 1.0, 1.0, 0.5, 0.25, 0.1, 0.1, 0.1, 2.0)
 EPOCHS = 200  # number of epochs of an episode, unless it is a long one
 SUBSETS = (  # a receiver that lacks quantities measures only the quantities of one row
     ("range", "azimuth", "elevation", "departure"),
@@ -48,6 +49,9 @@ SUBSETS = (  # a receiver that lacks quantities measures only the quantities of 
 # noise, measures only some anchors, or does not know its orientation exactly.
 LACKING, DRIFTING, MISJUDGING, FEWER, TURNED = 0.3, 0.15, 0.3, 0.15, 0.15
 ORIENTATION_RAD = 0.1  # standard deviation of an orientation that is not known exactly
+# Probability that links of a random receiver are never blocked, disturbed by multipath, or lost.
+# With too few such receivers, a network overestimates the errors at quiet places.
+CLEAR = 0.3
 # Probability that the users of a batch of random episodes weave from side to side and vary their
 # speed, as real users do. Others keep to the middle of the street; a network must not rely on this.
 WEAVING = 0.5
@@ -133,6 +137,8 @@ class CorrectorData:
             bandwidth_hz=float(rng.choice([100e6, 200e6, 400e6])),
         )
         radio = RandomRadio(profile).draw(rng)
+        if rng.random() < CLEAR:
+            radio = replace(radio, blockage_scale=0.0, multipath_rate_hz=0.0, outage_rate_hz=0.0)
         lacks, drifts = rng.random() < LACKING, rng.random() < DRIFTING
         subset = SUBSETS[rng.integers(len(SUBSETS))] if lacks else None
         clock = bool(drifts) and (subset is None or "range" in subset)

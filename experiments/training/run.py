@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 # Default length of a training run, by algorithm: number of steps or, for rollouts, number of states
 # in which all actions are tried.
-TIMESTEPS = {"ppo": 4_000_000, "rollouts": 1_200_000, "corrector": 150_000_000}
+TIMESTEPS = {"ppo": 4_000_000, "rollouts": 1_200_000, "corrector": 320_000_000}
 
 # Options that do not affect a policy; the command stated in a policy file omits them.
 ASIDE = ("jobs", "checkpoint_every", "out", "resume", "overwrite")
