@@ -16,8 +16,8 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "lines of source": 34_015,
-    "tokens of source": 231_183,
+    "lines of source": 34_018,
+    "tokens of source": 231_211,
     "files of source": 241,
     "lines of tests": 24_000,
     "tokens of tests": 215_000,
@@ -32,7 +32,7 @@ BUDGET = {
 }
 ROOMS = {  # maximum lines of source in a folder
     "experiments/evaluation": 1_992,
-    "experiments/training": 3_059,
+    "experiments/training": 3_062,
     "experiments/reporting/webpage": 1_060,
     "mmwave_env/datasets": 1_645,
     "mmwave_env/engines": 1_991,

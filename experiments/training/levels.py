@@ -41,8 +41,8 @@ KINDS = (SINGLE, ("guided", "imm-best"), ("corrector",))
 PLACES = [f"{scene}:{radio}" for scene in TRAINED_SCENES for radio in TUNED_RADIOS]
 SEED = TRAINING_SEED + 9 * SEEDS_EACH  # seed of episodes that no corrector was trained on
 # ENVS: episodes per place in a round. ROUNDS: training rounds. CALIBRATION: calibration rounds.
-ENVS, ROUNDS, CALIBRATION = 64, 24, 60
-HIDDEN, STEPS, BATCH, RATE = 64, 4000, 8192, 3e-3  # the learning rate falls linearly to 0
+ENVS, ROUNDS, CALIBRATION = 64, 48, 30
+HIDDEN, STEPS, BATCH, RATE = 64, 6000, 8192, 3e-3  # the learning rate falls linearly to 0
 EVERY = 4  # neighboring epochs are alike, so the network learns from one epoch in four
 LEAST_M = 1e-4  # smaller errors count as 0.1 mm
 LIMIT, HALVINGS = 8.0, 24  # largest finite constant; number of bisection steps to find a constant
@@ -76,6 +76,13 @@ def _played(
             levels = np.stack([gaussian_levels(of["P"], risk) for risk in RISKS], axis=-2)
             ratio = np.maximum(error, LEAST_M)[..., None, :] / levels
             yield features.astype(np.float32), np.log(ratio).astype(np.float32)
+
+
+def _finite(lot: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Return one epoch in four of a lot, as rows (epochs, ...) without infinite or NaN values."""
+    features, logs = (part[:, ::EVERY].reshape(-1, *part.shape[2:]) for part in lot)
+    finite = np.isfinite(features).all(axis=1) & np.isfinite(logs).all(axis=(1, 2))
+    return features[finite], logs[finite]
 
 
 def _trained(features: Array, logs: Array, steps: int) -> Network:
@@ -149,11 +156,7 @@ def tuned_levels(
     The network learns from ``rounds`` rounds of episodes in ``steps`` gradient steps, and is
     calibrated on ``calibration`` rounds.
     """
-    lots = (
-        [part[:, ::EVERY].reshape(-1, *part.shape[2:]) for part in lot]
-        for lot in _played(SEED, rounds, LEARNED_FROM)
-    )
+    lots = map(_finite, _played(SEED, rounds, LEARNED_FROM))
     features, logs = map(np.concatenate, zip(*lots, strict=True))
-    sound = np.isfinite(features).all(axis=1) & np.isfinite(logs).all(axis=(1, 2))
-    network = _trained(features[sound], logs[sound], steps)
+    network = _trained(features, logs, steps)
     return network._replace(constants=_constants(network, seed, calibration)).as_written()
