@@ -33,6 +33,7 @@ RECOVERY = 0.1  # maximum growth of trust per epoch; slow, as unusual features s
 # in corrected standard deviations, is at most SPREAD[0], trust is not reduced; from SPREAD[1] on,
 # trust is 0.
 SPREAD = (0.5, 1.0)
+AT_ONCE = 352  # maximum number of tracks in an array; more need new memory for every step
 _MOST = np.array([MOST_SHIFT] * 3 + [MOST_LOG_FACTOR] * 3, np.float32)  # limits of an answer
 
 
@@ -169,10 +170,16 @@ class Corrector(CorrectionNetwork, Policy):
 
     def correct_features(self, features: Array32) -> Correction:
         """Return corrections, given the latest values of the network's features (n, features)."""
-        front, strange = self._read(features)
-        self._trust = np.minimum(strange, self._trust + np.float32(RECOVERY))
-        self._hidden = self._units[0](front, self._hidden)
-        return self._answer(self._hidden, front, self._trust)
+        first = range(0, max(len(features), 1), AT_ONCE)
+        parts = [self._corrected(features, slice(i, i + AT_ONCE)) for i in first]
+        return Correction(*map(np.concatenate, zip(*parts, strict=True)))
+
+    def _corrected(self, features: Array32, rows: slice) -> Correction:
+        """Update the memory of some rows, and return their corrections."""
+        front, strange = self._read(features[rows])
+        self._trust[rows] = trust = np.minimum(strange, self._trust[rows] + np.float32(RECOVERY))
+        self._hidden[rows] = hidden = self._units[0](front, self._hidden[rows])
+        return self._answer(hidden, front, trust)
 
 
 class TwoWayCorrector(CorrectionNetwork):

@@ -16,8 +16,8 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "lines of source": 34_018,
-    "tokens of source": 231_211,
+    "lines of source": 34_025,
+    "tokens of source": 231_307,
     "files of source": 241,
     "lines of tests": 24_000,
     "tokens of tests": 215_000,
