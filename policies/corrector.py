@@ -223,25 +223,12 @@ class _RecurrentUnit:
     def __call__(self, front: Array32, hidden: Array32) -> Array32:
         """Return the next state (n, units), given the input and the last state."""
         units = self.size
-        # In place, as the memory of new arrays costs more than the arithmetic if tracks are many.
         (weight, bias), (past, past_bias) = self._gates
-        gates = front @ weight
-        gates += hidden @ past
-        gates += bias + past_bias
-        np.exp(np.negative(gates, out=gates), out=gates)
-        gates += 1.0
-        np.reciprocal(gates, out=gates)
+        gates = 1.0 / (1.0 + np.exp(-(front @ weight + hidden @ past + (bias + past_bias))))
         reset, update = gates[:, :units], gates[:, units:]
         (weight, bias), (past, past_bias) = self._candidate
-        candidate: Array32 = hidden @ past
-        candidate += past_bias
-        candidate *= reset
-        candidate += front @ weight
-        candidate += bias
-        np.tanh(candidate, out=candidate)
-        state: Array32 = hidden - candidate
-        state *= update
-        state += candidate
+        candidate = np.tanh((hidden @ past + past_bias) * reset + front @ weight + bias)
+        state: Array32 = (hidden - candidate) * update + candidate
         return state
 
 

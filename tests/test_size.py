@@ -16,8 +16,8 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "lines of source": 34_025,
-    "tokens of source": 231_307,
+    "lines of source": 34_012,
+    "tokens of source": 231_280,
     "files of source": 241,
     "lines of tests": 24_000,
     "tokens of tests": 215_000,

@@ -79,7 +79,7 @@ def _played(
 
 
 def _finite(lot: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Return one epoch in four of a lot, as rows (epochs, ...) without infinite or NaN values."""
+    """Return the finite rows (epochs, ...) of one epoch in EVERY of a lot (n, T, ...)."""
     features, logs = (part[:, ::EVERY].reshape(-1, *part.shape[2:]) for part in lot)
     finite = np.isfinite(features).all(axis=1) & np.isfinite(logs).all(axis=(1, 2))
     return features[finite], logs[finite]
