@@ -13,10 +13,8 @@ torch.manual_seed(0)
 torch.set_num_threads(1)  # the network is too small for more threads to help
 dataset = minari.load_dataset("mmwave-loc/guided-v0")
 episodes = [(episode.observations[:-1], episode.actions) for episode in dataset]
-learned, held_out = (
-    [torch.tensor(np.concatenate(parts)) for parts in zip(*some, strict=True)]
-    for some in (episodes[:-30], episodes[-30:])
-)
+learned = [torch.tensor(np.concatenate(parts)) for parts in zip(*episodes[:-30], strict=True)]
+held_out = [torch.tensor(np.concatenate(parts)) for parts in zip(*episodes[-30:], strict=True)]
 network = torch.nn.Sequential(
     torch.nn.Linear(dataset.observation_space.shape[0], 64),
     torch.nn.Tanh(),

@@ -48,11 +48,16 @@ def is_file(name):
 def played(env, act, seed):
     """Play an episode; return the sum of rewards and the mean position error in m."""
     observation, _ = env.reset(seed=seed)
-    earned, errors, ended, begins = 0.0, [], False, True
+    earned = 0.0
+    errors = []
+    ended = False
+    begins = True
     while not ended:
         action = np.int64(act(observation[None], begins))
         observation, reward, terminated, truncated, info = env.step(action)
-        earned, ended, begins = earned + reward, terminated or truncated, False
+        earned = earned + reward
+        ended = terminated or truncated
+        begins = False
         errors.append(info["position_error_m"])
     return earned, float(np.nanmean(errors))
 

@@ -15,7 +15,10 @@ import numpy as np
 
 from mmwave_env.datasets.ways import read_trajectory
 
-RAYS, SEED, BLOCK = 10**5, 1, 200  # number of rays; their seed; number of receivers per call
+# number of rays; their seed; number of receivers per call
+RAYS = 10**5
+SEED = 1
+BLOCK = 200
 INTERACTIONS = {1: 1.0, 2: 3.0, 4: 4.0, 8: 2.0}  # Sionna's code -> DeepMIMO's code (a digit)
 
 
@@ -52,7 +55,8 @@ def arrays_of(paths):
     valid = np.array(paths.valid, bool)[:, 0] & (delay >= 0.0) & (gain > 0.0)
     inter = np.zeros(delay.shape)
     for depth in np.array(paths.interactions)[:, :, 0]:
-        kinds, digits = (0, *INTERACTIONS), [0.0, *INTERACTIONS.values()]
+        kinds = (0, *INTERACTIONS)
+        digits = [0.0, *INTERACTIONS.values()]
         digit = np.select([depth == kind for kind in kinds], digits, 9.0)
         inter = np.where(digit > 0.0, 10.0 * inter + digit, inter)
     bounce = np.array(paths.vertices, float)[0][:, 0]

@@ -33,7 +33,9 @@ FILE = "localizer.safetensors"
 EPISODES = 8  # number of episodes in a lot from each training site of the benchmark
 STEPS_S = (1.0, 1.0, 1.0, 0.5, 0.25, 0.1)  # seconds between epochs in training, equally probable
 EPOCHS = 20  # number of epochs between two optimizer steps; gradients flow through these epochs
-FRONT, MEMORY = 32, 48  # widths of layers
+# widths of layers
+FRONT = 32
+MEMORY = 48
 
 
 def rows_of(x, site, epoch, layout):
@@ -60,7 +62,8 @@ class Network(nn.Module):
         self.link = nn.Linear(15, FRONT)
         self.recurrent = nn.GRUCell(FRONT + 7, MEMORY)
         self.head = nn.Linear(FRONT + MEMORY, FRONT)
-        self.gains, self.of_doppler = nn.Linear(FRONT, 9), nn.Linear(MEMORY, 2)
+        self.gains = nn.Linear(FRONT, 9)
+        self.of_doppler = nn.Linear(MEMORY, 2)
         with torch.no_grad():  # begin with shares that hardly depend on the input
             for layer in (self.gains, self.of_doppler):
                 layer.weight *= 0.1
@@ -76,17 +79,23 @@ class Network(nn.Module):
             rows: (n, 3 L + 1, 10) from :func:`rows_of`.
             others: (n, 2) seconds since the previous epoch, and Doppler spread, Hz.
         """
-        (innovation, variance, visible), gradient = rows[..., :3].unbind(-1), rows[..., 3:]
+        (innovation, variance, visible) = rows[..., :3].unbind(-1)
+        gradient = rows[..., 3:]
         innovation = visible * (innovation - (gradient @ (x - x.detach())[..., None])[..., 0])
-        miss, noise, heard = innovation[:, -1:], variance[:, -1:] ** 0.5, visible[:, -1:]
+        miss = innovation[:, -1:]
+        noise = variance[:, -1:] ** 0.5
+        heard = visible[:, -1:]
         toward = gradient[:, -1, 3:6]
         hz = toward.norm(dim=-1, keepdim=True).clamp(min=1.0)  # Hz per m/s
         slope = gradient[:, :-1, :3].norm(dim=-1).clamp(min=1e-6)  # per meter
-        basis, known = gradient[:, :-1, :3] / slope[..., None], visible[:, :-1] * (slope > 1e-6)
-        gap, sigma = innovation[:, :-1] / slope, variance[:, :-1] ** 0.5 / slope
+        basis = gradient[:, :-1, :3] / slope[..., None]
+        known = visible[:, :-1] * (slope > 1e-6)
+        gap = innovation[:, :-1] / slope
+        sigma = variance[:, :-1] ** 0.5 / slope
         information = known / sigma**2
         total = ((basis @ basis.mT) ** 2 @ information[..., None])[..., 0].clamp(min=1e-9)
-        share, count = information / total, known.sum(1, keepdim=True)
+        share = information / total
+        count = known.sum(1, keepdim=True)
         scale = ((known / total).sum(1, keepdim=True) / count.clamp(min=1.0)) ** 0.5
         scale = torch.where(count > 0.0, scale, kept[:, -1:])
         speeds = torch.asinh((basis @ x[:, 3:6, None])[..., 0])
@@ -114,7 +123,8 @@ def beliefs(network, layout, site, epochs):
     kept = torch.cat([x.new_zeros(len(x), MEMORY), x.new_ones(len(x), 1)], 1)
     for number, epoch in enumerate(epochs):
         if number % EPOCHS == 0:
-            x, kept = x.detach(), kept.detach()
+            x = x.detach()
+            kept = kept.detach()
         others = np.broadcast_arrays(epoch.dt, epoch.doppler_spread_hz, site.prior_x[0])[:2]
         others = torch.from_numpy(np.array(others, np.float32).T)
         x = torch.cat([x[:, :3] + others[:, :1] * x[:, 3:6], x[:, 3:]], 1)
@@ -151,11 +161,13 @@ def loss_of(error, inverse):
 
 def lots(seed, count):
     """Yield layout, site, epochs and true positions (T, n, 3) of lots, for training."""
-    rng, sources = np.random.default_rng(seed), [s.source() for s in sites() if s.kind == TRAINED]
+    rng = np.random.default_rng(seed)
+    sources = [s.source() for s in sites() if s.kind == TRAINED]
     for first in range(seed, seed + count * EPISODES, EPISODES):
         keys = keys_of(range(first, first + EPISODES))
         some = [replace(s, dt=float(rng.choice(STEPS_S))).sample_batch(keys) for s in sources]
-        layout, blank = some[0].layout, blank_incoming(some[0].layout)
+        layout = some[0].layout
+        blank = blank_incoming(some[0].layout)
         table = np.concatenate([batch.table for batch in some]).transpose(1, 2, 0)
         site = np.concatenate([batch.site for batch in some]).T
         epochs = (unflatten(blank, iter(rows)).epoch(layout) for rows in table)
@@ -170,7 +182,8 @@ def train(seed, count):
     optimizer = torch.optim.Adam(network.parameters(), lr=3e-3)
     schedule = torch.optim.lr_scheduler.LinearLR(optimizer, 1.0, 0.01, count)
     for number, (*world, truth) in enumerate(lots(seed, count), 1):
-        states, losses = beliefs(network, *world), []
+        states = beliefs(network, *world)
+        losses = []
         for true in truth.split(EPOCHS):
             x, inverse = map(torch.stack, zip(*(next(states) for _ in true), strict=True))
             loss = loss_of(true - x[..., :3], inverse)

@@ -22,7 +22,8 @@ class Remembering:
 
     def reset(self, begins):
         """Forget the past; all episodes begin together."""
-        self.state, self.begins = None, begins
+        self.state = None
+        self.begins = begins
 
     def __call__(self, observations):
         """Return actions."""

@@ -22,7 +22,8 @@ def make(config):
     return NormalizeObservation(gym.make_vec("mmwave_env:MmWaveLoc-v0", **config))
 
 
-begin, number = time.perf_counter(), int(sys.argv[1]) if sys.argv[1:] else 0
+begin = time.perf_counter()
+number = int(sys.argv[1]) if sys.argv[1:] else 0
 torch.set_num_threads(1)
 register_env("mmwave", make)
 config = PPOConfig().environment("mmwave", env_config={"radio": "handset"})
@@ -37,7 +38,8 @@ ppo = config.build_algo()
 for _ in range(100):
     ppo.train()
 print(f"training {number}: {time.perf_counter() - begin:.0f} s")
-envs, module = ppo.env_runner.env.env, ppo.get_module()
+envs = ppo.env_runner.env.env
+module = ppo.get_module()
 
 
 def act(observations):

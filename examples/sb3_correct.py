@@ -29,7 +29,8 @@ else:
 def reward(act, episodes=500):
     """Return the mean reward per epoch of each test episode, without its first ten epochs."""
     env = gym.make_vec(**task, num_envs=episodes)
-    rewards, (observations, _) = [], env.reset(seed=0)
+    rewards = []
+    (observations, _) = env.reset(seed=0)
     for _ in range(200):
         observations, earned, *_ = env.step(act(observations))
         rewards.append(earned)

@@ -44,11 +44,13 @@ class Ukf(Estimator):
         return UnscentedKalmanUpdater(model, alpha=1.0, beta=2.0, kappa=0.0)
 
     def track(self, pipeline, site, epochs):  # noqa: D102
-        time, zero = datetime.min, [0.0] * len(site.prior_P)
+        time = datetime.min
+        zero = [0.0] * len(site.prior_P)
         state = self.begin(np.array(site.prior_x), np.array(unpack(site.prior_P)), time)
         for epoch in epochs:
             if epoch.dt:
-                time, mode = time + timedelta(seconds=float(epoch.dt)), pipeline.modes[-1]
+                time = time + timedelta(seconds=float(epoch.dt))
+                mode = pipeline.modes[-1]
                 Q = predict(pipeline, mode, site.prior_x, zero, 1.0, epoch, site.hz_per_mps)[1]
                 moves = LinearGaussianTimeInvariantTransitionModel(
                     transition_matrix=F(epoch.dt), covariance_matrix=np.array(Q)
@@ -60,11 +62,13 @@ class Ukf(Estimator):
             yield np.array(state.mean, float).ravel(), pack(spread)
 
     def _updated(self, state, site, epoch):
-        models, values = [], []
+        models = []
+        values = []
         for link in np.flatnonzero(epoch.visible[:-1]):
             order = [4 * link + i for i in (2, 1, 0)]  # elevation, azimuth, range
             values += [epoch.z[i] for i in order]
-            noise, anchor = [epoch.sigma[i] ** 2 for i in order], np.array([site.anchors[link]]).T
+            noise = [epoch.sigma[i] ** 2 for i in order]
+            anchor = np.array([site.anchors[link]]).T
             of_link = nonlinear.CartesianToElevationBearingRange(
                 7, (0, 1, 2), np.diag(noise), translation_offset=anchor
             )
@@ -90,7 +94,8 @@ class Particles(Ukf):
 
 
 if __name__ == "__main__":
-    episodes, data = int(sys.argv[1]), next(iter(sys.argv[2:]), None)
+    episodes = int(sys.argv[1])
+    data = next(iter(sys.argv[2:]), None)
     plain = replace(default_modes("handset")[1], gate=None, adaptive=False)
     rivals = {
         "stone-soup-ukf": Ukf(),

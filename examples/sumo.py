@@ -48,7 +48,8 @@ def ways_in(scene, trips, least_s, shift_m=None):
         streets = np.mean([scene.streets.x_m, scene.streets.y_m], axis=1)
         shift_m = np.round(streets - 0.5 * (places.min(axis=0) + places.max(axis=0)), 2)
     print(f"{len(trips)} trips, moved by {tuple(map(float, shift_m))} m")
-    ways, short = [], 0
+    ways = []
+    short = 0
     for name, rows in trips.items():
         place = np.pad(
             rows[:, 1:] + shift_m, [(0, 0), (0, 1)], constant_values=scene.streets.height_m
@@ -85,7 +86,8 @@ def make_traffic(out, seconds, seed, blocks=2, block_m=80):
         tool = program.endswith(".py")
         file = home / ("tools" if tool else "bin") / program
         words = [sys.executable] * tool + [file, *options.split(), *values]
-        known, quiet = os.environ | {"SUMO_HOME": str(home)}, {"stdout": subprocess.DEVNULL}
+        known = os.environ | {"SUMO_HOME": str(home)}
+        quiet = {"stdout": subprocess.DEVNULL}
         subprocess.run([*map(str, words)], cwd=folder, env=known, check=True, **quiet)
 
     with TemporaryDirectory() as folder:

@@ -56,7 +56,8 @@ def main(args: Args) -> None:
     )
     table = Observation(task.pipeline, args.observation, args.beliefs)
     tensors, facts = unzipped(args.model, args.normalize)
-    shown, chosen = tensors.pop(SHOWN), tensors.pop(CHOSEN)
+    shown = tensors.pop(SHOWN)
+    chosen = tensors.pop(CHOSEN)
     _require_trained_on(args, table, tensors)
     with atomic_path(args.policy) as temporary:
         temporary.write_bytes(to_bytes(tensors, _card(args, task, table, facts)))

@@ -39,7 +39,9 @@ def main(args: Args) -> None:
 
     runs = [EpisodeArgs(episodes=args.episodes)]
     runs += [EpisodeArgs(data=name, episodes=args.draws) for name in RECORDINGS]
-    tables, everything, made = [], {}, provenance("demo", args)
+    tables = []
+    everything = {}
+    made = provenance("demo", args)
     for run in runs:
         options = replace(run, percentiles=args.percentiles)
         names = all_contenders(options)

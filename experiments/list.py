@@ -74,7 +74,8 @@ def scenes() -> dict[str, str]:
     described = {}
     for name, scene in SCENES.items():
         x, y, z = base = scene.base_station_m
-        (west, east), (south, north) = scene.streets.x_m, scene.streets.y_m
+        (west, east) = scene.streets.x_m
+        (south, north) = scene.streets.y_m
         words = [
             f"{len(scene.anchors_m)} anchors, {scene.carrier_hz / 1e9:g} GHz, "
             f"{scene.bandwidth_hz / 1e6:g} MHz",

@@ -67,7 +67,8 @@ def _tuned_bank(args: Args) -> Content:
 
     name = radio_from(args.radio).name
     bank = tuned_bank(args.radio, args.episodes, args.seed, args.evaluations)
-    reward, gain = (Interval.of(bank["held_out"][column]) for column in ("reward", "minus imm"))
+    reward = Interval.of(bank["held_out"]["reward"])
+    gain = Interval.of(bank["held_out"]["minus imm"])
     say(f"{name}, on new episodes (as many as for tuning): reward {reward}, gain over imm {gain}")
     return bank
 
@@ -118,7 +119,9 @@ def _tuned_modes(args: Args) -> tuple[Content, Content]:
         raise ValueError(f"free: found {args.free}, expected one or more different names")
     for name in args.free:
         choose(RANGES, name, "free")
-    tuned, figures, title = [], [], "log-likelihood per epoch"
+    tuned = []
+    figures = []
+    title = "log-likelihood per epoch"
     for mode, scenario in zip(modes, args.scenarios, strict=True):
         source = source_of(WorldArgs(scenario=scenario, radio=args.radio))
         episodes = draw_episodes(source, range(args.seed, args.seed + args.episodes))

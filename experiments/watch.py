@@ -59,7 +59,8 @@ def main(args: Args) -> None:
     _check(args)
     contenders = [contender_of(args, name) for name in args.policies]
     task = task_of(args)
-    scoring, (episode, streets, title) = Scoring.of(task), _drawn(task, args.seed, args.key)
+    scoring = Scoring.of(task)
+    (episode, streets, title) = _drawn(task, args.seed, args.key)
     with progress("filtering"):
         histories = [history_of(c, episode, scoring, streets) for c in contenders]
     rows = _between(histories[0].time_s, args.begin, args.end)
@@ -102,14 +103,16 @@ def _drawn(
 
     if key is None:
         selection = Selection.of(1, seed, 1)
-        (episode,), keys = selection.draw(task.source), selection.keys(task.source)
+        (episode,) = selection.draw(task.source)
+        keys = selection.keys(task.source)
         which = f"seed {selection.seeds[0]}"
     elif seed is not None:
         raise ValueError(f"key: cannot be combined with seed {seed}; use only one of the two")
     elif not isinstance(task.source, SimulatedSource):
         raise ValueError("key: recorded episodes have no key; use --seed")
     else:
-        keys, which = np.array([key_from(key)], np.uint64), f"key {key}"
+        keys = np.array([key_from(key)], np.uint64)
+        which = f"key {key}"
         (episode,) = task.source.episodes(keys)
     streets = task.streets_of(0 if keys is None else int(keys[0]))
     return episode, streets, f"{episode.name}, {which}"
@@ -119,7 +122,8 @@ def _between(time_s: "Array", begin: float | None, end: float | None) -> list[in
     """Return indices of rows between two times, without row 0 (the prior) if ``begin`` is set."""
     import numpy as np
 
-    low, high = -np.inf if begin is None else begin, np.inf if end is None else end
+    low = -np.inf if begin is None else begin
+    high = np.inf if end is None else end
     rows: list[int] = np.flatnonzero((time_s >= low) & (time_s <= high)).tolist()
     if begin is not None and rows[:1] == [0]:
         del rows[0]
@@ -142,8 +146,10 @@ def _show(
     from mmwave_env.rendering.picture import Playback
     from mmwave_env.rendering.video import write_video
 
-    size, theme = args.render_size, args.render_theme
-    modes, names = [c.actions for c in contenders], [c.name for c in contenders]
+    size = args.render_size
+    theme = args.render_theme
+    modes = [c.actions for c in contenders]
+    names = [c.name for c in contenders]
     playback = Playback(histories, modes, names, size, theme)
     if args.out:
         with progress("drawing") as report:

@@ -264,9 +264,13 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
                 require_display()
         choose(BACKENDS, backend, "backend")
         choose(INFOS, infos, "infos")
-        self.render_mode, self._backend, self._infos = render_mode, backend, infos
+        self.render_mode = render_mode
+        self._backend = backend
+        self._infos = infos
         self._take_task(task_from(**arguments), observation, smoothed)
-        self._over, self._steps, self._length = True, 0, 0
+        self._over = True
+        self._steps = 0
+        self._length = 0
         self._stream = Stream()
         self._set_up_noting()
         drawn = (*self._drawn, render_size, render_theme)
@@ -276,16 +280,20 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
 
     def _set_up(self) -> None:
         """Create all objects that the arguments determine, for a new environment or a copy."""
-        pipeline, on_floats = self._task.pipeline, self._backend == "filterpy"
+        pipeline = self._task.pipeline
+        on_floats = self._backend == "filterpy"
         if on_floats:
             require_extra("filterpy", "filterpy", 'backend="filterpy"')
             from mmwave_env.filters.filterpy_reference import filterpy_pipeline
 
             pipeline = filterpy_pipeline(pipeline)
         self._start_engine(pipeline, on_floats=on_floats)
-        at, span = self._engine.at, self._engine.span
-        self._io, self._counts = self._engine.io(), self._tally.in_python()
-        self._observed, self._error = self._engine.obs_rows, span(at.error)
+        at = self._engine.at
+        span = self._engine.span
+        self._io = self._engine.io()
+        self._counts = self._tally.in_python()
+        self._observed = self._engine.obs_rows
+        self._error = span(at.error)
         self._spread = span(reported(at).P[:3])
         self._info_rows = {key: span(part) for key, part in info_rows(at).items()}
 
@@ -324,7 +332,9 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         super().reset(seed=seed, options=options)
         info = self._begin(key)
         self._begin_tracks(_HERE)
-        self._begun, self._over, self._steps = True, False, 0
+        self._begun = True
+        self._over = False
+        self._steps = 0
         self._length = int(self._engine.batch.state.length[0])
         self._counts = self._tally.in_python()
         column = self._engine.column(0)
@@ -338,7 +348,8 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
 
     def _begin(self, key: int | None) -> dict[str, Any]:
         """Begin the episode with this key (None: the next episode); return infos about it."""
-        task, engine = self._task, self._engine
+        task = self._task
+        engine = self._engine
         if not task.has_keys:
             episode = task.draw(self.np_random)
             engine.reset([episode])
@@ -358,10 +369,12 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         self._engine.batch.advance(self._io)
         column = self._engine.column(0)
         info = step_info(column, self._info_rows, mode)
-        rewards, distance = np.array([column[self._engine.at.reward]]), info["position_error_m"]
+        rewards = np.array([column[self._engine.at.reward]])
+        distance = info["position_error_m"]
         if self._baseline:
             self._baseline.subtract(rewards, _HERE)
-        off, nees = column[self._error].tolist(), info["nees"]
+        off = column[self._error].tolist()
+        nees = info["nees"]
         info[COST_KEY] = exceeds(*off[:2], *column[self._spread].tolist())
         count(self._counts, 0, self._steps, *off, nees)
         if self._smoothing:
@@ -378,7 +391,8 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
             self._gallery.add(_HERE, np.array([mode]), self._engine.column)
             if self.render_mode == "human":
                 self.render()
-        observation, info = self._io.observations[0, 0].copy(), self._worded(info, self._over)
+        observation = self._io.observations[0, 0].copy()
+        info = self._worded(info, self._over)
         return observation, float(rewards[0]), terminated, truncated, info
 
     def _take(self, action: Any) -> int:
@@ -416,7 +430,8 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
 
     def _worded(self, info: dict[str, Any], at_end: bool) -> dict[str, Any]:
         groups = len(self._task.pipeline.layout.groups)
-        beliefs, terms = len(self.modes) if self._task.bank else 1, len(self.reward_terms)
+        beliefs = len(self.modes) if self._task.bank else 1
+        terms = len(self.reward_terms)
         return worded(info, self._infos, at_end, groups, beliefs, terms)
 
     def _episode_info(self) -> dict[str, Any]:

@@ -62,7 +62,8 @@ class SB3VecEnv(VecEnv):
         seeds: Any = list(self._seeds) if known else None  # Gymnasium's annotation omits lists
         observations, _ = self.env.reset(seed=seeds, options=self._options[0] or None)
         self.reset_infos = [{} for _ in range(self.num_envs)]
-        self._returns[:], self._lengths[:] = 0.0, 0
+        self._returns[:] = 0.0
+        self._lengths[:] = 0
         self._reset_seeds()
         self._reset_options()
         return observations
@@ -88,7 +89,8 @@ class SB3VecEnv(VecEnv):
                     "t": round(time.time() - self._begun_s, 6),
                 },
             }
-        self._returns[over], self._lengths[over] = 0.0, 0
+        self._returns[over] = 0.0
+        self._lengths[over] = 0
         return observations, rewards.astype(np.float32), over, infos
 
     def state(self) -> dict[str, NDArray[Any]]:
@@ -97,7 +99,8 @@ class SB3VecEnv(VecEnv):
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
         """Restore a state that :meth:`state` returned."""
-        self._returns[:], self._lengths[:] = state["returns"], state["lengths"]
+        self._returns[:] = state["returns"]
+        self._lengths[:] = state["lengths"]
 
     def close(self) -> None:
         """Close the environment."""

@@ -227,7 +227,8 @@ def _source(asked: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
     for name in ("scenario", "scene", "dt", "odometry"):
         if (value := getattr(asked, name)) is not None and value is not False:
             raise ValueError(f"{name}: found {value!r}, but recorded episodes determine this value")
-    episodes, steps = asked.episodes, asked.episode_steps
+    episodes = asked.episodes
+    steps = asked.episode_steps
     if isinstance(episodes, str | os.PathLike | Recording | MeasuredTrack):
         track = source_from(episodes, radio, steps, measurements, clock)
         return track, track.radio

@@ -111,7 +111,8 @@ class MmWaveLocVectorEnv(
             "render_fps": FRAMES_PER_SECOND,
             "autoreset_mode": self.autoreset_mode,
         }
-        self.num_envs, self._threads = num_envs, threads
+        self.num_envs = num_envs
+        self._threads = threads
         self._take_task(task_from(**arguments), observation, smoothed, num_envs)
         epochs = getattr(self._task.source, "epochs", None)
         if max_episode_steps not in {None, epochs}:
@@ -132,7 +133,8 @@ class MmWaveLocVectorEnv(
         self._begun = False
         self._mode_count = np.array(len(self.observation.actions), np.uint64)
         self._none_over = np.zeros(num_envs, np.bool_)
-        self._over, self._ended = self._none_over, 0
+        self._over = self._none_over
+        self._ended = 0
 
     def _set_up(self) -> None:
         """Create everything that follows from the arguments, for a new environment or a copy."""
@@ -154,7 +156,8 @@ class MmWaveLocVectorEnv(
     def _begin_pictures(self, places: Index) -> None:
         """Clear the pictures of the environments with indices ``places``, whose episodes begin."""
         if self._gallery:
-            names, engine = self._names.tolist(), self._engine
+            names = self._names.tolist()
+            engine = self._engine
             self._gallery.begin(places, names, self._streets_of, engine.column)
 
     def reset(
@@ -220,7 +223,8 @@ class MmWaveLocVectorEnv(
 
     def _draw(self, places: Index, keys: Keys | None = None) -> dict[str, NDArray[Any]]:
         """Begin episodes in the environments with indices ``places``; return infos, (N,) each."""
-        task, engine = self._task, self._engine
+        task = self._task
+        engine = self._engine
         infos: dict[str, NDArray[Any]] = {"episode_name": np.full(self.num_envs, None, object)}
         infos["nonfinite"] = np.zeros(self.num_envs, np.int64)
         if task.has_keys:
@@ -246,7 +250,9 @@ class MmWaveLocVectorEnv(
     def step(self, actions: Index) -> Step:
         """Run an epoch in each environment; actions are modes (N,) or numbers (N, k) in a `Box`."""
         actions, numbers = self._checked(actions)
-        fresh, resets = self._over, self._ended  # mask and number of environments to reset now
+        # mask and number of environments to reset now
+        fresh = self._over
+        resets = self._ended
         drawn = self._draw(np.flatnonzero(fresh)) if resets else {}
         result, self._ended, infos = self._stepper.step(actions, numbers)
         observations, rewards, terminated, truncated, *_ = result
@@ -276,7 +282,8 @@ class MmWaveLocVectorEnv(
 
     def _end(self, observations: Observations, infos: dict[str, Any]) -> dict[str, Any]:
         """Add the infos of ended episodes; begin new episodes if the autoreset mode is SameStep."""
-        ended, lost = np.flatnonzero(self._over), np.zeros(self.num_envs, np.int64)
+        ended = np.flatnonzero(self._over)
+        lost = np.zeros(self.num_envs, np.int64)
         lost[ended] = self._tally.nonfinite(ended)
         if lost.any():
             warn_of_nonfinite()

@@ -72,10 +72,8 @@ class CorrectionNetwork(LearnedPolicy):
             raise ValueError(
                 f"{self._path}: found a corrector of {wrong} tracks, expected one of {right} tracks"
             )
-        self._front, self._head = (
-            (tensors[f"{name}.weight"].T.copy(), tensors[f"{name}.bias"])
-            for name in ("front", "head")
-        )
+        self._front = (tensors[f"{'front'}.weight"].T.copy(), tensors[f"{'front'}.bias"])
+        self._head = (tensors[f"{'head'}.weight"].T.copy(), tensors[f"{'head'}.bias"])
         self._units = [_RecurrentUnit(tensors, name) for name in self.recurrent]
         self._out = _mean_and_differences(tensors["out.weight"].T, tensors["out.bias"])
         # matrix that averages squared differences over the ensemble's members, for each direction
@@ -147,7 +145,8 @@ class Corrector(CorrectionNetwork, Policy):
         if len(mask) != len(self._hidden):
             self._hidden = np.zeros((len(mask), self._hidden.shape[1]), np.float32)
             self._trust = np.ones(len(mask), np.float32)
-        self._hidden[mask], self._trust[mask] = 0.0, 1.0
+        self._hidden[mask] = 0.0
+        self._trust[mask] = 1.0
         if self._base:
             self._base.reset(mask)
 
@@ -196,10 +195,12 @@ class TwoWayCorrector(CorrectionNetwork):
         n, epochs, width = features.shape
         read = taken(features.reshape(-1, width), *self._of_track).reshape(n, epochs, -1)
         front, strange = self._read(read)
-        trust, memory = strange.copy(), []
+        trust = strange.copy()
+        memory = []
         for unit, order in zip(self._units, (range(epochs), range(epochs)[::-1]), strict=True):
             states = np.empty((n, epochs, unit.size), np.float32)
-            state, so_far = np.zeros((n, unit.size), np.float32), np.ones(n, np.float32)
+            state = np.zeros((n, unit.size), np.float32)
+            so_far = np.ones(n, np.float32)
             for t in order:
                 states[:, t] = state = unit(front[:, t], state)
                 so_far = np.minimum(strange[:, t], so_far + np.float32(RECOVERY))
@@ -213,23 +214,28 @@ class _RecurrentUnit:
 
     def __init__(self, tensors: Tensors, name: str) -> None:
         self.size = units = len(tensors[f"{name}.bias_hh"]) // 3
-        # weights and biases of input and memory: those of the gates, then of the candidate state
-        self._gates, self._candidate = (
-            [(tensors[f"{name}.weight_{end}"][rows].T.copy(), tensors[f"{name}.bias_{end}"][rows])
-             for end in ("ih", "hh")]
-            for rows in (slice(2 * units), slice(2 * units, None))
-        )  # fmt: skip
+        self._gates = _layers(tensors, name, slice(2 * units))
+        self._candidate = _layers(tensors, name, slice(2 * units, None))
 
     def __call__(self, front: Array32, hidden: Array32) -> Array32:
         """Return the next state (n, units), given the input and the last state."""
         units = self.size
         (weight, bias), (past, past_bias) = self._gates
         gates = 1.0 / (1.0 + np.exp(-(front @ weight + hidden @ past + (bias + past_bias))))
-        reset, update = gates[:, :units], gates[:, units:]
+        reset = gates[:, :units]
+        update = gates[:, units:]
         (weight, bias), (past, past_bias) = self._candidate
         candidate = np.tanh((hidden @ past + past_bias) * reset + front @ weight + bias)
         state: Array32 = (hidden - candidate) * update + candidate
         return state
+
+
+def _layers(tensors: Tensors, name: str, rows: slice) -> list[tuple[Array32, Array32]]:
+    """Return some rows of a unit's weights (transposed) and biases: of its input, of its memory."""
+    return [
+        (tensors[f"{name}.weight_{end}"][rows].T.copy(), tensors[f"{name}.bias_{end}"][rows])
+        for end in ("ih", "hh")
+    ]
 
 
 def _mean_and_differences(weight: Array32, bias: Array32) -> tuple[Array32, Array32]:

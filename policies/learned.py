@@ -45,8 +45,10 @@ class LearnedPolicy:
     def __init__(self, path: AnyPath, observation: Observation | None = None) -> None:
         self._path = _located(path)
         self._tensors, self.card = read_policy(self._path)
-        self.modes, self.beliefs = self.card.modes, self.card.beliefs
-        self._low, self._high = self._tensors["low"], self._tensors["high"]
+        self.modes = self.card.modes
+        self.beliefs = self.card.beliefs
+        self._low = self._tensors["low"]
+        self._high = self._tensors["high"]
         self._width = len(self._low)  # number of columns in the environment's observations
         # columns that the policy reads; None if it reads all of them in order
         self._columns: Index | None = None
@@ -73,7 +75,8 @@ class LearnedPolicy:
             )
         if radio in banks:
             return banks[radio]
-        profile, first = radio_from(radio), next(iter(banks))
+        profile = radio_from(radio)
+        first = next(iter(banks))
         known = (profile.name, profile.base, "standard", first)
         return next(banks[name] for name in known if name in banks)
 
@@ -108,7 +111,8 @@ class LearnedPolicy:
             the columns are exactly the features. The second has the value to use for each feature
             whose anchor is missing, and NaN for the others; it is None if no anchor is missing.
         """
-        features, columns = self.card.features, {column.name: column for column in shown}
+        features = self.card.features
+        columns = {column.name: column for column in shown}
         anchors = {
             name.rpartition(" anchor ")[2] for name in columns if " SNR anchor " in f" {name}"
         }
@@ -187,7 +191,8 @@ class LearnedSwitch(LearnedPolicy, Policy):
             raise ValueError(
                 f"{self._path}: found a corrector, expected a switcher; use policies.Corrector"
             )
-        tensors, layers = self._tensors, sum(name.startswith("layer.") for name in self._tensors)
+        tensors = self._tensors
+        layers = sum(name.startswith("layer.") for name in self._tensors)
         self._layers = [
             (tensors[f"layer.{i}.weight"].T, tensors[f"layer.{i}.bias"]) for i in range(layers // 2)
         ]

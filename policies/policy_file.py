@@ -85,7 +85,8 @@ class Card:
 
     def __post_init__(self) -> None:
         for name, hint in get_type_hints(Card).items():
-            value, expected = getattr(self, name), get_origin(hint) or hint
+            value = getattr(self, name)
+            expected = get_origin(hint) or hint
             if type(value) is not expected:
                 raise ValueError(f"{name}: found {quoted(value)}, expected {expected.__name__}")
         choose(OBSERVATIONS, self.observation, "observation")
@@ -226,7 +227,8 @@ def read_policy(path: AnyPath) -> tuple[Tensors, Card]:
 def _require_header(path: Path) -> None:
     """Refuse a file if it or its header is too large, before its data are read."""
     with open_regular(path, "a policy (.safetensors)") as file, naming(path):
-        size, header = os.fstat(file.fileno()).st_size, int.from_bytes(file.read(8), "little")
+        size = os.fstat(file.fileno()).st_size
+        header = int.from_bytes(file.read(8), "little")
     if size > MOST_BYTES or header > MOST_HEADER:
         sizes = f"a file of {size} bytes with a header of {header}"
         most = f"at most {MOST_BYTES} and {MOST_HEADER}"
@@ -293,7 +295,8 @@ def _actor_shapes(tensors: Tensors, card: Card) -> dict[str, tuple[int, ...]]:
     layers = sum(name.startswith("layer.") and name.endswith(".weight") for name in tensors)
     for i in range(max(layers, 1)):
         out = size.get(f"layer.{i}.bias", 0) if i < layers - 1 else len(card.actions)
-        shapes[f"layer.{i}.weight"], shapes[f"layer.{i}.bias"] = (out, width), (out,)
+        shapes[f"layer.{i}.weight"] = (out, width)
+        shapes[f"layer.{i}.bias"] = (out,)
         width = out
     return shapes
 
@@ -301,9 +304,13 @@ def _actor_shapes(tensors: Tensors, card: Card) -> dict[str, tuple[int, ...]]:
 def _corrector_shapes(tensors: Tensors, card: Card) -> dict[str, tuple[int, ...]]:
     """Return the shapes of a corrector's tensors, given its numbers of features and neurons."""
     size = {name: tensor.size for name, tensor in tensors.items()}
-    features, front, head = (size.get(name, 0) for name in ("low", "front.bias", "head.bias"))
-    gates, out = size.get("gru.bias_ih", 0), size.get("out.bias", 0)
-    gates, out = max(gates - gates % 3, 3), max(out - out % CORRECTIONS, CORRECTIONS)
+    features = size.get("low", 0)
+    front = size.get("front.bias", 0)
+    head = size.get("head.bias", 0)
+    gates = size.get("gru.bias_ih", 0)
+    out = size.get("out.bias", 0)
+    gates = max(gates - gates % 3, 3)
+    out = max(out - out % CORRECTIONS, CORRECTIONS)
     units = ("gru", "back") if any(name.startswith("back.") for name in tensors) else ("gru",)
     recurrent: dict[str, tuple[int, ...]] = {}
     for unit in units:
@@ -327,7 +334,8 @@ def _corrector_shapes(tensors: Tensors, card: Card) -> dict[str, tuple[int, ...]
 
 def _require_names(group: str, names: Iterable[str], expected: Iterable[str]) -> None:
     """Refuse missing and unknown names."""
-    names, expected = set(names), set(expected)
+    names = set(names)
+    expected = set(expected)
     if names != expected:
         raise ValueError(
             f"{group}: missing {', '.join(sorted(expected - names)) or 'none'}, "

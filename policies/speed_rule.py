@@ -40,7 +40,8 @@ class SpeedRule(Policy):
     """
 
     def __init__(self, observation: Observation, threshold: float = SLOW_MPS) -> None:
-        self.observation, self.threshold = observation, threshold
+        self.observation = observation
+        self.threshold = threshold
         self._warned = False
 
     def __call__(self, observation: Array32) -> Index:

@@ -21,7 +21,9 @@ def command(*words, cwd=ROOT, columns=200, stdin=b""):
     User warnings are shown as the program shows them; other warnings are errors, as in all tests.
     An exception that the program does not expect ends the command with code 1.
     """
-    out, err, before = StringIO(), StringIO(), os.getcwd()
+    out = StringIO()
+    err = StringIO()
+    before = os.getcwd()
     typed = ["mmwave-loc", *map(str, words)]
     # The program replaces warnings.showwarning; catch_warnings restores it.
     with (

@@ -76,10 +76,8 @@ def blocks_of(page: Path) -> list[Block]:
     ends = [*(match.start() for match in matches[1:]), len(text)]
     blocks = []
     for match, end in zip(matches, ends, strict=False):  # a page without blocks has one end
-        line, tables = (
-            text.count("\n", 0, match.start("text")),
-            TABLE.finditer(text, match.end(), end),
-        )
+        line = text.count("\n", 0, match.start("text"))
+        tables = TABLE.finditer(text, match.end(), end)
         blocks.append(Block(match["language"], match["text"], line, match["mark"] or "", [*tables]))
     return blocks
 
@@ -93,7 +91,8 @@ class Session:
     """
 
     def __init__(self, page: Path, folder: Path) -> None:
-        self.folder, self._done = folder, set[int]()
+        self.folder = folder
+        self._done = set[int]()
         self._names: dict[str, Any] = {"__name__": page.stem}
         (folder / "docs").symlink_to(ROOT / "docs")
 
@@ -152,7 +151,8 @@ def made(table: re.Match[str], printed: str, folder: Path) -> str:
 
 def renewed(page: Path) -> str:
     """Return the text of the page with all tables renewed by running its blocks."""
-    text, changes = page.read_text(encoding="utf-8"), []
+    text = page.read_text(encoding="utf-8")
+    changes = []
     with TemporaryDirectory() as folder:
         session = Session(page, Path(folder))
         for block in blocks_of(page):

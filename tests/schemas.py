@@ -51,7 +51,8 @@ def bounds(bound):
 
 def schema_of(hint):
     """Return the schema of a field's type."""
-    origin, inside = get_origin(hint), get_args(hint)
+    origin = get_origin(hint)
+    inside = get_args(hint)
     if is_dataclass(hint):
         return object_schema(hint)
     if hint in TYPES:
@@ -78,7 +79,9 @@ def object_schema(kind, optional=(), replaced=None):
 
     Files may omit the ``optional`` fields; ``replaced`` maps names of fields to other schemas.
     """
-    texts, properties, required = described(kind), {}, []
+    texts = described(kind)
+    properties = {}
+    required = []
     for field in fields(kind):
         part = (replaced or {}).get(field.name) or schema_of(hints_of(kind)[field.name])
         if field.name in texts:

@@ -165,7 +165,8 @@ def test_an_undamaged_file_is_read(tmp_path, kind):
 )
 @given(data=st.data())
 def test_a_damaged_file_is_read_or_is_named_in_an_error(tmp_path, kind, data):
-    reader, folder = READERS[kind], tmp_path / "scenario"
+    reader = READERS[kind]
+    folder = tmp_path / "scenario"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
     files = reader.files()

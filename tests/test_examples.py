@@ -48,7 +48,8 @@ def imported(source: str) -> set[str]:
 
 def rewards(printed: str) -> dict[str, float]:
     """Return name -> reward, agent first, from a table of `compare` or lines "NAME: reward ..."."""
-    row, line = r"\| ([\w-]+) \| (-\d+\.\d+) ±", r"([\w-]+): reward (-\d+\.\d+)"
+    row = r"\| ([\w-]+) \| (-\d+\.\d+) ±"
+    line = r"([\w-]+): reward (-\d+\.\d+)"
     lines = re.findall(rf"^(?:{row}|{line})", printed.partition("Paired")[0], re.MULTILINE)
     return {a or c: float(b or d) for a, b, c, d in lines}
 
@@ -245,7 +246,8 @@ def test_trips_are_written_as_trajectories_from_which_episodes_are_drawn(tmp_pat
 
 def test_the_traffic_is_moved_to_the_middle_of_the_street(tmp_path, capsys):
     write_traffic(tmp_path / "traffic.xml")
-    sumo, street = loaded("examples/sumo.py"), SCENES["street"]
+    sumo = loaded("examples/sumo.py")
+    street = SCENES["street"]
     sumo.ways_in(street, sumo.read_trips(tmp_path / "traffic.xml"), 60.0)
     assert "moved by (5.0, -224.5) m" in capsys.readouterr().out  # trips span x 0..150, y 9..280 m
 
@@ -262,7 +264,8 @@ def test_sumo_makes_traffic(tmp_path):
 
 # --- ray tracing
 
-STATION, WALL_Y = np.array([-5.0, 4.0, 6.0]), 10.0
+STATION = np.array([-5.0, 4.0, 6.0])
+WALL_Y = 10.0
 USERS = np.column_stack([np.linspace(0.0, 20.0, 21), np.full(21, -2.0), np.full(21, 1.5)])
 
 
@@ -296,7 +299,8 @@ def sionna_paths(users_m, hidden=()):
 
 def test_traced_paths_are_written_to_a_folder_and_read_back(tmp_path):
     """Write arrays shaped like those of Sionna RT 2.2; the next test runs Sionna RT itself."""
-    raytrace, velocity = loaded("examples/raytrace.py"), np.tile([10.0, 0.0, 0.0], (21, 1))
+    raytrace = loaded("examples/raytrace.py")
+    velocity = np.tile([10.0, 0.0, 0.0], (21, 1))
     traced = sionna_paths(USERS[:12], hidden=[3]), sionna_paths(USERS[12:])
     blocks = [raytrace.arrays_of(paths) for paths in traced]
     arrays = {key: raytrace.joined([block[key] for block in blocks]) for key in blocks[0]}
@@ -320,7 +324,8 @@ def test_tracing_a_shipped_recording_again_gives_the_same_measurements(tmp_path)
     pytest.importorskip("sionna.rt", reason="needs examples/raytrace.txt")
     shipped = RECORDINGS / "canyon28_walk_ride_walk"
     run(FOLDER / "raytrace.py", shipped / "trajectory.csv", tmp_path / "again", cwd=tmp_path)
-    again, expected = read_deepmimo(tmp_path / "again"), read_deepmimo(shipped)
+    again = read_deepmimo(tmp_path / "again")
+    expected = read_deepmimo(shipped)
     np.testing.assert_array_equal(again.visible, expected.visible)
     rows = np.repeat(expected.visible, [4, 4, 4, 1], axis=1)
     np.testing.assert_allclose(again.measurement[rows], expected.measurement[rows], atol=1e-4)

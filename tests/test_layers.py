@@ -44,7 +44,9 @@ SEES = {  # room -> rooms that it may import
     "experiments.sweeping": LIBRARY | {"experiments.training", *BELOW},
 }
 SEES["experiments"] = frozenset({*SEES, *LIBRARY})  # the commands, one module each
-ROOMS, ARROWS_BETWEEN_ROOMS = 28, 200  # limits; an arrow joins a room to a room that it imports
+# limits; an arrow joins a room to a room that it imports
+ROOMS = 28
+ARROWS_BETWEEN_ROOMS = 200
 
 
 def room(module):

@@ -99,7 +99,8 @@ def test_examples_run_and_print_the_tables_of_the_page(page, block, session_of):
 def assert_alike(shown, now):
     """Check that two texts are equal except for numbers, which may differ by 2 % or 0.02."""
     assert NUMBER.sub("", shown).split() == NUMBER.sub("", now).split()
-    a, b = ([float(n.replace(",", "")) for n in NUMBER.findall(text)] for text in (shown, now))
+    a = [float(n.replace(",", "")) for n in NUMBER.findall(shown)]
+    b = [float(n.replace(",", "")) for n in NUMBER.findall(now)]
     assert a == pytest.approx(b, rel=0.02, abs=0.02)
 
 
@@ -113,10 +114,8 @@ def test_the_agent_trained_in_the_readme_beats_a_fixed_mode_and_the_speed_rule(t
     (block,) = (block for block in BLOCKS[page] if block.language == "python")
     printed = Session(page, tmp_path).printed(replace(block, mark="example"))
     table = printed.partition("Paired differences")[2]
-    header, mine = (
-        re.search(rf"^\| {name} \| (.*) \|$", table, re.MULTILINE)[1].split(" | ")
-        for name in ("reward of", "mine")
-    )
+    header = re.search(f"^\\| {'reward of'} \\| (.*) \\|$", table, re.MULTILINE)[1].split(" | ")
+    mine = re.search(f"^\\| {'mine'} \\| (.*) \\|$", table, re.MULTILINE)[1].split(" | ")
     gain = dict(zip(header, mine, strict=True))
     for other in ("fixed-ukf", "speed-rule"):
         assert float(gain[f"minus {other}"].split()[0]) >= 0.02, printed

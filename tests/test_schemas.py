@@ -40,7 +40,8 @@ def values(schema):
         needed = {key: parts.pop(key) for key in schema["required"]}
         return st.fixed_dictionaries(needed, optional=parts)
     if kind == "array":
-        least, most = schema.get("minItems", 0), min(schema.get("maxItems", 3), 3)
+        least = schema.get("minItems", 0)
+        most = min(schema.get("maxItems", 3), 3)
         return st.lists(values(schema["items"]), min_size=least, max_size=most)
     if "maxLength" in schema:
         printable = st.characters().filter(str.isprintable)

@@ -22,7 +22,8 @@ def test_the_navigation_lists_exactly_the_existing_pages(hooks):
     assert pages | set(hooks.made()) == NAVIGATION
 
 
-ENVIRONMENT, METRICS = "../mmwave_env/env.py", "../mmwave_env/metrics.py"
+ENVIRONMENT = "../mmwave_env/env.py"
+METRICS = "../mmwave_env/metrics.py"
 
 
 @pytest.mark.parametrize(
@@ -57,7 +58,8 @@ def test_pages_made_from_code_are_up_to_date():
 
 def test_the_page_of_a_notebook_shows_its_cells_and_their_outputs(hooks):
     for uri, name in hooks.NOTEBOOKS.items():
-        page, cells = hooks.made()[uri](), json_in(ROOT / name)["cells"]
+        page = hooks.made()[uri]()
+        cells = json_in(ROOT / name)["cells"]
         cells = [cell for cell in cells if cell["cell_type"] == "code"]
         code = ["".join(cell["source"]) for cell in cells]
         assert re.findall(r"^```python\n(.*?)\n```$", page, re.DOTALL | re.MULTILINE) == code

@@ -13,7 +13,9 @@ from mmwave_env.numerics.numbers import Array
 
 SCENE = Scene("figure", base_station_m=(0.0, 0.0, 10.0), walls=(Wall((0.0, 1.0), 14.0),))
 USER_M = (30.0, 9.0, 1.5)
-_ANCHOR, _USER, _MUTED = "C0", "C5", "C7"
+_ANCHOR = "C0"
+_USER = "C5"
+_MUTED = "C7"
 _WIDTH_M = (-6.0, 52.0)
 
 

@@ -26,7 +26,9 @@ from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource
 from policies import Corrector
 
-EPISODES, FEWER = 1000, 500  # numbers of test episodes in play() and in without_groups()
+# numbers of test episodes in play() and in without_groups()
+EPISODES = 1000
+FEWER = 500
 NAMES = ("speed-rule", "imm-best", "guided", "corrector")
 AROUND = np.arange(-6, 16)  # epochs shown around an event
 GROUPS = {  # group of features -> words that the names of its features begin with
@@ -79,7 +81,8 @@ def play(radio: str, names: Sequence[str] = NAMES, count: int = EPISODES) -> Pla
 def in_motion(played: Played, vectors: Array) -> Array:
     """Return vectors (n, T, 3) as parts along and across the true horizontal velocity, and up."""
     heading = np.arctan2(played.truth[..., 4], played.truth[..., 3])
-    cosine, sine = np.cos(heading), np.sin(heading)
+    cosine = np.cos(heading)
+    sine = np.sin(heading)
     x, y, up = np.moveaxis(vectors, -1, 0)
     return np.stack([cosine * x + sine * y, cosine * y - sine * x, up], axis=-1)
 
@@ -103,7 +106,8 @@ def _begins(state: NDArray[np.bool_]) -> NDArray[np.bool_]:
     begins = state.copy()
     for back in range(1, 6):
         begins[:, back:] &= ~state[:, :-back]
-    begins[:, : -AROUND[0]], begins[:, -AROUND[-1] :] = False, False
+    begins[:, : -AROUND[0]] = False
+    begins[:, -AROUND[-1] :] = False
     return begins
 
 
@@ -125,7 +129,8 @@ def draw(played: Played, path: Path) -> None:
         panels = figure.subplots(2, 2, sharex=True, sharey=True).ravel()
         for axes, (title, begins) in zip(panels, events(played).items(), strict=True):
             where = np.argwhere(begins)[:, :, None] + np.stack([0 * AROUND, AROUND])
-            episode, epoch = where[:, 0], where[:, 1]
+            episode = where[:, 0]
+            epoch = where[:, 1]
             for name in NAMES[1:]:
                 length = np.linalg.norm(played.errors[name][episode, epoch], axis=-1)
                 axes.plot(AROUND, length.mean(0), label=name)

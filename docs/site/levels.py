@@ -20,8 +20,11 @@ from mmwave_env.metrics import scored
 from mmwave_env.numerics.numbers import Array
 
 POLICIES = ("guided", "corrector")
-EPISODES, FEWER = 400, 60  # test episodes at a site; fewer at recorded or hard sites
-DIRECTIONS, RISKS = ("Horizontally", "Vertically"), (1e-3, 1e-2)
+# test episodes at a site; fewer at recorded or hard sites
+EPISODES = 400
+FEWER = 60
+DIRECTIONS = ("Horizontally", "Vertically")
+RISKS = (1e-3, 1e-2)
 
 
 def cells_at(site: Site) -> NDArray[np.str_]:
@@ -31,10 +34,12 @@ def cells_at(site: Site) -> NDArray[np.str_]:
     Gaussian and the calibrated level, and the ratio of the calibrated to the Gaussian level.
     """
     cells: list[list[list[list[str]]]] = [[[], []] for _ in RISKS]
-    source, few = site.source(), site.kind in (RECORDED, HARD)
+    source = site.source()
+    few = site.kind in (RECORDED, HARD)
 
     def add(contender: Contender, time_s: Array, results: EpochResults) -> None:
-        parts, counts = [*(results[p] for p in PARTS), results.get("trusted")], scored(len(time_s))
+        parts = [*(results[p] for p in PARTS), results.get("trusted")]
+        counts = scored(len(time_s))
         error = np.stack([f(results["error"]) for f in (horizontal, vertical)], axis=-1)
         for rows, risk in zip(cells, RISKS, strict=True):
             gaussian = gaussian_levels(results["P"], risk)

@@ -23,7 +23,9 @@ from policies import LearnedSwitch
 from policies.corrector import TWO_WAY, TwoWayCorrector
 
 BASE = "guided"
-EPISODES, FEWER = 200, 20  # test episodes at a site; fewer on a recording or at a hard site
+# test episodes at a site; fewer on a recording or at a hard site
+EPISODES = 200
+FEWER = 20
 
 
 def nees(error: Array, P: Sequence[Sequence[Array]]) -> Array:
@@ -35,12 +37,14 @@ def nees(error: Array, P: Sequence[Sequence[Array]]) -> Array:
 
 def row(site: Site, network: TwoWayCorrector) -> list[object]:
     """Return a row of the table: mean errors, their difference, and mean NEES."""
-    bank, few = LearnedSwitch(BASE).bank(site.radio), site.kind in (RECORDED, HARD)
+    bank = LearnedSwitch(BASE).bank(site.radio)
+    few = site.kind in (RECORDED, HARD)
     seeds = Selection(range(FEWER if few else EPISODES))
     batch = EpisodeBatch.of(seeds.draw(site.source()))
     pipeline = Pipeline(bank.modes, batch.layout)
     network.read_from_track(pipeline)
-    track, counts = smoothed(batch, bank, BASE), scored(batch.table.shape[1])
+    track = smoothed(batch, bank, BASE)
+    counts = scored(batch.table.shape[1])
     shift, log_factor, trusted = (p.astype(float) for p in network.correct_tracks(track.features))
     belief = corrected_all(track.x, track.P, shift, log_factor, pipeline)
     better = track.error + (np.stack(belief.x[:3], axis=-1) - track.x[..., :3])

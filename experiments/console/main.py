@@ -114,7 +114,8 @@ def run(name: str, words: Sequence[str] | None = None) -> None:
 
     If ``words`` is None, the options of the command are read from ``sys.argv``.
     """
-    program, words = f"mmwave-loc {name}", sys.argv[1:] if words is None else words
+    program = f"mmwave-loc {name}"
+    words = sys.argv[1:] if words is None else words
     debug = "--debug" in words
     try:
         with stopped_at_once():
@@ -124,7 +125,8 @@ def run(name: str, words: Sequence[str] | None = None) -> None:
             for stream in (sys.stdout, sys.stderr):
                 if isinstance(stream, TextIOWrapper):  # its encoding may lack a character
                     stream.reconfigure(errors="backslashreplace")
-            args, command = read_arguments(name, words), importlib.import_module(page_of(name))
+            args = read_arguments(name, words)
+            command = importlib.import_module(page_of(name))
             # Most commands need this slow import; during it, Ctrl-C ends the program immediately.
             importlib.import_module("experiments.evaluation.asked")
         with ended_by_signals(), _quiet() if "--quiet" in words else nullcontext():

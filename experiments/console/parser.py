@@ -41,8 +41,10 @@ def parse(arguments: type[T], words: Sequence[str], program: str) -> T:
     """
     import tyro
 
-    read, config = described(arguments), (tyro.conf.DisallowNone,)
-    width, box = min(WIDTH, shutil.get_terminal_size().columns), StringIO()
+    read = described(arguments)
+    config = (tyro.conf.DisallowNone,)
+    width = min(WIDTH, shutil.get_terminal_size().columns)
+    box = StringIO()
     helped = not {"-h", "--help"}.isdisjoint(words)
     if helped:
         print(_wrapped(inspect.getdoc(arguments) or "", width), end="\n\n")
@@ -72,7 +74,8 @@ def described(arguments: type[Any]) -> type[Any]:
     made = []
     for declares in (*arguments.__mro__[:-1], Everywhere):
         for name, text in _texts(declares).items():
-            kind, default = kinds[name], defaults[name]
+            kind = kinds[name]
+            default = defaults[name]
             nothing = default is None or default is False or default == ()
             hint = "(required)" if default is MISSING else "" if nothing else None
             shown = name.upper() + ("..." if "tuple" in str(kind) else "")

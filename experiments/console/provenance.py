@@ -25,7 +25,8 @@ def command_line(name: str, args: Any) -> str:
     values = [value for field in nameless if (value := getattr(args, field)) is not None]
     words = ["mmwave-loc", name, *(word for value in values for word in _words(value))]
     for field in fields(args):
-        value, option = getattr(args, field.name), field.name.replace("_", "-")
+        value = getattr(args, field.name)
+        option = field.name.replace("_", "-")
         if field.name in nameless or value == field.default:
             continue
         if isinstance(value, bool):

@@ -52,14 +52,16 @@ def ended_by_signals() -> Iterator[None]:
     Raises:
         Ended: one of the signals arrived.
     """
-    last_s, came = -SAME_S, 0
+    last_s = -SAME_S
+    came = 0
 
     def end(number: int, frame: FrameType | None) -> None:
         nonlocal last_s, came
         if _in_callback(frame):
             Timer(SOON_S, os.kill, (os.getpid(), number)).start()
             return
-        again, last_s = time.monotonic() - last_s < SAME_S, time.monotonic()
+        again = time.monotonic() - last_s < SAME_S
+        last_s = time.monotonic()
         if not again:
             came = number
             raise Ended(number)

@@ -68,7 +68,8 @@ def show(text: str) -> None:
 
     Control characters, for example in a name from a file, do not reach the terminal.
     """
-    console, text = Console(), printable_lines(text)
+    console = Console()
+    text = printable_lines(text)
     if not console.is_terminal:
         print(text)
         return

@@ -46,7 +46,8 @@ def about() -> Json:
 
 def self_test() -> list[Json]:
     """Return each kernel's name, largest deviation from Python floats, and whether it passed."""
-    shared, own = (task_from(episode_steps=_EPOCHS, beliefs=b) for b in ("shared", "per-mode"))
+    shared = task_from(episode_steps=_EPOCHS, beliefs="shared")
+    own = task_from(episode_steps=_EPOCHS, beliefs="per-mode")
     episodes = EpisodeBatch.of(shared.simulated.episodes(_KEYS))
     on_floats = _stepped(own, episodes, on_floats=True)
     assert own.bank is not None
@@ -73,9 +74,12 @@ def _deviation(computed: Array, expected: Array) -> float:
 def _episodes(task: Task, episodes: EpisodeBatch) -> float:
     """Return how much epochs drawn by compiled code differ from epochs drawn in Python floats."""
     source = task.simulated
-    begun, world = source.begin(_KEYS), source.world
-    settings, blank = source.feed(begun.worlds).settings[:, 0], np.zeros(world.ends[0])
-    (observed, happened, moved), computed = world.parts, []
+    begun = source.begin(_KEYS)
+    world = source.world
+    settings = source.feed(begun.worlds).settings[:, 0]
+    blank = np.zeros(world.ends[0])
+    (observed, happened, moved) = world.parts
+    computed = []
     for kept in begun.worlds:
         w = unflatten(world.template, iter(np.concatenate([blank, settings, kept]).tolist()))
         for dt in source.steps_s:

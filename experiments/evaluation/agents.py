@@ -54,8 +54,11 @@ class Estimator(Policy):
         Raises:
             ValueError: a belief has a wrong shape, or an epoch has no belief.
         """
-        layout, (n, T, _) = pipeline.layout, episodes.table.shape
-        size, blank, tracks = layout.state_size, blank_incoming(layout), []
+        layout = pipeline.layout
+        (n, T, _) = episodes.table.shape
+        size = layout.state_size
+        blank = blank_incoming(layout)
+        tracks = []
         for some in [slice(None)] if self.at_once else range(n):
             site = unflatten(blank_site(layout), iter(episodes.site[some].T))
             rows = np.moveaxis(episodes.table[some], -2, 0)
@@ -133,7 +136,8 @@ def tried(name: str, agent: Act, table: Observation) -> Policy:
             f"to actions (n,); {OF_A_MODEL} ({GUIDE})"
         )
     policy = cast(Policy, agent if hasattr(agent, "reset") else _Function(agent))
-    space, rng = table.space, np.random.default_rng(0)
+    space = table.space
+    rng = np.random.default_rng(0)
     shown = rng.uniform(space.low, space.high, (TRIED, len(table))).astype(np.float32)
     try:
         policy.reset(np.ones(TRIED, np.bool_))

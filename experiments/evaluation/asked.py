@@ -22,7 +22,8 @@ def all_contenders(args: ModeArgs) -> tuple[str, ...]:
 
 def contender_of(args: ModeArgs, name: str) -> Contender:
     """Return a contender by name or file; warn if it ignores the chosen modes."""
-    radio, modes = args.radio, args.modes or None
+    radio = args.radio
+    modes = args.modes or None
     contender = contender_from(name, radio, modes, args.observation, args.beliefs)
     if modes and contender.modes != bank_over(modes, radio).modes:
         warnings.warn(f"{name} brings its own modes; --modes does not apply to it", stacklevel=2)

@@ -39,11 +39,14 @@ class Branches:
     """
 
     def __init__(self, engine: Engine, horizon: int) -> None:
-        self._batch, self.horizon = engine.batch, horizon
-        self._actions, at = len(engine.observation.actions), engine.at
+        self._batch = engine.batch
+        self.horizon = horizon
+        self._actions = len(engine.observation.actions)
+        at = engine.at
         # State is kept in blocks of WIDTH environments; the last block is copied even if not full.
         n = self._actions * len(engine.batch.state.rows) * WIDTH
-        program, layout = engine.batch.program, engine.batch.layout
+        program = engine.batch.program
+        layout = engine.batch.layout
         self._copies = Batch(program, layout, n, rows_of(at.action))
         self._copies.make_room(horizon)
         self._copies.state.length[:] = horizon
@@ -60,7 +63,9 @@ class Branches:
         Returns:
             The sums (n, actions) of weighted rewards; nothing is added after an episode's end.
         """
-        state, copies, io = self._batch.state, self._copies.state, self._io
+        state = self._batch.state
+        copies = self._copies.state
+        io = self._io
         ahead = state.epoch[:, None] + np.arange(self.horizon)
         # Past the end of an episode, its last epoch is repeated with weight 0.
         weights = np.where(ahead - 1 < state.length[:, None], weights, 0.0)
@@ -96,7 +101,8 @@ class Clairvoyant(Policy):
         Raises:
             ValueError: an episode has no truth.
         """
-        state, layout = engine.batch.state, engine.batch.layout
+        state = engine.batch.state
+        layout = engine.batch.layout
         if not np.isfinite(state.table[:, 0, columns_of(layout).truth]).all():
             raise ValueError(BLIND)
         step_s = engine.steps_s(np.arange(len(state.length))).min()

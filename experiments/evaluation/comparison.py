@@ -121,7 +121,8 @@ class Comparison:
         If the metrics include the reward, and there are scores, the last column has the scores.
         """
         rows = [[name, *(rounded(row[m]) for m in metrics)] for name, row in self.policies.items()]
-        header, scores = ["policy", *(HEADERS[metric] for metric in metrics)], self.scores
+        header = ["policy", *(HEADERS[metric] for metric in metrics)]
+        scores = self.scores
         if scores and "reward" in metrics:
             header.append("score")
             rows = [[*row, score_cell(scores[row[0]])] for row in rows]
@@ -144,7 +145,8 @@ def episodes_csv(scores: dict[str, Scores], selection: Selection, source: Episod
     rows = csv.writer(table, lineterminator="\n")
     columns = (*METRICS, *TERMS)
     rows.writerow(["policy", "seed", "key", *columns])
-    seeds, keys = selection.seeds, selection.keys(source)
+    seeds = selection.seeds
+    keys = selection.keys(source)
     written = [None] * len(seeds) if keys is None else keys.tolist()
     for name, metrics in scores.items():
         values = (metrics[metric].tolist() for metric in columns)
@@ -176,7 +178,8 @@ def compare_scores(scores: dict[str, Scores], own: Sequence[str] = (), **more: A
         }
 
     stacked = {name: np.stack([s[m] for m in metrics], axis=1) for name, s in scores.items()}
-    pairs, everyones = {}, references(scores) or list(scores)
+    pairs = {}
+    everyones = references(scores) or list(scores)
     for reference in dict.fromkeys([*everyones, *(scores if own else ())]):
         for name in scores if reference in everyones else own:
             if name != reference:

@@ -89,7 +89,8 @@ class Contender:
         Raises:
             ValueError: modes or beliefs are unknown; the message lists the valid names.
         """
-        beliefs, modes = getattr(agent, "beliefs", beliefs), getattr(agent, "modes", modes)
+        beliefs = getattr(agent, "beliefs", beliefs)
+        modes = getattr(agent, "modes", modes)
         bank_of = getattr(agent, "bank", None) if beliefs == "per-mode" else None
         bank, chosen = bank_and_modes(bank_of(radio) if bank_of else modes, beliefs, radio)
         return cls(
@@ -161,7 +162,8 @@ def contenders(radio: str, modes: Modes = None) -> dict[str, Make]:
     ekf, ukf, *others = _of_any_modes(Bank(default_modes(radio))).items()
     alone = dict([ekf, ukf, next(iter(_of_any_modes(ckf).items()))])
     best = {BEST_IMM: lambda: Contender(BEST_IMM, best_bank(radio), None)}
-    shipped, base = shipped_policies(), radio_from(radio).base
+    shipped = shipped_policies()
+    base = radio_from(radio).base
     files = ((name, file) for name in SHIPPED for file in (name, f"{name}-{base}"))
     learned = {n: partial(Contender.learned, f, n, radio) for n, f in files if f in shipped}
     return alone | dict(others) | best | learned
@@ -185,7 +187,8 @@ def contender_from(
             damaged, or an agent can't be loaded.
         FileNotFoundError: there is no such file.
     """
-    known, shipped = contenders(radio, modes), shipped_policies()
+    known = contenders(radio, modes)
+    shipped = shipped_policies()
     if name in known:
         return known[name]()
     if name == CLAIRVOYANT:

@@ -14,7 +14,8 @@ from mmwave_env.world.simulated import SimulatedSource
 from mmwave_env.world.trajectory import Trajectory
 
 DURATION_S = 800  # duration of a trajectory, s; an episode is a random window of 200 s
-STREET, HANDSET = SCENES["street"], RADIOS["handset"]
+STREET = SCENES["street"]
+HANDSET = RADIOS["handset"]
 
 
 @dataclass(frozen=True)

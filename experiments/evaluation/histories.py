@@ -68,7 +68,8 @@ class EpochErrors:
         if contender.name in self.names:
             counted = scored(len(time_s))
             self.time_s = (time_s - time_s[0])[counted]
-            error, nees = (results[name][:, counted] for name in ("error", "nees"))
+            error = results["error"][:, counted]
+            nees = results["nees"][:, counted]
             parts = self._parts.setdefault(self.names[contender.name], [])
             parts.append((error.astype(np.float32), nees))
 

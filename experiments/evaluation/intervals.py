@@ -139,7 +139,8 @@ def crossed_bootstrap(scores: Array) -> Interval:
     K, n = scores.shape
     apart = scores.mean(axis=1, keepdims=True) - scores.mean()
     moved = scores + (few_seeds_factor(K) - 1.0) * apart
-    of_seeds, of_episodes = _resamples(K, 1), _resamples(n)
+    of_seeds = _resamples(K, 1)
+    of_episodes = _resamples(n)
     means = [
         ((of_seeds[i : i + BLOCK] / K @ moved) * (of_episodes[i : i + BLOCK] / n)).sum(axis=1)
         for i in range(0, RESAMPLES, BLOCK)

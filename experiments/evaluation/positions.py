@@ -39,7 +39,8 @@ class Positions:
         The results must include :data:`~mmwave_env.localization.levels.PARTS`.
         """
         if contender.name in self.names:
-            name, counts = self.names[contender.name], scored(len(time_s))
+            name = self.names[contender.name]
+            counts = scored(len(time_s))
             errors = self.errors.setdefault(name, PositionErrors(self.levels.risk, self.planar))
             parts = [*(results[part] for part in PARTS), results.get("trusted")]
             self.levels.reset()

@@ -33,11 +33,16 @@ from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import EpisodeSource
 
 TRAINED, UNSEEN_KIND, RECORDED, HARD = KINDS = ("to train in", "unseen", "recorded", "hard")
-UNSEEN_SCENES, UNSEEN_RADIOS = ("avenue", "plaza", "alley"), ("tablet",)
+UNSEEN_SCENES = ("avenue", "plaza", "alley")
+UNSEEN_RADIOS = ("tablet",)
 UNSEEN = UNSEEN_SCENES + UNSEEN_RADIOS  # nothing is tuned or trained on them
 OTHER_RADIOS = ("handset", "standard")  # radios for unseen streets and for recordings
-EPISODES, DRAWS = 2000, 200  # episodes at each simulated site, noise draws for each recording
-CEILING_EPISODES, CEILING_DRAWS = 400, 20  # a score uses at most so many episodes and draws
+# episodes at each simulated site, noise draws for each recording
+EPISODES = 2000
+DRAWS = 200
+# a score uses at most so many episodes and draws
+CEILING_EPISODES = 400
+CEILING_DRAWS = 20
 SHIPPED = Path(__file__).with_name("entries")  # folder of the published entries
 BESIDE = (CLAIRVOYANT, "corrector", "guided", "imm-best")  # entries to show beside a user's entries
 
@@ -109,7 +114,8 @@ class Judged:
 
 def scored_over(figures: Json) -> int:
     """Return how many of a site's episodes, counted from the first, are used for a score."""
-    recorded, episodes = figures["kind"] == RECORDED, int(figures["episodes"])
+    recorded = figures["kind"] == RECORDED
+    episodes = int(figures["episodes"])
     return min(episodes, CEILING_DRAWS if recorded else CEILING_EPISODES)
 
 
@@ -219,7 +225,8 @@ def ranking(entries: Sequence[Json]) -> str:
     """
     rows: list[tuple[bool, float, list[Any]]] = []
     for content in entries:
-        at, gains = content["sites"].values(), content["mean_gain"]
+        at = content["sites"].values()
+        gains = content["mean_gain"]
         recorded = min(site["episodes"] for site in at if site["kind"] == RECORDED)
         simulated = min(site["episodes"] for site in at if site["kind"] != RECORDED)
         knows = content["entry"] == CLAIRVOYANT
@@ -229,7 +236,8 @@ def ranking(entries: Sequence[Json]) -> str:
         cells.append(f"{simulated} / {recorded}{' (too few)' if short else ''}")
         for kind in KINDS:
             here = [site for site in at if site["kind"] == kind]
-            scores, stands = [site["score"] for site in here], [standing(site) for site in here]
+            scores = [site["score"] for site in here]
+            stands = [standing(site) for site in here]
             counts = [str(stands.count(where)) for where in ("above", "level", "below")]
             score = score_cell(None if None in scores else np.mean(scores))
             cells += [score, Interval.of(gains[kind]), " / ".join(counts)]

@@ -99,7 +99,8 @@ def run_contender(
     episodes = EpisodeBatch.of(episodes)
     if scoring.planar:
         episodes = episodes.on_flat_ground()
-    pipeline, names = Pipeline(contender.modes, episodes.layout, scoring.planar), (*PARTS, *after)
+    pipeline = Pipeline(contender.modes, episodes.layout, scoring.planar)
+    names = (*PARTS, *after)
     corrector = cast(Corrector, policy) if hasattr(policy, "correct") else None
     if corrector:
         names = tuple(dict.fromkeys((*names, *BELIEF, "truth")))
@@ -111,8 +112,10 @@ def run_contender(
             raise ValueError(f"policy: found {contender.name}, {NO_FILTERS}")
         x, P = policy.estimate(pipeline, episodes)
         truth = episodes.table[:, :, columns_of(episodes.layout).truth]
-        mean, packed = (list(np.moveaxis(part, -1, 0)) for part in (x, P))
-        axes, known = pipeline.position_axes, pipeline.known_axes
+        mean = list(np.moveaxis(x, -1, 0))
+        packed = list(np.moveaxis(P, -1, 0))
+        axes = pipeline.position_axes
+        known = pipeline.known_axes
         belief = Belief(mean, unpack(packed, known), axes)
         return {"x": x, "P": P, **_scored(belief, truth, scoring.reward)}
     bank = contender.bank if contender.mixes else None
@@ -123,7 +126,8 @@ def run_contender(
         policy.foresee(engine)
     program = engine.batch.program
     rows = program.rows(names)
-    outputs, taken = np.empty((n, T, len(rows))), np.empty((n, T), np.int8)
+    outputs = np.empty((n, T, len(rows)))
+    taken = np.empty((n, T), np.int8)
     corrections: list[Correction] = []
     observations = engine.observations()
     for t in range(T):
@@ -179,7 +183,8 @@ def _epochs_per_second(time_s: Array) -> float:
 
 def _warn_of_short(time_s: Array) -> None:
     """Warn if too few epochs are scored for RPE."""
-    counted, second = len(time_s[scored(len(time_s))]), round(_epochs_per_second(time_s))
+    counted = len(time_s[scored(len(time_s))])
+    second = round(_epochs_per_second(time_s))
     if counted <= max(1, second):
         warnings.warn(
             f"episodes of {len(time_s)} epochs: metrics leave out the first {BURN_IN}; "
@@ -202,7 +207,9 @@ def _warn_of_nonfinite(contender: Contender, results: EpochResults) -> None:
 
 
 def _summary(results: EpochResults, time_s: Array, scoring: Scoring) -> Scores:
-    error, nees, axes = results["error"], results["nees"], 2 if scoring.planar else 3
+    error = results["error"]
+    nees = results["nees"]
+    axes = 2 if scoring.planar else 3
     reward = scoring.reward if isinstance(scoring.reward, TrackingReward) else TrackingReward()
     costs = reward.costs(np.linalg.norm(error, axis=-1), nees, axes)
     counted = scored(nees.shape[-1])

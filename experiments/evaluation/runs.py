@@ -40,7 +40,8 @@ class Run:
     @classmethod
     def _of(cls, name: str, summary: Json) -> "Run":
         """Return the run that a summary describes."""
-        seeds, median = tuple(outcome["seed"] for outcome in summary["seeds"]), summary["median"]
+        seeds = tuple(outcome["seed"] for outcome in summary["seeds"])
+        median = summary["median"]
         numbers = {seed for seed in seeds if type(seed) is int}
         if not seeds or len(numbers) < len(seeds):
             raise ValueError(f"seeds: found {list(seeds)}, expected different numbers")
@@ -92,7 +93,8 @@ def outcomes_markdown(outcomes: Sequence[Json]) -> str:
     rows: list[list[Any]] = []
     minus = [key for key in outcomes[0]["best"] if key.startswith("minus ")]
     for outcome in outcomes:
-        best, beat = outcome["best"], outcome["beat_rule"]
+        best = outcome["best"]
+        beat = outcome["beat_rule"]
         gains = [Interval.of(best[name]) for name in minus]
         beaten = f"{beat['seconds']:g} s, {beat['timesteps']} steps" if beat else "never"
         cells = [outcome["seed"], f"{best['reward']:.4f}", best["timesteps"], *gains]

@@ -77,7 +77,8 @@ def contenders(names: Iterable[str]) -> dict[str, str]:
 
     A path is shortened to its shortest ending that distinguishes it from all other names.
     """
-    parts, shown = {name: Path(name).parts for name in names}, {}
+    parts = {name: Path(name).parts for name in names}
+    shown = {}
     for name, own in parts.items():
         others = [parts[other] for other in parts if other != name]
         alone = (k for k in range(1, len(own)) if all(o[-k:] != own[-k:] for o in others))

@@ -44,8 +44,10 @@ def draw_histories(
     ``rows`` selects rows of the histories: row 0 is the prior, and row 1 is the first epoch.
     """
     first = next(iter(histories.values()))
-    time_s, ribbons = first.time_s[rows], max(0.45 * len(histories), 0.2 * len(modes))
-    names, heights = contenders(histories), (_LINES_IN, _LINES_IN, ribbons)
+    time_s = first.time_s[rows]
+    ribbons = max(0.45 * len(histories), 0.2 * len(modes))
+    names = contenders(histories)
+    heights = (_LINES_IN, _LINES_IN, ribbons)
     with picture(path, 9.0, 1.0 + sum(heights)) as figure:
         speeds, errors, axes = figure.subplots(3, sharex=True, height_ratios=heights)
         speeds.plot(time_s, _speed_mps(first.truth[rows]), label="true speed", **_TRUE)

@@ -55,7 +55,8 @@ def draw_trajectory(track: DrawnTrack, path: Path, title: str) -> None:
 
 
 def _draw_above(axes: Any, track: DrawnTrack) -> None:
-    position, mode = track.position_m[:, :2], track.mode
+    position = track.position_m[:, :2]
+    mode = track.mode
     if np.isfinite(track.truth_m).any():
         axes.plot(*track.truth_m[:, :2].T, color="black", alpha=0.25, label="truth", lw=4.0)
     for number in np.unique(mode):
@@ -92,7 +93,8 @@ def _draw_ellipses(axes: Any, track: DrawnTrack) -> None:
     enlarged = next((n for n in _ENLARGED if n >= wanted), _ENLARGED[-1])
     for place, (short, long), turn in zip(at, axes_m, directions, strict=True):
         angle = np.degrees(np.arctan2(turn[1, 1], turn[0, 1]))
-        width, height = 2.0 * enlarged * long, 2.0 * enlarged * short
+        width = 2.0 * enlarged * long
+        height = 2.0 * enlarged * short
         center = track.position_m[place, :2].tolist()
         axes.add_patch(Ellipse(center, width, height, angle=angle, fc="none", ec="black", lw=0.8))
     label = "95 % ellipses" + (f",\nenlarged {enlarged} times" if enlarged > 1 else "")
@@ -101,7 +103,8 @@ def _draw_ellipses(axes: Any, track: DrawnTrack) -> None:
 
 def draw_anchors(axes: Any, position: Array, anchors_m: Array) -> None:
     """Draw those anchors that are near the track: at most its extent, or 30 m, outside its box."""
-    low, high = position.min(axis=0), position.max(axis=0)
+    low = position.min(axis=0)
+    high = position.max(axis=0)
     reach = max(float((high - low).max()), 30.0)
     middle = 0.5 * (low + high)
     for number, anchor in enumerate(anchors_m[:, :2], start=1):

@@ -73,7 +73,8 @@ class Bench:
     """A cache of modes' runs on the episodes with seeds ``seed .. seed + episodes - 1``."""
 
     def __init__(self, episodes: int, seed: int) -> None:
-        self.count, self.seed = episodes, seed
+        self.count = episodes
+        self.seed = seed
         self.episodes = cache(self._draw)
         self.run = cache(self._run)
 

@@ -76,7 +76,8 @@ def steps(bench: Bench) -> Iterator[Row]:
         (paper,) = _ates([bench.run(mode, setting).filtered])
         for name, variant in variants.items():
             run = bench.run(variant, setting)
-            scores, (ate, smoothed) = run.filtered.scores, _ates(run)
+            scores = run.filtered.scores
+            (ate, smoothed) = _ates(run)
             consistency = scores["nees"], scores["in_bounds"]
             cells: Row = [*_means(ate, ate - paper, *consistency, smoothed)]
             if variant is mode:
@@ -171,7 +172,8 @@ def process_noise(bench: Bench) -> Iterator[Row]:
 def units(bench: Bench) -> Iterator[Row]:
     """Compare the Doppler shift in hertz with the printed equation, which adds m/s and Hz."""
     for setting in SETTINGS:
-        mode, episodes = setting.tuned(), bench.episodes(setting)
+        mode = setting.tuned()
+        episodes = bench.episodes(setting)
         ungated = replace(mode, gate=None, recovery=None)
         printed = [replace(e, hz_per_mps=1.0) for e in episodes]
         runs = [
@@ -199,7 +201,8 @@ def _read_as_mps(episode: Episode) -> Episode:
 
 def resolution(bench: Bench) -> Section:
     """Compute the path separation that 100 MHz resolves, and the Cramer-Rao bound of a range."""
-    scene, radio = SCENES["street"], RADIOS["standard"]
+    scene = SCENES["street"]
+    radio = RADIOS["standard"]
     ideal = replace(radio, range_floor_m=(1e-9, 1e-9))
     snr_db = np.array([0.0, 10.0, 20.0, 30.0, 40.0])
     sigma = ideal.sigma(np.tile(snr_db[:, None], 3), scene, Layout())[:, 0]

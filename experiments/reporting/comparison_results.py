@@ -61,8 +61,10 @@ def results(
         require_picture(option, path)
     if len(set(pictures.values())) < len(pictures):
         raise ValueError(f"consistency: found {path}, expected a file other than the --errors file")
-    task, runs = task_of(args), runs_of(args, names)
-    scoring, selection = Scoring.of(task), selection_of(args)
+    task = task_of(args)
+    runs = runs_of(args, names)
+    scoring = Scoring.of(task)
+    selection = selection_of(args)
     files = {name: runs[name].policy if name in runs else name for name in names}
     shown = {file: name for name, file in files.items()}
     epochs = EpochErrors(shown)
@@ -88,7 +90,8 @@ def results(
         selection=selection,
         reward=reward_name(scoring.reward),
     )
-    text, content = str(comparison) + comparison.terms * args.percentiles, comparison.json
+    text = str(comparison) + comparison.terms * args.percentiles
+    content = comparison.json
     if runs:
         content["training_seeds"] = {}
     for run in runs.values():

@@ -43,7 +43,8 @@ def run_live(args: LogArgs) -> None:
         raise ValueError("odometry: instead of --no-odometry, --live needs rows without odometry")
     require_at_least(0, args, "lag")
     require_one_choice(args)
-    clock, levels = clock_from(args.clock), Levels(args.risk, args.levels)
+    clock = clock_from(args.clock)
+    levels = Levels(args.risk, args.levels)
     scene = scene_from(args.scene)
     tracker: Tracker | None = None
     for epoch in _epochs(sys.stdin.buffer, scene, args.snr, clock):
@@ -83,7 +84,8 @@ def _epochs(
     number, first = next(((number, line) for number, line in lines if line.strip()), (0, ""))
     if not first:
         raise ValueError(f"log: found nothing on {SOURCE}, expected a header or JSON lines")
-    as_json, delimiter = first.lstrip().startswith("{"), "," if "," in first else ";"
+    as_json = first.lstrip().startswith("{")
+    delimiter = "," if "," in first else ";"
     if as_json:
         names = dict.fromkeys(name for row in _objects(first, number)[0] for name in row)
         lines = chain([(number, first)], lines)
@@ -127,11 +129,13 @@ def _objects(line: str, number: int) -> tuple[list[Any], bool]:
 
 def _lines(stream: BinaryIO) -> Iterator[tuple[int, str]]:
     """Yield the number and the text of every line; warn about lines that are not text."""
-    number, rest = 0, False
+    number = 0
+    rest = False
     while content := stream.readline(LONGEST_LINE):
         whole = content.endswith(b"\n")
         number += not rest
-        too_long, rest = rest or (not whole and len(content) == LONGEST_LINE), not whole
+        too_long = rest or (not whole and len(content) == LONGEST_LINE)
+        rest = not whole
         try:
             if too_long:
                 raise ValueError(f"more than {LONGEST_LINE} bytes")

@@ -32,7 +32,8 @@ class _Sums:
     """Running sums over the epochs of a log, because a long log may not fit in memory."""
 
     def __init__(self, anchors: int) -> None:
-        self.epochs, self.links = 0, np.zeros(anchors, np.int64)
+        self.epochs = 0
+        self.links = np.zeros(anchors, np.int64)
         self.irregular: Counter[str] = Counter()  # number of irregular epochs, by description
         self.first_s = self.last_s = self.step_s = np.nan  # step_s: the first block's median step
         self.distance_m = self.moving_s = self.fastest_mps = 0.0
@@ -42,9 +43,11 @@ class _Sums:
         """Add a block with its true positions (T, 3), NaN where unknown."""
         rows = np.column_stack([block.time_s, position_m])
         changes = np.diff(np.concatenate([self._before, rows]), axis=0)
-        steps, moved = changes[:, 0], np.linalg.norm(changes[:, 1:], axis=1)
+        steps = changes[:, 0]
+        moved = np.linalg.norm(changes[:, 1:], axis=1)
         self.first_s = self.first_s if self.epochs else float(block.time_s[0])
-        self._before, self.last_s = rows[-1:], float(block.time_s[-1])
+        self._before = rows[-1:]
+        self.last_s = float(block.time_s[-1])
         self.epochs += len(rows)
         if np.isnan(self.step_s) and len(steps):
             self.step_s = float(np.median(steps))
@@ -107,14 +110,16 @@ def log_facts(
     blocks: Iterable[LogBlock], scene: Scene, truth: Truth | None
 ) -> tuple[Json, LogError | None]:
     """Read a log to its end or to its first error; return facts about it, and the error."""
-    sums, damage = _Sums(len(scene.anchors_m)), None
+    sums = _Sums(len(scene.anchors_m))
+    damage = None
     try:
         for block in blocks:
             unknown = np.full((len(block), 3), np.nan)
             sums.add(block, truth.at(block.time_s).position_m if truth else unknown)
     except LogError as error:
         damage = error
-    epochs, speed = max(sums.epochs, 1), None
+    epochs = max(sums.epochs, 1)
+    speed = None
     if sums.moving_s:
         speed = {"mean": sums.distance_m / sums.moving_s, "max": sums.fastest_mps}
     return {
@@ -133,11 +138,14 @@ def log_facts(
 
 def facts_markdown(facts: Json) -> str:
     """Return the facts about a log as Markdown."""
-    f, step, speed = facts, facts["step_s"], facts["speed_mps"]
+    f = facts
+    step = facts["step_s"]
+    speed = facts["speed_mps"]
     rate = f", {1.0 / step:.4g} Hz" if step else ""
     lines = [f"{f['epochs']} epochs, {f['first_s']:.12g} to {f['last_s']:.12g} s{rate}"]
     if speed:
-        mean, most = speed["mean"], speed["max"]
+        mean = speed["mean"]
+        most = speed["max"]
         lines.append(f"true speed: {mean:.2f} m/s on average, {most:.2f} m/s at most")
     rows = [
         [

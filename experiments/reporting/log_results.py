@@ -108,7 +108,8 @@ def _check(args: LogArgs, files: Inputs) -> None:
 
 
 def _outputs(args: LogArgs) -> list[tuple[str, Path | None]]:
-    tracks, tables = [("out", out) for out in args.out], map(table_beside, args.out)
+    tracks = [("out", out) for out in args.out]
+    tables = map(table_beside, args.out)
     beside = [("the table of --out", table) for table in tables if table not in args.out]
     return [*tracks, *beside, ("plot", args.plot), ("json", args.json)]
 
@@ -130,7 +131,8 @@ def _work(args: LogArgs, files: Inputs, scene: Scene, epochs_per_block: int) -> 
     association = None
     if args.associate:
         association = Association(len(scene.anchors_m))
-        paths, name = read_paths(files.log, scene, args.odometry), args.radio
+        paths = read_paths(files.log, scene, args.odometry)
+        name = args.radio
         name = "handset" if name == AUTO else name
         fast = modes_from(args.modes, name)[-1]
         blocks = associate(paths, scene, radio_from(name), fast, association, epochs_per_block)
@@ -152,7 +154,8 @@ def _work(args: LogArgs, files: Inputs, scene: Scene, epochs_per_block: int) -> 
             f"{files.log}: found no SNR, so the policy gets {NEUTRAL_SNR_DB:g} dB for every link",
             stacklevel=2,
         )
-    truth, blocks = Truth(files.truth) if files.truth else None, chain([first], blocks)
+    truth = Truth(files.truth) if files.truth else None
+    blocks = chain([first], blocks)
     return Work(scene, radio_from(name), choice, first, blocks, truth, association)
 
 
@@ -185,8 +188,11 @@ def _run(args: LogArgs, work: Work) -> tuple[Json, TrackSampler, ValueError | No
     Return results, the track to draw, and an error in the log or in the ground truth, if any. If
     the log is damaged before the first epoch of a track, nothing is written.
     """
-    names, truth = work.choice.switching.names, work.truth
-    course, groups, sampler = Course(names), Groups(), TrackSampler(names, work.scene.anchors_m)
+    names = work.choice.switching.names
+    truth = work.truth
+    course = Course(names)
+    groups = Groups()
+    sampler = TrackSampler(names, work.scene.anchors_m)
     tracks = ["filtered", "smoothed"] if args.smoothing else ["filtered"]
     scores = TruthScores(truth, tracks, args.height is not None, args.risk) if truth else None
     track = _track(args, work, args.window if args.smoothing else None)

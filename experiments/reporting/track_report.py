@@ -26,20 +26,25 @@ class TrackSampler:
     """
 
     def __init__(self, modes: Sequence[str], anchors_m: Array) -> None:
-        self._modes, self._anchors_m = list(modes), anchors_m
+        self._modes = list(modes)
+        self._anchors_m = anchors_m
         # columns: time, mode, segment, position, true position, covariance
-        self._rows, self._every, self._epochs = np.empty((0, 18)), 1, 0
+        self._rows = np.empty((0, 18))
+        self._every = 1
+        self._epochs = 0
 
     def add(self, block: TrackBlock, truth: Array | None) -> None:
         """Add a block and its true positions (T, 3), NaN where unknown."""
-        x, P = block.smooth_x[:, :3], block.smooth_P[:, _POSITION]
+        x = block.smooth_x[:, :3]
+        P = block.smooth_P[:, _POSITION]
         truth = np.full(x.shape, np.nan) if truth is None else truth
         numbers = block.time_s, block.mode, np.full(len(block), block.segment)
         rows = np.column_stack([*numbers, x, truth, P])[-self._epochs % self._every :: self._every]
         self._rows = np.concatenate([self._rows, rows])
         self._epochs += len(block)
         while len(self._rows) > _POINTS:
-            self._rows, self._every = self._rows[::2], 2 * self._every
+            self._rows = self._rows[::2]
+            self._every = 2 * self._every
 
     @property
     def track(self) -> DrawnTrack:
@@ -63,7 +68,8 @@ def _times(count: int) -> str:
 
 
 def _course(figures: Json) -> list[str]:
-    f, speed = figures, figures["speed_mps"]
+    f = figures
+    speed = figures["speed_mps"]
     epochs = f["epochs"]
     lines = [
         f"{epochs} epochs, {f['first_s']:.12g} to {f['last_s']:.12g} s; estimated speed "
@@ -119,18 +125,21 @@ def _groups(groups: Json) -> str:
 
 def _clock(truth: Json) -> str:
     """Return the end of a sentence about true positions, and a sentence on the truth's clock."""
-    between, clock = truth["interpolated"], truth["clock"]
+    between = truth["interpolated"]
+    clock = truth["clock"]
     away = f"{1e3 * truth['nearest_pose_s']:.1f} ms from the nearest pose on average"
     said = f", {between} of them between poses, {away}." if between else "."
     if clock:
-        ahead, deviation = (1e3 * clock[key] for key in ("ahead_s", "deviation_s"))
+        ahead = 1000.0 * clock["ahead_s"]
+        deviation = 1000.0 * clock["deviation_s"]
         side = "behind" if ahead < 0.0 else "ahead of"
         said += f" The truth's clock is {abs(ahead):.0f} ± {deviation:.0f} ms {side} the log's."
     return said
 
 
 def _association(counts: Json) -> list[str]:
-    between, starts = counts["without_track"], _times(counts["starts"])
+    between = counts["without_track"]
+    starts = _times(counts["starts"])
     lines = [
         f"{counts['paths']} paths, {counts['false']} of them false; the track was found {starts}"
     ]

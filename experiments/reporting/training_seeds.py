@@ -51,7 +51,8 @@ def seeds_markdown(run: Run, content: Json) -> str:
 
     The table has a row for each training seed, then two rows for all seeds together.
     """
-    minus, best = content["minus"], {content["best_imm"]: " (best IMM)"}
+    minus = content["minus"]
+    best = {content["best_imm"]: " (best IMM)"}
     columns = [content["reward"], *minus.values()]
     header = ["training seed", "reward", *(f"minus {r}{best.get(r, '')}" for r in minus)]
     titles = {run.median: f"{run.median} (median)"}

@@ -55,10 +55,12 @@ def adapted(
     Returns:
         The posterior of every iteration, and the new parameters.
     """
-    widths, visible = measurement.layout.widths, measurement.visible
+    widths = measurement.layout.widths
+    visible = measurement.visible
     degrees = measurement.layout.degrees(measurement.measured)
     after = [a + 0.5 * v * k for a, v, k in zip(shape, visible, degrees, strict=True)]
-    factors, posteriors = [b / a for a, b in zip(shape, rate, strict=True)], []
+    factors = [b / a for a, b in zip(shape, rate, strict=True)]
+    posteriors = []
     for _ in range(ITERATIONS):
         of_rows = [factor for factor, k in zip(factors, widths, strict=True) for _ in range(k)]
         variance = [v * factor for v, factor in zip(measurement.variance, of_rows, strict=True)]
@@ -93,7 +95,8 @@ def student_t(
     """
     same = [0.5 * dof] * len(measurement.visible)
     (first, *_, last), _, _ = adapted(x, P, measurement, same, same, base)
-    likelihood, degrees = first.log_likelihood, measurement.layout.degrees(measurement.measured)
+    likelihood = first.log_likelihood
+    degrees = measurement.layout.degrees(measurement.measured)
     for nis, k in zip(first.nis, degrees, strict=True):
         likelihood = likelihood + (0.5 * nis + log_density(nis, k, dof))
     return last._replace(nis=first.nis, accepted=first.accepted, log_likelihood=likelihood)
@@ -123,16 +126,20 @@ class Variational(Estimator):
         self, pipeline: Pipeline, site: Site, epochs: Iterator[Epoch]
     ) -> Iterator[tuple[Vector, Vector]]:
         """Yield means and packed covariances."""
-        layout, mode = pipeline.layout, pipeline.modes[-1]
-        x, P = site.prior_x, site.prior_P
+        layout = pipeline.layout
+        mode = pipeline.modes[-1]
+        x = site.prior_x
+        P = site.prior_P
         shape = rate = [0.5 * k / (1.0 - MEMORY) for k in layout.widths]
         for epoch in epochs:
             moved, predicted = predict(pipeline, mode, x, P, 1.0, epoch, site.hz_per_mps)
-            shape, rate = ([MEMORY * value for value in part] for part in (shape, rate))
+            shape = [MEMORY * value for value in shape]
+            rate = [MEMORY * value for value in rate]
             spread = [list(row) for row in predicted]
             for axis in pipeline.known_axes:  # a variance of exactly 0 would cause a division by 0
                 spread[axis][axis] = spread[axis][axis] + LEAST_VARIANCE
             measurement = stated(epoch, site, layout)
             posteriors, shape, rate = adapted(moved, spread, measurement, shape, rate, mode.update)
-            x, P = posteriors[-1].x, pack(posteriors[-1].P)
+            x = posteriors[-1].x
+            P = pack(posteriors[-1].P)
             yield x, P

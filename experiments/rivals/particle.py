@@ -51,7 +51,8 @@ def _program(layout: Layout, dof: float) -> Program[Weighed]:
             total = total + visible * log_density(nis, k, dof)
         return w._replace(log_likelihood=total)
 
-    site, blank = blank_site(layout), blank_incoming(layout).epoch(layout)
+    site = blank_site(layout)
+    blank = blank_incoming(layout).epoch(layout)
     return Program(function, Weighed(blank, site, site.prior_x, 0.0))
 
 
@@ -67,13 +68,16 @@ class Particles(Estimator):
     """
 
     def __init__(self, count: int = PARTICLES, dof: float = DOF) -> None:
-        self._count, self._dof = count, dof
+        self._count = count
+        self._dof = dof
 
     def track(
         self, pipeline: Pipeline, site: Site, epochs: Iterator[Epoch]
     ) -> Iterator[tuple[Vector, Vector]]:
         """Yield means and packed covariances; the prior's mean seeds the random numbers."""
-        layout, mode, n = pipeline.layout, pipeline.modes[-1], self._count
+        layout = pipeline.layout
+        mode = pipeline.modes[-1]
+        n = self._count
         rng = np.random.default_rng(np.array(site.prior_x).view(np.uint32))
         program = _program(layout, self._dof)
         values = np.tile(flatten(site), (n, 1))
@@ -85,11 +89,15 @@ class Particles(Estimator):
             return np.array(cholesky(covariance)) @ rng.standard_normal((layout.state_size, n))
 
         x = np.array(site.prior_x)[:, None] + noise(unpack(site.prior_P, pipeline.known_axes))
-        weight, kernel = np.zeros(n), [0.0] * layout.triangle  # log weights; a packed covariance
+        # log weights; a packed covariance
+        weight = np.zeros(n)
+        kernel = [0.0] * layout.triangle
         for epoch in epochs:
             moved, Q = predict(pipeline, mode, list(x), kernel, 1.0, epoch, site.hz_per_mps)
             x = np.array(moved) + noise(Q)
-            io.inputs[:, 0], state.table[:], state.epoch[:] = x.T, flatten(epoch), 0
+            io.inputs[:, 0] = x.T
+            state.table[:] = flatten(epoch)
+            state.epoch[:] = 0
             program.run_on_lanes(state, io)
             weight = weight + io.outputs[:, 0, 0]
             share = np.exp(weight - weight.max())
@@ -101,7 +109,8 @@ class Particles(Estimator):
             few = 1.0 / (share @ share) < 0.5 * n
             kernel = pack(SPREAD**2 * few * P)
             if few:
-                x, weight = mean[:, None] + KEPT * away[:, resampled(share, rng)], np.zeros(n)
+                x = mean[:, None] + KEPT * away[:, resampled(share, rng)]
+                weight = np.zeros(n)
 
 
 def resampled(share: Array, rng: np.random.Generator) -> Index:

@@ -27,7 +27,8 @@ def evaluated(values: Values) -> Row:
     args = Evaluation(**values)
     selection = Selection(range(args.seed, args.seed + args.episodes))
     with warnings.catch_warnings(record=True, action="always", category=UserWarning) as warned:
-        task, contender = task_of(args), contender_of(args, args.policy)
+        task = task_of(args)
+        contender = contender_of(args, args.policy)
         (scores,) = score_contenders(
             [contender], task.source, args.radio, selection, scoring=Scoring.of(task)
         ).values()
@@ -73,7 +74,8 @@ def _row(figures: Mapping[str, float]) -> Row:
 
 def training_of(values: Values) -> tuple[Training, Hyperparameters]:
     """Return options for `train`, and hyperparameters; a cell's values replace the defaults."""
-    options, changed = dict[str, Any](), dict[str, Any]()
+    options = dict[str, Any]()
+    changed = dict[str, Any]()
     for axis, value in values.items():
         name = axis.removeprefix(HYPERPARAMETER)
         (options if name == axis else changed)[name] = value

@@ -25,7 +25,9 @@ ENVIRONMENT = {
     "TUNE_DISABLE_SIGINT_HANDLER": "1",  # Ctrl-C must end the command
     "TUNE_DISABLE_AUTO_CALLBACK_LOGGERS": "1",  # a sweep stores only rows
 }
-RUNGS, SHARE = 9, 3  # at 1/9 and 1/3 of the timesteps, only the best third of the trials goes on
+# at 1/9 and 1/3 of the timesteps, only the best third of the trials goes on
+RUNGS = 9
+SHARE = 3
 
 
 @contextmanager
@@ -66,7 +68,8 @@ def computed(
 
     task: Any = ray.remote(lambda values: compute(values))  # noqa: PLW0108  Ray wants functions
     task = task.options(num_cpus=1, max_retries=RETRIES, retry_exceptions=[OSError])
-    waiting, running = iter(cells.items()), dict[Any, str]()
+    waiting = iter(cells.items())
+    running = dict[Any, str]()
     while True:
         for name, values in itertools.islice(waiting, AHEAD - len(running)):
             running[task.remote(values)] = name

@@ -35,7 +35,8 @@ def sweep(file: Path, folder: Path, address: str | None, workers: int | None) ->
     spec = read_spec(file)
     if spec.kind != "evaluate":
         require_extra("stable_baselines3", "train", f"training policies, as in {file},")
-    done, failed = kept(folder, spec), list[str]()
+    done = kept(folder, spec)
+    failed = list[str]()
     note(f"{len(spec)} cells, {len(done)} of them already in {folder}")
     if len(done) < len(spec):
         with connected(address, workers):
@@ -75,7 +76,8 @@ def _table(spec: Spec, rows: Mapping[str, Values]) -> str:
     axes = [axis for axis, values in spec.axes.items() if len(values) > 1]
     names = [name for name in spec.cells if name in rows]
     if spec.free:
-        axes, names = [*spec.free, "timesteps"], sorted(rows, key=lambda n: -rows[n]["reward_mean"])
+        axes = [*spec.free, "timesteps"]
+        names = sorted(rows, key=lambda n: -rows[n]["reward_mean"])
 
     def cells(row: Values) -> Iterator[str]:
         yield from (str(row[axis]) for axis in axes)

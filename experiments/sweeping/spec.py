@@ -141,7 +141,8 @@ def _options(kind: str, table: Values) -> Iterator[tuple[str, Sequence[Any]]]:
         if option.default is MISSING and option.name not in table:
             raise ValueError(f"{kind}.{option.name}: found none, expected a value")
     for key, content in table.items():
-        hint, values = choose(hints_of(KINDS[kind]), key, f"{kind}: key"), _values(key, content)
+        hint = choose(hints_of(KINDS[kind]), key, f"{kind}: key")
+        values = _values(key, content)
         for value in values:
             require(f"{kind}.{key}", value, hint)
         yield key, values
@@ -149,11 +150,13 @@ def _options(kind: str, table: Values) -> Iterator[tuple[str, Sequence[Any]]]:
 
 def _hyperparameters(kind: str, table: Values, axes: Values) -> Iterator[tuple[str, Any]]:
     """Yield the values or the distribution of each hyperparameter; refuse invalid values."""
-    algo, beliefs = (axes.get(name, [getattr(Training, name)])[0] for name in ("algo", "beliefs"))
+    algo = axes.get("algo", [Training.algo])[0]
+    beliefs = axes.get("beliefs", [Training.beliefs])[0]
     checked = read_hyperparameters(shipped_hyperparameters(algo, beliefs), algo)
     types = get_type_hints(type(checked))
     for name, content in table.items():
-        axis, of_type = HYPERPARAMETER + name, choose(types, name, f"{kind}.hyperparameters")
+        axis = HYPERPARAMETER + name
+        of_type = choose(types, name, f"{kind}.hyperparameters")
         is_range = kind == "search" and isinstance(content, dict)
         values = [content.get("low"), content.get("high")] if is_range else _values(name, content)
         for value in reversed(values):

@@ -21,9 +21,14 @@ from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import scene_from
 from mmwave_env.world.simulated import SimulatedSource
 
-SCENE, EPOCHS, WARM_UP = "street", 4000, 1000  # 4000 epochs; the first 1000 do not count
+# 4000 epochs; the first 1000 do not count
+SCENE = "street"
+EPOCHS = 4000
+WARM_UP = 1000
 PERCENTILES = (50.0, 99.0, 99.9)
-PIPE, PYTHON = "through a pipe", "in Python"  # localize --live, or calls of Tracker.update
+# localize --live, or calls of Tracker.update
+PIPE = "through a pipe"
+PYTHON = "in Python"
 # name -> options of `mmwave-loc localize`, and a function that selects the same filters in Python
 CONTENDERS: dict[str, tuple[tuple[str, str], Callable[[], Switching]]] = {
     "EKF": (("--speed", "1"), lambda: Switching((named_modes(RADIO)["ekf"],))),

@@ -39,7 +39,8 @@ def rate(laps: workloads.Laps, seconds: float) -> tuple[float, float]:
     """
     gc.collect()
     gc.disable()
-    busy, begin = time.process_time(), time.perf_counter()
+    busy = time.process_time()
+    begin = time.perf_counter()
     steps = next(laps)
     while (spent := time.perf_counter() - begin) < seconds:
         steps += next(laps)
@@ -166,8 +167,10 @@ def kernels() -> dict[str, Operations]:
 
     Rare events of the simulation (changes of gait, crossings) are left out.
     """
-    pipeline, drawn = workloads.pipeline(), workloads.source()
-    layout, modes = pipeline.layout, named_modes(workloads.RADIO)
+    pipeline = workloads.pipeline()
+    drawn = workloads.source()
+    layout = pipeline.layout
+    modes = named_modes(workloads.RADIO)
     programs: dict[str, Any] = {
         name: Tracker(Pipeline((modes[name],), layout), 1).program for name in workloads.FILTERS
     }

@@ -104,7 +104,8 @@ def count(function: Callable[[Any], Any], template: Any) -> Operations:
 
 def _needed(results: Iterable[_Instruction]) -> Iterator[_Instruction]:
     """Yield every instruction on which the results depend, once."""
-    waiting, yielded = list(results), set()
+    waiting = list(results)
+    yielded = set()
     while waiting:
         step = waiting.pop()
         if step not in yielded:

@@ -21,8 +21,11 @@ from mmwave_env.numerics.numbers import sqrt, where
 
 CHAINS = (8, 16, 24)  # numbers of chains to try: the best number depends on the processor
 LENGTH = 480  # operations per pass of a timed loop; their code fits into any cache
-BLOCKS, ROWS = 4, 64  # size of the copied data: 16 KiB, which fits into any first-level cache
-CALLS, TRIES = 1000, 10
+# size of the copied data: 16 KiB, which fits into any first-level cache
+BLOCKS = 4
+ROWS = 64
+CALLS = 1000
+TRIES = 10
 
 # Steps of a chain; the factor is 1 and the term 0, but the compiler does not know this.
 _STEPS: dict[str, Callable[..., Any]] = {
@@ -37,8 +40,10 @@ _STEPS: dict[str, Callable[..., Any]] = {
 
 def limit_s(operations: Operations) -> float:
     """Return the minimum time, s, that a core needs for operations on eight environments."""
-    steps, rows = sum(_steps(operations).values()), max(operations.load, operations.store)
-    order, blocks = interleaved(operations), np.full((1, ROWS, WIDTH), 1.7)
+    steps = sum(_steps(operations).values())
+    rows = max(operations.load, operations.store)
+    order = interleaved(operations)
+    blocks = np.full((1, ROWS, WIDTH), 1.7)
     blocks[:, :2] = [[1.0], [0.0]]
     # mix_s: seconds per operation of the mix, at the best number of chains. copying_s: seconds per
     # pair of a load and a store.

@@ -68,7 +68,8 @@ def environments(sizes: Sequence[int]) -> dict[str, Callable[[], Laps]]:
 
 def filters() -> dict[str, Callable[[], Laps]]:
     """Return functions that start the workloads of single filters on one thread, by name."""
-    episodes, modes = draw_episodes(source(), range(TRACKS)), named_modes(RADIO)
+    episodes = draw_episodes(source(), range(TRACKS))
+    modes = named_modes(RADIO)
     return {name: partial(tracks, modes[name], episodes) for name in FILTERS}
 
 
@@ -84,7 +85,8 @@ def pipeline() -> Pipeline:
 
 def filterpy() -> Laps:
     """Run a Python loop over episodes with filterpy's filters."""
-    episodes, twin = source(), filterpy_pipeline(pipeline())
+    episodes = source()
+    twin = filterpy_pipeline(pipeline())
     for seed in count():
         filterpy_episode(twin, episodes.sample(np.random.default_rng(seed)))
         yield EPISODE
@@ -92,10 +94,14 @@ def filterpy() -> Laps:
 
 def filterpy_episode(twin: Pipeline, episode: Episode) -> float:
     """Filter an episode with all modes; return the total reward if the last mode is always used."""
-    layout, memory, reward = twin.layout, initial_memory(twin.layout, 1), TrackingReward()
+    layout = twin.layout
+    memory = initial_memory(twin.layout, 1)
+    reward = TrackingReward()
     site = unflatten(blank_site(layout), iter(episode.site().tolist()))
     blank = blank_incoming(layout)
-    x, P, paid = site.prior_x, unpack(site.prior_P), 0.0
+    x = site.prior_x
+    P = unpack(site.prior_P)
+    paid = 0.0
     for row in episode.table().tolist():
         incoming = unflatten(blank, iter(row))
         epoch = incoming.epoch(layout)
@@ -104,7 +110,8 @@ def filterpy_episode(twin: Pipeline, episode: Episode) -> float:
             measurement = measurement_of(mode, memory, epoch, site, layout)
             prior = twin.predict(mode, x, P, noise, epoch.dt, site.hz_per_mps)
             posterior = twin.update(mode)(*prior, measurement, Gate(mode.gate))
-        x, P = posterior.x, posterior.P
+        x = posterior.x
+        P = posterior.P
         paid += total(terms_of(reward, Belief(x, P), incoming.truth))
     return paid
 

@@ -40,7 +40,8 @@ def actor_tensors(layers: Iterable[Any], normal: Normalization) -> Tensors:
     """
     tensors = {"low": normal.low, "high": normal.high}
     for i, layer in enumerate(layer for layer in layers if type(layer).__name__ == "Linear"):
-        weight, bias = (p.detach().numpy().astype(np.float64) for p in (layer.weight, layer.bias))
+        weight = layer.weight.detach().numpy().astype(np.float64)
+        bias = layer.bias.detach().numpy().astype(np.float64)
         if not i:
             weight = weight / normal.sigma
             bias = bias - weight @ normal.mean
@@ -60,7 +61,8 @@ def require_actor(file: str, policy: Any) -> None:
             f"{file}: network: found {type(policy).__name__}, expected an actor and a critic, "
             "as in PPO, A2C, TRPO and MaskablePPO"
         )
-    layers, shape = layers_of(policy), policy.observation_space.shape
+    layers = layers_of(policy)
+    shape = policy.observation_space.shape
     parts = [policy.features_extractor, *layers, policy.action_space]
     kinds = [type(part).__name__ for part in parts]
     hidden = ["Linear", "Tanh"] * (len(layers) // 2)

@@ -33,7 +33,8 @@ def read_checkpoint(path: Path) -> State:
         OSError: the file can't be read.
     """
     written = read_bounded(path, MOST_BYTES, "a checkpoint")
-    checksum, content = written[: sha256().digest_size], written[sha256().digest_size :]
+    checksum = written[: sha256().digest_size]
+    content = written[sha256().digest_size :]
     with going_on_from(path):  # PyTorch can raise any exception for damaged bytes
         if sha256(content).digest() != checksum:
             raise ValueError("found a checksum that does not match the content")

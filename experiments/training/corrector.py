@@ -33,7 +33,9 @@ from policies.policy_file import CORRECTIONS, Tensors
 EVALUATE = 32  # number of updates between two evaluations
 FIRST = 3  # number of extra rounds of lots in the first update, to measure the features' ranges
 OUTSIDE = 2e-4  # share of a feature's values below its lower limit, and also above its upper limit
-MOST_LENGTH, MOST_SQUARE = 20.0, 18.0  # limits in the loss, so that lost tracks do not dominate it
+# limits in the loss, so that lost tracks do not dominate it
+MOST_LENGTH = 20.0
+MOST_SQUARE = 18.0
 CONSTANT = 1e-3  # added to standard deviations, which are 0 for a feature that never changes
 
 
@@ -96,7 +98,8 @@ class Learner:
     """
 
     def __init__(self, network: CorrectorNetwork, hyper: CorrectorHyperparameters) -> None:
-        self.network, self._hyper = network, hyper
+        self.network = network
+        self._hyper = hyper
         self.optimizer = torch.optim.Adam(network.parameters(), lr=hyper.learning_rate)
         self.scales: dict[str, Array] = {}
 
@@ -104,7 +107,8 @@ class Learner:
         """Set the scales from the features in some lots."""
         rows = np.concatenate([lot.features.reshape(-1, lot.features.shape[2]) for lot in lots])
         low, high = np.quantile(rows, (OUTSIDE, 1.0 - OUTSIDE), axis=0)
-        mean, sigma = rows.mean(0, np.float64), rows.std(0, np.float64) + CONSTANT
+        mean = rows.mean(0, np.float64)
+        sigma = rows.std(0, np.float64) + CONSTANT
         self.scales = {"low": low, "high": high, "mean": mean, "sigma": sigma}
 
     def learn(self, lots: list[Lot], progress: float, rng: np.random.Generator) -> float:
@@ -120,7 +124,8 @@ class Learner:
     def _step(self, lot: Lot) -> float:
         """Take a gradient step; each member of an ensemble learns from about half of the lot."""
         hyper = self._hyper
-        error, deviation = torch.from_numpy(lot.error), torch.from_numpy(lot.deviation)
+        error = torch.from_numpy(lot.error)
+        deviation = torch.from_numpy(lot.deviation)
         losses = loss_of(self.answer(lot), error, deviation, hyper.likelihood_weight)
         some = torch.rand(losses.shape) < (0.5 if hyper.members > 1 else 1.0)
         loss = (losses * some).sum() / some.sum().clamp(min=1)
@@ -132,7 +137,10 @@ class Learner:
 
     def answer(self, lot: Lot) -> tuple[Tensor, Tensor]:
         """Return the network's outputs for a lot; see :meth:`CorrectorNetwork.forward`."""
-        low, high, mean, sigma = (self.scales[name] for name in ("low", "high", "mean", "sigma"))
+        low = self.scales["low"]
+        high = self.scales["high"]
+        mean = self.scales["mean"]
+        sigma = self.scales["sigma"]
         normal = (np.clip(lot.features, low, high) - mean) / sigma
         answer: tuple[Tensor, Tensor] = self.network(torch.from_numpy(normal.astype(np.float32)))
         return answer
@@ -169,7 +177,9 @@ class CorrectorTraining:
     def __init__(self, job: Job[CorrectorHyperparameters], tell: Tell) -> None:
         torch.set_num_threads(1)  # training runs share the cores
         torch.manual_seed(job.first_seed)
-        self._job, self._tell, hyper = job, tell, job.hyperparameters
+        self._job = job
+        self._tell = tell
+        hyper = job.hyperparameters
         elsewhere = replace(job.task, places=places_from(hyper.judged_at))
         self._record = Record(replace(job, task=elsewhere), tell)
         self.data = CorrectorData(job.task, hyper, job.first_seed)
@@ -180,7 +190,9 @@ class CorrectorTraining:
 
     def run(self) -> Json:
         """Train to the end; return the outcome from :meth:`Record.close`."""
-        job, record, progress = self._job, self._record, self._record.progress
+        job = self._job
+        record = self._record
+        progress = self._record.progress
         if "state" in progress:
             with going_on_from(job.checkpoint):
                 self._restore(progress.pop("state"))
@@ -196,7 +208,8 @@ class CorrectorTraining:
 
     def _update(self) -> dict[str, float]:
         """Learn from new episodes at the task's places and in random streets; return the loss."""
-        job, progress = self._job, self._record.progress
+        job = self._job
+        progress = self._record.progress
         lots = list(self.data.lots())
         if not self.learner.scales:
             lots += [lot for _ in range(FIRST) for lot in self.data.lots()]

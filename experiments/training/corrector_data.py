@@ -47,7 +47,11 @@ SUBSETS = (  # a receiver that lacks quantities measures only the quantities of 
 )
 # Probabilities that a random receiver lacks quantities, has a clock with an offset, misjudges its
 # noise, measures only some anchors, or does not know its orientation exactly.
-LACKING, DRIFTING, MISJUDGING, FEWER, TURNED = 0.3, 0.15, 0.3, 0.15, 0.15
+LACKING = 0.3
+DRIFTING = 0.15
+MISJUDGING = 0.3
+FEWER = 0.15
+TURNED = 0.15
 ORIENTATION_RAD = 0.1  # standard deviation of an orientation that is not known exactly
 # Probability that links of a random receiver are never blocked, disturbed by multipath, or lost.
 # With too few such receivers, a network overestimates the errors at quiet places.
@@ -57,7 +61,9 @@ CLEAR = 0.3
 WEAVING = 0.5
 WAYS = 64  # maximum number of weaving trajectories from which the episodes of one Lot are drawn
 WEAVE_S = (8.0, 40.0)  # limits of the period of weaving when a user moves at top speed, s
-WEAVE_SLOPE, WEAVE_M = 0.3, 2.5  # per axis: limits of (weaving velocity : speed), and offset, m
+# per axis: limits of (weaving velocity : speed), and offset, m
+WEAVE_SLOPE = 0.3
+WEAVE_M = 2.5
 WEAVING_BEHIND_M = (20.0, 60.0)  # range of distances from streets to walls, if users weave, m
 
 
@@ -87,7 +93,9 @@ class CorrectorData:
     """
 
     def __init__(self, task: TrainingTask, hyper: CorrectorHyperparameters, seed: int) -> None:
-        self._task, self._hyper, self._seed = task, hyper, seed
+        self._task = task
+        self._hyper = hyper
+        self._seed = seed
         self._stream = np.array([stream_of(seed)], np.uint64)
         self._radios = {p.profile: p.source(task.scenario).radio for p in task.places}
         self._switch = None if hyper.base == BASE_IMM else LearnedSwitch(hyper.base)
@@ -104,7 +112,8 @@ class CorrectorData:
 
     def batches(self) -> Iterator[tuple[str, EpisodeBatch]]:
         """Yield the name of a radio profile and unplayed episodes for each lot of :meth:`lots`."""
-        places, share = self._task.places, self._hyper.random_share
+        places = self._task.places
+        share = self._hyper.random_share
         for place in places:
             rng = self._rng()
             source = place.source(self._task.scenario)
@@ -123,7 +132,8 @@ class CorrectorData:
 
         If this time is at most 0.2 s, half of the lots have long episodes.
         """
-        dt, long = float(rng.choice(STEPS_S)), rng.random() < 0.5
+        dt = float(rng.choice(STEPS_S))
+        long = rng.random() < 0.5
         return replace(
             source, dt=dt, epochs=self._hyper.long_epochs if dt <= 0.2 and long else EPOCHS
         )
@@ -139,7 +149,8 @@ class CorrectorData:
         radio = RandomRadio(profile).draw(rng)
         if rng.random() < CLEAR:
             radio = replace(radio, blockage_scale=0.0, multipath_rate_hz=0.0, outage_rate_hz=0.0)
-        lacks, drifts = rng.random() < LACKING, rng.random() < DRIFTING
+        lacks = rng.random() < LACKING
+        drifts = rng.random() < DRIFTING
         subset = SUBSETS[rng.integers(len(SUBSETS))] if lacks else None
         clock = bool(drifts) and (subset is None or "range" in subset)
         source = SimulatedSource(
@@ -191,7 +202,8 @@ def weaving(source: SimulatedSource, rng: np.random.Generator) -> SimulatedSourc
     truth = batch.table[:, :, rows_of(columns_of(batch.layout).truth)]
     truth = truth[np.ptp(truth[:, :, :2], axis=1).max(axis=1) > WEAVE_M]
     speed = np.linalg.norm(truth[:, :, 3:], axis=2, keepdims=True)
-    fastest, shape = speed.max(axis=1, keepdims=True), (len(truth), 1, 2)
+    fastest = speed.max(axis=1, keepdims=True)
+    shape = (len(truth), 1, 2)
     radian = fastest * rng.uniform(*WEAVE_S, shape) / (2.0 * np.pi)  # distance per radian, m
     slope = np.minimum(rng.uniform(0.0, WEAVE_SLOPE, shape), WEAVE_M / radian)
     angle = np.cumsum(speed, axis=1) * source.dt / radian + rng.uniform(0.0, 2.0 * np.pi, shape)
@@ -218,7 +230,8 @@ def lot_of(features: Array32, x: Array, P: Array, error: Array) -> Lot:
 
 def _spoil(batch: EpisodeBatch, rng: np.random.Generator) -> None:
     """Make the receiver, at random, misjudge noise or orientation, or miss some anchors."""
-    at, layout = columns_of(batch.layout), batch.layout
+    at = columns_of(batch.layout)
+    layout = batch.layout
     sigma = batch.table[:, :, rows_of(at.signed_sigma)]
     if rng.random() < MISJUDGING:
         sigma *= 2.0 ** rng.uniform(-1.0, 1.0, (len(sigma), 1, 1))

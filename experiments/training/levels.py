@@ -41,11 +41,19 @@ KINDS = (SINGLE, ("guided", "imm-best"), ("corrector",))
 PLACES = [f"{scene}:{radio}" for scene in TRAINED_SCENES for radio in TUNED_RADIOS]
 SEED = TRAINING_SEED + 9 * SEEDS_EACH  # seed of episodes that no corrector was trained on
 # ENVS: episodes per place in a round. ROUNDS: training rounds. CALIBRATION: calibration rounds.
-ENVS, ROUNDS, CALIBRATION = 64, 48, 30
-HIDDEN, STEPS, BATCH, RATE = 64, 6000, 8192, 3e-3  # the learning rate falls linearly to 0
+ENVS = 64
+ROUNDS = 48
+CALIBRATION = 30
+# the learning rate falls linearly to 0
+HIDDEN = 64
+STEPS = 6000
+BATCH = 8192
+RATE = 3e-3
 EVERY = 4  # neighboring epochs are alike, so the network learns from one epoch in four
 LEAST_M = 1e-4  # smaller errors count as 0.1 mm
-LIMIT, HALVINGS = 8.0, 24  # largest finite constant; number of bisection steps to find a constant
+# largest finite constant; number of bisection steps to find a constant
+LIMIT = 8.0
+HALVINGS = 24
 
 
 def _played(
@@ -91,10 +99,12 @@ def _trained(features: Array, logs: Array, steps: int) -> Network:
     torch.manual_seed(0)
     some = features[::16].astype(float)
     low, high = np.quantile(some, (OUTSIDE, 1.0 - OUTSIDE), axis=0)
-    mean, sigma = some.mean(axis=0), some.std(axis=0) + 1e-3
+    mean = some.mean(axis=0)
+    sigma = some.std(axis=0) + 1e-3
     inside = np.clip(features, low.astype(np.float32), high.astype(np.float32))
     x = torch.from_numpy((inside - mean.astype(np.float32)) / sigma.astype(np.float32))
-    y, risk = torch.from_numpy(logs), torch.tensor(RISKS)[:, None]
+    y = torch.from_numpy(logs)
+    risk = torch.tensor(RISKS)[:, None]
     linear = [nn.Linear(*ends) for ends in pairwise([x.shape[1], HIDDEN, HIDDEN, 2 * len(RISKS)])]
     network = nn.Sequential(linear[0], nn.Tanh(), linear[1], nn.Tanh(), linear[2])
     optimizer = torch.optim.Adam(network.parameters(), RATE)

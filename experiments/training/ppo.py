@@ -23,7 +23,9 @@ from policies.policy_file import Tensors
 
 # LOG: number of updates between two rows of the log. EARLY, LATER: number of updates between two
 # evaluations, before and after a policy first beats the paper's rule.
-LOG, EARLY, LATER = 4, 2, 16
+LOG = 4
+EARLY = 2
+LATER = 16
 MOMENTS = ("mean", "var", "count")  # attributes of RunningMeanStd, SB3's statistics of observations
 
 
@@ -47,7 +49,8 @@ class PpoTraining(BaseCallback):
     def __init__(self, job: Job[PpoHyperparameters], tell: Tell) -> None:
         super().__init__()
         torch.set_num_threads(1)  # networks this small gain nothing from more threads
-        self._job, self._tell = job, tell
+        self._job = job
+        self._tell = tell
         self._record = Record(job, tell)
         self.env = PlacesVecEnv(job.task, job.hyperparameters)
         clip = job.hyperparameters.clip_observation
@@ -57,12 +60,15 @@ class PpoTraining(BaseCallback):
 
     def run(self) -> Json:
         """Train to the end; return the outcome from :meth:`Record.close`."""
-        job, model, progress = self._job, self.model, self._record.progress
+        job = self._job
+        model = self.model
+        progress = self._record.progress
         model.set_logger(Logger(None, [self._record.log]))
         if "learner" in progress:
             with going_on_from(job.checkpoint):
                 self._restore(progress.pop("learner"), with_arrays(progress.pop("env")))
-        left, fresh = job.timesteps - model.num_timesteps, not model.num_timesteps
+        left = job.timesteps - model.num_timesteps
+        fresh = not model.num_timesteps
         never: Any = None  # stops SB3's own logging; the annotation of log_interval forbids None
         model.learn(left, self, log_interval=never, reset_num_timesteps=fresh)
         progress["timesteps"] = model.num_timesteps
@@ -83,7 +89,9 @@ class PpoTraining(BaseCallback):
         return actor_tensors(layers_of(self.model.policy), normal)
 
     def _on_rollout_start(self) -> None:
-        model, job, progress = self.model, self._job, self._record.progress
+        model = self.model
+        job = self._job
+        progress = self._record.progress
         progress["timesteps"] = model.num_timesteps
         hyper = job.hyperparameters
         left = 1.0 - model.num_timesteps / job.timesteps
@@ -141,7 +149,8 @@ class PpoTraining(BaseCallback):
         """Restore the state of a training, bit for bit, as if it had not been interrupted."""
         model = self.model
         model._setup_learn(0)
-        model.num_timesteps, model._n_updates = state["timesteps"], state["updates"]
+        model.num_timesteps = state["timesteps"]
+        model._n_updates = state["updates"]
         model.set_parameters(state["parameters"], device="cpu")
         model._last_obs = state["observations"].numpy()
         model._last_episode_starts = state["begins"].numpy()
@@ -164,9 +173,11 @@ def learner(venv: VecNormalize, hyper: PpoHyperparameters, seed: int) -> PPO:
         venv, hyper: environments to learn in, and hyperparameters.
         seed: seed of all random numbers.
     """
-    layers, accepted = list(hyper.hidden), signature(PPO).parameters
+    layers = list(hyper.hidden)
+    accepted = signature(PPO).parameters
     options = {name: value for name, value in vars(hyper).items() if name in accepted}
-    rate, last = hyper.learning_rate, hyper.final_fraction
+    rate = hyper.learning_rate
+    last = hyper.final_fraction
     model = PPO(
         "MlpPolicy",
         venv,

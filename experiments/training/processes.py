@@ -44,7 +44,8 @@ def side_by_side(
         ValueError: the input of a training is not valid.
         ChildProcessError: a training failed in another way, or was ended from outside.
     """
-    waiting, outcomes = list(reversed(jobs)), dict[int, Json]()
+    waiting = list(reversed(jobs))
+    outcomes = dict[int, Json]()
     running: dict[Any, tuple[Job[Any], BaseProcess]] = {}
     try:
         while waiting or running:

@@ -74,7 +74,8 @@ class Record:
 
     def __init__(self, job: Job[Any], tell: Tell) -> None:
         self._begun_s = time.monotonic()
-        self._job, self._tell = job, tell
+        self._job = job
+        self._tell = tell
         self.progress: State = {
             "update": 0,
             "timesteps": 0,
@@ -106,7 +107,8 @@ class Record:
         columns = table.columns
         if features is not None:
             columns = tuple(column for column in columns if column.name in features)
-        progress, latest = self.progress, self._job.folder / "latest.safetensors"
+        progress = self.progress
+        latest = self._job.folder / "latest.safetensors"
         write_bytes(latest, to_bytes(actor, self._card(columns, table.kind, {})))
         figures = self._evaluator.examine(latest)
         timesteps = progress["timesteps"]
@@ -144,7 +146,8 @@ class Record:
         return outcome
 
     def _card(self, columns: tuple[Column, ...], observation: str, evaluation: Json) -> Card:
-        job, task = self._job, self._job.task
+        job = self._job
+        task = self._job.task
         return Card(
             modes=task.bank.modes,
             observation=observation,

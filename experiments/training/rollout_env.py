@@ -61,7 +61,8 @@ class RolloutEnv:
         places = task.places
         require_environments(n, len(places), WIDTH)
         self._sources = [place.source(task.scenario) for place in places]
-        self._horizon, self._everyone = horizon, np.arange(n)
+        self._horizon = horizon
+        self._everyone = np.arange(n)
         block = self._everyone // WIDTH
         self._place = block % len(places)
         pipeline = _one_pipeline(task, {source.layout for source in self._sources})
@@ -117,7 +118,8 @@ class RolloutEnv:
             self.step(np.zeros(len(self._everyone), np.int64))
             parts.append(self.observations)
         observations = np.concatenate(parts)
-        mean, sigma = observations.mean(0), observations.std(0) + CONSTANT
+        mean = observations.mean(0)
+        sigma = observations.std(0) + CONSTANT
         return Normalization.clipped(mean, sigma, clip)
 
     def try_all(self, act: Act) -> Tried:
@@ -128,7 +130,8 @@ class RolloutEnv:
                 (actions * n, features) of copies of the environments: first the n copies that
                 began with action 0, then the n copies that began with action 1, and so on.
         """
-        values, state = self._branches.values(act, self._weights), self._engine.batch.state
+        values = self._branches.values(act, self._weights)
+        state = self._engine.batch.state
         whole = state.epoch - 1 + self._horizon <= state.length
         return Tried(self.observations[whole], values[whole])
 

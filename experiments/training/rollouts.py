@@ -99,7 +99,8 @@ class RolloutLearner:
             Statistics for the log: the policy's expected gain over action 0, the gain of the best
             actions (both means over states), and the entropy.
         """
-        hyper, filled = self._hyper, min(self._seen, len(self._gains))
+        hyper = self._hyper
+        filled = min(self._seen, len(self._gains))
         for group in self._optimizer.param_groups:
             group["lr"] = hyper.learning_rate * left
         sums = np.zeros(3)
@@ -133,7 +134,8 @@ class RolloutLearner:
         self.network.load_state_dict(state["network"])
         # Without a copy, the optimizer would share the tensors of ``state``.
         self._optimizer.load_state_dict(deepcopy(state["optimizer"]))
-        self._observations[:], self._gains[:] = state["observations"], state["gains"]
+        self._observations[:] = state["observations"]
+        self._gains[:] = state["gains"]
         self._seen = state["seen"]
 
 
@@ -156,7 +158,8 @@ class RolloutTraining:
     def __init__(self, job: Job[RolloutHyperparameters], tell: Tell) -> None:
         torch.set_num_threads(1)  # networks this small gain nothing from more threads
         torch.manual_seed(job.first_seed)
-        self._job, self._tell = job, tell
+        self._job = job
+        self._tell = tell
         self._record = Record(job, tell)
         hyper = job.hyperparameters
         self.env = RolloutEnv(job.task, hyper.num_envs, hyper.horizon, hyper.gamma, job.first_seed)
@@ -166,7 +169,9 @@ class RolloutTraining:
 
     def run(self) -> Json:
         """Train to the end; return the outcome from :meth:`Record.close`."""
-        job, record, progress = self._job, self._record, self._record.progress
+        job = self._job
+        record = self._record
+        progress = self._record.progress
         if "learner" in progress:
             with going_on_from(job.checkpoint):
                 self.env.restore(with_arrays(progress.pop("env")))
@@ -189,8 +194,11 @@ class RolloutTraining:
 
     def _update(self) -> dict[str, float]:
         """Try all actions in some states and learn from them; return statistics for the log."""
-        hyper, env, learner = self._job.hyperparameters, self.env, self.learner
-        new, taken = 0, np.zeros(len(env.observation.actions), np.int64)
+        hyper = self._job.hyperparameters
+        env = self.env
+        learner = self.learner
+        new = 0
+        taken = np.zeros(len(env.observation.actions), np.int64)
         while new < hyper.states:
             tried = env.try_all(learner.greedy)
             learner.remember(tried)

@@ -133,7 +133,8 @@ def _require_same(path: Path, manifest: Json) -> None:
         """Return the manifest with one entry per hyperparameter, for a precise message."""
         return {**run, **run["hyperparameters"], "hyperparameters": None}
 
-    begun, expected = read_json(path, "the manifest of a run", flat), flat(manifest)
+    begun = read_json(path, "the manifest of a run", flat)
+    expected = flat(manifest)
     for key in expected | begun:
         if begun.get(key) != expected.get(key):
             raise ValueError(
@@ -174,7 +175,8 @@ def train(args: "Args") -> None:
     task = training_task(args)
     hyper = hyperparameters(args, len(task.places), args.hyperparameters)
     manifest = manifest_of(args, task.banks, hyper)
-    steps, command = args.total_timesteps or TIMESTEPS[args.algo], manifest["command"]
+    steps = args.total_timesteps or TIMESTEPS[args.algo]
+    command = manifest["command"]
     jobs = [
         Job(task, hyper, seed, steps, args.out / f"seed-{seed}", command, args.checkpoint_every)
         for seed in range(args.seeds)

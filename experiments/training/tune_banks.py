@@ -114,7 +114,8 @@ def scores(bank: Bank, batches: Sequence[EpisodeBatch]) -> tuple[Array, Array]:
         First, (n,) the mean reward of each episode's scored epochs. Second, (n,) 1 if the estimate
         in the last epoch is farther than DIVERGENCE_M from the true position, else 0.
     """
-    reward, lost = [], []
+    reward = []
+    lost = []
     for batch in batches:
         results = run_imm(bank, TrackingReward(), batch, "reward", "error")
         counted = scored(results["reward"].shape[1])
@@ -143,7 +144,9 @@ NINES = (1.0, 9.0)  # number of nines of the quantile that caps the NIS: 3 nines
 DECIMALS = 6  # decimals of probabilities
 
 # Standard deviations of the first generation's log odds, logs of FREE parameters, and nines:
-_PROBABILITY_STEP, _NOISE_STEP, _NINES_STEP = 0.6, 0.25, 0.3
+_PROBABILITY_STEP = 0.6
+_NOISE_STEP = 0.25
+_NINES_STEP = 0.3
 
 
 def rows_as_softmax(odds: Array) -> Array:
@@ -172,13 +175,15 @@ def search_space(modes: Sequence[Mode]) -> SearchSpace:
     """Return the search space of transition probabilities, noise, maneuvers and NIS quantile."""
     n = len(modes)
     change = np.log((1.0 - DEFAULT_STAY) / (n - 1) / DEFAULT_STAY)
-    chances, limits = [change] * (n * (n - 1)), [ODDS] * (n * (n - 1))
+    chances = [change] * (n * (n - 1))
+    limits = [ODDS] * (n * (n - 1))
     free = [(i, field) for i, field in product(range(n), FREE) if getattr(modes[i], field)]
     noise = [np.log(abs(getattr(modes[i], field))) for i, field in free]
     first = len(chances)
 
     def bank_at(point: Array) -> Bank:
-        transition, tuned = rows_as_softmax(point[:first]), list(modes)
+        transition = rows_as_softmax(point[:first])
+        tuned = list(modes)
         for (i, field), size in zip(free, np.exp(point[first:-1]), strict=True):
             value: Any = float(np.copysign(float(f"{size:.3g}"), getattr(modes[i], field)))
             tuned[i] = replace(tuned[i], **{field: value})

@@ -40,7 +40,8 @@ def likelihood(history: dict[str, Array], layout: Layout) -> Array:
     Without the cap, unmodeled blockage would dominate. The constant -(n / 2) log(2 pi) of n
     measured values is left out.
     """
-    nis, log_likelihood = history["memory.nis"], history["log_likelihood"]
+    nis = history["memory.nis"]
+    log_likelihood = history["log_likelihood"]
     rows = [group.stop - group.start for group in layout.groups]
     excess = np.maximum(nis - chdtri(rows, 1.0 - CAP), 0.0).sum(axis=-1)
     capped = log_likelihood + 0.5 * excess

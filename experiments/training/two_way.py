@@ -44,7 +44,9 @@ from policies import LearnedSwitch
 from policies.policy_file import Card, to_bytes
 
 SEED = TRAINING_SEED + 8 * SEEDS_EACH  # seed of episodes that no shipped network was trained on
-ROUNDS, PASSES = 16, 8  # number of rounds of lots to play, and of passes over all these lots
+# number of rounds of lots to play, and of passes over all these lots
+ROUNDS = 16
+PASSES = 8
 TOGETHER = 18  # number of lots whose episodes are mixed
 PARTS = ("x", "error", "mixture", *(f"memory.{gate}" for gate in GATES))
 
@@ -66,11 +68,13 @@ class Smoothed(NamedTuple):
 
 def smoothed(batch: EpisodeBatch, bank: Bank, base: str) -> Smoothed:
     """Filter episodes with the policy ``base`` and a bank, and smooth the tracks."""
-    pipeline, at = Pipeline(bank.modes, batch.layout), columns_of(batch.layout)
+    pipeline = Pipeline(bank.modes, batch.layout)
+    at = columns_of(batch.layout)
     actions = _actions(batch, bank, base)
     of = run_imm(bank, TrackingReward(), batch, *PARTS, actions=actions)
     hz_per_mps = float(unflatten(blank_site(batch.layout), iter(batch.site[0])).hz_per_mps)
-    dt, spread_hz = (batch.table[:, :, i] for i in (at.dt, at.doppler_spread_hz))
+    dt = batch.table[:, :, at.dt]
+    spread_hz = batch.table[:, :, at.doppler_spread_hz]
     x, P = smooth_modes(bank, pipeline, of["mixture"], dt, spread_hz, hz_per_mps)
     gates = [of[f"memory.{gate}"] for gate in GATES]
     features = smoothed_features(pipeline, batch, x, P, of["mixture"], gates)
@@ -83,7 +87,8 @@ def _actions(batch: EpisodeBatch, bank: Bank, base: str) -> Index:
     engine = Engine(Pipeline(bank.modes, batch.layout), n, TrackingReward(), "full", bank)
     act = LearnedSwitch(base, engine.observation)
     engine.reset(batch)
-    observations, actions = engine.observations(), np.empty((n, epochs), np.int64)
+    observations = engine.observations()
+    actions = np.empty((n, epochs), np.int64)
     for t in range(epochs):
         actions[:, t] = act(observations)
         observations, _ = engine.step(actions[:, t])
@@ -114,7 +119,8 @@ def trained_two_way(command: str, rounds: int = ROUNDS, passes: int = PASSES) ->
     places = places_from(PLACES)
     banks = banks_of((), places, "per-mode")
     task = TrainingTask("mixed", places, banks, "signed", TrackingReward(), "per-mode")
-    data, lots = SmoothedData(task, hyper, SEED), []
+    data = SmoothedData(task, hyper, SEED)
+    lots = []
     with progress("playing") as report:
         for i in range(rounds):
             lots += list(data.lots())

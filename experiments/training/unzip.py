@@ -21,7 +21,9 @@ from experiments.training.actor import Normalization, actor_tensors, layers_of, 
 from mmwave_env.io.files import Json, open_regular
 
 DECISIONS = 1000  # number of random observations for which the model's actions are returned
-SHOWN, CHOSEN = "shown", "chosen"  # names of these observations and actions among the tensors
+# names of these observations and actions among the tensors
+SHOWN = "shown"
+CHOSEN = "chosen"
 
 
 def unzipped(model: Path, normalize: Path | None) -> tuple[dict[str, NDArray[Any]], Json]:
@@ -82,7 +84,8 @@ def _unzip(model: str, normalize: Path | None, out: Path) -> None:
         tensors = actor_tensors(layers_of(policy), normal) | _decisions(policy, normal)
     except Exception as error:  # the file's own code can raise anything
         reason = str(error) if isinstance(error, ValueError) else f"{model}: {in_one_line(error)}"
-        facts, tensors = {"refusal": reason}, {}
+        facts = {"refusal": reason}
+        tensors = {}
     save_file(tensors, out, {"facts": json.dumps(facts)})
 
 
@@ -105,7 +108,8 @@ def _loaded(model: str) -> tuple[Any, dict[str, Any]]:
 
 def _normalization(path: Path | None, box: Any) -> Normalization:
     """Read the normalization in a file of ``VecNormalize``; without a file, return the identity."""
-    low, high = box.low.astype(float), box.high.astype(float)
+    low = box.low.astype(float)
+    high = box.high.astype(float)
     as_they_are = Normalization(low, high, np.zeros(box.shape), np.ones(box.shape))
     if path is None:
         return as_they_are

@@ -38,7 +38,8 @@ class PlacesVecEnv(VecEnv):
     """
 
     def __init__(self, task: TrainingTask, hyperparameters: PpoHyperparameters) -> None:
-        count, places = hyperparameters.num_envs, task.places
+        count = hyperparameters.num_envs
+        places = task.places
         require_environments(count, len(places))
         options: dict[str, Any] = {
             "observation": task.observation,

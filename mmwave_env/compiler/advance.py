@@ -119,7 +119,8 @@ def _idle(b, running):  # type: ignore[no-untyped-def]
 @register_jitable  # type: ignore[untyped-decorator]
 def _take_in(b, step, blank, state, io, sources):  # type: ignore[no-untyped-def]
     """Bring a block into the caches and set its incoming rows and inputs."""
-    block, first = state.rows[b], b * WIDTH
+    block = state.rows[b]
+    first = b * WIDTH
     here = min(WIDTH, len(state.length) - first)
     touched = 0.0
     if state.rows.size > NEAR:
@@ -165,7 +166,8 @@ def _some_blocks(b, end, state, before, kept_before, some):  # type: ignore[no-u
 
     Return the number of blocks found, and the block to continue with.
     """
-    n, count = len(state.running), 0
+    n = len(state.running)
+    count = 0
     while b < end and count < len(some):
         idle = _idle(b, state.running)
         if idle < min(WIDTH, n - b * WIDTH):
@@ -199,12 +201,14 @@ def advance(begin, end, run, blank, state, io):  # type: ignore[no-untyped-def]
         state, io: the tracks (:class:`~mmwave_env.compiler.program.BatchState`), and their inputs
             and outputs (:class:`~mmwave_env.compiler.program.StepIO`).
     """
-    epochs, some = io.outputs.shape[1], np.empty(min(TOGETHER, end - begin), np.int64)
+    epochs = io.outputs.shape[1]
+    some = np.empty(min(TOGETHER, end - begin), np.int64)
     before = np.empty((len(some), state.rows.shape[1], WIDTH))
     kept_before = np.empty((len(some), state.feed.kept.shape[1], WIDTH))
     addresses = np.empty(WIDTH, np.int64)
     nowhere = np.empty(max(len(io.output_rows), len(io.obs_rows)))
-    touched, b = 0.0, begin
+    touched = 0.0
+    b = begin
     while b < end:
         count, b = _some_blocks(b, end, state, before, kept_before, some)
         for step in range(epochs):

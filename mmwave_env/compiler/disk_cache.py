@@ -79,7 +79,8 @@ def _with_cache(compiler: Any, function: Callable[..., Any]) -> Any:
 
 def is_compiled(function: Any, arguments: tuple[Any, ...]) -> bool:
     """Return whether a :func:`compiled` function for these arguments is in memory or on disk."""
-    signature, cache = tuple(map(numba.typeof, arguments)), function._cache
+    signature = tuple(map(numba.typeof, arguments))
+    cache = function._cache
     return signature in function.overloads or (isinstance(cache, _OnDisk) and cache.has(signature))
 
 
@@ -216,7 +217,8 @@ class _OnDisk(NullCache):  # type: ignore[misc]
             return None
         key, file = self._entry(signature, context.codegen())
         with suppress(Exception), _opened(file) as entry:  # the file may be missing or unsafe
-            checksum, content = entry.read(_CHECKSUM), entry.read()
+            checksum = entry.read(_CHECKSUM)
+            content = entry.read()
             if checksum == _checksum(key, content):
                 return CompileResult._rebuild(context, *pickle.loads(content))
         return None

@@ -45,9 +45,13 @@ _EXP = tuple(1.0 / math.factorial(k) for k in range(14, -1, -1))
 # cos(r) and (sin(r) / r - 1) / r^2 for |r| <= pi / 4: Taylor series in r^2, error below 1e-17.
 _COS = tuple((-1) ** (k // 2) / math.factorial(k) for k in range(18, -1, -2))
 _SIN = tuple((-1) ** (k // 2) / math.factorial(k) for k in range(17, 1, -2))
-_HALF_PI_HIGH, _HALF_PI_LOW = 1.57079632673412561417, 6.07710050650619224932e-11  # sum: pi / 2
+# sum: pi / 2
+_HALF_PI_HIGH = 1.57079632673412561417
+_HALF_PI_LOW = 6.07710050650619224932e-11
 _ROUND = 1.5 * 2.0**52  # adding it rounds to an integer, which is in the sum's lowest bits
-_LN2_HIGH, _LN2_LOW = 0.693147180369123816490, 1.90821492927058770002e-10  # sum: ln(2)
+# sum: ln(2)
+_LN2_HIGH = 0.693147180369123816490
+_LN2_LOW = 1.90821492927058770002e-10
 
 
 class _Value:
@@ -56,7 +60,8 @@ class _Value:
     __slots__ = ("builder", "value")
 
     def __init__(self, builder: Any, value: Any) -> None:
-        self.builder, self.value = builder, value
+        self.builder = builder
+        self.value = value
 
     def _with(self, instruction: str, other: Any) -> Any:
         """Return the result of an instruction on this and another value; keep this value's type."""
@@ -72,7 +77,8 @@ class Mask(_Value, TracerCondition):
     """A truth value per lane, from a comparison of Lanes; ``&`` and ``|`` combine two masks."""
 
     __slots__ = ()
-    __and__, __or__ = _integer("and_"), _integer("or_")
+    __and__ = _integer("and_")
+    __or__ = _integer("or_")
 
     def select(self, a: Any, b: Any) -> "Lanes":
         """Return ``a`` in the lanes where the mask is true, else ``b``."""
@@ -125,9 +131,11 @@ class Lanes(_Value, Tracer):
 
     def atan2(self, x: Any) -> "Lanes":
         """Return the angle of (x, self), reduced to pi / 8 for a polynomial; error 2e-16."""
-        ax, ay = abs(x), abs(self)
+        ax = abs(x)
+        ay = abs(self)
         steep = ay > ax
-        low, high = where(steep, ax, ay), where(steep, ay, ax)
+        low = where(steep, ax, ay)
+        high = where(steep, ay, ax)
         large = low > _TAN_PI_8 * high
         over = where(large, low + high, high)
         q = where(large, low - high, low) / where(over > 0.0, over, 1.0)  # 0 for (0, 0)
@@ -142,10 +150,12 @@ class Lanes(_Value, Tracer):
         """Return cosine and sine, if |self| < 1e5: reduced to at most pi / 4, then polynomials."""
         b = self.builder
         rounded: Any = self * (2.0 / math.pi) + _ROUND
-        quarters, turns = b.bitcast(rounded.value, _BITS), rounded - _ROUND
+        quarters = b.bitcast(rounded.value, _BITS)
+        turns = rounded - _ROUND
         r = (self - turns * _HALF_PI_HIGH) - turns * _HALF_PI_LOW
         z = r * r
-        cosine, sine = polynomial(z, _COS), r + r * z * polynomial(z, _SIN)
+        cosine = polynomial(z, _COS)
+        sine = r + r * z * polynomial(z, _SIN)
         odd = Mask(b, b.trunc(quarters, ir.VectorType(ir.IntType(1), WIDTH)))
         after = b.add(quarters, _bits(1))
         return where(odd, sine, cosine)._negated(after), where(odd, cosine, sine)._negated(quarters)
@@ -164,7 +174,8 @@ class Lanes(_Value, Tracer):
         m: Any = Lanes(b, b.bitcast(mantissa_bits, _VECTOR))
         e: Any = Lanes(b, b.sitofp(b.sub(b.lshr(bits, _bits(52)), _bits(1023)), _VECTOR))
         high = m > math.sqrt(2.0)
-        m, e = where(high, 0.5 * m, m), where(high, e + 1.0, e)
+        m = where(high, 0.5 * m, m)
+        e = where(high, e + 1.0, e)
         s = (m - 1.0) / (m + 1.0)
         return e * math.log(2.0) + 2.0 * s * polynomial(s * s, _ATANH) + (self - self)  # type: ignore[no-any-return]
 
@@ -184,8 +195,11 @@ class WordLanes(_Value):
     """Eight words of 64 bits (:class:`~mmwave_env.numerics.random.Word`) in one SIMD value."""
 
     __slots__ = ()
-    __add__, __xor__, __or__ = _integer("add"), _integer("xor"), _integer("or_")
-    __lshift__, __rshift__ = _integer("shl"), _integer("lshr")
+    __add__ = _integer("add")
+    __xor__ = _integer("xor")
+    __or__ = _integer("or_")
+    __lshift__ = _integer("shl")
+    __rshift__ = _integer("lshr")
 
     def scaled(self, factor: float) -> Any:
         """Return the integers, which must be below 2^63, times a factor."""
@@ -208,7 +222,9 @@ class _Rows:
     """Rows of a workspace: reading a row loads its eight lanes, assigning to it stores them."""
 
     def __init__(self, builder: Any, bases: Sequence[Any], ends: Sequence[int]) -> None:
-        self.builder, self.bases, self.ends = builder, bases, ends
+        self.builder = builder
+        self.bases = bases
+        self.ends = ends
 
     def _at(self, row: int) -> Any:
         part = bisect(self.ends, operator.index(row))

@@ -169,7 +169,8 @@ class Program(Generic[Workspace]):
     """
 
     def __init__(self, function: Callable[[Workspace], Workspace], template: Workspace) -> None:
-        self.function, self.template = function, template
+        self.function = function
+        self.template = template
         self.start = np.array(flatten(template), float)
         self.blank = np.array(flatten(template[0]), float)
         self.size = len(self.start)

@@ -19,7 +19,9 @@ from numpy.typing import NDArray
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.numerics.numbers import Array, Index
 
-_INTEGER, _DOUBLE, _SINGLE = ir.IntType(64), ir.DoubleType(), ir.FloatType()
+_INTEGER = ir.IntType(64)
+_DOUBLE = ir.DoubleType()
+_SINGLE = ir.FloatType()
 _VECTOR = ir.VectorType(_DOUBLE, WIDTH)
 _BYTES = {_DOUBLE: 8, _SINGLE: 4}
 
@@ -73,7 +75,9 @@ def _compiled_gather(block, sources, count):  # type: ignore[no-untyped-def]
 
 
 def _compiled_scatter(kind: ir.Type) -> Callable[..., Any]:
-    size, put, turn_out = _BYTES[kind], _put(kind), _turn_out(kind)
+    size = _BYTES[kind]
+    put = _put(kind)
+    turn_out = _turn_out(kind)
 
     def choose(block, rows, targets):  # type: ignore[no-untyped-def]
         def compiled(block, rows, targets):  # type: ignore[no-untyped-def]
@@ -147,7 +151,8 @@ def _turn_out(kind: ir.Type) -> Any:
             numbers = [_entry(builder, listed, i) for i in range(WIDTH)]
             places = [builder.add(block, builder.mul(n, _INTEGER(8 * WIDTH))) for n in numbers]
             tile = [builder.load(_pointer(builder, place, _VECTOR), align=8) for place in places]
-            offset, narrow = builder.mul(first, _INTEGER(size)), ir.VectorType(kind, WIDTH)
+            offset = builder.mul(first, _INTEGER(size))
+            narrow = ir.VectorType(kind, WIDTH)
             for lane, numbers in enumerate(_turned(builder, tile)):
                 place = builder.add(_entry(builder, targets, lane), offset)
                 target = _pointer(builder, place, narrow)
@@ -161,10 +166,12 @@ def _turn_out(kind: ir.Type) -> Any:
 
 def _turned(builder: Any, tile: list[Any]) -> list[Any]:
     """Transpose eight vectors: swap halves, then quarters, then eighths across the diagonal."""
-    tile, distance = list(tile), WIDTH // 2
+    tile = list(tile)
+    distance = WIDTH // 2
     while distance:
         for i in (i for i in range(WIDTH) if not i & distance):
-            a, b = tile[i], tile[i + distance]
+            a = tile[i]
+            b = tile[i + distance]
             low = [j if not j & distance else WIDTH + j - distance for j in range(WIDTH)]
             high = [j + distance if not j & distance else WIDTH + j for j in range(WIDTH)]
             for at, order in ((i, low), (i + distance, high)):

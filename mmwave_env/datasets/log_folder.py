@@ -19,7 +19,9 @@ from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.scene import Scene, read_scene, scene_json
 from mmwave_env.world.episode import Episode
 
-LOG, SCENE, TRUTH = "log.csv", "scene.json", "truth.tum"
+LOG = "log.csv"
+SCENE = "scene.json"
+TRUTH = "truth.tum"
 _LOGS = tuple(f"log{suffix}" for suffix in SUFFIXES)
 
 
@@ -42,7 +44,8 @@ def read_log_folder(folder: Path, clock: bool = False) -> MeasuredTrack:
         OSError: a file can't be read.
     """
     path = log_of(folder)
-    scene, truth = read_scene(folder / SCENE), Truth(folder / TRUTH)
+    scene = read_scene(folder / SCENE)
+    truth = Truth(folder / TRUTH)
     log = LogBlock.joined(list(read_log(path, scene, partial=True, clock=clock)))
     whole = log.whole()
     if np.array_equal(whole.visible, log.visible) and not np.isfinite(log.sigma).any():

@@ -17,9 +17,12 @@ def log_columns(episode: Episode) -> dict[str, Array]:
     given only if its anchor's link or Doppler shift is usable. A partial layout (single values may
     be missing) adds columns of standard deviations. Elevations beyond the vertical are clipped.
     """
-    layout, usable = episode.layout, episode.usable
-    T, L = len(episode), layout.anchors
-    epochs, shifted = np.arange(T), episode.doppler_anchor
+    layout = episode.layout
+    usable = episode.usable
+    T = len(episode)
+    L = layout.anchors
+    epochs = np.arange(T)
+    shifted = episode.doppler_anchor
     if shifted is None:
         shifted = np.zeros(T, np.int64)
     shown = np.repeat(usable, layout.widths, axis=1)

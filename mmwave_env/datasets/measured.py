@@ -95,7 +95,8 @@ class MeasuredTrack(Track):
         """
         record = f"{cls.KIND} {name!r}"
         links = (range_m, aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad)
-        strength, signal = ("snr_db", snr_db), (carrier_hz, bandwidth_hz)
+        strength = ("snr_db", snr_db)
+        signal = (carrier_hz, bandwidth_hz)
         fields, snr = cls._fields(
             name, time_s, anchors_m, links, strength, (position_m, velocity_mps), signal, doppler_hz
         )
@@ -117,7 +118,8 @@ class MeasuredTrack(Track):
         )
 
     def _received(self, radio: Radio, rng: np.random.Generator, epochs: slice) -> Received:
-        snr, spread = self.snr_db[epochs], self.doppler_spread_hz[epochs]
+        snr = self.snr_db[epochs]
+        spread = self.doppler_spread_hz[epochs]
         sigma = None if self.sigma is None else self.sigma[epochs]
         anchor = None if self.doppler_anchor is None else self.doppler_anchor[epochs]
         return Received(self.measurement[epochs], snr, spread, None, sigma, anchor)
@@ -148,7 +150,8 @@ def _as_partial(
     measurements to standard deviations: (T, L) for links, (T,) for Doppler shifts, or None.
     """
     layout: Layout = fields["layout"]
-    rows, sigma = fields["measurement"], np.full_like(fields["measurement"], np.nan)
+    rows = fields["measurement"]
+    sigma = np.full_like(fields["measurement"], np.nan)
     for i, (name, values) in enumerate(deviations.items()):
         link = i < len(LINK)
         shape = heard.shape if link else heard.shape[:1]

@@ -61,7 +61,8 @@ class Recording(Track):
             ValueError: an array has a wrong shape or invalid values; the message names the array.
         """
         links = (range_m, aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad)
-        strength, signal = ("path_gain_db", path_gain_db), (carrier_hz, bandwidth_hz)
+        strength = ("path_gain_db", path_gain_db)
+        signal = (carrier_hz, bandwidth_hz)
         fields, gain = cls._fields(
             name, time_s, anchors_m, links, strength, (position_m, velocity_mps), signal
         )
@@ -71,14 +72,16 @@ class Recording(Track):
 
     def add_doppler(self) -> None:
         """Compute the Doppler shift from the true velocity wherever there is a line of sight."""
-        away, layout = self.position_m - self.anchors_m[0], self.layout
+        away = self.position_m - self.anchors_m[0]
+        layout = self.layout
         rate = range_rate(list(away.T), list(self.velocity_mps.T))
         self.measurement[:, layout.doppler] = self.scene.hz_per_mps * rate
         self.visible[:, layout.anchors] = self.visible[:, 0]
 
     def _received(self, radio: Radio, rng: np.random.Generator, epochs: slice) -> Received:
         """Draw the noise, the oscillator's bias and the Doppler spread of some epochs."""
-        scene, layout = self.scene, self.layout
+        scene = self.scene
+        layout = self.layout
         links = self.visible[epochs, : layout.anchors]
         gain = np.where(links, self.path_gain_db[epochs], _NO_PATH_DB)
         snr = radio.snr_db(gain, scene.bandwidth_hz)

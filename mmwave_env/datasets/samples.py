@@ -15,7 +15,8 @@ from mmwave_env.io.lookup import choose
 from mmwave_env.models.radio import Radio
 
 _DATA = Path(str(resources.files("mmwave_env"))) / "data"
-_RECORDINGS, _LOGS = _DATA / "deepmimo_canyon28", _DATA / "logs"
+_RECORDINGS = _DATA / "deepmimo_canyon28"
+_LOGS = _DATA / "logs"
 
 
 def _folders(of: Path) -> dict[str, Path]:

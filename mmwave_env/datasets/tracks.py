@@ -30,7 +30,8 @@ from mmwave_env.world.episode import Episode
 
 # Median errors of a link's range (m) and angles (rad). Medians above _FAR are warned of, medians
 # below _NEAR are not; between them, the limit depends on the noise.
-_FAR, _NEAR = (50.0, 0.5, 0.5, 0.5), (5.0, 0.05, 0.05, 0.05)
+_FAR = (50.0, 0.5, 0.5, 0.5)
+_NEAR = (5.0, 0.05, 0.05, 0.05)
 _NOISE = 0.6745 * np.sqrt(2.0)  # median of the absolute difference of two N(0, 1) errors
 _ENOUGH = 20  # minimum number of epochs for a median
 
@@ -96,16 +97,19 @@ class Track(ABC):
         """
         radio = radio_from(radio)
         received = self._received(radio, rng, epochs)
-        position, velocity = self.position_m[epochs], self.velocity_mps[epochs]
+        position = self.position_m[epochs]
+        velocity = self.velocity_mps[epochs]
         bias_hz = 0.0 if received.bias_hz is None else received.bias_hz[0]
         state = np.concatenate([position[0], velocity[0], [bias_hz]])
         mean, covariance = draw_prior(state, radio, self.scene, rng)
         if received.bias_hz is None:
             mean[6] = 0.0
         if self.layout.clock:
-            mean, covariance = np.append(mean, 0.0), radio.prior_covariance(self.scene, clock=True)
+            mean = np.append(mean, 0.0)
+            covariance = radio.prior_covariance(self.scene, clock=True)
             if received.bias_hz is not None:
-                (own,), drift_mps = rng.spawn(1), received.bias_hz / self.scene.hz_per_mps
+                (own,) = rng.spawn(1)
+                drift_mps = received.bias_hz / self.scene.hz_per_mps
                 bias_m = clock_bias(drift_mps, self.time_s[epochs], own)
                 received.measurement[:, 0 : self.layout.doppler : 4] += bias_m[:, None]
         return Episode.measured(
@@ -201,10 +205,12 @@ class Track(ABC):
         The cause is a wrong convention or unit, or a true track in another frame. Noise alone
         causes no warning: its size is estimated from the errors' changes between epochs.
         """
-        layout, position = self.layout, list(self.position_m.T)
+        layout = self.layout
+        position = list(self.position_m.T)
         anchors = self.anchors_m.tolist()
         exact = exact_rows(position, [0.0] * 3, anchors, 0.0, Layout(layout.anchors))
-        known, far = np.isfinite(self.position_m).all(axis=1), []
+        known = np.isfinite(self.position_m).all(axis=1)
+        far = []
         for a in range(layout.anchors):
             used = self.visible[:, a] & known
             for i, name in enumerate(LINK):
@@ -259,8 +265,11 @@ class TrackSource:
             if not np.isfinite(track.measurement[:, 0 : track.layout.doppler : 4]).any():
                 refuse(track.record, "clock", "True, but no ranges", "False or a track with ranges")
             track = replace(track, layout=replace(track.layout, clock=True))
-        self.track, self.radio = track, radio_from(radio)
-        self.layout, self.name, self.scene = track.layout, track.name, track.scene
+        self.track = track
+        self.radio = radio_from(radio)
+        self.layout = track.layout
+        self.name = track.name
+        self.scene = track.scene
         self._measurements = measurements_from(measurements)
         if self._measurements:
             self.layout = layout = replace(self.layout, partial=True)

@@ -63,7 +63,10 @@ class Batch(Generic[Workspace]):
         threads: int = 1,
         ahead: int = 0,
     ) -> None:
-        self.program, self.layout, self.n, self.ahead = program, layout, n, ahead
+        self.program = program
+        self.layout = layout
+        self.n = n
+        self.ahead = ahead
         self.at = program.index
         blocks = -(-n // WIDTH)
         rows = blocks_of(program.start, n)
@@ -117,7 +120,8 @@ class Batch(Generic[Workspace]):
         """
         self.state.table[0, 0] = incoming
         self.state.table[0, 0, columns_of(self.layout).dt] = gap_s
-        self.state.length[0], self.state.epoch[0] = 1, 0
+        self.state.length[0] = 1
+        self.state.epoch[0] = 0
 
     def begin(self, source: SimulatedSource, begun: Begun, places: Index) -> None:
         """Start over with episodes that are simulated while the environments step.

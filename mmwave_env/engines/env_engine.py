@@ -61,7 +61,8 @@ class Engine:
             choose({"full": None}, observation, 'observation, with action="correction",')
             observation = "signed"
         table = Observation(pipeline, observation, "per-mode" if bank else "shared")
-        self.observation, self._shown = table, cast(Any, slice(None))
+        self.observation = table
+        self._shown = cast(Any, slice(None))
         if ahead:  # leave out the features that depend on the coming epoch
             self.observation = table.only(after_update(pipeline, per_mode=True))
             self._shown = [table.names.index(name) for name in self.observation.names]
@@ -70,10 +71,13 @@ class Engine:
             raise ValueError(f"base: returned {self._base!r}, expected an agent (a function)")
         program = program_of(pipeline, observation, reward, bank is not None, action)
         inputs = rows_of([program.index.action, getattr(program.index, "numbers", [])])
-        self._on_floats, self.keys = on_floats, np.zeros(n, np.uint64)
+        self._on_floats = on_floats
+        self.keys = np.zeros(n, np.uint64)
         self.batch = Batch(program, pipeline.layout, n, inputs, on_floats, threads, ahead)
         self.at = self.batch.at
-        self.read, self.column, self.span = self.batch.read, self.batch.column, self.batch.span
+        self.read = self.batch.read
+        self.column = self.batch.column
+        self.span = self.batch.span
         self.obs_rows = rows_of(self.at.observation)[self._shown]
         if bank:
             self.tune(bank)
@@ -141,7 +145,8 @@ class Engine:
 
     def steps_s(self, places: Index) -> Array:
         """Return the median time (n,) in seconds between the epochs of each current episode."""
-        state, dt = self.batch.state, columns_of(self.batch.layout).dt
+        state = self.batch.state
+        dt = columns_of(self.batch.layout).dt
         if state.feed.run:
             return np.full(len(places), state.feed.times[1:2].sum() or 1.0)
         each = [state.table[place, 1 : state.length[place], dt] for place in places]
@@ -175,7 +180,8 @@ class Engine:
         if self._base is None:
             return np.zeros(n, np.int64)
         actions: Index = np.asarray(self._base(self.read(self.at.observation, np.float32)))
-        whole, count = actions.dtype.kind in "iu", len(self.observation.actions)
+        whole = actions.dtype.kind in "iu"
+        count = len(self.observation.actions)
         if whole and actions.shape == (n,) and actions.min() >= 0 and actions.max() < count:
             return actions
         raise ValueError(f"actions of base: found {actions}, expected {n} integers in [0, {count})")

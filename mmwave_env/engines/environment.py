@@ -33,7 +33,8 @@ from mmwave_env.world.episode import EpisodeBatch
 from mmwave_env.world.keys import Streams
 
 # maximum numbers of episodes that a job replays (REPLAYED) or filters (FILTERED), to save memory
-REPLAYED, FILTERED = 8, 256
+REPLAYED = 8
+FILTERED = 256
 
 
 class Baseline:
@@ -50,7 +51,8 @@ class Baseline:
 
     def __init__(self, task: Task, batch: Batch[Any], threads: int = 1) -> None:
         self._task = task
-        self._batch, self._threads = batch, threads
+        self._batch = batch
+        self._threads = threads
         self._rewards = np.zeros((batch.n, 0), np.float32)
 
     def begin(self, places: Index, episodes: Callable[[Index], EpisodeBatch]) -> None:
@@ -62,7 +64,8 @@ class Baseline:
         """
         if self._batch.ahead:
             return
-        task, planar = self._task, self._task.pipeline.planar
+        task = self._task
+        planar = self._task.pipeline.planar
         missing = self._batch.state.length.max() - self._rewards.shape[1]
         self._rewards = np.pad(self._rewards, ((0, 0), (0, max(0, missing))))
 
@@ -117,7 +120,9 @@ class Environment:
             raise ValueError(
                 f"smoothed: found {smoothed} with action={task.action!r}, expected False"
             )
-        self._task, self._observation_kind, self._smoothing = task, observation, smoothed
+        self._task = task
+        self._observation_kind = observation
+        self._smoothing = smoothed
         modes = len(task.pipeline.modes)
         self._limits = limits_of(task.action, modes)
         self._tally = Tally(n, len(task.pipeline.position_axes), smoothed, modes + 1)
@@ -127,12 +132,16 @@ class Environment:
         self, pipeline: Pipeline, n: int = 1, on_floats: bool = False, threads: int = 1
     ) -> None:
         """Make the engine of n environments, its replay and its baseline."""
-        task, kind = self._task, self._observation_kind
-        self.source, self.radio, self.reward = task.source, task.radio, task.reward
+        task = self._task
+        kind = self._observation_kind
+        self.source = task.source
+        self.radio = task.radio
+        self.reward = task.reward
         self.reward_terms = (*term_names(task.reward), "cost")
         acts = task.action, task.base
         self._engine = Engine(pipeline, n, task.reward, kind, task.bank, on_floats, threads, *acts)
-        self.modes, self.observation = pipeline.modes, self._engine.observation
+        self.modes = pipeline.modes
+        self.observation = self._engine.observation
         self._replay = Replay(task.pipeline, task.bank) if self._smoothing else None
         self._baseline = Baseline(task, self._engine.batch, threads) if task.baseline else None
 
@@ -153,7 +162,8 @@ class Environment:
         """
         self._require_begun("belief")
         at = reported(self._engine.at)
-        x, P = (self._engine.read(part)[environment].tolist() for part in (at.x, at.P))
+        x = self._engine.read(at.x)[environment].tolist()
+        P = self._engine.read(at.P)[environment].tolist()
         return self._engine.pipeline.belief(x, P)
 
     def _streets_of(self, place: int) -> Streets | None:
@@ -184,7 +194,8 @@ class Environment:
         for steps in set(epochs.tolist()):
             alike = np.flatnonzero(epochs == steps)
             jobs += [(alike[part], steps) for part in portions(len(alike), threads, REPLAYED)]
-        smoothed, replay = np.zeros(len(ended)), self._replay
+        smoothed = np.zeros(len(ended))
+        replay = self._replay
 
         def smooth(some: Index, steps: int) -> None:
             episodes = self._engine.episodes(self._task, ended[some])
@@ -216,7 +227,8 @@ class Environment:
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Continue exactly like the copied environment."""
         vars(self).update(state)
-        tracks, keys = vars(self).pop("tracks"), vars(self).pop("keys")
+        tracks = vars(self).pop("tracks")
+        keys = vars(self).pop("keys")
         self._set_up_noting()
         self._engine.keys = keys
         self._engine.go_on(self._task, tracks)
@@ -257,7 +269,8 @@ class RestorableEnvironment(Environment):
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
         """Return the arrays that :meth:`state` copies unchanged."""
-        tracks, counts = self._engine.batch.state, self._tally.counts
+        tracks = self._engine.batch.state
+        counts = self._tally.counts
         arrays: dict[str, NDArray[Any]] = {
             "rows": tracks.rows,
             "worlds": tracks.feed.kept,
@@ -278,7 +291,8 @@ class RestorableEnvironment(Environment):
                 simulated.
         """
         self._require_simulated("restore")
-        n, source = self.num_envs, self._task.simulated
+        n = self.num_envs
+        source = self._task.simulated
         self._engine.attach(self._task)
         self._tally.make_room(min(round(1.0 / source.dt), source.epochs), source.epochs)
         arrays = self._arrays()
@@ -298,7 +312,8 @@ class RestorableEnvironment(Environment):
         for name, array in arrays.items():
             array[:] = state[name]
         self._streams.set_states(state["streams"])
-        self._over, self._ended = state["over"].copy(), int(np.count_nonzero(state["over"]))
+        self._over = state["over"].copy()
+        self._ended = int(np.count_nonzero(state["over"]))
         self._begin_baseline(np.arange(n))
         self._begin_pictures(np.arange(n))  # a state does not contain the path that pictures show
         self._begun = True

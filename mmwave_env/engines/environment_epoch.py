@@ -83,7 +83,8 @@ def shared_epoch(
     w: EnvState, pipeline: Pipeline, observation: Observation, reward: Reward
 ) -> EnvState:
     """Compute a step of an environment whose modes share a belief."""
-    layout, modes = pipeline.layout, pipeline.modes
+    layout = pipeline.layout
+    modes = pipeline.modes
     chosen: ModeResult = tree_at(w.action, w.candidates)
     cost: Number = tree_at(w.action, [mode.cost for mode in modes])
     dt, visible, truth, measured, _ = w.pending
@@ -155,7 +156,8 @@ def per_mode_epoch(
 ) -> PerModeState:
     """Compute a step of an environment in which every mode keeps its own belief."""
     dt, _, truth, *_ = w.pending
-    layout, costs = pipeline.layout, [0.0, *(mode.cost for mode in pipeline.modes)]
+    layout = pipeline.layout
+    costs = [0.0, *(mode.cost for mode in pipeline.modes)]
     if action == WEIGHTS:
         mixture = reweighted(w.mixture, w.numbers, dt)
     else:
@@ -174,7 +176,8 @@ def per_mode_epoch(
         )
     memory = most_probable_memory(mixture)._replace(preference=w.memory.preference)
 
-    is_first, prior = w.is_first > 0.5, begin(pipeline, w.site.prior_x, w.site.prior_P)
+    is_first = w.is_first > 0.5
+    prior = begin(pipeline, w.site.prior_x, w.site.prior_P)
     x, P, memory = begun(w, x, pack(covariance), memory, pipeline)
     mixture = select(is_first, prior, mixture)
     probabilities = mixture.probability
@@ -223,7 +226,8 @@ def program_of(
     if per_mode:
         pipeline = untuned(pipeline)
     observation = Observation(pipeline, kind, "per-mode" if per_mode else "shared")
-    layout, modes = pipeline.layout, len(pipeline.modes)
+    layout = pipeline.layout
+    modes = len(pipeline.modes)
     blank = blank_environment(layout, modes, reward, observation)
     arguments: Any = {"pipeline": pipeline, "observation": observation, "reward": reward}
     if per_mode:

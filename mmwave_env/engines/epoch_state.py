@@ -33,7 +33,8 @@ class PendingEpoch(NamedTuple):
 
 def blank_track(layout: Layout, modes: int) -> dict[str, Any]:
     """Return the fields that every state has, with their values before the first epoch."""
-    incoming, site = blank_incoming(layout), blank_site(layout)
+    incoming = blank_incoming(layout)
+    site = blank_site(layout)
     return {
         "incoming": incoming,
         "site": site,
@@ -82,7 +83,8 @@ def with_expected_spread(epoch: Epoch, velocity: Vector, site: Site) -> Epoch:
     floor_mps = Radio.spread_floor_mps * math.sqrt(2.0 / math.pi)  # mean of |N(0, floor)|
     speed_mps = sqrt(dot(velocity, velocity))
     expected = site.hz_per_mps * (Radio.spread_gain * speed_mps + floor_mps)
-    spread, measured = epoch.doppler_spread_hz, reduce(maximum, epoch.visible)
+    spread = epoch.doppler_spread_hz
+    measured = reduce(maximum, epoch.visible)
     return epoch._replace(doppler_spread_hz=where(spread > 0.0, spread, measured * expected))
 
 
@@ -101,8 +103,10 @@ def begun(
 
     At the start of a track, they are the prior and a new memory; otherwise, the arguments.
     """
-    blank, first = initial_memory(pipeline.layout, len(pipeline.modes)), w.is_first > 0.5
-    x, P = select(first, w.site.prior_x, x), select(first, w.site.prior_P, P)
+    blank = initial_memory(pipeline.layout, len(pipeline.modes))
+    first = w.is_first > 0.5
+    x = select(first, w.site.prior_x, x)
+    P = select(first, w.site.prior_P, P)
     return x, P, select(first, blank, memory)
 
 

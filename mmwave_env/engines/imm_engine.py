@@ -90,7 +90,8 @@ def _program(pipeline: Pipeline, reward: Reward, acted: bool, signed: bool) -> P
         x, P = estimate(mixture)
         x_predicted, P_predicted = prediction(now, coming.dt, w.site.hz_per_mps)
         belief = Belief(x, P, pipeline.position_axes)
-        truth, memory = w.incoming.truth, most_probable_memory(mixture)
+        truth = w.incoming.truth
+        memory = most_probable_memory(mixture)
         before = select(w.is_first > 0.5, w.site.prior_x, w.x)[3:6]
         complete = with_expected_spread(coming, before, w.site)
         last = LastEpoch(complete, 0.0, before, mixture.probability)
@@ -146,7 +147,8 @@ def run_imm(
     """
     packed = EpisodeBatch.of(episodes)
     program = imm_program(Pipeline(bank.modes, packed.layout, planar), reward, actions is not None)
-    start, (n, epochs, _) = program.start.copy(), packed.table.shape
+    start = program.start.copy()
+    (n, epochs, _) = packed.table.shape
     start[flatten(program.index.settings)] = flatten(settings_of(bank, packed.layout))
     rows = fill(blocks_of(start, n), rows_of(program.index.site), packed.site)
     io = StepIO.of(n, epochs, rows_of([program.index.action]), program.rows(names))

@@ -51,7 +51,8 @@ class Replay:
             self._program = program_of(pipeline)
             tuned = self._program.index.tunings
             numbers = flatten([mode.tuning for mode in pipeline.modes])
-        self._start, self._planar = self._program.start.copy(), pipeline.planar
+        self._start = self._program.start.copy()
+        self._planar = pipeline.planar
         self._start[rows_of(tuned)] = numbers
 
     def run(self, episodes: EpisodeBatch, actions: Actions) -> tuple[Array, ...]:
@@ -67,7 +68,9 @@ class Replay:
             Position errors (n, T, 3), m, and NEES (n, T) of the filtered tracks; position errors
             (n, T, 3) of the smoothed tracks.
         """
-        program, index, (n, T) = self._program, self._program.index, actions.shape
+        program = self._program
+        index = self._program.index
+        (n, T) = actions.shape
         io = StepIO.of(n, T, rows_of(index.action), program.rows(_KEPT))
         io.inputs[..., 0] = actions
         rows = fill(blocks_of(self._start, n), rows_of(index.site), episodes.site)

@@ -44,7 +44,8 @@ def smoothed_features(
             epoch, flattened.
         gates: for each name in :data:`GATES`, values (N, T, groups) from the most probable mode.
     """
-    layout, n = pipeline.layout, x.shape[-1]
+    layout = pipeline.layout
+    n = x.shape[-1]
     epoch = unflatten(blank_incoming(layout), _leaves(batch.table)).epoch(layout)
     site = unflatten(blank_site(layout), _leaves(batch.site[:, None]))
     at = indices(begin(pipeline, [0.0] * n, [0.0] * layout.triangle))

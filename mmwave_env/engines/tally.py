@@ -19,8 +19,11 @@ SUMS = 7
 # The horizontal protection level is the error that is exceeded with probability RISK. Its square,
 # divided by the variance along the longer axis of the error ellipse, lies between these numbers:
 # NARROWEST if the shorter axis is 0, WIDEST if both axes are equal.
-NARROWEST, WIDEST = NormalDist().inv_cdf(0.5 * RISK) ** 2, -2.0 * math.log(RISK)
-ANGLES, LEAST = 16, 1e-12  # for exceeds(): number of angles per quadrant, smallest variance (m^2)
+NARROWEST = NormalDist().inv_cdf(0.5 * RISK) ** 2
+WIDEST = -2.0 * math.log(RISK)
+# for exceeds(): number of angles per quadrant, smallest variance (m^2)
+ANGLES = 16
+LEAST = 1e-12
 
 
 class Counts(NamedTuple):
@@ -49,9 +52,12 @@ class Tally:
     """
 
     def __init__(self, n: int, axes: int, replayed: bool = False, actions: int = 1) -> None:
-        self._replayed, interval = replayed, np.array(nees_interval(axes))
+        self._replayed = replayed
+        interval = np.array(nees_interval(axes))
         modes = np.zeros((0, n), np.min_scalar_type(actions))
-        sums, errors, second = np.zeros((n, SUMS)), np.zeros((n, 1, 3)), np.ones(n, np.int64)
+        sums = np.zeros((n, SUMS))
+        errors = np.zeros((n, 1, 3))
+        second = np.ones(n, np.int64)
         self.counts = Counts(sums, errors, second, interval, modes)
 
     def begin(self, places: Index, step_s: Array, epochs: Index) -> None:
@@ -62,7 +68,8 @@ class Tally:
 
     def make_room(self, second: int, epochs: int) -> None:
         """Make room in each environment for at least ``second`` errors and ``epochs`` modes."""
-        errors, modes = self.counts.errors, self.counts.modes
+        errors = self.counts.errors
+        modes = self.counts.modes
         missing = max(0, second - errors.shape[1])
         errors = np.pad(errors, ((0, 0), (0, missing), (0, 0)))
         if self._replayed:
@@ -102,7 +109,9 @@ def count(counts, e, k, x, y, z, nees):  # type: ignore[no-untyped-def]
         counts: a :class:`Counts`, changed in place.
         e: index of the environment.
     """
-    sums, errors, second = counts.sums[e], counts.errors[e], counts.second[e]
+    sums = counts.sums[e]
+    errors = counts.errors[e]
+    second = counts.second[e]
     if k <= BURN_IN:
         for i in range(NONFINITE):
             sums[i] = 0.0
@@ -120,9 +129,13 @@ def count(counts, e, k, x, y, z, nees):  # type: ignore[no-untyped-def]
         sums[LARGEST] = squared
     now = errors[k % second if second > 1 else 0]  # no slow division if epochs last 1 s
     if k >= BURN_IN + second:
-        u, v, w = x - now[0], y - now[1], z - now[2]
+        u = x - now[0]
+        v = y - now[1]
+        w = z - now[2]
         sums[CHANGE] += math.sqrt(u * u + v * v + w * w)
-    now[0], now[1], now[2] = x, y, z
+    now[0] = x
+    now[1] = y
+    now[2] = z
 
 
 @register_jitable
@@ -133,7 +146,9 @@ def exceeds(x, y, xx, xy, yy):  # type: ignore[no-untyped-def]
     a probability below RISK. Most errors are so small or so large that this probability need not be
     integrated; :mod:`mmwave_env.localization.position_errors` explains the integral.
     """
-    squared, middle, slope = x * x + y * y, 0.5 * (xx + yy), 0.5 * (xx - yy)
+    squared = x * x + y * y
+    middle = 0.5 * (xx + yy)
+    slope = 0.5 * (xx - yy)
     half = math.sqrt(slope * slope + xy * xy)
     if squared <= NARROWEST * (middle + half):
         return 0.0

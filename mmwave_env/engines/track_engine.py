@@ -50,7 +50,8 @@ class TrackState(NamedTuple):
 
 def track_epoch(w: TrackState, pipeline: Pipeline, rule: Rule | None) -> TrackState:
     """Compute one epoch of a track."""
-    layout, epoch = pipeline.layout, w.incoming.epoch(pipeline.layout)
+    layout = pipeline.layout
+    epoch = w.incoming.epoch(pipeline.layout)
     x, P, memory = begun(w, w.x, w.P, w.memory, pipeline)
     number = w.action if rule is None else rule(x, epoch)
     candidates = [
@@ -117,8 +118,10 @@ class EpisodeFilter(Generic[Workspace]):
     """
 
     def __init__(self, batch: Batch[Workspace]) -> None:
-        self.program, self._batch = batch.program, batch
-        self.epochs, self._end_s = 0, 0.0
+        self.program = batch.program
+        self._batch = batch
+        self.epochs = 0
+        self._end_s = 0.0
 
     def load(self, episodes: Sequence[Episode], go_on: bool = False) -> None:
         """Load N episodes, to be filtered from their priors.
@@ -138,7 +141,8 @@ class EpisodeFilter(Generic[Workspace]):
     def load_epoch(self, incoming: Sequence[float], time_s: float) -> None:
         """Load one more epoch of a single track; see :meth:`Batch.load_epoch`."""
         self._batch.load_epoch(incoming, time_s - self._end_s)
-        self.epochs, self._end_s = 1, time_s
+        self.epochs = 1
+        self._end_s = time_s
 
     def run(self, *names: str, actions: NDArray[np.integer[Any]] | None = None) -> dict[str, Array]:
         """Filter the loaded episodes once.

@@ -58,7 +58,8 @@ class Stepper:
     """
 
     def __init__(self, engine: Engine, tally: Tally, infos: str) -> None:
-        at, n = engine.at, engine.batch.n
+        at = engine.at
+        n = engine.batch.n
         self._known = {} if infos == "none" else info_rows(at)
         shown = self._known if infos == "all" else {}
         parts = {"reward": at.reward, "nees": at.nees, "error": at.error}
@@ -68,12 +69,14 @@ class Stepper:
         self._columns = {name: (slice(None), 0, at) for name, at in columns.items()}
         begins = {name: at if isinstance(at, int) else at.start for name, at in columns.items()}
         self._read = StepColumns(*[begins[name] for name in StepColumns._fields])
-        self._engine, self._info_keys = engine, tuple(key for key in shown if key not in FLAGS)
+        self._engine = engine
+        self._info_keys = tuple(key for key in shown if key not in FLAGS)
         self._groups = len(at.memory.accepted) if shown else 0
         self._io = engine.io(self._rows)
         self._mask_keys = mask_keys([*shown, "mode", COST_KEY])
         self._everywhere = np.ones(n, np.bool_)
-        self._tally, self._run = tally, Repeated(_step)
+        self._tally = tally
+        self._run = Repeated(_step)
 
     def step(self, actions: Index, numbers: Array | None) -> tuple[StepResult, int, Infos]:
         """Apply all actions and run the modes on the next epoch, as :meth:`Engine.step` does.
@@ -87,11 +90,16 @@ class Stepper:
             New results; the number of environments that have no epoch left; and new infos about all
             environments, with Gymnasium's masks, or {} if steps return no infos.
         """
-        batch, io = self._engine.batch, self._io
-        n, features, chosen = len(actions), len(io.obs_rows), actions
+        batch = self._engine.batch
+        io = self._io
+        n = len(actions)
+        features = len(io.obs_rows)
+        chosen = actions
         if numbers is not None:
-            io.inputs[:, 0, 1:], chosen = numbers, self._engine.choices()
-        ends, flags = np.zeros((2, n), np.bool_), np.empty((2, n, self._groups), np.bool_)
+            io.inputs[:, 0, 1:] = numbers
+            chosen = self._engine.choices()
+        ends = np.zeros((2, n), np.bool_)
+        flags = np.empty((2, n, self._groups), np.bool_)
         observations = np.empty((n, 1, features), np.float32)
         self._costs = costs = np.empty(n if self._known else 0)
         result = StepResult(
@@ -100,7 +108,8 @@ class Stepper:
         # Infos need new arrays of outputs, as earlier infos are views of the previous arrays.
         outputs = np.empty_like(io.outputs) if self._info_keys else io.outputs
         io = StepIO(io.input_rows, io.inputs, self._rows, outputs, io.obs_rows, observations)
-        self._io, program = io, (batch.program.on_lanes(), batch.program.blank)
+        self._io = io
+        program = (batch.program.on_lanes(), batch.program.blank)
         recorded = self._tally.counts, batch.ahead
         arguments = (*program, batch.state, io, self._read, chosen, result, *recorded)
         jobs = [(begin, end, *arguments) for begin, end in batch.parts]
@@ -147,8 +156,12 @@ def _step_blocks(  # type: ignore[no-untyped-def]
 
     ``ahead`` is the same as in :class:`Batch`.
     """
-    first, last = begin * WIDTH, min(end * WIDTH, len(actions))
-    inputs, outputs, epoch, length = io.inputs, io.outputs, state.epoch, state.length
+    first = begin * WIDTH
+    last = min(end * WIDTH, len(actions))
+    inputs = io.inputs
+    outputs = io.outputs
+    epoch = state.epoch
+    length = state.length
     for e in range(first, last):
         inputs[e, 0, 0] = actions[e]
     advance(begin, end, run, blank, state, io)
@@ -156,15 +169,20 @@ def _step_blocks(  # type: ignore[no-untyped-def]
     ended = 0
     for e in range(first, last):
         rewards[e] = outputs[e, 0, columns.reward]
-        i, c = columns.error, columns.covariance
-        x, y, z = outputs[e, 0, i], outputs[e, 0, i + 1], outputs[e, 0, i + 2]
+        i = columns.error
+        c = columns.covariance
+        x = outputs[e, 0, i]
+        y = outputs[e, 0, i + 1]
+        z = outputs[e, 0, i + 2]
         k = epoch[e] - 2 - ahead  # the epoch that the action completed
         if k >= 0:
             count(counts, e, k, x, y, z, outputs[e, 0, columns.nees])
             if k < len(counts.modes):
                 counts.modes[k, e] = actions[e]
         if len(costs):
-            xx, xy, yy = outputs[e, 0, c], outputs[e, 0, c + 1], outputs[e, 0, c + 2]
+            xx = outputs[e, 0, c]
+            xy = outputs[e, 0, c + 1]
+            yy = outputs[e, 0, c + 2]
             costs[e] = exceeds(x, y, xx, xy, yy)
         for g in range(accepted.shape[1]):
             accepted[e, g] = outputs[e, 0, columns.accepted + g] > 0.5

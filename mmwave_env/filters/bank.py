@@ -64,7 +64,8 @@ class Bank:
             raise ValueError(f"modes: found {names}, expected different names")
         if self.transition is None:
             return
-        rows, n = self.transition, len(names)
+        rows = self.transition
+        n = len(names)
         sound = all(len(row) == n and abs(sum(row) - 1.0) <= _ROUNDING for row in rows)
         if len(rows) != n or not sound or not all(map(any, zip(*rows, strict=True))):
             raise ValueError(

@@ -13,7 +13,9 @@ from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.numerics.numbers import Array, Matrix, Number, Vector, exp, maximum, sqrt, where
 
-MOST_SHIFT, MOST_LOG_FACTOR = 4.0, 2.0  # largest shift (standard deviations) and log factor
+# largest shift (standard deviations) and log factor
+MOST_SHIFT = 4.0
+MOST_LOG_FACTOR = 2.0
 SLOWEST_MPS = 1e-3  # below this speed, the x axis counts as the direction of motion
 
 
@@ -26,9 +28,11 @@ class Frame(NamedTuple):
     @classmethod
     def of(cls, velocity: Vector) -> "Frame":
         """Return the frame of a velocity (2,) or (3,), m/s."""
-        vx, vy = velocity[0], velocity[1]
+        vx = velocity[0]
+        vy = velocity[1]
         speed = sqrt(vx * vx + vy * vy)
-        moving, scale = speed > SLOWEST_MPS, 1.0 / maximum(speed, SLOWEST_MPS)
+        moving = speed > SLOWEST_MPS
+        scale = 1.0 / maximum(speed, SLOWEST_MPS)
         return cls(where(moving, vx * scale, 1.0), where(moving, vy * scale, 0.0))
 
     def into(self, x: Number, y: Number) -> tuple[Number, Number]:
@@ -47,7 +51,9 @@ class Frame(NamedTuple):
             first: index of x in P (0 for the position, 3 for the velocity); y has the next index.
         """
         c, s = self
-        xx, yy, xy = P[first][first], P[first + 1][first + 1], P[first + 1][first]
+        xx = P[first][first]
+        yy = P[first + 1][first + 1]
+        xy = P[first + 1][first]
         both = 2.0 * c * s * xy
         return (
             c * c * xx + both + s * s * yy,
@@ -84,12 +90,15 @@ def corrected(belief: Belief, shift: Vector, log_factor: Vector) -> Belief:
     x = [belief.x[0] + dx, belief.x[1] + dy, belief.x[2] + rise, *belief.x[3:]]
     a, b, up = (exp(value) for value in log_factor)
     c, s = frame
-    xx, yy, xy = c * c * a + s * s * b, s * s * a + c * c * b, c * s * (a - b)
+    xx = c * c * a + s * s * b
+    yy = s * s * a + c * c * b
+    xy = c * s * (a - b)
 
     def scaled(column: Vector) -> list[Number]:
         return [xx * column[0] + xy * column[1], xy * column[0] + yy * column[1], up * column[2]]
 
-    n, P = len(belief.P), [list(row) for row in belief.P]
+    n = len(belief.P)
+    P = [list(row) for row in belief.P]
     columns = [scaled([belief.P[i][j] for i in range(3)]) for j in range(n)]  # columns of M P
     for i in range(3):
         row = scaled([column[i] for column in columns[:3]])

@@ -138,7 +138,8 @@ def _arguments(
     mode: Mode, layout: Layout, known_axes: tuple[int, ...]
 ) -> tuple[list[Number], list[list[Number]], Measurement, Gate]:
     """Return arguments for the algorithm of a mode: x (7,), P (7, 7), a measurement, a gate."""
-    rows, links = [0.0] * layout.size, [0.0] * layout.anchors
+    rows = [0.0] * layout.size
+    links = [0.0] * layout.anchors
     partial_rows = [rows, links] if layout.partial else [(), ()]
     belief = [[0.0] * layout.state_size, [0.0] * layout.triangle]
     measured = [[[0.0] * 3] * layout.anchors, 0.0, rows, rows, [0.0] * len(layout.groups)]
@@ -154,7 +155,8 @@ def _wrong_shapes(layout: Layout, result: Any) -> Iterator[str]:
     if not isinstance(result, Posterior):
         yield f"{_kind(result)}, expected a Posterior from mmwave_env.filters.update"
         return
-    state, groups = [0.0] * layout.state_size, [0.0] * len(layout.groups)
+    state = [0.0] * layout.state_size
+    groups = [0.0] * len(layout.groups)
     expected = Posterior(state, [state] * len(state), groups, groups, 0.0)
     for parts in zip(Posterior._fields, result, expected, strict=True):
         yield from wrong_parts(*parts)

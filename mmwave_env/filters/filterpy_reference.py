@@ -50,12 +50,14 @@ class _Relative:
     """The differences z - h(m) and h(m + dx) - h(m) of a measurement z at the prior mean m."""
 
     def __init__(self, mean: Array, measurement: Measurement) -> None:
-        layout, anchors = measurement.layout, np.array(measurement.anchors, float)
+        layout = measurement.layout
+        anchors = np.array(measurement.anchors, float)
         shifted = int(np.argmax(measurement.doppler_of)) if len(measurement.doppler_of) else 0
         self._sensor = textbook.Sensor(
             anchors, float(measurement.hz_per_mps), layout.odometry, shifted, layout.clock
         )
-        self._mean, self._at_mean = mean, self._sensor.h(mean)
+        self._mean = mean
+        self._at_mean = self._sensor.h(mean)
         self.innovation = self._difference(np.array(measurement.z, float))
 
     def change(self, dx: Array) -> Array:
@@ -91,13 +93,17 @@ class _Ekf:
 
     def predict(self, x: Array, P: Array, Q: Array, F: Array) -> tuple[Array, Array]:
         f = self._filter
-        f.x, f.P, f.F, f.Q = x, P, F, Q
+        f.x = x
+        f.P = P
+        f.F = F
+        f.Q = Q
         f.predict()
         return f.x, f.P
 
     def update(self, P: Array, relative: _Relative, rows: Index, R: Array) -> _Filtered:
         f = self._filter
-        f.x, f.P = np.zeros(len(P)), P
+        f.x = np.zeros(len(P))
+        f.P = P
         f.update(
             relative.innovation[rows],
             HJacobian=lambda _: relative.jacobian()[rows],
@@ -114,7 +120,10 @@ class _PointFilter:
 
     def predict(self, x: Array, P: Array, Q: Array, F: Array) -> tuple[Array, Array]:
         f = self._filter
-        f.x, f.P, f.Q, f.fx = np.zeros_like(f.x), P, Q, lambda dx, _: F @ (x + dx) - x
+        f.x = np.zeros_like(f.x)
+        f.P = P
+        f.Q = Q
+        f.fx = lambda dx, _: F @ (x + dx) - x
         f.predict()
         return x + f.x.ravel(), f.P
 
@@ -126,7 +135,8 @@ class _Ukf(_PointFilter):
 
     def update(self, P: Array, relative: _Relative, rows: Index, R: Array) -> _Filtered:
         f = self._filter
-        f.x, f.P = np.zeros(len(P)), P
+        f.x = np.zeros(len(P))
+        f.P = P
         f.sigmas_f = self._points.sigma_points(f.x, P)
         f.update(relative.innovation[rows], R=R, hx=lambda dx: relative.change(dx)[rows])
         return _Filtered(f.x, f.P, f.y, f.S)
@@ -140,7 +150,8 @@ class _Ckf(_PointFilter):
 
     def update(self, P: Array, relative: _Relative, rows: Index, R: Array) -> _Filtered:
         f = self._filter
-        f.x, f.P = np.zeros((len(P), 1)), P
+        f.x = np.zeros((len(P), 1))
+        f.P = P
         f.sigmas_f = spherical_radial_sigmas(f.x, P)
         f.sigmas_h = np.zeros((2 * len(P), len(R)))
         f.hx = lambda dx: relative.change(dx)[rows]
@@ -164,7 +175,8 @@ def filterpy_pipeline(pipeline: Pipeline) -> Pipeline:
             "planar: found True, but filterpy's filters need a covariance of full rank; use "
             "planar=False or this package's own filters"
         )
-    clock, filters = pipeline.layout.clock, dict[Any, _Filter]()
+    clock = pipeline.layout.clock
+    filters = dict[Any, _Filter]()
     for mode in pipeline.modes:  # modes with the same algorithm share a filter
         name: Any = mode.algorithm  # a user's function is refused like an unknown name
         make = choose(_FILTERS, name, f"algorithm of mode {mode.name!r} on filterpy")
@@ -188,24 +200,30 @@ def _update(
     filter_: _Filter, mean: Vector, covariance: Matrix, measurement: Measurement, gate: Gate
 ) -> Posterior:
     """Update with all visible groups; update again if gates reject groups or inflate noise."""
-    x, P = np.array(mean, float), np.array(covariance, float)
-    layout, relative = measurement.layout, _Relative(x, measurement)
+    x = np.array(mean, float)
+    P = np.array(covariance, float)
+    layout = measurement.layout
+    relative = _Relative(x, measurement)
     R = np.diag(np.array(measurement.variance, float))
     visible = [g for g in range(len(layout.groups)) if measurement.visible[g] > 0.5]
     measured = measurement.measured if layout.partial else [1.0] * layout.size
     groups = [
         np.arange(layout.size)[rows][np.array(measured[rows]) > 0.5] for rows in layout.groups
     ]
-    nis, accepted = [0.0] * len(layout.groups), [0.0] * len(layout.groups)
+    nis = [0.0] * len(layout.groups)
+    accepted = [0.0] * len(layout.groups)
     if not visible:
         return Posterior(x.tolist(), P.tolist(), nis, accepted, 0.0)
     rows = np.concatenate([groups[g] for g in visible])
     posterior = filter_.update(P, relative, rows, R[np.ix_(rows, rows)])
-    log_likelihood, first, doubted = 0.0, 0, False
+    log_likelihood = 0.0
+    first = 0
+    doubted = False
     for g in visible:
         group = np.ix_(groups[g], groups[g])
         part = slice(first, first := first + len(groups[g]))
-        y, S = posterior.y[part], posterior.S[part, part]
+        y = posterior.y[part]
+        S = posterior.S[part, part]
         nis[g] = float(y @ np.linalg.solve(S, y))
         lenient = g < layout.anchors and (gate.robust or gate.force > 0.5)
         accepted[g] = float(lenient or nis[g] <= _threshold(gate.quantile, len(groups[g])))
@@ -219,7 +237,8 @@ def _update(
     if doubted or kept != visible:
         rows = np.concatenate([groups[g] for g in kept])
         posterior = filter_.update(P, relative, rows, R[np.ix_(rows, rows)])
-    x, P = x + posterior.step, _symmetric(posterior.P)
+    x = x + posterior.step
+    P = _symmetric(posterior.P)
     return Posterior(x.tolist(), P.tolist(), nis, accepted, log_likelihood)
 
 

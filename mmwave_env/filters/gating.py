@@ -89,19 +89,26 @@ class GateResult(NamedTuple):
 
 def gate_groups(prior: Prior, measurement: Measurement, gate: Gate) -> GateResult:
     """Apply the gate to the innovation of every group at the prior."""
-    groups, V, latents, layout = prior.groups, prior.V, prior.latents, measurement.layout
+    groups = prior.groups
+    V = prior.V
+    latents = prior.latents
+    layout = measurement.layout
     degrees = layout.degrees(measurement.measured)
-    nis, accepted, noise = [], [], []
+    nis = []
+    accepted = []
+    noise = []
     density: Number = 1.0
     likelihood: Number = 0.0
     for g, (group, visible) in enumerate(zip(groups, measurement.visible, strict=True)):
-        rows, is_link = degrees[g], g < layout.anchors
+        rows = degrees[g]
+        is_link = g < layout.anchors
         value, determinant = innovation_statistics(group, V[g], latents)
         nis.append(visible * value)
         density = density * where(visible > 0.5, determinant, 1.0)
         likelihood = likelihood - 0.5 * nis[-1]
         if g % _GROUPS_PER_LOG == _GROUPS_PER_LOG - 1 or g == len(groups) - 1:
-            likelihood, density = likelihood - 0.5 * log(density), 1.0
+            likelihood = likelihood - 0.5 * log(density)
+            density = 1.0
         if gate.robust and is_link:  # inflate the noise if the NIS is too large
             ratio = value * (1.0 / (ROBUST_ONSET * maximum(rows, 1)))
             doubt = where(ratio > 1.0, ratio * ratio, 1.0)

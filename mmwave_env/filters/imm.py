@@ -133,7 +133,8 @@ def imm_epoch(
     The tunings in ``settings`` replace the modes' tunings; ``mixture`` is from the previous epoch.
     """
     predicted, mixed = mix(mixture, over_step(settings.transition, epoch.dt))
-    tracks, results = [], []
+    tracks = []
+    results = []
     layout = pipeline.layout
     for mode, tuning, track, (x, P) in zip(
         pipeline.modes, settings.tunings, mixture.tracks, mixed, strict=True

@@ -83,8 +83,11 @@ class SigmaPoints:
 
     def rows(self, group: Group, L: Matrix, latents: "Latents") -> list[list[Number]]:
         """Return V (k, 7 + curvatures) from central and second differences along columns of L."""
-        s, columns, first = self.reach(len(L)), list(zip(*L, strict=True)), latents.linear
-        curved, rest = columns[: group.curved], columns[group.curved :]
+        s = self.reach(len(L))
+        columns = list(zip(*L, strict=True))
+        first = latents.linear
+        curved = columns[: group.curved]
+        rest = columns[group.curved :]
         up = [group.change([s * c for c in column]) for column in curved]
         down = [group.change([-s * c for c in column]) for column in curved]
         flat = [0.0] * (latents.curvatures - group.curved)
@@ -126,10 +129,12 @@ class Latents:
     @property
     def precision(self) -> list[list[float]]:
         """Return the inverse covariance of the coupled latents (Sherman-Morrison)."""
-        n, m = self.coupled, self.curvatures
+        n = self.coupled
+        m = self.curvatures
         result = [[float(i == j) for j in range(n)] for i in range(n)]
         if m:
-            own, shared = self.weight / 2, self.bend * self.weight**2
+            own = self.weight / 2
+            shared = self.bend * self.weight**2
             correction = -shared / own**2 / (1.0 + m * shared / own)
             for i in range(self.linear, n):
                 for j in range(self.linear, n):
@@ -170,7 +175,8 @@ def linearize(
     x: Vector, P: Matrix, measurement: Measurement, linearization: Linearization
 ) -> Prior:
     """Linearize a measurement at the prior N(x, P); x is (7,), P (7, 7)."""
-    L, n = factor_of(P), len(P)
+    L = factor_of(P)
+    n = len(P)
     latents = linearization.latents(n - 1 if measurement.layout.odometry else 3, n)
     groups = groups_of(x, measurement)
     return Prior(L, latents, groups, [linearization.rows(group, L, latents) for group in groups])

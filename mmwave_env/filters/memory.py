@@ -49,7 +49,8 @@ class Memory(NamedTuple):
 
 def initial_memory(layout: Layout, modes: int) -> Memory:
     """Return the memory of a track before its first measurement."""
-    groups, anchors = len(layout.groups), layout.anchors
+    groups = len(layout.groups)
+    anchors = layout.anchors
     return Memory(
         mode=0.0,
         lockout=0.0,
@@ -117,7 +118,8 @@ def memory_after(
         for new, old in zip([ratio, *memory.window[:-1]], memory.window, strict=True)
     ]
     each_link = [1.0] * layout.anchors
-    links, fixes = dot(each_link, visible), dot(each_link, chosen.accepted)
+    links = dot(each_link, visible)
+    fixes = dot(each_link, chosen.accepted)
     # A link that is accepted only because of a lock-out does not end the lock-out: the update
     # corrects the position, but the velocity may still be wrong. A link must pass its gate again.
     lockout = where(links > 0.5, memory.lockout + 1.0, memory.lockout)

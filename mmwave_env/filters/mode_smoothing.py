@@ -86,7 +86,8 @@ def smooth_modes(
 
 def _beliefs(mixtures: Array, pipeline: Pipeline) -> tuple[ModeBeliefs, Array]:
     """Return the modes' beliefs, and gamma (N, T, modes), the scale of Q in adaptive modes."""
-    n, triangle = pipeline.layout.state_size, pipeline.layout.triangle
+    n = pipeline.layout.state_size
+    triangle = pipeline.layout.triangle
     at = indices(begin(pipeline, [0.0] * n, [0.0] * triangle))
     packed = mixtures[..., np.array([track.P for track in at.tracks])]
     P = np.empty((*packed.shape[:-1], n, n))
@@ -116,11 +117,14 @@ def _backwards(
         hz_per_mps: carrier frequency divided by the speed of light.
         transition: (N, modes, modes) probabilities [track, mode now, mode in the following epoch].
     """
-    known, n = list(pipeline.known_axes), now.x.shape[-1]
+    known = list(pipeline.known_axes)
+    n = now.x.shape[-1]
     x_now = [now.x[..., i] for i in range(n)]  # each an array (N, modes now)
     packed = [now.P[..., i, j] for i in range(n) for j in range(i + 1)]
     FP = _matrix(transition_times(unpack(packed), coming.dt, hz_per_mps), now.x.shape[:-1])
-    x, P, weight = [], [], []
+    x = []
+    P = []
+    weight = []
     for i, mode in enumerate(pipeline.modes):
         mean, covariance = predict(
             pipeline, mode, x_now, packed, gamma[:, i, None], coming, hz_per_mps

@@ -30,7 +30,10 @@ from mmwave_env.models.motion import (
 from mmwave_env.numerics.linalg import dot, pack, unpack
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, clip, where
 
-BLOCKAGE_ONSET_DB, BLOCKAGE_SLOPE_DB, BLOCKAGE_DEPTH, BLOCKAGE_GAIN = 6.0, 6.0, 3.0, 3.0
+BLOCKAGE_ONSET_DB = 6.0
+BLOCKAGE_SLOPE_DB = 6.0
+BLOCKAGE_DEPTH = 3.0
+BLOCKAGE_GAIN = 3.0
 VERTICAL = (2, 5)  # z and vz, which are fixed on flat terrain
 
 Predictor = Callable[
@@ -139,7 +142,8 @@ def predict(
     ``gamma`` is the adaptive scale of Q, which modes that are not adaptive ignore. The other
     arguments are the same as for :func:`predict_update`.
     """
-    scale, tuning = gamma if mode.adaptive else 1.0, tuning or mode.tuning
+    scale = gamma if mode.adaptive else 1.0
+    tuning = tuning or mode.tuning
     noise = process_noise(tuning, epoch, hz_per_mps, scale, pipeline.planar)
     if pipeline.layout.clock:
         noise = with_clock(noise, hz_per_mps, epoch.dt, tuning.coupling)

@@ -44,7 +44,8 @@ class BackwardState(NamedTuple):
 def blank_epoch(size: int = STATE_SIZE) -> ForwardEpoch:
     """Return a placeholder epoch with valid numbers, to be overwritten."""
     identity = [float(i == j) for i in range(size) for j in range(i + 1)]
-    nothing, carrier = [0.0] * size, [1.0] * (size - STATE_SIZE)
+    nothing = [0.0] * size
+    carrier = [1.0] * (size - STATE_SIZE)
     return ForwardEpoch(1.0, nothing, identity, nothing, identity, carrier)
 
 
@@ -62,8 +63,10 @@ def smooth_epoch(
     The mean is x + C (x_after - x_predicted), the covariance is P + C (P_after - P_predicted) C'.
     ``after`` is the following epoch, smoothed. Pass the result as ``after`` for the previous epoch.
     """
-    P, P_predicted = unpack(now.P, zero=known_axes), unpack(after.P_predicted, zero=known_axes)
-    factor, FP = cholesky(P_predicted), transition_times(P, after.dt, *now.hz_per_mps)
+    P = unpack(now.P, zero=known_axes)
+    P_predicted = unpack(after.P_predicted, zero=known_axes)
+    factor = cholesky(P_predicted)
+    FP = transition_times(P, after.dt, *now.hz_per_mps)
     n = len(P)
     # Row i of the gain is P_predicted^-1 times column i of F P.
     gain = [backward(factor, forward(factor, [FP[k][i] for k in range(n)])) for i in range(n)]

@@ -31,7 +31,8 @@ def F(dt: float, hz_per_mps: float | None = None) -> Array:
     if hz_per_mps is None:
         return np.eye(7) + dt * np.eye(7, k=3) * (np.arange(7) < 3)[:, None]
     transition = np.eye(8)
-    transition[:7, :7], transition[7, 6] = F(dt), dt / hz_per_mps
+    transition[:7, :7] = F(dt)
+    transition[7, 6] = dt / hz_per_mps
     return transition
 
 
@@ -166,9 +167,13 @@ def rts(
     if x_predicted is None:
         steps = zip(np.diff(time_s, prepend=np.nan), np.roll(x, 1, axis=0), strict=True)
         x_predicted = [F(dt, hz_per_mps) @ before for dt, before in steps]
-    means, x, P, block = list(x_predicted), x.copy(), P.copy(), np.ix_(free, free)
+    means = list(x_predicted)
+    x = x.copy()
+    P = P.copy()
+    block = np.ix_(free, free)
     for t in reversed(range(len(x) - 1)):
-        Ft, gain = F(time_s[t + 1] - time_s[t], hz_per_mps), np.zeros_like(P[t])
+        Ft = F(time_s[t + 1] - time_s[t], hz_per_mps)
+        gain = np.zeros_like(P[t])
         gain[block] = (P[t] @ Ft.T)[block] @ np.linalg.inv(P_predicted[t + 1][block])
         x[t] += gain @ (x[t + 1] - means[t + 1])
         P[t] += gain @ (P[t + 1] - P_predicted[t + 1]) @ gain.T
@@ -207,11 +212,13 @@ class Sensor:
             d = x[:3] - anchor
             east, north, up = d
             rho = np.sqrt(east**2 + north**2)
-            i, j = _inverse(np.sqrt(d @ d)), _inverse(rho)
+            i = _inverse(np.sqrt(d @ d))
+            j = _inverse(rho)
             azimuth = [-north * j**2, east * j**2, 0, 0, 0, 0, 0]
             elevation = [-east * up * i**2 * j, -north * up * i**2 * j, rho * i**2, 0, 0, 0, 0]
             H += [[*(d * i), 0, 0, 0, 0], azimuth, elevation, azimuth]
-        d, v = x[:3] - self.anchors[self.shifted], x[3:6]
+        d = x[:3] - self.anchors[self.shifted]
+        v = x[3:6]
         i = _inverse(np.sqrt(d @ d))
         u = d * i
         across = (np.eye(3) - np.outer(u, u)) @ v * i

@@ -62,7 +62,8 @@ def _condition(
 ) -> _Row:
     """Condition the belief on one scalar row, given the links and the rows before it."""
     n = len(information)
-    white, free = forward(C, row[:n]), list(row[n:])
+    white = forward(C, row[:n])
+    free = list(row[n:])
     cross = [dot(u, white) for u in unit] + free
     s = noise + dot(white, white) + dot(free, free)
     e = innovation - dot(white, information)
@@ -84,7 +85,8 @@ def _inform(
 ) -> tuple[list[list[Number]], list[Number]]:
     """Return the information matrix and vector of the coupled latents after adding a link."""
     n = len(b)
-    precision, vector = [list(row) for row in B], list(b)
+    precision = [list(row) for row in B]
+    vector = list(b)
     for row, y, variance in zip(V, innovation, noise, strict=True):
         w = accepted / variance
         for i in range(n):
@@ -144,7 +146,8 @@ def _recompose(
     x: Vector, L: Matrix, mean: Vector, covariance: Matrix, rows: list[_Row]
 ) -> tuple[list[Number], list[list[Number]]]:
     """Return the state's mean and covariance, given the moments of xi_0..2 and the scalar rows."""
-    k, n = len(mean), len(x)
+    k = len(mean)
+    n = len(x)
     spread = [[dot(row[:k], column) for column in covariance] for row in L]
     moves = [[dot(line, row.cross) for line in L] for row in rows]
     new_x = []

@@ -11,7 +11,9 @@ from mmwave_env.filters.correction import MOST_LOG_FACTOR, MOST_SHIFT
 from mmwave_env.filters.imm import TRUST
 from mmwave_env.numerics.numbers import Array
 
-MODE, WEIGHTS, CORRECTION = "mode", "weights", "correction"
+MODE = "mode"
+WEIGHTS = "weights"
+CORRECTION = "correction"
 ACTIONS = {
     MODE: "the mode to run or, if each mode has a belief, the mode whose probability is raised",
     WEIGHTS: "a number w for each mode, whose probability is multiplied by exp(w) per second",

@@ -186,7 +186,8 @@ def _previous(pipeline: Pipeline) -> list[Feature]:
     def ran(m: int, v: View) -> Number:
         return where(abs(v.memory.mode - float(m)) < 0.5, 1.0, 0.0)
 
-    kind, meaning = "previous mode", "1 if this mode ran in the last epoch, else 0"
+    kind = "previous mode"
+    meaning = "1 if this mode ran in the last epoch, else 0"
     return [
         Feature(f"{kind} {mode.name}", meaning, "", 0, 1, partial(ran, m), kind)
         for m, mode in enumerate(pipeline.modes)
@@ -235,7 +236,8 @@ def coming(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
     ``per_mode``, the list ends with probabilities and velocities of modes. An observation of the
     kind "prior" has none of these features. The arguments are the same as for :func:`context`.
     """
-    layout, modes = pipeline.layout, pipeline.modes
+    layout = pipeline.layout
+    modes = pipeline.modes
     table = _innovation(pipeline)
     for m, mode in enumerate(modes):
         table += _candidate(layout, m, mode.name)
@@ -256,7 +258,8 @@ def _doppler_innovation(view: View, layout: Layout) -> Number:
 
 
 def _innovation(pipeline: Pipeline) -> list[Feature]:
-    layout, last = pipeline.layout, pipeline.modes[-1].name
+    layout = pipeline.layout
+    last = pipeline.modes[-1].name
     return [
         Feature("coming Doppler innovation", "innovation of the radial velocity; 0 if missing",
                 "m/s", -10, 10, lambda v: _doppler_innovation(v, layout)),
@@ -275,7 +278,8 @@ def _mean_nis(layout: Layout, candidate: ModeResult, epoch: Epoch) -> Number:
 
 def _correction(view: View, mode: int, first: int, across: bool) -> Number:
     """Compute a mode's correction of position or velocity: along the velocity, or to its left."""
-    predicted, candidate = move(view.x[:7], view.epoch.dt), view.candidates[mode]
+    predicted = move(view.x[:7], view.epoch.dt)
+    candidate = view.candidates[mode]
     step = [candidate.x[i] - predicted[i] for i in (first, first + 1)]
     v = predicted[3:5]
     speed = sqrt(v[0] * v[0] + v[1] * v[1] + 1e-6)

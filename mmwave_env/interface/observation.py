@@ -88,7 +88,9 @@ class Observation:
 
     def __init__(self, pipeline: Pipeline, kind: str = "full", beliefs: str = "shared") -> None:
         choose(OBSERVATIONS, kind, "observation")
-        self.kind, self.modes, self.beliefs = kind, pipeline.modes, beliefs
+        self.kind = kind
+        self.modes = pipeline.modes
+        self.beliefs = beliefs
         choose(BELIEFS, beliefs, "beliefs")
         per_mode = beliefs == "per-mode"
         self.features = context(pipeline, per_mode)
@@ -159,7 +161,8 @@ class Observation:
         if name not in self._index:
             raise KeyError(f"feature {name!r}: expected one of {', '.join(self._index)}")
         i = self._index[name]
-        shown, (mean, deviation) = observation[..., i].astype(np.float32), self.scales[i]
+        shown = observation[..., i].astype(np.float32)
+        (mean, deviation) = self.scales[i]
         value = shown.astype(np.float64) * deviation + mean
         # Round to the step, a power of two, with which single precision resolves such values.
         step = np.exp2(np.ceil(np.log2(np.spacing(np.abs(shown)).astype(np.float64) * deviation)))
@@ -191,7 +194,8 @@ def standardized(features: Sequence[Feature], view: View) -> list[Number]:
 def _shown(value: Number, feature: Feature, scale: Scale) -> Number:
     """Limit and standardize a value."""
     reach = LIMIT * scale.deviation
-    low, high = max(feature.low, scale.mean - reach), min(feature.high, scale.mean + reach)
+    low = max(feature.low, scale.mean - reach)
+    high = min(feature.high, scale.mean + reach)
     return (clip(value, low, high) - scale.mean) * (1.0 / scale.deviation)
 
 

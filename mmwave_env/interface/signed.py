@@ -45,7 +45,8 @@ def signed(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
         pipeline: modes and layout.
         per_mode: whether every mode keeps its own belief, so that modes have probabilities.
     """
-    layout, modes = pipeline.layout, pipeline.modes if per_mode else ()
+    layout = pipeline.layout
+    modes = pipeline.modes if per_mode else ()
     return [
         *(feature for a in range(layout.anchors) for feature in _link(layout, a)),
         *_belief(2 not in pipeline.known_axes),
@@ -105,14 +106,17 @@ def _residual(view: View, layout: Layout, anchor: int, name: str) -> tuple[Numbe
     row = _ROWS[name]
     step, flat, (distance, azimuth, _) = _ray(view, anchor)
     scale = 1.0 / maximum(flat, 1.0)
-    ux, uy = step[0] * scale, step[1] * scale
+    ux = step[0] * scale
+    uy = step[1] * scale
     z = view.last.epoch.z[4 * anchor + row]
     if name == "range":
         bias = view.x[7] if layout.clock else 0.0
-        residual, toward = z - distance - bias, (ux, uy)
+        residual = z - distance - bias
+        toward = (ux, uy)
     else:
         opposite = PI if name == "departure" else 0.0
-        residual, toward = _turned(z - azimuth - opposite) * flat, (0.0 - uy, ux)
+        residual = _turned(z - azimuth - opposite) * flat
+        toward = (0.0 - uy, ux)
     q = _squashed(residual / _deviation(view, anchor, name))
     q = q * _measured(view, layout, anchor, row)
     along, across = Frame.of(view.x[3:5]).into(*toward)

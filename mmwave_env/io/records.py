@@ -98,7 +98,8 @@ def hints_of(kind: Any) -> Mapping[str, Any]:
 
 def _fits(hint: Any, value: Any) -> bool:
     """Tell whether a value fits the type of a field."""
-    origin, inside = get_origin(hint), get_args(hint)
+    origin = get_origin(hint)
+    inside = get_args(hint)
     if hint in _KINDS:
         kind = isinstance(value, _KINDS[hint][0]) and isinstance(value, bool) <= (hint is bool)
         return kind and (hint is not float or FINITE.holds(value))
@@ -122,7 +123,8 @@ def _is_list(value: Any) -> bool:
 
 def _said(hint: Any) -> str:
     """Describe the valid values of a type, in words that can follow "expected" in a message."""
-    origin, inside = get_origin(hint), get_args(hint)
+    origin = get_origin(hint)
+    inside = get_args(hint)
     if hint in _KINDS:
         return _KINDS[hint][1]
     if origin is Annotated:

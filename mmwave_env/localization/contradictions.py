@@ -59,7 +59,8 @@ def _misfits(groups: Mapping[str, Mapping[str, Any]]) -> Iterator[Contradiction]
     for name, group in groups.items():
         if name == "all" or group["seen"] < _ENOUGH:
             continue
-        nis, share = group["nis_per_dof"], group["rejected_share"]
+        nis = group["nis_per_dof"]
+        share = group["rejected_share"]
         low, high = NIS_LIMITS
         # With large process noise, a filter predicts Doppler shift and odometry far better than its
         # covariance says. Even in correct logs, their NIS is often a tenth of the expected value.
@@ -129,7 +130,8 @@ def _range_per_doppler(block: LogBlock, scene: Scene, radio: Radio) -> tuple[flo
     """
     direct = block.visible[:, 0] & block.visible[:, block.layout.anchors]
     direct &= block.doppler_anchor == 0
-    time, z = block.time_s[direct], block.measurement[direct]
+    time = block.time_s[direct]
+    z = block.measurement[direct]
     rate = z[:, block.layout.doppler] / scene.hz_per_mps
     sigma = radio.sigma(block.snr_db[direct], scene, block.layout)[:, 0]
     sums = np.zeros(4)

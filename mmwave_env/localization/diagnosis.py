@@ -101,9 +101,11 @@ def _scaled(parts: Sequence[int], factor: float, offset: float = 0.0) -> Hypothe
     """
 
     def change(reading: Reading) -> Reading:
-        block, layout = reading.block, reading.block.layout
+        block = reading.block
+        layout = reading.block.layout
         rows = [4 * a + p for a in range(layout.anchors) for p in parts] or [layout.doppler]
-        z, sigma = block.measurement.copy(), block.sigma.copy()
+        z = block.measurement.copy()
+        sigma = block.sigma.copy()
         z[:, rows] = offset + factor * z[:, rows]
         sigma[:, rows] *= abs(factor)
         count = _values(block)[:, rows].sum()
@@ -122,7 +124,8 @@ def _timed(factor: float, reading: Reading) -> Reading:
 
 def _exchanged(part: int, other: int, reading: Reading) -> Reading:
     """Exchange two values of every link, given their indices."""
-    block, links = reading.block, reading.block.layout.doppler
+    block = reading.block
+    links = reading.block.layout.doppler
     rows = np.arange(block.layout.size)
     rows[part:links:4], rows[other:links:4] = rows[other:links:4], rows[part:links:4].copy()
     new = replace(block, measurement=block.measurement[:, rows], sigma=block.sigma[:, rows])
@@ -143,17 +146,21 @@ def _orders(anchors: int) -> list[tuple[int, ...]]:
     orders = [tuple(right[1:] + right[:1]), tuple(right[-1:] + right[:-1])]
     for i, j in combinations(right, 2):
         order = right.copy()
-        order[i], order[j] = j, i
+        order[i] = j
+        order[j] = i
         orders.append(tuple(order))
     return [order for order in dict.fromkeys(orders) if order != tuple(right)]
 
 
 def hypotheses(scene: Scene, radio: Radio) -> dict[str, tuple[Hypothesis, str]]:
     """Return likely mistakes by name, each with the function that undoes it and a cure in words."""
-    ends, turned = partial(_exchanged, _AZIMUTH, _DEPARTURE), _scaled([_ELEVATION], -1.0)
+    ends = partial(_exchanged, _AZIMUTH, _DEPARTURE)
+    turned = _scaled([_ELEVATION], -1.0)
     vertical = partial(_exchanged, _AZIMUTH, _ELEVATION)
-    zenith, nadir = (_scaled([_ELEVATION], sign, -sign * PI / 2.0) for sign in (-1.0, 1.0))
-    swap, north = "exchange the columns of aoa_azimuth and", _scaled(_AZIMUTHS, -1.0, PI / 2.0)
+    zenith = _scaled([_ELEVATION], -1.0, PI / 2.0)
+    nadir = _scaled([_ELEVATION], 1.0, -PI / 2.0)
+    swap = "exchange the columns of aoa_azimuth and"
+    north = _scaled(_AZIMUTHS, -1.0, PI / 2.0)
     flipped = f"{swap} aod_azimuth, negate aoa_elevation"
     clockwise = "subtract aoa_azimuth and aod_azimuth from 90 degrees"
     mistakes: dict[str, tuple[Hypothesis, str]] = {
@@ -186,7 +193,8 @@ def hypotheses(scene: Scene, radio: Radio) -> dict[str, tuple[Hypothesis, str]]:
         mistakes[f"time is {error}"] = partial(_timed, factor), f"{cure} time_{unit}"
     for unit, suffix, factor in (("m/s", "mps", scene.hz_per_mps), ("kHz", "khz", 1e3)):
         other = f"doppler_{suffix}"
-        to_unit, to_hz = f"rename doppler_hz to {other}", f"rename {other} to doppler_hz"
+        to_unit = f"rename doppler_hz to {other}"
+        to_hz = f"rename {other} to doppler_hz"
         mistakes[f"Doppler shift is in {unit}, not in Hz"] = _scaled((), factor), to_unit
         mistakes[f"Doppler shift is in Hz, not in {unit}"] = _scaled((), 1.0 / factor), to_hz
     for order in _orders(len(scene.anchors_m)):
@@ -201,7 +209,8 @@ def hypotheses(scene: Scene, radio: Radio) -> dict[str, tuple[Hypothesis, str]]:
 
 def _has_effect(reading: Reading, original: Reading) -> bool:
     """Tell whether a hypothesis changes any number that the filters read."""
-    new, old = reading.block, original.block
+    new = reading.block
+    old = original.block
     if reading.radio is not original.radio:
         return bool((_values(old) & np.isnan(old.sigma)).any())
     pairs = (new.measurement, old.measurement), (new.time_s, old.time_s)
@@ -311,7 +320,8 @@ def _track(readings: dict[str, Reading], mode: Mode) -> Iterable[Finding]:
 
 
 def _finding(name: str, reading: Reading, visible: Mask, nis: Array, likelihood: Array) -> Finding:
-    block, layout = reading.block, reading.block.layout
+    block = reading.block
+    layout = reading.block.layout
     starts = [group.start for group in layout.groups]
     dof = np.add.reduceat(_values(block), starts, axis=1, dtype=np.int64)
     fits: dict[str, float | None] = {}

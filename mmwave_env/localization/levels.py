@@ -32,7 +32,9 @@ from mmwave_env.numerics.numbers import Array
 PARTS = ("x", "P", "memory.nis", "memory.accepted", "memory.rejected")
 CALIBRATED, GAUSSIAN = KINDS = ("calibrated", "gaussian")
 _MEMORY = np.array([[0.6], [0.9], [0.97]])  # in running means: weight of the past after 1 s
-_LEAST, _LEAST_S = 1e-9, 1e-2  # lower limits, so that logarithms and quotients are finite
+# lower limits, so that logarithms and quotients are finite
+_LEAST = 1e-9
+_LEAST_S = 1e-2
 _KIND = [18, 20]  # indices of two 0/1 features: presence of a corrector and of a bank of modes
 
 
@@ -103,7 +105,8 @@ class Levels:
     def __init__(self, risk: float = RISK, kind: str = CALIBRATED) -> None:
         require_risk(risk)
         choose(dict.fromkeys(KINDS), kind, "levels")
-        self.risk, self.kind = risk, kind
+        self.risk = risk
+        self.kind = kind
         if kind == CALIBRATED and risk not in shipped().risks:
             covered = " or ".join(f"{known:g}" for known in shipped().risks)
             raise ValueError(
@@ -139,9 +142,12 @@ class Levels:
         x, P, nis, accepted, rejected, trusted = (*parts, None)[:6]
         if self._means is None:
             self._x, self._first_s, self._last_s = x[:, :1], *2 * [float(time_s[0])]
-        dt, past = np.diff(time_s, prepend=self._last_s), np.append(self._x, x[:, :-1], axis=1)
-        self._x, self._last_s = x[:, -1:], float(time_s[-1])
-        moved, sizes = x[..., :3] - past[..., :3] - dt[:, None] * past[..., 3:6], _sizes(P)
+        dt = np.diff(time_s, prepend=self._last_s)
+        past = np.append(self._x, x[:, :-1], axis=1)
+        self._x = x[:, -1:]
+        self._last_s = float(time_s[-1])
+        moved = x[..., :3] - past[..., :3] - dt[:, None] * past[..., 3:6]
+        sizes = _sizes(P)
         gates = _gates(anchors, nis, accepted, rejected)
         now = np.stack([*gates, *sizes, *_relative(moved, sizes)], axis=-1)
         averaged = np.concatenate([now, moved, x[..., 3:5]], axis=-1)
@@ -164,7 +170,8 @@ class Levels:
 def _gates(anchors: int, nis: Any, accepted: Any, rejected: Any) -> list[Array]:
     """Return eight features (n, T) of innovations and gates, whatever the number of anchors."""
     measured = accepted + rejected
-    links, nis = measured[..., :anchors].sum(axis=-1), nis * measured
+    links = measured[..., :anchors].sum(axis=-1)
+    nis = nis * measured
     return [
         np.log1p(nis[..., :anchors].max(axis=-1)),
         np.log1p(nis[..., :anchors].sum(axis=-1) / np.maximum(links, 1.0)),
@@ -195,8 +202,13 @@ def _relative(moved: Array, sizes: Sequence[Array]) -> list[Array]:
 
 def _shape(x: Array, P: Array) -> list[Array]:
     """Return four features (n, T) of the position's error ellipse and of the velocity."""
-    xx, xy, yy, vx, vy = P[..., 0], P[..., 1], P[..., 2], x[..., 3], x[..., 4]
-    mean, square = np.maximum(0.5 * (xx + yy), _LEAST), vx * vx + vy * vy
+    xx = P[..., 0]
+    xy = P[..., 1]
+    yy = P[..., 2]
+    vx = x[..., 3]
+    vy = x[..., 4]
+    mean = np.maximum(0.5 * (xx + yy), _LEAST)
+    square = vx * vx + vy * vy
     along = vx * vx * xx + 2.0 * vx * vy * xy + vy * vy * yy
     return [
         np.log(np.sqrt(np.maximum(xx * yy - xy * xy, _LEAST**2)) / mean),

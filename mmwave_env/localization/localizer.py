@@ -127,7 +127,8 @@ class Switching:
 
     def tracker(self, layout: Layout, planar: bool) -> EpisodeFilter[Any] | PolicyTracker:
         """Return the engine that filters a single track."""
-        pipeline, bank = self.pipeline(layout, planar), self.bank
+        pipeline = self.pipeline(layout, planar)
+        bank = self.bank
         if self.policy:
             beliefs = "per-mode" if bank else "shared"
             policy = self.policy(Observation(pipeline, self.observation, beliefs))
@@ -246,12 +247,14 @@ def episode_from(block: LogBlock, scene: Scene, radio: Radio, begins: bool = Tru
         ValueError: a track begins here, but the first epoch determines no position.
     """
     n = block.layout.state_size
-    prior, visible = (np.zeros(n), np.eye(n)), block.visible
+    prior = (np.zeros(n), np.eye(n))
+    visible = block.visible
     if begins:
         fix = first_fix(block, 0, scene, radio)
         if fix is None:  # segments() begins every segment with a position
             raise ValueError("log: found no position in the first epoch, expected a position")
-        prior, visible = fix.prior, visible.copy()
+        prior = fix.prior
+        visible = visible.copy()
         visible[0] &= ~fix.used
     return Episode.measured(
         "log",
@@ -275,10 +278,9 @@ def _smoothed(
     """Yield the track, smoothed window by window; a segment's last window may be shorter."""
     for block in in_windows(blocks, window):
         epochs = min(window, len(block))
-        parts, time_s, spread_hz = (
-            values.reshape(-1, epochs, *values.shape[1:])
-            for values in (block.filtered, block.time_s, block.doppler_spread_hz)
-        )
+        parts = block.filtered.reshape(-1, epochs, *block.filtered.shape[1:])
+        time_s = block.time_s.reshape(-1, epochs, *block.time_s.shape[1:])
+        spread_hz = block.doppler_spread_hz.reshape(-1, epochs, *block.doppler_spread_hz.shape[1:])
         x, P = smoothed(switching, block.layout, block.planar, scene, parts, time_s, spread_hz)
         yield replace(block, smooth_x=x.reshape(block.x.shape), smooth_P=P.reshape(block.P.shape))
 
@@ -293,12 +295,14 @@ def _corrected(
 ) -> Iterator[TrackBlock]:
     """Yield the smoothed track, corrected window by window; the windows are the smoother's."""
     for block in blocks:
-        layout, pipeline = block.layout, switching.pipeline(block.layout, block.planar)
+        layout = block.layout
+        pipeline = switching.pipeline(block.layout, block.planar)
         two_way.read_from_track(pipeline)
         epochs = min(window, len(block))
         batch = EpisodeBatch.of([episode_from(block, scene, radio, begins=False)])
         mixtures = block.filtered[:, layout.state_size + layout.triangle :]
-        accepted, rejected = block.accepted, block.visible & ~block.accepted
+        accepted = block.accepted
+        rejected = block.visible & ~block.accepted
         shown = block.nis, accepted.astype(float), rejected.astype(float)
         table, x, P, mixtures, *gates = (
             part.reshape(-1, epochs, part.shape[-1])
@@ -339,9 +343,11 @@ def smoothed(
     spreads ``spread_hz`` are (N, T).
     """
     n = layout.state_size
-    dt, ends = np.diff(time_s), [n, n + layout.triangle]
+    dt = np.diff(time_s)
+    ends = [n, n + layout.triangle]
     x, P, kept = np.split(filtered, ends, axis=2)
     if switching.bank:
-        steps, pipeline = np.pad(dt, ((0, 0), (1, 0))), switching.pipeline(layout, planar)
+        steps = np.pad(dt, ((0, 0), (1, 0)))
+        pipeline = switching.pipeline(layout, planar)
         return smooth_modes(switching.bank, pipeline, kept, steps, spread_hz, scene.hz_per_mps)
     return smooth(x, P, kept[..., :n], kept[..., n:], dt, planar, scene.hz_per_mps)

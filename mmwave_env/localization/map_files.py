@@ -77,7 +77,10 @@ def _geojson(file: TextIO, origin: Origin, name: str) -> Iterator[Write]:
 
     def write(block: TrackBlock) -> None:
         nonlocal last
-        time_s, x, P, segment = block.time_s, block.smooth_x, block.smooth_P, block.segment
+        time_s = block.time_s
+        x = block.smooth_x
+        P = block.smooth_P
+        segment = block.segment
         before, ellipse_s, point = last
         points = geodetic(origin, x[:, :3]).round(9)[:, [1, 0, 2]].tolist()
         line = [*([point] if segment == before else []), *points]
@@ -88,7 +91,8 @@ def _geojson(file: TextIO, origin: Origin, name: str) -> Iterator[Write]:
         for number, moment in enumerate(time_s.tolist()):
             if segment != before or moment - ellipse_s >= _ELLIPSES_APART_S:
                 shown.append(number)
-                before, ellipse_s = segment, moment
+                before = segment
+                ellipse_s = moment
         for number, ring in zip(shown, _ellipses(origin, x[shown], P[shown]), strict=True):
             corners = ring.round(9).tolist()
             feature("Polygon", [corners], time_s=float(time_s[number]), share=ELLIPSE_SHARE)
@@ -152,7 +156,8 @@ def nmea(origin: Origin, moment: float, place: Array, packed: Array) -> str:
         packed: (28,) packed covariance of the state, or (36,) with a clock offset.
     """
     hundredths = round(moment % 86400.0 * 100.0) % 8_640_000
-    seconds, minutes = hundredths / 100.0 % 60.0, hundredths // 6000
+    seconds = hundredths / 100.0 % 60.0
+    minutes = hundredths // 6000
     clock = f"{minutes // 60:02d}{minutes % 60:02d}{seconds:05.2f}"
     latitude, longitude, height = place
     where = f"{_degrees(latitude, 2, 'NS')},{_degrees(longitude, 3, 'EW')}"

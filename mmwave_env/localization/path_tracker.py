@@ -40,8 +40,10 @@ def path_nis(x: Vector, P: Matrix, anchors: Matrix, paths: Array, sigma: Array) 
     ``paths`` (L, n, 4) contains the four values of a link (m and rad) that each anchor would have
     measured if the path belonged to it. ``sigma`` contains their standard deviations.
     """
-    tangent, L = Tangent(), cholesky(P)
-    latents, nis = tangent.latents(0), np.empty(paths.shape[:2])
+    tangent = Tangent()
+    L = cholesky(P)
+    latents = tangent.latents(0)
+    nis = np.empty(paths.shape[:2])
     for row, anchor, z, deviations in zip(nis, anchors, paths, sigma, strict=True):
         group = link_group(x, anchor, list(z.T), list(np.square(deviations).T))
         row[:], _ = innovation_statistics(group, tangent.rows(group, L, latents), latents)
@@ -115,7 +117,10 @@ class PathTracker:
     """
 
     def __init__(self, scene: Scene, radio: Radio, mode: Mode, layout: Layout) -> None:
-        self._scene, self._radio, self._mode, self._layout = scene, radio, mode, layout
+        self._scene = scene
+        self._radio = radio
+        self._mode = mode
+        self._layout = layout
         self._pipeline = Pipeline((mode,), layout)
         self._anchors = scene.anchors_m.tolist()
         self._memory = initial_memory(layout, 1)
@@ -126,7 +131,8 @@ class PathTracker:
 
     def follow(self, track: PathTrack, paths: PathEpoch) -> PathTrack:
         """Return the track after the next epoch."""
-        links, coming = self._links(paths), self.nothing(paths, paths.time_s - track.time_s)
+        links = self._links(paths)
+        coming = self.nothing(paths, paths.time_s - track.time_s)
         before = track.x, track.P, track.memory.gamma
         x, P = predict(self._pipeline, self._mode, *before, coming, self._scene.hz_per_mps)
         labels = assign(path_nis(x, P, self._anchors, links.z, links.sigma), self._gate)
@@ -185,14 +191,17 @@ class PathTracker:
 
     def _begin(self, paths: PathEpoch, links: _Links, path: int) -> PathTrack | None:
         """Return a track with this path as line of sight; None if a wall would block this path."""
-        anchors, fix = self._scene.anchors_m, (links.z[0, path], links.sigma[0, path])
+        anchors = self._scene.anchors_m
+        fix = (links.z[0, path], links.sigma[0, path])
         mean, covariance = prior_from_fix(anchors[0], *fix, self._radio, self._scene)
         distance = np.linalg.norm(mean[:3] - anchors, axis=1)
         if distance.argmin() != 0:  # a position behind a wall is nearest to a mirror image
             return None
-        x, P = mean.tolist(), covariance.tolist()
+        x = mean.tolist()
+        P = covariance.tolist()
         nis = path_nis(x, P, self._anchors, links.z, links.sigma)
-        nis[0], nis[:, path] = np.inf, np.inf
+        nis[0] = np.inf
+        nis[:, path] = np.inf
         labels = assign(nis, self._gate)
         epoch = self._with_labels(self.nothing(paths), paths, links, labels)
         prior = PathTrack(x, pack(P), self._memory, paths.time_s, paths.time_s, labels, epoch)
@@ -202,7 +211,8 @@ class PathTracker:
         return track._replace(labels=labels, epoch=self._with_labels(epoch, paths, links, labels))
 
     def _links(self, paths: PathEpoch) -> _Links:
-        layout, n = self._layout, len(paths.snr_db)
+        layout = self._layout
+        n = len(paths.snr_db)
         snr = np.repeat(paths.snr_db[:, None], layout.anchors, axis=1)
         sigma = self._radio.sigma(snr, self._scene, layout)
         of_links = sigma[:, : layout.doppler].reshape(n, layout.anchors, 4).swapaxes(0, 1)
@@ -217,11 +227,15 @@ class PathTracker:
     def nothing(self, paths: PathEpoch, dt: float = 0.0) -> Epoch:
         """Return an epoch in which no path belongs to an anchor, but odometry may be present."""
         layout = self._layout
-        z, sigma = [0.0] * layout.size, [1.0] * layout.size
-        visible, snr = [0.0] * len(layout.groups), [0.0] * layout.anchors
+        z = [0.0] * layout.size
+        sigma = [1.0] * layout.size
+        visible = [0.0] * len(layout.groups)
+        snr = [0.0] * layout.anchors
         if layout.odometry and np.isfinite(paths.odometry).all():
             rows = slice(layout.doppler + 1, layout.size)
-            z[rows], sigma[rows], visible[-1] = paths.odometry.tolist(), self._odometry_sigma, 1.0
+            z[rows] = paths.odometry.tolist()
+            sigma[rows] = self._odometry_sigma
+            visible[-1] = 1.0
         return Epoch(dt, z, sigma, visible, snr, paths.doppler_spread_hz)
 
     def _with_labels(self, epoch: Epoch, paths: PathEpoch, links: _Links, labels: Index) -> Epoch:
@@ -229,19 +243,24 @@ class PathTracker:
         layout = self._layout
         z, sigma, visible, snr = (list(part) for part in epoch[1:5])
         for anchor in np.flatnonzero(labels != NO_PATH).tolist():
-            path, rows = labels[anchor], layout.link(anchor)
+            path = labels[anchor]
+            rows = layout.link(anchor)
             z[rows], sigma[rows] = (part[anchor, path].tolist() for part in links[:2])
-            visible[anchor], snr[anchor] = 1.0, float(paths.snr_db[path])
-        sight, row = labels[0], layout.doppler
+            visible[anchor] = 1.0
+            snr[anchor] = float(paths.snr_db[path])
+        sight = labels[0]
+        row = layout.doppler
         doppler = float(paths.measurement[sight, 4]) if sight != NO_PATH else np.nan
         if np.isfinite(doppler):
-            z[row], sigma[row] = doppler, float(links.doppler_sigma[sight])
+            z[row] = doppler
+            sigma[row] = float(links.doppler_sigma[sight])
             visible[layout.anchors] = 1.0
         return epoch._replace(z=z, sigma=sigma, visible=visible, snr_db=snr)
 
     def _updated(self, track: PathTrack, paths: PathEpoch) -> PathTrack:
         """Return the track after the update with the measurements of its epoch."""
-        epoch, layout = track.epoch, self._layout
+        epoch = track.epoch
+        layout = self._layout
         site = Site(self._anchors, self._scene.hz_per_mps, track.x, track.P)
         after = predict_update(
             self._pipeline, self._mode, track.x, track.P, track.memory, epoch, site

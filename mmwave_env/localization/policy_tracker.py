@@ -60,8 +60,10 @@ class PolicyTracker:
             else Tracker(pipeline, 1)
         )
         self._observed = EpisodeFilter(self._engine.batch)
-        self._policy, self._pipeline = policy, pipeline
-        self._action, self._starts = 0, True
+        self._policy = policy
+        self._pipeline = pipeline
+        self._action = 0
+        self._starts = True
 
     def load(self, episodes: Sequence[Episode], go_on: bool = False) -> None:
         """Load one episode, in the same way as :meth:`Tracker.load`."""
@@ -100,5 +102,6 @@ class PolicyTracker:
         if epochs == 1:  # numbers are faster than arrays of one number
             before = tuple(part[0, 0] for part in before)
         belief = corrected_all(*before, self._pipeline)
-        x, P = (np.array(of).T.reshape(1, epochs, -1) for of in (belief.x, pack(belief.P)))
+        x = np.array(belief.x).T.reshape(1, epochs, -1)
+        P = np.array(pack(belief.P)).T.reshape(1, epochs, -1)
         return parts | {"corrected_x": x, "corrected_P": P, "trusted": trusted}

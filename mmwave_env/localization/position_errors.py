@@ -45,8 +45,11 @@ def require_risk(risk: float) -> None:
 
 def horizontal_level(P: Array, risk: float) -> Array:
     """Compute horizontal levels (...,), m, from packed P (..., 3 or more) with x, y first."""
-    xx, xy, yy = P[..., 0], P[..., 1], P[..., 2]
-    middle, half = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
+    xx = P[..., 0]
+    xy = P[..., 1]
+    yy = P[..., 2]
+    middle = 0.5 * (xx + yy)
+    half = np.hypot(0.5 * (xx - yy), xy)
     major = np.sqrt(middle + half)
     minor = np.sqrt(np.maximum(middle - half, 0.0))
     ratio = np.divide(minor, major, out=np.zeros_like(major), where=major > 0.0)
@@ -69,7 +72,8 @@ def gaussian_levels(P: Array, risk: float) -> Array:
 def _multiples(risk: float) -> Array:
     """Compute, by bisection, the level divided by ``a`` for every ratio ``b / a``: (ratios,)."""
     spread = np.cos(_ANGLES) ** 2 + np.outer(_RATIOS**2, np.sin(_ANGLES) ** 2)
-    low, high = np.zeros(len(_RATIOS)), np.full(len(_RATIOS), np.sqrt(-2.0 * np.log(risk)))
+    low = np.zeros(len(_RATIOS))
+    high = np.full(len(_RATIOS), np.sqrt(-2.0 * np.log(risk)))
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         beyond = np.exp(-0.5 * middle[:, None] ** 2 / spread).mean(axis=1)
@@ -86,7 +90,8 @@ def exceedance(error: Array, level: Array) -> dict[str, Any]:
     """
     from scipy.stats import binomtest
 
-    count, n = int((~(error <= level)).sum()), len(error)
+    count = int((~(error <= level)).sum())
+    n = len(error)
     if not n:
         return {"exceeded": 0, "share": None, "ci95": None}
     interval = binomtest(count, n).proportion_ci(CONFIDENCE, method="exact")

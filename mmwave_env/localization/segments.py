@@ -26,12 +26,15 @@ from mmwave_env.numerics.numbers import Array, Mask
 
 # Standard deviations of the weak prior: of the height around the height of the streets, and of x
 # and y around the mean position of the anchors.
-HEIGHT_SIGMA_M, _FARTHEST_M = 2.0, 1e3
+HEIGHT_SIGMA_M = 2.0
+_FARTHEST_M = 1e3
 _WORST_FIX_M = 50.0  # maximum horizontal standard deviation of a position to begin a track with
 _AMBIGUOUS = 12.0  # minima whose normalized squared errors differ by less than this are ambiguous
 _UNKNOWN = [0, 1, 2, 7]  # indices of the state's position and range bias
 # Searches start in 12 directions from every anchor, at three distances, and take at most 15 steps.
-_DIRECTIONS, _STARTS_M, _ROUNDS = 12, (10.0, 40.0, 160.0), 15
+_DIRECTIONS = 12
+_STARTS_M = (10.0, 40.0, 160.0)
+_ROUNDS = 15
 
 
 class Fix(NamedTuple):
@@ -58,7 +61,8 @@ def first_fix(block: LogBlock, epoch: int, scene: Scene, radio: Radio) -> Fix | 
     row = block.part(slice(epoch, epoch + 1))
     sigma = radio.sigma(row.snr_db, scene, row.layout)
     sigma = np.where(np.isfinite(row.sigma), row.sigma, sigma)[0]
-    link, clock = row.measurement[0, :4], row.layout.clock
+    link = row.measurement[0, :4]
+    clock = row.layout.clock
     used = np.zeros(len(row.layout.groups), np.bool_)
     if row.visible[0, 0] and np.isfinite(link).all() and not clock:
         used[0] = True
@@ -70,7 +74,8 @@ def first_fix(block: LogBlock, epoch: int, scene: Scene, radio: Radio) -> Fix | 
     if solved is None:
         return None
     unknown, covariance = solved
-    P, among = radio.prior_covariance(scene, clock), _UNKNOWN[: len(unknown)]
+    P = radio.prior_covariance(scene, clock)
+    among = _UNKNOWN[: len(unknown)]
     P[np.ix_(among, among)] = covariance
     P[3, 3] = P[4, 4] = UNKNOWN_VELOCITY_MPS**2
     return Fix((np.array(_state(unknown)), P), used)
@@ -92,7 +97,8 @@ def _least_squares(row: LogBlock, sigma: Array, scene: Scene) -> tuple[Array, Ar
     The result is None if the best minimum is too uncertain, or if a minimum more than 4 standard
     deviations away from it fits the links about as well.
     """
-    layout, anchors = row.layout, scene.anchors_m
+    layout = row.layout
+    anchors = scene.anchors_m
     measured = np.isfinite(row.measurement[0]).astype(float)
     has_link = row.visible[0, : layout.anchors]
     links = measured[: layout.doppler].reshape(-1, 4)[has_link]
@@ -108,7 +114,8 @@ def _least_squares(row: LogBlock, sigma: Array, scene: Scene) -> tuple[Array, Ar
     n = 3 + layout.clock
     center = np.array([*anchors[:, :2].mean(axis=0), scene.streets.height_m, 0.0][:n])
     deviation = [_FARTHEST_M, _FARTHEST_M, HEIGHT_SIGMA_M, SPEED_OF_LIGHT * CLOCK_OFFSET_S]
-    weight, unknown = 1.0 / np.array(deviation[:n]) ** 2, _UNKNOWN[:n]
+    weight = 1.0 / np.array(deviation[:n]) ** 2
+    unknown = _UNKNOWN[:n]
 
     def normal(position: Array) -> tuple[float, Array, Array]:
         """Return the squared error, -1/2 times its gradient, and the information matrix."""
@@ -171,7 +178,8 @@ def _descend(
             step *= 0.5
         else:
             break
-        improved, position = cost - new[0], position + step
+        improved = cost - new[0]
+        position = position + step
         cost, gradient, information = new
         if improved < 1e-6:
             break

@@ -35,12 +35,15 @@ class TruthScores:
     def __init__(
         self, truth: Truth, names: Sequence[str], planar: bool, risk: float = RISK
     ) -> None:
-        self.truth, self.scored, self._risk = truth, 0, risk
+        self.truth = truth
+        self.scored = 0
+        self._risk = risk
         self.errors = {name: PositionErrors(risk, planar) for name in names}
         self._axes: tuple[int, ...] = (0, 1) if planar else (0, 1, 2)
         self._pinned: tuple[int, ...] = VERTICAL if planar else ()
         self._first_s = np.empty(0)  # the log's first times, from which its time step is estimated
-        self._between, self._away_s = 0, 0.0
+        self._between = 0
+        self._away_s = 0.0
         # for scored epochs: [time, segment] (n, 2); by track, [error x, y, z, NEES] (n, 4)
         self._times = [np.empty((0, 2))]
         self._scores = {name: [np.empty((0, 4))] for name in names}
@@ -114,7 +117,8 @@ def _pairs(time_s: Array, segment: Array, first_s: Array) -> tuple[Index, float 
     after = np.minimum(np.searchsorted(time_s, later), len(time_s) - 1)
     before = np.maximum(after - 1, 0)
     nearer = np.abs(time_s[before] - later) < np.abs(time_s[after] - later)
-    second, first = np.where(nearer, before, after), np.arange(len(time_s))
+    second = np.where(nearer, before, after)
+    first = np.arange(len(time_s))
     paired = (np.abs(time_s[second] - later) <= 0.5 * step) & (second > first)
     paired &= segment[second] == segment
     return np.column_stack([first, second])[paired], apart_s
@@ -132,7 +136,9 @@ def _accuracy(
         pairs: (pairs, 2) indices of epochs, as :func:`_pairs` returns them.
         interval: interval of the NEES of a consistent filter.
     """
-    error, nees, n = scores[:, :3], scores[:, 3], len(scores)
+    error = scores[:, :3]
+    nees = scores[:, 3]
+    n = len(scores)
     distance = np.linalg.norm(error, axis=1)
     change = np.linalg.norm(error[pairs[:, 1]] - error[pairs[:, 0]], axis=1)
     inside = (nees >= interval[0]) & (nees <= interval[1])
@@ -198,7 +204,8 @@ class Course:
         self.epochs = 0
         self.first_s = self.last_s = 0.0
         self._last: TrackBlock | None = None
-        self._modes, self._counts = modes, np.zeros(len(modes), np.int64)
+        self._modes = modes
+        self._counts = np.zeros(len(modes), np.int64)
         self._switches = self._fast = 0
         self._speed = self._fastest = 0.0
         # sums of the trust in corrections of the filtered and of the smoothed track
@@ -220,16 +227,19 @@ class Course:
         self._fast += int((speed > DESIGN_LIMIT_MPS).sum())
         for name in self._trusted:
             self._trusted[name] += float(getattr(block, name).sum())
-        self.last_s, self._last = float(block.time_s[-1]), block
+        self.last_s = float(block.time_s[-1])
+        self._last = block
         self.epochs += len(block)
 
     def figures(self) -> dict[str, Any]:
         """Return the statistics of a track, of which at least one block was added."""
         last = self._last
         assert last is not None
-        expected, clock = np.sqrt(self._variance / self.epochs), {}
+        expected = np.sqrt(self._variance / self.epochs)
+        clock = {}
         if last.layout.clock:
-            bias, deviation = float(last.x[-1, 7]), float(np.sqrt(last.P[-1, 35]))
+            bias = float(last.x[-1, 7])
+            deviation = float(np.sqrt(last.P[-1, 35]))
             clock = {"clock": {"range_bias_m": bias, "deviation_m": deviation}}
         return {
             "epochs": self.epochs,

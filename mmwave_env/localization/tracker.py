@@ -102,11 +102,13 @@ class Tracker:
     ) -> None:
         self._levels = levels
         self._clock = clock_from(clock)
-        self._scene, self._radio = scene_from(scene), radio_from(radio)
+        self._scene = scene_from(scene)
+        self._radio = radio_from(radio)
         if not isinstance(policy, Switching):
             policy = learned(policy or default_policy(height_m), self._radio.name)
         self._switching = policy
-        self._snr_db, self._height_m = snr_db, height_m
+        self._snr_db = snr_db
+        self._height_m = height_m
         self._log: LiveLog | None = None
         self._filter: Any = None
         self._last_s: float | None = None  # time of the last measurement; None without a track
@@ -131,7 +133,8 @@ class Tracker:
             LogError: a row is damaged, or its time is not later than the previous epoch's. All rows
                 of the call are ignored, so the caller may repair the row and pass all rows again.
         """
-        rows, position = list(rows), None
+        rows = list(rows)
+        position = None
         if not rows:
             return None
         if self._log is None:
@@ -162,8 +165,10 @@ class Tracker:
         parts = {name: of[0] for name, of in self._filter.run(*self._switching.parts).items()}
         x, P, trusted = (parts.pop(name, None) for name in CORRECTED)
         if trusted is None:
-            x, P = parts["x"], parts["P"]
-        accepted, nis = parts["memory.accepted"], parts["memory.nis"]
+            x = parts["x"]
+            P = parts["P"]
+        accepted = parts["memory.accepted"]
+        nis = parts["memory.nis"]
         factors = None
         if begins:
             self._late.clear()
@@ -176,7 +181,8 @@ class Tracker:
             factors = self._levels.factors(*at, *read)[0, 0]
         mode = self._names[int(parts["memory.mode"][0])]
         self._late.append((time_s, spread_hz, mode, factors, parts))
-        passed, numbers = accepted[0].tolist(), nis[0].tolist()
+        passed = accepted[0].tolist()
+        numbers = nis[0].tolist()
         groups = [g for g, is_seen in enumerate(visible) if is_seen]
         return self._position(time_s, x[0], P[0], mode, factors)._replace(
             nis={self._groups[g]: numbers[g] for g in groups},
@@ -188,9 +194,12 @@ class Tracker:
     def _prepare(self, layout: Layout) -> None:
         """Create the filter and everything else that all epochs share."""
         self._filter = self._switching.tracker(layout, self._height_m is not None)
-        self._layout, self._groups, self._names = layout, layout.group_names, self._switching.names
+        self._layout = layout
+        self._groups = layout.group_names
+        self._names = self._switching.names
         self._variances = self._radio.variances(self._scene, layout)
-        self._at, self._blank = columns_of(layout), flatten(blank_incoming(layout))
+        self._at = columns_of(layout)
+        self._blank = flatten(blank_incoming(layout))
         self._group_of = np.repeat(np.arange(len(layout.groups)), layout.widths).tolist()
         ends = np.repeat(np.array([SNR_LIMITS_DB]).T, layout.anchors, axis=1)
         sigma = self._radio.sigma(ends, self._scene, layout)
@@ -208,8 +217,12 @@ class Tracker:
         """Load an epoch as :meth:`_load` does, but faster; return None if this is impossible."""
         if not epoch.placed or not self._sound:
             return None
-        (numbers, doppler_anchor), layout, at = epoch.placed, self._layout, self._at
-        size, doppler, row = layout.size, layout.doppler, self._blank.copy()
+        (numbers, doppler_anchor) = epoch.placed
+        layout = self._layout
+        at = self._at
+        size = layout.size
+        doppler = layout.doppler
+        row = self._blank.copy()
         visible = [False] * len(self._groups)
         snr = numbers[2 * size : -1]
         sigma = deviations(*self._variances, snr, layout)
@@ -218,7 +231,8 @@ class Tracker:
             sigma[doppler] = shifted[doppler]
         for i, group in enumerate(self._group_of):
             if not isnan(numbers[i]):
-                own, link = numbers[size + i], doppler_anchor if i == doppler else group
+                own = numbers[size + i]
+                link = doppler_anchor if i == doppler else group
                 if isnan(own) and i <= doppler and isnan(snr[link]):
                     return None
                 row[at.z[i]] = numbers[i]
@@ -254,7 +268,8 @@ class Tracker:
         """Return a :class:`Position` without NIS, rejections, ``begins`` and ``trusted``."""
         xx, yx, yy, zx, zy, zz = P[:6].tolist()
         covariance = [[xx, yx, zx], [yx, yy, zy], [zx, zy, zz]]
-        origin, place = self._scene.origin, None
+        origin = self._scene.origin
+        place = None
         if origin is not None:
             place = geodetic(origin, x[None, :3])[0].tolist()
         position = Position(

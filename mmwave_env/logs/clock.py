@@ -30,7 +30,9 @@ from mmwave_env.models.measurement import exact_rows
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, wrap
 
-_STRETCHES, _SHORTEST_S = 32, 2.0  # maximum number and minimum length of the jackknife's stretches
+# maximum number and minimum length of the jackknife's stretches
+_STRETCHES = 32
+_SHORTEST_S = 2.0
 _FEWEST = 5  # minimum number of stretches for a standard error
 _CHANCE = 0.005  # probability of finding an offset if there is none
 _PART = 0.01  # an offset matters if it explains more than this share of the squared errors
@@ -38,7 +40,9 @@ _STEP_M = 1e-3  # step of the numerical derivatives dh/dp
 _ENOUGH = 20  # minimum number of epochs for a standard deviation
 _OUTLIER = 6.0  # larger errors, in standard deviations, are ignored
 _COMPARED = 4096  # maximum number of epochs, from the beginning of the log, that are compared
-_ROUNDS, _FARTHEST_S = 12, 10.0  # maximum number of comparisons, and largest credible offset
+# maximum number of comparisons, and largest credible offset
+_ROUNDS = 12
+_FARTHEST_S = 10.0
 _LEAST = 1e-6  # m, rad: minimum standard deviation, for logs without noise
 
 
@@ -63,7 +67,8 @@ class ClockOffset(NamedTuple):
     def advice(self) -> str:
         """Return a sentence that says what is wrong and what to do."""
         side, change = ("ahead of", "-") if self.seconds > 0.0 else ("behind", "+")
-        size, deviation = (1e3 * abs(value) for value in (self.seconds, self.deviation_s))
+        size = 1000.0 * abs(self.seconds)
+        deviation = 1000.0 * abs(self.deviation_s)
         return (
             f"found its clock {size:.0f} ± {deviation:.0f} ms {side} the log's, expected no offset"
             "; nothing was changed; if the offset is real, shift the times in this file by "
@@ -104,7 +109,8 @@ def _linear(log: LogBlock, scene: Scene, truth: TrueEpochs) -> tuple[ClockOffset
     """Estimate the offset to first order; also return standard deviations (4 L,) of the errors."""
     from scipy.special import stdtrit
 
-    anchors, layout = scene.anchors_m.tolist(), Layout(len(scene.anchors_m))
+    anchors = scene.anchors_m.tolist()
+    layout = Layout(len(scene.anchors_m))
 
     def exact(position_m: Array) -> Array:
         rows = exact_rows([*position_m.T], [0.0] * 3, anchors, 0.0, layout)
@@ -115,7 +121,8 @@ def _linear(log: LogBlock, scene: Scene, truth: TrueEpochs) -> tuple[ClockOffset
         change[:, layout.angles] = wrap(change[:, layout.angles])
         return change
 
-    p, v = truth.position_m, truth.velocity_mps
+    p = truth.position_m
+    v = truth.velocity_mps
     error = difference(log.measurement[:, : layout.doppler], exact(p))
     if log.layout.clock:  # the drift of the user's clock would look like an offset of the track
         error[:, 0::4] = np.nan
@@ -140,7 +147,8 @@ def _linear(log: LogBlock, scene: Scene, truth: TrueEpochs) -> tuple[ClockOffset
     # are 1, the error, and the derivatives of the error with respect to tau and s.
     sums = np.array([np.einsum("tri,trj->rij", part, part) for part in np.split(terms, ends_at)])
     sums = sums[sums[:, :, 0, 0].any(axis=1)]
-    total, n = sums.sum(axis=0), len(sums)
+    total = sums.sum(axis=0)
+    n = len(sums)
     fit = _fit(total)
     if n < _FEWEST or not fit:
         return None
@@ -159,7 +167,8 @@ def _fit(sums: Array) -> tuple[float, float] | None:
     # From the error, and from its derivative with respect to tau, subtract what s explains.
     by_shift = np.linalg.pinv(centered[2:, 2:], hermitian=True) @ centered[2:, :2]
     error, rate = np.vstack([np.eye(2), -by_shift]).T
-    changes, errors = float(rate @ centered @ rate), float(error @ centered @ error)
+    changes = float(rate @ centered @ rate)
+    errors = float(error @ centered @ error)
     if not (changes > 1e-9 * centered[1, 1] and errors > 0.0):
         return None
     seconds = float(rate @ centered @ error) / changes

@@ -40,12 +40,15 @@ def line_blocks(path: Path) -> Iterator[tuple[list[str], float]]:
         total = max(os.fstat(raw.fileno()).st_size, 1)
         zipped = path.suffix.lower() == ".gz"
         file: Any = gzip.GzipFile(fileobj=raw) if zipped else raw
-        first, rest, end = 1, b"", False
+        first = 1
+        rest = b""
+        end = False
         while not end:
             content, end, damage = _read(file)
             content = rest + content
             cut = len(content) if end and not damage else content.rfind(b"\n") + 1
-            content, rest = content[:cut], content[cut:]
+            rest = content[cut:]
+            content = content[:cut]
             text = content.decode("utf-8", errors="backslashreplace").replace("\r\n", "\n")
             lines = (text.removeprefix("\ufeff") if first == 1 else text).split("\n")
             if not lines[-1]:  # if the text ends with a line end, there is no line after it

@@ -67,10 +67,12 @@ class LiveLog:
         require_noise(self._log, snr_db)
         if clock:
             self._log = with_clock(self._log)
-        self._scene, self._snr_db = scene, snr_db
+        self._scene = scene
+        self._snr_db = snr_db
         self.layout = Layout(len(scene.anchors_m), "speed" in columns, True, clock)
         self._turned = STATION in columns or BODY in columns
-        self._time, self._anchor = columns["time"].number, columns["anchor"].number
+        self._time = columns["time"].number
+        self._anchor = columns["anchor"].number
         self._slots = [
             (columns[of].number, *place, columns[of].unit.convert, place[0] in self.layout.angles)
             for of, place in places(self.layout).items()
@@ -129,7 +131,8 @@ class LiveLog:
         if not self._rows:
             return []
         self._last_s = self._time_s(self._rows[0])
-        rows, self._rows = self._rows, []
+        rows = self._rows
+        self._rows = []
 
         def block() -> LogBlock:
             return block_of(self._table(rows), self._scene, self.layout, True, self._snr_db)
@@ -142,11 +145,14 @@ class LiveLog:
 
     def _placed(self, rows: list[list[float]]) -> tuple[list[float], int]:
         """Return ``placed`` of a :class:`LiveEpoch`, from the cells of its rows."""
-        placed, doppler_anchor, doppler = self._blank.copy(), 0, self.layout.doppler
+        placed = self._blank.copy()
+        doppler_anchor = 0
+        doppler = self.layout.doppler
         for cells in rows:
             anchor = int(cells[self._anchor]) - 1
             for i, first, step, convert, is_angle in self._slots:
-                cell, place = cells[i], first + step * anchor
+                cell = cells[i]
+                place = first + step * anchor
                 if not isnan(cell) and (step or isnan(placed[place])):
                     number = convert(cell)
                     turned = is_angle and not -PI <= number < PI
@@ -161,7 +167,8 @@ class LiveLog:
     def _agree(self, cells: list[float], before: list[float]) -> bool:
         """Tell whether two rows surely fit into one epoch; if not, they need the full checks."""
         for i, once in self._of_epoch:
-            a, b = cells[i], before[i]
+            a = cells[i]
+            b = before[i]
             if not isnan(a) and not isnan(b) and (once or a != b):
                 return False
         return cells[self._anchor] != before[self._anchor]
@@ -222,5 +229,6 @@ def _limits(quantity: str, unit: Unit) -> tuple[float, float]:
     bound, of = limits
     assert bound.least is not None and bound.most is not None
     scale = unit.divide / unit.multiply * (np.pi / 180.0 if of == "degrees" else 1.0)
-    low, high = bound.least * scale, bound.most * scale
+    low = bound.least * scale
+    high = bound.most * scale
     return low + _MARGIN * abs(low), high - _MARGIN * abs(high)

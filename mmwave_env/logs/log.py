@@ -94,7 +94,8 @@ def in_windows(blocks: Iterable[AnyLogBlock], window: int) -> Iterator[AnyLogBlo
         for block in blocks:
             if waiting and block.segment != waiting[0].segment:
                 yield block.joined(waiting)
-                waiting, count = [], 0
+                waiting = []
+                count = 0
             waiting.append(block)
             count += len(block)
             if count >= window:
@@ -199,9 +200,12 @@ def require_noise(log: LogFile, snr_db: float | None) -> None:
 
 def _require_measurements(path: Path, blocks: Iterable[LogBlock]) -> Iterator[LogBlock]:
     """Yield the blocks; raise an error after the last one if none had a measurement."""
-    epochs, incomplete, measured = 0, 0, False
+    epochs = 0
+    incomplete = 0
+    measured = False
     for block in blocks:
-        epochs, incomplete = epochs + len(block), incomplete + int(block.incomplete.sum())
+        epochs = epochs + len(block)
+        incomplete = incomplete + int(block.incomplete.sum())
         measured = measured or bool(block.visible.any())
         yield block
     if not measured:
@@ -231,16 +235,21 @@ def block_of(
     table: Table, scene: Scene, layout: Layout, wrap: bool, snr_db: float | None
 ) -> LogBlock:
     """Convert the rows of complete epochs to a block."""
-    epoch, links, station = table.epoch, table.links(), scene.anchors_m[0]
-    anchor, T = table["anchor"].astype(np.int64) - 1, int(epoch[-1]) + 1
+    epoch = table.epoch
+    links = table.links()
+    station = scene.anchors_m[0]
+    anchor = table["anchor"].astype(np.int64) - 1
+    T = int(epoch[-1]) + 1
     of_doppler = table.first(np.where(np.isnan(table["doppler"]), np.nan, anchor))
-    size, of_link = layout.size, dict(zip(LINK_QUANTITIES, links.T, strict=True))
+    size = layout.size
+    of_link = dict(zip(LINK_QUANTITIES, links.T, strict=True))
     if STATION in table.columns:
         arrivals = [
             seen_from_image(links[:, 1], links[:, 2], station, image) for image in scene.anchors_m
         ]
         links[:, 1:3] = np.array(arrivals)[anchor, :, range(len(epoch))]
-    time, placed = np.empty(T), np.full((T, 2 * size + layout.anchors + 1), np.nan)
+    time = np.empty(T)
+    placed = np.full((T, 2 * size + layout.anchors + 1), np.nan)
     time[epoch] = table["time"]
     for quantity, (first, step) in places(layout).items():
         numbers = of_link[quantity] if quantity in of_link else table[quantity]
@@ -308,10 +317,13 @@ def read_paths(path: Path, scene: Scene, odometry: bool = True) -> Iterator[Path
         OSError: the file can't be read.
     """
     log = open_log(path, scene.hz_per_mps, odometry, associated=False)
-    layout, measured, epochs = Layout(len(scene.anchors_m), "speed" in log.columns), False, 0
+    layout = Layout(len(scene.anchors_m), "speed" in log.columns)
+    measured = False
+    epochs = 0
     for table in whole_epochs(log, None, limits=True):
         for epoch in _split(table, layout):
-            measured, epochs = measured or len(epoch.snr_db) > 0, epochs + 1
+            measured = measured or len(epoch.snr_db) > 0
+            epochs = epochs + 1
             yield epoch
     if not measured:
         raise LogError(f"{path}: found no complete path in {epochs} epochs, expected at least one")
@@ -319,14 +331,16 @@ def read_paths(path: Path, scene: Scene, odometry: bool = True) -> Iterator[Path
 
 def _split(table: Table, layout: Layout) -> Iterator[PathEpoch]:
     """Yield the complete paths of every epoch."""
-    snr, time = table["snr"], table["time"]
+    snr = table["snr"]
+    time = table["time"]
     measurement = np.column_stack([table.links(), table["doppler"]])
     measurement[:, 1:4] = wrapped(measurement[:, 1:4])
     finite = np.isfinite(np.column_stack([measurement[:, :4], snr]))
-    whole, some = finite.all(axis=1), finite.any(axis=1)
-    spread, speed, heading = (
-        table.first(table[quantity]) for quantity in ("doppler_spread", "speed", "heading")
-    )
+    whole = finite.all(axis=1)
+    some = finite.any(axis=1)
+    spread = table.first(table["doppler_spread"])
+    speed = table.first(table["speed"])
+    heading = table.first(table["heading"])
     odometry = np.column_stack([speed, wrapped(heading)])
     ends = np.searchsorted(table.epoch, np.arange(len(spread)), side="right")
     for epoch, (first, end) in enumerate(pairwise([0, *ends.tolist()])):

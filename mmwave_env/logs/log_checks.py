@@ -75,7 +75,8 @@ def first_damage(
 
 def _checks(table: Table, anchors: int | None, clock: bool) -> Iterator[_Check]:
     """Yield the checks that every log must pass."""
-    time, epoch = table.raw("time"), table.epoch
+    time = table.raw("time")
+    epoch = table.epoch
     for quantity in table.columns:
         wrong = np.isinf(table.raw(quantity))
         yield _Check(quantity, wrong, "a finite number, or nothing")
@@ -107,7 +108,8 @@ def _checks(table: Table, anchors: int | None, clock: bool) -> Iterator[_Check]:
 
 def _anchor_checks(table: Table, anchors: int) -> Iterator[_Check]:
     """Yield the checks of rows that belong to an anchor."""
-    time, anchor = table.raw("time"), table.raw("anchor")
+    time = table.raw("time")
+    anchor = table.raw("anchor")
     known = np.isin(anchor, np.arange(1, anchors + 1))
     expected = f"the number of an anchor of the scene, 1 (the physical one) to {anchors}"
     yield _Check("anchor", ~known, expected)
@@ -155,9 +157,11 @@ def _limits(table: Table) -> Iterator[_Check]:
 
 def _limit(table: Table, quantity: str, bound: Bound, unit: str) -> _Check:
     """Return the check that the values of a column are within the limits of their quantity."""
-    values, most = table[quantity], bound.most or 0.0
+    values = table[quantity]
+    most = bound.most or 0.0
     if unit == "degrees":
-        values, most = np.degrees(values), most + _ROUNDING_DEG
+        values = np.degrees(values)
+        most = most + _ROUNDING_DEG
     wrong = abs(values) > most
     if (least := bound.least or 0.0) > 0.0:
         wrong |= values < least

@@ -71,7 +71,8 @@ _TILT = (
 )
 _SNR = between(-1e3, 1e3, "dB"), "dB"
 # limits within which filters are numerically sound
-_BIAS, _SPREAD = (envelope.BIAS_HZ, "Hz"), (envelope.DOPPLER_SPREAD_HZ, "Hz")
+_BIAS = (envelope.BIAS_HZ, "Hz")
+_SPREAD = (envelope.DOPPLER_SPREAD_HZ, "Hz")
 _FASTEST = envelope.VELOCITY_MPS, "m/s"
 _DEVIATION = envelope.ANGLE_SIGMA_RAD, "rad"
 

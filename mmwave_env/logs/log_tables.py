@@ -229,7 +229,9 @@ def _parse_quickly(lines: list[str], log: LogFile) -> Array | None:
 
 def parse_carefully(log: LogFile, lines: list[str], first: int, share: float) -> Table:
     """Parse cell by cell up to the first damage; skip blank lines, and read blank cells as NaN."""
-    cells, rows, damage = [], [], None
+    cells = []
+    rows = []
+    damage = None
     for row, line in enumerate(lines, start=first):
         if not line.strip():
             continue
@@ -286,7 +288,8 @@ def _parquet_types(path: Path) -> dict[str, Any]:
 
 
 def _require_numbers(log: LogFile) -> None:
-    types, kinds = require_arrow(log.path)[0].types, _parquet_types(log.path)
+    types = require_arrow(log.path)[0].types
+    kinds = _parquet_types(log.path)
     numeric = types.is_floating, types.is_integer, types.is_decimal, types.is_null
     for column in log.columns.values():
         kind = kinds[column.name]
@@ -299,7 +302,8 @@ def _parquet_tables(log: LogFile) -> Iterator[Table]:
     pyarrow, _ = require_arrow(log.path)
     names = [column.name for column in log.columns.values()]
     with _open_parquet(log.path) as file:
-        total, done = max(file.metadata.num_rows, 1), 0
+        total = max(file.metadata.num_rows, 1)
+        done = 0
         try:
             for batch in file.iter_batches(_BATCH_ROWS, columns=names, use_threads=False):
                 columns = [batch.column(name).cast(pyarrow.float64(), safe=False) for name in names]

@@ -39,7 +39,8 @@ class Truth:
         self.path = path
         self._poses = read_tum(path)
         self._slope = velocity_of(*self._poses, BRIDGED_S)
-        self.first_s, self.last_s = (float(self._poses.time_s[i]) for i in (0, -1))
+        self.first_s = float(self._poses.time_s[0])
+        self.last_s = float(self._poses.time_s[-1])
 
     @cached_property
     def _spline(self) -> Any:
@@ -51,7 +52,8 @@ class Truth:
         """Interpolate at times (T,)."""
         t, p = self._poses
         after = np.searchsorted(t, time_s)
-        before, after = np.maximum(after - 1, 0), np.minimum(after, len(t) - 1)
+        before = np.maximum(after - 1, 0)
+        after = np.minimum(after, len(t) - 1)
         nearest = np.where(time_s - t[before] <= t[after] - time_s, before, after)
         away = t[nearest] - time_s
         held = np.abs(away) <= TOLERANCE_S

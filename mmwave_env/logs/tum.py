@@ -57,7 +57,8 @@ def _damage(path: Path) -> ValueError:
     """Return the error about the first damaged line."""
     last_s = -math.inf
     for n, line in enumerate(_lines(path), start=1):
-        words, place = line.split("#")[0].split(), f"{path}, line {n}"
+        words = line.split("#")[0].split()
+        place = f"{path}, line {n}"
         if not words:
             continue
         if len(words) != len(COLUMNS) or "\r" in line:

@@ -137,7 +137,8 @@ def draw_channel(dice: Dice, anchors: int) -> ChannelDraws:
         return [dice.normal() for _ in range(3)]
 
     shadowing = each(dice.normal)
-    uniforms, outage = [each(dice.uniform), each(dice.uniform)], dice.uniform()
+    uniforms = [each(dice.uniform), each(dice.uniform)]
+    outage = dice.uniform()
     excess = [each(dice.exponential), each(dice.exponential)]
     spells = zip(uniforms, excess, [each(angles), each(angles)], strict=True)
     blockage, multipath = (list(map(SpellDraws, *drawn)) for drawn in spells)
@@ -187,10 +188,13 @@ def channel_epoch(
     first epoch (``is_first``), shadowing and blockages have their stationary distributions, and
     there is no multipath or outage. Other epochs start from the state ``before``.
     """
-    c, rho = channel, channel.correlation
+    c = channel
+    rho = channel.correlation
     innovation = sqrt(1.0 - rho * rho)
-    state, reception = ChannelState([], [], [], 0.0), Reception([], [], [], 0.0)
-    onset, was_out = where(is_first, 0.0, c.outage_onset), where(is_first, 0.0, before.outage)
+    state = ChannelState([], [], [], 0.0)
+    reception = Reception([], [], [], 0.0)
+    onset = where(is_first, 0.0, c.outage_onset)
+    was_out = where(is_first, 0.0, before.outage)
     outage = spell_goes_on(was_out, draws.outage, onset, c.outage_end)
     for a, d in enumerate(distance):
         moved = rho * before.shadowing[a] + innovation * draws.shadowing[a]

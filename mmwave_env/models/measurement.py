@@ -114,7 +114,8 @@ def seen_from_image(
     d - 2 (d.n) n, with the unit vector n along image - station. If image = station, d is unchanged.
     """
     n = [image[i] - station[i] for i in range(3)]
-    (cos_az, sin_az), (cos_el, sin_el) = cos_sin(azimuth), cos_sin(elevation)
+    (cos_az, sin_az) = cos_sin(azimuth)
+    (cos_el, sin_el) = cos_sin(elevation)
     d = [cos_el * cos_az, cos_el * sin_az, sin_el]
     squared = n[0] * n[0] + n[1] * n[1] + n[2] * n[2]
     along = 2.0 * (d[0] * n[0] + d[1] * n[1] + d[2] * n[2]) / (squared if squared else 1.0)
@@ -170,26 +171,34 @@ def link_group(
     distance, azimuth, elevation = direction(d)
     horizontal = norms(d)[0]
     range_variance, arrival_variance, elevation_variance, departure_variance = variance
-    aside, apart = horizontal > NEAREST_M, distance > NEAREST_M
+    aside = horizontal > NEAREST_M
+    apart = distance > NEAREST_M
     arrival = where(aside, wrap(z[1] - azimuth), 0.0)
     departure = where(aside, wrap(wrap(z[3] - azimuth + PI)), 0.0)
     total = arrival_variance + departure_variance
     bearing_variance = arrival_variance * departure_variance / total
     bearing = (arrival * departure_variance + departure * arrival_variance) / total
     disagreement = arrival - departure
-    spare_nis, spare_determinant = disagreement * disagreement / total, total
+    spare_nis = disagreement * disagreement / total
+    spare_determinant = total
     if len(measured):
-        both, alone = measured[1] * measured[3] > 0.5, measured[1] > 0.5
+        both = measured[1] * measured[3] > 0.5
+        alone = measured[1] > 0.5
         bearing = where(both, bearing, where(alone, arrival, departure))
         alone_variance = where(alone, arrival_variance, departure_variance)
         bearing_variance = where(both, bearing_variance, alone_variance)
-        spare_nis, spare_determinant = where(both, spare_nis, 0.0), where(both, total, 1.0)
-    inverse, inverse_horizontal = _inverse(distance), _inverse(horizontal)
+        spare_nis = where(both, spare_nis, 0.0)
+        spare_determinant = where(both, total, 1.0)
+    inverse = _inverse(distance)
+    inverse_horizontal = _inverse(horizontal)
     slope = d[2] * inverse_horizontal * inverse * inverse
     across = inverse_horizontal * inverse_horizontal
-    east, north = where(aside, d[0], 0.0), where(aside, d[1], 0.0)
-    level, up = where(apart, horizontal, 0.0), where(apart, d[2], 0.0)
-    still, clock = [0.0] * (len(x) - 3), list(x[STATE_SIZE:])
+    east = where(aside, d[0], 0.0)
+    north = where(aside, d[1], 0.0)
+    level = where(apart, horizontal, 0.0)
+    up = where(apart, d[2], 0.0)
+    still = [0.0] * (len(x) - 3)
+    clock = list(x[STATE_SIZE:])
     slow = [*[0.0] * 4, *[1.0] * len(clock)]  # the range contains a clock's bias as a summand
 
     def change(step: Vector) -> list[Number]:
@@ -244,9 +253,11 @@ def doppler_group(
     x: Vector, anchor: Vector, hz_per_mps: Number, z: Vector, variance: Vector
 ) -> Group:
     """Return the group of an anchor's Doppler shift (Hz), which is linear in v and the bias."""
-    d, v = [x[i] - anchor[i] for i in range(3)], x[3:6]
+    d = [x[i] - anchor[i] for i in range(3)]
+    v = x[3:6]
     distance = norms(d)[1]
-    inverse, defined = _inverse(distance), where(distance > NEAREST_M, 1.0, 0.0)
+    inverse = _inverse(distance)
+    defined = where(distance > NEAREST_M, 1.0, 0.0)
     u = [d[i] * inverse for i in range(3)]
     rate = range_rate(d, v)
 
@@ -284,7 +295,8 @@ def odometry_group(x: Vector, z: Vector, variance: Vector) -> Group:
         turn = atan2(q[1] * ahead[0] - q[0] * ahead[1], q[0] * ahead[0] + q[1] * ahead[1])
         return [norms(q)[1] - speed, turn]
 
-    fixed, others = [0.0] * 3, [0.0] * (len(x) - 6)
+    fixed = [0.0] * 3
+    others = [0.0] * (len(x) - 6)
     return Group(
         innovation=[z[0] - speed, wrap(z[1] - atan2(ahead[1], ahead[0]))],
         variance=variance,
@@ -311,7 +323,8 @@ def groups_of(x: Vector, m: Measurement) -> list[Group]:
         link_group(x, anchor, m.z[r], m.variance[r], m.measured[r])
         for anchor, r in zip(m.anchors, rows, strict=False)
     ]
-    r, anchor = rows[m.layout.anchors], doppler_anchor(m.anchors, m.doppler_of)
+    r = rows[m.layout.anchors]
+    anchor = doppler_anchor(m.anchors, m.doppler_of)
     groups = [*links, doppler_group(x, anchor, m.hz_per_mps, m.z[r], m.variance[r])]
     if m.layout.odometry:
         odometry = odometry_group(x, m.z[rows[-1]], m.variance[rows[-1]])

@@ -54,7 +54,8 @@ def with_clock(
     velocity noise moves the position in :func:`white_noise_acceleration`. The clock's own noise is
     added (Groves 2013, Sec. 9.4.2; Brown and Hwang 2012, Sec. 9.3).
     """
-    half, drift = coupling * (0.5 * dt) / hz_per_mps, noise.diagonal[-1]
+    half = coupling * (0.5 * dt) / hz_per_mps
+    drift = noise.diagonal[-1]
     own = CLOCK_SIGMA_M**2 * dt + drift * (half * half)
     return ProcessNoise([*noise.diagonal, own], [*noise.coupling, drift * half])
 
@@ -87,9 +88,11 @@ def turn(x: Vector, rate: Number, dt: Number) -> list[Number]:
     coordinated turn of Bar-Shalom et al. 2001, Sec. 11.7.1, as a known input: the rate (rad/s,
     positive to the left) changes this mean, but not the covariance.
     """
-    angle, (vx, vy) = rate * dt, x[3:5]
+    angle = rate * dt
+    (vx, vy) = x[3:5]
     straight = angle * angle < _LEAST_RAD**2
-    divisor, (cosine, sine) = where(straight, 1.0, angle), cos_sin(angle)
+    divisor = where(straight, 1.0, angle)
+    (cosine, sine) = cos_sin(angle)
     ahead = where(straight, 0.0, (sine / divisor - 1.0) * dt)
     aside = (1.0 - cosine) / divisor * dt
     velocity = [cosine * vx - sine * vy, sine * vx + cosine * vy]

@@ -34,11 +34,14 @@ def prior_from_fix(
     linearized. ``sigma`` (4,) contains the standard deviations of the link.
     """
     distance, azimuth, elevation, departure = link
-    arrival_variance, departure_variance = sigma[1] ** 2, sigma[3] ** 2
+    arrival_variance = sigma[1] ** 2
+    departure_variance = sigma[3] ** 2
     weight = arrival_variance / (arrival_variance + departure_variance)
     azimuth = azimuth + weight * wrap(departure - azimuth + PI)
-    cos_az, sin_az = np.cos(azimuth), np.sin(azimuth)
-    cos_el, sin_el = np.cos(elevation), np.sin(elevation)
+    cos_az = np.cos(azimuth)
+    sin_az = np.sin(azimuth)
+    cos_el = np.cos(elevation)
+    sin_el = np.sin(elevation)
     along = np.array([cos_el * cos_az, cos_el * sin_az, sin_el])
     across = np.array([-cos_el * sin_az, cos_el * cos_az, 0.0])
     up = np.array([-sin_el * cos_az, -sin_el * sin_az, cos_el])

@@ -179,7 +179,8 @@ class Radio:
         # One element cannot measure angles: its bound is infinite. Use the bound of two elements.
         arrival, departure = (6.0 / ((max(n, 2) ** 2 - 1.0) * math.pi**2) for n in elements)
         angles = (self.aoa_floor_rad, self.elevation_floor_rad, self.aod_floor_rad)
-        floor, bound = [], []
+        floor = []
+        bound = []
         for anchor in range(layout.anchors):
             floor += [self.range_floor_m[min(anchor, 1)], *angles]
             bound += [range_bound**2 / 2.0, arrival, arrival, departure]
@@ -197,7 +198,8 @@ class Radio:
 
     def prior_covariance(self, scene: Scene, clock: bool = False) -> Array:
         """Return the prior covariance P0 (7, 7) of the first epoch; (8, 8) with a clock offset."""
-        p, v = self.prior_position_m, self.prior_velocity_mps
+        p = self.prior_position_m
+        v = self.prior_velocity_mps
         bias_hz = self.prior_bias_mps * scene.hz_per_mps
         deviations = [p, p, self.prior_height_m, v, v, self.prior_vertical_mps, bias_hz]
         deviations += [SPEED_OF_LIGHT * CLOCK_OFFSET_S] * clock

@@ -19,7 +19,8 @@ from mmwave_env.models.scene import (
 from mmwave_env.numerics.numbers import Number, floor, maximum, minimum, where
 from mmwave_env.numerics.random import Dice, seeded
 
-RANDOM, WIDE = "random", "wide"
+RANDOM = "random"
+WIDE = "wide"
 
 Length = Annotated[float, between(1e-3, 1e4, "m")]
 Lengths = Annotated[tuple[Length, Length], "[low, high], each 0.001 to 10000 m"]
@@ -69,19 +70,25 @@ class RandomScene:
 
         The order of the draws must not change, so that an episode key always gives the same scene.
         """
-        block, each = dice.uniform(*self.block_m), float(self.blocks + 1)
+        block = dice.uniform(*self.block_m)
+        each = float(self.blocks + 1)
         counts = floor(1.0 + (each * each - 1.0) * dice.uniform())  # encodes the blocks in x and y
         east = floor((counts + 0.5) * (1.0 / each))
-        extent, base, walls = [], [], []
+        extent = []
+        base = []
+        walls = []
         for count in (east, counts - each * east):
             end = count * block
             beside = dice.uniform(*self.beside_m) * _either(dice)
             base.append(floor((count + 1.0) * dice.uniform()) * block + beside)
-            behind, side = dice.uniform(*self.behind_m), _either(dice)
-            high, low = maximum(end, base[-1]) + behind, minimum(0.0, base[-1]) - behind
+            behind = dice.uniform(*self.behind_m)
+            side = _either(dice)
+            high = maximum(end, base[-1]) + behind
+            low = minimum(0.0, base[-1]) - behind
             walls.append(where(side > 0.0, high, low))
             extent.append(end)
-        (x, y), height = base, dice.uniform(*self.height_m)
+        (x, y) = base
+        height = dice.uniform(*self.height_m)
         anchors = [[x, y, height], [2.0 * walls[0] - x, y, height], [x, 2.0 * walls[1] - y, height]]
         return SceneNumbers(anchors, block, extent, [0.0, 0.0], self.user_height_m)
 

@@ -204,8 +204,11 @@ class Scene:
     @property
     def numbers(self) -> SceneNumbers:
         """Return the numbers that a simulation needs."""
-        streets, (west, east), (south, north) = self.streets, self.streets.x_m, self.streets.y_m
-        extent, anchors = [east - west, north - south], self.anchors_m.tolist()
+        streets = self.streets
+        (west, east) = self.streets.x_m
+        (south, north) = self.streets.y_m
+        extent = [east - west, north - south]
+        anchors = self.anchors_m.tolist()
         return SceneNumbers(anchors, streets.block_m, extent, [west, south], streets.height_m)
 
     @property

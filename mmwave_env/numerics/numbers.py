@@ -34,7 +34,8 @@ def _is_float(a: Number) -> bool:
 
 def _function(name: str, module: Any = math) -> Callable[[Number], Number]:
     """Return a function for all kinds of numbers; floats use ``name`` of ``module``."""
-    of_float, of_array = getattr(module, name), getattr(np, name)
+    of_float = getattr(module, name)
+    of_array = getattr(np, name)
 
     def function(a: Number) -> Number:
         if _is_float(a):
@@ -44,7 +45,8 @@ def _function(name: str, module: Any = math) -> Callable[[Number], Number]:
     return function
 
 
-sqrt, floor = _function("sqrt"), _function("floor")
+sqrt = _function("sqrt")
+floor = _function("floor")
 exp = _function("exp", np)  # numpy also for floats, so that floats and arrays get the same bits
 log = _function("log")  # for positive numbers only
 

@@ -30,8 +30,11 @@ class Word:
     def __init__(self, value: int) -> None:
         self.value = value & _MASK
 
-    __add__, __xor__, __or__ = _bitwise(add), _bitwise(xor), _bitwise(or_)
-    __lshift__, __rshift__ = _bitwise(lshift), _bitwise(rshift)
+    __add__ = _bitwise(add)
+    __xor__ = _bitwise(xor)
+    __or__ = _bitwise(or_)
+    __lshift__ = _bitwise(lshift)
+    __rshift__ = _bitwise(rshift)
 
     def scaled(self, factor: float) -> float:
         """Convert the integer to a float, exactly if it is below 2^53, and multiply it."""
@@ -95,7 +98,8 @@ class Dice:
     def normal(self) -> Number:
         """Draw a standard normal number, of absolute value up to 8.6 (Box and Muller 1958)."""
         if self._spare is not None:
-            drawn, self._spare = self._spare, None
+            drawn = self._spare
+            self._spare = None
             return drawn
         length = sqrt(2.0 * self.exponential())
         cosine, sine = cos_sin(2.0 * math.pi * self.uniform())

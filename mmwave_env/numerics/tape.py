@@ -39,7 +39,8 @@ class _Recorded:
     __slots__ = ("number", "tape")
 
     def __init__(self, tape: Tape, number: int) -> None:
-        self.tape, self.number = tape, number
+        self.tape = tape
+        self.number = number
 
     def _record(self, op: str, *operands: Any) -> tuple[Tape, int]:
         self.tape.append((op, *_references(operands)))
@@ -58,7 +59,8 @@ def _joining(op: str) -> Any:
 
 class _Condition(_Recorded, TracerCondition):
     __slots__ = ()
-    __and__, __or__ = _joining("&"), _joining("|")
+    __and__ = _joining("&")
+    __or__ = _joining("|")
 
     def select(self, a: Any, b: Any) -> "_Number":
         return _Number(*self._record("select", self, a, b))
@@ -77,8 +79,12 @@ class _Number(_Recorded, Tracer):
     def compare(self, op: str, other: Any) -> _Condition:
         return _Condition(*self._record(op, self, other))
 
-    __neg__, __abs__, sqrt = _recording("neg"), _recording("abs"), _recording("sqrt")
-    log, exp, atan2 = _recording("log"), _recording("exp"), _recording("atan2")
+    __neg__ = _recording("neg")
+    __abs__ = _recording("abs")
+    sqrt = _recording("sqrt")
+    log = _recording("log")
+    exp = _recording("exp")
+    atan2 = _recording("atan2")
     floor = _recording("floor")
 
     def as_word(self) -> "_Word":
@@ -93,8 +99,11 @@ class _Number(_Recorded, Tracer):
 
 class _Word(_Recorded):
     __slots__ = ()
-    __add__, __xor__, __or__ = _joining("+"), _joining("^"), _joining("|")
-    __lshift__, __rshift__ = _joining("<<"), _joining(">>")
+    __add__ = _joining("+")
+    __xor__ = _joining("^")
+    __or__ = _joining("|")
+    __lshift__ = _joining("<<")
+    __rshift__ = _joining(">>")
 
     def scaled(self, factor: float) -> _Number:
         return _Number(*self._record("scaled", self, factor))

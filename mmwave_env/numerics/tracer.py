@@ -94,8 +94,10 @@ class Tracer:
     __sub__, __rsub__ = _combining("sub")
     __mul__, __rmul__ = _combining("mul")
     __truediv__, __rtruediv__ = _combining("div")
-    __lt__, __le__ = _comparing("<"), _comparing("<=")
-    __gt__, __ge__ = _comparing(">"), _comparing(">=")
+    __lt__ = _comparing("<")
+    __le__ = _comparing("<=")
+    __gt__ = _comparing(">")
+    __ge__ = _comparing(">=")
 
 
 def _settled(op: str, a: Any, b: Any) -> Any:

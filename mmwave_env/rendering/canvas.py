@@ -29,7 +29,8 @@ class Canvas:
 
     def __init__(self, size: int) -> None:
         pygame.font.init()
-        self._unit, self._scale = size / UNITS, _TIMES * size / UNITS
+        self._unit = size / UNITS
+        self._scale = _TIMES * size / UNITS
         self._large = pygame.Surface((size * _TIMES, size * _TIMES), 0, 32)
         self._surface = pygame.Surface((size, size), 0, 32)
         self._words: list[tuple[Any, Point]] = []
@@ -48,7 +49,8 @@ class Canvas:
         if opacity == 1.0:
             pygame.draw.polygon(self._large, color, large)
             return
-        low, high = large.min(axis=0), large.max(axis=0)
+        low = large.min(axis=0)
+        high = large.max(axis=0)
         box = pygame.Rect(low, high - low + 1).clip(self._large.get_clip())
         glass = pygame.Surface(box.size, pygame.SRCALPHA)
         pygame.draw.polygon(glass, (*color, round(255 * opacity)), large - box.topleft)
@@ -63,7 +65,8 @@ class Canvas:
 
     def dashes(self, start: Point, end: Point, color: Color, width: float = 1.0) -> None:
         """Draw a dashed line between two points in the picture."""
-        way, dash = np.subtract(end, start), 5.0
+        way = np.subtract(end, start)
+        dash = 5.0
         length = math.hypot(*way)
         for i in range(math.ceil(length / (2.0 * dash))):
             shares = 2.0 * i * dash / length, min((2.0 * i + 1.0) * dash / length, 1.0)

@@ -28,7 +28,8 @@ class Gallery:
         size: int,
         theme: str,
     ) -> None:
-        self._n, self._drawn_by = n, (modes, size, theme)
+        self._n = n
+        self._drawn_by = (modes, size, theme)
         self.recorders = [Recorder(rows, axes) for _ in range(min(n, DRAWN))]
         self._picture: Any = None
         self._window: Any = None

@@ -69,7 +69,8 @@ class Recorder:
 
     def __init__(self, rows: Mapping[str, Any], axes: int) -> None:
         P = slice(rows["P"].start, rows["P"].start + POSITION_NUMBERS)
-        self._rows, self._axes = {**rows, "P": P}, axes
+        self._rows = {**rows, "P": P}
+        self._axes = axes
         self._scenery = Scenery("", np.zeros((0, 3)), None)
         self._modes: list[int] = []
         self._epochs: list[dict[str, Array]] = []
@@ -78,7 +79,8 @@ class Recorder:
         """Start a new recording with the prior in the workspace (size,)."""
         anchors_m = workspace[self._rows["anchors"]].reshape(-1, 3).copy()
         self._scenery = Scenery(name, anchors_m, streets)
-        self._modes, self._epochs = [], []
+        self._modes = []
+        self._epochs = []
         self.add(workspace, NO_MODE)
 
     def add(self, workspace: Array, mode: int) -> None:

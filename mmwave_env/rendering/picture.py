@@ -18,7 +18,9 @@ from mmwave_env.rendering.history import History
 from mmwave_env.rendering.street_map import draw_by_mode, draw_map, follow, nice, runs
 from mmwave_env.rendering.theme import SMALLEST, THEMES, Theme
 
-_COLUMNS, _ROWS = 4, 3  # maximum numbers of columns and rows in the legend of modes
+# maximum numbers of columns and rows in the legend of modes
+_COLUMNS = 4
+_ROWS = 3
 _PAD = 8.0  # space to the left and right of words, units
 
 
@@ -45,7 +47,8 @@ class Picture:
         self._theme = choose(THEMES, theme, "render_theme").for_modes(modes)
         self._canvas = Canvas(size)
         self._modes = [f"{number} {printable(name)}" for number, name in enumerate(modes)]
-        self._title, self._rows = printable(title), max(rows, legend_rows(len(modes)))
+        self._title = printable(title)
+        self._rows = max(rows, legend_rows(len(modes)))
 
     def draw(self, history: History, beside: Sequence[History] = ()) -> NDArray[np.uint8]:
         """Draw a history's last epoch and the trajectory so far; return pixels (size, size, 3).
@@ -54,14 +57,16 @@ class Picture:
         histories ``beside`` belong to the same episode, and their pictures are shown next to this
         one; the scales of speed and error fit all histories.
         """
-        canvas, theme = self._canvas, self._theme
+        canvas = self._canvas
+        theme = self._theme
         canvas.fill(theme.paper)
         title = 24.0 if self._title else 0.0
         if self._title:
             words = canvas.fitting(self._title, UNITS - 2.0 * _PAD, 22)
             canvas.words(words, (_PAD, 14.0), theme.ink, 22)
         self._draw_header(history, title + 10.0)
-        top, legend = title + 20.0, UNITS - 15.0 * self._rows - 4.0
+        top = title + 20.0
+        legend = UNITS - 15.0 * self._rows - 4.0
         strips = legend - 160.0
         frame = Rect(0.0, top, UNITS, strips - 17.0 - top)
         draw_map(canvas, follow(history, frame), history, theme)
@@ -72,7 +77,8 @@ class Picture:
 
     def _draw_header(self, history: History, y: float) -> None:
         """Draw the episode's name and the epoch's values in one line."""
-        canvas, theme = self._canvas, self._theme
+        canvas = self._canvas
+        theme = self._theme
         error = f"error {history.error_m[-1]:.2f} m"
         if history.epochs == 0:
             numbers = f"prior   {error}"
@@ -91,7 +97,8 @@ class Picture:
 
     def _draw_legend(self, history: History, y: float) -> None:
         """Draw the legend of the map's symbols and lines."""
-        canvas, theme = self._canvas, self._theme
+        canvas = self._canvas
+        theme = self._theme
         x = 12.0
         mode = theme.mode(int(history.modes[-1])) if history.epochs else theme.quiet
         canvas.disc((x, y), 4.0, theme.truth)
@@ -106,7 +113,8 @@ class Picture:
             ("rejected", theme.rejected, 1.6),
             ("missing", theme.missing, 1.4),
         ):
-            start, end = (x, y), (x + 22.0, y)
+            start = (x, y)
+            end = (x + 22.0, y)
             if meaning == "rejected":
                 canvas.dashes(start, end, color, width)
             else:
@@ -116,14 +124,16 @@ class Picture:
 
     def _draw_modes(self, history: History, top: float) -> None:
         """Draw the legend of modes, with the name of the current mode highlighted."""
-        canvas, theme = self._canvas, self._theme
+        canvas = self._canvas
+        theme = self._theme
         columns = min(_COLUMNS, len(self._modes))
         width = (UNITS - 2.0 * _PAD) / columns
         shown = self._modes[: _COLUMNS * _ROWS]
         for mode, name in enumerate(shown):
             left = _PAD + mode % columns * width
             y = top + mode // columns * 15.0 + 8.0
-            color, now = theme.mode(mode), int(history.modes[-1]) == mode
+            color = theme.mode(mode)
+            now = int(history.modes[-1]) == mode
             canvas.fill(color, Rect(left, y - 5.0, 14.0, 10.0))
             words = canvas.fitting(name, width - 24.0, 14)
             canvas.words(words, (left + 19.0, y), theme.ink if now else theme.quiet, 14)
@@ -167,8 +177,13 @@ class Playback:
 
 _WINDOW = 120  # number of epochs that strips show
 _NEES = (0.03, 300.0)  # range of the NEES strip; other values are drawn at its edges
-_LEFT, _WIDTH = 112.8, 338.4  # left edge and width of the strips; words are beside them
-_HEIGHT, _GAP, _RIBBON = 121.0 / 3.0, 4.0, 12.0  # heights of a strip, of a gap and of the ribbon
+# left edge and width of the strips; words are beside them
+_LEFT = 112.8
+_WIDTH = 338.4
+# heights of a strip, of a gap and of the ribbon
+_HEIGHT = 121.0 / 3.0
+_GAP = 4.0
+_RIBBON = 12.0
 
 
 @dataclass(frozen=True)
@@ -188,7 +203,9 @@ class Strip:
         low, high = self.values
         shown = np.fmax(np.fmin(values, high), low)  # NaN is drawn at the upper edge
         if self.ticks:
-            low, high, shown = math.log(low), math.log(high), np.log(shown)
+            low = math.log(low)
+            high = math.log(high)
+            shown = np.log(shown)
         return np.asarray((shown - low) / (high - low))
 
 
@@ -197,7 +214,8 @@ def draw_strips(
 ) -> None:
     """Draw all strips below ``top``, with scales that also fit the histories ``beside``."""
     rows = slice(max(1, history.epochs - _WINDOW + 1), None)
-    modes, (first, last) = history.modes[rows], _times(history, rows)
+    modes = history.modes[rows]
+    (first, last) = _times(history, rows)
     x = _LEFT + (history.time_s[rows] - first) / (last - first) * _WIDTH
     for i, make in enumerate((_speed, _error, _nees)):
         strips = [make(drawn, rows) for drawn in (history, *beside)]
@@ -261,7 +279,8 @@ def _draw_strip(
     if strip.band:
         low, high, meaning = strip.band
         legend.append((meaning, theme.band, 9.0))
-        upper, lower = float(y(high)), float(y(low))
+        upper = float(y(high))
+        lower = float(y(low))
         canvas.fill(theme.band, Rect(plot.left, upper, plot.width, lower - upper))
     for tick in strip.ticks or strip.values:
         level = float(y(tick))
@@ -288,7 +307,8 @@ def _draw_ribbon(canvas: Canvas, lane: Rect, x: Array, modes: Index, theme: Them
         return
     ends = np.r_[x, 2.0 * x[-1] - x[-2] if len(x) > 1 else x[-1] + lane.width / _WINDOW]
     for begin, end in runs(modes):
-        left, right = float(ends[begin]), min(float(ends[end]), lane.right)
+        left = float(ends[begin])
+        right = min(float(ends[end]), lane.right)
         part = Rect(left, lane.top, right - left, lane.height)
         color = theme.mode(int(modes[begin]))
         canvas.fill(color, part)

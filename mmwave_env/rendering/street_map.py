@@ -15,7 +15,9 @@ from mmwave_env.rendering.canvas import Canvas, Point, Rect, ellipse
 from mmwave_env.rendering.history import History
 from mmwave_env.rendering.theme import Color, Theme
 
-_MEMORY_S, _LAG_S = 20.0, 4.0  # length of moving averages, and time constant of their weights
+# length of moving averages, and time constant of their weights
+_MEMORY_S = 20.0
+_LAG_S = 4.0
 _AHEAD_S = 4.0  # the upper edge is at least as far from the center as a user moves in this time
 _LEAST_M = 25.0  # minimum distance from the center to the upper edge
 _INNER = 0.5  # user and estimate stay within this central fraction of the map's height and width
@@ -55,7 +57,8 @@ def follow(history: History, frame: Rect) -> View:
     weights = np.exp((history.time_s[recent] - history.time_s[-1]) / _LAG_S)
     weights /= weights.sum()
     user = history.truth[recent]
-    truth, speed = user[:, :2], np.linalg.norm(user[:, 3:6], axis=1)
+    truth = user[:, :2]
+    speed = np.linalg.norm(user[:, 3:6], axis=1)
     estimate = np.where(
         np.isfinite(history.estimate[recent, :2]), history.estimate[recent, :2], truth
     )
@@ -98,7 +101,8 @@ def draw_map(canvas: Canvas, view: View, history: History, theme: Theme) -> None
 def _draw_streets(canvas: Canvas, view: View, streets: Streets, theme: Theme) -> None:
     """Draw streets with an assumed width, and the blocks of houses between them."""
     half = min(_STREET_M, streets.block_m / 4.0) / 2.0
-    (west, east), (south, north) = streets.x_m, streets.y_m
+    (west, east) = streets.x_m
+    (south, north) = streets.y_m
     net = np.array([[west - half, south - half], [east + half, north + half]])
     canvas.fill(theme.street, _box(view, net))
     low, high = view.extent_m
@@ -167,7 +171,8 @@ def _draw_links(canvas: Canvas, view: View, history: History, theme: Theme) -> N
 def _draw_tracks(canvas: Canvas, view: View, history: History, theme: Theme) -> None:
     """Draw the trajectories and current positions of user and estimate, and the 2σ ellipse."""
     rows = slice(-_TRAIL, None)
-    truth, track = (view.pixels(states[rows]) for states in (history.truth, history.estimate))
+    truth = view.pixels(history.truth[rows])
+    track = view.pixels(history.estimate[rows])
     color = theme.quiet if history.epochs == 0 else theme.mode(int(history.modes[-1]))
     if np.isfinite(history.P[-1, :3]).all():
         xx, xy, yy = history.P[-1, :3]
@@ -204,7 +209,8 @@ def _draw_scale(canvas: Canvas, view: View, theme: Theme) -> Rect:
     place = Rect(0.0, 0.0, length * view.scale + 12.0, 25.0)
     place.bottomright = view.frame.right - 4.0, view.frame.bottom - 2.0
     _draw_plate(canvas, place, theme)
-    bar, tick = place.inflate(-12.0, -12.0), np.array([0.0, 3.0])
+    bar = place.inflate(-12.0, -12.0)
+    tick = np.array([0.0, 3.0])
     ends = np.array([bar.bottomleft, bar.bottomright])
     for line in (ends, ends[:1] + [-tick, tick], ends[1:] + [-tick, tick]):
         canvas.line(line, theme.ink, 1.2)
@@ -215,11 +221,13 @@ def _draw_scale(canvas: Canvas, view: View, theme: Theme) -> Rect:
 def _draw_anchors(canvas: Canvas, view: View, history: History, theme: Theme) -> None:
     """Draw scale bar and anchors; if an anchor is out of view, draw an arrow and its distance."""
     inner = view.frame.inflate(-14.0, -14.0)
-    user, here = _point(view, history.truth[-1]), history.truth[-1, :3]
+    user = _point(view, history.truth[-1])
+    here = history.truth[-1, :3]
     around = 9.0
     names: list[tuple[str, Point]] = []
     for number, anchor in enumerate(history.scenery.anchors_m):
-        at, name = _point(view, anchor), f"anchor {number + 1}" if number else "gNB"
+        at = _point(view, anchor)
+        name = f"anchor {number + 1}" if number else "gNB"
         if inner.collidepoint(at):
             # the base station is a filled triangle; its mirror images are hollow triangles
             shape = at + np.array([[0.0, -7.0], [6.0, 5.0], [-6.0, 5.0]])
@@ -240,7 +248,8 @@ def _draw_anchors(canvas: Canvas, view: View, history: History, theme: Theme) ->
 def _draw_arrow(canvas: Canvas, start: Point, tip: Point, color: Color) -> None:
     way = np.subtract(tip, start)
     way *= 10.0 / max(float(np.hypot(*way)), 1e-9)
-    side, back = 0.5 * np.array([-way[1], way[0]]), np.array(tip) - way
+    side = 0.5 * np.array([-way[1], way[0]])
+    back = np.array(tip) - way
     canvas.polygon(np.array([tip, back + side, back - side]), color)
 
 
@@ -248,7 +257,9 @@ def _label(
     canvas: Canvas, text: str, at: Point, frame: Rect, theme: Theme, taken: list[Rect]
 ) -> None:
     """Draw a name near a point, inside the frame and, if possible, beside the ``taken`` parts."""
-    width, height, gap = canvas.width_of(text, 14) + 6.0, 15.0, 10.0
+    width = canvas.width_of(text, 14) + 6.0
+    height = 15.0
+    gap = 10.0
     places = [
         Rect(left, at[1] + (row - 0.5) * height, width, height).clamp(frame)
         for row in (0, 1, -1, 2, -2)

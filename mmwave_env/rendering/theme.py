@@ -88,7 +88,9 @@ def _theme(column: int) -> Theme:
 
 
 THEMES = {"light": _theme(1), "dark": _theme(2)}
-SMALLEST, LARGEST = 480, 1080  # limits of the height and width of a picture, px
+# limits of the height and width of a picture, px
+SMALLEST = 480
+LARGEST = 1080
 FRAMES_PER_SECOND = 10  # default number of pictures per second in videos and windows
 
 

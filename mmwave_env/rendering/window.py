@@ -11,11 +11,9 @@ from numpy.typing import NDArray
 from mmwave_env.rendering.theme import FRAMES_PER_SECOND
 
 SPEEDS = (1, 2, 5, 10, 20, 50, 100)  # pictures per second
-_STEP, _FASTER, _SLOWER = (
-    (pygame.K_n, pygame.K_RIGHT),
-    (pygame.K_PLUS, pygame.K_EQUALS, pygame.K_KP_PLUS, pygame.K_UP),
-    (pygame.K_MINUS, pygame.K_KP_MINUS, pygame.K_DOWN),
-)
+_STEP = (pygame.K_n, pygame.K_RIGHT)
+_FASTER = (pygame.K_PLUS, pygame.K_EQUALS, pygame.K_KP_PLUS, pygame.K_UP)
+_SLOWER = (pygame.K_MINUS, pygame.K_KP_MINUS, pygame.K_DOWN)
 _UNSEEN = {"offscreen", "dummy"}  # video drivers without a visible window
 
 
@@ -51,8 +49,10 @@ class Window:
     def __init__(self, width: int, height: int) -> None:
         require_display()
         self._screen: Any = pygame.display.set_mode((width, height))
-        self._shown_s, self._stepping = 0.0, False
-        self.paused, self.speed = False, FRAMES_PER_SECOND
+        self._shown_s = 0.0
+        self._stepping = False
+        self.paused = False
+        self.speed = FRAMES_PER_SECOND
         self._name()
 
     def show(self, picture: NDArray[np.uint8]) -> None:

@@ -70,7 +70,8 @@ class Episode:
     doppler_anchor: Index | None = None
 
     def __post_init__(self) -> None:
-        T, layout = len(self.time_s), self.layout
+        T = len(self.time_s)
+        layout = self.layout
         shapes = {
             "time_s": (T,),
             "measurement": (T, layout.size),
@@ -99,7 +100,8 @@ class Episode:
 
     def _bounded(self) -> Iterator[tuple[str, Array, Bound]]:
         """Yield the name, the values and the bound of each quantity that has a bound."""
-        mean, deviation = self.prior_mean, np.sqrt(np.diag(self.prior_covariance))
+        mean = self.prior_mean
+        deviation = np.sqrt(np.diag(self.prior_covariance))
         sigma = np.where(self._used, self.sigma, np.nan)
         yield "hz_per_mps", np.array([self.hz_per_mps]), envelope.HZ_PER_MPS
         yield "time_s, step", np.diff(self.time_s), envelope.STEP_S
@@ -157,8 +159,10 @@ class Episode:
                 stated[:, layout.doppler] = of_doppler[:, layout.doppler]
         if sigma is not None:
             stated = np.where(np.isfinite(sigma), sigma, stated)
-        place, truth = (scene.anchors_m, scene.hz_per_mps), (position_m, velocity_mps)
-        rows, signal = (time_s, measurement, stated), (snr_db, doppler_spread_hz)
+        place = (scene.anchors_m, scene.hz_per_mps)
+        truth = (position_m, velocity_mps)
+        rows = (time_s, measurement, stated)
+        signal = (snr_db, doppler_spread_hz)
         return cls(name, *place, *rows, visible, *signal, *prior, *truth, layout, doppler_anchor)
 
     @property
@@ -174,7 +178,8 @@ class Episode:
 
         In a partial layout, one finite row is enough, and the SNR does not matter.
         """
-        finite, starts = self._finite, [rows.start for rows in self.layout.groups]
+        finite = self._finite
+        starts = [rows.start for rows in self.layout.groups]
         if self.layout.partial:
             return self.visible & np.logical_or.reduceat(finite, starts, axis=1)  # type: ignore[no-any-return]
         for link in range(self.layout.anchors):
@@ -207,7 +212,8 @@ class Episode:
             self.require_truth()
             height_m = self.truth_position_m[0, 2]  # type: ignore[index]
         mean = self.prior_mean.copy()
-        mean[2], mean[5] = height_m, 0.0
+        mean[2] = height_m
+        mean[5] = 0.0
         return replace(self, prior_mean=mean)
 
     def only(self, measurements: Sequence[str]) -> "Episode":
@@ -220,9 +226,11 @@ class Episode:
 
     def table(self) -> Array:
         """Return the table (T, columns) that engines load; :func:`columns_of` gives the columns."""
-        at, links = columns_of(self.layout), self.usable[:, : self.layout.anchors]
+        at = columns_of(self.layout)
+        links = self.usable[:, : self.layout.anchors]
         keep = self._used
-        position, velocity = self.truth_position_m, self.truth_velocity_mps
+        position = self.truth_position_m
+        velocity = self.truth_velocity_mps
         table = np.empty((len(self), len(flatten(at))))
         table[:, at.dt] = np.diff(self.time_s, prepend=self.time_s[0])
         table[:, at.z] = np.where(keep, self.measurement, 0.0)
@@ -247,7 +255,8 @@ class Episode:
 def sigma_bounds(layout: Layout) -> list[tuple[list[int], Bound]]:
     """Return three pairs (rows, bound of sigma): ranges and speed; angles; the Doppler shift."""
     lengths = np.setdiff1d(np.arange(layout.size), [*layout.angles, layout.doppler]).tolist()
-    angles, doppler = envelope.ANGLE_SIGMA_RAD, envelope.DOPPLER_SIGMA_HZ
+    angles = envelope.ANGLE_SIGMA_RAD
+    doppler = envelope.DOPPLER_SIGMA_HZ
     of_lengths = lengths, envelope.RANGE_SIGMA_M
     return [of_lengths, (layout.angles, angles), ([layout.doppler], doppler)]
 
@@ -303,8 +312,10 @@ class EpisodeBatch(NamedTuple):
 
 def level(sites: Array, height_m: Array, layout: Layout) -> Array:
     """Return sites (n, numbers) whose prior means have the heights ``height_m`` (n,) and vz = 0."""
-    sites, prior = sites.copy(), indices(blank_site(layout)).prior_x
-    sites[:, prior[2]], sites[:, prior[5]] = height_m, 0.0
+    sites = sites.copy()
+    prior = indices(blank_site(layout)).prior_x
+    sites[:, prior[2]] = height_m
+    sites[:, prior[5]] = 0.0
     return sites
 
 
@@ -335,7 +346,8 @@ class Incoming(NamedTuple):
 
 def blank_incoming(layout: Layout) -> Incoming:
     """Return an epoch without measurements."""
-    L, nothing = layout.anchors, [0.0] * layout.size
+    L = layout.anchors
+    nothing = [0.0] * layout.size
     of = [float(a == 0) for a in range(L)] if layout.partial else ()
     return Incoming(0.0, nothing, [-1.0] * layout.size, [0.0] * L, 0.0, [0.0] * 6, of)
 

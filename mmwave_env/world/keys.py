@@ -104,7 +104,8 @@ class Streams:
         seed = operator.index(seed)
         if seed < 0:
             raise ValueError(f"seed: found {seed}, expected 0 or more")
-        self._seeds[place], self._generators[place] = seed, None
+        self._seeds[place] = seed
+        self._generators[place] = None
         self._states[place] = stream_of(seed), 0
 
     def seed_some(self, seed: int | Sequence[int | None] | None, places: Index) -> None:
@@ -148,7 +149,8 @@ class Streams:
 
     def generator(self, place: int) -> np.random.Generator:
         """Return the ``np_random`` of an environment; keys do not come from this generator."""
-        generator, seed = self._generators[place], self._seeds[place]
+        generator = self._generators[place]
+        seed = self._seeds[place]
         if generator is None:
             known = int(self._states[place, 0]) if seed == -1 else seed
             generator, _ = seeding.np_random(known)

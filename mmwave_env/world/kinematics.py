@@ -84,14 +84,16 @@ def around(heading: Number) -> Number:
 
 def state_of(t: Traveler) -> tuple[list[Number], list[Number]]:
     """Return the position (2,), m, and the velocity (2,), m/s, of a traveler."""
-    along, bent = minimum(t.traveled, t.stretch), clip(t.traveled - t.stretch, 0.0, t.arc)
+    along = minimum(t.traveled, t.stretch)
+    bent = clip(t.traveled - t.stretch, 0.0, t.arc)
     beyond = maximum(t.traveled - t.stretch - t.arc, 0.0)  # distance past the arc, if any
     east, north = unit(t.heading)
     side = where(t.turn < -0.5, -1.0, 1.0)
     cosine, sine = cos_sin(bent / t.radius)
     forward = along + t.radius * sine + beyond * cosine
     left = side * (t.radius * (1.0 - cosine) + beyond * sine)
-    ahead, across = t.v * cosine, side * t.v * sine
+    ahead = t.v * cosine
+    across = side * t.v * sine
     position = [t.x + forward * east - left * north, t.y + forward * north + left * east]
     return position, [ahead * east - across * north, ahead * north + across * east]
 
@@ -107,13 +109,16 @@ def wanted_acceleration(t: Traveler, net: Net) -> Number:
     distance that they travel while the braking builds up (the jerk is limited). If they need more
     than 0.7 b, they brake as hard as needed, up to b.
     """
-    left, turns, turns_after = t.stretch - t.traveled, t.arc > 0.0, abs(t.turn_after) > 0.5
+    left = t.stretch - t.traveled
+    turns = t.arc > 0.0
+    turns_after = abs(t.turn_after) > 0.5
     beyond = left + net.block - where(turns_after, t.radius, 0.0)
     corner = where(turns, left, where(turns_after, beyond, FAR))
     light_after = where((t.red_after > 0.0) & (beyond > 0.0), beyond, FAR)
     light = where((t.red > 0.0) & (left > 0.0), left, where(turns, FAR, light_after))
     light = maximum(light - 1.0, 0.0)
-    cornering, squared = t.lateral * t.radius, t.v * t.v
+    cornering = t.lateral * t.radius
+    squared = t.v * t.v
     aim = minimum(cornering + t.braking * maximum(corner, 0.0), t.braking * light)
     aim = sqrt(minimum(t.target * t.target, aim))
     pull = clip((aim - t.v) * 2.0, -t.braking, t.acceleration)
@@ -134,7 +139,8 @@ def move(t: Traveler, net: Net, step: Number) -> Traveler:
     # maximum() keeps v >= 0, and prevents a fused multiply-add, which would round differently.
     v = t.v + maximum(a * step, -t.v)
     a = where(v > 0.0, a, maximum(a, 0.0))
-    time, traveled = t.time + step, t.traveled + 0.5 * (t.v + v) * step
+    time = t.time + step
+    traveled = t.traveled + 0.5 * (t.v + v) * step
     gait_left = t.gait_left - step
     changing = where(t.stopping > 0.5, STANDING_MPS - v, time - t.phase_end)
     due = (gait_left <= 0.0) | (traveled >= t.stretch + t.arc) | (changing >= 0.0)

@@ -107,7 +107,9 @@ class SimulatedSource:
 
     def _require_envelope(self) -> None:
         """Refuse a radio and a scene whose episodes could contain values that filters refuse."""
-        scene, radio, anchors = self._example, self.radio, self.layout.anchors
+        scene = self._example
+        radio = self.radio
+        anchors = self.layout.anchors
         snr_db = np.repeat(np.array(SNR_LIMITS_DB)[:, None], anchors, axis=1)
         rarely = math.exp(RARE * radio.spread_sigma)
         spread_mps = radio.spread_gain * FASTEST_MPS * rarely + RARE * radio.spread_floor_mps
@@ -152,7 +154,8 @@ class SimulatedSource:
     @property
     def name(self) -> str:
         """Return the scenario's name, followed by the scene's name unless that is "street"."""
-        users, scene = self._users, self.scene.name
+        users = self._users
+        scene = self.scene.name
         if not isinstance(users, tuple):
             name = users.name
         else:
@@ -170,8 +173,11 @@ class SimulatedSource:
 
     def episodes(self, keys: Keys) -> list[Episode]:
         """Return the episodes that the keys (n,) determine."""
-        batch, index, scene = self.sample_batch(keys), self._site[1], self._example
-        starts, partial = [group.start for group in self.layout.groups], self.layout.partial
+        batch = self.sample_batch(keys)
+        index = self._site[1]
+        scene = self._example
+        starts = [group.start for group in self.layout.groups]
+        partial = self.layout.partial
         episodes = []
         for name, table, site in zip(batch.names, batch.table, batch.site, strict=True):
             columns = [np.ascontiguousarray(table[:, c]) for c in columns_of(self.layout)]
@@ -196,7 +202,8 @@ class SimulatedSource:
 
     def sample_batch(self, keys: Keys, threads: int = 1) -> EpisodeBatch:
         """Return the episodes of keys (n,) as a batch, drawn by at most ``threads`` threads."""
-        n, at = len(keys), columns_of(self.layout)
+        n = len(keys)
+        at = columns_of(self.layout)
         begun = self.begin(keys)
         program, state = self._simulation(begun)
         measured = rows_of(program.index.measured)
@@ -242,16 +249,19 @@ class SimulatedSource:
 
     def begin(self, keys: Keys) -> Begun:
         """Return the beginnings of the episodes of keys (n,)."""
-        n, program = len(keys), self._beginning
+        n = len(keys)
+        program = self._beginning
         at = program.index.begun
         parts = [at.choice, at.first, at.prior_noise, at.receiver.anchors]
         world = [at.receiver, at.user] if self.travels else [at.receiver]
         io = StepIO.of(n, 1, output_rows=rows_of([parts, world]))
-        tables, rows = keys.view(np.float64).reshape(n, 1, 1), blocks_of(self._before, n)
+        tables = keys.view(np.float64).reshape(n, 1, 1)
+        rows = blocks_of(self._before, n)
         program.run_on_lanes(BatchState.of(tables, rows), io)
         ends = np.cumsum([len(flatten(part)) for part in parts])
         choice, first, noise, anchors, worlds = np.split(io.outputs[:, 0], ends, axis=1)
-        kinds, truth = choice[:, 0].astype(np.int64), np.empty((n, self.epochs, 0))
+        kinds = choice[:, 0].astype(np.int64)
+        truth = np.empty((n, self.epochs, 0))
         if not self.travels:
             kinds, truth = self.ways.draw(choice[:, 0])
             first[:, :6] = truth[:, 0]
@@ -274,7 +284,8 @@ class SimulatedSource:
     @cached_property
     def _plans(self) -> list[TravelPlan]:
         """Return the travel plans of the kinds of users; none if ways are given."""
-        users, scene = self._users, self.scene
+        users = self._users
+        scene = self.scene
         if not isinstance(users, tuple):
             if isinstance(scene, RandomScene):
                 raise ValueError(
@@ -318,7 +329,9 @@ class SimulatedSource:
     @cached_property
     def _before(self) -> Array:
         """Return the input (size,) of the program that begins episodes, with 0 as the key."""
-        scene, radio, template = self._example, self.radio, self._beginning.template
+        scene = self._example
+        radio = self.radio
+        template = self._beginning.template
         filled = template._replace(
             plans=self._plans,
             scene=scene.numbers,
@@ -331,7 +344,9 @@ class SimulatedSource:
     @cached_property
     def _settings_rows(self) -> Array:
         """Return the settings (rows, 8 lanes), which are the same in all episodes."""
-        radio, scene, stride = self.radio, self._example, stride_of(self.dt)
+        radio = self.radio
+        scene = self._example
+        stride = stride_of(self.dt)
         settings = WorldSettings(
             hz_per_mps=scene.hz_per_mps,
             channel=channel_of(radio, scene, self.layout, self.dt),

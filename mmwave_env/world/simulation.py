@@ -96,8 +96,11 @@ def measure(
 
     ``truth`` (6,) is the true position (m) and velocity (m/s).
     """
-    is_first, dice = receiver.is_first > 0.5, Dice(receiver.dice)
-    position, velocity, radio = truth[:3], truth[3:], settings.channel
+    is_first = receiver.is_first > 0.5
+    dice = Dice(receiver.dice)
+    position = truth[:3]
+    velocity = truth[3:]
+    radio = settings.channel
     speed = sqrt(dot(velocity, velocity))
     exact = exact_rows(position, velocity, receiver.anchors, settings.hz_per_mps, layout)
     distance = [exact[layout.link(a)][0] for a in range(layout.anchors)]
@@ -142,7 +145,8 @@ def _run_on(receiver: ReceiverState, bias_hz: Number, clock: Vector) -> Clock | 
     """
     if not isinstance(receiver.clock, Clock):
         return ()
-    (half_step, sigma_m), dice = clock, Dice(receiver.clock.dice)
+    (half_step, sigma_m) = clock
+    dice = Dice(receiver.clock.dice)
     bias_m = receiver.clock.bias_m + half_step * (receiver.bias_hz + bias_hz)
     bias_m = bias_m + sigma_m * dice.normal()
     return Clock(dice.state, bias_m)
@@ -164,7 +168,8 @@ def _observe(w: WorldState, layout: Layout) -> WorldState:
 def _attend(w: WorldState) -> WorldState:
     """Let the traveler react to an event (new target speed, crossing or phase), if one is due."""
     user = w.user
-    dice, due = Dice(user.dice), user.traveler.due > 0.5
+    dice = Dice(user.dice)
+    due = user.traveler.due > 0.5
     traveler = attend(dice, user.traveler, user.phases, user.net)
     changed = user._replace(
         dice=select(due, dice.state, user.dice), traveler=select(due, traveler, user.traveler)
@@ -182,7 +187,8 @@ def blank_world(layout: Layout, phases: int, gaits: int) -> WorldState:
     still = Traveler(*[0.0] * len(Traveler._fields))._replace(radius=1.0, jerk=1.0)
     acts = [plan.phase for plan in blank_plan(phases, gaits).phases]
     channel = channel_of(Radio("blank"), Scene("blank", (0.0, 0.0, 10.0)), layout, 1.0)
-    anchors, dice = [[0.0, 0.0, 10.0 + a] for a in range(layout.anchors)], [0.0] * STATE_WORDS
+    anchors = [[0.0, 0.0, 10.0 + a] for a in range(layout.anchors)]
+    dice = [0.0] * STATE_WORDS
     clock = Clock(dice, 0.0) if layout.clock else ()
     offered = [1.0] * layout.size * layout.partial
     return WorldState(
@@ -221,7 +227,8 @@ class World:
     @cached_property
     def _compiled(self) -> Any:
         """Return the compiled :attr:`parts` as one function, which skips events if none is due."""
-        parts, ends = self.parts, self.ends
+        parts = self.parts
+        ends = self.ends
         look, happen, substep = (tree_kernel(part, self.template, ends) for part in parts)
         row = 8 * WIDTH  # bytes
         due = row * (self.index.user.traveler.due - ends[1])
@@ -285,7 +292,9 @@ def as_measured(layout: Layout) -> Program[AsMeasured]:
 
 # Each key seeds three streams of random numbers. So the trajectory is the same with any radio, and
 # a clock offset changes neither the trajectory nor the receiver's noise.
-USER, RECEIVER, CLOCK = 0, 1, 2
+USER = 0
+RECEIVER = 1
+CLOCK = 2
 
 
 class FirstDraws(NamedTuple):
@@ -319,9 +328,12 @@ def begin(w: Beginning, streets: RandomScene | None) -> Beginning:
     Keep the order of the draws: otherwise every key would give another episode. ``streets`` is the
     random scene from which the episode draws its own scene, or None if the scene is fixed.
     """
-    dice, others = Dice(seeded(w.key[0], USER)), Dice(seeded(w.key[0], RECEIVER))
+    dice = Dice(seeded(w.key[0], USER))
+    others = Dice(seeded(w.key[0], RECEIVER))
     scene = streets.draw_numbers(dice) if streets else w.scene
-    user, position, velocity = w.begun.user, [0.0, 0.0], [0.0, 0.0]
+    user = w.begun.user
+    position = [0.0, 0.0]
+    velocity = [0.0, 0.0]
     if w.plans:
         choice = floor(float(len(w.plans)) * dice.uniform())
         plan = tree_at(choice, w.plans)
@@ -343,7 +355,8 @@ def begin(w: Beginning, streets: RandomScene | None) -> Beginning:
         own = Dice(seeded(w.key[0], CLOCK))
         bias_m = deviation * own.normal()
         receiver = receiver._replace(clock=Clock(own.state, bias_m))
-        first, noise = [*first, bias_m], [*noise, 0.0 - bias_m]
+        first = [*first, bias_m]
+        noise = [*noise, 0.0 - bias_m]
     return w._replace(begun=FirstDraws(receiver, user, choice, first, noise))
 
 

@@ -18,7 +18,9 @@ from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.world.mobility import FASTEST_MPS, Mobility, mobilities_of
 
 REACH_M = (1.0, 5000.0)  # range of distances where the path loss is valid (TR 38.901, UMi)
-STANDING_M, STANDING_S = 0.1, 60.0  # staying within 0.1 m for 60 s is suspect
+# staying within 0.1 m for 60 s is suspect
+STANDING_M = 0.1
+STANDING_S = 60.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +47,8 @@ class Trajectory:
     lines: Sequence[int] | None = None
 
     def __post_init__(self) -> None:
-        t, p = np.asarray(self.time_s, float), np.asarray(self.position_m, float)
+        t = np.asarray(self.time_s, float)
+        p = np.asarray(self.position_m, float)
         v = None if self.velocity_mps is None else np.asarray(self.velocity_mps, float)
         for name, values in (("position_m", p), ("velocity_mps", v)):
             if values is not None and (t.ndim != 1 or values.shape != (len(t), 3)):
@@ -78,7 +81,8 @@ class Trajectory:
         if v is not None:
             fast = np.linalg.norm(v, axis=1)
             self._require(fast <= FASTEST_MPS, v, "vx, vy, vz", most)
-            way, integral = np.linalg.norm(moved, axis=1).sum(), fast[1:] @ step[1:]
+            way = np.linalg.norm(moved, axis=1).sum()
+            integral = fast[1:] @ step[1:]
             if integral > 2.0 * way + STANDING_M:
                 raise ValueError(
                     f"{self.name}: vx, vy, vz: found a path of {integral:.6g} m, expected "

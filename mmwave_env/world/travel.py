@@ -72,7 +72,8 @@ def blank_plan(phases: int, gaits: int) -> TravelPlan:
     """Return a placeholder plan with the given numbers of phases and gaits, to be overwritten."""
     gait = Gait(0.0, 0.0, 1.0, 0.0)
     phase = Phase(1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, FAR, [gait] * gaits)
-    once, at_one = [FAR, FAR], [1.0, 1.0]
+    once = [FAR, FAR]
+    at_one = [1.0, 1.0]
     return TravelPlan(1.0, [PhasePlan(once, at_one, at_one, at_one, 0.0, phase)] * phases)
 
 
@@ -82,17 +83,20 @@ def _draw_gait(dice: Dice, gaits: Sequence[Gait]) -> tuple[Number, Number]:
     for gait in gaits[1:]:
         total = total + gait.weight
     left = total * dice.uniform()
-    chosen, passed = gaits[0], gaits[0].weight
+    chosen = gaits[0]
+    passed = gaits[0].weight
     for gait in gaits[1:]:
         here = (left >= passed) & (left < passed + gait.weight)
-        chosen, passed = select(here, gait, chosen), passed + gait.weight
+        chosen = select(here, gait, chosen)
+        passed = passed + gait.weight
     return dice.uniform(chosen.low, chosen.high), chosen.mean_s * dice.exponential()
 
 
 def _leads_on(x: Number, y: Number, heading: Number, net: Net) -> Number:
     """Return 1 if a street leads from the crossing (x, y) in this direction, else 0."""
     east, north = unit(heading)
-    x, y = x + east, y + north
+    x = x + east
+    y = y + north
     inside = (x > -0.5) & (y > -0.5) & (x < net.blocks_x + 0.5) & (y < net.blocks_y + 0.5)
     return where(inside, 1.0, 0.0)
 
@@ -111,7 +115,8 @@ def _draw_turn(dice: Dice, x: Number, y: Number, heading: Number, net: Net) -> N
 def _look_ahead(dice: Dice, t: Traveler, heading: Number, phase: Phase, net: Net) -> Traveler:
     """Draw the turn and the duration of the red light at the crossing after the next one."""
     east, north = unit(heading)
-    x, y = t.node_x + east, t.node_y + north
+    x = t.node_x + east
+    y = t.node_y + north
     turn = _draw_turn(dice, x, y, heading, net)
     stops = dice.uniform() < phase.red_probability
     red = where(stops, dice.uniform(phase.red_low, phase.red_high), 0.0)
@@ -126,11 +131,14 @@ def _arc(turn: Number, radius: Number) -> Number:
 def _cross(dice: Dice, t: Traveler, phase: Phase, net: Net) -> Traveler:
     """Pass a crossing: the street that leads from it becomes the way ahead."""
     east, north = unit(t.heading)
-    turned, side = abs(t.turn), where(t.turn < 0.0, -1.0, 1.0)
+    turned = abs(t.turn)
+    side = where(t.turn < 0.0, -1.0, 1.0)
     forward = t.stretch + where(abs(turned - 1.0) < 0.5, t.radius, 0.0)
     left = side * turned * t.radius
-    x, y = t.x + forward * east - left * north, t.y + forward * north + left * east
-    heading, turn = around(t.heading + t.turn), t.turn_after
+    x = t.x + forward * east - left * north
+    y = t.y + forward * north + left * east
+    heading = around(t.heading + t.turn)
+    turn = t.turn_after
     east, north = unit(heading)
     distance = east * (net.origin_x + net.block * t.node_x - x)
     distance = distance + north * (net.origin_y + net.block * t.node_y - y)
@@ -163,7 +171,8 @@ def _enter(t: Traveler, number: Number, phase: Phase) -> Traveler:
 
 def _change_over(t: Traveler, following: Phase) -> Traveler:
     """Make a traveler stop when its phase is over; begin the next phase once it stands still."""
-    left, wider = t.stretch - t.traveled, following.radius - t.radius
+    left = t.stretch - t.traveled
+    wider = following.radius - t.radius
     # If too little street is left for the next phase's wider corner, turn at this corner first.
     room = (abs(t.turn) < 0.5) | (left > wider + 4.0)
     over = (t.time >= t.phase_end) & (t.stopping < 0.5) & room
@@ -196,7 +205,8 @@ def attend(dice: Dice, t: Traveler, phases: Sequence[Phase], net: Net) -> Travel
 def draw_phases(dice: Dice, plans: Sequence[PhasePlan], total_s: Number) -> list[Phase]:
     """Draw the phases of an episode; the limits of a repeated phase are drawn again."""
     lengths = [dice.uniform(*plan.length) for plan in plans]
-    phases, passed = [], 0.0
+    phases = []
+    passed = 0.0
     for plan, length, after in zip(plans, lengths, [*lengths[1:], 0.0], strict=True):
         passed = passed + length
         end = where(plan.ends_early > 0.5, total_s - after - STOPPING_S, passed)

@@ -7,7 +7,8 @@ from experiments.console.main import run
 from tests.cli import command
 from tests.paths import LOGS, ROOT, json_in
 
-WALK, RIDE = LOGS / "canyon28_pedestrian", LOGS / "canyon28_vehicle"
+WALK = LOGS / "canyon28_pedestrian"
+RIDE = LOGS / "canyon28_vehicle"
 EPOCHS = {WALK: 400, RIDE: 120}  # number of epochs in each log
 
 

@@ -179,7 +179,8 @@ def test_an_option_means_the_same_as_the_argument_of_the_environment(option):
     _, content = with_json("evaluate", *steps, *words)
     env = gymnasium.make("MmWaveLoc-v0", episode_steps=30, **arguments)
     env.reset(seed=3)
-    rewards, info = [], {}
+    rewards = []
+    info = {}
     while len(rewards) < 30:
         _, reward, *_, info = env.step(1)
         rewards.append(reward)

@@ -19,9 +19,12 @@ with suppress(ImportError):  # systems without fork lack this module, too
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")]
 SIGNALS = {signal.SIGINT, signal.SIGTERM}
-HITS, TRIES = 3, 15  # required number of interruptions of a command, maximum number of tries
+# required number of interruptions of a command, maximum number of tries
+HITS = 3
+TRIES = 15
 PRINTED = "printed.txt"  # file with a command's output, outside the folder where it runs
-LOG, SCENE = (str(LOGS / "canyon28_vehicle" / name) for name in ("log.csv", "scene.json"))
+LOG = str(LOGS / "canyon28_vehicle" / "log.csv")
+SCENE = str(LOGS / "canyon28_vehicle" / "scene.json")
 FEW = ("--episodes", "4", "--episode-steps", "30")
 COMMANDS = {
     "localize": ("localize", LOG, "--scene", SCENE, "--speed", "auto", "--out", "track.tum",
@@ -70,7 +73,8 @@ def begun(words, folder, most):
         output = os.open(f"../{PRINTED}", os.O_WRONLY)
         os.dup2(output, 1)
         os.dup2(output, 2)
-        sys.stdout, sys.stderr = (os.fdopen(stream, "w", closefd=False) for stream in (1, 2))
+        sys.stdout = os.fdopen(1, "w", closefd=False)
+        sys.stderr = os.fdopen(2, "w", closefd=False)
         if most is not None:
             resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
         sys.argv = ["mmwave-loc", *words]
@@ -96,9 +100,8 @@ def undisturbed(tmp_path_factory):
             if name == "report":
                 succeed(*COMMANDS["compare"], cwd=inputs)
                 (inputs / "c.csv").unlink()
-            made, again = (
-                shutil.copytree(inputs, inputs.parent / copy) for copy in ("made", "again")
-            )
+            made = shutil.copytree(inputs, inputs.parent / "made")
+            again = shutil.copytree(inputs, inputs.parent / "again")
             succeed(*COMMANDS[name], cwd=made)
             begin = time.monotonic()
             # By now everything is compiled in this process, and thus in its forks.
@@ -115,7 +118,8 @@ def undisturbed(tmp_path_factory):
 def test_an_interrupted_command_leaves_complete_files_or_none(name, kind, undisturbed, tmp_path):
     inputs, whole, longest_s = undisturbed(name)
     sent, codes = INTERRUPTIONS[kind]
-    rng, hits = random.Random(f"{name} {kind}"), 0
+    rng = random.Random(f"{name} {kind}")
+    hits = 0
     largest = max(len(content) for content in whole.values())
     for number in range(TRIES):
         folder = shutil.copytree(inputs, tmp_path / str(number))

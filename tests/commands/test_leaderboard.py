@@ -12,7 +12,9 @@ from tests.cli import assert_one_clear_line, command, succeed
 from tests.paths import ROOT, json_in
 
 FOLDER = ROOT / "experiments" / "evaluation" / "entries"
-GOOD, POOR = "guided", "imm-best"  # two policies with files in this folder, the better policy first
+# two policies with files in this folder, the better policy first
+GOOD = "guided"
+POOR = "imm-best"
 
 
 @pytest.fixture(scope="module")
@@ -80,11 +82,13 @@ def test_a_mistake_is_refused_before_episodes_are_played(options, message, tmp_p
 
 @pytest.mark.parametrize(("episodes", "draws"), [(1999, 200), (2000, 199)])
 def test_an_entry_with_too_few_episodes_comes_last_and_is_marked(episodes, draws, tmp_path):
-    good, poor = (json_in(FOLDER / f"{name}.json") for name in (GOOD, POOR))
+    good = json_in(FOLDER / f"{GOOD}.json")
+    poor = json_in(FOLDER / f"{POOR}.json")
     (tmp_path / "full.json").write_text(json.dumps(poor))
     for site in good["sites"].values():
         site["episodes"] = draws if site["kind"] == "recorded" else episodes
     (tmp_path / "a-short.json").write_text(json.dumps(good | {"entry": "short"}))
     shown = succeed("leaderboard", "--out", tmp_path)
-    full, short = f"| {POOR} | 2000 / 200 | ", f"| short | {episodes} / {draws} (too few) | "
+    full = f"| {POOR} | 2000 / 200 | "
+    short = f"| short | {episodes} / {draws} (too few) | "
     assert shown.index(full) < shown.index(short)

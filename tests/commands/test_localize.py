@@ -30,7 +30,8 @@ def test_a_speed_chooses_the_mode(folder, speed, mode):
     results = figures(folder, "--speed", speed, "--radio", "standard", "--outside", "abort")
     assert results["modes"] == {mode: EPOCHS[folder]} and results["switches"] == 0
     assert results["truth"]["scored"] == EPOCHS[folder]
-    filtered, smoothed = (results["truth"]["tracks"][t] for t in ("filtered", "smoothed"))
+    filtered = results["truth"]["tracks"]["filtered"]
+    smoothed = results["truth"]["tracks"]["smoothed"]
     assert smoothed["ate_m"] < filtered["ate_m"] < 0.3
     assert smoothed["rmse_m"] < 0.1 and filtered["in_bounds"] > 0.85
 
@@ -57,10 +58,12 @@ def test_corrections_do_no_harm_if_the_log_has_no_doppler_spread(tmp_path, missi
     kept = [i for i, name in enumerate(header) if name not in missing]
     with (tmp_path / "log.csv").open("w") as file:
         csv.writer(file).writerows([row[i] for i in kept] for row in [header, *rows])
-    corrected, plain = (
-        figures(RIDE, "--policy", policy, log=tmp_path / "log.csv")["truth"]["tracks"]["filtered"]
-        for policy in ("corrector", "guided")
-    )
+    corrected = figures(RIDE, "--policy", "corrector", log=tmp_path / "log.csv")["truth"]["tracks"][
+        "filtered"
+    ]
+    plain = figures(RIDE, "--policy", "guided", log=tmp_path / "log.csv")["truth"]["tracks"][
+        "filtered"
+    ]
     assert corrected["ate_m"] < 1.05 * plain["ate_m"]
 
 
@@ -73,7 +76,8 @@ def evo_figures(truth, track, delta):
     sync = pytest.importorskip("evo.core.sync")
     read = pytest.importorskip("evo.tools.file_interface").read_tum_trajectory_file
     pair = sync.associate_trajectories(read(str(truth)), read(str(track)))
-    translation, of = metrics.PoseRelation.translation_part, metrics.StatisticsType
+    translation = metrics.PoseRelation.translation_part
+    of = metrics.StatisticsType
     absolute = metrics.APE(translation)
     absolute.process_data(pair)
     relative = metrics.RPE(translation, delta=delta, delta_unit=metrics.Unit.frames, all_pairs=True)
@@ -86,7 +90,8 @@ def evo_figures(truth, track, delta):
 @pytest.mark.parametrize("known", [slice(None), slice(30, 95)])
 def test_the_figures_equal_those_of_evo(tmp_path, track, known):
     truth = read_tum(RIDE / "truth.tum")
-    part, out = tmp_path / "part.tum", tmp_path / "track.tum"
+    part = tmp_path / "part.tum"
+    out = tmp_path / "track.tum"
     part.write_text(tum_lines(truth.time_s[known], truth.position_m[known]))
     switch = [] if track == "smoothed" else ["--no-smoothing"]
     words = ("--speed", "10", "--truth", part, "--out", out, *switch)
@@ -113,7 +118,8 @@ def test_the_error_does_not_depend_on_the_rate_of_the_truth(capsys, tmp_path, ra
     truth = at_another_rate(RIDE, tmp_path / "truth.tum", rate_hz)
     results = figures(RIDE, "--speed", "10", "--radio", "standard", "--truth", truth, truth=False)
     assert results["truth"]["tracks"]["smoothed"]["ate_m"] == pytest.approx(0.0625, abs=0.0025)
-    between, away = results["truth"]["interpolated"], 1e3 * results["truth"]["nearest_pose_s"]
+    between = results["truth"]["interpolated"]
+    away = 1e3 * results["truth"]["nearest_pose_s"]
     assert between > 105 and away < 0.25 * 1e3 / rate_hz + 3.0
     shown = capsys.readouterr()
     assert f"{between} of them between poses, {away:.1f} ms from the nearest pose" in shown.out
@@ -121,7 +127,8 @@ def test_the_error_does_not_depend_on_the_rate_of_the_truth(capsys, tmp_path, ra
 
 
 def test_a_truth_with_another_clock_causes_a_warning(tmp_path):
-    truth, file = tmp_path / "truth.tum", tmp_path / "figures.json"
+    truth = tmp_path / "truth.tum"
+    file = tmp_path / "figures.json"
     at_another_rate(RIDE, truth, 30.0, late_s=0.1)
     more = ("--speed", "10", "--radio", "standard", "--truth", truth, "--json", file)
     shown = command("localize", *options(RIDE / "log.csv", *more, folder=RIDE))
@@ -149,7 +156,8 @@ def test_the_printed_figures_equal_those_in_the_json_file(capsys, tmp_path):
 
 def test_the_json_file_records_a_command_that_reproduces_the_figures(tmp_path):
     """Run the recorded command again; the record leaves out the options for output files."""
-    file, again = tmp_path / "figures.json", tmp_path / "again.json"
+    file = tmp_path / "figures.json"
+    again = tmp_path / "again.json"
     words = ["--sample", RIDE.name, "--speed", "9", "--robust"]
     run("localize", [*words, "--json", str(file), "--out", str(tmp_path / "track.tum")])
     results = json_in(file)
@@ -161,7 +169,8 @@ def test_the_json_file_records_a_command_that_reproduces_the_figures(tmp_path):
 
 
 def test_the_truth_is_used_only_for_scores(tmp_path):
-    with_truth, without = tmp_path / "a.tum", tmp_path / "b.tum"
+    with_truth = tmp_path / "a.tum"
+    without = tmp_path / "b.tum"
     risk = ("--risk", "0.2", "--levels", "gaussian")
     scored = figures(RIDE, "--speed", "auto", "--out", with_truth, *risk)
     assert scored["modes"] == {"ekf": 1, "ukf": 119} and scored["switches"] == 1
@@ -177,7 +186,8 @@ def test_a_late_start_a_restart_and_an_end_at_a_long_gap_are_reported(capsys, tm
     The base station (anchor 1), without which no track begins, is not visible in the first 20 s.
     In the second case, anchor 1 is not visible after the gap either, so the track ends at the gap.
     """
-    log, gap = tmp_path / "gap.csv", range(100, 130)
+    log = tmp_path / "gap.csv"
+    gap = range(100, 130)
     header, *lines = lines_of()
     rows = [(round(10 * float(time)), rest) for time, _, rest in (l.partition(",") for l in lines)]
     for visible_s, said, counts in (

@@ -159,7 +159,9 @@ def test_results_and_errors_are_reported_if_standard_output_is_closed(
     monkeypatch, tmp_path, unbuffered, damaged, code
 ):
     monkeypatch.setenv("PYTHONUNBUFFERED", unbuffered)
-    log, file, (ours, theirs) = tmp_path / "log.csv", tmp_path / "figures.json", os.pipe()
+    log = tmp_path / "log.csv"
+    file = tmp_path / "figures.json"
+    (ours, theirs) = os.pipe()
     os.close(ours)
     log.write_text(with_line(602, lambda l: cell(l, 2, "far") if damaged else l))
     done = started("localize", *options(log, "--speed", "1", "--json", file), stdout=theirs)
@@ -184,7 +186,8 @@ DAMAGED = {
 @pytest.mark.parametrize("name", DAMAGED)
 def test_a_damaged_log_gives_the_track_up_to_the_damage(tmp_path, name, zipped):
     content, message, epochs = DAMAGED[name]
-    log, out = tmp_path / ("log.csv.gz" if zipped else "log.csv"), tmp_path / "track.tum"
+    log = tmp_path / ("log.csv.gz" if zipped else "log.csv")
+    out = tmp_path / "track.tum"
     log.write_bytes(gzip.compress(content.encode()) if zipped else content.encode())
     out.write_text(OLD)
     radio = ("--radio", "handset")
@@ -213,7 +216,8 @@ NO_TRACK = {  # name -> log, expected message
 @pytest.mark.parametrize("name", NO_TRACK)
 def test_a_log_that_gives_no_track_leaves_existing_files_unchanged(tmp_path, name):
     content, message = NO_TRACK[name]
-    log, out = tmp_path / "log.csv", tmp_path / "track.tum"
+    log = tmp_path / "log.csv"
+    out = tmp_path / "track.tum"
     log.write_text(content)
     out.write_text(OLD)
     _, line = refused(options(log, "--speed", "1", "--out", out, "--plot", tmp_path / "a.png"))
@@ -244,7 +248,8 @@ def test_the_error_names_all_unknown_columns_and_similar_known_columns(tmp_path,
 
 
 def test_if_log_and_truth_do_not_overlap_in_time_the_error_shows_both_time_spans(tmp_path):
-    truth, out = tmp_path / "truth.tum", tmp_path / "track.tum"
+    truth = tmp_path / "truth.tum"
+    out = tmp_path / "track.tum"
     truth.write_text(tum_lines(np.array([1000.0, 1002.5]), np.zeros((2, 3))))
     more = ("--speed", "1", "--truth", truth, "--out", out)
     shown, line = refused(options(WALK / "log.csv", *more))
@@ -280,7 +285,8 @@ print(next(line for line in open("/proc/self/status") if line.startswith("VmHWM"
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs procfs")
 def test_memory_does_not_grow_with_the_log(tmp_path):
-    log, peaks = tmp_path / "log.csv", []
+    log = tmp_path / "log.csv"
+    peaks = []
     files = ("--out", tmp_path / "track.tum", "--plot", tmp_path / "track.png")
     more = ("--speed", "auto", *files)
     for rows in (600_000, 2_400_000):

@@ -154,7 +154,8 @@ def test_each_contradiction_is_shown_as_a_warning_and_written_to_json(tmp_path, 
 
 
 def test_a_diagnosis_names_the_mistake_and_writes_no_track(tmp_path, downlink):
-    before, file = downlink.read_bytes(), tmp_path / "found.json"
+    before = downlink.read_bytes()
+    file = tmp_path / "found.json"
     words = options(downlink, "--radio", "standard", "--diagnose", "--json", file, folder=RIDE)
     done = command("localize", *words)
     assert done.returncode == 0 and done.stderr == "" and downlink.read_bytes() == before
@@ -182,7 +183,8 @@ def test_a_diagnosis_reports_facts_about_the_log():
     more = ("--radio", "standard", "--truth", RIDE / "truth.tum", "--diagnose")
     shown, results = with_json("localize", *options(RIDE / "log.csv", *more, folder=RIDE))
     columns = read_columns(RIDE / "log.csv")
-    times, facts = np.unique(columns["time_s"]), results["facts"]
+    times = np.unique(columns["time_s"])
+    facts = results["facts"]
     assert facts["epochs"] == len(times) and facts["problems"] == []
     assert (facts["first_s"], facts["last_s"]) == (times[0], times[-1])
     assert facts["step_s"] == pytest.approx(np.median(np.diff(times)))

@@ -52,13 +52,16 @@ def test_the_command_reproduces_the_shipped_sample_logs(tmp_path, name):
     assert sorted(path.name for path in (LOGS / name).iterdir()) == FILES
     readme = (LOGS / "README.md").read_text()
     assert f"mmwave-loc simulate --data {name} --radio standard --out {name}\n" in readme
-    ours, theirs = LOGS / name, tmp_path
-    scene, again = (read_scene(folder / "scene.json") for folder in (ours, theirs))
+    ours = LOGS / name
+    theirs = tmp_path
+    scene = read_scene(ours / "scene.json")
+    again = read_scene(theirs / "scene.json")
     np.testing.assert_allclose(again.anchors_m, scene.anchors_m, atol=1e-9)
     for a, b in zip(*(read_tum(folder / "truth.tum") for folder in (ours, theirs)), strict=True):
         np.testing.assert_array_equal(a, b)
     # Bytes are not compared, because another libm may round the last digit differently.
-    (a,), (b,) = (list(read_log(folder / "log.csv", scene)) for folder in (ours, theirs))
+    (a,) = list(read_log(ours / "log.csv", scene))
+    (b,) = list(read_log(theirs / "log.csv", scene))
     np.testing.assert_array_equal(a.visible, b.visible)
     for field in ("time_s", "measurement", "snr_db", "doppler_spread_hz"):
         np.testing.assert_allclose(

@@ -17,7 +17,8 @@ PAGE = ROOT / "docs" / "performance.md"
 def test_a_short_run_prints_and_writes_all_results(tmp_path, monkeypatch):
     monkeypatch.setattr(latency, "EPOCHS", 60)
     monkeypatch.setattr(latency, "WARM_UP", 10)
-    page, file = tmp_path / "page.md", tmp_path / "new" / "all.json"
+    page = tmp_path / "page.md"
+    file = tmp_path / "new" / "all.json"
     page.write_text(PAGE.read_text())
     options = ("--sizes", 8, "--seconds", 0, "--repeats", 1)
     shown = succeed("speed", *options, "--json", file, "--docs", page)

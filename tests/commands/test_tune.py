@@ -35,7 +35,8 @@ def test_tuning_finds_the_noise_that_made_the_data():
 
 @pytest.mark.slow
 def test_the_command_writes_a_mode_file_that_environments_and_commands_accept(tmp_path):
-    modes, figures = tmp_path / "modes.json", tmp_path / "figures.json"
+    modes = tmp_path / "modes.json"
+    figures = tmp_path / "figures.json"
     options = ["--modes", "ekf", "ukf-robust", "--scenarios", "pedestrian", "jam", "--episodes", 3,
                "--free", "sigma_v", "spread_gain", "--diagonal"]  # fmt: skip
     shown = succeed("tune", *options, "--out", modes, "--json", figures)

@@ -120,7 +120,8 @@ def test_the_error_without_a_display_names_the_variables_and_the_option_out(monk
 def test_the_documented_command_makes_the_shipped_animation(tmp_path):
     pages = {path.name: path.read_text("utf-8") for path in (ROOT / "docs").glob("*.md")}
     (line,) = re.findall(r"^mmwave-loc (watch .*docs/watch.gif)$", pages["commands.md"], re.M)
-    made, shipped = tmp_path / "watch.gif", ROOT / "docs" / "watch.gif"
+    made = tmp_path / "watch.gif"
+    shipped = ROOT / "docs" / "watch.gif"
     shown = succeed(*shlex.split(line.replace("docs/watch.gif", str(made))))
     assert frames(made) == frames(shipped)
     # Bytes are not compared, because math libraries and font engines differ slightly.

@@ -75,7 +75,8 @@ def kept(package):
 
 def edit(path, old, new):
     """Change a source file but keep its time and size, as unpacking an archive may do."""
-    stat, source = path.stat(), path.read_text()
+    stat = path.stat()
+    source = path.read_text()
     assert source.count(old) == 1
     path.write_text(source.replace(old, new))
     os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns))
@@ -316,7 +317,8 @@ def test_stored_files_are_private_but_are_loaded_even_if_others_may_read_them(pa
 
 @posix
 def test_cleaning_deletes_only_unused_old_folders_of_the_same_user(package, tmp_path):
-    shared, precious = tmp_path / "shared", tmp_path / "precious"
+    shared = tmp_path / "shared"
+    precious = tmp_path / "precious"
     assert run(package, NUMBA_CACHE_DIR=str(shared)) == (41, 0)
     (used,) = shared.iterdir()
     os.utime(used, (0, 0))

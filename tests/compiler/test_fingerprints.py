@@ -131,7 +131,8 @@ def test_an_environment_reuses_its_kernels_except_for_a_new_reward(started):
         env.reset(seed=0)
         print(*(repr(float(env.step(0)[1])) for _ in range(50)))
     """
-    first, kernels = started(code.format("1.0")), started.kernels()
+    first = started(code.format("1.0"))
+    kernels = started.kernels()
     assert started(code.format("1.0")) == first
     assert started.kernels() == kernels
     twice = started(code.format("2.0"))

@@ -46,7 +46,8 @@ class Many(NamedTuple):
     x: list
 
 
-NAN, INF = math.nan, math.inf
+NAN = math.nan
+INF = math.inf
 
 
 @cache
@@ -130,7 +131,8 @@ def test_functions_on_lanes_agree_with_numpy(function, data):
 
 ANGLE = np.linspace(-math.pi, math.pi, 100_001)
 CIRCLE = [np.sin(ANGLE), np.cos(ANGLE)]  # y, x
-LARGE, CLIPPED = [-INF, -1e6, -709.0, 709.0, 1e6, INF], [-708.0] * 3 + [708.0] * 3
+LARGE = [-INF, -1e6, -709.0, 709.0, 1e6, INF]
+CLIPPED = [-708.0] * 3 + [708.0] * 3
 EDGE = [[0, 1, 1, 1, 0, -1, -1, -1], [1, 1, 0, -1, -1, -1, 0, 1]]  # y, x of axes and diagonals
 EDGES = np.concatenate([scale * np.array(EDGE) for scale in (1e-200, 1.0, 1e200)], axis=1)
 CUT = [1e-300, -1e-300, 1e-17, -1e-17]
@@ -202,9 +204,8 @@ KEPT += ("memory.accepted", "memory.lockout")
 def assert_floats_equal_lanes(pipeline, episodes, actions):
     """Check that floats and lanes agree up to rounding; return the results on lanes."""
     epochs = len(episodes[0])
-    a, b = (
-        track(pipeline, episodes, actions, epochs, KEPT, on_floats) for on_floats in (False, True)
-    )
+    a = track(pipeline, episodes, actions, epochs, KEPT, False)
+    b = track(pipeline, episodes, actions, epochs, KEPT, True)
     assert_same_beliefs(a, b, rtol=1e-12)
     assert_same_beliefs(*[{"x": t["x"], "P": t["P_predicted"]} for t in (a, b)], rtol=1e-12)
     for name in KEPT[3:]:
@@ -238,7 +239,8 @@ def test_odometry_on_lanes_equals_odometry_on_floats(planar):
 
 @pytest.mark.parametrize("n", [1, 3, 8, 13])
 def test_results_do_not_depend_on_other_episodes_or_on_their_order(n):
-    pipeline, episodes = pipeline_of(), simulated(13, epochs=60)
+    pipeline = pipeline_of()
+    episodes = simulated(13, epochs=60)
     actions = np.random.default_rng(1).integers(3, size=(60, 13))
     order = np.random.default_rng(n).permutation(13)[:n]
     everyone = track(pipeline, episodes, actions, 60, KEPT)
@@ -260,9 +262,11 @@ def test_the_stack_of_a_kernel_is_aligned(monkeypatch):
 def test_a_simulated_world_on_lanes_equals_the_world_on_floats(scenario):
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], scenario, epochs=60)
     episodes = source.sample_batch(np.arange(3, dtype=np.uint64))
-    begun, world = source.begin(np.arange(3, dtype=np.uint64)), source.world
+    begun = source.begin(np.arange(3, dtype=np.uint64))
+    world = source.world
     settings = source.feed(begun.worlds).settings[:, 0]
-    blank, (observed, happened, moved) = np.zeros(world.ends[0]), world.parts
+    blank = np.zeros(world.ends[0])
+    (observed, happened, moved) = world.parts
     for kept, expected in zip(begun.worlds, episodes.table, strict=True):
         w = unflatten(world.template, iter(np.concatenate([blank, settings, kept]).tolist()))
         table = []

@@ -65,5 +65,6 @@ def test_environments_with_plain_and_compiled_functions_are_bit_identical(
         results = [envs.reset(seed=0)]
         return results + [envs.step(np.arange(9) % 2) for _ in range(14)]
 
-    plain, ready = run(lambda lazy: lazy.plain), run(lambda lazy: lazy.compiled)
+    plain = run(lambda lazy: lazy.plain)
+    ready = run(lambda lazy: lazy.compiled)
     assert data_equivalence(plain, ready, exact=True)

@@ -40,7 +40,8 @@ def test_no_more_threads_than_allowed_are_used():
 def test_an_error_in_any_thread_is_raised_and_the_next_call_works():
     with pytest.raises(ZeroDivisionError):
         share(lambda i: 1 / i, [(i,) for i in range(8)], 2)
-    me, begun = threading.get_ident(), threading.Event()
+    me = threading.get_ident()
+    begun = threading.Event()
 
     def job(i):
         if threading.get_ident() != me:

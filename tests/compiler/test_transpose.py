@@ -58,7 +58,8 @@ def test_gather_reads_every_lane_from_its_own_address(gather, count, seed):
 @settings(deadline=None)
 @given(rows=st.lists(st.integers(0, SIZE - 1), max_size=30), seed=st.integers(0, 99))
 def test_scatter_writes_the_rows_and_nothing_else(scatter, dtype, rows, seed):
-    block, room = some_block(seed), np.full((WIDTH, len(rows) + 3), 7.0, dtype)
+    block = some_block(seed)
+    room = np.full((WIDTH, len(rows) + 3), 7.0, dtype)
     expected = room.copy()
     expected[::-1, : len(rows)] = block[rows].T
     scatter(block, np.array(rows, np.int64), addresses(room))
@@ -92,7 +93,8 @@ def test_functions_stored_by_two_processes_work_in_a_third(tmp_path):
     (tmp_path / "users.py").write_text(USERS)
     site = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
     variables = os.environ | {"PYTHONPATH": site, "NUMBA_CACHE_DIR": str(tmp_path)}
-    wide, narrow = "out_of(wide, np.float64)", "out_of(narrow, np.float32)"
+    wide = "out_of(wide, np.float64)"
+    narrow = "out_of(narrow, np.float32)"
     for calls in (wide, narrow, f"{wide}; {narrow}"):
         script = f"from users import *; {calls}"
         subprocess.run([sys.executable, "-c", script], env=variables, check=True, timeout=120)

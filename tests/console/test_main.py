@@ -21,7 +21,8 @@ HEAVY = {"numba", "gymnasium", "numpy", "scipy", "matplotlib", "torch", "rich", 
 
 
 def test_the_program_lists_its_commands_and_shows_its_version():
-    helped, bare = command("--help"), command()
+    helped = command("--help")
+    bare = command()
     assert helped.returncode == 0 and bare.returncode == 2
     assert all(name in helped.stdout for name in COMMANDS) and helped.stdout == bare.stdout
     assert command("help").stdout == helped.stdout and set(SAME) < set(COMMANDS)

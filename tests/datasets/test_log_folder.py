@@ -62,7 +62,8 @@ def test_a_simulated_log_gives_the_simulated_episode(tmp_path, odometry):
     at = np.repeat(true.usable, true.layout.widths, axis=1)
     ranges = np.zeros(true.layout.size, bool)
     ranges[: true.layout.doppler : 4] = True
-    z, expected = episode.measurement, true.measurement
+    z = episode.measurement
+    expected = true.measurement
     np.testing.assert_array_equal(z[at & ~ranges], expected[at & ~ranges])
     # Writing a log divides ranges by the speed of light; reading multiplies them by it again.
     np.testing.assert_array_max_ulp(z[at & ranges], expected[at & ranges])
@@ -101,7 +102,8 @@ def test_a_wrong_clock_of_the_truth_is_reported_but_not_corrected(sample):
 
 def test_a_log_with_sigma_columns_and_missing_quantities_can_be_played_and_written_again(folder):
     """Check a log without SNRs and angles of arrival, whose Doppler shifts belong to anchor 2."""
-    whole, columns = read_log_folder(folder), read_columns(folder / "log.csv")
+    whole = read_log_folder(folder)
+    columns = read_columns(folder / "log.csv")
     own = {name: columns[name] for name in ("time_s", "anchor", "toa_s", "aod_azimuth_rad")}
     own["doppler_hz"] = np.roll(columns["doppler_hz"], 1)  # moved to anchor 2's rows
     for sigma, name, value in (

@@ -20,7 +20,8 @@ from tests.logs.by_hand import shown
 from tests.paths import representative
 from tests.refusals import refuses
 
-STREET, RADIO = SCENES["street"], RADIOS["handset"]
+STREET = SCENES["street"]
+RADIO = RADIOS["handset"]
 
 
 def generator(seed=0):
@@ -39,7 +40,8 @@ def links(record, visible):
 
 def arrays(episode):
     """Return, by name, the arrays from which ``MeasuredTrack.from_arrays`` makes this episode."""
-    visible, doppler = episode.usable[:, :3], episode.layout.doppler
+    visible = episode.usable[:, :3]
+    doppler = episode.layout.doppler
     return {
         "time_s": episode.time_s,
         "anchors_m": episode.scene_anchors_m,
@@ -88,7 +90,8 @@ def test_a_link_may_lack_a_measurement_but_without_snr_it_is_not_visible(name):
     values = arrays(simulated())[name].copy()
     values[epoch, anchor] = np.nan
     own = track(**{name: values})
-    rows, heard = slice(4 * anchor, 4 * anchor + 4), name != "snr_db"
+    rows = slice(4 * anchor, 4 * anchor + 4)
+    heard = name != "snr_db"
     assert not whole.layout.partial and own.layout.partial == heard
     expected = whole.visible.copy()
     expected[epoch, anchor] = heard
@@ -201,7 +204,9 @@ def test_correct_tracks_cause_no_warning(seeds):
 
 def test_seeds_change_the_prior_and_nothing_else():
     source = TrackSource(track(), "handset")
-    first, same, other = (source.sample(generator(seed)) for seed in (5, 5, 6))
+    first = source.sample(generator(5))
+    same = source.sample(generator(5))
+    other = source.sample(generator(6))
     np.testing.assert_array_equal(first.table(), other.table())
     np.testing.assert_array_equal(first.prior_mean, same.prior_mean)
     assert (first.prior_mean[:6] != other.prior_mean[:6]).all() and first.prior_mean[6] == 0.0
@@ -236,7 +241,8 @@ def test_stretches_are_runs_of_epochs_with_known_truth_and_without_a_gap(known, 
 def broken():
     """Return a track of 60 epochs; epochs 20 and 21 have no truth, and epoch 50 follows a gap."""
     episode = simulated()
-    position, time = episode.truth_position_m.copy(), episode.time_s.copy()
+    position = episode.truth_position_m.copy()
+    time = episode.time_s.copy()
     position[20:22] = np.nan
     time[50:] += 20.0
     return track(position_m=position, time_s=time)

@@ -9,7 +9,8 @@ from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.metrics import INFO_KEYS, summary
 from tests.filters.tracks import pipeline_of, simulated
 
-N, T = 11, 12
+N = 11
+T = 12
 ENGINES = pytest.mark.parametrize("on_floats", [False, True], ids=["SIMD", "plain Python"])
 
 
@@ -27,11 +28,13 @@ def everything(engine):
 
 @ENGINES
 def test_starting_some_environments_does_not_change_the_others(on_floats):
-    episodes, others = simulated(N, epochs=T), simulated(3, epochs=T + 5)
+    episodes = simulated(N, epochs=T)
+    others = simulated(3, epochs=T + 5)
     engine = engine_of(episodes, on_floats)
     for _ in range(4):
         engine.step(np.int64(0))
-    before, started = everything(engine), np.array([1, 6, 10])
+    before = everything(engine)
+    started = np.array([1, 6, 10])
     engine.batch.load(others, started)
     engine.start(started)
     expected = engine_of(others, on_floats)
@@ -46,8 +49,10 @@ def test_starting_some_environments_does_not_change_the_others(on_floats):
 
 @ENGINES
 def test_loaded_episodes_start_at_the_next_step_without_a_call_of_start(on_floats):
-    episodes, others = simulated(N, epochs=T), simulated(2, epochs=T)
-    engine, started = engine_of(episodes, on_floats), np.array([0, 9])
+    episodes = simulated(N, epochs=T)
+    others = simulated(2, epochs=T)
+    engine = engine_of(episodes, on_floats)
+    started = np.array([0, 9])
     engine.step(np.int64(0))
     engine.batch.load(others, started)
     engine.step(np.int64(0))
@@ -60,8 +65,10 @@ def test_loaded_episodes_start_at_the_next_step_without_a_call_of_start(on_float
 
 @ENGINES
 def test_epochs_after_the_end_of_an_episode_are_blank(on_floats):
-    long, short = simulated(1, epochs=T)[0], simulated(1, epochs=3)[0]
-    together, alone = engine_of([long, short], on_floats), engine_of([short], on_floats)
+    long = simulated(1, epochs=T)[0]
+    short = simulated(1, epochs=3)[0]
+    together = engine_of([long, short], on_floats)
+    alone = engine_of([short], on_floats)
     for _ in range(5):
         together.step(np.int64(0))
         alone.step(np.int64(0))
@@ -73,7 +80,9 @@ def test_epochs_after_the_end_of_an_episode_are_blank(on_floats):
 @pytest.mark.parametrize("dt", [1e-9, 0.1, 0.3, 1.0, 2.5])
 @pytest.mark.parametrize("epochs", [1, 5, 10, 11, 12, 25, 200])
 def test_an_episode_ends_with_the_metrics_of_its_track(epochs, dt, axes):
-    rng, tally, where = np.random.default_rng(epochs), Tally(3, axes), np.array([1])
+    rng = np.random.default_rng(epochs)
+    tally = Tally(3, axes)
+    where = np.array([1])
     for _ in range(2):  # the first episode does not affect the second
         tally.begin(where, np.array([dt]), np.array([epochs]))
         errors = rng.normal(0.0, 20.0, (epochs, 3))

@@ -47,7 +47,8 @@ class Quantity:
         return [end * (1.0 + out) if end else -1.0 for end, out in self._ends()] + [*FAR]
 
     def _ends(self):
-        least, most = self.bound.least, self.bound.most
+        least = self.bound.least
+        most = self.bound.most
         return [(least, ASIDE * (1 if least < 0 else -1)), (most, ASIDE)]
 
 
@@ -89,7 +90,8 @@ def shifted(episode, value):
     return replace(episode, scene_anchors_m=episode.scene_anchors_m + value, prior_mean=prior)
 
 
-ANGLES, DOPPLER = [i for i in range(12) if i % 4], 12
+ANGLES = [i for i in range(12) if i % 4]
+DOPPLER = 12
 QUANTITIES = (
     Quantity("step", envelope.STEP_S, steps),
     Quantity("position of anchors and user", envelope.POSITION_M, shifted),
@@ -142,7 +144,8 @@ def sound(x, P):
 def test_beliefs_are_sound_if_one_or_two_quantities_are_at_the_ends_of_their_bounds(name):
     single = [(quantity, value) for quantity in QUANTITIES for value in quantity.within()]
     pairs = [pair for pair in combinations(single, 2) if pair[0][0].put is not pair[1][0].put]
-    ordinary, cases = {seed: drawn(seed, epochs=30) for seed in SEEDS}, {}
+    ordinary = {seed: drawn(seed, epochs=30) for seed in SEEDS}
+    cases = {}
     for seed, changes in product(SEEDS, [*zip(single), *pairs]):
         changed = ordinary[seed]
         for quantity, value in changes:
@@ -159,7 +162,8 @@ def test_beliefs_are_sound_if_one_or_two_quantities_are_at_the_ends_of_their_bou
 
 
 def test_unsound_tracks_are_detected():
-    x, P = np.zeros((3, 2, 7)), np.tile(np.eye(7)[TRIANGLE], (3, 2, 1))
+    x = np.zeros((3, 2, 7))
+    P = np.tile(np.eye(7)[TRIANGLE], (3, 2, 1))
     P[0, 1, 1] = 1.1  # a correlation above 1
     x[1, 0, 6] = np.nan
     assert sound(x, P).tolist() == [False, False, True]
@@ -185,7 +189,8 @@ def numbers_of(record):
         if inside and isinstance(get_args(hint)[1], Bound):
             yield name, get_args(hint)[1], lambda value: value
         elif parts and get_origin(parts[0]) is Annotated and parts[-1] is not ...:
-            count, bound = len(parts), get_args(parts[0])[1]
+            count = len(parts)
+            bound = get_args(parts[0])[1]
             yield name, bound, lambda value, count=count: (value,) * count
 
 

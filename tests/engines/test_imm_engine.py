@@ -19,7 +19,8 @@ from mmwave_env.world.simulated import SimulatedSource
 from tests.filters.tracks import simulated, unpacked
 from tests.refusals import refuses
 
-N, T = 11, 60
+N = 11
+T = 60
 MODES = default_modes()
 
 
@@ -29,11 +30,13 @@ def episodes():
 
 
 def test_rewards_errors_and_nees_follow_from_the_belief(episodes):
-    reward, names = TrackingReward(), ("x", "P", "reward", "error", "nees")
+    reward = TrackingReward()
+    names = ("x", "P", "reward", "error", "nees")
     parts = run_imm(Bank(MODES), reward, episodes, *names)
     for e, t in ((0, 0), (3, 7), (N - 1, T - 1)):
         x, P, earned, error, nees = (parts[name][e, t] for name in names)
-        truth, P = episodes[e].truth_position_m[t], unpacked(P)
+        truth = episodes[e].truth_position_m[t]
+        P = unpacked(P)
         np.testing.assert_allclose(error, x[:3] - truth, atol=1e-12)
         np.testing.assert_allclose(nees, error @ np.linalg.solve(P[:3, :3], error))
         belief = Belief(x.tolist(), P.tolist())
@@ -74,16 +77,16 @@ def test_an_invalid_transition_or_quantile_is_refused(name, value):
 @pytest.mark.slow
 @pytest.mark.parametrize("radio", TUNED_RADIOS)
 def test_a_track_that_starts_100_m_off_recovers(radio):
-    source, bank = SimulatedSource(SCENES["street"], RADIOS[radio]), best_bank(radio)
+    source = SimulatedSource(SCENES["street"], RADIOS[radio])
+    bank = best_bank(radio)
     batch = EpisodeBatch.of(draw_episodes(source, range(5_000_000, 5_000_040)))
-    site, prior = batch.site.copy(), indices(blank_site(batch.layout)).prior_x
+    site = batch.site.copy()
+    prior = indices(blank_site(batch.layout)).prior_x
     direction = np.random.default_rng(0).uniform(0.0, 2.0 * np.pi, len(site))
     site[:, prior[0]] += 100.0 * np.cos(direction)
     site[:, prior[1]] += 100.0 * np.sin(direction)
     imm = partial(run_imm, bank, TrackingReward())
-    good, bad = (
-        np.linalg.norm(imm(some, "error")["error"], axis=2)
-        for some in (batch, batch._replace(site=site))
-    )
+    good = np.linalg.norm(imm(batch, "error")["error"], axis=2)
+    bad = np.linalg.norm(imm(batch._replace(site=site), "error")["error"], axis=2)
     assert (bad[:, 0] > 50.0).mean() > 0.5
     assert (bad[:, -1] < good[:, -1] + 5.0).all()

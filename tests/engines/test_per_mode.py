@@ -38,7 +38,8 @@ def played(bank, episodes, actions, *names, planar=False, on_floats=False):
 @pytest.mark.parametrize("dt", [1.0, 0.1])
 @pytest.mark.parametrize("radio", TUNED_RADIOS)
 def test_trusting_no_mode_equals_the_imm(radio, dt):
-    bank, episodes = best_bank(radio), in_steps_of(dt, simulated(9, epochs=200))
+    bank = best_bank(radio)
+    episodes = in_steps_of(dt, simulated(9, epochs=200))
     ours = played(bank, episodes, np.zeros((9, 200), int), "x", "P", "reward", "nees")
     expected = run_imm(bank, TrackingReward(), episodes, *ours)
     for name, values in ours.items():
@@ -77,19 +78,21 @@ def test_trust_raises_the_odds_of_a_mode_as_in_the_textbook(dt):
 
 
 def test_simd_kernels_and_plain_python_agree():
-    episodes, actions = simulated(2, epochs=12), np.random.default_rng(2).integers(0, 3, (2, 12))
+    episodes = simulated(2, epochs=12)
+    actions = np.random.default_rng(2).integers(0, 3, (2, 12))
     names = ("x", "P", "mode_probabilities", "observation", "reward")
-    lanes, floats = (
-        played(BANK, episodes, actions, *names, on_floats=on_floats) for on_floats in (False, True)
-    )
+    lanes = played(BANK, episodes, actions, *names, on_floats=False)
+    floats = played(BANK, episodes, actions, *names, on_floats=True)
     for name in names:
         np.testing.assert_allclose(floats[name], lanes[name], rtol=1e-9, atol=1e-9, err_msg=name)
 
 
 def test_environments_of_one_engine_can_have_different_banks():
     quick = replace(BANK.modes[1], sigma_v=2.5)
-    bank, other = BANK, Bank((BANK.modes[0], quick), ((0.7, 0.3), (0.2, 0.8)), 0.95)
-    episodes, actions = simulated(10, epochs=15), np.zeros((10, 15), int)
+    bank = BANK
+    other = Bank((BANK.modes[0], quick), ((0.7, 0.3), (0.2, 0.8)), 0.95)
+    episodes = simulated(10, epochs=15)
+    actions = np.zeros((10, 15), int)
     engine = Engine(Pipeline(bank.modes, STREET), 10, TrackingReward(), bank=bank)
     engine.tune(other, np.arange(5, 10))
     engine.reset(episodes)

@@ -15,7 +15,8 @@ from tests.engines.test_per_mode import BANK
 from tests.filters.tracks import STREET, simulated, track
 from tests.paths import representative
 
-N, T = 11, 60
+N = 11
+T = 60
 ACTIONS = np.random.default_rng(0).integers(0, 2, (N, T)).astype(np.uint8)
 FAVORED = np.random.default_rng(3).integers(0, 3, (N, T)).astype(np.uint8)  # 0 favors no mode
 
@@ -62,7 +63,8 @@ def test_smoothed_errors_equal_the_errors_of_the_smoothed_track(planar):
 @pytest.mark.slow
 def test_two_equal_modes_with_their_own_beliefs_are_smoothed_as_a_single_filter():
     """Check that the smoothed track equals a single filter's track, whichever mode is favored."""
-    mode, episodes = Mode("a", "ukf", sigma_v=1.2), simulated(N, epochs=T)
+    mode = Mode("a", "ukf", sigma_v=1.2)
+    episodes = simulated(N, epochs=T)
     twins = Bank((mode, replace(mode, name="b")))
     replay = Replay(Pipeline(twins.modes, STREET), twins)
     _, _, smoothed = replay.run(EpisodeBatch.of(episodes), FAVORED)
@@ -71,7 +73,8 @@ def test_two_equal_modes_with_their_own_beliefs_are_smoothed_as_a_single_filter(
 
 
 def test_a_replay_does_not_depend_on_the_other_episodes_or_their_order():
-    episodes, replay = simulated(N, epochs=T), Replay(Pipeline(default_modes(), STREET))
+    episodes = simulated(N, epochs=T)
+    replay = Replay(Pipeline(default_modes(), STREET))
     together = replay.run(EpisodeBatch.of(episodes), ACTIONS)
     for some in ([4], [10, 0, 7], [8, 9, 10, 1, 2, 3, 4, 5, 6]):
         apart = replay.run(EpisodeBatch.of([episodes[i] for i in some]), ACTIONS[some])
@@ -80,7 +83,8 @@ def test_a_replay_does_not_depend_on_the_other_episodes_or_their_order():
 
 
 def test_an_episode_that_ends_early_is_smoothed_back_from_its_last_epoch():
-    episodes, replay = simulated(2, epochs=T), Replay(Pipeline(default_modes(), STREET))
+    episodes = simulated(2, epochs=T)
+    replay = Replay(Pipeline(default_modes(), STREET))
     whole, *_ = replay.run(EpisodeBatch.of(episodes), ACTIONS[:2])
     error, nees, smoothed = replay.run(EpisodeBatch.of(episodes), ACTIONS[:2, :9])
     assert error.shape == smoothed.shape == (2, 9, 3) and nees.shape == (2, 9)

@@ -31,10 +31,16 @@ def test_smoothing_a_linear_model_equals_filterpy(dt):
     epochs = 60
     root = rng.normal(size=(7, 7))
     kf = KalmanFilter(7, 4)
-    kf.F, kf.Q = textbook.F(dt), dt * (0.1 * root @ root.T + 0.05 * np.eye(7))
-    kf.H, kf.R = rng.normal(size=(4, 7)), np.diag([0.5, 1.0, 2.0, 4.0])
-    kf.x, kf.P = rng.normal(size=(7, 1)), 10.0 * np.eye(7)
-    x, P, x_predicted, P_predicted = [], [], [], []
+    kf.F = textbook.F(dt)
+    kf.Q = dt * (0.1 * root @ root.T + 0.05 * np.eye(7))
+    kf.H = rng.normal(size=(4, 7))
+    kf.R = np.diag([0.5, 1.0, 2.0, 4.0])
+    kf.x = rng.normal(size=(7, 1))
+    kf.P = 10.0 * np.eye(7)
+    x = []
+    P = []
+    x_predicted = []
+    P_predicted = []
     for t in range(epochs):
         if t:
             kf.predict()
@@ -111,7 +117,8 @@ def test_smoothing_a_mixture_reduces_its_errors_and_its_covariances(mixture):
     found_x, found_P = smooth(x, P, x_predicted, P_predicted, np.full(x.shape[1] - 1, dt))
     assert np.linalg.eigvalsh(unpacked(found_P)).min() > 0.0
     assert np.trace(unpacked(found_P - P)[..., :3, :3], axis1=-2, axis2=-1).mean() < 0.0
-    before, after = (np.linalg.norm(track[..., :3] - truth, axis=-1) for track in (x, found_x))
+    before = np.linalg.norm(x[..., :3] - truth, axis=-1)
+    after = np.linalg.norm(found_x[..., :3] - truth, axis=-1)
     assert after.mean() < 0.8 * before.mean()  # smoothing a mixture is approximate
 
 

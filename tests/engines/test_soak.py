@@ -36,7 +36,8 @@ MODES = (*named_modes().values(), *EXTREME)
 
 def damaged(episode, rng):
     """Return the episode without links for some time, and with NaN, infinite and far-off values."""
-    layout, T = episode.layout, len(episode)
+    layout = episode.layout
+    T = len(episode)
     missing = rng.random((T, len(layout.groups))) < 0.03
     for group in np.flatnonzero(rng.random(len(layout.groups)) < 0.4):
         begin = rng.integers(T)
@@ -44,8 +45,10 @@ def damaged(episode, rng):
     if rng.random() < 0.25:
         begin = rng.integers(T)
         missing[begin : begin + rng.integers(50, 150), : layout.anchors] = True
-    z, hit = episode.measurement.copy(), rng.random(episode.measurement.shape)
-    far, broken = hit < 0.005, (hit >= 0.005) & (hit < 0.008)
+    z = episode.measurement.copy()
+    hit = rng.random(episode.measurement.shape)
+    far = hit < 0.005
+    broken = (hit >= 0.005) & (hit < 0.008)
     off = rng.uniform(10.0, 1000.0, z.shape) * rng.choice([-1.0, 1.0], z.shape)
     z[far] += (off * episode.sigma)[far]
     wrap_angles(z, layout)
@@ -76,7 +79,8 @@ def soaked(modes, users, n, epochs=200):
         source = SimulatedSource(scene_from("street"), radio, scenario, epochs=epochs)
         seeds = range(turn * n, (turn + 1) * n)
         engine.reset([damaged(episode, rng) for episode in draw_episodes(source, seeds)])
-        actions, stay = rng.integers(len(modes), size=n), rng.choice(STAY, n)
+        actions = rng.integers(len(modes), size=n)
+        stay = rng.choice(STAY, n)
         for epoch in range(epochs):
             engine.step(actions)
             if kinds := unsound(engine):

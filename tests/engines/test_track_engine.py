@@ -9,7 +9,8 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from tests.filters.tracks import STREET, simulated, track
 
-N, T = 11, 60
+N = 11
+T = 60
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +37,9 @@ def test_a_track_equals_the_track_of_the_engine_that_stops_at_every_epoch(
 ):
     pipeline = Pipeline(default_modes(), STREET)
     actions = np.random.default_rng(0).integers(0, 2, (n, T))
-    actions[0], actions[1] = 0, 1  # two tracks do not switch modes
+    # two tracks do not switch modes
+    actions[0] = 0
+    actions[1] = 1
     tracker = Tracker(pipeline, n, on_floats=on_floats)
     tracker.load(episodes[:n])
     names = ("x", "P", "error", "nees", "memory.accepted", "memory.mode")

@@ -89,7 +89,8 @@ PAIRED = {"reward": "paired", "terminate_on_divergence": True, "scenario": "vehi
     ],
 )
 def test_the_native_vector_environment_equals_the_synchronous_environment(name, mode, more):
-    options, n = {"num_envs": 9, "episode_steps": 9} | KINDS[name] | more, (9,)
+    options = {"num_envs": 9, "episode_steps": 9} | KINDS[name] | more
+    n = (9,)
     native = gym.make_vec(ID, autoreset_mode=mode, **options)
     kwargs = {"autoreset_mode": AutoresetMode(mode)}
     sync = gym.make_vec(ID, vectorization_mode="sync", vector_kwargs=kwargs, **options)
@@ -103,7 +104,8 @@ def test_copies_and_restored_states_continue_identically(kind):
     env = gym.make_vec(ID, num_envs=9, autoreset_mode="SameStep", episode_steps=7, **kind)
     first, second = np.split(drawn(env.single_action_space, 20, (9,)), 2)
     played(env, first)
-    twin, state = copy.deepcopy(env), env.unwrapped.state()
+    twin = copy.deepcopy(env)
+    state = env.unwrapped.state()
     expected = [env.step(actions) for actions in second]
     assert same([twin.step(actions) for actions in second], expected)
     played(twin, second, seed=5)
@@ -140,7 +142,8 @@ def test_corrections_change_the_reported_belief_but_not_the_filters():
 
 @pytest.mark.slow  # compiles several programs
 def test_the_shipped_corrector_earns_the_same_rewards_as_in_its_evaluation():
-    policy, n = Corrector("corrector"), 20
+    policy = Corrector("corrector")
+    n = 20
     env = gym.make_vec(
         ID, num_envs=n, beliefs=policy.beliefs, modes=policy.bank("handset"), action="correction",
         base=partial(LearnedSwitch, policy.card.base),
@@ -170,7 +173,8 @@ def test_a_paired_reward_subtracts_the_reward_of_the_uncorrected_belief():
 
 @pytest.mark.torch
 def test_stable_baselines3_trains_with_continuous_actions():
-    sb3, adapter = pytest.importorskip("stable_baselines3"), pytest.importorskip("mmwave_env.sb3")
+    sb3 = pytest.importorskip("stable_baselines3")
+    adapter = pytest.importorskip("mmwave_env.sb3")
     options = {"autoreset_mode": "SameStep", "episode_steps": 6} | KINDS["base"]
     envs = adapter.SB3VecEnv(gym.make_vec(ID, num_envs=4, **options))
     model = sb3.PPO("MlpPolicy", envs, n_steps=16, batch_size=32, n_epochs=1, device="cpu")

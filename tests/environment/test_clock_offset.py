@@ -72,7 +72,8 @@ def bias_of(synchronized, offset):
 @pytest.mark.parametrize("arguments", SOURCES.values(), ids=SOURCES)
 def test_all_ranges_get_the_same_bias_and_nothing_else_changes(arguments):
     synchronized, offset = pair(**arguments)
-    bias, layout = bias_of(synchronized, offset), offset.layout
+    bias = bias_of(synchronized, offset)
+    layout = offset.layout
     assert 1.0 < abs(bias[np.isfinite(bias)][0]) < 5.0 * SIGMA_M
     others = np.setdiff1d(np.arange(layout.size), np.arange(0, layout.doppler, 4))
     for field in ("measurement", "sigma"):
@@ -120,10 +121,12 @@ def test_the_offset_is_drawn_and_the_oscillator_drives_it():
 @pytest.mark.slow  # runs many episodes
 def test_the_offset_is_estimated_with_a_correct_standard_deviation():
     bias, episodes = biases(120, radio="high")
-    task, bank = task_from(radio="high", clock="offset"), best_bank("high")
+    task = task_from(radio="high", clock="offset")
+    bank = best_bank("high")
     run = run_imm(bank, task.reward, episodes, "x", "P", "nees")
     late = np.isfinite(bias) & (np.arange(200) >= 20)
-    error, sigma = (run["x"][..., 7] - bias)[late], np.sqrt(run["P"][..., 35])[late]
+    error = (run["x"][..., 7] - bias)[late]
+    sigma = np.sqrt(run["P"][..., 35])[late]
     assert np.sqrt(np.median(error**2)) < 0.5
     assert 0.93 < (abs(error) < 1.96 * sigma).mean() < 0.97
     assert np.median(run["nees"][:, 20:]) == pytest.approx(2.37, rel=0.2)  # chi2(3).median()
@@ -140,7 +143,8 @@ def test_smoothed_tracks_equal_the_textbook(planar):
     kept = run_imm(bank, TrackingReward(), episodes, *names, "mixture", planar=planar)
     x, P, x_predicted, P_predicted = (kept[name] for name in names)
     free = [0, 1, 3, 4, 6, 7] if planar else list(range(8))
-    hz_per_mps, time_s = STREET.hz_per_mps, np.arange(50.0)
+    hz_per_mps = STREET.hz_per_mps
+    time_s = np.arange(50.0)
     smoothed = smooth(x, P, x_predicted, P_predicted, np.diff(time_s), planar, hz_per_mps)
     steps = np.tile(np.diff(time_s, prepend=0.0), (3, 1))
     spread = batch.table[:, :, -7]

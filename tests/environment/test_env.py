@@ -113,7 +113,8 @@ def test_the_docstring_explains_every_argument_and_every_key_of_infos():
 
 
 def test_the_same_seed_gives_the_same_episode(configuration):
-    first, again = gym.make(ID, **configuration), gym.make(ID, **configuration)
+    first = gym.make(ID, **configuration)
+    again = gym.make(ID, **configuration)
     assert same(first.reset(seed=3), again.reset(seed=3))
     assert same(roll(first, seed=3, steps=20), roll(again, seed=3, steps=20))
     assert same(roll(first, seed=3, steps=20), roll(again, seed=3, steps=20))
@@ -128,7 +129,8 @@ def test_the_same_seed_gives_the_same_episode(configuration):
     "action", [2, -1, np.int64(7), 0.0, np.float64(0.0), np.nan, None, "ekf", np.array([0, 1])]
 )
 def test_a_bad_action_is_refused_and_changes_nothing(action):
-    env, twin = gym.make(ID), gym.make(ID)
+    env = gym.make(ID)
+    twin = gym.make(ID)
     env.reset(seed=0)
     twin.reset(seed=0)
     with refuses("action", error=InvalidAction):
@@ -225,7 +227,8 @@ def test_nonfinite_measurements_are_counted_in_info():
 
 
 def test_returned_arrays_share_no_memory_with_the_environment():
-    env, twin = gym.make(ID), gym.make(ID)
+    env = gym.make(ID)
+    twin = gym.make(ID)
     assert_own_memory([env.reset(seed=0), *(env.step(np.int64(t % 2)) for t in range(5))])
     roll(twin, steps=5)
     assert same(env.step(np.int64(1)), twin.step(np.int64(1)))
@@ -288,10 +291,10 @@ def test_divergence_in_the_last_epoch_does_not_change_the_reward():
 
 
 def test_the_smoothed_error_is_the_same_with_filterpy_as_backend():
-    lanes, filterpy = (
-        roll(gym.make(ID, backend=backend, smoothed=True, episode_steps=14))[-1][-1][SMOOTHED]
-        for backend in ("lanes", "filterpy")
-    )
+    lanes = roll(gym.make(ID, backend="lanes", smoothed=True, episode_steps=14))[-1][-1][SMOOTHED]
+    filterpy = roll(gym.make(ID, backend="filterpy", smoothed=True, episode_steps=14))[-1][-1][
+        SMOOTHED
+    ]
     assert lanes == pytest.approx(filterpy, rel=1e-12)
 
 
@@ -310,7 +313,8 @@ def test_the_last_info_contains_the_metrics_of_the_episode(dt):
     tracker = Tracker(Pipeline(modes_from(None), episode.layout), 1)
     tracker.load([episode])
     track = tracker.run("x", "P", "P_predicted", actions=np.arange(200)[None] % 2)
-    P, P_predicted = (unpacked(track[name][0]) for name in ("P", "P_predicted"))
+    P = unpacked(track["P"][0])
+    P_predicted = unpacked(track["P_predicted"][0])
     smoothed, _ = rts(track["x"][0], P, P_predicted, dt * np.arange(200))
 
     expected[SMOOTHED] = np.linalg.norm(smoothed[:, :3] - truth, axis=1)[10:].mean()

@@ -31,7 +31,8 @@ class Closeness:
 
 def go_on(env, steps, seed=0):
     """Return the results of random steps; a non-vector environment is reset after each episode."""
-    rng, results = np.random.default_rng(seed), []
+    rng = np.random.default_rng(seed)
+    results = []
     if isinstance(env, gym.vector.VectorEnv):
         return [env.step(rng.integers(env.single_action_space.n, size=3)) for _ in range(steps)]
     for _ in range(steps):
@@ -153,9 +154,8 @@ def test_a_vector_environment_can_be_made_from_the_specification_of_a_single_env
 
 
 def test_fixed_infos_always_have_the_same_keys_types_and_shapes():
-    fixed, every = (
-        gym.make(ID, infos=infos, episode_steps=3, smoothed=True) for infos in ("fixed", "all")
-    )
+    fixed = gym.make(ID, infos="fixed", episode_steps=3, smoothed=True)
+    every = gym.make(ID, infos="all", episode_steps=3, smoothed=True)
     infos = [(env.reset(seed=0)[1], *(env.step(1)[4] for _ in range(3))) for env in (fixed, every)]
     first, *others = ({k: (np.shape(v), v.dtype) for k, v in known.items()} for known in infos[0])
     assert all(list(other.items()) == list(first.items()) for other in others)
@@ -243,7 +243,8 @@ def test_an_unknown_argument_raises_the_usual_error_of_python(make, name):
 @pytest.mark.slow
 def test_the_class_accepts_all_arguments_in_one_dict_as_rllib_passes_them():
     config = {"scenario": "vehicle", "observation": "prior", "episode_steps": 20}
-    env, other = MmWaveLocEnv(config), MmWaveLocEnv(**config)
+    env = MmWaveLocEnv(config)
+    other = MmWaveLocEnv(**config)
     np.testing.assert_array_equal(env.reset(seed=1)[0], other.reset(seed=1)[0])
     assert env.source.scenario == "vehicle"
     assert MmWaveLocEnv({}).action_space == MmWaveLocEnv().action_space

@@ -17,7 +17,8 @@ from tests.paths import representative
 from tests.refusals import refuses
 
 SUBSETS = [("range", "azimuth"), ("azimuth", "elevation", "departure"), ("departure", "doppler")]
-STREET, RADIO = SCENES["street"], RADIOS["handset"]
+STREET = SCENES["street"]
+RADIO = RADIOS["handset"]
 SOURCES = {
     "simulated": {"episode_steps": 40},
     "odometry": {"episode_steps": 40, "odometry": True},
@@ -37,10 +38,8 @@ def rows_of(subset, layout):
 @pytest.mark.parametrize("arguments", SOURCES.values(), ids=SOURCES)
 @pytest.mark.parametrize("subset", [*SUBSETS, MEASUREMENTS], ids=" ".join)
 def test_the_measured_rows_equal_the_rows_of_the_complete_episode(arguments, subset):
-    some, whole = (
-        task_from(**arguments, measurements=asked).draw(np.random.default_rng(4))
-        for asked in (subset[::-1], None)
-    )
+    some = task_from(**arguments, measurements=subset[::-1]).draw(np.random.default_rng(4))
+    whole = task_from(**arguments, measurements=None).draw(np.random.default_rng(4))
     layout = some.layout
     assert layout == Layout(whole.layout.anchors, whole.layout.odometry, partial=True)
     seen = np.repeat(whole.usable, whole.layout.widths, axis=1) & rows_of(subset, layout)
@@ -58,7 +57,8 @@ def played(seed=3, **arguments):
     """Return the rewards of an episode in which every action is 0, and its last info."""
     env = gym.make("mmwave_env:MmWaveLoc-v0", **arguments)
     env.reset(seed=seed)
-    over, rewards = False, []
+    over = False
+    rewards = []
     while not over:
         _, reward, _, over, info = env.step(0)
         rewards.append(reward)
@@ -112,9 +112,11 @@ def test_every_receiver_works_with_own_algorithms_filterpy_and_paired_rewards(na
         return ekf(x, P, measurement, gate)
 
     asked = {"episode_steps": 20} | TASKS[name]
-    lanes, twin = (played(**asked, modes=["ekf"], backend=b)[0] for b in ("lanes", "filterpy"))
+    lanes = played(**asked, modes=["ekf"], backend="lanes")[0]
+    twin = played(**asked, modes=["ekf"], backend="filterpy")[0]
     np.testing.assert_allclose(twin, lanes, rtol=1e-6, atol=1e-6)
-    own, ours = (played(**asked, modes=[Mode("mine", a)])[0] for a in (mine, "ekf"))
+    own = played(**asked, modes=[Mode("mine", mine)])[0]
+    ours = played(**asked, modes=[Mode("mine", "ekf")])[0]
     np.testing.assert_array_equal(own, ours)
     assert np.isfinite(played(**asked, reward="paired")[0]).all()
 

@@ -20,7 +20,8 @@ from mmwave_env.world.simulated import SimulatedSource
 from policies.baselines import FixedMode
 
 ID = "mmwave_env:MmWaveLoc-v0"
-STEPS, KEY = 15, "nonfinite_beliefs"
+STEPS = 15
+KEY = "nonfinite_beliefs"
 
 
 def rotten(x, P, measurement, gate):
@@ -43,7 +44,8 @@ def rolled(env, seed):
 
 
 def test_the_last_info_counts_the_epochs_with_a_nan_belief_and_a_warning_is_given():
-    env, counts = gym.make(ID, **TASK), []
+    env = gym.make(ID, **TASK)
+    counts = []
     with pytest.warns(RuntimeWarning, match=KEY):
         rolls = [rolled(env, seed) for seed in range(6)]
     for rewards, infos in rolls:
@@ -58,7 +60,8 @@ def test_the_last_info_counts_the_epochs_with_a_nan_belief_and_a_warning_is_give
 @pytest.mark.filterwarnings("ignore:the belief was NaN:RuntimeWarning")
 @pytest.mark.parametrize("autoreset", ["NextStep", "SameStep", "Disabled"])
 def test_the_vector_environment_counts_nan_beliefs_as_single_environments_do(autoreset):
-    n, single = 6, gym.make(ID, **TASK)
+    n = 6
+    single = gym.make(ID, **TASK)
     env = gym.make_vec(ID, num_envs=n, autoreset_mode=autoreset, **TASK)
     env.reset(seed=0)
     for _ in range(STEPS):

@@ -44,7 +44,8 @@ def assert_same(info, expected):
     assert info.keys() == expected.keys()
     for key in info.keys() - {"episode"}:
         np.testing.assert_array_equal(info[key], expected[key], err_msg=key)
-    ours, theirs = info["episode"], expected["episode"]
+    ours = info["episode"]
+    theirs = expected["episode"]
     assert ours.keys() == theirs.keys() and ours["l"] == theirs["l"] and ours["t"] >= 0.0
     assert ours["r"] == pytest.approx(theirs["r"], rel=1e-6, abs=1e-5)
 
@@ -54,13 +55,16 @@ def test_the_adapter_gives_the_same_results_as_a_dummy_vec_env(configuration):
     arguments = {"modes": MODES, "episode_steps": 6} | CONFIGURATIONS[configuration]
     ours = SB3VecEnv(native(**arguments))
     theirs = DummyVecEnv([lambda: Monitor(gym.make(ID, **arguments))] * 4)
-    rng, ended, truncated = np.random.default_rng(1), np.zeros(4, int), set()
+    rng = np.random.default_rng(1)
+    ended = np.zeros(4, int)
+    truncated = set()
     for venv in (ours, theirs):
         venv.seed(7)
     np.testing.assert_array_equal(ours.reset(), theirs.reset())
     for _ in range(100):
         actions = rng.integers(ours.action_space.n, size=4)
-        (*results, infos), (*expected, their_infos) = (v.step(actions) for v in (ours, theirs))
+        (*results, infos) = ours.step(actions)
+        (*expected, their_infos) = theirs.step(actions)
         for a, b in zip(results, expected, strict=True):
             np.testing.assert_array_equal(a, b)
             assert a.dtype == b.dtype
@@ -76,7 +80,8 @@ def test_the_adapter_gives_the_same_results_as_a_dummy_vec_env(configuration):
 
 
 def test_seeds_and_options_affect_only_the_next_reset():
-    venv, env = SB3VecEnv(native()), native()
+    venv = SB3VecEnv(native())
+    env = native()
     venv.seed(3)
     venv.set_options({"reset_mask": np.ones(4, bool)})
     np.testing.assert_array_equal(venv.reset(), env.reset(seed=3)[0])

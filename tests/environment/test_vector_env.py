@@ -30,7 +30,8 @@ EKF = {"modes": ["ekf"]}
 class Patchy:
     """A source of episodes with 2 to 7 epochs, missing links and NaN measurements."""
 
-    layout, name = Layout(3), "patchy"
+    layout = Layout(3)
+    name = "patchy"
 
     def sample(self, rng):
         rng, _ = rng.spawn(2)
@@ -121,7 +122,8 @@ def test_a_vector_environment_can_be_made_from_its_specification_in_json():
 
 @pytest.mark.parametrize("mode", AUTORESET)
 def test_the_native_vector_environment_equals_the_synchronous_environment(mode, configuration):
-    ours, expected = (rollout(make(9, mode, **configuration), 4, 50) for make in (native, sync))
+    ours = rollout(native(9, mode, **configuration), 4, 50)
+    expected = rollout(sync(9, mode, **configuration), 4, 50)
     for t, (a, b) in enumerate(zip(ours, expected, strict=True)):
         assert same(a, b), f"step {t}"
     over = sum(step[2].astype(int) + step[3] for step in expected if len(step) == 5)
@@ -148,8 +150,10 @@ def test_the_number_of_threads_does_not_matter(mode, monkeypatch):
 
 
 def test_a_masked_reset_equals_a_masked_reset_of_synchronous_environments():
-    mask, actions = np.arange(9) % 3 == 0, np.zeros(9, np.int64)
-    ours, theirs = (make(9, "Disabled", episode_steps=5, **EKF) for make in (native, sync))
+    mask = np.arange(9) % 3 == 0
+    actions = np.zeros(9, np.int64)
+    ours = native(9, "Disabled", episode_steps=5, **EKF)
+    theirs = sync(9, "Disabled", episode_steps=5, **EKF)
     for seed in (None, list(range(100, 109))):  # None continues with the next episodes
         results = []
         for env in (ours, theirs):
@@ -191,7 +195,8 @@ def test_wrong_arguments_are_refused(name, value):
     ids=repr,
 )
 def test_bad_actions_are_refused_and_change_nothing(actions):
-    env, twin = native(3), native(3)
+    env = native(3)
+    twin = native(3)
     for each in (env, twin):
         each.reset(seed=0)
     with refuses("actions", error=InvalidAction):
@@ -202,7 +207,8 @@ def test_bad_actions_are_refused_and_change_nothing(actions):
 
 @pytest.mark.parametrize("action", [-5, 999, -(2**40)])
 def test_the_action_of_a_resetting_environment_is_ignored(action):
-    env, twin = native(3, episodes=Patchy()), native(3, episodes=Patchy())
+    env = native(3, episodes=Patchy())
+    twin = native(3, episodes=Patchy())
     for each in env, twin:
         each.reset(seed=0)
     over = np.zeros(3, bool)

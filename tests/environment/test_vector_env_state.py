@@ -32,7 +32,8 @@ def make(mode="SameStep", n=9, **arguments):
 
 def go_on(env, steps, actions):
     """Return the results of random steps; ``actions`` is the seed of the actions."""
-    rng, modes = np.random.default_rng(actions), env.single_action_space.n
+    rng = np.random.default_rng(actions)
+    modes = env.single_action_space.n
     return [forward(env, rng.integers(modes, size=env.num_envs)) for _ in range(steps)]
 
 
@@ -60,7 +61,8 @@ def test_environments_continue_from_a_state_saved_at_any_step(mode, configuratio
 
 @pytest.mark.parametrize("mode", AUTORESET)
 def test_a_reset_after_a_restore_draws_the_same_episodes(mode):
-    env, other = make(mode), make(mode)
+    env = make(mode)
+    other = make(mode)
     env.reset(seed=[None, *range(8)])  # the first environment has no seed
     go_on(env, 3, actions=0)
     other.restore(env.state())
@@ -91,7 +93,8 @@ def test_later_steps_do_not_change_a_saved_state():
     ],
 )
 def test_the_state_of_another_environment_is_refused(name, arguments):
-    env, other = make(), make(**arguments)
+    env = make()
+    other = make(**arguments)
     env.reset(seed=0)
     with refuses(f"{name} of the state"):
         other.restore(env.state())
@@ -118,7 +121,8 @@ class Own(SimulatedSource):
     ids=["recorded", "own"],
 )
 def test_sources_that_may_have_a_memory_are_refused(episodes):
-    env, simulated = make(episodes=episodes, episode_steps=None), make()
+    env = make(episodes=episodes, episode_steps=None)
+    simulated = make()
     for each in (env, simulated):
         each.reset(seed=0)
     with refuses("state"):

@@ -50,7 +50,8 @@ def forward(env, actions):
 
 def rollout(env, seed, steps=40, actions=0):
     """Return the results of a reset and of random steps; ``actions`` is the seed of the actions."""
-    rng, n = np.random.default_rng(actions), env.single_action_space.n
+    rng = np.random.default_rng(actions)
+    n = env.single_action_space.n
     results = [env.reset(seed=seed)]
     for _ in range(steps):
         results += forward(env, rng.integers(n, size=env.num_envs))
@@ -58,7 +59,8 @@ def rollout(env, seed, steps=40, actions=0):
 
 
 def check_seeds(make):
-    n, first = make().num_envs, rollout(make(), seed=5)
+    n = make().num_envs
+    first = rollout(make(), seed=5)
     assert same(first, rollout(make(), seed=5))
     assert same(first, rollout(make(), seed=[5 + i for i in range(n)]))
     env = make()
@@ -83,7 +85,8 @@ def assert_own_memory(results):
 
 
 def check_memory(make):
-    env, twin = make(), make()
+    env = make()
+    twin = make()
     assert_own_memory(rollout(env, seed=0, steps=12))
     rollout(twin, seed=0, steps=12)
     actions = np.zeros(env.num_envs, np.int64)

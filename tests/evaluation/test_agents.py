@@ -85,7 +85,8 @@ class Upward:
 
 def test_an_agent_without_reset_may_correct_beliefs():
     result = compare({"mine": Upward()}, ("imm-best",), episodes=2, beliefs="per-mode")
-    mine, base = (result.policies[name]["ate_m"].mean for name in ("mine", "imm-best"))
+    mine = result.policies["mine"]["ate_m"].mean
+    base = result.policies["imm-best"]["ate_m"].mean
     assert mine > base + 0.1
 
 
@@ -143,7 +144,8 @@ def test_compare_accepts_objects_modules_files_and_loaded_policies(tmp_path):
         """An agent that records its observations and which episodes begin."""
 
         def __init__(self):
-            self.begins, self.observed = [], []
+            self.begins = []
+            self.observed = []
 
         def reset(self, begins):
             self.begins.append(begins)

@@ -18,7 +18,9 @@ from mmwave_env.world.simulated import SimulatedSource
 from tests.refusals import refuses
 from tests.training.actors import HANDSET
 
-N, EPOCHS = 5, 30  # engines compute blocks of 8 environments; these 5 do not fill a block
+# engines compute blocks of 8 environments; these 5 do not fill a block
+N = 5
+EPOCHS = 30
 EPISODES = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=EPOCHS).episodes(
     np.arange(N, dtype=np.uint64)
 )
@@ -36,7 +38,8 @@ def begun(done):
 
 def rest(done, action):
     """Return total rewards (N,) after ``done`` epochs if ``action`` is taken, and later only 0."""
-    engine, total = begun(done), 0.0
+    engine = begun(done)
+    total = 0.0
     for taken in [action, *[np.int64(0)] * (EPOCHS - done - 1)]:
         total += engine.step(taken, rows_of(engine.at.reward))[1][:, 0]
     return total
@@ -45,7 +48,8 @@ def rest(done, action):
 @pytest.mark.parametrize("done", [0, 25])
 def test_a_clairvoyant_with_a_long_enough_horizon_takes_the_best_action(done, monkeypatch):
     monkeypatch.setattr(branches, "HORIZON_S", 1000.0)
-    policy, engine = branches.Clairvoyant(), begun(0)
+    policy = branches.Clairvoyant()
+    engine = begun(0)
     policy.foresee(engine)
     for _ in range(done):
         engine.step(np.int64(0))
@@ -56,8 +60,10 @@ def test_a_clairvoyant_with_a_long_enough_horizon_takes_the_best_action(done, mo
 
 
 def test_the_clairvoyant_earns_more_than_the_imm_and_leaves_episodes_unchanged():
-    policy, imm = (contender_from(name, "handset", HANDSET) for name in ("clairvoyant", "imm"))
-    knows, mixes = (score(c, c.start(LAYOUT), EPISODES)["reward"] for c in (policy, imm))
+    policy = contender_from("clairvoyant", "handset", HANDSET)
+    imm = contender_from("imm", "handset", HANDSET)
+    knows = score(policy, policy.start(LAYOUT), EPISODES)["reward"]
+    mixes = score(imm, imm.start(LAYOUT), EPISODES)["reward"]
     assert knows.mean() > mixes.mean()
     actions = run_contender(policy, policy.start(LAYOUT), EPISODES)["mode"]
     engine = begun(0)

@@ -90,7 +90,8 @@ def plain_deviations(scores, rng, resamples):
 def test_seeds_and_episodes_are_resampled_independently():
     rng = np.random.default_rng(0)
     scores = rng.normal(0.3, 0.5, (4, 1)) + rng.normal(size=30) + rng.normal(size=(4, 30))
-    interval, deviations = crossed_bootstrap(scores), plain_deviations(scores, rng, RESAMPLES)
+    interval = crossed_bootstrap(scores)
+    deviations = plain_deviations(scores, rng, RESAMPLES)
     assert interval.mean == pytest.approx(scores.mean())
     margin = 4.5 * np.sqrt(2.0 * 0.025 * 0.975 / RESAMPLES) / norm.pdf(norm.ppf(0.025))
     for end, quantile in ((interval.low, 2.5), (interval.high, 97.5)):
@@ -140,7 +141,8 @@ def fewer_resamples(monkeypatch):
 
 def coverage(K, spread, trials=400, episodes=40):
     """Return the share of intervals that contain the true mean, zero."""
-    rng, held = np.random.default_rng(K), 0
+    rng = np.random.default_rng(K)
+    held = 0
     of_seeds, of_episodes, of_both = spread
     for _ in range(trials):
         scores = of_seeds * rng.normal(size=(K, 1)) + of_episodes * rng.normal(size=episodes)

@@ -65,7 +65,8 @@ def test_a_policy_is_compared_with_every_imm_on_the_same_episodes():
 )
 def test_an_entry_is_above_or_below_the_imms_or_level_with_them(gains, expected):
     rng = np.random.default_rng(0)
-    base, noise = rng.normal(size=400), rng.normal(0.0, 0.1, 400)
+    base = rng.normal(size=400)
+    noise = rng.normal(0.0, 0.1, 400)
     noise -= noise.mean()
     rewards = {"mine": base, "imm": base - gains[0] + noise, "imm-best": base - gains[1] - noise}
     rewards["speed-rule"] = base
@@ -97,7 +98,8 @@ def test_the_speed_rule_has_score_0_and_the_clairvoyant_100_at_every_site():
 
 
 def test_scores_are_dashes_if_an_entry_has_fewer_episodes_than_the_clairvoyant():
-    content, ceiling = (entries()[name] for name in ("mine", "clairvoyant"))
+    content = entries()["mine"]
+    ceiling = entries()["clairvoyant"]
     for episodes, shown in ((3, "50"), (2, "-")):  # the clairvoyant played three episodes
         for at in content["sites"].values():
             at["episodes"] = episodes

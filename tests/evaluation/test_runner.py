@@ -52,7 +52,9 @@ def test_scores_equal_the_results_of_stepping_a_single_environment(beliefs, per_
     for e in range(2):
         policy = contender.policy(env.unwrapped.observation)
         observation, _ = env.reset(seed=e)
-        rewards, actions, over = [], [], False
+        rewards = []
+        actions = []
+        over = False
         while not over:
             (action,) = policy(observation[None])
             observation, reward, _, over, info = env.step(action)
@@ -184,19 +186,24 @@ def corrector(folder, tensors):
 @pytest.mark.slow
 def test_a_corrector_that_corrects_nothing_has_the_scores_of_its_imm(tmp_path, short):
     tensors = network()
-    tensors["out.weight"][:], tensors["out.bias"][:] = 0.0, 0.0
+    tensors["out.weight"][:] = 0.0
+    tensors["out.bias"][:] = 0.0
     mine = corrector(tmp_path, tensors)
-    ours, theirs = (score(each, each.start(SOURCE.layout), short) for each in (mine, IMM))
+    ours = score(mine, mine.start(SOURCE.layout), short)
+    theirs = score(IMM, IMM.start(SOURCE.layout), short)
     for metric, values in theirs.items():
         np.testing.assert_allclose(ours[metric], values, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.slow
 def test_errors_and_nees_belong_to_the_corrected_beliefs(tmp_path, short):
-    results, plain = (
-        run_contender(each, each.start(SOURCE.layout), short, after=("x", "P"))
-        for each in (corrector(tmp_path, network(limit=50.0)), IMM)
+    results = run_contender(
+        corrector(tmp_path, network(limit=50.0)),
+        corrector(tmp_path, network(limit=50.0)).start(SOURCE.layout),
+        short,
+        after=("x", "P"),
     )
+    plain = run_contender(IMM, IMM.start(SOURCE.layout), short, after=("x", "P"))
     truth = np.stack([episode.truth_position_m for episode in short])
     error = results["x"][..., :3] - truth
     np.testing.assert_allclose(results["error"], error, atol=1e-9)

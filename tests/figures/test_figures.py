@@ -24,7 +24,8 @@ def track(modes, position_m=None):
     rng = np.random.default_rng(0)
     if position_m is None:
         position_m = np.cumsum(rng.normal(size=(T, 3)), axis=0)
-    covariance, mode = np.tile(0.01 * np.eye(3), (T, 1, 1)), np.arange(T) // 20 % len(modes)
+    covariance = np.tile(0.01 * np.eye(3), (T, 1, 1))
+    mode = np.arange(T) // 20 % len(modes)
     states = position_m, covariance, position_m + 0.1, mode, np.zeros(T, int)
     return DrawnTrack(np.arange(T) * 1.0, *states, modes, np.zeros((2, 3)))
 

@@ -123,7 +123,8 @@ def iterated(iterations, sensor, groups, links, x, P, z, R, *gate):
         tangent, sensor, groups, links, x, P, z, R, *gate
     )
     keep = np.repeat(accepted, [g.stop - g.start for g in groups])
-    R, iterate = np.diag(R[keep]), x
+    R = np.diag(R[keep])
+    iterate = x
     for _ in range(iterations):
         H = sensor.jacobian(iterate)[keep]
         K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
@@ -143,7 +144,8 @@ def textbook_imm(episode, modes, transitions, nis_quantile=1.0, change=None):
     """
     most = chi2.ppf(nis_quantile, [4, 4, 4, 1])
     sensor = textbook.Sensor(episode.scene_anchors_m, episode.hz_per_mps)
-    M, probability = len(modes), np.full(len(modes), 1.0 / len(modes))
+    M = len(modes)
+    probability = np.full(len(modes), 1.0 / len(modes))
     x = np.tile(episode.prior_mean, (M, 1))
     P = np.tile(episode.prior_covariance, (M, 1, 1))
     out = []
@@ -157,7 +159,8 @@ def textbook_imm(episode, modes, transitions, nis_quantile=1.0, change=None):
             groups = sensor.groups, sensor.links
             moments = textbook.METHODS[method]
             step = update(moments, sensor, *groups, *prior, *measured)
-            x[j], P[j] = step.x, step.P
+            x[j] = step.x
+            P[j] = step.P
             log_likelihood[j] = step.log_likelihood + 0.5 * np.maximum(step.nis - most, 0.0).sum()
         probability = textbook.reweigh(predicted, log_likelihood)
         if change:

@@ -49,7 +49,8 @@ class Problem(NamedTuple):
     @property
     def update(self):
         """Return the arguments that follow the sensor in ``gated_textbook.update``."""
-        s, rows = self.seen, slice(None) if self.measured is None else self.measured
+        s = self.seen
+        rows = slice(None) if self.measured is None else self.measured
         visible = self.visible if self.measured is None else self.visible[self.visible]
         return s.groups, s.links, self.x, self.P, self.z[rows], self.R[rows], visible
 
@@ -68,7 +69,8 @@ class Problem(NamedTuple):
         """
         free = self.order if free is None else free
         groups, links, x, P, *measured = self.update
-        model, prior = Restricted(self.seen, x, free), (x[free], P[np.ix_(free, free)])
+        model = Restricted(self.seen, x, free)
+        prior = (x[free], P[np.ix_(free, free)])
         rule = gate.quantile, gate.force if force is None else force, gate.robust
         update = gated_textbook.update(moments, model, groups, links, *prior, *measured, *rule)
         back = np.argsort(free)
@@ -85,12 +87,14 @@ def problems(draw, odometry=False, anchors=None, outliers=True, partial=False, c
     """Draw a problem that is not singular: all anchors are at least 20 m away horizontally."""
     L = draw(st.integers(1, 5)) if anchors is None else anchors
     position = draw(numbers(-200, 200, (3,)))
-    heading, speed = draw(numbers(-3.14, 3.14)), draw(numbers(3.0 if odometry else 0.0, 20))
+    heading = draw(numbers(-3.14, 3.14))
+    speed = draw(numbers(3.0 if odometry else 0.0, 20))
     velocity = [speed * np.cos(heading), speed * np.sin(heading), draw(numbers(-1, 1))]
     x = np.array([*position, *velocity, draw(numbers(-300, 300))])
     if clock:
         x = np.append(x, draw(numbers(-100, 100)))
-    azimuth, distance = draw(numbers(-3.14, 3.14, (L,))), draw(numbers(20, 300, (L,)))
+    azimuth = draw(numbers(-3.14, 3.14, (L,)))
+    distance = draw(numbers(20, 300, (L,)))
     height = draw(numbers(-20, 40, (L,)))
     offset = np.stack([distance * np.cos(azimuth), distance * np.sin(azimuth), height], axis=1)
     shifted = draw(st.integers(0, L - 1)) if partial else 0

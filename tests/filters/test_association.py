@@ -16,7 +16,8 @@ from tests.filters.problems import numbers, problems
 @settings(deadline=None, max_examples=30)
 @given(problem=problems(anchors=3), data=st.data())
 def test_the_nis_of_a_path_equals_the_textbook_value(problem, data):
-    n, links = data.draw(st.integers(0, 4)), problem.sensor.links
+    n = data.draw(st.integers(0, 4))
+    links = problem.sensor.links
     predicted = tangent(problem.sensor, problem.x, problem.P)
     offset = data.draw(numbers(-0.3, 0.3, (n, 4)))
     paths = predicted.mean[np.arange(n)[:, None] % links * 4 + np.arange(4)] + offset
@@ -43,9 +44,11 @@ def test_the_nis_of_a_path_equals_the_textbook_value(problem, data):
 @settings(deadline=None)
 @given(st.data())
 def test_no_other_assignment_is_better(data):
-    anchors, n = data.draw(st.integers(1, 4)), data.draw(st.integers(0, 4))
+    anchors = data.draw(st.integers(1, 4))
+    n = data.draw(st.integers(0, 4))
     elements = numbers(0.0, 30.0) | st.just(np.inf)
-    nis, gate = data.draw(hnp.arrays(float, (anchors, n), elements=elements)), 13.3
+    nis = data.draw(hnp.arrays(float, (anchors, n), elements=elements))
+    gate = 13.3
     assigned = assign(nis, gate)
     taken = assigned[assigned != NO_PATH]
     assert len(set(taken.tolist())) == len(taken)
@@ -61,7 +64,8 @@ def test_no_other_assignment_is_better(data):
 
 def test_the_azimuths_of_a_path_disagree_if_departure_is_not_opposite_to_arrival():
     sigma = np.tile([0.2, 0.03, 0.01, 0.04], (4, 1))
-    arrivals, apart = np.array([1.0, 3.0, -3.1, -0.75 * np.pi]), np.array([0.0, 0.1, -0.05, -0.02])
+    arrivals = np.array([1.0, 3.0, -3.1, -0.75 * np.pi])
+    apart = np.array([0.0, 0.1, -0.05, -0.02])
     departures = (arrivals + apart) % (2.0 * np.pi) - np.pi
     paths = np.column_stack([np.full(4, 9.0), arrivals, np.full(4, 0.1), departures])
     np.testing.assert_allclose(disagreement(paths, sigma), (apart / 0.05) ** 2, atol=1e-12)

@@ -32,7 +32,8 @@ THREE = [
 
 
 def test_names_files_and_mode_objects_can_be_mixed_in_a_list(tmp_path):
-    path, own = tmp_path / "three.json", Mode("own", "ckf")
+    path = tmp_path / "three.json"
+    own = Mode("own", "ckf")
     path.write_text(json.dumps({"command": "by hand", "modes": [as_written(m) for m in THREE]}))
     assert modes_from(["ukf", str(path), own]) == (named_modes()["ukf"], *THREE, own)
     untuned = Radio("unheard-of")  # the list names no tuned mode, so there is no warning

@@ -18,7 +18,9 @@ from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.localization.position_errors import PositionErrors
 from tests.filters.tracks import STREET, far_from_the_anchors, process_noise
 
-RUNS, EPOCHS, CHECKED = 1000, 40, (0, 1, 5, 10, 20, 39)
+RUNS = 1000
+EPOCHS = 40
+CHECKED = (0, 1, 5, 10, 20, 39)
 LEVEL = 0.01
 pytestmark = pytest.mark.slow
 ALGORITHMS = ("ekf", "ukf", "ckf")
@@ -34,12 +36,17 @@ def runs():
     plain = [Mode(a, a, gate=None, **TUNING) for a in ALGORITHMS]
     gated = [Mode(f"{a} gated", a, gate=0.99, **TUNING) for a in ALGORITHMS]
     pipeline = Pipeline((*plain, *gated), STREET)
-    rng, model = np.random.default_rng(0), far_from_the_anchors(process_noise(plain[0]))
+    rng = np.random.default_rng(0)
+    model = far_from_the_anchors(process_noise(plain[0]))
     episodes = [model.draw(rng, EPOCHS) for _ in range(RUNS)]
     engine = Engine(pipeline, RUNS, TrackingReward())
     results = {}
     for m, algorithm in enumerate(ALGORITHMS):
-        nees, nis, rejected, errors, P = [], [], [], [], []
+        nees = []
+        nis = []
+        rejected = []
+        errors = []
+        P = []
         engine.reset(episodes)
         for _ in range(EPOCHS):
             candidates = engine.at.candidates

@@ -24,13 +24,15 @@ def belief_of(seed=0, angle=0.5, speed=3.0, axes=(0, 1, 2)):
 
 def rotation(angle):
     """Return the matrix whose columns are the directions along the motion, across it and up."""
-    c, s = np.cos(angle), np.sin(angle)
+    c = np.cos(angle)
+    s = np.sin(angle)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 @given(ANGLE, SHIFT, LOG_FACTOR, st.integers(0, 20))
 def test_a_correction_is_a_shift_and_a_scaling_in_the_frame_of_motion(angle, shift, factors, seed):
-    belief, R = belief_of(seed, angle), rotation(angle)
+    belief = belief_of(seed, angle)
+    R = rotation(angle)
     P = np.array(belief.P)
     deviations = np.sqrt(np.diag(R.T @ P[:3, :3] @ R))
     M = np.eye(7)

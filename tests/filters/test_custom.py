@@ -124,7 +124,8 @@ def only_floats(x, P, measurement, gate):
     ("algorithm", "part"), [(misspelled, "numbers"), (only_floats, "mmwave_env.numerics.numbers")]
 )
 def test_an_attribute_error_becomes_a_refusal_that_shows_the_line(algorithm, part):
-    error, code = refusal(algorithm), algorithm.__code__
+    error = refusal(algorithm)
+    code = algorithm.__code__
     assert part in str(error)
     assert f'File "{code.co_filename}", line {code.co_firstlineno + 1}, in' in str(error)
     assert isinstance(error.__cause__, AttributeError)

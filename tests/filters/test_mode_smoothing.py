@@ -23,8 +23,10 @@ def smoothed(task, bank, n):
     batch = task.tables(np.arange(TUNING, TUNING + n).astype(np.uint64))
     pipeline = Pipeline(bank.modes, batch.layout, task.pipeline.planar)
     track = run_imm(bank, TrackingReward(), batch, *PARTS, planar=pipeline.planar)
-    at, hz_per_mps = columns_of(batch.layout), task.simulated.scene.hz_per_mps
-    dt, spread = batch.table[..., at.dt], batch.table[..., at.doppler_spread_hz]
+    at = columns_of(batch.layout)
+    hz_per_mps = task.simulated.scene.hz_per_mps
+    dt = batch.table[..., at.dt]
+    spread = batch.table[..., at.doppler_spread_hz]
     return batch, track, dt, smooth_modes(bank, pipeline, track["mixture"], dt, spread, hz_per_mps)
 
 
@@ -53,7 +55,9 @@ def test_smoothing_the_modes_is_more_consistent_than_smoothing_their_mixture(rad
     batch, track, dt, ours = smoothed(task, task.bank, 40)
     theirs = smooth(*(track[name] for name in PARTS[:4]), dt[:, 1:])
     low, high = nees_interval()
-    inside, errors, means = [], [], []
+    inside = []
+    errors = []
+    means = []
     for x, P in (ours, theirs):
         error, values = nees(batch, x, P)
         inside.append(((values >= low) & (values <= high)).mean())

@@ -54,7 +54,10 @@ MODES = [
 @few
 def test_an_epoch_of_a_mode_equals_the_textbook(mode, lockout, data):
     problem = data.draw(problems(odometry=True, anchors=2))
-    epoch, layout, gamma, drop_db = epoch_of(problem), layout_of(problem), 1.7, 9.0
+    epoch = epoch_of(problem)
+    layout = layout_of(problem)
+    gamma = 1.7
+    drop_db = 9.0
     before = memory.initial_memory(layout, 1)._replace(
         gamma=gamma, lockout=lockout, snr_mean_db=[20.0, 20.0 + drop_db]
     )
@@ -89,7 +92,8 @@ def test_an_epoch_of_a_mode_equals_the_textbook(mode, lockout, data):
 
 @pytest.mark.parametrize(("now_db", "factor"), [(19.0, 1.0), (11.0, 2.5), (-30.0, 10.0)])
 def test_a_blockage_aware_mode_inflates_the_noise_of_a_link_with_low_snr(now_db, factor):
-    mode, layout = Mode("aware", blockage_aware=True), Layout(1)
+    mode = Mode("aware", blockage_aware=True)
+    layout = Layout(1)
     before = memory.initial_memory(layout, 1)._replace(snr_mean_db=[20.0])
     epoch = Epoch(1.0, [0.0] * 5, [2.0] * 5, [1.0, 1.0], [now_db], 0.0)
     site = Site([[0.0, 0.0, 6.0]], HZ_PER_MPS, [0.0] * 7, [])
@@ -102,11 +106,20 @@ def outcome(nis, accepted, passed=0.0, log_likelihood=0.0, x=(0.0,) * 7):
 
 
 def test_memory_follows_its_definition_over_many_epochs():
-    rng, layout, modes, dt = np.random.default_rng(4), Layout(2), 3, 0.5
-    dof, keep = np.array([4.0, 4.0, 1.0]), np.array([0.6, 0.9])
+    rng = np.random.default_rng(4)
+    layout = Layout(2)
+    modes = 3
+    dt = 0.5
+    dof = np.array([4.0, 4.0, 1.0])
+    keep = np.array([0.6, 0.9])
     kept = memory.initial_memory(layout, modes)
-    window, average, lockout, unfixed = np.ones(10), np.ones(2), 0.0, 0.0
-    snr, spread, correction = np.full(2, -100.0), 0.0, np.zeros(2)
+    window = np.ones(10)
+    average = np.ones(2)
+    lockout = 0.0
+    unfixed = 0.0
+    snr = np.full(2, -100.0)
+    spread = 0.0
+    correction = np.zeros(2)
     preference = np.zeros((2, modes))
     assert kept.mode == 0.0 and kept.gamma == 1.0 and kept.unfixed_s == 0.0
     assert [kept.nis, kept.accepted, kept.rejected] == [[0.0] * 3] * 3
@@ -114,9 +127,11 @@ def test_memory_follows_its_definition_over_many_epochs():
         visible = rng.random(3) < 0.6
         accepted = visible & (rng.random(3) < 0.6)
         nis = rng.chisquare(dof) * rng.choice([0.1, 1.0, 3.0]) * visible
-        now_db, now_hz = rng.uniform(-30, 30, 2), rng.uniform(0, 300)
+        now_db = rng.uniform(-30, 30, 2)
+        now_hz = rng.uniform(0, 300)
         likelihoods = rng.normal(0.0, 40.0, modes)
-        x, before = rng.normal(0, 5, 7), rng.normal(0, 5, 7)
+        x = rng.normal(0, 5, 7)
+        before = rng.normal(0, 5, 7)
         passed = float(accepted[:2].sum()) * (rng.random() < 0.5)
         epoch = Epoch(dt, [], [], visible.astype(float).tolist(), now_db.tolist(), now_hz)
         candidates = [outcome([0.0] * 3, [0.0] * 3, log_likelihood=v) for v in likelihoods]
@@ -136,20 +151,24 @@ def test_memory_follows_its_definition_over_many_epochs():
             average = keep * average + (1 - keep) * ratio
         lockout = 0.0 if passed else lockout + visible[:2].any()
         unfixed = 0.0 if accepted[:2].any() else unfixed + dt
-        step, v = x[:2] - (before[:2] + dt * before[3:5]), before[3:5]
+        step = x[:2] - (before[:2] + dt * before[3:5])
+        v = before[3:5]
         ahead = v / np.sqrt(v @ v + 1e-6)
         correction = 0.8 * correction + 0.2 * np.array(
             [step @ ahead, ahead[0] * step[1] - ahead[1] * step[0]]
         )
-        gamma, rejected = np.clip(window.mean(), 0.5, 2.0), visible & ~accepted
-        in_epoch, averages = (nis, accepted, rejected), (average, correction, unfixed, snr, spread)
+        gamma = np.clip(window.mean(), 0.5, 2.0)
+        rejected = visible & ~accepted
+        in_epoch = (nis, accepted, rejected)
+        averages = (average, correction, unfixed, snr, spread)
         expected = memory.Memory(2.0, lockout, window, gamma, *in_epoch, *averages, preference)
         for name, value in expected._asdict().items():
             np.testing.assert_allclose(getattr(kept, name), value, rtol=1e-9, err_msg=name)
 
 
 def test_the_nis_of_outliers_is_limited_to_a_quantile_when_modes_are_compared():
-    cap, nis = chi2.ppf(0.999, [4, 4, 1]), np.array([3.0, 50.0, 40.0])
+    cap = chi2.ppf(0.999, [4, 4, 1])
+    nis = np.array([3.0, 50.0, 40.0])
     capped = capped_log_likelihood(
         outcome(nis.tolist(), [], log_likelihood=-50.0), Layout(2).widths
     )
@@ -158,7 +177,8 @@ def test_the_nis_of_outliers_is_limited_to_a_quantile_when_modes_are_compared():
 
 def run_imm(modes, episode, transition, limits=(np.inf,) * 4):
     """Run an IMM on floats; yield the result and the time step dt of every epoch."""
-    pipeline, P = Pipeline(tuple(modes), Layout(3)), pack(episode.prior_covariance.tolist())
+    pipeline = Pipeline(tuple(modes), Layout(3))
+    P = pack(episode.prior_covariance.tolist())
     tunings = [mode.tuning for mode in modes]
     rows = imm.ImmSettings([list(row) for row in transition], tunings, list(limits))
     mixture = imm.begin(pipeline, episode.prior_mean.tolist(), P)
@@ -206,7 +226,8 @@ def test_the_prediction_of_a_mixture_has_the_moments_of_its_modes_and_their_mane
     modes = [Mode("a", sigma_v=0.3), Mode("b", acceleration_mps2=2.0)]
     for now, dt in run_imm(modes, episode, [[0.8, 0.2], [0.3, 0.7]]):
         x, P = imm.prediction(now, dt, HZ_PER_MPS)
-        weights, F = np.array(now.predicted), textbook.F(dt)
+        weights = np.array(now.predicted)
+        F = textbook.F(dt)
         moved = np.array([F @ mixed for mixed in now.mixed])
         shifts = np.array([result.x_predicted for result in now.results]) - moved
         each = unpacked(np.array([result.P_predicted for result in now.results]))

@@ -67,7 +67,8 @@ def test_the_iekf_equals_the_textbook(iekf, iterations, gate, odometry, data):
 
 
 def test_a_custom_filter_can_localize_the_user_of_a_log(iekf, tmp_path):
-    scene, radio = SCENES["street"], RADIOS["handset"]
+    scene = SCENES["street"]
+    radio = RADIOS["handset"]
     source = SimulatedSource(scene, radio, epochs=30)
     write_log(tmp_path / "log.csv", source.sample(np.random.default_rng(0)))
     tracks = []

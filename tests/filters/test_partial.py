@@ -26,17 +26,25 @@ from tests.filters.tracks import (
     track,
 )
 
-RUNS, EPOCHS, LEVEL = 600, 25, 0.01
+RUNS = 600
+EPOCHS = 25
+LEVEL = 0.01
 QUIET = {"gate": None, "adaptive": False, "sigma_v": 0.3}
 
 
 @pytest.mark.slow
 def test_an_imm_in_a_partial_layout_without_missing_rows_equals_the_plain_imm():
-    plain, probability = simulated(2, 100), "mixture.probability"
-    ours, expected = (
-        run_imm(best_bank("handset"), TrackingReward(), episodes, "x", "P", probability)
-        for episodes in ([episode.only(MEASUREMENTS) for episode in plain], plain)
+    plain = simulated(2, 100)
+    probability = "mixture.probability"
+    ours = run_imm(
+        best_bank("handset"),
+        TrackingReward(),
+        [episode.only(MEASUREMENTS) for episode in plain],
+        "x",
+        "P",
+        probability,
     )
+    expected = run_imm(best_bank("handset"), TrackingReward(), plain, "x", "P", probability)
     assert_same_beliefs(ours, expected, rtol=1e-9)
     np.testing.assert_allclose(ours[probability], expected[probability], rtol=1e-7, atol=1e-12)
 
@@ -59,7 +67,8 @@ def runs():
 
 def with_its_doppler(episode, model):
     """Return the episode with Doppler shifts measured at each epoch's ``doppler_anchor``."""
-    sensor, row = model.sensor, episode.layout.doppler
+    sensor = model.sensor
+    row = episode.layout.doppler
     z = episode.measurement.copy()
     truth = [*episode.truth_position_m.T], [*episode.truth_velocity_mps.T]
     shifts = [

@@ -36,7 +36,8 @@ algorithms = pytest.mark.parametrize("algorithm", ALGORITHMS)
 @settings(max_examples=25, deadline=None)
 def test_an_update_equals_the_textbook(algorithm, kind, data):
     """Check also problems with missing rows, in which any anchor may have the Doppler shift."""
-    problem, gate = data.draw(problems(**KINDS[kind])), data.draw(st.sampled_from(GATES))
+    problem = data.draw(problems(**KINDS[kind]))
+    gate = data.draw(st.sampled_from(GATES))
     expected = problem.textbook(textbook.METHODS[algorithm], gate)
     if gate.quantile is not None:
         assume_clear_of(expected.nis, problem.seen, [lambda n: chi2.ppf(gate.quantile, n)])
@@ -75,13 +76,16 @@ def test_an_update_with_any_scaled_sigma_points_equals_the_textbook(kind, parame
 @settings(max_examples=12, deadline=None)
 def test_a_planar_update_equals_that_of_the_five_free_states(algorithm, moments, kind, data):
     """Compare with six free states if the state includes a clock's range bias."""
-    problem, gate, known_axes = data.draw(problems(**KINDS[kind])), Gate(0.99), [2, 5]
+    problem = data.draw(problems(**KINDS[kind]))
+    gate = Gate(0.99)
+    known_axes = [2, 5]
     free = [i for i in problem.order if i not in known_axes]
     expected = problem.textbook(moments, gate, free=free)
     assume_clear_of(expected.nis, problem.sensor, [lambda n: chi2.ppf(0.99, n)])
     P = problem.P.copy()
     P[known_axes, :] = P[:, known_axes] = 0.0
-    ours, free = problem.ours(ALGORITHMS[algorithm], gate, P), sorted(free)
+    ours = problem.ours(ALGORITHMS[algorithm], gate, P)
+    free = sorted(free)
     whole = np.array(ours.P)
     reduced = whole[np.ix_(free, free)]
     assert_same(ours._replace(x=np.array(ours.x)[free], P=reduced), expected)
@@ -118,7 +122,8 @@ def test_fused_azimuths_have_the_nis_of_all_rows_at_180_degrees_too(algorithm, a
 @given(problem=problems(odometry=True, clock=True))
 @settings(max_examples=30, deadline=None)
 def test_the_textbook_jacobian_equals_the_numerical_derivative(problem):
-    s, x = problem.sensor, problem.x
+    s = problem.sensor
+    x = problem.x
     step = 1e-4 * np.eye(8)
     columns = [s.difference(s.h(x + e), s.h(x - e)) / 2e-4 for e in step]
     np.testing.assert_allclose(s.jacobian(x), np.array(columns).T, rtol=1e-5, atol=1e-5)

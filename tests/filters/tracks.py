@@ -42,7 +42,8 @@ def around_a_block(corner=(10.0, -20.0)):
     time_s = np.cumsum(np.tile([0.4, 1.0, 2.1, 0.8], 21)) + 1000.0
     passed = time_s - time_s[0]
     traveled = 2.0 * passed + 4.0 * np.sin(passed / 9.0)
-    x, y = np.minimum(traveled, 80.0), np.maximum(traveled - 80.0, 0.0)
+    x = np.minimum(traveled, 80.0)
+    y = np.maximum(traveled - 80.0, 0.0)
     position = np.column_stack([corner[0] + x, corner[1] - y, np.full(len(x), 1.5)])
     return Trajectory("block", time_s, position)
 
@@ -81,7 +82,8 @@ def process_noise(mode, dt=1.0, spread_hz=0.0, gamma=1.0, hz_per_mps=HZ_PER_MPS)
     velocity = np.square([mode.sigma_v, mode.sigma_v, mode.sigma_vz])
     velocity[:2] += mode.spread_gain * spread_hz
     position = np.square([mode.sigma_p, mode.sigma_p, mode.sigma_pz])
-    q, half = velocity * dt, 0.5 * dt * mode.coupling
+    q = velocity * dt
+    half = 0.5 * dt * mode.coupling
     Q = np.diag([*(position * dt + q * half**2), *q, (mode.sigma_b_mps * hz_per_mps) ** 2 * dt])
     Q[range(3), range(3, 6)] = Q[range(3, 6), range(3)] = q * half
     return gamma * Q
@@ -106,7 +108,8 @@ class OwnModel:
 
     def draw(self, rng, epochs):
         """Draw an episode with steps of 1 s."""
-        sensor, noise = self.sensor, np.linalg.cholesky(self.Q)
+        sensor = self.sensor
+        noise = np.linalg.cholesky(self.Q)
         x = [self.start + self.prior * rng.standard_normal(7)]
         for _ in range(epochs - 1):
             x.append(textbook.F(1.0) @ x[-1] + noise @ rng.standard_normal(7))
@@ -117,8 +120,10 @@ class OwnModel:
         z[:, sensor.angles] = np.remainder(z[:, sensor.angles] + np.pi, 2 * np.pi) - np.pi
         visible = rng.random((epochs, len(sensor.groups))) < self.detection
         received = visible, np.full((epochs, sensor.links), 30.0), np.zeros(epochs)
-        belief, truth = (self.start, np.diag(self.prior**2)), (x[:, :3], x[:, 3:6])
-        layout, where = Layout(sensor.links, sensor.odometry), (sensor.anchors, sensor.hz_per_mps)
+        belief = (self.start, np.diag(self.prior**2))
+        truth = (x[:, :3], x[:, 3:6])
+        layout = Layout(sensor.links, sensor.odometry)
+        where = (sensor.anchors, sensor.hz_per_mps)
         times = np.arange(epochs) * 1.0
         return Episode("own model", *where, times, z, sigma, *received, *belief, *truth, layout)
 
@@ -179,7 +184,8 @@ def unpacked(P):
 
 def assert_same_beliefs(a, b, rtol):
     """Assert that x and P of two tracks agree at every epoch, in units of standard deviations."""
-    P, Q = unpacked(a["P"]), unpacked(b["P"])
+    P = unpacked(a["P"])
+    Q = unpacked(b["P"])
     sigma = np.sqrt(np.einsum("...ii->...i", Q))
     known = sigma == 0.0
     np.testing.assert_array_equal(np.where(known, a["x"] - b["x"], 0.0), 0.0)

@@ -111,7 +111,8 @@ def rollout(keys: Sequence[int | None], **arguments: Any) -> Iterator[Row]:
     for key in keys:
         options = None if key is None else {"episode_key": key}
         yield {"row": f"{key} reset"} | _cells(*env.reset(options=options))
-        step, over = 0, False
+        step = 0
+        over = False
         while not over:
             step += 1
             action = _action(step, env)
@@ -135,9 +136,11 @@ def vector_rollout(keys: Sequence[int], later: Sequence[int], **arguments: Any) 
         observations, *scores, infos = env.step(actions)
         over = scores[1] | scores[2]
         for i, values in enumerate(zip(actions, *scores, strict=True)):
-            observation, info = observations[i], infos
+            observation = observations[i]
+            info = infos
             if over[i]:
-                observation, info = infos["final_obs"][i], infos["final_info"]
+                observation = infos["final_obs"][i]
+                info = infos["final_info"]
             yield _scored(f"{i} step {step}", *values) | _cells(observation, _of(i, info))
         if over.any() and step < arguments["episode_steps"]:
             options = {"reset_mask": over, "episode_key": later}
@@ -176,8 +179,11 @@ def _cells(observation: Any, info: Row) -> Row:
 def operations() -> Iterator[Row]:
     """Count every kernel's SIMD instructions, which work on eight environments at a time."""
     source = SimulatedSource(scene_from("street"), radio_from("handset"))
-    modes, reward, bank = named_modes("handset"), TrackingReward(), best_bank()
-    both, five = (Pipeline(some, source.layout) for some in (default_modes(), bank.modes))
+    modes = named_modes("handset")
+    reward = TrackingReward()
+    bank = best_bank()
+    both = Pipeline(default_modes(), source.layout)
+    five = Pipeline(bank.modes, source.layout)
     programs: dict[str, Any] = {
         f"track {name}": Tracker(Pipeline((modes[name],), source.layout), 1).program
         for name in ("ekf", "ukf", "ckf", "ekf-robust", "ukf-robust")

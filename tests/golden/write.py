@@ -36,7 +36,8 @@ def _word(value: object) -> str:
 
 def differences(name: str, old: str, new: str) -> list[str]:
     """Return a line for each cell in which two texts of a trace differ by more than rounding."""
-    before, after = ([line.split(";") for line in text.splitlines()[1:]] for text in (old, new))
+    before = [line.split(";") for line in old.splitlines()[1:]]
+    after = [line.split(";") for line in new.splitlines()[1:]]
     if before[:1] != after[:1] or [row[0] for row in before] != [row[0] for row in after]:
         return [f"{name}: rows or columns differ"]
     return [
@@ -49,7 +50,8 @@ def differences(name: str, old: str, new: str) -> list[str]:
 
 def _same(a: str, b: str, tolerance: float) -> bool:
     try:
-        number, other = float(a), float(b)
+        number = float(a)
+        other = float(b)
     except ValueError:  # words, not numbers
         return a == b
     whole = a.lstrip("-").isdigit()
@@ -62,7 +64,8 @@ def main(check: bool) -> None:
     """Write traces that differ by more than rounding; with ``check``, fail if any bit differs."""
     differ = 0
     for name, trace in TRACES.items():
-        path, text = FOLDER / f"{name}.csv", text_of(trace())
+        path = FOLDER / f"{name}.csv"
+        text = text_of(trace())
         old = path.read_text("utf-8") if path.exists() else HEADER
         print(f"{name}: {'same' if text == old else 'differs'}")
         if text != old:

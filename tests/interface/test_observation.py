@@ -91,7 +91,8 @@ class Rollout(NamedTuple):
     def limited(self, name, values):
         """Clip values to the feature's limits and to ten standard deviations from its mean."""
         i = self.table.names.index(name)
-        feature, (mean, deviation) = self.table.features[i], self.table.scales[i]
+        feature = self.table.features[i]
+        (mean, deviation) = self.table.scales[i]
         reach = 10.0 * deviation
         return np.clip(np.clip(values, feature.low, feature.high), mean - reach, mean + reach)
 
@@ -104,7 +105,8 @@ def rollout(request):
 def roll(episode, **kwargs):
     env = gym.make("MmWaveLoc-v0", episodes=replay(episode), **kwargs)
     observation, info = env.reset(seed=0)
-    observations, infos = [observation], [info]
+    observations = [observation]
+    infos = [info]
     rng = np.random.default_rng(0)
     for _ in range(len(episode)):
         observation, _, _, _, info = env.step(rng.integers(env.action_space.n))
@@ -140,7 +142,8 @@ def test_nis_and_verdicts_describe_the_last_epoch(rollout):
 
 def test_snr_describes_the_coming_epoch(rollout):
     for a in range(3):
-        visible, snr = rollout.episode.usable[:, a], rollout.episode.snr_db[:, a]
+        visible = rollout.episode.usable[:, a]
+        snr = rollout.episode.snr_db[:, a]
         coming = np.clip(np.where(visible, snr, -20.0), -20.0, 80.0)
         close(rollout.read(f"SNR anchor {a + 1}"), [*coming, -20.0])
 
@@ -159,7 +162,8 @@ def test_doppler_spread_describes_the_coming_epoch_and_is_averaged(rollout):
 @pytest.mark.parametrize("speed_mps", [0.0, 2.0, 15.0])
 def test_a_missing_doppler_spread_is_replaced_by_the_mean_at_the_estimated_speed(speed_mps):
     site = blank_site(Layout())._replace(hz_per_mps=93.4)
-    velocity, speeds = [0.6 * speed_mps, 0.8 * speed_mps, 0.0], np.full(100_000, speed_mps)
+    velocity = [0.6 * speed_mps, 0.8 * speed_mps, 0.0]
+    speeds = np.full(100_000, speed_mps)
     drawn = doppler_spread(RADIOS["handset"], 93.4, speeds, np.random.default_rng(0))
     for visible, measured_hz, expected in ((1.0, 0.0, drawn.mean()), (1.0, 7.0, 7.0), (0.0, 0, 0)):
         epoch = Epoch(1.0, [], [], [0.0, visible], [], measured_hz)
@@ -169,8 +173,10 @@ def test_a_missing_doppler_spread_is_replaced_by_the_mean_at_the_estimated_speed
 
 def test_an_snr_drop_is_how_far_the_snr_is_below_its_slow_mean(rollout):
     for a in range(3):
-        mean, expected = None, []
-        visible, snr = rollout.episode.usable[:, a], rollout.episode.snr_db[:, a]
+        mean = None
+        expected = []
+        visible = rollout.episode.usable[:, a]
+        snr = rollout.episode.snr_db[:, a]
         for measured, now in zip(visible, snr, strict=True):
             if measured:
                 mean = now if mean is None else 0.95 * mean + 0.05 * now
@@ -212,7 +218,8 @@ def ratios(rollout):
 
 
 def test_gamma_is_the_windowed_mean_of_nis_over_dof(rollout):
-    window, expected = [1.0] * 10, [1.0]
+    window = [1.0] * 10
+    expected = [1.0]
     for ratio in ratios(rollout):
         if ratio is not None:
             window = [*window[1:], ratio]
@@ -223,7 +230,8 @@ def test_gamma_is_the_windowed_mean_of_nis_over_dof(rollout):
 
 def test_nis_averages_forget_exponentially(rollout):
     for pace, keep in (("fast", 0.6), ("slow", 0.9)):
-        average, expected = 1.0, [1.0]
+        average = 1.0
+        expected = [1.0]
         for ratio in ratios(rollout):
             if ratio is not None:
                 average = keep * average + (1.0 - keep) * ratio
@@ -238,10 +246,13 @@ def test_the_previous_mode_is_marked(rollout):
 
 
 def test_lock_out_and_time_since_fix_grow_until_a_link_is_accepted(rollout):
-    lockout, unfixed_s = [0.0], [0.0]
+    lockout = [0.0]
+    unfixed_s = [0.0]
     for t, info in enumerate(rollout.infos[1:]):
-        links, visible = info["accepted"][:3], rollout.episode.usable[t, :3].any()
-        fixed, passed = links.any(), (links & (info["nis"][:3] <= chi2.ppf(0.99, 4))).any()
+        links = info["accepted"][:3]
+        visible = rollout.episode.usable[t, :3].any()
+        fixed = links.any()
+        passed = (links & (info["nis"][:3] <= chi2.ppf(0.99, 4))).any()
         lockout.append(0.0 if passed else lockout[-1] + visible)
         unfixed_s.append(0.0 if fixed else unfixed_s[-1] + (1.0 if t else 0.0))
     assert_feature(rollout, "lock-out", lockout)
@@ -262,7 +273,8 @@ def corrections(rollout):
 def test_coming_features_equal_the_results_of_the_chosen_mode_in_the_next_step(rollout):
     variance = rollout.read("position variance")[1:]
     for t, changes in enumerate(corrections(rollout)):
-        info, visible = rollout.infos[t + 1], rollout.episode.usable[t]
+        info = rollout.infos[t + 1]
+        visible = rollout.episode.usable[t]
         name = ("ekf", "ukf")[info["mode"]]
         mean_nis = info["nis"][visible].sum() / max(DOF[visible].sum(), 1)
         expected = {"NIS": np.log1p(mean_nis)}
@@ -296,7 +308,8 @@ def test_preferences_are_averages_of_the_log_likelihood_difference(rollout):
 
 def test_odometry_speed_is_measured_if_visible_and_otherwise_predicted():
     done = roll(draw(0, odometry=True), modes=["ekf"])
-    visible, speed = done.episode.usable[:, -1], done.episode.measurement[:, 13]
+    visible = done.episode.usable[:, -1]
+    speed = done.episode.measurement[:, 13]
     assert visible.any() and not visible.all()
     predicted = done.read("predicted speed")
     expected = np.clip(np.where(visible, speed, predicted[:-1]), 0.0, 50.0)

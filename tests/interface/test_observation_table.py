@@ -40,7 +40,8 @@ def test_the_table_defines_the_observation_space(pipeline, kind):
 
 @every_pipeline
 def test_the_observation_called_prior_lacks_what_modes_compute_for_the_coming_epoch(pipeline):
-    full, prior = Observation(pipeline).names, Observation(pipeline, "prior").names
+    full = Observation(pipeline).names
+    prior = Observation(pipeline, "prior").names
     assert prior == [name for name in full if not name.startswith(COMING)]
     assert len(prior) < len(full)
 
@@ -59,7 +60,8 @@ def test_the_documented_table_lists_every_feature_in_order(pipeline, kind):
 @pytest.mark.parametrize("beliefs", BELIEFS)
 def test_reading_a_feature_inverts_its_standardization(pipeline, beliefs):
     """Check random values up to rounding, and integers exactly."""
-    table, integers = Observation(pipeline, beliefs=beliefs), np.arange(-30.0, 31.0)
+    table = Observation(pipeline, beliefs=beliefs)
+    integers = np.arange(-30.0, 31.0)
     values = np.append(np.random.default_rng(0).uniform(-40.0, 40.0, 1000), integers)
     mean, deviation = np.array(table.scales).T
     observations = ((values[:, None] - mean) / deviation).astype(np.float32)

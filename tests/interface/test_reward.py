@@ -217,7 +217,8 @@ def imm_rewards(seed, episodes, reward=REWARDS["tracking"], **task):
 )
 def test_paired_rewards_are_rewards_minus_the_imms_rewards_in_the_same_episodes(reward, task):
     """Check equality to the last bit; the agent's modes differ from the IMM's modes."""
-    n, epochs = 5, 3 * task["episode_steps"]
+    n = 5
+    epochs = 3 * task["episode_steps"]
     envs = [
         gym.make_vec("MmWaveLoc-v0", num_envs=n, autoreset_mode="SameStep", reward=each, **task)
         for each in (reward, PairedReward(reward))
@@ -241,10 +242,12 @@ def test_a_paired_return_is_the_return_minus_the_imms_return_even_if_an_episode_
             task = DIVERGING | {"reward": reward, "terminate_on_divergence": True}
             env = gym.make("MmWaveLoc-v0", **task)
             env.reset(seed=seed)
-            over, earned = False, 0.0
+            over = False
+            earned = 0.0
             while not over:
                 _, now, terminated, truncated, _ = env.step(0)
-                over, earned = terminated or truncated, earned + now
+                over = terminated or truncated
+                earned = earned + now
             returns.append(earned)
             ended += terminated
         paired, tracking = returns

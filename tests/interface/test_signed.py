@@ -21,7 +21,8 @@ from mmwave_env.task import task_from
 from mmwave_env.world.episode import EpisodeBatch
 
 BANK = Bank((Mode("stand", sigma_v=0.1), Mode("ride", sigma_v=2.0)))  # quick to compile
-EPOCHS, N = 40, 8
+EPOCHS = 40
+N = 8
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +45,8 @@ def played(episodes, actions):
     engine = Engine(pipeline, len(episodes), TrackingReward(), "signed", BANK)
     engine.reset(episodes)
     columns = [engine.observation.names.index(name) for name in names_of(pipeline)]
-    observed, x = [], []
+    observed = []
+    x = []
     for now in actions.T:
         observations, _ = engine.step(now)
         observed.append(observations[:, columns])
@@ -69,7 +71,8 @@ def test_tracks_and_environments_compute_bit_identical_features(episodes):
 
 
 def test_features_of_a_track_that_smoothing_did_not_change_are_those_of_the_filter(episodes):
-    actions, pipeline = random_actions(), Pipeline(BANK.modes, episodes[0].layout)
+    actions = random_actions()
+    pipeline = Pipeline(BANK.modes, episodes[0].layout)
     observed, _ = played(episodes, actions)
     names = ("x", "P", "mixture", *(f"memory.{gate}" for gate in GATES))
     parts = run_imm(BANK, TrackingReward(), episodes, *names, actions=actions)
@@ -81,7 +84,8 @@ def test_features_of_a_track_that_smoothing_did_not_change_are_those_of_the_filt
 
 def turned(episode, angle, offset):
     """Return an episode whose world is turned by an angle (rad), then moved by an offset (m)."""
-    c, s = np.cos(angle), np.sin(angle)
+    c = np.cos(angle)
+    s = np.sin(angle)
     R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     whole = np.eye(7)  # the rotation of a whole state
     whole[:3, :3] = whole[3:6, 3:6] = R
@@ -106,14 +110,16 @@ def turned(episode, angle, offset):
 def test_features_do_not_depend_on_place_or_direction(episodes, angle, offset):
     actions = random_actions()
     moved = [turned(episode, angle, np.array([*offset, 5.0])) for episode in episodes]
-    (before, _), (after, _) = played(episodes, actions), played(moved, actions)
+    (before, _) = played(episodes, actions)
+    (after, _) = played(moved, actions)
     np.testing.assert_allclose(after, before, atol=2e-4)
 
 
 def test_residuals_equal_the_formula_in_numpy(episodes):
     observed, x = played(episodes, random_actions())
     pipeline = Pipeline(BANK.modes, episodes[0].layout)
-    table, names = Observation(pipeline, "signed", "per-mode"), names_of(pipeline)
+    table = Observation(pipeline, "signed", "per-mode")
+    names = names_of(pipeline)
 
     def value(name, i):
         """Return a feature (T,) in its own unit."""
@@ -138,19 +144,22 @@ def test_residuals_equal_the_formula_in_numpy(episodes):
 
 def test_features_do_not_depend_on_the_coming_epoch(episodes):
     """Change the measurements of the last epoch; features of earlier epochs must stay the same."""
-    actions, changed = random_actions(), EPOCHS - 1
+    actions = random_actions()
+    changed = EPOCHS - 1
     spoiled = []
     for episode in episodes:
         z = episode.measurement.copy()
         z[changed:, 0] += 5.0
         spoiled.append(replace(episode, measurement=z))
-    before, after = played(episodes, actions)[0], played(spoiled, actions)[0]
+    before = played(episodes, actions)[0]
+    after = played(spoiled, actions)[0]
     np.testing.assert_array_equal(before[:, :changed], after[:, :changed])
     assert (before[:, changed] != after[:, changed]).any()
 
 
 def test_the_signed_observation_begins_with_all_features_of_the_full_observation():
     pipeline = Pipeline(BANK.modes, Layout())
-    full, signed = (Observation(pipeline, kind, "per-mode") for kind in ("full", "signed"))
+    full = Observation(pipeline, "full", "per-mode")
+    signed = Observation(pipeline, "signed", "per-mode")
     assert signed.columns[: len(full)] == full.columns
     assert len(set(signed.names)) == len(signed)

@@ -121,7 +121,8 @@ def test_a_file_that_is_replaced_keeps_its_permissions(tmp_path, umask, mode):
 @pytest.mark.parametrize("exists", [True, False])
 def test_writing_to_a_link_writes_the_file_that_it_points_to(tmp_path, exists):
     (tmp_path / "store").mkdir()
-    target, link = tmp_path / "store" / "a.json", tmp_path / "a.json"
+    target = tmp_path / "store" / "a.json"
+    link = tmp_path / "a.json"
     if exists:
         target.write_text("old")
     link.symlink_to(target)

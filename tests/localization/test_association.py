@@ -39,7 +39,8 @@ def associated(epochs, scene=SCENE, tally=None, **more):
 
 def walk(anchors_seen, false_paths=0, seed=0, y_m=-2.0):
     """Yield epochs of a user who walks east; ``anchors_seen[t]`` lists visible anchors by index."""
-    rng, time = np.random.default_rng(seed), np.arange(len(anchors_seen), dtype=float)
+    rng = np.random.default_rng(seed)
+    time = np.arange(len(anchors_seen), dtype=float)
     position = [20.0, y_m, 1.5] + time[:, None] * [1.4, 0.0, 0.0]
     exact = geometry(position, np.tile([1.4, 0.0, 0.0], (len(time), 1)), SCENE, LAYOUT)
     sigma = RADIO.sigma(np.full((1, 3), 25.0), SCENE, LAYOUT)
@@ -52,11 +53,13 @@ def walk(anchors_seen, false_paths=0, seed=0, y_m=-2.0):
         false = np.column_stack([ranges, angles, rng.uniform(-200.0, 200.0, false_paths)])
         paths = np.concatenate([np.hstack([rows, shifts]), false])
         paths = paths[rng.permutation(len(paths))]
-        snr, odometry = np.full(len(paths), 25.0), np.full(2, np.nan)
+        snr = np.full(len(paths), 25.0)
+        odometry = np.full(2, np.nan)
         yield PathEpoch(LAYOUT, time[t], paths, False, snr, 0, 100.0, odometry, 1.0)
 
 
-ALL, NONE = (0, 1, 2), ()
+ALL = (0, 1, 2)
+NONE = ()
 
 
 def seen_in(block):
@@ -76,12 +79,14 @@ def ate(block, true):
 )
 def test_a_shipped_log_without_anchor_numbers_gives_nearly_the_same_track(tmp_path, name):
     track = read_log_folder(LOGS / name)
-    path, tally = tmp_path / "log.csv", Association(3)
+    path = tmp_path / "log.csv"
+    tally = Association(3)
     episode = track.episode("standard", np.random.default_rng(0))
     hide_anchors(path, episode, false_paths=5, seed=1)
     block = associated(read_paths(path, track.scene), track.scene, tally)
     (true,) = read_log(LOGS / name / "log.csv", track.scene)
-    ours, links = block.visible[:, :3], true.visible[:, :3]
+    ours = block.visible[:, :3]
+    links = true.visible[:, :3]
     same = (block.measurement == true.measurement)[:, :12].reshape(-1, 3, 4).all(axis=2)
     assert not (ours & ~(links & same)).any()
     assert (ours & links).sum() > 0.98 * links.sum()
@@ -111,13 +116,15 @@ def test_angles_of_arrival_may_be_measured_at_the_base_station():
             z = np.stack([mirrored[rank][path] for path, rank in enumerate(order)])
             yield epoch._replace(measurement=z, at_station=True)
 
-    block, usual = associated(seen_at_station()), associated(walk([ALL] * 20))
+    block = associated(seen_at_station())
+    usual = associated(walk([ALL] * 20))
     assert seen_in(block) == seen_in(usual)
     np.testing.assert_allclose(block.measurement, usual.measurement, rtol=1e-9)
 
 
 def test_the_size_of_blocks_makes_no_difference():
-    whole, cut = (associated(walk([ALL] * 25, 3), epochs_per_block=n) for n in (4096, 7))
+    whole = associated(walk([ALL] * 25, 3), epochs_per_block=4096)
+    cut = associated(walk([ALL] * 25, 3), epochs_per_block=7)
     assert_same(cut, whole)
 
 
@@ -136,7 +143,8 @@ def test_a_track_waits_for_the_line_of_sight_instead_of_starting_from_a_reflecti
 
 
 def test_a_track_that_started_from_a_reflection_gives_way_to_the_line_of_sight():
-    anchors_seen, tally = [(1,)] * 30 + [ALL] * 20, Association(3)
+    anchors_seen = [(1,)] * 30 + [ALL] * 20
+    tally = Association(3)
     # The only path is from the station's image, 14 m to the north. The image is mistaken for the
     # station, so the track is 14 m too far south. Until other paths appear, nothing reveals this.
     block = associated(walk(anchors_seen, seed=4, y_m=6.0), tally=tally)
@@ -151,7 +159,8 @@ def test_a_track_that_started_from_a_reflection_gives_way_to_the_line_of_sight()
 @pytest.mark.parametrize("false_paths", [0, 5])
 def test_a_new_track_begins_after_a_gap(false_paths):
     gap = int(GAP_S) + 5
-    anchors_seen, tally = [ALL] * 10 + [NONE] * gap + [(0, 2)] * 10, Association(3)
+    anchors_seen = [ALL] * 10 + [NONE] * gap + [(0, 2)] * 10
+    tally = Association(3)
     block = associated(walk(anchors_seen, false_paths, seed=2), tally=tally)
     wrong = sum(set(a) - set(b) != set() for a, b in zip(seen_in(block), anchors_seen, strict=True))
     assert wrong <= (1 if false_paths else 0)
@@ -180,7 +189,8 @@ def test_association_does_not_change_odometry(tmp_path):
 
 
 def test_epochs_before_a_damaged_line_are_returned_before_the_error():
-    epochs, blocks = damaged(walk([ALL] * 12)), []
+    epochs = damaged(walk([ALL] * 12))
+    blocks = []
     with refuses("line 7", error=LogError):
         blocks.extend(associate(epochs, SCENE, RADIO, MODES[-1], Association(3), 5))
     assert [len(block) for block in blocks] == [5, 5, 2]

@@ -16,7 +16,8 @@ from tests.logs.writing import write_log
 
 KINDS = ("pedestrian", "vehicle", "walk-ride", "jam", "cyclist")
 WORLDS = list(product([RADIOS[name] for name in TUNED_RADIOS], SCENES.values(), KINDS))
-SCENE, RADIO = SCENES["street"], RADIOS["standard"]
+SCENE = SCENES["street"]
+RADIO = RADIOS["standard"]
 # figures of a group (an anchor's link or the Doppler shift) that fits the track
 FINE = {"seen": 200, "rejected_share": 0.1, "nis_per_dof": 1.0}
 
@@ -81,7 +82,8 @@ def test_a_doppler_shift_may_fit_better_but_not_worse_than_its_noise_predicts(bl
 
 
 def test_impossible_measurements_cause_a_warning(block):
-    snr, measurement = block.snr_db.copy(), block.measurement.copy()
+    snr = block.snr_db.copy()
+    measurement = block.measurement.copy()
     snr[5, 1] = 120.0
     measurement[:, 2] *= -1.0  # the user seems to be above the base station
     for changes, group in (

@@ -38,7 +38,8 @@ both = pytest.mark.parametrize("folder", FOLDERS, ids=IDS)
 
 def doubts(blocks, scene, radio=RADIO):
     """Localize a log; return the warnings about contradictions in it."""
-    blocks, groups = list(blocks), Groups()
+    blocks = list(blocks)
+    groups = Groups()
     modes = default_modes(radio.name)
     for block in localize(blocks, scene, radio, Switching(modes, by_predicted_speed), window=None):
         groups.add(block)

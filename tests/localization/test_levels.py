@@ -18,7 +18,9 @@ from tests.logs.by_hand import track_of
 from tests.paths import representative
 from tests.refusals import refuses
 
-N, T, ANCHORS = 3, 40, 3
+N = 3
+T = 40
+ANCHORS = 3
 FRESH = 5_900_000  # first tuning seed that was not used to calibrate levels
 
 
@@ -28,7 +30,9 @@ def parts(seed=0):
     # 0: the gate accepted the group; 1: the gate rejected it; 2: the group was not visible
     fate = rng.integers(3, size=(N, T, ANCHORS + 1))
     nis = rng.chisquare(4, fate.shape)
-    x, P, trusted = rng.normal(size=(N, T, 7)), covariances(N, T, seed=seed), rng.random((N, T))
+    x = rng.normal(size=(N, T, 7))
+    P = covariances(N, T, seed=seed)
+    trusted = rng.random((N, T))
     return [x, P, nis, fate == 0, fate == 1, trusted]
 
 
@@ -76,8 +80,10 @@ def test_factors_are_positive_and_finite_for_any_outputs_of_a_filter(risk):
 
 
 def test_the_factors_of_a_track_do_not_depend_on_its_division_into_pieces():
-    read, time_s = parts(), np.cumsum(np.random.default_rng(1).random(T))
-    whole, levels = Levels().factors(ANCHORS, True, time_s, *read), Levels()
+    read = parts()
+    time_s = np.cumsum(np.random.default_rng(1).random(T))
+    whole = Levels().factors(ANCHORS, True, time_s, *read)
+    levels = Levels()
     cut = [slice(0, 1), slice(1, 25), slice(25, T)]
     pieces = [levels.factors(ANCHORS, True, time_s[i], *(part[:, i] for part in read)) for i in cut]
     np.testing.assert_allclose(np.concatenate(pieces, axis=1), whole, rtol=1e-9)
@@ -102,13 +108,15 @@ def test_live_tracks_and_tracks_of_logs_have_equal_levels(corrector, name):  # n
 
 
 def test_gaussian_levels_follow_from_the_covariances():
-    task, plain = task_from(radio="handset", episode_steps=30), PositionErrors(0.05)
+    task = task_from(radio="handset", episode_steps=30)
+    plain = PositionErrors(0.05)
     positions = Positions({"imm": "imm"}, Levels(0.05, "gaussian"))
 
     def add(contender, time_s, results):
         plain.add(results["error"][:, 10:], results["P"][:, 10:])
 
-    watch, seeds = [positions.add, add], Selection(range(FRESH, FRESH + 8))
+    watch = [positions.add, add]
+    seeds = Selection(range(FRESH, FRESH + 8))
     score_contenders(["imm"], task.source, "handset", seeds, watch=watch, after=PARTS)
     expected = {"risk": 0.05, "levels": "gaussian", "policies": {"imm": plain.figures()}}
     assert positions.figures() == expected
@@ -120,7 +128,8 @@ def test_gaussian_levels_follow_from_the_covariances():
 def test_errors_exceed_levels_at_most_as_often_as_stated(pair, risk):
     """Fail only if 300 episodes show with 99.9 % confidence that errors exceed levels too often."""
     scene, radio = pair.split(":")
-    source, seeds = task_from(scene=scene, radio=radio).source, range(FRESH, FRESH + 300)
+    source = task_from(scene=scene, radio=radio).source
+    seeds = range(FRESH, FRESH + 300)
     policies = ("guided", "corrector", "imm-best")
     for name, over in watched(Levels(risk), policies, source, radio, seeds).items():
         shares = (over > 1.0).mean(axis=1)

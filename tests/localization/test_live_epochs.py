@@ -27,7 +27,9 @@ from tests.logs.by_hand import track_of
 from tests.paths import LOGS
 
 WALK = LOGS / "canyon28_pedestrian"
-SCENE, RADIO, EKF = read_scene(WALK / "scene.json"), RADIOS["standard"], named_modes()["ekf"]
+SCENE = read_scene(WALK / "scene.json")
+RADIO = RADIOS["standard"]
+EKF = named_modes()["ekf"]
 
 
 def walk(count=60, **changed):
@@ -52,7 +54,8 @@ def of(name, function):
 
 OWN = {"range_sigma_m": 0.4, "aoa_azimuth_sigma_deg": 1.0, "aoa_elevation_sigma_rad": 0.02}
 OWN |= {"aod_azimuth_sigma_rad": 0.03, "doppler_sigma_hz": 40.0}
-AZIMUTH, DEPARTURE = "aoa_azimuth_rad", "aod_azimuth_rad"
+AZIMUTH = "aoa_azimuth_rad"
+DEPARTURE = "aod_azimuth_rad"
 UNITS = {AZIMUTH: None, "aoa_azimuth_deg": of(AZIMUTH, lambda a: np.degrees(a) % 360.0)}
 UNITS |= {"toa_s": None, "rtt_ns": of("toa_s", lambda t: 2e9 * t)}
 MOVES = {"speed_mps": lambda row: 1.2, "heading_deg": lambda row: 350.0}
@@ -71,7 +74,8 @@ LOGGED = {  # name -> changed columns, argument snr_db, whether the quick method
 
 @pytest.mark.parametrize(("changed", "snr_db", "quick"), LOGGED.values(), ids=LOGGED)
 def test_live_epochs_equal_epochs_of_a_log_to_the_last_bit(tmp_path, changed, snr_db, quick):
-    epochs, path = walk(**changed), tmp_path / "log.csv"
+    epochs = walk(**changed)
+    path = tmp_path / "log.csv"
     with path.open("w", newline="") as file:
         writer = csv.DictWriter(file, list(epochs[0][0]))
         writer.writeheader()
@@ -119,10 +123,12 @@ def test_quick_and_careful_reading_accept_and_refuse_the_same_rows(name, first):
 
 @pytest.mark.slow
 def test_an_epoch_takes_little_work_and_no_lasting_memory():
-    tracker, epochs = Tracker(SCENE, "guided", RADIO), walk(300)
+    tracker = Tracker(SCENE, "guided", RADIO)
+    epochs = walk(300)
     for epoch in epochs[:100]:
         tracker.update(epoch)
-    files, profile = len(os.listdir("/dev/fd")), cProfile.Profile()
+    files = len(os.listdir("/dev/fd"))
+    profile = cProfile.Profile()
     tracemalloc.start()
     for epoch in epochs[100:200]:
         tracker.update(epoch)

@@ -30,7 +30,8 @@ from tests.logs.writing import write_log
 from tests.paths import representative
 from tests.refusals import refuses
 
-SCENE, RADIO = SCENES["street"], RADIOS["handset"]
+SCENE = SCENES["street"]
+RADIO = RADIOS["handset"]
 T = 230
 SHIFT = 3  # index of the group with the Doppler shift
 EKF, UKF = default_modes()
@@ -44,7 +45,8 @@ def log(folder, odometry=False):
     episode = source.sample(np.random.default_rng(3))
     time = 1.7e9 + np.random.default_rng(0).uniform(0.5, 1.5, T).cumsum()
     visible = episode.visible.copy()
-    visible[:2, 0], visible[2, 0] = False, True
+    visible[:2, 0] = False
+    visible[2, 0] = True
     path = folder / f"log{odometry}.csv"
     write_log(path, replace(episode, time_s=time, visible=visible))
     (block,) = read_log(path, SCENE)
@@ -74,7 +76,8 @@ def episode_of(block):
     """Return the log as an episode that begins with the first line of sight, in epoch 2."""
     block = block.part(slice(2, None))
     sigma = RADIO.sigma(block.snr_db, SCENE, block.layout)
-    anchor, link = SCENE.anchors_m[0], block.layout.link(0)
+    anchor = SCENE.anchors_m[0]
+    link = block.layout.link(0)
     prior = prior_from_fix(anchor, block.measurement[0, link], sigma[0, link], RADIO, SCENE)
     visible = block.visible.copy()
     visible[0, 0] = False
@@ -210,8 +213,10 @@ def test_a_track_does_not_depend_on_the_sizes_of_blocks(
 
 def unseen(block, epochs):
     """Return the log without the line of sight in some epochs."""
-    visible, incomplete = block.visible.copy(), block.incomplete.copy()
-    visible[epochs, 0], incomplete[epochs, 0] = False, True
+    visible = block.visible.copy()
+    incomplete = block.incomplete.copy()
+    visible[epochs, 0] = False
+    incomplete[epochs, 0] = True
     return replace(block, visible=visible, incomplete=incomplete)
 
 
@@ -221,7 +226,8 @@ def test_the_track_before_a_damaged_line_is_returned_before_the_error(block, win
     pieces = cut(block.part(slice(0, 130)), [40])
     with refuses("line 7", error=LogError):
         blocks.extend(localized(damaged(pieces), modes, window=window))
-    result, expected = TrackBlock.joined(blocks), run(pieces, modes, window=window)
+    result = TrackBlock.joined(blocks)
+    expected = run(pieces, modes, window=window)
     assert_same(result, expected)
     assert len(result) == 128
 
@@ -233,8 +239,10 @@ TWINS = Bank((UNGATED, replace(UNGATED, name="twin")))
 @pytest.mark.parametrize("modes", [(UNGATED,), pytest.param(TWINS, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("first", "window"), [(1, None), (100, 30)])
 def test_a_measurement_that_makes_a_track_infinite_is_refused(block, first, window, modes):
-    measurement, visible = block.measurement.copy(), block.visible.copy()
-    measurement[2 + first, block.layout.doppler], visible[2 + first, SHIFT] = 1e300, True
+    measurement = block.measurement.copy()
+    visible = block.visible.copy()
+    measurement[2 + first, block.layout.doppler] = 1e300
+    visible[2 + first, SHIFT] = True
     wrong = replace(block, measurement=measurement, visible=visible)
     blocks = []
     with refuses("time", error=LogError):
@@ -270,7 +278,8 @@ def test_after_a_long_gap_the_track_equals_the_track_of_the_remaining_log(block,
 @pytest.mark.parametrize(("steep", "side"), [(0.0, -1.0), (1e-9, 1.0), (0.02, -1.0)])
 def test_a_track_starts_only_where_the_user_is_no_longer_below_or_above_an_anchor(steep, side):
     scene = Scene("lamp", (3.0, 4.0, 10.0), virtual_anchors_m=((3.0, 34.0, 10.0),))
-    layout, epochs = Layout(2), 60
+    layout = Layout(2)
+    epochs = 60
     # The user stands below or above the base station for four epochs, then walks away.
     along = np.concatenate([np.full(4, steep), 1.5 * np.arange(1, epochs - 3)])
     position = [3.0, 4.0, 10.0 + 8.0 * side] + along[:, None] * [1.0, 0.0, 0.0]

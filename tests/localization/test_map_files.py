@@ -41,9 +41,11 @@ def written(tmp_path, ending, blocks):
 def places(blocks):
     """Compute latitude, longitude and height (n, 3) from azimuths and distances with pymap3d."""
     x, y, up = np.concatenate([block.smooth_x[:, :3] for block in blocks]).T
-    angle, length = np.arctan2(y, x), np.hypot(x, y)
+    angle = np.arctan2(y, x)
+    length = np.hypot(x, y)
     azimuth = np.degrees(np.radians(ORIGIN.bearing_deg) - angle)
-    slant, elevation = np.hypot(length, up), np.degrees(np.arctan2(up, length))
+    slant = np.hypot(length, up)
+    elevation = np.degrees(np.arctan2(up, length))
     where = ORIGIN.latitude_deg, ORIGIN.longitude_deg, ORIGIN.height_m
     return np.column_stack(pymap3d.aer2geodetic(azimuth, elevation, slant, *where))
 
@@ -65,7 +67,8 @@ def test_nmea_has_positions_and_standard_deviations(tmp_path):
     blocks = tracks()
     lines = written(tmp_path, ".nmea", blocks).read_bytes().decode().split("\r\n")[:-1]
     sentences = [pynmea2.parse(line, check=True) for line in lines]
-    expected, P = places(blocks), np.concatenate([block.smooth_P for block in blocks])
+    expected = places(blocks)
+    P = np.concatenate([block.smooth_P for block in blocks])
     assert [s.sentence_type for s in sentences] == ["GGA", "GST"] * len(expected)
     for position, spread, place, packed in zip(
         sentences[::2], sentences[1::2], expected, P, strict=True
@@ -108,7 +111,8 @@ def test_geojson_has_lines_within_segments_and_95_percent_error_ellipses(tmp_pat
     polygon = 16.0 * np.sin(np.pi / 16.0)  # area of a polygon with 32 corners on a unit circle
     # 5.991 is the 95 % quantile of the chi-square distribution with two degrees of freedom.
     for time_s, geometry in rings.items():
-        (ring,), P = geometry["coordinates"], by_time[time_s]
+        (ring,) = geometry["coordinates"]
+        P = by_time[time_s]
         assert ring[0] == ring[-1]
         size = 5.991 * np.sqrt(P[0] * P[2] - P[1] ** 2) * polygon
         assert area(ring) == pytest.approx(size, rel=2e-3)

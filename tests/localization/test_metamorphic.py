@@ -60,7 +60,8 @@ def assert_moved(moved, plain, turn=UNTURNED, shift_m=(0.0, 0.0, 0.0)):
         expected = plain[x] @ whole.T + [*shift_m, 0.0, 0.0, 0.0, 0.0]
         covariance = whole @ unpacked(plain[P]) @ whole.T
         packed = covariance[..., TRIANGLE[0], TRIANGLE[1]]
-        ours, theirs = {"x": moved[x], "P": moved[P]}, {"x": expected, "P": packed}
+        ours = {"x": moved[x], "P": moved[P]}
+        theirs = {"x": expected, "P": packed}
         assert_same_beliefs(ours, theirs, rtol=ROUNDING)
     np.testing.assert_allclose(moved["nis"], plain["nis"], rtol=1e-6, atol=1e-6)
     for name in ("visible", "accepted", "incomplete", "mode"):
@@ -68,7 +69,8 @@ def assert_moved(moved, plain, turn=UNTURNED, shift_m=(0.0, 0.0, 0.0)):
 
 
 def turned(angle):
-    cos, sin = np.cos(angle), np.sin(angle)
+    cos = np.cos(angle)
+    sin = np.sin(angle)
     turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     return ROTATABLE, turn, (0.0, 0.0, 0.0), lambda azimuth: azimuth + angle
 
@@ -89,7 +91,8 @@ MOVES = {  # name -> pipelines, turn (3, 3), shift in m, function that converts 
     ("move", "pipeline"), [(move, pipeline) for move in MOVES for pipeline in MOVES[move][0]]
 )
 def test_a_moved_scene_gives_the_moved_track(street, tmp_path, move, pipeline):
-    (columns, scene), modes = street, PIPELINES[pipeline]
+    (columns, scene) = street
+    modes = PIPELINES[pipeline]
     _, turn, shift_m, azimuths = MOVES[move]
     moved_columns = columns | {name: azimuths(columns[name]) for name in AZIMUTHS}
     place = with_anchors(scene, scene.anchors_m @ turn.T + shift_m)
@@ -99,7 +102,8 @@ def test_a_moved_scene_gives_the_moved_track(street, tmp_path, move, pipeline):
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
 def test_the_order_of_virtual_anchors_does_not_matter(street, tmp_path, pipeline):
-    (columns, scene), modes = street, PIPELINES[pipeline]
+    (columns, scene) = street
+    modes = PIPELINES[pipeline]
     plain = track(tmp_path, columns, scene, modes)
     for order in permutations(range(1, len(scene.anchors_m))):
         numbers = np.array([0, *order])
@@ -125,7 +129,8 @@ UNITS = {  # old name -> new name and factor
 
 def test_units_the_order_the_clock_and_the_number_of_files_do_not_matter(street, tmp_path):
     """Compare a log with a copy in three gzipped files with other units, orders and clock."""
-    (columns, scene), modes = street, [replace(PIPELINES["ukf"][0], spread_gain=0.01)]
+    (columns, scene) = street
+    modes = [replace(PIPELINES["ukf"][0], spread_gain=0.01)]
     plain = track(tmp_path, columns, scene, modes)
     order = np.lexsort((-columns["anchor"], columns["time_s"]))
     later = columns | {"time_s": columns["time_s"] + 1024.0}

@@ -23,7 +23,8 @@ LINK = ("toa_s", "aoa_azimuth_rad", "aoa_elevation_rad", "aod_azimuth_rad")
 def written(folder, names, **others):
     """Write a log with some of the walk's columns, and with other columns: arrays or constants."""
     columns = {name: COLUMNS[name] for name in names} | others
-    length, path = len(COLUMNS["anchor"]), folder / "log.csv"
+    length = len(COLUMNS["anchor"])
+    path = folder / "log.csv"
     write_columns(path, {k: np.broadcast_to(values, length) for k, values in columns.items()})
     return path
 
@@ -38,7 +39,8 @@ def test_a_link_that_lacks_one_value_is_used_with_its_other_values(tmp_path):
     block = read(written(tmp_path, ("time_s", "anchor", "doppler_hz", "snr_db"), **links))
     whole = read(WALK / "log.csv")
     np.testing.assert_array_equal(block.visible, whole.visible)
-    measured, before = np.isfinite(block.measurement), np.isfinite(whole.measurement)
+    measured = np.isfinite(block.measurement)
+    before = np.isfinite(whole.measurement)
     assert (measured.sum(axis=0) == before.sum(axis=0) * (measured.any(axis=0))).all()
     assert (~measured.any(axis=0)).sum() == 3  # each link lacks the same quantity in all epochs
 

@@ -48,7 +48,8 @@ def test_the_track_equals_the_track_in_the_environment_to_the_last_bit(name, siz
     pipeline = switching.pipeline(whole.layout, planar=False)
     engine = Engine(pipeline, 1, TrackingReward(), switching.observation, switching.bank)
     engine.reset([episode])
-    policy, expected = LearnedSwitch(name, engine.observation), []
+    policy = LearnedSwitch(name, engine.observation)
+    expected = []
     for _ in range(EPOCHS):
         engine.step(policy(engine.observations()))
         expected.append(engine.read(engine.at.x)[0])
@@ -61,7 +62,8 @@ def test_a_live_track_equals_the_track_of_the_complete_log_to_the_last_bit(name)
     switching = learned(name, "standard")
     track = whole_track(switching)
     tracker = Tracker(SCENE, switching, "standard", lag=5)
-    positions, late = [], []
+    positions = []
+    late = []
     for epoch in ROWS:
         positions.append(tracker.update(epoch))
         late.append(tracker.smoothed())
@@ -90,7 +92,9 @@ def test_a_corrected_track_has_the_corrected_beliefs_of_the_environment(correcto
     pipeline = switching.pipeline(whole.layout, planar=False)
     engine = Engine(pipeline, 1, TrackingReward(), "signed", switching.bank)
     engine.reset([episode_from(whole, SCENE, RADIO)])
-    policy, expected, trusted = Corrector(corrector, engine.observation), [], []
+    policy = Corrector(corrector, engine.observation)
+    expected = []
+    trusted = []
     policy.reset(np.ones(1, bool))
     for _ in range(EPOCHS):
         observation, _ = engine.step(policy(engine.observations()))
@@ -111,7 +115,8 @@ def test_a_corrected_track_has_the_corrected_beliefs_of_the_environment(correcto
 def test_a_track_is_smoothed_from_beliefs_without_corrections(corrector):
     switching = learned(corrector, "standard")
     bank = Switching(switching.bank)
-    smooth, expected = (whole_track(s, window=50).smooth_x for s in (switching, bank))
+    smooth = whole_track(switching, window=50).smooth_x
+    expected = whole_track(bank, window=50).smooth_x
     np.testing.assert_allclose(smooth, expected, atol=1e-9)
 
 

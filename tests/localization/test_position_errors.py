@@ -31,7 +31,8 @@ def packed(P):
 
 def turned(major, minor, angle):
     """Return the packed covariance of a turned horizontal ellipse and a vertical variance of 1."""
-    c, s = np.cos(angle), np.sin(angle)
+    c = np.cos(angle)
+    s = np.sin(angle)
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     return packed(turn @ np.diag([major**2, minor**2, 1.0]) @ turn.T)
 
@@ -60,7 +61,8 @@ def test_errors_exceed_the_horizontal_level_with_the_stated_probability(risk, ma
 @settings(max_examples=25, deadline=None)
 @given(risk=risks, sigma=st.floats(0.01, 100.0))
 def test_levels_of_a_line_and_of_a_circle_equal_the_textbook(risk, sigma):
-    line, circle = (horizontal_level(turned(sigma, minor, 1.0), risk) for minor in (0.0, sigma))
+    line = horizontal_level(turned(sigma, 0.0, 1.0), risk)
+    circle = horizontal_level(turned(sigma, sigma, 1.0), risk)
     assert line == pytest.approx(sigma * norm.isf(0.5 * risk), rel=1e-6)
     assert circle == pytest.approx(sigma * np.sqrt(-2.0 * np.log(risk)), rel=1e-6)  # Rayleigh
     upwards = packed(np.diag([9.0, 4.0, sigma**2]))
@@ -86,7 +88,8 @@ def test_the_share_of_exceeded_levels_has_the_clopper_pearson_interval(exceeded,
 
 
 def test_an_error_or_a_level_of_nan_counts_as_an_exceeded_level():
-    error, level = np.array([np.nan, 1.0, 1.0]), np.array([5.0, np.nan, 5.0])
+    error = np.array([np.nan, 1.0, 1.0])
+    level = np.array([5.0, np.nan, 5.0])
     assert exceedance(error, level)["exceeded"] == 2
 
 
@@ -116,12 +119,14 @@ def assert_figures(figures, size, level):
 @settings(max_examples=25, deadline=None)
 @given(error=ERRORS, cut=st.integers(0, 60))
 def test_statistics_of_errors_in_any_pieces_equal_statistics_in_numpy(error, cut):
-    errors, P = PositionErrors(risk=0.05), covariances(len(error))
+    errors = PositionErrors(risk=0.05)
+    P = covariances(len(error))
     for part in (slice(cut), slice(cut, None)):
         errors.add(error[part], P[part])
     figures = errors.figures()
     assert figures == errors.figures()
-    across, upwards = np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2])
+    across = np.hypot(error[:, 0], error[:, 1])
+    upwards = np.abs(error[:, 2])
     assert_figures(figures["horizontal"], across, horizontal_level(P, 0.05))
     assert_figures(figures["vertical"], upwards, vertical_level(P, 0.05))
 

@@ -27,7 +27,8 @@ ROWS = {  # column -> row in a link (4: the Doppler shift), unit, standard devia
     "aod_azimuth": (3, "deg", 2.0),
     "doppler": (4, "hz", 25.0),
 }
-RANGE_AZIMUTH, ANGLES = ("range", "aoa_azimuth"), ("aoa_azimuth", "aoa_elevation", "aod_azimuth")
+RANGE_AZIMUTH = ("range", "aoa_azimuth")
+ANGLES = ("aoa_azimuth", "aoa_elevation", "aod_azimuth")
 # A single anchor with neither elevations nor a known height is left out: the EKF diverges.
 RECEIVERS = {  # name -> columns that are measured, time step in s, number of anchors
     "all, 1 s": (tuple(ROWS), 1.0, 3),
@@ -42,7 +43,9 @@ RECEIVERS = {  # name -> columns that are measured, time step in s, number of an
     "range, azimuth and Doppler shift": ((*RANGE_AZIMUTH, "doppler"), 0.1, 2),
 }
 MODE = Mode("plain", gate=None, adaptive=False, recovery=None, sigma_v=0.3, sigma_vz=0.005)
-RADIO, WALKS, EPOCHS = RADIOS["standard"], 8, 120
+RADIO = RADIOS["standard"]
+WALKS = 8
+EPOCHS = 120
 SETTLED = 20  # number of first epochs whose errors are not compared
 
 
@@ -58,10 +61,12 @@ def walk(path, receiver, seed):
     """Write a log of a user who moves as the filter assumes; return scene and true positions."""
     measured, dt, anchors = RECEIVERS[receiver]
     scene = scene_of_anchors("receiver", ANCHORS[:anchors], 28e9, 100e6)
-    rng, sensor = np.random.default_rng(seed), Sensor(ANCHORS[:anchors], scene.hz_per_mps)
+    rng = np.random.default_rng(seed)
+    sensor = Sensor(ANCHORS[:anchors], scene.hz_per_mps)
     x = np.array([25.0, 30.0, 1.5, *rng.uniform(0.1, 0.8, 2), 0.0, rng.normal(0.0, 50.0)])
     Q = noise(dt, scene.hz_per_mps, "height" in receiver)
-    truth, names = [], [f"{name}_{ROWS[name][1]}" for name in measured]
+    truth = []
+    names = [f"{name}_{ROWS[name][1]}" for name in measured]
     sigmas = {f"{name}_sigma_{ROWS[name][1]}": ROWS[name][2] for name in measured}
     with path.open("w", newline="") as file:
         table = csv.DictWriter(file, ["time_s", "anchor", *names, *sigmas])
@@ -84,9 +89,11 @@ def walk(path, receiver, seed):
 
 def by_textbook(log, scene, x, P, flat):
     """Run a textbook EKF on a log, starting from a belief (x, P); return the means (T, 3)."""
-    sensor, means = Sensor(scene.anchors_m, scene.hz_per_mps), [x[:3]]
+    sensor = Sensor(scene.anchors_m, scene.hz_per_mps)
+    means = [x[:3]]
     for t in range(1, len(log)):
-        dt, z = log.time_s[t] - log.time_s[t - 1], log.measurement[t]
+        dt = log.time_s[t] - log.time_s[t - 1]
+        z = log.measurement[t]
         x, P = textbook.predict(x, P, noise(dt, scene.hz_per_mps, flat), dt)
         keep = np.isfinite(z)
         R = np.where(keep, log.sigma[t], 1.0) ** 2
@@ -100,14 +107,18 @@ def by_textbook(log, scene, x, P, flat):
     "receiver", representative(RECEIVERS, "all, 1 s", "no Doppler shift", "angles")
 )
 def test_a_track_equals_the_track_of_a_textbook_ekf_and_is_consistent(tmp_path, receiver):
-    ours, expected, nees, flat = [], [], [], "height" in receiver
+    ours = []
+    expected = []
+    nees = []
+    flat = "height" in receiver
     height_m, axes = (1.5, 2) if flat else (None, 3)
     for seed in range(WALKS):
         scene, truth = walk(tmp_path / "log.csv", receiver, seed)
         log = read(tmp_path / "log.csv", scene, partial=True)
         switching = Switching((MODE,))
         track = track_of([log], scene, RADIO, switching, window=None, height_m=height_m)
-        begins, P = EPOCHS - len(track), unpacked(track.P)
+        begins = EPOCHS - len(track)
+        P = unpacked(track.P)
         plain = by_textbook(log.part(slice(begins, None)), scene, track.x[0], P[0], flat)
         np.testing.assert_allclose(track.x[:, :3], plain, atol=1e-6)
         error = track.x[:, :3] - truth[begins:]
@@ -123,7 +134,8 @@ def test_a_track_equals_the_track_of_a_textbook_ekf_and_is_consistent(tmp_path, 
 @pytest.mark.slow
 def test_points_are_found_from_range_and_azimuth_of_one_anchor_at_the_users_height(tmp_path):
     """Localize 45 points, 0.5 m apart, with the noise of a 60 GHz access point."""
-    rng, anchor = np.random.default_rng(3), np.array([0.0, 0.0, 1.5])
+    rng = np.random.default_rng(3)
+    anchor = np.array([0.0, 0.0, 1.5])
     line = 0.5 * np.arange(15)
     x = np.concatenate([3.0 + line, np.full(15, 10.5), 10.5 - line])
     y = np.concatenate([np.full(15, 2.0), 2.0 + line, np.full(15, 9.5)])

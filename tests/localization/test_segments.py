@@ -12,7 +12,8 @@ from mmwave_env.models.scene import SCENES
 from tests.logs.by_hand import block_of, cut
 from tests.refusals import refuses
 
-STREET, HANDSET = SCENES["street"], RADIOS["handset"]
+STREET = SCENES["street"]
+HANDSET = RADIOS["handset"]
 LINK_1, LINK_2, DOPPLER, ODOMETRY = range(4)
 
 
@@ -34,7 +35,9 @@ def pieces_of(*blocks):
 
 
 # visible groups of an epoch; only the link of anchor 1 determines a position (a fix)
-FIX, OTHER, NOTHING = (LINK_1,), (LINK_2,), ()
+FIX = (LINK_1,)
+OTHER = (LINK_2,)
+NOTHING = ()
 
 
 def test_a_gap_in_time_ends_a_segment():
@@ -82,7 +85,8 @@ def test_segments_do_not_depend_on_the_sizes_of_blocks(steps, sizes, data):
     def epochs(pieces):
         return [(t, p[1], p[2] and t == p[0][0]) for p in pieces for t in p[0]]
 
-    expected, pieces = pieces_of(whole), pieces_of(*cut(whole, sizes))
+    expected = pieces_of(whole)
+    pieces = pieces_of(*cut(whole, sizes))
     assert epochs(pieces) == epochs(expected) and pieces[-1][3:] == expected[-1][3:]
     dropped = n - sum(len(p[0]) for p in pieces)
     assert pieces[-1][4] == dropped

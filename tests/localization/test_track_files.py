@@ -39,7 +39,8 @@ def some_track(epochs, seed=0):
 
 
 def test_a_track_and_its_table_replace_only_files_of_their_kind(tmp_path):
-    out, table = tmp_path / "trip.tum", tmp_path / "trip.csv"
+    out = tmp_path / "trip.tum"
+    table = tmp_path / "trip.csv"
     for _ in range(2):  # the second track replaces the first
         require_own_files(out)
         with track_files(out, NAMES, SCENE) as write:
@@ -64,7 +65,8 @@ def test_a_track_is_written_in_blocks_as_tum_and_as_a_table(tmp_path):
         assert not out.exists()
     assert sorted(path.name for path in out.parent.iterdir()) == ["walk.v2.csv", "walk.v2.tum"]
     time = np.concatenate([b.time_s for b in blocks])
-    x, P = (np.concatenate([getattr(b, f) for b in blocks]) for f in ("smooth_x", "smooth_P"))
+    x = np.concatenate([b.smooth_x for b in blocks])
+    P = np.concatenate([b.smooth_P for b in blocks])
     written = read_tum(out)
     np.testing.assert_array_equal(written.time_s, time)
     np.testing.assert_array_equal(written.position_m, x[:, :3])

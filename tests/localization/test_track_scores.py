@@ -34,7 +34,8 @@ def test_scores_of_blocks_equal_the_metrics_of_complete_tracks(tmp_path, sizes, 
     assert figures["scored"] == n == np.isfinite(true[:, 0]).sum()
     axes = [i for i in range(3) if not (planar and i in VERTICAL)]
     for name, (x, P) in tracks.items():
-        error, row = (x[:, :3] - truth)[known], figures["tracks"][name]
+        error = (x[:, :3] - truth)[known]
+        row = figures["tracks"][name]
         assert row["ate_m"] == pytest.approx(ate(error), rel=1e-12)
         assert row["rmse_m"] == pytest.approx(rmse(error), rel=1e-12)
         position = unpacked(P[known])[:, axes][:, :, axes]
@@ -143,7 +144,8 @@ def test_statistics_of_groups_equal_statistics_of_the_complete_track(sizes):
     assert list(figures) == ["anchor 1", "anchor 2", "anchor 3", "Doppler", "all"]
     for g, dof in enumerate((4, 4, 4, 1)):
         row = list(figures.values())[g]
-        visible, used = block.visible[:, g], accepted[:, g]
+        visible = block.visible[:, g]
+        used = accepted[:, g]
         assert row["seen"] == visible.sum() and row["rejected"] == (visible & ~used).sum()
         assert row["rejected_share"] == pytest.approx((visible & ~used).sum() / visible.sum())
         assert row["incomplete"] == block.incomplete[:, g].sum()

@@ -71,7 +71,8 @@ def block_of(layout, time_s, measurement, visible, snr_db=20.0):
 
 def cut(block, sizes):
     """Cut a block into blocks of these sizes, which are repeated until the block ends."""
-    blocks, first = [], 0
+    blocks = []
+    first = 0
     while first < len(block):
         size = sizes[len(blocks) % len(sizes)]
         blocks.append(block.part(slice(first, first + size)))
@@ -123,7 +124,8 @@ def require_pyarrow(suffix):
 
 def hide_anchors(path, episode, false_paths=0, seed=0):
     """Write an episode as a log of paths in random order; add ``false_paths`` to every epoch."""
-    columns, rng = log_columns(episode), np.random.default_rng(seed)
+    columns = log_columns(episode)
+    rng = np.random.default_rng(seed)
     del columns["anchor"]
     n = false_paths * len(episode)
     false = {name: np.full(n, np.nan) for name in columns}

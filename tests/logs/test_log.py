@@ -50,8 +50,10 @@ def test_every_number_is_read_into_its_array(tmp_path):
 def test_angles_of_arrival_at_the_base_station_are_mirrored(tmp_path, suffix):
     ours = episode(epochs=5)
     columns = log_columns(ours)
-    path, station = tmp_path / "station.csv", SCENE.anchors_m[0]
-    azimuth, elevation = columns.pop("aoa_azimuth_rad"), columns["aoa_elevation_rad"]
+    path = tmp_path / "station.csv"
+    station = SCENE.anchors_m[0]
+    azimuth = columns.pop("aoa_azimuth_rad")
+    elevation = columns["aoa_elevation_rad"]
     images = SCENE.anchors_m[columns["anchor"].astype(int) - 1]
     n = images - station
     n /= np.maximum(np.linalg.norm(n, axis=1), 1e-300)[:, None]
@@ -63,7 +65,8 @@ def test_angles_of_arrival_at_the_base_station_are_mirrored(tmp_path, suffix):
     columns["aoa_elevation_rad"] = np.arctan2(d[:, 2], np.hypot(d[:, 0], d[:, 1]))
     path.write_text(log_text(columns))
     write_log(tmp_path / "image.csv", ours)
-    block, image = read(path), read(tmp_path / "image.csv")
+    block = read(path)
+    image = read(tmp_path / "image.csv")
     np.testing.assert_array_equal(block.visible, image.visible)
     np.testing.assert_allclose(block.measurement, image.measurement, rtol=1e-9)
 
@@ -210,7 +213,8 @@ VARIANTS = {
 
 @pytest.mark.parametrize("name", VARIANTS)
 def test_separators_line_ends_and_the_order_of_columns_do_not_change_what_is_read(tmp_path, name):
-    plain, other = text(rows()), VARIANTS[name](text(rows()))
+    plain = text(rows())
+    other = VARIANTS[name](text(rows()))
     assert other != plain
     assert_same(read(store(tmp_path, other, "other.csv")), read(store(tmp_path, plain)))
 
@@ -241,7 +245,8 @@ def test_an_episode_written_to_a_log_is_read_back(suffix, seed, odometry, size, 
     np.testing.assert_array_equal(block.doppler_spread_hz, true.doppler_spread_hz)
     assert not block.incomplete.any()
     keep = shown(block)
-    z, expected = np.where(keep, block.measurement, 0.0), np.where(keep, true.measurement, 0.0)
+    z = np.where(keep, block.measurement, 0.0)
+    expected = np.where(keep, true.measurement, 0.0)
     np.testing.assert_allclose(z, expected, rtol=1e-15)
     z[:, 0 : true.layout.doppler : 4] = expected[:, 0 : true.layout.doppler : 4]
     np.testing.assert_array_equal(z, expected)  # all values but ranges are stored without rounding

@@ -41,7 +41,8 @@ def test_an_epoch_may_have_any_number_of_paths(tmp_path):
 
 
 def test_anchor_numbers_are_ignored(tmp_path):
-    lines, header = [f"0,{n},{PATH}" for n in (1, 1, 99)], HEADER.replace("time_s", "time_s,anchor")
+    lines = [f"0,{n},{PATH}" for n in (1, 1, 99)]
+    header = HEADER.replace("time_s", "time_s,anchor")
     (epoch,) = read_paths(store(tmp_path, *lines, header=header), SCENE)
     assert len(epoch.snr_db) == 3
 
@@ -82,11 +83,13 @@ def test_a_log_without_a_complete_path_is_refused(tmp_path, lines):
 
 
 def test_every_usable_link_is_read_as_a_path(tmp_path):
-    true, path = by_hand.episode(odometry=True), tmp_path / "log.csv"
+    true = by_hand.episode(odometry=True)
+    path = tmp_path / "log.csv"
     by_hand.hide_anchors(path, true)
     for t, epoch in enumerate(read_paths(path, SCENE)):
         links = true.measurement[t, :12].reshape(3, 4)[true.usable[t, :3]]
-        order, theirs = np.argsort(links[:, 0]), np.argsort(epoch.measurement[:, 0])
+        order = np.argsort(links[:, 0])
+        theirs = np.argsort(epoch.measurement[:, 0])
         np.testing.assert_allclose(epoch.measurement[theirs, :4], links[order], rtol=1e-12)
         snr = true.snr_db[t, true.usable[t, :3]]
         np.testing.assert_array_equal(epoch.snr_db[theirs], snr[order])

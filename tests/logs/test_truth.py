@@ -26,14 +26,16 @@ def expected(pose_s, position, time_s):
     p, v = np.full((2, len(time_s), 3), np.nan)
     runs = np.split(np.arange(len(pose_s)), np.flatnonzero(np.diff(pose_s) > BRIDGED_S) + 1)
     for run in runs:
-        t, x = pose_s[run], position[run]
+        t = pose_s[run]
+        x = position[run]
         away = np.abs(time_s[:, None] - t)
         near = away.min(axis=1) <= TOLERANCE_S
         p[near] = x[away[near].argmin(axis=1)]
         if len(run) > 1:
             curve = CubicHermiteSpline(t, x, np.gradient(x, t, axis=0))
             inside = (time_s >= t[0]) & (time_s <= t[-1])
-            p[inside], v[inside] = curve(time_s[inside]), curve(time_s[inside], 1)
+            p[inside] = curve(time_s[inside])
+            v[inside] = curve(time_s[inside], 1)
     return p, v
 
 
@@ -43,7 +45,8 @@ times = st.lists(st.integers(0, 4000), min_size=1, max_size=60, unique=True)
 @settings(max_examples=80, deadline=None)
 @given(poses=times, epochs=times, late=st.sampled_from([0.0, 1e-3]))
 def test_poses_are_interpolated_but_not_across_gaps(tmp_path_factory, poses, epochs, late):
-    pose_s, time_s = np.sort(poses) * 1e-2, np.sort(epochs) * 1e-2 + late
+    pose_s = np.sort(poses) * 1e-2
+    time_s = np.sort(epochs) * 1e-2 + late
     position = np.random.default_rng(0).standard_normal((len(pose_s), 3))
     truth = truth_of(tmp_path_factory.mktemp("truth"), pose_s, position)
     positions, velocity, away = truth.at(time_s)
@@ -71,7 +74,8 @@ def user(time_s, speed=8.0, sway=4.0):
 def exact_links(position_m, anchors_m):
     """Return the exact rows of all links (T, 4 L), computed in plain NumPy."""
     d = position_m[:, None] - anchors_m
-    azimuth, flat = np.arctan2(d[..., 1], d[..., 0]), np.hypot(d[..., 0], d[..., 1])
+    azimuth = np.arctan2(d[..., 1], d[..., 0])
+    flat = np.hypot(d[..., 0], d[..., 1])
     rows = [np.linalg.norm(d, axis=2), azimuth, np.arctan2(d[..., 2], flat), azimuth + np.pi]
     return np.stack(rows, axis=2).reshape(len(d), -1)
 
@@ -109,7 +113,8 @@ def test_an_offset_is_found_despite_biases_and_a_shifted_frame(seconds, shift):
 
 
 def test_the_standard_error_of_an_offset_is_the_spread_over_many_logs():
-    time_s, rng = np.arange(0.0, 40.0, 0.1), np.random.default_rng(3)
+    time_s = np.arange(0.0, 40.0, 0.1)
+    rng = np.random.default_rng(3)
     clocks = [compared(log_of(time_s, user(time_s)[0], rng), 0.0) for _ in range(60)]
     spread = np.std([clock.seconds for clock in clocks])
     typical = np.median([clock.deviation_s for clock in clocks])
@@ -119,8 +124,10 @@ def test_the_standard_error_of_an_offset_is_the_spread_over_many_logs():
 
 def test_the_offset_equals_a_joint_least_squares_fit_of_all_unknowns():
     """Fit the clock's offset, the frame's shift and a bias for every row by NumPy's lstsq."""
-    time_s, rng = np.arange(0.0, 30.0, 0.25), np.random.default_rng(4)
-    log, truth = log_of(time_s, user(time_s)[0], rng), late(time_s, 0.05, (0.3, 0.2, 0.0))
+    time_s = np.arange(0.0, 30.0, 0.25)
+    rng = np.random.default_rng(4)
+    log = log_of(time_s, user(time_s)[0], rng)
+    truth = late(time_s, 0.05, (0.3, 0.2, 0.0))
     position, velocity, _ = truth
 
     def links(p):
@@ -170,7 +177,8 @@ def test_a_short_log_or_an_unknown_ground_truth_gives_no_offset():
 
 @pytest.mark.parametrize("late_s", [-1.0, -0.5, -0.2, 0.2, 0.5, 1.0])
 def test_an_offset_is_found_even_if_it_is_too_large_for_one_linearization(tmp_path, late_s):
-    folder, path = sample_folder("canyon28_vehicle"), tmp_path / "truth.tum"
+    folder = sample_folder("canyon28_vehicle")
+    path = tmp_path / "truth.tum"
     poses = read_tum(folder / "truth.tum")
     path.write_text(tum_lines(poses.time_s + late_s, poses.position_m))
     scene = read_scene(folder / "scene.json")

@@ -36,7 +36,8 @@ def written_out(position, velocity, bias, dt, coupled):
     Q = np.diag([*(position * dt), 0.0, 0.0, 0.0, bias * dt])
     for i, q in enumerate(velocity * dt):
         effect = np.zeros(7)
-        effect[i + 3], effect[i] = 1.0, dt / 2 if coupled else 0.0
+        effect[i + 3] = 1.0
+        effect[i] = dt / 2 if coupled else 0.0
         Q += q * np.outer(effect, effect)
     return Q
 
@@ -60,7 +61,8 @@ def test_process_noise_equals_the_textbook_and_is_semidefinite(
     dt=steps,
 )
 def test_prediction_equals_the_textbook_kalman_prediction(x, factor, diagonal, coupling, dt):
-    noise, P = ProcessNoise(diagonal.tolist(), coupling.tolist()), factor @ factor.T
+    noise = ProcessNoise(diagonal.tolist(), coupling.tolist())
+    P = factor @ factor.T
     expected_x, expected_P = textbook.predict(x, P, matrix(noise), dt)
     predicted = np.array(predict_covariance(P.tolist(), noise, dt))
     np.testing.assert_allclose(move(x.tolist(), dt), expected_x, rtol=1e-13, atol=1e-12)
@@ -104,7 +106,8 @@ def test_a_user_at_rest_is_not_accelerated(a, dt):
 @given(x=states, rate=st.floats(-1.5, 1.5), dt=steps)
 def test_a_turn_is_the_coordinated_turn_of_the_textbook(x, rate, dt):
     """Compare with Bar-Shalom et al. 2001, Sec. 11.7.1; at rate 0, the user moves straight on."""
-    s, c = np.sin(rate * dt), np.cos(rate * dt)
+    s = np.sin(rate * dt)
+    c = np.cos(rate * dt)
     along, across = (s / rate, (1.0 - c) / rate) if abs(rate) > 1e-4 else (dt, 0.5 * rate * dt**2)
     F = np.eye(7)
     F[:2, 3:5] = [[along, -across], [across, along]]

@@ -26,7 +26,8 @@ def link_from(position):
 
 @pytest.mark.parametrize("radio", RADIOS)
 def test_the_covariance_of_a_drawn_prior_is_right(radio):
-    truth, rng = np.arange(7.0), np.random.default_rng(0)
+    truth = np.arange(7.0)
+    rng = np.random.default_rng(0)
     scores = []
     for _ in range(2000):
         mean, covariance = draw_prior(truth, RADIOS[radio], SCENE, rng)
@@ -54,7 +55,8 @@ def test_a_fix_without_noise_is_the_true_position_and_leaves_the_velocity_unknow
 
 @pytest.mark.parametrize("position", [(80.0, -20.0, 1.5), (-60.0, 10.2, 1.5), (10.5, -90.0, 1.5)])
 def test_the_covariance_of_a_fix_is_right(position):
-    exact, rng = link_from(position), np.random.default_rng(0)
+    exact = link_from(position)
+    rng = np.random.default_rng(0)
     scores = []
     for _ in range(1000):
         link = exact + SIGMA * rng.standard_normal(4)

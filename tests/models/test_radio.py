@@ -40,9 +40,11 @@ def channel(radio, epochs, users, distance_m=100.0, speed_mps=0.0, dt=1.0, links
         exponential=lambda: rng.standard_exponential(users),
         normal=lambda: rng.standard_normal(users),
     )
-    state, receptions = initial_state(links), []
+    state = initial_state(links)
+    receptions = []
     model = channel_of(radio, STREET, Layout(links), dt)
-    distance, speed = [np.full(users, distance_m)] * links, np.full(users, speed_mps)
+    distance = [np.full(users, distance_m)] * links
+    speed = np.full(users, speed_mps)
     for t in range(epochs):
         draws = draw_channel(dice, links)
         state, reception = channel_epoch(model, state, t == 0, draws, distance, speed)
@@ -77,7 +79,8 @@ def assert_variance(values, variance):
 
 def changes(on):
     """Return two masks: whether a spell ends (epochs in a spell) or begins (other epochs)."""
-    before, after = on[:-1], on[1:]
+    before = on[:-1]
+    after = on[1:]
     return ~after[before], after[~before]
 
 
@@ -244,7 +247,8 @@ BIASES = {
 def test_biases_are_drawn_once_per_spell(kind):
     radio, least_m, mean_m, angle_deg = BIASES[kind]
     users = channel(radio, 1000, 100)
-    bias, angle = users.range_bias_m, users.angle_bias_rad
+    bias = users.range_bias_m
+    angle = users.angle_bias_rad
     on = bias > 0.0
     assert ((angle != 0.0) == on[..., None]).all()
     within = on[1:] & on[:-1]

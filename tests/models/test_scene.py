@@ -36,7 +36,8 @@ def test_a_reflection_is_as_long_as_the_line_from_the_mirror_image(
     # distances.
     normal = np.array([*wall.normal, 0.0]) / np.hypot(*wall.normal)
     on_wall = [p - (p @ normal - wall.offset_m) * normal for p in (np.array(a), np.array(b))]
-    source, user = on_wall[0] + side * d_source * normal, on_wall[1] + side * d_user * normal
+    source = on_wall[0] + side * d_source * normal
+    user = on_wall[1] + side * d_user * normal
     specular = (d_user * on_wall[0] + d_source * on_wall[1]) / (d_source + d_user)
     path = np.linalg.norm(source - specular) + np.linalg.norm(specular - user)
     image = np.array(wall.mirror(tuple(source)))
@@ -175,14 +176,16 @@ def test_a_random_base_station_is_near_a_crossing_and_walls_are_behind_everythin
     for scene in drawn:
         scene.require_streets_in_front()
         assert len(scene.anchors_m) == 3
-        block, base = scene.streets.block_m, np.array(scene.base_station_m[:2])
+        block = scene.streets.block_m
+        base = np.array(scene.base_station_m[:2])
         ends = np.array([scene.streets.x_m[1], scene.streets.y_m[1]])
         crossing = np.clip(np.round(base / block) * block, 0.0, ends)
         beside = np.abs(base - crossing)
         assert (ranges.beside_m[0] - 1e-9 <= beside).all()
         assert (beside <= ranges.beside_m[1] + 1e-9).all()
         for axis, wall in enumerate(scene.walls):
-            lowest, highest = min(0.0, base[axis]), max(ends[axis], base[axis])
+            lowest = min(0.0, base[axis])
+            highest = max(ends[axis], base[axis])
             behind = wall.offset_m - highest if wall.offset_m > 0.0 else lowest - wall.offset_m
             assert ranges.behind_m[0] - 1e-9 <= behind <= ranges.behind_m[1] + 1e-9
 

@@ -73,7 +73,8 @@ def drawn(keys, runs):
 def test_lanes_draw_the_same_numbers_as_floats_and_numpy():
     numbers = drawn(KEYS, 3)
     for key, uniform, exponential, normal in zip(KEYS, *numbers, strict=True):
-        dice, rng = Dice(seeded(number(key), 0)), np.random.Generator(theirs(key, 0))
+        dice = Dice(seeded(number(key), 0))
+        rng = np.random.Generator(theirs(key, 0))
         for run in range(3):
             now = slice(run * EACH, (run + 1) * EACH)
             for expected in ([dice.uniform() for _ in range(EACH)], rng.random(EACH)):
@@ -83,7 +84,8 @@ def test_lanes_draw_the_same_numbers_as_floats_and_numpy():
                 np.testing.assert_allclose(exponential[now], expected, rtol=1e-14)
             # Box and Muller: two uniform numbers give two normal numbers.
             lengths, turns = rng.random((EACH // 2, 2)).T
-            lengths, angles = np.sqrt(-2.0 * np.log1p(-lengths)), 2.0 * np.pi * turns
+            lengths = np.sqrt(-2.0 * np.log1p(-lengths))
+            angles = 2.0 * np.pi * turns
             pairs = np.stack([lengths * np.cos(angles), lengths * np.sin(angles)], 1)
             for expected in ([dice.normal() for _ in range(EACH)], pairs.ravel()):
                 np.testing.assert_allclose(normal[now], expected, rtol=1e-12, atol=1e-14)
@@ -102,7 +104,8 @@ def many():
 @pytest.mark.parametrize("kind", KINDS)
 def test_numbers_have_their_distributions(many, kind):
     """Test distributions with 99.9 % confidence, and moments within four standard errors."""
-    values, exact = many[kind].ravel(), KINDS[kind]
+    values = many[kind].ravel()
+    exact = KINDS[kind]
     n = values.size
     assert n == 10_000_000
     assert stats.kstest(values, exact.cdf).pvalue > 1e-3

@@ -40,7 +40,8 @@ def test_filtered_scores_equal_the_scores_of_an_evaluation(bench):
 
 @pytest.mark.parametrize("planar", [False, True])
 def test_smoothed_scores_equal_scores_computed_from_the_smoothed_track(bench, planar):
-    episodes, mode = bench.episodes(PEDESTRIAN), default_modes("handset")[0]
+    episodes = bench.episodes(PEDESTRIAN)
+    mode = default_modes("handset")[0]
     if planar:
         episodes = [episode.on_flat_ground(1.5) for episode in episodes]
     smoothed = track(mode, episodes, planar).smoothed
@@ -50,7 +51,8 @@ def test_smoothed_scores_equal_scores_computed_from_the_smoothed_track(bench, pl
     x, P = smooth(*run.values(), np.diff(episodes[0].time_s), planar)
     axes = 2 if planar else 3
     error = (x[..., :3] - np.stack([e.truth_position_m for e in episodes]))[:, 10:]
-    part, block = error[..., :axes], unpacked(P)[:, 10:, :axes, :axes]
+    part = error[..., :axes]
+    block = unpacked(P)[:, 10:, :axes, :axes]
     nees = np.einsum("nti,ntij,ntj->nt", part, np.linalg.inv(block), part)
     np.testing.assert_allclose(smoothed.nees, nees, rtol=1e-6)
     ate = np.linalg.norm(error, axis=-1).mean(axis=1)
@@ -88,7 +90,8 @@ def test_the_page_is_what_the_command_writes(tmp_path):
     page = tmp_path / "paper.md"
     shutil.copy(PAGE, page)
     succeed("tables", "--out", tmp_path, "--docs", page)
-    made, shown = page.read_text(), PAGE.read_text()
+    made = page.read_text()
+    shown = PAGE.read_text()
     assert re.sub(r"\d", "", made) == re.sub(r"\d", "", shown)
     # Other processors round differently, which matters only in the few rows with lost tracks.
     assert np.isclose(numbers(made), numbers(shown), rtol=0.03, atol=0.005).mean() > 0.99

@@ -17,11 +17,17 @@ from tests.training.actors import MODES, PER_MODE, PER_MODE_TABLE, card_of, writ
 TABLE = Observation(Pipeline(MODES, Layout()), "signed", "per-mode")
 NAMES = [feature.name for feature in after_update(Pipeline(MODES, Layout()), per_mode=True)]
 COLUMNS = tuple(column for column in TABLE.columns if column.name in NAMES)
-FEATURES, FRONT, UNITS, HEAD = len(NAMES), 6, 5, 4  # sizes of the network's layers
+# sizes of the network's layers
+FEATURES = len(NAMES)
+FRONT = 6
+UNITS = 5
+HEAD = 4
 MEMBERS = 3  # output layers, whose corrections are averaged
 
 
-ONE_WAY, TWO_WAY = ("gru",), ("gru", "back")  # names of recurrent units
+# names of recurrent units
+ONE_WAY = ("gru",)
+TWO_WAY = ("gru", "back")
 
 
 def network(scale=0.3, limit=5.0, units=ONE_WAY):
@@ -91,7 +97,8 @@ def by_pytorch(shown, units):
 
 @pytest.mark.torch
 def test_the_network_equals_pytorch(path):
-    shown, corrector = features(20), started(path)
+    shown = features(20)
+    corrector = started(path)
     for epoch, expected in zip(shown, by_pytorch(shown, ONE_WAY), strict=True):
         shift, log_factor, trusted = corrector.correct_features(epoch)
         np.testing.assert_allclose(shift, expected[:, :3] * trusted[:, None], atol=1e-5)
@@ -132,7 +139,8 @@ def test_files_of_filtered_and_of_smoothed_tracks_are_not_confused(path, two_way
 
 
 def test_a_corrector_remembers_until_an_episode_begins(path):
-    corrector, shown = started(path), features(3)
+    corrector = started(path)
+    shown = features(3)
     first = corrector.correct_features(shown[0]).shift
     assert (corrector.correct_features(shown[0]).shift != first).any(axis=1).all()
     corrector.reset(np.array([True, False, True, False]))
@@ -142,7 +150,8 @@ def test_a_corrector_remembers_until_an_episode_begins(path):
 
 
 def test_corrections_fade_beyond_the_range_of_training_and_come_back(path):
-    corrector, shown = started(path), features(1)[0]
+    corrector = started(path)
+    shown = features(1)[0]
     assert (corrector.correct_features(shown).trusted > 0.0).all()
     strange = shown.copy()
     strange[0, 3] = 9.0
@@ -154,7 +163,8 @@ def test_corrections_fade_beyond_the_range_of_training_and_come_back(path):
 
 @pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan])
 def test_a_corrector_never_answers_nan(path, value):
-    corrector, strange = started(path), features(1)[0]
+    corrector = started(path)
+    strange = features(1)[0]
     strange[1, 5] = value
     for _ in range(3):
         answer = corrector.correct_features(strange)

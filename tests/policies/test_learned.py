@@ -117,7 +117,8 @@ def test_a_policy_finds_its_features_among_other_features(shared):
     more = Observation(Pipeline(MODES, Layout(5, odometry=True)))
     columns = [more.names.index(name) for name in TABLE.names]
     observed = np.random.default_rng(3).normal(size=(50, len(more))).astype(np.float32)
-    policy, same = LearnedSwitch(shared, more), LearnedSwitch(shared, TABLE)
+    policy = LearnedSwitch(shared, more)
+    same = LearnedSwitch(shared, TABLE)
     assert len(more) > len(TABLE)
     expected = same.logits(np.ascontiguousarray(observed[:, columns]))
     np.testing.assert_array_equal(policy.logits(observed), expected)

@@ -21,7 +21,8 @@ from mmwave_env.world.simulated import SimulatedSource
 
 pytestmark = pytest.mark.slow
 
-N, SEED = 100, 5_400_000
+N = 100
+SEED = 5_400_000
 MOST_HARM = 0.02  # mean reward per epoch that the corrector may lose against its base policy
 # Factors by which the stated noise (the standard deviations in an episode) is too high or too low
 FACTORS = (1.0, 4.0, 8.0, 16.0)
@@ -43,7 +44,8 @@ def alone(episode):
 
 def false_paths(episode):
     """Return an episode in which 5 % of the links are false paths."""
-    rng, z = np.random.default_rng(0), episode.measurement.copy()
+    rng = np.random.default_rng(0)
+    z = episode.measurement.copy()
     for link in range(3):
         false = rng.random((len(z), 1)) < 0.05
         size = np.array([30.0, 0.5, 0.1, 0.5])
@@ -106,7 +108,8 @@ def print_table(n=300):
     print("| case | radio | minus guided | trusted |\n|---|---|---|---|")
     for case, (_, radio, _) in CASES.items():
         gains, trusted = gain(case, n)
-        (mean,), share = bootstrap(gains[:, None]), trusted[:, 10:].mean()
+        (mean,) = bootstrap(gains[:, None])
+        share = trusted[:, 10:].mean()
         print(f"| {case} | {radio} | {mean} | {share:.2f} |")
     print("\n| stated noise / noise | trusted |\n|---|---|")
     for exponent in (1.0, -1.0):

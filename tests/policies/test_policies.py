@@ -33,7 +33,8 @@ def observe(table, **features):
     observation = np.zeros((n, len(table)))
     for name, values in columns.items():
         i = table.names.index(name)
-        feature, (mean, deviation) = table.features[i], table.scales[i]
+        feature = table.features[i]
+        (mean, deviation) = table.scales[i]
         observation[:, i] = (np.clip(values, feature.low, feature.high) - mean) / deviation
     return observation.astype(np.float32)
 

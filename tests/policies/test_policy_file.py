@@ -165,7 +165,8 @@ PLACES = {  # path to a part of a card -> keys of this part; no card has the key
 @settings(in_one_folder, max_examples=100)
 @given(st.data())
 def test_a_card_with_any_value_is_read_unchanged_or_refused(path, place, data):
-    key, value = data.draw(st.sampled_from(PLACES[place])), data.draw(ANYTHING)
+    key = data.draw(st.sampled_from(PLACES[place]))
+    value = data.draw(ANYTHING)
     card = PER_MODE_CARD.as_json()
     reduce(getitem, place, card)[key] = value
     policy = read_or_refused(path, assembled(PER_MODE_TENSORS, card))

@@ -37,13 +37,15 @@ def history(truth=HERE, estimate=HERE, modes=(0,), accepted=NOTHING, rejected=NO
 
     def states(points, size):
         filled = np.zeros((len(points) + 1, size))
-        filled[1:, :2], filled[0, :2] = points, points[0]
+        filled[1:, :2] = points
+        filled[0, :2] = points[0]
         return filled
 
     rows = len(truth) + 1
     P = np.tile([0.01, 0.0, 0.01, 0.0, 0.0, 0.01], (rows, 1))
     place = Scenery(scenery["name"], np.array(scenery["anchors"]), scenery["streets"])
-    time, ran = np.maximum(0.0, np.arange(rows) - 1.0), np.array([NO_MODE, *modes])
+    time = np.maximum(0.0, np.arange(rows) - 1.0)
+    ran = np.array([NO_MODE, *modes])
     gates = (np.tile(groups, (rows, 1)) for groups in (accepted, rejected))
     beliefs = states(truth, 6), states(estimate, 7), P, np.full(rows, 3.0)
     return History(place, 3, time, ran, *beliefs, *gates)
@@ -81,7 +83,8 @@ def test_a_picture_has_the_chosen_size_and_theme(size, theme):
 
 def test_accepted_links_are_solid_rejected_links_dashed_and_missing_links_faint():
     first = np.eye(GROUPS, dtype=bool)[0]
-    contrast, kinds = {}, {"accepted": {"accepted": first}, "rejected": {"rejected": first}}
+    contrast = {}
+    kinds = {"accepted": {"accepted": first}, "rejected": {"rejected": first}}
     for kind, gates in {**kinds, "missing": {}}.items():
         picture = drawn(anchors=[(200.0, 0.0, 10.0)], **gates).astype(int)
         link = picture[140:160, 260:360]  # east of the user
@@ -95,23 +98,20 @@ def test_accepted_links_are_solid_rejected_links_dashed_and_missing_links_faint(
 
 def test_the_header_counts_links_but_not_the_doppler_shift_or_odometry():
     anchors = [(200.0, 150.0, 10.0), (200.0, -150.0, 10.0)]
-    without, with_odometry = (
-        drawn(anchors=anchors, accepted=np.ones(n, bool), rejected=np.zeros(n, bool))
-        for n in (3, 4)
-    )
+    without = drawn(anchors=anchors, accepted=np.ones(3, bool), rejected=np.zeros(3, bool))
+    with_odometry = drawn(anchors=anchors, accepted=np.ones(4, bool), rejected=np.zeros(4, bool))
     np.testing.assert_array_equal(without, with_odometry)
 
 
 def test_the_trail_has_the_color_of_the_mode_that_ran():
     route = [(2.0 * k, 0.0) for k in range(10)]
     beside = [(x, 4.0) for x, _ in route]
-    single, both = (
-        drawn(truth=route, estimate=beside, modes=modes)[20:280]
-        for modes in ([0] * 10, [0] * 5 + [1] * 5)
-    )
+    single = drawn(truth=route, estimate=beside, modes=[0] * 10)[20:280]
+    both = drawn(truth=route, estimate=beside, modes=[0] * 5 + [1] * 5)[20:280]
     blue, orange = LIGHT.modes[:2]
     assert near(single, blue).sum() > 100 and not near(single, orange).any()
-    left, right = (np.nonzero(near(both, color))[1].mean() for color in (blue, orange))
+    left = np.nonzero(near(both, blue))[1].mean()
+    right = np.nonzero(near(both, orange))[1].mean()
     assert left < right
 
 
@@ -123,7 +123,8 @@ def test_the_estimate_is_drawn_at_its_position():
 
 
 def test_a_wall_is_drawn_halfway_between_the_base_station_and_its_image():
-    gnb, image = (0.0, 10.0, 10.0), (20.0, 10.0, 10.0)
+    gnb = (0.0, 10.0, 10.0)
+    image = (20.0, 10.0, 10.0)
     picture = drawn(anchors=[gnb, image])[20:280]
     wall = near(picture, LIGHT.wall)
     column = int(np.argmax(wall.sum(axis=0)))
@@ -166,7 +167,8 @@ def test_the_same_history_makes_the_same_picture():
 
 
 def test_a_picture_does_not_depend_on_later_epochs():
-    short, long = (played(20, seed=3, episode_steps=steps) for steps in (21, 60))
+    short = played(20, seed=3, episode_steps=21)
+    long = played(20, seed=3, episode_steps=60)
     np.testing.assert_array_equal(short.render(), long.render())
 
 
@@ -189,7 +191,9 @@ def test_every_kind_of_episode_can_be_drawn(arguments):
 def test_an_estimate_that_is_not_finite_can_be_drawn():
     lost = history(truth=[(0.0, 0.0)] * 3, estimate=[(0.0, 0.0)] * 3, modes=[0] * 3)
     for broken in (np.nan, np.inf, 1e300):
-        lost.estimate[-1], lost.P[-1], lost.nees[-1] = broken, broken, broken
+        lost.estimate[-1] = broken
+        lost.P[-1] = broken
+        lost.nees[-1] = broken
         Picture(["ekf"]).draw(lost)
 
 

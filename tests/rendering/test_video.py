@@ -10,7 +10,9 @@ from mmwave_env.rendering.video import require_video, write_video
 from tests.refusals import refuses
 from tests.rendering.test_picture import history
 
-HEIGHT, WIDTH, COUNT = 60, 100, 7
+HEIGHT = 60
+WIDTH = 100
+COUNT = 7
 
 
 def square(number):
@@ -23,7 +25,8 @@ def square(number):
 def gif(path):
     """Return the pictures (n, height, width, 3) of a GIF, and the duration of each in ms."""
     image = pytest.importorskip("PIL.Image")
-    pictures, lasts = [], []
+    pictures = []
+    lasts = []
     with image.open(path) as file:
         for number in range(file.n_frames):
             file.seek(number)
@@ -86,7 +89,8 @@ def leaving(error_m):
 
 
 def test_pictures_side_by_side_equal_the_single_pictures():
-    histories, titles = [leaving(1.0), leaving(4.0), leaving(2.0)], ["one", "two", "three"]
+    histories = [leaving(1.0), leaving(4.0), leaving(2.0)]
+    titles = ["one", "two", "three"]
     playback = Playback(histories, [["ekf"]] * 3, titles, 480, "dark")
     for epochs in (0, 3, 5):
         whole = playback.draw(epochs)
@@ -99,10 +103,12 @@ def test_pictures_side_by_side_equal_the_single_pictures():
 
 
 def test_errors_side_by_side_have_the_same_scale():
-    near, far = leaving(0.1), leaving(30.0)
+    near = leaving(0.1)
+    far = leaving(30.0)
     ticks = np.s_[300:380, 452:]  # labels beside the strips of speed and error
     whole = Playback([near, far], [["ekf"]] * 2, ["near", "far"], 480, "light").draw(5)
-    of_near, of_far = whole[:, :480][ticks], whole[:, 480:][ticks]
+    of_near = whole[:, :480][ticks]
+    of_far = whole[:, 480:][ticks]
     np.testing.assert_array_equal(of_near, of_far)
     alone = Picture(["ekf"], 480, "light", "near").draw(near)
     assert (alone[ticks] != of_near).any()
@@ -111,11 +117,13 @@ def test_errors_side_by_side_have_the_same_scale():
 def test_strips_side_by_side_are_at_the_same_height_for_any_number_of_modes():
     many = [f"mode {number}" for number in range(9)]
     whole = Playback([leaving(1.0)] * 2, [["ekf"], many], ["one", "two"], 480, "light").draw(5)
-    few, more = whole[240:420, 20:480], whole[240:420, 500:]
+    few = whole[240:420, 20:480]
+    more = whole[240:420, 500:]
     np.testing.assert_array_equal(few, more)
 
 
 def test_a_title_changes_only_the_top_line_of_a_picture():
-    rule, ppo = (Picture(["ekf"], title=title).draw(leaving(1.0)) for title in ("rule", "ppo"))
+    rule = Picture(["ekf"], title="rule").draw(leaving(1.0))
+    ppo = Picture(["ekf"], title="ppo").draw(leaving(1.0))
     differs = (rule != ppo).any(axis=(1, 2))
     assert differs[:24].any() and not differs[24:].any()

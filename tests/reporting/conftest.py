@@ -20,7 +20,8 @@ def chromium():
 @pytest.fixture
 def opened(chromium, address):
     """Return a function that opens pages; console messages and external requests fail the test."""
-    contexts, complaints = [], []
+    contexts = []
+    complaints = []
 
     def open_page(path="", width=1280, **options):
         contexts.append(chromium.new_context(viewport={"width": width, "height": 800}, **options))

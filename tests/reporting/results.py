@@ -62,7 +62,10 @@ class Read(HTMLParser):
 
     def __init__(self, page):
         super().__init__()
-        self.page, self.tags, self.text, self.data = page, [], "", ""
+        self.page = page
+        self.tags = []
+        self.text = ""
+        self.data = ""
         self.feed(page)
         self.title = unescape(re.search("<title>(.*)</title>", page)[1])
 

@@ -38,7 +38,8 @@ def test_the_page_fits_the_screen_and_its_sections_are_not_too_long(opened, widt
 
 def test_keys_play_and_stop_an_episode_and_move_its_slider(opened):
     page = opened("#episodes")
-    slider, now = page.locator("#time"), page.locator("#now")
+    slider = page.locator("#time")
+    now = page.locator("#now")
     first = now.inner_text()
     slider.focus()
     page.keyboard.press("ArrowRight")

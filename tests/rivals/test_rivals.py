@@ -41,10 +41,12 @@ class Recorder(Estimator):
     """
 
     def __init__(self, size=7, epochs=None):
-        self.size, self.epochs = size, epochs
+        self.size = size
+        self.epochs = epochs
 
     def track(self, pipeline, site, epochs):
-        self.site, self.drawn = site, list(epochs)
+        self.site = site
+        self.drawn = list(epochs)
         for _ in self.drawn[: self.epochs]:
             yield site.prior_x[: self.size], site.prior_P
 
@@ -63,10 +65,8 @@ def test_particles_agree_with_the_ekf_in_a_nearly_linear_problem():
     """Use large noise, so that many particles have similar weights and their mean is accurate."""
     good = replace(SOURCE, radio=RADIOS["standard"])
     some = [replace(episode, sigma=4.0 * episode.sigma) for episode in episodes(4, good)]
-    cloud, kalman = (
-        played(agent, some)
-        for agent in (Particles(dof=MANY), lambda rows: np.zeros(len(rows), int))
-    )
+    cloud = played(Particles(dof=MANY), some)
+    kalman = played(lambda rows: np.zeros(len(rows), int), some)
     # Leave out the EKF's oscillator bias, which the nonlinear Doppler shift distorts.
     diagonal = [i * (i + 1) // 2 + i for i in range(6)]
     deviation = np.sqrt(kalman["P"][..., diagonal])
@@ -85,7 +85,8 @@ def test_resampling_is_in_proportion_to_the_weights():
 @pytest.mark.parametrize("base", [ekf, ukf])
 def test_student_t_noise_with_many_degrees_of_freedom_is_gaussian(base):
     for prior in priors_and_measurements():
-        ours, theirs = student_t(*prior, EVERYTHING, base=base, dof=MANY), base(*prior, EVERYTHING)
+        ours = student_t(*prior, EVERYTHING, base=base, dof=MANY)
+        theirs = base(*prior, EVERYTHING)
         for part, expected in zip(ours, theirs, strict=True):
             np.testing.assert_allclose(part, expected, rtol=1e-6, atol=1e-6)
 
@@ -95,7 +96,8 @@ def test_an_outlier_hardly_moves_a_belief_with_student_t_noise():
     false = measurement._replace(z=[measurement.z[0] + 200.0, *measurement.z[1:]])
 
     def moved(update):
-        shifted, expected = (update(x, P, z, EVERYTHING).x[:3] for z in (false, measurement))
+        shifted = update(x, P, false, EVERYTHING).x[:3]
+        expected = update(x, P, measurement, EVERYTHING).x[:3]
         return np.linalg.norm(np.subtract(shifted, expected))
 
     assert moved(student_t) < 0.1 * moved(ekf)
@@ -104,14 +106,18 @@ def test_an_outlier_hardly_moves_a_belief_with_student_t_noise():
 def test_adaptive_noise_converges_to_the_true_noise():
     """State half the true standard deviations, so the estimated factor on variances should be 4."""
     x, _, measurement = next(priors_and_measurements())
-    layout, rng, P = measurement.layout, np.random.default_rng(0), (1e-6 * np.eye(7)).tolist()
+    layout = measurement.layout
+    rng = np.random.default_rng(0)
+    P = (1e-6 * np.eye(7)).tolist()
     exact = exact_rows(x[:3], x[3:6], measurement.anchors, measurement.hz_per_mps, layout)
     exact[layout.doppler] += x[6]
-    exact, shape = np.array(exact), [50.0] * len(layout.groups)
+    exact = np.array(exact)
+    shape = [50.0] * len(layout.groups)
     rate = shape
     for _ in range(1000):
         z = exact + 2.0 * np.sqrt(measurement.variance) * rng.standard_normal(layout.size)
-        shape, rate = ([0.99 * value for value in part] for part in (shape, rate))
+        shape = [0.99 * value for value in shape]
+        rate = [0.99 * value for value in rate]
         everywhere = measurement._replace(z=z.tolist(), visible=[1.0] * len(layout.groups))
         *_, shape, rate = adapted(x, P, everywhere, shape, rate, ekf)
     # The factor 0.99 gives a memory of about 100 epochs, so estimates rest on few values: 400 for a

@@ -52,7 +52,8 @@ def test_names_of_cells_do_not_depend_on_order_or_file_format(tmp_path):
 
 def test_cells_have_new_names_if_a_mode_file_changes(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    text, names = POLICY + 'modes = ["ekf", "own.json"]\n', set()
+    text = POLICY + 'modes = ["ekf", "own.json"]\n'
+    names = set()
     for content in ("", "1", "2"):
         (tmp_path / "own.json").write_text(content)
         names |= spec_of(tmp_path, text).cells.keys()
@@ -82,7 +83,8 @@ def test_too_many_cells_are_refused_before_they_are_made(tmp_path):
 def test_results_are_kept_per_cell_and_results_of_other_sweeps_are_refused(tmp_path):
     pytest.importorskip("pyarrow")
     spec = spec_of(tmp_path, '[evaluate]\npolicy = ["imm", "ppo"]\nreward = "tracking"\n')
-    folder, (name, _) = tmp_path / "out", spec.cells
+    folder = tmp_path / "out"
+    (name, _) = spec.cells
     keep(folder, name, spec.cells[name], {"reward_mean": -1.5, "reward_each": [-1.0, -2.0]})
     (folder / ".half.parquet").write_bytes(b"PAR1 and no more")
     assert kept(folder, spec) == {name}

@@ -64,7 +64,8 @@ def squared(values):
 
     For 1, the first call makes the file ``mark`` and raises the error of a full disk.
     """
-    number, mark = values["number"], values["mark"]
+    number = values["number"]
+    mark = values["mark"]
     if number == 0:
         raise ValueError("no 0\nand no more")
     if number == 1 and not os.path.exists(mark):
@@ -88,7 +89,8 @@ def test_cells_that_fail_do_not_affect_others(tmp_path):
 
 @pytest.mark.slow
 def test_rows_equal_the_results_of_compare_and_new_cells_are_added(tmp_path):
-    file, out = written(tmp_path, SMALL.replace(', "imm"]', "]")), tmp_path / "out"
+    file = written(tmp_path, SMALL.replace(', "imm"]', "]"))
+    out = tmp_path / "out"
     succeed("sweep", file, "--out", out, "--workers", "1")
     before = {path: path.stat().st_mtime_ns for path in out.iterdir()}
     larger = written(tmp_path, SMALL.replace('"imm"', '"imm", "nobody"'))
@@ -111,7 +113,8 @@ def test_rows_equal_the_results_of_compare_and_new_cells_are_added(tmp_path):
 @pytest.mark.release
 @pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 def test_a_killed_or_interrupted_sweep_can_be_continued_and_leaves_no_process(tmp_path):
-    others, out = ray_processes(), tmp_path / "out"
+    others = ray_processes()
+    out = tmp_path / "out"
     file = written(tmp_path, SMALL.replace("[0, 3]", "[0, 3, 6, 9]").replace("= 3", "= 200"))
     for number, code in ((signal.SIGKILL, -9), (signal.SIGINT, 130)):
         running = started("sweep", file, "--out", out, "--workers", "1")
@@ -156,7 +159,8 @@ def test_a_search_can_be_continued_and_writes_the_best_hyperparameters(tmp_path)
     text = TRAIN.replace("[train]", "[search]\ntrials = 1").replace(
         "= 1e-3", "= { low = 1e-4, high = 1e-2, log = true }\nhyperparameters.hidden = [[8], [9]]"
     )
-    out, axis = tmp_path / "out", "hyperparameters.learning_rate"
+    out = tmp_path / "out"
+    axis = "hyperparameters.learning_rate"
     for trials in (1, 2):
         kept = len(list(out.glob("*.parquet")))
         file = written(tmp_path, text.replace("trials = 1", f"trials = {trials}"))

@@ -46,7 +46,8 @@ def test_the_filterpy_loop_earns_the_reward_of_a_good_track():
 @pytest.fixture(scope="module")
 def measured():
     """Return three rounds of random numbers in place of measurements."""
-    rounds, rng = Measured((1024, 8, 64)), np.random.default_rng(0)
+    rounds = Measured((1024, 8, 64))
+    rng = np.random.default_rng(0)
     for name in ("filterpy", "sync_8", *FILTERS, *rounds.ours):
         rounds.steps_per_s[name] = rng.uniform(1e3, 1e6, 3).tolist()
     for name in rounds.operations:
@@ -55,8 +56,10 @@ def measured():
 
 
 def test_ratios_are_computed_round_by_round(measured):
-    over, under = (measured.steps_per_s[name] for name in ("native_1024", "filterpy"))
-    ratio, result = np.divide(over, under), measured.json()
+    over = measured.steps_per_s["native_1024"]
+    under = measured.steps_per_s["filterpy"]
+    ratio = np.divide(over, under)
+    result = measured.json()
     assert measured.ratios()["native_1024_over_filterpy"] == pytest.approx(ratio)
     assert result["ratios"]["native_1024_over_filterpy"] == pytest.approx(np.median(ratio))
     spread = result["spread"]["ratios"]["native_1024_over_filterpy"]

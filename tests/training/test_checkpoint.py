@@ -47,7 +47,8 @@ def test_a_checkpoint_is_read_back_as_it_was_written(path):
 
 
 def test_a_checkpoint_is_refused_wherever_it_is_damaged(path):
-    whole, rng = path.read_bytes(), np.random.default_rng(0)
+    whole = path.read_bytes()
+    rng = np.random.default_rng(0)
     damaged = [b"", whole[:10], whole[:-1], whole + b"x", b"text\n"]
     for place in rng.integers(len(whole), size=60):
         bit = 1 << int(rng.integers(8))

@@ -78,7 +78,8 @@ def trained(kind, env):
 def test_a_converted_model_still_chooses_the_same_actions(kind, normalized, tmp_path, modes):
     """Compare actions in 50 steps, which include ends of episodes."""
     env = environment(normalized)
-    model, words = trained(kind, env), []
+    model = trained(kind, env)
+    words = []
     model.save(tmp_path / "model.zip")
     if normalized:
         env.save(str(tmp_path / "normal.pkl"))
@@ -90,7 +91,10 @@ def test_a_converted_model_still_chooses_the_same_actions(kind, normalized, tmp_
     policy = LearnedSwitch(out)
     assert policy.modes == MODES and policy.card.timesteps == model.num_timesteps
     assert policy.card.command.startswith(f"mmwave-loc convert {tmp_path / 'model.zip'} {out} --")
-    observed, state, begins, taken = env.reset(), None, np.ones(4, bool), set()
+    observed = env.reset()
+    state = None
+    begins = np.ones(4, bool)
+    taken = set()
     for _ in range(50):
         actions, state = model.predict(observed, state, begins, deterministic=True)
         policy.reset(begins)
@@ -103,7 +107,8 @@ def test_a_converted_model_still_chooses_the_same_actions(kind, normalized, tmp_
 
 @pytest.mark.usefixtures("forked")
 def test_a_model_for_beliefs_per_mode_is_converted_with_its_bank(tmp_path):
-    bank, model = tmp_path / "bank.json", tmp_path / "trusting.zip"
+    bank = tmp_path / "bank.json"
+    model = tmp_path / "trusting.zip"
     bank.write_text(json.dumps(bank_as_written(HANDSET)))
     trained("ppo", environment(beliefs="per-mode", modes=HANDSET)).save(model)
     out = tmp_path / "policy.safetensors"
@@ -127,7 +132,8 @@ def with_a_trap(file, trap):
 
 @pytest.mark.slow
 def test_code_in_a_model_never_runs_in_the_converting_process(tmp_path, modes):
-    file, trap = tmp_path / "model.zip", tmp_path / "trap"
+    file = tmp_path / "model.zip"
+    trap = tmp_path / "trap"
     trained("ppo", environment()).save(file)
     with_a_trap(file, trap)
     succeed("convert", file, tmp_path / "policy.safetensors", "--modes", modes)
@@ -165,7 +171,8 @@ MISTAKES = {  # name -> function that makes a model, options, expected message
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_model_that_cannot_become_a_policy_file_is_refused(mistake, tmp_path, modes):
     make, words, message = MISTAKES[mistake]
-    file, out = tmp_path / "model.zip", tmp_path / "policy.safetensors"
+    file = tmp_path / "model.zip"
+    out = tmp_path / "policy.safetensors"
     if make is None:
         file.write_text("no zip")
     else:

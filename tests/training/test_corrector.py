@@ -75,7 +75,8 @@ def test_no_episode_is_played_twice():
 
 @pytest.mark.slow
 def test_an_interrupted_training_continues_to_the_same_result(tmp_path):
-    whole, job = job_of(tmp_path / "whole"), job_of(tmp_path / "part")
+    whole = job_of(tmp_path / "whole")
+    job = job_of(tmp_path / "part")
     CorrectorTraining(whole, silent).run()
     with pytest.raises(Interrupted):
         CorrectorTraining(job, interrupt_after(1)).run()
@@ -103,8 +104,10 @@ def test_the_policy_file_gives_the_corrections_of_the_network(tmp_path, lots):
 
 def test_the_loss_is_smallest_for_the_true_shift_and_standard_deviation():
     rng = np.random.default_rng(0)
-    T, n = BURN_IN + 400, 3
-    bias, deviation = torch.tensor([0.5, -1.0, 2.0]), torch.full((T, n, 3), 2.0)
+    T = BURN_IN + 400
+    n = 3
+    bias = torch.tensor([0.5, -1.0, 2.0])
+    deviation = torch.full((T, n, 3), 2.0)
     noise = torch.from_numpy(rng.normal(0.0, 1.5, (T, n, 3))).float()
     error = deviation * bias + noise
 

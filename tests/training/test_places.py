@@ -57,7 +57,8 @@ def test_the_street_is_the_default_scene_of_environments():
 @pytest.fixture
 def files(tmp_path):
     """Return the files of a custom scene and a custom radio."""
-    scene, radio = tmp_path / "square.json", tmp_path / "phone.json"
+    scene = tmp_path / "square.json"
+    radio = tmp_path / "phone.json"
     scene.write_text(json.dumps({"base_station_m": [10.0, 10.0, 8.0]}))
     radio.write_text(json.dumps({"name": "mine", "base": "handset"}))
     return scene, radio

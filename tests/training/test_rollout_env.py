@@ -22,7 +22,9 @@ from tests.training.test_train import HYPER
 
 pytestmark = pytest.mark.torch
 
-SEED, DISCOUNT, HORIZON = 10_000_000, 0.9, 5
+SEED = 10_000_000
+DISCOUNT = 0.9
+HORIZON = 5
 EPOCHS = 20  # number of epochs before all actions are tried
 TUNED = Bank(tuple(replace(mode, sigma_v=1.5 * mode.sigma_v) for mode in MODES), nis_quantile=0.99)
 BANKS = {"handset": Bank(MODES), "standard": TUNED}
@@ -65,7 +67,8 @@ def replayed(place, seed, first_episode, actions, tried, act, beliefs):
         if epoch == first_episode:
             env.reset()
         env.step(action)
-    value, action = 0.0, tried
+    value = 0.0
+    action = tried
     for epoch in range(HORIZON):
         observed, reward, *_ = env.step(action)
         value += DISCOUNT ** (place.dt * epoch) * reward
@@ -79,7 +82,8 @@ def replayed(place, seed, first_episode, actions, tried, act, beliefs):
 )
 def test_a_tried_action_earns_what_it_earns_in_a_separate_environment(beliefs, places):
     env = environment(task(beliefs, places, {p.radio: BANKS[p.radio] for p in places}))
-    actions, count = stepped(env), len(env.observation.actions)
+    actions = stepped(env)
+    count = len(env.observation.actions)
     tried = env.try_all(chaotic(count))
     assert tried.values.shape == (16, count) == (len(env.observations), count)
     np.testing.assert_array_equal(tried.observations, env.observations)
@@ -93,7 +97,8 @@ def test_a_tried_action_earns_what_it_earns_in_a_separate_environment(beliefs, p
 
 
 def test_trying_actions_does_not_change_the_environment():
-    tries, plain = environment(), environment()
+    tries = environment()
+    plain = environment()
     for env in (tries, plain):
         stepped(env)
     first = tries.try_all(chaotic(4))
@@ -134,7 +139,8 @@ def test_places_that_one_engine_cannot_run_are_refused():
 def test_the_normalization_is_measured_on_observations_of_the_environment():
     street = task(places=PLACES[:1], banks={"handset": Bank(default_modes("handset"))})
     normal = environment(street).measured_normalization(6.0)
-    again, observed = environment(street), []
+    again = environment(street)
+    observed = []
     for _ in range(200):
         again.step(np.zeros(16, np.int64))
         observed.append(again.observations)
@@ -166,7 +172,8 @@ def assert_same_ends(infos, expected):
 def test_several_places_together_equal_each_place_alone():
     """Check places with different episode lengths; the second place's seeds follow the first's."""
     together = PlacesVecEnv(TASK, PAIRED)
-    first, second = alone(PLACES[0], 3), alone(PLACES[1], 2)
+    first = alone(PLACES[0], 3)
+    second = alone(PLACES[1], 2)
     together.seed(10_000_000)
     first.seed(10_000_000)
     second.seed(10_000_003)
@@ -175,11 +182,13 @@ def test_several_places_together_equal_each_place_alone():
     for _ in range(100):
         theirs[1], *_ = second.step(np.zeros(2, int))
     np.testing.assert_array_equal(observed, np.concatenate(theirs))
-    rng, ends = np.random.default_rng(0), []
+    rng = np.random.default_rng(0)
+    ends = []
     for t in range(210):
         actions = rng.integers(3, size=5)
         observed, rewards, over, infos = together.step(actions)
-        a, b = first.step(actions[:3]), second.step(actions[3:])
+        a = first.step(actions[:3])
+        b = second.step(actions[3:])
         for array, *parts in zip((observed, rewards, over), a, b, strict=False):
             np.testing.assert_array_equal(array, np.concatenate(parts))
         assert_same_ends(infos, a[3] + b[3])

@@ -57,7 +57,8 @@ def interrupt_after(calls):
 
 def test_an_interrupted_training_continues_to_the_same_result(tmp_path):
     """Interrupt three times, once at an evaluation, with a memory too small for all states."""
-    whole, job = job_of(tmp_path / "whole"), job_of(tmp_path / "part", checkpoint_every=2)
+    whole = job_of(tmp_path / "whole")
+    job = job_of(tmp_path / "part", checkpoint_every=2)
     train(whole)
     for calls in (3, 2, 4):
         with pytest.raises(Interrupted):
@@ -70,11 +71,13 @@ def test_an_interrupted_training_continues_to_the_same_result(tmp_path):
 def test_the_policy_file_chooses_the_actions_of_the_network(tmp_path):
     training = RolloutTraining(job_of(tmp_path), silent)
     training.run()
-    env, learner = training.env, training.learner
+    env = training.env
+    learner = training.learner
     policy = LearnedSwitch(tmp_path / "latest.safetensors", env.observation)
     assert policy.card.timesteps >= UPDATES * HYPER.states and policy.card.algorithm == "rollouts"
     assert set(policy.card.banks) == {place.radio for place in PLACES}
-    alike, taken = [], set()
+    alike = []
+    taken = set()
     for _ in range(100):
         actions = learner.greedy(env.observations)
         alike.append(actions == policy(env.observations))
@@ -104,11 +107,13 @@ def test_a_short_training_from_scratch_beats_the_speed_rule_and_the_imm(tmp_path
 
 # --- the learner, on states whose best action is known
 
-FEATURES, ACTIONS = 4, 3
+FEATURES = 4
+ACTIONS = 3
 LEARNING = replace(
     HYPER, memory=512, gradient_steps=200, batch_size=128, hidden=(16,), first_action_bias=1.0
 )
-MEAN, SIGMA = np.array([5.0, -3.0, 0.0, 1.0]), np.array([2.0, 0.1, 1.0, 30.0])
+MEAN = np.array([5.0, -3.0, 0.0, 1.0])
+SIGMA = np.array([2.0, 0.1, 1.0, 30.0])
 NORMAL = Normalization(MEAN - 6.0 * SIGMA, MEAN + 6.0 * SIGMA, MEAN, SIGMA)
 
 
@@ -147,7 +152,8 @@ def test_sampled_actions_follow_the_probabilities_of_the_network():
 
 def test_the_learner_learns_which_action_is_best_and_forgets_the_oldest_states():
     """Fill the memory, then replace all states with states in which the other action is best."""
-    model, (fresh, best) = learner(), states(1000, 9)
+    model = learner()
+    (fresh, best) = states(1000, 9)
     model.remember(states(512, 0, turned=True)[0])
     newer = [states(n, seed)[0] for seed, n in enumerate((300, 200, 12), start=1)]
     for tried in newer:

@@ -65,8 +65,10 @@ def content(hyper=HYPER):
 def test_the_exported_actor_chooses_the_actions_of_the_trained_model(tmp_path):
     """Compare on 2000 observations, which include ends of episodes."""
     training = PpoTraining(job_of(tmp_path), lambda *_: None)
-    env, model = training.normal, training.model
-    now, rng = env.reset(), np.random.default_rng(0)
+    env = training.normal
+    model = training.model
+    now = env.reset()
+    rng = np.random.default_rng(0)
     for _ in range(20):  # the normalization is measured on these observations
         now, *_ = env.step(rng.integers(3, size=8))
     env.training = False
@@ -75,7 +77,9 @@ def test_the_exported_actor_chooses_the_actions_of_the_trained_model(tmp_path):
     table = training.env.observation
     path = write(tmp_path / "actor.safetensors", training.actor, card_of(table))
     policy = LearnedSwitch(path, table)
-    now, taken, alike = env.reset(), set(), []
+    now = env.reset()
+    taken = set()
+    alike = []
     for _ in range(250):
         actions, _ = model.predict(now, deterministic=True)
         alike.append(actions == policy(env.get_original_obs()))
@@ -156,7 +160,8 @@ def refused(*words):
 @pytest.mark.parametrize("change", BAD)
 def test_a_bad_hyperparameter_is_refused_in_one_line(change, tmp_path):
     changes, message = BAD[change]
-    path, out = written(tmp_path / "mine.json", changes), tmp_path / "run"
+    path = written(tmp_path / "mine.json", changes)
+    out = tmp_path / "run"
     line = refused("--hyperparameters", path, "--out", out)
     assert str(path) in line and not out.exists()
     assert re.search(message, line), line
@@ -185,7 +190,8 @@ def test_wrong_options_are_refused_before_a_folder_is_made(words, message, tmp_p
 @pytest.mark.parametrize("algorithm", KINDS)
 def test_too_few_environments_are_refused_before_a_folder_is_made(algorithm, tmp_path):
     shipped = json_in(shipped_hyperparameters(algorithm))
-    path, out = tmp_path / "few.json", tmp_path / "run"
+    path = tmp_path / "few.json"
+    out = tmp_path / "run"
     path.write_text(json.dumps(shipped | {"num_envs": 1}))
     with refuses(path, "num_envs"):
         main(Args(algo=algorithm, hyperparameters=path, places=PLACES, out=out))

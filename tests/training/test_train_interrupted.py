@@ -90,9 +90,12 @@ def assert_same_training(actual, expected):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_training_killed_at_random_moments_continues_to_the_same_result(kind, tmp_path):
-    job, whole = job_of(tmp_path / "killed", kind), job_of(tmp_path / "whole", kind)
+    job = job_of(tmp_path / "killed", kind)
+    whole = job_of(tmp_path / "whole", kind)
     train(whole)  # compiles the functions that the forked processes run
-    checkpoint, rng, kills = job.folder / "checkpoint.pt", np.random.default_rng(5), 0
+    checkpoint = job.folder / "checkpoint.pt"
+    rng = np.random.default_rng(5)
+    kills = 0
     before = None
     while True:
         process = forked(job)
@@ -104,7 +107,8 @@ def test_a_training_killed_at_random_moments_continues_to_the_same_result(kind, 
         if process.exitcode == 0:
             break
         assert process.exitcode == -signal.SIGKILL
-        kills, before = kills + 1, stamp(checkpoint)
+        kills = kills + 1
+        before = stamp(checkpoint)
     assert kills >= 1
     assert_same_training(job.folder, whole.folder)
 
@@ -118,7 +122,8 @@ def stamp(path):
 
 
 def test_a_training_killed_before_the_first_checkpoint_starts_over(tmp_path):
-    job, whole = job_of(tmp_path / "killed"), job_of(tmp_path / "whole")
+    job = job_of(tmp_path / "killed")
+    whole = job_of(tmp_path / "whole")
     train(whole)
     job = replace(job, checkpoint_every=100)
     process = forked(job)
@@ -220,7 +225,8 @@ def test_an_interrupted_command_ends_all_processes_and_continues_when_resumed(tm
     job = job_of(tmp_path / "whole", task=street)
     # The training must take seconds, so that it can be interrupted.
     job = replace(job, timesteps=10 * job.timesteps, episodes=EPISODES)
-    hyperparameters, out = tmp_path / "mine.json", tmp_path / "run"
+    hyperparameters = tmp_path / "mine.json"
+    out = tmp_path / "run"
     hyperparameters.write_text(json.dumps(content(KINDS["ppo"])))
     length = ("--seeds", 1, "--total-timesteps", job.timesteps)
     made_with = (*length, "--hyperparameters", hyperparameters)

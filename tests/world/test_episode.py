@@ -78,7 +78,8 @@ def test_geometry_equals_an_independent_implementation(scene):
     rng = np.random.default_rng(0)
     position = rng.uniform(-200.0, 200.0, (500, 3))
     velocity = rng.normal(0.0, 5.0, (500, 3))
-    rows, angles = geometry(position, velocity, scene, Layout()), Layout().angles
+    rows = geometry(position, velocity, scene, Layout())
+    angles = Layout().angles
     difference = rows - exact(position, velocity, scene.anchors_m)
     difference[:, angles] = wrapped(difference[:, angles])
     np.testing.assert_allclose(difference, 0.0, atol=1e-9)

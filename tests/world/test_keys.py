@@ -36,7 +36,9 @@ def test_the_stream_of_a_seed_begins_with_numpys_seed_sequence():
 
 def test_a_stream_without_a_seed_begins_at_random():
     """Check also that another stream with the same state gives the same keys."""
-    streams, again, places = Streams(2), Streams(2), np.arange(2)
+    streams = Streams(2)
+    again = Streams(2)
+    places = np.arange(2)
     assert streams.seeds() == (-1, -1)  # unknown seeds
     again.set_states(streams.states())
     keys = streams.keys(places)
@@ -62,7 +64,8 @@ def test_a_seed_gives_the_same_keys_everywhere():
 
 
 def test_a_custom_random_generator_begins_a_stream():
-    env, keys = gym.make("MmWaveLoc-v0", **SHORT).unwrapped, []
+    env = gym.make("MmWaveLoc-v0", **SHORT).unwrapped
+    keys = []
     for _ in range(2):
         env.np_random = np.random.default_rng(3)
         keys.append([env.reset()[1]["episode_key"] for _ in range(3)])
@@ -93,7 +96,8 @@ def test_a_key_plays_its_episode_again_and_does_not_advance_the_stream():
     several, infos = vector.reset(options={"episode_key": [5, info["episode_key"], 6]})
     np.testing.assert_array_equal(several[1], observation)
     assert infos["episode_key"].tolist() == [5, int(info["episode_key"]), 6]
-    single, many = env.step(0), vector.step(np.zeros(3, int))
+    single = env.step(0)
+    many = vector.step(np.zeros(3, int))
     np.testing.assert_array_equal(many[0][1], single[0])
     assert many[1][1] == single[1]
     assert env.reset()[1]["episode_key"] == keys_at(stream_of(3), numbers(1))[0]

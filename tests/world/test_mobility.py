@@ -27,7 +27,9 @@ from mmwave_env.world.simulated import SimulatedSource
 from tests.paths import representative, write_json
 from tests.refusals import refuses
 
-STEP_S, STEPS, SEEDS = 0.1, 2000, 40
+STEP_S = 0.1
+STEPS = 2000
+SEEDS = 40
 
 
 class Bounds(NamedTuple):
@@ -79,7 +81,8 @@ def tracks(name, scene="street"):
 @every_mobility
 def test_acceleration_and_braking_are_bounded(name):
     """Check also that jerk and speed are bounded, and that the highest speed is near its bound."""
-    speed, bounds = tracks(name).speed, BOUNDS[name]
+    speed = tracks(name).speed
+    bounds = BOUNDS[name]
     assert 0.8 * bounds.speed < speed.max() <= bounds.speed + 1e-9
     change = np.diff(speed) / STEP_S
     assert change.max() <= bounds.acceleration + 1e-9
@@ -145,7 +148,8 @@ def test_users_of_walk_ride_first_walk_then_ride_then_walk():
     speed = tracks("walk-ride").speed
     on_foot = BOUNDS["pedestrian"].speed
     # Each walk lasts at least 45 s, but braking to a walk may take the first 10 s of the last walk.
-    first, last = round(45.0 / STEP_S), round(35.0 / STEP_S)
+    first = round(45.0 / STEP_S)
+    last = round(35.0 / STEP_S)
     assert speed[:, :first].max() <= on_foot + 1e-9
     assert speed[:, -last:].max() <= 2.0
     assert (speed[:, first:-last].max(axis=1) > 7.0).all()

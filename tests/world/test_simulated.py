@@ -46,7 +46,8 @@ class PlainDice:
         state = bits.state
         state["state"]["state"] = np.array([key, key, stream, 1], np.uint64)
         bits.state = state
-        self.rng, self.spare = np.random.Generator(bits), []
+        self.rng = np.random.Generator(bits)
+        self.spare = []
         bits.random_raw(18)
 
     def uniform(self, low=0.0, high=1.0):
@@ -57,7 +58,8 @@ class PlainDice:
 
     def normal(self):
         if not self.spare:
-            length, angle = np.sqrt(2.0 * self.exponential()), 2.0 * np.pi * self.rng.random()
+            length = np.sqrt(2.0 * self.exponential())
+            angle = 2.0 * np.pi * self.rng.random()
             self.spare = [length * np.sin(angle), length * np.cos(angle)]
         return float(self.spare.pop())
 
@@ -70,7 +72,8 @@ def spells(uniform, onset, leave, first):
 
     The chance to turn on is ``onset``, to turn off ``leave``, and to be on in epoch 0 ``first``.
     """
-    on, since = np.zeros(uniform.shape, bool), np.zeros(uniform.shape, int)
+    on = np.zeros(uniform.shape, bool)
+    since = np.zeros(uniform.shape, int)
     for t, draw in enumerate(uniform):
         before = on[t - 1] if t else np.zeros(uniform.shape[1], bool)
         on[t] = np.where(before, draw >= leave, draw < (onset[t] if t else first))
@@ -80,7 +83,9 @@ def spells(uniform, onset, leave, first):
 
 def drawn(dice, T, L, rows):
     """Draw all numbers of the reception, epoch by epoch; return a list of arrays (T, ...)."""
-    normal, uniform, exponential = dice.normal, dice.uniform, dice.exponential
+    normal = dice.normal
+    uniform = dice.uniform
+    exponential = dice.exponential
     spells = [(exponential, L)] * 2 + [(normal, L, 3)] * 2 + [(uniform, L)]
     kinds = [(normal, L), (uniform, L), (uniform, L), (uniform, 1), *spells]
     kinds += [(normal, 1), (normal, 1), (normal, rows), (normal, 1)]
@@ -107,9 +112,11 @@ def channel(radio, scene, distance, speed, dt, draws):
     )
     leave = 1 - np.exp(-dt / radio.blockage_mean_s)
     blocked, begun = spells(blocking, leave * share / (1 - share), leave, share[0])
-    rate, end = (1 - np.exp(-dt * r) for r in (radio.multipath_rate_hz, 1 / radio.multipath_mean_s))
+    rate = 1 - np.exp(-dt * radio.multipath_rate_hz)
+    end = 1 - np.exp(-dt * (1 / radio.multipath_mean_s))
     reflected, arrived = spells(reflecting, np.full((T, L), rate), end, np.zeros(L))
-    rate, end = (1 - np.exp(-dt * r) for r in (radio.outage_rate_hz, 1 / radio.outage_mean_s))
+    rate = 1 - np.exp(-dt * radio.outage_rate_hz)
+    end = 1 - np.exp(-dt * (1 / radio.outage_mean_s))
     lost, _ = spells(losing, np.full((T, 1), rate), end, np.zeros(1))
     constant, mean = radio.multipath_range_m
     bias = np.zeros((T, L, 4))
@@ -128,7 +135,9 @@ def channel(radio, scene, distance, speed, dt, draws):
 
 def moving_user(source, scene, dice):
     """Return a user's name (a string), and positions and velocities (T, 6)."""
-    scenario, T, streets = source.scenario, source.epochs, scene.streets
+    scenario = source.scenario
+    T = source.epochs
+    streets = scene.streets
     if isinstance(scenario, Trajectory):
         whole = scenario.resampled(source.dt)
         first = int(dice.uniform() * (len(whole) - T + 1))
@@ -137,11 +146,13 @@ def moving_user(source, scene, dice):
     kind = int(len(choices) * dice.uniform())
     plan = plans_of(choices, streets.block_m)[kind]
     block = streets.block_m / plan.closer
-    (west, east), (south, north) = streets.x_m, streets.y_m
+    (west, east) = streets.x_m
+    (south, north) = streets.y_m
     blocks = round((east - west) / block), round((north - south) / block)
     net = Net(block, *blocks, west, south, streets.height_m)
     phases = draw_phases(dice, plan.phases, T * source.dt)
-    traveler, track = set_off(dice, phases, net), np.zeros((T, 6))
+    traveler = set_off(dice, phases, net)
+    track = np.zeros((T, 6))
     stride = stride_of(source.dt)
     for row in track:
         row[:2], row[3:5] = state_of(traveler)
@@ -155,13 +166,19 @@ def moving_user(source, scene, dice):
 
 def plain(source, key):
     """Simulate the episode of a key, with formulas from the description of the model."""
-    scene, radio, layout, T = source.scene, source.radio, source.layout, source.epochs
-    dice, others = PlainDice(key, USER), PlainDice(key, RECEIVER)
+    scene = source.scene
+    radio = source.radio
+    layout = source.layout
+    T = source.epochs
+    dice = PlainDice(key, USER)
+    others = PlainDice(key, RECEIVER)
     if isinstance(scene, RandomScene):
         scene = scene.scene_of(scene.draw_numbers(dice))
     name, track = moving_user(source, scene, dice)
-    first, prior = others.normal(), others.many(others.normal, 7)
-    position, velocity = track[:, :3], track[:, 3:]
+    first = others.normal()
+    prior = others.many(others.normal, 7)
+    position = track[:, :3]
+    velocity = track[:, 3:]
     speed = np.linalg.norm(velocity, axis=1)
     z = geometry(position, velocity, scene, layout)
     distance = z[:, 0 : layout.doppler : 4]
@@ -178,7 +195,8 @@ def plain(source, key):
         visible = np.column_stack([visible, speed >= radio.odometry_slowest_mps])
     covariance = radio.prior_covariance(scene)
     mean = np.append(track[0], offset[0]) + np.sqrt(np.diag(covariance)) * prior
-    times, measured = source.dt * np.arange(T), (z, sigma, visible, snr, spread)
+    times = source.dt * np.arange(T)
+    measured = (z, sigma, visible, snr, spread)
     truth = mean, covariance, position, velocity
     return Episode(name, scene.anchors_m, scene.hz_per_mps, times, *measured, *truth, layout)
 

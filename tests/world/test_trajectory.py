@@ -92,7 +92,8 @@ def test_a_file_that_lacks_a_column_is_refused(tmp_path, header):
 
 
 def test_the_error_about_a_wrong_array_names_the_row_or_the_array():
-    time_s, position = np.arange(5.0), np.zeros((5, 3))
+    time_s = np.arange(5.0)
+    position = np.zeros((5, 3))
     position[2, 1] = np.nan
     with refuses("mine, row 3: x, y, z"):
         Trajectory("mine", time_s, position)

@@ -14,7 +14,8 @@ from mmwave_env.world.simulated import SimulatedSource
 from mmwave_env.world.trajectory import PlacedWays, Trajectory, Ways, users_of
 from tests.refusals import refuses
 
-STREET, RADIO = SCENES["street"], RADIOS["handset"]
+STREET = SCENES["street"]
+RADIO = RADIOS["handset"]
 
 
 def straight(seconds, y=-80.0, speed=2.0, name="way"):
@@ -72,7 +73,8 @@ def test_ways_shorter_than_an_episode_are_left_out():
 
 def test_all_ways_are_equally_likely_and_so_are_all_windows_of_a_way():
     tables = [100.0 * i + np.tile(np.arange(n)[:, None], 6) for i, n in enumerate((10, 12, 40))]
-    ways, n = PlacedWays(["a", "b", "c"], tables, 10), 90_000
+    ways = PlacedWays(["a", "b", "c"], tables, 10)
+    n = 90_000
     numbers, truth = ways.draw((np.arange(n) + 0.5) / n)
     assert truth.shape == (n, 10, 6) and np.bincount(numbers).tolist() == [n // 3] * 3
     for way, windows in enumerate((1, 3, 31)):

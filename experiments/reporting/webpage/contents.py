@@ -35,7 +35,8 @@ def results_of(source: Source) -> tuple[Verdict, str]:
     if source.kind == "track":
         return _track_verdict(content), html_of(track_markdown(dict(content)))
     if source.kind == "run":
-        over, begun = len(content["seeds"]), len(content["curves"])
+        over = len(content["seeds"])
+        begun = len(content["curves"])
         title = f"{over} of {begun} training seeds of {source.path} are finished"
         more = "" if over == begun else "; mmwave-loc train --resume continues the other seeds"
         return Verdict(source.path, title, f"{title}{more}."), "".join(_trainings(source))
@@ -87,7 +88,8 @@ def _compared(comparison: Comparison) -> Iterator[str]:
 
 
 def _trainings(source: Source) -> Iterator[str]:
-    seeds, curves = source.content["seeds"], source.content["curves"].values()
+    seeds = source.content["seeds"]
+    curves = source.content["curves"].values()
     if seeds:
         yield element("p", "The best policy of each training seed, on tuning seeds", "caption")
         yield html_of(outcomes_markdown(seeds))
@@ -102,20 +104,25 @@ def errors_of(source: Source, played: Played) -> Iterator[str]:
     """Yield HTML tables and pictures of the errors of a comparison; nothing for other sources."""
     if source.kind != "comparison":
         return
-    which, figures = played.which, played.positions.figures()
+    which = played.which
+    figures = played.positions.figures()
     if "position_errors" in source.content:
-        which, figures = "all episodes", source.content["position_errors"]
-    ranked, policies = ranking(source.content["policies"]), figures["policies"]
+        which = "all episodes"
+        figures = source.content["position_errors"]
+    ranked = ranking(source.content["policies"])
+    policies = figures["policies"]
     if policies:
         rows = {name: policies[name] for name in ranked if name in policies}
         yield element("p", f"Errors in {which}, without the first 10 epochs of each", "caption")
         kind = figures.get("levels", "gaussian")
         yield html_of(positions_markdown("contender", rows, figures["risk"], kind))
-    errors_m, nees = played.epochs.errors_m, played.epochs.nees
+    errors_m = played.epochs.errors_m
+    nees = played.epochs.nees
     if shown := [name for name in watched_names(ranked) if name in errors_m]:
         draw = partial(draw_error_cdf, {name: errors_m[name] for name in shown}, width_mm=PHONE_MM)
         yield drawn(f"Distribution of errors (CDF), {played.which}", draw)
-        chosen, axes = {name: nees[name] for name in shown}, 2 if played.positions.planar else 3
+        chosen = {name: nees[name] for name in shown}
+        axes = 2 if played.positions.planar else 3
         draw = partial(draw_consistency, played.epochs.time_s, chosen, axes, width_mm=PHONE_MM)
         yield drawn(f"NEES and its chi-square bounds, {played.which}", draw)
 

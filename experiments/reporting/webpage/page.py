@@ -21,11 +21,14 @@ SCRIPTS = ("drawing.js", "map.js", "player.js")
 def page_of(args: PageArgs) -> str:
     """Return the web page of results; refuse results that can't be read."""
     sources = [source for path in args.results for source in read_source(path)]
-    verdicts, results, origins = [], [], []
+    verdicts = []
+    results = []
+    origins = []
     for source in sources:
         try:
             verdict, tables = results_of(source)
-            command, versions = source.content["command"], source.content.get("versions", {})
+            command = source.content["command"]
+            versions = source.content.get("versions", {})
             origins.append(origin_of(source.path, command, versions))
             list(errors_of(source, Played()))  # fails early, before episodes are run
         except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -92,7 +95,8 @@ def _html(verdicts: Sequence[Verdict], sections: Mapping[str, str], data: Any) -
 
 def _colors() -> str:
     """Return the page's colors, which videos also have, as CSS variables."""
-    light, dark = THEMES["light"]._asdict(), THEMES["dark"]._asdict()
+    light = THEMES["light"]._asdict()
+    dark = THEMES["dark"]._asdict()
     lines = (
         f"--{name}: light-dark({hex_of(light[name])}, {hex_of(dark[name])});"
         for name in light.keys() - {"modes"}

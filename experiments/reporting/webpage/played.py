@@ -67,8 +67,11 @@ def _play_episodes(source: Source, most: int, watched: int) -> Played:
     alike = dict(zip(names, names, strict=True))
     args = options_from(EpisodeArgs, source.content)
     args = replace(args, episodes=min(most, source.content["episodes"]))
-    task, selection, missing = task_of(args), selection_of(args), dict[str, str]()
-    scoring, chosen = Scoring.of(task), _contenders(args, names, missing)
+    task = task_of(args)
+    selection = selection_of(args)
+    missing = dict[str, str]()
+    scoring = Scoring.of(task)
+    chosen = _contenders(args, names, missing)
     levels = Levels(args.risk, args.levels)
     positions = Positions(alike, levels, task.source.layout.anchors, scoring.planar)
     played = Played(str(selection), EpochErrors(alike), positions, missing=missing)
@@ -77,7 +80,9 @@ def _play_episodes(source: Source, most: int, watched: int) -> Played:
         chosen, task.source, args.radio, selection, watch=watch, scoring=scoring, after=PARTS
     )
     watchable = [contender for contender in chosen if contender.name in watched_names(names)]
-    keys, rows = selection.keys(task.source), slice(1, LONGEST + 1)  # row 0 is the prior
+    # row 0 is the prior
+    keys = selection.keys(task.source)
+    rows = slice(1, LONGEST + 1)
     for i, episode in enumerate(selection.draw(task.source)[: watched if watchable else 0]):
         streets = task.streets_of(0 if keys is None else int(keys[i]))
         histories = [history_of(c, episode, scoring, streets) for c in watchable]
@@ -98,7 +103,9 @@ def _play_log(source: Source) -> Played:
     if work.truth:
         known, velocity = work.truth.at(block.time_s)[:2]
     belief = Belief([*block.x.T], unpack([*block.P.T], VERTICAL if block.planar else ()), axes)
-    log, scene, switching = source.content["log"], work.scene, work.choice.switching
+    log = source.content["log"]
+    scene = work.scene
+    switching = work.choice.switching
     history = History(
         Scenery(log, scene.anchors_m, scene.streets if scene.streets_known else None),
         len(axes),
@@ -149,7 +156,8 @@ def _episode(name: str, history: History, rows: slice, groups: Sequence[str]) ->
     ``history`` is the history of any contender, since the truth is the same in all; ``rows`` are
     its rows to show, and ``groups`` are names of groups of measurements.
     """
-    scenery, truth = history.scenery, history.truth[rows]
+    scenery = history.scenery
+    truth = history.truth[rows]
     streets = scenery.streets
     return {
         "name": printable(name),
@@ -171,11 +179,13 @@ def _course(history: History, rows: slice, modes: Sequence[str], weighed: bool) 
     If ``weighed``, the contender weights all modes, and "mode" contains the most probable mode of
     every epoch; otherwise, "mode" contains the chosen mode or action.
     """
-    accepted, rejected = history.accepted[rows], history.rejected[rows]
+    accepted = history.accepted[rows]
+    rejected = history.rejected[rows]
     letters = np.where(accepted, "a", np.where(rejected, "r", "m"))  # m: missing
     estimate = history.estimate[rows]
     xx, xy, yy = history.P[rows, :3].T
-    mean, spread = (xx + yy) / 2.0, np.hypot((xx - yy) / 2.0, xy)
+    mean = (xx + yy) / 2.0
+    spread = np.hypot((xx - yy) / 2.0, xy)
     axes = [2.0 * np.sqrt(np.maximum(size, 0.0)) for size in (mean + spread, mean - spread)]
     turn = -0.5 * np.degrees(np.arctan2(2.0 * xy, xx - yy))  # clockwise from the x axis
     themes = (THEMES[theme].for_modes(modes).modes for theme in ("light", "dark"))

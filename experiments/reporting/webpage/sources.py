@@ -24,7 +24,8 @@ def read_source(path: Path) -> list[Source]:
         ValueError: the file does not hold results; the message names the file and what it lacks.
         FileNotFoundError: there is no such file.
     """
-    over, begun = path / "summary.json", path / "run.json"
+    over = path / "summary.json"
+    begun = path / "run.json"
     if over.is_file() or begun.is_file():
         if over.is_file():
             run = read_json(over, "the summary of a run", dict)

@@ -31,7 +31,8 @@ from mmwave_env.world.checks import refuse_in
 
 TOLERANCE_M = 0.05  # points this close count as equal; rounding to float32 moves points by 1e-4 m
 # ``interactions`` has one digit for each interaction on a path; 0 means no interaction.
-LINE_OF_SIGHT, REFLECTION = 0.0, 1.0
+LINE_OF_SIGHT = 0.0
+REFLECTION = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +132,8 @@ def _anchors(paths: StationPaths, position_m: Array) -> tuple[Array, Index]:
     """Return the station and its images (K, 3), and the anchor that each path (E, P) leads to."""
     from scipy.spatial import cKDTree
 
-    station, q = paths.position_m, paths.bounce_m
+    station = paths.position_m
+    q = paths.bounce_m
     member = np.where(paths.interactions == LINE_OF_SIGHT, 0, -1)
     if not (member == 0).any():
         expected = "a line of sight in this epoch or a later one"
@@ -145,8 +147,10 @@ def _anchors(paths: StationPaths, position_m: Array) -> tuple[Array, Index]:
     if nowhere.any():
         n, p = np.argwhere(nowhere)[0].tolist()
         paths.refuse("inter_pos", n, f"a reflection at {q[n, p]}, the place", "another point")
-    anchors, images = [station], image[reflected]
-    leads, tree = np.full(len(images), -1), cKDTree(images)
+    anchors = [station]
+    images = image[reflected]
+    leads = np.full(len(images), -1)
+    tree = cKDTree(images)
     for i in range(len(images)):
         if leads[i] < 0:
             near = np.array(tree.query_ball_point(images[i], TOLERANCE_M))
@@ -185,6 +189,7 @@ def _require_geometry(
     wrong = (member >= 0)[..., None] & ~(error <= _TOLERANCES)
     if wrong.any():
         n, p, row = np.argwhere(wrong)[0].tolist()
-        key, seen_from = _ROW_KEYS[row], anchors[member[n, p]].round(4)
+        key = _ROW_KEYS[row]
+        seen_from = anchors[member[n, p]].round(4)
         expected = f"{exact[n, p, row]:.4f}, seen from the anchor {seen_from}"
         paths.refuse(key, n, f"{LINK[row]} {rows[n, p, row]:.4f} on path {p}", expected)

@@ -57,7 +57,8 @@ def read_array(file: Path, key: str, shape: Shape, rows: Index | None = None) ->
     wanted = tuple(n if isinstance(length, str) else length for length, n in pairs)
     if len(shape) != stored.ndim or stored.shape != wanted:
         refuse_in(file, key, f"shape {stored.shape}", f"shape ({', '.join(map(str, shape))})")
-    count, width = len(stored if rows is None else rows), math.prod(stored.shape[1:])
+    count = len(stored if rows is None else rows)
+    width = math.prod(stored.shape[1:])
     if count * width * 8 > MOST_BYTES:
         expected = f"at most {MOST_BYTES} bytes in memory: choose fewer users"
         refuse_in(file, key, f"{count} rows of {width} numbers", expected)

@@ -75,7 +75,8 @@ def read_deepmimo(
     links = _links(stations, way.position_m, virtual_anchors)
     anchors = np.array([station.anchors_m[k] for station, k in links])
     scene = scene_of_anchors(scenario.name, anchors, scenario.carrier_hz, bandwidth_hz)
-    layout, epochs = Layout(len(links)), np.arange(len(receivers))
+    layout = Layout(len(links))
+    epochs = np.arange(len(receivers))
     measurement = np.zeros((len(epochs), layout.size))
     visible = np.zeros((len(epochs), layout.anchors + 1), bool)
     gain_db = np.zeros((len(epochs), layout.anchors))
@@ -128,7 +129,8 @@ def _way_of(scenario: Scenario, epochs: Index, dt_s: float | None) -> Trajectory
         owner = "scene" if scenario.is_dynamic else "receiver in rx_pos"
         refuse_in(file, "rows", len(way.time_s), f"{rows}, one for each {owner}")
     chosen = np.arange(rows) if scenario.is_dynamic else epochs[:, 1]
-    velocity, lines = (np.asarray(part)[chosen] for part in (way.velocity_mps, way.lines))
+    velocity = np.asarray(way.velocity_mps)[chosen]
+    lines = np.asarray(way.lines)[chosen]
     way = Trajectory(way.name, way.time_s[chosen], way.position_m[chosen], velocity, lines.tolist())
     away = np.linalg.norm(way.position_m - position, axis=1) > TOLERANCE_M
     if away.any():

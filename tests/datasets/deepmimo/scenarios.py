@@ -11,7 +11,8 @@ from tests.filters.tracks import geometry
 from tests.logs.by_hand import shown
 from tests.paths import RECORDINGS
 
-VEHICLE, PEDESTRIAN = RECORDINGS / "canyon28_vehicle", RECORDINGS / "canyon28_pedestrian"
+VEHICLE = RECORDINGS / "canyon28_vehicle"
+PEDESTRIAN = RECORDINGS / "canyon28_pedestrian"
 STATION = "t000_tx000"
 LINK = f"{STATION}_r001"
 OF_PATHS = ("power", "delay", "aoa_az", "aoa_el", "aod_az", "aod_el", "inter", "inter_pos")
@@ -128,21 +129,27 @@ def assert_fits(recording, scene, near_m=1e-6, near_rad=1e-5):
 def write_hall(folder, gnb, receivers, walls, link=LINK):
     """Write a scenario with a line of sight and, at each wall (normal, offset), a reflection."""
     (folder / "params.json").write_text((VEHICLE / "params.json").read_text())
-    N, P = len(receivers), 1 + len(walls)
+    N = len(receivers)
+    P = 1 + len(walls)
     set_counts(folder, N)
     aim = np.empty((2, N, P, 3))
-    length, bounce = np.empty((N, P)), np.full((N, P, 1, 3), np.nan)
-    aim[0, :, 0], aim[1, :, 0] = gnb - receivers, receivers - gnb
+    length = np.empty((N, P))
+    bounce = np.full((N, P, 1, 3), np.nan)
+    aim[0, :, 0] = gnb - receivers
+    aim[1, :, 0] = receivers - gnb
     length[:, 0] = np.linalg.norm(receivers - gnb, axis=1)
     for w, (normal, offset) in enumerate(walls, start=1):
         image = reflect(gnb, normal, offset)
         ray = image - receivers
         q = receivers + ((offset - receivers @ normal) / (ray @ normal))[:, None] * ray
-        aim[0, :, w], aim[1, :, w], bounce[:, w, 0] = q - receivers, q - gnb, q
+        aim[0, :, w] = q - receivers
+        aim[1, :, w] = q - gnb
+        bounce[:, w, 0] = q
         length[:, w] = np.linalg.norm(ray, axis=1)
     aim /= np.linalg.norm(aim, axis=-1, keepdims=True)
     for name, unit in zip(("aoa", "aod"), aim, strict=True):
-        azimuth, zenith = np.arctan2(unit[..., 1], unit[..., 0]), np.arccos(unit[..., 2])
+        azimuth = np.arctan2(unit[..., 1], unit[..., 0])
+        zenith = np.arccos(unit[..., 2])
         store(folder, f"{name}_az", np.degrees(azimuth), link)
         store(folder, f"{name}_el", np.degrees(zenith), link)
     store(folder, "delay", length / SPEED_OF_LIGHT, link)

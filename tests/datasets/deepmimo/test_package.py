@@ -44,7 +44,8 @@ def assert_loads(name, shelf):
     deepmimo.summary(name)
     scenario = open_scenario(shelf / name)
     epochs = scenario.epochs(None)
-    stations, positions = scenario.paths(epochs), scenario.positions(epochs)
+    stations = scenario.paths(epochs)
+    positions = scenario.positions(epochs)
     loaded = deepmimo.load(name)
     for theirs, station in zip([loaded] if len(stations) == 1 else loaded, stations, strict=True):
         assert_read_alike(theirs, positions, station)
