@@ -4,6 +4,7 @@ from policies.baselines import FixedMode, LikelihoodRule
 from policies.corrector import Corrector, learned_policy
 from policies.learned import LearnedSwitch, shipped_policies
 from policies.policy import Policy
+from policies.sb3 import save_sb3
 from policies.speed_rule import SpeedRule
 
 __all__ = [
@@ -14,5 +15,6 @@ __all__ = [
     "Policy",
     "SpeedRule",
     "learned_policy",
+    "save_sb3",
     "shipped_policies",
 ]

@@ -17,18 +17,18 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "files of source": 241,
+    "files of source": 239,
     "words of docs": 49_400,
     "pages of docs": 24,
     "tracked files": 660,
     "tracked MB": 9,
-    "commands": 14,
+    "commands": 13,
     "extras for users": 8,
     "virtual environments": 6,
     "lines that ruff may not format": 60,
 }
 ROOMS = {  # maximum tokens of a room; lines are free
-    "experiments": 6_420,
+    "experiments": 5_750,
     "experiments/console": 6_210,
     "experiments/evaluation": 13_680,
     "experiments/figures": 3_930,
@@ -37,7 +37,7 @@ ROOMS = {  # maximum tokens of a room; lines are free
     "experiments/rivals": 2_070,
     "experiments/sweeping": 4_110,
     "experiments/timing": 5_890,
-    "experiments/training": 21_550,
+    "experiments/training": 20_240,
     "mmwave_env": 7_910,
     "mmwave_env/compiler": 8_720,
     "mmwave_env/datasets": 10_820,
@@ -51,7 +51,7 @@ ROOMS = {  # maximum tokens of a room; lines are free
     "mmwave_env/numerics": 3_660,
     "mmwave_env/rendering": 9_800,
     "mmwave_env/world": 15_300,
-    "policies": 5_740,
+    "policies": 6_770,
     "tests": 216_490,
 }
 PACKINGS = 3.0  # maximum per 1,000 lines: statements that say several things at once

@@ -18,7 +18,6 @@ PAGE_OF = {  # command -> the page about it
     "train": "learning.md",
     "tune": "own-filters.md",
     "sweep": "sweep.md",
-    "convert": "own-agent.md",
     "speed": "performance.md",
 }
 

@@ -38,7 +38,6 @@ GROUPS = {
         "train": "train policies, with several training seeds; resume trainings",
         "tune": "tune the process noise of modes, or whole banks",
         "sweep": "run grids of comparisons and trainings, here or on a Ray cluster",
-        "convert": "convert a model of Stable-Baselines3 to a file without code",
     },
     "measure": {"speed": "measure steps per second, memory and latency"},
 }

@@ -203,8 +203,8 @@ def contender_from(
         return Contender.own(name, agent, radio, modes, observation, beliefs)
     if name.endswith(".zip"):
         raise ValueError(
-            f"{name}: found a model of Stable-Baselines3, expected a policy file; mmwave-loc "
-            f"convert {name} {Path(name).with_suffix('.safetensors').name} makes one ({GUIDE})"
+            f"{name}: found a model of Stable-Baselines3, expected a policy file; "
+            f"policies.save_sb3(model, path) writes one ({GUIDE})"
         )
     # A dict drops repeated names: some shipped policies are also among the known contenders.
     everything = dict.fromkeys([*known, *shipped, CLAIRVOYANT, *OTHERS])

@@ -11,7 +11,6 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecNormalize
 
-from experiments.training.actor import Normalization, actor_tensors, layers_of
 from experiments.training.checkpoint import State, going_on_from, with_arrays
 from experiments.training.hyperparameters import PpoHyperparameters, falling
 from experiments.training.job import Job, News, Tell
@@ -20,6 +19,7 @@ from experiments.training.vec_env import PlacesVecEnv
 from mmwave_env.interface.info import LAST_KEYS
 from mmwave_env.io.files import Json
 from policies.policy_file import Tensors
+from policies.sb3 import model_tensors
 
 # LOG: number of updates between two rows of the log. EARLY, LATER: number of updates between two
 # evaluations, before and after a policy first beats the paper's rule.
@@ -84,9 +84,7 @@ class PpoTraining(BaseCallback):
     @property
     def actor(self) -> Tensors:
         """Return the actor's tensors in the form that a policy file stores."""
-        sigma = np.sqrt(self.moments.var + self.normal.epsilon)
-        normal = Normalization.clipped(self.moments.mean, sigma, self.normal.clip_obs)
-        return actor_tensors(layers_of(self.model.policy), normal)
+        return model_tensors(self.model)
 
     def _on_rollout_start(self) -> None:
         model = self.model

@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 
 from experiments.evaluation.branches import Act, Branches
-from experiments.training.actor import Normalization
 from experiments.training.checkpoint import State
 from experiments.training.training_task import TrainingTask, require_environments
 from mmwave_env.compiler.lanes import WIDTH
@@ -17,6 +16,7 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.layout import Layout
 from mmwave_env.numerics.numbers import Array, Array32, Index
 from mmwave_env.world.keys import Streams
+from policies.sb3 import Normalization
 
 STATE = ("rows", "table", "length", "epoch")  # arrays of a batch that determine its future
 CONSTANT = 1e-4  # added to standard deviations, which are 0 for a feature that never changes

@@ -14,7 +14,6 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from experiments.training.actor import Normalization, actor_tensors
 from experiments.training.checkpoint import State, going_on_from, with_arrays
 from experiments.training.hyperparameters import RolloutHyperparameters, falling
 from experiments.training.job import Job, News, Tell
@@ -22,6 +21,7 @@ from experiments.training.record import Record
 from experiments.training.rollout_env import RolloutEnv, Tried
 from mmwave_env.io.files import Json
 from mmwave_env.numerics.numbers import Array32, Index
+from policies.sb3 import Normalization, actor_tensors
 
 EVALUATE = 8  # number of updates between two evaluations
 

@@ -141,6 +141,7 @@ class Environment:
         acts = task.action, task.base
         self._engine = Engine(pipeline, n, task.reward, kind, task.bank, on_floats, threads, *acts)
         self.modes = pipeline.modes
+        self.bank = task.bank
         self.observation = self._engine.observation
         self._replay = Replay(task.pipeline, task.bank) if self._smoothing else None
         self._baseline = Baseline(task, self._engine.batch, threads) if task.baseline else None

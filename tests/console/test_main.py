@@ -54,7 +54,7 @@ def test_help_shows_defaults_and_optional_arguments():
     shown = " ".join(command("leaderboard", "--help", columns=80).stdout.split())
     assert "start at 0 (default: 0)" in shown and "(default: False)" not in shown
     assert "[-h] [WHAT] [--radio STR]" in command("list", "--help").stdout
-    assert "[OPTIONS] MODEL POLICY" in command("convert", "--help").stdout
+    assert "SPEC" in command("sweep", "--help").stdout
 
 
 def test_help_loads_no_heavy_packages():

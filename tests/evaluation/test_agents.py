@@ -108,7 +108,7 @@ MISTAKES = {  # name of an agent -> expected message
     "my_agents:beyond": "my_agents:beyond: found 2 ",
     "my_agents:stumbling": r"RuntimeError: no idea; it was given observations \(3, \d+\), float32",
     "my_agents.py": "policy: found 'my_agents.py', .*module:function",
-    "mine.zip": "mine.zip: found a model .*, expected .*; mmwave-loc convert mine.zip mine.safet",
+    "mine.zip": "mine.zip: found a model .*, expected .*; policies.save_sb3",
 }
 
 

@@ -8,7 +8,6 @@ import pytest
 pytest.importorskip("stable_baselines3")
 import torch
 
-from experiments.training.actor import Normalization
 from experiments.training.hyperparameters import RolloutHyperparameters
 from experiments.training.job import Job
 from experiments.training.rollout_env import Tried
@@ -17,6 +16,7 @@ from experiments.training.training_task import TrainingTask
 from mmwave_env.filters.bank import Bank, default_modes
 from mmwave_env.interface.reward import TrackingReward
 from policies import LearnedSwitch
+from policies.sb3 import Normalization
 from tests.training.test_rollout_env import PLACES, task
 from tests.training.test_train_interrupted import assert_same_training, silent
 

@@ -1,0 +1,174 @@
+"""Policy files of models that were trained with Stable-Baselines3."""
+
+from collections.abc import Iterable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mmwave_env import __version__
+from mmwave_env.io.files import AnyPath, atomic_path
+from mmwave_env.numerics.numbers import Array
+from policies.learned import LearnedSwitch
+from policies.policy_file import Card, Tensors, to_bytes
+
+DECISIONS = 1000  # number of random observations for which the model and the file are compared
+TIES = 0.001  # maximum fraction of observations on which rounding may change the action
+
+
+class Normalization(NamedTuple):
+    """Normalization of an observation o in training: (clip(o, low, high) - mean) / sigma."""
+
+    low: Array  # all four arrays are (features,)
+    high: Array
+    mean: Array
+    sigma: Array
+
+    @classmethod
+    def clipped(cls, mean: Array, sigma: Array, clip: float) -> "Normalization":
+        """Return the normalization that clips at ``clip`` standard deviations from the mean."""
+        return cls(mean - clip * sigma, mean + clip * sigma, mean, sigma)
+
+    @classmethod
+    def of(cls, model: Any) -> "Normalization":
+        """Return the normalization of a model's ``VecNormalize``, or the identity without one."""
+        normal = model.get_vec_normalize_env()
+        if normal is None or not normal.norm_obs:
+            space = model.observation_space
+            low = space.low.astype(float)
+            high = space.high.astype(float)
+            return cls(low, high, np.zeros(space.shape), np.ones(space.shape))
+        moments = normal.obs_rms
+        sigma = np.sqrt(moments.var + normal.epsilon)
+        return cls.clipped(moments.mean, sigma, normal.clip_obs)
+
+
+def actor_tensors(layers: Iterable[Any], normal: Normalization) -> Tensors:
+    """Return the tensors of an actor in the form that a policy file stores.
+
+    The normalization's mean and sigma are folded into the first linear layer: its weights W become
+    W / sigma, and its biases b become b - (W / sigma) mean.
+
+    Args:
+        layers: layers of a network for normalized observations; only linear layers have tensors.
+        normal: normalization of an observation; its ``low`` and ``high`` become tensors, too.
+    """
+    tensors = {"low": normal.low, "high": normal.high}
+    for i, layer in enumerate(layer for layer in layers if type(layer).__name__ == "Linear"):
+        weight = layer.weight.detach().numpy().astype(np.float64)
+        bias = layer.bias.detach().numpy().astype(np.float64)
+        if not i:
+            weight = weight / normal.sigma
+            bias = bias - weight @ normal.mean
+        tensors |= {f"layer.{i}.weight": weight, f"layer.{i}.bias": bias}
+    return {name: tensor.astype(np.float32) for name, tensor in tensors.items()}
+
+
+def model_tensors(model: Any) -> Tensors:
+    """Return the tensors of a Stable-Baselines3 model's actor, for a policy file."""
+    return actor_tensors(_layers(model.policy), Normalization.of(model))
+
+
+def save_sb3(model: Any, path: AnyPath) -> None:
+    """Write a trained Stable-Baselines3 model to a policy file, which plays without PyTorch.
+
+    Modes, beliefs and features are those of the model's environment. If the environment is wrapped
+    in ``VecNormalize``, its normalization becomes part of the network. The file contains numbers
+    and no code.
+
+    ```python
+    >>> model = PPO("MlpPolicy", VecNormalize(SB3VecEnv(envs)))
+    >>> model.learn(total_timesteps=200_000)
+    >>> save_sb3(model, "policy.safetensors")
+
+    ```
+
+    Args:
+        model: a PPO, A2C, TRPO or MaskablePPO with an ``MlpPolicy`` of tanh layers and discrete
+            actions. A model that was loaded from a file needs its environment:
+            ``PPO.load("model.zip", env=envs)``.
+        path: file to write (``.safetensors``).
+
+    Raises:
+        ValueError: the path has another ending, the model has no environment or another kind of
+            network, or the layers alone choose other actions than the model.
+        OSError: the file can't be written.
+    """
+    path = Path(path)
+    if path.suffix != ".safetensors":
+        raise ValueError(f"path: found {path}, expected a name that ends with .safetensors")
+    if model.get_env() is None:
+        raise ValueError(
+            "model: found no environment, expected one, as in PPO.load('model.zip', env=envs)"
+        )
+    _require_actor(model.policy)
+    content = to_bytes(model_tensors(model), _card(model))
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(content)
+        _require_same_actions(model, LearnedSwitch(temporary))
+
+
+def _layers(policy: Any) -> list[Any]:
+    """Return the layers of the actor in a policy of Stable-Baselines3."""
+    return [*policy.mlp_extractor.policy_net, policy.action_net]
+
+
+def _require_actor(policy: Any) -> None:
+    """Refuse a policy whose actor is not a tanh network with discrete actions."""
+    if not hasattr(policy, "action_net"):
+        raise ValueError(
+            f"network: found {type(policy).__name__}, expected an actor and a critic, as in PPO, "
+            "A2C, TRPO and MaskablePPO"
+        )
+    layers = _layers(policy)
+    parts = [policy.features_extractor, *layers, policy.action_space]
+    kinds = [type(part).__name__ for part in parts]
+    hidden = ["Linear", "Tanh"] * (len(layers) // 2)
+    expected = ["FlattenExtractor", *hidden, "Linear", "Discrete"]
+    if kinds != expected:
+        raise ValueError(f"network: found {', '.join(kinds)}, expected {', '.join(expected)}")
+
+
+def _card(model: Any) -> Card:
+    """Describe a model's training and environment."""
+    table = _attribute(model, "observation")
+    radio = _attribute(model, "radio")
+    bank = _attribute(model, "bank")
+    packages = ("gymnasium", "numpy", "torch", "stable-baselines3")
+    return Card(
+        modes=table.modes,
+        observation=table.kind,
+        features=table.columns,
+        scenario=_attribute(model, "source").name,
+        radio=radio.name,
+        algorithm=type(model).__name__,
+        seed=-1 if model.seed is None else model.seed,
+        timesteps=model.num_timesteps,
+        command="policies.save_sb3",
+        evaluation={},
+        versions={"mmwave-loc": __version__} | {name: version(name) for name in packages},
+        beliefs=table.beliefs,
+        banks={radio.name: bank} if bank else {},
+    )
+
+
+def _attribute(model: Any, name: str) -> Any:
+    """Return an attribute of the first of a model's environments, which are alike."""
+    return model.get_env().get_attr(name, 0)[0]
+
+
+def _require_same_actions(model: Any, policy: LearnedSwitch) -> None:
+    """Refuse a file that, on random observations, chooses other actions than its model."""
+    low, high, mean, sigma = Normalization.of(model)
+    spread = np.random.default_rng(0).uniform(-2.0, 2.0, (DECISIONS, len(mean)))
+    observations = np.clip(mean + sigma * spread, low, high)
+    normalized = ((observations - mean) / sigma).astype(np.float32)
+    chosen, _ = model.predict(normalized, deterministic=True)
+    alike = policy(observations.astype(np.float32)) == chosen
+    if alike.mean() < 1.0 - TIES:
+        raise ValueError(
+            "model: its layers alone choose the same action as the model for "
+            f"{alike.sum()} of {alike.size} observations, expected all; the model does more than "
+            "apply layers"
+        )
