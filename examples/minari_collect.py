@@ -30,7 +30,7 @@ def player(name, learned, actions, rng):
         def act(observations, begins):
             if begins:
                 policy.reset(np.array([True]))
-            return policy(observations)[0]
+            return policy.act(observations)[0]
 
         return act
     if name == "random":

@@ -19,7 +19,7 @@ class Args(JsonArgs):
 
     mmwave-loc tune --radio handset --out modes.json
     mmwave-loc tune --bank --radio phone.json --episodes 900 --out bank.json
-    mmwave-loc tune --levels --out policies/data/levels.json
+    mmwave-loc tune --levels --out mmwave_env/data/levels.json
     mmwave-loc tune --two-way --out policies/data/smoothing/two-way.safetensors
     """
 

@@ -1,13 +1,14 @@
 """Policies, which choose a mode (a filter) in every epoch: simple rules and learned policies."""
 
+from mmwave_env.interface.policy import Correction, Policy
 from policies.baselines import FixedMode, LikelihoodRule
-from policies.corrector import Corrector, learned_policy
+from policies.corrector import Corrector, learned_policy, load
 from policies.learned import LearnedSwitch, shipped_policies
-from policies.policy import Policy
 from policies.sb3 import save_sb3
 from policies.speed_rule import SpeedRule
 
 __all__ = [
+    "Correction",
     "Corrector",
     "FixedMode",
     "LearnedSwitch",
@@ -15,6 +16,7 @@ __all__ = [
     "Policy",
     "SpeedRule",
     "learned_policy",
+    "load",
     "save_sb3",
     "shipped_policies",
 ]

@@ -3,8 +3,8 @@
 import numpy as np
 
 from mmwave_env.interface.observation import Observation
+from mmwave_env.interface.policy import Policy
 from mmwave_env.numerics.numbers import Array32, Index
-from policies.policy import Policy
 
 
 class FixedMode(Policy):
@@ -13,7 +13,7 @@ class FixedMode(Policy):
     def __init__(self, action: int) -> None:
         self.action = action
 
-    def __call__(self, observation: Array32) -> Index:
+    def act(self, observation: Array32) -> Index:
         """Return actions (n,)."""
         return np.full(len(observation), self.action, np.int64)
 
@@ -32,7 +32,7 @@ class LikelihoodRule(Policy):
         self.observation = observation
         self._features = [f"preference fast {name}" for name in modes[:-1]]
 
-    def __call__(self, observation: Array32) -> Index:
+    def act(self, observation: Array32) -> Index:
         """Return actions (n,)."""
         against_last = [self.observation.read(observation, name) for name in self._features]
         scores = np.stack([*against_last, np.zeros(len(observation))], axis=-1)

@@ -7,20 +7,21 @@ chooses modes) or an IMM. If features are outside the range that the network saw
 corrections are scaled down: the farther outside the features are, the closer to zero.
 """
 
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 
 from mmwave_env.filters.correction import MOST_LOG_FACTOR, MOST_SHIFT
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation, columns_of
+from mmwave_env.interface.policy import Correction, Policy, Switching
 from mmwave_env.interface.signed import after_update
 from mmwave_env.io.files import AnyPath
 from mmwave_env.numerics.numbers import Array32, Index, Mask
 from policies.learned import LearnedPolicy, LearnedSwitch, taken
-from policies.policy import Policy
 from policies.policy_file import CORRECTIONS, Tensors
 
 BASE_IMM = "imm-best"  # the name of the base if it is the IMM of the policy's bank
@@ -35,23 +36,6 @@ RECOVERY = 0.1  # maximum growth of trust per epoch; slow, as unusual features s
 SPREAD = (0.5, 1.0)
 AT_ONCE = 352  # maximum number of tracks in an array; more need new memory for every step
 _MOST = np.array([MOST_SHIFT] * 3 + [MOST_LOG_FACTOR] * 3, np.float32)  # limits of an answer
-
-
-class Correction(NamedTuple):
-    """Corrections of n beliefs after the latest epoch (:mod:`mmwave_env.filters.correction`).
-
-    For n tracks of T epochs, arrays are (n, T, 3) and (n, T).
-
-    Attributes:
-        shift: (n, 3) shifts along and across the motion, and up, in standard deviations of the
-            belief.
-        log_factor: (n, 3) logarithms of factors for these standard deviations.
-        trusted: (n,) trust, the factor, 0 to 1, by which the network's answer was scaled.
-    """
-
-    shift: Array32
-    log_factor: Array32
-    trusted: Array32
 
 
 class CorrectionNetwork(LearnedPolicy):
@@ -125,6 +109,8 @@ class Corrector(CorrectionNetwork, Policy):
     Arguments, attributes and errors: same as for :class:`~policies.learned.LearnedPolicy`.
     """
 
+    corrects = True
+
     def __init__(self, path: AnyPath, observation: Observation | None = None) -> None:
         super().__init__(path)
         base = self.card.base
@@ -150,11 +136,11 @@ class Corrector(CorrectionNetwork, Policy):
         if self._base:
             self._base.reset(mask)
 
-    def __call__(self, observation: Array32) -> Index:
+    def act(self, observation: Array32) -> Index:
         """Return the base's actions (n,) for observations (n, features)."""
         if self._base is None:
             return np.zeros(len(observation), np.int64)
-        return self._base(observation)
+        return self._base.act(observation)
 
     def correct(self, observation: Array32) -> Correction:
         """Return corrections of the beliefs after the latest epoch; update the network's memory.
@@ -253,3 +239,17 @@ def _mean_and_differences(weight: Array32, bias: Array32) -> tuple[Array32, Arra
 def learned_policy(path: AnyPath) -> LearnedSwitch | Corrector:
     """Return the switcher or the corrector in a policy file, given by its path or shipped name."""
     return Corrector(path) if LearnedPolicy(path).card.base else LearnedSwitch(path)
+
+
+def load(path: AnyPath, radio: str = "handset") -> Switching:
+    """Return the policy in a file, or a shipped policy, with its modes for a radio profile.
+
+    ```python
+    >>> tracker = Tracker("street", load("corrector", "standard"), "standard")
+
+    ```
+    """
+    policy = learned_policy(path)
+    modes = policy.bank(radio) if policy.beliefs == "per-mode" else policy.modes
+    make = partial(type(policy), path)
+    return Switching(modes, None, make, policy.card.observation, corrects=bool(policy.card.base))

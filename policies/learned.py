@@ -9,11 +9,11 @@ import numpy as np
 from mmwave_env.filters.bank import Bank
 from mmwave_env.interface.features import UNSEEN
 from mmwave_env.interface.observation import Column, Observation
+from mmwave_env.interface.policy import Policy
 from mmwave_env.io.files import AnyPath
 from mmwave_env.io.lookup import unknown
 from mmwave_env.models.radio import radio_from
 from mmwave_env.numerics.numbers import Array32, Index
-from policies.policy import Policy
 from policies.policy_file import read_policy
 
 
@@ -168,7 +168,7 @@ class LearnedSwitch(LearnedPolicy, Policy):
     >>> env = gym.make("mmwave_env:MmWaveLoc-v0", modes=policy.modes)
     >>> observation, info = env.reset(seed=0)
     >>> policy.reset(np.array([True]))
-    >>> (action,) = policy(observation[None])
+    >>> (action,) = policy.act(observation[None])
 
     ```
 
@@ -197,7 +197,7 @@ class LearnedSwitch(LearnedPolicy, Policy):
             (tensors[f"layer.{i}.weight"].T, tensors[f"layer.{i}.bias"]) for i in range(layers // 2)
         ]
 
-    def __call__(self, observation: Array32) -> Index:
+    def act(self, observation: Array32) -> Index:
         """Return actions (n,) for observations (n, features); errors as in :meth:`logits`."""
         actions: Index = self.logits(observation).argmax(axis=1)
         return actions

@@ -165,7 +165,7 @@ def _require_same_actions(model: Any, policy: LearnedSwitch) -> None:
     observations = np.clip(mean + sigma * spread, low, high)
     normalized = ((observations - mean) / sigma).astype(np.float32)
     chosen, _ = model.predict(normalized, deterministic=True)
-    alike = policy(observations.astype(np.float32)) == chosen
+    alike = policy.act(observations.astype(np.float32)) == chosen
     if alike.mean() < 1.0 - TIES:
         raise ValueError(
             "model: its layers alone choose the same action as the model for "

@@ -6,10 +6,10 @@ import numpy as np
 
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS
 from mmwave_env.interface.observation import Observation
+from mmwave_env.interface.policy import Policy
 from mmwave_env.models.measurement import Epoch
 from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import Array32, Index, Number, Vector, sqrt, where
-from policies.policy import Policy
 
 SLOW_MPS = 2.0  # paper, Algorithm 1: mobility is low up to this speed
 
@@ -44,7 +44,7 @@ class SpeedRule(Policy):
         self.threshold = threshold
         self._warned = False
 
-    def __call__(self, observation: Array32) -> Index:
+    def act(self, observation: Array32) -> Index:
         """Return actions (n,)."""
         speed = self.observation.read(observation, "predicted speed")
         if not self._warned and (speed > DESIGN_LIMIT_MPS).any():

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation
+from mmwave_env.interface.policy import Policy, policy_from
 from mmwave_env.models.measurement import Epoch, Site, blank_site
 from mmwave_env.numerics.numbers import Array, Array32, Index, Vector
 from mmwave_env.numerics.pytree import unflatten
 from mmwave_env.world.episode import EpisodeBatch, blank_incoming
-from policies import Policy
 
 Act = Callable[[Array32], Any]  # observations (n, features) -> actions (n,)
 
@@ -75,21 +75,9 @@ class Estimator(Policy):
         made = np.reshape(np.array(tracks, float), (n, T, -1))
         return made[..., :size], made[..., size:]
 
-    def __call__(self, observation: Array32) -> Index:
+    def act(self, observation: Array32) -> Index:
         """Refuse to choose a mode."""
         raise ValueError(f"policy: found {type(self).__name__}, {NO_FILTERS}")
-
-
-class _Function(Policy):
-    """A policy without memory that calls a function and takes over its optional ``correct``."""
-
-    def __init__(self, act: Act) -> None:
-        self._act = act
-        if hasattr(act, "correct"):
-            self.correct = act.correct
-
-    def __call__(self, observation: Array32) -> Any:
-        return self._act(observation)
 
 
 def is_agent(name: str) -> bool:
@@ -120,28 +108,34 @@ def agent_from(name: str) -> Act:
         ) from error
 
 
-def tried(name: str, agent: Act, table: Observation) -> Policy:
-    """Return an agent as a policy; check that it returns actions for a few random observations.
-
-    The agent's method ``reset(begins)``, if any, is called, too. An estimator is returned as it is.
+def policy_of(name: str, agent: Act) -> Policy:
+    """Return an agent as a policy.
 
     Raises:
-        ValueError: the agent is not a function, raises an exception, or returns invalid actions.
+        ValueError: the agent is neither a policy nor a function.
     """
-    if isinstance(agent, Estimator):
-        return agent
-    if not callable(agent):
-        raise ValueError(
-            f"policy {name}: found {agent!r}, expected a function from observations (n, features) "
-            f"to actions (n,); {OF_A_MODEL} ({GUIDE})"
-        )
-    policy = cast(Policy, agent if hasattr(agent, "reset") else _Function(agent))
+    try:
+        return policy_from(agent)
+    except ValueError as error:
+        raise ValueError(f"policy {name}: {error}; {OF_A_MODEL} ({GUIDE})") from error
+
+
+def tried(name: str, policy: Policy, table: Observation) -> Policy:
+    """Return an agent's policy; check that it returns actions for a few random observations.
+
+    An estimator is returned as it is.
+
+    Raises:
+        ValueError: the policy raises an exception, or returns invalid actions.
+    """
+    if isinstance(policy, Estimator):
+        return policy
     space = table.space
     rng = np.random.default_rng(0)
     shown = rng.uniform(space.low, space.high, (TRIED, len(table))).astype(np.float32)
     try:
         policy.reset(np.ones(TRIED, np.bool_))
-        actions = np.asarray(policy(shown))
+        actions = np.asarray(policy.act(shown))
     except Exception as error:  # a user's code can raise anything
         raise ValueError(
             f"policy {name}: {in_one_line(error)}; it was given observations "

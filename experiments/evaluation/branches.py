@@ -16,9 +16,9 @@ from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import rows_of
 from mmwave_env.engines.batch import Batch
 from mmwave_env.engines.env_engine import Engine
+from mmwave_env.interface.policy import Policy
 from mmwave_env.numerics.numbers import Array, Array32, Index
 from mmwave_env.world.episode import columns_of
-from policies import Policy
 
 CLAIRVOYANT = "clairvoyant"
 HORIZON_S = 15.0  # how far the clairvoyant looks ahead; later rewards hardly depend on an action
@@ -109,7 +109,7 @@ class Clairvoyant(Policy):
         horizon = min(math.ceil(HORIZON_S / step_s - 1e-6), state.table.shape[1])
         self._branches = Branches(engine, horizon)
 
-    def __call__(self, observation: Array32) -> Index:
+    def act(self, observation: Array32) -> Index:
         """Return actions (n,)."""
         if self._branches is None:
             raise ValueError(BLIND)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from experiments.evaluation.agents import GUIDE, Act, agent_from, is_agent, tried
+from experiments.evaluation.agents import GUIDE, Act, agent_from, is_agent, policy_of, tried
 from experiments.evaluation.branches import CLAIRVOYANT, Clairvoyant
 from experiments.evaluation.runs import Run
 from mmwave_env.filters.bank import (
@@ -21,12 +21,13 @@ from mmwave_env.filters.bank import (
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation, action_names
+from mmwave_env.interface.policy import Policy
 from mmwave_env.io.files import AnyPath
 from mmwave_env.io.lookup import unknown
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import radio_from
 from mmwave_env.task import bank_and_modes
-from policies import FixedMode, LikelihoodRule, Policy, SpeedRule, learned_policy, shipped_policies
+from policies import FixedMode, LikelihoodRule, SpeedRule, learned_policy, shipped_policies
 
 BEST_IMM = "imm-best"  # the IMM with the modes of best_bank
 RULE = "speed-rule"  # the paper's rule
@@ -46,6 +47,7 @@ class Contender:
         policy: function from an :class:`Observation` to a policy; None for the IMM of the bank.
         observation: kind of observation that the policy reads: "full", "prior" or "signed".
         beliefs: "shared" if all modes work on one belief, "per-mode" if each keeps its own.
+        corrects: whether the policy corrects beliefs.
     """
 
     name: str
@@ -53,6 +55,7 @@ class Contender:
     policy: Callable[[Observation], Policy] | None
     observation: str = "full"
     beliefs: str = "shared"
+    corrects: bool = False
 
     @classmethod
     def learned(cls, path: AnyPath, name: str | None = None, radio: str = "handset") -> "Contender":
@@ -68,6 +71,7 @@ class Contender:
             partial(type(policy), path),
             observation=policy.card.observation,
             beliefs=policy.beliefs,
+            corrects=bool(policy.card.base),
         )
 
     @classmethod
@@ -89,6 +93,7 @@ class Contender:
         Raises:
             ValueError: modes or beliefs are unknown; the message lists the valid names.
         """
+        policy = policy_of(name, agent)
         beliefs = getattr(agent, "beliefs", beliefs)
         modes = getattr(agent, "modes", modes)
         bank_of = getattr(agent, "bank", None) if beliefs == "per-mode" else None
@@ -96,9 +101,10 @@ class Contender:
         return cls(
             name,
             bank or Bank(chosen),
-            partial(tried, name, agent),
+            partial(tried, name, policy),
             observation=getattr(agent, "observation", observation),
             beliefs=beliefs,
+            corrects=policy.corrects,
         )
 
     @property

@@ -18,6 +18,7 @@ from mmwave_env.filters.bank import Modes
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.correction import corrected_all
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.policy import Correction, Policy
 from mmwave_env.interface.reward import Reward, TrackingReward, terms_of, total
 from mmwave_env.io.lookup import printable
 from mmwave_env.metrics import BURN_IN, METRICS, TERMS, scored, summary
@@ -26,8 +27,6 @@ from mmwave_env.numerics.numbers import Array, Array32
 from mmwave_env.task import Task
 from mmwave_env.world.episode import Episode, EpisodeBatch, EpisodeSource, columns_of
 from mmwave_env.world.simulated import SimulatedSource
-from policies import Corrector, Policy
-from policies.corrector import Correction
 
 
 class Scoring(NamedTuple):
@@ -101,8 +100,7 @@ def run_contender(
         episodes = episodes.on_flat_ground()
     pipeline = Pipeline(contender.modes, episodes.layout, scoring.planar)
     names = (*PARTS, *after)
-    corrector = cast(Corrector, policy) if hasattr(policy, "correct") else None
-    if corrector:
+    if policy and policy.corrects:
         names = tuple(dict.fromkeys((*names, *BELIEF, "truth")))
     if policy is None:
         return run_imm(contender.bank, scoring.reward, episodes, *names, planar=scoring.planar)
@@ -131,13 +129,13 @@ def run_contender(
     corrections: list[Correction] = []
     observations = engine.observations()
     for t in range(T):
-        choices = _answer(contender.name, t, policy, observations)
+        choices = _answer(contender.name, t, policy.act, observations)
         taken[:, t] = actions = require_actions(contender.name, choices, n, len(contender.actions))
         observations, outputs[:, t] = engine.step(actions, rows)
-        if corrector:
-            corrections.append(_answer(contender.name, t, corrector.correct, observations))
+        if policy.corrects:
+            corrections.append(_answer(contender.name, t, policy.correct, observations))
     results = program.by_name(names, outputs) | {"mode": taken}
-    if corrector:
+    if policy.corrects:
         results |= _corrected(results, corrections, pipeline, scoring.reward)
     return results
 

@@ -8,11 +8,10 @@ import numpy as np
 
 from experiments.console.options import LogArgs
 from experiments.evaluation.contenders import contender_from, imm_banks
-from mmwave_env.engines.track_engine import Rule
 from mmwave_env.filters.bank import Bank, bank_from, modes_from
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS, Mode, robust
+from mmwave_env.interface.policy import Rule, Switching
 from mmwave_env.io.lookup import choose
-from mmwave_env.localization.localizer import Switching, default_policy
 from mmwave_env.logs.lines import number
 from mmwave_env.logs.log import LogBlock
 from policies.speed_rule import SLOW_MPS, by_odometry_speed, by_predicted_speed, mode_at
@@ -63,6 +62,14 @@ def require_one_choice(args: LogArgs) -> None:
         raise ValueError("follow: odometry needs --speed auto, and cannot be combined with --imm")
 
 
+def default_policy(height_m: float | None) -> str:
+    """Return the name of the policy that is used if none is named.
+
+    ``corrector`` needs an uncertain height; a known height has the standard deviation 0.
+    """
+    return "corrector" if height_m is None else "guided"
+
+
 def choice_of(args: LogArgs, radio: str, block: LogBlock) -> Choice:
     """Return the choice that options describe.
 
@@ -84,7 +91,8 @@ def choice_of(args: LogArgs, radio: str, block: LogBlock) -> Choice:
         name = args.policy or default_policy(args.height)
         contender = contender_from(name, radio)
         bank_or_modes = contender.bank if contender.mixes else contender.modes
-        switching = Switching(bank_or_modes, None, contender.policy, contender.observation)
+        kind = contender.observation
+        switching = Switching(bank_or_modes, None, contender.policy, kind, contender.corrects)
         return Choice(switching, f"chosen by the policy {name}")
     return _algorithm_1(args, modes_of(args, radio))
 

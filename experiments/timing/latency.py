@@ -15,11 +15,12 @@ from experiments.evaluation.contenders import imm_banks
 from experiments.timing.workloads import RADIO
 from mmwave_env.datasets.log_writer import log_columns
 from mmwave_env.filters.bank import named_modes
-from mmwave_env.localization.localizer import Switching, learned
+from mmwave_env.interface.policy import Switching
 from mmwave_env.localization.tracker import Tracker
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import scene_from
 from mmwave_env.world.simulated import SimulatedSource
+from policies import load
 
 # 4000 epochs; the first 1000 do not count
 SCENE = "street"
@@ -33,8 +34,8 @@ PYTHON = "in Python"
 CONTENDERS: dict[str, tuple[tuple[str, str], Callable[[], Switching]]] = {
     "EKF": (("--speed", "1"), lambda: Switching((named_modes(RADIO)["ekf"],))),
     "imm-best": (("--imm", "imm-best"), lambda: Switching(imm_banks(RADIO)["imm-best"]())),
-    "guided": (("--policy", "guided"), lambda: learned("guided", RADIO)),
-    "corrector": (("--policy", "corrector"), lambda: learned("corrector", RADIO)),
+    "guided": (("--policy", "guided"), lambda: load("guided", RADIO)),
+    "corrector": (("--policy", "corrector"), lambda: load("corrector", RADIO)),
 }
 LATENCIES = [(name, interface) for name in CONTENDERS for interface in (PYTHON, PIPE)]
 

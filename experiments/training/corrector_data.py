@@ -30,7 +30,7 @@ from mmwave_env.world.episode import EpisodeBatch, columns_of
 from mmwave_env.world.keys import keys_at, stream_of
 from mmwave_env.world.simulated import SimulatedSource
 from mmwave_env.world.trajectory import Trajectory, Ways
-from policies import LearnedSwitch
+from policies import FixedMode, LearnedSwitch, Policy
 from policies.corrector import BASE_IMM
 
 # times between epochs to draw from, s
@@ -176,7 +176,9 @@ class CorrectorData:
         pipeline = Pipeline(bank.modes, batch.layout)
         engine = Engine(pipeline, n, TrackingReward(), "signed", bank)
         engine.reset(batch)
-        act = LearnedSwitch(self._hyper.base, engine.observation) if self._switch else None
+        policy: Policy = FixedMode(0)
+        if self._switch:
+            policy = LearnedSwitch(self._hyper.base, engine.observation)
         wanted = [feature.name for feature in after_update(pipeline, per_mode=True)]
         columns = [engine.observation.names.index(name) for name in wanted]
         rows = rows_of([engine.at.x, engine.at.P, engine.at.error])
@@ -184,8 +186,7 @@ class CorrectorData:
         features = np.empty((epochs, n, len(columns)), np.float32)
         observations = engine.observations()
         for t in range(epochs):
-            actions = act(observations) if act else np.zeros(n, np.int64)
-            observations, outputs[t] = engine.step(actions, rows)
+            observations, outputs[t] = engine.step(policy.act(observations), rows)
             features[t] = observations[:, columns]
         size = batch.layout.state_size
         return lot_of(features, *np.split(outputs, [size, len(rows) - 3], axis=2))

@@ -85,12 +85,12 @@ def _actions(batch: EpisodeBatch, bank: Bank, base: str) -> Index:
     """Return the actions (n, T) of a policy."""
     n, epochs, _ = batch.table.shape
     engine = Engine(Pipeline(bank.modes, batch.layout), n, TrackingReward(), "full", bank)
-    act = LearnedSwitch(base, engine.observation)
+    policy = LearnedSwitch(base, engine.observation)
     engine.reset(batch)
     observations = engine.observations()
     actions = np.empty((n, epochs), np.int64)
     for t in range(epochs):
-        actions[:, t] = act(observations)
+        actions[:, t] = policy.act(observations)
         observations, _ = engine.step(actions[:, t])
     return actions
 

@@ -13,6 +13,7 @@ from mmwave_env.filters.bank import Bank, settings_of
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import CORRECTION, MODE
 from mmwave_env.interface.observation import Observation
+from mmwave_env.interface.policy import Policy, policy_from
 from mmwave_env.interface.reward import Reward
 from mmwave_env.interface.signed import after_update
 from mmwave_env.io.lookup import choose
@@ -66,9 +67,7 @@ class Engine:
         if ahead:  # leave out the features that depend on the coming epoch
             self.observation = table.only(after_update(pipeline, per_mode=True))
             self._shown = [table.names.index(name) for name in self.observation.names]
-        self._base = base(table) if base else None
-        if base and not callable(self._base):
-            raise ValueError(f"base: returned {self._base!r}, expected an agent (a function)")
+        self._base = _base_from(base(table)) if base else None
         program = program_of(pipeline, observation, reward, bank is not None, action)
         inputs = rows_of([program.index.action, getattr(program.index, "numbers", [])])
         self._on_floats = on_floats
@@ -179,7 +178,7 @@ class Engine:
         n = self.batch.n
         if self._base is None:
             return np.zeros(n, np.int64)
-        actions: Index = np.asarray(self._base(self.read(self.at.observation, np.float32)))
+        actions: Index = np.asarray(self._base.act(self.read(self.at.observation, np.float32)))
         whole = actions.dtype.kind in "iu"
         count = len(self.observation.actions)
         if whole and actions.shape == (n,) and actions.min() >= 0 and actions.max() < count:
@@ -213,3 +212,11 @@ class Engine:
     def observations(self) -> NDArray[np.float32]:
         """Return a copy of the current observations (n, features)."""
         return self.read(self.at.observation, np.float32)[:, self._shown]
+
+
+def _base_from(agent: Any) -> Policy:
+    """Return the agent that the argument ``base`` of an environment made, as a policy."""
+    try:
+        return policy_from(agent)
+    except ValueError as error:
+        raise ValueError(f"base: {error}") from error

@@ -4,7 +4,7 @@ Without an agent, filtering need not stop after every epoch: compiled code runs 
 of an episode to the last. Process noise is an input, so the same code runs any tuning.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 from typing import Any, Generic, NamedTuple
@@ -19,13 +19,13 @@ from mmwave_env.filters.memory import Memory, memory_after, memory_before
 from mmwave_env.filters.modes import Tuning
 from mmwave_env.filters.pipeline import Pipeline, predict_update
 from mmwave_env.filters.update import ModeResult
-from mmwave_env.models.measurement import Epoch, Site
-from mmwave_env.numerics.numbers import Array, Number, Vector
+from mmwave_env.interface.policy import Rule
+from mmwave_env.models.measurement import Site
+from mmwave_env.numerics.numbers import Array, Number
 from mmwave_env.numerics.pytree import flatten, tree_at
 from mmwave_env.world.episode import Episode, Incoming
 
 NOISES = ("sigma_p", "sigma_v", "sigma_pz", "sigma_vz", "sigma_b_mps", "spread_gain")
-Rule = Callable[[Vector, Epoch], Number]
 
 
 class TrackState(NamedTuple):

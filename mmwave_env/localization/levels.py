@@ -87,7 +87,7 @@ def _numbers(text: str) -> Array:
 @cache
 def shipped() -> Network:
     """Return the network that is shipped with the package."""
-    path = Path(str(files("policies").joinpath("data", "levels.json")))
+    path = Path(str(files("mmwave_env").joinpath("data", "levels.json")))
     return read_json(path, "a calibration of levels", Network.of)
 
 

@@ -1,17 +1,15 @@
 """Localization of a measurement log by one or several Kalman filter pipelines, called modes.
 
 If there are several modes, a rule (paper, Algorithm 1) or a policy chooses between them, or they
-interact as an IMM. A policy that is a *corrector* also corrects beliefs (policies/corrector.py).
+interact as an IMM. A policy may also correct beliefs (it is then called a *corrector*).
 A log is a sequence of blocks of epochs, because it may be larger than memory. The length of the
 blocks does not change the track. The log is divided into segments at long gaps (``segments.py``).
 In each segment, a track starts from a first position. The track is filtered first, and then
 smoothed, ``window`` epochs at a time; a *two-way corrector* may correct the smoothed track.
 """
 
-import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,14 +17,11 @@ import numpy as np
 from mmwave_env.engines.imm_engine import ImmTracker
 from mmwave_env.engines.replay import smooth
 from mmwave_env.engines.smoothed_features import smoothed_features
-from mmwave_env.engines.track_engine import EpisodeFilter, Rule, Tracker
-from mmwave_env.filters.bank import Bank
+from mmwave_env.engines.track_engine import EpisodeFilter, Tracker
 from mmwave_env.filters.correction import corrected_all
 from mmwave_env.filters.mode_smoothing import smooth_modes
-from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import SMOOTHING_WINDOW
-from mmwave_env.interface.observation import Observation
+from mmwave_env.interface.policy import SmoothedCorrector, Switching
 from mmwave_env.localization.levels import GAUSSIAN, Levels
 from mmwave_env.localization.policy_tracker import PolicyTracker
 from mmwave_env.localization.segments import first_fix, segments
@@ -38,8 +33,6 @@ from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.linalg import pack
 from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.world.episode import Episode, EpisodeBatch, columns_of
-from policies.corrector import Corrector, TwoWayCorrector, learned_policy
-from policies.policy import Policy
 
 _FILTERED = ("x", "P", "memory.mode", "memory.nis", "memory.accepted")
 _PREDICTED = ("x_predicted", "P_predicted")
@@ -74,86 +67,21 @@ class TrackBlock(LogBlock):
     level_factors: Array
 
 
-@dataclass(frozen=True)
-class Switching:
-    """The modes of a localizer, and the rule or policy that chooses between them.
-
-    Attributes:
-        modes: one or several modes, of which one runs at a time; or a bank, whose modes interact.
-        rule: function that chooses a mode in every epoch;
-            :class:`~mmwave_env.engines.track_engine.Tracker` describes it.
-        policy: function that makes a policy, given the table of features that the policy observes.
-            The policy chooses the mode to run or, in a bank, the mode whose probability is raised.
-        observation: kind of observation that the policy reads: "full", "prior" or "signed".
-
-    Raises:
-        ValueError: a rule is combined with a bank or a policy.
-    """
-
-    modes: tuple[Mode, ...] | Bank
-    rule: Rule | None = None
-    policy: Callable[[Observation], Policy] | None = None
-    observation: str = "full"
-
-    def __post_init__(self) -> None:
-        if self.rule and (self.bank or self.policy):
-            raise ValueError("rule: found a rule with a bank or a policy, expected None")
-
-    @property
-    def bank(self) -> Bank | None:
-        """Return the bank; None if only one mode runs at a time."""
-        return self.modes if isinstance(self.modes, Bank) else None
-
-    @property
-    def corrects(self) -> bool:
-        """Return whether the policy is a corrector."""
-        kind = getattr(self.policy, "func", None)
-        return isinstance(kind, type) and issubclass(kind, Corrector)
-
-    @property
-    def names(self) -> list[str]:
-        """Return the names of the modes."""
-        return [mode.name for mode in (self.bank.modes if self.bank else self.modes)]  # type: ignore[union-attr]
-
-    @property
-    def parts(self) -> tuple[str, ...]:
-        """Return the names of the state's parts that the results and the smoother need."""
-        return (*_FILTERED, "mixture") if self.bank else (*_FILTERED, *_PREDICTED)
-
-    def pipeline(self, layout: Layout, planar: bool) -> Pipeline:
-        """Return the pipeline of the modes."""
-        modes = self.modes.modes if isinstance(self.modes, Bank) else tuple(self.modes)
-        return Pipeline(modes, layout, planar)
-
-    def tracker(self, layout: Layout, planar: bool) -> EpisodeFilter[Any] | PolicyTracker:
-        """Return the engine that filters a single track."""
-        pipeline = self.pipeline(layout, planar)
-        bank = self.bank
-        if self.policy:
-            beliefs = "per-mode" if bank else "shared"
-            policy = self.policy(Observation(pipeline, self.observation, beliefs))
-            return PolicyTracker(pipeline, policy, self.observation, bank)
-        if bank:
-            return ImmTracker(bank, layout, 1, planar)
-        return Tracker(pipeline, 1, self.rule)
+def parts_of(switching: Switching) -> tuple[str, ...]:
+    """Return the names of the state's parts that the results and the smoother need."""
+    return (*_FILTERED, "mixture") if switching.bank else (*_FILTERED, *_PREDICTED)
 
 
-def default_policy(height_m: float | None) -> str:
-    """Return the name of the policy that is used if none is named.
-
-    ``corrector`` needs an uncertain height; a known height has the standard deviation 0.
-    """
-    return "corrector" if height_m is None else "guided"
-
-
-def learned(path: str | os.PathLike[str], radio: str) -> Switching:
-    """Return the modes and the policy of a policy file, or of a shipped policy.
-
-    If the policy has a bank for each of several radio profiles, its bank for ``radio`` is used.
-    """
-    policy = learned_policy(path)
-    modes = policy.bank(radio) if policy.beliefs == "per-mode" else policy.modes
-    return Switching(modes, None, partial(type(policy), path), policy.card.observation)
+def tracker_of(
+    switching: Switching, layout: Layout, planar: bool
+) -> EpisodeFilter[Any] | PolicyTracker:
+    """Return the engine that filters a single track."""
+    pipeline = switching.pipeline(layout, planar)
+    if switching.policy:
+        return PolicyTracker(pipeline, switching)
+    if switching.bank:
+        return ImmTracker(switching.bank, layout, 1, planar)
+    return Tracker(pipeline, 1, switching.rule)
 
 
 def localize(
@@ -164,7 +92,7 @@ def localize(
     window: int | None = SMOOTHING_WINDOW,
     height_m: float | None = None,
     levels: Levels | None = None,
-    two_way: TwoWayCorrector | None = None,
+    two_way: SmoothedCorrector | None = None,
 ) -> Iterator[TrackBlock]:
     """Yield the track of a log.
 
@@ -205,11 +133,11 @@ def _filtered(
     planar = height_m is not None
     for block in blocks:
         episode = episode_from(block, scene, radio, block.begins)
-        tracker = tracker or switching.tracker(block.layout, planar)
+        tracker = tracker or tracker_of(switching, block.layout, planar)
         if height_m is not None:
             episode = episode.on_flat_ground(height_m)
         tracker.load([episode], go_on=not block.begins)
-        parts = {name: of[0] for name, of in tracker.run(*switching.parts).items()}
+        parts = {name: of[0] for name, of in tracker.run(*parts_of(switching)).items()}
         correction = [parts.pop(name, None) for name in CORRECTED]
         track: dict[str, Any] = {name.removeprefix("memory."): parts[name] for name in _FILTERED}
         track["mode"], track["accepted"] = track["mode"].astype(np.int64), track["accepted"] > 0.5
@@ -291,7 +219,7 @@ def _corrected(
     scene: Scene,
     radio: Radio,
     switching: Switching,
-    two_way: TwoWayCorrector,
+    two_way: SmoothedCorrector,
 ) -> Iterator[TrackBlock]:
     """Yield the smoothed track, corrected window by window; the windows are the smoother's."""
     for block in blocks:

@@ -6,28 +6,20 @@ same numbers, so the track is the same as in an environment.
 """
 
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmTracker
 from mmwave_env.engines.track_engine import EpisodeFilter, Tracker
-from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.correction import corrected_all
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.policy import Correction, Switching
 from mmwave_env.interface.reward import TrackingReward
+from mmwave_env.interface.signed import after_update
 from mmwave_env.numerics.linalg import pack
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode
-
-
-class Choice(Protocol):
-    """A policy like :class:`policies.policy.Policy`, which this package does not import."""
-
-    def reset(self, mask: NDArray[np.bool_]) -> None: ...  # noqa: D102
-    def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]: ...  # noqa: D102
 
 
 class PolicyTracker:
@@ -35,32 +27,30 @@ class PolicyTracker:
 
     Args:
         pipeline: modes and layout.
-        policy: function from observations (1, features) to actions (1,), with a method
-            ``reset(mask)`` that is called when a track starts over. A policy that corrects beliefs
-            also has the methods ``read_from_track`` and ``correct_track`` of
-            :class:`policies.corrector.Corrector`.
-        observation: kind of observation: "full", "prior" or "signed".
-        bank: modes and transition probabilities, if every mode keeps its own belief; else None.
+        switching: the policy, and what it observes.
+
+    Raises:
+        ValueError: the policy corrects beliefs that the modes share.
     """
 
-    def __init__(
-        self,
-        pipeline: Pipeline,
-        policy: Choice,
-        observation: str = "full",
-        bank: Bank | None = None,
-    ) -> None:
-        self._engine = Engine(pipeline, 1, TrackingReward(), observation, bank)
-        self._correct = getattr(policy, "correct_track", None)
-        if self._correct:
-            policy.read_from_track(pipeline)  # type: ignore[attr-defined]
-        self._filter: Tracker | ImmTracker = (
-            ImmTracker(bank, pipeline.layout, 1, pipeline.planar, True, self._correct is not None)
-            if bank
-            else Tracker(pipeline, 1)
-        )
+    def __init__(self, pipeline: Pipeline, switching: Switching) -> None:
+        assert switching.policy
+        bank = switching.bank
+        self._engine = Engine(pipeline, 1, TrackingReward(), switching.observation, bank)
+        table = self._engine.observation
+        self._policy = switching.policy(table)
+        if self._policy.corrects and not bank:
+            raise ValueError('policy: found corrections of a shared belief, expected "per-mode"')
+        self._filter: Tracker | ImmTracker = Tracker(pipeline, 1)
+        if bank:
+            self._filter = ImmTracker(
+                bank, pipeline.layout, 1, pipeline.planar, acted=True, signed=self._policy.corrects
+            )
+        # columns of observations that are known after an update, and their features' indices
+        after = [feature.name for feature in after_update(pipeline, per_mode=bank is not None)]
+        self._known = [i for i, name in enumerate(table.names) if name in after]
+        self._signed = [after.index(table.names[i]) for i in self._known]
         self._observed = EpisodeFilter(self._engine.batch)
-        self._policy = policy
         self._pipeline = pipeline
         self._action = 0
         self._starts = True
@@ -90,11 +80,11 @@ class PolicyTracker:
         for t in range(epochs):
             # The first epoch of an episode ignores the action.
             observations, _ = self._engine.step(np.int64(self._action))
-            (self._action,) = actions[:, t] = self._policy(observations)
-        if not self._correct:
+            (self._action,) = actions[:, t] = self._policy.act(observations)
+        if not self._policy.corrects:
             return self._filter.run(*names, actions=actions)
         parts = self._filter.run(*dict.fromkeys((*names, "x", "P", "signed")), actions=actions)
-        corrections = [self._correct(signed[None]) for signed in parts.pop("signed")[0]]
+        corrections = self._corrections(parts.pop("signed")[0])
         shift, log_factor, trusted = (
             np.array(each).swapaxes(0, 1) for each in zip(*corrections, strict=True)
         )
@@ -105,3 +95,14 @@ class PolicyTracker:
         x = np.array(belief.x).T.reshape(1, epochs, -1)
         P = np.array(pack(belief.P)).T.reshape(1, epochs, -1)
         return parts | {"corrected_x": x, "corrected_P": P, "trusted": trusted}
+
+    def _corrections(self, signed: Array) -> list[Correction]:
+        """Return the policy's corrections after each epoch, given the signed features (T, k)."""
+        observations = np.full((len(signed), 1, len(self._engine.observation)), np.nan, np.float32)
+        observations[:, 0, self._known] = signed[:, self._signed]
+        corrections = []
+        for observation in observations:
+            correction = self._policy.correct(observation)
+            assert correction is not None
+            corrections.append(correction)
+        return corrections

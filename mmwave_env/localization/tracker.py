@@ -8,15 +8,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mmwave_env.interface.policy import Switching
 from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.localizer import (
     CORRECTED,
-    Switching,
-    default_policy,
     episode_from,
     filtered_of,
-    learned,
+    parts_of,
     smoothed,
+    tracker_of,
 )
 from mmwave_env.localization.map_files import geodetic
 from mmwave_env.localization.position_errors import gaussian_levels
@@ -70,7 +70,7 @@ class Tracker:
     """A live tracker of one user; ``localize`` computes bit-identical filtered tracks from logs.
 
     ```python
-    >>> tracker = Tracker("street", policy="corrector")
+    >>> tracker = Tracker("street", policy=policies.load("corrector"))
     >>> rows = [{"time_s": 0.0, "anchor": 1, "range_m": 71.2, "aoa_azimuth_deg": -45.1,
     ...          "aoa_elevation_deg": -6.9, "aod_azimuth_deg": 134.8, "snr_db": 22.0}]
     >>> tracker.update(rows).position_m  # doctest: +SKIP
@@ -79,8 +79,7 @@ class Tracker:
 
     Args:
         scene: scene whose anchors are measured: a name, a JSON file or a Scene.
-        policy: policy file, name of a shipped policy, or a :class:`Switching` between modes; None
-            for :func:`~mmwave_env.localization.localizer.default_policy`.
+        policy: the modes, and the rule or policy that chooses between them.
         radio: profile of the receiver.
         snr_db: SNR to assume for links without an SNR.
         height_m: height of flat terrain, if it is known.
@@ -92,7 +91,7 @@ class Tracker:
     def __init__(
         self,
         scene: str | Path | Scene,
-        policy: str | Path | Switching | None = None,
+        policy: Switching,
         radio: str | Path | Radio = "handset",
         snr_db: float | None = None,
         height_m: float | None = None,
@@ -104,8 +103,6 @@ class Tracker:
         self._clock = clock_from(clock)
         self._scene = scene_from(scene)
         self._radio = radio_from(radio)
-        if not isinstance(policy, Switching):
-            policy = learned(policy or default_policy(height_m), self._radio.name)
         self._switching = policy
         self._snr_db = snr_db
         self._height_m = height_m
@@ -162,7 +159,7 @@ class Tracker:
             or (self._layout.odometry and visible[-1])
         ):
             self._last_s = time_s
-        parts = {name: of[0] for name, of in self._filter.run(*self._switching.parts).items()}
+        parts = {name: of[0] for name, of in self._filter.run(*parts_of(self._switching)).items()}
         x, P, trusted = (parts.pop(name, None) for name in CORRECTED)
         if trusted is None:
             x = parts["x"]
@@ -193,7 +190,7 @@ class Tracker:
 
     def _prepare(self, layout: Layout) -> None:
         """Create the filter and everything else that all epochs share."""
-        self._filter = self._switching.tracker(layout, self._height_m is not None)
+        self._filter = tracker_of(self._switching, layout, self._height_m is not None)
         self._layout = layout
         self._groups = layout.group_names
         self._names = self._switching.names

@@ -11,7 +11,8 @@ from scipy.interpolate import CubicSpline
 
 from experiments.console.main import run
 from mmwave_env.filters.bank import best_bank, default_modes, robust
-from mmwave_env.localization.localizer import Switching, localize
+from mmwave_env.interface.policy import Switching
+from mmwave_env.localization.localizer import localize
 from mmwave_env.logs.log import read_log
 from mmwave_env.logs.tum import read_tum, tum_lines
 from mmwave_env.models.radio import RADIOS

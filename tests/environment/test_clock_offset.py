@@ -14,8 +14,9 @@ from mmwave_env.filters import textbook
 from mmwave_env.filters.bank import Bank, best_bank, modes_from
 from mmwave_env.filters.mode_smoothing import smooth_modes
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.policy import Switching
 from mmwave_env.interface.reward import TrackingReward
-from mmwave_env.localization.localizer import Switching, localize
+from mmwave_env.localization.localizer import localize
 from mmwave_env.localization.tracker import Tracker
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.measurement import SPEED_OF_LIGHT

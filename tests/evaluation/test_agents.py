@@ -10,8 +10,7 @@ from experiments.evaluation.compare import compare, evaluate
 from experiments.evaluation.contenders import contender_from
 from mmwave_env.filters.bank import Bank, bank_as_written, modes_from
 from mmwave_env.models.layout import Layout
-from policies import LearnedSwitch
-from policies.corrector import Correction
+from policies import Correction, LearnedSwitch
 from tests.cli import assert_one_clear_line, command
 from tests.refusals import refuses
 from tests.training.actors import HANDSET, actor, card_of, write

@@ -53,7 +53,7 @@ def test_a_clairvoyant_with_a_long_enough_horizon_takes_the_best_action(done, mo
     policy.foresee(engine)
     for _ in range(done):
         engine.step(np.int64(0))
-    best = rest(done, policy(engine.observations()))
+    best = rest(done, policy.act(engine.observations()))
     every = [rest(done, np.int64(action)) for action in range(len(HANDSET.modes) + 1)]
     np.testing.assert_allclose(best, np.max(every, axis=0), rtol=1e-9)
     assert (best > every[0]).any()

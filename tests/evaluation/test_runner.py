@@ -56,7 +56,7 @@ def test_scores_equal_the_results_of_stepping_a_single_environment(beliefs, per_
         actions = []
         over = False
         while not over:
-            (action,) = policy(observation[None])
+            (action,) = policy.act(observation[None])
             observation, reward, _, over, info = env.step(action)
             rewards.append(reward)
             actions.append(info["mode"])

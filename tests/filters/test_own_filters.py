@@ -17,7 +17,8 @@ from mmwave_env.filters.custom import AlgorithmError
 from mmwave_env.filters.gating import Gate
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.localization.localizer import Switching, localize
+from mmwave_env.interface.policy import Switching
+from mmwave_env.localization.localizer import localize
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES

@@ -23,8 +23,9 @@ from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters.bank import Bank, best_bank, default_modes, named_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import SMOOTHING_WINDOW
+from mmwave_env.interface.policy import Switching
 from mmwave_env.interface.reward import TrackingReward
-from mmwave_env.localization.localizer import Switching, TrackBlock, localize
+from mmwave_env.localization.localizer import TrackBlock, localize
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import read_scene, scene_from

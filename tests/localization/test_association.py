@@ -7,8 +7,8 @@ import pytest
 
 from mmwave_env.datasets.log_folder import read_log_folder
 from mmwave_env.filters.bank import default_modes
+from mmwave_env.interface.policy import Switching
 from mmwave_env.localization.association import Association, associate
-from mmwave_env.localization.localizer import Switching
 from mmwave_env.localization.segments import segments
 from mmwave_env.logs.log import LogBlock, PathEpoch, read_log, read_paths
 from mmwave_env.logs.log_tables import LogError

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from mmwave_env.filters.bank import default_modes
+from mmwave_env.interface.policy import Switching
 from mmwave_env.localization.contradictions import contradictions
 from mmwave_env.localization.diagnosis import AS_IT_IS, diagnose, hypotheses
-from mmwave_env.localization.localizer import Switching, localize
+from mmwave_env.localization.localizer import localize
 from mmwave_env.localization.track_scores import Groups
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS

@@ -7,11 +7,12 @@ from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.positions import Positions
 from experiments.evaluation.runner import score_contenders
 from experiments.evaluation.seeds import Selection
+from mmwave_env.interface.policy import Switching
 from mmwave_env.localization.levels import PARTS, Levels, Network
-from mmwave_env.localization.localizer import Switching, learned
 from mmwave_env.localization.position_errors import PositionErrors, gaussian_levels
 from mmwave_env.localization.tracker import Tracker
 from mmwave_env.task import task_from
+from policies import load
 from tests.localization.test_policy_tracks import RADIO, ROWS, SCENE, blocks, corrector  # noqa: F401
 from tests.localization.test_position_errors import covariances
 from tests.logs.by_hand import track_of
@@ -93,8 +94,8 @@ def test_the_factors_of_a_track_do_not_depend_on_its_division_into_pieces():
 
 @pytest.mark.parametrize("name", representative(["corrector", "ekf"], "ekf"))
 def test_live_tracks_and_tracks_of_logs_have_equal_levels(corrector, name):  # noqa: F811
-    modes = learned("ppo-standard", "standard").modes[:1]
-    switching = Switching(modes) if name == "ekf" else learned(corrector, "standard")
+    modes = load("ppo-standard", "standard").modes[:1]
+    switching = Switching(modes) if name == "ekf" else load(corrector, "standard")
     track = track_of(blocks(50), SCENE, RADIO, switching, window=None, levels=Levels())
     tracker = Tracker(SCENE, switching, "standard", levels=Levels())
     live = [tracker.update(epoch) for epoch in ROWS]

@@ -16,13 +16,14 @@ import numpy as np
 import pytest
 
 from mmwave_env.filters.bank import named_modes
-from mmwave_env.localization.localizer import Switching
+from mmwave_env.interface.policy import Switching
 from mmwave_env.localization.tracker import Tracker
 from mmwave_env.logs.live_log import LiveLog
 from mmwave_env.logs.log import read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import read_scene
+from policies import load
 from tests.logs.by_hand import track_of
 from tests.paths import LOGS
 
@@ -123,7 +124,7 @@ def test_quick_and_careful_reading_accept_and_refuse_the_same_rows(name, first):
 
 @pytest.mark.slow
 def test_an_epoch_takes_little_work_and_no_lasting_memory():
-    tracker = Tracker(SCENE, "guided", RADIO)
+    tracker = Tracker(SCENE, load("guided"), RADIO)
     epochs = walk(300)
     for epoch in epochs[:100]:
         tracker.update(epoch)

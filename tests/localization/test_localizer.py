@@ -12,8 +12,9 @@ from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.filters.bank import Bank, best_bank, default_modes
 from mmwave_env.filters.modes import robust
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.policy import Switching
 from mmwave_env.interface.reward import TrackingReward
-from mmwave_env.localization.localizer import Switching, TrackBlock, localize, smoothed
+from mmwave_env.localization.localizer import TrackBlock, localize, smoothed
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.layout import Layout

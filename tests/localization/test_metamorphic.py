@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from mmwave_env.filters.bank import named_modes
-from mmwave_env.localization.localizer import Switching
+from mmwave_env.interface.policy import Switching
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import read_scene, scene_of_anchors

@@ -6,13 +6,14 @@ import pytest
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.correction import corrected
+from mmwave_env.interface.policy import Switching
 from mmwave_env.interface.reward import TrackingReward
-from mmwave_env.localization.localizer import Switching, episode_from, learned
+from mmwave_env.localization.localizer import episode_from
 from mmwave_env.localization.tracker import Tracker
 from mmwave_env.logs.log import read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.numerics.linalg import unpack
-from policies import Corrector, LearnedSwitch
+from policies import Corrector, LearnedSwitch, load
 from tests.localization.test_live_epochs import RADIO, SCENE, WALK, walk
 from tests.logs.by_hand import cut, track_of
 from tests.paths import representative
@@ -42,7 +43,7 @@ def whole_track(switching, size=50, window=None):
 @POLICIES
 @pytest.mark.parametrize("size", [7, EPOCHS])
 def test_the_track_equals_the_track_in_the_environment_to_the_last_bit(name, size):
-    switching = learned(name, "standard")
+    switching = load(name, "standard")
     (whole,) = blocks(EPOCHS)
     episode = episode_from(whole, SCENE, RADIO)
     pipeline = switching.pipeline(whole.layout, planar=False)
@@ -51,7 +52,7 @@ def test_the_track_equals_the_track_in_the_environment_to_the_last_bit(name, siz
     policy = LearnedSwitch(name, engine.observation)
     expected = []
     for _ in range(EPOCHS):
-        engine.step(policy(engine.observations()))
+        engine.step(policy.act(engine.observations()))
         expected.append(engine.read(engine.at.x)[0])
     track = whole_track(switching, size)
     np.testing.assert_array_equal(track.x, expected)
@@ -59,7 +60,7 @@ def test_the_track_equals_the_track_in_the_environment_to_the_last_bit(name, siz
 
 @POLICIES
 def test_a_live_track_equals_the_track_of_the_complete_log_to_the_last_bit(name):
-    switching = learned(name, "standard")
+    switching = load(name, "standard")
     track = whole_track(switching)
     tracker = Tracker(SCENE, switching, "standard", lag=5)
     positions = []
@@ -87,7 +88,7 @@ def corrector(tmp_path_factory):
 
 @pytest.mark.slow  # compiles large programs
 def test_a_corrected_track_has_the_corrected_beliefs_of_the_environment(corrector):
-    switching = learned(corrector, "standard")
+    switching = load(corrector, "standard")
     (whole,) = blocks(EPOCHS)
     pipeline = switching.pipeline(whole.layout, planar=False)
     engine = Engine(pipeline, 1, TrackingReward(), "signed", switching.bank)
@@ -97,7 +98,7 @@ def test_a_corrected_track_has_the_corrected_beliefs_of_the_environment(correcto
     trusted = []
     policy.reset(np.ones(1, bool))
     for _ in range(EPOCHS):
-        observation, _ = engine.step(policy(engine.observations()))
+        observation, _ = engine.step(policy.act(engine.observations()))
         correction = policy.correct(observation)
         P = unpack(engine.read(engine.at.P)[0].tolist())
         belief = Belief(engine.read(engine.at.x)[0].tolist(), P)
@@ -113,7 +114,7 @@ def test_a_corrected_track_has_the_corrected_beliefs_of_the_environment(correcto
 
 @pytest.mark.slow  # compiles large programs
 def test_a_track_is_smoothed_from_beliefs_without_corrections(corrector):
-    switching = learned(corrector, "standard")
+    switching = load(corrector, "standard")
     bank = Switching(switching.bank)
     smooth = whole_track(switching, window=50).smooth_x
     expected = whole_track(bank, window=50).smooth_x

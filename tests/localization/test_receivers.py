@@ -9,7 +9,7 @@ import pytest
 from mmwave_env.filters import textbook
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.textbook import Sensor, tangent
-from mmwave_env.localization.localizer import Switching
+from mmwave_env.interface.policy import Switching
 from mmwave_env.logs.tum import tum_lines
 from mmwave_env.models.layout import wrapped
 from mmwave_env.models.radio import RADIOS

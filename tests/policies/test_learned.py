@@ -66,7 +66,7 @@ def test_logits_equal_a_computation_in_double_precision(tmp_path, hidden):
 @pytest.mark.parametrize("shape", [(FEATURES,), (2, FEATURES - 1), (1, 2, FEATURES)])
 def test_observations_of_another_shape_are_refused(shared, shape):
     with refuses("observation"):
-        LearnedSwitch(shared)(np.zeros(shape, np.float32))
+        LearnedSwitch(shared).act(np.zeros(shape, np.float32))
 
 
 RENAMED = tuple(replace(mode, name=f"my {mode.name}") for mode in MODES)
@@ -169,7 +169,7 @@ def test_a_policy_runs_without_torch_and_pickle(shared):
         "pickle.load = pickle.loads = pickle.Unpickler = refuse\n"
         f"policy = LearnedSwitch({str(shared)!r})\n"
         "policy.reset(np.ones(2, bool))\n"
-        f"print(policy(np.zeros((2, {FEATURES}), np.float32)).shape)\n"
+        f"print(policy.act(np.zeros((2, {FEATURES}), np.float32)).shape)\n"
         "assert not {'torch', 'stable_baselines3'} & set(sys.modules)\n"
     )
     done = python(code)

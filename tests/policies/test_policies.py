@@ -43,7 +43,7 @@ def observe(table, **features):
 def test_a_policy_maps_a_batch_of_observations_to_a_batch_of_actions(table, n):
     for policy in (FixedMode(1), SpeedRule(table), LikelihoodRule(table, list(THREE))):
         policy.reset(np.ones(n, bool))
-        actions = policy(np.zeros((n, len(table)), np.float32))
+        actions = policy.act(np.zeros((n, len(table)), np.float32))
         assert actions.shape == (n,) and actions.dtype == np.int64
         assert ((actions >= 0) & (actions < 3)).all()
 
@@ -51,30 +51,30 @@ def test_a_policy_maps_a_batch_of_observations_to_a_batch_of_actions(table, n):
 @pytest.mark.parametrize("threshold", [0.0, 0.5, 7.3])
 def test_the_speed_rule_switches_above_its_threshold(table, threshold):
     speeds = [0.0, threshold * (1.0 - 1e-6), threshold, threshold * (1.0 + 1e-6) + 1e-6, 19.9]
-    actions = SpeedRule(table, threshold)(observe(table, predicted_speed=speeds))
+    actions = SpeedRule(table, threshold).act(observe(table, predicted_speed=speeds))
     np.testing.assert_array_equal(actions, [0, 0, 0, 1, 1])
 
 
 def test_the_threshold_of_the_paper_is_the_default(table):
-    actions = SpeedRule(table)(observe(table, predicted_speed=[1.999, 2.001]))
+    actions = SpeedRule(table).act(observe(table, predicted_speed=[1.999, 2.001]))
     np.testing.assert_array_equal(actions, [0, 1])
 
 
 def test_the_speed_rule_warns_once_above_its_range_of_speeds_but_chooses_the_fast_mode(table):
     rule = SpeedRule(table)
     fast = observe(table, predicted_speed=[1.0, 20.5, 35.0])
-    rule(observe(table, predicted_speed=[19.99]))  # must not warn: a warning fails the test
+    rule.act(observe(table, predicted_speed=[19.99]))  # must not warn: a warning fails the test
     with pytest.warns(UserWarning, match="20 m/s") as caught:
-        np.testing.assert_array_equal(rule(fast), [0, 1, 1])
+        np.testing.assert_array_equal(rule.act(fast), [0, 1, 1])
     assert len(caught) == 1
-    np.testing.assert_array_equal(rule(fast), [0, 1, 1])
+    np.testing.assert_array_equal(rule.act(fast), [0, 1, 1])
 
 
 def test_the_likelihood_rule_chooses_the_mode_with_the_highest_preference(table):
     # Preferences are relative to the last mode (ckf), whose own preference is 0.
     scores = np.random.default_rng(0).normal(0.0, 5.0, (100, 2))
     features = {"preference_fast_ekf": scores[:, 0], "preference_fast_ukf": scores[:, 1]}
-    actions = LikelihoodRule(table, list(THREE))(observe(table, **features))
+    actions = LikelihoodRule(table, list(THREE)).act(observe(table, **features))
     expected = np.column_stack([scores, np.zeros(100)]).argmax(axis=1)
     np.testing.assert_array_equal(actions, expected)
     assert set(actions) == {0, 1, 2}
@@ -83,7 +83,7 @@ def test_the_likelihood_rule_chooses_the_mode_with_the_highest_preference(table)
 def test_the_likelihood_rule_needs_features_of_the_coming_epoch():
     prior = Observation(Pipeline(modes_from(None), Layout()), "prior")
     with pytest.raises(KeyError, match="preference fast ekf"):
-        LikelihoodRule(prior, ["ekf", "ukf"])(np.zeros((1, len(prior)), np.float32))
+        LikelihoodRule(prior, ["ekf", "ukf"]).act(np.zeros((1, len(prior)), np.float32))
 
 
 @pytest.mark.parametrize(("speed", "mode"), [(0.0, 0), (2.0, 0), (2.001, 1), (20.0, 1), (99.0, 1)])

@@ -61,7 +61,7 @@ def test_a_policy_file_chooses_the_same_actions_as_its_model(kind, normalized, t
     for _ in range(50):
         actions, _ = model.predict(observed, deterministic=True)
         raw = env.get_original_obs() if normalized else observed
-        np.testing.assert_array_equal(policy(raw), actions)
+        np.testing.assert_array_equal(policy.act(raw), actions)
         taken |= set(actions.tolist())
         observed, _, _, _ = env.step(actions)
     assert len(taken) > 1

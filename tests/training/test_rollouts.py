@@ -80,7 +80,7 @@ def test_the_policy_file_chooses_the_actions_of_the_network(tmp_path):
     taken = set()
     for _ in range(100):
         actions = learner.greedy(env.observations)
-        alike.append(actions == policy(env.observations))
+        alike.append(actions == policy.act(env.observations))
         taken |= set(actions.tolist())
         env.step(actions)
     assert np.mean(alike) > 0.999 and len(taken) > 1

@@ -82,7 +82,7 @@ def test_the_exported_actor_chooses_the_actions_of_the_trained_model(tmp_path):
     alike = []
     for _ in range(250):
         actions, _ = model.predict(now, deterministic=True)
-        alike.append(actions == policy(env.get_original_obs()))
+        alike.append(actions == policy.act(env.get_original_obs()))
         taken |= set(actions.tolist())
         now, *_ = env.step(actions)
     assert taken == {0, 1, 2} and np.mean(alike) == 1.0

@@ -1,0 +1,155 @@
+"""Policies, and what a filter needs to know of one.
+
+A policy has two verbs: it chooses actions, and it may correct beliefs. Rules, learned networks and
+users' agents all follow the protocol :class:`Policy`; code that runs filters asks for nothing else.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol, cast, runtime_checkable
+
+from mmwave_env.filters.bank import Bank
+from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.observation import Observation
+from mmwave_env.models.layout import Layout
+from mmwave_env.models.measurement import Epoch
+from mmwave_env.numerics.numbers import Array32, Index, Mask, Number, Vector
+
+Rule = Callable[[Vector, Epoch], Number]
+
+
+class Correction(NamedTuple):
+    """Corrections of n beliefs after the latest epoch (:mod:`mmwave_env.filters.correction`).
+
+    For n tracks of T epochs, arrays are (n, T, 3) and (n, T).
+
+    Attributes:
+        shift: (n, 3) shifts along and across the motion, and up, in standard deviations of the
+            belief.
+        log_factor: (n, 3) logarithms of factors for these standard deviations.
+        trusted: (n,) trust, the factor, 0 to 1, by which the network's answer was scaled.
+    """
+
+    shift: Array32
+    log_factor: Array32
+    trusted: Array32
+
+
+@runtime_checkable
+class Policy(Protocol):
+    """A map from observations of n tracks to actions and, perhaps, corrections of the beliefs.
+
+    Attributes:
+        corrects: whether :meth:`correct` returns corrections.
+    """
+
+    corrects: bool = False
+
+    def reset(self, mask: Mask) -> None:
+        """Forget the past of tracks where ``mask`` (n,) is True: new tracks begin there."""
+        return  # a policy without a memory has no past to forget
+
+    def act(self, observation: Array32) -> Index:
+        """Return actions (n,) for observations (n, features)."""
+        ...
+
+    def correct(self, observation: Array32) -> Correction | None:
+        """Return corrections of the beliefs after the latest epoch; None without corrections.
+
+        If the policy ``corrects``, this is called once after every epoch. Of the observations
+        (n, features), only the features of the latest epoch
+        (:func:`~mmwave_env.interface.signed.after_update`) are always known.
+        """
+        return None
+
+
+class SmoothedCorrector(Protocol):
+    """A network that corrects smoothed tracks, given whole tracks."""
+
+    def read_from_track(self, pipeline: Pipeline) -> None:
+        """Find the network's features among the features that tracks of a pipeline compute."""
+        ...
+
+    def correct_tracks(self, features: Array32) -> Correction:
+        """Return corrections (n, T, 3) of n smoothed tracks, given features (n, T, features)."""
+        ...
+
+
+@dataclass(frozen=True)
+class _Agent:
+    """A user's function as a policy."""
+
+    act: Callable[[Array32], Index]
+    reset: Callable[[Mask], None]
+    correct: Callable[[Array32], Correction | None]
+    corrects: bool
+
+
+def policy_from(agent: Any) -> Policy:
+    """Return a user's agent as a policy.
+
+    Args:
+        agent: a policy; or a function from observations (n, features) to actions (n,), which may
+            have the methods ``reset`` and ``correct``.
+
+    Raises:
+        ValueError: the agent is neither.
+    """
+    if isinstance(agent, Policy):
+        return agent
+    act = getattr(agent, "act", agent)
+    if not callable(act):
+        raise ValueError(
+            f"found {agent!r}, expected a function from observations (n, features) to actions (n,)"
+        )
+    reset = getattr(agent, "reset", lambda mask: None)
+    correct = getattr(agent, "correct", lambda observation: None)
+    return cast(Policy, _Agent(act, reset, correct, hasattr(agent, "correct")))
+
+
+@dataclass(frozen=True)
+class Switching:
+    """The modes of a track, and the rule or policy that chooses between them.
+
+    Attributes:
+        modes: one or several modes, of which one runs at a time; or a bank, whose modes interact.
+        rule: function of (mean (7,) before the epoch, epoch) that returns the number of a mode.
+        policy: function that makes a policy, given the table of features that the policy observes.
+            The policy chooses the mode to run or, in a bank, the mode whose probability is raised.
+        observation: kind of observation that the policy reads: "full", "prior" or "signed".
+        corrects: whether the policy corrects beliefs.
+
+    Raises:
+        ValueError: a rule is combined with a bank or a policy.
+    """
+
+    modes: tuple[Mode, ...] | Bank
+    rule: Rule | None = None
+    policy: Callable[[Observation], Policy] | None = None
+    observation: str = "full"
+    corrects: bool = False
+
+    def __post_init__(self) -> None:
+        if self.rule and (self.bank or self.policy):
+            raise ValueError("rule: found a rule with a bank or a policy, expected None")
+
+    @property
+    def bank(self) -> Bank | None:
+        """Return the bank; None if only one mode runs at a time."""
+        return self.modes if isinstance(self.modes, Bank) else None
+
+    @property
+    def beliefs(self) -> str:
+        """Return "per-mode" if every mode keeps its own belief, else "shared"."""
+        return "per-mode" if self.bank else "shared"
+
+    @property
+    def names(self) -> list[str]:
+        """Return the names of the modes."""
+        return [mode.name for mode in (self.bank.modes if self.bank else self.modes)]  # type: ignore[union-attr]
+
+    def pipeline(self, layout: Layout, planar: bool) -> Pipeline:
+        """Return the pipeline of the modes."""
+        modes = self.modes.modes if isinstance(self.modes, Bank) else tuple(self.modes)
+        return Pipeline(modes, layout, planar)
