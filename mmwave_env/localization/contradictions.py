@@ -1,11 +1,14 @@
 """Contradictions between a log and its scene, caused by wrong units, signs or frames.
 
 A single row seldom shows a mistake. But over many rows, a mistake causes values that are impossible
-or unlikely, or that do not fit the track that a filter computes from them. The limits are wide: at
-most 10 of 1000 correct logs violate them (``tests/localization/test_contradictions.py``).
+or unlikely, or that do not fit the track that a filter computes from them. Each row of a table
+(:class:`Check`) compares a statistic of the log with its limits. The limits are wide: at most 10 of
+1000 correct logs violate them (``tests/localization/test_contradictions.py``).
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import chain
+from math import inf
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +19,7 @@ from mmwave_env.models.envelope import STEP_S
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.numbers import Array
+from mmwave_env.numerics.numbers import PI, Array
 
 NIS_LIMITS = (0.2, 5.0)  # limits of the NIS per degree of freedom
 SNR_LIMITS_DB = (-60.0, 90.0)
@@ -24,6 +27,7 @@ REJECTED_LIMIT = 1.0 / 3.0  # largest fraction of a group's measurements that ga
 _ENOUGH = 20  # minimum number of epochs for a conclusion
 _ENOUGH_IF_BLOCKED = 100  # minimum number if a blockage of a few seconds may distort a conclusion
 _WINDOW_S = 30.0  # length of a window of epochs, in which the oscillator's offset hardly changes
+_FEWEST = 4  # minimum number of epochs in a window
 _MOST_APART_S = 3.0  # longest gap over which the Doppler shift is integrated
 _SLOPE_LIMITS = (0.5, 1.5)  # limits of the slope: measured / predicted growth of the range
 # A slope is reported only if it differs from 1 by more than this many standard errors. The number
@@ -42,6 +46,16 @@ class Contradiction(NamedTuple):
         return f"{self.group}: found {self.found}, expected {self.expected}"
 
 
+class Check(NamedTuple):
+    """A statistic of a log, its limits, and the words of the contradiction if it is beyond them."""
+
+    group: str
+    statistic: Any  # a number, or an array of numbers that must all be within the limits
+    limits: tuple[float, float]
+    found: str
+    expected: str
+
+
 def contradictions(
     block: LogBlock, scene: Scene, radio: Radio, groups: Mapping[str, Mapping[str, Any]]
 ) -> list[Contradiction]:
@@ -51,73 +65,94 @@ def contradictions(
     its statistics: ``seen`` (number of epochs with it), ``rejected_share`` (fraction of these
     epochs in which a gate rejected it) and ``nis_per_dof``. ``track_scores.Groups`` computes them.
     """
-    return [*impossible(block), *_oddities(block, scene, radio), *_misfits(groups)]
+    checks = chain(_likelihood_checks(block, scene, radio), _fit_checks(groups))
+    return impossible(block) + _failed(checks)
 
 
-def _misfits(groups: Mapping[str, Mapping[str, Any]]) -> Iterator[Contradiction]:
-    """Yield a contradiction for every group of measurements that does not fit the track."""
+def impossible(block: LogBlock) -> list[Contradiction]:
+    """Return contradictions in time steps, ranges and angles that no receiver can measure."""
+    return _failed(_physical_checks(block))
+
+
+def _failed(checks: Iterable[Check]) -> list[Contradiction]:
+    return [
+        Contradiction(group, value, expected)
+        for group, statistic, (low, high), value, expected in checks
+        if np.any((statistic < low) | (statistic > high))
+    ]
+
+
+def _physical_checks(block: LogBlock) -> Iterator[Check]:
+    """Yield checks of values that can't be right in any scene."""
+    steps = np.diff(block.time_s)
+    if len(steps):
+        usual = np.median(steps)
+        expected = f"at most {GAP_S:g} s: is the unit right?"
+        yield Check("time", usual, (0.0, GAP_S), f"epochs {usual:.3g} s apart", expected)
+        shortest = steps.min()
+        value = f"epochs {shortest:.3g} s apart"
+        yield Check("time", shortest, (STEP_S.least or 0.0, inf), value, STEP_S.expected)
+    visible = block.visible[:, : block.layout.anchors]
+    links = block.measurement[:, : block.layout.doppler].reshape(*visible.shape, 4)[visible]
+    ranges, arrivals, elevations, departures = links.T
+    ranges = ranges[ranges > 0.0]
+    if len(ranges):
+        low, high = RANGE_LIMITS_M
+        middle = np.median(ranges)
+        yield Check("range", middle, (low, high), f"{middle:.3g} m", f"{low:g} to {high:g} m")
+    widest = f"up to {WIDEST_ELEVATION_DEG:g}"
+    for group, angles, limit, unit, expected in (
+        ("azimuth of arrival", arrivals, 2.0 * PI, "rad", "up to 2 pi"),
+        ("azimuth of departure", departures, 2.0 * PI, "rad", "up to 2 pi"),
+        ("elevation", np.degrees(elevations), WIDEST_ELEVATION_DEG, "degrees", widest),
+    ):
+        sizes = np.sort(abs(angles[np.isfinite(angles)]))
+        if len(sizes):
+            middle = sizes[(len(sizes) - 1) // 2]  # beyond the limit if most sizes are
+            yield Check(group, middle, (0.0, limit), f"{sizes[-1]:.3g} {unit}", expected)
+
+
+def _likelihood_checks(block: LogBlock, scene: Scene, radio: Radio) -> Iterator[Check]:
+    """Yield checks of values that are possible but unlikely, such as odd SNRs."""
+    low, high = SNR_LIMITS_DB
+    for anchor, column in enumerate(block.snr_db.T, start=1):
+        snr = column[np.isfinite(column)]
+        if len(snr):
+            value = f"SNR of {snr.min():.3g} to {snr.max():.3g} dB"
+            yield Check(f"anchor {anchor}", snr, (low, high), value, f"{low:g} to {high:g} dB")
+    elevation = block.measurement[block.visible[:, 0], 2]
+    if len(elevation) >= _ENOUGH:
+        above = np.mean(elevation > 0.0)
+        most = 0.5 + 1.5 / np.sqrt(len(elevation))  # a half plus three standard errors
+        value = f"a user above this anchor in {100.0 * above:.0f} % of epochs"
+        expected = "a user below this anchor (with negative elevations)"
+        yield Check("anchor 1", above, (0.0, most), value, expected)
+    slope, error = _range_per_doppler(block, scene, radio)
+    low, high = _SLOPE_LIMITS
+    limits = (min(low, 1.0 - _SURE * error), max(high, 1.0 + _SURE * error))
+    value = f"a range that grows by {slope:.3g} m where the shift predicts 1 m"
+    yield Check("Doppler", slope, limits, value, "1 m: are the sign and the unit right?")
+
+
+def _fit_checks(groups: Mapping[str, Mapping[str, Any]]) -> Iterator[Check]:
+    """Yield checks of how well the groups of measurements fit the track."""
     for name, group in groups.items():
         if name == "all" or group["seen"] < _ENOUGH:
             continue
         nis = group["nis_per_dof"]
-        share = group["rejected_share"]
         low, high = NIS_LIMITS
+        expected = f"{low:g} to {high:g}"
         # With large process noise, a filter predicts Doppler shift and odometry far better than its
         # covariance says. Even in correct logs, their NIS is often a tenth of the expected value.
         if not name.startswith("anchor"):
             low = 0.0
-        if nis is not None and not low <= nis <= high:
-            expected = f"{low:g} to {high:g}" if low else f"at most {high:g}"
-            yield Contradiction(name, f"NIS / dof {nis:.3g}", expected)
-        if group["seen"] >= _ENOUGH_IF_BLOCKED and share > REJECTED_LIMIT:
-            yield Contradiction(name, f"{100.0 * share:.0f} % rejected", "at most a third")
-
-
-def impossible(block: LogBlock) -> Iterator[Contradiction]:
-    """Yield a contradiction for time steps, ranges and angles that no receiver can measure."""
-    steps = np.diff(block.time_s)
-    if len(steps) and (usual := np.median(steps)) > GAP_S:
-        expected = f"at most {GAP_S:g} s: is the unit right?"
-        yield Contradiction("time", f"epochs {usual:.3g} s apart", expected)
-    elif len(steps) and not STEP_S.holds(shortest := float(steps.min())):
-        yield Contradiction("time", f"epochs {shortest:.3g} s apart", STEP_S.expected)
-    visible = block.visible[:, : block.layout.anchors]
-    ranges = block.measurement[:, : block.layout.doppler : 4][visible]
-    ranges = ranges[ranges > 0.0]
-    least, most = RANGE_LIMITS_M
-    if len(ranges) and not least <= np.median(ranges) <= most:
-        yield Contradiction("range", f"{np.median(ranges):.3g} m", f"{least:g} to {most:g} m")
-    for name, row in (("azimuth of arrival", 1), ("azimuth of departure", 3)):
-        azimuths = abs(block.measurement[:, row : block.layout.doppler : 4][visible])
-        if 2 * (azimuths > 2.0 * np.pi).sum() > np.isfinite(azimuths).sum():
-            yield Contradiction(name, f"{np.nanmax(azimuths):.3g} rad", "up to 2 pi")
-    elevations = np.degrees(abs(block.measurement[:, 2 : block.layout.doppler : 4][visible]))
-    if 2 * (elevations > WIDEST_ELEVATION_DEG).sum() > np.isfinite(elevations).sum():
-        expected = f"up to {WIDEST_ELEVATION_DEG:g}"
-        yield Contradiction("elevation", f"{np.nanmax(elevations):.3g} degrees", expected)
-
-
-def _oddities(block: LogBlock, scene: Scene, radio: Radio) -> Iterator[Contradiction]:
-    """Yield a contradiction for values that are possible but unlikely, such as odd SNRs."""
-    low, high = SNR_LIMITS_DB
-    for anchor in range(block.layout.anchors):
-        snr = block.snr_db[np.isfinite(block.snr_db[:, anchor]), anchor]
-        if len(snr) and not low <= snr.min() <= snr.max() <= high:
-            value = f"SNR of {snr.min():.3g} to {snr.max():.3g} dB"
-            yield Contradiction(f"anchor {anchor + 1}", value, f"{low:g} to {high:g} dB")
-    direct = block.visible[:, 0]
-    if direct.sum() >= _ENOUGH:
-        above = float((block.measurement[direct, 2] > 0.0).mean())
-        if above > 0.5 + 1.5 / np.sqrt(direct.sum()):  # half plus three standard errors
-            yield Contradiction(
-                "anchor 1",
-                f"a user above this anchor in {100.0 * above:.0f} % of epochs",
-                "a user below this anchor (with negative elevations)",
-            )
-    slope, error = _range_per_doppler(block, scene, radio)
-    if not _SLOPE_LIMITS[0] <= slope <= _SLOPE_LIMITS[1] and abs(slope - 1.0) > _SURE * error:
-        value = f"a range that grows by {slope:.3g} m where the shift predicts 1 m"
-        yield Contradiction("Doppler", value, "1 m: are the sign and the unit right?")
+            expected = f"at most {high:g}"
+        if nis is not None:
+            yield Check(name, nis, (low, high), f"NIS / dof {nis:.3g}", expected)
+        if group["seen"] >= _ENOUGH_IF_BLOCKED:
+            share = group["rejected_share"]
+            value = f"{100.0 * share:.0f} % rejected"
+            yield Check(name, share, (0.0, REJECTED_LIMIT), value, "at most a third")
 
 
 def _range_per_doppler(block: LogBlock, scene: Scene, radio: Radio) -> tuple[float, float]:
@@ -134,46 +169,33 @@ def _range_per_doppler(block: LogBlock, scene: Scene, radio: Radio) -> tuple[flo
     z = block.measurement[direct]
     rate = z[:, block.layout.doppler] / scene.hz_per_mps
     sigma = radio.sigma(block.snr_db[direct], scene, block.layout)[:, 0]
-    sums = np.zeros(4)
-    for part in _windows(time):
-        sums += _regression(
-            time[part], z[part, 0], rate[part], float(np.median(sigma[part])), radio
-        )
-    dof, moved, product, square = sums.tolist()
+    # windows without a long gap
+    window = np.floor((time - time[:1]) / _WINDOW_S)
+    edges = np.flatnonzero((np.diff(time) > _MOST_APART_S) | (np.diff(window) > 0.0)) + 1
+    dof = 0
+    products = np.zeros((2, 2))
+    for part in np.split(np.arange(len(time)), edges):
+        if len(part) >= _FEWEST:
+            usual = float(np.median(sigma[part]))
+            products += _products(time[part], z[part, 0], rate[part], usual, radio)
+            dof += len(part) - 3
+    (moved, product), (_, square) = products.tolist()
     if dof < _ENOUGH_IF_BLOCKED or moved <= 0.0:
-        return 1.0, float("inf")
+        return 1.0, inf
     slope = product / moved
     misfit = max((square - slope * product) / dof, 1.0)
     return slope, float(np.sqrt(misfit / moved))
 
 
-def _windows(time_s: Array) -> Iterator[slice]:
-    """Yield slices of the epochs at times (T,): windows of at least 4 epochs without a long gap."""
-    if not len(time_s):
-        return
-    gap = np.diff(time_s, prepend=time_s[:1]) > _MOST_APART_S
-    within = np.floor((time_s - time_s[:1]) / _WINDOW_S)
-    starts = np.flatnonzero(gap | (np.diff(within, prepend=-1.0) > 0.0))
-    for first, end in zip(starts, [*starts[1:], len(time_s)], strict=True):
-        if end - first > 3:
-            yield slice(first, end)
+def _products(time_s: Array, range_m: Array, rate: Array, sigma: float, radio: Radio) -> Array:
+    """Return the products (2, 2) of the movement and the ranges in a window, divided by sigma^2.
 
-
-def _regression(time_s: Array, range_m: Array, rate: Array, sigma: float, radio: Radio) -> Array:
-    """Return [degrees of freedom, moved^2, moved * range, range^2] of a window.
-
-    The last three are sums over epochs, divided by sigma^2. Their ``moved`` is the residual of a
-    regression of the integral of ``rate`` on a constant and on time; their range, that of ranges.
+    The movement is the integral of ``rate``. A product is a sum over epochs; before, the parts
+    that are constant or grow with time are removed from both factors by a regression.
     """
     time = time_s - time_s.mean()
     moved = np.cumsum(np.diff(time, prepend=time[0]) * 0.5 * (rate + np.roll(rate, 1)))
-    moved -= moved.mean()
-    ranges = range_m - range_m.mean()
+    values = np.stack([moved - moved.mean(), range_m - range_m.mean()])
+    along = values @ time
     ridge = float(time @ time) + (sigma / radio.prior_bias_mps) ** 2
-
-    def product(a: Array, b: Array) -> float:
-        return float(a @ b - (a @ time) * (b @ time) / ridge) / sigma**2
-
-    return np.array(
-        [len(time) - 3, product(moved, moved), product(moved, ranges), product(ranges, ranges)]
-    )
+    return (values @ values.T - np.outer(along, along) / ridge) / sigma**2

@@ -8,7 +8,7 @@ values in the file, not of the converted values, because likelihoods in differen
 compared. If no single mistake explains the log, pairs of mistakes are tried.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import combinations, permutations
@@ -31,7 +31,6 @@ from mmwave_env.world.episode import Episode
 
 DIAGNOSED_EPOCHS = 200
 AS_IT_IS = "as it is"
-_OTHER_RADIO = "radio is "
 
 _RANGE, _AZIMUTH, _ELEVATION, _DEPARTURE = range(4)  # indices of a link's values
 _AZIMUTHS = (_AZIMUTH, _DEPARTURE)
@@ -53,9 +52,20 @@ _SEARCHED_EPOCHS = 50  # number of epochs among which the track's first epoch is
 _ADVANTAGE = 0.01  # bonus for the log as it is, added to its log-likelihood per epoch
 _OUTLIER_QUANTILE = 1e-6  # NIS is capped at the value that chi-square exceeds with this probability
 
+Fits = dict[str, float | None]
+Undo = Callable[["Reading"], "Reading"]
+
+
+class Mistake(NamedTuple):
+    """A likely mistake in a log."""
+
+    words: str  # "the log is consistent if WORDS"
+    cure: str  # how to correct the log: "to correct it, CURE"
+    undo: Undo
+
 
 class Reading(NamedTuple):
-    """The epochs of a log, read as a hypothesis says."""
+    """The epochs of a log, read as a hypothesis says: with certain mistakes undone."""
 
     block: LogBlock  # the epochs; angles need not be wrapped
     # scene, radio: according to the hypothesis, the log was measured in this scene by this radio
@@ -64,9 +74,19 @@ class Reading(NamedTuple):
     # sum of the logarithms of the factors by which values of the file were multiplied; this sum
     # plus the log-likelihood of the new values is the log-likelihood of the values in the file
     log_scale: float = 0.0
+    undone: tuple[Mistake, ...] = ()
 
+    def without(self, mistake: Mistake) -> "Reading":
+        """Return the reading in which one more mistake is undone."""
+        return mistake.undo(self)._replace(undone=(*self.undone, mistake))
 
-Hypothesis = Callable[[Reading], Reading]
+    def finding(
+        self, why: list[Contradiction], fits: Fits | None = None, likelihood: float | None = None
+    ) -> "Finding":
+        """Return the finding on this reading."""
+        words = "; ".join(mistake.words for mistake in self.undone)
+        cure = "; then ".join(mistake.cure for mistake in self.undone)
+        return Finding(words or AS_IT_IS, fits or {}, likelihood, why, cure)
 
 
 class Finding(NamedTuple):
@@ -75,11 +95,11 @@ class Finding(NamedTuple):
     hypothesis: str  # the hypothesis in words
     # for each group of measurements (by name), the median over epochs of its NIS divided by the
     # median of chi-square: near 1 if the hypothesis is right; None if the group was not used
-    nis_per_dof: dict[str, float | None]
+    nis_per_dof: Fits
     # mean over epochs of the log-likelihood of the file's values; None if there is no track
     log_likelihood: float | None
     contradictions: list[Contradiction]  # empty if the hypothesis makes the log consistent
-    cure: str = ""  # how to correct the log if the hypothesis is right; empty for the log as it is
+    cure: str  # how to correct the log if the hypothesis is right; empty for the log as it is
 
     @property
     def worst_anchor(self) -> float | None:
@@ -94,8 +114,8 @@ def _values(block: LogBlock) -> Mask:
     return visible & np.isfinite(block.measurement)
 
 
-def _scaled(parts: Sequence[int], factor: float, offset: float = 0.0) -> Hypothesis:
-    """Return a hypothesis that scales some values of every link, then adds an offset to them.
+def _scaled(parts: Sequence[int], factor: float, offset: float = 0.0) -> Undo:
+    """Return a function that scales some values of every link, then adds an offset to them.
 
     ``parts`` are the indices of these values. If ``parts`` is empty, the Doppler shift is changed.
     """
@@ -127,7 +147,8 @@ def _exchanged(part: int, other: int, reading: Reading) -> Reading:
     block = reading.block
     links = reading.block.layout.doppler
     rows = np.arange(block.layout.size)
-    rows[part:links:4], rows[other:links:4] = rows[other:links:4], rows[part:links:4].copy()
+    rows[part:links:4] = np.arange(other, links, 4)
+    rows[other:links:4] = np.arange(part, links, 4)
     new = replace(block, measurement=block.measurement[:, rows], sigma=block.sigma[:, rows])
     return reading._replace(block=new)
 
@@ -140,71 +161,95 @@ def _anchors(order: Sequence[int], reading: Reading) -> Reading:
     )
 
 
-def _orders(anchors: int) -> list[tuple[int, ...]]:
-    """Return orders of the anchors in which two are exchanged, or all are rotated by one place."""
+def _orders(anchors: int) -> list[list[int]]:
+    """Return orders of the anchors in which all are rotated by one place, or two are exchanged."""
     right = list(range(anchors))
-    orders = [tuple(right[1:] + right[:1]), tuple(right[-1:] + right[:-1])]
+    orders = [right[1:] + right[:1], right[-1:] + right[:-1]]
     for i, j in combinations(right, 2):
         order = right.copy()
         order[i] = j
         order[j] = i
-        orders.append(tuple(order))
-    return [order for order in dict.fromkeys(orders) if order != tuple(right)]
+        orders.append(order)
+    return [order for n, order in enumerate(orders) if order not in (right, *orders[:n])]
 
 
-def hypotheses(scene: Scene, radio: Radio) -> dict[str, tuple[Hypothesis, str]]:
-    """Return likely mistakes by name, each with the function that undoes it and a cure in words."""
-    ends = partial(_exchanged, _AZIMUTH, _DEPARTURE)
-    turned = _scaled([_ELEVATION], -1.0)
-    vertical = partial(_exchanged, _AZIMUTH, _ELEVATION)
-    zenith = _scaled([_ELEVATION], -1.0, PI / 2.0)
-    nadir = _scaled([_ELEVATION], 1.0, -PI / 2.0)
-    swap = "exchange the columns of aoa_azimuth and"
-    north = _scaled(_AZIMUTHS, -1.0, PI / 2.0)
-    flipped = f"{swap} aod_azimuth, negate aoa_elevation"
-    clockwise = "subtract aoa_azimuth and aod_azimuth from 90 degrees"
-    mistakes: dict[str, tuple[Hypothesis, str]] = {
-        "arrival and departure are exchanged": (ends, f"{swap} aod_azimuth"),
-        "azimuth and elevation of arrival are exchanged": (vertical, f"{swap} aoa_elevation"),
-        "elevation has the other sign": (turned, "negate aoa_elevation"),
-        "arrival is measured at the user (downlink)": (lambda r: turned(ends(r)), flipped),
-        "elevation is a zenith angle": (zenith, "subtract aoa_elevation from 90 degrees"),
-        "elevation is a nadir angle": (nadir, "subtract 90 degrees from aoa_elevation"),
-        "azimuths are clockwise from north": (north, clockwise),
-        "times are round-trip times": (_scaled([_RANGE], 0.5), "halve the time of flight"),
-        "Doppler shift has the other sign": (_scaled((), -1.0), "negate doppler"),
-    }
-    if scene.origin and (bearing := scene.origin.bearing_deg) != 90.0:
-        compass = _scaled(_AZIMUTHS, -1.0, np.radians(bearing))
-        east = _scaled(_AZIMUTHS, 1.0, np.radians(bearing - 90.0))
-        write = f"subtract aoa_azimuth and aod_azimuth from {bearing:g} degrees"
-        mistakes["azimuths are compass bearings"] = compass, write
-        cure = f"add {bearing - 90.0:g} degrees to aoa_azimuth and to aod_azimuth"
-        mistakes["azimuths are counterclockwise from east"] = east, cure
-    for name, (column, row) in _COLUMNS.items():
-        cure = f"rename {column}_rad to {column}_deg"
-        mistakes[f"{name} is in degrees"] = _scaled([row], PI / 180.0), cure
-    for unit, suffix, factor in (("degrees", "deg", PI / 180.0), ("radians", "rad", 180.0 / PI)):
-        cure = f"name the columns of angles after their unit, such as aoa_azimuth_{suffix}"
-        mistakes[f"angles are in {unit}"] = _scaled(_ANGLES, factor), cure
-    for error, (factor, unit) in _FACTORS.items():
-        cure = f"multiply values by {factor:g}, or name the column after its true unit, such as"
-        mistakes[f"time of flight is {error}"] = _scaled([_RANGE], factor), f"{cure} toa_{unit}"
-        mistakes[f"time is {error}"] = partial(_timed, factor), f"{cure} time_{unit}"
-    for unit, suffix, factor in (("m/s", "mps", scene.hz_per_mps), ("kHz", "khz", 1e3)):
-        other = f"doppler_{suffix}"
-        to_unit = f"rename doppler_hz to {other}"
-        to_hz = f"rename {other} to doppler_hz"
-        mistakes[f"Doppler shift is in {unit}, not in Hz"] = _scaled((), factor), to_unit
-        mistakes[f"Doppler shift is in Hz, not in {unit}"] = _scaled((), 1.0 / factor), to_hz
+def mistakes(scene: Scene, radio: Radio) -> Iterator[Mistake]:
+    """Yield likely mistakes in the log of a scene and of a radio."""
+    yield from _conventions(scene)
+    yield from _units(scene)
     for order in _orders(len(scene.anchors_m)):
         numbers = ", ".join(str(i + 1) for i in order)
         cure = f"list the anchors of the scene in the order {numbers}"
-        mistakes[f"anchors are the scene's {numbers}"] = partial(_anchors, order), cure
+        yield Mistake(f"anchors are the scene's {numbers}", cure, partial(_anchors, order))
     for name in sorted(RADIOS.keys() - {radio.name}):
         cure = f"use --radio {name}, or radio={name!r}"
-        mistakes[f"{_OTHER_RADIO}{name}"] = partial(Reading._replace, radio=RADIOS[name]), cure
-    return mistakes
+        yield Mistake(f"radio is {name}", cure, partial(Reading._replace, radio=RADIOS[name]))
+
+
+def _conventions(scene: Scene) -> Iterator[Mistake]:
+    """Yield mistakes about the meaning of a value: exchanged columns, signs and zeros of angles."""
+    swap = "exchange the columns of aoa_azimuth and"
+    ends = partial(_exchanged, _AZIMUTH, _DEPARTURE)
+    vertical = partial(_exchanged, _AZIMUTH, _ELEVATION)
+    turned = _scaled([_ELEVATION], -1.0)
+    yield Mistake("arrival and departure are exchanged", f"{swap} aod_azimuth", ends)
+    yield Mistake(
+        "azimuth and elevation of arrival are exchanged", f"{swap} aoa_elevation", vertical
+    )
+    yield Mistake("elevation has the other sign", "negate aoa_elevation", turned)
+    yield Mistake(
+        "arrival is measured at the user (downlink)",
+        f"{swap} aod_azimuth, negate aoa_elevation",
+        lambda reading: turned(ends(reading)),
+    )
+    yield Mistake(
+        "elevation is a zenith angle",
+        "subtract aoa_elevation from 90 degrees",
+        _scaled([_ELEVATION], -1.0, PI / 2.0),
+    )
+    yield Mistake(
+        "elevation is a nadir angle",
+        "subtract 90 degrees from aoa_elevation",
+        _scaled([_ELEVATION], 1.0, -PI / 2.0),
+    )
+    yield Mistake(
+        "azimuths are clockwise from north",
+        "subtract aoa_azimuth and aod_azimuth from 90 degrees",
+        _scaled(_AZIMUTHS, -1.0, PI / 2.0),
+    )
+    yield Mistake("times are round-trip times", "halve the time of flight", _scaled([_RANGE], 0.5))
+    yield Mistake("Doppler shift has the other sign", "negate doppler", _scaled((), -1.0))
+    if scene.origin and (bearing := scene.origin.bearing_deg) != 90.0:
+        yield Mistake(
+            "azimuths are compass bearings",
+            f"subtract aoa_azimuth and aod_azimuth from {bearing:g} degrees",
+            _scaled(_AZIMUTHS, -1.0, np.radians(bearing)),
+        )
+        yield Mistake(
+            "azimuths are counterclockwise from east",
+            f"add {bearing - 90.0:g} degrees to aoa_azimuth and to aod_azimuth",
+            _scaled(_AZIMUTHS, 1.0, np.radians(bearing - 90.0)),
+        )
+
+
+def _units(scene: Scene) -> Iterator[Mistake]:
+    """Yield mistakes about the units of columns."""
+    for name, (column, row) in _COLUMNS.items():
+        cure = f"rename {column}_rad to {column}_deg"
+        yield Mistake(f"{name} is in degrees", cure, _scaled([row], PI / 180.0))
+    for unit, suffix, factor in (("degrees", "deg", PI / 180.0), ("radians", "rad", 180.0 / PI)):
+        cure = f"name the columns of angles after their unit, such as aoa_azimuth_{suffix}"
+        yield Mistake(f"angles are in {unit}", cure, _scaled(_ANGLES, factor))
+    for error, (factor, unit) in _FACTORS.items():
+        cure = f"multiply values by {factor:g}, or name the column after its true unit, such as"
+        yield Mistake(f"time of flight is {error}", f"{cure} toa_{unit}", _scaled([_RANGE], factor))
+        yield Mistake(f"time is {error}", f"{cure} time_{unit}", partial(_timed, factor))
+    for unit, suffix, factor in (("m/s", "mps", scene.hz_per_mps), ("kHz", "khz", 1e3)):
+        other = f"doppler_{suffix}"
+        words = f"Doppler shift is in {unit}, not in Hz"
+        yield Mistake(words, f"rename doppler_hz to {other}", _scaled((), factor))
+        words = f"Doppler shift is in Hz, not in {unit}"
+        yield Mistake(words, f"rename {other} to doppler_hz", _scaled((), 1.0 / factor))
 
 
 def _has_effect(reading: Reading, original: Reading) -> bool:
@@ -213,9 +258,9 @@ def _has_effect(reading: Reading, original: Reading) -> bool:
     old = original.block
     if reading.radio is not original.radio:
         return bool((_values(old) & np.isnan(old.sigma)).any())
-    pairs = (new.measurement, old.measurement), (new.time_s, old.time_s)
-    same = all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
-    return reading.scene is not original.scene or not same
+    if reading.scene is not original.scene or (new.time_s != old.time_s).any():
+        return True
+    return not np.array_equal(new.measurement, old.measurement, equal_nan=True)
 
 
 def _start(block: LogBlock) -> int:
@@ -257,36 +302,47 @@ def diagnose(block: LogBlock, scene: Scene, radio: Radio, mode: Mode) -> list[Fi
     """
     start = _start(block)
     as_it_is = Reading(block.part(slice(start, start + DIAGNOSED_EPOCHS)), scene, radio)
-    single = hypotheses(scene, radio)
-    undone = {name: undo(as_it_is) for name, (undo, _) in single.items()}
-    effective = {name: r for name, r in undone.items() if _has_effect(r, as_it_is)}
-    readings = {AS_IT_IS: as_it_is} | effective
-    findings = _findings(readings, mode)
+    single = [as_it_is.without(mistake) for mistake in mistakes(scene, radio)]
+    single = [reading for reading in single if _has_effect(reading, as_it_is)]
+    findings = _findings([as_it_is, *single], mode)
     if findings[0].contradictions:
-        double = {
-            f"{a}; {b}": single[b][0](undone[a])
-            for a, b in permutations(effective, 2)
+        double = [
+            first.without(*second.undone)
+            for first, second in permutations(single, 2)
             # computing a first position from incomplete links takes too long for all pairs
-            if not block.layout.partial or a.startswith(_OTHER_RADIO)
-        }
+            if not block.layout.partial or first.radio is not radio
+        ]
         best = [f for f in _findings(double, mode) if not f.contradictions]
         findings = best[:1] + findings
-    for i, finding in enumerate(findings):
-        names = finding.hypothesis.split("; ")
-        cures = [single[name][1] for name in names if name in single]
-        findings[i] = finding._replace(cure="; then ".join(cures))
     return findings
 
 
-def _findings(readings: dict[str, Reading], mode: Mode) -> list[Finding]:
-    plain = replace(
-        mode, gate=None, recovery=None, adaptive=False, robust=False, blockage_aware=False
-    )
-    ruled_out = {name: list(impossible(r.block)) for name, r in readings.items()}
-    tracked = {name: r for name, r in readings.items() if not ruled_out[name]}
-    findings = [Finding(name, {}, None, why) for name, why in ruled_out.items() if why]
-    if tracked:
-        findings += _track(tracked, plain)
+def _findings(readings: Sequence[Reading], mode: Mode) -> list[Finding]:
+    """Return a finding on each reading, the best first."""
+    findings = []
+    tracked = []
+    episodes = []
+    for reading in readings:
+        why = impossible(reading.block)
+        if not why:
+            z = reading.block.measurement.copy()
+            wrap_angles(z, reading.block.layout)
+            block = replace(reading.block, measurement=z)
+            try:
+                episodes.append(episode_from(block, reading.scene, reading.radio))
+                tracked.append(reading._replace(block=block))
+            except ValueError as error:
+                why = [Contradiction("track", f"none ({error})", "a track")]
+        if why:
+            findings.append(reading.finding(why))
+    if episodes:
+        mode = replace(
+            mode, gate=None, recovery=None, adaptive=False, robust=False, blockage_aware=False
+        )
+        tracker = Tracker(Pipeline((mode,), episodes[0].layout), len(episodes))
+        tracker.load(episodes)
+        results = tracker.run("memory.nis", "log_likelihood").values()
+        findings += map(_finding, tracked, episodes, *results)
     return sorted(findings, key=_rank)
 
 
@@ -299,42 +355,21 @@ def _rank(finding: Finding) -> tuple[bool, float]:
     return True, np.inf if worst is None else abs(np.log(worst))
 
 
-def _track(readings: dict[str, Reading], mode: Mode) -> Iterable[Finding]:
-    episodes: dict[str, Episode] = {}
-    for name, reading in readings.items():
-        z = reading.block.measurement.copy()
-        wrap_angles(z, reading.block.layout)
-        readings[name] = reading._replace(block=replace(reading.block, measurement=z))
-        try:
-            episodes[name] = episode_from(readings[name].block, reading.scene, reading.radio)
-        except ValueError as error:
-            yield Finding(name, {}, None, [Contradiction("track", f"none ({error})", "a track")])
-    if not episodes:
-        return
-    layout = next(iter(readings.values())).block.layout
-    tracker = Tracker(Pipeline((mode,), layout), len(episodes))
-    tracker.load(list(episodes.values()))
-    nis, likelihood = tracker.run("memory.nis", "log_likelihood").values()
-    for i, (name, episode) in enumerate(episodes.items()):
-        yield _finding(name, readings[name], episode.visible, nis[i], likelihood[i])
-
-
-def _finding(name: str, reading: Reading, visible: Mask, nis: Array, likelihood: Array) -> Finding:
+def _finding(reading: Reading, episode: Episode, nis: Array, likelihood: Array) -> Finding:
+    """Return the finding on a reading with a track: NIS (T, groups) and log-likelihoods (T,)."""
     block = reading.block
-    layout = reading.block.layout
+    layout = block.layout
     starts = [group.start for group in layout.groups]
     dof = np.add.reduceat(_values(block), starts, axis=1, dtype=np.int64)
-    fits: dict[str, float | None] = {}
-    for g, group in enumerate(layout.group_names):
-        used = visible[:, g]
+    fits: Fits = {}
+    groups = {}
+    for g, name in enumerate(layout.group_names):
+        used = episode.visible[:, g]
         ratios = nis[used, g] / chdtri(dof[used, g], 0.5)
-        fits[group] = float(np.median(ratios)) if used.any() else None
+        fits[name] = float(np.median(ratios)) if used.any() else None
+        groups[name] = {"seen": used.sum(), "rejected_share": 0.0, "nis_per_dof": fits[name]}
     if not np.isfinite(likelihood).all():
-        return Finding(name, fits, None, [Contradiction("track", "NaN or infinity", "numbers")])
+        return reading.finding([Contradiction("track", "NaN or infinity", "numbers")], fits)
     clipped = np.maximum(nis - chdtri(np.maximum(dof, 1), _OUTLIER_QUANTILE), 0.0).sum()
     mean = (float(likelihood.sum() + 0.5 * clipped) + reading.log_scale) / len(block)
-    groups = {
-        group: {"seen": int(count), "rejected_share": 0.0, "nis_per_dof": fits[group]}
-        for group, count in zip(layout.group_names, visible.sum(axis=0), strict=True)
-    }
-    return Finding(name, fits, mean, contradictions(block, reading.scene, reading.radio, groups))
+    return reading.finding(contradictions(block, reading.scene, reading.radio, groups), fits, mean)

@@ -10,7 +10,7 @@ import pytest
 from mmwave_env.filters.bank import default_modes
 from mmwave_env.interface.policy import Switching
 from mmwave_env.localization.contradictions import contradictions
-from mmwave_env.localization.diagnosis import AS_IT_IS, diagnose, hypotheses
+from mmwave_env.localization.diagnosis import AS_IT_IS, diagnose, mistakes
 from mmwave_env.localization.localizer import localize
 from mmwave_env.localization.track_scores import Groups
 from mmwave_env.logs.log import read_log
@@ -72,7 +72,7 @@ def test_a_correct_log_is_diagnosed_as_consistent(folder):
     assert not doubts(read_log(folder / "log.csv", scene), scene)
     best, *others = findings(folder / "log.csv", scene)
     assert best.hypothesis == AS_IT_IS and not best.contradictions
-    assert {f.hypothesis for f in others} == set(hypotheses(scene, RADIO))
+    assert {f.hypothesis for f in others} == {m.words for m in mistakes(scene, RADIO)}
     for group, nis in best.nis_per_dof.items():
         assert (0.0 if group == "Doppler" else 0.5) < nis < 2.0
 
