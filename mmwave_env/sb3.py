@@ -93,15 +93,6 @@ class SB3VecEnv(VecEnv):
         self._lengths[over] = 0
         return observations, rewards.astype(np.float32), over, infos
 
-    def state(self) -> dict[str, NDArray[Any]]:
-        """Return the returns and lengths (n,) of running episodes, for :meth:`restore`."""
-        return {"returns": self._returns.copy(), "lengths": self._lengths.copy()}
-
-    def restore(self, state: dict[str, NDArray[Any]]) -> None:
-        """Restore a state that :meth:`state` returned."""
-        self._returns[:] = state["returns"]
-        self._lengths[:] = state["lengths"]
-
     def close(self) -> None:
         """Close the environment."""
         self.env.close()

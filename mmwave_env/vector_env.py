@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from mmwave_env.engines.environment import RestorableEnvironment
+from mmwave_env.engines.environment import Environment
 from mmwave_env.engines.vector_step import Stepper
 from mmwave_env.interface.actions import numbers_in, space_of
 from mmwave_env.interface.info import (
@@ -38,9 +38,7 @@ Step = tuple[Observations, Array, Mask, Mask, dict[str, Any]]
 BEGUN = 512  # maximum number of episodes drawn in one call, to limit the memory that they need
 
 
-class MmWaveLocVectorEnv(
-    RestorableEnvironment, gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
-):
+class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Observations, Index, NDArray[Any]]):
     """N copies of :class:`~mmwave_env.env.MmWaveLocEnv`, stepped in one kernel call.
 
     Environment i has the same episodes, observations, rewards and infos, to the last bit, as a

@@ -221,21 +221,19 @@ class CorrectorTraining:
         return {"loss": loss}
 
     def _state(self) -> State:
-        """Return everything on which the rest of the training depends, for :meth:`_restore`."""
+        """Return the weights, the optimizer and the scales, for :meth:`_restore`."""
         return {
             "network": self.learner.network.state_dict(),
             "optimizer": self.learner.optimizer.state_dict(),
-            "scales": self.learner.scales,
+            "scales": {k: torch.from_numpy(scale) for k, scale in self.learner.scales.items()},
             "played": self.data.played,
-            "torch": torch.get_rng_state(),
         }
 
     def _restore(self, state: State) -> None:
         self.learner.network.load_state_dict(state["network"])
         self.learner.optimizer.load_state_dict(state["optimizer"])
-        self.learner.scales = {name: np.asarray(value) for name, value in state["scales"].items()}
-        self.data.played = int(state["played"])
-        torch.set_rng_state(state["torch"])
+        self.learner.scales = {name: value.numpy() for name, value in state["scales"].items()}
+        self.data.played = state["played"]
 
 
 def mixed(lots: list[Lot], size: int, rng: np.random.Generator) -> Iterator[Lot]:

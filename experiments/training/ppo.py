@@ -11,7 +11,7 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecNormalize
 
-from experiments.training.checkpoint import State, going_on_from, with_arrays
+from experiments.training.checkpoint import State, going_on_from
 from experiments.training.hyperparameters import PpoHyperparameters, falling
 from experiments.training.job import Job, News, Tell
 from experiments.training.record import Record
@@ -55,7 +55,7 @@ class PpoTraining(BaseCallback):
         self.env = PlacesVecEnv(job.task, job.hyperparameters)
         clip = job.hyperparameters.clip_observation
         self.normal = VecNormalize(self.env, norm_reward=False, clip_obs=clip)
-        self.model = learner(self.normal, job.hyperparameters, job.first_seed)
+        self.model = learner(self.normal, job.hyperparameters, self._record.first_seed)
         self._ended: list[Json] = []
 
     def run(self) -> Json:
@@ -66,7 +66,7 @@ class PpoTraining(BaseCallback):
         model.set_logger(Logger(None, [self._record.log]))
         if "learner" in progress:
             with going_on_from(job.checkpoint):
-                self._restore(progress.pop("learner"), with_arrays(progress.pop("env")))
+                self._restore(progress.pop("learner"))
         left = job.timesteps - model.num_timesteps
         fresh = not model.num_timesteps
         never: Any = None  # stops SB3's own logging; the annotation of log_interval forbids None
@@ -103,9 +103,7 @@ class PpoTraining(BaseCallback):
         if update % LOG == 0:
             model.dump_logs()
         if update % job.checkpoint_every == 0:
-            moments = {name: getattr(self.moments, name) for name in MOMENTS}
-            env = {"places": self.env.state(), "normal": moments}
-            self._record.save(env=env, learner=self._learner_state())
+            self._record.save(learner=self._learner_state())
         self._tell(News(model.num_timesteps))
 
     def _on_step(self) -> bool:
@@ -128,40 +126,22 @@ class PpoTraining(BaseCallback):
             self.logger.record(key, number)
 
     def _learner_state(self) -> State:
-        model = self.model
-        kind, keys, *rest = np.random.get_state()  # noqa: NPY002  this generator shuffles batches
+        """Return the weights, the optimizer and the normalization, for :meth:`_restore`."""
+        moments = {name: torch.as_tensor(getattr(self.moments, name)) for name in MOMENTS}
         return {
-            "timesteps": model.num_timesteps,
-            "updates": model._n_updates,
-            "parameters": model.get_parameters(),
-            "observations": model._last_obs,
-            "begins": model._last_episode_starts,
-            "torch": torch.get_rng_state(),
-            "numpy": [kind, keys, *rest],
-            "episodes": list(model.ep_info_buffer or ()),
-            "pending": {k: float(v) for k, v in model.logger.name_to_value.items()},
-            "counts": dict(model.logger.name_to_count),
+            "timesteps": self.model.num_timesteps,
+            "updates": self.model._n_updates,
+            "parameters": self.model.get_parameters(),
+            "moments": moments,
         }
 
-    def _restore(self, state: State, env: State) -> None:
-        """Restore the state of a training, bit for bit, as if it had not been interrupted."""
-        model = self.model
-        model._setup_learn(0)
-        model.num_timesteps = state["timesteps"]
-        model._n_updates = state["updates"]
-        model.set_parameters(state["parameters"], device="cpu")
-        model._last_obs = state["observations"].numpy()
-        model._last_episode_starts = state["begins"].numpy()
-        assert model.ep_info_buffer is not None  # _setup_learn made it
-        model.ep_info_buffer.extend(state["episodes"])
-        model.logger.name_to_value.update(state["pending"])
-        model.logger.name_to_count.update(state["counts"])
-        torch.set_rng_state(state["torch"])
-        kind, keys, *rest = state["numpy"]
-        np.random.set_state((kind, keys.numpy(), *rest))  # noqa: NPY002
-        self.env.restore(env["places"])
+    def _restore(self, state: State) -> None:
+        """Go on from saved weights; the environments begin with new episodes."""
+        self.model.num_timesteps = state["timesteps"]
+        self.model._n_updates = state["updates"]
+        self.model.set_parameters(state["parameters"], device="cpu")
         for name in MOMENTS:
-            setattr(self.moments, name, env["normal"][name])
+            setattr(self.moments, name, state["moments"][name].numpy())
 
 
 def learner(venv: VecNormalize, hyper: PpoHyperparameters, seed: int) -> PPO:

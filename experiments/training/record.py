@@ -67,6 +67,7 @@ class Record:
             "seconds" (wall time) and "rows" (log) are from the checkpoint; without one, 0 and [].
             All other entries belong to the trainer, which removes them when it resumes.
         log: log of the training's progress.
+        first_seed: seed of the first environment; the other seeds count up from it.
 
     Raises:
         ValueError: the checkpoint is damaged.
@@ -86,6 +87,8 @@ class Record:
         }
         if job.checkpoint.exists():
             self.progress |= read_checkpoint(job.checkpoint)
+        # environments that go on after an interruption get new episodes
+        self.first_seed = job.first_seed + self.progress["update"] * job.hyperparameters.num_envs
         self._evaluator = Evaluator(job.task, job.episodes)
         self.log = ProgressLog(job.folder, self.progress["rows"])
 

@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 
 from experiments.evaluation.branches import Act, Branches
-from experiments.training.checkpoint import State
 from experiments.training.training_task import TrainingTask, require_environments
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import rows_of
@@ -18,7 +17,6 @@ from mmwave_env.numerics.numbers import Array, Array32, Index
 from mmwave_env.world.keys import Streams
 from policies.sb3 import Normalization
 
-STATE = ("rows", "table", "length", "epoch")  # arrays of a batch that determine its future
 CONSTANT = 1e-4  # added to standard deviations, which are 0 for a feature that never changes
 
 
@@ -134,20 +132,6 @@ class RolloutEnv:
         state = self._engine.batch.state
         whole = state.epoch - 1 + self._horizon <= state.length
         return Tried(self.observations[whole], values[whole])
-
-    def state(self) -> State:
-        """Return a copy of all state that determines the future, for :meth:`restore`."""
-        state = self._engine.batch.state
-        arrays = {name: getattr(state, name).copy() for name in STATE}
-        observations = self.observations.copy()
-        return arrays | {"streams": self._streams.states(), "observations": observations}
-
-    def restore(self, state: State) -> None:
-        """Continue exactly from a :meth:`state`, possibly of another RolloutEnv."""
-        for name in STATE:
-            getattr(self._engine.batch.state, name)[:] = state[name]
-        self._streams.set_states(state["streams"])
-        self.observations = state["observations"].copy()
 
 
 def _one_pipeline(task: TrainingTask, layouts: set[Layout]) -> Pipeline:

@@ -7,14 +7,13 @@ policy iteration (Bertsekas, Rollout, Policy Iteration, and Distributed Reinforc
 2020). Actions do not change measurements, so the values of actions are exact up to the horizon.
 """
 
-from copy import deepcopy
 from itertools import pairwise
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from experiments.training.checkpoint import State, going_on_from, with_arrays
+from experiments.training.checkpoint import State, going_on_from
 from experiments.training.hyperparameters import RolloutHyperparameters, falling
 from experiments.training.job import Job, News, Tell
 from experiments.training.record import Record
@@ -42,9 +41,7 @@ class RolloutLearner:
         self, features: int, actions: int, hyper: RolloutHyperparameters, normal: Normalization
     ) -> None:
         self._hyper = hyper
-        self._low, self._high, self._mean, self._sigma = (
-            torch.from_numpy(part.astype(np.float32)) for part in normal
-        )
+        self.normal = normal
         layers: list[nn.Module] = []
         for width, neurons in pairwise((features, *hyper.hidden)):
             layers += [nn.Linear(width, neurons), nn.Tanh()]
@@ -64,8 +61,9 @@ class RolloutLearner:
         return logits
 
     def _normal(self, observations: Array32) -> Tensor:
-        clipped = torch.clamp(torch.from_numpy(observations), self._low, self._high)
-        return (clipped - self._mean) / self._sigma
+        normal = [torch.from_numpy(part.astype(np.float32)) for part in self.normal]
+        low, high, mean, sigma = normal
+        return (torch.clamp(torch.from_numpy(observations), low, high) - mean) / sigma
 
     @torch.no_grad()
     def greedy(self, observations: Array32) -> Index:
@@ -120,23 +118,18 @@ class RolloutLearner:
         return dict(zip(names, (sums / hyper.gradient_steps).tolist(), strict=True))
 
     def state(self) -> State:
-        """Return all state that determines the future, for :meth:`restore`."""
+        """Return the weights, the optimizer and the normalization, for :meth:`restore`."""
         return {
             "network": self.network.state_dict(),
             "optimizer": self._optimizer.state_dict(),
-            "observations": self._observations,
-            "gains": self._gains,
-            "seen": self._seen,
+            "normal": [torch.from_numpy(part) for part in self.normal],
         }
 
     def restore(self, state: State) -> None:
-        """Restore the exact :meth:`state` of another learner."""
+        """Go on from the weights of a :meth:`state`, with an empty memory."""
         self.network.load_state_dict(state["network"])
-        # Without a copy, the optimizer would share the tensors of ``state``.
-        self._optimizer.load_state_dict(deepcopy(state["optimizer"]))
-        self._observations[:] = state["observations"]
-        self._gains[:] = state["gains"]
-        self._seen = state["seen"]
+        self._optimizer.load_state_dict(state["optimizer"])
+        self.normal = Normalization(*(part.numpy() for part in state["normal"]))
 
 
 class RolloutTraining:
@@ -162,10 +155,11 @@ class RolloutTraining:
         self._tell = tell
         self._record = Record(job, tell)
         hyper = job.hyperparameters
-        self.env = RolloutEnv(job.task, hyper.num_envs, hyper.horizon, hyper.gamma, job.first_seed)
-        self._normal = self.env.measured_normalization(hyper.clip_observation)
+        seed = self._record.first_seed
+        self.env = RolloutEnv(job.task, hyper.num_envs, hyper.horizon, hyper.gamma, seed)
+        normal = self.env.measured_normalization(hyper.clip_observation)
         table = self.env.observation
-        self.learner = RolloutLearner(len(table), len(table.actions), hyper, self._normal)
+        self.learner = RolloutLearner(len(table), len(table.actions), hyper, normal)
 
     def run(self) -> Json:
         """Train to the end; return the outcome from :meth:`Record.close`."""
@@ -174,21 +168,15 @@ class RolloutTraining:
         progress = self._record.progress
         if "learner" in progress:
             with going_on_from(job.checkpoint):
-                self.env.restore(with_arrays(progress.pop("env")))
                 self.learner.restore(progress.pop("learner"))
-                torch.set_rng_state(progress.pop("torch"))
         while progress["timesteps"] < job.timesteps:
             figures = self._update()
             if progress["update"] % EVALUATE == 0 or progress["timesteps"] >= job.timesteps:
-                actor = actor_tensors(self.learner.network, self._normal)
+                actor = actor_tensors(self.learner.network, self.learner.normal)
                 figures |= record.evaluate(actor, self.env.observation)
             record.log.write(figures | {"seconds": record.seconds}, {}, progress["timesteps"])
             if progress["update"] % job.checkpoint_every == 0:
-                record.save(
-                    env=self.env.state(),
-                    learner=self.learner.state(),
-                    torch=torch.get_rng_state(),
-                )
+                record.save(learner=self.learner.state())
             self._tell(News(progress["timesteps"]))
         return record.close()
 

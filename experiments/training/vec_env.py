@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
-from experiments.training.checkpoint import State
 from experiments.training.hyperparameters import PpoHyperparameters
 from experiments.training.training_task import TrainingTask, require_environments, shares
 from mmwave_env.interface.reward import PairedReward
@@ -85,19 +84,6 @@ class PlacesVecEnv(VecEnv):
         *arrays, infos = zip(*(part.step_wait() for part in self._parts), strict=True)
         observations, rewards, over = map(np.concatenate, arrays)
         return observations, rewards, over, [info for part in infos for info in part]
-
-    def state(self) -> State:
-        """Return all state that determines the future, for :meth:`restore`."""
-        return {
-            str(i): {"env": env.state(), "returns": part.state()}
-            for i, (env, part) in enumerate(zip(self.envs, self._parts, strict=True))
-        }
-
-    def restore(self, state: State) -> None:
-        """Continue exactly like the environments that returned this :meth:`state`."""
-        for i, (env, part) in enumerate(zip(self.envs, self._parts, strict=True)):
-            env.restore(state[str(i)]["env"])
-            part.restore(state[str(i)]["returns"])
 
     def close(self) -> None:
         """Close all environments."""

@@ -131,7 +131,7 @@ class Batch(Generic[Workspace]):
             begun: beginnings of the episodes, one for each of ``places``.
             places: indices of the environments that begin.
         """
-        self.attach(source)
+        self._attach(source)
         block, lane = np.divmod(places, WIDTH)
         self.state.feed.kept[block, :, lane] = begun.worlds
         self.state.length[places] = source.epochs
@@ -139,7 +139,7 @@ class Batch(Generic[Workspace]):
         self.write(site, begun.sites, places)
         self.restart(places)
 
-    def attach(self, source: SimulatedSource) -> None:
+    def _attach(self, source: SimulatedSource) -> None:
         """Create the feed (compiled code that simulates epochs), unless there is one already."""
         if not self.state.feed.run:
             blank = source.begin(np.zeros(1, np.uint64)).worlds

@@ -122,13 +122,6 @@ class Engine:
         self.batch.begin(source, begun, places)
         return [source.names[kind] for kind in begun.kinds]
 
-    def attach(self, task: Task) -> None:
-        """Make room for the simulated episodes of a task; current episodes continue."""
-        if task.simulated.travels:
-            self.batch.attach(task.simulated)
-        else:
-            self.batch.make_room(task.simulated.epochs)
-
     def go_on(self, task: Task, tracks: BatchState) -> None:
         """Continue from a batch's state, which another process may have saved with this task."""
         if len(tracks.feed.kept):  # the address of compiled code differs between processes

@@ -1,6 +1,6 @@
-"""The base classes of environments, which run on an engine and can be copied, saved and restored.
+"""The base class of environments, which run on an engine and can be copied.
 
-A copy or a restored environment computes exactly what the original would compute.
+A copy computes exactly what the original would compute.
 """
 
 from collections.abc import Callable
@@ -11,7 +11,6 @@ from typing import Any, Self
 
 import numpy as np
 from gymnasium.error import ResetNeeded
-from numpy.typing import NDArray
 
 from mmwave_env.compiler.threads import portions, share
 from mmwave_env.engines.batch import Batch
@@ -19,7 +18,6 @@ from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import run_imm
 from mmwave_env.engines.replay import Replay
 from mmwave_env.engines.tally import Tally
-from mmwave_env.engines.vector_step import Stepper
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import MODE, limits_of
@@ -27,10 +25,9 @@ from mmwave_env.interface.info import SMOOTHED_KEY, drawn_rows, reported
 from mmwave_env.interface.reward import term_names
 from mmwave_env.metrics import INFO_KEYS, ate, scored
 from mmwave_env.models.scene import Streets
-from mmwave_env.numerics.numbers import Array, Index, Mask
+from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.task import Task
 from mmwave_env.world.episode import EpisodeBatch
-from mmwave_env.world.keys import Streams
 
 # maximum numbers of episodes that a job replays (REPLAYED) or filters (FILTERED), to save memory
 REPLAYED = 8
@@ -242,86 +239,3 @@ class Environment:
         memo |= {id(self): twin, id(self._task): self._task}
         twin.__setstate__(deepcopy(self.__getstate__(), memo))
         return twin
-
-
-class RestorableEnvironment(Environment):
-    """Environments that step together and whose state can be saved and restored."""
-
-    num_envs: int
-    _stepper: Stepper
-    _streams: Streams
-    _over: Mask
-    _ended: int
-    _begin_pictures: Callable[[Index], None]  # clears the pictures of episodes that just began
-
-    def state(self) -> dict[str, NDArray[Any]]:
-        """Return copies of all arrays that later steps depend on, for :meth:`restore`.
-
-        Raises:
-            ResetNeeded: no episode is under way.
-            ValueError: episodes are not simulated.
-        """
-        self._require_begun("state")
-        self._require_simulated("state")
-        return {name: array.copy() for name, array in self._arrays().items()} | {
-            "streams": self._streams.states(),
-            "over": self._over.copy(),
-        }
-
-    def _arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the arrays that :meth:`state` copies unchanged."""
-        tracks = self._engine.batch.state
-        counts = self._tally.counts
-        arrays: dict[str, NDArray[Any]] = {
-            "rows": tracks.rows,
-            "worlds": tracks.feed.kept,
-            "table": tracks.table,
-        }
-        arrays |= {"length": tracks.length, "epoch": tracks.epoch, "keys": self._engine.keys}
-        arrays |= {"sums": counts.sums, "errors": counts.errors, "second": counts.second}
-        return arrays | {"actions": counts.modes}
-
-    def restore(self, state: dict[str, NDArray[Any]]) -> None:
-        """Continue exactly like the environment that returned this :meth:`state`.
-
-        Args:
-            state: state of an environment with the same arguments.
-
-        Raises:
-            ValueError: the arrays of the state do not fit the arguments; or episodes are not
-                simulated.
-        """
-        self._require_simulated("restore")
-        n = self.num_envs
-        source = self._task.simulated
-        self._engine.attach(self._task)
-        self._tally.make_room(min(round(1.0 / source.dt), source.epochs), source.epochs)
-        arrays = self._arrays()
-        others = {"streams": (n, 2), "over": (n,)}
-        for name, shape in (others | {key: array.shape for key, array in arrays.items()}).items():
-            stored = state[name].shape if name in state else "nothing"
-            if stored != shape:
-                raise ValueError(
-                    f"{name} of the state: found {stored}, expected the shape {shape}, as in an "
-                    "environment with the same arguments"
-                )
-        if wrong := sorted({*state["length"].tolist()} - {source.epochs}):
-            raise ValueError(
-                f"length of the state: found episodes of {wrong[0]} epochs, "
-                f"expected {source.epochs} epochs"
-            )
-        for name, array in arrays.items():
-            array[:] = state[name]
-        self._streams.set_states(state["streams"])
-        self._over = state["over"].copy()
-        self._ended = int(np.count_nonzero(state["over"]))
-        self._begin_baseline(np.arange(n))
-        self._begin_pictures(np.arange(n))  # a state does not contain the path that pictures show
-        self._begun = True
-
-    def _require_simulated(self, call: str) -> None:
-        if not self._task.has_keys:
-            raise ValueError(
-                f"{call}: found episodes from your own source or a recording, expected "
-                "simulated episodes, because only their state can be saved"
-            )

@@ -97,7 +97,8 @@ class Streams:
     def __init__(self, n: int) -> None:
         self._states = np.zeros((n, 2), np.uint64)  # streams, and numbers of keys drawn from them
         self._states[:, 0] = np.random.SeedSequence().generate_state(n, np.uint64)
-        self.set_states(self._states)
+        self._seeds = [-1] * n
+        self._generators: list[np.random.Generator | None] = [None] * n
 
     def seed(self, place: int, seed: int) -> None:
         """Start the stream of environment number ``place`` with a seed >= 0, as Env.reset does."""
@@ -130,16 +131,6 @@ class Streams:
     def seeds(self) -> tuple[int, ...]:
         """Return the seeds (n,) of the streams; -1 where the seed is unknown."""
         return tuple(self._seeds)
-
-    def states(self) -> NDArray[np.uint64]:
-        """Return a copy (n, 2) of the streams and of the numbers of keys drawn from each."""
-        return self._states.copy()
-
-    def set_states(self, states: NDArray[np.uint64]) -> None:
-        """Set the states (n, 2) from :meth:`states`; the seeds are then unknown."""
-        self._states[:] = states
-        self._seeds = [-1] * len(states)
-        self._generators: list[np.random.Generator | None] = [None] * len(states)
 
     def keys(self, places: Index) -> Keys:
         """Draw the next key of each environment in ``places``, which are distinct indices."""

@@ -204,8 +204,28 @@ def memory() -> Iterator[Row]:
     for beliefs in ("shared", "per-mode"):
         env = MmWaveLocVectorEnv(64, beliefs=beliefs)
         env.reset(seed=0)
-        for name, array in env.state().items():
+        for name, array in _arrays(env).items():
             yield {"array": f"{beliefs}: {name}", "bytes": array.nbytes // 64}
+
+
+def _arrays(env: MmWaveLocVectorEnv) -> dict[str, Any]:
+    """Return the arrays that later steps of environments depend on."""
+    tracks = env.batch.state
+    counts = env._tally.counts
+    return {
+        "rows": tracks.rows,
+        "worlds": tracks.feed.kept,
+        "table": tracks.table,
+        "length": tracks.length,
+        "epoch": tracks.epoch,
+        "keys": env._engine.keys,
+        "sums": counts.sums,
+        "errors": counts.errors,
+        "second": counts.second,
+        "actions": counts.modes,
+        "streams": env._streams._states,
+        "over": env._over,
+    }
 
 
 # Estimates diverge in the episodes of keys 3656569636567469460 and 9573841816382471088.

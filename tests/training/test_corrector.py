@@ -18,8 +18,7 @@ from mmwave_env.metrics import BURN_IN
 from mmwave_env.models.random_scene import WIDE_SCENE
 from policies import Corrector
 from tests.training.test_rollout_env import task
-from tests.training.test_rollouts import Interrupted, interrupt_after
-from tests.training.test_train_interrupted import assert_same_training, silent
+from tests.training.test_train_interrupted import assert_goes_on, silent
 
 pytestmark = pytest.mark.torch
 
@@ -74,15 +73,8 @@ def test_no_episode_is_played_twice():
 
 
 @pytest.mark.slow
-def test_an_interrupted_training_continues_to_the_same_result(tmp_path):
-    whole = job_of(tmp_path / "whole")
-    job = job_of(tmp_path / "part")
-    CorrectorTraining(whole, silent).run()
-    with pytest.raises(Interrupted):
-        CorrectorTraining(job, interrupt_after(1)).run()
-    assert job.checkpoint.exists()
-    CorrectorTraining(job, silent).run()
-    assert_same_training(job.folder, whole.folder)
+def test_an_interrupted_training_goes_on(tmp_path):
+    assert_goes_on(CorrectorTraining, job_of(tmp_path))
 
 
 @pytest.mark.slow

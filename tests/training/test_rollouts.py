@@ -18,7 +18,7 @@ from mmwave_env.interface.reward import TrackingReward
 from policies import LearnedSwitch
 from policies.sb3 import Normalization
 from tests.training.test_rollout_env import PLACES, task
-from tests.training.test_train_interrupted import assert_same_training, silent
+from tests.training.test_train_interrupted import assert_goes_on, silent
 
 pytestmark = pytest.mark.torch
 
@@ -40,32 +40,8 @@ def train(job, tell=silent):
     return RolloutTraining(job, tell).run()
 
 
-class Interrupted(Exception):
-    pass
-
-
-def interrupt_after(calls):
-    """Return a callback that does nothing ``calls`` times and then interrupts the training."""
-    left = iter(range(calls))
-
-    def tell(*_):
-        if next(left, None) is None:
-            raise Interrupted
-
-    return tell
-
-
-def test_an_interrupted_training_continues_to_the_same_result(tmp_path):
-    """Interrupt three times, once at an evaluation, with a memory too small for all states."""
-    whole = job_of(tmp_path / "whole")
-    job = job_of(tmp_path / "part", checkpoint_every=2)
-    train(whole)
-    for calls in (3, 2, 4):
-        with pytest.raises(Interrupted):
-            train(job, interrupt_after(calls))
-        assert job.checkpoint.exists()
-    train(job)
-    assert_same_training(job.folder, whole.folder)
+def test_an_interrupted_training_goes_on(tmp_path):
+    assert_goes_on(RolloutTraining, job_of(tmp_path))
 
 
 def test_the_policy_file_chooses_the_actions_of_the_network(tmp_path):

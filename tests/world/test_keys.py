@@ -35,15 +35,11 @@ def test_the_stream_of_a_seed_begins_with_numpys_seed_sequence():
 
 
 def test_a_stream_without_a_seed_begins_at_random():
-    """Check also that another stream with the same state gives the same keys."""
     streams = Streams(2)
-    again = Streams(2)
     places = np.arange(2)
     assert streams.seeds() == (-1, -1)  # unknown seeds
-    again.set_states(streams.states())
     keys = streams.keys(places)
     assert keys[0] != keys[1] != Streams(2).keys(places)[1]
-    assert again.keys(places).tolist() == keys.tolist()
 
 
 def test_a_seed_gives_the_same_keys_everywhere():
