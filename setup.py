@@ -9,9 +9,14 @@ ROOT = Path(__file__).parent
 
 
 def described(readme: str, project: str, package: str) -> str:
-    """Return the README with its relative links replaced by links to this version's files."""
+    """Return the README with its relative links replaced by links to this version's files.
+
+    As long as the address of the repository is a placeholder, their texts replace them.
+    """
     (repository,) = re.findall(r'^Repository = "(.*)"$', project, re.MULTILINE)
     (version,) = re.findall(r'^__version__ = "(.*)"$', package, re.MULTILINE)
+    if "//example.org" in repository:
+        return re.sub(r"!?\[([^\]]*)\]\((?!\w+:|#)[^)]*\)", r"\1", readme)
     link = re.compile(r"(!?)(\[[^\]]*\]\()(?!\w+:|#)")
     kinds = {"!": "raw", "": "blob"}  # "raw": the file itself, for pictures; "blob": its web page
     return link.sub(lambda m: f"{m[0]}{repository}/{kinds[m[1]]}/v{version}/", readme)

@@ -7,9 +7,10 @@ from pathlib import Path
 from experiments.console.options import require_at_least
 
 TITLES = {
-    "leaderboard": "Entries, ranked by their mean gain over imm-best at the sites to train in",
-    "scores": "Score at each site, where 100 is the clairvoyant and 0 the paper's rule",
     "sites": "Reward at each site minus the reward of the best IMM there (second column)",
+    "scores": "Score at each site",
+    "gains": "Mean gain over imm-best, and numbers of sites: above every IMM / level / below one",
+    "leaderboard": "Mean score (100: the clairvoyant, 0: the paper's rule)",
 }
 
 
@@ -21,7 +22,8 @@ class Args:
     together with the paper's rule and every IMM, at four kinds of sites: the nine sites where
     policies may be trained, unseen sites, recordings, and hard sites (unusual motion or receivers).
     A contender's entry (its results at all sites) is written to a JSON file in the folder --out.
-    The tables show all entries in this folder, and four shipped entries. One of them is
+    The tables show all entries in this folder, and four shipped entries, ranked by their gains
+    over imm-best at the sites to train in; the last table has the scores. One of the entries is
     for the clairvoyant, a policy that knows the truth; its score is 100 by definition.
 
     mmwave-loc leaderboard --policies imm-best --episodes 400 --draws 20
@@ -85,4 +87,5 @@ def main(args: Args) -> None:
     if files:
         say(f"entries in {', '.join(map(str, files.values()))}")
     if args.docs:
+        tables = protocol.tables_of(protocol.without_files(entries), ceiling)
         write_text(args.docs, renewed(page, tables))

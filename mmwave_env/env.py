@@ -25,7 +25,7 @@ from mmwave_env.interface.info import (
     warn_of_nonfinite,
     worded,
 )
-from mmwave_env.interface.observation import with_tables
+from mmwave_env.interface.observation import with_modes
 from mmwave_env.io.lookup import choose, require_extra
 from mmwave_env.metrics import DIVERGENCE_M
 from mmwave_env.rendering.gallery import Gallery
@@ -64,14 +64,15 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
 
     ## Observation Space
 
-    `Box(float32)` of the features below: what the estimator knows, never the truth. They include
-    how well each mode would explain the coming epoch ("coming ...", "preference ...");
-    `observation="prior"` leaves these out. A feature is (value - mean) / deviation, limited to
-    `low` and `high`, at most ten deviations from the mean. Mean and deviation are constants
-    (medians over many streets and radios). `env.unwrapped.observation.read(observation, name)`
-    returns a feature in its own unit. The default features are:
+    `Box(float32)`: what the estimator knows, never the truth. By default 53 features: the predicted
+    speed and distances to the anchors; SNRs and the Doppler spread of the coming epoch; NIS, gates
+    and corrections of the last epochs; the covariance; and how well each mode would explain the
+    coming epoch ("coming ...", "preference ..."), which `observation="prior"` leaves out.
 
-    {table}
+    `print(env.unwrapped.observation.table())` lists all, with their meanings and units. A feature
+    is (value - mean) / deviation, at most ten deviations from the mean. Mean and deviation are
+    constants (medians over many streets and radios). `env.unwrapped.observation.read(observation,
+    "predicted speed")` returns a feature in its own unit.
 
     ## Beliefs per Mode
 
@@ -445,4 +446,4 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
 
 
 if MmWaveLocEnv.__doc__ is not None:  # python -OO drops docstrings
-    MmWaveLocEnv.__doc__ = with_tables(MmWaveLocEnv.__doc__)
+    MmWaveLocEnv.__doc__ = with_modes(MmWaveLocEnv.__doc__)

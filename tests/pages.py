@@ -13,6 +13,7 @@ A comment above a block says what is done with the block:
 The output of a block is shown below it, between ``<!-- table: printed -->`` and ``<!-- end -->``.
 If text follows ``printed``, only the first table at or below a line that begins with this text is
 shown. If a file name precedes ``printed``, the file (written by the block) replaces the output.
+After the text, ``; rows: A, B`` and ``; columns: C, D`` keep only some rows and columns.
 """
 
 import re
@@ -37,7 +38,8 @@ BLOCK = re.compile(
     re.DOTALL | re.MULTILINE,
 )
 TABLE = re.compile(
-    r"^<!-- table: (?P<file>\S+ )?printed ?(?P<begin>.*?) -->\n(?P<shown>.*?)^<!-- end -->$",
+    r"^<!-- table: (?P<file>\S+ )?printed ?(?P<begin>.*?)(?:; rows: (?P<rows>.*?))?"
+    r"(?:; columns: (?P<columns>.*?))? -->\n(?P<shown>.*?)^<!-- end -->$",
     re.DOTALL | re.MULTILINE,
 )
 NUMBER = re.compile(r"-?\d[\d,]*(?:\.\d+)?")
@@ -146,7 +148,24 @@ def made(table: re.Match[str], printed: str, folder: Path) -> str:
     if begin is None:
         raise ValueError(f"table of the page: found no line that begins with {table['begin']!r}")
     rows = dropwhile(lambda line: not line.startswith("|"), lines[begin:])
-    return "\n".join(takewhile(lambda line: line.startswith("|"), rows)) + "\n"
+    kept = cut(
+        [*takewhile(lambda line: line.startswith("|"), rows)], table["rows"], table["columns"]
+    )
+    return "\n".join(kept) + "\n"
+
+
+def cut(lines: list[str], rows: str | None, columns: str | None) -> list[str]:
+    """Return the lines of a table with only some rows (by their first cells) and columns."""
+    cells = [[cell.strip() for cell in line[1:-1].split("|")] for line in lines]
+    header = cells[0]
+    body = cells[2:]
+    if rows:
+        body = [row for row in body if row[0] in rows.split(", ")]
+    places = list(range(len(header)))
+    if columns:
+        places = [header.index(name) for name in columns.split(", ")]
+    rest = [f"| {' | '.join(row[i] for i in places)} |" for row in (header, *body)]
+    return [rest[0], "|" + "---|" * len(places), *rest[1:]]
 
 
 def renewed(page: Path) -> str:

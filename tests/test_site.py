@@ -43,9 +43,10 @@ METRICS = "../mmwave_env/metrics.py"
         ("#angles", "data.md", "#angles"),
     ],
 )
-def test_a_link_leads_to_the_page_or_to_the_code_host(hooks, link, uri, expected):
+def test_a_link_leads_to_the_page_or_to_the_code_host(hooks, link, uri, expected, monkeypatch):
+    monkeypatch.setitem(hooks.relinked.__globals__, "repository", lambda: "REPOSITORY")
     text = f"See [it]({link}).\n\n```\n[code]({link})\n```\n"
-    expected = text.replace(link, expected.replace("REPOSITORY", hooks.repository()), 1)
+    expected = text.replace(link, expected, 1)
     readme = uri == "README.md"
     source = ROOT / uri if readme else ROOT / "docs" / uri
     assert hooks.relinked(text, "index.md" if readme else uri, source) == expected
@@ -91,13 +92,24 @@ def test_a_paragraph_with_only_a_link_to_a_report_shows_the_report_in_a_frame(ho
 def test_links_in_the_package_description_lead_to_the_tagged_version_of_files():
     files = ("README.md", "pyproject.toml", "mmwave_env/__init__.py")
     texts = [(ROOT / name).read_text("utf-8") for name in files]
+    repository = "https://host.test/mmwave-loc"
+    texts[1] = f'Repository = "{repository}"'
     text = loaded("setup.py").described(*texts)
-    (repository,) = re.findall(r'^Repository = "(.*)"$', texts[1], re.MULTILINE)
     links = re.findall(r"\]\(([^)]+)\)", text)
     assert links and all(link.startswith(("https://", "#")) for link in links)
     for kind, path in re.findall(rf"\({re.escape(repository)}/(\w+)/v0\.1\.0/([^)#]+)", text):
         assert (ROOT / path).is_file()
         assert (kind == "raw") == path.endswith((".png", ".gif"))
+
+
+def test_no_page_links_to_an_address_that_is_a_placeholder(hooks, monkeypatch):
+    described = loaded("setup.py").described
+    version = '__version__ = "0.1.0"'
+    texts = ("See [this](docs/data.md).", 'Repository = "https://example.org/x"', version)
+    assert described(*texts) == "See this."
+    monkeypatch.setitem(hooks.relinked.__globals__, "repository", str)
+    source = ROOT / "README.md"
+    assert hooks.relinked("See [it](LICENSE).", "index.md", source) == "See it."
 
 
 def test_the_figure_of_angles_shows_the_angles_of_the_measurement_model(tmp_path):

@@ -10,7 +10,7 @@ from mmwave_env.env import MmWaveLocEnv
 DOCS = Path(__file__).resolve().parents[1]
 PAGE_OF = {  # command -> the page about it
     "demo": "results.md",
-    "localize": "data.md",
+    "localize": "own-data.md",
     "simulate": "own-log.md",
     "compare": "own-agent.md",
     "tables": "paper.md",

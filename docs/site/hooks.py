@@ -41,24 +41,28 @@ API = {  # page -> title, and paths of modules and folders (in mmwave_env unless
     "evaluation": ("Evaluation", ["/experiments/evaluation/"]),
 }
 CODE = re.compile(r"^```.*?^```", re.DOTALL | re.MULTILINE)
-LINK = re.compile(r"\]\(([^)\s:#]+)(#[^)\s]*)?\)")
+LINK = re.compile(r"\[([^\[\]]*)\]\(([^)\s:#]+)(#[^)\s]*)?\)")
 PAGE_ALONE = re.compile(r'<p><a href="([^"]+\.html(?:#[^"]*)?)">([^<"]+)</a></p>')
 CELL = re.compile(r"<td>(?=(?:[a-z]+(?:-[a-z0-9]+)*|[^<a-zA-Z]+|<code>[^<]{1,20}</code>)</td>)")
 ROLE = re.compile(r":(?:class|func|meth|mod|data|attr|exc):<code>~?([\w.]+)</code>")
 
 
 def repository() -> str:
-    """Return the address of the repository, which only pyproject.toml states."""
+    """Return the address of the repository, which only pyproject.toml states.
+
+    It is "" as long as it is a placeholder; then no page links there.
+    """
     (url,) = re.findall(
         r'^Repository = "(.*)"$', (ROOT / "pyproject.toml").read_text("utf-8"), re.MULTILINE
     )
-    return url
+    return "" if "//example.org" in url else url
 
 
 def on_config(config: Any) -> Any:
     """Give the theme the address of the repository, for the header of every page."""
-    config.repo_url = repository()
-    config.repo_name = "source"
+    if url := repository():
+        config.repo_url = url
+        config.repo_name = "source"
     return config
 
 
@@ -120,6 +124,7 @@ def citing_page() -> str:
 
     cited = yaml.safe_load((ROOT / "CITATION.cff").read_text("utf-8"))
     (paper,) = cited["references"]
+    address = f",\n  url     = {{{repository()}}}" if repository() else ""
     people = " and ".join(f"{a['family-names']}, {a['given-names']}" for a in paper["authors"])
     return f"""# How to cite
 
@@ -129,8 +134,7 @@ Cite the software with the version you used, and the paper that it follows:
 @software{{mmwave_loc,
   title   = {{{{{cited["title"]}}}}},
   author  = {{{{{cited["authors"][0]["name"]}}}}},
-  version = {{{cited["version"]}}},
-  url     = {{{repository()}}}
+  version = {{{cited["version"]}}}{address}
 }}
 
 @misc{{mobility_aware_localization,
@@ -141,7 +145,7 @@ Cite the software with the version you used, and the paper that it follows:
 }}
 ```
 
-The same entries are in [CITATION.cff]({source_of("CITATION.cff")}), which reference managers read.
+The same entries are in the file `CITATION.cff`, which reference managers read.
 """
 
 
@@ -184,7 +188,16 @@ def api_page(name: str) -> str:
     """Return the page of one part of the API, whose modules mkdocstrings fills in."""
     title, parts = API[name]
     modules = [f"::: {module}" for part in parts for module in modules_of(part)]
+    if name == "signals":
+        modules.insert(0, f"## The features of an observation\n\n{features()}")
     return "\n\n".join([f"# {title}", *modules]) + "\n"
+
+
+def features() -> str:
+    """Return the table of the features that an environment shows by default."""
+    from mmwave_env.env import MmWaveLocEnv
+
+    return MmWaveLocEnv().observation.table()
 
 
 def api_index() -> str:
@@ -192,7 +205,8 @@ def api_index() -> str:
     lines = [
         "# API",
         "`gymnasium.make` and `gymnasium.make_vec` are the entry points; [the environment's page]"
-        "(../environment.md) lists their arguments. The pages below document the modules inside, "
+        "(../environment.md) lists their arguments, [this table](signals.md#the-features-of-an-"
+        "observation) the features of an observation. The pages below document the modules inside, "
         "grouped as in the [architecture](../architecture.md).",
     ]
     for name, (title, parts) in API.items():
@@ -216,8 +230,9 @@ def _first_sentence(module: str) -> str:
 
 
 def source_of(name: str) -> str:
-    """Return the address where the code host shows a file or folder of the checkout."""
-    return f"{repository()}/{'tree' if (ROOT / name).is_dir() else 'blob'}/main/{name}"
+    """Return the address where the code host shows a file or folder, or "" without a code host."""
+    url = repository()
+    return url and f"{url}/{'tree' if (ROOT / name).is_dir() else 'blob'}/main/{name}"
 
 
 @cache
@@ -246,11 +261,12 @@ def relinked(markdown: str, uri: str, source: Path) -> str:
     """
 
     def mended(match: re.Match[str]) -> str:
-        target = Path(os.path.normpath(source.parent / match[1]))
+        text, path, anchor = match.groups()
+        target = Path(os.path.normpath(source.parent / path))
         if not target.exists():  # a page made at the build, or a mistake that mkdocs reports
             return match[0]
         address = _address(target, os.path.dirname(uri) or ".")
-        return f"]({address}{match[2] or ''})"
+        return f"[{text}]({address}{anchor or ''})" if address else text
 
     code = CODE.findall(markdown)
     prose = [LINK.sub(mended, piece) for piece in CODE.split(markdown)]

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -201,8 +200,18 @@ def add_scores(entries: Iterable[Json], ceiling: Json) -> None:
 
 def tables_of(entries: Sequence[Json], ceiling: Json) -> dict[str, str]:
     """Return all tables, by title, of entries in which :func:`add_scores` has set the scores."""
-    scores = by_score(entries, ceiling)
-    return {"leaderboard": ranking(entries), "scores": scores, "sites": by_site(entries)}
+    ranked = ranking(entries)
+    return {
+        "sites": by_site(entries),
+        "scores": by_score(entries, ceiling),
+        "gains": gains_by_kind(ranked),
+        "leaderboard": scores_by_kind(ranked),
+    }
+
+
+def without_files(entries: Sequence[Json]) -> list[Json]:
+    """Return the entries that are no policy files, such as single trainings; if none is, all."""
+    return [content for content in entries if "/" not in content["entry"]] or [*entries]
 
 
 def standing(figures: Json) -> str:
@@ -216,36 +225,54 @@ def standing(figures: Json) -> str:
     return "below" if any(high < 0.0 for _, high in intervals) else "level"
 
 
-def ranking(entries: Sequence[Json]) -> str:
-    """Return a Markdown table of all entries, ranked by their mean gain at the training sites.
+def ranking(entries: Sequence[Json]) -> list[tuple[str, Json]]:
+    """Return entries with their names, ranked by their mean gain at the training sites.
 
     The protocol requires EPISODES at each simulated site and DRAWS of each recording; for the
     clairvoyant, CEILING_EPISODES and CEILING_DRAWS are enough. An entry with too few episodes or
     draws is marked and comes last, because luck would decide its rank.
     """
-    rows: list[tuple[bool, float, list[Any]]] = []
+    ranked = []
     for content in entries:
         at = content["sites"].values()
-        gains = content["mean_gain"]
         recorded = min(site["episodes"] for site in at if site["kind"] == RECORDED)
         simulated = min(site["episodes"] for site in at if site["kind"] != RECORDED)
         knows = content["entry"] == CLAIRVOYANT
         episodes, draws = (CEILING_EPISODES, CEILING_DRAWS) if knows else (EPISODES, DRAWS)
         short = simulated < episodes or recorded < draws
-        cells = [content["entry"].removesuffix("/policy.safetensors")]
-        cells.append(f"{simulated} / {recorded}{' (too few)' if short else ''}")
+        name = content["entry"].removesuffix("/policy.safetensors")
+        name += f" (too few: {simulated} / {recorded})" if short else ""
+        ranked.append((short, -content["mean_gain"][TRAINED]["mean"], name, content))
+    ranked.sort(key=lambda row: row[:2])
+    return [(name, content) for *_, name, content in ranked]
+
+
+def at_kind(content: Json, kind: str) -> list[Json]:
+    """Return the figures of an entry at the sites of a kind."""
+    return [site for site in content["sites"].values() if site["kind"] == kind]
+
+
+def scores_by_kind(ranked: Sequence[tuple[str, Json]]) -> str:
+    """Return a Markdown table of mean scores at each kind of site."""
+    rows = []
+    for name, content in ranked:
+        scores = [[site["score"] for site in at_kind(content, kind)] for kind in KINDS]
+        means = [None if None in kind else np.mean(kind) for kind in scores]
+        rows.append([name, *map(score_cell, means)])
+    return grid(["entry", *(f"score {kind}" for kind in KINDS)], rows)
+
+
+def gains_by_kind(ranked: Sequence[tuple[str, Json]]) -> str:
+    """Return a Markdown table: gains over imm-best, and counts of :func:`standing`."""
+    rows = []
+    for name, content in ranked:
+        cells = [name]
         for kind in KINDS:
-            here = [site for site in at if site["kind"] == kind]
-            scores = [site["score"] for site in here]
-            stands = [standing(site) for site in here]
-            counts = [str(stands.count(where)) for where in ("above", "level", "below")]
-            score = score_cell(None if None in scores else np.mean(scores))
-            cells += [score, Interval.of(gains[kind]), " / ".join(counts)]
-        rows.append((short, -gains[TRAINED]["mean"], cells))
-    header = ["entry", "episodes / draws"]
-    for kind in KINDS:
-        header += [f"{kind}: score", "minus imm-best", "above every IMM / level / below one"]
-    return grid(header, [cells for *_, cells in sorted(rows, key=lambda row: row[:2])])
+            stands = [standing(site) for site in at_kind(content, kind)]
+            counts = " / ".join(str(stands.count(at)) for at in ("above", "level", "below"))
+            cells.append(f"{Interval.of(content['mean_gain'][kind])}, {counts}")
+        rows.append(cells)
+    return grid(["entry", *KINDS], rows)
 
 
 def by_site(entries: Sequence[Json]) -> str:
@@ -254,10 +281,9 @@ def by_site(entries: Sequence[Json]) -> str:
     The best IMM is the one over which the entry with the most episodes gains least. Policy files
     (such as single training seeds) and IMMs are left out if there are other entries.
     """
-    named = {content["entry"]: content["sites"] for content in entries}
-    names = {name: at for name, at in named.items() if "/" not in name}
+    names = {content["entry"]: content["sites"] for content in without_files(entries)}
     policies = {name: at for name, at in names.items() if not name.startswith("imm")}
-    shown = next((some for some in (policies, names) if some.keys() - {CLAIRVOYANT}), named)
+    shown = policies if policies.keys() - {CLAIRVOYANT} else names
     rows = []
     for site in sites():
         gains = [at[site.name]["minus"] for at in shown.values()]
@@ -272,8 +298,8 @@ def by_score(entries: Sequence[Json], ceiling: Json) -> str:
 
     Policy files and the clairvoyant are left out if there are other entries.
     """
-    named = {content["entry"]: content["sites"] for content in entries}
-    shown = {n: at for n, at in named.items() if n != CLAIRVOYANT and "/" not in n} or named
+    names = {content["entry"]: content["sites"] for content in without_files(entries)}
+    shown = {name: at for name, at in names.items() if name != CLAIRVOYANT} or names
     rows = []
     for site in sites():
         top = ceiling["sites"].get(site.name, {}).get("over_rule")

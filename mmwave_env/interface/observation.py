@@ -23,7 +23,6 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.features import Feature, View, coming, context
 from mmwave_env.interface.signed import signed
 from mmwave_env.io.lookup import choose
-from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import TUNED_RADIOS
 from mmwave_env.numerics.numbers import Number, clip
 
@@ -199,9 +198,8 @@ def _shown(value: Number, feature: Feature, scale: Scale) -> Number:
     return (clip(value, low, high) - scale.mean) * (1.0 / scale.deviation)
 
 
-def with_tables(docstring: str) -> str:
-    """Replace ``{table}`` by a table of features and ``{modes}`` by a table of default modes."""
-    observed = Observation(Pipeline(default_modes(), Layout())).table()
+def with_modes(docstring: str) -> str:
+    """Replace ``{modes}`` by a table of default modes."""
     lines = ["| action | mode | algorithm | horizontal velocity noise, m/s |", "|---|---|---|---|"]
     for action, (kind, algorithm) in enumerate(
         (("low mobility", "EKF"), ("high mobility", "UKF (alpha 1, beta 2, kappa 0)"))
@@ -209,4 +207,4 @@ def with_tables(docstring: str) -> str:
         tuned = (f"{default_modes(radio)[action].sigma_v:.2f} {radio}" for radio in TUNED_RADIOS)
         lines.append(f"| {action} | {kind} | {algorithm} | {', '.join(tuned)} |")
     modes = "\n".join(lines)
-    return inspect.cleandoc(docstring).replace("{table}", observed).replace("{modes}", modes)
+    return inspect.cleandoc(docstring).replace("{modes}", modes)

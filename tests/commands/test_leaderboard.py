@@ -32,11 +32,14 @@ def entries(tmp_path_factory):
 def test_entries_are_ranked_and_a_page_is_updated(entries, tmp_path):
     page = tmp_path / "page.md"
     page.write_text(
-        "".join(f"<!-- table: {t} -->\n<!-- end -->\n" for t in ("leaderboard", "sites", "scores"))
+        "".join(
+            f"<!-- table: {t} -->\n<!-- end -->\n"
+            for t in ("leaderboard", "gains", "scores", "sites")
+        )
     )
     shown = succeed("leaderboard", "--out", entries, "--docs", page)
-    best = "| imm-best | 2 / 2 (too few) | "
-    assert shown.index(best) < shown.index("| speed-rule | 2 / 2 (too few) | ")
+    best = "| imm-best (too few: 2 / 2) | "
+    assert shown.index(best) < shown.index("| speed-rule (too few: 2 / 2) | ")
     assert all(f"| {site.name} | " in shown for site in sites())
     for line in shown.splitlines():
         assert line in page.read_text() or not line.startswith("|")
