@@ -11,23 +11,28 @@ from experiments.console.options import EpisodeArgs
 
 @dataclass(kw_only=True)
 class Args(EpisodeArgs):
-    """Compare policies on the same seeded episodes; differences are paired, episode by episode.
+    """Compare policies on the same seeded episodes, with paired differences.
 
-    All metrics, including the reward, leave out the first 10 epochs of an episode. Every policy is
-    paired with the references (best fixed mode, speed-rule, imm, imm-best). Your own agents and
-    policy files are paired with all others. If no policy is a reference, all pairs are compared.
+    Differences are paired, episode by episode. All metrics, including the reward,
+    leave out the first 10 epochs of an episode. Every policy is paired with the
+    references (best fixed mode, speed-rule, imm, imm-best). Your own agents and
+    policy files are paired with all others. If no policy is a reference, all pairs
+    are compared.
 
-    mmwave-loc compare --policies fixed-ukf speed-rule imm ppo --episodes 200
+        mmwave-loc compare --policies fixed-ukf speed-rule imm ppo --episodes 200
     """
 
     policies: Annotated[tuple[str, ...], arg(aliases=("--policy",))] = ()
-    """names that `mmwave-loc list policies` shows; policy files (.safetensors); folders of runs
-    from `mmwave-loc train`; and module:function, a function without arguments that returns an
-    agent. By default, all listed policies run, except `clairvoyant`, which knows the truth.
-    If `speed-rule` (score 0) and `clairvoyant` (score 100) both run, all policies get a score"""
+    """names that `mmwave-loc list policies` shows; policy
+    files (.safetensors); folders of runs from `mmwave-loc
+    train`; and module:function, a function without
+    arguments that returns an agent. By default, all listed
+    policies run, except `clairvoyant`, which knows the
+    truth. If `speed-rule` (score 0) and `clairvoyant`
+    (score 100) both run, all policies get a score"""
     errors: Path | None = None
-    """draw the distribution (CDF) of horizontal and of vertical errors to this .png, .svg or .pdf
-    file"""
+    """draw the distribution (CDF) of horizontal and of
+    vertical errors to this .png, .svg or .pdf file"""
     consistency: Path | None = None
     """draw NEES over time, with its chi-square bounds, to this file"""
     width_mm: float | None = None

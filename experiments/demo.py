@@ -10,11 +10,12 @@ RECORDINGS = "canyon28_pedestrian", "canyon28_vehicle"
 
 @dataclass(kw_only=True)
 class Args(JsonArgs):
-    """Compare all policies on the simulated scenario `mixed` and on two ray-traced recordings.
+    """Compare all policies in simulations and on two ray-traced recordings.
 
-    The files in the folder --out also contain all paired differences, which are not printed.
+    The files in the folder --out also contain all paired differences, which are
+    not printed.
 
-    mmwave-loc demo --episodes 100 --draws 20
+        mmwave-loc demo --episodes 100 --draws 20
     """
 
     episodes: int = 1000

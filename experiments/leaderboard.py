@@ -16,21 +16,24 @@ TITLES = {
 
 @dataclass(kw_only=True)
 class Args:
-    """Judge contenders (policies and IMMs) by the benchmark's protocol, and rank all entries.
+    """Judge policies and IMMs by the benchmark's protocol; rank all entries.
 
-    A site is a street or a recording, with a radio. Contenders are not trained here. They run,
-    together with the paper's rule and every IMM, at four kinds of sites: the nine sites where
-    policies may be trained, unseen sites, recordings, and hard sites (unusual motion or receivers).
-    A contender's entry (its results at all sites) is written to a JSON file in the folder --out.
-    The tables show all entries in this folder, and four shipped entries, ranked by their gains
-    over imm-best at the sites to train in; the last table has the scores. One of the entries is
-    for the clairvoyant, a policy that knows the truth; its score is 100 by definition.
+    A site is a street or a recording, with a radio. Contenders are not trained
+    here. They run, together with the paper's rule and every IMM, at four kinds
+    of sites: the nine sites where policies may be trained, unseen sites,
+    recordings, and hard sites (unusual motion or receivers). A contender's
+    entry (its results at all sites) is written to a JSON file in the folder
+    --out. The tables show all entries in this folder, and four shipped entries,
+    ranked by their gains over imm-best at the sites to train in; the last table
+    has the scores. One of the entries is for the clairvoyant, a policy that
+    knows the truth; its score is 100 by definition.
 
-    mmwave-loc leaderboard --policies imm-best --episodes 400 --draws 20
+        mmwave-loc leaderboard --policies imm-best --episodes 400 --draws 20
     """
 
     policies: tuple[str, ...] = ()
-    """contenders, as in mmwave-loc compare; if none is named, only existing entries are shown"""
+    """contenders, as in mmwave-loc compare; if none is named,
+    only existing entries are shown"""
     episodes: int = 2000
     """number of episodes on each simulated street"""
     draws: int = 200
@@ -40,10 +43,13 @@ class Args:
     out: Path = Path("results/leaderboard")
     """folder of entries, one JSON file each"""
     keep: bool = False
-    """skip the policies that already have an entry in the folder; judge the others one by one, and
-    write each entry when it is ready, so that the same command continues after an interruption"""
+    """skip the policies that already have an entry in the
+    folder; judge the others one by one, and write each
+    entry when it is ready, so that the same command
+    continues after an interruption"""
     docs: Path | None = None
-    """Markdown page to update: each table after a comment `<!-- table: ... -->` is replaced"""
+    """Markdown page to update: each table after a comment
+    `<!-- table: ... -->` is replaced"""
 
 
 def main(args: Args) -> None:

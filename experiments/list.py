@@ -16,7 +16,7 @@ Kind = Literal["all", "policies", "scenarios", "radios", "scenes", "modes", "sam
 
 @dataclass(kw_only=True)
 class Args:
-    """List the names that command options and environment arguments accept; copy samples.
+    """List the names that options and arguments accept; copy samples.
 
     mmwave-loc list policies
     """
@@ -28,7 +28,8 @@ class Args:
     out: Path | None = None
     """folder for the files of the sample that --copy names; only with `list samples`"""
     copy: str | None = None
-    """name of the sample to copy into --out: its log if it has one, otherwise its recording"""
+    """name of the sample to copy into --out: its log if it
+    has one, otherwise its recording"""
 
 
 COLUMN = 25  # column in which the descriptions of names begin

@@ -9,12 +9,13 @@ from experiments.console.options import LogArgs
 class Args(LogArgs):
     """Compute the track of a measurement log, recorded or live.
 
-    By default, a learned policy weighs several filters in every epoch. Two alternatives are the
-    paper's Algorithm 1 (EKF up to 2 m/s, UKF above) and an IMM, which weighs the filters by itself.
+    By default, a learned policy weighs several filters in every epoch. Two
+    alternatives are the paper's Algorithm 1 (EKF up to 2 m/s, UKF above) and an
+    IMM, which weighs the filters by itself.
 
-    mmwave-loc localize log.csv --scene scene.json --out track.tum track.gpx
-    mmwave-loc localize log.csv --scene scene.json --speed auto --out track.tum
-    mmwave-loc localize - --live --scene scene.json
+        mmwave-loc localize log.csv --scene scene.json --out track.tum track.gpx
+        mmwave-loc localize log.csv --scene scene.json --speed auto --out track.tum
+        mmwave-loc localize - --live --scene scene.json
     """
 
 

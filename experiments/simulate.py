@@ -8,7 +8,7 @@ from experiments.console.options import WorldArgs
 
 @dataclass(kw_only=True)
 class Args(WorldArgs):
-    """Write one episode as a folder: log.csv (measurements), scene.json and truth.tum.
+    """Write one episode as a folder: log.csv, scene.json and truth.tum.
 
     mmwave-loc simulate --scenario vehicle --out episode
     """

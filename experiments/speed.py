@@ -25,9 +25,11 @@ class Args(JsonArgs):
     seconds: float = 0.5
     """minimum time of each measurement, s; a measurement runs complete episodes"""
     repeats: int = 5
-    """number of rounds; each measures everything once, and the tables show medians and ranges"""
+    """number of rounds; each measures everything once, and
+    the tables show medians and ranges"""
     docs: Path | None = None
-    """Markdown page to update: each table after a comment `<!-- table: ... -->` is replaced"""
+    """Markdown page to update: each table after a comment
+    `<!-- table: ... -->` is replaced"""
 
 
 # No import above may load numpy: its linear algebra reads these variables when it is loaded.

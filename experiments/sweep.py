@@ -10,24 +10,26 @@ from experiments.console.options import require_at_least
 
 @dataclass(kw_only=True)
 class Args:
-    """Run grids of evaluations and training runs, and searches for hyperparameters, on Ray.
+    """Run grids of evaluations and training runs on Ray.
 
-    A file says what to combine (docs/sweep.md); each combination is a cell. Cells whose results are
-    in the folder --out are not computed again, so the same command continues an interrupted sweep.
-    If a cell fails, the failure is reported, and the other cells continue.
+    A file says what to combine (docs/sweep.md); each combination is a cell. Cells
+    whose results are in the folder --out are not computed again, so the same
+    command continues an interrupted sweep. If a cell fails, the failure is
+    reported, and the other cells continue.
 
-    mmwave-loc sweep examples/sweep.toml
+        mmwave-loc sweep examples/sweep.toml
     """
 
     spec: Positional[Path]
-    """TOML or JSON file with one table, [evaluate], [train] or [search]; the first two run every
-    combination of the values in their lists"""
+    """TOML or JSON file with one table, [evaluate], [train]
+    or [search]; the first two run every combination of the
+    values in their lists"""
     out: Path | None = None
-    """folder of the results, one Parquet file per cell (default: runs/sweep-NAME)"""
+    """folder of the results, one Parquet file per cell (None: runs/sweep-NAME)"""
     address: str | None = None
-    """address of a Ray cluster: auto, or HOST:PORT (default: only this machine)"""
+    """address of a Ray cluster: auto, or HOST:PORT (None: only this machine)"""
     workers: int | None = None
-    """number of cells to compute in parallel on this machine (default: its number of cores)"""
+    """number of cells to compute in parallel on this machine (None: its number of cores)"""
 
 
 def main(args: Args) -> None:

@@ -25,8 +25,10 @@ class Args:
     out: Path = Path("results/paper")
     """folder for tables.md, tables.csv and tables.png"""
     docs: Path | None = None
-    """Markdown page to update: each table after a comment `<!-- table: ... -->` is replaced, and
-    a picture is saved beside the page, under the same name with the ending .png"""
+    """Markdown page to update: each table after a comment
+    `<!-- table: ... -->` is replaced, and a picture is
+    saved beside the page, under the same name with the
+    ending .png"""
 
 
 SECTIONS = 19  # number of sections, for the progress bar

@@ -10,17 +10,18 @@ from experiments.console.options import TUNING_SEED, JsonArgs, WorldArgs
 
 @dataclass(kw_only=True)
 class Args(JsonArgs):
-    """Tune the process noise of modes by the likelihood of the measurements, without the truth.
+    """Tune the process noise of modes by the likelihood of measurements.
 
-    With --bank, tune a bank: the five modes of imm-best and the probabilities of changes between
-    them. The reward of the bank's IMM in all scenes, at 1 and 10 Hz, is maximized.
-    With --levels, train and calibrate the protection levels anew. With --two-way, train the network
-    of localize --two-way anew. --bank needs the extra "tune"; --levels and --two-way need "train".
+    With --bank, tune a bank: the five modes of imm-best and the probabilities of
+    changes between them. The reward of the bank's IMM in all scenes, at 1 and 10
+    Hz, is maximized. With --levels, train and calibrate the protection levels
+    anew. With --two-way, train the network of localize --two-way anew. --bank
+    needs the extra "tune"; --levels and --two-way need "train".
 
-    mmwave-loc tune --radio handset --out modes.json
-    mmwave-loc tune --bank --radio phone.json --episodes 900 --out bank.json
-    mmwave-loc tune --levels --out mmwave_env/data/levels.json
-    mmwave-loc tune --two-way --out policies/data/smoothing/two-way.safetensors
+        mmwave-loc tune --radio handset --out modes.json
+        mmwave-loc tune --bank --radio phone.json --episodes 900 --out bank.json
+        mmwave-loc tune --levels --out mmwave_env/data/levels.json
+        mmwave-loc tune --two-way --out policies/data/smoothing/two-way.safetensors
     """
 
     radio: str = "handset"
@@ -28,7 +29,8 @@ class Args(JsonArgs):
     modes: tuple[str, ...] = ("ekf", "ukf")
     """modes to tune: ekf, ukf, ckf, ekf-robust, ukf-robust, mode files"""
     scenarios: tuple[str, ...] = ("pedestrian", "vehicle")
-    """kinds of users to tune on, one for each mode, in the same order: names, JSON or CSV files"""
+    """kinds of users to tune on, one for each mode, in the
+    same order: names, JSON or CSV files"""
     free: tuple[str, ...] = ("sigma_v", "sigma_p")
     """parameters to tune: sigma_p, sigma_v, sigma_pz, sigma_vz, sigma_b_mps, spread_gain"""
     diagonal: bool = False
@@ -42,14 +44,19 @@ class Args(JsonArgs):
     evaluations: int = 1000
     """with --bank, maximum number of banks to try"""
     levels: bool = False
-    """train the network of the protection levels on training seeds, and calibrate it on tuning
-    seeds, with the shipped policies; the only other options are --seed, --out and --json"""
+    """train the network of the protection levels on training
+    seeds, and calibrate it on tuning seeds, with the
+    shipped policies; the only other options are --seed,
+    --out and --json"""
     two_way: bool = False
-    """train the network that corrects smoothed tracks, on training seeds, in about an hour; the
-    only other option is --out, which is required"""
+    """train the network that corrects smoothed tracks, on
+    training seeds, in about an hour; the only other option
+    is --out, which is required"""
     out: Path | None = None
-    """mode file to write, which `--modes` and the environment's `modes` accept; with --levels,
-    file to write the levels to; with --two-way, policy file (.safetensors) to write"""
+    """mode file to write, which `--modes` and the
+    environment's `modes` accept; with --levels, file to
+    write the levels to; with --two-way, policy file
+    (.safetensors) to write"""
 
 
 OF_BANK = ("bank", "radio", "episodes", "evaluations", "seed", "out", "json")  # allowed with --bank

@@ -18,31 +18,35 @@ if TYPE_CHECKING:
 
 @dataclass(kw_only=True)
 class Args(ModeArgs):
-    """Play an episode filtered by several policies, side by side, in a window or as a video.
+    """Play an episode filtered by several policies, in a window or as a video.
 
     mmwave-loc watch --policies speed-rule ppo --seed 3 --out ride.gif
     """
 
     policies: tuple[str, ...] = ("speed-rule", "ppo")
-    """up to three policies: names from mmwave-loc list policies, policy files
-    (.safetensors), folders of runs, and module:function"""
+    """up to three policies: names from mmwave-loc list
+    policies, policy files (.safetensors), folders of runs,
+    and module:function"""
     out: Path | None = None
     """write a video to this .gif or .mp4 file instead of opening a window"""
     fps: int = 10
-    """epochs per second; in a window, keys change this speed (the window's title names the keys)"""
+    """epochs per second; in a window, keys change this speed
+    (the window's title names the keys)"""
     render_size: int = 480
     """height and width of each policy's picture, px, 480 to 1080"""
     render_theme: str = "light"
     """colors: light or dark"""
     seed: int | None = None
-    """seed of the episode (default: 0); mmwave-loc compare runs the same episode for this seed"""
+    """seed of the episode (None: 0); mmwave-loc compare runs
+    the same episode for this seed"""
     key: int | None = None
-    """number that determines a simulated episode, instead of --seed; mmwave-loc compare
-    --episodes-csv writes the keys of its episodes"""
+    """number that determines a simulated episode, instead of
+    --seed; mmwave-loc compare --episodes-csv writes the
+    keys of its episodes"""
     begin: float | None = None
-    """time to begin at, s from the start of the episode (default: its start)"""
+    """time to begin at, s from the start of the episode (None: its start)"""
     end: float | None = None
-    """time to end at, s from the start of the episode (default: its end)"""
+    """time to end at, s from the start of the episode (None: its end)"""
 
 
 MOST = 3  # maximum number of policies to show

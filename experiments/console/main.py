@@ -6,16 +6,15 @@ function ``main``. Options are read before slow imports, so help and errors appe
 
 import importlib
 import os
-import signal
 import sys
 import traceback
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
 from io import TextIOWrapper
 from typing import Any, NoReturn
 
-from experiments.console.signals import ENDING, Ended, ended_by_signals, stopped_at_once
+from experiments.console.signals import Ended, ended_by_signals, ignore_signals
 
 GROUPS = {
     "begin": {
@@ -43,6 +42,10 @@ GROUPS = {
 }
 COMMANDS = {name: about for group in GROUPS.values() for name, about in group.items()}
 SAME = {"evaluate": "compare"}  # alias -> command
+EVERYWHERE = {  # options of every command
+    "--quiet": "show neither tables nor progress, only warnings and errors",
+    "--debug": "if something fails, show where in the program (a traceback)",
+}
 LONGEST_LINE = 2000  # maximum length of a message, characters
 
 
@@ -108,30 +111,16 @@ def _complain(program: str, error: BaseException, debug: bool) -> None:
     print(f"{program}: {_in_one_line(line)}", file=sys.stderr)
 
 
-def run(name: str, words: Sequence[str] | None = None) -> None:
-    """Run one command; exit with 2 after bad input, and with 1 after an internal error.
+@contextmanager
+def _errors_in_one_line(program: str, debug: bool = False) -> Iterator[None]:
+    """Exit after an error in the block: with 2 after bad input, with 1 after an internal error.
 
-    If ``words`` is None, the options of the command are read from ``sys.argv``.
+    After a signal, exit with 128 plus its number.
     """
-    program = f"mmwave-loc {name}"
-    words = sys.argv[1:] if words is None else words
-    debug = "--debug" in words
     try:
-        with stopped_at_once():
-            warnings.showwarning = lambda message, *_, **__: print(
-                f"warning: {_in_one_line(str(message))}", file=sys.stderr
-            )
-            for stream in (sys.stdout, sys.stderr):
-                if isinstance(stream, TextIOWrapper):  # its encoding may lack a character
-                    stream.reconfigure(errors="backslashreplace")
-            args = read_arguments(name, words)
-            command = importlib.import_module(page_of(name))
-            # Most commands need this slow import; during it, Ctrl-C ends the program immediately.
-            importlib.import_module("experiments.evaluation.asked")
-        with ended_by_signals(), _quiet() if "--quiet" in words else nullcontext():
-            _require_results_can_be_written(args)
-            command.main(args)
-        print(end="", flush=True)
+        with ended_by_signals():
+            yield
+            print(end="", flush=True)
     except BrokenPipeError:  # the reader closed the pipe
         _leave(141)  # the code that shells give to a program ended by SIGPIPE
     except Exception as error:
@@ -141,11 +130,28 @@ def run(name: str, words: Sequence[str] | None = None) -> None:
         print(f"{program}: interrupted", file=sys.stderr)
         sys.exit(130)
     except Ended as end:
-        for number in ENDING:  # the signal may arrive again, this time sent to the process group
-            signal.signal(number, signal.SIG_IGN)
+        ignore_signals()
         with suppress(OSError):  # the terminal may be gone
-            print(f"{program}: {end.told}", file=sys.stderr)
+            print(f"{program}: {end.message}", file=sys.stderr)
         _leave(int(str(end.code)))
+
+
+def run(name: str, words: Sequence[str]) -> None:
+    """Run one command; exit with 2 after bad input, and with 1 after an internal error."""
+    debug = "--debug" in words
+    quiet = "--quiet" in words
+    words = [word for word in words if word not in EVERYWHERE]
+    with _errors_in_one_line(f"mmwave-loc {name}", debug):
+        warnings.showwarning = lambda message, *_, **__: print(
+            f"warning: {_in_one_line(str(message))}", file=sys.stderr
+        )
+        for stream in (sys.stdout, sys.stderr):
+            if isinstance(stream, TextIOWrapper):  # its encoding may lack a character
+                stream.reconfigure(errors="backslashreplace")
+        args = read_arguments(name, words)
+        with _quiet() if quiet else nullcontext():
+            _require_results_can_be_written(args)
+            importlib.import_module(page_of(name)).main(args)
 
 
 def _require_results_can_be_written(args: Any) -> None:
@@ -167,7 +173,7 @@ def _help() -> str:
         "usage: mmwave-loc COMMAND [OPTIONS]; --help after a command lists its options",
         "       mmwave-loc --version; --json after it also tests the compiled kernels",
     ]
-    for group, commands in GROUPS.items():
+    for group, commands in (GROUPS | {"options of every command": EVERYWHERE}).items():
         lines += ["", f"{group}:"]
         lines += [f"  {name:12} {about}" for name, about in commands.items()]
     return "\n".join(lines)
@@ -188,11 +194,7 @@ def _complete(words: Sequence[str]) -> None:
     """Print or write a shell's completion script for commands and options, and exit."""
     import tyro
 
-    from experiments.console.parser import described
-
-    commands: dict[str, Callable[..., Any]] = {
-        name: described(importlib.import_module(page_of(name)).Args) for name in COMMANDS
-    }
+    commands = {name: importlib.import_module(page_of(name)).Args for name in COMMANDS}
     tyro.extras.subcommand_cli_from_dict(commands, prog="mmwave-loc", args=words)
 
 
@@ -209,15 +211,14 @@ def main() -> None:
     if words[0] in COMMANDS:
         run(words[0], words[1:])
         return
-    with stopped_at_once():
+    with _errors_in_one_line("mmwave-loc"):
         if words[0].startswith("--tyro-"):
             _complete(words)
         from mmwave_env import __version__
         from mmwave_env.io.lookup import unknown
-    if words[0] in ("-V", "--version"):
+
+        if words[0] not in ("-V", "--version"):
+            raise ValueError(unknown("command", words[0], COMMANDS))
         if words[1:] == ["--json"]:
             _report()
         print(f"mmwave-loc {__version__}")
-        return
-    print(f"mmwave-loc: {_in_one_line(unknown('command', words[0], COMMANDS))}", file=sys.stderr)
-    sys.exit(2)

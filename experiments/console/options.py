@@ -38,8 +38,9 @@ class EpisodeResultArgs(JsonArgs):
     episodes_csv: Path | None = None
     """write a CSV table with one row per policy and episode, and one column per metric"""
     percentiles: bool = False
-    """also show percentiles of horizontal and vertical errors, the shares of errors within some
-    distances, and how often errors exceed their protection levels"""
+    """also show percentiles of horizontal and vertical
+    errors, the shares of errors within some distances, and
+    how often errors exceed their protection levels"""
 
 
 @dataclass(kw_only=True)
@@ -47,28 +48,33 @@ class WorldArgs:
     """Options for streets, users and radio, as in the environment."""
 
     scenario: str | None = None
-    """kind of user: a name (see mmwave-loc list scenarios; default: mixed) or a JSON file; or
-    trajectories of your own: a CSV file with columns t, x, y, z, and id if there are several
-    users"""
+    """kind of user: a name (see mmwave-loc list scenarios;
+    None: mixed) or a JSON file; or trajectories of your
+    own: a CSV file with columns t, x, y, z, and id if
+    there are several users"""
     radio: str = "handset"
     """radio profile: handset, standard, high or a JSON file"""
     scene: str | None = None
-    """street (default), o1, dynamic-doppler, random (a new scene in each episode) or a JSON file"""
+    """street (default), o1, dynamic-doppler, random (a new
+    scene in each episode) or a JSON file"""
     data: str | None = None
-    """recorded data instead of a simulation: a sample (see mmwave-loc list samples), the folder of
-    a DeepMIMO scenario (each seed draws new receiver noise and a new prior), or a folder with a
-    measurement log, scene.json and truth.tum (each seed draws a new prior)"""
+    """recorded data instead of a simulation: a sample (see
+    mmwave-loc list samples), the folder of a DeepMIMO
+    scenario (each seed draws new receiver noise and a new
+    prior), or a folder with a measurement log, scene.json
+    and truth.tum (each seed draws a new prior)"""
     dt: float | None = None
-    """seconds between epochs (default: 1)"""
+    """seconds between epochs (None: 1)"""
     episode_steps: int | None = None
-    """number of epochs of an episode (default: 200, or all epochs of recorded data)"""
+    """number of epochs of an episode (None: 200, or all epochs of recorded data)"""
     odometry: bool = False
     """the user also measures speed and heading"""
     clock: str = "synchronized"
-    """synchronized, or offset: the user's clock has an unknown offset, which shifts all ranges"""
+    """synchronized, or offset: the user's clock has an
+    unknown offset, which shifts all ranges"""
     measurements: tuple[str, ...] | None = None
-    """quantities that the receiver measures: some of range, azimuth, elevation, departure and
-    doppler (default: all)"""
+    """quantities that the receiver measures: some of range,
+    azimuth, elevation, departure and doppler (None: all)"""
 
 
 @dataclass(kw_only=True)
@@ -76,15 +82,20 @@ class ModeArgs(WorldArgs):
     """Options for modes and agents."""
 
     modes: tuple[str, ...] = ()
-    """modes to use instead of the radio's ekf and ukf: names (ekf, ukf, ckf, ekf-robust,
-    ukf-robust) and mode files. Policies that can use them: fixed-NAME, likelihood-rule, imm and,
-    if there are two modes, speed-rule (the first for low mobility, the second for high). Learned
-    policies keep their own modes"""
+    """modes to use instead of the radio's ekf and ukf: names
+    (ekf, ukf, ckf, ekf-robust, ukf-robust) and mode files.
+    Policies that can use them: fixed-NAME,
+    likelihood-rule, imm and, if there are two modes,
+    speed-rule (the first for low mobility, the second for
+    high). Learned policies keep their own modes"""
     observation: str = "full"
-    """observation that your own agents get: full, prior or signed; policy files set their own"""
+    """observation that your own agents get: full, prior or
+    signed; policy files set their own"""
     beliefs: str = "shared"
-    """beliefs (estimates) that your own agents were trained with: shared, or per-mode (the default
-    modes are then the modes of the radio's best IMM); policy files set their own"""
+    """beliefs (estimates) that your own agents were trained
+    with: shared, or per-mode (the default modes are then
+    the modes of the radio's best IMM); policy files set
+    their own"""
     planar: bool = False
     """flat terrain: height and vertical velocity are known"""
 
@@ -96,8 +107,9 @@ class IntegrityArgs:
     risk: float = 0.001
     """probability that an error exceeds its protection level"""
     levels: Literal["calibrated", "gaussian"] = "calibrated"
-    """protection levels: calibrated on simulated episodes (for a risk of 0.01 or 0.001), or
-    gaussian (for any risk, if the covariances are right)"""
+    """protection levels: calibrated on simulated episodes
+    (for a risk of 0.01 or 0.001), or gaussian (for any
+    risk, if the covariances are right)"""
 
 
 @dataclass(kw_only=True)
@@ -105,9 +117,10 @@ class EpisodeArgs(ModeArgs, IntegrityArgs, EpisodeResultArgs):
     """Options for the episodes to run."""
 
     episodes: int | None = None
-    """number of episodes (default: 1000); results to publish need 1000 or more"""
+    """number of episodes (None: 1000); results to publish need 1000 or more"""
     seed: int | None = None
-    """seed of the first episode (default: 0); test seeds start at 0, tuning seeds at 5000000"""
+    """seed of the first episode (None: 0); test seeds start
+    at 0, tuning seeds at 5000000"""
     reward: str = "tracking"
     """reward to report: tracking or log-score"""
 
@@ -117,17 +130,22 @@ class LearnedArgs:
     """Options for the environment of a learned policy."""
 
     scenario: str = "mixed"
-    """kind of user: a name (see mmwave-loc list scenarios) or a JSON file; or a trajectory of your
-    own: a CSV file with columns t, x, y, z"""
+    """kind of user: a name (see mmwave-loc list scenarios) or
+    a JSON file; or a trajectory of your own: a CSV file
+    with columns t, x, y, z"""
     beliefs: Literal["shared", "per-mode"] = "shared"
-    """shared: all modes work on one belief (estimate); per-mode: every mode keeps its own belief,
-    and an action raises the probability of one mode, or of none"""
+    """shared: all modes work on one belief (estimate);
+    per-mode: every mode keeps its own belief, and an
+    action raises the probability of one mode, or of none"""
     modes: tuple[str, ...] = ()
-    """modes to choose from: names and mode files; by default the radio's ekf and ukf or, with
-    --beliefs per-mode, its best bank"""
+    """modes to choose from: names and mode files; by default
+    the radio's ekf and ukf or, with --beliefs per-mode,
+    its best bank"""
     observation: str = "full"
-    """features that the agent observes: full; prior (without the features that say how well each
-    mode explains the coming epoch); or signed (full, plus residuals along and across velocity)"""
+    """features that the agent observes: full; prior (without
+    the features that say how well each mode explains the
+    coming epoch); or signed (full, plus residuals along
+    and across velocity)"""
 
 
 @dataclass(kw_only=True)
@@ -135,21 +153,30 @@ class TaskArgs(LearnedArgs):
     """Options for the task to learn."""
 
     algo: Literal["ppo", "rollouts", "corrector"] = "ppo"
-    """ppo: PPO of Stable-Baselines3; rollouts: rollout policy iteration with common random numbers,
-    which tries every action on the same measurements; corrector: a recurrent network that corrects
-    the beliefs of the policy `guided`"""
+    """ppo: PPO of Stable-Baselines3; rollouts: rollout policy
+    iteration with common random numbers, which tries every
+    action on the same measurements; corrector: a recurrent
+    network that corrects the beliefs of the policy
+    `guided`"""
     radio: str = "handset"
-    """radio to train with on the street, if --places is not given: handset, standard, high or a
-    JSON file"""
+    """radio to train with on the street, if --places is not
+    given: handset, standard, high or a JSON file"""
     places: tuple[str, ...] = ()
-    """places to train at, instead of --radio. Each is SCENE:RADIO (names or JSON files), such as
-    street:handset, followed if needed by the seconds between epochs (:0.1, default: 1), the
-    measured quantities (:range+azimuth, default: all), and :offset for a clock with an offset.
-    Environments, and the episodes to judge policies on, are spread evenly over the places"""
+    """places to train at, instead of --radio. Each is
+    SCENE:RADIO (names or JSON files), such as
+    street:handset, followed if needed by the seconds
+    between epochs (:0.1, default: 1), the measured
+    quantities (:range+azimuth, default: all), and :offset
+    for a clock with an offset. Environments, and the
+    episodes to judge policies on, are spread evenly over
+    the places"""
     reward: str = "tracking"
-    """tracking; log-score; or paired, which is the tracking reward minus the tracking reward of an
-    IMM (with --beliefs per-mode, the IMM of the bank). If a hyperparameter file sets "paired":
-    true, the reward of the IMM is subtracted from the log-score or the tracking reward"""
+    """tracking; log-score; or paired, which is the tracking
+    reward minus the tracking reward of an IMM (with
+    --beliefs per-mode, the IMM of the bank). If a
+    hyperparameter file sets "paired": true, the reward of
+    the IMM is subtracted from the log-score or the
+    tracking reward"""
     nees_weight: float = 0.2
     """weight of the NEES in the tracking reward"""
 
@@ -159,14 +186,19 @@ class TrackOutputArgs(JsonArgs):
     """Options for the results of a log."""
 
     out: tuple[Path, ...] = ()
-    """write the track to these files: .tum, which also writes a .csv with standard deviations and
-    modes; .csv alone; or, for maps, .geojson, .gpx or .nmea, which need an origin in the scene"""
+    """write the track to these files: .tum, which also writes
+    a .csv with standard deviations and modes; .csv alone;
+    or, for maps, .geojson, .gpx or .nmea, which need an
+    origin in the scene"""
     plot: Path | None = None
     """draw the track to this .png, .svg or .pdf file"""
     diagnose: bool = False
-    """compute no track, but show the number of epochs, the rate, how often each anchor is measured,
-    and anything odd; then show likely mistakes in the first epochs (wrong units, signs, frames or
-    order of anchors; arrival and departure swapped), and which correction helps"""
+    """compute no track, but show the number of epochs, the
+    rate, how often each anchor is measured, and anything
+    odd; then show likely mistakes in the first epochs
+    (wrong units, signs, frames or order of anchors;
+    arrival and departure swapped), and which correction
+    helps"""
 
 
 @dataclass(kw_only=True)
@@ -174,30 +206,35 @@ class FilterArgs:
     """Options for the filters."""
 
     policy: str | None = None
-    """policy that chooses the modes: corrector (default), guided, ppo, a policy file, or
-    module:function"""
+    """policy that chooses the modes: corrector (default),
+    guided, ppo, a policy file, or module:function"""
     imm: str | None = None
-    """IMM to use instead of a policy: imm-best, imm or the mode file of a bank. An IMM runs all its
-    modes, and weights each by how well it explains the log"""
+    """IMM to use instead of a policy: imm-best, imm or the
+    mode file of a bank. An IMM runs all its modes, and
+    weights each by how well it explains the log"""
     radio: str = AUTO
-    """radio profile, which sets how modes are tuned and how noise depends on the SNR: handset,
-    standard, high or a JSON file; auto: the profile whose noise is nearest to the log's noise"""
+    """radio profile, which sets how modes are tuned and how
+    noise depends on the SNR: handset, standard, high or a
+    JSON file; auto: the profile whose noise is nearest to
+    the log's noise"""
     snr: float | None = None
-    """SNR of links that have none in the log, dB; needed if the log has neither SNR nor standard
-    deviations"""
+    """SNR of links that have none in the log, dB; needed if
+    the log has neither SNR nor standard deviations"""
     smoothing: bool = True
-    """smooth the track, or each mode's track if modes interact (Rauch-Tung-Striebel smoother)"""
+    """smooth the track, or each mode's track if modes
+    interact (Rauch-Tung-Striebel smoother)"""
     window: int = 200
     """number of epochs that are smoothed together"""
     two_way: bool = False
-    """correct the smoothed track by a network that reads it forwards and backwards; needs a policy
-    or an IMM"""
+    """correct the smoothed track by a network that reads it
+    forwards and backwards; needs a policy or an IMM"""
     odometry: bool = True
     """use speed and heading if the log has them"""
     height: float | None = None
     """known height of a user on flat terrain, m"""
     clock: str = "synchronized"
-    """synchronized, or offset: estimate the offset of the user's clock, which shifts all ranges"""
+    """synchronized, or offset: estimate the offset of the
+    user's clock, which shifts all ranges"""
 
 
 @dataclass(kw_only=True)
@@ -205,15 +242,17 @@ class AlgorithmArgs:
     """Options of the paper's Algorithm 1; if any is set, the algorithm replaces the policy."""
 
     speed: str | None = None
-    """Algorithm 1: the user's speed, m/s, which selects the pipeline that runs; or auto, to decide
-    in every epoch"""
+    """Algorithm 1: the user's speed, m/s, which selects the
+    pipeline that runs; or auto, to decide in every epoch"""
     outside: Literal["fallback", "abort"] = "fallback"
-    """action if --speed is above 20 m/s, outside the paper's design window: fallback (run the UKF
-    pipeline) or abort"""
+    """action if --speed is above 20 m/s, outside the paper's
+    design window: fallback (run the UKF pipeline) or abort"""
     follow: Literal["prediction", "odometry"] = "prediction"
-    """speed by which --speed auto decides: predicted by the filter, or measured by odometry"""
+    """speed by which --speed auto decides: predicted by the
+    filter, or measured by odometry"""
     modes: Path | None = None
-    """mode file whose two modes replace the EKF (low mobility) and the UKF (high mobility)"""
+    """mode file whose two modes replace the EKF (low
+    mobility) and the UKF (high mobility)"""
     robust: bool = False
     """give outlying links less weight instead of rejecting them (also with --imm)"""
 
@@ -227,16 +266,19 @@ class LogArgs(AlgorithmArgs, FilterArgs, IntegrityArgs, TrackOutputArgs):
     scene: str | None = None
     """scene of the log: a JSON file with the anchors; or street, o1, dynamic-doppler"""
     sample: str | None = None
-    """sample to use instead of a log: canyon28_vehicle or canyon28_pedestrian, which have a scene
-    and ground truth"""
+    """sample to use instead of a log: canyon28_vehicle or
+    canyon28_pedestrian, which have a scene and ground
+    truth"""
     live: bool = False
-    """read rows from standard input (log -) as CSV or JSON lines, and print a JSON line immediately
-    after each epoch"""
+    """read rows from standard input (log -) as CSV or JSON
+    lines, and print a JSON line immediately after each
+    epoch"""
     lag: int = 0
-    """with --live, also print the position this many epochs ago, smoothed with all later epochs"""
+    """with --live, also print the position this many epochs
+    ago, smoothed with all later epochs"""
     associate: bool = False
-    """the log's rows are paths without anchor numbers: assign each path to an anchor, or reject it
-    as false"""
+    """the log's rows are paths without anchor numbers: assign
+    each path to an anchor, or reject it as false"""
     truth: Path | None = None
     """ground-truth track in TUM format, to score the track; the filters never see it"""
 
@@ -250,7 +292,8 @@ class PageArgs:
     out: Path = Path("report.html")
     """web page to write"""
     episodes: int = 30
-    """number of episodes of each comparison to run again, for the distributions of errors and NEES;
-    0 for none"""
+    """number of episodes of each comparison to run again, for
+    the distributions of errors and NEES; 0 for none"""
     watch: int = 2
-    """for each comparison, number of rerun episodes that the page can play epoch by epoch"""
+    """for each comparison, number of rerun episodes that the
+    page can play epoch by epoch"""

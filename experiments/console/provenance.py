@@ -8,7 +8,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
 
-from experiments.console.parser import is_positional
+from tyro.conf import Positional
+
 from mmwave_env import __version__
 from mmwave_env.io.files import Json
 from mmwave_env.io.records import require
@@ -21,7 +22,7 @@ OUTPUTS = {"json", "episodes_csv", "errors", "consistency", "plot", "docs", "out
 def command_line(name: str, args: Any) -> str:
     """Return the command line that sets the given options; default values are left out."""
     kinds = get_type_hints(type(args), include_extras=True)
-    nameless = [field.name for field in fields(args) if is_positional(kinds[field.name])]
+    nameless = [field.name for field in fields(args) if Positional in get_args(kinds[field.name])]
     values = [value for field in nameless if (value := getattr(args, field)) is not None]
     words = ["mmwave-loc", name, *(word for value in values for word in _words(value))]
     for field in fields(args):

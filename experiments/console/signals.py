@@ -1,20 +1,12 @@
 """Signals from a scheduler or a closed terminal: the program cleans up as after Ctrl-C."""
 
-import os
 import signal
-import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from threading import Timer
-from types import FrameType
-from typing import Any, NoReturn
+from contextlib import contextmanager
+from typing import Any
 
 # Signals that end the program, if the system has them; Windows has no SIGHUP.
 ENDING = tuple(getattr(signal, n) for n in ("SIGTERM", "SIGHUP") if hasattr(signal, n))
-SOON_S = 0.01  # delay after which a signal that could not be handled is sent again
-# A scheduler may send one signal twice: to the process and to its group. So a second signal is
-# ignored if it arrives within SAME_S seconds.
-SAME_S = 1.0
 
 
 class Ended(SystemExit):
@@ -22,11 +14,7 @@ class Ended(SystemExit):
 
     def __init__(self, number: int) -> None:
         super().__init__(128 + number)
-        self.told = _told(number)
-
-
-def _told(number: int) -> str:
-    return "interrupted" if number == signal.SIGINT else f"ended by {signal.Signals(number).name}"
+        self.message = f"ended by {signal.Signals(number).name}"
 
 
 @contextmanager
@@ -52,19 +40,12 @@ def ended_by_signals() -> Iterator[None]:
     Raises:
         Ended: one of the signals arrived.
     """
-    last_s = -SAME_S
-    came = 0
+    came: list[int] = []
 
-    def end(number: int, frame: FrameType | None) -> None:
-        nonlocal last_s, came
-        if _in_callback(frame):
-            Timer(SOON_S, os.kill, (os.getpid(), number)).start()
-            return
-        again = time.monotonic() - last_s < SAME_S
-        last_s = time.monotonic()
-        if not again:
-            came = number
-            raise Ended(number)
+    def end(number: int, _: Any) -> None:
+        ignore_signals()
+        came.append(number)
+        raise Ended(number)
 
     with answered(ENDING, end):
         try:
@@ -72,34 +53,11 @@ def ended_by_signals() -> Iterator[None]:
         except BaseException as other:
             # Another exception may have replaced Ended, in Ray's C code or in a progress bar.
             if came and not isinstance(other, Ended):
-                raise Ended(came) from None
+                raise Ended(came[0]) from None
             raise
 
 
-@contextmanager
-def ended_by_the_system() -> Iterator[None]:
-    """Let Ctrl-C, SIGTERM and SIGHUP end the process, even during a long call into C code."""
-    with answered((signal.SIGINT, *ENDING), signal.SIG_DFL):
-        yield
-
-
-def _in_callback(frame: FrameType | None) -> bool:
-    """Return whether the running code is a callback from C code that would drop exceptions."""
-    while frame is not None:
-        if frame.f_code.co_name.startswith("_raw_object_cache"):  # a callback of llvmlite
-            return True
-        frame = frame.f_back
-    return False
-
-
-def _leave(number: int, _: Any) -> NoReturn:
-    with suppress(OSError):  # the terminal may be gone
-        os.write(2, f"mmwave-loc: {_told(number)}\n".encode())
-    os._exit(128 + number)
-
-
-@contextmanager
-def stopped_at_once() -> Iterator[None]:
-    """End the process on Ctrl-C, SIGTERM and SIGHUP without a traceback, even in an import."""
-    with answered((signal.SIGINT, *ENDING), _leave):
-        yield
+def ignore_signals() -> None:
+    """Ignore further signals: a scheduler may send one twice, to the process and to its group."""
+    for number in ENDING:
+        signal.signal(number, signal.SIG_IGN)

@@ -3,11 +3,13 @@
 import re
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import zip_longest
 
+from rich import box
 from rich.cells import cell_len
 from rich.console import Console
 from rich.markdown import Markdown
+from rich.table import Table
+from rich.text import Text
 
 from mmwave_env.io.lookup import printable
 
@@ -54,13 +56,14 @@ def grid(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
 
 def booktabs(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     """Return plain-text cells as a LaTeX ``tabular`` in the style of the package booktabs."""
-    head, *body = (
-        " & ".join(_MINUS.sub("$-$", printable(str(cell)).translate(_LATEX)) for cell in cells)
-        for cells in (header, *rows)
-    )
-    lines = [rf"\begin{{tabular}}{{l{'r' * (len(header) - 1)}}}", r"\toprule", head + r" \\"]
-    lines += [r"\midrule", *(row + r" \\" for row in body), r"\bottomrule", r"\end{tabular}"]
+    lines = [rf"\begin{{tabular}}{{l{'r' * (len(header) - 1)}}}", r"\toprule", _latex_row(header)]
+    lines += [r"\midrule", *map(_latex_row, rows), r"\bottomrule", r"\end{tabular}"]
     return "\n".join(lines) + "\n"
+
+
+def _latex_row(cells: Iterable[object]) -> str:
+    texts = (printable(str(cell)).translate(_LATEX) for cell in cells)
+    return " & ".join(_MINUS.sub("$-$", text) for text in texts) + r" \\"
 
 
 def show(text: str) -> None:
@@ -75,50 +78,53 @@ def show(text: str) -> None:
         return
     for part in TABLE.split(text):
         if part.startswith("|"):
-            for lines in _tables(part, console.width):
-                console.out("", *lines, "", sep="\n", highlight=False)
+            for table in _tables(part, console.width):
+                console.print("", table, "", crop=False)
         else:
             console.print(Markdown(part))
 
 
-def _tables(text: str, width: int) -> Iterator[list[str]]:
-    """Split a Markdown table into tables that fit a width; yield the lines of each.
+def _tables(text: str, width: int) -> Iterator[Table]:
+    """Split a Markdown table into tables that fit a width, each with the first column.
 
-    Every table repeats the first column. Headers are wrapped at spaces; cells are never wrapped.
+    Headers are wrapped at spaces; cells are never wrapped.
     """
-    lines = (
-        [unescaped(cell.strip()) for cell in CELL.findall(line[1:])] for line in text.splitlines()
+    lines = [CELL.findall(line[1:]) for line in text.splitlines()]
+    header, _, *rows = [[unescaped(cell.strip()) for cell in line] for line in lines]
+    columns = list(zip(header, *rows, strict=True))
+    first = columns[0]
+    group = [first]
+    for column in columns[1:]:
+        if len(group) > 1 and _width([*group, column]) > width:
+            yield _table(group)
+            group = [first]
+        group.append(column)
+    yield _table(group)
+
+
+def _table(columns: Sequence[Sequence[str]]) -> Table:
+    """Return a table of columns; the first text of each column is its header."""
+    table = Table(
+        width=_width(columns),
+        box=box.SIMPLE_HEAD,
+        show_edge=False,
+        pad_edge=False,
+        padding=(0, 1, 0, 0),
     )
-    header, _, *rows = lines
-    header = [UNIT.sub(GLUED, title) for title in header]
-    needed = [
-        max(map(cell_len, [*column, *title.split(" ")]))
-        for title, *column in zip(header, *rows, strict=True)
-    ]
-    parts = [[0]]
-    for i in range(1, len(header)):
-        if len(parts[-1]) > 1 and sum(needed[k] + GAP for k in (*parts[-1], i)) - GAP > width:
-            parts.append([0])
-        parts[-1].append(i)
-    for part in parts:
-        yield _table([[row[k] for k in part] for row in (header, *rows)], [needed[k] for k in part])
+    for column in columns:
+        width = _least_width(column)
+        title = textwrap.fill(UNIT.sub(GLUED, column[0]), width).replace(GLUED, " ")
+        table.add_column(Text(title), width=width)
+    for cells in zip(*(column[1:] for column in columns), strict=True):
+        table.add_row(*map(Text, cells))
+    return table
 
 
-def _table(rows: Sequence[Sequence[str]], widths: Sequence[int]) -> list[str]:
-    """Return the lines of a table whose first row is the header."""
-    wrapped = [
-        [line.replace(GLUED, " ") for line in textwrap.wrap(title, n)]
-        for title, n in zip(rows[0], widths, strict=True)
-    ]
-    header = zip_longest(*wrapped, fillvalue="")
-    rule = ["─" * (sum(widths) + GAP * (len(widths) - 1))]
-    return [*_aligned(header, widths), *rule, *_aligned(rows[1:], widths)]
+def _width(columns: Sequence[Sequence[str]]) -> int:
+    return sum(map(_least_width, columns)) + GAP * (len(columns) - 1)
 
 
-def _aligned(rows: Iterable[Sequence[str]], widths: Sequence[int]) -> list[str]:
-    return [
-        (" " * GAP)
-        .join(cell + " " * (n - cell_len(cell)) for cell, n in zip(row, widths, strict=True))
-        .rstrip()
-        for row in rows
-    ]
+def _least_width(column: Sequence[str]) -> int:
+    """Return the width of a column in which no cell and no word of the header is broken."""
+    words = UNIT.sub(GLUED, column[0]).split(" ")
+    return max(map(cell_len, [*words, *column[1:]]))
