@@ -16,7 +16,7 @@ import numpy as np
 
 from mmwave_env.filters.correction import MOST_LOG_FACTOR, MOST_SHIFT
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.interface.observation import Observation, columns_of
+from mmwave_env.interface.observation import Observation, observation_columns
 from mmwave_env.interface.policy import Correction, Policy, Switching
 from mmwave_env.interface.signed import after_update
 from mmwave_env.io.files import AnyPath
@@ -66,7 +66,7 @@ class CorrectionNetwork(LearnedPolicy):
 
     def read_from_track(self, pipeline: Pipeline) -> None:
         """Find the policy's features among the features that tracks of a pipeline compute."""
-        columns = columns_of(after_update(pipeline, per_mode=True))
+        columns = observation_columns(after_update(pipeline, per_mode=True))
         self._of_track = self._found_in(columns)
 
     def _read(self, features: Array32) -> tuple[Array32, Array32]:

@@ -71,13 +71,13 @@ def _deviation(computed: Array, expected: Array) -> float:
 def _episodes(task: Task, episodes: EpisodeBatch) -> float:
     """Return how much epochs drawn by compiled code differ from epochs drawn in Python floats."""
     source = task.simulated
-    begun = source.begin(_KEYS)
+    starts = source.begin(_KEYS)
     world = source.world
-    settings = source.feed(begun.worlds).settings[:, 0]
+    settings = source.feed(starts.worlds).settings[:, 0]
     blank = np.zeros(world.ends[0])
     (observed, happened, moved) = world.parts
     computed = []
-    for kept in begun.worlds:
+    for kept in starts.worlds:
         w = unflatten(world.template, iter(np.concatenate([blank, settings, kept]).tolist()))
         for dt in source.steps_s:
             w = observed(w)

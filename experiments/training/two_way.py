@@ -30,7 +30,7 @@ from mmwave_env.engines.smoothed_features import GATES, smoothed_features
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.mode_smoothing import smooth_modes
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.interface.observation import columns_of as columns_shown
+from mmwave_env.interface.observation import observation_columns
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.interface.signed import after_update
 from mmwave_env.io.files import Json
@@ -132,7 +132,7 @@ def trained_two_way(command: str, rounds: int = ROUNDS, passes: int = PASSES) ->
     card = Card(
         modes=task.bank.modes,
         observation="signed",
-        features=columns_shown(after_update(pipeline, per_mode=True)),
+        features=observation_columns(after_update(pipeline, per_mode=True)),
         scenario=task.scenario,
         radio=", ".join(banks),
         algorithm=hyper.algorithm,

@@ -12,8 +12,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic, overload, register_jitable
 
-from mmwave_env.compiler.lanes import WIDTH
-from mmwave_env.compiler.transpose import address, gather, scatter, scatter_single
+from mmwave_env.compiler.lanes import WIDTH, address, gather, scatter, scatter_single
 from mmwave_env.numerics.numbers import Array
 
 NEAR = 2**16  # if all blocks together have up to this many numbers, a core's own caches hold them

@@ -28,7 +28,7 @@ from mmwave_env.models.layout import Layout
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.numerics.pytree import flatten
 from mmwave_env.world.episode import Episode, EpisodeBatch, columns_of
-from mmwave_env.world.simulated import Begun, SimulatedSource
+from mmwave_env.world.simulated import EpisodeStarts, SimulatedSource
 
 # Waking a thread takes as long as running 32 blocks, of eight environments each, for one epoch.
 BLOCKS_PER_THREAD = 64  # minimum number of blocks for each thread
@@ -123,20 +123,20 @@ class Batch(Generic[Workspace]):
         self.state.length[0] = 1
         self.state.epoch[0] = 0
 
-    def begin(self, source: SimulatedSource, begun: Begun, places: Index) -> None:
+    def begin(self, source: SimulatedSource, starts: EpisodeStarts, places: Index) -> None:
         """Start over with episodes that are simulated while the environments step.
 
         Args:
             source: source of the episodes, the same in every call.
-            begun: beginnings of the episodes, one for each of ``places``.
+            starts: beginnings of the episodes, one for each of ``places``.
             places: indices of the environments that begin.
         """
         self._attach(source)
         block, lane = np.divmod(places, WIDTH)
-        self.state.feed.kept[block, :, lane] = begun.worlds
+        self.state.feed.kept[block, :, lane] = starts.worlds
         self.state.length[places] = source.epochs
         _, site, _, *_ = self.at
-        self.write(site, begun.sites, places)
+        self.write(site, starts.sites, places)
         self.restart(places)
 
     def _attach(self, source: SimulatedSource) -> None:

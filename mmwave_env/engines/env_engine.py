@@ -116,11 +116,11 @@ class Engine:
             episodes = task.tables(keys, threads)
             self.batch.load(episodes, places)
             return episodes.names
-        begun = source.begin(keys)
+        starts = source.begin(keys)
         if self.pipeline.planar:
-            begun = begun.on_flat_ground(source.layout)
-        self.batch.begin(source, begun, places)
-        return [source.names[kind] for kind in begun.kinds]
+            starts = starts.on_flat_ground(source.layout)
+        self.batch.begin(source, starts, places)
+        return [source.names[kind] for kind in starts.kinds]
 
     def go_on(self, task: Task, tracks: BatchState) -> None:
         """Continue from a batch's state, which another process may have saved with this task."""

@@ -19,8 +19,8 @@ from typing import Any, NamedTuple
 from mmwave_env.compiler.program import Program
 from mmwave_env.engines.epoch_state import (
     PendingEpoch,
-    begun,
     blank_environment,
+    initial_belief,
     last_of,
     pending_of,
     scores,
@@ -91,7 +91,7 @@ def shared_epoch(
     memory = memory_after(layout, w.action, w.x, chosen, w.memory, dt, visible, measured)
     belief = pipeline.belief(chosen.x, chosen.P)
 
-    x, P, memory = begun(w, chosen.x, chosen.P, memory, pipeline)
+    x, P, memory = initial_belief(w, chosen.x, chosen.P, memory, pipeline)
     coming = w.incoming.epoch(layout)
     candidates = [predict_update(pipeline, m, x, P, memory, coming, w.site) for m in modes]
     coming = with_expected_spread(coming, x[3:6], w.site)
@@ -178,7 +178,7 @@ def per_mode_epoch(
 
     is_first = w.is_first > 0.5
     prior = begin(pipeline, w.site.prior_x, w.site.prior_P)
-    x, P, memory = begun(w, x, pack(covariance), memory, pipeline)
+    x, P, memory = initial_belief(w, x, pack(covariance), memory, pipeline)
     mixture = select(is_first, prior, mixture)
     probabilities = mixture.probability
     coming = w.incoming.epoch(layout)

@@ -96,7 +96,7 @@ def last_of(w: Any, layout: Layout, probabilities: Vector = ()) -> LastEpoch | N
     return LastEpoch(epoch, w.is_first, w.x[3:6], probabilities)
 
 
-def begun(
+def initial_belief(
     w: Any, x: list[Number], P: list[Number], memory: Memory, pipeline: Pipeline
 ) -> tuple[list[Number], list[Number], Memory]:
     """Return the belief x (7,), P (28,), and the memory, with which an epoch begins.

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mmwave_env.compiler.program import Program, Workspace, rows_of
 from mmwave_env.engines.batch import Batch
-from mmwave_env.engines.epoch_state import begun, blank_track
+from mmwave_env.engines.epoch_state import blank_track, initial_belief
 from mmwave_env.filters.memory import Memory, memory_after, memory_before
 from mmwave_env.filters.modes import Tuning
 from mmwave_env.filters.pipeline import Pipeline, predict_update
@@ -52,7 +52,7 @@ def track_epoch(w: TrackState, pipeline: Pipeline, rule: Rule | None) -> TrackSt
     """Compute one epoch of a track."""
     layout = pipeline.layout
     epoch = w.incoming.epoch(pipeline.layout)
-    x, P, memory = begun(w, w.x, w.P, w.memory, pipeline)
+    x, P, memory = initial_belief(w, w.x, w.P, w.memory, pipeline)
     number = w.action if rule is None else rule(x, epoch)
     candidates = [
         predict_update(pipeline, mode, x, P, memory, epoch, w.site, tuning)

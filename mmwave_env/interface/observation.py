@@ -142,7 +142,7 @@ class Observation:
     @property
     def columns(self) -> tuple[Column, ...]:
         """Return the columns in their order."""
-        return columns_of(self.features)
+        return observation_columns(self.features)
 
     def values(self, view: View) -> list[Number]:
         """Return the standardized values of all features."""
@@ -179,7 +179,7 @@ class Observation:
         return "\n".join(lines)
 
 
-def columns_of(features: Sequence[Feature]) -> tuple[Column, ...]:
+def observation_columns(features: Sequence[Feature]) -> tuple[Column, ...]:
     """Return the columns of standardized features."""
     scales = feature_scales()
     return tuple(Column(f.name, f.unit, *map(float, scales[f.kind])) for f in features)

@@ -82,7 +82,8 @@ Probability = Annotated[float, Bound("a number in [0, 1]", least=0.0, most=1.0)]
 Name = Annotated[str, Printable()]
 
 _KINDS: dict[Any, tuple[type, str]] = {
-    **{kind: (kind, kind.__name__) for kind in (str, bool)},
+    str: (str, "str"),
+    bool: (bool, "bool"),
     int: (Integral, "int"),
     float: (Real, "a number"),
     type(None): (type(None), "None"),
@@ -96,7 +97,7 @@ def hints_of(kind: Any) -> Mapping[str, Any]:
     return {field.name: hints[field.name] for field in fields(kind)}
 
 
-def _fits(hint: Any, value: Any) -> bool:
+def _matches(hint: Any, value: Any) -> bool:
     """Tell whether a value fits the type of a field."""
     origin = get_origin(hint)
     inside = get_args(hint)
@@ -104,39 +105,46 @@ def _fits(hint: Any, value: Any) -> bool:
         kind = isinstance(value, _KINDS[hint][0]) and isinstance(value, bool) <= (hint is bool)
         return kind and (hint is not float or FINITE.holds(value))
     if origin is Annotated:
-        base, said = inside
-        if isinstance(said, (Bound, Printable)):
-            kind = isinstance(value, _KINDS[base][0]) and not isinstance(value, bool)
-            return kind and said.holds(value)
-        return _fits(base, value) and (isinstance(said, str) or said.holds(value))
-    if origin in (Literal, Union, UnionType):
-        return value in inside if origin is Literal else any(_fits(kind, value) for kind in inside)
+        base, limit = inside
+        return _within(base, limit, value)
+    if origin is Literal:
+        return value in inside
+    if origin in (Union, UnionType):
+        return any(_matches(kind, value) for kind in inside)
     if origin is tuple:
         every = inside[:1] * len(value) if inside[-1] is ... and _is_list(value) else inside
-        return _is_list(value) and len(value) == len(every) and all(map(_fits, every, value))
+        return _is_list(value) and len(value) == len(every) and all(map(_matches, every, value))
     return callable(value) if origin else isinstance(value, hint)
+
+
+def _within(base: Any, limit: Any, value: Any) -> bool:
+    """Tell whether a value fits the type ``base`` and its annotation."""
+    if isinstance(limit, (Bound, Printable)):
+        kind = isinstance(value, _KINDS[base][0]) and not isinstance(value, bool)
+        return kind and bool(limit.holds(value))
+    return _matches(base, value) and (isinstance(limit, str) or bool(limit.holds(value)))
 
 
 def _is_list(value: Any) -> bool:
     return isinstance(value, (tuple, list, np.ndarray))
 
 
-def _said(hint: Any) -> str:
+def _describe(hint: Any) -> str:
     """Describe the valid values of a type, in words that can follow "expected" in a message."""
     origin = get_origin(hint)
     inside = get_args(hint)
     if hint in _KINDS:
         return _KINDS[hint][1]
     if origin is Annotated:
-        said = inside[1]
-        return said if isinstance(said, str) else said.expected  # type: ignore[no-any-return]
+        limit = inside[1]
+        return limit if isinstance(limit, str) else limit.expected  # type: ignore[no-any-return]
     if origin is Literal:
         return f"one of {', '.join(map(str, inside))}"
     if origin in (Union, UnionType):
-        return " or ".join(map(_said, inside))
+        return " or ".join(map(_describe, inside))
     if origin is tuple:
-        said = [_said(element) for element in inside if element is not ...]
-        return f"a list, each element {said[0]}" if inside[-1] is ... else f"[{', '.join(said)}]"
+        each = [_describe(element) for element in inside if element is not ...]
+        return f"a list, each element {each[0]}" if inside[-1] is ... else f"[{', '.join(each)}]"
     return "a function" if origin else "an object"
 
 
@@ -162,14 +170,14 @@ def require_ordered(record: object, *names: str) -> None:
 
 def require(name: str, value: Any, hint: Any, of: str = "") -> None:
     """Refuse an argument that does not fit a type, which may be annotated with limits."""
-    if _fits(hint, value):
+    if _matches(hint, value):
         return
     bare = get_args(hint)[0] if get_origin(hint) is Annotated else hint
     if get_origin(bare) is tuple and get_args(bare)[-1] is ... and _is_list(value):
         for i, element in enumerate(value):  # find the invalid element
             require(f"{name}[{i}]", element, get_args(bare)[0], of)
-        raise ValueError(f"{name}{of}: found length {len(value)}, expected {_said(hint)}")
-    raise ValueError(f"{name}{of}: found {quoted(value)}, expected {_said(hint)}")
+        raise ValueError(f"{name}{of}: found length {len(value)}, expected {_describe(hint)}")
+    raise ValueError(f"{name}{of}: found {quoted(value)}, expected {_describe(hint)}")
 
 
 def object_from(kind: type[T], content: Any, where: str = "") -> T:
@@ -192,22 +200,24 @@ def object_from(kind: type[T], content: Any, where: str = "") -> T:
         if field.name not in content and field.default is field.default_factory is MISSING:
             beside = f" in addition to {', '.join(content)}" if content else ""
             raise ValueError(f"{where}{field.name}: found none, expected one{beside}")
-    built = {key: _built(hints[key], value, f"{where}{key}") for key, value in content.items()}
+    built = {key: _construct(hints[key], value, f"{where}{key}") for key, value in content.items()}
     try:
         return kind(**built)
     except ValueError as error:
         raise ValueError(f"{where}{error}") from error
 
 
-def _built(hint: Any, value: Any, where: str) -> Any:
+def _construct(hint: Any, value: Any, where: str) -> Any:
     """Convert a value to the type of a field, if the type determines the conversion."""
     if value is None:
         return None
     if get_origin(hint) in (Annotated, Union, UnionType):
-        return _built(get_args(hint)[0], value, where)
+        return _construct(get_args(hint)[0], value, where)
     if get_origin(hint) is tuple and isinstance(value, list):
         inside = get_args(hint)[0]
-        return tuple(_built(inside, element, f"{where}[{i}]") for i, element in enumerate(value))
+        return tuple(
+            _construct(inside, element, f"{where}[{i}]") for i, element in enumerate(value)
+        )
     if hint is float and type(value) is int:
         return float(value) if abs(value) < 1e300 else math.inf
     is_object = isinstance(hint, type) and is_dataclass(hint)

@@ -31,12 +31,12 @@ from mmwave_env.world.keys import Keys, draw_key
 from mmwave_env.world.mobility import FASTEST_MPS, MIXED, plans_of
 from mmwave_env.world.simulation import (
     USER,
-    Beginning,
+    StartState,
     World,
     WorldSettings,
     as_measured,
-    beginning,
     on_a_way,
+    start_program,
     world_of,
 )
 from mmwave_env.world.trajectory import PlacedWays, Scenario, Users, users_of
@@ -46,7 +46,7 @@ RARE = 4.0  # number of standard deviations that only rare events exceed
 MOST_EPOCHS = 1_000_000  # maximum per episode, as times and actions of all epochs are stored
 
 
-class Begun(NamedTuple):
+class EpisodeStarts(NamedTuple):
     """The beginnings of n episodes, whose users are simulated or follow given ways (trajectories).
 
     Attributes:
@@ -64,7 +64,7 @@ class Begun(NamedTuple):
     first: Array
     sites: Array
 
-    def on_flat_ground(self, layout: Layout) -> "Begun":
+    def on_flat_ground(self, layout: Layout) -> "EpisodeStarts":
         """Return the beginnings with known heights, as :meth:`Episode.on_flat_ground` does."""
         return self._replace(sites=level(self.sites, self.first[:, 2], layout))
 
@@ -204,8 +204,8 @@ class SimulatedSource:
         """Return the episodes of keys (n,) as a batch, drawn by at most ``threads`` threads."""
         n = len(keys)
         at = columns_of(self.layout)
-        begun = self.begin(keys)
-        program, state = self._simulation(begun)
+        starts = self.begin(keys)
+        program, state = self._simulation(starts)
         measured = rows_of(program.index.measured)
         io = StepIO.of(n, self.epochs, output_rows=measured)
         program.on_lanes()  # compile now; otherwise threads would wait while one of them compiles
@@ -214,44 +214,44 @@ class SimulatedSource:
         share(program.run_on_lanes, jobs, threads)
         io.outputs[:, :, at.dt] = self.steps_s
         return EpisodeBatch(
-            names=[self.names[kind] for kind in begun.kinds],
+            names=[self.names[kind] for kind in starts.kinds],
             nonfinite=np.zeros(n, np.int64),
             length=np.full(n, self.epochs),
             table=io.outputs,
-            site=begun.sites,
+            site=starts.sites,
             layout=self.layout,
         )
 
     def feed(self, worlds: Array) -> Feed:
-        """Return compiled code that simulates n episodes, which begin with :attr:`Begun.worlds`."""
+        """Return compiled code that simulates n episodes from :attr:`EpisodeStarts.worlds` on."""
         _, _, receiver, user = self.world.template  # numbers that fill unused SIMD lanes
         kept = blocks_of(np.array(flatten([receiver, user]), float), len(worlds))
         fill(kept, np.arange(kept.shape[1]), worlds)
         timed = columns_of(self.layout).dt
         return Feed(self.world.on_lanes(), self._settings_rows, kept, timed, self.steps_s)
 
-    def _simulation(self, begun: Begun) -> tuple[Program[Any], BatchState]:
+    def _simulation(self, starts: EpisodeStarts) -> tuple[Program[Any], BatchState]:
         """Return the program that simulates episodes, and its initial state."""
-        worlds = begun.worlds
+        worlds = starts.worlds
         if self.travels:
             program: Program[Any] = as_measured(self.layout)
-            state = BatchState.of(begun.truth, blocks_of(program.start, len(worlds)))
+            state = BatchState.of(starts.truth, blocks_of(program.start, len(worlds)))
             return program, state._replace(feed=self.feed(worlds))
         program = on_a_way(self.layout)
         rows = fill(blocks_of(program.start, len(worlds)), rows_of(program.index.receiver), worlds)
         rows[:, rows_of(program.index.settings)] = self._settings_rows
-        return program, BatchState.of(begun.truth, rows)
+        return program, BatchState.of(starts.truth, rows)
 
     @property
     def travels(self) -> bool:
         """Return whether users are simulated; otherwise they follow given ways from a table."""
         return bool(self._plans)
 
-    def begin(self, keys: Keys) -> Begun:
+    def begin(self, keys: Keys) -> EpisodeStarts:
         """Return the beginnings of the episodes of keys (n,)."""
         n = len(keys)
-        program = self._beginning
-        at = program.index.begun
+        program = self._start_program
+        at = program.index.start
         parts = [at.choice, at.first, at.prior_noise, at.receiver.anchors]
         world = [at.receiver, at.user] if self.travels else [at.receiver]
         io = StepIO.of(n, 1, output_rows=rows_of([parts, world]))
@@ -269,7 +269,7 @@ class SimulatedSource:
         sites = np.tile(site, (n, 1))
         sites[:, index.prior_x] = first + noise
         sites[:, flatten(index.anchors)] = anchors
-        return Begun(kinds, worlds, truth, first, sites)
+        return EpisodeStarts(kinds, worlds, truth, first, sites)
 
     @cached_property
     def _users(self) -> Users:
@@ -317,21 +317,21 @@ class SimulatedSource:
         return (len(phases[0]), len(phases[0][0].phase.gaits)) if phases else (1, 1)
 
     @property
-    def _beginning(self) -> Program[Beginning]:
+    def _start_program(self) -> Program[StartState]:
         streets = None
         if isinstance(self.scene, RandomScene):  # share one program among all carriers
             same = RandomScene()
             streets = replace(
                 self.scene, carrier_hz=same.carrier_hz, bandwidth_hz=same.bandwidth_hz
             )
-        return beginning(self.layout, len(self._plans), *self._room, streets)
+        return start_program(self.layout, len(self._plans), *self._room, streets)
 
     @cached_property
     def _before(self) -> Array:
         """Return the input (size,) of the program that begins episodes, with 0 as the key."""
         scene = self._example
         radio = self.radio
-        template = self._beginning.template
+        template = self._start_program.template
         filled = template._replace(
             plans=self._plans,
             scene=scene.numbers,

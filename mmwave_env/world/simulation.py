@@ -12,9 +12,8 @@ from numba import types
 from numba.core.compiler_lock import global_compiler_lock
 
 from mmwave_env.compiler.disk_cache import compiled_callback
-from mmwave_env.compiler.lanes import WIDTH
+from mmwave_env.compiler.lanes import WIDTH, number_at
 from mmwave_env.compiler.program import Program, tree_kernel
-from mmwave_env.compiler.transpose import number_at
 from mmwave_env.models.channel import (
     Channel,
     ChannelState,
@@ -165,7 +164,7 @@ def _observe(w: WorldState, layout: Layout) -> WorldState:
     return w._replace(measured=measured, receiver=receiver)
 
 
-def _attend(w: WorldState) -> WorldState:
+def _apply_events(w: WorldState) -> WorldState:
     """Let the traveler react to an event (new target speed, crossing or phase), if one is due."""
     user = w.user
     dice = Dice(user.dice)
@@ -222,27 +221,27 @@ class World:
     @property
     def parts(self) -> tuple[Callable[[WorldState], WorldState], ...]:
         """Return the functions for measurement, events and motion; the last two run per substep."""
-        return partial(_observe, layout=self._layout), _attend, _move
+        return partial(_observe, layout=self._layout), _apply_events, _move
 
     @cached_property
     def _compiled(self) -> Any:
         """Return the compiled :attr:`parts` as one function, which skips events if none is due."""
         parts = self.parts
         ends = self.ends
-        look, happen, substep = (tree_kernel(part, self.template, ends) for part in parts)
+        observe, apply_events, substep = (tree_kernel(part, self.template, ends) for part in parts)
         row = 8 * WIDTH  # bytes
         due = row * (self.index.user.traveler.due - ends[1])
         stride = row * (self.index.settings.stride - ends[0])
 
         def on_addresses(measured, settings, kept):  # type: ignore[no-untyped-def]
             places = (measured, settings, kept)
-            look(places)
+            observe(places)
             for _ in range(int(number_at(settings + stride))):
                 most = 0.0
                 for lane in range(WIDTH):
                     most = max(most, number_at(kept + due + 8 * lane))
                 if most > 0.5:
-                    happen(places)
+                    apply_events(places)
                 substep(places)
 
         names = [fingerprint(part, self.template) for part in parts]
@@ -297,7 +296,7 @@ RECEIVER = 1
 CLOCK = 2
 
 
-class FirstDraws(NamedTuple):
+class StartDraws(NamedTuple):
     """The beginning of an episode: everything that is drawn before its first epoch."""
 
     receiver: ReceiverState
@@ -310,7 +309,7 @@ class FirstDraws(NamedTuple):
     prior_noise: list[Number]
 
 
-class Beginning(NamedTuple):
+class StartState(NamedTuple):
     """A key, the parameters of an episode's beginning, and the beginning drawn from them."""
 
     key: list[Number]  # (1,) bits of the key
@@ -319,10 +318,10 @@ class Beginning(NamedTuple):
     duration_s: Number  # duration of the episode
     prior_deviation: list[Number]  # (7,) standard deviations; (8,) with a clock offset
     first_bias_hz: Number  # standard deviation of the oscillator's first bias
-    begun: FirstDraws
+    start: StartDraws
 
 
-def begin(w: Beginning, streets: RandomScene | None) -> Beginning:
+def begin(w: StartState, streets: RandomScene | None) -> StartState:
     """Draw the beginning of an episode.
 
     Keep the order of the draws: otherwise every key would give another episode. ``streets`` is the
@@ -331,7 +330,7 @@ def begin(w: Beginning, streets: RandomScene | None) -> Beginning:
     dice = Dice(seeded(w.key[0], USER))
     others = Dice(seeded(w.key[0], RECEIVER))
     scene = streets.draw_numbers(dice) if streets else w.scene
-    user = w.begun.user
+    user = w.start.user
     position = [0.0, 0.0]
     velocity = [0.0, 0.0]
     if w.plans:
@@ -350,20 +349,20 @@ def begin(w: Beginning, streets: RandomScene | None) -> Beginning:
     bias_hz = w.first_bias_hz * others.normal()
     noise = [deviation * others.normal() for deviation in w.prior_deviation[:7]]
     first = [*position, user.net.height, *velocity, 0.0, bias_hz]
-    receiver = w.begun.receiver._replace(dice=others.state, anchors=scene.anchors, bias_hz=bias_hz)
+    receiver = w.start.receiver._replace(dice=others.state, anchors=scene.anchors, bias_hz=bias_hz)
     for deviation in w.prior_deviation[7:]:
         own = Dice(seeded(w.key[0], CLOCK))
         bias_m = deviation * own.normal()
         receiver = receiver._replace(clock=Clock(own.state, bias_m))
         first = [*first, bias_m]
         noise = [*noise, 0.0 - bias_m]
-    return w._replace(begun=FirstDraws(receiver, user, choice, first, noise))
+    return w._replace(start=StartDraws(receiver, user, choice, first, noise))
 
 
 @lru_cache(maxsize=8)
-def beginning(
+def start_program(
     layout: Layout, kinds: int, phases: int, gaits: int, streets: RandomScene | None
-) -> Program[Beginning]:
+) -> Program[StartState]:
     """Return the program that runs :func:`begin` on SIMD lanes.
 
     ``kinds`` is the number of kinds of users, 0 if ways are given. ``phases`` and ``gaits`` are as
@@ -371,13 +370,13 @@ def beginning(
     """
     world = blank_world(layout, phases, gaits)
     state = [0.0] * layout.state_size
-    template = Beginning(
+    template = StartState(
         key=[0.0],
         plans=[blank_plan(phases, gaits)] * kinds,
         scene=SceneNumbers(world.receiver.anchors, 1.0, [1.0, 1.0], [0.0, 0.0], 0.0),
         duration_s=1.0,
         prior_deviation=state,
         first_bias_hz=0.0,
-        begun=FirstDraws(world.receiver, world.user, 0.0, state, state),
+        start=StartDraws(world.receiver, world.user, 0.0, state, state),
     )
     return Program(partial(begin, streets=streets), template)

@@ -186,8 +186,8 @@ def _change_over(t: Traveler, following: Phase) -> Traveler:
     bent = t._replace(
         stretch=t.stretch - wider, radius=following.radius, arc=_arc(t.turn, following.radius)
     )
-    begun = _enter(select(fits, bent, t), t.phase + 1.0, following)._replace(gait_left=0.0)
-    return select(stands, begun, t)
+    entered = _enter(select(fits, bent, t), t.phase + 1.0, following)._replace(gait_left=0.0)
+    return select(stands, entered, t)
 
 
 def attend(dice: Dice, t: Traveler, phases: Sequence[Phase], net: Net) -> Traveler:

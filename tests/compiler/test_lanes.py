@@ -262,12 +262,12 @@ def test_the_stack_of_a_kernel_is_aligned(monkeypatch):
 def test_a_simulated_world_on_lanes_equals_the_world_on_floats(scenario):
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], scenario, epochs=60)
     episodes = source.sample_batch(np.arange(3, dtype=np.uint64))
-    begun = source.begin(np.arange(3, dtype=np.uint64))
+    starts = source.begin(np.arange(3, dtype=np.uint64))
     world = source.world
-    settings = source.feed(begun.worlds).settings[:, 0]
+    settings = source.feed(starts.worlds).settings[:, 0]
     blank = np.zeros(world.ends[0])
     (observed, happened, moved) = world.parts
-    for kept, expected in zip(begun.worlds, episodes.table, strict=True):
+    for kept, expected in zip(starts.worlds, episodes.table, strict=True):
         w = unflatten(world.template, iter(np.concatenate([blank, settings, kept]).tolist()))
         table = []
         for dt in source.steps_s:

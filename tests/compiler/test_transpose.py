@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmwave_env.compiler import transpose as tiles
+from mmwave_env.compiler import lanes as tiles
 from mmwave_env.compiler.lanes import WIDTH
 
 SIZE = 50
@@ -69,7 +69,7 @@ def test_scatter_writes_the_rows_and_nothing_else(scatter, dtype, rows, seed):
 USERS = """
 import numpy as np
 from mmwave_env.compiler.disk_cache import compiled
-from mmwave_env.compiler.transpose import scatter, scatter_single
+from mmwave_env.compiler.lanes import scatter, scatter_single
 
 @compiled
 def wide(block, rows, targets):
