@@ -78,9 +78,8 @@ def main():
         radio=args.radio,
         beliefs="per-mode",
         modes=bank_as_written(bank),
-        infos="fixed",
     )
-    env = minari.DataCollector(env, record_infos=True)
+    env = minari.DataCollector(env, record_infos=False)
     actions = ["none", *(mode.name for mode in bank.modes)]
     means = {}
     for name in args.policies:

@@ -23,7 +23,6 @@ from mmwave_env.interface.info import (
     reported,
     step_info,
     warn_of_nonfinite,
-    worded,
 )
 from mmwave_env.interface.observation import with_modes
 from mmwave_env.io.lookup import choose, require_extra
@@ -154,9 +153,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
       episode is run again and smoothed (Rauch-Tung-Striebel). If beliefs were NaN or infinite,
       there is a warning, and `nonfinite_beliefs` counts the epochs with such beliefs.
     * To save time, `infos="episode"` fills infos only at resets and last steps, and `infos="none"`
-      never. `infos="fixed"` has the same keys at every reset and step, for libraries that need
-      this (docs/own-agent.md): only numbers, without `episode_name` and `episode_key`; unknown
-      values are NaN, False or -1, and `nonfinite_beliefs` is 0.
+      never.
 
     ## Keys
 
@@ -187,7 +184,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
     * `action`, `base`: "mode" (default), "weights" or "correction", see Actions that are Numbers.
     * `reward`: "tracking", "log-score", "paired", a function or a `PairedReward`.
     * `observation`: "full", "prior" or "signed", which adds residuals of the last epoch to "full".
-    * `infos`: "all" (default), "episode", "none" or "fixed", see Information.
+    * `infos`: "all" (default), "episode" or "none", see Information.
     * `smoothed`: whether the last info contains `smoothed_ate_m`; False by default.
     * `episode_steps`, `dt`: epochs per episode and seconds per epoch.
     * `episodes`: recorded data instead of a simulation: a recording of the package, such as
@@ -226,7 +223,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
     of a compiled kernel; environment i behaves exactly like a single one with the same seed.
     Further arguments: `autoreset_mode` (a string: "NextStep", the default, "SameStep" or
     "Disabled") and `threads`. `render_mode="rgb_array"` draws the first 16 environments. "human",
-    `infos="fixed"` and `backend="filterpy"` need `vectorization_mode="sync"`.
+    `backend="filterpy"` needs `vectorization_mode="sync"`.
 
     ## Version History
 
@@ -345,7 +342,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
             if self.render_mode == "human":
                 self.render()
         info |= {key: column[self._info_rows[key]] for key in STATE_KEYS}
-        return column[self._observed].astype(np.float32), self._worded(info, at_end=True)
+        return column[self._observed].astype(np.float32), self._selected(info, at_end=True)
 
     def _begin(self, key: int | None) -> dict[str, Any]:
         """Begin the episode with this key (None: the next episode); return infos about it."""
@@ -393,7 +390,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
             if self.render_mode == "human":
                 self.render()
         observation = self._io.observations[0, 0].copy()
-        info = self._worded(info, self._over)
+        info = self._selected(info, self._over)
         return observation, float(rewards[0]), terminated, truncated, info
 
     def _take(self, action: Any) -> int:
@@ -429,11 +426,10 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         if self._gallery:
             self._gallery.close()
 
-    def _worded(self, info: dict[str, Any], at_end: bool) -> dict[str, Any]:
-        groups = len(self._task.pipeline.layout.groups)
-        beliefs = len(self.modes) if self._task.bank else 1
-        terms = len(self.reward_terms)
-        return worded(info, self._infos, at_end, groups, beliefs, terms)
+    def _selected(self, info: dict[str, Any], at_end: bool) -> dict[str, Any]:
+        """Return the info if the argument ``infos`` asks for it, else {}."""
+        wanted = self._infos == "all" or (self._infos == "episode" and at_end)
+        return info if wanted else {}
 
     def _episode_info(self) -> dict[str, Any]:
         """Return the episode's metrics, and the number of nonfinite beliefs if it is not 0."""

@@ -99,7 +99,8 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Observations, Index, 
         if render_mode:
             require_drawable(render_size, render_theme, f"render_mode={render_mode!r}")
         self.render_mode = render_mode
-        self._infos = choose({kind: kind for kind in INFOS if kind != "fixed"}, infos, "infos")
+        choose(INFOS, infos, "infos")
+        self._infos = infos
         modes = {mode.value: mode for mode in AutoresetMode}
         self.autoreset_mode = choose(
             modes, cast(str, getattr(autoreset_mode, "value", autoreset_mode)), "autoreset_mode"

@@ -24,6 +24,14 @@ class MeasuredTrack(Track):
     :meth:`from_arrays` makes a track from arrays;
     :func:`~mmwave_env.datasets.log_folder.read_log_folder` reads one from files.
 
+    Angles are in the frame of the map. As in the uplink, angles of arrival give the direction
+    (dx, dy, dz) from the anchor to the user: azimuth ``atan2(dy, dx)``, elevation
+    ``atan2(dz, hypot(dx, dy))``. "Departure" is the azimuth from the user to the anchor. A virtual
+    anchor is a mirror image of the base station; its angles are those of the straight line between
+    image and user. docs/data.md, "Angles", converts other conventions. A link may lack some of its
+    values. A value that has no SNR and no standard deviation counts as not measured, because its
+    noise is unknown.
+
     Attributes:
         snr_db: (T, L) SNR of every link; -inf where no SNR was measured.
         doppler_spread_hz: (T,) Doppler spread.
@@ -64,42 +72,23 @@ class MeasuredTrack(Track):
     ) -> "MeasuredTrack":
         """Return a track made from arrays, in which NaN marks values that are not known.
 
-        A link may lack some of its values. A value that has no SNR and no standard deviation is
-        treated as not measured, because its noise is unknown. Angles are in the frame of the map.
-        As in the uplink, angles of arrival give the direction (dx, dy, dz) from the anchor to the
-        user: azimuth ``atan2(dy, dx)``, elevation ``atan2(dz, hypot(dx, dy))``. "Departure" is
-        the azimuth from the user to the anchor. A virtual anchor is a mirror image of the base
-        station; its angles are those of the straight line between image and user. docs/data.md,
-        "Angles", converts other conventions.
-
         Args:
-            time_s: (T,) times of the epochs, increasing, s.
-            anchors_m: (L, 3) positions of the base station, then of the virtual anchors, m.
-            position_m: (T, 3) true positions, m.
+            time_s, anchors_m: (T,) increasing times, s; (L, 3) base station, virtual anchors, m.
+            position_m, velocity_mps: (T, 3) true positions; velocities, by default their slopes.
             range_m: (T, L) ranges of links: speed of light times one-way time of flight, m.
             aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad: (T, L) angles of links, rad.
             doppler_hz: (T,) Doppler shift of the base station, positive while the range grows.
-            snr_db: (T, L) SNR of links, dB; with the radio profile it determines the noise.
-            range_sigma_m, aoa_azimuth_sigma_rad, aoa_elevation_sigma_rad, aod_azimuth_sigma_rad:
-                (T, L) the receiver's own standard deviations, which replace the radio profile's.
-            doppler_sigma_hz: (T,) the receiver's own standard deviation of the Doppler shift.
+            snr_db: (T, L) SNR of links, dB; with the radio, it determines the noise.
+            range_sigma_m, aoa_azimuth_sigma_rad, aoa_elevation_sigma_rad, aod_azimuth_sigma_rad,
+                doppler_sigma_hz: the receiver's own standard deviations, in place of the profile's.
             doppler_spread_hz: (T,) Doppler spread; None, NaN or 0 if it was not measured.
-            velocity_mps: (T, 3) true velocities, m/s; None to compute them from the positions.
-            carrier_hz, bandwidth_hz: frequencies of the signal.
-            name: name for results and messages.
+            carrier_hz, bandwidth_hz, name: frequencies of the signal; the track's name.
 
         Raises:
-            ValueError: an array has the wrong shape, times do not increase, standard deviations
-                are not positive, no array measures the horizontal position, or a measurement has
-                neither standard deviations nor an SNR; the message names the array.
+            ValueError: arrays are wrong, or too few, or their noise is unknown; see the message.
         """
         record = f"{cls.KIND} {name!r}"
         links = (range_m, aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad)
-        strength = ("snr_db", snr_db)
-        signal = (carrier_hz, bandwidth_hz)
-        fields, snr = cls._fields(
-            name, time_s, anchors_m, links, strength, (position_m, velocity_mps), signal, doppler_hz
-        )
         deviations = (
             range_sigma_m, aoa_azimuth_sigma_rad, aoa_elevation_sigma_rad, aod_azimuth_sigma_rad,
             doppler_sigma_hz,
@@ -107,15 +96,16 @@ class MeasuredTrack(Track):
         measured = dict(zip((*LINK, "doppler_hz"), (*links, doppler_hz), strict=True))
         sigma_of = dict(zip(measured, deviations, strict=True))
         _require_noise(record, measured, sigma_of, snr_db)
+        truth = (position_m, velocity_mps)
+        signal = (carrier_hz, bandwidth_hz)
+        fields, snr = cls._fields(
+            name, time_s, anchors_m, links, ("snr_db", snr_db), truth, signal, doppler_hz
+        )
         fields |= _as_partial(record, fields, np.isfinite(snr), sigma_of)
         spread = np.zeros(len(snr)) if doppler_spread_hz is None else doppler_spread_hz
-        return cls(
-            **fields,
-            snr_db=np.where(np.isnan(snr), -np.inf, snr),
-            doppler_spread_hz=np.nan_to_num(
-                numbers(record, "doppler_spread_hz", spread, (len(snr),))
-            ),
-        )
+        spread = numbers(record, "doppler_spread_hz", spread, (len(snr),))
+        snr = np.where(np.isnan(snr), -np.inf, snr)
+        return cls(**fields, snr_db=snr, doppler_spread_hz=np.nan_to_num(spread))
 
     def _received(self, radio: Radio, rng: np.random.Generator, epochs: slice) -> Received:
         snr = self.snr_db[epochs]

@@ -220,10 +220,14 @@ class Track(ABC):
                 error = error[np.isfinite(error)]
                 if len(error) < _ENOUGH:
                     continue
-                sizes = (np.abs(wrap(e) if i else e) for e in (error, np.diff(error)))
-                median, differ = (float(np.median(size)) for size in sizes)
+                change = np.diff(error)
+                if i:
+                    error = wrap(error)
+                    change = wrap(change)
+                median = np.median(np.abs(error))
                 # With noise alone, the median of |error| is about 0.67 standard deviations.
-                if median > min(_FAR[i], max(_NEAR[i], 2.0 * differ / _NOISE)):
+                noise = np.median(np.abs(change)) / _NOISE
+                if median > min(_FAR[i], max(_NEAR[i], 2.0 * noise)):
                     far.append(f"{name} of anchor {a + 1}: {median:.3g}")
         if far:
             warnings.warn(

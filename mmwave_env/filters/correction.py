@@ -85,10 +85,12 @@ def corrected(belief: Belief, shift: Vector, log_factor: Vector) -> Belief:
         log_factor: (3,) logarithms of the factors that scale these standard deviations.
     """
     frame, deviations = deviations_of(belief)
-    along, across, rise = (k * deviation for k, deviation in zip(shift, deviations, strict=True))
-    dx, dy = frame.out(along, across)
-    x = [belief.x[0] + dx, belief.x[1] + dy, belief.x[2] + rise, *belief.x[3:]]
-    a, b, up = (exp(value) for value in log_factor)
+    step = [k * deviation for k, deviation in zip(shift, deviations, strict=True)]
+    dx, dy = frame.out(step[0], step[1])
+    x = [belief.x[0] + dx, belief.x[1] + dy, belief.x[2] + step[2], *belief.x[3:]]
+    a = exp(log_factor[0])
+    b = exp(log_factor[1])
+    up = exp(log_factor[2])
     c, s = frame
     xx = c * c * a + s * s * b
     yy = s * s * a + c * c * b
@@ -117,8 +119,9 @@ def corrected_all(
         shift, log_factor: (..., 3), same as for :func:`corrected`.
         pipeline: the filters' pipeline; it says whether the terrain is flat (``planar``).
     """
-    mean, packed, *correction = (
-        part.tolist() if part.ndim == 1 else list(np.moveaxis(part, -1, 0))
-        for part in (x, P, shift, log_factor)
-    )
-    return corrected(pipeline.belief(mean, packed), *correction)
+
+    def components(batch: Array) -> list[Number]:
+        return batch.tolist() if batch.ndim == 1 else list(np.moveaxis(batch, -1, 0))
+
+    belief = pipeline.belief(components(x), components(P))
+    return corrected(belief, components(shift), components(log_factor))

@@ -52,26 +52,13 @@ class SigmaPoints:
     """Scaled symmetric sigma points (2 n + 1 of them, n = 7, or 8 with a clock).
 
     Attributes:
-        alpha, beta, kappa: the usual parameters; alpha^2 (n + kappa) must be positive.
+        alpha, beta, kappa: the usual parameters. alpha and n + kappa must be positive, and beta at
+            least -alpha^2 kappa / n, or else cov(zeta) is no covariance.
     """
 
     alpha: float = 1.0
     beta: float = 2.0
     kappa: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not self.alpha > 0.0 or not STATE_SIZE + self.kappa > 0.0:
-            raise ValueError(
-                f"alpha, kappa: found {self.alpha}, {self.kappa}, expected alpha > 0 and "
-                f"kappa > -{STATE_SIZE}"
-            )
-        spread = self.alpha**2 * (STATE_SIZE + self.kappa)
-        if not spread + STATE_SIZE * (self.beta - self.alpha**2) >= 0.0:
-            raise ValueError(
-                f"beta: found {self.beta}, expected at least "
-                f"{self.alpha**2 - spread / STATE_SIZE:g} for alpha {self.alpha} and kappa "
-                f"{self.kappa}, so that cov(zeta) is a valid covariance"
-            )
 
     def reach(self, size: int = STATE_SIZE) -> float:
         """Return the distance of the points from the mean, as a multiple of the columns of L."""

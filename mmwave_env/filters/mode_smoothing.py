@@ -80,8 +80,9 @@ def smooth_modes(
         matrix = np.concatenate([np.concatenate(row, axis=2) for row in moves], axis=1)
         after = _backwards(pipeline, now, gamma[:, t], after, coming, hz_per_mps, matrix)
         smoothed.append(merged(after))
-    x, P = (np.stack(parts[::-1], axis=1) for parts in zip(*smoothed, strict=True))
-    return x, P[..., *np.tril_indices(P.shape[-1])]
+    means, covariances = zip(*reversed(smoothed), strict=True)
+    P = np.stack(covariances, axis=1)
+    return np.stack(means, axis=1), P[..., *np.tril_indices(P.shape[-1])]
 
 
 def _beliefs(mixtures: Array, pipeline: Pipeline) -> tuple[ModeBeliefs, Array]:

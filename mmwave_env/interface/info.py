@@ -4,7 +4,6 @@ import warnings
 from collections.abc import Callable, Iterable
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.metrics import INFO_KEYS
@@ -20,13 +19,11 @@ STEP_KEYS = (
 )
 PROBABILITIES = "mode_probabilities"  # in infos only if each mode has its own belief
 FLAGS = ("accepted", "rejected")
-NAMED = ("episode_name", "episode_key")  # in the info of a reset: they identify an episode
 SMOOTHED_KEY = "smoothed_ate_m"
 NONFINITE_KEY = "nonfinite_beliefs"  # in the info of the last step if a belief was not finite
 LAST_KEYS = (*INFO_KEYS.values(), SMOOTHED_KEY)  # in the info of the last step
 INFOS = {
     "all": "everything that is known",
-    "fixed": "the same keys at every reset and step, with numbers only",
     "episode": "everything that is known, at each reset and at the last step of each episode",
     "none": "nothing",
 }
@@ -100,36 +97,6 @@ def step_info(column: Array, rows: dict[str, Any], mode: int) -> dict[str, Any]:
         value = column[part]
         info[key] = float(value) if isinstance(part, int) else value
     return info | {key: info[key] > 0.5 for key in FLAGS} | {"mode": mode}
-
-
-def worded(
-    info: dict[str, Any], infos: str, at_end: bool, groups: int, beliefs: int, terms: int
-) -> dict[str, Any]:
-    """Return an info in the form that ``infos`` selects.
-
-    "fixed" infos always have the same keys, numpy types and shapes. They contain all numbers that
-    an info may contain; unknown values are NaN, False or -1, but 0 for ``nonfinite_beliefs``.
-
-    Args:
-        info: everything that is known.
-        infos: one of :data:`INFOS`, the environment's argument.
-        at_end: whether the info belongs to a reset or to the last step of an episode.
-        groups: number of groups of measurements: links, Doppler shift, odometry.
-        beliefs: number of beliefs: 1 if the modes share a belief.
-        terms: number of terms of the reward.
-    """
-    if infos == "none" or (infos == "episode" and not at_end):
-        return {}
-    if infos != "fixed":
-        return info
-    unknown: dict[str, Any] = dict.fromkeys((*STEP_KEYS, *LAST_KEYS), np.nan)
-    unknown |= {key: np.zeros(groups, np.bool_) for key in FLAGS}
-    unknown[TERMS_KEY] = np.full(terms, np.nan)
-    unknown |= {"nis": np.full(groups, np.nan), "mode": -1, "nonfinite": -1, NONFINITE_KEY: 0}
-    if beliefs > 1:
-        unknown[PROBABILITIES] = np.full(beliefs, np.nan)
-    known = unknown | {key: value for key, value in info.items() if key not in NAMED}
-    return {key: np.asarray(value)[()] for key, value in known.items()}
 
 
 def mask_keys(keys: Iterable[str]) -> list[str]:

@@ -13,12 +13,10 @@ from functools import lru_cache, reduce
 from operator import add
 from typing import Any, cast
 
-import numpy as np
-
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.custom import complaint, name_of, try_out, wrong_parts
 from mmwave_env.io.lookup import choose
-from mmwave_env.numerics.numbers import Array, Number, Vector, log, maximum, minimum
+from mmwave_env.numerics.numbers import Number, Vector, log, maximum, minimum
 from mmwave_env.numerics.tape import taped
 
 Terms = dict[str, Number]
@@ -45,25 +43,22 @@ class TrackingReward:
         """Return the lowest possible reward."""
         return -(self.error_weight * self.error_limit_m + self.nees_weight * self.nees_limit)
 
-    def costs(self, distance_m: Array, nees: Array, axes: int = 3) -> tuple[Array, Array]:
+    def costs(self, distance_m: Number, nees: Number, axes: int = 3) -> tuple[Number, Number]:
         """Compute the costs (...,) of error and NEES in each epoch; the reward is minus their sum.
 
         Args:
-            distance_m: (...,) length of the position error.
-            nees: (...,) NEES of the position axes.
+            distance_m: length of the position error, a number or an array (...,).
+            nees: NEES of the position axes, of the same kind.
             axes: number of position axes.
         """
-        error = np.minimum(distance_m, self.error_limit_m)
-        inconsistency = np.abs(np.log(np.maximum(nees, _SMALLEST_NEES) / axes))
-        limited = np.minimum(inconsistency, self.nees_limit)
-        return self.error_weight * error, self.nees_weight * limited
+        error = minimum(distance_m, self.error_limit_m)
+        inconsistency = abs(log(maximum(nees, _SMALLEST_NEES) * (1.0 / axes)))
+        return self.error_weight * error, self.nees_weight * minimum(inconsistency, self.nees_limit)
 
     def __call__(self, belief: Belief, truth: Vector) -> Terms:
         """Return the terms of one epoch."""
-        error = minimum(belief.distance(truth), self.error_limit_m)
-        ratio = maximum(belief.nees(truth), _SMALLEST_NEES) * (1.0 / len(belief.axes))
-        inconsistency = minimum(abs(log(ratio)), self.nees_limit)
-        return {"error": -(self.error_weight * error), "nees": -(self.nees_weight * inconsistency)}
+        error, nees = self.costs(belief.distance(truth), belief.nees(truth), len(belief.axes))
+        return {"error": -error, "nees": -nees}
 
 
 @dataclass(frozen=True)

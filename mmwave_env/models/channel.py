@@ -140,8 +140,8 @@ def draw_channel(dice: Dice, anchors: int) -> ChannelDraws:
     uniforms = [each(dice.uniform), each(dice.uniform)]
     outage = dice.uniform()
     excess = [each(dice.exponential), each(dice.exponential)]
-    spells = zip(uniforms, excess, [each(angles), each(angles)], strict=True)
-    blockage, multipath = (list(map(SpellDraws, *drawn)) for drawn in spells)
+    blockage = list(map(SpellDraws, uniforms[0], excess[0], each(angles)))
+    multipath = list(map(SpellDraws, uniforms[1], excess[1], each(angles)))
     detection = each(dice.uniform)
     return ChannelDraws(
         shadowing, blockage, multipath, outage, detection, dice.normal(), dice.normal()

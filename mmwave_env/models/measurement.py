@@ -154,15 +154,45 @@ def exact_rows(
     return rows
 
 
-def link_group(
-    x: Vector, anchor: Vector, z: Vector, variance: Vector, measured: Vector = ()
-) -> Group:
-    """Return the group of a link, with its four rows fused to three: range, azimuth and elevation.
+class _Bearing(NamedTuple):
+    """Both azimuths of a link, fused to one row; the last fields are as in :class:`Group`."""
+
+    innovation: Number
+    variance: Number
+    spare_nis: Number
+    spare_determinant: Number
+
+
+def _fused(arrival: Number, departure: Number, variance: Vector, measured: Vector) -> _Bearing:
+    """Fuse the innovations of a link's azimuths; other arguments are as for :func:`link_group`.
 
     The azimuths of arrival and departure, which differ by pi (paper, Sec. II-B), measure the same
     bearing, with variances ra and rd. Their weighted mean is a row with variance ra rd / (ra + rd).
     Fusing drops their difference, which has variance ra + rd and does not depend on the state.
     ``Sensor`` in :mod:`mmwave_env.filters.textbook` keeps all four rows.
+    """
+    _, arrival_variance, _, departure_variance = variance
+    total = arrival_variance + departure_variance
+    fused = arrival_variance * departure_variance / total
+    bearing = (arrival * departure_variance + departure * arrival_variance) / total
+    disagreement = arrival - departure
+    spare_nis = disagreement * disagreement / total
+    if not len(measured):
+        return _Bearing(bearing, fused, spare_nis, total)
+    both = measured[1] * measured[3] > 0.5
+    alone = measured[1] > 0.5
+    return _Bearing(
+        innovation=where(both, bearing, where(alone, arrival, departure)),
+        variance=where(both, fused, where(alone, arrival_variance, departure_variance)),
+        spare_nis=where(both, spare_nis, 0.0),
+        spare_determinant=where(both, total, 1.0),
+    )
+
+
+def link_group(
+    x: Vector, anchor: Vector, z: Vector, variance: Vector, measured: Vector = ()
+) -> Group:
+    """Return the group of a link, with its four rows fused to three: range, azimuth and elevation.
 
     ``x`` (7,) is the prior mean, and ``anchor`` (3,) the anchor's position, m. ``z`` and
     ``variance`` are (4,). ``measured`` (4,) is 1 where a row was measured, else 0; () means all.
@@ -170,25 +200,11 @@ def link_group(
     d = [x[i] - anchor[i] for i in range(3)]
     distance, azimuth, elevation = direction(d)
     horizontal = norms(d)[0]
-    range_variance, arrival_variance, elevation_variance, departure_variance = variance
     aside = horizontal > NEAREST_M
     apart = distance > NEAREST_M
     arrival = where(aside, wrap(z[1] - azimuth), 0.0)
     departure = where(aside, wrap(wrap(z[3] - azimuth + PI)), 0.0)
-    total = arrival_variance + departure_variance
-    bearing_variance = arrival_variance * departure_variance / total
-    bearing = (arrival * departure_variance + departure * arrival_variance) / total
-    disagreement = arrival - departure
-    spare_nis = disagreement * disagreement / total
-    spare_determinant = total
-    if len(measured):
-        both = measured[1] * measured[3] > 0.5
-        alone = measured[1] > 0.5
-        bearing = where(both, bearing, where(alone, arrival, departure))
-        alone_variance = where(alone, arrival_variance, departure_variance)
-        bearing_variance = where(both, bearing_variance, alone_variance)
-        spare_nis = where(both, spare_nis, 0.0)
-        spare_determinant = where(both, total, 1.0)
+    bearing = _fused(arrival, departure, variance, measured)
     inverse = _inverse(distance)
     inverse_horizontal = _inverse(horizontal)
     slope = d[2] * inverse_horizontal * inverse * inverse
@@ -212,10 +228,10 @@ def link_group(
     group = Group(
         innovation=[
             z[0] - sum(clock, distance),
-            bearing,
+            bearing.innovation,
             where(apart, wrap(z[2] - elevation), 0.0),
         ],
-        variance=[range_variance, bearing_variance, elevation_variance],
+        variance=[variance[0], bearing.variance, variance[2]],
         jacobian=[
             [d[0] * inverse, d[1] * inverse, d[2] * inverse, *slow],
             [-d[1] * across, d[0] * across, 0.0, *still],
@@ -223,8 +239,8 @@ def link_group(
         ],
         change=change,
         curved=3,
-        spare_nis=spare_nis,
-        spare_determinant=spare_determinant,
+        spare_nis=bearing.spare_nis,
+        spare_determinant=bearing.spare_determinant,
     )
     if not len(measured):
         return group

@@ -175,9 +175,8 @@ class Radio:
     def variances(self, scene: Scene, layout: Layout) -> tuple[list[float], list[float]]:
         """Return variances of every row: noise floors, and Cramer-Rao bounds at an SNR of 0 dB."""
         range_bound = SPEED_OF_LIGHT / (2.0 * math.pi * scene.bandwidth_hz / math.sqrt(12.0))
-        elements = self.ue_elements, self.gnb_elements
-        # One element cannot measure angles: its bound is infinite. Use the bound of two elements.
-        arrival, departure = (6.0 / ((max(n, 2) ** 2 - 1.0) * math.pi**2) for n in elements)
+        arrival = _azimuth_bound(self.ue_elements)
+        departure = _azimuth_bound(self.gnb_elements)
         angles = (self.aoa_floor_rad, self.elevation_floor_rad, self.aod_floor_rad)
         floor = []
         bound = []
@@ -202,8 +201,17 @@ class Radio:
         v = self.prior_velocity_mps
         bias_hz = self.prior_bias_mps * scene.hz_per_mps
         deviations = [p, p, self.prior_height_m, v, v, self.prior_vertical_mps, bias_hz]
-        deviations += [SPEED_OF_LIGHT * CLOCK_OFFSET_S] * clock
+        if clock:
+            deviations.append(SPEED_OF_LIGHT * CLOCK_OFFSET_S)
         return np.diag(np.square(deviations))
+
+
+def _azimuth_bound(elements: int) -> float:
+    """Return the Cramer-Rao bound of an angle's variance at an SNR of 0 dB.
+
+    A single element cannot measure angles (infinite bound); it gets the bound of two elements.
+    """
+    return 6.0 / ((max(elements, 2) ** 2 - 1.0) * math.pi**2)
 
 
 RADIOS: dict[str, Radio] = {

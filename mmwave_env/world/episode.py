@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from mmwave_env.io.records import Bound
+from mmwave_env.io.records import FINITE, Bound
 from mmwave_env.models import envelope
 from mmwave_env.models.layout import Layout, offered_rows, whole_groups
 from mmwave_env.models.measurement import Epoch, Site, blank_site
@@ -19,7 +19,7 @@ from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Index, Mask, Number, Vector, where
 from mmwave_env.numerics.pytree import flatten, indices
-from mmwave_env.world.checks import refuse, require_epochs, require_finite
+from mmwave_env.world.checks import refuse
 
 NEUTRAL_SNR_DB = 20.0  # replaces an SNR that was not measured; about the mean SNR in streets
 
@@ -70,29 +70,6 @@ class Episode:
     doppler_anchor: Index | None = None
 
     def __post_init__(self) -> None:
-        T = len(self.time_s)
-        layout = self.layout
-        shapes = {
-            "time_s": (T,),
-            "measurement": (T, layout.size),
-            "visible": (T, len(layout.groups)),
-            "scene_anchors_m": (layout.anchors, 3),
-            "sigma": (T, layout.size),
-            "snr_db": (T, layout.anchors),
-            "doppler_spread_hz": (T,),
-            "prior_mean": (layout.state_size,),
-            "prior_covariance": (layout.state_size, layout.state_size),
-            "truth_position_m": (T, 3),
-            "truth_velocity_mps": (T, 3),
-            "doppler_anchor": (T,),
-        }
-        require_epochs(self._record, self, shapes)
-        if not (self.sigma > 0.0).all():
-            refuse(self._record, "sigma", self.sigma[~(self.sigma > 0.0)][0], "> 0 everywhere")
-        require_finite(self._record, self, ("truth_position_m", "truth_velocity_mps"))
-        P = self.prior_covariance
-        if not (abs(P - P.T).max() <= 1e-8 * abs(P).max() and np.linalg.eigvalsh(P)[0] > 0.0):
-            refuse(self._record, "prior_covariance", P.tolist(), "a positive definite matrix")
         for field, values, bound in self._bounded():
             wrong = ~bound.holds(values)
             if wrong.any():
@@ -103,6 +80,9 @@ class Episode:
         mean = self.prior_mean
         deviation = np.sqrt(np.diag(self.prior_covariance))
         sigma = np.where(self._used, self.sigma, np.nan)
+        if self.truth_position_m is not None and self.truth_velocity_mps is not None:
+            yield "truth_position_m", self.truth_position_m, FINITE
+            yield "truth_velocity_mps", self.truth_velocity_mps, FINITE
         yield "hz_per_mps", np.array([self.hz_per_mps]), envelope.HZ_PER_MPS
         yield "time_s, step", np.diff(self.time_s), envelope.STEP_S
         yield "doppler_spread_hz", self.doppler_spread_hz, envelope.DOPPLER_SPREAD_HZ

@@ -228,7 +228,7 @@ class World:
         """Return the compiled :attr:`parts` as one function, which skips events if none is due."""
         parts = self.parts
         ends = self.ends
-        observe, apply_events, substep = (tree_kernel(part, self.template, ends) for part in parts)
+        observe, apply_events, substep = [tree_kernel(part, self.template, ends) for part in parts]
         row = 8 * WIDTH  # bytes
         due = row * (self.index.user.traveler.due - ends[1])
         stride = row * (self.index.settings.stride - ends[0])
@@ -337,7 +337,8 @@ def begin(w: StartState, streets: RandomScene | None) -> StartState:
         choice = floor(float(len(w.plans)) * dice.uniform())
         plan = tree_at(choice, w.plans)
         block = scene.block_m / plan.closer
-        east, north = (floor(extent / block + 0.5) for extent in scene.extent_m)
+        east = floor(scene.extent_m[0] / block + 0.5)
+        north = floor(scene.extent_m[1] / block + 0.5)
         x, y = scene.origin_m
         net = Net(block, east, north, x, y, scene.height_m)
         phases = draw_phases(dice, plan.phases, w.duration_s)

@@ -54,7 +54,6 @@ CONFIGURATIONS = {
     "paired": {"episode_steps": 5, "reward": "paired"},
     "recorded": {"episodes": "canyon28_vehicle", "episode_steps": 7} | EKF,
     "filterpy": {"backend": "filterpy", "episode_steps": 4} | EKF,
-    "fixed": {"infos": "fixed", "episode_steps": 3} | EKF,
 }
 
 
@@ -148,34 +147,6 @@ def test_a_vector_environment_can_be_made_from_the_specification_of_a_single_env
     assert gym.make_vec(spec, num_envs=3).reset(seed=0)[0].shape[0] == 3
     with refuses("max_episode_steps"):
         gym.make_vec(spec, num_envs=3, max_episode_steps=9)
-
-
-# --- infos
-
-
-def test_fixed_infos_always_have_the_same_keys_types_and_shapes():
-    fixed = gym.make(ID, infos="fixed", episode_steps=3, smoothed=True)
-    every = gym.make(ID, infos="all", episode_steps=3, smoothed=True)
-    infos = [(env.reset(seed=0)[1], *(env.step(1)[4] for _ in range(3))) for env in (fixed, every)]
-    first, *others = ({k: (np.shape(v), v.dtype) for k, v in known.items()} for known in infos[0])
-    assert all(list(other.items()) == list(first.items()) for other in others)
-    # Where usual infos lack a key, fixed infos contain NaN, -1 or False; nonfinite_beliefs is 0.
-    for known, expected in zip(*infos, strict=True):
-        assert set(first) >= set(expected) - {"episode_name", "episode_key"}
-        for key, value in known.items():
-            nothing = {"f": np.nan, "i": -1, "b": False}[value.dtype.kind]
-            wanted = expected.get(key, 0 if key == "nonfinite_beliefs" else nothing)
-            np.testing.assert_array_equal(value, np.broadcast_to(wanted, np.shape(value)))
-
-
-def test_only_synchronous_vector_environments_support_fixed_infos():
-    env = gym.make_vec(
-        ID, num_envs=2, infos="fixed", episode_steps=2, **EKF, vectorization_mode="sync"
-    )
-    known = [env.reset(seed=0)[1], *(env.step(np.zeros(2, int))[4] for _ in range(5))]
-    assert all(set(each) == set(known[0]) for each in known)
-    with refuses("infos"):
-        gym.make_vec(ID, num_envs=2, infos="fixed")
 
 
 CORRECTION = {"beliefs": "per-mode", "action": "correction"}

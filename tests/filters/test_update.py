@@ -12,7 +12,6 @@ from mmwave_env.filters.linearization import SigmaPoints
 from mmwave_env.filters.modes import ALGORITHMS
 from mmwave_env.filters.update import update
 from tests.filters.problems import HZ_PER_MPS, Problem, assert_same, assume_clear_of, problems
-from tests.refusals import refuses
 
 GATES = [Gate(None), Gate(0.99), Gate(0.5), Gate(0.5, force=1.0), Gate(0.99, robust=True)]
 
@@ -127,14 +126,3 @@ def test_the_textbook_jacobian_equals_the_numerical_derivative(problem):
     step = 1e-4 * np.eye(8)
     columns = [s.difference(s.h(x + e), s.h(x - e)) / 2e-4 for e in step]
     np.testing.assert_allclose(s.jacobian(x), np.array(columns).T, rtol=1e-5, atol=1e-5)
-
-
-def test_sigma_points_at_the_mean_or_with_an_indefinite_covariance_are_refused():
-    for alpha, kappa in ((0.0, 0.0), (-1.0, 0.0), (1.0, -7.0)):
-        with refuses("alpha, kappa"):
-            SigmaPoints(alpha, 2.0, kappa)
-    for alpha, kappa, least in ((1.0, 7.0, -1.0), (0.5, 21.0, -0.75)):
-        near = SigmaPoints(alpha, least + 0.01, kappa)
-        assert near.reach() == pytest.approx(alpha * np.sqrt(7.0 + kappa))
-        with refuses("beta"):
-            SigmaPoints(alpha, least - 0.01, kappa)

@@ -155,7 +155,7 @@ def weighed(belief, truth):
 @pytest.mark.parametrize("beliefs", ["shared", "per-mode"])
 def test_infos_contain_the_terms_that_add_up_to_the_reward(beliefs):
     task = {"modes": PRICED, "reward": weighed, "beliefs": beliefs, "episode_steps": 12}
-    for infos in ("all", "fixed", "episode"):
+    for infos in ("all", "episode"):
         env = gym.make("MmWaveLoc-v0", infos=infos, **task)
         assert env.unwrapped.reward_terms == ("east", "north", "cost")
         env.reset(seed=0)

@@ -73,10 +73,19 @@ def read_deepmimo(
     way = _way_of(scenario, receivers, dt_s)
     stations = scenario.paths(receivers, base_station)
     links = _links(stations, way.position_m, virtual_anchors)
+    return _recording(scenario, links, way, bandwidth_hz)
+
+
+def _recording(
+    scenario: Scenario,
+    links: Sequence[tuple[StationLinks, int]],
+    way: Trajectory,
+    bandwidth_hz: float,
+) -> Recording:
+    """Return a recording of the strongest path to each anchor of ``links`` (:func:`_links`)."""
     anchors = np.array([station.anchors_m[k] for station, k in links])
-    scene = scene_of_anchors(scenario.name, anchors, scenario.carrier_hz, bandwidth_hz)
     layout = Layout(len(links))
-    epochs = np.arange(len(receivers))
+    epochs = np.arange(len(way.time_s))
     measurement = np.zeros((len(epochs), layout.size))
     visible = np.zeros((len(epochs), layout.anchors + 1), bool)
     gain_db = np.zeros((len(epochs), layout.anchors))
@@ -86,7 +95,7 @@ def read_deepmimo(
         gain_db[:, a] = station.paths.gain_db[epochs, strongest]
     recording = Recording(
         name=scenario.name,
-        scene=scene,
+        scene=scene_of_anchors(scenario.name, anchors, scenario.carrier_hz, bandwidth_hz),
         layout=layout,
         time_s=way.time_s,
         measurement=measurement,
