@@ -8,6 +8,8 @@ from tyro.conf import arg
 
 from experiments.console.options import EpisodeArgs
 
+WIDTH_MM = (80.0, 500.0)  # smallest and largest width of a readable picture
+
 
 @dataclass(kw_only=True)
 class Args(EpisodeArgs):
@@ -46,24 +48,38 @@ def main(args: Args) -> None:
     from experiments.console.provenance import provenance
     from experiments.console.tables import booktabs, show
     from experiments.evaluation.asked import all_contenders
+    from experiments.figures.canvas import require_picture
+    from experiments.figures.curves import draw_consistency, draw_error_cdf
     from experiments.reporting.comparison_results import results
     from mmwave_env.io.files import require_writable, write_json, write_text
     from mmwave_env.metrics import METRICS
 
-    asked = {"errors": args.errors, "consistency": args.consistency}
-    pictures = {name: path for name, path in asked.items() if path is not None}
+    pictures = {"errors": args.errors, "consistency": args.consistency}
+    if args.width_mm is not None and not WIDTH_MM[0] <= args.width_mm <= WIDTH_MM[1]:
+        expected = f"{WIDTH_MM[0]:g} to {WIDTH_MM[1]:g}"
+        raise ValueError(f"width_mm: found {args.width_mm:g}, expected {expected}")
+    for option, path in pictures.items():
+        if path:
+            require_picture(option, path)
+    if args.errors and args.errors == args.consistency:
+        expected = "a file other than the --errors file"
+        raise ValueError(f"consistency: found {args.consistency}, expected {expected}")
     if args.table and args.table.suffix != ".tex":
         raise ValueError(f"table: found {args.table}, expected a name that ends with .tex")
     if args.table:
         require_writable(args.table)
     names = args.policies or all_contenders(args)
-    made = results(args, names, pictures, args.width_mm)
+    made = results(args, names, with_epochs=any(pictures.values()))
     if args.table:
         write_text(args.table, booktabs(*made.comparison.table(METRICS)))
     if args.json:  # before show(), which fails if the program that reads its output stops
         write_json(args.json, provenance("compare", args) | made.json)
+    epochs = made.epochs
     try:
-        for draw in made.pictures:
-            draw()
+        if args.errors:
+            draw_error_cdf(epochs.errors_m, args.errors, args.width_mm)
+        if args.consistency:
+            axes = 2 if args.planar else 3
+            draw_consistency(epochs.time_s, epochs.nees, axes, args.consistency, args.width_mm)
     finally:  # the tables are shown even if a picture fails
         show(made.text)

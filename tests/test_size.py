@@ -28,12 +28,12 @@ BUDGET = {
     "lines that ruff may not format": 60,
 }
 ROOMS = {  # maximum tokens of a room; lines are free
-    "experiments": 5_750,
+    "experiments": 5_840,
     "experiments/console": 5_320,
-    "experiments/evaluation": 13_680,
+    "experiments/evaluation": 13_060,
     "experiments/figures": 3_930,
     "experiments/paper": 5_340,
-    "experiments/reporting": 12_250,
+    "experiments/reporting": 12_770,
     "experiments/rivals": 2_070,
     "experiments/sweeping": 4_110,
     "experiments/timing": 5_890,

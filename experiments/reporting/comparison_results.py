@@ -1,8 +1,6 @@
 """Runs of contenders (policies and IMMs), and the tables that ``compare`` and ``demo`` print."""
 
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
-from types import MappingProxyType
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from experiments.console.options import EpisodeArgs
@@ -14,53 +12,34 @@ from experiments.evaluation.asked import (
     task_of,
 )
 from experiments.evaluation.comparison import Comparison, compare_scores, episodes_csv
-from experiments.evaluation.histories import EpochErrors
 from experiments.evaluation.positions import Positions, positions_markdown
 from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.evaluation.runs import trainings
-from experiments.figures.canvas import require_picture
-from experiments.figures.curves import draw_consistency, draw_error_cdf
+from experiments.reporting.histories import EpochErrors
 from experiments.reporting.training_seeds import over_training_seeds, seeds_markdown
 from mmwave_env.interface.reward import reward_name
 from mmwave_env.io.files import Json, write_text
 from mmwave_env.localization.levels import PARTS, Levels
 
-WIDTH_MM = (80.0, 500.0)  # smallest and largest width of a readable picture
-
 
 class Results(NamedTuple):
-    """Results of a comparison: tables, values, and pictures to draw."""
+    """Results of a comparison: tables, values, and errors for pictures."""
 
     comparison: Comparison
     text: str  # all tables as Markdown
     json: Json  # all results, in the form that results files store
-    pictures: Sequence[Callable[[], None]]  # functions that each write a picture
+    epochs: EpochErrors  # errors of all epochs if they were asked for
 
 
-def results(
-    args: EpisodeArgs,
-    names: Sequence[str],
-    pictures: Mapping[str, Path] = MappingProxyType({}),
-    width_mm: float | None = None,
-) -> Results:
+def results(args: EpisodeArgs, names: Sequence[str], with_epochs: bool = False) -> Results:
     """Run contenders on the episodes that options select.
 
     If a name is the folder of a training run, its policy with the median reward is the contender.
-    ``pictures`` maps "errors" and "consistency" to files; ``width_mm`` is the pictures' width.
 
     Raises:
-        ValueError: an option is not valid, or both pictures have the same file.
-        OSError: a picture can't be written.
+        ValueError: an option is not valid.
     """
     levels = Levels(args.risk, args.levels)
-    if width_mm is not None and not WIDTH_MM[0] <= width_mm <= WIDTH_MM[1]:
-        raise ValueError(
-            f"width_mm: found {width_mm:g}, expected {WIDTH_MM[0]:g} to {WIDTH_MM[1]:g}"
-        )
-    for option, path in pictures.items():
-        require_picture(option, path)
-    if len(set(pictures.values())) < len(pictures):
-        raise ValueError(f"consistency: found {path}, expected a file other than the --errors file")
     task = task_of(args)
     runs = runs_of(args, names)
     scoring = Scoring.of(task)
@@ -69,14 +48,17 @@ def results(
     shown = {file: name for name, file in files.items()}
     epochs = EpochErrors(shown)
     positions = Positions(shown, levels, task.source.layout.anchors, args.planar)
+    watch = [epochs.add] if with_epochs else []
+    if args.percentiles:
+        watch.append(positions.add)
     scores_of = score_contenders(
         [contender_of(args, file) for file in trainings(names, runs)],
         task.source,
         args.radio,
         selection,
-        watch=[epochs.add] * bool(pictures) + [positions.add] * args.percentiles,
+        watch=watch,
         scoring=scoring,
-        after=PARTS * args.percentiles,
+        after=PARTS if args.percentiles else (),
     )
     scores = {name: scores_of[file] for name, file in files.items()}
     if args.episodes_csv:
@@ -90,8 +72,10 @@ def results(
         selection=selection,
         reward=reward_name(scoring.reward),
     )
-    text = str(comparison) + comparison.terms * args.percentiles
+    text = str(comparison)
     content = comparison.json
+    if args.percentiles:
+        text += comparison.terms
     if runs:
         content["training_seeds"] = {}
     for run in runs.values():
@@ -100,12 +84,5 @@ def results(
         text += seeds_markdown(run, spread)
     if args.percentiles:
         figures = content["position_errors"] = positions.figures()
-        rows = figures["policies"]
-        text += f"\n{positions_markdown('policy', rows, args.risk, args.levels)}"
-    drawings: dict[str, Callable[[], None]] = {
-        "errors": lambda: draw_error_cdf(epochs.errors_m, pictures["errors"], width_mm),
-        "consistency": lambda: draw_consistency(
-            epochs.time_s, epochs.nees, 2 if args.planar else 3, pictures["consistency"], width_mm
-        ),
-    }
-    return Results(comparison, text, content, [drawings[name] for name in pictures])
+        text += f"\n{positions_markdown('policy', figures['policies'], args.risk, args.levels)}"
+    return Results(comparison, text, content, epochs)

@@ -133,8 +133,9 @@ class PathTracker:
         """Return the track after the next epoch."""
         links = self._links(paths)
         coming = self.nothing(paths, paths.time_s - track.time_s)
-        before = track.x, track.P, track.memory.gamma
-        x, P = predict(self._pipeline, self._mode, *before, coming, self._scene.hz_per_mps)
+        hz_per_mps = self._scene.hz_per_mps
+        gamma = track.memory.gamma
+        x, P = predict(self._pipeline, self._mode, track.x, track.P, gamma, coming, hz_per_mps)
         labels = assign(path_nis(x, P, self._anchors, links.z, links.sigma), self._gate)
         epoch = self._with_labels(coming, paths, links, labels)
         return self._updated(track._replace(labels=labels, epoch=epoch), paths)
@@ -147,8 +148,8 @@ class PathTracker:
         during a blockage, from a reflection that is mistaken for the line of sight.
         """
         horizon = window[0].time_s + GAP_S
-        paths, *coming = (epoch for epoch in window if epoch.time_s <= horizon)
-        best, fitted = self._best(track, paths, coming)
+        coming = [epoch for epoch in window[1:] if epoch.time_s <= horizon]
+        best, fitted = self._best(track, window[0], coming)
         if best is None:
             return None
         # The new track must explain at least one path per coming epoch, and clearly more paths than
@@ -192,8 +193,9 @@ class PathTracker:
     def _begin(self, paths: PathEpoch, links: _Links, path: int) -> PathTrack | None:
         """Return a track with this path as line of sight; None if a wall would block this path."""
         anchors = self._scene.anchors_m
-        fix = (links.z[0, path], links.sigma[0, path])
-        mean, covariance = prior_from_fix(anchors[0], *fix, self._radio, self._scene)
+        mean, covariance = prior_from_fix(
+            anchors[0], links.z[0, path], links.sigma[0, path], self._radio, self._scene
+        )
         distance = np.linalg.norm(mean[:3] - anchors, axis=1)
         if distance.argmin() != 0:  # a position behind a wall is nearest to a mirror image
             return None
@@ -241,11 +243,15 @@ class PathTracker:
     def _with_labels(self, epoch: Epoch, paths: PathEpoch, links: _Links, labels: Index) -> Epoch:
         """Return the epoch in which each assigned path provides the values of its anchor's link."""
         layout = self._layout
-        z, sigma, visible, snr = (list(part) for part in epoch[1:5])
+        z = list(epoch.z)
+        sigma = list(epoch.sigma)
+        visible = list(epoch.visible)
+        snr = list(epoch.snr_db)
         for anchor in np.flatnonzero(labels != NO_PATH).tolist():
             path = labels[anchor]
             rows = layout.link(anchor)
-            z[rows], sigma[rows] = (part[anchor, path].tolist() for part in links[:2])
+            z[rows] = links.z[anchor, path].tolist()
+            sigma[rows] = links.sigma[anchor, path].tolist()
             visible[anchor] = 1.0
             snr[anchor] = float(paths.snr_db[path])
         sight = labels[0]

@@ -139,26 +139,22 @@ class PositionErrors:
 
     def __init__(self, risk: float = RISK, planar: bool = False) -> None:
         self.risk = risk
-        self._sizes_of = {"horizontal": horizontal}
-        if not planar:
-            self._sizes_of["vertical"] = vertical
-        # for each kind, a list of arrays (2, n): errors and levels, m
-        self._parts = {kind: [np.empty((2, 0))] for kind in self._sizes_of}
+        self._kinds = ("horizontal",) if planar else ("horizontal", "vertical")
+        self._parts = [np.empty((2, 0, 2))]  # of each call of add(): sizes and levels (n, 2), m
 
     def add(self, error: Array, P: Array, factors: Array | float = 1.0) -> None:
         """Add errors (..., 3), m, and packed covariances (..., 6 or more) that begin with x, y, z.
 
         Gaussian levels are multiplied by ``factors`` (..., 2): see ``levels.py``.
         """
-        levels = np.moveaxis(gaussian_levels(P, self.risk) * factors, -1, 0)
-        for (kind, sizes_of), level in zip(self._sizes_of.items(), levels, strict=False):
-            self._parts[kind].append(np.stack([sizes_of(error).ravel(), level.ravel()]))
+        sizes = np.stack([horizontal(error), vertical(error)], axis=-1)
+        levels = gaussian_levels(P, self.risk) * factors
+        self._parts.append(np.stack([sizes, levels]).reshape(2, -1, 2))
 
     def figures(self) -> dict[str, dict[str, Any]]:
         """Return the statistics of errors and levels that docs/errors.md describes, by kind."""
-        return {
-            kind: _statistics(*np.concatenate(parts, axis=1)) for kind, parts in self._parts.items()
-        }
+        sizes, levels = np.concatenate(self._parts, axis=1)
+        return {kind: _statistics(sizes[:, i], levels[:, i]) for i, kind in enumerate(self._kinds)}
 
 
 def _statistics(error: Array, level: Array) -> dict[str, Any]:

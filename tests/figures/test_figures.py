@@ -8,12 +8,12 @@ import pytest
 from matplotlib.image import imread
 
 from experiments.evaluation.contenders import contender_from
-from experiments.evaluation.histories import history_of
 from experiments.evaluation.seeds import draw_episodes
 from experiments.figures.canvas import caption, contenders
 from experiments.figures.curves import draw_consistency, draw_error_cdf, draw_learning_curves
 from experiments.figures.timeline import draw_histories
 from experiments.figures.trajectory import DrawnTrack, draw_trajectory
+from experiments.reporting.histories import history_of
 from mmwave_env.task import task_from
 
 AWKWARD = "a$b_{^$ | \x1b[31m <b>\n漢字 \u202eق"

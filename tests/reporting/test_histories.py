@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from experiments.evaluation.contenders import contender_from
-from experiments.evaluation.histories import history_of
 from experiments.evaluation.runner import Scoring
 from experiments.evaluation.seeds import draw_episodes
+from experiments.reporting.histories import history_of
 from mmwave_env.datasets.samples import source_from
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.rendering.history import NO_MODE
