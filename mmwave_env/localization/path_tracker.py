@@ -208,9 +208,8 @@ class PathTracker:
         epoch = self._with_labels(self.nothing(paths), paths, links, labels)
         prior = PathTrack(x, pack(P), self._memory, paths.time_s, paths.time_s, labels, epoch)
         track = self._updated(prior, paths)
-        labels = labels.copy()
         labels[0] = path
-        return track._replace(labels=labels, epoch=self._with_labels(epoch, paths, links, labels))
+        return track._replace(epoch=self._with_labels(epoch, paths, links, labels))
 
     def _links(self, paths: PathEpoch) -> _Links:
         layout = self._layout
@@ -273,8 +272,7 @@ class PathTracker:
         )
         memory = memory_before(track.memory, [after], epoch, layout)
         memory = memory_after(layout, 0.0, track.x, after, memory, epoch.dt, epoch.visible)
-        measured = any(epoch.visible[: layout.anchors]) or (layout.odometry and epoch.visible[-1])
-        seen_s = paths.time_s if measured else track.seen_s
+        seen_s = paths.time_s if any(epoch.visible) else track.seen_s
         return track._replace(
             x=after.x, P=after.P, memory=memory, time_s=paths.time_s, seen_s=seen_s
         )
