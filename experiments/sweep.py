@@ -21,9 +21,9 @@ class Args:
     """
 
     spec: Positional[Path]
-    """TOML or JSON file with one table, [evaluate], [train]
-    or [search]; the first two run every combination of the
-    values in their lists"""
+    """TOML or JSON file with one table, [evaluate] or
+    [train]; every combination of the values in its lists
+    runs"""
     out: Path | None = None
     """folder of the results, one Parquet file per cell (None: runs/sweep-NAME)"""
     address: str | None = None
@@ -38,7 +38,7 @@ def main(args: Args) -> None:
     from mmwave_env.io.lookup import as_name, require_extra
 
     require_at_least(1, args, "workers")
-    for package in ("ray", "optuna", "pyarrow"):
+    for package in ("ray", "pyarrow"):
         require_extra(package, "ray", "sweep")
     folder = args.out or Path("runs", f"sweep-{as_name(args.spec.stem)}")
     sweep(args.spec, folder, args.address, args.workers)

@@ -35,7 +35,7 @@ ROOMS = {  # maximum tokens of a room; lines are free
     "experiments/paper": 5_340,
     "experiments/reporting": 12_770,
     "experiments/rivals": 2_070,
-    "experiments/sweeping": 4_110,
+    "experiments/sweeping": 2_930,
     "experiments/timing": 5_890,
     "experiments/training": 19_440,
     "mmwave_env": 7_830,

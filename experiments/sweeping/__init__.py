@@ -1,1 +1,1 @@
-"""Sweeps (grids of evaluations or training runs, or searches), and the rows that they write."""
+"""Sweeps (grids of evaluations or training runs), and the rows that they write."""

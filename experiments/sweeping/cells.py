@@ -2,7 +2,6 @@
 
 import tempfile
 import warnings
-from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,6 @@ from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.evaluation.seeds import Selection
 from experiments.sweeping.spec import HYPERPARAMETER, Evaluation, Spec, Training, Values, plain
-from experiments.training.hyperparameters import Hyperparameters
 from experiments.training.run import hyperparameters, training_task
 from mmwave_env.io.files import atomic_path, first_line, write_bytes
 from mmwave_env.metrics import METRICS
@@ -40,24 +38,26 @@ def evaluated(values: Values) -> Row:
     return row
 
 
-def trained(values: Values, tell: Callable[[Row], None] = lambda row: None) -> Row:
+def trained(values: Values) -> Row:
     """Train a policy; return the metrics of its best version on tuning seeds, and its policy file.
 
-    During the training, ``tell`` is called with a row for each evaluation.
+    The values that are no hyperparameters are options of `train`; they replace its defaults.
     """
-    from experiments.training.job import Job, News
+    from experiments.training.job import Job
     from experiments.training.processes import train
 
-    args, tried = training_of(values)
-
-    def hear(news: News) -> None:
-        if news.evaluation is not None:
-            tell(_row({**news.evaluation, "timesteps": news.timesteps}))
-
+    options = dict[str, Any]()
+    changed = dict[str, Any]()
+    for axis, value in values.items():
+        if axis.startswith(HYPERPARAMETER):
+            changed[axis.removeprefix(HYPERPARAMETER)] = value
+        else:
+            options[axis] = value
+    args = Training(**options)
     with tempfile.TemporaryDirectory() as folder:
         job = Job(
             training_task(args),
-            tried,
+            replace(hyperparameters(args, len(args.places) or 1), **changed),
             args.seed,
             args.total_timesteps,
             Path(folder),
@@ -65,29 +65,17 @@ def trained(values: Values, tell: Callable[[Row], None] = lambda row: None) -> R
             checkpoint_every=1 << 30,
             episodes=args.episodes,
         )
-        return _row(train(job, hear)["best"]) | {"policy_file": job.policy.read_bytes()}
-
-
-def _row(figures: Mapping[str, float]) -> Row:
-    return {"timesteps": figures["timesteps"]} | {f"{m}_mean": figures[m] for m in METRICS}
-
-
-def training_of(values: Values) -> tuple[Training, Hyperparameters]:
-    """Return options for `train`, and hyperparameters; a cell's values replace the defaults."""
-    options = dict[str, Any]()
-    changed = dict[str, Any]()
-    for axis, value in values.items():
-        name = axis.removeprefix(HYPERPARAMETER)
-        (options if name == axis else changed)[name] = value
-    args = Training(**options)
-    return args, replace(hyperparameters(args, len(args.places) or 1), **changed)
+        best = train(job, lambda news: None)["best"]
+        row: Row = {"timesteps": best["timesteps"]}
+        row |= {f"{metric}_mean": best[metric] for metric in METRICS}
+        return row | {"policy_file": job.policy.read_bytes()}
 
 
 def kept(folder: Path, spec: Spec) -> set[str]:
-    """Return the names of the cells or trials stored in a folder; refuse another sweep's rows."""
+    """Return the names of the cells stored in a folder; refuse another sweep's rows."""
     names = {path.stem for path in folder.glob("[!.]*.parquet")}  # hidden files are incomplete
     for name in names:
-        if not (name.startswith(spec.trial) if spec.free else name in spec.cells):
+        if name not in spec.cells:
             raise ValueError(
                 f"{folder / name}.parquet: found a row of another sweep, of another version, or of "
                 "this sweep before one of its files changed; choose another folder with --out"

@@ -1,6 +1,6 @@
 """Specification of a sweep: a TOML or JSON file, whose keys are axes with one or more values.
 
-A *cell* is a combination of values, one of each axis. In a search, Optuna draws *trials* instead.
+A *cell* is a combination of values, one of each axis.
 """
 
 import hashlib
@@ -10,7 +10,7 @@ import math
 import os
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import MISSING, dataclass, field, fields, replace
+from dataclasses import MISSING, dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
@@ -19,7 +19,7 @@ from experiments.console.options import USUAL_EPISODES, ModeArgs, TaskArgs
 from experiments.training.hyperparameters import read_hyperparameters, shipped_hyperparameters
 from mmwave_env import __version__
 from mmwave_env.io.files import parse_json, read_text
-from mmwave_env.io.lookup import choose, quoted, require_extra
+from mmwave_env.io.lookup import choose, quoted
 from mmwave_env.io.records import Bound, counts, hints_of, require
 
 MOST_CELLS = 100_000  # a cell takes a second or longer, so more cells must be a mistake
@@ -49,41 +49,25 @@ class Training(TaskArgs):
     episodes: Count = 200  # number of episodes to evaluate policies on
 
 
-KINDS: Mapping[str, Any] = {"evaluate": Evaluation, "train": Training, "search": Training}
+KINDS: Mapping[str, Any] = {"evaluate": Evaluation, "train": Training}
 
 
 @dataclass(frozen=True)
 class Spec:
-    """A sweep: the axes of a grid, or the distributions of a search."""
+    """A sweep: the axes of a grid."""
 
     kind: str  # name of the table in the file
-    axes: Mapping[str, Sequence[Any]]  # values of each key; in a search, a key has one value
-    trials: int = 0  # number of trials of a search
-    # Optuna's distributions of the hyperparameters that a search varies, by axis
-    free: Values = field(default_factory=dict)
+    axes: Mapping[str, Sequence[Any]]  # values of each key
 
     def __len__(self) -> int:
-        return self.trials or math.prod(map(len, self.axes.values()))
+        return math.prod(map(len, self.axes.values()))
 
     @cached_property
     def cells(self) -> dict[str, Values]:
-        """Return all combinations of values in a grid, by name, in the order of the file."""
+        """Return all combinations of values, by name, in the order of the file."""
         combinations = itertools.product(*self.axes.values())
         cells = (dict(zip(self.axes, values, strict=True)) for values in combinations)
         return {self._digest(values): values for values in cells}
-
-    @property
-    def trial(self) -> str:
-        """Return the prefix of the names of all trials of a search."""
-        return self._digest({**self.axes, **self.free})
-
-    def values_of(self, row: Values) -> Values:
-        """Return a trial's values on all axes; ``row`` has the values that the search drew."""
-        values = {axis: value for axis, (value,) in self.axes.items()}
-        for axis in self.free:
-            value = json.loads(row[axis]) if isinstance(row[axis], str) else row[axis]
-            values[axis] = tuple(value) if isinstance(value, list) else value
-        return values
 
     def _digest(self, values: Values) -> str:
         """Return a hash of our version, the values, and the contents of files that values name."""
@@ -95,15 +79,15 @@ class Spec:
 
 
 def plain(value: Any) -> Any:
-    """Return a bool or a tuple as JSON text, other values unchanged, for Parquet and Optuna."""
+    """Return a bool or a tuple as JSON text, other values unchanged, for Parquet."""
     return json.dumps(value) if isinstance(value, (bool, tuple)) else value
 
 
 def read_spec(path: Path) -> Spec:
     """Read the file of a sweep: one table, whose name is one of :data:`KINDS`.
 
-    The table's keys are fields of the class in KINDS. [train] and [search] may also have the key
-    "hyperparameters", and [search] also has the key "trials".
+    The table's keys are fields of the class in KINDS; [train] may also have the key
+    "hyperparameters".
 
     Raises:
         ValueError: the file is not a sweep; the message names the file and the key.
@@ -122,17 +106,13 @@ def _spec(content: Any) -> Spec:
     ((kind, table),) = content.items()
     choose(KINDS, kind, "table")
     require(kind, table, dict)
-    tried = table.pop("hyperparameters", {}) if kind != "evaluate" else {}
+    tried = table.pop("hyperparameters", {}) if kind == "train" else {}
     require(f"{kind}.hyperparameters", tried, dict)
-    trials = table.pop("trials", None) if kind == "search" else 1
-    require(f"{kind}.trials", trials, Count)
     axes = dict(_options(kind, table))
-    free = dict(_hyperparameters(kind, tried, axes))
-    spec = Spec(kind, axes, trials, free) if kind == "search" else Spec(kind, axes | free)
+    axes |= _hyperparameters(tried, axes)
+    spec = Spec(kind, axes)
     if len(spec) > MOST_CELLS:
         raise ValueError(f"{kind}: found {len(spec)} cells, expected at most {MOST_CELLS}")
-    if kind == "search" and not (free and all(len(values) == 1 for values in axes.values())):
-        raise ValueError("search: expected hyperparameters to try, and one value per remaining key")
     return spec
 
 
@@ -148,36 +128,18 @@ def _options(kind: str, table: Values) -> Iterator[tuple[str, Sequence[Any]]]:
         yield key, values
 
 
-def _hyperparameters(kind: str, table: Values, axes: Values) -> Iterator[tuple[str, Any]]:
-    """Yield the values or the distribution of each hyperparameter; refuse invalid values."""
+def _hyperparameters(table: Values, axes: Values) -> dict[str, Sequence[Any]]:
+    """Return the axes of hyperparameters, given the other axes; refuse invalid values."""
     algo = axes.get("algo", [Training.algo])[0]
     beliefs = axes.get("beliefs", [Training.beliefs])[0]
     checked = read_hyperparameters(shipped_hyperparameters(algo, beliefs), algo)
-    types = get_type_hints(type(checked))
+    tried = {}
     for name, content in table.items():
-        axis = HYPERPARAMETER + name
-        of_type = choose(types, name, f"{kind}.hyperparameters")
-        is_range = kind == "search" and isinstance(content, dict)
-        values = [content.get("low"), content.get("high")] if is_range else _values(name, content)
-        for value in reversed(values):
+        choose(get_type_hints(type(checked)), name, "train.hyperparameters")
+        tried[HYPERPARAMETER + name] = _values(name, content)
+        for value in reversed(tried[HYPERPARAMETER + name]):
             checked = replace(checked, **{name: value})
-        if kind == "search":
-            values = _distribution(axis, content if is_range else values, of_type is int)
-        yield axis, values
-
-
-def _distribution(axis: str, choices: Any, whole: bool) -> Any:
-    """Return the distribution from which Optuna draws: a range, or a list of choices."""
-    require_extra("optuna", "ray", "a search")
-    from optuna import distributions
-
-    try:
-        if not isinstance(choices, dict):
-            return distributions.CategoricalDistribution([*map(plain, choices)])
-        kind = distributions.IntDistribution if whole else distributions.FloatDistribution
-        return kind(**choices)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{axis}: found {quoted(choices)}, expected a range: {error}") from error
+    return tried
 
 
 def _values(key: str, content: Any) -> Sequence[Any]:

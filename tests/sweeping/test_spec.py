@@ -17,14 +17,6 @@ modes = ["ekf", "ukf"]
 dt = [1, 0.5]
 seed = [0, 10]
 """
-SEARCH = """
-[search]
-trials = 6
-total_timesteps = 1000
-hyperparameters.learning_rate = { low = 1e-4, high = 1, log = true }
-hyperparameters.n_epochs = { low = 4, high = 16 }
-hyperparameters.hidden = [[64, 64], [32]]
-"""
 POLICY = '[evaluate]\npolicy = "imm"\n'
 
 
@@ -60,20 +52,6 @@ def test_cells_have_new_names_if_a_mode_file_changes(tmp_path, monkeypatch):
     assert len(names) == 3
 
 
-def test_a_search_has_distributions_of_hyperparameters(tmp_path):
-    pytest.importorskip("optuna")
-    spec = spec_of(tmp_path, SEARCH)
-    rate, epochs, hidden = spec.free.values()
-    assert (rate.low, rate.high, rate.log) == (1e-4, 1.0, True)
-    assert epochs.to_external_repr(epochs.high) == 16 and isinstance(epochs.low, int)
-    assert hidden.choices == ("[64, 64]", "[32]") and len(spec) == 6
-    proposal = dict(zip(spec.free, (1e-3, 5, "[32]"), strict=True))
-    assert [*spec.values_of(proposal).values()] == [1000, 1e-3, 5, (32,)]
-    more = spec_of(tmp_path, SEARCH.replace("trials = 6", "trials = 7"))
-    other = spec_of(tmp_path, SEARCH.replace("16", "17"))
-    assert more.trial == spec.trial != other.trial
-
-
 def test_too_many_cells_are_refused_before_they_are_made(tmp_path):
     lines = (f"{key} = {list(range(1, 1001))}" for key in ("seed", "episodes"))
     with refuses("evaluate"):
@@ -99,8 +77,6 @@ def test_results_are_kept_per_cell_and_results_of_other_sweeps_are_refused(tmp_p
 
 
 TRAIN = "[train]\ntotal_timesteps = 5\n"
-SEARCHED = "[search]\ntrials = 3\ntotal_timesteps = 5\n"
-RATE = SEARCHED + "hyperparameters."
 
 
 @pytest.mark.parametrize(
@@ -117,16 +93,8 @@ RATE = SEARCHED + "hyperparameters."
         (TRAIN + 'algo = "dqn"\n', "train.algo"),
         (TRAIN + "hyperparameters.rate = 1\n", "hyperparameters"),
         (TRAIN + "hyperparameters.gamma = { low = 0.8, high = 0.9 }\n", "gamma"),
-        ("[search]\ntrials = 0\ntotal_timesteps = 5\n", "search.trials"),
-        (SEARCHED, "grid.toml"),
-        (RATE + 'gamma = [0.8]\nradio = ["handset", "high"]\n', "grid.toml"),
-        (RATE + "gamma = { low = 0.9, high = 0.8 }\n", "gamma"),
-        (RATE + f"gamma = {{ low = 0, high = 1{'0' * 400} }}\n", "gamma"),
-        (RATE + "n_epochs = { low = 1.5, high = 3 }\n", "n_epochs"),
     ],
 )
 def test_the_error_about_a_wrong_sweep_names_the_field(tmp_path, text, field):
-    if "search" in text:
-        pytest.importorskip("optuna")
     with refuses(field):
         spec_of(tmp_path, text)

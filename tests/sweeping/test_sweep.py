@@ -9,7 +9,6 @@ import time
 import pytest
 
 from experiments.sweeping.on_ray import RETRIES, computed, connected
-from experiments.training.hyperparameters import read_hyperparameters
 from tests.cli import assert_one_clear_line, command, started, succeed
 
 pytest.importorskip("pyarrow")
@@ -151,24 +150,3 @@ def test_the_policies_of_training_runs_are_kept(tmp_path):
     (row,) = (tmp_path / "out").glob("*.parquet")
     assert best == str(row.with_suffix(".safetensors"))
     succeed("compare", "--policies", best, "--episodes", "2")
-
-
-@pytest.mark.slow
-@pytest.mark.torch
-def test_a_search_can_be_continued_and_writes_the_best_hyperparameters(tmp_path):
-    text = TRAIN.replace("[train]", "[search]\ntrials = 1").replace(
-        "= 1e-3", "= { low = 1e-4, high = 1e-2, log = true }\nhyperparameters.hidden = [[8], [9]]"
-    )
-    out = tmp_path / "out"
-    axis = "hyperparameters.learning_rate"
-    for trials in (1, 2):
-        kept = len(list(out.glob("*.parquet")))
-        file = written(tmp_path, text.replace("trials = 1", f"trials = {trials}"))
-        done = command("sweep", file, "--out", out)
-        assert done.returncode == 0, done.stderr
-        assert f"{trials} cells, {kept} of them already" in done.stderr
-        tried = {row[axis]: row["reward_mean"] for row in rows(out)}
-        assert len(tried) == trials and all(1e-4 <= rate <= 1e-2 for rate in tried)
-        best = read_hyperparameters(out / "hyperparameters.json", "ppo").learning_rate
-        assert tried[best] == max(tried.values())
-        assert f"--hyperparameters {out / 'hyperparameters.json'}" in done.stdout
