@@ -24,7 +24,7 @@ from mmwave_env.datasets.deepmimo.recording import read_deepmimo
 from mmwave_env.datasets.recorded import Recording
 from mmwave_env.datasets.ways import read_ways
 from mmwave_env.filters.bank import modes_from, read_bank
-from mmwave_env.logs.log import LogBlock, read_log, read_paths
+from mmwave_env.logs.log import Log, read_log, read_paths
 from mmwave_env.logs.tum import read_tum
 from mmwave_env.models.radio import read_radio
 from mmwave_env.models.scene import SCENES, read_scene, scene_json
@@ -75,8 +75,15 @@ def alone(name, content, read):
     return Reader(lambda: {name: content}, lambda folder: read(folder / name))
 
 
+def sound(content):
+    """Return a log; raise the error of a damaged row."""
+    if content.damage:
+        raise content.damage
+    return content
+
+
 def log(name, content=b""):
-    return alone(name, content, lambda path: list(read_log(path, SCENE)))
+    return alone(name, content, lambda path: sound(read_log(path, SCENE)))
 
 
 LIMITS = {"jerk_mps3": 1.0, "corner_radius_m": 1.0}
@@ -93,7 +100,7 @@ READERS = {
     "log": log("log.csv", LOG),
     "gzipped log": log("log.csv.gz", gzip.compress(LOG, mtime=0)),
     "Parquet log": log("log.parquet")._replace(files=parquet),
-    "log of signal paths": alone("log.csv", LOG, lambda path: list(read_paths(path, SCENE))),
+    "log of signal paths": alone("log.csv", LOG, lambda path: sound(read_paths(path, SCENE))),
     "truth": alone("truth.tum", head(RIDE / "truth.tum", 30), read_tum),
     "scene": alone("scene.json", json_in(RIDE / "scene.json"), read_scene),
     "scene of walls": alone("scene.json", scene_json(SCENES["street"]), read_scene),
@@ -118,7 +125,7 @@ READERS = {
 
 def numbers_in(content):
     """Yield the arrays that computations use; skip measurements that are not marked as visible."""
-    if isinstance(content, (LogBlock, Recording)):
+    if isinstance(content, (Log, Recording)):
         rows = np.repeat(content.visible, content.layout.widths, axis=1)
         yield from (content.time_s, content.measurement[rows])
         if isinstance(content, Recording):

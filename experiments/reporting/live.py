@@ -49,11 +49,11 @@ def run_live(args: LogArgs) -> None:
     tracker: Tracker | None = None
     for epoch in _epochs(sys.stdin.buffer, scene, args.snr, clock):
         if tracker is None:
-            block = epoch.block()
-            radio = nearest_radio(block, scene) if args.radio == AUTO else args.radio
-            if not can_begin(block, 0, scene, radio_from(radio)):
+            log = epoch.log()
+            radio = nearest_radio(log, scene) if args.radio == AUTO else args.radio
+            if not can_begin(log, 0, scene, radio_from(radio)):
                 continue
-            choice = choice_of(args, radio, block)
+            choice = choice_of(args, radio, log)
             tracker = Tracker(
                 scene, choice.switching, radio, height_m=args.height, lag=max(args.lag, 1),
                 levels=levels,

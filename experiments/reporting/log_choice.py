@@ -13,7 +13,7 @@ from mmwave_env.filters.modes import DESIGN_LIMIT_MPS, Mode, robust
 from mmwave_env.interface.policy import Rule, Switching
 from mmwave_env.io.lookup import choose
 from mmwave_env.logs.lines import number
-from mmwave_env.logs.log import LogBlock
+from mmwave_env.logs.log import Log
 from policies.speed_rule import SLOW_MPS, by_odometry_speed, by_predicted_speed, mode_at
 
 # "corrector" corrects the beliefs of "guided". Without elevations, "guided" chooses wrong modes so
@@ -70,10 +70,10 @@ def default_policy(height_m: float | None) -> str:
     return "corrector" if height_m is None else "guided"
 
 
-def choice_of(args: LogArgs, radio: str, block: LogBlock) -> Choice:
+def choice_of(args: LogArgs, radio: str, log: Log) -> Choice:
     """Return the choice that options describe.
 
-    The default is a policy, or an IMM if ``block``, the beginning of the log, has no elevations.
+    The default is a policy, or an IMM if the log has no elevations.
 
     Raises:
         ValueError: a policy, a bank or a mode is unknown or not valid.
@@ -84,7 +84,7 @@ def choice_of(args: LogArgs, radio: str, block: LogBlock) -> Choice:
             bank = replace(bank, modes=tuple(map(robust, bank.modes)))
         return Choice(Switching(bank), f"of {args.imm}, weighted by their probability")
     if args.policy is not None or not is_algorithm_1(args):
-        elevations = block.measurement[:, 2 : block.layout.doppler : 4]
+        elevations = log.measurement[:, 2 : log.layout.doppler : 4]
         if args.policy is None and not np.isfinite(elevations).any():
             why = f"of {WITHOUT_ELEVATIONS} (no elevations), weighted by their probability"
             return Choice(Switching(_bank(WITHOUT_ELEVATIONS, radio)), why)

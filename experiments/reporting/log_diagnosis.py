@@ -15,7 +15,7 @@ from experiments.reporting.log_choice import modes_of
 from mmwave_env.io.files import Json, write_json
 from mmwave_env.localization.diagnosis import AS_IT_IS, Finding, diagnose
 from mmwave_env.localization.radio_choice import nearest_radio
-from mmwave_env.logs.log import LogBlock, read_log
+from mmwave_env.logs.log import Log, read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.logs.truth import Truth
 from mmwave_env.models.prior import GAP_S
@@ -33,11 +33,11 @@ def diagnosed(args: LogArgs, path: Path, scene: Scene, truth_file: Path | None) 
         LogError: the log is damaged.
         ValueError: no epoch determines a position with which a track could begin.
     """
-    log, damage = _read(path, scene, args.snr)
+    log = _read(path, scene, args.snr)
     radio = nearest_radio(log, scene) if args.radio == AUTO else args.radio
     with progress("looking for likely mistakes"):
         findings = diagnose(log, scene, radio_from(radio), modes_of(args, radio)[-1])
-        facts = log_facts(log, damage, scene, Truth(truth_file) if truth_file else None)
+        facts = log_facts(log, scene, Truth(truth_file) if truth_file else None)
     if args.json:
         hypotheses = [
             {**f._asdict(), "contradictions": [c._asdict() for c in f.contradictions]}
@@ -46,26 +46,19 @@ def diagnosed(args: LogArgs, path: Path, scene: Scene, truth_file: Path | None) 
         figures = {"facts": facts, "verdict": _verdict(findings), "hypotheses": hypotheses}
         write_json(args.json, provenance("localize", args) | figures)
     show(f"{facts_markdown(facts)}\n{diagnosis_markdown(findings)}")
-    if damage:
-        raise damage
+    if log.damage:
+        raise log.damage
 
 
-def _read(path: Path, scene: Scene, snr_db: float | None) -> tuple[LogBlock, LogError | None]:
-    """Read a log to its end, or to the first damaged row; return also the error about this row."""
+def _read(path: Path, scene: Scene, snr_db: float | None) -> Log:
     read = partial(read_log, odometry=False, limits=False)
     try:
-        blocks = read(path, scene)
-    except LogError:  # columns are missing
-        blocks = read(path, scene, partial=True, snr_db=snr_db)
-    whole = [next(blocks)]
-    try:
-        whole.extend(blocks)
-    except LogError as damage:
-        return whole[0].joined(whole), damage
-    return whole[0].joined(whole), None
+        return read(path, scene)
+    except LogError:  # columns may be missing
+        return read(path, scene, partial=True, snr_db=snr_db)
 
 
-def log_facts(log: LogBlock, damage: LogError | None, scene: Scene, truth: Truth | None) -> Json:
+def log_facts(log: Log, scene: Scene, truth: Truth | None) -> Json:
     """Return facts about a log: its times, the user's true speed, the anchors, and problems."""
     links = log.visible[:, : log.layout.anchors]
     steps = np.diff(log.time_s)
@@ -95,8 +88,8 @@ def log_facts(log: LogBlock, damage: LogError | None, scene: Scene, truth: Truth
     problems += [
         f"anchor {a + 1} was never measured" for a, count in enumerate(counts) if not count
     ]
-    if damage:
-        problems.append(str(damage))
+    if log.damage:
+        problems.append(str(log.damage))
     return {
         "epochs": len(log),
         "first_s": float(log.time_s[0]),

@@ -1,9 +1,7 @@
 """The ``localize`` command for a recorded log: options, track, scores, files, printed results."""
 
 import warnings
-from collections.abc import Iterable, Iterator
-from contextlib import ExitStack
-from itertools import chain
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,22 +21,27 @@ from experiments.reporting.log_choice import (
     require_one_choice,
 )
 from experiments.reporting.log_diagnosis import diagnosed
-from experiments.reporting.track_report import TrackSampler, track_markdown
+from experiments.reporting.track_report import drawn_track, track_markdown
 from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH
 from mmwave_env.datasets.samples import sample_folder
 from mmwave_env.filters.bank import modes_from
-from mmwave_env.io.files import Json, require_writable, write_json
+from mmwave_env.io.files import Json, require_writable, write_json, write_text
 from mmwave_env.io.lookup import as_name
 from mmwave_env.localization.association import Association, associate
 from mmwave_env.localization.contradictions import contradictions
 from mmwave_env.localization.levels import Levels
-from mmwave_env.localization.localizer import TrackBlock, localize
+from mmwave_env.localization.localizer import Track, localize
+from mmwave_env.localization.map_files import MAP_FILES, origin_of
 from mmwave_env.localization.radio_choice import nearest_radio
-from mmwave_env.localization.track_files import require_own_files, table_beside, track_files
-from mmwave_env.localization.track_scores import Course, Groups, TruthScores
+from mmwave_env.localization.track_files import require_own_files, table_beside, track_texts
+from mmwave_env.localization.track_scores import (
+    group_statistics,
+    track_statistics,
+    truth_scores,
+    warn_if_far,
+)
 from mmwave_env.logs.clock import clock_offset
-from mmwave_env.logs.log import LogBlock, read_log, read_paths
-from mmwave_env.logs.log_tables import LogError
+from mmwave_env.logs.log import Log, read_log, read_paths
 from mmwave_env.logs.truth import Truth
 from mmwave_env.models.layout import clock_from
 from mmwave_env.models.radio import Radio, radio_from
@@ -46,7 +49,6 @@ from mmwave_env.models.scene import Scene, scene_from
 from mmwave_env.world.episode import NEUTRAL_SNR_DB
 from policies.corrector import TWO_WAY, TwoWayCorrector
 
-EPOCHS_PER_BLOCK = 1 << 14
 LONGEST_WINDOW = 20_000  # maximum length of the smoother's window, epochs; limits its memory
 
 
@@ -120,51 +122,46 @@ class Work(NamedTuple):
     scene: Scene
     radio: Radio
     choice: Choice
-    first: LogBlock  # first block of the log
-    blocks: Iterable[LogBlock]  # all blocks, including the first
+    log: Log
     truth: Truth | None
-    association: Association | None  # counts of associated paths so far
+    association: Association | None  # counts of associated paths
 
 
-def _work(args: LogArgs, files: Inputs, scene: Scene, epochs_per_block: int) -> Work:
-    """Open the log and, if there is one, the ground truth; choose the modes."""
+def _work(args: LogArgs, files: Inputs, scene: Scene) -> Work:
+    """Read the log and, if there is one, the ground truth; choose the modes."""
     association = None
     if args.associate:
         association = Association(len(scene.anchors_m))
         paths = read_paths(files.log, scene, args.odometry)
-        name = args.radio
-        name = "handset" if name == AUTO else name
+        name = "handset" if args.radio == AUTO else args.radio
         fast = modes_from(args.modes, name)[-1]
-        blocks = associate(paths, scene, radio_from(name), fast, association, epochs_per_block)
-        first = next(blocks)
+        log = associate(paths, scene, radio_from(name), fast, association)
     else:
-        blocks = read_log(
-            files.log, scene, epochs_per_block, args.odometry, partial=True, snr_db=args.snr,
+        log = read_log(
+            files.log, scene, args.odometry, partial=True, snr_db=args.snr,
             clock=clock_from(args.clock),
         )  # fmt: skip
-        first = next(blocks)
-        name = nearest_radio(first, scene) if args.radio == AUTO else args.radio
-    if args.follow == "odometry" and not first.layout.odometry:
+        name = nearest_radio(log, scene) if args.radio == AUTO else args.radio
+    if args.follow == "odometry" and not log.layout.odometry:
         raise ValueError(
             f"follow: odometry needs speeds, and {files.log} has none; use --follow prediction"
         )
-    choice = choice_of(args, name, first)
-    if choice.switching.policy and not np.isfinite(first.snr_db).any():
+    choice = choice_of(args, name, log)
+    if choice.switching.policy and not np.isfinite(log.snr_db).any():
         warnings.warn(
             f"{files.log}: found no SNR, so the policy gets {NEUTRAL_SNR_DB:g} dB for every link",
             stacklevel=2,
         )
     truth = Truth(files.truth) if files.truth else None
-    blocks = chain([first], blocks)
-    return Work(scene, radio_from(name), choice, first, blocks, truth, association)
+    return Work(scene, radio_from(name), choice, log, truth, association)
 
 
-def _track(args: LogArgs, work: Work, window: int | None) -> Iterator[TrackBlock]:
+def _track(args: LogArgs, work: Work, window: int | None, report: Callable[[float], None]) -> Track:
     switching = work.choice.switching
     if args.two_way and not switching.bank:
         raise ValueError("two-way: found modes with a shared belief, expected an IMM (--imm)")
     return localize(
-        work.blocks,
+        work.log,
         work.scene,
         work.radio,
         switching,
@@ -172,64 +169,37 @@ def _track(args: LogArgs, work: Work, window: int | None) -> Iterator[TrackBlock
         args.height,
         Levels(args.risk, args.levels),
         TwoWayCorrector(TWO_WAY) if args.two_way else None,
+        report,
     )
 
 
-def beginning(args: LogArgs, epochs: int) -> tuple[TrackBlock, Work]:
+def beginning(args: LogArgs, epochs: int) -> tuple[Track, Work]:
     """Filter the first epochs of a log; return their track and the log's :class:`Work`."""
     files = inputs(args)
-    work = _work(args, files, scene_from(files.scene), epochs)
-    return next(_track(args, work, None)), work
+    work = _work(args, files, scene_from(files.scene))
+    work = work._replace(log=work.log.part(slice(epochs)))
+    track = _track(args, work, None, lambda share: None)
+    return track.by_segment()[0], work
 
 
-def _run(args: LogArgs, work: Work) -> tuple[Json, TrackSampler, ValueError | None]:
-    """Localize a log, score its track and write it, block by block.
-
-    Return results, the track to draw, and an error in the log or in the ground truth, if any. If
-    the log is damaged before the first epoch of a track, nothing is written.
-    """
-    names = work.choice.switching.names
+def _scores(args: LogArgs, work: Work, track: Track) -> tuple[Json, ValueError | None]:
+    """Compare a track with the ground truth, if any; return scores, and an error if none fits."""
     truth = work.truth
-    course = Course(names)
-    groups = Groups()
-    sampler = TrackSampler(names, work.scene.anchors_m)
-    tracks = ["filtered", "smoothed"] if args.smoothing else ["filtered"]
-    scores = TruthScores(truth, tracks, args.height is not None, args.risk) if truth else None
-    track = _track(args, work, args.window if args.smoothing else None)
-    error: ValueError | None = None
-    with ExitStack() as stack:
-        title = as_name(Path(inputs(args).log.name.removesuffix(".gz")).stem)
-        more = (names, work.scene, title, work.choice.switching.corrects, args.risk)
-        writers = [stack.enter_context(track_files(out, *more)) for out in args.out]
-        report = stack.enter_context(progress("localizing"))
-        try:
-            for block in track:
-                sampler.add(block, scores.add(block) if scores else None)
-                course.add(block)
-                groups.add(block)
-                for write in writers:
-                    write(block)
-                report(block.share)
-        except LogError as damage:
-            if not course.epochs:
-                raise
-            error = damage
-    figures = {**course.figures(), "groups": groups.figures()}
-    if work.association:
-        figures["association"] = work.association.figures()
-    if truth and scores and scores.scored:
-        truth.warn_if_few(scores.scored, course.epochs, course.first_s, course.last_s)
-        clock = clock_offset(work.first, work.scene, truth.at)
-        figures["truth"] = scores.figures() | {
-            "levels": args.levels,
-            "clock": clock and clock.figures(),
-        }
-        if clock and clock.matters:
-            warnings.warn(f"{truth.path}: {clock.advice}", stacklevel=2)
-        scores.warn_if_far("filtered")
-    elif truth and not error:
-        error = truth.no_match(course.first_s, course.last_s)
-    return figures, sampler, error
+    if truth is None:
+        return {}, None
+    names = ["filtered", "smoothed"] if args.smoothing else ["filtered"]
+    scores = truth_scores(track, truth, names, args.risk)
+    ends = float(track.time_s[0]), float(track.time_s[-1])
+    if scores is None:
+        return {}, truth.no_match(*ends)
+    truth.warn_if_few(scores["scored"], len(track), *ends)
+    clock = clock_offset(work.log, work.scene, truth.at)
+    if clock and clock.matters:
+        warnings.warn(f"{truth.path}: {clock.advice}", stacklevel=2)
+    warn_if_far(truth, scores, "filtered")
+    return {
+        "truth": scores | {"levels": args.levels, "clock": clock and clock.figures()},
+    }, None
 
 
 def localized(args: LogArgs) -> None:
@@ -239,12 +209,25 @@ def localized(args: LogArgs) -> None:
     scene = scene_from(files.scene)
     if args.diagnose:
         return diagnosed(args, files.log, scene, files.truth)
-    work = _work(args, files, scene, EPOCHS_PER_BLOCK)
+    for out in args.out:
+        if out.suffix in MAP_FILES:
+            origin_of(scene, out)
     outputs = {path: name for name, path in _outputs(args) if path}
+    work = _work(args, files, scene)
     for path in outputs:
         require_writable(path)
-    figures, sampler, error = _run(args, work)
-    doubts = contradictions(work.first.whole(), scene, work.radio, figures["groups"])
+    with progress("localizing") as report:
+        track = _track(args, work, args.window if args.smoothing else None, report)
+    title = as_name(Path(files.log.name.removesuffix(".gz")).stem)
+    texts: dict[Path, str] = {}
+    for out in args.out:
+        texts |= track_texts(out, track, scene, title, args.risk)
+    for path, text in texts.items():
+        write_text(path, text)
+    scores, mismatch = _scores(args, work, track)
+    error = track.damage or mismatch
+    groups = group_statistics(track)
+    doubts = contradictions(work.log.whole(), scene, work.radio, groups)
     for doubt in doubts:
         warnings.warn(f"{doubt}; --diagnose looks for a likely mistake", stacklevel=2)
     kind = "smoothed" if args.smoothing else "filtered"
@@ -260,7 +243,10 @@ def localized(args: LogArgs) -> None:
         "imm": args.imm,
         "rule": work.choice.why,
         "algorithm_1": args.imm is None and args.policy is None and is_algorithm_1(args),
-        **figures,
+        **track_statistics(track),
+        "groups": groups,
+        **({"association": work.association.figures()} if work.association else {}),
+        **scores,
         "contradictions": [d._asdict() for d in doubts],
         "written": {str(path): written[of] for path, of in outputs.items() if of in written},
         "error": error and str(error),
@@ -270,7 +256,9 @@ def localized(args: LogArgs) -> None:
     try:
         if args.plot:
             log = "/".join(files.log.parts[-2:])
-            draw_trajectory(sampler.track, args.plot, f"{log}, {kind} track")
+            truth_m = work.truth.at(track.time_s).position_m if work.truth else None
+            drawn = drawn_track(track, truth_m, scene.anchors_m)
+            draw_trajectory(drawn, args.plot, f"{log}, {kind} track")
     finally:  # the results are shown even if a picture fails
         try:
             show(track_markdown(figures))

@@ -1,7 +1,5 @@
 """The report that ``localize`` prints about a track, and the epochs to draw in its picture."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from experiments.console.tables import escaped, grid
@@ -9,50 +7,31 @@ from experiments.evaluation.positions import KINDS, positions_markdown
 from experiments.figures.trajectory import DrawnTrack
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS
 from mmwave_env.io.files import Json
-from mmwave_env.localization.localizer import TrackBlock
+from mmwave_env.localization.localizer import Track
 from mmwave_env.metrics import HEADERS, INFO_KEYS
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.numerics.numbers import Array
 
-_POINTS = 6000  # maximum number of points in a picture; a longer track is thinned to 3000 or more
+_POINTS = 6000  # maximum number of points in a picture; a longer track is thinned
 _POSITION = [0, 1, 3, 1, 2, 4, 3, 4, 5]  # indices of the position's 3 x 3 covariance in a packed P
 
 
-class TrackSampler:
-    """A sample of a track: every n-th epoch, where n is a power of two that grows with the track.
+def drawn_track(track: Track, truth_m: Array | None, anchors_m: Array) -> DrawnTrack:
+    """Return a track for drawing, with at most ``_POINTS`` epochs.
 
-    ``modes`` are names of modes. ``anchors_m`` (L, 3) are the anchors, the base station first.
+    ``truth_m`` (T, 3) are true positions, NaN where unknown. ``anchors_m`` (L, 3) are the anchors,
+    the base station first.
     """
-
-    def __init__(self, modes: Sequence[str], anchors_m: Array) -> None:
-        self._modes = list(modes)
-        self._anchors_m = anchors_m
-        # columns: time, mode, segment, position, true position, covariance
-        self._rows = np.empty((0, 18))
-        self._every = 1
-        self._epochs = 0
-
-    def add(self, block: TrackBlock, truth: Array | None) -> None:
-        """Add a block and its true positions (T, 3), NaN where unknown."""
-        x = block.smooth_x[:, :3]
-        P = block.smooth_P[:, _POSITION]
-        truth = np.full(x.shape, np.nan) if truth is None else truth
-        numbers = block.time_s, block.mode, np.full(len(block), block.segment)
-        rows = np.column_stack([*numbers, x, truth, P])[-self._epochs % self._every :: self._every]
-        self._rows = np.concatenate([self._rows, rows])
-        self._epochs += len(block)
-        while len(self._rows) > _POINTS:
-            self._rows = self._rows[::2]
-            self._every = 2 * self._every
-
-    @property
-    def track(self) -> DrawnTrack:
-        """Return the sampled track for drawing."""
-        time_s, mode, segment, x, truth, P = np.split(self._rows, [1, 2, 3, 6, 9], axis=1)
-        numbers = mode[:, 0].astype(np.int64), segment[:, 0].astype(np.int64)
-        names = self._modes, self._anchors_m
-        return DrawnTrack(time_s[:, 0], x, P.reshape(-1, 3, 3), truth, *numbers, *names)
+    every = 1
+    while len(track) > every * _POINTS:
+        every *= 2
+    shown = slice(None, None, every)
+    x = track.smooth_x[shown, :3]
+    truth = np.full(x.shape, np.nan) if truth_m is None else truth_m[shown]
+    P = track.smooth_P[shown][:, _POSITION].reshape(-1, 3, 3)
+    numbers = track.mode[shown], track.segment[shown]
+    return DrawnTrack(track.time_s[shown], x, P, truth, *numbers, track.modes, anchors_m)
 
 
 def _decimals(value: float | None) -> str:

@@ -11,7 +11,7 @@ from mmwave_env.datasets.measured import MeasuredTrack
 from mmwave_env.io.files import write_json, write_text
 from mmwave_env.io.lookup import as_name
 from mmwave_env.logs.clock import clock_offset
-from mmwave_env.logs.log import LogBlock, read_log
+from mmwave_env.logs.log import read_log
 from mmwave_env.logs.log_tables import SUFFIXES
 from mmwave_env.logs.truth import Truth, velocity_of
 from mmwave_env.logs.tum import COLUMNS, tum_lines
@@ -46,7 +46,9 @@ def read_log_folder(folder: Path, clock: bool = False) -> MeasuredTrack:
     path = log_of(folder)
     scene = read_scene(folder / SCENE)
     truth = Truth(folder / TRUTH)
-    log = LogBlock.joined(list(read_log(path, scene, partial=True, clock=clock)))
+    log = read_log(path, scene, partial=True, clock=clock)
+    if log.damage:
+        raise log.damage
     whole = log.whole()
     if np.array_equal(whole.visible, log.visible) and not np.isfinite(log.sigma).any():
         log = whole

@@ -9,14 +9,13 @@ enough paths of the coming epochs. A track ends after a long gap, or when a new 
 clearly more paths replaces it.
 """
 
-from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
 
 from mmwave_env.filters.modes import Mode
 from mmwave_env.localization.path_tracker import NO_PATH, PathTrack, PathTracker
-from mmwave_env.logs.log import LogBlock, PathEpoch, in_windows
+from mmwave_env.logs.log import Log, PathEpoch, PathLog
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.measurement import Epoch
 from mmwave_env.models.prior import GAP_S
@@ -66,84 +65,63 @@ class Association:
         }
 
 
-def associate(
-    epochs: Iterable[PathEpoch],
-    scene: Scene,
-    radio: Radio,
-    mode: Mode,
-    tally: Association,
-    epochs_per_block: int = 4096,
-) -> Iterator[LogBlock]:
-    """Associate the paths of a log with anchors, and yield the resulting log in blocks of epochs.
+def associate(paths: PathLog, scene: Scene, radio: Radio, mode: Mode, tally: Association) -> Log:
+    """Associate the paths of a log with anchors; return the resulting log.
 
-    If the log is damaged, the epochs before the damage are yielded before the error is raised.
+    An epoch without a track has no paths.
 
     Args:
-        epochs: epochs of the log of paths.
+        paths: the log of paths.
         scene: scene whose anchors were measured.
         radio: profile of the receiver; it determines the noise at each SNR, and the prior.
         mode: filter mode that follows the user during association. Choose a mode for high mobility:
             the gates around its uncertain predictions are wide enough for any user.
         tally: counts to which each epoch is added.
 
+    Returns:
+        The log; ``damage`` is an error if it ends before measurements that no receiver can make.
+
     Raises:
-        LogError: the log is damaged, or contains measurements that no receiver can have made.
+        LogError: there are such measurements in the first epoch.
     """
-    return in_windows(_labelled(epochs, scene, radio, mode, tally), epochs_per_block)
-
-
-def _labelled(
-    epochs: Iterable[PathEpoch], scene: Scene, radio: Radio, mode: Mode, tally: Association
-) -> Iterator[LogBlock]:
-    """Yield every epoch with its paths assigned to anchors, or without paths if no track exists."""
+    layout = paths.epochs[0].layout
+    tracker = PathTracker(scene, radio, mode, layout)
     track: PathTrack | None = None
-    tracker: PathTracker | None = None
-    for window in _windows(epochs, LOOK_AHEAD):
-        paths = window[0]
-        tracker = tracker or PathTracker(scene, radio, mode, paths.layout)
-        if track and paths.time_s - track.seen_s > GAP_S:
+    labelled: list[Epoch] = []
+    restarts: list[bool] = []
+    damage = paths.damage
+    for number, epoch in enumerate(paths.epochs):
+        if track and epoch.time_s - track.seen_s > GAP_S:
             track = None
         try:
-            track = track and tracker.follow(track, paths)
-            rival = tracker.rival(track, window)
-        except ArithmeticError as error:
-            raise LogError(
-                f"log, time {paths.time_s} s: found measurements of a user straight above or below "
+            track = track and tracker.follow(track, epoch)
+            rival = tracker.rival(track, paths.epochs[number : number + LOOK_AHEAD])
+        except ArithmeticError:
+            damage = LogError(
+                f"log, time {epoch.time_s} s: found measurements of a user straight above or below "
                 "an anchor, or extremely far away, expected measurements that a receiver can make"
-            ) from error
+            )
+            break
         track = rival or track
-        tally.add(paths, track and track.labels, rival is not None)
-        yield _block(paths, track.epoch if track else tracker.nothing(paths), rival is not None)
-
-
-def _block(paths: PathEpoch, epoch: Epoch, begins: bool) -> LogBlock:
-    """Return an associated epoch as a block of a log; ``begins``: whether a track begins here."""
-    visible = np.array([epoch.visible]) > 0.5
-    return LogBlock(
-        layout=paths.layout,
-        time_s=np.array([paths.time_s]),
-        measurement=np.array([epoch.z]),
-        sigma=np.full((1, paths.layout.size), np.nan),
+        tally.add(epoch, track and track.labels, rival is not None)
+        labelled.append(track.epoch if track else tracker.nothing(epoch))
+        restarts.append(rival is not None)
+    if damage and not labelled:
+        raise damage
+    kept = paths.epochs[: len(labelled)]
+    visible = np.array([epoch.visible for epoch in labelled]) > 0.5
+    snr_db = np.array([epoch.snr_db for epoch in labelled])
+    return Log(
+        layout=layout,
+        time_s=np.array([epoch.time_s for epoch in kept]),
+        measurement=np.array([epoch.z for epoch in labelled]),
+        sigma=np.full((len(kept), layout.size), np.nan),
         visible=visible,
         incomplete=np.zeros_like(visible),
-        doppler_anchor=np.zeros(1, np.int64),
-        snr_db=np.where(visible[:, : paths.layout.anchors], [epoch.snr_db], -np.inf),
-        doppler_spread_hz=np.array([paths.doppler_spread_hz]),
-        restarts=np.array([begins]),
-        share=paths.share,
+        doppler_anchor=np.zeros(len(kept), np.int64),
+        snr_db=np.where(visible[:, : layout.anchors], snr_db, -np.inf),
+        doppler_spread_hz=np.array([epoch.doppler_spread_hz for epoch in kept]),
+        line=np.array([epoch.line for epoch in kept]),
+        restarts=np.array(restarts),
+        damage=damage,
     )
-
-
-def _windows(epochs: Iterable[PathEpoch], size: int) -> Iterator[list[PathEpoch]]:
-    """Yield, for each epoch, the list of ``size`` epochs (fewer at the end) that begins there."""
-    held: list[PathEpoch] = []
-    try:
-        for epoch in epochs:
-            held.append(epoch)
-            if len(held) == size:
-                yield held
-                held = held[1:]
-    except LogError:
-        yield from (held[first:] for first in range(len(held)))
-        raise
-    yield from (held[first:] for first in range(len(held)))

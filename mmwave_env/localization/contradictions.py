@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mmwave_env.logs.log import LogBlock
+from mmwave_env.logs.log import Log
 from mmwave_env.logs.log_columns import RANGE_LIMITS_M, WIDEST_ELEVATION_DEG
 from mmwave_env.models.envelope import STEP_S
 from mmwave_env.models.prior import GAP_S
@@ -57,7 +57,7 @@ class Check(NamedTuple):
 
 
 def contradictions(
-    block: LogBlock, scene: Scene, radio: Radio, groups: Mapping[str, Mapping[str, Any]]
+    block: Log, scene: Scene, radio: Radio, groups: Mapping[str, Mapping[str, Any]]
 ) -> list[Contradiction]:
     """Return all contradictions between a log and its scene, its radio or physical limits.
 
@@ -69,7 +69,7 @@ def contradictions(
     return impossible(block) + _failed(checks)
 
 
-def impossible(block: LogBlock) -> list[Contradiction]:
+def impossible(block: Log) -> list[Contradiction]:
     """Return contradictions in time steps, ranges and angles that no receiver can measure."""
     return _failed(_physical_checks(block))
 
@@ -82,7 +82,7 @@ def _failed(checks: Iterable[Check]) -> list[Contradiction]:
     ]
 
 
-def _physical_checks(block: LogBlock) -> Iterator[Check]:
+def _physical_checks(block: Log) -> Iterator[Check]:
     """Yield checks of values that can't be right in any scene."""
     steps = np.diff(block.time_s)
     if len(steps):
@@ -112,7 +112,7 @@ def _physical_checks(block: LogBlock) -> Iterator[Check]:
             yield Check(group, middle, (0.0, limit), f"{sizes[-1]:.3g} {unit}", expected)
 
 
-def _likelihood_checks(block: LogBlock, scene: Scene, radio: Radio) -> Iterator[Check]:
+def _likelihood_checks(block: Log, scene: Scene, radio: Radio) -> Iterator[Check]:
     """Yield checks of values that are possible but unlikely, such as odd SNRs."""
     low, high = SNR_LIMITS_DB
     for anchor, column in enumerate(block.snr_db.T, start=1):
@@ -155,7 +155,7 @@ def _fit_checks(groups: Mapping[str, Mapping[str, Any]]) -> Iterator[Check]:
             yield Check(name, share, (0.0, REJECTED_LIMIT), value, "at most a third")
 
 
-def _range_per_doppler(block: LogBlock, scene: Scene, radio: Radio) -> tuple[float, float]:
+def _range_per_doppler(block: Log, scene: Scene, radio: Radio) -> tuple[float, float]:
     """Return by how many meters the range grows where the Doppler shift predicts 1 m.
 
     Range and shift are those of anchor 1. Also return the standard error. The result is (1, inf) if

@@ -22,7 +22,7 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.localization.contradictions import Contradiction, contradictions, impossible
 from mmwave_env.localization.localizer import episode_from
-from mmwave_env.logs.log import LogBlock
+from mmwave_env.logs.log import Log
 from mmwave_env.models.layout import wrap_angles
 from mmwave_env.models.radio import RADIOS, Radio
 from mmwave_env.models.scene import Scene
@@ -67,7 +67,7 @@ class Mistake(NamedTuple):
 class Reading(NamedTuple):
     """The epochs of a log, read as a hypothesis says: with certain mistakes undone."""
 
-    block: LogBlock  # the epochs; angles need not be wrapped
+    block: Log  # the epochs; angles need not be wrapped
     # scene, radio: according to the hypothesis, the log was measured in this scene by this radio
     scene: Scene
     radio: Radio
@@ -108,7 +108,7 @@ class Finding(NamedTuple):
         return max(filter(None, anchors), key=lambda nis: abs(np.log(nis)), default=None)
 
 
-def _values(block: LogBlock) -> Mask:
+def _values(block: Log) -> Mask:
     """Tell which values (T, rows) of a log were measured and belong to a visible group."""
     visible = np.repeat(block.visible, block.layout.widths, axis=1)
     return visible & np.isfinite(block.measurement)
@@ -263,7 +263,7 @@ def _has_effect(reading: Reading, original: Reading) -> bool:
     return not np.array_equal(new.measurement, old.measurement, equal_nan=True)
 
 
-def _start(block: LogBlock) -> int:
+def _start(block: Log) -> int:
     """Return the index of the epoch at which the tracks begin.
 
     This is the first epoch with a link of the base station. In a partial layout, links may be
@@ -284,7 +284,7 @@ def _start(block: LogBlock) -> int:
     return int(np.argmax(begins))
 
 
-def diagnose(block: LogBlock, scene: Scene, radio: Radio, mode: Mode) -> list[Finding]:
+def diagnose(block: Log, scene: Scene, radio: Radio, mode: Mode) -> list[Finding]:
     """Test which likely mistakes would explain the first epochs of a log.
 
     ``scene`` and ``radio`` may be wrong. The filter has the tuning and algorithm of ``mode``,

@@ -2,14 +2,14 @@
 
 If there are several modes, a rule (paper, Algorithm 1) or a policy chooses between them, or they
 interact as an IMM. A policy may also correct beliefs (it is then called a *corrector*).
-A log is a sequence of blocks of epochs, because it may be larger than memory. The length of the
-blocks does not change the track. The log is divided into segments at long gaps (``segments.py``).
-In each segment, a track starts from a first position. The track is filtered first, and then
-smoothed, ``window`` epochs at a time; a *two-way corrector* may correct the smoothed track.
+The log is divided into segments at long gaps (``segments.py``). In each segment, a track starts
+from a first position. The track is filtered first, and then smoothed, ``window`` epochs at a time;
+a *two-way corrector* may correct the smoothed track.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,7 @@ from mmwave_env.interface.policy import SmoothedCorrector, Switching
 from mmwave_env.localization.levels import GAUSSIAN, Levels
 from mmwave_env.localization.policy_tracker import PolicyTracker
 from mmwave_env.localization.segments import first_fix, segments
-from mmwave_env.logs.log import LogBlock, in_windows
+from mmwave_env.logs.log import Log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import Radio
@@ -37,22 +37,25 @@ from mmwave_env.world.episode import Episode, EpisodeBatch, columns_of
 _FILTERED = ("x", "P", "memory.mode", "memory.nis", "memory.accepted")
 _PREDICTED = ("x_predicted", "P_predicted")
 CORRECTED = ("corrected_x", "corrected_P", "trusted")  # parts of the state that a corrector adds
+_CHUNK = 1 << 14  # epochs that are filtered and smoothed together
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class TrackBlock(LogBlock):
-    """T consecutive epochs of a log in one segment, with their track.
+class Track(Log):
+    """T epochs of a log with their track; epochs outside segments are left out.
 
-    The links from which the prior was computed are not ``visible``. With an IMM, a belief is the
+    The links from which a prior was computed are not ``visible``. With an IMM, a belief is the
     mean and covariance of the mixture, and ``mode`` is the most probable mode.
     """
 
+    modes: Sequence[str]  # names of the modes
     planar: bool  # whether z and vz are known exactly
+    skipped: int  # number of epochs of the log before the first segment
+    dropped: int  # number of epochs of the log between segments and after the last
+    segment: Index  # (T,) number, from 0, of the segment
     # x, P: means (T, 7), packed covariances (T, 28); (T, 8), (T, 36) if the clock has an offset
     x: Array
     P: Array
-    # (T, values) input of the smoother: x, P, then the predicted belief or (IMM) the mixture
-    filtered: Array
     # smooth_x, smooth_P: smoothed belief; without smoothing, the filtered one
     smooth_x: Array
     smooth_P: Array
@@ -65,6 +68,11 @@ class TrackBlock(LogBlock):
     smooth_trusted: Array  # (T,) such a factor, from a two-way corrector, for smooth_x, smooth_P
     # (T, 2) factors by which to multiply the horizontal and the vertical Gaussian protection level
     level_factors: Array
+
+    def by_segment(self) -> "list[Track]":
+        """Return the tracks of the segments."""
+        ends = [0, *(np.flatnonzero(np.diff(self.segment)) + 1).tolist(), len(self)]
+        return [self.part(slice(first, end)) for first, end in pairwise(ends)]
 
 
 def parts_of(switching: Switching) -> tuple[str, ...]:
@@ -85,7 +93,7 @@ def tracker_of(
 
 
 def localize(
-    blocks: Iterable[LogBlock],
+    log: Log,
     scene: Scene,
     radio: Radio,
     switching: Switching,
@@ -93,13 +101,12 @@ def localize(
     height_m: float | None = None,
     levels: Levels | None = None,
     two_way: SmoothedCorrector | None = None,
-) -> Iterator[TrackBlock]:
-    """Yield the track of a log.
-
-    If the log is damaged, the epochs before the damage are yielded before the error is raised.
+    report: Callable[[float], None] = lambda share: None,
+) -> Track:
+    """Return the track of a log.
 
     Args:
-        blocks: blocks of the log; each is filtered in one call, so large blocks are faster.
+        log: the log.
         scene, radio: scene whose anchors were measured, and profile of the receiver.
         switching: the modes, and the rule or policy that chooses between them.
         window: number of epochs that are smoothed together; None for no smoothing.
@@ -107,65 +114,117 @@ def localize(
         levels: protection levels; None for Gaussian levels.
         two_way: network that corrects the smoothed track; None for no correction. A network needs
             ``height_m=None``, and a bank whose modes have the names of the modes in its training.
+        report: function that is called with the share of the log that is done, 0 to 1.
+
+    Returns:
+        The track. If the log is damaged, or a belief becomes NaN or infinite, the track ends before
+        this epoch, and ``damage`` is the error.
 
     Raises:
-        LogError: the log is damaged, or a belief became NaN or infinite.
+        LogError: the track would have no epoch because of such an error.
         ValueError: no epoch determines a position with which a track could begin.
     """
     levels = levels or Levels(kind=GAUSSIAN)
-    track = _filtered(segments(blocks, scene, radio), scene, radio, switching, height_m, levels)
-    if window is None:
-        return track
-    track = _smoothed(track, window, scene, switching)
-    return _corrected(track, window, scene, radio, switching, two_way) if two_way else track
+    divided = segments(log, scene, radio)
+    tracker = tracker_of(switching, log.layout, height_m is not None)
+    tracks: list[Track] = []
+    for segment, part in enumerate(divided.parts):
+        for epochs in _chunks(part, window or 1):
+            begins = epochs.start == part.start
+            track, kept = _filtered(
+                log.part(epochs), scene, radio, switching, tracker, height_m, levels, begins
+            )
+            if window and len(track):
+                track = _smoothed(track, kept, window, scene, switching)
+                if two_way:
+                    track = _corrected(track, kept, window, scene, radio, switching, two_way)
+            number = np.full(len(track), segment)
+            tracks.append(replace(track, segment=number, skipped=divided.skipped))
+            if track.damage is not log.damage:
+                return _joined(tracks)
+            report(epochs.stop / len(log))
+    return replace(_joined(tracks), dropped=divided.dropped)
+
+
+def _joined(tracks: list[Track]) -> Track:
+    """Join the parts of a track; refuse a track without epochs."""
+    track: Track = Track.joined(tracks)
+    if not len(track) and track.damage:
+        raise track.damage
+    return track
+
+
+def _chunks(part: slice, window: int) -> Iterator[slice]:
+    """Divide a segment into chunks of whole windows, because intermediate results are large."""
+    step = max(1, _CHUNK // window) * window
+    for first in range(part.start, part.stop, step):
+        yield slice(first, min(first + step, part.stop))
 
 
 def _filtered(
-    blocks: Iterable[LogBlock],
+    log: Log,
     scene: Scene,
     radio: Radio,
     switching: Switching,
+    tracker: EpisodeFilter[Any] | PolicyTracker,
     height_m: float | None,
     levels: Levels,
-) -> Iterator[TrackBlock]:
-    """Yield the filtered track of the segments of a log."""
-    tracker: EpisodeFilter[Any] | PolicyTracker | None = None
-    planar = height_m is not None
-    for block in blocks:
-        episode = episode_from(block, scene, radio, block.begins)
-        tracker = tracker or tracker_of(switching, block.layout, planar)
-        if height_m is not None:
-            episode = episode.on_flat_ground(height_m)
-        tracker.load([episode], go_on=not block.begins)
-        parts = {name: of[0] for name, of in tracker.run(*parts_of(switching)).items()}
-        correction = [parts.pop(name, None) for name in CORRECTED]
-        track: dict[str, Any] = {name.removeprefix("memory."): parts[name] for name in _FILTERED}
-        track["mode"], track["accepted"] = track["mode"].astype(np.int64), track["accepted"] > 0.5
-        track["filtered"] = filtered_of(parts)
-        track["trusted"] = track["smooth_trusted"] = np.full(len(episode), np.nan)
-        if correction[0] is not None:
-            track |= dict(zip(("x", "P", "trusted"), correction, strict=True))
-        track |= {"smooth_x": track["x"], "smooth_P": track["P"], "visible": episode.visible}
-        if block.begins:
-            levels.reset()
-        gates = track["nis"], track["accepted"], episode.visible & ~track["accepted"]
-        read = [values[None] for values in (track["x"], track["P"], *gates, track["trusted"])]
-        track["level_factors"] = levels.factors(
-            block.layout.anchors, switching.bank is not None, block.time_s, *read
-        )[0]
-        sound = np.isfinite(track["x"]).all(axis=1) & np.isfinite(track["P"]).all(axis=1)
-        end = len(block) if sound.all() else int(np.argmin(sound))
-        if end:
-            whole = TrackBlock(**{**vars(block), **track}, planar=planar)
-            yield whole.part(slice(end))
-        if end < len(block):
-            raise LogError(
-                f"log, time {block.time_s[end]} s: found measurements that cause NaN or infinity "
-                "in the estimate, expected measurements that a receiver can make"
-            )
+    begins: bool,
+) -> tuple[Track, Array]:
+    """Filter a part of a segment; return its track, and the smoother's input (T, values).
+
+    ``begins`` tells whether the segment begins here. The track ends before the first belief that is
+    not finite.
+    """
+    episode = episode_from(log, scene, radio, begins)
+    if height_m is not None:
+        episode = episode.on_flat_ground(height_m)
+    tracker.load([episode], go_on=not begins)
+    parts = {name: of[0] for name, of in tracker.run(*parts_of(switching)).items()}
+    x, P, trusted = (parts.pop(name, None) for name in CORRECTED)
+    if trusted is None:
+        x = parts["x"]
+        P = parts["P"]
+        trusted = np.full(len(log), np.nan)
+    accepted = parts["memory.accepted"] > 0.5
+    nis = parts["memory.nis"]
+    if begins:
+        levels.reset()
+    gates = nis, accepted, episode.visible & ~accepted
+    read = [values[None] for values in (x, P, *gates, trusted)]
+    bank = switching.bank is not None
+    factors = levels.factors(log.layout.anchors, bank, log.time_s, *read)[0]
+    track = Track(
+        **vars(replace(log, visible=episode.visible)),
+        modes=switching.names,
+        planar=height_m is not None,
+        skipped=0,
+        dropped=0,
+        segment=np.zeros(len(log), np.int64),
+        x=x,
+        P=P,
+        smooth_x=x,
+        smooth_P=P,
+        mode=parts["memory.mode"].astype(np.int64),
+        nis=nis,
+        accepted=accepted,
+        trusted=trusted,
+        smooth_trusted=np.full(len(log), np.nan),
+        level_factors=factors,
+    )
+    kept = filtered_of(parts)
+    sound = np.isfinite(x).all(axis=1) & np.isfinite(P).all(axis=1)
+    if sound.all():
+        return track, kept
+    end = int(np.argmin(sound))
+    damage = LogError(
+        f"log, time {log.time_s[end]} s: found measurements that cause NaN or infinity "
+        "in the estimate, expected measurements that a receiver can make"
+    )
+    return replace(track.part(slice(end)), damage=damage), kept[:end]
 
 
-def episode_from(block: LogBlock, scene: Scene, radio: Radio, begins: bool = True) -> Episode:
+def episode_from(log: Log, scene: Scene, radio: Radio, begins: bool = True) -> Episode:
     """Return epochs of a log as an episode without true positions.
 
     If a track ``begins`` here, its prior comes from links of the first epoch. These links are then
@@ -174,11 +233,11 @@ def episode_from(block: LogBlock, scene: Scene, radio: Radio, begins: bool = Tru
     Raises:
         ValueError: a track begins here, but the first epoch determines no position.
     """
-    n = block.layout.state_size
+    n = log.layout.state_size
     prior = (np.zeros(n), np.eye(n))
-    visible = block.visible
+    visible = log.visible
     if begins:
-        fix = first_fix(block, 0, scene, radio)
+        fix = first_fix(log, 0, scene, radio)
         if fix is None:  # segments() begins every segment with a position
             raise ValueError("log: found no position in the first epoch, expected a position")
         prior = fix.prior
@@ -188,66 +247,75 @@ def episode_from(block: LogBlock, scene: Scene, radio: Radio, begins: bool = Tru
         "log",
         scene,
         radio,
-        block.layout,
-        time_s=block.time_s,
-        measurement=block.measurement,
-        sigma=block.sigma,
+        log.layout,
+        time_s=log.time_s,
+        measurement=log.measurement,
+        sigma=log.sigma,
         visible=visible,
-        snr_db=block.snr_db,
-        doppler_spread_hz=block.doppler_spread_hz,
-        doppler_anchor=block.doppler_anchor if block.layout.partial else None,
+        snr_db=log.snr_db,
+        doppler_spread_hz=log.doppler_spread_hz,
+        doppler_anchor=log.doppler_anchor if log.layout.partial else None,
         prior=prior,
     )
 
 
-def _smoothed(
-    blocks: Iterable[TrackBlock], window: int, scene: Scene, switching: Switching
-) -> Iterator[TrackBlock]:
-    """Yield the track, smoothed window by window; a segment's last window may be shorter."""
-    for block in in_windows(blocks, window):
-        epochs = min(window, len(block))
-        parts = block.filtered.reshape(-1, epochs, *block.filtered.shape[1:])
-        time_s = block.time_s.reshape(-1, epochs, *block.time_s.shape[1:])
-        spread_hz = block.doppler_spread_hz.reshape(-1, epochs, *block.doppler_spread_hz.shape[1:])
-        x, P = smoothed(switching, block.layout, block.planar, scene, parts, time_s, spread_hz)
-        yield replace(block, smooth_x=x.reshape(block.x.shape), smooth_P=P.reshape(block.P.shape))
+def _smoothed(track: Track, kept: Array, window: int, scene: Scene, switching: Switching) -> Track:
+    """Smooth a part of a track by windows, given the smoother's input (T, values)."""
+
+    def run(filtered: Array, time_s: Array, spread_hz: Array) -> tuple[Array, Array]:
+        here = switching, track.layout, track.planar, scene
+        return smoothed(*here, filtered, time_s, spread_hz)
+
+    x, P = _by_windows(run, window, kept, track.time_s, track.doppler_spread_hz)
+    return replace(track, smooth_x=x, smooth_P=P)
+
+
+def _by_windows(run: Callable[..., tuple[Array, ...]], window: int, *parts: Array) -> list[Array]:
+    """Apply a function of windows, arrays (N, epochs, ...), to arrays (T, ...); also its results.
+
+    The last window may be shorter than the others.
+    """
+    T = len(parts[0])
+    whole = T // window * window
+    results = []
+    for rows, epochs in ((slice(0, whole), window), (slice(whole, T), T - whole)):
+        if rows.start < rows.stop:
+            cut = [part[rows].reshape(-1, epochs, *part.shape[1:]) for part in parts]
+            results.append([of.reshape(-1, *of.shape[2:]) for of in run(*cut)])
+    return [np.concatenate(of) for of in zip(*results, strict=True)]
 
 
 def _corrected(
-    blocks: Iterable[TrackBlock],
+    track: Track,
+    kept: Array,
     window: int,
     scene: Scene,
     radio: Radio,
     switching: Switching,
     two_way: SmoothedCorrector,
-) -> Iterator[TrackBlock]:
-    """Yield the smoothed track, corrected window by window; the windows are the smoother's."""
-    for block in blocks:
-        layout = block.layout
-        pipeline = switching.pipeline(block.layout, block.planar)
-        two_way.read_from_track(pipeline)
-        epochs = min(window, len(block))
-        batch = EpisodeBatch.of([episode_from(block, scene, radio, begins=False)])
-        mixtures = block.filtered[:, layout.state_size + layout.triangle :]
-        accepted = block.accepted
-        rejected = block.visible & ~block.accepted
-        shown = block.nis, accepted.astype(float), rejected.astype(float)
-        table, x, P, mixtures, *gates = (
-            part.reshape(-1, epochs, part.shape[-1])
-            for part in (batch.table, block.smooth_x, block.smooth_P, mixtures, *shown)
-        )
+) -> Track:
+    """Correct a part of a smoothed track by windows, which are the smoother's."""
+    layout = track.layout
+    pipeline = switching.pipeline(layout, track.planar)
+    two_way.read_from_track(pipeline)
+    batch = EpisodeBatch.of([episode_from(track, scene, radio, begins=False)])
+    mixtures = kept[:, layout.state_size + layout.triangle :]
+    rejected = track.visible & ~track.accepted
+
+    def run(table: Array, x: Array, P: Array, mixtures: Array, *gates: Array) -> tuple[Array, ...]:
+        table = table.copy()
         table[:, 0, columns_of(layout).dt] = 0.0  # each window begins a track, as in training
-        features = smoothed_features(pipeline, batch._replace(table=table), x, P, mixtures, gates)
-        shift, log_factor, trusted = (
-            part.astype(float) for part in two_way.correct_tracks(features)
-        )
+        episodes = batch._replace(table=table)
+        features = smoothed_features(pipeline, episodes, x, P, mixtures, list(gates))
+        shift, log_factor, trusted = (of.astype(float) for of in two_way.correct_tracks(features))
         belief = corrected_all(x, P, shift, log_factor, pipeline)
-        yield replace(
-            block,
-            smooth_x=np.stack(belief.x, axis=-1).reshape(block.x.shape),
-            smooth_P=np.stack(pack(belief.P), axis=-1).reshape(block.P.shape),
-            smooth_trusted=trusted.reshape(-1),
-        )
+        return np.stack(belief.x, axis=-1), np.stack(pack(belief.P), axis=-1), trusted
+
+    gates = track.nis, track.accepted.astype(float), rejected.astype(float)
+    x, P, trusted = _by_windows(
+        run, window, batch.table[0], track.smooth_x, track.smooth_P, mixtures, *gates
+    )
+    return replace(track, smooth_x=x, smooth_P=P, smooth_trusted=trusted)
 
 
 def filtered_of(parts: Mapping[str, Array]) -> Array:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mmwave_env.logs.log import LogBlock
+from mmwave_env.logs.log import Log
 from mmwave_env.models.layout import LINK
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import Scene
@@ -13,7 +13,7 @@ _FEWEST = 20  # minimum number of second differences for a median
 _ROBUST = 1.4826 / np.sqrt(6.0)  # white noise: standard deviation / median |second difference|
 
 
-def nearest_radio(block: LogBlock, scene: Scene) -> str:
+def nearest_radio(block: Log, scene: Scene) -> str:
     """Return the name of the shipped profile whose standard deviations best match a log.
 
     The standard deviation of a measurement (such as the range) is the median of the values that the
@@ -33,7 +33,7 @@ def nearest_radio(block: LogBlock, scene: Scene) -> str:
     return min(distances, key=lambda name: distances[name], default="handset")
 
 
-def _deviation(block: LogBlock, row: int) -> float:
+def _deviation(block: Log, row: int) -> float:
     """Return the standard deviation (m or rad) of ``LINK[row]``; NaN if values are too few."""
     columns = slice(row, block.layout.doppler, len(LINK))
     own = block.sigma[:, columns]

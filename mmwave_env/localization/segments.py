@@ -9,20 +9,18 @@ complete link needs, or if the user's clock has an offset, the position is compu
 of the epoch, by nonlinear least squares with the height of the streets as a weak prior.
 """
 
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-from mmwave_env.logs.log import LogBlock
+from mmwave_env.logs.log import Log
 from mmwave_env.logs.log_columns import RANGE_LIMITS_M
-from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.measurement import SPEED_OF_LIGHT, Measurement, groups_of
 from mmwave_env.models.prior import GAP_S, STEEPEST_FIX_RAD, UNKNOWN_VELOCITY_MPS, prior_from_fix
 from mmwave_env.models.radio import CLOCK_OFFSET_S, Radio
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.numbers import Array, Mask
+from mmwave_env.numerics.numbers import Array, Index, Mask
 
 # Standard deviations of the weak prior: of the height around the height of the streets, and of x
 # and y around the mean position of the anchors.
@@ -53,12 +51,12 @@ def gives_fix(links: Array) -> Mask:
     return (links[:, 0] >= RANGE_LIMITS_M[0]) & (abs(links[:, 2]) <= STEEPEST_FIX_RAD)
 
 
-def first_fix(block: LogBlock, epoch: int, scene: Scene, radio: Radio) -> Fix | None:
-    """Return a position to begin a track with, or None if an epoch of a block determines none.
+def first_fix(log: Log, epoch: int, scene: Scene, radio: Radio) -> Fix | None:
+    """Return a position to begin a track with, or None if an epoch of a log determines none.
 
     A complete link of the base station is used even if it is steeper than :func:`can_begin` allows.
     """
-    row = block.part(slice(epoch, epoch + 1))
+    row = log.part(slice(epoch, epoch + 1))
     sigma = radio.sigma(row.snr_db, scene, row.layout)
     sigma = np.where(np.isfinite(row.sigma), row.sigma, sigma)[0]
     link = row.measurement[0, :4]
@@ -81,15 +79,15 @@ def first_fix(block: LogBlock, epoch: int, scene: Scene, radio: Radio) -> Fix | 
     return Fix((np.array(_state(unknown)), P), used)
 
 
-def can_begin(block: LogBlock, epoch: int, scene: Scene, radio: Radio) -> bool:
-    """Tell whether an epoch of a block determines a position that a track can begin with."""
-    link = block.measurement[epoch : epoch + 1, :4]
-    if block.visible[epoch, 0] and np.isfinite(link).all() and not block.layout.clock:
+def can_begin(log: Log, epoch: int, scene: Scene, radio: Radio) -> bool:
+    """Tell whether an epoch of a log determines a position that a track can begin with."""
+    link = log.measurement[epoch : epoch + 1, :4]
+    if log.visible[epoch, 0] and np.isfinite(link).all() and not log.layout.clock:
         return bool(gives_fix(link)[0])
-    return first_fix(block, epoch, scene, radio) is not None
+    return first_fix(log, epoch, scene, radio) is not None
 
 
-def _least_squares(row: LogBlock, sigma: Array, scene: Scene) -> tuple[Array, Array] | None:
+def _least_squares(row: Log, sigma: Array, scene: Scene) -> tuple[Array, Array] | None:
     """Return the position (3,) and its covariance from all links of an epoch (T = 1), or None.
 
     If the clock is not synchronized, its range bias is a fourth unknown, with the filters' prior.
@@ -186,87 +184,64 @@ def _descend(
     return cost, position, information
 
 
-def segments(blocks: Iterable[LogBlock], scene: Scene, radio: Radio) -> Iterator[LogBlock]:
-    """Yield the epochs of the segments of a log, in blocks that each belong to one segment.
+class Segments(NamedTuple):
+    """The parts of a log that are tracked separately."""
+
+    parts: list[slice]  # the epochs of each segment; its first epoch gives the prior
+    skipped: int  # number of epochs before the first segment
+    dropped: int  # number of epochs between segments and after the last
+
+
+def segments(log: Log, scene: Scene, radio: Radio) -> Segments:
+    """Divide a log into segments.
 
     A segment ends if all links and odometry are missing for more than ``GAP_S``, or before an epoch
     that the log marks in ``restarts``. The next segment begins with the next epoch that has a fix.
 
     Raises:
-        LogError: the log is damaged; the epochs before the damage are yielded first.
+        LogError: the log is damaged, and no epoch before the damage determines a position.
         ValueError: no epoch determines a position with which a track could begin.
     """
-    held: LogBlock | None = None  # yielded once the number of epochs dropped after it is known
-    skipped = 0
-    last_s: float | None = None  # last time with a measurement; None between segments
-    try:
-        for whole in blocks:
-            block = whole
-            while len(block):
-                begins = last_s is None
-                if last_s is None:
-                    first = _first_fix(block, scene, radio)
-                    if held:
-                        held = replace(held, dropped=held.dropped + first)
-                    else:
-                        skipped += first
-                    block = block.part(slice(first, None))
-                    if not len(block):
-                        break
-                    last_s = float(block.time_s[0])
-                end, last_s = _end(block, last_s, begins)
-                if end:
-                    if held:
-                        yield held
-                    held = replace(
-                        block.part(slice(end)),
-                        segment=held.segment + begins if held else 0,
-                        begins=begins,
-                        skipped=skipped,
-                        dropped=held.dropped if held else 0,
-                    )
-                block = block.part(slice(end, None))
-    except LogError:
-        if held:
-            yield held
-        raise
-    if not held:
-        raise ValueError(
+    ends = np.append(_ends(log), len(log))
+    parts: list[slice] = []
+    skipped = _first_fix(log, 0, scene, radio)
+    first = skipped
+    while first < len(log):
+        end = int(ends[np.searchsorted(ends, first, side="right")])
+        parts.append(slice(first, end))
+        first = _first_fix(log, end, scene, radio)
+    if not parts:
+        raise log.damage or ValueError(
             f"log: found {skipped} epochs, none of which determines a position, expected an epoch "
             f"in which anchor 1 has a range of at least {RANGE_LIMITS_M[0]:g} m, an SNR and all "
             f"angles (elevation at most {np.degrees(STEEPEST_FIX_RAD):g} degrees). If columns are "
             "missing or the clock has an offset, the links of an epoch must together determine a "
             "single position (without azimuths, anchors on a line leave two)"
         )
-    yield held
+    tracked = sum(part.stop - part.start for part in parts)
+    return Segments(parts, skipped, len(log) - skipped - tracked)
 
 
-def _direct(block: LogBlock) -> bool:
+def _direct(log: Log) -> bool:
     """Tell whether a track can begin only with a complete link of the base station."""
-    return block.whole_columns and not block.layout.clock
+    return log.whole_columns and not log.layout.clock
 
 
-def _first_fix(block: LogBlock, scene: Scene, radio: Radio) -> int:
-    """Return the index of the first epoch with a fix, or the block's length if there is none."""
-    links = 1 if _direct(block) else block.layout.anchors
-    for epoch in np.flatnonzero(block.visible[:, :links].any(axis=1)):
-        if can_begin(block, int(epoch), scene, radio):
+def _first_fix(log: Log, start: int, scene: Scene, radio: Radio) -> int:
+    """Return the first epoch with a fix, from ``start`` on; the log's length if there is none."""
+    links = 1 if _direct(log) else log.layout.anchors
+    for epoch in np.flatnonzero(log.visible[start:, :links].any(axis=1)) + start:
+        if can_begin(log, int(epoch), scene, radio):
             return int(epoch)
-    return len(block)
+    return len(log)
 
 
-def _end(block: LogBlock, last_s: float, begins: bool) -> tuple[int, float | None]:
-    """Return how many of the block's first epochs are in the segment, and the segment's last time.
-
-    The last time is the time of the last measurement, or None if the segment ends within the block.
-    ``begins`` tells whether the segment begins with the block.
-    """
-    measured = block.visible[:, : block.layout.anchors].any(axis=1)
-    if block.layout.odometry:  # with odometry alone, a filter keeps the track for two minutes
-        measured |= block.visible[:, -1]
-    latest = np.maximum.accumulate(np.where(measured, block.time_s, last_s))
-    before = np.concatenate([[last_s], latest[:-1]])
-    ends = (block.time_s - before > GAP_S) | block.restarts
-    ends[0] &= not begins
-    over = np.flatnonzero(ends)
-    return (int(over[0]), None) if len(over) else (len(block), float(latest[-1]))
+def _ends(log: Log) -> Index:
+    """Return the epochs before which a segment ends, if there is one."""
+    measured = log.visible[:, : log.layout.anchors].any(axis=1)
+    if log.layout.odometry:  # with odometry alone, a filter keeps the track for two minutes
+        measured |= log.visible[:, -1]
+    latest = np.maximum.accumulate(np.where(measured, log.time_s, -np.inf))
+    ends = log.restarts.copy()
+    ends[1:] |= log.time_s[1:] - latest[:-1] > GAP_S
+    return np.flatnonzero(ends)

@@ -1,17 +1,15 @@
-"""Writers of track files (TUM trajectories, CSV tables, maps), which grow block by block."""
+"""Files of tracks: TUM trajectories, CSV tables, maps."""
 
 import csv
 import io
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
-from mmwave_env.io.files import atomic_path, naming
+from mmwave_env.io.files import write_text
 from mmwave_env.io.lookup import as_cell
-from mmwave_env.localization.localizer import TrackBlock
-from mmwave_env.localization.map_files import MAP_FILES, map_file
+from mmwave_env.localization.localizer import Track
+from mmwave_env.localization.map_files import MAP_FILES, origin_of
 from mmwave_env.localization.position_errors import gaussian_levels
 from mmwave_env.logs.tum import COLUMNS, tum_lines
 from mmwave_env.metrics import RISK
@@ -27,6 +25,7 @@ _TABLE_HEADER = (
     "sigma_vx_mps,sigma_vy_mps,sigma_vz_mps,mode"
 )
 _LEVELS_HEADER = ",horizontal_level_m,vertical_level_m"
+_ROW = "%r" + ",%.6f" * 3 + ",%.6g" * 3 + ",%.6f" * 3 + ",%.6g" * 3 + ",%s,%.6g,%.6g%s\n"
 
 
 def table_beside(track: Path) -> Path | None:
@@ -73,88 +72,52 @@ def require_own_files(track: Path) -> None:
             )
 
 
-Write = Callable[[TrackBlock], None]
-
-
-@contextmanager
-def track_files(
-    track: Path,
-    modes: Sequence[str],
-    scene: Scene,
-    name: str = "",
-    corrected: bool = False,
-    risk: float = RISK,
-) -> Iterator[Write]:
-    """Yield a function that writes the next block of a track; files appear once they are complete.
+def track_texts(
+    out: Path, track: Track, scene: Scene, name: str = "", risk: float = RISK
+) -> dict[Path, str]:
+    """Return the contents of the files of a track, by path.
 
     Args:
-        track: file for the smoothed track; its ending determines the format. Values for which a
+        out: file for the smoothed track; its ending determines the format. Values for which a
             TUM file has no column are written to the file that :func:`table_beside` returns.
-        modes: names of the modes.
+        track: the track.
         scene: the scene; files for maps need its origin.
         name: name of the track in files for maps.
-        corrected: whether beliefs are corrected; then the table has a column ``trusted``.
         risk: risk of the protection levels in tables.
 
     Raises:
         ValueError: the file is for a map, but the scene has no origin.
     """
-    if track.suffix in MAP_FILES:
-        with map_file(track, scene, name) as write:
-            yield write
-    elif (table := table_beside(track)) is None:
-        with _table_file(track, modes, corrected, risk) as write:
-            yield write
-    else:
-        with (
-            _table_file(table, modes, corrected, risk) as write_row,
-            _tum_file(track) as write_pose,
-        ):
-
-            def write_both(block: TrackBlock) -> None:
-                write_pose(block)
-                write_row(block)
-
-            yield write_both
+    if out.suffix in MAP_FILES:
+        return {out: MAP_FILES[out.suffix].text(track, origin_of(scene, out), name)}
+    table = table_beside(out)
+    if table is None:
+        return {out: table_text(track, risk)}
+    poses = _TRACK_HEADER + tum_lines(track.time_s, track.smooth_x[:, :3])
+    return {out: poses, table: table_text(track, risk)}
 
 
-@contextmanager
-def _tum_file(track: Path) -> Iterator[Write]:
-    with atomic_path(track) as path, path.open("w", encoding="utf-8", newline="\n") as tum:
-        tum.write(_TRACK_HEADER)
-
-        def write(block: TrackBlock) -> None:
-            with naming(track):
-                tum.write(tum_lines(block.time_s, block.smooth_x[:, :3]))
-
-        yield write
+def write_track(out: Path, track: Track, scene: Scene, name: str = "", risk: float = RISK) -> None:
+    """Write the files of a track; see :func:`track_texts`."""
+    for path, text in track_texts(out, track, scene, name, risk).items():
+        write_text(path, text)
 
 
-@contextmanager
-def _table_file(path: Path, modes: Sequence[str], corrected: bool, risk: float) -> Iterator[Write]:
-    names = [_as_cell(name) for name in modes]
-    row = (
-        "%r" + ",%.6f" * 3 + ",%.6g" * 3 + ",%.6f" * 3 + ",%.6g" * 3 + ",%s,%.6g,%.6g%s\n"
-    ).__mod__
-    with atomic_path(path) as beside, beside.open("w", encoding="utf-8", newline="\n") as table:
-        table.write(_TABLE_HEADER + _LEVELS_HEADER + ",trusted" * corrected + "\n")
-
-        def write(block: TrackBlock) -> None:
-            x = block.smooth_x
-            # Because of rounding, a variance may be negative where its exact value is 0.
-            sigma = np.sqrt(np.maximum(block.smooth_P[:, _VARIANCES], 0.0))
-            numbers = np.column_stack(
-                [block.time_s, x[:, :3], sigma[:, :3], x[:, 3:6], sigma[:, 3:]]
-            ).tolist()
-            levels = gaussian_levels(block.smooth_P, risk) * block.level_factors
-            known = np.where(np.isnan(block.smooth_trusted), block.trusted, block.smooth_trusted)
-            trusted = [f",{value:.4f}" * corrected for value in known.tolist()]
-            cells = zip(numbers, block.mode.tolist(), levels.tolist(), trusted, strict=True)
-            rows = [row((*n, names[m], *bounds, last)) for n, m, bounds, last in cells]
-            with naming(path):
-                table.writelines(rows)
-
-        yield write
+def table_text(track: Track, risk: float) -> str:
+    """Return a track as a table, CSV; with a column ``trusted`` if its beliefs were corrected."""
+    names = [_as_cell(name) for name in track.modes]
+    corrected = bool(np.isfinite(track.trusted).any())
+    x = track.smooth_x
+    # Because of rounding, a variance may be negative where its exact value is 0.
+    sigma = np.sqrt(np.maximum(track.smooth_P[:, _VARIANCES], 0.0))
+    numbers = np.column_stack([track.time_s, x[:, :3], sigma[:, :3], x[:, 3:6], sigma[:, 3:]])
+    levels = gaussian_levels(track.smooth_P, risk) * track.level_factors
+    known = np.where(np.isnan(track.smooth_trusted), track.trusted, track.smooth_trusted)
+    trusted = [f",{value:.4f}" if corrected else "" for value in known.tolist()]
+    cells = zip(numbers.tolist(), track.mode.tolist(), levels.tolist(), trusted, strict=True)
+    rows = [_ROW % (*row, names[mode], *bounds, last) for row, mode, bounds, last in cells]
+    more = ",trusted" if corrected else ""
+    return f"{_TABLE_HEADER}{_LEVELS_HEADER}{more}\n{''.join(rows)}"
 
 
 def _as_cell(name: str) -> str:

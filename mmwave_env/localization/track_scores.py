@@ -2,7 +2,6 @@
 
 import warnings
 from collections.abc import Sequence
-from math import isnan
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,7 @@ import numpy as np
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS
 from mmwave_env.filters.pipeline import VERTICAL
-from mmwave_env.localization.localizer import TrackBlock
+from mmwave_env.localization.localizer import Track
 from mmwave_env.localization.position_errors import PositionErrors
 from mmwave_env.logs.truth import Truth
 from mmwave_env.metrics import RISK, Sums, nees_interval, running_summary
@@ -26,83 +25,65 @@ def ratio(part: float, whole: float) -> float | None:
     return float(part / whole) if whole else None
 
 
-class TruthScores:
-    """Scores of tracks ("filtered", "smoothed" or both) against true positions, planar or in 3D.
+def truth_scores(
+    track: Track, truth: Truth, names: Sequence[str], risk: float = RISK
+) -> dict[str, Any] | None:
+    """Return the accuracy of tracks against true positions, with values to compare it with.
 
-    :mod:`mmwave_env.metrics` defines ATE, RMSE, RPE and NEES.
+    Args:
+        track: the track.
+        truth: the true positions.
+        names: the tracks to score: "filtered", "smoothed" or both.
+        risk: risk of the protection levels.
+
+    Returns:
+        The accuracy; None if no epoch has a true position. :mod:`mmwave_env.metrics` defines ATE,
+        RMSE, RPE and NEES.
     """
-
-    def __init__(
-        self, truth: Truth, names: Sequence[str], planar: bool, risk: float = RISK
-    ) -> None:
-        self.truth = truth
-        self.scored = 0
-        self._risk = risk
-        self.errors = {name: PositionErrors(risk, planar) for name in names}
-        self._axes: tuple[int, ...] = (0, 1) if planar else (0, 1, 2)
-        self._pinned: tuple[int, ...] = VERTICAL if planar else ()
-        self._first_s = np.empty(0)  # the log's first times, from which its time step is estimated
-        self._between = 0
-        self._away_s = 0.0
-        # for scored epochs: [time, segment] (n, 2); by track, [error x, y, z, NEES] (n, 4)
-        self._times = [np.empty((0, 2))]
-        self._scores = {name: [np.empty((0, 4))] for name in names}
-
-    def add(self, block: TrackBlock) -> Array:
-        """Score a block; return the true positions (T, 3), NaN where unknown."""
-        truth, _, away = self.truth.at(block.time_s)
-        known = np.flatnonzero(~np.isnan(truth[:, 0]))
-        self._first_s = np.append(self._first_s, block.time_s)[:_ENOUGH]
-        if len(known):
-            self.scored += len(known)
-            self._between += int(np.count_nonzero(away[known]))
-            self._away_s += float(np.abs(away[known]).sum())
-            segment = np.full(len(known), block.segment)
-            self._times.append(np.column_stack([block.time_s[known], segment]))
-            where = list(truth[known].T)
-            for name, scores in self._scores.items():
-                smooth = name == "smoothed"
-                x, P = (block.smooth_x, block.smooth_P) if smooth else (block.x, block.P)
-                covariance = unpack(list(P[known].T), zero=self._pinned)
-                belief = Belief(list(x[known].T), covariance, self._axes)
-                error = np.column_stack(belief.error(where))
-                scores.append(np.column_stack([error, belief.nees(where)]))
-                self.errors[name].add(error, P[known], block.level_factors[known])
-        return truth
-
-    def warn_if_far(self, track: str) -> None:
-        """Warn if the true positions are far from the beliefs of a track."""
-        nees = np.concatenate(self._scores[track])[:, 3].mean()
-        if not nees <= FAR_NEES:
-            warnings.warn(
-                f"{self.truth.path}: found a mean NEES of {nees:.3g}, expected about "
-                f"{len(self._axes)}: is this file in m, in the scene's frame (x east, y north) and "
-                "from the same drive, and are the scene's anchors right? If so, the filter failed",
-                stacklevel=2,
-            )
-
-    def figures(self) -> dict[str, Any]:
-        """Return the accuracy of every track, with reference values to compare it with."""
-        time_s, segment = np.concatenate(self._times).T
-        pairs, apart_s = _pairs(time_s, segment, self._first_s)
-        interval = nees_interval(len(self._axes))
-        tracks = {
-            name: _accuracy(np.concatenate(scores), pairs, interval) | self.errors[name].figures()
-            for name, scores in self._scores.items()
-        }
-        return {
-            "scored": self.scored,
-            "interpolated": self._between,
-            "nearest_pose_s": ratio(self._away_s, self.scored),
-            "rpe_s": apart_s if len(pairs) else None,
-            "nees_expected": len(self._axes),
-            "nees_interval": interval,
-            "risk": self._risk,
-            "tracks": tracks,
-        }
+    position, _, away_s = truth.at(track.time_s)
+    known = np.flatnonzero(~np.isnan(position[:, 0]))
+    if not len(known):
+        return None
+    axes = (0, 1) if track.planar else (0, 1, 2)
+    interval = nees_interval(len(axes))
+    pairs, apart_s = _pairs(track.time_s[known], track.segment[known], track.time_s[:_ENOUGH])
+    where = list(position[known].T)
+    rows: dict[str, Any] = {}
+    for name in names:
+        x = (track.smooth_x if name == "smoothed" else track.x)[known]
+        P = (track.smooth_P if name == "smoothed" else track.P)[known]
+        covariance = unpack(list(P.T), zero=VERTICAL if track.planar else ())
+        belief = Belief(list(x.T), covariance, axes)
+        error = np.column_stack(belief.error(where))
+        errors = PositionErrors(risk, track.planar)
+        errors.add(error, P, track.level_factors[known])
+        accuracy = _accuracy(error, np.asarray(belief.nees(where)), pairs, interval)
+        rows[name] = accuracy | errors.figures()
+    return {
+        "scored": len(known),
+        "interpolated": int(np.count_nonzero(away_s[known])),
+        "nearest_pose_s": float(np.abs(away_s[known]).sum() / len(known)),
+        "rpe_s": apart_s if len(pairs) else None,
+        "nees_expected": len(axes),
+        "nees_interval": interval,
+        "risk": risk,
+        "tracks": rows,
+    }
 
 
-def _pairs(time_s: Array, segment: Array, first_s: Array) -> tuple[Index, float | None]:
+def warn_if_far(truth: Truth, scores: dict[str, Any], name: str) -> None:
+    """Warn if the true positions are far from the beliefs of a track, given its scores."""
+    nees = scores["tracks"][name]["nees"]
+    if not nees <= FAR_NEES:
+        warnings.warn(
+            f"{truth.path}: found a mean NEES of {nees:.3g}, expected about "
+            f"{scores['nees_expected']}: is this file in m, in the scene's frame (x east, y north) "
+            "and from the same drive, and are the scene's anchors right? If so, the filter failed",
+            stacklevel=2,
+        )
+
+
+def _pairs(time_s: Array, segment: Index, first_s: Array) -> tuple[Index, float | None]:
     """Pair scored epochs (n,) that are a second apart, or one time step if steps are longer.
 
     Return indices (pairs, 2) of the earlier and the later epochs, and the time (s) between them:
@@ -125,139 +106,95 @@ def _pairs(time_s: Array, segment: Array, first_s: Array) -> tuple[Index, float 
 
 
 def _accuracy(
-    scores: Array, pairs: Index, interval: tuple[float, float]
+    error: Array, nees: Array, pairs: Index, interval: tuple[float, float]
 ) -> dict[str, float | None]:
     """Return :func:`~mmwave_env.metrics.running_summary` of epochs, without the divergence rate.
 
-    All metrics are None if there are no epochs. The RPE is also None if there are no pairs.
+    The RPE is None if there are no pairs.
 
     Args:
-        scores: (n, 4) errors, m, and NEES of the scored epochs.
+        error: (n, 3) errors of the scored epochs, m.
+        nees: (n,) their NEES.
         pairs: (pairs, 2) indices of epochs, as :func:`_pairs` returns them.
         interval: interval of the NEES of a consistent filter.
     """
-    error = scores[:, :3]
-    nees = scores[:, 3]
-    n = len(scores)
     distance = np.linalg.norm(error, axis=1)
     change = np.linalg.norm(error[pairs[:, 1]] - error[pairs[:, 0]], axis=1)
     inside = (nees >= interval[0]) & (nees <= interval[1])
     summed = [values.sum() for values in (distance, distance**2, change, nees, inside)]
-    sums = Sums(*np.array([max(n, 1), len(pairs), *summed, 0.0]))
-    known = {"rpe_m": len(pairs)}
+    figures = running_summary(Sums(*np.array([len(error), len(pairs), *summed, 0.0])))
     return {
-        name: float(value) if known.get(name, n) else None
-        for name, value in running_summary(sums).items()
+        name: None if name == "rpe_m" and not len(pairs) else float(value)
+        for name, value in figures.items()
         if name != "divergence_rate"
     }
 
 
-class Groups:
-    """Statistics of groups of measurements: counts, rejections and innovations."""
-
-    def __init__(self) -> None:
-        self._names: list[str] = []
-        self._sums = np.zeros((6, 0))
-
-    def add(self, block: TrackBlock) -> None:
-        """Add a block."""
-        starts = [group.start for group in block.layout.groups]
-        measured = np.isfinite(block.measurement).astype(np.int64)
-        whole = np.broadcast_to(block.layout.widths, block.visible.shape)
-        rows = np.add.reduceat(measured, starts, axis=1) if block.layout.partial else whole
-        low, high = np.array([nees_interval(max(n, 1)) for n in range(5)]).T[:, rows]
-        accepted = block.accepted
-        counted = (
-            block.visible,
-            block.visible & ~accepted,
-            block.incomplete,
-            accepted * rows,
-            accepted * block.nis,
-            accepted & (block.nis >= low) & (block.nis <= high),
+def group_statistics(track: Track) -> dict[str, dict[str, float | None]]:
+    """Return counts, rejections and innovations of each group of measurements, and of "all"."""
+    layout = track.layout
+    accepted = track.accepted
+    visible = track.visible
+    rows = np.broadcast_to(layout.widths, visible.shape)
+    if layout.partial:
+        starts = [group.start for group in layout.groups]
+        rows = np.add.reduceat(np.isfinite(track.measurement).astype(np.int64), starts, axis=1)
+    low, high = np.array([nees_interval(max(n, 1)) for n in range(5)]).T[:, rows]
+    inside = accepted & (track.nis >= low) & (track.nis <= high)
+    counted = (
+        visible,
+        visible & ~accepted,
+        track.incomplete,
+        accepted * rows,
+        accepted * track.nis,
+        inside,
+    )
+    sums = np.array([part.sum(axis=0) for part in counted], float)
+    columns = [*sums.T, sums.sum(axis=1)]
+    return {
+        name: {
+            "seen": int(visible),
+            "rejected": int(rejected),
+            "rejected_share": ratio(rejected, visible),
+            "incomplete": int(incomplete),
+            "nis_per_dof": ratio(nis, dof),
+            "nis_in_bounds": ratio(bounded, visible - rejected),
+        }
+        for name, (visible, rejected, incomplete, dof, nis, bounded) in zip(
+            [*layout.group_names, "all"], columns, strict=True
         )
-        self._names = [*block.layout.group_names, "all"]
-        sums = np.array([part.sum(axis=0) for part in counted], float)
-        self._sums = self._sums + sums if self._sums.size else sums
-
-    def figures(self) -> dict[str, dict[str, float | None]]:
-        """Return the statistics of each group under its name, and their totals under "all"."""
-        columns = [*self._sums.T, self._sums.sum(axis=1)]
-        return {
-            name: {
-                "seen": int(visible),
-                "rejected": int(rejected),
-                "rejected_share": ratio(rejected, visible),
-                "incomplete": int(incomplete),
-                "nis_per_dof": ratio(nis, dof),
-                "nis_in_bounds": ratio(inside, visible - rejected),
-            }
-            for name, (visible, rejected, incomplete, dof, nis, inside) in zip(
-                self._names, columns, strict=True
-            )
-        }
+    }
 
 
-class Course:
-    """Statistics of a track: its times, its speeds, and the modes that ran."""
-
-    def __init__(self, modes: Sequence[str]) -> None:
-        self.epochs = 0
-        self.first_s = self.last_s = 0.0
-        self._last: TrackBlock | None = None
-        self._modes = modes
-        self._counts = np.zeros(len(modes), np.int64)
-        self._switches = self._fast = 0
-        self._speed = self._fastest = 0.0
-        # sums of the trust in corrections of the filtered and of the smoothed track
-        self._trusted = {"trusted": 0.0, "smooth_trusted": 0.0}
-        self._variance = np.zeros(2)  # sums of the horizontal and the vertical variance, m^2
-
-    def add(self, block: TrackBlock) -> None:
-        """Add a block."""
-        if self._last is None:
-            self.first_s = float(block.time_s[0])
-        before = block.mode[0] if self._last is None else self._last.mode[-1]
-        self._counts += np.bincount(block.mode, minlength=len(self._modes))
-        self._switches += int(np.count_nonzero(np.diff(block.mode, prepend=before)))
-        xx, yy, zz = block.smooth_P[:, [0, 2, 5]].sum(axis=0)
-        self._variance += xx + yy, zz
-        speed = np.linalg.norm(block.x[:, 3:6], axis=1)
-        self._speed += float(speed.sum())
-        self._fastest = max(self._fastest, float(speed.max()))
-        self._fast += int((speed > DESIGN_LIMIT_MPS).sum())
-        for name in self._trusted:
-            self._trusted[name] += float(getattr(block, name).sum())
-        self.last_s = float(block.time_s[-1])
-        self._last = block
-        self.epochs += len(block)
-
-    def figures(self) -> dict[str, Any]:
-        """Return the statistics of a track, of which at least one block was added."""
-        last = self._last
-        assert last is not None
-        expected = np.sqrt(self._variance / self.epochs)
-        clock = {}
-        if last.layout.clock:
-            bias = float(last.x[-1, 7])
-            deviation = float(np.sqrt(last.P[-1, 35]))
-            clock = {"clock": {"range_bias_m": bias, "deviation_m": deviation}}
-        return {
-            "epochs": self.epochs,
-            "skipped": last.skipped,
-            "restarts": last.segment,
-            "dropped": last.dropped,
-            "first_s": self.first_s,
-            "last_s": self.last_s,
-            "speed_mps": {
-                "mean": self._speed / self.epochs,
-                "max": self._fastest,
-                "epochs_above_design_limit": self._fast,
-            },
-            "expected_rmse_m": dict(
-                zip(("horizontal", "vertical"), expected.tolist(), strict=True)
-            ),
-            "modes": dict(zip(self._modes, self._counts.tolist(), strict=True)),
-            "switches": self._switches,
-            **clock,
-            **{name: of / self.epochs for name, of in self._trusted.items() if not isnan(of)},
-        }
+def track_statistics(track: Track) -> dict[str, Any]:
+    """Return the times, the speeds and the modes of a track, and its expected errors."""
+    speed = np.linalg.norm(track.x[:, 3:6], axis=1)
+    xx, yy, zz = track.smooth_P[:, [0, 2, 5]].mean(axis=0)
+    counts = np.bincount(track.mode, minlength=len(track.modes))
+    more: dict[str, Any] = {}
+    if track.layout.clock:
+        deviation = float(np.sqrt(track.P[-1, 35]))
+        more["clock"] = {"range_bias_m": float(track.x[-1, 7]), "deviation_m": deviation}
+    for name, trusted in (("trusted", track.trusted), ("smooth_trusted", track.smooth_trusted)):
+        if np.isfinite(trusted).all():
+            more[name] = float(trusted.mean())
+    return {
+        "epochs": len(track),
+        "skipped": track.skipped,
+        "restarts": int(track.segment[-1]),
+        "dropped": track.dropped,
+        "first_s": float(track.time_s[0]),
+        "last_s": float(track.time_s[-1]),
+        "speed_mps": {
+            "mean": float(speed.mean()),
+            "max": float(speed.max()),
+            "epochs_above_design_limit": int((speed > DESIGN_LIMIT_MPS).sum()),
+        },
+        "expected_rmse_m": {
+            "horizontal": float(np.sqrt(xx + yy)),
+            "vertical": float(np.sqrt(zz)),
+        },
+        "modes": dict(zip(track.modes, counts.tolist(), strict=True)),
+        "switches": int(np.count_nonzero(np.diff(track.mode))),
+        **more,
+    }

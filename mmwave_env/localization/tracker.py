@@ -22,7 +22,7 @@ from mmwave_env.localization.map_files import geodetic
 from mmwave_env.localization.position_errors import gaussian_levels
 from mmwave_env.localization.segments import can_begin
 from mmwave_env.logs.live_log import LiveEpoch, LiveLog
-from mmwave_env.logs.log import LogBlock
+from mmwave_env.logs.log import Log
 from mmwave_env.models.layout import Layout, clock_from
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import SNR_LIMITS_DB, Radio, deviations, radio_from
@@ -147,12 +147,12 @@ class Tracker:
         begins = self._last_s is None or time_s - self._last_s > GAP_S
         if begins:
             self._last_s = None
-            if not can_begin(epoch.block(), 0, self._scene, self._radio):
+            if not can_begin(epoch.log(), 0, self._scene, self._radio):
                 return None
             if self._filter is None:
-                self._prepare(epoch.block().layout)
+                self._prepare(epoch.log().layout)
         loaded = None if begins else self._load_quickly(epoch)
-        visible, spread_hz = loaded or self._load(epoch.block(), begins)
+        visible, spread_hz = loaded or self._load(epoch.log(), begins)
         if (
             begins
             or any(visible[: self._layout.anchors])
@@ -202,13 +202,13 @@ class Tracker:
         sigma = self._radio.sigma(ends, self._scene, layout)
         self._sound = all(bound.holds(sigma[:, rows]).all() for rows, bound in sigma_bounds(layout))
 
-    def _load(self, block: LogBlock, begins: bool) -> tuple[list[bool], float]:
+    def _load(self, log: Log, begins: bool) -> tuple[list[bool], float]:
         """Load an epoch (T = 1); return which groups are visible, and the Doppler spread, Hz."""
-        episode = episode_from(block, self._scene, self._radio, begins)
+        episode = episode_from(log, self._scene, self._radio, begins)
         if self._height_m is not None:
             episode = episode.on_flat_ground(self._height_m)
         self._filter.load([episode], go_on=not begins)
-        return episode.visible[0].tolist(), float(block.doppler_spread_hz[0])
+        return episode.visible[0].tolist(), float(log.doppler_spread_hz[0])
 
     def _load_quickly(self, epoch: LiveEpoch) -> tuple[list[bool], float] | None:
         """Load an epoch as :meth:`_load` does, but faster; return None if this is impossible."""

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mmwave_env.logs.log import LogBlock
+from mmwave_env.logs.log import Log
 from mmwave_env.logs.truth import TrueEpochs
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import exact_rows
@@ -77,7 +77,7 @@ class ClockOffset(NamedTuple):
 
 
 def clock_offset(
-    log: LogBlock, scene: Scene, truth_at: Callable[[Array], TrueEpochs]
+    log: Log, scene: Scene, truth_at: Callable[[Array], TrueEpochs]
 ) -> ClockOffset | None:
     """Estimate the offset; return None if data are too few, or velocity too constant, to do so.
 
@@ -105,7 +105,7 @@ def clock_offset(
     return ClockOffset(seconds, left.deviation_s, max(0.0, 1.0 - float(noise)), left.limit)
 
 
-def _linear(log: LogBlock, scene: Scene, truth: TrueEpochs) -> tuple[ClockOffset, Array] | None:
+def _linear(log: Log, scene: Scene, truth: TrueEpochs) -> tuple[ClockOffset, Array] | None:
     """Estimate the offset to first order; also return standard deviations (4 L,) of the errors."""
     from scipy.special import stdtrit
 

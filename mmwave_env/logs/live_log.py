@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mmwave_env.logs.log import LogBlock, block_of, places, require_noise, with_clock
+from mmwave_env.logs.log import Log, log_of, places, require_noise, with_clock
 from mmwave_env.logs.log_checks import first_damage
 from mmwave_env.logs.log_columns import BODY, QUANTITIES, STATION, Unit, columns_of
 from mmwave_env.logs.log_tables import LogError, LogFile, Table, parse_carefully
@@ -27,7 +27,7 @@ class LiveEpoch(NamedTuple):
     """An epoch of a live log."""
 
     time_s: float
-    block: Callable[[], LogBlock]  # returns the epoch as a block, T = 1
+    log: Callable[[], Log]  # returns the epoch as a log, T = 1
     # None if some angles are not in the map's frame. Otherwise a pair: all values in the order of
     # :func:`~mmwave_env.logs.log.places` (NaN where not measured), and the index, from 0, of the
     # anchor with the Doppler shift
@@ -134,14 +134,14 @@ class LiveLog:
         rows = self._rows
         self._rows = []
 
-        def block() -> LogBlock:
-            return block_of(self._table(rows), self._scene, self.layout, True, self._snr_db)
+        def log() -> Log:
+            return log_of(self._table(rows), self._scene, self.layout, True, self._snr_db)
 
-        return [LiveEpoch(self._last_s, block, None if self._turned else self._placed(rows))]
+        return [LiveEpoch(self._last_s, log, None if self._turned else self._placed(rows))]
 
     def _table(self, rows: list[list[float]], number: int = 0) -> Table:
         """Return rows of cells as a table; ``number`` is the last row's number in the source."""
-        return Table(self._log.columns, np.full(len(rows), number), np.array(rows), 0.0)
+        return Table(self._log.columns, np.full(len(rows), number), np.array(rows))
 
     def _placed(self, rows: list[list[float]]) -> tuple[list[float], int]:
         """Return ``placed`` of a :class:`LiveEpoch`, from the cells of its rows."""
@@ -186,7 +186,7 @@ class LiveLog:
                 return sound
             texts = (str(nan if row.get(of) is None else row[of]) for of in self._limits)
             row = self._log.delimiter.join(texts)
-        table = parse_carefully(self._log, [row], number, 0.0)
+        table = parse_carefully(self._log, [row], number)
         cells: list[float] = table.cells[0].tolist() if len(table) else []
         if table.damage or not self._plain(cells):
             self._require_sound(table)

@@ -10,20 +10,18 @@ and odometry belong to the epoch, not to an anchor, so they may be in any row of
 A log of paths has the same columns without ``anchor``, and one row for each path that a receiver
 finds in an epoch. The rows of an epoch are in any order and may include false paths. Every path may
 have a Doppler shift, because it is not known yet which path belongs to the base station.
-
-A log may be larger than memory, so it is read in blocks of consecutive epochs.
 """
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
-from mmwave_env.logs.log_checks import whole_epochs
+from mmwave_env.logs.log_checks import sound_epochs
 from mmwave_env.logs.log_columns import (
     BODY,
     LINK_QUANTITIES,
@@ -32,7 +30,7 @@ from mmwave_env.logs.log_columns import (
     SIGMA_OF,
     STATION,
 )
-from mmwave_env.logs.log_tables import Block, LogError, LogFile, Table, open_log
+from mmwave_env.logs.log_tables import Arrays, LogError, LogFile, Table, open_log
 from mmwave_env.models.layout import Layout, whole_groups, without_noise, wrap_angles, wrapped
 from mmwave_env.models.measurement import seen_from_image
 from mmwave_env.models.scene import Scene
@@ -40,15 +38,11 @@ from mmwave_env.numerics.numbers import Array, Index, Mask
 
 
 @dataclass(frozen=True, eq=False)
-class LogBlock(Block):
-    """T consecutive epochs of a log; values in groups that are not visible are meaningless.
-
-    A segment is a part of a log without a long gap, and is tracked separately. The fields about
-    segments are set by :func:`~mmwave_env.localization.segments.segments`.
-    """
+class Log(Arrays):
+    """T epochs of a log; values in groups that are not visible are meaningless."""
 
     layout: Layout  # a measurement's values, in order; groups are links, Doppler shift, odometry
-    time_s: Array  # (T,) increasing, also across blocks
+    time_s: Array  # (T,) increasing
     measurement: Array  # (T, rows) m, rad, Hz, m/s; angles in [-pi, pi)
     sigma: Array  # (T, rows) the receiver's own standard deviations; NaN where it states none
     # (T, groups) whether the group can be used. All its values must be measured; links and the
@@ -60,112 +54,75 @@ class LogBlock(Block):
     doppler_anchor: Index  # (T,) index, from 0, of the anchor with the Doppler shift
     snr_db: Array  # (T, L); -inf (no signal) where no SNR was measured
     doppler_spread_hz: Array  # (T,); 0 where none was measured
+    line: Index  # (T,) number, in the file, of each epoch's first row; the number of a CSV line
     # (T,) whether the association of paths with anchors began a new track here, so that the filters
     # must begin one, too. Always False in a log with anchor numbers
     restarts: Mask
-    share: float  # share of the file read so far, 0 to 1
     whole_columns: bool = True  # whether the log has a column for each value of a link
-    segment: int = 0  # number, from 0, of the segment that contains all epochs of the block
-    begins: bool = False  # whether this block begins the segment; its first epoch gives the prior
-    skipped: int = 0  # number of epochs of the log before the first segment
-    # number of epochs dropped between segments so far, including those just after this block
-    dropped: int = 0
+    # what is damaged after these epochs; None if the whole log is sound
+    damage: LogError | None = None
 
-    def whole(self) -> "LogBlock":
-        """Return the block in the plain (not partial) layout; incomplete groups are not visible."""
+    def whole(self) -> "Log":
+        """Return the log in the plain (not partial) layout; incomplete groups are not visible."""
         layout = replace(self.layout, partial=False)
         visible, _ = whole_groups(self.measurement, np.isfinite(self.snr_db), layout)
         visible[:, layout.anchors] &= self.doppler_anchor == 0
         return replace(self, layout=layout, visible=visible & self.visible)
 
 
-AnyLogBlock = TypeVar("AnyLogBlock", bound=LogBlock)
-
-
-def in_windows(blocks: Iterable[AnyLogBlock], window: int) -> Iterator[AnyLogBlock]:
-    """Yield the epochs in blocks of whole windows; only a segment's last window may be shorter.
-
-    A window is ``window`` epochs long. If ``blocks`` raises a LogError, the epochs before the error
-    are yielded first. Blocks of different segments are not joined.
-    """
-    waiting: list[AnyLogBlock] = []
-    count = 0
-    try:
-        for block in blocks:
-            if waiting and block.segment != waiting[0].segment:
-                yield block.joined(waiting)
-                waiting = []
-                count = 0
-            waiting.append(block)
-            count += len(block)
-            if count >= window:
-                joined = block.joined(waiting)
-                whole = count // window * window
-                yield joined.part(slice(whole))
-                count -= whole
-                waiting = [joined.part(slice(whole, None))] if count else []
-    except LogError:
-        if waiting:
-            yield waiting[-1].joined(waiting)
-        raise
-    if waiting:
-        yield waiting[-1].joined(waiting)
-
-
 def read_log(
     path: Path,
     scene: Scene,
-    epochs_per_block: int = 4096,
     odometry: bool = True,
     limits: bool = True,
     partial: bool = False,
     snr_db: float | None = None,
     clock: bool = False,
-) -> Iterator[LogBlock]:
-    """Read the epochs of a log, ``epochs_per_block`` at a time; the last block may be shorter.
+) -> Log:
+    """Read the epochs of a log; if it is damaged, the complete epochs before the damaged row.
 
     Angles are in the frame of the map. Angles of arrival give the direction from the anchor to the
     user, angles of departure the azimuth from the user to the anchor (a figure: docs/data.md).
 
-    If the log is damaged, every complete epoch before the damaged row is yielded before the error.
-    The epoch just before the damaged row is complete if the damaged row has a later time. If this
+    The epoch just before a damaged row is complete if the damaged row has a later time. If this
     time is earlier or unreadable, the epoch is complete only if every anchor has a row in it.
 
     Args:
         path: CSV (``.csv``, ``.csv.gz``) or Parquet (``.parquet``, needs the extra `data`).
         scene: scene whose anchors were measured.
-        epochs_per_block: number of epochs in a block.
-        odometry: False to ignore columns of odometry. Otherwise the blocks' layout has odometry
-            if the log has it.
+        odometry: False to ignore columns of odometry. Otherwise the layout has odometry if the log
+            has it.
         limits: whether to refuse values beyond physical limits, and to wrap angles; False to
             diagnose a log.
         partial: whether a link may lack some of its values, in some epochs or everywhere, and
             any anchor may have the Doppler shift.
         snr_db: SNR to assume for links without an SNR.
-        clock: whether the user's clock has an unknown offset; the blocks' layout then has a clock.
+        clock: whether the user's clock has an unknown offset; the layout then has a clock.
+
+    Returns:
+        The log. If a row is damaged, ``damage`` is the error, which names file, row, column, what
+        was found and what was expected.
 
     Raises:
-        LogError: the file is not a log, or lacks a column (raised at once); a row is damaged (the
-            message names file, row, column, what was found and what was expected); or the log has
-            no row or no measurement (raised at the end).
-        ValueError: ``epochs_per_block`` is less than 1.
+        LogError: the file is not a log, or lacks a column; it has no measurement before its end or
+            its first damaged row; or it would need more memory than there is.
         OSError: the file can't be read.
     """
-    if epochs_per_block < 1:
-        raise ValueError(f"epochs_per_block: found {epochs_per_block}, expected at least 1")
-    log = open_log(path, scene.hz_per_mps, odometry, partial=partial)
+    file = open_log(path, scene.hz_per_mps, odometry, partial=partial)
     if partial:
-        require_noise(log, snr_db)
+        require_noise(file, snr_db)
     if clock:
-        log = with_clock(log)
-    layout = Layout(len(scene.anchors_m), "speed" in log.columns, partial, clock)
-    tables = whole_epochs(log, layout.anchors, limits)
-    blocks = (block_of(table, scene, layout, limits, snr_db) for table in tables)
-    return (
-        windows.part(slice(first, first + epochs_per_block))
-        for windows in in_windows(_require_measurements(path, blocks), epochs_per_block)
-        for first in range(0, len(windows), epochs_per_block)
-    )
+        file = with_clock(file)
+    layout = Layout(len(scene.anchors_m), "speed" in file.columns, partial, clock)
+    table, damage = sound_epochs(file, file.read(), layout.anchors, limits)
+    log = log_of(table, scene, layout, limits, snr_db)
+    if not log.visible.any():
+        raise damage or LogError(
+            f"{path}: found {len(log)} epochs without a measurement, and "
+            f"{int(log.incomplete.sum())} incomplete links (or other groups of values), expected "
+            "at least one measurement"
+        )
+    return replace(log, damage=damage)
 
 
 def with_clock(log: LogFile) -> LogFile:
@@ -198,23 +155,6 @@ def require_noise(log: LogFile, snr_db: float | None) -> None:
             )
 
 
-def _require_measurements(path: Path, blocks: Iterable[LogBlock]) -> Iterator[LogBlock]:
-    """Yield the blocks; raise an error after the last one if none had a measurement."""
-    epochs = 0
-    incomplete = 0
-    measured = False
-    for block in blocks:
-        epochs = epochs + len(block)
-        incomplete = incomplete + int(block.incomplete.sum())
-        measured = measured or bool(block.visible.any())
-        yield block
-    if not measured:
-        raise LogError(
-            f"{path}: found {epochs} epochs without a measurement, and {incomplete} incomplete "
-            "links (or other groups of values), expected at least one measurement"
-        )
-
-
 def places(layout: Layout) -> dict[str, tuple[int, int]]:
     """Return the place of every quantity in an array that contains all numbers of an epoch.
 
@@ -231,16 +171,14 @@ def places(layout: Layout) -> dict[str, tuple[int, int]]:
     return rows | sigmas | more
 
 
-def block_of(
-    table: Table, scene: Scene, layout: Layout, wrap: bool, snr_db: float | None
-) -> LogBlock:
-    """Convert the rows of complete epochs to a block."""
+def log_of(table: Table, scene: Scene, layout: Layout, wrap: bool, snr_db: float | None) -> Log:
+    """Convert the rows of complete epochs to a log."""
     epoch = table.epoch
     links = table.links()
     station = scene.anchors_m[0]
     anchor = table["anchor"].astype(np.int64) - 1
-    T = int(epoch[-1]) + 1
-    of_doppler = table.first(np.where(np.isnan(table["doppler"]), np.nan, anchor))
+    starts = table.starts
+    T = len(starts)
     size = layout.size
     of_link = dict(zip(LINK_QUANTITIES, links.T, strict=True))
     if STATION in table.columns:
@@ -248,10 +186,10 @@ def block_of(
             seen_from_image(links[:, 1], links[:, 2], station, image) for image in scene.anchors_m
         ]
         links[:, 1:3] = np.array(arrivals)[anchor, :, range(len(epoch))]
-    time = np.empty(T)
     placed = np.full((T, 2 * size + layout.anchors + 1), np.nan)
-    time[epoch] = table["time"]
     for quantity, (first, step) in places(layout).items():
+        if quantity not in of_link and quantity not in table.columns:
+            continue
         numbers = of_link[quantity] if quantity in of_link else table[quantity]
         some = np.flatnonzero(~np.isnan(numbers))[::-1]  # in reverse, so the first value is kept
         placed[epoch[some], first + step * anchor[some]] = numbers[some]
@@ -262,6 +200,7 @@ def block_of(
         snr[np.isnan(snr)] = snr_db
     if wrap:
         wrap_angles(measurement, layout)
+    of_doppler = table.first(np.where(np.isnan(table["doppler"]), np.nan, anchor))
     shifted = np.nan_to_num(of_doppler).astype(np.int64)
     visible, incomplete = whole_groups(measurement, np.isfinite(snr), layout)
     if not layout.partial:
@@ -270,11 +209,11 @@ def block_of(
         lost = without_noise(measurement, sigma, np.isfinite(snr), shifted, layout)
         measurement[lost] = np.nan
         visible, _ = whole_groups(measurement, np.isfinite(snr), layout)
-        starts = [group.start for group in layout.groups]
-        incomplete = np.logical_or.reduceat(lost, starts, axis=1)
-    return LogBlock(
+        groups = [group.start for group in layout.groups]
+        incomplete = np.logical_or.reduceat(lost, groups, axis=1)
+    return Log(
         layout=layout,
-        time_s=time,
+        time_s=table["time"][starts],
         measurement=measurement,
         sigma=sigma,
         visible=visible,
@@ -282,8 +221,8 @@ def block_of(
         doppler_anchor=shifted,
         snr_db=np.where(np.isnan(snr), -np.inf, snr),
         doppler_spread_hz=np.nan_to_num(spread[:, 0]),
+        line=table.rows[starts],
         restarts=np.zeros(T, bool),
-        share=table.share,
         whole_columns=all(
             not {quantity, other}.isdisjoint(table.columns)
             for quantity, other in zip(LINK_QUANTITIES, ("", STATION, "", BODY), strict=True)
@@ -296,6 +235,7 @@ class PathEpoch(NamedTuple):
 
     layout: Layout  # layout of the scene's anchors, with or without odometry
     time_s: float
+    line: int  # number of the first row in the file
     measurement: Array  # (n, 5) range (m), three angles (rad), Doppler shift (Hz, or NaN)
     # whether all angles of arrival are angles at the base station. If not, a path that a wall
     # reflected has the angles at the base station's mirror image in the wall
@@ -304,11 +244,17 @@ class PathEpoch(NamedTuple):
     incomplete: int  # number of paths that are left out because some of their values are missing
     doppler_spread_hz: float  # 0 where none was measured
     odometry: Array  # (2,) speed, m/s, and heading, rad; NaN where not measured
-    share: float  # share of the file read so far, 0 to 1
 
 
-def read_paths(path: Path, scene: Scene, odometry: bool = True) -> Iterator[PathEpoch]:
-    """Read the epochs of a log of paths, one after the other; see :func:`read_log`.
+class PathLog(NamedTuple):
+    """The epochs of a log of paths."""
+
+    epochs: list[PathEpoch]
+    damage: LogError | None  # what is damaged after these epochs; None if the whole log is sound
+
+
+def read_paths(path: Path, scene: Scene, odometry: bool = True) -> PathLog:
+    """Read the epochs of a log of paths; see :func:`read_log`.
 
     A column of anchors is ignored, so that a log with anchor numbers can be read, too.
 
@@ -316,17 +262,15 @@ def read_paths(path: Path, scene: Scene, odometry: bool = True) -> Iterator[Path
         LogError: as for :func:`read_log`; also for too many paths in an epoch.
         OSError: the file can't be read.
     """
-    log = open_log(path, scene.hz_per_mps, odometry, associated=False)
-    layout = Layout(len(scene.anchors_m), "speed" in log.columns)
-    measured = False
-    epochs = 0
-    for table in whole_epochs(log, None, limits=True):
-        for epoch in _split(table, layout):
-            measured = measured or len(epoch.snr_db) > 0
-            epochs = epochs + 1
-            yield epoch
-    if not measured:
-        raise LogError(f"{path}: found no complete path in {epochs} epochs, expected at least one")
+    file = open_log(path, scene.hz_per_mps, odometry, associated=False)
+    layout = Layout(len(scene.anchors_m), "speed" in file.columns)
+    table, damage = sound_epochs(file, file.read(), None, limits=True)
+    epochs = list(_split(table, layout))
+    if not any(len(epoch.snr_db) for epoch in epochs):
+        raise damage or LogError(
+            f"{path}: found no complete path in {len(epochs)} epochs, expected at least one"
+        )
+    return PathLog(epochs, damage)
 
 
 def _split(table: Table, layout: Layout) -> Iterator[PathEpoch]:
@@ -342,17 +286,16 @@ def _split(table: Table, layout: Layout) -> Iterator[PathEpoch]:
     speed = table.first(table["speed"])
     heading = table.first(table["heading"])
     odometry = np.column_stack([speed, wrapped(heading)])
-    ends = np.searchsorted(table.epoch, np.arange(len(spread)), side="right")
-    for epoch, (first, end) in enumerate(pairwise([0, *ends.tolist()])):
+    for epoch, (first, end) in enumerate(pairwise([*table.starts.tolist(), len(table)])):
         kept = np.flatnonzero(whole[first:end]) + first
         yield PathEpoch(
             layout=layout,
             time_s=float(time[first]),
+            line=int(table.rows[first]),
             measurement=measurement[kept],
             at_station=STATION in table.columns,
             snr_db=snr[kept],
             incomplete=int((some & ~whole)[first:end].sum()),
             doppler_spread_hz=float(np.nan_to_num(spread[epoch])),
             odometry=odometry[epoch],
-            share=table.share,
         )

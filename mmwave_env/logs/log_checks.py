@@ -1,7 +1,4 @@
-"""Checks of the rows of a measurement log.
-
-An error names the damaged row; the complete epochs before that row are yielded before the error.
-"""
+"""Checks of the rows of a measurement log."""
 
 from collections.abc import Callable, Iterator
 from itertools import chain
@@ -19,30 +16,19 @@ MOST_PATHS = 1000  # maximum number of paths in an epoch of a log without anchor
 _ROUNDING_DEG = 1e-4  # rounding error of angles that were once stored as 32-bit numbers
 
 
-def whole_epochs(log: LogFile, anchors: int | None, limits: bool) -> Iterator[Table]:
-    """Yield the rows of complete epochs, in tables about as long as the log's own tables.
+def sound_epochs(
+    log: LogFile, table: Table, anchors: int | None, limits: bool
+) -> tuple[Table, LogError | None]:
+    """Check the rows of a log; return those of all epochs before the first damage, and its error.
 
     Args:
         log: the file.
+        table: its rows.
         anchors: number of anchors in the scene; None if rows are paths without anchor numbers.
         limits: whether to refuse values beyond physical limits.
-
-    Raises:
-        LogError: for the first damaged row.
     """
-    rest: list[Table] = []
-    for table in log.tables():
-        # The last epoch of the previous table may continue in this one.
-        rows = table.joined([*rest, table])
-        damaged, error = first_damage(log, rows, anchors, limits)
-        end = _end_of_epochs(rows.raw("time"), damaged, anchors)
-        if end:
-            yield rows.part(slice(end))
-        if error:
-            raise error
-        rest = [rows.part(slice(end, None))]
-    if rest and len(rest[0]):
-        yield rest[0]
+    damaged, error = first_damage(log, table, anchors, limits)
+    return table.part(slice(_end_of_epochs(table.raw("time"), damaged, anchors))), error
 
 
 class _Check(NamedTuple):
@@ -185,12 +171,10 @@ def _show(value: float) -> str:
 
 def _end_of_epochs(time: Array, damaged: int, anchors: int | None) -> int:
     """Count the rows, before the damaged row, that belong to epochs known to be complete."""
-    if damaged == 0:
-        return 0
+    if damaged in (0, len(time)):
+        return damaged
     last = time[damaged - 1]
     start = int(np.searchsorted(time[:damaged], last))
-    if damaged == len(time):  # no damage, but the next table may continue the last epoch
-        return start
     following = time[damaged]
     moved_on = last < following < np.inf
     complete = damaged - start == anchors and following != last

@@ -1,7 +1,7 @@
 """Measurement logs as tables of numbers, read from CSV or Parquet.
 
-A table is a few thousand consecutive rows. This module checks only the names of the columns, the
-number of cells in a row, and that cells are numbers; ``log_checks.py`` checks the numbers.
+This module checks only the names of the columns, the number of cells in a row, and that cells are
+numbers; ``log_checks.py`` checks the numbers.
 """
 
 import csv
@@ -20,10 +20,11 @@ from mmwave_env.logs.lines import DamagedFileError, line_blocks, number
 from mmwave_env.logs.log_columns import BODY, STATION, Column, columns_of
 from mmwave_env.numerics.numbers import Array, Index
 
-AnyBlock = TypeVar("AnyBlock", bound="Block")
+AnyArrays = TypeVar("AnyArrays", bound="Arrays")
 
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
 _BATCH_ROWS = 1 << 14
+_ROW_BYTES = 1000  # memory for a row of a log, and for its part in the track
 _NUMBER = "a number, or nothing if it was not measured"
 _ANCHOR = "the number of an anchor in the scene (1: the base station)"
 
@@ -33,7 +34,7 @@ class LogError(ValueError):
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
+class Arrays:
     """Base dataclass of n rows or epochs: arrays (n, ...), and values shared by all n."""
 
     def arrays(self) -> dict[str, Array]:
@@ -44,26 +45,27 @@ class Block:
     def __len__(self) -> int:
         return len(next(iter(self.arrays().values())))
 
-    def part(self: AnyBlock, rows: slice) -> AnyBlock:
-        """Return a block with only these rows."""
+    def part(self: AnyArrays, rows: slice) -> AnyArrays:
+        """Return only these rows or epochs."""
         return replace(self, **{name: values[rows] for name, values in self.arrays().items()})
 
     @classmethod
-    def joined(cls, blocks: Sequence[AnyBlock]) -> AnyBlock:
-        """Join consecutive blocks; shared values are taken from the last block."""
-        last = blocks[-1]
+    def joined(cls, parts: Sequence[AnyArrays]) -> AnyArrays:
+        """Join consecutive parts; shared values are taken from the last part."""
+        last = parts[-1]
+        if len(parts) == 1:
+            return last
         names = last.arrays()
-        return replace(last, **{n: np.concatenate([getattr(b, n) for b in blocks]) for n in names})
+        return replace(last, **{n: np.concatenate([getattr(p, n) for p in parts]) for n in names})
 
 
 @dataclass(frozen=True, eq=False)
-class Table(Block):
-    """Consecutive rows of a log."""
+class Table(Arrays):
+    """Rows of a log: all rows of a file, or those up to the first damage."""
 
     columns: dict[str, Column]  # the columns that are used, by quantity
     rows: Index  # (n,) row numbers in the file, for messages
     cells: Array  # (n, columns) as in the file, NaN where empty
-    share: float  # share of the file read so far, 0 to 1
     # damage in the last row, which ends the log; cells of that row that can't be read are NaN
     damage: LogError | None = None
 
@@ -78,14 +80,20 @@ class Table(Block):
         return self.columns[quantity].unit.convert(self.raw(quantity))  # type: ignore[no-any-return]
 
     @cached_property
-    def epoch(self) -> Index:
-        """Return every row's epoch (n,), counted from 0; rows of one epoch have the same time."""
+    def starts(self) -> Index:
+        """Return the index (epochs,) of every epoch's first row; rows of an epoch have one time."""
         # Compare times in the file's unit: different times may become equal in seconds.
-        return np.concatenate([[0], np.cumsum(np.diff(self.raw("time")) != 0.0)])
+        time = self.raw("time")
+        return np.flatnonzero(np.append(True, np.diff(time) != 0.0)[: len(time)])
+
+    @cached_property
+    def epoch(self) -> Index:
+        """Return every row's epoch (n,), counted from 0."""
+        return np.repeat(np.arange(len(self.starts)), np.diff(self.starts, append=len(self)))
 
     def first(self, values: Array) -> Array:
         """Return each epoch's first number (epochs,) in ``values`` (n,); NaN if all are NaN."""
-        first = np.full(self.epoch[-1] + 1, np.nan)
+        first = np.full(len(self.starts), np.nan)
         some = np.flatnonzero(~np.isnan(values))[::-1]
         first[self.epoch[some]] = values[some]  # backwards, so that the first row's value remains
         return first
@@ -120,13 +128,47 @@ class LogFile:
             place += f", column {self.columns[quantity].name!r}"
         return LogError(f"{self.path}, {place}: found {problem}, expected {expected}")
 
-    def tables(self) -> Iterator[Table]:
-        """Yield the rows as tables, in order; a table with damage is the last."""
+    def read(self) -> Table:
+        """Read all rows, or those up to the first damage, which is in the last row.
+
+        Raises:
+            LogError: the log and its track would need more memory than there is.
+        """
+        parts = [Table(self.columns, np.empty(0, np.int64), np.empty((0, len(self.columns))))]
+        count = 0
+        free = free_memory()
         try:
-            yield from _parquet_tables(self) if _is_parquet(self.path) else _csv_tables(self)
+            for table, share in self._tables():
+                parts.append(table)
+                count += len(table)
+                _require_memory(self.path, count / share, free)
         except DamagedFileError as error:
             cells = np.full((1, len(self.columns)), np.nan)
-            yield Table(self.columns, np.array([error.row]), cells, 1.0, LogError(str(error)))
+            parts.append(Table(self.columns, np.array([error.row]), cells, LogError(str(error))))
+        return Table.joined(parts)
+
+    def _tables(self) -> Iterator[tuple[Table, float]]:
+        """Yield the rows, some thousands at a time, and the share of the file read so far."""
+        return _parquet_tables(self) if _is_parquet(self.path) else _csv_tables(self)
+
+
+def free_memory() -> float:
+    """Return how many bytes of memory this program can still use; infinity if this is unknown."""
+    try:
+        lines = Path("/proc/meminfo").read_text().splitlines()
+    except OSError:
+        return math.inf
+    sizes = dict(line.split(":") for line in lines)
+    return 1024.0 * float(sizes["MemAvailable"].split()[0])
+
+
+def _require_memory(path: Path, rows: float, free: float) -> None:
+    needed = rows * _ROW_BYTES
+    if needed > free:
+        raise LogError(
+            f"{path}: found about {rows:.2g} rows, which need {needed / 1e9:.1f} GB of memory, "
+            f"expected at most {free / 1e9:.1f} GB, which are free; divide the log"
+        )
 
 
 def open_log(
@@ -186,18 +228,17 @@ def _csv_names(path: Path) -> tuple[list[str], str]:
     return names, delimiter
 
 
-def _csv_tables(log: LogFile) -> Iterator[Table]:
+def _csv_tables(log: LogFile) -> Iterator[tuple[Table, float]]:
     first = 1
     for lines, share in line_blocks(log.path):
         header = 1 if first == 1 else 0
         body = lines[header:]
         cells = _parse_quickly(body, log)
         if cells is None:
-            table = parse_carefully(log, body, first + header, share)
+            table = parse_carefully(log, body, first + header)
         else:
-            rows = np.arange(len(body)) + first + header
-            table = Table(log.columns, rows, cells, share)
-        yield table
+            table = Table(log.columns, np.arange(len(body)) + first + header, cells)
+        yield table, share
         if table.damage:
             return
         first += len(lines)
@@ -227,7 +268,7 @@ def _parse_quickly(lines: list[str], log: LogFile) -> Array | None:
     return cells if len(cells) == len(lines) else None
 
 
-def parse_carefully(log: LogFile, lines: list[str], first: int, share: float) -> Table:
+def parse_carefully(log: LogFile, lines: list[str], first: int) -> Table:
     """Parse cell by cell up to the first damage; skip blank lines, and read blank cells as NaN."""
     cells = []
     rows = []
@@ -253,7 +294,7 @@ def parse_carefully(log: LogFile, lines: list[str], first: int, share: float) ->
         if damage:
             break
     table = np.array(cells, float).reshape(len(rows), len(log.columns))
-    return Table(log.columns, np.array(rows, np.int64), table, share, damage)
+    return Table(log.columns, np.array(rows, np.int64), table, damage)
 
 
 def require_arrow(path: Path) -> tuple[Any, Any]:
@@ -298,7 +339,7 @@ def _require_numbers(log: LogFile) -> None:
             raise LogError(f"{place}: found type {kind}, expected numbers")
 
 
-def _parquet_tables(log: LogFile) -> Iterator[Table]:
+def _parquet_tables(log: LogFile) -> Iterator[tuple[Table, float]]:
     pyarrow, _ = require_arrow(log.path)
     names = [column.name for column in log.columns.values()]
     with _open_parquet(log.path) as file:
@@ -310,7 +351,7 @@ def _parquet_tables(log: LogFile) -> Iterator[Table]:
                 cells = [column.to_numpy(zero_copy_only=False) for column in columns]
                 rows = np.arange(len(batch)) + done + 1
                 done += len(batch)
-                yield Table(log.columns, rows, np.stack(cells, axis=1), done / total)
+                yield Table(log.columns, rows, np.stack(cells, axis=1)), done / total
         except (OSError, pyarrow.ArrowException) as error:
             problem = f"broken Parquet data ({error})"
             raise DamagedFileError(log.path, done + 1, problem, "a complete file", "row") from error

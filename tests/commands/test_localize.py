@@ -215,9 +215,8 @@ def test_the_track_equals_the_result_of_the_python_function_localize(tmp_path):
     scene = read_scene(RIDE / "scene.json")
     modes = (robust(default_modes("high")[1]),)
     log = read_log(RIDE / "log.csv", scene, partial=True)
-    blocks = localize(log, scene, RADIOS["high"], Switching(modes), window=50, height_m=1.5)
-    x = np.concatenate([block.smooth_x for block in blocks])
-    np.testing.assert_array_equal(read_tum(out).position_m, x[:, :3])
+    track = localize(log, scene, RADIOS["high"], Switching(modes), window=50, height_m=1.5)
+    np.testing.assert_array_equal(read_tum(out).position_m, track.smooth_x[:, :3])
 
 
 MODES = [{"name": "calm"}, {"name": "wild", "algorithm": "ckf", "sigma_v": 2.0}]

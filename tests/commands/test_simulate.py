@@ -38,7 +38,7 @@ def test_simulate_writes_the_episode_that_evaluate_draws_with_the_same_seed(tmp_
 def test_odometry_is_written_and_the_options_are_recorded_in_the_truth_file(tmp_path):
     options = ["--scenario", "jam", "--seed", "3", "--odometry", "--scene", "o1", "--radio", "high"]
     simulate(tmp_path, *options)
-    block = next(read_log(tmp_path / "log.csv", read_scene(tmp_path / "scene.json")))
+    block = read_log(tmp_path / "log.csv", read_scene(tmp_path / "scene.json"))
     assert block.layout == Layout(3, odometry=True) and block.visible[:, -1].any()
     header, *poses = (tmp_path / "truth.tum").read_text().splitlines()
     made_by = re.fullmatch(r"# t x y z qx qy qz qw; mmwave-loc simulate (.*)", header).group(1)
@@ -60,8 +60,8 @@ def test_the_command_reproduces_the_shipped_sample_logs(tmp_path, name):
     for a, b in zip(*(read_tum(folder / "truth.tum") for folder in (ours, theirs)), strict=True):
         np.testing.assert_array_equal(a, b)
     # Bytes are not compared, because another libm may round the last digit differently.
-    (a,) = list(read_log(ours / "log.csv", scene))
-    (b,) = list(read_log(theirs / "log.csv", scene))
+    a = read_log(ours / "log.csv", scene)
+    b = read_log(theirs / "log.csv", scene)
     np.testing.assert_array_equal(a.visible, b.visible)
     for field in ("time_s", "measurement", "snr_db", "doppler_spread_hz"):
         np.testing.assert_allclose(

@@ -207,16 +207,15 @@ def test_localize_estimates_the_offset(ride):
 
 @pytest.mark.slow  # compiles several programs
 def test_a_live_track_equals_the_track_of_the_whole_log(ride):
-    blocks = list(read_log(ride / "log.csv", STREET, partial=True, clock=True))
+    log = read_log(ride / "log.csv", STREET, partial=True, clock=True)
     switching = Switching(best_bank("standard"))
-    whole = list(localize(blocks, STREET, RADIOS["standard"], switching, None))
+    x = localize(log, STREET, RADIOS["standard"], switching, None).x
     tracker = Tracker(STREET, switching, "standard", clock="offset", lag=3)
     with (ride / "log.csv").open() as file:
         rows = [
             {name: float(v) if v else None for name, v in row.items()} for row in DictReader(file)
         ]
     live = [tracker.update(epoch) for _, epoch in groupby(rows, key=lambda row: row["time_s"])]
-    x = np.concatenate([block.x for block in whole])
     positions = [[*p.position_m, *p.velocity_mps, p.clock_m] for p in live if p]
     np.testing.assert_array_equal(positions, x[:, [0, 1, 2, 3, 4, 5, 7]])
     assert tracker.smoothed().clock_sigma_m < live[-1].clock_sigma_m

@@ -75,7 +75,8 @@ def test_a_custom_filter_can_localize_the_user_of_a_log(iekf, tmp_path):
     tracks = []
     for algorithm in (partial(iekf, iterations=1), "ekf"):
         switching = Switching((Mode("m", algorithm),))
-        tracks += localize(read_log(tmp_path / "log.csv", scene), scene, radio, switching)
+        log = read_log(tmp_path / "log.csv", scene)
+        tracks.append(localize(log, scene, radio, switching))
     own, ours = tracks
     np.testing.assert_allclose(own.smooth_x, ours.smooth_x, rtol=1e-6, atol=1e-6)
 

@@ -25,7 +25,7 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import SMOOTHING_WINDOW
 from mmwave_env.interface.policy import Switching
 from mmwave_env.interface.reward import TrackingReward
-from mmwave_env.localization.localizer import TrackBlock, localize
+from mmwave_env.localization.localizer import Track, localize
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import read_scene, scene_from
@@ -63,12 +63,11 @@ def smoother(log: str, mode: str) -> Iterator[Row]:
         yield _belief(k, block.smooth_x, block.smooth_P)
 
 
-def _localized(log: str, mode: str, window: int | None = None) -> TrackBlock:
+def _localized(log: str, mode: str, window: int | None = None) -> Track:
     scene = read_scene(LOGS / log / "scene.json")
     modes = Bank(default_modes(RADIO)) if mode == "imm" else (named_modes(RADIO)[mode],)
-    blocks = read_log(LOGS / log / "log.csv", scene)
-    (block,) = localize(blocks, scene, radio_from(RADIO), Switching(modes), window=window)
-    return block
+    rows = read_log(LOGS / log / "log.csv", scene)
+    return localize(rows, scene, radio_from(RADIO), Switching(modes), window=window)
 
 
 def _shown(states: Any) -> list[int]:

@@ -1,7 +1,5 @@
 """Tests of associating paths with anchors, of where tracks begin, and of counts of paths."""
 
-from itertools import islice
-
 import numpy as np
 import pytest
 
@@ -9,8 +7,9 @@ from mmwave_env.datasets.log_folder import read_log_folder
 from mmwave_env.filters.bank import default_modes
 from mmwave_env.interface.policy import Switching
 from mmwave_env.localization.association import Association, associate
+from mmwave_env.localization.localizer import localize
 from mmwave_env.localization.segments import segments
-from mmwave_env.logs.log import LogBlock, PathEpoch, read_log, read_paths
+from mmwave_env.logs.log import PathEpoch, PathLog, read_log, read_paths
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import seen_from_image
@@ -20,9 +19,8 @@ from mmwave_env.models.scene import SCENES, Scene
 from mmwave_env.world.simulated import SimulatedSource
 from policies.speed_rule import by_predicted_speed
 from tests.filters.tracks import geometry
-from tests.logs.by_hand import assert_same, damaged, hide_anchors, track_of
+from tests.logs.by_hand import hide_anchors
 from tests.paths import LOGS, representative
-from tests.refusals import refuses
 
 RADIO = RADIOS["standard"]
 MODES = default_modes("standard")
@@ -31,10 +29,11 @@ SCENE = Scene("canyon", (0.0, 3.0, 8.0), virtual_anchors_m=((0.0, 17.0, 8.0), (0
 LAYOUT = Layout(3)
 
 
-def associated(epochs, scene=SCENE, tally=None, **more):
-    """Assign the paths of these epochs to anchors; return the epochs as one block."""
+def associated(epochs, scene=SCENE, tally=None):
+    """Assign the paths of a log, or of these epochs, to anchors; return the resulting log."""
     tally = tally or Association(len(scene.anchors_m))
-    return LogBlock.joined(list(associate(epochs, scene, RADIO, MODES[-1], tally, **more)))
+    paths = epochs if isinstance(epochs, PathLog) else PathLog(list(epochs), None)
+    return associate(paths, scene, RADIO, MODES[-1], tally)
 
 
 def walk(anchors_seen, false_paths=0, seed=0, y_m=-2.0):
@@ -55,7 +54,7 @@ def walk(anchors_seen, false_paths=0, seed=0, y_m=-2.0):
         paths = paths[rng.permutation(len(paths))]
         snr = np.full(len(paths), 25.0)
         odometry = np.full(2, np.nan)
-        yield PathEpoch(LAYOUT, time[t], paths, False, snr, 0, 100.0, odometry, 1.0)
+        yield PathEpoch(LAYOUT, time[t], t + 2, paths, False, snr, 0, 100.0, odometry)
 
 
 ALL = (0, 1, 2)
@@ -69,7 +68,7 @@ def seen_in(block):
 
 def ate(block, true):
     """Return the mean position error in m of a block's track; ``true`` has the true positions."""
-    track = track_of([block], true.scene, RADIO, Switching(MODES, by_predicted_speed), window=None)
+    track = localize(block, true.scene, RADIO, Switching(MODES, by_predicted_speed), window=None)
     position_m = true.position_m[np.searchsorted(true.time_s, track.time_s)]
     return np.linalg.norm(track.x[:, :3] - position_m, axis=1).mean()
 
@@ -84,7 +83,7 @@ def test_a_shipped_log_without_anchor_numbers_gives_nearly_the_same_track(tmp_pa
     episode = track.episode("standard", np.random.default_rng(0))
     hide_anchors(path, episode, false_paths=5, seed=1)
     block = associated(read_paths(path, track.scene), track.scene, tally)
-    (true,) = read_log(LOGS / name / "log.csv", track.scene)
+    true = read_log(LOGS / name / "log.csv", track.scene)
     ours = block.visible[:, :3]
     links = true.visible[:, :3]
     same = (block.measurement == true.measurement)[:, :12].reshape(-1, 3, 4).all(axis=2)
@@ -122,19 +121,6 @@ def test_angles_of_arrival_may_be_measured_at_the_base_station():
     np.testing.assert_allclose(block.measurement, usual.measurement, rtol=1e-9)
 
 
-def test_the_size_of_blocks_makes_no_difference():
-    whole = associated(walk([ALL] * 25, 3), epochs_per_block=4096)
-    cut = associated(walk([ALL] * 25, 3), epochs_per_block=7)
-    assert_same(cut, whole)
-
-
-def test_a_log_is_not_read_further_than_needed():
-    epochs = walk([ALL] * 1000)
-    blocks = associate(epochs, SCENE, RADIO, MODES[-1], Association(3), epochs_per_block=10)
-    assert [len(block) for block in islice(blocks, 2)] == [10, 10]
-    assert next(epochs).time_s < 30.0
-
-
 def test_a_track_waits_for_the_line_of_sight_instead_of_starting_from_a_reflection():
     anchors_seen = [(1,)] * 3 + [ALL] * 20
     block = associated(walk(anchors_seen, 2, seed=4))
@@ -152,8 +138,8 @@ def test_a_track_that_started_from_a_reflection_gives_way_to_the_line_of_sight()
     assert seen_in(block)[:20] == [(0,)] * 20 and begins[0] == 0
     assert len(begins) == 2 and 20 < begins[1] <= 30
     assert seen_in(block)[30:] == anchors_seen[30:] and tally.figures()["starts"] == 2
-    pieces = list(segments([block], SCENE, RADIO))
-    assert [piece.segment for piece in pieces] == [0, 1] and len(pieces[1]) >= 20
+    first, second = segments(block, SCENE, RADIO).parts
+    assert first.start == 0 and second.stop - second.start >= 20
 
 
 @pytest.mark.parametrize("false_paths", [0, 5])
@@ -165,8 +151,7 @@ def test_a_new_track_begins_after_a_gap(false_paths):
     wrong = sum(set(a) - set(b) != set() for a, b in zip(seen_in(block), anchors_seen, strict=True))
     assert wrong <= (1 if false_paths else 0)
     assert seen_in(block)[-9:] == anchors_seen[-9:]
-    pieces = list(segments([block], SCENE, RADIO))
-    assert {piece.segment for piece in pieces} == {0, 1} and tally.figures()["starts"] == 2
+    assert len(segments(block, SCENE, RADIO).parts) == tally.figures()["starts"] == 2
 
 
 def test_false_paths_alone_do_not_make_a_track():
@@ -188,9 +173,7 @@ def test_association_does_not_change_odometry(tmp_path):
     np.testing.assert_array_equal(block.measurement[shown, 13:], episode.measurement[shown, 13:])
 
 
-def test_epochs_before_a_damaged_line_are_returned_before_the_error():
-    epochs = damaged(walk([ALL] * 12))
-    blocks = []
-    with refuses("line 7", error=LogError):
-        blocks.extend(associate(epochs, SCENE, RADIO, MODES[-1], Association(3), 5))
-    assert [len(block) for block in blocks] == [5, 5, 2]
+def test_epochs_before_a_damaged_line_are_returned():
+    damage = LogError("line 7")
+    log = associated(PathLog(list(walk([ALL] * 12)), damage))
+    assert len(log) == 12 and log.damage is damage

@@ -22,17 +22,17 @@ RADIO = RADIOS["standard"]
 FINE = {"seen": 200, "rejected_share": 0.1, "nis_per_dof": 1.0}
 
 
-def blocks_of(folder, scene, radio, kind, seed):
+def log_of(folder, scene, radio, kind, seed):
     """Write a simulated log and read it back."""
     episode = SimulatedSource(scene, radio, kind).sample(np.random.default_rng(seed))
     write_log(folder / "log.csv", episode)
-    return list(read_log(folder / "log.csv", scene))
+    return read_log(folder / "log.csv", scene)
 
 
 @pytest.fixture(scope="module")
 def block(tmp_path_factory):
     folder = tmp_path_factory.mktemp("log")
-    return blocks_of(folder, SCENE, RADIO, "vehicle", 0)[0]
+    return log_of(folder, SCENE, RADIO, "vehicle", 0)
 
 
 def doubts_of(block):
@@ -44,7 +44,7 @@ def doubts_of(block):
 @pytest.mark.parametrize("world", WORLDS[::4], ids=lambda w: f"{w[0].name}-{w[1].name}-{w[2]}")
 def test_a_correct_log_causes_no_warning(tmp_path, world):
     radio, scene, kind = world
-    assert not doubts(blocks_of(tmp_path, scene, radio, kind, 0), scene, radio)
+    assert not doubts(log_of(tmp_path, scene, radio, kind, 0), scene, radio)
 
 
 @pytest.mark.slow
@@ -52,7 +52,7 @@ def test_at_most_ten_of_a_thousand_correct_logs_cause_a_warning(tmp_path):
     wrong = {}
     for n in range(1000):
         radio, scene, kind = WORLDS[n % len(WORLDS)]
-        if said := doubts(blocks_of(tmp_path, scene, radio, kind, n), scene, radio):
+        if said := doubts(log_of(tmp_path, scene, radio, kind, n), scene, radio):
             wrong[radio.name, scene.name, kind, n] = said
     assert len(wrong) <= 10, wrong
 

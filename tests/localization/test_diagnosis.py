@@ -12,7 +12,7 @@ from mmwave_env.interface.policy import Switching
 from mmwave_env.localization.contradictions import contradictions
 from mmwave_env.localization.diagnosis import AS_IT_IS, diagnose, mistakes
 from mmwave_env.localization.localizer import localize
-from mmwave_env.localization.track_scores import Groups
+from mmwave_env.localization.track_scores import group_statistics
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import Origin, read_scene
@@ -37,19 +37,16 @@ IDS = [folder.name for folder in FOLDERS]
 both = pytest.mark.parametrize("folder", FOLDERS, ids=IDS)
 
 
-def doubts(blocks, scene, radio=RADIO):
+def doubts(log, scene, radio=RADIO):
     """Localize a log; return the warnings about contradictions in it."""
-    blocks = list(blocks)
-    groups = Groups()
-    modes = default_modes(radio.name)
-    for block in localize(blocks, scene, radio, Switching(modes, by_predicted_speed), window=None):
-        groups.add(block)
-    return [str(doubt) for doubt in contradictions(blocks[0], scene, radio, groups.figures())]
+    switching = Switching(default_modes(radio.name), by_predicted_speed)
+    groups = group_statistics(localize(log, scene, radio, switching, window=None))
+    return [str(doubt) for doubt in contradictions(log, scene, radio, groups)]
 
 
 def findings(path, scene, partial=False):
-    """Diagnose the first block of a log; return the findings, the most likely finding first."""
-    block = next(read_log(path, scene, odometry=False, limits=False, partial=partial))
+    """Diagnose a log; return the findings, the most likely finding first."""
+    block = read_log(path, scene, odometry=False, limits=False, partial=partial)
     return diagnose(block, scene, RADIO, MODES[1])
 
 
@@ -158,7 +155,7 @@ def test_compass_bearings_are_diagnosed_if_the_x_axis_is_known(tmp_path, name, s
 
 def test_the_radio_of_a_log_is_diagnosed_and_the_log_is_not_changed():
     scene = read_scene(FOLDERS[0] / "scene.json")
-    block = next(read_log(FOLDERS[0] / "log.csv", scene, limits=False))
+    block = read_log(FOLDERS[0] / "log.csv", scene, limits=False)
     before = deepcopy(block)
     best = diagnose(block, scene, RADIOS["handset"], MODES[1])[0]
     assert best.hypothesis == "radio is standard" and not best.contradictions

@@ -9,13 +9,19 @@ from experiments.evaluation.runner import score_contenders
 from experiments.evaluation.seeds import Selection
 from mmwave_env.interface.policy import Switching
 from mmwave_env.localization.levels import PARTS, Levels, Network
+from mmwave_env.localization.localizer import localize
 from mmwave_env.localization.position_errors import PositionErrors, gaussian_levels
 from mmwave_env.localization.tracker import Tracker
 from mmwave_env.task import task_from
 from policies import load
-from tests.localization.test_policy_tracks import RADIO, ROWS, SCENE, blocks, corrector  # noqa: F401
+from tests.localization.test_policy_tracks import (  # noqa: F401
+    RADIO,
+    ROWS,
+    SCENE,
+    corrector,
+    first_epochs,
+)
 from tests.localization.test_position_errors import covariances
-from tests.logs.by_hand import track_of
 from tests.paths import representative
 from tests.refusals import refuses
 
@@ -96,7 +102,7 @@ def test_the_factors_of_a_track_do_not_depend_on_its_division_into_pieces():
 def test_live_tracks_and_tracks_of_logs_have_equal_levels(corrector, name):  # noqa: F811
     modes = load("ppo-standard", "standard").modes[:1]
     switching = Switching(modes) if name == "ekf" else load(corrector, "standard")
-    track = track_of(blocks(50), SCENE, RADIO, switching, window=None, levels=Levels())
+    track = localize(first_epochs(), SCENE, RADIO, switching, window=None, levels=Levels())
     tracker = Tracker(SCENE, switching, "standard", levels=Levels())
     live = [tracker.update(epoch) for epoch in ROWS]
     np.testing.assert_array_equal([p.position_m for p in live], track.x[:, :3])

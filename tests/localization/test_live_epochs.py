@@ -17,6 +17,7 @@ import pytest
 
 from mmwave_env.filters.bank import named_modes
 from mmwave_env.interface.policy import Switching
+from mmwave_env.localization.localizer import localize
 from mmwave_env.localization.tracker import Tracker
 from mmwave_env.logs.live_log import LiveLog
 from mmwave_env.logs.log import read_log
@@ -24,7 +25,6 @@ from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import read_scene
 from policies import load
-from tests.logs.by_hand import track_of
 from tests.paths import LOGS
 
 WALK = LOGS / "canyon28_pedestrian"
@@ -81,8 +81,8 @@ def test_live_epochs_equal_epochs_of_a_log_to_the_last_bit(tmp_path, changed, sn
         writer = csv.DictWriter(file, list(epochs[0][0]))
         writer.writeheader()
         writer.writerows(row for epoch in epochs for row in epoch)
-    blocks = read_log(path, SCENE, partial=True, snr_db=snr_db)
-    track = track_of(blocks, SCENE, RADIO, Switching((EKF,)), window=None)
+    log = read_log(path, SCENE, partial=True, snr_db=snr_db)
+    track = localize(log, SCENE, RADIO, Switching((EKF,)), window=None)
     tracker = Tracker(SCENE, Switching((EKF,)), RADIO, snr_db=snr_db)
     with patch.object(Tracker, "_load", autospec=True, side_effect=Tracker._load) as careful:
         positions = [tracker.update(epoch) for epoch in epochs]
@@ -104,10 +104,10 @@ def outcome(rows):
     log = LiveLog(list(ROW), SCENE)
     try:
         epochs = [epoch for row in rows for epoch in log.add(row, 7)]
-        block = [*epochs, *log.end_epoch()][-1].block()
+        last = [*epochs, *log.end_epoch()][-1].log()
     except LogError as error:
         return str(error)
-    return repr([block.measurement, block.sigma, block.snr_db, block.doppler_spread_hz])
+    return repr([last.measurement, last.sigma, last.snr_db, last.doppler_spread_hz])
 
 
 @pytest.mark.parametrize("name", ROW)

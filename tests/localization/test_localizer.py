@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -14,8 +15,13 @@ from mmwave_env.filters.modes import robust
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.policy import Switching
 from mmwave_env.interface.reward import TrackingReward
-from mmwave_env.localization.localizer import TrackBlock, localize, smoothed
-from mmwave_env.logs.log import LogBlock, read_log
+from mmwave_env.localization.localizer import (
+    episode_from,
+    filtered_of,
+    localize,
+    smoothed,
+)
+from mmwave_env.logs.log import Log, read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.prior import prior_from_fix
@@ -26,7 +32,7 @@ from mmwave_env.world.simulated import SimulatedSource
 from policies.corrector import TWO_WAY, TwoWayCorrector
 from policies.speed_rule import by_odometry_speed, by_predicted_speed
 from tests.filters.tracks import geometry, track
-from tests.logs.by_hand import assert_same, block_of, cut, damaged, track_of
+from tests.logs.by_hand import assert_same, damaged, log_with
 from tests.logs.writing import write_log
 from tests.paths import representative
 from tests.refusals import refuses
@@ -50,7 +56,7 @@ def log(folder, odometry=False):
     visible[2, 0] = True
     path = folder / f"log{odometry}.csv"
     write_log(path, replace(episode, time_s=time, visible=visible))
-    (block,) = read_log(path, SCENE)
+    block = read_log(path, SCENE)
     assert len(block) == T and not block.visible[:2, 0].any() and block.visible[2, 0]
     return block
 
@@ -65,12 +71,16 @@ def block(folder):
     return log(folder)
 
 
-def run(blocks, modes=(EKF,), rule=None, **options):
-    return TrackBlock.joined(list(localized(blocks, modes, rule, **options)))
+def run(log, modes=(EKF,), rule=None, **options):
+    return localize(log, SCENE, RADIO, Switching(modes, rule), **options)
 
 
-def localized(blocks, modes, rule=None, **options):
-    return localize(blocks, SCENE, RADIO, Switching(modes, rule), **options)
+def filtered(log, modes):
+    """Return the smoother's input (T, values) for a log that begins with a line of sight."""
+    switching = Switching(modes)
+    tracker = switching.tracker(log.layout, planar=False)
+    tracker.load([episode_from(log, SCENE, RADIO)])
+    return filtered_of({name: of[0] for name, of in tracker.run(*switching.parts).items()})
 
 
 def episode_of(block):
@@ -95,7 +105,7 @@ def assert_engines(result, block, modes, planar=False):
     episode = episode_of(block)
     if planar:
         episode = episode.on_flat_ground(1.5)
-    ours = {"x": result.x, "P": result.P, "P_predicted": result.filtered[:, 42:]}
+    ours = {"x": result.x, "P": result.P}
     ours |= {"memory.nis": result.nis, "memory.accepted": result.accepted}
     pipeline = Pipeline(tuple(modes), block.layout, planar)
     theirs = track(pipeline, [episode], result.mode[:, None], T - 2, ours)
@@ -109,16 +119,16 @@ def assert_engines(result, block, modes, planar=False):
 
 @pytest.mark.parametrize("mode", representative([EKF, robust(UKF)], EKF))
 def test_a_track_in_one_mode_equals_the_track_of_the_engine(block, mode):
-    result = run(cut(block, [50]), [mode])
+    result = run(block, (mode,))
     assert_engines(result, block, [mode])
-    assert (result.mode == 0).all() and result.share == 1.0
+    assert (result.mode == 0).all()
 
 
 @pytest.mark.parametrize("odometry", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_the_speed_predicted_or_measured_by_odometry_chooses_the_mode(folder, odometry):
     block = log(folder, odometry)
     rule = by_odometry_speed if odometry else by_predicted_speed
-    result = run(cut(block, [64]), (EKF, UKF), rule)
+    result = run(block, (EKF, UKF), rule)
     assert_engines(result, block, (EKF, UKF))
     speed = np.concatenate([[0.0], np.linalg.norm(result.x[:-1, 3:6], axis=1)])
     if odometry:
@@ -131,7 +141,7 @@ def test_the_speed_predicted_or_measured_by_odometry_chooses_the_mode(folder, od
 
 @pytest.mark.parametrize("modes", [(EKF,), pytest.param(BANK, marks=pytest.mark.slow)])
 def test_a_track_on_flat_terrain_keeps_its_height(block, modes):
-    result = run([block], modes, height_m=1.5)
+    result = run(block, modes, height_m=1.5)
     if modes != BANK:
         assert_engines(result, block, modes, planar=True)
     for x in (result.x, result.smooth_x):
@@ -139,23 +149,23 @@ def test_a_track_on_flat_terrain_keeps_its_height(block, modes):
         assert not x[:, 5].any()
 
 
-@pytest.mark.parametrize("size", [1, 50])
-def test_a_track_of_an_imm_equals_the_track_of_the_imm_engine(block, size):
-    result = run(cut(block, [size]), BANK)
-    ours = {"x": result.x, "P": result.P, "mixture": result.filtered[:, 35:]}
-    ours["memory.nis"] = result.nis
+@pytest.mark.parametrize("chunk", [1, 50])
+def test_a_track_of_an_imm_equals_the_track_of_the_imm_engine(monkeypatch, block, chunk):
+    monkeypatch.setattr("mmwave_env.localization.localizer._CHUNK", chunk)
+    result = run(block, BANK, window=None)
+    ours = {"x": result.x, "P": result.P, "memory.nis": result.nis}
     names = (*ours, "mixture.probability")
     theirs = run_imm(BANK, TrackingReward(), [episode_of(block)], *names)
     for name, values in ours.items():
         np.testing.assert_allclose(values, theirs[name][0], rtol=1e-9, atol=1e-9, err_msg=name)
     np.testing.assert_array_equal(result.mode, theirs["mixture.probability"][0].argmax(axis=1))
     assert not result.nis[~result.visible].any()
-    assert len(np.unique(result.mode)) > 2 and result.share == 1.0
+    assert len(np.unique(result.mode)) > 2
 
 
 def test_an_imm_with_a_rule_is_refused(block):
     with refuses("rule"):
-        run([block], BANK, by_predicted_speed)
+        run(block, BANK, by_predicted_speed)
 
 
 # --- smoothed
@@ -164,11 +174,13 @@ def test_an_imm_with_a_rule_is_refused(block):
 @pytest.mark.parametrize(
     ("modes", "window"), [*(((EKF,), window) for window in (2, 57, T - 2, 1000)), (BANK, 57)]
 )
-def test_every_window_is_smoothed_including_a_shorter_last_one(block, window, modes):
-    result = run(cut(block, [64]), modes, window=window)
+def test_every_window_is_smoothed_including_a_shorter_last_one(monkeypatch, block, window, modes):
+    monkeypatch.setattr("mmwave_env.localization.localizer._CHUNK", 64)
+    result = run(block, modes, window=window)
+    kept = filtered(block.part(slice(2, None)), modes)
     for first in range(0, T - 2, window):
         part = slice(first, first + window)
-        values = (result.filtered, result.time_s, result.doppler_spread_hz)
+        values = (kept, result.time_s, result.doppler_spread_hz)
         x, P = smoothed(
             Switching(modes), block.layout, False, SCENE, *(v[None, part] for v in values)
         )
@@ -178,9 +190,9 @@ def test_every_window_is_smoothed_including_a_shorter_last_one(block, window, mo
 
 
 def test_without_smoothing_the_track_is_the_filtered_track(block):
-    result = run([block], window=None)
+    result = run(block, window=None)
     np.testing.assert_array_equal(result.smooth_x, result.x)
-    np.testing.assert_array_equal(result.x, run([block]).x)
+    np.testing.assert_array_equal(result.x, run(block).x)
 
 
 @pytest.mark.slow
@@ -190,23 +202,22 @@ def test_without_smoothing_the_track_is_the_filtered_track(block):
     ids=["rule", "imm", "two ways"],
 )
 @settings(max_examples=6, deadline=None)
-@given(sizes=st.lists(st.integers(1, T), min_size=1, max_size=5), window=st.integers(2, 300))
-def test_a_track_does_not_depend_on_the_sizes_of_blocks(
-    folder, modes, rule, two_way, sizes, window
-):
+@given(size=st.integers(1, T), window=st.integers(2, 300))
+def test_a_track_does_not_depend_on_the_sizes_of_chunks(folder, modes, rule, two_way, size, window):
     block = log(folder)
     first, second = with_gap(unseen(block, slice(101, 104)), 40.0)
-    block = LogBlock.joined([first, *with_gap(second, 20.0, at=30)])
+    block = Log.joined([first, *with_gap(second, 20.0, at=30)])
     options = {"window": window, "two_way": two_way and TwoWayCorrector(two_way)}
-    expected = run([block], modes, rule, **options)
-    result = run(cut(block, sizes), modes, rule, **options)
+    expected = run(block, modes, rule, **options)
+    with patch("mmwave_env.localization.localizer._CHUNK", size):
+        result = run(block, modes, rule, **options)
     if two_way:  # the corrector's network computes in single precision
         np.testing.assert_allclose(result.smooth_x, expected.smooth_x, rtol=0.0, atol=1e-4)
     else:
         assert_same(result, expected)
-    for name in ("segment", "skipped", "dropped"):
+    for name in ("skipped", "dropped"):
         assert getattr(result, name) == getattr(expected, name)
-    assert expected.segment == 2
+    assert expected.segment[-1] == 2
 
 
 # --- where a track begins and ends
@@ -222,14 +233,11 @@ def unseen(block, epochs):
 
 
 @pytest.mark.parametrize(("modes", "window"), [((EKF,), None), ((EKF,), 1000), (BANK, 50)])
-def test_the_track_before_a_damaged_line_is_returned_before_the_error(block, window, modes):
-    blocks = []
-    pieces = cut(block.part(slice(0, 130)), [40])
-    with refuses("line 7", error=LogError):
-        blocks.extend(localized(damaged(pieces), modes, window=window))
-    result = TrackBlock.joined(blocks)
-    expected = run(pieces, modes, window=window)
-    assert_same(result, expected)
+def test_the_track_before_a_damaged_line_is_returned_with_the_error(block, window, modes):
+    sound = block.part(slice(0, 130))
+    result = run(damaged(sound), modes, window=window)
+    assert "line 7" in str(result.damage)
+    assert_same(result, run(sound, modes, window=window))
     assert len(result) == 128
 
 
@@ -245,10 +253,8 @@ def test_a_measurement_that_makes_a_track_infinite_is_refused(block, first, wind
     measurement[2 + first, block.layout.doppler] = 1e300
     visible[2 + first, SHIFT] = True
     wrong = replace(block, measurement=measurement, visible=visible)
-    blocks = []
-    with refuses("time", error=LogError):
-        blocks.extend(localized([wrong], modes, window=window))
-    result = TrackBlock.joined(blocks)
+    result = run(wrong, modes, window=window)
+    assert isinstance(result.damage, LogError) and "time" in str(result.damage)
     # The belief of a single mode is still finite in the damaged epoch, but not in the next epoch.
     assert len(result) == first + (modes != TWINS) and np.isfinite(result.smooth_x).all()
 
@@ -267,13 +273,11 @@ def with_gap(block, seconds, at=100):
 @pytest.mark.parametrize(("modes", "window"), [((EKF,), None), ((EKF,), 1000), (BANK, 30)])
 def test_after_a_long_gap_the_track_equals_the_track_of_the_remaining_log(block, window, modes):
     before, after = with_gap(block, 60.0)
-    blocks = list(localized([LogBlock.joined([before, after])], modes, window=window))
-    assert [b.segment for b in blocks] == sorted(b.segment for b in blocks)
-    for number, part in enumerate((before, after)):
-        result = TrackBlock.joined([b for b in blocks if b.segment == number])
-        expected = run([part], modes, window=window)
-        assert_same(result, expected)
-    assert blocks[-1].skipped == 2 and blocks[-1].dropped == 0
+    whole = run(Log.joined([before, after]), modes, window=window)
+    for number, (result, part) in enumerate(zip(whole.by_segment(), (before, after), strict=True)):
+        assert (result.segment == number).all()
+        assert_same(replace(result, segment=0 * result.segment), run(part, modes, window=window))
+    assert whole.skipped == 2 and whole.dropped == 0
 
 
 @pytest.mark.parametrize(("steep", "side"), [(0.0, -1.0), (1e-9, 1.0), (0.02, -1.0)])
@@ -286,8 +290,8 @@ def test_a_track_starts_only_where_the_user_is_no_longer_below_or_above_an_ancho
     position = [3.0, 4.0, 10.0 + 8.0 * side] + along[:, None] * [1.0, 0.0, 0.0]
     velocity = np.where(along > steep, 1.5, 0.0)[:, None] * [1.0, 0.0, 0.0]
     rows = geometry(position, velocity, scene, layout)
-    block = block_of(layout, np.arange(60.0), rows, np.ones((epochs, 3), bool), snr_db=30.0)
-    result = track_of([block], scene, RADIO, Switching((EKF,)), window=None)
+    block = log_with(layout, np.arange(60.0), rows, np.ones((epochs, 3), bool), snr_db=30.0)
+    result = localize(block, scene, RADIO, Switching((EKF,)), window=None)
     assert result.skipped == 4 and result.time_s[0] == 4.0
     error = np.linalg.norm(result.x[:, :3] - position[4:], axis=1)
     assert error.max() < 1.0

@@ -9,10 +9,11 @@ import pymap3d
 import pynmea2
 import pytest
 
+from mmwave_env.localization.localizer import Track
 from mmwave_env.localization.map_files import MAP_FILES
-from mmwave_env.localization.track_files import require_own_files, track_files
+from mmwave_env.localization.track_files import require_own_files, write_track
 from mmwave_env.models.scene import SCENES, Origin
-from tests.localization.test_track_files import NAMES, some_track
+from tests.localization.test_track_files import some_track
 from tests.refusals import refuses
 
 ORIGIN = Origin(60.1867, 24.8277, 20.0, bearing_deg=37.0)
@@ -22,25 +23,23 @@ NOON_S = 1_764_072_000.0  # 2025-11-25 12:00 UTC
 
 def tracks():
     """Return two segments of a track with epochs 0.5 s apart."""
-    blocks = []
-    for segment, (epochs, start) in enumerate([(9, 0.0), (5, 60.0)]):
+    parts = []
+    for number, (epochs, start) in enumerate([(9, 0.0), (5, 60.0)]):
         time_s = NOON_S + start + 0.5 * np.arange(epochs)
-        blocks.append(replace(some_track(epochs, segment), time_s=time_s, segment=segment))
-    return blocks
+        segment = np.full(epochs, number)
+        parts.append(replace(some_track(epochs, number), time_s=time_s, segment=segment))
+    return parts
 
 
-def written(tmp_path, ending, blocks):
+def written(tmp_path, ending, parts):
     path = tmp_path / f"walk{ending}"
-    with track_files(path, NAMES, SCENE) as write:
-        for block in blocks:
-            write(block)
-        assert not path.exists()
+    write_track(path, Track.joined(parts), SCENE, "walk")
     return path
 
 
-def places(blocks):
+def places(parts):
     """Compute latitude, longitude and height (n, 3) from azimuths and distances with pymap3d."""
-    x, y, up = np.concatenate([block.smooth_x[:, :3] for block in blocks]).T
+    x, y, up = np.concatenate([part.smooth_x[:, :3] for part in parts]).T
     angle = np.arctan2(y, x)
     length = np.hypot(x, y)
     azimuth = np.degrees(np.radians(ORIGIN.bearing_deg) - angle)
@@ -51,24 +50,24 @@ def places(blocks):
 
 
 def test_gpx_has_every_segment_of_the_track_with_its_times(tmp_path):
-    blocks = tracks()
-    content = gpxpy.parse(written(tmp_path, ".gpx", blocks).read_text())
+    parts = tracks()
+    content = gpxpy.parse(written(tmp_path, ".gpx", parts).read_text())
     (track,) = content.tracks
     assert [len(segment.points) for segment in track.segments] == [9, 5]
     points = [point for segment in track.segments for point in segment.points]
     shown = [(p.latitude, p.longitude, p.elevation) for p in points]
-    np.testing.assert_allclose(shown, places(blocks), atol=1e-3, rtol=0.0)
-    np.testing.assert_allclose(np.array(shown)[:, :2], places(blocks)[:, :2], atol=1e-8, rtol=0.0)
+    np.testing.assert_allclose(shown, places(parts), atol=1e-3, rtol=0.0)
+    np.testing.assert_allclose(np.array(shown)[:, :2], places(parts)[:, :2], atol=1e-8, rtol=0.0)
     moments = [point.time.timestamp() for point in points]
-    np.testing.assert_allclose(moments, np.concatenate([b.time_s for b in blocks]), atol=1e-3)
+    np.testing.assert_allclose(moments, np.concatenate([p.time_s for p in parts]), atol=1e-3)
 
 
 def test_nmea_has_positions_and_standard_deviations(tmp_path):
-    blocks = tracks()
-    lines = written(tmp_path, ".nmea", blocks).read_bytes().decode().split("\r\n")[:-1]
+    parts = tracks()
+    lines = written(tmp_path, ".nmea", parts).read_bytes().decode().split("\r\n")[:-1]
     sentences = [pynmea2.parse(line, check=True) for line in lines]
-    expected = places(blocks)
-    P = np.concatenate([block.smooth_P for block in blocks])
+    expected = places(parts)
+    P = np.concatenate([part.smooth_P for part in parts])
     assert [s.sentence_type for s in sentences] == ["GGA", "GST"] * len(expected)
     for position, spread, place, packed in zip(
         sentences[::2], sentences[1::2], expected, P, strict=True
@@ -95,19 +94,17 @@ def area(ring):
 
 
 def test_geojson_has_lines_within_segments_and_95_percent_error_ellipses(tmp_path):
-    blocks = tracks()
-    pieces = [blocks[0].part(slice(4)), blocks[0].part(slice(4, None)), blocks[1]]
-    features = json.loads(written(tmp_path, ".geojson", pieces).read_text())["features"]
+    parts = tracks()
+    features = json.loads(written(tmp_path, ".geojson", parts).read_text())["features"]
     lines = [f for f in features if f["geometry"]["type"] == "LineString"]
-    assert [len(f["geometry"]["coordinates"]) for f in lines] == [4, 6, 5]
-    first, second, other = (f["geometry"]["coordinates"] for f in lines)
-    assert first[-1] == second[0] and second[-1] != other[0]
+    assert [len(f["geometry"]["coordinates"]) for f in lines] == [9, 5]
+    first, second = (f["geometry"]["coordinates"] for f in lines)
     np.testing.assert_allclose(
-        np.array([*first, *second[1:], *other])[:, [1, 0]], places(blocks)[:, :2], atol=1e-8
+        np.array([*first, *second])[:, [1, 0]], places(parts)[:, :2], atol=1e-8
     )
     rings = {f["properties"]["time_s"]: f["geometry"] for f in features if f not in lines}
-    by_time = {t: P for b in blocks for t, P in zip(b.time_s, b.smooth_P, strict=True)}
-    assert list(rings) == [t for b in blocks for t in b.time_s[::2]]  # one ellipse per second
+    by_time = {t: P for p in parts for t, P in zip(p.time_s, p.smooth_P, strict=True)}
+    assert list(rings) == [t for p in parts for t in p.time_s[::2]]  # one ellipse per second
     polygon = 16.0 * np.sin(np.pi / 16.0)  # area of a polygon with 32 corners on a unit circle
     # 5.991 is the 95 % quantile of the chi-square distribution with two degrees of freedom.
     for time_s, geometry in rings.items():
@@ -121,8 +118,8 @@ def test_geojson_has_lines_within_segments_and_95_percent_error_ellipses(tmp_pat
 @pytest.mark.parametrize("ending", MAP_FILES)
 def test_a_map_file_needs_an_origin_and_replaces_only_files_of_its_kind(tmp_path, ending):
     path = tmp_path / f"walk{ending}"
-    with refuses("out"), track_files(path, NAMES, SCENES["street"]):
-        pass
+    with refuses("out"):
+        write_track(path, some_track(3), SCENES["street"])
     written(tmp_path, ending, tracks())
     require_own_files(path)
     path.write_text("{}")

@@ -8,19 +8,19 @@ change.
 
 import gzip
 from dataclasses import replace
-from itertools import chain, permutations
+from itertools import permutations
 
 import numpy as np
 import pytest
 
 from mmwave_env.filters.bank import named_modes
 from mmwave_env.interface.policy import Switching
-from mmwave_env.logs.log import read_log
+from mmwave_env.localization.localizer import localize
+from mmwave_env.logs.log import Log, read_log
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import read_scene, scene_of_anchors
 from tests.filters.tracks import TRIANGLE, assert_same_beliefs, unpacked
 from tests.localization.mistakes import AZIMUTHS, FOLDERS, read_columns, write_columns
-from tests.logs.by_hand import track_of
 
 pytestmark = pytest.mark.slow  # all tests together take half a minute
 
@@ -48,8 +48,8 @@ def with_anchors(scene, anchors_m):
 def track(folder, columns, scene, modes):
     """Write a log and localize it; return every array of the track by name."""
     write_columns(folder / "log.csv", columns)
-    blocks = read_log(folder / "log.csv", scene)
-    return track_of(blocks, scene, RADIO, Switching(modes)).arrays()
+    log = read_log(folder / "log.csv", scene)
+    return localize(log, scene, RADIO, Switching(modes)).arrays()
 
 
 def assert_moved(moved, plain, turn=UNTURNED, shift_m=(0.0, 0.0, 0.0)):
@@ -147,5 +147,5 @@ def test_units_the_order_the_clock_and_the_number_of_files_do_not_matter(street,
         )
         parts.append(tmp_path / f"{first}.csv.gz")
         parts[-1].write_bytes(gzip.compress((tmp_path / "part.csv").read_bytes()))
-    blocks = chain.from_iterable(read_log(part, scene, epochs_per_block=50) for part in parts)
-    assert_moved(track_of(blocks, scene, RADIO, Switching(modes)).arrays(), plain)
+    log = Log.joined([read_log(part, scene) for part in parts])
+    assert_moved(localize(log, scene, RADIO, Switching(modes)).arrays(), plain)

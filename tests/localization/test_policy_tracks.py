@@ -8,14 +8,13 @@ from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.correction import corrected
 from mmwave_env.interface.policy import Switching
 from mmwave_env.interface.reward import TrackingReward
-from mmwave_env.localization.localizer import episode_from
+from mmwave_env.localization.localizer import episode_from, localize
 from mmwave_env.localization.tracker import Tracker
 from mmwave_env.logs.log import read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.numerics.linalg import unpack
 from policies import Corrector, LearnedSwitch, load
 from tests.localization.test_live_epochs import RADIO, SCENE, WALK, walk
-from tests.logs.by_hand import cut, track_of
 from tests.paths import representative
 from tests.policies.test_corrector import card, network
 from tests.refusals import refuses
@@ -29,22 +28,22 @@ POLICIES = pytest.mark.parametrize(
 )
 
 
-def blocks(size):
-    """Return the first epochs of the walk in blocks of this size."""
-    whole = next(read_log(WALK / "log.csv", SCENE, partial=True)).part(slice(EPOCHS))
-    return cut(whole, [size])
+def first_epochs():
+    """Return the first epochs of the walk."""
+    return read_log(WALK / "log.csv", SCENE, partial=True).part(slice(EPOCHS))
 
 
-def whole_track(switching, size=50, window=None):
-    """Return the track of the walk's first epochs; the log is in blocks of ``size`` epochs."""
-    return track_of(blocks(size), SCENE, RADIO, switching, window=window)
+def whole_track(switching, window=None):
+    """Return the track of the walk's first epochs."""
+    return localize(first_epochs(), SCENE, RADIO, switching, window=window)
 
 
 @POLICIES
-@pytest.mark.parametrize("size", [7, EPOCHS])
-def test_the_track_equals_the_track_in_the_environment_to_the_last_bit(name, size):
+@pytest.mark.parametrize("chunk", [7, EPOCHS])
+def test_the_track_equals_the_track_in_the_environment_to_the_last_bit(monkeypatch, name, chunk):
+    monkeypatch.setattr("mmwave_env.localization.localizer._CHUNK", chunk)
     switching = load(name, "standard")
-    (whole,) = blocks(EPOCHS)
+    whole = first_epochs()
     episode = episode_from(whole, SCENE, RADIO)
     pipeline = switching.pipeline(whole.layout, planar=False)
     engine = Engine(pipeline, 1, TrackingReward(), switching.observation, switching.bank)
@@ -54,7 +53,7 @@ def test_the_track_equals_the_track_in_the_environment_to_the_last_bit(name, siz
     for _ in range(EPOCHS):
         engine.step(policy.act(engine.observations()))
         expected.append(engine.read(engine.at.x)[0])
-    track = whole_track(switching, size)
+    track = whole_track(switching)
     np.testing.assert_array_equal(track.x, expected)
 
 
@@ -89,7 +88,7 @@ def corrector(tmp_path_factory):
 @pytest.mark.slow  # compiles large programs
 def test_a_corrected_track_has_the_corrected_beliefs_of_the_environment(corrector):
     switching = load(corrector, "standard")
-    (whole,) = blocks(EPOCHS)
+    whole = first_epochs()
     pipeline = switching.pipeline(whole.layout, planar=False)
     engine = Engine(pipeline, 1, TrackingReward(), "signed", switching.bank)
     engine.reset([episode_from(whole, SCENE, RADIO)])

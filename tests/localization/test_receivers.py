@@ -10,13 +10,14 @@ from mmwave_env.filters import textbook
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.textbook import Sensor, tangent
 from mmwave_env.interface.policy import Switching
+from mmwave_env.localization.localizer import localize
 from mmwave_env.logs.tum import tum_lines
 from mmwave_env.models.layout import wrapped
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import scene_of_anchors
 from tests.commands.localizing import figures
 from tests.filters.tracks import process_noise, unpacked
-from tests.logs.by_hand import read, track_of
+from tests.logs.by_hand import read
 from tests.paths import representative
 
 ANCHORS = np.array([[0.0, 0.0, 10.0], [0.0, 70.0, 10.0], [-90.0, 0.0, 12.0], [60.0, -50.0, 8.0]])
@@ -116,7 +117,7 @@ def test_a_track_equals_the_track_of_a_textbook_ekf_and_is_consistent(tmp_path, 
         scene, truth = walk(tmp_path / "log.csv", receiver, seed)
         log = read(tmp_path / "log.csv", scene, partial=True)
         switching = Switching((MODE,))
-        track = track_of([log], scene, RADIO, switching, window=None, height_m=height_m)
+        track = localize(log, scene, RADIO, switching, window=None, height_m=height_m)
         begins = EPOCHS - len(track)
         P = unpacked(track.P)
         plain = by_textbook(log.part(slice(begins, None)), scene, track.x[0], P[0], flat)

@@ -5,15 +5,16 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
-from mmwave_env.localization.localizer import TrackBlock
+from mmwave_env.localization.localizer import Track
 from mmwave_env.localization.position_errors import gaussian_levels
-from mmwave_env.localization.track_files import require_own_files, table_beside, track_files
+from mmwave_env.localization.track_files import require_own_files, table_beside, write_track
 from mmwave_env.logs.tum import read_tum
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.scene import SCENES
 from tests.localization.test_position_errors import covariances
-from tests.logs.by_hand import block_of
+from tests.logs.by_hand import log_with
 from tests.refusals import refuses
 
 NAMES = ['fast, "wild"', '=HYPERLINK("http://evil","x")']  # names of modes
@@ -29,13 +30,14 @@ def some_track(epochs, seed=0):
     P = covariances(epochs, seed=seed)
     groups = rng.random((epochs, 4)) < 0.8
     time_s = 1.7e9 + np.arange(epochs) / 3.0
-    log = block_of(Layout(3), time_s, np.zeros((epochs, 13)), groups)
-    track = {"x": x, "P": P, "filtered": np.hstack([x, P])}
+    log = log_with(Layout(3), time_s, np.zeros((epochs, 13)), groups)
+    track = {"x": x, "P": P, "modes": NAMES, "skipped": 0, "dropped": 0}
+    track["segment"] = np.zeros(epochs, int)
     track |= {"smooth_x": x + 1.0, "smooth_P": 2.0 * P, "mode": rng.integers(2, size=epochs)}
     track |= {"nis": rng.random((epochs, 4)), "accepted": groups, "planar": False}
-    track |= {"trusted": np.zeros(epochs), "smooth_trusted": np.full(epochs, np.nan)}
+    track |= {"trusted": np.full(epochs, np.nan), "smooth_trusted": np.full(epochs, np.nan)}
     track |= {"level_factors": 1.0 + rng.random((epochs, 2))}
-    return TrackBlock(**vars(log), **track)
+    return Track(**vars(log), **track)
 
 
 def test_a_track_and_its_table_replace_only_files_of_their_kind(tmp_path):
@@ -43,8 +45,7 @@ def test_a_track_and_its_table_replace_only_files_of_their_kind(tmp_path):
     table = tmp_path / "trip.csv"
     for _ in range(2):  # the second track replaces the first
         require_own_files(out)
-        with track_files(out, NAMES, SCENE) as write:
-            write(some_track(2))
+        write_track(out, some_track(2), SCENE)
     for path, others in (
         (table, (b"t,x,y,z\n0,1,2,3\n", b"\xff\xfe", b"")),
         (out, (b"# t x y z qx qy qz qw; mmwave-loc simulate\n", b"0 1 2 3 0 0 0 1\n", b"")),
@@ -56,34 +57,31 @@ def test_a_track_and_its_table_replace_only_files_of_their_kind(tmp_path):
         path.unlink()
 
 
-def test_a_track_is_written_in_blocks_as_tum_and_as_a_table(tmp_path):
-    blocks = [some_track(5), replace(some_track(4, 1), time_s=1.8e9 + np.arange(4.0))]
+@pytest.mark.parametrize("trusted", [np.nan, 0.25])
+def test_a_track_is_written_as_tum_and_as_a_table(tmp_path, trusted):
+    track = replace(some_track(9), trusted=np.full(9, trusted))
     out = tmp_path / "new" / "walk.v2.tum"
-    with track_files(out, NAMES, SCENE) as write:
-        for block in blocks:
-            write(block)
-        assert not out.exists()
+    write_track(out, track, SCENE)
     assert sorted(path.name for path in out.parent.iterdir()) == ["walk.v2.csv", "walk.v2.tum"]
-    time = np.concatenate([b.time_s for b in blocks])
-    x = np.concatenate([b.smooth_x for b in blocks])
-    P = np.concatenate([b.smooth_P for b in blocks])
+    x = track.smooth_x
+    P = track.smooth_P
     written = read_tum(out)
-    np.testing.assert_array_equal(written.time_s, time)
+    np.testing.assert_array_equal(written.time_s, track.time_s)
     np.testing.assert_array_equal(written.position_m, x[:, :3])
     with table_beside(out).open(newline="") as file:
         header, *rows = csv.reader(file)
     columns = dict(zip(header, zip(*rows, strict=True), strict=True))
-    assert columns.pop("mode") == tuple(SHOWN[m] for b in blocks for m in b.mode)
+    assert columns.pop("mode") == tuple(SHOWN[m] for m in track.mode)
     numbers = {name: np.array(values, float) for name, values in columns.items()}
-    np.testing.assert_array_equal(numbers.pop("time_s"), time)
+    np.testing.assert_array_equal(numbers.pop("time_s"), track.time_s)
     diagonal = np.sqrt(P[:, [0, 2, 5, 9, 14, 20]])
     for i, name in enumerate(("x_m", "y_m", "z_m", "vx_mps", "vy_mps", "vz_mps")):
         np.testing.assert_allclose(numbers.pop(name), x[:, i], atol=1e-6)
         np.testing.assert_allclose(numbers.pop(f"sigma_{name}"), diagonal[:, i], rtol=1e-5)
-    factors = np.concatenate([b.level_factors for b in blocks])
-    for kind, level in zip(KINDS, (gaussian_levels(P, 1e-3) * factors).T, strict=True):
+    levels = gaussian_levels(P, 1e-3) * track.level_factors
+    for kind, level in zip(KINDS, levels.T, strict=True):
         np.testing.assert_allclose(numbers.pop(f"{kind}_level_m"), level, rtol=1e-5)
-    assert not numbers
+    assert [*numbers] == ([] if np.isnan(trusted) else ["trusted"])
 
 
 def test_only_tum_files_have_a_table_and_unknown_endings_are_refused():

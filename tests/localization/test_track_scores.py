@@ -1,4 +1,4 @@
-"""Tests that scores and statistics of a track do not depend on its division into blocks."""
+"""Tests of scores and statistics of a track."""
 
 from dataclasses import replace
 
@@ -8,30 +8,30 @@ from scipy.stats import chi2
 
 from mmwave_env.filters.pipeline import VERTICAL
 from mmwave_env.localization.position_errors import horizontal_level
-from mmwave_env.localization.track_scores import Course, Groups, TruthScores
+from mmwave_env.localization.track_scores import (
+    group_statistics,
+    track_statistics,
+    truth_scores,
+    warn_if_far,
+)
 from mmwave_env.metrics import ate, rmse, rpe
 from tests.filters.tracks import unpacked
 from tests.localization.test_track_files import some_track
-from tests.logs.by_hand import cut
 from tests.logs.test_truth import truth_of
 
 T = 400
 
 
-@pytest.mark.parametrize("sizes", [[T], [1, 99, 300], [250, 150], [40] * 10])
 @pytest.mark.parametrize("planar", [False, True])
 @pytest.mark.parametrize("known", [slice(0, T), slice(70, 330), slice(10, 12), slice(10, 11)])
-def test_scores_of_blocks_equal_the_metrics_of_complete_tracks(tmp_path, sizes, planar, known):
+def test_scores_equal_the_metrics_of_complete_tracks(tmp_path, planar, known):
     block = replace(some_track(T), planar=planar)
     truth = block.x[:, :3] + np.random.default_rng(1).standard_normal((T, 3))
     known_truth = truth_of(tmp_path, block.time_s[known], truth[known])
     tracks = {"filtered": (block.x, block.P), "smoothed": (block.smooth_x, block.smooth_P)}
-    scores = TruthScores(known_truth, list(tracks), planar, risk=0.1)
-    true = np.concatenate([scores.add(piece) for piece in cut(block, sizes)])
-    np.testing.assert_array_equal(true[known], truth[known])
-    figures = scores.figures()
+    figures = truth_scores(block, known_truth, list(tracks), risk=0.1)
     n = known.stop - known.start
-    assert figures["scored"] == n == np.isfinite(true[:, 0]).sum()
+    assert figures["scored"] == n
     axes = [i for i in range(3) if not (planar and i in VERTICAL)]
     for name, (x, P) in tracks.items():
         error = (x[:, :3] - truth)[known]
@@ -61,22 +61,19 @@ def test_only_a_ground_truth_in_another_frame_causes_a_warning(tmp_path, recwarn
     block = some_track(T)
     for x, y in ((0, 1), (1, 0)):
         truth = truth_of(tmp_path, block.time_s, block.x[:, [x, y, 2]] + 0.01)
-        scores = TruthScores(truth, ["filtered"], planar=False)
-        scores.add(block)
+        scores = truth_scores(block, truth, ["filtered"])
         assert not recwarn
-        scores.warn_if_far("filtered")
+        warn_if_far(truth, scores, "filtered")
     (warning,) = recwarn
     assert "truth.tum: found a mean NEES" in str(warning.message)
 
 
-def scored_at(tmp_path, time_s, known, sizes=(T,), segments=False):
+def scored_at(tmp_path, time_s, known, second_segment=T):
     """Return RPE, time between paired epochs, and positions; the known true positions are zero."""
-    block = replace(some_track(len(time_s)), time_s=time_s)
+    segment = (np.arange(T) >= second_segment).astype(int)
+    block = replace(some_track(len(time_s)), time_s=time_s, segment=segment)
     truth = truth_of(tmp_path, time_s[known], np.zeros((len(known), 3)))
-    scores = TruthScores(truth, ["filtered"], planar=False)
-    for number, piece in enumerate(cut(block, sizes)):
-        scores.add(replace(piece, segment=number if segments else 0))
-    figures = scores.figures()
+    figures = truth_scores(block, truth, ["filtered"])
     return figures["tracks"]["filtered"]["rpe_m"], figures["rpe_s"], block.x[:, :3]
 
 
@@ -85,11 +82,10 @@ def mean_change(x, pairs):
     return np.mean([np.linalg.norm(x[second] - x[first]) for first, second in pairs])
 
 
-@pytest.mark.parametrize("sizes", [[T], [1, 99, 300], [40] * 10])
-def test_rpe_pairs_epochs_one_second_apart_but_not_across_gaps(tmp_path, sizes):
+def test_rpe_pairs_epochs_one_second_apart_but_not_across_gaps(tmp_path):
     time = 0.1 * np.arange(T) + np.where(np.arange(T) >= 130, 7.3, 0.0)
     known = np.array([k for k in range(T) if not 200 <= k < 255])
-    rpe_m, apart, x = scored_at(tmp_path, time, known, sizes)
+    rpe_m, apart, x = scored_at(tmp_path, time, known)
     pairs = [(k, k + 10) for k in known if k + 10 in known and not k < 130 <= k + 10]
     assert rpe_m == pytest.approx(mean_change(x, pairs), rel=1e-9)
     assert apart == pytest.approx(1.0)
@@ -112,24 +108,21 @@ def test_rpe_of_slow_logs_pairs_only_neighboring_epochs(tmp_path, step):
 
 def test_rpe_does_not_pair_epochs_of_different_segments(tmp_path):
     time = 20.0 * np.arange(T)
-    rpe_m, _, x = scored_at(tmp_path, time, np.arange(T), [100, 300], segments=True)
+    rpe_m, _, x = scored_at(tmp_path, time, np.arange(T), second_segment=100)
     assert rpe_m == pytest.approx(mean_change(x, [(k, k + 1) for k in range(T - 1) if k != 99]))
 
 
 def test_epochs_between_poses_are_scored_and_counted_as_interpolated(tmp_path):
     block = replace(some_track(T), time_s=np.arange(T) * 0.001)
     truth = truth_of(tmp_path, np.arange(0.0, 0.3, 0.1), np.zeros((3, 3)))
-    scores = TruthScores(truth, ["filtered"], planar=False)
-    scores.add(block)
-    figures = scores.figures()
+    figures = truth_scores(block, truth, ["filtered"])
     # Epochs up to 10 ms after the last pose are scored, too.
     assert figures["scored"] == 211 and figures["interpolated"] == 208
     away = np.abs(block.time_s[:211, None] - [0.0, 0.1, 0.2]).min(axis=1)
     assert figures["nearest_pose_s"] == pytest.approx(away.mean())
 
 
-@pytest.mark.parametrize("sizes", [[T], [1, 99, 300]])
-def test_statistics_of_groups_equal_statistics_of_the_complete_track(sizes):
+def test_statistics_of_groups_equal_statistics_of_the_complete_track():
     block = some_track(T)
     rng = np.random.default_rng(2)
     accepted = block.visible & (rng.random((T, 4)) < 0.9)
@@ -137,10 +130,7 @@ def test_statistics_of_groups_equal_statistics_of_the_complete_track(sizes):
     block = replace(
         block, accepted=accepted, nis=block.visible * rng.chisquare([4, 4, 4, 1], (T, 4))
     )
-    groups = Groups()
-    for piece in cut(block, sizes):
-        groups.add(piece)
-    figures = groups.figures()
+    figures = group_statistics(block)
     assert list(figures) == ["anchor 1", "anchor 2", "anchor 3", "Doppler", "all"]
     for g, dof in enumerate((4, 4, 4, 1)):
         row = list(figures.values())[g]
@@ -161,13 +151,10 @@ def test_statistics_of_groups_equal_statistics_of_the_complete_track(sizes):
     assert figures["all"]["nis_per_dof"] == pytest.approx((block.nis * accepted).sum() / weights)
 
 
-@pytest.mark.parametrize("sizes", [[T], [1, 99, 300]])
-def test_the_statistics_of_a_whole_track_do_not_depend_on_its_pieces(sizes):
-    block = replace(some_track(T), skipped=5, segment=2, dropped=7)
-    course = Course(["slow", "fast"])
-    for piece in cut(block, sizes):
-        course.add(piece)
-    figures = course.figures()
+def test_the_statistics_of_a_track_equal_those_of_its_arrays():
+    segment = np.repeat([0, 2], [1, T - 1])
+    block = replace(some_track(T), skipped=5, segment=segment, dropped=7, modes=["slow", "fast"])
+    figures = track_statistics(block)
     speed = np.linalg.norm(block.x[:, 3:6], axis=1)
     assert figures["epochs"] == T and figures["skipped"] == 5
     assert figures["restarts"] == 2 and figures["dropped"] == 7

@@ -1,13 +1,13 @@
-"""Helpers that make, read and localize small logs, and that cut and compare blocks of epochs."""
+"""Helpers that make, read and compare small logs."""
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 import pytest
 
 from mmwave_env.datasets.log_writer import log_columns, log_text
-from mmwave_env.localization.localizer import TrackBlock, localize
-from mmwave_env.logs.log import LogBlock, read_log
+from mmwave_env.logs.log import Log, read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
@@ -48,13 +48,13 @@ def store(folder, content, name="log.csv"):
 
 
 def read(path, scene=SCENE, **options):
-    return LogBlock.joined(list(read_log(path, scene, **options)))
+    return read_log(path, scene, **options)
 
 
-def block_of(layout, time_s, measurement, visible, snr_db=20.0):
-    """Return a block with these values; each group (such as a link) is visible or incomplete."""
+def log_with(layout, time_s, measurement, visible, snr_db=20.0):
+    """Return a log with these values; each group (such as a link) is visible or incomplete."""
     T = len(time_s)
-    return LogBlock(
+    return Log(
         layout=layout,
         time_s=time_s,
         measurement=measurement,
@@ -64,45 +64,30 @@ def block_of(layout, time_s, measurement, visible, snr_db=20.0):
         doppler_anchor=np.zeros(T, int),
         snr_db=np.full((T, layout.anchors), snr_db),
         doppler_spread_hz=np.zeros(T),
+        line=np.arange(T) + 2,
         restarts=np.zeros(T, bool),
-        share=1.0,
     )
 
 
-def cut(block, sizes):
-    """Cut a block into blocks of these sizes, which are repeated until the block ends."""
-    blocks = []
-    first = 0
-    while first < len(block):
-        size = sizes[len(blocks) % len(sizes)]
-        blocks.append(block.part(slice(first, first + size)))
-        first += size
-    return blocks
+def damaged(log):
+    """Return a log after which a line is damaged."""
+    return replace(log, damage=LogError("log.csv, line 7: found 'x'"))
 
 
-def track_of(blocks, scene, radio, switching, **options):
-    """Localize a log and return its track in one block; ``options`` are passed to ``localize``."""
-    return TrackBlock.joined(list(localize(blocks, scene, radio, switching, **options)))
-
-
-def damaged(epochs):
-    """Yield the epochs or blocks of a log, then raise the error of a damaged line."""
-    yield from epochs
-    raise LogError("log.csv, line 7: found 'x'")
-
-
-def delivered(path, *fields, reader=read_log, **options):
-    """Read a damaged log; return the blocks before the error, which must name file and fields."""
-    blocks = []
+def delivered(path, *fields, **options):
+    """Read a damaged log, whose error must name file and fields; return the epochs before it."""
+    log = None
     with refuses(path, *fields, error=LogError):
-        blocks.extend(reader(path, SCENE, **options))  # list() would lose all blocks
-    return blocks
+        log = read_log(path, SCENE, **options)
+        if log.damage:
+            raise log.damage
+    return log
 
 
-def assert_same(block, expected):
-    """Check that all arrays of two blocks are equal."""
+def assert_same(log, expected):
+    """Check that all arrays of two logs or tracks are equal."""
     for name in expected.arrays():
-        np.testing.assert_array_equal(getattr(block, name), getattr(expected, name), err_msg=name)
+        np.testing.assert_array_equal(getattr(log, name), getattr(expected, name), err_msg=name)
 
 
 def shown(block):

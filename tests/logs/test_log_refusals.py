@@ -1,11 +1,12 @@
 """Tests of damaged logs: the epochs before the damage are read, then an error names the damage."""
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from mmwave_env.logs.log import LogBlock, read_log
+from mmwave_env.logs.log import read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from tests.logs.by_hand import (
@@ -75,21 +76,22 @@ DAMAGE = {  # name -> change, fields that the message names, number of epochs be
 }
 
 
-@pytest.mark.parametrize(("size", "table_bytes"), [(1, 100), (2, 150), (2, 190), (1000, 1 << 20)])
+@pytest.mark.parametrize("table_bytes", [100, 150, 190, 1 << 20])
 @pytest.mark.parametrize("name", DAMAGE)
 def test_epochs_before_a_damaged_row_are_read_before_an_error_names_the_row(
-    tmp_path, monkeypatch, name, size, table_bytes
+    tmp_path, monkeypatch, name, table_bytes
 ):
     monkeypatch.setattr("mmwave_env.logs.lines._BLOCK_BYTES", table_bytes)
     change, fields, epochs = DAMAGE[name]
     lines = rows()
     change(lines)
     path = store(tmp_path, text(lines).encode("utf-8", "surrogateescape"))
-    blocks = delivered(path, *fields, epochs_per_block=size)
-    assert sum(map(len, blocks)) == epochs
-    if blocks:
+    log = delivered(path, *fields)
+    if log is None:
+        assert not epochs
+    else:
         whole = read(store(tmp_path, text(rows()), "whole.csv"))
-        assert_same(LogBlock.joined(blocks), whole.part(slice(epochs)))
+        assert_same(replace(log, line=whole.line[:epochs]), whole.part(slice(epochs)))
 
 
 @pytest.mark.parametrize("angle", [np.pi / 2, -np.pi / 2, float(np.float32(np.pi / 2))])
@@ -166,9 +168,22 @@ def test_the_error_about_decimal_commas_names_the_line_and_the_column(tmp_path):
 
 
 @pytest.mark.parametrize("lines", [[], ["0,1,,,,,,"], [f"{t},1,1e-7,,,,," for t in range(9)]])
-def test_a_log_without_any_measurement_is_refused_at_its_end(tmp_path, lines):
+def test_a_log_without_any_measurement_is_refused(tmp_path, lines):
     path = store(tmp_path, "\n".join([HEADER, *lines]))
-    assert sum(map(len, delivered(path))) == len(lines)
+    with pytest.raises(LogError, match=f"found {len(lines)} epochs without a measurement"):
+        read_log(path, SCENE)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_log_that_needs_more_memory_than_there_is_is_refused_with_its_size(
+    tmp_path, monkeypatch, suffix
+):
+    require_pyarrow(suffix)
+    path = tmp_path / f"log{suffix}"
+    write_log(path, episode(epochs=2000))
+    monkeypatch.setattr("mmwave_env.logs.log_tables.free_memory", lambda: 1e6)
+    with pytest.raises(LogError, match=r"about 6e\+03 rows, which need 0.0 GB of memory"):
+        read_log(path, SCENE)
 
 
 @pytest.mark.parametrize("name", ["log.txt", "log", "log.csv.zip", "log.gz"])
@@ -183,7 +198,7 @@ def test_missing_files_and_files_that_do_not_match_their_ending_are_refused(tmp_
     with refuses("nowhere", error=FileNotFoundError):
         read_log(tmp_path / f"nowhere{suffix}", SCENE)
     with refuses("log", error=LogError):
-        list(read_log(store(tmp_path, "" if suffix == ".csv" else "plain", f"log{suffix}"), SCENE))
+        read_log(store(tmp_path, "" if suffix == ".csv" else "plain", f"log{suffix}"), SCENE)
 
 
 @pytest.mark.parametrize("left", [0.2, 0.5, 0.99])
@@ -193,7 +208,7 @@ def test_the_epochs_of_a_gzip_file_that_ends_early_are_returned_before_the_error
     write_log(path, true)
     packed = path.read_bytes()
     path.write_bytes(packed[: int(left * len(packed))])
-    block = LogBlock.joined(delivered(path, "line", epochs_per_block=100))
+    block = delivered(path, "line")
     assert len(block) > (left - 0.1) * 2000
     np.testing.assert_array_equal(block.time_s, true.time_s[: len(block)])
 
@@ -210,8 +225,7 @@ def test_a_gzip_file_with_a_wrong_byte_is_refused(tmp_path, byte):
 
 def test_the_epochs_before_a_line_without_an_end_are_returned_before_the_error(tmp_path):
     content = text(rows()).encode() + b"\0" * (3 << 20)
-    blocks = delivered(store(tmp_path, content), "line 14")
-    assert sum(map(len, blocks)) == 4
+    assert len(delivered(store(tmp_path, content), "line 14")) == 4
 
 
 class TestParquet:
@@ -264,8 +278,8 @@ class TestParquet:
         monkeypatch.setattr("mmwave_env.logs.log_tables._BATCH_ROWS", batch)
         columns = self.columns()
         columns[column][row] = value
-        blocks = delivered(self.store(tmp_path, columns), f"row {row + 1}", column)
-        assert sum(map(len, blocks)) == row // L
+        log = delivered(self.store(tmp_path, columns), f"row {row + 1}", column)
+        assert (0 if log is None else len(log)) == row // L
 
     @pytest.mark.parametrize("left", [1, 100, -10])
     def test_a_file_that_ends_early_is_refused(self, tmp_path, left):
@@ -292,7 +306,7 @@ class TestParquet:
         middle = len(content) // 2
         content[middle : middle + 20] = bytes(20)
         path.write_bytes(content)
-        block = LogBlock.joined(delivered(path, "row"))
+        block = delivered(path, "row")
         assert 60 < len(block) <= 120
         np.testing.assert_array_equal(block.time_s, true.time_s[: len(block)])
         np.testing.assert_array_equal(block.visible, true.usable[: len(block)])

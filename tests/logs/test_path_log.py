@@ -5,6 +5,7 @@ import pytest
 
 from mmwave_env.logs.log import read_log, read_paths
 from mmwave_env.logs.log_checks import MOST_PATHS
+from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.scene import SCENES
@@ -23,12 +24,16 @@ def store(folder, *lines, header=HEADER):
 
 
 def delivered(path, *fields):
-    return by_hand.delivered(path, *fields, reader=read_paths)
+    """Read a damaged log, whose error must name file and fields; return the epochs before it."""
+    log = read_paths(path, SCENE)
+    with refuses(path, *fields, error=LogError):
+        raise log.damage
+    return log.epochs
 
 
 def test_an_epoch_may_have_any_number_of_paths(tmp_path):
     lines = [f"0,{PATH}", "1,,,,,,", f"2.5,{PATH}", "2.5,2e-7,4,0.1,-4,,21", f"2.5,{PATH}"]
-    epochs = list(read_paths(store(tmp_path, *lines), SCENE))
+    epochs = read_paths(store(tmp_path, *lines), SCENE).epochs
     assert [e.time_s for e in epochs] == [0.0, 1.0, 2.5]
     assert [e.measurement.shape for e in epochs] == [(1, 5), (0, 5), (3, 5)]
     three = epochs[2]
@@ -37,31 +42,31 @@ def test_an_epoch_may_have_any_number_of_paths(tmp_path):
     first = [1e-7 * SPEED_OF_LIGHT, 0.5, -0.1, -2.6, 12.5]
     second = [2e-7 * SPEED_OF_LIGHT, 4 - 2 * np.pi, 0.1, 2 * np.pi - 4, np.nan]
     np.testing.assert_allclose(three.measurement, [first, second, first], rtol=1e-12)
-    assert three.snr_db.tolist() == [20, 21, 20] and three.share == 1.0
+    assert three.snr_db.tolist() == [20, 21, 20]
 
 
 def test_anchor_numbers_are_ignored(tmp_path):
     lines = [f"0,{n},{PATH}" for n in (1, 1, 99)]
     header = HEADER.replace("time_s", "time_s,anchor")
-    (epoch,) = read_paths(store(tmp_path, *lines, header=header), SCENE)
+    (epoch,) = read_paths(store(tmp_path, *lines, header=header), SCENE).epochs
     assert len(epoch.snr_db) == 3
 
 
 def test_a_path_that_lacks_a_value_is_left_out(tmp_path):
     lines = ["0,1e-7,0.5,,-2.6,12.5,20", "0,1e-7,0.5,-0.1,-2.6,12.5,", f"0,{PATH}", "0,,,,,,"]
-    (epoch,) = read_paths(store(tmp_path, *lines), SCENE)
+    (epoch,) = read_paths(store(tmp_path, *lines), SCENE).epochs
     assert len(epoch.snr_db) == 1 and epoch.incomplete == 2
 
 
 def test_values_that_apply_to_a_whole_epoch_may_be_in_any_of_its_rows(tmp_path):
     header = HEADER + ",doppler_spread_hz,speed_mps,heading_deg"
     lines = [f"0,{PATH},,,", f"0,{PATH},7,,190", f"0,{PATH},,2.5,", f"1,{PATH},,,"]
-    first, second = read_paths(store(tmp_path, *lines, header=header), SCENE)
+    first, second = read_paths(store(tmp_path, *lines, header=header), SCENE).epochs
     assert first.layout == Layout(3, odometry=True) and first.doppler_spread_hz == 7.0
     np.testing.assert_allclose(first.odometry, [2.5, np.radians(-170.0)])
     assert np.isnan(second.odometry).all() and second.doppler_spread_hz == 0.0
-    without = next(read_paths(store(tmp_path, *lines, header=header), SCENE, odometry=False))
-    assert without.layout == Layout(3)
+    without = read_paths(store(tmp_path, *lines, header=header), SCENE, odometry=False)
+    assert without.epochs[0].layout == Layout(3)
 
 
 def test_epochs_before_a_damaged_row_are_returned_before_the_error(tmp_path):
@@ -74,19 +79,20 @@ def test_an_epoch_with_too_many_paths_is_refused(tmp_path):
     lines = [f"0,{PATH}", *[f"1,{PATH}"] * (MOST_PATHS + 1)]
     path = store(tmp_path, *lines)
     assert len(delivered(path, f"line {MOST_PATHS + 3}, column 'time_s'")) == 1
-    assert sum(1 for _ in read_paths(store(tmp_path, *lines[:-1]), SCENE)) == 2
+    assert len(read_paths(store(tmp_path, *lines[:-1]), SCENE).epochs) == 2
 
 
 @pytest.mark.parametrize("lines", [[], ["0,,,,,,"], ["0,1e-7,,,,,20"] * 3])
 def test_a_log_without_a_complete_path_is_refused(tmp_path, lines):
-    delivered(store(tmp_path, *lines))
+    with refuses("log.csv", error=LogError):
+        read_paths(store(tmp_path, *lines), SCENE)
 
 
 def test_every_usable_link_is_read_as_a_path(tmp_path):
     true = by_hand.episode(odometry=True)
     path = tmp_path / "log.csv"
     by_hand.hide_anchors(path, true)
-    for t, epoch in enumerate(read_paths(path, SCENE)):
+    for t, epoch in enumerate(read_paths(path, SCENE).epochs):
         links = true.measurement[t, :12].reshape(3, 4)[true.usable[t, :3]]
         order = np.argsort(links[:, 0])
         theirs = np.argsort(epoch.measurement[:, 0])

@@ -12,7 +12,7 @@ from mmwave_env.logs.truth import BRIDGED_S, TOLERANCE_S, TrueEpochs, Truth
 from mmwave_env.logs.tum import read_tum, tum_lines
 from mmwave_env.models.layout import LINK, Layout
 from mmwave_env.models.scene import SCENES, read_scene
-from tests.logs.by_hand import block_of, read
+from tests.logs.by_hand import log_with, read
 
 
 def truth_of(folder, time_s, position_m):
@@ -86,7 +86,7 @@ def log_of(time_s, position_m, rng, bias=0.0):
     z = exact_links(position_m, STREET.anchors_m)
     z = z + sigma * (rng.standard_normal(z.shape) + bias)
     visible = rng.random((len(z), 4)) < 0.8
-    return block_of(Layout(3), time_s, np.column_stack([z, np.zeros(len(z))]), visible)
+    return log_with(Layout(3), time_s, np.column_stack([z, np.zeros(len(z))]), visible)
 
 
 def compared(log, seconds, shift=(0.0, 0.0, 0.0)):
