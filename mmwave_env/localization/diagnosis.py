@@ -32,7 +32,12 @@ from mmwave_env.world.episode import Episode
 DIAGNOSED_EPOCHS = 200
 AS_IT_IS = "as it is"
 
-_RANGE, _AZIMUTH, _ELEVATION, _DEPARTURE = range(4)  # indices of a link's values
+# rows of a measurement without odometry: four values per link, then the Doppler shift
+_RANGE = slice(0, -1, 4)
+_AZIMUTH = slice(1, -1, 4)
+_ELEVATION = slice(2, -1, 4)
+_DEPARTURE = slice(3, -1, 4)
+_DOPPLER = slice(-1, None)
 _AZIMUTHS = (_AZIMUTH, _DEPARTURE)
 _ANGLES = (*_AZIMUTHS, _ELEVATION)
 _COLUMNS = {
@@ -114,27 +119,24 @@ def _values(block: Log) -> Mask:
     return visible & np.isfinite(block.measurement)
 
 
-def _scaled(parts: Sequence[int], factor: float, offset: float = 0.0) -> Undo:
-    """Return a function that scales some values of every link, then adds an offset to them.
+def _scaled(quantities: Sequence[slice], factor: float, offset: float = 0.0) -> Undo:
+    """Return a function that scales values, given their rows, then adds an offset to them."""
 
-    ``parts`` are the indices of these values. If ``parts`` is empty, the Doppler shift is changed.
-    """
-
-    def change(reading: Reading) -> Reading:
+    def undo(reading: Reading) -> Reading:
         block = reading.block
-        layout = reading.block.layout
-        rows = [4 * a + p for a in range(layout.anchors) for p in parts] or [layout.doppler]
         z = block.measurement.copy()
         sigma = block.sigma.copy()
-        z[:, rows] = offset + factor * z[:, rows]
-        sigma[:, rows] *= abs(factor)
-        count = _values(block)[:, rows].sum()
+        count = 0
+        for rows in quantities:
+            z[:, rows] = offset + factor * z[:, rows]
+            sigma[:, rows] *= abs(factor)
+            count += _values(block)[:, rows].sum()
         return reading._replace(
             block=replace(block, measurement=z, sigma=sigma),
             log_scale=reading.log_scale + float(count * np.log(abs(factor))),
         )
 
-    return change
+    return undo
 
 
 def _timed(factor: float, reading: Reading) -> Reading:
@@ -142,13 +144,13 @@ def _timed(factor: float, reading: Reading) -> Reading:
     return reading._replace(block=replace(reading.block, time_s=factor * reading.block.time_s))
 
 
-def _exchanged(part: int, other: int, reading: Reading) -> Reading:
-    """Exchange two values of every link, given their indices."""
+def _exchanged(quantity: slice, other: slice, reading: Reading) -> Reading:
+    """Exchange two values of every link, given their rows."""
     block = reading.block
-    links = reading.block.layout.doppler
-    rows = np.arange(block.layout.size)
-    rows[part:links:4] = np.arange(other, links, 4)
-    rows[other:links:4] = np.arange(part, links, 4)
+    right = np.arange(block.layout.size)
+    rows = right.copy()
+    rows[quantity] = right[other]
+    rows[other] = right[quantity]
     new = replace(block, measurement=block.measurement[:, rows], sigma=block.sigma[:, rows])
     return reading._replace(block=new)
 
@@ -218,7 +220,7 @@ def _conventions(scene: Scene) -> Iterator[Mistake]:
         _scaled(_AZIMUTHS, -1.0, PI / 2.0),
     )
     yield Mistake("times are round-trip times", "halve the time of flight", _scaled([_RANGE], 0.5))
-    yield Mistake("Doppler shift has the other sign", "negate doppler", _scaled((), -1.0))
+    yield Mistake("Doppler shift has the other sign", "negate doppler", _scaled([_DOPPLER], -1.0))
     if scene.origin and (bearing := scene.origin.bearing_deg) != 90.0:
         yield Mistake(
             "azimuths are compass bearings",
@@ -234,9 +236,9 @@ def _conventions(scene: Scene) -> Iterator[Mistake]:
 
 def _units(scene: Scene) -> Iterator[Mistake]:
     """Yield mistakes about the units of columns."""
-    for name, (column, row) in _COLUMNS.items():
+    for name, (column, rows) in _COLUMNS.items():
         cure = f"rename {column}_rad to {column}_deg"
-        yield Mistake(f"{name} is in degrees", cure, _scaled([row], PI / 180.0))
+        yield Mistake(f"{name} is in degrees", cure, _scaled([rows], PI / 180.0))
     for unit, suffix, factor in (("degrees", "deg", PI / 180.0), ("radians", "rad", 180.0 / PI)):
         cure = f"name the columns of angles after their unit, such as aoa_azimuth_{suffix}"
         yield Mistake(f"angles are in {unit}", cure, _scaled(_ANGLES, factor))
@@ -247,9 +249,9 @@ def _units(scene: Scene) -> Iterator[Mistake]:
     for unit, suffix, factor in (("m/s", "mps", scene.hz_per_mps), ("kHz", "khz", 1e3)):
         other = f"doppler_{suffix}"
         words = f"Doppler shift is in {unit}, not in Hz"
-        yield Mistake(words, f"rename doppler_hz to {other}", _scaled((), factor))
+        yield Mistake(words, f"rename doppler_hz to {other}", _scaled([_DOPPLER], factor))
         words = f"Doppler shift is in Hz, not in {unit}"
-        yield Mistake(words, f"rename {other} to doppler_hz", _scaled((), 1.0 / factor))
+        yield Mistake(words, f"rename {other} to doppler_hz", _scaled([_DOPPLER], 1.0 / factor))
 
 
 def _has_effect(reading: Reading, original: Reading) -> bool:
