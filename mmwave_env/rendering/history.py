@@ -49,12 +49,12 @@ class History:
         """Return the length (k + 1,) of the position error."""
         return np.linalg.norm(self.estimate[:, :3] - self.truth[:, :3], axis=1)  # type: ignore[no-any-return]
 
-    def until(self, epochs: int) -> "History":
-        """Return the history as it was after this number of epochs."""
+    def part(self, rows: slice) -> "History":
+        """Return a history with only these rows."""
         own = {field.name: getattr(self, field.name) for field in fields(self)}
         arrays = {key: of for key, of in own.items() if isinstance(of, np.ndarray)}
-        rows: dict[str, Any] = {key: of[: epochs + 1] for key, of in arrays.items()}
-        return replace(self, **rows)
+        parts: dict[str, Any] = {key: of[rows] for key, of in arrays.items()}
+        return replace(self, **parts)
 
 
 class Recorder:

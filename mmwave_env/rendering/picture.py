@@ -165,7 +165,7 @@ class Playback:
 
     def draw(self, epochs: int) -> NDArray[np.uint8]:
         """Draw all histories after ``epochs`` epochs; return pixels (size, sum of widths, 3)."""
-        known = [history.until(epochs) for history, _ in self._parts]
+        known = [history.part(slice(epochs + 1)) for history, _ in self._parts]
         drawn = [
             picture.draw(history, known)
             for history, (_, picture) in zip(known, self._parts, strict=True)

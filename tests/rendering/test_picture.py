@@ -253,7 +253,7 @@ def views(seed, action, **arguments):
         *_, over, _ = env.step(action)
     history = env._gallery.recorders[0].history
     for epochs in range(history.epochs + 1):
-        so_far = history.until(epochs)
+        so_far = history.part(slice(epochs + 1))
         view = follow(so_far, FRAME)
         now = np.stack([so_far.truth[-1, :2], so_far.estimate[-1, :2]])
         yield so_far, view, view.pixels(now)

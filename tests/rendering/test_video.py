@@ -95,7 +95,7 @@ def test_pictures_side_by_side_equal_the_single_pictures():
     for epochs in (0, 3, 5):
         whole = playback.draw(epochs)
         assert whole.shape == (480, 3 * 480, 3)
-        known = [each.until(epochs) for each in histories]
+        known = [each.part(slice(epochs + 1)) for each in histories]
         for number, title in enumerate(titles):
             part = whole[:, number * 480 : (number + 1) * 480]
             alone = Picture(["ekf"], 480, "dark", title).draw(known[number], known)

@@ -80,16 +80,15 @@ def _play_episodes(source: Source, most: int, watched: int) -> Played:
         chosen, task.source, args.radio, selection, watch=watch, scoring=scoring, after=PARTS
     )
     watchable = [contender for contender in chosen if contender.name in watched_names(names)]
-    # row 0 is the prior
     keys = selection.keys(task.source)
-    rows = slice(1, LONGEST + 1)
+    rows = slice(1, LONGEST + 1)  # without the prior
     for i, episode in enumerate(selection.draw(task.source)[: watched if watchable else 0]):
         streets = task.streets_of(0 if keys is None else int(keys[i]))
-        histories = [history_of(c, episode, scoring, streets) for c in watchable]
+        histories = [history_of(c, episode, scoring, streets).part(rows) for c in watchable]
         name = f"{task.source.name}: {episode.name}, seed {selection.seeds[i]}"
-        shown = _episode(name, histories[0], rows, episode.layout.group_names)
+        shown = _episode(name, histories[0], episode.layout.group_names)
         for contender, history in zip(watchable, histories, strict=True):
-            course = _course(history, rows, contender.actions, contender.policy is None)
+            course = _course(history, contender.actions, contender.policy is None)
             shown["contenders"][printable(contender.name)] = course
         played.shown.append(shown)
     return played
@@ -118,9 +117,9 @@ def _play_log(source: Source) -> Played:
         accepted=block.accepted,
         rejected=block.visible & ~block.accepted,
     )
-    shown = _episode(log, history, slice(LONGEST), block.layout.group_names)
+    shown = _episode(log, history, block.layout.group_names)
     weighed = switching.bank is not None
-    shown["contenders"]["track"] = _course(history, slice(LONGEST), switching.names, weighed)
+    shown["contenders"]["track"] = _course(history, switching.names, weighed)
     return Played(shown=[shown])
 
 
@@ -150,22 +149,22 @@ def watched_names(ranked: Sequence[str]) -> list[str]:
     return [name for name in ranked if name in (*best, RULE)]
 
 
-def _episode(name: str, history: History, rows: slice, groups: Sequence[str]) -> Json:
+def _episode(name: str, history: History, groups: Sequence[str]) -> Json:
     """Return an episode's data for the player, still without contenders.
 
-    ``history`` is the history of any contender, since the truth is the same in all; ``rows`` are
-    its rows to show, and ``groups`` are names of groups of measurements.
+    ``history`` is the history of any contender, since the truth is the same in all; ``groups`` are
+    names of groups of measurements.
     """
     scenery = history.scenery
-    truth = history.truth[rows]
+    truth = history.truth
     streets = scenery.streets
     return {
         "name": printable(name),
-        "time_s": _numbers(history.time_s[rows], ".2f"),
-        "x": _numbers(truth[:, 0], ".2f"),
-        "y": _numbers(truth[:, 1], ".2f"),
-        "speed_mps": _numbers(np.linalg.norm(truth[:, 3:], axis=1), ".2f"),
-        "anchors": [_numbers(anchor, ".2f") for anchor in scenery.anchors_m],
+        "time_s": _numbers(history.time_s),
+        "x": _numbers(truth[:, 0]),
+        "y": _numbers(truth[:, 1]),
+        "speed_mps": _numbers(np.linalg.norm(truth[:, 3:], axis=1)),
+        "anchors": [_numbers(anchor) for anchor in scenery.anchors_m],
         "streets": streets and {"x": [*streets.x_m], "y": [*streets.y_m], "block": streets.block_m},
         "groups": ["gNB", *groups[1:]],
         "nees_bounds": [*nees_interval(history.axes)],
@@ -173,38 +172,36 @@ def _episode(name: str, history: History, rows: slice, groups: Sequence[str]) ->
     }
 
 
-def _course(history: History, rows: slice, modes: Sequence[str], weighed: bool) -> Json:
+def _course(history: History, modes: Sequence[str], weighed: bool) -> Json:
     """Return the results of a contender in an episode, in the form that the player needs.
 
     If ``weighed``, the contender weights all modes, and "mode" contains the most probable mode of
     every epoch; otherwise, "mode" contains the chosen mode or action.
     """
-    accepted = history.accepted[rows]
-    rejected = history.rejected[rows]
-    letters = np.where(accepted, "a", np.where(rejected, "r", "m"))  # m: missing
-    estimate = history.estimate[rows]
-    xx, xy, yy = history.P[rows, :3].T
+    letters = np.where(history.accepted, "a", np.where(history.rejected, "r", "m"))  # m: missing
+    estimate = history.estimate
+    xx, xy, yy = history.P[:, :3].T
     mean = (xx + yy) / 2.0
     spread = np.hypot((xx - yy) / 2.0, xy)
     axes = [2.0 * np.sqrt(np.maximum(size, 0.0)) for size in (mean + spread, mean - spread)]
     turn = -0.5 * np.degrees(np.arctan2(2.0 * xy, xx - yy))  # clockwise from the x axis
     themes = (THEMES[theme].for_modes(modes).modes for theme in ("light", "dark"))
     return {
-        "x": _numbers(estimate[:, 0], ".2f"),
-        "y": _numbers(estimate[:, 1], ".2f"),
+        "x": _numbers(estimate[:, 0]),
+        "y": _numbers(estimate[:, 1]),
         # ellipse of two standard deviations
-        "ellipse": [_numbers(values) for values in (*axes, turn)],
-        "speed_mps": _numbers(np.linalg.norm(estimate[:, 3:6], axis=1), ".2f"),
-        "error_m": _numbers(history.error_m[rows], ".2f"),
-        "nees": _numbers(history.nees[rows]),
+        "ellipse": [_numbers(values, ".4g") for values in (*axes, turn)],
+        "speed_mps": _numbers(np.linalg.norm(estimate[:, 3:6], axis=1)),
+        "error_m": _numbers(history.error_m),
+        "nees": _numbers(history.nees, ".4g"),
         "modes": [printable(name) for name in modes],
         "colors": [f"light-dark({hex_of(a)}, {hex_of(b)})" for a, b in zip(*themes, strict=True)],
-        "mode": history.modes[rows].tolist(),
+        "mode": history.modes.tolist(),
         "weighed": weighed,
         "fate": ["".join(column) for column in letters.T],
     }
 
 
-def _numbers(values: Array, digits: str = ".4g") -> list[float | None]:
+def _numbers(values: Array, digits: str = ".2f") -> list[float | None]:
     """Round numbers; replace NaN and infinite numbers by None."""
     return [float(f"{v:{digits}}") if np.isfinite(v) else None for v in values]
