@@ -1,15 +1,14 @@
 """mmwave-loc list: names that options and arguments accept, each with a description."""
 
 import inspect
-import sys
-import textwrap
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
+
+if TYPE_CHECKING:
+    from mmwave_env.models.scene import Scene
 
 Kind = Literal["all", "policies", "scenarios", "radios", "scenes", "modes", "samples", "rewards"]
 
@@ -32,7 +31,6 @@ class Args:
     has one, otherwise its recording"""
 
 
-COLUMN = 25  # column in which the descriptions of names begin
 POLICIES = {
     "speed-rule": "the paper's rule: EKF up to 2 m/s, UKF above",
     "likelihood-rule": "chooses the mode that explains the coming measurement best",
@@ -46,62 +44,82 @@ POLICIES = {
 }
 
 
-def policies(radio: str) -> dict[str, str]:
-    """Return the policies for a radio profile, with a description of each."""
+def main(args: Args) -> None:
+    """Run the command."""
+    from experiments.console.progress import say
+    from mmwave_env.models.radio import radio_from
+
+    if args.out is not None and args.copy is not None and args.what == "samples":
+        say(f"copied to {args.out}/: {_copied(args.out, args.copy)} files")
+        return
+    for name, value in (("out", args.out), ("copy", args.copy)):
+        if value is not None:
+            raise ValueError(f"{name}: found {value}, expected: list samples --copy NAME --out DIR")
+    radio_from(args.radio)  # refuses an unknown radio
+    for kind, names in _kinds(args.radio).items():
+        if args.what in (kind, "all"):
+            say(f"{kind}:", *(f"  {name:22} {meaning}" for name, meaning in names.items()))
+
+
+def _kinds(radio: str) -> dict[str, dict[str, str]]:
+    """Return the descriptions of all names, by kind and name; ``radio`` is a radio profile."""
     from experiments.evaluation.branches import CLAIRVOYANT
     from experiments.evaluation.contenders import contenders
-
-    return {
-        name: POLICIES.get(name, f"mode {name.removeprefix('fixed-')} in every epoch")
-        for name in (*contenders(radio), CLAIRVOYANT)
-    }
-
-
-def modes(radio: str) -> dict[str, str]:
-    """Return the modes tuned for a radio profile, with their differences from the defaults."""
+    from mmwave_env.datasets.samples import log_names, recording_from, sample_names
     from mmwave_env.filters.bank import as_written, named_modes
-
-    return {
-        name: ", ".join(f"{k} {v}" for k, v in as_written(mode).items() if k != "name")
-        for name, mode in named_modes(radio).items()
-    }
-
-
-def scenes() -> dict[str, str]:
-    """Return scenes with a description of each; x points east and y north."""
+    from mmwave_env.interface.reward import REWARDS
+    from mmwave_env.models.radio import RADIOS
     from mmwave_env.models.random_scene import RANDOM
     from mmwave_env.models.scene import SCENES
+    from mmwave_env.world.mobility import SCENARIOS
 
-    described = {}
-    for name, scene in SCENES.items():
-        x, y, z = base = scene.base_station_m
-        (west, east) = scene.streets.x_m
-        (south, north) = scene.streets.y_m
-        words = [
-            f"{len(scene.anchors_m)} anchors, {scene.carrier_hz / 1e9:g} GHz, "
-            f"{scene.bandwidth_hz / 1e6:g} MHz",
-            f"base station at ({x:g}, {y:g}, {z:g}) m",
-            f"streets x {west:g} to {east:g} m, y {south:g} to {north:g} m",
-            f"inside the walls: {' and '.join(wall.side_of(base) for wall in scene.walls)}",
-        ]
-        described[name] = "; ".join(words)
-    random = "a new scene in each episode: random blocks, base station and walls"
-    return described | {RANDOM: random}
-
-
-def samples() -> dict[str, str]:
-    """Return the samples that come with the package, and whether each is also a log."""
-    from mmwave_env.datasets.samples import log_names, recording_from, sample_names
-
-    logs = dict.fromkeys(log_names(), "; also as a log, for localize --sample")
+    policies = {}
+    for name in (*contenders(radio), CLAIRVOYANT):
+        fixed = f"mode {name.removeprefix('fixed-')} in every epoch"
+        policies[name] = POLICIES.get(name, fixed)
+    radios = {}
+    for name, profile in RADIOS.items():
+        base = f"{profile.gnb_elements} x {profile.gnb_elements} antennas at the base station"
+        radios[name] = f"{base}, {profile.ue_elements} x {profile.ue_elements} at the user"
+    modes = {}
+    for name, mode in named_modes(radio).items():
+        written = as_written(mode).items()
+        modes[name] = ", ".join(f"{key} {value}" for key, value in written if key != "name")
+    samples = {}
+    for name in sample_names():
+        log = "; also as a log, for localize --sample" if name in log_names() else ""
+        epochs = len(recording_from(name).time_s)
+        samples[name] = f"ray-traced street, {epochs} epochs, for --data{log}"
+    scenes = {name: _description(scene) for name, scene in SCENES.items()}
+    scenes[RANDOM] = "a new scene in each episode: random blocks, base station and walls"
+    rewards = {}
+    for name, reward in REWARDS.items():
+        rewards[name] = str(inspect.getdoc(reward)).partition("\n")[0]
     return {
-        name: f"ray-traced street, {len(recording_from(name).time_s)} epochs, for --data"
-        + logs.get(name, "")
-        for name in sample_names()
+        "policies": policies,
+        "scenarios": SCENARIOS,
+        "radios": radios,
+        "scenes": scenes,
+        "modes": modes,
+        "samples": samples,
+        "rewards": rewards,
     }
 
 
-def copied(out: Path, name: str) -> int:
+def _description(scene: "Scene") -> str:
+    """Describe a scene; x points east and y north."""
+    x, y, z = base = scene.base_station_m
+    west, east = scene.streets.x_m
+    south, north = scene.streets.y_m
+    return (
+        f"{len(scene.anchors_m)} anchors, {scene.carrier_hz / 1e9:g} GHz, "
+        f"{scene.bandwidth_hz / 1e6:g} MHz; base station at ({x:g}, {y:g}, {z:g}) m; "
+        f"streets x {west:g} to {east:g} m, y {south:g} to {north:g} m; "
+        f"inside the walls: {' and '.join(wall.side_of(base) for wall in scene.walls)}"
+    )
+
+
+def _copied(out: Path, name: str) -> int:
     """Copy the files of a sample; return the number of files.
 
     Raises:
@@ -120,47 +138,3 @@ def copied(out: Path, name: str) -> int:
     for new, file in files.items():
         write_bytes(new, file.read_bytes())
     return len(files)
-
-
-def main(args: Args) -> None:
-    """Run the command."""
-    from rich.console import Console
-
-    from experiments.console.progress import say
-    from mmwave_env.interface.reward import REWARDS
-    from mmwave_env.models.radio import RADIOS, radio_from
-    from mmwave_env.world.mobility import SCENARIOS
-
-    if args.out is not None and args.copy is not None and args.what == "samples":
-        say(f"copied to {args.out}/: {copied(args.out, args.copy)} files")
-        return
-    for name, value in (("out", args.out), ("copy", args.copy)):
-        if value is not None:
-            raise ValueError(f"{name}: found {value}, expected: list samples --copy NAME --out DIR")
-    radio_from(args.radio)  # refuses an unknown radio
-    kinds: dict[str, Callable[[], dict[str, str]]] = {
-        "policies": partial(policies, args.radio),
-        "scenarios": lambda: SCENARIOS,
-        "radios": lambda: {
-            name: f"{radio.gnb_elements} x {radio.gnb_elements} antennas at the base station, "
-            f"{radio.ue_elements} x {radio.ue_elements} at the user"
-            for name, radio in RADIOS.items()
-        },
-        "scenes": scenes,
-        "modes": partial(modes, args.radio),
-        "samples": samples,
-        "rewards": lambda: {
-            name: str(inspect.getdoc(kind)).partition("\n")[0] for name, kind in REWARDS.items()
-        },
-    }
-    terminal = Console()
-    fold = textwrap.TextWrapper(
-        terminal.width if terminal.is_terminal else sys.maxsize,
-        subsequent_indent=" " * COLUMN,
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
-    for kind, table in kinds.items():
-        if args.what in (kind, "all"):
-            lines = (f"  {name:{COLUMN - 3}} {meaning}" for name, meaning in table().items())
-            say(f"{kind}:", *(part for line in lines for part in fold.wrap(line)))
