@@ -1,6 +1,6 @@
 """Cached runs of modes on the episodes of a setting, and the tables that show their results."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, wraps
 from typing import NamedTuple
@@ -80,6 +80,10 @@ class Bench:
 
     def _draw(self, setting: Setting) -> list[Episode]:
         return draw_episodes(setting.source(), range(self.seed, self.seed + self.count))
+
+    def ates(self, modes: Iterable[Mode], setting: Setting) -> list[Array]:
+        """Return the ATE (episodes,) of the filtered track of each mode, m."""
+        return [self.run(mode, setting).filtered.scores["ate_m"] for mode in modes]
 
     def _run(self, mode: Mode, setting: Setting, planar: bool = False) -> TrackRun:
         """Filter and smooth every episode of a setting; if ``planar``, z and vz are known."""

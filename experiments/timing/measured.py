@@ -176,6 +176,8 @@ def kernels() -> dict[str, Operations]:
     }
     programs[STEP] = Engine(pipeline, 1, TrackingReward()).batch.program
     counted = {name: count(made.function, made.template) for name, made in programs.items()}
-    observed, _, moved = (count(part, drawn.world.template) for part in drawn.world.parts)
-    parts = zip(counted[STEP], observed, *[moved] * stride_of(drawn.dt), strict=True)
-    return counted | {STEP: Operations(*map(sum, parts))}
+    world = drawn.world
+    observe, _, move = world.parts
+    parts = [counted[STEP], count(observe, world.template)]
+    parts += [count(move, world.template)] * stride_of(drawn.dt)
+    return counted | {STEP: Operations(*map(sum, zip(*parts, strict=True)))}

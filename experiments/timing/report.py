@@ -28,7 +28,8 @@ def label(name: str) -> str:
     if name in LABELS:
         return LABELS[name]
     kind, n, *threads = name.split("_")  # such as native_64_1_thread
-    return ", ".join([kind, f"N = {n}", *[" ".join(threads)] * bool(threads)])
+    size = f"{kind}, N = {n}"
+    return f"{size}, {' '.join(threads)}" if threads else size
 
 
 def short(value: float) -> str:

@@ -74,11 +74,12 @@ def _chains(order: tuple[str, ...], chains: int) -> Any:
     """Compile steps on independent chains; steps of the same kind use the chains in turn."""
 
     def build(rows: Any) -> None:
-        factor, term, other, *x = (rows[row] for row in range(3 + chains))
+        others = [rows[row] for row in range(3)]  # factor, term, other
+        x = [rows[row] for row in range(3, 3 + chains)]
         taken = Counter[str]()
         for kind in order:
             chain = taken[kind] % chains
-            x[chain] = _STEPS[kind](x[chain], factor, term, other)
+            x[chain] = _STEPS[kind](x[chain], *others)
             taken[kind] += 1
         for row, value in enumerate(x, start=3):
             rows[row] = value
