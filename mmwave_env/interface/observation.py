@@ -153,12 +153,7 @@ class Observation:
 
         The value is as exact as single precision allows; zeros and counts are exact. For a value
         beyond a limit, the limit is returned.
-
-        Raises:
-            KeyError: no feature has that name; the message lists the names.
         """
-        if name not in self._index:
-            raise KeyError(f"feature {name!r}: expected one of {', '.join(self._index)}")
         i = self._index[name]
         shown = observation[..., i].astype(np.float32)
         (mean, deviation) = self.scales[i]

@@ -110,9 +110,7 @@ def test_a_process_whose_sources_change_stores_nothing(package):
 
 READ_ONLY = {  # name -> environment variables, number of files that are stored and loaded again
     "a writable home": ({}, 1),
-    "a cache folder set by a variable": ({"XDG_CACHE_HOME": "{tmp}/mine"}, 1),
     "no writable home": ({"HOME": "{tmp}/blocked"}, 0),
-    "the home of an unknown user": ({"HOME": "~nobody-at-all"}, 0),
     "no writable folder for numba": ({"NUMBA_CACHE_DIR": "{tmp}/blocked"}, 1),
 }
 
@@ -126,30 +124,6 @@ def test_a_read_only_package_works(package, tmp_path, case):
         block(path)
     assert [run(package, **variables) for _ in range(2)] == [(41, 0), (41, hits)]
     assert len(kept(package)) == hits
-    assert not list(tmp_path.rglob("~*"))
-
-
-def test_functions_are_stored_next_to_the_bytecode_or_in_the_folder_set_for_numba(
-    package, tmp_path
-):
-    elsewhere = tmp_path / "elsewhere"
-    for name in (None, str(elsewhere), "relative"):
-        assert run(package, NUMBA_CACHE_DIR=name) == (41, 0)
-    places = {path.parent.parent for path in kept(package)}
-    assert places == {package / "__pycache__", elsewhere, tmp_path / "relative"}
-
-
-VANISHING = """
-import shutil
-from mmwave_env.caller import function
-shutil.rmtree(function.stats.cache_path)
-print(function(20), function(2.0))
-"""
-
-
-def test_functions_are_compiled_again_if_their_folder_is_deleted(package):
-    assert finished(started(package, VANISHING)) == ["41", "5.0"]
-    assert not kept(package)
 
 
 FLIPS = """
@@ -186,20 +160,6 @@ def test_a_damaged_file_is_never_loaded(package):
     assert (entries, taken, values, hits) == ("3", "0", ["41", "5.0", "(1+4j)"], "0")
     assert int(checked) > 3000
     assert run(package) == (41, 1)
-
-
-def test_a_file_of_another_function_is_not_loaded(package):
-    run(package)
-    (whole,) = kept(package)
-    source = package / "caller.py"
-    source.write_text(source.read_text() + "@compiled\ndef other(x):\n    return x\n")
-    both = SCRIPT + "from mmwave_env.caller import other\nprint(other(7))"
-    assert finished(started(package, both))[-1] == "7"
-    new = [file for file in kept(package) if file.parent != whole.parent]
-    (wrong,) = [file for file in new if "other" in file.name]
-    (right,) = [file for file in new if file != wrong]
-    wrong.write_bytes(right.read_bytes())
-    assert finished(started(package, both)) == ["41", "1", "7"]
 
 
 def test_several_processes_can_start_simultaneously(package):
@@ -265,8 +225,6 @@ UNTRUSTED = {
     "a folder of another user": lambda file: given_away(file.parent),
     "a file of another user": given_away,
     "a folder the group may write to": lambda file: file.parent.chmod(0o770),
-    "a folder everyone may write to": lambda file: file.parent.chmod(0o707),
-    "a file the group may write to": lambda file: file.chmod(0o660),
     "a file everyone may write to": lambda file: file.chmod(0o606),
     "a link to a folder": lambda file: linked(file.parent),
     "a link to a file": linked,
@@ -287,21 +245,6 @@ def test_a_file_that_others_may_have_written_is_not_loaded(package, tmp_path, pl
     runs = [finished(started(package, script, NUMBA_CACHE_DIR=shared)) for _ in range(2)]
     assert not (tmp_path / "planted code ran").exists()
     assert runs == [["41", "0"], ["41", "1"]]
-
-
-@posix
-def test_a_folder_that_becomes_a_link_while_a_process_runs_is_not_used(package, tmp_path, planted):
-    exchanged = (
-        "from pathlib import Path\n"
-        "from mmwave_env.caller import function\n"
-        "folder = Path(function.stats.cache_path)\n"
-        "folder.symlink_to(folder.rename(folder.parent / 'aside'))\n"
-        "print(function(20), function._cache.has(function.signatures[0]))\n"
-    )
-    shared = str(planted.parent.parent)
-    out = finished(started(package, exchanged, NUMBA_CACHE_DIR=shared))
-    assert not (tmp_path / "planted code ran").exists()
-    assert out == ["41", "False"]
 
 
 @posix
@@ -327,13 +270,11 @@ def test_cleaning_deletes_only_unused_old_folders_of_the_same_user(package, tmp_
         (folder / "content").write_text("")
         os.utime(folder, (age + 1, age + 1))
     (shared / "mmwave_env-link").symlink_to(precious)
-    (shared / "mmwave_env-broken").symlink_to(tmp_path / "nothing")
     script = given_away(shared / "mmwave_env-1") + SCRIPT
     assert finished(started(package, script, NUMBA_CACHE_DIR=str(shared))) == ["41", "1"]
     left = {path.name for path in shared.iterdir()}
     assert {used.name, "mmwave_env-30", "mmwave_env-1"} < left
-    assert {"mmwave_env-link", "mmwave_env-broken"} < left
-    assert (shared / "mmwave_env-1" / "content").exists() and (precious / "content").exists()
+    assert "mmwave_env-link" in left and (precious / "content").exists()
     assert "mmwave_env-2" not in left and len(left) < 15
     assert run(package, NUMBA_CACHE_DIR=str(shared)) == (41, 1)
 

@@ -38,12 +38,6 @@ def test_a_compiled_function_is_used_for_any_amount_of_work(fresh):
     assert kinds(fresh(), 1) == ["compiled"]
 
 
-def test_each_type_of_argument_is_compiled_separately(fresh):
-    fresh().compiled(20)
-    other = fresh()
-    assert other.choice(1, 2.5) is other.plain
-
-
 def test_without_a_disk_cache_a_process_uses_what_it_has_compiled(fresh, monkeypatch):
     monkeypatch.setattr(disk_cache, "_folder", lambda: None)
     lazy = fresh()

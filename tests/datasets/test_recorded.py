@@ -150,16 +150,3 @@ def test_odometry_is_kept_and_its_noise_has_the_standard_deviation_sigma():
     assert episode.visible.shape == (50, 4)
     scores = residuals(episode, recording)[:, -2:] / episode.sigma[:, -2:]
     assert scores.std() == pytest.approx(1.0, rel=0.3)
-
-
-def test_values_of_rows_that_are_not_visible_have_no_effect():
-    hidden = ~shown(VEHICLE)
-    recording = replace(
-        VEHICLE,
-        measurement=np.where(hidden, np.nan, VEHICLE.measurement),
-        path_gain_db=np.where(VEHICLE.visible[:, :3], VEHICLE.path_gain_db, np.nan),
-    )
-    expected = TrackSource(VEHICLE, RADIO).sample(generator())
-    episode = TrackSource(recording, RADIO).sample(generator())
-    np.testing.assert_array_equal(episode.table(), expected.table())
-    np.testing.assert_array_equal(episode.sigma, expected.sigma)

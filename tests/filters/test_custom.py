@@ -13,7 +13,7 @@ from mmwave_env.filters.custom import AlgorithmError
 from mmwave_env.filters.linearization import SigmaPoints
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.filters.update import Posterior, ckf, ekf, ukf, update
+from mmwave_env.filters.update import ckf, ekf, ukf, update
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.layout import Layout
 from tests.filters.tracks import STREET
@@ -112,25 +112,6 @@ def test_the_message_shows_the_innermost_line_of_the_custom_code(algorithm):
     assert "maximum(a, b)" in message
 
 
-def misspelled(x, P, measurement, gate):
-    return ekf(x, P, measurement.numbers, gate)
-
-
-def only_floats(x, P, measurement, gate):
-    return ekf([v.real for v in x], P, measurement, gate)
-
-
-@pytest.mark.parametrize(
-    ("algorithm", "part"), [(misspelled, "numbers"), (only_floats, "mmwave_env.numerics.numbers")]
-)
-def test_an_attribute_error_becomes_a_refusal_that_shows_the_line(algorithm, part):
-    error = refusal(algorithm)
-    code = algorithm.__code__
-    assert part in str(error)
-    assert f'File "{code.co_filename}", line {code.co_firstlineno + 1}, in' in str(error)
-    assert isinstance(error.__cause__, AttributeError)
-
-
 def changed(**fields):
     """Return an EKF that applies the given functions to fields of its posterior."""
 
@@ -157,10 +138,7 @@ def too_few(x, P, gate):
 RETURNS = {
     nothing: "returned None",
     changed(x=tuple): "returned x: tuple of 7",
-    changed(x=lambda x: [None, *x[1:]]): "returned x[0]: None",
     changed(P=lambda P: [*P[:6], P[6][:2]]): "returned P[6]: list of 2",
-    changed(nis=lambda q: q[0]): "returned nis: a number",
-    changed(log_likelihood=lambda v: [v]): "returned log_likelihood: list of 1",
     flags: "returned accepted[0]: a condition",
     too_few: "takes 3 positional arguments",
 }
@@ -180,17 +158,8 @@ def widens_the_prior(x, P, measurement, gate):
     return ekf(x, P, measurement, gate)
 
 
-def doubts_the_noise(x, P, measurement, gate):
-    measurement.variance.append(1.0)
-    return ekf(x, P, measurement, gate)
-
-
-CHANGES = {"P": widens_the_prior, "measurement": doubts_the_noise}
-
-
-@pytest.mark.parametrize(("name", "algorithm"), CHANGES.items(), ids=CHANGES)
-def test_an_algorithm_that_changes_its_arguments_is_refused(name, algorithm):
-    assert f"changed its argument {name}" in str(refusal(algorithm))
+def test_an_algorithm_that_changes_its_arguments_is_refused():
+    assert "changed its argument P" in str(refusal(widens_the_prior))
 
 
 def test_making_an_environment_with_an_algorithm_that_cannot_run_is_refused(written):
@@ -214,15 +183,6 @@ def test_valid_algorithms_are_accepted_with_any_layout(layout, planar, ours, opt
         return ours(x, P, measurement, gate)
 
     Pipeline((Mode("own", own, **options),), layout, planar)
-
-
-def test_an_algorithm_that_ignores_groups_of_the_layout_is_refused():
-    def three_anchors(x, P, measurement, gate):
-        after = ekf(x, P, measurement, gate)
-        return Posterior(after.x, after.P, after.nis[:4], after.accepted[:4], after.log_likelihood)
-
-    Pipeline((Mode("own", three_anchors),), Layout(3))
-    assert "returned nis: list of 4" in str(refusal(three_anchors, Layout(5)))
 
 
 def test_equal_pipelines_share_one_trial():

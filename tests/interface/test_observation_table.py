@@ -9,7 +9,6 @@ from mmwave_env.filters.bank import modes_from
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import BELIEFS, Observation, feature_scales
 from mmwave_env.models.layout import Layout
-from tests.refusals import refuses
 
 PIPELINES = {
     "default": Pipeline(modes_from(None), Layout()),
@@ -78,9 +77,3 @@ def test_the_kinds_of_features_are_exactly_the_kinds_that_have_scales():
     tables = [Observation(PIPELINES["odometry"], "signed", beliefs) for beliefs in BELIEFS]
     kinds = {feature.kind for table in tables for feature in table.features}
     assert kinds == feature_scales().keys()
-
-
-def test_reading_an_unknown_feature_is_refused():
-    table = Observation(PIPELINES["default"], "prior")
-    with refuses("color", error=KeyError):
-        table.read(np.zeros((1, len(table)), np.float32), "color")

@@ -177,13 +177,10 @@ def branch(belief, truth):
     "own",
     [
         branch,
-        lambda belief, truth: math.sqrt(belief.nees(truth)),
         lambda belief, truth: np.sqrt(belief.nees(truth)),
         lambda belief, truth: None,
         lambda belief, truth: belief.distance(truth) > 1.0,
-        lambda belief, truth: {},
         lambda belief, truth: {"error": None},
-        lambda belief, truth: belief.speed,
     ],
 )
 def test_the_error_about_an_invalid_reward_function_names_its_file(own):

@@ -5,8 +5,6 @@ import json
 import os
 import socket
 import stat
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -15,7 +13,6 @@ from mmwave_env.io.files import (
     JSON_BYTES,
     JSON_DEPTH,
     atomic_path,
-    naming,
     open_regular,
     parse_json,
     read_bounded,
@@ -132,17 +129,6 @@ def test_writing_to_a_link_writes_the_file_that_it_points_to(tmp_path, exists):
     assert names(tmp_path) == ["a.json", "store"] and names(target.parent) == ["a.json"]
 
 
-@posix
-def test_the_error_about_a_pipe_shows_the_path_that_was_given():
-    code = (
-        "from pathlib import Path; from mmwave_env.io.files import write_text\n"
-        "try: write_text(Path('/dev/stdout'), 'x')\n"
-        "except OSError as error: print(error)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.stdout == "/dev/stdout: found a device, expected a file to write\n"
-
-
 # --- errors name the file that the user gave
 
 
@@ -158,15 +144,6 @@ def test_errors_never_name_a_temporary_file(tmp_path, monkeypatch):
     with pytest.raises(PermissionError) as error:
         require_writable(tmp_path / "a")
     assert error.value.filename == str(tmp_path / "a")
-
-
-def test_an_error_about_another_file_is_not_changed(tmp_path):
-    for context in (atomic_path, naming):
-        with pytest.raises(FileNotFoundError) as error, context(tmp_path / "a.json"):
-            Path("nowhere.csv").read_text()
-        assert error.value.filename == "nowhere.csv"
-        with refuses("b.csv", error=OSError), context(tmp_path / "a.json"):
-            raise OSError("b.csv: found nothing")
 
 
 # --- reading
@@ -212,13 +189,6 @@ def test_a_file_larger_than_the_limit_is_refused(tmp_path):
         file.truncate(JSON_BYTES + 1)
     with refuses(path, error=OSError):
         read_json(path, "a scene", dict)
-
-
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="no procfs")
-def test_the_limit_also_applies_to_files_that_report_no_size():
-    assert b"VmHWM" in read_bounded(Path("/proc/self/status"), 1 << 20)
-    with refuses("status", error=OSError):
-        read_bounded(Path("/proc/self/status"), 10)
 
 
 def test_text_is_read_as_utf8_with_or_without_a_byte_order_mark(tmp_path):

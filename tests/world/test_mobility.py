@@ -212,7 +212,6 @@ def test_a_custom_kind_of_user_stays_within_its_limits(path):
 @pytest.mark.parametrize(
     ("content", "field"),
     [
-        (with_phase(gaits=[{"low_mps": 3}]), "phases[0].gaits[0].high_mps"),
         (with_phase(gaits=[{"low_mps": 3, "high_mps": 2}]), "phases[0].gaits[0].high_mps"),
         (with_phase(duration_s=[10, 20]), "phases[0].duration_s"),
         (SCOOTER | {"ends_as_it_began": True}, "phases[0].duration_s"),

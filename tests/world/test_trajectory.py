@@ -70,10 +70,8 @@ def test_constant_acceleration_is_resampled_exactly(dt, steps, a, v):
         (straight(1), "way.csv"),
         (changed(2, 0, 1.0), "line 4: t"),
         (changed(3, 0, "nan"), "line 5, column t"),
-        (changed(1, 1, ""), "line 3, column x"),
         (changed(4, 0, 20.0), "line 6: t"),
         (changed(1, 1, 900.0), "line 3: speed since the row before"),
-        (straight(4) + [[4.0, 100.0]], "line 6"),
         ([[t, x, 20.0 + 3.0 * t, z] for t, x, _, z in straight()], "line 4: x, y, z"),
         ([[*row, 200.0 * row[0], 0.0, 0.0] for row in straight()], "line 3: vx, vy, vz"),
         ([[*row, 3.6 * 2.0, 0.0, 0.0] for row in straight()], "way.csv: vx, vy, vz"),  # km/h
@@ -89,16 +87,6 @@ def test_the_error_about_an_impossible_trajectory_names_the_place(tmp_path, rows
 def test_a_file_that_lacks_a_column_is_refused(tmp_path, header):
     with refuses("way.csv", "header"):
         read_trajectory(write(tmp_path, straight(), header))
-
-
-def test_the_error_about_a_wrong_array_names_the_row_or_the_array():
-    time_s = np.arange(5.0)
-    position = np.zeros((5, 3))
-    position[2, 1] = np.nan
-    with refuses("mine, row 3: x, y, z"):
-        Trajectory("mine", time_s, position)
-    with refuses("position_m of mine"):
-        Trajectory("mine", time_s, position[:4])
 
 
 def test_a_trajectory_of_a_user_who_never_moves_causes_a_warning():

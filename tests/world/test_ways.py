@@ -89,7 +89,6 @@ def test_all_ways_are_equally_likely_and_so_are_all_windows_of_a_way():
     [
         (lambda rows: rows[:-1] + ["3,,26,-80,1.5"], "line 5, column id"),
         (lambda rows: rows[:-1] + ["3,a,26,-80"], "line 5"),
-        (lambda rows: rows[:2], "a of"),
         (lambda rows: rows[:1], "ways.csv"),
         (lambda rows: rows + ["9,b,26,-80,1.5", "9,b,27,-80,1.5"], "line 7: t"),
     ],

@@ -55,10 +55,10 @@ def test_an_npz_file_is_preferred_to_an_npy_file(tmp_path):
         find_array(tmp_path, "power")
 
 
-def npy_header(shape, descr="<f4", claimed=None):
-    """Return the header of an .npy file; ``claimed`` replaces the stated length of the header."""
+def npy_header(shape, descr="<f4"):
+    """Return the header of an .npy file."""
     text = repr({"descr": descr, "fortran_order": False, "shape": shape}).encode() + b"\n"
-    return b"\x93NUMPY\x01\x00" + struct.pack("<H", claimed or len(text)) + text
+    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text
 
 
 def in_archive(content, name="delay.npy"):
@@ -80,14 +80,9 @@ def forged_size(content, size):
 BODY = bytes(4 * 12)
 FORGED = {
     "1e12 rows": (".npy", npy_header((10**12, 3)) + BODY),
-    "a negative number of rows": (".npy", npy_header((-4, -3)) + BODY),
     "one byte too few": (".npy", npy_header((4, 3)) + BODY[1:]),
-    "rows without columns": (".npy", npy_header((10**12, 0)) + BODY),
-    "a long header": (".npy", npy_header((4, 3), claimed=65535) + BODY),
-    "another version": (".npy", b"\x93NUMPY\x07\x00\x76\x00" + BODY),
     "code": (".npy", npy_header((4, 3), "__import__('os')") + BODY),
     "pickles": (".npy", npy_header((4, 3), "|O") + BODY * 2),
-    "records": (".npy", npy_header((4, 3), [("a", "<f4")]) + BODY),
     "1e12 rows, packed": (".npz", in_archive(npy_header((10**12, 3)) + BODY)),
     "4 GB claimed": (".npz", forged_size(npy_header((10**9 // 3, 3)) + BODY, 2**32 - 2)),
     "another name": (".npz", in_archive(b"", "../delay.npy")),
@@ -136,13 +131,3 @@ def test_only_the_chosen_rows_of_an_npy_file_are_loaded(tmp_path, monkeypatch):
     assert peak < SMALL
     with refuses(file, "delay"):
         read_array(file, "delay", ANY)
-
-
-def test_damage_outside_the_chosen_rows_of_an_archive_is_found(tmp_path):
-    file = tmp_path / "delay.npz"
-    np.savez(file, delay=np.ones((500, 9)))
-    content = bytearray(file.read_bytes())
-    content[-500] ^= 1  # within the last rows
-    file.write_bytes(content)
-    with refuses(file, "delay"):
-        read_array(file, "delay", ANY, np.array([0]))

@@ -144,7 +144,6 @@ def write(folder, file, content):
     (folder / file).write_bytes(content)
 
 
-OTHER = "t000_tx001_r001"  # link of a transmitter that the scenario does not have
 USER = (-45.0, -2.0, 1.5)  # first position of the user
 # name -> (function that damages a folder, its other arguments, file or part named in the refusal)
 DAMAGE = {
@@ -158,23 +157,16 @@ DAMAGE = {
     "dynamic scenario": (set_counts, [120, 7], "scene.num_scenes"),
     "no file of receivers": (drop, [f"rx_pos_{LINK}.npz"], "scenario"),
     "no delays": (drop, [f"delay_{LINK}.npz"], f"delay_{LINK}.npz"),
-    "an incomplete transmitter": (store, ["rx_pos", np.zeros((1, 3)), OTHER], f"inter_{OTHER}"),
-    "two positions of the transmitter": (edit, ["tx_pos", lambda a: np.tile(a, (2, 1))], "tx_pos"),
     "another key": (lambda f: np.savez(f / f"delay_{LINK}.npz", toa=load(f, "delay")), [], "delay"),
     "one path too few": (edit, ["aoa_az", lambda a: a[:, :3]], "aoa_az"),
-    "no paths": (lambda f: [edit(f, key, lambda a: a[:, :0]) for key in OF_PATHS], [], "inter"),
     "a receiver at NaN": (edit, ["rx_pos", set_at((3, 1), np.nan)], "rx_pos[3, 1]"),
     "delay missing on a path": (edit, ["delay", set_at((5, 0), np.nan)], "delay[5, 0]"),
     "bounce at the receiver": (edit, ["inter_pos", set_at((0, 1, 0), USER)], "inter_pos"),
     "no interactions stored": (edit, ["inter_pos", lambda a: a[:, :, :0]], "inter_pos[0, 1, 0]"),
     "no line of sight": (edit, ["inter", lambda a: np.where(a == 0.0, 11.0, a)], "inter"),
     "no trajectory": (drop, [TRUTH], TRUTH),
-    "an empty trajectory": (write, [TRUTH, b""], "header"),
     "other columns": (edit_line, [1, "t,x,y,z,vx,vy,w"], "header"),
     "one row too few": (edit_line, [50, None], "rows"),
-    "one value too few": (edit_line, [2, "0,-45,-2,1.5,10,0"], "line 2"),
-    "a word as velocity": (edit_line, [2, "0,-45,-2,1.5,fast,0,0"], "line 2, column vx"),
-    "time stands still": (edit_line, [3, "0,-44.00014,-2,1.5,10,0,0"], "line 3: t"),
     "a position elsewhere": (edit_line, [2, "0,-45,-3,1.5,10,0,0"], "line 2, columns x, y, z"),
 }
 

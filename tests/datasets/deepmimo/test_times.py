@@ -35,24 +35,6 @@ def test_an_impossible_time_between_epochs_is_refused(folder, dt_s):
         read_deepmimo(folder, dt_s=dt_s)
 
 
-@pytest.mark.parametrize(
-    ("cells", "factor", "place"),
-    [
-        (np.s_[10:, 1], 0.4, "line 12: speed"),
-        (np.s_[:, 0], 1e3, "line 3: t"),
-        (np.s_[:, 4:], 3.6, "vx, vy, vz"),
-    ],
-    ids=["a jump", "times in milliseconds", "velocities in km/h"],
-)
-def test_impossible_times_and_velocities_in_a_sidecar_are_refused(folder, cells, factor, place):
-    table = np.loadtxt(folder / TRUTH, delimiter=",", skiprows=1)
-    table[cells] *= factor
-    header = "t,x,y,z,vx,vy,vz"
-    np.savetxt(folder / TRUTH, table, "%.6f", delimiter=",", header=header, comments="")
-    with refuses(folder, place):
-        read_deepmimo(folder)
-
-
 def test_impossible_speeds_and_time_steps_are_refused_without_a_sidecar(folder):
     with refuses(folder, "row 2: t"):
         read_deepmimo(folder, dt_s=100.0)  # meant as 100 ms, but dt_s is in seconds
