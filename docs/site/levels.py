@@ -4,6 +4,7 @@
 """
 
 import warnings
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from experiments.console.tables import grid
 from experiments.evaluation.contenders import Contender
 from experiments.evaluation.intervals import bootstrap
-from experiments.evaluation.protocol import HARD, RECORDED, Site, sites
+from experiments.evaluation.protocol import HARD, KINDS, RECORDED, Site, sites
 from experiments.evaluation.runner import EpochResults, score_contenders
 from experiments.evaluation.seeds import Selection
 from mmwave_env.localization.levels import PARTS, Levels
@@ -27,13 +28,13 @@ DIRECTIONS = ("Horizontally", "Vertically")
 RISKS = (1e-3, 1e-2)
 
 
-def cells_at(site: Site) -> NDArray[np.str_]:
-    """Return the cells (risks, directions, 6) of a site's rows in the tables.
+def figures_at(site: Site) -> Array:
+    """Return figures (risks, directions, 2, 4) of a site, for each of the two policies.
 
-    Each of the two policies has three cells: the shares of epochs (%) in which errors exceed the
-    Gaussian and the calibrated level, and the ratio of the calibrated to the Gaussian level.
+    They are the shares of epochs (%) in which errors exceed the Gaussian and the calibrated level,
+    the upper end of the latter's interval, and the ratio of the calibrated to the Gaussian level.
     """
-    cells: list[list[list[list[str]]]] = [[[], []] for _ in RISKS]
+    figures: list[list[list[list[float]]]] = [[[], []] for _ in RISKS]
     source = site.source()
     few = site.kind in (RECORDED, HARD)
 
@@ -41,7 +42,7 @@ def cells_at(site: Site) -> NDArray[np.str_]:
         parts = [*(results[p] for p in PARTS), results.get("trusted")]
         counts = scored(len(time_s))
         error = np.stack([f(results["error"]) for f in (horizontal, vertical)], axis=-1)
-        for rows, risk in zip(cells, RISKS, strict=True):
+        for rows, risk in zip(figures, RISKS, strict=True):
             gaussian = gaussian_levels(results["P"], risk)
             factors = Levels(risk).factors(source.layout.anchors, contender.mixes, time_s, *parts)
             both = np.stack([gaussian, gaussian * factors])[:, :, counts]
@@ -49,22 +50,49 @@ def cells_at(site: Site) -> NDArray[np.str_]:
             width = np.median(both[1], axis=(0, 1)) / np.median(both[0], axis=(0, 1))
             for i, row in enumerate(rows):
                 promised, share = bootstrap(over.mean(axis=2)[..., i].T)
-                calibrated = f"{share.mean:.2f} (≤ {share.high:.2f})"
-                row.append([f"{promised.mean:.2f}", calibrated, f"{width[i]:.2f}"])
+                row.append([promised.mean, share.mean, share.high, width[i]])
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # modes are untuned for an unseen radio on purpose
         seeds = Selection(range(FEWER if few else EPISODES))
         score_contenders(POLICIES, source, site.radio, seeds, watch=[add], after=PARTS)
-    return np.reshape(cells, (len(RISKS), len(DIRECTIONS), -1))
+    return np.array(figures)
+
+
+def by_kind(kinds: NDArray[np.str_], figures: Array) -> str:
+    """Return a table, from figures (sites, 2, 4): the worst site of each kind, and all ratios."""
+    rows = []
+    for kind in KINDS:
+        row = [kind]
+        for one in figures[kinds == kind].swapaxes(0, 1):
+            promised, _, high, width = one.T
+            span = f"{width.min():.2f} to {width.max():.2f}"
+            row += [f"{promised.max():.2f}", f"{high.max():.2f}", span]
+        rows.append(row)
+    return grid(header("sites", "calibrated, at most"), rows)
+
+
+def by_site(names: Sequence[str], figures: Array) -> str:
+    """Return a table, from figures (sites, 2, 4), with a row for each site."""
+    rows = []
+    for name, of_site in zip(names, figures, strict=True):
+        row = [name]
+        for promised, share, high, width in of_site:
+            row += [f"{promised:.2f}", f"{share:.2f} (≤ {high:.2f})", f"{width:.2f}"]
+        rows.append(row)
+    return grid(header("site", "calibrated"), rows)
+
+
+def header(first: str, calibrated: str) -> list[str]:
+    """Return the headers of a table."""
+    return [first, *(f"{p}: {c}" for p in POLICIES for c in ("Gaussian", calibrated, "×"))]
 
 
 if __name__ == "__main__":
-    cells = np.stack([cells_at(site) for site in sites()], axis=2)
-    names = [site.name for site in sites()]
-    columns = ("Gaussian", "calibrated", "×")
-    header = ["site", *(f"{name}: {column}" for name in POLICIES for column in columns)]
-    for risk, directions in zip(RISKS, cells, strict=True):
-        for direction, rows in zip(DIRECTIONS, directions, strict=True):
-            lines = [[name, *row] for name, row in zip(names, rows, strict=True)]
-            print(f"{direction}, at a risk of {risk:g}:\n\n{grid(header, lines)}\n")
+    places = sites()
+    kinds = np.array([site.kind for site in places])
+    everything = np.stack([figures_at(site) for site in places], axis=2)
+    for risk, directions in zip(RISKS, everything, strict=True):
+        for direction, figures in zip(DIRECTIONS, directions, strict=True):
+            print(f"{direction}, at a risk of {risk:g}:\n\n{by_kind(kinds, figures)}\n")
+            print(f"{by_site([site.name for site in places], figures)}\n")
