@@ -7,7 +7,6 @@ from pathlib import Path
 from experiments.console.options import require_at_least
 
 TITLES = {
-    "sites": "Reward at each site minus the reward of the best IMM there (second column)",
     "scores": "Score at each site",
     "gains": "Mean gain over imm-best, and numbers of sites: above every IMM / level / below one",
     "leaderboard": "Mean score (100: the clairvoyant, 0: the paper's rule)",

@@ -26,9 +26,9 @@ class Args:
     """folder for tables.md, tables.csv and tables.png"""
     docs: Path | None = None
     """Markdown page to update: each table after a comment
-    `<!-- table: ... -->` is replaced, and a picture is
-    saved beside the page, under the same name with the
-    ending .png"""
+    `<!-- table: ... -->` is replaced, and all numbers and a
+    picture are saved beside the page, with the endings .csv
+    and .png"""
 
 
 SECTIONS = 19  # number of sections, for the progress bar
@@ -53,6 +53,7 @@ def main(args: Args) -> None:
     from experiments.figures.canvas import require_picture
     from experiments.paper.bench import Bench
     from experiments.paper.figure import draw
+    from experiments.paper.printed import page_tables
     from mmwave_env.io.files import require_writable, write_text
 
     figures = [args.out / "tables.png"] + ([args.docs.with_suffix(".png")] if args.docs else [])
@@ -69,8 +70,8 @@ def main(args: Args) -> None:
     write_text(args.out / "tables.md", text)
     write_text(args.out / "tables.csv", table.getvalue())
     if args.docs:
-        bodies = {title: section.body() for title, section in results.items()}
-        write_text(args.docs, renewed(page, bodies))
+        write_text(args.docs, renewed(page, page_tables(results)))
+        write_text(args.docs.with_suffix(".csv"), table.getvalue())
     try:
         for figure in figures:
             draw(results, figure)

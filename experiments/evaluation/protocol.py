@@ -202,7 +202,6 @@ def tables_of(entries: Sequence[Json], ceiling: Json) -> dict[str, str]:
     """Return all tables, by title, of entries in which :func:`add_scores` has set the scores."""
     ranked = ranking(entries)
     return {
-        "sites": by_site(entries),
         "scores": by_score(entries, ceiling),
         "gains": gains_by_kind(ranked),
         "leaderboard": scores_by_kind(ranked),
@@ -273,24 +272,6 @@ def gains_by_kind(ranked: Sequence[tuple[str, Json]]) -> str:
             cells.append(f"{Interval.of(content['mean_gain'][kind])}, {counts}")
         rows.append(cells)
     return grid(["entry", *KINDS], rows)
-
-
-def by_site(entries: Sequence[Json]) -> str:
-    """Return a Markdown table by site: every entry's reward minus the reward of the best IMM.
-
-    The best IMM is the one over which the entry with the most episodes gains least. Policy files
-    (such as single training seeds) and IMMs are left out if there are other entries.
-    """
-    names = {content["entry"]: content["sites"] for content in without_files(entries)}
-    policies = {name: at for name, at in names.items() if not name.startswith("imm")}
-    shown = policies if policies.keys() - {CLAIRVOYANT} else names
-    rows = []
-    for site in sites():
-        gains = [at[site.name]["minus"] for at in shown.values()]
-        longest = max(shown.values(), key=lambda at: at[site.name]["episodes"])[site.name]["minus"]
-        best = min(longest, key=lambda imm: longest[imm]["mean"])
-        rows.append([site.name, best, *(Interval.of(gain[best]) for gain in gains)])
-    return grid(["site", "best IMM", *shown], rows)
 
 
 def by_score(entries: Sequence[Json], ceiling: Json) -> str:

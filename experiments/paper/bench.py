@@ -144,7 +144,7 @@ class Section:
 
     def body(self) -> str:
         """Return the table and its note as Markdown."""
-        rows = [[_shown(cell) for cell in row] for row in self.rows]
+        rows = [[shown(cell) for cell in row] for row in self.rows]
         return f"{grid(self.columns, rows)}\n\n{self.note}"
 
     def markdown(self) -> str:
@@ -179,7 +179,8 @@ def section(
     return decorate
 
 
-def _shown(cell: Cell) -> str:
+def shown(cell: Cell) -> str:
+    """Return the text of a cell."""
     if isinstance(cell, Interval):
         return rounded(cell)
     return cell if isinstance(cell, str) else f"{cell:.3g}" if cell < 1e4 else f"{cell:.2e}"

@@ -1,14 +1,20 @@
-"""Tables I, II and III with the paper's printed values (arXiv 2510.06861) and our values."""
+"""Tables I, II and III with the paper's printed values (arXiv 2510.06861) and our values.
 
-from collections.abc import Iterator, Sequence
+docs/paper.md has short forms of all sections; verdicts.csv lists the rows of its last table.
+"""
+
+import csv
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from experiments.evaluation.intervals import bootstrap
+from experiments.console.tables import grid
+from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.runner import Scores
-from experiments.paper.bench import Bench, Row, Section, Setting, section
+from experiments.paper.bench import Bench, Row, Section, Setting, section, shown
 from mmwave_env.filters.modes import Mode, robust
 from mmwave_env.models.radio import TUNED_RADIOS
 
@@ -77,7 +83,8 @@ def _rows(bench: Bench, setting: Setting, printed: dict[str, Published]) -> Iter
 
 def tables_one_and_two(bench: Bench) -> Iterator[Section]:
     """Yield Table I and Table II, once for each radio profile."""
-    metrics = (f"{header}: paper | plain Q | coupled Q" for header in PRINTED.values())
+    forms = ("paper", "plain Q", "coupled Q")
+    metrics = (f"{metric}: {form}" for metric in PRINTED.values() for form in forms)
     header = " | ".join(["filter", *metrics])
     for number, scenario, printed in (
         ("I", "pedestrian", LOW_MOBILITY),
@@ -115,3 +122,43 @@ def table_three(bench: Bench) -> Iterator[Row]:
             smoothed = bench.run(setting.tuned(), setting).smoothed
             row += bootstrap(smoothed.scores["ate_m"][:, None])
         yield row
+
+
+def page_tables(sections: Mapping[str, Section]) -> dict[str, str]:
+    """Return the tables of docs/paper.md as Markdown, by title, from sections by title."""
+    with Path(__file__).with_name("verdicts.csv").open(encoding="utf-8") as file:
+        rows = [_span(wanted, sections[wanted["section"]]) for wanted in csv.DictReader(file)]
+    return {
+        "Table I": _beside("Table I: pedestrian", sections),
+        "Table II": _beside("Table II: vehicle", sections),
+        "Table III": sections["Table III"].body(),
+        "Claims": grid(["quantity", "paper", "ours, least", "ours, most"], rows),
+    }
+
+
+def _beside(title: str, sections: Mapping[str, Section]) -> str:
+    """Return the paper's rows of Table I or II, with our values for coupled process noise."""
+    rows = []
+    for same in zip(*(sections[f"{title}, {radio}"].rows for radio in TUNED_RADIOS), strict=True):
+        for column, metric in enumerate(PRINTED.values()):
+            if paper := same[0][1 + 3 * column]:
+                ours = (shown(row[3 + 3 * column]) for row in same)
+                rows.append([same[0][0], metric, shown(paper), *ours])
+    return grid(["filter", "figure", "paper", *TUNED_RADIOS], rows)
+
+
+def _span(wanted: Mapping[str, str], of: Section) -> list[str]:
+    """Return the least and the greatest value in some rows, each with the labels of its row."""
+
+    def value(row: Row) -> float:
+        cell = row[column]
+        return cell.mean if isinstance(cell, Interval) else float(cell)
+
+    column = of.columns.index(wanted["column"])
+    among = set(wanted["among"].split("; ")) - {""}
+    rows = sorted((row for row in of.rows if among <= {*row[: of.labels]}), key=value)
+    cells = [wanted["quantity"], wanted["paper"]]
+    for row in (rows[0], rows[-1]):
+        labels = [str(label) for label in row[: of.labels] if label not in among]
+        cells.append(shown(row[column]) + (f" ({', '.join(labels)})" if labels else ""))
+    return cells

@@ -34,7 +34,7 @@ def test_entries_are_ranked_and_a_page_is_updated(entries, tmp_path):
     page.write_text(
         "".join(
             f"<!-- table: {t} -->\n<!-- end -->\n"
-            for t in ("leaderboard", "gains", "scores", "sites")
+            for t in ("leaderboard", "gains", "scores")
         )
     )
     shown = succeed("leaderboard", "--out", entries, "--docs", page)
