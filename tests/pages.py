@@ -13,7 +13,7 @@ A comment above a block says what is done with the block:
 The output of a block is shown below it, between ``<!-- table: printed -->`` and ``<!-- end -->``.
 If text follows ``printed``, only the first table at or below a line that begins with this text is
 shown. If a file name precedes ``printed``, the file (written by the block) replaces the output.
-After the text, ``; rows: A, B`` and ``; columns: C, D`` keep only some rows and columns.
+After the text, ``; rows: A + B`` and ``; columns: C + D`` keep only some rows and columns.
 """
 
 import re
@@ -160,10 +160,10 @@ def cut(lines: list[str], rows: str | None, columns: str | None) -> list[str]:
     header = cells[0]
     body = cells[2:]
     if rows:
-        body = [row for row in body if row[0] in rows.split(", ")]
+        body = [row for row in body if row[0] in rows.split(" + ")]
     places = list(range(len(header)))
     if columns:
-        places = [header.index(name) for name in columns.split(", ")]
+        places = [header.index(name) for name in columns.split(" + ")]
     rest = [f"| {' | '.join(row[i] for i in places)} |" for row in (header, *body)]
     return [rest[0], "|" + "---|" * len(places), *rest[1:]]
 
