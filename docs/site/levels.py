@@ -64,8 +64,8 @@ def by_kind(kinds: NDArray[np.str_], figures: Array) -> str:
     rows = []
     for kind in KINDS:
         row = [kind]
-        for one in figures[kinds == kind].swapaxes(0, 1):
-            promised, _, high, width = one.T
+        for policy in figures[kinds == kind].swapaxes(0, 1):
+            promised, _, high, width = policy.T
             span = f"{width.min():.2f} to {width.max():.2f}"
             row += [f"{promised.max():.2f}", f"{high.max():.2f}", span]
         rows.append(row)
