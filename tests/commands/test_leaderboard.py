@@ -32,10 +32,7 @@ def entries(tmp_path_factory):
 def test_entries_are_ranked_and_a_page_is_updated(entries, tmp_path):
     page = tmp_path / "page.md"
     page.write_text(
-        "".join(
-            f"<!-- table: {t} -->\n<!-- end -->\n"
-            for t in ("leaderboard", "gains", "scores")
-        )
+        "".join(f"<!-- table: {t} -->\n<!-- end -->\n" for t in ("leaderboard", "gains", "scores"))
     )
     shown = succeed("leaderboard", "--out", entries, "--docs", page)
     best = "| imm-best (too few: 2 / 2) | "
