@@ -27,7 +27,7 @@ from mmwave_env.datasets.samples import sample_folder
 from mmwave_env.filters.bank import modes_from
 from mmwave_env.io.files import Json, require_writable, write_json, write_text
 from mmwave_env.io.lookup import as_name
-from mmwave_env.localization.association import Association, associate
+from mmwave_env.localization.association import associate
 from mmwave_env.localization.contradictions import contradictions
 from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.localizer import Track, localize
@@ -124,18 +124,17 @@ class Work(NamedTuple):
     choice: Choice
     log: Log
     truth: Truth | None
-    association: Association | None  # counts of associated paths
+    association: Json | None  # counts of associated paths
 
 
 def _work(args: LogArgs, files: Inputs, scene: Scene) -> Work:
     """Read the log and, if there is one, the ground truth; choose the modes."""
     association = None
     if args.associate:
-        association = Association(len(scene.anchors_m))
         paths = read_paths(files.log, scene, args.odometry)
         name = "handset" if args.radio == AUTO else args.radio
         fast = modes_from(args.modes, name)[-1]
-        log = associate(paths, scene, radio_from(name), fast, association)
+        log, association = associate(paths, scene, radio_from(name), fast)
     else:
         log = read_log(
             files.log, scene, args.odometry, partial=True, snr_db=args.snr,
@@ -245,7 +244,7 @@ def localized(args: LogArgs) -> None:
         "algorithm_1": args.imm is None and args.policy is None and is_algorithm_1(args),
         **track_statistics(track),
         "groups": groups,
-        **({"association": work.association.figures()} if work.association else {}),
+        **({"association": work.association} if work.association else {}),
         **scores,
         "contradictions": [d._asdict() for d in doubts],
         "written": {str(path): written[of] for path, of in outputs.items() if of in written},

@@ -57,21 +57,21 @@ class Check(NamedTuple):
 
 
 def contradictions(
-    block: Log, scene: Scene, radio: Radio, groups: Mapping[str, Mapping[str, Any]]
+    log: Log, scene: Scene, radio: Radio, groups: Mapping[str, Mapping[str, Any]]
 ) -> list[Contradiction]:
     """Return all contradictions between a log and its scene, its radio or physical limits.
 
-    ``block`` is the beginning of the log. ``groups`` maps the name of each group of measurements to
+    ``log`` is the beginning of the log. ``groups`` maps the name of each group of measurements to
     its statistics: ``seen`` (number of epochs with it), ``rejected_share`` (fraction of these
     epochs in which a gate rejected it) and ``nis_per_dof``. ``track_scores.Groups`` computes them.
     """
-    checks = chain(_likelihood_checks(block, scene, radio), _fit_checks(groups))
-    return impossible(block) + _failed(checks)
+    checks = chain(_likelihood_checks(log, scene, radio), _fit_checks(groups))
+    return impossible(log) + _failed(checks)
 
 
-def impossible(block: Log) -> list[Contradiction]:
+def impossible(log: Log) -> list[Contradiction]:
     """Return contradictions in time steps, ranges and angles that no receiver can measure."""
-    return _failed(_physical_checks(block))
+    return _failed(_physical_checks(log))
 
 
 def _failed(checks: Iterable[Check]) -> list[Contradiction]:
@@ -82,9 +82,9 @@ def _failed(checks: Iterable[Check]) -> list[Contradiction]:
     ]
 
 
-def _physical_checks(block: Log) -> Iterator[Check]:
+def _physical_checks(log: Log) -> Iterator[Check]:
     """Yield checks of values that can't be right in any scene."""
-    steps = np.diff(block.time_s)
+    steps = np.diff(log.time_s)
     if len(steps):
         usual = np.median(steps)
         expected = f"at most {GAP_S:g} s: is the unit right?"
@@ -92,8 +92,8 @@ def _physical_checks(block: Log) -> Iterator[Check]:
         shortest = steps.min()
         value = f"epochs {shortest:.3g} s apart"
         yield Check("time", shortest, (STEP_S.least or 0.0, inf), value, STEP_S.expected)
-    visible = block.visible[:, : block.layout.anchors]
-    links = block.measurement[:, : block.layout.doppler].reshape(*visible.shape, 4)[visible]
+    visible = log.visible[:, : log.layout.anchors]
+    links = log.measurement[:, : log.layout.doppler].reshape(*visible.shape, 4)[visible]
     ranges, arrivals, elevations, departures = links.T
     ranges = ranges[ranges > 0.0]
     if len(ranges):
@@ -112,22 +112,22 @@ def _physical_checks(block: Log) -> Iterator[Check]:
             yield Check(group, middle, (0.0, limit), f"{sizes[-1]:.3g} {unit}", expected)
 
 
-def _likelihood_checks(block: Log, scene: Scene, radio: Radio) -> Iterator[Check]:
+def _likelihood_checks(log: Log, scene: Scene, radio: Radio) -> Iterator[Check]:
     """Yield checks of values that are possible but unlikely, such as odd SNRs."""
     low, high = SNR_LIMITS_DB
-    for anchor, column in enumerate(block.snr_db.T, start=1):
+    for anchor, column in enumerate(log.snr_db.T, start=1):
         snr = column[np.isfinite(column)]
         if len(snr):
             value = f"SNR of {snr.min():.3g} to {snr.max():.3g} dB"
             yield Check(f"anchor {anchor}", snr, (low, high), value, f"{low:g} to {high:g} dB")
-    elevation = block.measurement[block.visible[:, 0], 2]
+    elevation = log.measurement[log.visible[:, 0], 2]
     if len(elevation) >= _ENOUGH:
         above = np.mean(elevation > 0.0)
         most = 0.5 + 1.5 / np.sqrt(len(elevation))  # a half plus three standard errors
         value = f"a user above this anchor in {100.0 * above:.0f} % of epochs"
         expected = "a user below this anchor (with negative elevations)"
         yield Check("anchor 1", above, (0.0, most), value, expected)
-    slope, error = _range_per_doppler(block, scene, radio)
+    slope, error = _range_per_doppler(log, scene, radio)
     low, high = _SLOPE_LIMITS
     limits = (min(low, 1.0 - _SURE * error), max(high, 1.0 + _SURE * error))
     value = f"a range that grows by {slope:.3g} m where the shift predicts 1 m"
@@ -155,7 +155,7 @@ def _fit_checks(groups: Mapping[str, Mapping[str, Any]]) -> Iterator[Check]:
             yield Check(name, share, (0.0, REJECTED_LIMIT), value, "at most a third")
 
 
-def _range_per_doppler(block: Log, scene: Scene, radio: Radio) -> tuple[float, float]:
+def _range_per_doppler(log: Log, scene: Scene, radio: Radio) -> tuple[float, float]:
     """Return by how many meters the range grows where the Doppler shift predicts 1 m.
 
     Range and shift are those of anchor 1. Also return the standard error. The result is (1, inf) if
@@ -163,12 +163,12 @@ def _range_per_doppler(block: Log, scene: Scene, radio: Radio) -> tuple[float, f
     integrated shift. An offset of the oscillator makes ranges appear to grow with time; its prior,
     in ``radio``, limits the coefficient of time. Each window of 30 s has its own coefficients.
     """
-    direct = block.visible[:, 0] & block.visible[:, block.layout.anchors]
-    direct &= block.doppler_anchor == 0
-    time = block.time_s[direct]
-    z = block.measurement[direct]
-    rate = z[:, block.layout.doppler] / scene.hz_per_mps
-    sigma = radio.sigma(block.snr_db[direct], scene, block.layout)[:, 0]
+    direct = log.visible[:, 0] & log.visible[:, log.layout.anchors]
+    direct &= log.doppler_anchor == 0
+    time = log.time_s[direct]
+    z = log.measurement[direct]
+    rate = z[:, log.layout.doppler] / scene.hz_per_mps
+    sigma = radio.sigma(log.snr_db[direct], scene, log.layout)[:, 0]
     # windows without a long gap
     window = np.floor((time - time[:1]) / _WINDOW_S)
     edges = np.flatnonzero((np.diff(time) > _MOST_APART_S) | (np.diff(window) > 0.0)) + 1
@@ -190,12 +190,12 @@ def _range_per_doppler(block: Log, scene: Scene, radio: Radio) -> tuple[float, f
 def _products(time_s: Array, range_m: Array, rate: Array, sigma: float, radio: Radio) -> Array:
     """Return the products (2, 2) of the movement and the ranges in a window, divided by sigma^2.
 
-    The movement is the integral of ``rate``. A product is a sum over epochs; before, the parts
-    that are constant or grow with time are removed from both factors by a regression.
+    The movement is the integral of ``rate``. A product is a sum over epochs. The parts of its
+    factors that are constant or grow with time are removed first, by a regression.
     """
     time = time_s - time_s.mean()
     moved = np.cumsum(np.diff(time, prepend=time[0]) * 0.5 * (rate + np.roll(rate, 1)))
-    values = np.stack([moved - moved.mean(), range_m - range_m.mean()])
+    values: Array = np.stack([moved - moved.mean(), range_m - range_m.mean()])
     along = values @ time
     ridge = float(time @ time) + (sigma / radio.prior_bias_mps) ** 2
     return (values @ values.T - np.outer(along, along) / ridge) / sigma**2

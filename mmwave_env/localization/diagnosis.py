@@ -72,7 +72,7 @@ class Mistake(NamedTuple):
 class Reading(NamedTuple):
     """The epochs of a log, read as a hypothesis says: with certain mistakes undone."""
 
-    block: Log  # the epochs; angles need not be wrapped
+    log: Log  # the epochs; angles need not be wrapped
     # scene, radio: according to the hypothesis, the log was measured in this scene by this radio
     scene: Scene
     radio: Radio
@@ -113,26 +113,26 @@ class Finding(NamedTuple):
         return max(filter(None, anchors), key=lambda nis: abs(np.log(nis)), default=None)
 
 
-def _values(block: Log) -> Mask:
+def _values(log: Log) -> Mask:
     """Tell which values (T, rows) of a log were measured and belong to a visible group."""
-    visible = np.repeat(block.visible, block.layout.widths, axis=1)
-    return visible & np.isfinite(block.measurement)
+    visible = np.repeat(log.visible, log.layout.widths, axis=1)
+    return visible & np.isfinite(log.measurement)
 
 
 def _scaled(quantities: Sequence[slice], factor: float, offset: float = 0.0) -> Undo:
     """Return a function that scales values, given their rows, then adds an offset to them."""
 
     def undo(reading: Reading) -> Reading:
-        block = reading.block
-        z = block.measurement.copy()
-        sigma = block.sigma.copy()
+        log = reading.log
+        z = log.measurement.copy()
+        sigma = log.sigma.copy()
         count = 0
         for rows in quantities:
             z[:, rows] = offset + factor * z[:, rows]
             sigma[:, rows] *= abs(factor)
-            count += _values(block)[:, rows].sum()
+            count += _values(log)[:, rows].sum()
         return reading._replace(
-            block=replace(block, measurement=z, sigma=sigma),
+            log=replace(log, measurement=z, sigma=sigma),
             log_scale=reading.log_scale + float(count * np.log(abs(factor))),
         )
 
@@ -141,18 +141,18 @@ def _scaled(quantities: Sequence[slice], factor: float, offset: float = 0.0) -> 
 
 def _timed(factor: float, reading: Reading) -> Reading:
     """Multiply the times by a factor."""
-    return reading._replace(block=replace(reading.block, time_s=factor * reading.block.time_s))
+    return reading._replace(log=replace(reading.log, time_s=factor * reading.log.time_s))
 
 
 def _exchanged(quantity: slice, other: slice, reading: Reading) -> Reading:
     """Exchange two values of every link, given their rows."""
-    block = reading.block
-    right = np.arange(block.layout.size)
+    log = reading.log
+    right = np.arange(log.layout.size)
     rows = right.copy()
     rows[quantity] = right[other]
     rows[other] = right[quantity]
-    new = replace(block, measurement=block.measurement[:, rows], sigma=block.sigma[:, rows])
-    return reading._replace(block=new)
+    new = replace(log, measurement=log.measurement[:, rows], sigma=log.sigma[:, rows])
+    return reading._replace(log=new)
 
 
 def _anchors(order: Sequence[int], reading: Reading) -> Reading:
@@ -256,8 +256,8 @@ def _units(scene: Scene) -> Iterator[Mistake]:
 
 def _has_effect(reading: Reading, original: Reading) -> bool:
     """Tell whether a hypothesis changes any number that the filters read."""
-    new = reading.block
-    old = original.block
+    new = reading.log
+    old = original.log
     if reading.radio is not original.radio:
         return bool((_values(old) & np.isnan(old.sigma)).any())
     if reading.scene is not original.scene or (new.time_s != old.time_s).any():
@@ -265,7 +265,7 @@ def _has_effect(reading: Reading, original: Reading) -> bool:
     return not np.array_equal(new.measurement, old.measurement, equal_nan=True)
 
 
-def _start(block: Log) -> int:
+def _start(log: Log) -> int:
     """Return the index of the epoch at which the tracks begin.
 
     This is the first epoch with a link of the base station. In a partial layout, links may be
@@ -275,22 +275,22 @@ def _start(block: Log) -> int:
     Raises:
         ValueError: no epoch has a link of the base station, and the layout is not partial.
     """
-    if block.layout.partial:
-        count = _values(block)[:, : block.layout.doppler].sum(axis=1)
+    if log.layout.partial:
+        count = _values(log)[:, : log.layout.doppler].sum(axis=1)
         first = int(np.argmax(count > 0))
         begins = count == count[first : first + _SEARCHED_EPOCHS].max()
     else:
-        begins = block.visible[:, 0] & (block.measurement[:, 0] > 0.0)
+        begins = log.visible[:, 0] & (log.measurement[:, 0] > 0.0)
     if not begins.any():
-        raise ValueError(f"log: found no link of anchor 1 in {len(block)} epochs, expected one")
+        raise ValueError(f"log: found no link of anchor 1 in {len(log)} epochs, expected one")
     return int(np.argmax(begins))
 
 
-def diagnose(block: Log, scene: Scene, radio: Radio, mode: Mode) -> list[Finding]:
+def diagnose(log: Log, scene: Scene, radio: Radio, mode: Mode) -> list[Finding]:
     """Test which likely mistakes would explain the first epochs of a log.
 
     ``scene`` and ``radio`` may be wrong. The filter has the tuning and algorithm of ``mode``,
-    but not its safeguards, such as gates. The block must come from
+    but not its safeguards, such as gates. The log must come from
     :func:`~mmwave_env.logs.log.read_log` with ``limits=False`` and ``odometry=False``.
 
     Returns:
@@ -302,8 +302,8 @@ def diagnose(block: Log, scene: Scene, radio: Radio, mode: Mode) -> list[Finding
     Raises:
         ValueError: there is no link with which a track could begin.
     """
-    start = _start(block)
-    as_it_is = Reading(block.part(slice(start, start + DIAGNOSED_EPOCHS)), scene, radio)
+    start = _start(log)
+    as_it_is = Reading(log.part(slice(start, start + DIAGNOSED_EPOCHS)), scene, radio)
     single = [as_it_is.without(mistake) for mistake in mistakes(scene, radio)]
     single = [reading for reading in single if _has_effect(reading, as_it_is)]
     findings = _findings([as_it_is, *single], mode)
@@ -312,7 +312,7 @@ def diagnose(block: Log, scene: Scene, radio: Radio, mode: Mode) -> list[Finding
             first.without(*second.undone)
             for first, second in permutations(single, 2)
             # computing a first position from incomplete links takes too long for all pairs
-            if not block.layout.partial or first.radio is not radio
+            if not log.layout.partial or first.radio is not radio
         ]
         best = [f for f in _findings(double, mode) if not f.contradictions]
         findings = best[:1] + findings
@@ -325,14 +325,14 @@ def _findings(readings: Sequence[Reading], mode: Mode) -> list[Finding]:
     tracked = []
     episodes = []
     for reading in readings:
-        why = impossible(reading.block)
+        why = impossible(reading.log)
         if not why:
-            z = reading.block.measurement.copy()
-            wrap_angles(z, reading.block.layout)
-            block = replace(reading.block, measurement=z)
+            z = reading.log.measurement.copy()
+            wrap_angles(z, reading.log.layout)
+            log = replace(reading.log, measurement=z)
             try:
-                episodes.append(episode_from(block, reading.scene, reading.radio))
-                tracked.append(reading._replace(block=block))
+                episodes.append(episode_from(log, reading.scene, reading.radio))
+                tracked.append(reading._replace(log=log))
             except ValueError as error:
                 why = [Contradiction("track", f"none ({error})", "a track")]
         if why:
@@ -359,10 +359,10 @@ def _rank(finding: Finding) -> tuple[bool, float]:
 
 def _finding(reading: Reading, episode: Episode, nis: Array, likelihood: Array) -> Finding:
     """Return the finding on a reading with a track: NIS (T, groups) and log-likelihoods (T,)."""
-    block = reading.block
-    layout = block.layout
+    log = reading.log
+    layout = log.layout
     starts = [group.start for group in layout.groups]
-    dof = np.add.reduceat(_values(block), starts, axis=1, dtype=np.int64)
+    dof = np.add.reduceat(_values(log), starts, axis=1, dtype=np.int64)
     fits: Fits = {}
     groups = {}
     for g, name in enumerate(layout.group_names):
@@ -373,5 +373,5 @@ def _finding(reading: Reading, episode: Episode, nis: Array, likelihood: Array) 
     if not np.isfinite(likelihood).all():
         return reading.finding([Contradiction("track", "NaN or infinity", "numbers")], fits)
     clipped = np.maximum(nis - chdtri(np.maximum(dof, 1), _OUTLIER_QUANTILE), 0.0).sum()
-    mean = (float(likelihood.sum() + 0.5 * clipped) + reading.log_scale) / len(block)
-    return reading.finding(contradictions(block, reading.scene, reading.radio, groups), fits, mean)
+    mean = (float(likelihood.sum() + 0.5 * clipped) + reading.log_scale) / len(log)
+    return reading.finding(contradictions(log, reading.scene, reading.radio, groups), fits, mean)

@@ -13,7 +13,7 @@ _FEWEST = 20  # minimum number of second differences for a median
 _ROBUST = 1.4826 / np.sqrt(6.0)  # white noise: standard deviation / median |second difference|
 
 
-def nearest_radio(block: Log, scene: Scene) -> str:
+def nearest_radio(log: Log, scene: Scene) -> str:
     """Return the name of the shipped profile whose standard deviations best match a log.
 
     The standard deviation of a measurement (such as the range) is the median of the values that the
@@ -22,25 +22,25 @@ def nearest_radio(block: Log, scene: Scene) -> str:
     divided by each profile's; the best profile has the smallest mean square of the logarithms of
     these ratios. If no standard deviation can be computed, the result is "handset".
     """
-    measured = np.array([_deviation(block, row) for row in range(len(LINK))])
-    snr = block.snr_db[np.isfinite(block.snr_db)]
-    snr_db = np.full((1, block.layout.anchors), np.median(snr) if len(snr) else NEUTRAL_SNR_DB)
+    measured = np.array([_deviation(log, row) for row in range(len(LINK))])
+    snr = log.snr_db[np.isfinite(log.snr_db)]
+    snr_db = np.full((1, log.layout.anchors), np.median(snr) if len(snr) else NEUTRAL_SNR_DB)
     distances = {
-        name: np.nanmean(np.log(measured / radio.sigma(snr_db, scene, block.layout)[0, :4]) ** 2)
+        name: np.nanmean(np.log(measured / radio.sigma(snr_db, scene, log.layout)[0, :4]) ** 2)
         for name, radio in RADIOS.items()
         if np.isfinite(measured).any()
     }
     return min(distances, key=lambda name: distances[name], default="handset")
 
 
-def _deviation(block: Log, row: int) -> float:
+def _deviation(log: Log, row: int) -> float:
     """Return the standard deviation (m or rad) of ``LINK[row]``; NaN if values are too few."""
-    columns = slice(row, block.layout.doppler, len(LINK))
-    own = block.sigma[:, columns]
+    columns = slice(row, log.layout.doppler, len(LINK))
+    own = log.sigma[:, columns]
     if np.isfinite(own).any():
         return float(np.nanmedian(own))
-    links = block.visible[:, : block.layout.anchors]
-    values: Array = np.where(links, block.measurement[:, columns], np.nan)
+    links = log.visible[:, : log.layout.anchors]
+    values: Array = np.where(links, log.measurement[:, columns], np.nan)
     change = np.diff(values, axis=0)
     second = np.diff(wrap(change) if row else change, axis=0)
     second = second[np.isfinite(second)]

@@ -6,7 +6,7 @@ import pytest
 from mmwave_env.datasets.log_folder import read_log_folder
 from mmwave_env.filters.bank import default_modes
 from mmwave_env.interface.policy import Switching
-from mmwave_env.localization.association import Association, associate
+from mmwave_env.localization.association import associate
 from mmwave_env.localization.localizer import localize
 from mmwave_env.localization.segments import segments
 from mmwave_env.logs.log import PathEpoch, PathLog, read_log, read_paths
@@ -29,11 +29,10 @@ SCENE = Scene("canyon", (0.0, 3.0, 8.0), virtual_anchors_m=((0.0, 17.0, 8.0), (0
 LAYOUT = Layout(3)
 
 
-def associated(epochs, scene=SCENE, tally=None):
-    """Assign the paths of a log, or of these epochs, to anchors; return the resulting log."""
-    tally = tally or Association(len(scene.anchors_m))
+def associated(epochs, scene=SCENE):
+    """Assign the paths of a log, or of these epochs, to anchors; return the log and the counts."""
     paths = epochs if isinstance(epochs, PathLog) else PathLog(list(epochs), None)
-    return associate(paths, scene, RADIO, MODES[-1], tally)
+    return associate(paths, scene, RADIO, MODES[-1])
 
 
 def walk(anchors_seen, false_paths=0, seed=0, y_m=-2.0):
@@ -79,10 +78,9 @@ def ate(block, true):
 def test_a_shipped_log_without_anchor_numbers_gives_nearly_the_same_track(tmp_path, name):
     track = read_log_folder(LOGS / name)
     path = tmp_path / "log.csv"
-    tally = Association(3)
     episode = track.episode("standard", np.random.default_rng(0))
     hide_anchors(path, episode, false_paths=5, seed=1)
-    block = associated(read_paths(path, track.scene), track.scene, tally)
+    block, figures = associated(read_paths(path, track.scene), track.scene)
     true = read_log(LOGS / name / "log.csv", track.scene)
     ours = block.visible[:, :3]
     links = true.visible[:, :3]
@@ -90,7 +88,6 @@ def test_a_shipped_log_without_anchor_numbers_gives_nearly_the_same_track(tmp_pa
     assert not (ours & ~(links & same)).any()
     assert (ours & links).sum() > 0.98 * links.sum()
     assert ate(block, track) < 1.1 * ate(true, track)
-    figures = tally.figures()
     T = len(track)
     assert figures["paths"] == 5 * T + links.sum() and figures["starts"] == 1
     assert figures["associated"] == {f"anchor {a + 1}": ours[:, a].sum() for a in range(3)}
@@ -115,29 +112,28 @@ def test_angles_of_arrival_may_be_measured_at_the_base_station():
             z = np.stack([mirrored[rank][path] for path, rank in enumerate(order)])
             yield epoch._replace(measurement=z, at_station=True)
 
-    block = associated(seen_at_station())
-    usual = associated(walk([ALL] * 20))
+    block, _ = associated(seen_at_station())
+    usual, _ = associated(walk([ALL] * 20))
     assert seen_in(block) == seen_in(usual)
     np.testing.assert_allclose(block.measurement, usual.measurement, rtol=1e-9)
 
 
 def test_a_track_waits_for_the_line_of_sight_instead_of_starting_from_a_reflection():
     anchors_seen = [(1,)] * 3 + [ALL] * 20
-    block = associated(walk(anchors_seen, 2, seed=4))
+    block, _ = associated(walk(anchors_seen, 2, seed=4))
     assert seen_in(block) == [NONE] * 3 + [ALL] * 20
     assert np.flatnonzero(block.restarts).tolist() == [3]
 
 
 def test_a_track_that_started_from_a_reflection_gives_way_to_the_line_of_sight():
     anchors_seen = [(1,)] * 30 + [ALL] * 20
-    tally = Association(3)
     # The only path is from the station's image, 14 m to the north. The image is mistaken for the
     # station, so the track is 14 m too far south. Until other paths appear, nothing reveals this.
-    block = associated(walk(anchors_seen, seed=4, y_m=6.0), tally=tally)
+    block, figures = associated(walk(anchors_seen, seed=4, y_m=6.0))
     begins = np.flatnonzero(block.restarts).tolist()
     assert seen_in(block)[:20] == [(0,)] * 20 and begins[0] == 0
     assert len(begins) == 2 and 20 < begins[1] <= 30
-    assert seen_in(block)[30:] == anchors_seen[30:] and tally.figures()["starts"] == 2
+    assert seen_in(block)[30:] == anchors_seen[30:] and figures["starts"] == 2
     first, second = segments(block, SCENE, RADIO).parts
     assert first.start == 0 and second.stop - second.start >= 20
 
@@ -146,19 +142,16 @@ def test_a_track_that_started_from_a_reflection_gives_way_to_the_line_of_sight()
 def test_a_new_track_begins_after_a_gap(false_paths):
     gap = int(GAP_S) + 5
     anchors_seen = [ALL] * 10 + [NONE] * gap + [(0, 2)] * 10
-    tally = Association(3)
-    block = associated(walk(anchors_seen, false_paths, seed=2), tally=tally)
+    block, figures = associated(walk(anchors_seen, false_paths, seed=2))
     wrong = sum(set(a) - set(b) != set() for a, b in zip(seen_in(block), anchors_seen, strict=True))
     assert wrong <= (1 if false_paths else 0)
     assert seen_in(block)[-9:] == anchors_seen[-9:]
-    assert len(segments(block, SCENE, RADIO).parts) == tally.figures()["starts"] == 2
+    assert len(segments(block, SCENE, RADIO).parts) == figures["starts"] == 2
 
 
 def test_false_paths_alone_do_not_make_a_track():
-    tally = Association(3)
-    block = associated(walk([NONE] * 60, 5, seed=3), tally=tally)
+    block, figures = associated(walk([NONE] * 60, 5, seed=3))
     assert block.visible.sum() <= 5
-    figures = tally.figures()
     assert figures["without_track"]["epochs"] >= 55 and figures["paths"] == 300
 
 
@@ -167,7 +160,7 @@ def test_association_does_not_change_odometry(tmp_path):
     episode = source.sample(np.random.default_rng(1))
     path = tmp_path / "log.csv"
     hide_anchors(path, episode, false_paths=2)
-    block = associated(read_paths(path, SCENES["street"]), SCENES["street"])
+    block, _ = associated(read_paths(path, SCENES["street"]), SCENES["street"])
     shown = block.visible[:, -1]
     np.testing.assert_array_equal(shown, episode.usable[:, -1])
     np.testing.assert_array_equal(block.measurement[shown, 13:], episode.measurement[shown, 13:])
@@ -175,5 +168,5 @@ def test_association_does_not_change_odometry(tmp_path):
 
 def test_epochs_before_a_damaged_line_are_returned():
     damage = LogError("line 7")
-    log = associated(PathLog(list(walk([ALL] * 12)), damage))
+    log, _ = associated(PathLog(list(walk([ALL] * 12)), damage))
     assert len(log) == 12 and log.damage is damage
