@@ -201,6 +201,16 @@ def _scores(args: LogArgs, work: Work, track: Track) -> tuple[Json, ValueError |
     }, None
 
 
+def _write_track(args: LogArgs, files: Inputs, track: Track, scene: Scene) -> None:
+    """Write the files of --out; no file is written if the content of another can't be made."""
+    title = as_name(Path(files.log.name.removesuffix(".gz")).stem)
+    texts: dict[Path, str] = {}
+    for out in args.out:
+        texts |= track_texts(out, track, scene, title, args.risk)
+    for path, text in texts.items():
+        write_text(path, text)
+
+
 def localized(args: LogArgs) -> None:
     """Run ``mmwave-loc localize`` on a recorded log."""
     files = inputs(args)
@@ -217,12 +227,7 @@ def localized(args: LogArgs) -> None:
         require_writable(path)
     with progress("localizing") as report:
         track = _track(args, work, args.window if args.smoothing else None, report)
-    title = as_name(Path(files.log.name.removesuffix(".gz")).stem)
-    texts: dict[Path, str] = {}
-    for out in args.out:
-        texts |= track_texts(out, track, scene, title, args.risk)
-    for path, text in texts.items():
-        write_text(path, text)
+    _write_track(args, files, track, scene)
     scores, mismatch = _scores(args, work, track)
     error = track.damage or mismatch
     groups = group_statistics(track)

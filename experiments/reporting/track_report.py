@@ -73,8 +73,8 @@ def _course(figures: Json) -> list[str]:
             weight = _percent(f[key])
             lines.append(f"weight of the corrections in the {kind} track: {weight} on average")
     if "clock" in f:
-        keys = "range_bias_m", "deviation_m"
-        ahead, deviation = (f["clock"][key] / SPEED_OF_LIGHT * 1e9 for key in keys)
+        ahead = f["clock"]["range_bias_m"] / SPEED_OF_LIGHT * 1e9
+        deviation = f["clock"]["deviation_m"] / SPEED_OF_LIGHT * 1e9
         side = "behind" if ahead < 0.0 else "ahead"
         lines.append(f"in the end the user's clock is {abs(ahead):.1f} ± {deviation:.1f} ns {side}")
     fast = speed["epochs_above_design_limit"]
