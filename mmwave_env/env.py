@@ -354,9 +354,8 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
             return {"episode_name": episode.name, "nonfinite": episode.nonfinite}
         if key is None:
             key = self._stream.next(self.np_random, self.np_random_seed)
-        (name,) = engine.begin(task, np.array([key], np.uint64), _HERE)
-        engine.batch.advance()
-        engine.lead(_HERE)
+        (name,) = self._begin_keys(np.array([key], np.uint64), _HERE)
+        engine.advance(engine.io())
         return {"episode_name": name, "episode_key": np.uint64(key), "nonfinite": 0}
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
@@ -364,7 +363,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         if self._over:
             raise ResetNeeded("Call reset before step: there is no episode under way.")
         mode = self._take(action)
-        self._engine.batch.advance(self._io)
+        self._engine.advance(self._io)
         column = self._engine.column(0)
         info = step_info(column, self._info_rows, mode)
         rewards = np.array([column[self._engine.at.reward]])
@@ -398,7 +397,6 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         inputs = self._io.inputs[0, 0]
         if len(self._limits):
             inputs[1:] = numbers_in("action", action, self._limits)
-            (inputs[0],) = self._engine.choices()
             return 0
         # `contains` takes longer than the filters, so the usual actions are checked without it
         known = type(action) in _INTEGERS and 0 <= action < len(self.observation.actions)

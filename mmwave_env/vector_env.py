@@ -230,15 +230,14 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Observations, Index, 
             keys = self._streams.keys(places) if keys is None else keys
             for first in range(0, len(places), BEGUN):
                 now = slice(first, first + BEGUN)
-                names = engine.begin(task, keys[now], places[now], self._threads)
+                names = self._begin_keys(keys[now], places[now], self._threads)
                 infos["episode_name"][places[now]] = names
-            infos["episode_key"] = engine.keys.copy()
+            infos["episode_key"] = self._keys.copy()
         else:
             drawn = [task.draw(self._streams.generator(int(place))) for place in places]
             engine.batch.load(drawn, places)
             infos["episode_name"][places] = [episode.name for episode in drawn]
             infos["nonfinite"][places] = [episode.nonfinite for episode in drawn]
-        engine.lead(places)
         self._begin_tracks(places)
         self._names[places] = infos["episode_name"][places]
         self._over = self._over.copy()

@@ -41,7 +41,7 @@ ROOMS = {  # maximum tokens of a room; lines are free
     "mmwave_env": 7_830,
     "mmwave_env/compiler": 8_640,
     "mmwave_env/datasets": 10_820,
-    "mmwave_env/engines": 13_360,
+    "mmwave_env/engines": 12_490,
     "mmwave_env/filters": 17_770,
     "mmwave_env/interface": 8_100,
     "mmwave_env/io": 2_810,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import rows_of
 from mmwave_env.engines.batch import Batch
-from mmwave_env.engines.env_engine import Engine
+from mmwave_env.engines.engine import Engine
 from mmwave_env.interface.policy import Policy
 from mmwave_env.numerics.numbers import Array, Array32, Index
 from mmwave_env.world.episode import columns_of
@@ -105,7 +105,7 @@ class Clairvoyant(Policy):
         layout = engine.batch.layout
         if not np.isfinite(state.table[:, 0, columns_of(layout).truth]).all():
             raise ValueError(BLIND)
-        step_s = engine.steps_s(np.arange(len(state.length))).min()
+        step_s = engine.batch.steps_s(np.arange(len(state.length))).min()
         horizon = min(math.ceil(HORIZON_S / step_s - 1e-6), state.table.shape[1])
         self._branches = Branches(engine, horizon)
 

@@ -12,8 +12,7 @@ from experiments.evaluation.agents import NO_FILTERS, Estimator, in_one_line, re
 from experiments.evaluation.branches import Clairvoyant
 from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.seeds import Selection
-from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.imm_engine import run_imm
+from mmwave_env.engines.engine import Engine, run_imm
 from mmwave_env.filters.bank import Modes
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.correction import corrected_all

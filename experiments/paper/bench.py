@@ -11,8 +11,8 @@ from experiments.console.tables import grid
 from experiments.evaluation.intervals import Interval, rounded
 from experiments.evaluation.runner import Scores
 from experiments.evaluation.seeds import draw_episodes
-from mmwave_env.engines.replay import smooth
-from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.engines.engine import tracks_of
+from mmwave_env.engines.smoothing import smooth
 from mmwave_env.filters.bank import shipped_modes
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.modes import Mode
@@ -105,7 +105,7 @@ def track(mode: Mode, episodes: Sequence[Episode], planar: bool = False) -> Trac
 def _tracks(mode: Mode, episodes: Sequence[Episode], planar: bool) -> Sequence[Array]:
     """Return position errors (n, T, 3) and NEES (n, T) of the filter, then of the smoother."""
     pipeline = Pipeline((mode,), episodes[0].layout, planar)
-    tracker = Tracker(pipeline, len(episodes))
+    tracker = tracks_of(pipeline, len(episodes))
     tracker.load(episodes)
     run = tracker.run("x", "P", "x_predicted", "P_predicted", "error", "nees")
     x, P, x_predicted, P_predicted, error, nees = run.values()

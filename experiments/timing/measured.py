@@ -16,8 +16,8 @@ from experiments.timing.latency import LATENCIES, PERCENTILES, latency_us
 from experiments.timing.operations import Operations, count
 from experiments.timing.roofline import limit_s
 from mmwave_env.compiler.lanes import WIDTH
-from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.engines.engine import Engine
+from mmwave_env.engines.epoch import Asked, program_of, untuned
 from mmwave_env.filters.bank import named_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import TrackingReward
@@ -171,10 +171,10 @@ def kernels() -> dict[str, Operations]:
     drawn = workloads.source()
     layout = pipeline.layout
     modes = named_modes(workloads.RADIO)
-    programs: dict[str, Any] = {
-        name: Tracker(Pipeline((modes[name],), layout), 1).program for name in workloads.FILTERS
-    }
-    programs[STEP] = Engine(pipeline, 1, TrackingReward()).batch.program
+    programs: dict[str, Any] = {STEP: Engine(pipeline, 1, TrackingReward()).program}
+    for name in workloads.FILTERS:
+        alone = untuned(Pipeline((modes[name],), layout))
+        programs[name] = program_of(Asked(alone, predicted=True), ("filter", "decide"))
     counted = {name: count(made.function, made.template) for name, made in programs.items()}
     world = drawn.world
     observe, _, move = world.parts

@@ -16,7 +16,7 @@ import gymnasium as gym
 import numpy as np
 
 from experiments.evaluation.seeds import draw_episodes
-from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.engines.engine import tracks_of
 from mmwave_env.filters.bank import default_modes, named_modes
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.filterpy_reference import filterpy_pipeline
@@ -138,7 +138,7 @@ def stepped(n: int = 0, **options: Any) -> Laps:
 
 def tracks(mode: Mode, episodes: Sequence[Episode]) -> Laps:
     """Run a filter with its gates over complete episodes, again and again."""
-    tracker = Tracker(Pipeline((mode,), episodes[0].layout), len(episodes))
+    tracker = tracks_of(Pipeline((mode,), episodes[0].layout), len(episodes))
     tracker.load(episodes)
     while True:
         tracker.tune([mode.tuning])  # also puts the tracks back to their first epoch

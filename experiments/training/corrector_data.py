@@ -15,7 +15,7 @@ import numpy as np
 from experiments.training.hyperparameters import CorrectorHyperparameters
 from experiments.training.training_task import TrainingTask
 from mmwave_env.compiler.program import rows_of
-from mmwave_env.engines.env_engine import Engine
+from mmwave_env.engines.engine import Engine
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.correction import deviations_of

@@ -9,8 +9,8 @@ from experiments.evaluation.branches import Act, Branches
 from experiments.training.training_task import TrainingTask, require_environments
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import rows_of
-from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.track_engine import untuned
+from mmwave_env.engines.engine import Engine
+from mmwave_env.engines.epoch import untuned
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.layout import Layout
 from mmwave_env.numerics.numbers import Array, Array32, Index

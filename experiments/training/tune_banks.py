@@ -18,7 +18,7 @@ from experiments.console.progress import progress
 from experiments.evaluation.asked import source_of
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.seeds import draw_episodes
-from mmwave_env.engines.imm_engine import run_imm
+from mmwave_env.engines.engine import run_imm
 from mmwave_env.filters.bank import Bank, bank_as_written, default_modes
 from mmwave_env.filters.imm import DEFAULT_STAY
 from mmwave_env.filters.modes import Mode

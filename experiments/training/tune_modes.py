@@ -8,7 +8,7 @@ from scipy.optimize import minimize
 from scipy.special import chdtri
 
 from experiments.console.progress import tracked
-from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.engines.engine import tracks_of
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.metrics import scored
@@ -52,7 +52,7 @@ def likelihood(history: dict[str, Array], layout: Layout) -> Array:
 def objective_of(mode: Mode, episodes: Sequence[Episode]) -> Objective:
     """Return a function that maps a variant of ``mode`` to likelihoods (episodes,) of episodes."""
     layout = episodes[0].layout
-    tracker = Tracker(Pipeline((mode,), layout), len(episodes))
+    tracker = tracks_of(Pipeline((mode,), layout), len(episodes))
     tracker.load(episodes)
 
     def evaluate(tried: Mode) -> Array:

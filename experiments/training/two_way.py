@@ -24,8 +24,7 @@ from experiments.training.hyperparameters import (
 )
 from experiments.training.levels import PLACES
 from experiments.training.training_task import TrainingTask, banks_of, places_from
-from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.imm_engine import run_imm
+from mmwave_env.engines.engine import Engine, run_imm
 from mmwave_env.engines.smoothed_features import GATES, smoothed_features
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.mode_smoothing import smooth_modes

@@ -16,6 +16,7 @@ from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import (
     NO_ROWS,
     BatchState,
+    Feed,
     Program,
     Repeated,
     StepIO,
@@ -25,13 +26,14 @@ from mmwave_env.compiler.program import (
 )
 from mmwave_env.compiler.threads import spans
 from mmwave_env.models.layout import Layout
-from mmwave_env.numerics.numbers import Array, Index
+from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.numerics.pytree import flatten
 from mmwave_env.world.episode import Episode, EpisodeBatch, columns_of
 from mmwave_env.world.simulated import EpisodeStarts, SimulatedSource
 
 # Waking a thread takes as long as running 32 blocks, of eight environments each, for one epoch.
 BLOCKS_PER_THREAD = 64  # minimum number of blocks for each thread
+_NO_FEED = Feed.none()
 
 
 class Batch(Generic[Workspace]):
@@ -44,8 +46,6 @@ class Batch(Generic[Workspace]):
         input_rows: indices of the workspace's rows that receive an input in every epoch.
         on_floats: whether to run in plain Python instead of on SIMD lanes.
         threads: maximum number of threads in use; results do not depend on it.
-        ahead: number of epochs by which the filters are ahead of the belief that an action changes:
-            1 if actions are corrections, else 0.
 
     Attributes:
         at: workspace whose leaves are row indices; :meth:`read` and :meth:`write` take parts of it.
@@ -61,24 +61,18 @@ class Batch(Generic[Workspace]):
         input_rows: Index = NO_ROWS,
         on_floats: bool = False,
         threads: int = 1,
-        ahead: int = 0,
     ) -> None:
         self.program = program
         self.layout = layout
         self.n = n
-        self.ahead = ahead
         self.at = program.index
         blocks = -(-n // WIDTH)
         rows = blocks_of(program.start, n)
         self.state = BatchState.of(np.empty((n, 0, len(program.blank))), rows)
         self._input_rows = input_rows
-        self._run = None if on_floats else Repeated(run_blocks)
+        self.on_floats = on_floats
+        self._run = Repeated(run_blocks)
         self.parts = spans(blocks, max(1, min(threads, blocks // BLOCKS_PER_THREAD)))
-
-    @property
-    def completed(self) -> Index:
-        """Return the number of epochs (n,) for which each environment has received an action."""
-        return self.state.epoch - 1 - self.ahead
 
     def load(
         self,
@@ -182,21 +176,43 @@ class Batch(Generic[Workspace]):
         """Return buffers for this number of epochs: zeros as inputs, and arrays for outputs."""
         return StepIO.of(self.n, epochs, self._input_rows, output_rows, obs_rows)
 
-    def advance(self, io: StepIO | None = None, running: NDArray[np.bool_] | None = None) -> None:
+    def advance(
+        self,
+        io: StepIO,
+        running: Mask | None = None,
+        program: Program[Workspace] | None = None,
+        again: bool = False,
+    ) -> None:
         """Run the next epochs; past the end of an episode, epochs are blank (without measurements).
 
         Args:
-            io: inputs, outputs and observations; None for one epoch with zeros as inputs.
+            io: inputs, outputs and observations.
             running: (n,) False for environments to leave unchanged; None to run all.
+            program: another program with the same workspace; None for the batch's own.
+            again: whether the program works on the epoch that ran last, so that no epoch is loaded.
         """
-        io = self.io() if io is None else io
-        state = self.state if running is None else self.state._replace(running=running)
-        if self._run is None:
-            self.program.run_on_floats(state, io)
+        program = program or self.program
+        state = self.state
+        if running is not None:
+            state = state._replace(running=running)
+        if again:
+            nothing = np.zeros((2, self.n), np.int64)
+            state = state._replace(feed=_NO_FEED, length=nothing[0], epoch=nothing[1])
+        if self.on_floats:
+            program.run_on_floats(state, io)
             return
-        program = self.program.on_lanes(), self.program.blank, state, io
-        jobs = [(begin, end, *program) for begin, end in self.parts]
+        arguments = (program.on_lanes(), program.blank, state, io)
+        jobs = [(begin, end, *arguments) for begin, end in self.parts]
         self._run(len(state.rows) * io.outputs.shape[1], jobs)
+
+    def steps_s(self, places: Index) -> Array:
+        """Return the median time (n,) in seconds between the epochs of each current episode."""
+        state = self.state
+        dt = columns_of(self.layout).dt
+        if state.feed.run:
+            return np.full(len(places), state.feed.times[1:2].sum() or 1.0)
+        each = [state.table[place, 1 : state.length[place], dt] for place in places]
+        return np.array([np.median(steps) if len(steps) else 1.0 for steps in each])
 
     def span(self, tree: Any) -> Any:
         """Return the row of a leaf of ``at``, or the slice of the rows of a subtree."""

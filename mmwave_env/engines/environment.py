@@ -5,7 +5,6 @@ A copy computes exactly what the original would compute.
 
 from collections.abc import Callable
 from copy import deepcopy
-from functools import partial
 from math import fsum
 from typing import Any, Self
 
@@ -14,20 +13,22 @@ from gymnasium.error import ResetNeeded
 
 from mmwave_env.compiler.threads import portions, share
 from mmwave_env.engines.batch import Batch
-from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.imm_engine import run_imm
-from mmwave_env.engines.replay import Replay
+from mmwave_env.engines.engine import Engine, run_imm
+from mmwave_env.engines.smoothing import smoothed_again
 from mmwave_env.engines.tally import Tally
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.interface.actions import MODE, limits_of
+from mmwave_env.interface.actions import CORRECTION, MODE, limits_of
 from mmwave_env.interface.info import SMOOTHED_KEY, drawn_rows, reported
 from mmwave_env.interface.reward import term_names
+from mmwave_env.interface.signed import after_update
+from mmwave_env.io.lookup import choose
 from mmwave_env.metrics import INFO_KEYS, ate, scored
 from mmwave_env.models.scene import Streets
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.task import Task
 from mmwave_env.world.episode import EpisodeBatch
+from mmwave_env.world.keys import Keys
 
 # maximum numbers of episodes that a job replays (REPLAYED) or filters (FILTERED), to save memory
 REPLAYED = 8
@@ -59,10 +60,10 @@ class Baseline:
             places: indices of these environments.
             episodes: function that returns episodes, given the indices of their environments.
         """
-        if self._batch.ahead:
-            return
         task = self._task
-        planar = self._task.pipeline.planar
+        if task.action == CORRECTION:
+            return
+        planar = task.pipeline.planar
         missing = self._batch.state.length.max() - self._rewards.shape[1]
         self._rewards = np.pad(self._rewards, ((0, 0), (0, max(0, missing))))
 
@@ -86,16 +87,16 @@ class Baseline:
             places: (n,) indices of the environments whose rewards change.
         """
         batch = self._batch
-        if batch.ahead:
+        if self._task.action == CORRECTION:
             earned = batch.read(batch.at.reported.reward, np.float32)[places]
         else:
-            earned = self._rewards[places, batch.completed[places] - 1]
+            earned = self._rewards[places, batch.state.epoch[places] - 2]
         rewards[places] = rewards[places].astype(np.float32) - earned
 
     def rest(self, places: Index) -> Array:
         """Return the IMM's total reward (n,) in the remaining epochs of each environment."""
         tracks = self._batch.state
-        spans = zip(places, self._batch.completed[places], tracks.length[places], strict=True)
+        spans = zip(places, tracks.epoch[places] - 1, tracks.length[places], strict=True)
         return np.array([fsum(self._rewards[place, now:end]) for place, now, end in spans])
 
 
@@ -108,7 +109,6 @@ class Environment:
 
     _engine: Engine
     _baseline: Baseline | None
-    _replay: Replay | None
     _set_up: Callable[[], None]  # creates the attributes that are not copied
 
     def _take_task(self, task: Task, observation: str, smoothed: bool, n: int = 1) -> None:
@@ -135,12 +135,20 @@ class Environment:
         self.radio = task.radio
         self.reward = task.reward
         self.reward_terms = (*term_names(task.reward), "cost")
-        acts = task.action, task.base
-        self._engine = Engine(pipeline, n, task.reward, kind, task.bank, on_floats, threads, *acts)
+        corrections = task.action == CORRECTION
+        if corrections:
+            choose({"full": None}, kind, 'observation, with action="correction",')
+            kind = "signed"
+        bank = task.bank
+        self._engine = Engine(
+            pipeline, n, task.reward, kind, bank, on_floats, threads, task.action, base=task.base
+        )
+        if corrections:  # leave out the features that depend on the coming epoch
+            self._engine.show(after_update(pipeline, per_mode=True))
+        self._keys = np.zeros(n, np.uint64)  # of the episodes, if they have keys
         self.modes = pipeline.modes
         self.bank = task.bank
         self.observation = self._engine.observation
-        self._replay = Replay(task.pipeline, task.bank) if self._smoothing else None
         self._baseline = Baseline(task, self._engine.batch, threads) if task.baseline else None
 
     @property
@@ -165,7 +173,7 @@ class Environment:
         return self._engine.pipeline.belief(x, P)
 
     def _streets_of(self, place: int) -> Streets | None:
-        return self._task.streets_of(int(self._engine.keys[place]))
+        return self._task.streets_of(int(self._keys[place]))
 
     def _require_begun(self, call: str) -> None:
         if not self._begun:
@@ -173,31 +181,59 @@ class Environment:
 
     def _begin_baseline(self, places: Index) -> None:
         if self._baseline:
-            self._baseline.begin(places, partial(self._engine.episodes, self._task))
+            self._baseline.begin(places, self._episodes)
+
+    def _begin_keys(self, keys: Keys, places: Index, threads: int = 1) -> list[str]:
+        """Begin the episodes with given keys (n,) in some environments (n,); return their names.
+
+        Episodes are simulated while the environments step. If users follow given trajectories, or
+        if the engine runs in plain Python, complete episodes are drawn here instead, on at most
+        ``threads`` threads.
+        """
+        self._keys[places] = keys
+        source = self._task.simulated
+        batch = self._engine.batch
+        if batch.on_floats or not source.travels:
+            episodes = self._task.tables(keys, threads)
+            batch.load(episodes, places)
+            return episodes.names
+        starts = source.begin(keys)
+        if self._task.pipeline.planar:
+            starts = starts.on_flat_ground(source.layout)
+        batch.begin(source, starts, places)
+        return [source.names[kind] for kind in starts.kinds]
+
+    def _episodes(self, places: Index) -> EpisodeBatch:
+        """Return the complete current episodes of some environments (n,)."""
+        batch = self._engine.batch
+        if batch.state.feed.run:
+            return self._task.tables(self._keys[places])
+        return batch.episodes(places)
 
     def _begin_tracks(self, places: Index) -> None:
         """Start the baseline and the tally for episodes that just began in some environments."""
         self._begin_baseline(places)
         length = self._engine.batch.state.length[places]
-        self._tally.begin(places, self._engine.steps_s(places), length)
+        self._tally.begin(places, self._engine.batch.steps_s(places), length)
 
     def _metrics_of(self, ended: Index, threads: int = 1) -> dict[str, Array]:
         """Compute the final metrics of episodes that ended in some environments (k,)."""
-        epochs = self._engine.batch.completed[ended]
+        epochs = self._engine.batch.state.epoch[ended] - 1
         figures = self._tally.metrics(ended, epochs)
         metrics = {INFO_KEYS[name]: values for name, values in figures.items()}
-        if not self._replay:
+        if not self._smoothing:
             return metrics
         jobs = []
         for steps in set(epochs.tolist()):
             alike = np.flatnonzero(epochs == steps)
             jobs += [(alike[part], steps) for part in portions(len(alike), threads, REPLAYED)]
         smoothed = np.zeros(len(ended))
-        replay = self._replay
+        task = self._task
 
         def smooth(some: Index, steps: int) -> None:
-            episodes = self._engine.episodes(self._task, ended[some])
-            *_, errors = replay.run(episodes, self._tally.counts.modes[:steps, ended[some]].T)
+            episodes = self._episodes(ended[some])
+            actions = self._tally.counts.modes[:steps, ended[some]].T
+            *_, errors = smoothed_again(task.pipeline, task.bank, episodes, actions)
             smoothed[some] = ate(errors[:, scored(steps)])
 
         share(smooth, jobs, threads)
@@ -207,7 +243,7 @@ class Environment:
         """Add (worst reward - baseline) for each epoch that is missing because of an early end."""
         assert self._task.worst is not None
         batch = self._engine.batch
-        rewards[places] += self._task.worst * (batch.state.length - batch.completed)[places]
+        rewards[places] += self._task.worst * (batch.state.length - batch.state.epoch + 1)[places]
         if self._baseline:
             rewards[places] -= self._baseline.rest(places)
 
@@ -220,7 +256,7 @@ class Environment:
     def __getstate__(self) -> dict[str, Any]:
         """Return the attributes that a copy cannot create itself."""
         kept = {key: value for key, value in vars(self).items() if key not in self._remade}
-        return kept | {"tracks": self._engine.batch.state, "keys": self._engine.keys}
+        return kept | {"tracks": self._engine.batch.state, "keys": self._keys}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Continue exactly like the copied environment."""
@@ -228,8 +264,11 @@ class Environment:
         tracks = vars(self).pop("tracks")
         keys = vars(self).pop("keys")
         self._set_up_noting()
-        self._engine.keys = keys
-        self._engine.go_on(self._task, tracks)
+        self._keys = keys
+        if len(tracks.feed.kept):  # the address of compiled code differs between processes
+            feed = tracks.feed._replace(run=self._task.simulated.world.on_lanes())
+            tracks = tracks._replace(feed=feed)
+        self._engine.batch.state = tracks
         if self._begun:
             self._begin_baseline(np.arange(self._engine.batch.n))
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mmwave_env.engines.epoch_state import with_expected_spread
+from mmwave_env.engines.epoch import with_expected_spread
 from mmwave_env.filters.imm import begin
 from mmwave_env.filters.memory import initial_memory
 from mmwave_env.filters.pipeline import Pipeline

@@ -14,7 +14,7 @@ from mmwave_env.compiler.advance import advance
 from mmwave_env.compiler.disk_cache import LazyJit
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import PLAIN_BLOCK_EPOCHS, Repeated, StepIO, laid_out
-from mmwave_env.engines.env_engine import Engine
+from mmwave_env.engines.engine import Engine
 from mmwave_env.engines.tally import Tally, count, exceeds
 from mmwave_env.interface.info import COST_KEY, FLAGS, STATE_KEYS, info_rows, mask_keys, reported
 from mmwave_env.numerics.numbers import Array, Index, Mask
@@ -94,10 +94,8 @@ class Stepper:
         io = self._io
         n = len(actions)
         features = len(io.obs_rows)
-        chosen = actions
         if numbers is not None:
             io.inputs[:, 0, 1:] = numbers
-            chosen = self._engine.choices()
         ends = np.zeros((2, n), np.bool_)
         flags = np.empty((2, n, self._groups), np.bool_)
         observations = np.empty((n, 1, features), np.float32)
@@ -110,10 +108,10 @@ class Stepper:
         io = StepIO(io.input_rows, io.inputs, self._rows, outputs, io.obs_rows, observations)
         self._io = io
         program = (batch.program.on_lanes(), batch.program.blank)
-        recorded = self._tally.counts, batch.ahead
-        arguments = (*program, batch.state, io, self._read, chosen, result, *recorded)
+        arguments = (*program, batch.state, io, self._read, actions, result, self._tally.counts)
         jobs = [(begin, end, *arguments) for begin, end in batch.parts]
         ended = sum(self._run(len(batch.state.rows), jobs))
+        self._engine.trust(io)
         if not self._info_keys:
             return result, ended, {}
         infos: Infos = {key: outputs[self._columns[key]] for key in self._info_keys}
@@ -150,12 +148,9 @@ class Stepper:
 
 @register_jitable  # type: ignore[untyped-decorator]
 def _step_blocks(  # type: ignore[no-untyped-def]
-    begin, end, run, blank, state, io, columns, actions, result, counts, ahead
+    begin, end, run, blank, state, io, columns, actions, result, counts
 ):
-    """Step the environments of blocks ``begin`` to ``end`` - 1; return how many episodes ended.
-
-    ``ahead`` is the same as in :class:`Batch`.
-    """
+    """Step the environments of blocks ``begin`` to ``end`` - 1; return how many episodes ended."""
     first = begin * WIDTH
     last = min(end * WIDTH, len(actions))
     inputs = io.inputs
@@ -174,7 +169,7 @@ def _step_blocks(  # type: ignore[no-untyped-def]
         x = outputs[e, 0, i]
         y = outputs[e, 0, i + 1]
         z = outputs[e, 0, i + 2]
-        k = epoch[e] - 2 - ahead  # the epoch that the action completed
+        k = epoch[e] - 2  # the epoch that the action completed
         if k >= 0:
             count(counts, e, k, x, y, z, outputs[e, 0, columns.nees])
             if k < len(counts.modes):
@@ -187,7 +182,7 @@ def _step_blocks(  # type: ignore[no-untyped-def]
         for g in range(accepted.shape[1]):
             accepted[e, g] = outputs[e, 0, columns.accepted + g] > 0.5
             rejected[e, g] = outputs[e, 0, columns.rejected + g] > 0.5
-        truncated[e] = epoch[e] > length[e] + ahead
+        truncated[e] = epoch[e] > length[e]
         ended += truncated[e]
     return ended
 

@@ -31,21 +31,21 @@ INFOS = {
 
 def reported(at: Any) -> Any:
     """Return the epoch to report: ``at.reported`` if actions correct beliefs, else ``at``."""
-    return getattr(at, "reported", ()) or at
+    return at.reported or at
 
 
 def info_rows(at: Any) -> dict[str, Any]:
     """Return the rows of a workspace that contain the values of infos, except mode and cost.
 
     Args:
-        at: state of :mod:`~mmwave_env.engines.environment_epoch` with row numbers in all fields.
+        at: state of :mod:`~mmwave_env.engines.epoch` with row numbers in all fields.
     """
     of = reported(at)
     memory = of.memory
     rows = {"position_error_m": at.distance, "nees": at.nees}
     rows |= {key: getattr(memory, key) for key in ("nis", *FLAGS, "gamma")}
     rows |= {"truth": of.truth, "estimate": of.x, TERMS_KEY: at.reward_terms}
-    if hasattr(at, PROBABILITIES):
+    if at.mode_probabilities:
         rows[PROBABILITIES] = of.mode_probabilities
     return rows
 

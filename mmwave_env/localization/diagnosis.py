@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri
 
-from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.engines.engine import tracks_of
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.localization.contradictions import Contradiction, contradictions, impossible
@@ -341,7 +341,7 @@ def _findings(readings: Sequence[Reading], mode: Mode) -> list[Finding]:
         mode = replace(
             mode, gate=None, recovery=None, adaptive=False, robust=False, blockage_aware=False
         )
-        tracker = Tracker(Pipeline((mode,), episodes[0].layout), len(episodes))
+        tracker = tracks_of(Pipeline((mode,), episodes[0].layout), len(episodes))
         tracker.load(episodes)
         results = tracker.run("memory.nis", "log_likelihood").values()
         findings += map(_finding, tracked, episodes, *results)

@@ -10,14 +10,12 @@ a *two-way corrector* may correct the smoothed track.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
-from mmwave_env.engines.imm_engine import ImmTracker
-from mmwave_env.engines.replay import smooth
+from mmwave_env.engines.engine import Engine, tracks_of
 from mmwave_env.engines.smoothed_features import smoothed_features
-from mmwave_env.engines.track_engine import EpisodeFilter, Tracker
+from mmwave_env.engines.smoothing import smooth
 from mmwave_env.filters.correction import corrected_all
 from mmwave_env.filters.mode_smoothing import smooth_modes
 from mmwave_env.filters.smoother import SMOOTHING_WINDOW
@@ -80,16 +78,14 @@ def parts_of(switching: Switching) -> tuple[str, ...]:
     return (*_FILTERED, "mixture") if switching.bank else (*_FILTERED, *_PREDICTED)
 
 
-def tracker_of(
-    switching: Switching, layout: Layout, planar: bool
-) -> EpisodeFilter[Any] | PolicyTracker:
+def tracker_of(switching: Switching, layout: Layout, planar: bool) -> Engine | PolicyTracker:
     """Return the engine that filters a single track."""
     pipeline = switching.pipeline(layout, planar)
     if switching.policy:
         return PolicyTracker(pipeline, switching)
     if switching.bank:
-        return ImmTracker(switching.bank, layout, 1, planar)
-    return Tracker(pipeline, 1, switching.rule)
+        return tracks_of(pipeline, 1, switching.bank, action="")
+    return tracks_of(pipeline, 1, rule=switching.rule)
 
 
 def localize(
@@ -166,7 +162,7 @@ def _filtered(
     scene: Scene,
     radio: Radio,
     switching: Switching,
-    tracker: EpisodeFilter[Any] | PolicyTracker,
+    tracker: Engine | PolicyTracker,
     height_m: float | None,
     levels: Levels,
     begins: bool,

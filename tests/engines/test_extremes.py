@@ -10,7 +10,7 @@ from typing import Annotated, get_args, get_origin
 import numpy as np
 import pytest
 
-from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.engines.engine import tracks_of
 from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.filters.bank import named_modes
 from mmwave_env.filters.pipeline import Pipeline
@@ -155,7 +155,7 @@ def test_beliefs_are_sound_if_one_or_two_quantities_are_at_the_ends_of_their_bou
     assert len(cases) > 400 * len(SEEDS)
     for change in CHANGES:
         mode = replace(named_modes()[name], **change)
-        tracker = Tracker(Pipeline((mode,), ordinary[0].layout), len(cases))
+        tracker = tracks_of(Pipeline((mode,), ordinary[0].layout), len(cases))
         tracker.load(list(cases.values()))
         good = sound(**tracker.run("x", "P"))
         assert [case for case, fine in zip(cases, good, strict=True) if not fine] == [], change

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from experiments.evaluation.seeds import draw_episodes
-from mmwave_env.engines.imm_engine import run_imm
+from mmwave_env.engines.engine import run_imm
 from mmwave_env.filters.bank import Bank, best_bank, default_modes
 from mmwave_env.filters.belief import Belief
 from mmwave_env.interface.reward import TrackingReward, terms_of, total

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.imm_engine import run_imm
+from mmwave_env.engines.engine import Engine, run_imm
 from mmwave_env.filters.bank import Bank, best_bank
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline

@@ -1,12 +1,13 @@
 """Tests of replays, which run finished episodes again and smooth them."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
-from mmwave_env.engines.replay import Replay, smooth
-from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.engines.engine import tracks_of
+from mmwave_env.engines.smoothing import smooth, smoothed_again
 from mmwave_env.filters.bank import Bank, default_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
@@ -32,7 +33,7 @@ def test_a_replay_repeats_the_results_of_the_engine(planar, bank):
     pipeline = Pipeline(bank.modes if bank else default_modes(), STREET, planar)
     actions = FAVORED if bank else ACTIONS
     played = track(pipeline, episodes, actions.T, T, ("error", "nees"), bank=bank)
-    error, nees, smoothed = Replay(pipeline, bank).run(EpisodeBatch.of(episodes), actions)
+    error, nees, smoothed = smoothed_again(pipeline, bank, EpisodeBatch.of(episodes), actions)
     np.testing.assert_allclose(error, played["error"].swapaxes(0, 1), rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(nees, played["nees"].swapaxes(0, 1), rtol=1e-9, atol=1e-9)
     np.testing.assert_array_equal(smoothed[:, -1], error[:, -1])
@@ -42,7 +43,7 @@ def test_a_replay_repeats_the_results_of_the_engine(planar, bank):
 
 def smoothed_errors(pipeline, episodes, actions=None):
     """Return the position errors (n, T, 3) of a tracker's smoothed tracks."""
-    tracker = Tracker(pipeline, len(episodes))
+    tracker = tracks_of(pipeline, len(episodes))
     tracker.load(episodes)
     parts = ("x", "P", "x_predicted", "P_predicted", "error")
     x, *more, error = tracker.run(*parts, actions=actions).values()
@@ -55,7 +56,7 @@ def smoothed_errors(pipeline, episodes, actions=None):
 def test_smoothed_errors_equal_the_errors_of_the_smoothed_track(planar):
     episodes = flat(simulated(N, epochs=T)) if planar else simulated(N, epochs=T)
     pipeline = Pipeline(default_modes(), STREET, planar)
-    _, _, smoothed = Replay(pipeline).run(EpisodeBatch.of(episodes), ACTIONS)
+    _, _, smoothed = smoothed_again(pipeline, None, EpisodeBatch.of(episodes), ACTIONS)
     expected = smoothed_errors(pipeline, episodes, ACTIONS)
     np.testing.assert_allclose(smoothed, expected, rtol=1e-9, atol=1e-9)
 
@@ -66,27 +67,27 @@ def test_two_equal_modes_with_their_own_beliefs_are_smoothed_as_a_single_filter(
     mode = Mode("a", "ukf", sigma_v=1.2)
     episodes = simulated(N, epochs=T)
     twins = Bank((mode, replace(mode, name="b")))
-    replay = Replay(Pipeline(twins.modes, STREET), twins)
-    _, _, smoothed = replay.run(EpisodeBatch.of(episodes), FAVORED)
+    pipeline = Pipeline(twins.modes, STREET)
+    _, _, smoothed = smoothed_again(pipeline, twins, EpisodeBatch.of(episodes), FAVORED)
     expected = smoothed_errors(Pipeline((mode,), STREET), episodes)
     np.testing.assert_allclose(smoothed, expected, rtol=1e-7, atol=1e-7)
 
 
 def test_a_replay_does_not_depend_on_the_other_episodes_or_their_order():
     episodes = simulated(N, epochs=T)
-    replay = Replay(Pipeline(default_modes(), STREET))
-    together = replay.run(EpisodeBatch.of(episodes), ACTIONS)
+    replay = partial(smoothed_again, Pipeline(default_modes(), STREET), None)
+    together = replay(EpisodeBatch.of(episodes), ACTIONS)
     for some in ([4], [10, 0, 7], [8, 9, 10, 1, 2, 3, 4, 5, 6]):
-        apart = replay.run(EpisodeBatch.of([episodes[i] for i in some]), ACTIONS[some])
+        apart = replay(EpisodeBatch.of([episodes[i] for i in some]), ACTIONS[some])
         for a, b in zip(apart, together, strict=True):
             np.testing.assert_array_equal(a, b[some])
 
 
 def test_an_episode_that_ends_early_is_smoothed_back_from_its_last_epoch():
     episodes = simulated(2, epochs=T)
-    replay = Replay(Pipeline(default_modes(), STREET))
-    whole, *_ = replay.run(EpisodeBatch.of(episodes), ACTIONS[:2])
-    error, nees, smoothed = replay.run(EpisodeBatch.of(episodes), ACTIONS[:2, :9])
+    replay = partial(smoothed_again, Pipeline(default_modes(), STREET), None)
+    whole, *_ = replay(EpisodeBatch.of(episodes), ACTIONS[:2])
+    error, nees, smoothed = replay(EpisodeBatch.of(episodes), ACTIONS[:2, :9])
     assert error.shape == smoothed.shape == (2, 9, 3) and nees.shape == (2, 9)
     np.testing.assert_array_equal(error, whole[:, :9])
     np.testing.assert_array_equal(smoothed[:, -1], error[:, -1])

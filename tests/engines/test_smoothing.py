@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
-from mmwave_env.engines.imm_engine import run_imm
-from mmwave_env.engines.replay import smooth
-from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.engines.engine import run_imm, tracks_of
+from mmwave_env.engines.smoothing import smooth
 from mmwave_env.filters import textbook
 from mmwave_env.filters.bank import best_bank
 from mmwave_env.interface.reward import TrackingReward
@@ -66,7 +65,7 @@ def tracks(planar, n=9, epochs=120):
     """Return random times (n, epochs), and the PARTS of an EKF's tracks at these times."""
     time_s = np.random.default_rng(0).uniform(0.2, 2.0, (n, epochs)).cumsum(axis=1)
     episodes = [replace(e, time_s=t) for e, t in zip(simulated(n, epochs), time_s, strict=True)]
-    tracker = Tracker(pipeline_of(algorithms=["ekf"], planar=planar), n)
+    tracker = tracks_of(pipeline_of(algorithms=["ekf"], planar=planar), n)
     tracker.load(episodes)
     return time_s, list(tracker.run(*PARTS).values())
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from experiments.evaluation.seeds import draw_episodes
-from mmwave_env.engines.env_engine import Engine
+from mmwave_env.engines.engine import Engine
 from mmwave_env.filters.bank import named_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.engines.engine import tracks_of
 from mmwave_env.filters.bank import default_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
@@ -20,12 +20,12 @@ def episodes():
 
 def test_a_tracker_can_be_retuned_after_it_was_built(episodes):
     other = Mode("other", "ukf", sigma_v=0.7, sigma_p=0.3, spread_gain=0.01, coupling=False)
-    tracker = Tracker(Pipeline((default_modes()[1],), STREET), N)
+    tracker = tracks_of(Pipeline((default_modes()[1],), STREET), N)
     tracker.load(episodes)
     as_built = tracker.run("x")["x"]
     tracker.tune([other.tuning])
     retuned = tracker.run("x")["x"]
-    fresh = Tracker(Pipeline((other,), STREET), N)
+    fresh = tracks_of(Pipeline((other,), STREET), N)
     fresh.load(episodes)
     np.testing.assert_array_equal(retuned, fresh.run("x")["x"])
     assert np.abs(retuned - as_built).max() > 0.1
@@ -40,7 +40,7 @@ def test_a_track_equals_the_track_of_the_engine_that_stops_at_every_epoch(
     # two tracks do not switch modes
     actions[0] = 0
     actions[1] = 1
-    tracker = Tracker(pipeline, n, on_floats=on_floats)
+    tracker = tracks_of(pipeline, n, on_floats=on_floats)
     tracker.load(episodes[:n])
     names = ("x", "P", "error", "nees", "memory.accepted", "memory.mode")
     ours = tracker.run(*names, actions=actions)

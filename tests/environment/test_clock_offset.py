@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from mmwave_env.datasets.samples import recording_from, sample_folder, source_from
-from mmwave_env.engines.imm_engine import run_imm
-from mmwave_env.engines.replay import smooth
+from mmwave_env.engines.engine import run_imm
+from mmwave_env.engines.smoothing import smooth
 from mmwave_env.filters import textbook
 from mmwave_env.filters.bank import Bank, best_bank, modes_from
 from mmwave_env.filters.mode_smoothing import smooth_modes

@@ -12,7 +12,7 @@ from gymnasium.error import InvalidAction, ResetNeeded
 from gymnasium.utils.env_checker import check_env
 
 import mmwave_env  # noqa: F401  registers the environment
-from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.engines.engine import tracks_of
 from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.filters.bank import modes_from
 from mmwave_env.filters.modes import Mode
@@ -310,7 +310,7 @@ def test_the_last_info_contains_the_metrics_of_the_episode(dt):
     assert set(expected) == END_KEYS
 
     episode = draw(2, dt=dt)
-    tracker = Tracker(Pipeline(modes_from(None), episode.layout), 1)
+    tracker = tracks_of(Pipeline(modes_from(None), episode.layout), 1)
     tracker.load([episode])
     track = tracker.run("x", "P", "P_predicted", actions=np.arange(200)[None] % 2)
     P = unpacked(track["P"][0])

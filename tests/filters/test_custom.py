@@ -8,7 +8,7 @@ from functools import partial
 import gymnasium as gym
 import pytest
 
-from mmwave_env.engines.env_engine import Engine
+from mmwave_env.engines.engine import Engine
 from mmwave_env.filters.custom import AlgorithmError
 from mmwave_env.filters.linearization import SigmaPoints
 from mmwave_env.filters.modes import Mode

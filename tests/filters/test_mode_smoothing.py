@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from mmwave_env.engines.imm_engine import run_imm
-from mmwave_env.engines.replay import smooth
+from mmwave_env.engines.engine import run_imm
+from mmwave_env.engines.smoothing import smooth
 from mmwave_env.filters.bank import Bank, default_modes
 from mmwave_env.filters.mode_smoothing import smooth_modes
 from mmwave_env.filters.pipeline import Pipeline

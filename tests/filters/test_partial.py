@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from mmwave_env.engines.imm_engine import run_imm
+from mmwave_env.engines.engine import run_imm
 from mmwave_env.filters.bank import best_bank
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline

@@ -6,8 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.engines.engine import Engine, tracks_of
 from mmwave_env.filters import textbook
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
@@ -167,7 +166,7 @@ def track(pipeline, episodes, actions, epochs, parts, on_floats=False, bank=None
             values.append(engine.read(attrgetter(name)(engine.at)))
     arrays = {name: np.array(values) for name, values in history.items()}
     if "P_predicted" in parts:
-        tracker = Tracker(pipeline, n, on_floats=on_floats)
+        tracker = tracks_of(pipeline, n, on_floats=on_floats)
         tracker.load(episodes)
         predicted = tracker.run("P_predicted", actions=actions.T)["P_predicted"]
         arrays["P_predicted"] = predicted.swapaxes(0, 1)

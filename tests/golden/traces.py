@@ -17,9 +17,8 @@ import mmwave_env
 from experiments.timing.operations import count
 from mmwave_env.datasets.samples import recording_from
 from mmwave_env.datasets.tracks import TrackSource
-from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.imm_engine import imm_program
-from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.engines.engine import Engine
+from mmwave_env.engines.epoch import Asked, program_of, untuned
 from mmwave_env.filters.bank import Bank, best_bank, default_modes, named_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import SMOOTHING_WINDOW
@@ -184,13 +183,15 @@ def operations() -> Iterator[Row]:
     bank = best_bank()
     both = Pipeline(default_modes(), source.layout)
     five = Pipeline(bank.modes, source.layout)
-    programs: dict[str, Any] = {
-        f"track {name}": Tracker(Pipeline((modes[name],), source.layout), 1).program
-        for name in ("ekf", "ukf", "ckf", "ekf-robust", "ukf-robust")
-    }
+    whole = ("filter", "decide", "score")
+    programs: dict[str, Any] = {}
+    for name in ("ekf", "ukf", "ckf", "ekf-robust", "ukf-robust"):
+        alone = untuned(Pipeline((modes[name],), source.layout))
+        programs[f"track {name}"] = program_of(Asked(alone, predicted=True), whole)
     programs["step, shared beliefs"] = Engine(both, 1, reward).batch.program
     programs["step, per-mode beliefs"] = Engine(five, 1, reward, bank=bank).batch.program
-    programs["IMM of five modes"] = imm_program(five, reward)
+    imm = Asked(untuned(five), True, reward=reward, action="", predicted=True)
+    programs["IMM of five modes"] = program_of(imm, whole)
     kernels = {name: (program.function, program.template) for name, program in programs.items()}
     for name, part in zip(("measured", "happens", "substep"), source.world.parts, strict=True):
         kernels[f"world: {name}"] = part, source.world.template
@@ -217,7 +218,7 @@ def _arrays(env: MmWaveLocVectorEnv) -> dict[str, Any]:
         "table": tracks.table,
         "length": tracks.length,
         "epoch": tracks.epoch,
-        "keys": env._engine.keys,
+        "keys": env._keys,
         "sums": counts.sums,
         "errors": counts.errors,
         "second": counts.second,

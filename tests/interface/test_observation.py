@@ -10,8 +10,8 @@ import pytest
 from scipy.stats import chi2
 
 import mmwave_env  # noqa: F401  registers the environment
-from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.epoch_state import with_expected_spread
+from mmwave_env.engines.engine import Engine
+from mmwave_env.engines.epoch import with_expected_spread
 from mmwave_env.filters.bank import modes_from
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmwave_env.engines.imm_engine import run_imm
+from mmwave_env.engines.engine import run_imm
 from mmwave_env.filters.bank import Bank, best_bank, default_modes
 from mmwave_env.filters.modes import robust
 from mmwave_env.filters.pipeline import Pipeline

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mmwave_env.engines.env_engine import Engine
+from mmwave_env.engines.engine import Engine
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.correction import corrected
 from mmwave_env.interface.policy import Switching

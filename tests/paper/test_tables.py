@@ -13,8 +13,8 @@ from experiments.evaluation.runner import score
 from experiments.paper.bench import Bench, Setting, track
 from experiments.paper.claims import contradictions, resolution
 from experiments.tables import FIELDS
-from mmwave_env.engines.replay import smooth
-from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.engines.engine import tracks_of
+from mmwave_env.engines.smoothing import smooth
 from mmwave_env.filters.bank import default_modes
 from mmwave_env.filters.pipeline import Pipeline
 from tests.cli import succeed
@@ -45,7 +45,7 @@ def test_smoothed_scores_equal_scores_computed_from_the_smoothed_track(bench, pl
     if planar:
         episodes = [episode.on_flat_ground(1.5) for episode in episodes]
     smoothed = track(mode, episodes, planar).smoothed
-    tracker = Tracker(Pipeline((mode,), episodes[0].layout, planar), len(episodes))
+    tracker = tracks_of(Pipeline((mode,), episodes[0].layout, planar), len(episodes))
     tracker.load(episodes)
     run = tracker.run("x", "P", "x_predicted", "P_predicted")
     x, P = smooth(*run.values(), np.diff(episodes[0].time_s), planar)

@@ -1,7 +1,7 @@
-"""Replays of finished episodes, and the smoothing of tracks.
+"""Smoothing of tracks, backwards in time (paper, Sec. III-F).
 
 An environment does not store its track. To smooth the track, the finished episode is run again with
-the modes that were chosen; then the track is smoothed backwards (paper, Sec. III-F).
+the modes that were chosen.
 """
 
 from functools import lru_cache
@@ -10,10 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.compiler.program import BatchState, Program, StepIO, blocks_of, fill, rows_of
-from mmwave_env.engines.imm_engine import imm_program
-from mmwave_env.engines.track_engine import program_of
-from mmwave_env.filters.bank import Bank, settings_of
+from mmwave_env.compiler.program import BatchState, Program, StepIO, blocks_of, rows_of
+from mmwave_env.engines.engine import tracks_of
+from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.pipeline import VERTICAL, Pipeline
 from mmwave_env.filters.smoother import (
     BackwardState,
@@ -22,64 +21,40 @@ from mmwave_env.filters.smoother import (
     smooth_epoch,
     track_end,
 )
-from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.layout import STATE_SIZE
 from mmwave_env.numerics.numbers import Array
-from mmwave_env.numerics.pytree import flatten
-from mmwave_env.world.episode import EpisodeBatch
+from mmwave_env.world.episode import EpisodeBatch, columns_of
 
 Actions = NDArray[np.integer[Any]]
 
-_KEPT = ("x", "P", "x_predicted", "P_predicted", "incoming.dt", "site.hz_per_mps", "error", "nees")
+_KEPT = ("x", "P", "x_predicted", "P_predicted", "error", "nees")
 
 
-class Replay:
-    """A replay of finished episodes of a pipeline.
+def smoothed_again(
+    pipeline: Pipeline, bank: Bank | None, episodes: EpisodeBatch, actions: Actions
+) -> tuple[Array, ...]:
+    """Run finished episodes again with the actions that were chosen, and smooth them.
+
+    The results for an episode do not depend on the other episodes, not even by rounding.
 
     Args:
         pipeline: modes and layout.
         bank: modes and transition probabilities, if every mode keeps its own belief; else None.
+        episodes: n episodes.
+        actions: (n, T) modes chosen in the first T epochs of each episode.
+
+    Returns:
+        Position errors (n, T, 3), m, and NEES (n, T) of the filtered tracks; position errors
+        (n, T, 3) of the smoothed tracks.
     """
-
-    def __init__(self, pipeline: Pipeline, bank: Bank | None = None) -> None:
-        self._program: Program[Any]
-        if bank:
-            self._program = imm_program(pipeline, TrackingReward(), acted=True)
-            tuned: Any = self._program.index.settings
-            numbers = flatten(settings_of(bank, pipeline.layout))
-        else:
-            self._program = program_of(pipeline)
-            tuned = self._program.index.tunings
-            numbers = flatten([mode.tuning for mode in pipeline.modes])
-        self._start = self._program.start.copy()
-        self._planar = pipeline.planar
-        self._start[rows_of(tuned)] = numbers
-
-    def run(self, episodes: EpisodeBatch, actions: Actions) -> tuple[Array, ...]:
-        """Run finished episodes again, and smooth them.
-
-        The results for an episode do not depend on the other episodes, not even by rounding.
-
-        Args:
-            episodes: n episodes.
-            actions: (n, T) modes chosen in the first T epochs of each episode.
-
-        Returns:
-            Position errors (n, T, 3), m, and NEES (n, T) of the filtered tracks; position errors
-            (n, T, 3) of the smoothed tracks.
-        """
-        program = self._program
-        index = self._program.index
-        (n, T) = actions.shape
-        io = StepIO.of(n, T, rows_of(index.action), program.rows(_KEPT))
-        io.inputs[..., 0] = actions
-        rows = fill(blocks_of(self._start, n), rows_of(index.site), episodes.site)
-        program.run_on_lanes(BatchState.of(episodes.table, rows), io)
-        parts = program.by_name(_KEPT, io.outputs).values()
-        x, P, x_predicted, P_predicted, dt, hz_per_mps, error, nees = parts
-        known = x_predicted, P_predicted, dt[:, 1:], self._planar, float(hz_per_mps[0, 0])
-        smoothed, _ = smooth(x, P, *known)
-        return error, nees, error + (smoothed - x)[..., :3]
+    n, T = actions.shape
+    engine = tracks_of(pipeline, n, bank)
+    engine.batch.load(episodes._replace(table=episodes.table[:, :T], length=np.full(n, T)))
+    x, P, x_predicted, P_predicted, error, nees = engine.run(*_KEPT, actions=actions).values()
+    dt = episodes.table[:, 1:T, columns_of(pipeline.layout).dt]
+    hz_per_mps = float(engine.read(engine.at.site.hz_per_mps)[0])
+    smoothed, _ = smooth(x, P, x_predicted, P_predicted, dt, pipeline.planar, hz_per_mps)
+    return error, nees, error + (smoothed - x)[..., :3]
 
 
 class SmoothingState(NamedTuple):

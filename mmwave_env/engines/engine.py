@@ -1,0 +1,328 @@
+"""The engine: N tracks that run the verbs of :mod:`mmwave_env.engines.epoch` together.
+
+The same engine serves everybody. Environments call :meth:`Engine.step`. Where a policy is asked in
+every epoch of a track, :meth:`Engine.filter`, :meth:`Engine.decide` and perhaps
+:meth:`Engine.correct` are called. Where all actions are known, or a rule or an IMM needs none,
+:meth:`Engine.run` filters all epochs in one call of compiled code.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmwave_env.compiler.program import NO_ROWS, Program, StepIO, rows_of
+from mmwave_env.engines.batch import Batch
+from mmwave_env.engines.epoch import Asked, EpochState, program_of, untuned
+from mmwave_env.filters.bank import Bank, settings_of
+from mmwave_env.filters.modes import Tuning
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.actions import CORRECTION, MODE
+from mmwave_env.interface.features import Feature
+from mmwave_env.interface.observation import Observation
+from mmwave_env.interface.policy import Policy, Rule, policy_from
+from mmwave_env.interface.reward import Reward
+from mmwave_env.numerics.numbers import Array, Array32, Index, Mask
+from mmwave_env.numerics.pytree import flatten
+from mmwave_env.task import Base
+from mmwave_env.world.episode import Episode, EpisodeBatch
+
+SCORED = {"error", "nees", "reward", "reward_terms", "distance"}  # parts from the verb "score"
+
+
+class Engine:
+    """N tracks of a pipeline.
+
+    Args:
+        pipeline: modes and layout.
+        n: number of tracks.
+        reward: function of (belief, truth); None to compute only errors and NEES.
+        observation: kind of observation: "full", "prior" or "signed"; "" if there is no policy.
+        bank: the pipeline's modes and their transition probabilities, if every mode keeps its own
+            belief; None if the modes share a belief.
+        on_floats: whether to run in plain Python, as filterpy requires, instead of on SIMD lanes.
+        threads: maximum number of threads in use; results do not depend on it.
+        action: kind of actions (:mod:`mmwave_env.interface.actions`); "" if an IMM gets none.
+        predicted: whether to keep beliefs before their updates, which smoothing needs.
+        rule: function that chooses modes that share a belief; None if actions choose them.
+        base: function that makes the agent that trusts modes while the environment's actions
+            correct beliefs, given the table of its observations; None if an IMM weighs the modes.
+
+    Attributes:
+        batch: states and episodes of the tracks.
+        observation: table of the observed features, if there are observations.
+        at, read, column, span: same as in ``batch``.
+    """
+
+    observation: Observation
+
+    def __init__(
+        self,
+        pipeline: Pipeline,
+        n: int,
+        reward: Reward | None = None,
+        observation: str = "full",
+        bank: Bank | None = None,
+        on_floats: bool = False,
+        threads: int = 1,
+        action: str = MODE,
+        predicted: bool = False,
+        rule: Rule | None = None,
+        base: Base | None = None,
+    ) -> None:
+        self.pipeline = pipeline
+        tuned = bank is not None or not observation
+        self._asked = Asked(
+            untuned(pipeline) if tuned else pipeline,
+            bank is not None, observation, reward, action, predicted, rule,
+        )  # fmt: skip
+        self._programs: dict[tuple[str, ...], Program[EpochState]] = {}
+        verbs = ["decide", "score", "filter"]  # of a step
+        if action == CORRECTION:
+            verbs = ["correct", "filter"]
+            if base is None:
+                verbs += ["decide", "refresh"]
+        self.program = self._program(*verbs)
+        at = self.program.index
+        inputs = rows_of([at.action, at.numbers if action != MODE else []])
+        self.batch = Batch(self.program, pipeline.layout, n, inputs, on_floats, threads)
+        self.at = at
+        self.read = self.batch.read
+        self.column = self.batch.column
+        self.span = self.batch.span
+        self._shown: Any = slice(None)
+        self.obs_rows = rows_of(at.observation)
+        if observation:
+            self.observation = Observation(pipeline, observation, "per-mode" if bank else "shared")
+        self._base = _base_from(base(self.observation)) if base else None
+        self._end_s = 0.0
+        if tuned:
+            self.tune(bank or [mode.tuning for mode in pipeline.modes])
+
+    def _program(self, *verbs: str) -> Program[EpochState]:
+        if verbs not in self._programs:
+            self._programs[verbs] = program_of(self._asked, verbs)
+        return self._programs[verbs]
+
+    def tune(self, tuning: Bank | Sequence[Tuning], places: Index | None = None) -> None:
+        """Set the modes' tunings in some tracks (n,), None for all, which start over.
+
+        Args:
+            tuning: a bank whose modes differ from the pipeline's only in their tuning; or, if the
+                modes share a belief and there are no observations, one :class:`Tuning` per mode.
+            places: indices of the tracks.
+        """
+        numbers: Any = list(tuning) if not isinstance(tuning, Bank) else tuning
+        if isinstance(tuning, Bank):
+            numbers = settings_of(tuning, self.pipeline.layout)
+        self.batch.write(self.at.settings, np.array(flatten(numbers), float), places)
+        self.batch.restart(places)
+
+    def show(self, features: Sequence[Feature]) -> None:
+        """Observe only these features of the table."""
+        names = self.observation.names
+        self.observation = self.observation.only(features)
+        self._shown = [names.index(name) for name in self.observation.names]
+        self.obs_rows = self.obs_rows[self._shown]
+
+    def load(self, episodes: Sequence[Episode], go_on: bool = False) -> None:
+        """Load N episodes, to be filtered from their priors.
+
+        Args:
+            episodes: one episode per track.
+            go_on: whether the episodes continue the tracks just filtered; priors are then ignored.
+
+        Raises:
+            ValueError: there are not N episodes, or their layout is not the pipeline's.
+        """
+        gap_s = None
+        if go_on:
+            gap_s = float(episodes[0].time_s[0]) - self._end_s
+        self.batch.load(episodes, gap_s=gap_s)
+        self._end_s = float(episodes[0].time_s[-1])
+
+    def load_epoch(self, incoming: Sequence[float], time_s: float) -> None:
+        """Load one more epoch of a single track; see :meth:`Batch.load_epoch`."""
+        self.batch.load_epoch(incoming, time_s - self._end_s)
+        self._end_s = time_s
+
+    def run(self, *names: str, actions: NDArray[np.integer[Any]] | None = None) -> dict[str, Array]:
+        """Filter the loaded episodes to their ends.
+
+        Args:
+            names: parts of the :class:`EpochState` to return, such as "x" or "memory.nis".
+            actions: (N, epochs) actions; None for zeros.
+
+        Returns:
+            For each name, an array: (N, epochs), or (N, epochs, k) if the part has k numbers.
+            Values past the end of an episode are meaningless.
+        """
+        verbs = ["filter", "decide"]
+        if SCORED & set(names):
+            verbs.append("score")
+        program = self._program(*verbs)
+        io = self.batch.io(int(self.batch.state.length.max()), program.rows(names))
+        if actions is not None:
+            io.inputs[..., 0] = actions
+        self.batch.advance(io, program=program)
+        return program.by_name(names, io.outputs)
+
+    def filter(self) -> Array32:
+        """Run all modes on the next epoch of every track; return observations (n, features)."""
+        io = self.io()
+        self.batch.advance(io, program=self._program("filter"))
+        return io.observations[:, 0]
+
+    def decide(
+        self, actions: Index, output_rows: Index = NO_ROWS, scored: bool = False
+    ) -> tuple[Array32, Array]:
+        """Turn the results of the modes into beliefs, by actions (n,).
+
+        Args:
+            actions: same as in :meth:`step`.
+            output_rows: (k,) indices of the rows to return.
+            scored: whether to score the beliefs.
+
+        Returns:
+            Observations (n, features), whose columns about the belief after its update are new if
+            actions are corrections; and the output rows (n, k).
+        """
+        verbs = ["decide"]
+        if scored:
+            verbs.append("score")
+        if self._asked.action == CORRECTION:
+            verbs.append("refresh")
+        io = self.io(output_rows)
+        io.inputs[:, 0, 0] = actions
+        self.batch.advance(io, program=self._program(*verbs), again=True)
+        return io.observations[:, 0], io.outputs[:, 0]
+
+    def correct(self, numbers: Array, output_rows: Index = NO_ROWS) -> Array:
+        """Correct the beliefs of the last decided epoch; return the output rows (n, k).
+
+        Args:
+            numbers: (n, 6) shifts and log factors (:mod:`mmwave_env.filters.correction`).
+            output_rows: (k,) indices of the rows to return, such as those of "reported".
+        """
+        io = self.batch.io(1, output_rows)
+        io.inputs[:, 0, 1:] = numbers
+        self.batch.advance(io, program=self._program("correct"), again=True)
+        return io.outputs[:, 0]
+
+    def reset(self, episodes: EpisodeBatch | Sequence[Episode]) -> None:
+        """Start over with one episode for each environment and run the modes on its first epoch."""
+        self.batch.load(episodes)
+        self.advance(self.io())
+
+    def start(self, places: Index, output_rows: Index = NO_ROWS) -> tuple[Array32, Array]:
+        """Run the modes on the next epoch in environments just loaded; leave the others unchanged.
+
+        The results have the same shapes as in :meth:`step`, but are valid only for ``places``.
+        """
+        running = np.zeros(self.batch.n, np.bool_)
+        running[places] = True
+        io = self.io(output_rows)
+        self.advance(io, running)
+        return io.observations[:, 0], io.outputs[:, 0]
+
+    def step(
+        self, actions: NDArray[np.integer[Any]] | np.int64, output_rows: Index = NO_ROWS
+    ) -> tuple[Array32, Array]:
+        """Apply actions (n,), or one action to all; run the modes on the next epoch.
+
+        An environment that was just loaded ignores its action and starts its episode.
+
+        Args:
+            actions: numbers of modes, counted from 0; if every mode has its own belief, modes are
+                counted from 1, and action 0 leaves all probabilities as they are.
+            output_rows: (k,) indices of the rows to return, for example from :func:`rows_of`.
+
+        Returns:
+            The observations (n, features) and the output rows (n, k), in new arrays.
+        """
+        io = self.io(output_rows)
+        io.inputs[:, 0, 0] = actions
+        self.advance(io)
+        return io.observations[:, 0], io.outputs[:, 0]
+
+    def advance(self, io: StepIO, running: Mask | None = None) -> None:
+        """Make a step of all environments, or where ``running`` (n,) is True."""
+        self.batch.advance(io, running)
+        self.trust(io, running)
+
+    def trust(self, io: StepIO, running: Mask | None = None) -> None:
+        """Let the agent ``base``, if there is one, act between filter and decide of a step."""
+        if self._base is None:
+            return
+        n = self.batch.n
+        actions: Index = np.asarray(self._base.act(self.read(self.at.observation, np.float32)))
+        whole = actions.dtype.kind in "iu"
+        count = len(self.observation.actions)
+        if not (whole and actions.shape == (n,) and 0 <= actions.min() <= actions.max() < count):
+            raise ValueError(
+                f"actions of base: found {actions}, expected {n} integers in [0, {count})"
+            )
+        io.inputs[:, 0, 0] = actions
+        decision = StepIO(
+            io.input_rows, io.inputs, NO_ROWS, io.outputs[..., :0], io.obs_rows, io.observations
+        )
+        self.batch.advance(decision, running, self._program("decide", "refresh"), again=True)
+
+    def io(self, output_rows: Index = NO_ROWS) -> StepIO:
+        """Return the buffers of a step: for actions, observations and output rows."""
+        return self.batch.io(1, output_rows, self.obs_rows)
+
+    def observations(self) -> Array32:
+        """Return a copy of the current observations (n, features)."""
+        return self.read(self.at.observation, np.float32)[:, self._shown]
+
+
+def _base_from(agent: Any) -> Policy:
+    """Return the agent that the argument ``base`` of an environment made, as a policy."""
+    try:
+        return policy_from(agent)
+    except ValueError as error:
+        raise ValueError(f"base: {error}") from error
+
+
+def tracks_of(
+    pipeline: Pipeline,
+    n: int,
+    bank: Bank | None = None,
+    rule: Rule | None = None,
+    reward: Reward | None = None,
+    action: str = MODE,
+    on_floats: bool = False,
+) -> Engine:
+    """Return an engine without observations, whose :meth:`Engine.run` filters whole episodes."""
+    return Engine(pipeline, n, reward, "", bank, on_floats, 1, action, True, rule)
+
+
+def run_imm(
+    bank: Bank,
+    reward: Reward | None,
+    episodes: EpisodeBatch | Sequence[Episode],
+    *names: str,
+    planar: bool = False,
+    actions: Index | None = None,
+) -> dict[str, Array]:
+    """Filter complete episodes with an IMM, without an agent, starting from the episodes' priors.
+
+    Args:
+        bank: the modes and the parameters of their interaction.
+        reward: function of (belief, truth), for comparison with policies.
+        episodes: n episodes with the same layout.
+        names: parts of :class:`EpochState` to return, such as "reward" or "mixture.probability".
+        planar: same as in :class:`~mmwave_env.filters.pipeline.Pipeline`.
+        actions: (n, epochs) numbers of the modes whose probability is raised, from 1; 0 for none.
+
+    Returns:
+        The parts, as :meth:`Engine.run` returns them.
+    """
+    packed = EpisodeBatch.of(episodes)
+    pipeline = Pipeline(bank.modes, packed.layout, planar)
+    action = "" if actions is None else MODE
+    engine = tracks_of(pipeline, len(packed.length), bank, None, reward, action)
+    engine.batch.load(packed)
+    return engine.run(*names, actions=actions)
