@@ -243,13 +243,13 @@ class Sensor:
         doppler = 4 * self.links
         rows = [slice(first, first + 4) for first in range(0, doppler, 4)]
         rows.append(slice(doppler, doppler + 1))
-        return rows + [slice(doppler + 1, doppler + 3)] * self.odometry
+        return [*rows, slice(doppler + 1, doppler + 3)] if self.odometry else rows
 
     @property
     def angles(self) -> Mask:
         """Return a mask (rows,) of the rows that are angles."""
-        odometry = [False, True] * self.odometry
-        return np.array([False, True, True, True] * self.links + [False, *odometry])
+        rows = [False, True, True, True] * self.links + [False]
+        return np.array([*rows, False, True] if self.odometry else rows)
 
     def difference(self, a: Array, b: Array) -> Array:
         """Return a - b (rows,), with angles wrapped to [-pi, pi)."""
@@ -267,7 +267,8 @@ class Sensor:
         at_anchor = np.sqrt((d * d).sum(axis=1)) <= NEAREST_M
         never = np.zeros(self.links, bool)
         links = np.column_stack([never, on_vertical, at_anchor, on_vertical])
-        return np.array([*links.ravel(), at_anchor[self.shifted], *[False, False] * self.odometry])
+        rows = [*links.ravel(), at_anchor[self.shifted]]
+        return np.array([*rows, False, False] if self.odometry else rows)
 
 
 def _inverse(length: float) -> float:

@@ -137,7 +137,7 @@ class Observation:
 
     def _bounds(self) -> list[tuple[Number, Number]]:
         """Return the limits of every standardized feature."""
-        return [(_shown(f.low, f, s), _shown(f.high, f, s)) for f, s in self._rows]
+        return [(_standardize(f.low, f, s), _standardize(f.high, f, s)) for f, s in self._rows]
 
     @property
     def columns(self) -> tuple[Column, ...]:
@@ -182,10 +182,10 @@ def observation_columns(features: Sequence[Feature]) -> tuple[Column, ...]:
 
 def standardized(features: Sequence[Feature], view: View) -> list[Number]:
     """Return the standardized values of features."""
-    return [_shown(f.value(view), f, feature_scales()[f.kind]) for f in features]
+    return [_standardize(f.value(view), f, feature_scales()[f.kind]) for f in features]
 
 
-def _shown(value: Number, feature: Feature, scale: Scale) -> Number:
+def _standardize(value: Number, feature: Feature, scale: Scale) -> Number:
     """Limit and standardize a value."""
     reach = LIMIT * scale.deviation
     low = max(feature.low, scale.mean - reach)

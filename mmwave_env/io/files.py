@@ -113,7 +113,7 @@ def parse_json(text: str) -> Any:
     return value
 
 
-def read_json(path: Path, kind: str, make: Callable[[dict[str, Any]], T], see: str = "") -> T:
+def read_json(path: Path, kind: str, make: Callable[[Json], T], see: str = "") -> T:
     """Read the object in a JSON file, pass it to ``make``, and return the result.
 
     Args:
@@ -134,9 +134,8 @@ def read_json(path: Path, kind: str, make: Callable[[dict[str, Any]], T], see: s
             raise ValueError(f"found {type(content).__name__}, expected an object")
         return make(content)
     except (ValueError, TypeError, AttributeError, LookupError, ArithmeticError) as error:
-        raise ValueError(
-            f"{path}: not {kind}: {first_line(error)}{f' ({see})' * bool(see)}"
-        ) from error
+        described = f" ({see})" if see else ""
+        raise ValueError(f"{path}: not {kind}: {first_line(error)}{described}") from error
 
 
 def require_writable(path: Path) -> None:
@@ -198,6 +197,6 @@ def write_bytes(path: Path, content: bytes) -> None:
         temporary.write_bytes(content)
 
 
-def write_json(path: Path, content: dict[str, Any]) -> None:
+def write_json(path: Path, content: Json) -> None:
     """Write a JSON file completely or not at all; create missing folders."""
     write_text(path, json.dumps(content, indent=2) + "\n")

@@ -6,7 +6,6 @@ files, in mmwave_env/data/schemas, are generated from the types.
 """
 
 import math
-import os
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import cache
@@ -17,7 +16,7 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 import numpy as np
 
-from mmwave_env.io.files import read_json
+from mmwave_env.io.files import AnyPath, read_json
 from mmwave_env.io.lookup import LONGEST, choose, is_name, quoted
 
 T = TypeVar("T")
@@ -190,9 +189,8 @@ def object_from(kind: type[T], content: Any, where: str = "") -> T:
         ValueError: a key is unknown or missing, or the dataclass refuses a value.
     """
     if not isinstance(content, dict):
-        raise ValueError(
-            f"{where[:-1]}{': ' * bool(where)}found {quoted(content)}, expected an object"
-        )
+        place = f"{where[:-1]}: " if where else ""
+        raise ValueError(f"{place}found {quoted(content)}, expected an object")
     hints = hints_of(kind)  # type: ignore[arg-type]
     for key in content:
         choose(hints, key, f"{where}key")
@@ -224,7 +222,7 @@ def _construct(hint: Any, value: Any, where: str) -> Any:
     return object_from(hint, value, f"{where}.") if is_object else value
 
 
-def read_object(path: str | os.PathLike[str], schema: str, make: Callable[[Any], T]) -> T:
+def read_object(path: AnyPath, schema: str, make: Callable[[Any], T]) -> T:
     """Read an object from a JSON file and pass it to ``make``.
 
     The schema is "scene", "modes", "radio" or "mobility".

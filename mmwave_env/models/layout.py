@@ -102,14 +102,14 @@ class Layout:
     @property
     def group_names(self) -> list[str]:
         """Return a name for each group, for tables and messages."""
-        names = [f"anchor {a + 1}" for a in range(self.anchors)]
-        return names + ["Doppler"] + ["odometry"] * self.odometry
+        names = [*(f"anchor {a + 1}" for a in range(self.anchors)), "Doppler"]
+        return [*names, "odometry"] if self.odometry else names
 
     @cached_property
     def angles(self) -> list[int]:
         """Return the rows that are angles, whose differences wrap."""
         rows = [4 * a + i for a in range(self.anchors) for i in (1, 2, 3)]
-        return rows + [self.doppler + 2] * self.odometry
+        return [*rows, self.doppler + 2] if self.odometry else rows
 
 
 def measurements_from(names: Sequence[str] | None) -> tuple[str, ...] | None:
@@ -158,7 +158,8 @@ def offered_rows(layout: Layout, measurements: Sequence[str] | None) -> list[boo
     """
     names = measurements_from(measurements) or MEASUREMENTS
     *link, doppler = [name in names for name in MEASUREMENTS]
-    return [*link * layout.anchors, doppler, *[True, True] * layout.odometry]
+    rows = [*link * layout.anchors, doppler]
+    return [*rows, True, True] if layout.odometry else rows
 
 
 def sigma_name(name: str) -> str:

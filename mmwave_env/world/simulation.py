@@ -34,7 +34,14 @@ from mmwave_env.numerics.random import STATE_WORDS, Dice, seeded
 from mmwave_env.numerics.tape import fingerprint
 from mmwave_env.world.episode import Incoming, blank_incoming
 from mmwave_env.world.kinematics import Net, Traveler, move, state_of
-from mmwave_env.world.travel import Phase, TravelPlan, attend, blank_plan, draw_phases, set_off
+from mmwave_env.world.travel import (
+    TravelPhase,
+    TravelPlan,
+    attend,
+    blank_plan,
+    draw_phases,
+    set_off,
+)
 
 
 class WorldSettings(NamedTuple):
@@ -75,7 +82,7 @@ class UserState(NamedTuple):
 
     dice: list[Number]  # (4,) state of the user's own random generator
     net: Net  # net of streets
-    phases: list[Phase]  # phases of the episode
+    phases: list[TravelPhase]  # phases of the episode
     traveler: Traveler  # state in the coming epoch
 
 
@@ -189,10 +196,11 @@ def blank_world(layout: Layout, phases: int, gaits: int) -> WorldState:
     anchors = [[0.0, 0.0, 10.0 + a] for a in range(layout.anchors)]
     dice = [0.0] * STATE_WORDS
     clock = Clock(dice, 0.0) if layout.clock else ()
-    offered = [1.0] * layout.size * layout.partial
+    offered = [1.0] * layout.size if layout.partial else []
+    drift = [1.0, 1.0] if layout.clock else []
     return WorldState(
         measured=blank_incoming(layout),
-        settings=WorldSettings(1.0, channel, 1.0, 1.0, 1.0, offered, [1.0] * 2 * layout.clock),
+        settings=WorldSettings(1.0, channel, 1.0, 1.0, 1.0, offered, drift),
         receiver=ReceiverState(dice, anchors, 1.0, initial_state(layout.anchors), 0.0, clock),
         user=UserState(dice, Net(1.0, 1.0, 1.0, 0.0, 0.0, 1.5), acts, still),
     )

@@ -21,7 +21,7 @@ FINEST_STEP_S = 0.1  # approximate length of a substep
 STOPPING_S = 5.0  # time reserved at the end of a ride for braking to a standstill
 
 
-class Gait(NamedTuple):
+class TravelGait(NamedTuple):
     """A target speed that is kept for a while."""
 
     # low, high: range of the speed, m/s
@@ -31,7 +31,7 @@ class Gait(NamedTuple):
     weight: Number  # relative frequency with which this gait is chosen
 
 
-class Phase(NamedTuple):
+class TravelPhase(NamedTuple):
     """A part of an episode with one style of moving; it begins when the previous phase ends.
 
     Its limits of acceleration, braking and lateral acceleration are drawn as the episode begins.
@@ -47,7 +47,7 @@ class Phase(NamedTuple):
     red_low: Number
     red_high: Number
     end: Number  # time at which the phase ends, s since the episode began
-    gaits: list[Gait]
+    gaits: list[TravelGait]
 
 
 class PhasePlan(NamedTuple):
@@ -58,7 +58,7 @@ class PhasePlan(NamedTuple):
     braking: list[Number]
     lateral: list[Number]
     ends_early: Number  # 1 if the next phase is the last one and needs the rest of the time
-    phase: Phase  # the values that are not drawn
+    phase: TravelPhase  # the values that are not drawn
 
 
 class TravelPlan(NamedTuple):
@@ -70,14 +70,14 @@ class TravelPlan(NamedTuple):
 
 def blank_plan(phases: int, gaits: int) -> TravelPlan:
     """Return a placeholder plan with the given numbers of phases and gaits, to be overwritten."""
-    gait = Gait(0.0, 0.0, 1.0, 0.0)
-    phase = Phase(1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, FAR, [gait] * gaits)
+    gait = TravelGait(0.0, 0.0, 1.0, 0.0)
+    phase = TravelPhase(1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, FAR, [gait] * gaits)
     once = [FAR, FAR]
     at_one = [1.0, 1.0]
     return TravelPlan(1.0, [PhasePlan(once, at_one, at_one, at_one, 0.0, phase)] * phases)
 
 
-def _draw_gait(dice: Dice, gaits: Sequence[Gait]) -> tuple[Number, Number]:
+def _draw_gait(dice: Dice, gaits: Sequence[TravelGait]) -> tuple[Number, Number]:
     """Draw a gait; return its target speed and the time for which it is kept."""
     total = gaits[0].weight
     for gait in gaits[1:]:
@@ -112,7 +112,7 @@ def _draw_turn(dice: Dice, x: Number, y: Number, heading: Number, net: Net) -> N
     return where(options > 0.5, turn, 2.0)
 
 
-def _look_ahead(dice: Dice, t: Traveler, heading: Number, phase: Phase, net: Net) -> Traveler:
+def _look_ahead(dice: Dice, t: Traveler, heading: Number, phase: TravelPhase, net: Net) -> Traveler:
     """Draw the turn and the duration of the red light at the crossing after the next one."""
     east, north = unit(heading)
     x = t.node_x + east
@@ -128,7 +128,7 @@ def _arc(turn: Number, radius: Number) -> Number:
     return abs(turn) * (math.pi / 2) * radius
 
 
-def _cross(dice: Dice, t: Traveler, phase: Phase, net: Net) -> Traveler:
+def _cross(dice: Dice, t: Traveler, phase: TravelPhase, net: Net) -> Traveler:
     """Pass a crossing: the street that leads from it becomes the way ahead."""
     east, north = unit(t.heading)
     turned = abs(t.turn)
@@ -156,7 +156,7 @@ def _cross(dice: Dice, t: Traveler, phase: Phase, net: Net) -> Traveler:
     return _look_ahead(dice, t, around(heading + turn), phase, net)
 
 
-def _enter(t: Traveler, number: Number, phase: Phase) -> Traveler:
+def _enter(t: Traveler, number: Number, phase: TravelPhase) -> Traveler:
     """Begin a phase."""
     return t._replace(
         phase=number,
@@ -169,7 +169,7 @@ def _enter(t: Traveler, number: Number, phase: Phase) -> Traveler:
     )
 
 
-def _change_over(t: Traveler, following: Phase) -> Traveler:
+def _change_over(t: Traveler, following: TravelPhase) -> Traveler:
     """Make a traveler stop when its phase is over; begin the next phase once it stands still."""
     left = t.stretch - t.traveled
     wider = following.radius - t.radius
@@ -190,7 +190,7 @@ def _change_over(t: Traveler, following: Phase) -> Traveler:
     return select(stands, entered, t)
 
 
-def attend(dice: Dice, t: Traveler, phases: Sequence[Phase], net: Net) -> Traveler:
+def attend(dice: Dice, t: Traveler, phases: Sequence[TravelPhase], net: Net) -> Traveler:
     """Return the traveler after the events that are due now, before a substep."""
     t = _change_over(t, tree_at(t.phase + 1.0, phases))
     phase = tree_at(t.phase, phases)
@@ -202,7 +202,7 @@ def attend(dice: Dice, t: Traveler, phases: Sequence[Phase], net: Net) -> Travel
     return select(t.traveled >= t.stretch + t.arc, _cross(dice, t, phase, net), t)
 
 
-def draw_phases(dice: Dice, plans: Sequence[PhasePlan], total_s: Number) -> list[Phase]:
+def draw_phases(dice: Dice, plans: Sequence[PhasePlan], total_s: Number) -> list[TravelPhase]:
     """Draw the phases of an episode; the limits of a repeated phase are drawn again."""
     lengths = [dice.uniform(*plan.length) for plan in plans]
     phases = []
@@ -221,7 +221,7 @@ def draw_phases(dice: Dice, plans: Sequence[PhasePlan], total_s: Number) -> list
     return phases
 
 
-def set_off(dice: Dice, phases: Sequence[Phase], net: Net) -> Traveler:
+def set_off(dice: Dice, phases: Sequence[TravelPhase], net: Net) -> Traveler:
     """Draw the traveler that starts an episode: at a crossing, heading along a street."""
     x = floor((net.blocks_x + 1.0) * dice.uniform())
     y = floor((net.blocks_y + 1.0) * dice.uniform())
