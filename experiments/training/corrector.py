@@ -15,22 +15,19 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from experiments.training.checkpoint import State, going_on_from
 from experiments.training.corrector_data import CorrectorData, Lot
 from experiments.training.hyperparameters import CorrectorHyperparameters, falling
-from experiments.training.job import Job, News, Tell
-from experiments.training.record import Record
+from experiments.training.job import Job
+from experiments.training.trainer import State, Trainer
 from experiments.training.training_task import places_from
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.signed import after_update
-from mmwave_env.io.files import Json
 from mmwave_env.metrics import BURN_IN
 from mmwave_env.models.layout import Layout
 from mmwave_env.numerics.numbers import Array, Index
 from policies.policy_file import CORRECTIONS, Tensors
 
-EVALUATE = 32  # number of updates between two evaluations
 FIRST = 3  # number of extra rounds of lots in the first update, to measure the features' ranges
 OUTSIDE = 2e-4  # share of a feature's values below its lower limit, and also above its upper limit
 # limits in the loss, so that lost tracks do not dominate it
@@ -76,7 +73,8 @@ def loss_of(
         error, deviation: (T, n, 3) as in :class:`Lot`.
         weight: weight of the log-likelihood.
     """
-    shift, log_factor = (part[BURN_IN:] for part in answer)
+    shift = answer[0][BURN_IN:]
+    log_factor = answer[1][BURN_IN:]
     deviation = deviation[BURN_IN:, :, None]
     left = error[BURN_IN:, :, None] / deviation - shift  # remaining error, in standard deviations
     size = deviation.norm(dim=-1).mean(0)
@@ -111,14 +109,14 @@ class Learner:
         sigma = rows.std(0, np.float64) + CONSTANT
         self.scales = {"low": low, "high": high, "mean": mean, "sigma": sigma}
 
-    def learn(self, lots: list[Lot], progress: float, rng: np.random.Generator) -> float:
+    def learn(self, lots: list[Lot], left: float, rng: np.random.Generator) -> float:
         """Mix the episodes anew, take a gradient step for each new lot; return the mean loss.
 
-        ``progress``, from 0 to 1, is the share of the training that is over.
+        ``left``, from 1 to 0, is the share of the training that is left.
         """
-        left = falling(self._hyper.final_fraction, 1.0 - progress)
+        rate = self._hyper.learning_rate * falling(self._hyper.final_fraction, left)
         for group in self.optimizer.param_groups:
-            group["lr"] = self._hyper.learning_rate * left
+            group["lr"] = rate
         return float(np.mean([self._step(lot) for lot in mixed(lots, self._hyper.batch_size, rng)]))
 
     def _step(self, lot: Lot) -> float:
@@ -163,77 +161,60 @@ class Learner:
         return {name: value.astype(np.float32) for name, value in tensors.items()}
 
 
-class CorrectorTraining:
-    """A training of a corrector, in progress.
+class CorrectorTrainer(Trainer):
+    """The updates of a corrector; timesteps are played epochs.
 
     Args:
-        job: training to run; if its folder has a checkpoint, the training continues from it.
-        tell: function that is called with :class:`News`; its ``timesteps`` counts played epochs.
-
-    Raises:
-        ValueError: the checkpoint is damaged.
+        job: training to run.
+        seed: seed of all random numbers.
     """
 
-    def __init__(self, job: Job[CorrectorHyperparameters], tell: Tell) -> None:
-        torch.set_num_threads(1)  # training runs share the cores
-        torch.manual_seed(job.first_seed)
-        self._job = job
-        self._tell = tell
+    EARLY = 32
+    LATER = 32
+
+    def __init__(self, job: Job[CorrectorHyperparameters], seed: int) -> None:
+        torch.manual_seed(seed)
         hyper = job.hyperparameters
-        elsewhere = replace(job.task, places=places_from(hyper.judged_at))
-        self._record = Record(replace(job, task=elsewhere), tell)
-        self.data = CorrectorData(job.task, hyper, job.first_seed)
+        self.judged = replace(job.task, places=places_from(hyper.judged_at))
+        self.base = hyper.base
+        self._seed = seed
+        self._updates = 0
+        self.data = CorrectorData(job.task, hyper, seed)
         pipeline = Pipeline(job.task.bank.modes, Layout())
-        self._table = Observation(pipeline, "signed", "per-mode")
-        self._names = [feature.name for feature in after_update(pipeline, per_mode=True)]
-        self.learner = Learner(CorrectorNetwork(len(self._names), hyper), hyper)
+        table = Observation(pipeline, "signed", "per-mode")
+        names = {feature.name for feature in after_update(pipeline, per_mode=True)}
+        self.observation = table.kind
+        self.columns = tuple(column for column in table.columns if column.name in names)
+        self.learner = Learner(CorrectorNetwork(len(names), hyper), hyper)
 
-    def run(self) -> Json:
-        """Train to the end; return the outcome from :meth:`Record.close`."""
-        job = self._job
-        record = self._record
-        progress = self._record.progress
-        if "state" in progress:
-            with going_on_from(job.checkpoint):
-                self._restore(progress.pop("state"))
-        while progress["timesteps"] < job.timesteps:
-            figures = self._update()
-            if progress["update"] % EVALUATE == 0 or progress["timesteps"] >= job.timesteps:
-                figures |= record.evaluate(self.learner.tensors(), self._table, self._names)
-            record.log.write(figures | {"seconds": record.seconds}, {}, progress["timesteps"])
-            if progress["update"] % job.checkpoint_every == 0:
-                record.save(state=self._state())
-            self._tell(News(progress["timesteps"]))
-        return record.close()
-
-    def _update(self) -> dict[str, float]:
-        """Learn from new episodes at the task's places and in random streets; return the loss."""
-        job = self._job
-        progress = self._record.progress
+    def update(self, left: float) -> tuple[int, dict[str, float]]:
+        """Learn from new episodes at the task's places and in random streets."""
         lots = list(self.data.lots())
         if not self.learner.scales:
             lots += [lot for _ in range(FIRST) for lot in self.data.lots()]
             self.learner.measure(lots)
-        rng = np.random.default_rng((job.first_seed, progress["update"]))
-        loss = self.learner.learn(lots, progress["timesteps"] / job.timesteps, rng)
-        progress["timesteps"] += sum(lot.features[..., 0].size for lot in lots)
-        progress["update"] += 1
-        return {"loss": loss}
+        rng = np.random.default_rng((self._seed, self._updates))
+        self._updates += 1
+        loss = self.learner.learn(lots, left, rng)
+        return sum(lot.features[..., 0].size for lot in lots), {"loss": loss}
 
-    def _state(self) -> State:
-        """Return the weights, the optimizer and the scales, for :meth:`_restore`."""
+    def tensors(self) -> Tensors:
+        """Return the network in the form that a policy file stores."""
+        return self.learner.tensors()
+
+    def state(self) -> State:
+        """Return the weights, the optimizer and the scales of the features."""
         return {
             "network": self.learner.network.state_dict(),
             "optimizer": self.learner.optimizer.state_dict(),
             "scales": {k: torch.from_numpy(scale) for k, scale in self.learner.scales.items()},
-            "played": self.data.played,
         }
 
-    def _restore(self, state: State) -> None:
+    def restore(self, state: State) -> None:
+        """Go on from the weights of a :meth:`state`, with new episodes."""
         self.learner.network.load_state_dict(state["network"])
         self.learner.optimizer.load_state_dict(state["optimizer"])
         self.learner.scales = {name: value.numpy() for name, value in state["scales"].items()}
-        self.data.played = state["played"]
 
 
 def mixed(lots: list[Lot], size: int, rng: np.random.Generator) -> Iterator[Lot]:

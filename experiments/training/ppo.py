@@ -1,7 +1,7 @@
-"""Training of a policy with Stable-Baselines3's PPO, with evaluations and checkpoints."""
+"""Training of a policy with Stable-Baselines3's PPO."""
 
 from inspect import signature
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import torch
@@ -11,137 +11,119 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecNormalize
 
-from experiments.training.checkpoint import State, going_on_from
 from experiments.training.hyperparameters import PpoHyperparameters, falling
-from experiments.training.job import Job, News, Tell
-from experiments.training.record import Record
+from experiments.training.job import Job
+from experiments.training.trainer import State, Trainer
 from experiments.training.vec_env import PlacesVecEnv
 from mmwave_env.interface.info import LAST_KEYS
 from mmwave_env.io.files import Json
 from policies.policy_file import Tensors
 from policies.sb3 import model_tensors
 
-# LOG: number of updates between two rows of the log. EARLY, LATER: number of updates between two
-# evaluations, before and after a policy first beats the paper's rule.
-LOG = 4
-EARLY = 2
-LATER = 16
 MOMENTS = ("mean", "var", "count")  # attributes of RunningMeanStd, SB3's statistics of observations
 
 
-class PpoTraining(BaseCallback):
-    """A training in progress; Stable-Baselines3 calls it before, during and after each rollout.
+class Ended(BaseCallback):
+    """A collector of the last infos of episodes."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.infos: list[Json] = []
+
+    def _on_step(self) -> bool:
+        self.infos += [info for info in self.locals["infos"] if "episode" in info]
+        return True
+
+
+class PpoTrainer(Trainer):
+    """The updates of PPO.
 
     Args:
-        job: training to run; if its folder has a checkpoint, the training continues from it.
-        tell: function that is called with :class:`News` of the training.
+        job: training to run.
+        seed: seed of all random numbers.
 
     Attributes:
         env: environments of all places (scenes with a radio).
         normal: wrapper of ``env`` that normalizes its observations.
-
-    Raises:
-        ValueError: the checkpoint is damaged.
+        model: the algorithm and its network.
     """
 
-    model: PPO
+    EARLY = 2
+    LATER = 16
 
-    def __init__(self, job: Job[PpoHyperparameters], tell: Tell) -> None:
-        super().__init__()
-        torch.set_num_threads(1)  # networks this small gain nothing from more threads
+    def __init__(self, job: Job[PpoHyperparameters], seed: int) -> None:
         self._job = job
-        self._tell = tell
-        self._record = Record(job, tell)
+        self.judged = job.task
         self.env = PlacesVecEnv(job.task, job.hyperparameters)
+        self.observation = self.env.observation.kind
+        self.columns = self.env.observation.columns
         clip = job.hyperparameters.clip_observation
         self.normal = VecNormalize(self.env, norm_reward=False, clip_obs=clip)
-        self.model = learner(self.normal, job.hyperparameters, self._record.first_seed)
-        self._ended: list[Json] = []
+        self.model = learner(self.normal, job.hyperparameters, seed)
+        self.model.set_logger(Logger(None, []))
+        self._ended = Ended()
+        self._begin_episodes()
 
-    def run(self) -> Json:
-        """Train to the end; return the outcome from :meth:`Record.close`."""
-        job = self._job
-        model = self.model
-        progress = self._record.progress
-        model.set_logger(Logger(None, [self._record.log]))
-        if "learner" in progress:
-            with going_on_from(job.checkpoint):
-                self._restore(progress.pop("learner"))
-        left = job.timesteps - model.num_timesteps
-        fresh = not model.num_timesteps
-        never: Any = None  # stops SB3's own logging; the annotation of log_interval forbids None
-        model.learn(left, self, log_interval=never, reset_num_timesteps=fresh)
-        progress["timesteps"] = model.num_timesteps
-        self._evaluate()
-        model.dump_logs()
-        return self._record.close()
+    def _begin_episodes(self) -> None:
+        self.model._setup_learn(self._job.timesteps, self._ended)
 
     @property
     def moments(self) -> RunningMeanStd:
         """Return mean and variance of the observations so far."""
         return cast(RunningMeanStd, self.normal.obs_rms)  # SB3's annotation allows a dict
 
-    @property
-    def actor(self) -> Tensors:
+    def update(self, left: float) -> tuple[int, dict[str, float]]:
+        """Collect steps and learn from them; return their number, and statistics."""
+        model = self.model
+        hyper = self._job.hyperparameters
+        before = model.num_timesteps
+        model.ent_coef = hyper.ent_coef * falling(hyper.final_fraction, left)
+        self._ended.infos.clear()
+        model.collect_rollouts(self.normal, self._ended, model.rollout_buffer, hyper.n_steps)
+        model._update_current_progress_remaining(model.num_timesteps, self._job.timesteps)
+        model.train()
+        figures = {key: float(value) for key, value in model.logger.name_to_value.items()}
+        model.logger.dump()  # forgets the values
+        figures |= _means(self._ended.infos) | self._shares()
+        return model.num_timesteps - before, figures
+
+    def _shares(self) -> dict[str, float]:
+        """Return the share of each action in the latest steps."""
+        actions = self.model.rollout_buffer.actions.astype(np.int64).ravel()
+        names = self.env.observation.actions
+        counts = np.bincount(actions, minlength=len(names))
+        return {f"share/{n}": float(k / len(actions)) for n, k in zip(names, counts, strict=True)}
+
+    def tensors(self) -> Tensors:
         """Return the actor's tensors in the form that a policy file stores."""
         return model_tensors(self.model)
 
-    def _on_rollout_start(self) -> None:
-        model = self.model
-        job = self._job
-        progress = self._record.progress
-        progress["timesteps"] = model.num_timesteps
-        hyper = job.hyperparameters
-        left = 1.0 - model.num_timesteps / job.timesteps
-        model.ent_coef = hyper.ent_coef * falling(hyper.final_fraction, left)
-        update = model.num_timesteps // (hyper.num_envs * hyper.n_steps)
-        if update == progress["update"]:
-            return  # the training begins, or continues from a checkpoint
-        progress["update"] = update
-        if update % (LATER if progress["beat_rule"] else EARLY) == 0:
-            self._evaluate()
-        if update % LOG == 0:
-            model.dump_logs()
-        if update % job.checkpoint_every == 0:
-            self._record.save(learner=self._learner_state())
-        self._tell(News(model.num_timesteps))
-
-    def _on_step(self) -> bool:
-        self._ended += [info for info in self.locals["infos"] if "episode" in info]
-        return True
-
-    def _on_rollout_end(self) -> None:
-        for key in (key for key in LAST_KEYS if self._ended and key in self._ended[0]):
-            mean = float(np.mean([info[key] for info in self._ended]))
-            self.logger.record_mean(f"rollout/{key}", mean)
-        self._ended.clear()
-        actions = self.model.rollout_buffer.actions.astype(np.int64).ravel()
-        names = self.env.observation.actions
-        for name, n in zip(names, np.bincount(actions, minlength=len(names)), strict=True):
-            self.logger.record_mean(f"share/{name}", n / len(actions))
-        self.logger.record("seconds", self._record.seconds)
-
-    def _evaluate(self) -> None:
-        for key, number in self._record.evaluate(self.actor, self.env.observation).items():
-            self.logger.record(key, number)
-
-    def _learner_state(self) -> State:
-        """Return the weights, the optimizer and the normalization, for :meth:`_restore`."""
-        moments = {name: torch.as_tensor(getattr(self.moments, name)) for name in MOMENTS}
+    def state(self) -> State:
+        """Return the weights, the optimizer and the normalization."""
         return {
             "timesteps": self.model.num_timesteps,
-            "updates": self.model._n_updates,
             "parameters": self.model.get_parameters(),
-            "moments": moments,
+            "moments": {k: torch.from_numpy(np.asarray(getattr(self.moments, k))) for k in MOMENTS},
         }
 
-    def _restore(self, state: State) -> None:
-        """Go on from saved weights; the environments begin with new episodes."""
-        self.model.num_timesteps = state["timesteps"]
-        self.model._n_updates = state["updates"]
+    def restore(self, state: State) -> None:
+        """Go on from the weights of a :meth:`state`, with new episodes."""
         self.model.set_parameters(state["parameters"], device="cpu")
         for name in MOMENTS:
             setattr(self.moments, name, state["moments"][name].numpy())
+        self._begin_episodes()
+        self.model.num_timesteps = state["timesteps"]
+
+
+def _means(infos: list[Json]) -> dict[str, float]:
+    """Return the means of the metrics of episodes, given their last infos."""
+    if not infos:
+        return {}
+    figures = {"rollout/reward": float(np.mean([info["episode"]["r"] for info in infos]))}
+    for key in LAST_KEYS:
+        if key in infos[0]:
+            figures[f"rollout/{key}"] = float(np.mean([info[key] for info in infos]))
+    return figures
 
 
 def learner(venv: VecNormalize, hyper: PpoHyperparameters, seed: int) -> PPO:

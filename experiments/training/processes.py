@@ -9,12 +9,18 @@ from multiprocessing.process import BaseProcess
 from typing import Any, cast
 
 from experiments.console.signals import answered, ended_by_signals
-from experiments.training.corrector import CorrectorTraining
-from experiments.training.hyperparameters import CorrectorHyperparameters, PpoHyperparameters
+from experiments.training.corrector import CorrectorTrainer
 from experiments.training.job import Job, News, Tell
-from experiments.training.ppo import PpoTraining
-from experiments.training.rollouts import RolloutTraining
+from experiments.training.ppo import PpoTrainer
+from experiments.training.rollouts import RolloutTrainer
+from experiments.training.trainer import Trainer, Training
 from mmwave_env.io.files import Json, read_json
+
+TRAINERS: dict[str, Callable[[Job[Any], int], Trainer]] = {
+    "ppo": PpoTrainer,
+    "rollouts": RolloutTrainer,
+    "corrector": CorrectorTrainer,
+}
 
 
 def train(job: Job[Any], tell: Tell) -> Json:
@@ -23,11 +29,7 @@ def train(job: Job[Any], tell: Tell) -> Json:
     Raises:
         ValueError: the checkpoint is damaged.
     """
-    if isinstance(job.hyperparameters, PpoHyperparameters):
-        return PpoTraining(job, tell).run()
-    if isinstance(job.hyperparameters, CorrectorHyperparameters):
-        return CorrectorTraining(job, tell).run()
-    return RolloutTraining(job, tell).run()
+    return Training(job, TRAINERS[job.hyperparameters.algorithm], tell).run()
 
 
 def side_by_side(

@@ -13,16 +13,13 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from experiments.training.checkpoint import State, going_on_from
 from experiments.training.hyperparameters import RolloutHyperparameters, falling
-from experiments.training.job import Job, News, Tell
-from experiments.training.record import Record
+from experiments.training.job import Job
 from experiments.training.rollout_env import RolloutEnv, Tried
-from mmwave_env.io.files import Json
+from experiments.training.trainer import State, Trainer
 from mmwave_env.numerics.numbers import Array32, Index
+from policies.policy_file import Tensors
 from policies.sb3 import Normalization, actor_tensors
-
-EVALUATE = 8  # number of updates between two evaluations
 
 
 class RolloutLearner:
@@ -132,73 +129,59 @@ class RolloutLearner:
         self.normal = Normalization(*(part.numpy() for part in state["normal"]))
 
 
-class RolloutTraining:
-    """A training by rollouts, in progress.
+class RolloutTrainer(Trainer):
+    """The updates of rollout policy iteration; timesteps are states in which actions were tried.
 
     Args:
-        job: training to run; if its folder has a checkpoint, the training continues from it.
-        tell: function that is called with :class:`News`; ``News.timesteps`` is the number of
-            states in which all actions were tried so far.
+        job: training to run.
+        seed: seed of all random numbers.
 
     Attributes:
         env: environments in which actions are tried.
         learner: network that learns from the tried actions.
-
-    Raises:
-        ValueError: the checkpoint is damaged.
     """
 
-    def __init__(self, job: Job[RolloutHyperparameters], tell: Tell) -> None:
-        torch.set_num_threads(1)  # networks this small gain nothing from more threads
-        torch.manual_seed(job.first_seed)
-        self._job = job
-        self._tell = tell
-        self._record = Record(job, tell)
+    EARLY = 8
+    LATER = 8
+
+    def __init__(self, job: Job[RolloutHyperparameters], seed: int) -> None:
+        torch.manual_seed(seed)
         hyper = job.hyperparameters
-        seed = self._record.first_seed
+        self._hyper = hyper
+        self.judged = job.task
         self.env = RolloutEnv(job.task, hyper.num_envs, hyper.horizon, hyper.gamma, seed)
         normal = self.env.measured_normalization(hyper.clip_observation)
         table = self.env.observation
+        self.observation = table.kind
+        self.columns = table.columns
         self.learner = RolloutLearner(len(table), len(table.actions), hyper, normal)
 
-    def run(self) -> Json:
-        """Train to the end; return the outcome from :meth:`Record.close`."""
-        job = self._job
-        record = self._record
-        progress = self._record.progress
-        if "learner" in progress:
-            with going_on_from(job.checkpoint):
-                self.learner.restore(progress.pop("learner"))
-        while progress["timesteps"] < job.timesteps:
-            figures = self._update()
-            if progress["update"] % EVALUATE == 0 or progress["timesteps"] >= job.timesteps:
-                actor = actor_tensors(self.learner.network, self.learner.normal)
-                figures |= record.evaluate(actor, self.env.observation)
-            record.log.write(figures | {"seconds": record.seconds}, {}, progress["timesteps"])
-            if progress["update"] % job.checkpoint_every == 0:
-                record.save(learner=self.learner.state())
-            self._tell(News(progress["timesteps"]))
-        return record.close()
-
-    def _update(self) -> dict[str, float]:
-        """Try all actions in some states and learn from them; return statistics for the log."""
-        hyper = self._job.hyperparameters
+    def update(self, left: float) -> tuple[int, dict[str, float]]:
+        """Try all actions in some states and learn; return the number of states, and statistics."""
         env = self.env
         learner = self.learner
         new = 0
         taken = np.zeros(len(env.observation.actions), np.int64)
-        while new < hyper.states:
+        while new < self._hyper.states:
             tried = env.try_all(learner.greedy)
             learner.remember(tried)
             new += len(tried.values)
-            for _ in range(hyper.stride):
+            for _ in range(self._hyper.stride):
                 actions = learner.sampled(env.observations)
                 taken += np.bincount(actions, minlength=len(taken))
                 env.step(actions)
-        progress = self._record.progress
-        left = falling(hyper.final_fraction, 1.0 - progress["timesteps"] / self._job.timesteps)
-        progress["timesteps"] += new
-        progress["update"] += 1
-        names = (f"share/{name}" for name in env.observation.actions)
+        names = [f"share/{name}" for name in env.observation.actions]
         shares = dict(zip(names, (taken / taken.sum()).tolist(), strict=True))
-        return shares | learner.improve(left)
+        return new, shares | learner.improve(falling(self._hyper.final_fraction, left))
+
+    def tensors(self) -> Tensors:
+        """Return the network in the form that a policy file stores."""
+        return actor_tensors(self.learner.network, self.learner.normal)
+
+    def state(self) -> State:
+        """Return the weights, the optimizer and the normalization."""
+        return self.learner.state()
+
+    def restore(self, state: State) -> None:
+        """Go on from the weights of a :meth:`state`, with an empty memory."""
+        self.learner.restore(state)

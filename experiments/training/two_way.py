@@ -157,7 +157,7 @@ def learned_from(lots: Sequence[Lot], hyper: CorrectorHyperparameters, passes: i
             rng = np.random.default_rng((SEED, i))
             for j, some in enumerate(np.array_split(rng.permutation(len(lots)), groups)):
                 done = (i + j / groups) / passes
-                learner.learn([lots[k] for k in some], done, rng)
+                learner.learn([lots[k] for k in some], 1.0 - done, rng)
                 report(done)
     return learner
 

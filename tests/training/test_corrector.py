@@ -10,10 +10,12 @@ import torch
 
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.protocol import judge, sites
-from experiments.training.corrector import CorrectorTraining, loss_of, mixed
+from experiments.training.corrector import CorrectorTrainer, loss_of, mixed
 from experiments.training.corrector_data import WEAVING_BEHIND_M, CorrectorData, weaving
 from experiments.training.hyperparameters import CorrectorHyperparameters
 from experiments.training.job import Job
+from experiments.training.processes import train
+from experiments.training.trainer import Training
 from mmwave_env.metrics import BURN_IN
 from mmwave_env.models.random_scene import WIDE_SCENE
 from policies import Corrector
@@ -74,19 +76,19 @@ def test_no_episode_is_played_twice():
 
 @pytest.mark.slow
 def test_an_interrupted_training_goes_on(tmp_path):
-    assert_goes_on(CorrectorTraining, job_of(tmp_path))
+    assert_goes_on(job_of(tmp_path))
 
 
 @pytest.mark.slow
 def test_the_policy_file_gives_the_corrections_of_the_network(tmp_path, lots):
-    training = CorrectorTraining(job_of(tmp_path), silent)
+    training = Training(job_of(tmp_path), CorrectorTrainer, silent)
     training.run()
     corrector = Corrector(tmp_path / "latest.safetensors")
     assert corrector.card.algorithm == "corrector" and corrector.card.base == "imm-best"
     lot = lots[0]
     corrector.reset(np.ones(lot.features.shape[1], bool))
     with torch.no_grad():
-        shift, _ = training.learner.answer(lot)
+        shift, _ = training.trainer.learner.answer(lot)
     for features, expected in zip(lot.features, shift.mean(2).numpy(), strict=True):
         answer = corrector.correct_features(features)
         np.testing.assert_allclose(
@@ -120,7 +122,7 @@ def test_a_short_training_beats_its_base(tmp_path):
         hyper = replace(HYPER, num_envs=16, front=16, units=16, head=16, learning_rate=rate)
         folder = tmp_path / str(timesteps)
         folder.mkdir()
-        CorrectorTraining(job_of(folder, hyper, timesteps=timesteps), silent).run()
+        train(job_of(folder, hyper, timesteps=timesteps), silent)
         policies.append(str(folder / "policy.safetensors"))
     base, trained = policies
     gain = judge(policies, sites()[0], 200, seed=5_000_000).gain(trained, base)

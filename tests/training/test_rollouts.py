@@ -10,8 +10,10 @@ import torch
 
 from experiments.training.hyperparameters import RolloutHyperparameters
 from experiments.training.job import Job
+from experiments.training.processes import train
 from experiments.training.rollout_env import Tried
-from experiments.training.rollouts import RolloutLearner, RolloutTraining
+from experiments.training.rollouts import RolloutLearner, RolloutTrainer
+from experiments.training.trainer import Training
 from experiments.training.training_task import TrainingTask
 from mmwave_env.filters.bank import Bank, default_modes
 from mmwave_env.interface.reward import TrackingReward
@@ -36,19 +38,15 @@ def job_of(folder, of=None, hyper=HYPER, **changes):
     return replace(job, **changes)
 
 
-def train(job, tell=silent):
-    return RolloutTraining(job, tell).run()
-
-
 def test_an_interrupted_training_goes_on(tmp_path):
-    assert_goes_on(RolloutTraining, job_of(tmp_path))
+    assert_goes_on(job_of(tmp_path))
 
 
 def test_the_policy_file_chooses_the_actions_of_the_network(tmp_path):
-    training = RolloutTraining(job_of(tmp_path), silent)
+    training = Training(job_of(tmp_path), RolloutTrainer, silent)
     training.run()
-    env = training.env
-    learner = training.learner
+    env = training.trainer.env
+    learner = training.trainer.learner
     policy = LearnedSwitch(tmp_path / "latest.safetensors", env.observation)
     assert policy.card.timesteps >= UPDATES * HYPER.states and policy.card.algorithm == "rollouts"
     assert set(policy.card.banks) == {place.radio for place in PLACES}
@@ -75,7 +73,8 @@ def test_a_short_training_from_scratch_beats_the_speed_rule_and_the_imm(tmp_path
     street = TrainingTask(
         "mixed", PLACES[:1], {"handset": modes}, "full", TrackingReward(), "per-mode"
     )
-    best = train(job_of(tmp_path, street, QUICK, timesteps=60_000, episodes=500))["best"]
+    job = job_of(tmp_path, street, QUICK, timesteps=60_000, episodes=500)
+    best = train(job, silent)["best"]
     for rival in ("speed-rule", "imm"):
         low, high = best[f"minus {rival}"]["ci95"]
         assert 0.0 < low < high

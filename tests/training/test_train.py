@@ -27,7 +27,7 @@ from experiments.training.hyperparameters import (
     shipped_hyperparameters,
 )
 from experiments.training.job import Job
-from experiments.training.ppo import PpoTraining, learner
+from experiments.training.ppo import PpoTrainer, learner
 from experiments.training.processes import train
 from experiments.training.run import hyperparameters, manifest_of
 from experiments.training.training_task import Place, TrainingTask
@@ -64,7 +64,7 @@ def content(hyper=HYPER):
 
 def test_the_exported_actor_chooses_the_actions_of_the_trained_model(tmp_path):
     """Compare on 2000 observations, which include ends of episodes."""
-    training = PpoTraining(job_of(tmp_path), lambda *_: None)
+    training = PpoTrainer(job_of(tmp_path), 0)
     env = training.normal
     model = training.model
     now = env.reset()
@@ -75,7 +75,7 @@ def test_the_exported_actor_chooses_the_actions_of_the_trained_model(tmp_path):
     with torch.no_grad():
         model.policy.action_net.weight *= 100.0  # otherwise, all logits would be similar
     table = training.env.observation
-    path = write(tmp_path / "actor.safetensors", training.actor, card_of(table))
+    path = write(tmp_path / "actor.safetensors", training.tensors(), card_of(table))
     policy = LearnedSwitch(path, table)
     now = env.reset()
     taken = set()

@@ -19,8 +19,7 @@ from tests.refusals import refuses
 pytest.importorskip("stable_baselines3")
 
 from experiments.training.job import Job
-from experiments.training.ppo import PpoTraining
-from experiments.training.processes import side_by_side
+from experiments.training.processes import side_by_side, train
 from tests.training.test_train import HYPER, TASK, content
 
 pytestmark = [
@@ -58,18 +57,13 @@ def interrupt_after(calls):
     return tell
 
 
-def assert_goes_on(training, job):
-    """Interrupt a training twice, let it finish, and check its files.
-
-    Args:
-        training: function of a job and a callback that returns a training.
-        job: a training with a checkpoint after every update.
-    """
+def assert_goes_on(job):
+    """Interrupt a training that saves after every update twice, let it finish, and check it."""
     for calls in (1, 2):
         with pytest.raises(Interrupted):
-            training(job, interrupt_after(calls)).run()
+            train(job, interrupt_after(calls))
         assert job.checkpoint.exists()
-    outcome = training(job, silent).run()
+    outcome = train(job, silent)
     assert outcome == json_in(job.outcome) and outcome["timesteps"] >= job.timesteps
     assert job.policy.exists() and not job.checkpoint.exists()
     rows = csv.DictReader((job.folder / "progress.csv").read_text().splitlines())
@@ -86,14 +80,14 @@ def stamp(path):
 
 
 def test_an_interrupted_training_goes_on(tmp_path):
-    assert_goes_on(PpoTraining, job_of(tmp_path))
+    assert_goes_on(job_of(tmp_path))
 
 
 def test_training_runs_with_different_seeds_differ(tmp_path):
     contents = set()
     for seed in range(2):
         job = job_of(tmp_path / str(seed), seed=seed)
-        PpoTraining(job, silent).run()
+        train(job, silent)
         contents.add((job.folder / "latest.safetensors").read_bytes())
     assert len(contents) == 2
 

@@ -1,0 +1,270 @@
+"""The frame of every training: update, evaluate, log, save; an algorithm is a :class:`Trainer`."""
+
+import csv
+import io
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from pickle import UnpicklingError
+from typing import Any, ClassVar
+
+import torch
+
+from experiments.console.provenance import versions_of
+from experiments.training.evaluator import Evaluator
+from experiments.training.job import Job, News, Tell
+from experiments.training.training_task import TrainingTask
+from mmwave_env.interface.observation import Column
+from mmwave_env.io.files import (
+    Json,
+    first_line,
+    read_bounded,
+    write_bytes,
+    write_json,
+    write_text,
+)
+from policies.policy_file import Card, Tensors, to_bytes
+
+State = dict[str, Any]  # numbers, strings and tensors in nested lists and dicts
+
+MOST_BYTES = 1 << 30  # size limit of a checkpoint
+
+
+class Trainer(ABC):
+    """An algorithm that trains the network of a policy, update after update.
+
+    Attributes:
+        EARLY, LATER: numbers of updates between two evaluations, before and after a policy first
+            beats the paper's rule.
+        judged: task on which its policies are compared.
+        observation: kind of observation that the network reads.
+        columns: features that the network reads.
+        base: policy whose beliefs the network corrects; empty if it chooses modes.
+    """
+
+    EARLY: ClassVar[int]
+    LATER: ClassVar[int]
+    judged: TrainingTask
+    observation: str
+    columns: tuple[Column, ...]
+    base: str = ""
+
+    @abstractmethod
+    def update(self, left: float) -> tuple[int, dict[str, float]]:
+        """Learn from new episodes.
+
+        Args:
+            left: share of the training that is left, 1 at the start.
+
+        Returns:
+            The number of new timesteps, and statistics for the log.
+        """
+
+    @abstractmethod
+    def tensors(self) -> Tensors:
+        """Return the network in the form that a policy file stores."""
+
+    @abstractmethod
+    def state(self) -> State:
+        """Return the weights, the optimizer and the normalization, for :meth:`restore`."""
+
+    @abstractmethod
+    def restore(self, state: State) -> None:
+        """Go on from the weights of a :meth:`state`, with new episodes."""
+
+
+@dataclass
+class Progress:
+    """The progress of a training.
+
+    Attributes:
+        updates, timesteps: numbers of updates and of timesteps so far.
+        seconds: wall time until the last checkpoint.
+        best: results of the best policy so far.
+        beat_rule: timesteps and seconds until a policy first beat the paper's rule.
+        rows: rows of the log, which have statistics of an update.
+    """
+
+    updates: int = 0
+    timesteps: int = 0
+    seconds: float = 0.0
+    best: Json | None = None
+    beat_rule: Json | None = None
+    rows: list[dict[str, float]] = field(default_factory=list)
+
+
+class Training:
+    """A training in progress.
+
+    Args:
+        job: training to run; if its folder has a checkpoint, the training goes on from it.
+        algorithm: function that makes a trainer, given the job and the seed of the first
+            environment; the other seeds count up from it.
+        tell: function that is called with :class:`News` of the training.
+
+    Attributes:
+        progress: progress of the training.
+        trainer: the algorithm.
+
+    Raises:
+        ValueError: the checkpoint is damaged.
+    """
+
+    def __init__(
+        self, job: Job[Any], algorithm: Callable[[Job[Any], int], Trainer], tell: Tell
+    ) -> None:
+        torch.set_num_threads(1)  # networks this small gain nothing from more threads
+        self._begun_s = time.monotonic()
+        self._job = job
+        self._tell = tell
+        self.progress = Progress()
+        state: State | None = None
+        if job.checkpoint.exists():
+            self.progress, state = read_checkpoint(job.checkpoint)
+        # after an interruption, the environments get new episodes
+        seed = job.first_seed + self.progress.updates * job.hyperparameters.num_envs
+        self.trainer = algorithm(job, seed)
+        if state is not None:
+            with going_on_from(job.checkpoint):
+                self.trainer.restore(state)
+        self._evaluator = Evaluator(self.trainer.judged, job.episodes)
+
+    @property
+    def seconds(self) -> float:
+        """Return the wall time of the training, including time before an interruption."""
+        return self.progress.seconds + time.monotonic() - self._begun_s
+
+    def run(self) -> Json:
+        """Train to the end; return the outcome, which is also written to a file."""
+        job = self._job
+        progress = self.progress
+        while progress.timesteps < job.timesteps:
+            self._update()
+            if progress.updates % job.checkpoint_every == 0:
+                self._save()
+            self._tell(News(progress.timesteps))
+        self._write_log()
+        outcome = {
+            "seed": job.seed,
+            "timesteps": progress.timesteps,
+            "seconds": round(self.seconds, 1),
+            "beat_rule": progress.beat_rule,
+            "best": progress.best,
+        }
+        write_json(job.outcome, outcome)
+        job.checkpoint.unlink(missing_ok=True)
+        return outcome
+
+    def _update(self) -> None:
+        """Learn once, evaluate the policy if it is due, and add a row to the log."""
+        job = self._job
+        progress = self.progress
+        steps, figures = self.trainer.update(1.0 - progress.timesteps / job.timesteps)
+        progress.timesteps += steps
+        progress.updates += 1
+        every = self.trainer.LATER if progress.beat_rule else self.trainer.EARLY
+        if progress.updates % every == 0 or progress.timesteps >= job.timesteps:
+            figures |= self._evaluate()
+        row = {"timesteps": progress.timesteps, **figures, "seconds": self.seconds}
+        progress.rows.append(row)
+
+    def _evaluate(self) -> dict[str, float]:
+        """Evaluate the policy; keep its file if it is the best so far; return means for the log."""
+        progress = self.progress
+        tensors = self.trainer.tensors()
+        latest = self._job.folder / "latest.safetensors"
+        write_bytes(latest, to_bytes(tensors, self._card({})))
+        figures = self._evaluator.examine(latest)
+        timesteps = progress.timesteps
+        if progress.best is None or figures["reward"] > progress.best["reward"]:
+            progress.best = {"timesteps": timesteps, **figures}
+            write_bytes(self._job.policy, to_bytes(tensors, self._card(progress.best)))
+        text = f"reward {figures['reward']:.3f}"
+        if progress.beat_rule is None and figures["minus speed-rule"]["ci95"][0] > 0.0:
+            seconds = round(self.seconds, 1)
+            progress.beat_rule = {"timesteps": timesteps, "seconds": seconds}
+            text = f"beats the 2 m/s rule after {timesteps} steps, {seconds} s; {text}"
+        means = {
+            key: float(value["mean"] if isinstance(value, dict) else value)
+            for key, value in figures.items()
+        }
+        self._tell(News(timesteps, text, means))
+        return {f"tuning/{key}": mean for key, mean in means.items()}
+
+    def _card(self, evaluation: Json) -> Card:
+        job = self._job
+        trainer = self.trainer
+        task = trainer.judged
+        return Card(
+            modes=task.bank.modes,
+            observation=trainer.observation,
+            features=trainer.columns,
+            scenario=task.scenario,
+            radio=", ".join(task.banks),
+            algorithm=job.hyperparameters.algorithm,
+            seed=job.seed,
+            timesteps=self.progress.timesteps,
+            command=job.command,
+            evaluation=evaluation,
+            versions=versions_of("gymnasium", "numpy", "numba", "torch", "stable-baselines3"),
+            beliefs=task.beliefs,
+            banks=dict(task.banks) if task.beliefs == "per-mode" else {},
+            base=trainer.base,
+        )
+
+    def _save(self) -> None:
+        """Write the log and a checkpoint."""
+        self._write_log()
+        progress = asdict(self.progress) | {"seconds": self.seconds}
+        memory = io.BytesIO()
+        torch.save({"progress": progress, "trainer": self.trainer.state()}, memory)
+        write_bytes(self._job.checkpoint, memory.getvalue())
+
+    def _write_log(self) -> None:
+        write_text(self._job.folder / "progress.csv", as_csv(self.progress.rows))
+
+
+def as_csv(rows: list[dict[str, float]]) -> str:
+    """Return the rows of a log as CSV; the cell of a missing value is empty."""
+    names = dict.fromkeys(name for row in rows for name in row)
+    text = io.StringIO()
+    table = csv.DictWriter(text, list(names), lineterminator="\n")
+    table.writeheader()
+    for row in rows:
+        cells = {name: f"{value:.6g}" for name, value in row.items()}
+        table.writerow(cells | {"timesteps": str(int(row["timesteps"]))})
+    return text.getvalue()
+
+
+def read_checkpoint(path: Path) -> tuple[Progress, State]:
+    """Read a checkpoint: the progress of a training, and the state of its trainer.
+
+    Raises:
+        ValueError: the file is damaged; nothing in it is executed.
+    """
+    with going_on_from(path):
+        content = io.BytesIO(read_bounded(path, MOST_BYTES, "a checkpoint"))
+        saved = torch.load(content, map_location="cpu", weights_only=True)
+        return Progress(**saved["progress"]), saved["trainer"]
+
+
+@contextmanager
+def going_on_from(path: Path) -> Iterator[None]:
+    """Turn any exception into a ValueError while a training goes on from a checkpoint.
+
+    PyTorch can raise any exception for damaged bytes.
+
+    Raises:
+        ValueError: an exception was raised; the message names the checkpoint's file.
+    """
+    try:
+        yield
+    except Exception as error:
+        reason = first_line(error)
+        if isinstance(error, UnpicklingError):  # PyTorch's text advises to load it unsafely
+            reason = "found damaged content"
+        message = f"{path}: not a checkpoint: {reason}; remove it to train from the start"
+        raise ValueError(message) from error
