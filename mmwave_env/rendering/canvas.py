@@ -86,7 +86,8 @@ class Canvas:
         fraction of the text's width that is left of the point.
         """
         drawn = _font(round(size * self._unit)).render(text, True, color)
-        width, height = (length / self._unit for length in drawn.get_size())
+        width = drawn.get_width() / self._unit
+        height = drawn.get_height() / self._unit
         place = Rect(at[0] - align * width, at[1] - height / 2.0, width, height)
         corner = round(place.left * self._unit), round(place.top * self._unit)
         self._words.append((drawn, corner))
@@ -120,8 +121,10 @@ class Canvas:
 
     def _scaled(self, part: Rect) -> pygame.Rect:
         """Return a part of the picture in the coordinates of the large surface."""
-        edges = *part.topleft, *part.bottomright
-        left, top, right, bottom = (round(edge * self._scale) for edge in edges)
+        left = round(part.left * self._scale)
+        top = round(part.top * self._scale)
+        right = round(part.right * self._scale)
+        bottom = round(part.bottom * self._scale)
         return pygame.Rect(left, top, right - left, bottom - top)
 
 

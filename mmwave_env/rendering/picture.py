@@ -237,9 +237,9 @@ def _times(history: History, rows: slice) -> tuple[float, float]:
 
 
 def _speed(history: History, rows: slice) -> Strip:
-    states = history.truth[rows], history.estimate[rows]
+    true = np.linalg.norm(history.truth[rows, 3:6], axis=1)
     with np.errstate(over="ignore"):  # the speed of a lost track may be arbitrarily large
-        true, estimated = (np.linalg.norm(state[:, 3:6], axis=1) for state in states)
+        estimated = np.linalg.norm(history.estimate[rows, 3:6], axis=1)
     most = 2.0 * float(true.max(initial=1.0))  # a larger estimate is drawn at the upper edge
     top = _top(np.maximum(true, np.fmin(estimated, most)))
     return Strip("speed, m/s", estimated, (0.0, top), true)

@@ -62,12 +62,12 @@ def _write_gif(path: Path, pictures: Pictures, samples: list[Any], fps: int) -> 
 
     taken = Image.fromarray(np.concatenate(samples))
     palette = taken.quantize(_COLORS, Image.Quantize.FASTOCTREE)
-    first, *others = (
+    frames = [
         Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)
         for picture in pictures
-    )
-    lasts = [round(1000 / fps)] * len(others) + [round(1000 * _LAST_S)]
-    first.save(path, "GIF", save_all=True, append_images=others, duration=lasts, loop=0)
+    ]
+    lasts = [round(1000 / fps)] * (len(frames) - 1) + [round(1000 * _LAST_S)]
+    frames[0].save(path, "GIF", save_all=True, append_images=frames[1:], duration=lasts, loop=0)
 
 
 def _write_mp4(path: Path, pictures: Pictures, first: NDArray[np.uint8], fps: int) -> None:
