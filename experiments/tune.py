@@ -20,7 +20,7 @@ class Args(JsonArgs):
 
         mmwave-loc tune --radio handset --out modes.json
         mmwave-loc tune --bank --radio phone.json --episodes 900 --out bank.json
-        mmwave-loc tune --levels --out mmwave_env/data/levels.json
+        mmwave-loc tune --levels --out mmwave_env/data/levels.safetensors
         mmwave-loc tune --two-way --out policies/data/smoothing/two-way.safetensors
     """
 
@@ -46,21 +46,20 @@ class Args(JsonArgs):
     levels: bool = False
     """train the network of the protection levels on training
     seeds, and calibrate it on tuning seeds, with the
-    shipped policies; the only other options are --seed,
-    --out and --json"""
+    shipped policies; the only other options are --seed
+    and --out, which is required"""
     two_way: bool = False
     """train the network that corrects smoothed tracks, on
     training seeds, in about an hour; the only other option
     is --out, which is required"""
     out: Path | None = None
     """mode file to write, which `--modes` and the
-    environment's `modes` accept; with --levels, file to
-    write the levels to; with --two-way, policy file
-    (.safetensors) to write"""
+    environment's `modes` accept; with --levels or
+    --two-way, file (.safetensors) of the network to write"""
 
 
 OF_BANK = ("bank", "radio", "episodes", "evaluations", "seed", "out", "json")  # allowed with --bank
-OF_LEVELS = ("levels", "seed", "out", "json")  # allowed with --levels
+OF_LEVELS = ("levels", "seed", "out")  # allowed with --levels
 OF_TWO_WAY = ("two_way", "out")  # allowed with --two-way
 Content = dict[str, Any]  # content of a JSON file
 
@@ -80,28 +79,28 @@ def _tuned_bank(args: Args) -> Content:
     return bank
 
 
-def _tuned_levels(args: Args) -> Content:
-    """Tune protection levels and print the factors of their calibration; return the levels."""
+def _train_network(args: Args) -> None:
+    """Train the network of protection levels or the two-way corrector; write its file."""
     from experiments.console.progress import say
-    from experiments.training.levels import tuned_levels
-
-    content = tuned_levels(args.seed)
-    for kind, constants in zip(("filter", "bank", "corrector"), content["constants"], strict=True):
-        for risk, both in zip(content["risks"], constants, strict=True):
-            h, v = map(math.exp, both)
-            say(f"{kind}, risk {risk:g}: horizontal factor {h:.3f}, vertical factor {v:.3f}")
-    return content
-
-
-def _tune_two_way(args: Args) -> None:
-    """Train the two-way corrector, and write its policy file."""
     from experiments.console.provenance import provenance
-    from experiments.training.two_way import trained_two_way
     from mmwave_env.io.files import write_bytes
 
     if args.out is None or args.out.suffix != ".safetensors":
         raise ValueError(f"out: found {args.out}, expected a name that ends with .safetensors")
-    write_bytes(args.out, trained_two_way(provenance("tune", args)["command"]))
+    command = provenance("tune", args)["command"]
+    if args.two_way:
+        from experiments.training.two_way import trained_two_way
+
+        write_bytes(args.out, trained_two_way(command))
+        return
+    from experiments.training.levels import trained_levels
+
+    network = trained_levels(args.seed)
+    write_bytes(args.out, network.to_bytes(command))
+    for kind, constants in zip(("filter", "bank", "corrector"), network.constants, strict=True):
+        for risk, both in zip(network.risks, constants, strict=True):
+            h, v = map(math.exp, both)
+            say(f"{kind}, risk {risk:g}: horizontal factor {h:.3f}, vertical factor {v:.3f}")
 
 
 def _tuned_modes(args: Args) -> tuple[Content, Content]:
@@ -163,12 +162,10 @@ def main(args: Args) -> None:
             if option.name not in owned and getattr(args, option.name) != option.default:
                 raise ValueError(f"{option.name}: cannot be combined with --{name}")
     figures: Content = {}
-    if args.two_way:
-        _tune_two_way(args)
+    if args.levels or args.two_way:
+        _train_network(args)
         return
-    if args.levels:
-        content = _tuned_levels(args)
-    elif args.bank:
+    if args.bank:
         content = _tuned_bank(args)
     else:
         content, figures = _tuned_modes(args)

@@ -28,7 +28,7 @@ BUDGET = {
     "lines that ruff may not format": 60,
 }
 ROOMS = {  # maximum tokens of a room; lines are free
-    "experiments": 5_800,
+    "experiments": 5_790,
     "experiments/console": 5_320,
     "experiments/evaluation": 12_890,
     "experiments/figures": 3_930,
@@ -37,7 +37,7 @@ ROOMS = {  # maximum tokens of a room; lines are free
     "experiments/rivals": 2_070,
     "experiments/sweeping": 2_930,
     "experiments/timing": 5_880,
-    "experiments/training": 19_440,
+    "experiments/training": 19_100,
     "mmwave_env": 7_830,
     "mmwave_env/compiler": 8_640,
     "mmwave_env/datasets": 10_820,
@@ -45,14 +45,14 @@ ROOMS = {  # maximum tokens of a room; lines are free
     "mmwave_env/filters": 17_770,
     "mmwave_env/interface": 8_100,
     "mmwave_env/io": 2_810,
-    "mmwave_env/localization": 21_840,
+    "mmwave_env/localization": 21_830,
     "mmwave_env/logs": 12_000,
     "mmwave_env/models": 11_680,
     "mmwave_env/numerics": 3_660,
     "mmwave_env/rendering": 9_800,
     "mmwave_env/world": 14_860,
     "policies": 6_770,
-    "tests": 214_590,
+    "tests": 209_110,
 }
 PACKINGS = 3.0  # maximum per 1,000 lines: statements that say several things at once
 SOURCE = ("mmwave_env", "experiments", "policies")

@@ -9,7 +9,6 @@ correctors of beliefs. Constants, calibrated on other episodes, are added to the
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import torch
@@ -20,11 +19,14 @@ from experiments.evaluation.runner import run_contender
 from experiments.evaluation.seeds import SEEDS_EACH, TRAINING_SEED
 from experiments.training.corrector import OUTSIDE
 from experiments.training.corrector_data import CorrectorData
-from experiments.training.hyperparameters import read_hyperparameters, shipped_hyperparameters
+from experiments.training.hyperparameters import (
+    CorrectorHyperparameters,
+    read_hyperparameters,
+    shipped_hyperparameters,
+)
 from experiments.training.training_task import TrainingTask, banks_of, places_from
 from mmwave_env.compiler.program import rows_of
 from mmwave_env.interface.reward import TrackingReward
-from mmwave_env.io.files import Json
 from mmwave_env.localization.levels import GAUSSIAN, PARTS, Levels, Network
 from mmwave_env.localization.position_errors import gaussian_levels, horizontal, vertical
 from mmwave_env.models.radio import TUNED_RADIOS
@@ -56,20 +58,28 @@ LIMIT = 8.0
 HALVINGS = 24
 
 
+def task_of_correctors() -> tuple[TrainingTask, CorrectorHyperparameters]:
+    """Return the task and the shipped hyperparameters with which correctors are trained."""
+    hyper = read_hyperparameters(shipped_hyperparameters("corrector"), "corrector")
+    assert isinstance(hyper, CorrectorHyperparameters)
+    places = places_from(PLACES)
+    banks = banks_of((), places, "per-mode")
+    task = TrainingTask("mixed", places, banks, "signed", TrackingReward(), "per-mode")
+    return task, hyper
+
+
 def _played(
-    seed: int, rounds: int, policies: Sequence[tuple[str, ...]], **changes: float
+    seed: int, rounds: int, policies: Sequence[tuple[str, ...]], random_share: float | None = None
 ) -> Iterator[tuple[Array, Array]]:
     """Yield features and logs for each batch of episodes and each group of policies.
 
     The features are (n, T, features). The logs (n, T, risks, 2) are logarithms of the horizontal
     and the vertical error, each divided by its Gaussian level. The episodes are drawn with the
-    hyperparameters of the corrector; ``changes`` replace some of them.
+    hyperparameters of the corrector; ``random_share`` may replace that of random episodes.
     """
-    places = places_from(PLACES)
-    banks = banks_of((), places, "per-mode")
-    task = TrainingTask("mixed", places, banks, "signed", TrackingReward(), "per-mode")
-    hyper: Any = read_hyperparameters(shipped_hyperparameters("corrector"), "corrector")
-    data = CorrectorData(task, replace(hyper, num_envs=ENVS, **changes), seed)
+    task, hyper = task_of_correctors()
+    share = hyper.random_share if random_share is None else random_share
+    data = CorrectorData(task, replace(hyper, num_envs=ENVS, random_share=share), seed)
     rng = np.random.default_rng(seed)
     for radio, batch in (lot for _ in range(rounds) for lot in data.batches()):
         time_s = batch.table[0, :, rows_of([columns_of(batch.layout).dt])[0]].cumsum()
@@ -88,7 +98,8 @@ def _played(
 
 def _finite(lot: tuple[Array, Array]) -> tuple[Array, Array]:
     """Return the finite rows (epochs, ...) of one epoch in EVERY of a lot (n, T, ...)."""
-    features, logs = (part[:, ::EVERY].reshape(-1, *part.shape[2:]) for part in lot)
+    features = np.concatenate(lot[0][:, ::EVERY])
+    logs = np.concatenate(lot[1][:, ::EVERY])
     finite = np.isfinite(features).all(axis=1) & np.isfinite(logs).all(axis=(1, 2))
     return features[finite], logs[finite]
 
@@ -158,15 +169,16 @@ def _least(parts: list[Array], infinite: int) -> Array:
     return np.where(high < LIMIT, high, np.inf)
 
 
-def tuned_levels(
+def trained_levels(
     seed: int, rounds: int = ROUNDS, calibration: int = CALIBRATION, steps: int = STEPS
-) -> Json:
-    """Return the content of a file of levels; ``seed`` determines only the calibration's episodes.
+) -> Network:
+    """Train and calibrate a network; ``seed`` determines only the calibration's episodes.
 
     The network learns from ``rounds`` rounds of episodes in ``steps`` gradient steps, and is
     calibrated on ``calibration`` rounds.
     """
-    lots = map(_finite, _played(SEED, rounds, LEARNED_FROM))
-    features, logs = map(np.concatenate, zip(*lots, strict=True))
+    lots = [_finite(lot) for lot in _played(SEED, rounds, LEARNED_FROM)]
+    features = np.concatenate([features for features, _ in lots])
+    logs = np.concatenate([logs for _, logs in lots])
     network = _trained(features, logs, steps)
-    return network._replace(constants=_constants(network, seed, calibration)).as_written()
+    return network._replace(constants=_constants(network, seed, calibration))

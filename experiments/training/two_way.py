@@ -6,10 +6,11 @@ first; then the network learns from each of them several times.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from experiments.console.options import TUNING_SEED
 from experiments.console.progress import progress, say
@@ -17,13 +18,8 @@ from experiments.console.provenance import versions_of
 from experiments.evaluation.seeds import SEEDS_EACH, TRAINING_SEED
 from experiments.training.corrector import CorrectorNetwork, Learner
 from experiments.training.corrector_data import CorrectorData, Lot, lot_of
-from experiments.training.hyperparameters import (
-    CorrectorHyperparameters,
-    read_hyperparameters,
-    shipped_hyperparameters,
-)
-from experiments.training.levels import PLACES
-from experiments.training.training_task import TrainingTask, banks_of, places_from
+from experiments.training.hyperparameters import CorrectorHyperparameters
+from experiments.training.levels import task_of_correctors
 from mmwave_env.engines.engine import Engine, run_imm
 from mmwave_env.engines.smoothed_features import GATES, smoothed_features
 from mmwave_env.filters.bank import Bank
@@ -99,7 +95,9 @@ class SmoothedData(CorrectorData):
 
     def _play(self, batch: EpisodeBatch, bank: Bank) -> Lot:
         track = smoothed(batch, bank, self._hyper.base)
-        x, P, error = (np.swapaxes(part, 0, 1) for part in track[1:])
+        x = np.swapaxes(track.x, 0, 1)
+        P = np.swapaxes(track.P, 0, 1)
+        error = np.swapaxes(track.error, 0, 1)
         return lot_of(np.swapaxes(track.features, 0, 1), x, P, error)
 
 
@@ -113,11 +111,7 @@ def trained_two_way(command: str, rounds: int = ROUNDS, passes: int = PASSES) ->
     """
     torch.set_num_threads(1)
     torch.manual_seed(SEED)
-    hyper = read_hyperparameters(shipped_hyperparameters("corrector"), "corrector")
-    assert isinstance(hyper, CorrectorHyperparameters)
-    places = places_from(PLACES)
-    banks = banks_of((), places, "per-mode")
-    task = TrainingTask("mixed", places, banks, "signed", TrackingReward(), "per-mode")
+    task, hyper = task_of_correctors()
     data = SmoothedData(task, hyper, SEED)
     lots = []
     with progress("playing") as report:
@@ -126,14 +120,14 @@ def trained_two_way(command: str, rounds: int = ROUNDS, passes: int = PASSES) ->
             report((i + 1) / rounds)
     learner = learned_from(lots, hyper, passes)
     held = list(SmoothedData(task, hyper, TUNING_SEED).lots())
-    evaluation = {str(p): _figures(learner, lot) for p, lot in zip(places, held, strict=False)}
+    evaluation = {str(p): _figures(learner, lot) for p, lot in zip(task.places, held, strict=False)}
     pipeline = Pipeline(task.bank.modes, Layout())
     card = Card(
         modes=task.bank.modes,
         observation="signed",
         features=observation_columns(after_update(pipeline, per_mode=True)),
         scenario=task.scenario,
-        radio=", ".join(banks),
+        radio=", ".join(task.banks),
         algorithm=hyper.algorithm,
         seed=SEED,
         timesteps=sum(lot.features[..., 0].size for lot in lots),
@@ -141,7 +135,7 @@ def trained_two_way(command: str, rounds: int = ROUNDS, passes: int = PASSES) ->
         evaluation=evaluation,
         versions=versions_of("gymnasium", "numpy", "numba", "torch"),
         beliefs="per-mode",
-        banks=banks,
+        banks=dict(task.banks),
         base=hyper.base,
     )
     return to_bytes(learner.tensors(), card)
@@ -166,7 +160,12 @@ def _figures(learner: Learner, lot: Lot) -> Json:
     """Return the mean error (m) of smoothed tracks, before and after correction."""
     with torch.no_grad():
         shift = learner.answer(lot)[0].mean(dim=2).numpy()
-    errors = lot.error, lot.error - shift * lot.deviation
-    before, after = (float(np.linalg.norm(e[BURN_IN:], axis=-1).mean()) for e in errors)
+    before = _mean_length(lot.error)
+    after = _mean_length(lot.error - shift * lot.deviation)
     say(f"error of smoothed tracks: {before:.4f} m, corrected: {after:.4f} m")
     return {"smoothed_m": before, "corrected_m": after}
+
+
+def _mean_length(error: NDArray[Any]) -> float:
+    """Return the mean length of errors (T, n, 3) in scored epochs."""
+    return float(np.linalg.norm(error[BURN_IN:], axis=-1).mean())

@@ -12,17 +12,17 @@ Willett, "Distribution-free inference with hierarchical data", 2023). docs/error
 levels guarantee; the network is trained by experiments/training/levels.py.
 """
 
-from base64 import b64decode, b64encode
-from collections.abc import Mapping, Sequence
+import json
+from collections.abc import Sequence
 from functools import cache
 from importlib.resources import files
-from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from safetensors import safe_open
+from safetensors.numpy import save
 
-from mmwave_env.io.files import read_json
 from mmwave_env.io.lookup import choose
 from mmwave_env.localization.position_errors import gaussian_levels, horizontal, require_risk
 from mmwave_env.metrics import RISK
@@ -30,7 +30,9 @@ from mmwave_env.numerics.numbers import Array
 
 # parts of a filter's state from which the network's inputs, the features, are computed
 PARTS = ("x", "P", "memory.nis", "memory.accepted", "memory.rejected")
-CALIBRATED, GAUSSIAN = KINDS = ("calibrated", "gaussian")
+CALIBRATED = "calibrated"
+GAUSSIAN = "gaussian"
+KINDS = (CALIBRATED, GAUSSIAN)
 _MEMORY = np.array([[0.6], [0.9], [0.97]])  # in running means: weight of the past after 1 s
 # lower limits, so that logarithms and quotients are finite
 _LEAST = 1e-9
@@ -57,17 +59,27 @@ class Network(NamedTuple):
     layers: Sequence[tuple[Array, ...]]
 
     @classmethod
-    def of(cls, content: Mapping[str, Any]) -> "Network":
-        """Return the network that is stored in a file, given the file's content."""
-        low, high, *flat = (_numbers(text) for text in content["tensors"])
-        layers = [(w.reshape(len(b), -1), b) for w, b in zip(flat[::2], flat[1::2], strict=True)]
-        return cls(content["risks"], np.array(content["constants"]), low, high, layers)
+    def read(cls, path: Path) -> "Network":
+        """Read the network in a file that :meth:`to_bytes` filled."""
+        with safe_open(path, "np") as file:
+            risks = json.loads(file.metadata()["levels"])["risks"]
+            tensors = {name: file.get_tensor(name).astype(float) for name in file.keys()}  # noqa: SIM118
+        layers: list[tuple[Array, ...]] = []
+        while f"layer.{len(layers)}.weight" in tensors:
+            name = f"layer.{len(layers)}"
+            layers.append((tensors[f"{name}.weight"], tensors[f"{name}.bias"]))
+        return cls(risks, tensors["constants"], tensors["low"], tensors["high"], layers)
 
-    def as_written(self) -> dict[str, Any]:
-        """Return the content of a file that stores the network."""
-        tensors = self.low, self.high, *chain(*self.layers)
-        texts = [b64encode(tensor.astype("<f4").tobytes()).decode() for tensor in tensors]
-        return {"risks": self.risks, "constants": self.constants.tolist(), "tensors": texts}
+    def to_bytes(self, command: str) -> bytes:
+        """Return the content of a ``.safetensors`` file; ``command`` made the network."""
+        tensors = {"low": self.low, "high": self.high}
+        for i, (weight, bias) in enumerate(self.layers):
+            tensors |= {f"layer.{i}.weight": weight, f"layer.{i}.bias": bias}
+        tensors = {name: np.ascontiguousarray(t, np.float32) for name, t in tensors.items()}
+        tensors["constants"] = self.constants  # in double precision
+        card = {"command": command, "risks": self.risks}
+        written: bytes = save(tensors, {"levels": json.dumps(card)})
+        return written
 
     def log_factors(self, features: Array) -> Array:
         """Return logarithms of factors (..., R, 2), given features (..., features)."""
@@ -80,15 +92,10 @@ class Network(NamedTuple):
         return answer.reshape(*answer.shape[:-1], -1, 2) + self.constants[kinds]  # type: ignore[no-any-return]
 
 
-def _numbers(text: str) -> Array:
-    return np.frombuffer(b64decode(text), "<f4").astype(float)
-
-
 @cache
 def shipped() -> Network:
     """Return the network that is shipped with the package."""
-    path = Path(str(files("mmwave_env").joinpath("data", "levels.json")))
-    return read_json(path, "a calibration of levels", Network.of)
+    return Network.read(Path(str(files("mmwave_env").joinpath("data", "levels.safetensors"))))
 
 
 class Levels:
@@ -141,7 +148,9 @@ class Levels:
         """
         x, P, nis, accepted, rejected, trusted = (*parts, None)[:6]
         if self._means is None:
-            self._x, self._first_s, self._last_s = x[:, :1], *2 * [float(time_s[0])]
+            self._x = x[:, :1]
+            self._first_s = float(time_s[0])
+            self._last_s = self._first_s
         dt = np.diff(time_s, prepend=self._last_s)
         past = np.append(self._x, x[:, :-1], axis=1)
         self._x = x[:, -1:]

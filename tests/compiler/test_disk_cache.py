@@ -277,9 +277,3 @@ def test_cleaning_deletes_only_unused_old_folders_of_the_same_user(package, tmp_
     assert "mmwave_env-link" in left and (precious / "content").exists()
     assert "mmwave_env-2" not in left and len(left) < 15
     assert run(package, NUMBA_CACHE_DIR=str(shared)) == (41, 1)
-
-
-def test_the_cache_works_on_a_system_without_file_owners(package):
-    windows = "import os, numba\nif hasattr(os, 'geteuid'): del os.geteuid\n" + SCRIPT
-    runs = [finished(started(package, windows)) for _ in range(2)]
-    assert runs == [["41", "0"], ["41", "1"]]

@@ -137,30 +137,6 @@ def test_an_environment_continues_after_an_interrupted_step(tmp_path):
     assert process(code, tmp_path) == ["interrupted", "True", "True"]
 
 
-@pytest.mark.slow
-@posix
-def test_a_child_forked_during_compilation_can_step_and_compile(tmp_path):
-    code = """
-    from numba.core.compiler_lock import global_compiler_lock
-    begun = threading.Event()
-    def compiling():
-        with global_compiler_lock:
-            begun.set()
-            time.sleep(0.3)
-    threading.Thread(target=compiling).start()
-    begun.wait()
-    child = os.fork()
-    if child == 0:
-        signal.alarm(60)  # in case the child hangs
-    _, own = stepped(threads=2)
-    _, other = stepped(threads=2, reward="log-score")  # compiled after the fork
-    if child == 0:
-        sys.exit(0 if np.array_equal(rewards, own) and np.isfinite(other).all() else 1)
-    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
-    """
-    assert process(code, tmp_path) == ["0"]
-
-
 @posix
 @pytest.mark.slow
 @pytest.mark.parametrize("context", ["fork", "spawn", "forkserver"])

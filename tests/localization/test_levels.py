@@ -147,12 +147,16 @@ def test_errors_exceed_levels_at_most_as_often_as_stated(pair, risk):
 @pytest.mark.slow
 @pytest.mark.torch
 @pytest.mark.filterwarnings("ignore:speed above")
-def test_levels_are_infinite_for_a_risk_that_is_too_small_for_the_calibration():
+def test_levels_are_infinite_for_a_risk_that_is_too_small_for_the_calibration(tmp_path):
     pytest.importorskip("torch")
-    from experiments.training.levels import RISKS, tuned_levels
+    from experiments.training.levels import RISKS, trained_levels
 
-    network = Network.of(tuned_levels(5_000_000, rounds=1, calibration=1, steps=200))
+    network = trained_levels(5_000_000, rounds=1, calibration=1, steps=200)
+    path = tmp_path / "levels.safetensors"
+    path.write_bytes(network.to_bytes("mmwave-loc tune --levels"))
+    read = Network.read(path)
+    np.testing.assert_array_equal(read.constants, network.constants)
     features = Levels(kind="gaussian").features(ANCHORS, True, np.arange(T), *parts())
-    factors = network.log_factors(features)
+    factors = read.log_factors(features)
     assert factors.shape == (N, T, len(RISKS), 2)
     assert np.isfinite(factors[..., 0, :]).all() and np.isposinf(factors[..., 1, :]).all()
