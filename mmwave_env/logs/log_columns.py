@@ -176,7 +176,7 @@ def columns_of(
         known = ", ".join(next(iter(row.columns)) for row in QUANTITIES.values())
         raise ValueError(
             f"{problems}; the only allowed columns are {known}, or the same in other units; "
-            "docs/data.md shows a command that renames the columns of a log"
+            "docs/own-data.md shows a command that renames the columns of a log"
         )
     for number, name in enumerate(names):
         quantity = _QUANTITY_OF[name]
