@@ -105,7 +105,7 @@ class Measured:
         measured = [partial(run, name) for name in makes]
         measured += [partial(answer, *latency) for latency in LATENCIES]
         measured += [partial(limit, name) for name in self.operations]
-        return [*pieces, *measured * repeats]
+        return pieces + measured * repeats
 
     def natives(self, threads: int = workloads.BOTH) -> list[str]:
         """Return names of our vector environments ("native") with ``threads`` threads."""
