@@ -1,21 +1,10 @@
-"""Policies that need no training: a fixed mode, and the most likely mode."""
+"""A policy that needs no training: it chooses the most likely mode."""
 
 import numpy as np
 
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.policy import Policy
 from mmwave_env.numerics.numbers import Array32, Index
-
-
-class FixedMode(Policy):
-    """A policy that always takes the same action."""
-
-    def __init__(self, action: int) -> None:
-        self.action = action
-
-    def act(self, observation: Array32) -> Index:
-        """Return actions (n,)."""
-        return np.full(len(observation), self.action, np.int64)
 
 
 class LikelihoodRule(Policy):

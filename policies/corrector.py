@@ -21,8 +21,8 @@ from mmwave_env.interface.policy import Correction, Policy, Switching
 from mmwave_env.interface.signed import after_update
 from mmwave_env.io.files import AnyPath
 from mmwave_env.numerics.numbers import Array32, Index, Mask
-from policies.learned import LearnedPolicy, LearnedSwitch, taken
-from policies.policy_file import CORRECTIONS, Tensors
+from policies.learned import LearnedPolicy, LearnedSwitch, policy_file, taken
+from policies.policy_file import CORRECTIONS, PolicyFile, Tensors
 
 BASE_IMM = "imm-best"  # the name of the base if it is the IMM of the policy's bank
 # file of the shipped two-way corrector, in a folder of its own because it is no policy
@@ -46,7 +46,7 @@ class CorrectionNetwork(LearnedPolicy):
 
     recurrent: ClassVar[tuple[str, ...]] = ("gru",)  # names of the recurrent units in the file
 
-    def __init__(self, path: AnyPath) -> None:
+    def __init__(self, path: AnyPath | PolicyFile) -> None:
         super().__init__(path)
         tensors = self._tensors
         if not self.card.base:
@@ -111,7 +111,7 @@ class Corrector(CorrectionNetwork, Policy):
 
     corrects = True
 
-    def __init__(self, path: AnyPath, observation: Observation | None = None) -> None:
+    def __init__(self, path: AnyPath | PolicyFile, observation: Observation | None = None) -> None:
         super().__init__(path)
         base = self.card.base
         self._base = None if base == BASE_IMM else LearnedSwitch(base)
@@ -236,9 +236,10 @@ def _mean_and_differences(weight: Array32, bias: Array32) -> tuple[Array32, Arra
     return rows[:-1], rows[-1]
 
 
-def learned_policy(path: AnyPath) -> LearnedSwitch | Corrector:
+def learned_policy(path: AnyPath | PolicyFile) -> LearnedSwitch | Corrector:
     """Return the switcher or the corrector in a policy file, given by its path or shipped name."""
-    return Corrector(path) if LearnedPolicy(path).card.base else LearnedSwitch(path)
+    file = policy_file(path)
+    return Corrector(file) if file.card.base else LearnedSwitch(file)
 
 
 def load(path: AnyPath, radio: str = "handset") -> Switching:
@@ -249,7 +250,8 @@ def load(path: AnyPath, radio: str = "handset") -> Switching:
 
     ```
     """
-    policy = learned_policy(path)
-    modes = policy.bank(radio) if policy.beliefs == "per-mode" else policy.modes
-    make = partial(type(policy), path)
-    return Switching(modes, None, make, policy.card.observation, corrects=bool(policy.card.base))
+    file = policy_file(path)
+    policy = learned_policy(file)
+    filters = policy.bank(radio) if policy.beliefs == "per-mode" else policy.modes
+    make = partial(type(policy), file)
+    return Switching(filters, None, make, file.card.observation, corrects=policy.corrects)

@@ -1,6 +1,7 @@
 """Learned policies, which were trained with PyTorch and run with numpy."""
 
 from collections.abc import Sequence
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from mmwave_env.io.files import AnyPath
 from mmwave_env.io.lookup import unknown
 from mmwave_env.models.radio import radio_from
 from mmwave_env.numerics.numbers import Array32, Index
-from policies.policy_file import read_policy
+from policies.policy_file import PolicyFile, read_policy
 
 
 def shipped_policies() -> dict[str, Path]:
@@ -27,7 +28,7 @@ class LearnedPolicy:
     """A policy file and the environment's features that its network reads.
 
     Args:
-        path: a policy file (``.safetensors``), or the name of a shipped policy.
+        path: a policy file (``.safetensors``) or its content, or the name of a shipped policy.
         observation: the environment's table of features, in which the policy looks up its features
             by name; None if observations have exactly the features listed in the policy's file.
 
@@ -42,9 +43,8 @@ class LearnedPolicy:
         FileNotFoundError: the file does not exist.
     """
 
-    def __init__(self, path: AnyPath, observation: Observation | None = None) -> None:
-        self._path = _located(path)
-        self._tensors, self.card = read_policy(self._path)
+    def __init__(self, path: AnyPath | PolicyFile, observation: Observation | None = None) -> None:
+        self._path, self._tensors, self.card = policy_file(path)
         self.modes = self.card.modes
         self.beliefs = self.card.beliefs
         self._low = self._tensors["low"]
@@ -185,7 +185,7 @@ class LearnedSwitch(LearnedPolicy, Policy):
     Arguments, attributes and errors: same as for :class:`LearnedPolicy`.
     """
 
-    def __init__(self, path: AnyPath, observation: Observation | None = None) -> None:
+    def __init__(self, path: AnyPath | PolicyFile, observation: Observation | None = None) -> None:
         super().__init__(path, observation)
         if self.card.base:
             raise ValueError(
@@ -229,11 +229,19 @@ def taken(observation: Array32, columns: Index | None, unseen: Array32 | None) -
     return observation
 
 
-def _located(path: AnyPath) -> Path:
-    """Return the path of a policy file, given as a path or as the name of a shipped policy."""
+def policy_file(path: AnyPath | PolicyFile) -> PolicyFile:
+    """Return the content of a policy file, given by its path or as the name of a shipped policy."""
+    if isinstance(path, PolicyFile):
+        return path
     if not isinstance(path, str) or path.endswith(".safetensors"):
-        return Path(path)
+        return PolicyFile(Path(path), *read_policy(path))
     shipped = shipped_policies()
     if path not in shipped:
         raise ValueError(unknown("policy", path, [*shipped, "a .safetensors file"]))
-    return shipped[path]
+    return _shipped_file(shipped[path])
+
+
+@cache
+def _shipped_file(path: Path) -> PolicyFile:
+    """Return the content of a shipped file, which is read only once."""
+    return PolicyFile(path, *read_policy(path))

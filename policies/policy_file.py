@@ -27,7 +27,7 @@ from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field, fields
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, get_origin, get_type_hints
+from typing import Any, NamedTuple, get_origin, get_type_hints
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
@@ -152,6 +152,14 @@ class Card:
         content = {**asdict(self), "modes": modes, "banks": banks}
         absent = {*(() if banks else _PER_MODE), *(() if self.base else ("base",))}
         return {name: value for name, value in content.items() if name not in absent}
+
+
+class PolicyFile(NamedTuple):
+    """The content of a policy file."""
+
+    path: Path
+    tensors: Tensors
+    card: Card
 
 
 def _column(row: Any) -> Column:

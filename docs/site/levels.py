@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from experiments.console.tables import grid
 from experiments.evaluation.contenders import Contender
 from experiments.evaluation.intervals import bootstrap
+from experiments.evaluation.playing import EpochResults
 from experiments.evaluation.protocol import HARD, KINDS, RECORDED, Site, sites
-from experiments.evaluation.runner import EpochResults, score_contenders
+from experiments.evaluation.runner import score_contenders
 from experiments.evaluation.seeds import Selection
 from mmwave_env.localization.levels import PARTS, Levels
 from mmwave_env.localization.position_errors import gaussian_levels, horizontal, vertical
@@ -44,7 +45,9 @@ def figures_at(site: Site) -> Array:
         error = np.stack([f(results["error"]) for f in (horizontal, vertical)], axis=-1)
         for rows, risk in zip(figures, RISKS, strict=True):
             gaussian = gaussian_levels(results["P"], risk)
-            factors = Levels(risk).factors(source.layout.anchors, contender.mixes, time_s, *parts)
+            factors = Levels(risk).factors(
+                source.layout.anchors, bool(contender.bank), time_s, *parts
+            )
             both = np.stack([gaussian, gaussian * factors])[:, :, counts]
             over = 100.0 * ~(error[:, counts] <= both)
             width = np.median(both[1], axis=(0, 1)) / np.median(both[0], axis=(0, 1))

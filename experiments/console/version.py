@@ -14,7 +14,10 @@ from llvmlite.binding import get_host_cpu_name
 from experiments.console.provenance import versions
 from mmwave_env.compiler.disk_cache import kept_functions
 from mmwave_env.compiler.lanes import WIDTH
+from mmwave_env.compiler.program import rows_of
 from mmwave_env.engines.engine import Engine, run_imm
+from mmwave_env.engines.play import play
+from mmwave_env.interface.policy import FixedMode
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.io.files import Json
 from mmwave_env.numerics.numbers import Array
@@ -92,8 +95,5 @@ def _stepped(task: Task, episodes: EpisodeBatch, on_floats: bool) -> Array:
         task.pipeline, len(_KEYS), TrackingReward(), bank=task.bank, on_floats=on_floats
     )
     engine.reset(episodes)
-    beliefs = []
-    for _ in range(_EPOCHS):
-        engine.step(np.zeros(len(_KEYS), np.int64))
-        beliefs.append(engine.read(engine.at.x))
-    return np.array(beliefs)
+    rows = rows_of(engine.at.x)
+    return play(engine, FixedMode(0), _EPOCHS, rows).outputs.swapaxes(0, 1)

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation
-from mmwave_env.interface.policy import Policy, policy_from
+from mmwave_env.interface.policy import Correction, Policy, policy_from
 from mmwave_env.models.measurement import Epoch, Site, blank_site
-from mmwave_env.numerics.numbers import Array, Array32, Index, Vector
+from mmwave_env.numerics.numbers import Array, Array32, Index, Mask, Vector
 from mmwave_env.numerics.pytree import unflatten
 from mmwave_env.world.episode import EpisodeBatch, blank_incoming
 
@@ -123,13 +123,11 @@ def policy_of(name: str, agent: Act) -> Policy:
 def tried(name: str, policy: Policy, table: Observation) -> Policy:
     """Return an agent's policy; check that it returns actions for a few random observations.
 
-    An estimator is returned as it is.
+    Errors of the returned policy name the agent and the epoch.
 
     Raises:
         ValueError: the policy raises an exception, or returns invalid actions.
     """
-    if isinstance(policy, Estimator):
-        return policy
     space = table.space
     rng = np.random.default_rng(0)
     shown = rng.uniform(space.low, space.high, (TRIED, len(table))).astype(np.float32)
@@ -142,7 +140,41 @@ def tried(name: str, policy: Policy, table: Observation) -> Policy:
             f"{shown.shape}, float32, made with {table.made_with}; {OF_A_MODEL} ({GUIDE})"
         ) from error
     require_actions(name, actions, TRIED, len(table.actions))
-    return policy
+    return _Checked(name, policy, len(table.actions))
+
+
+class _Checked(Policy):
+    """An agent's policy, whose answers are checked in every epoch.
+
+    Raises:
+        ValueError: the agent raises an exception, or returns invalid actions.
+    """
+
+    def __init__(self, name: str, policy: Policy, actions: int) -> None:
+        self.corrects = policy.corrects
+        self._name = name
+        self._policy = policy
+        self._actions = actions
+        self._epoch = 0
+
+    def reset(self, mask: Mask) -> None:
+        self._epoch = 0
+        self._policy.reset(mask)
+
+    def act(self, observation: Array32) -> Index:
+        self._epoch += 1
+        returned = self._answer(self._policy.act, observation)
+        return require_actions(self._name, returned, len(observation), self._actions)
+
+    def correct(self, observation: Array32) -> Correction | None:
+        return cast(Correction, self._answer(self._policy.correct, observation))
+
+    def _answer(self, ask: Callable[[Array32], Any], observation: Array32) -> Any:
+        try:
+            return ask(observation)
+        except Exception as error:  # a user's code can raise anything
+            problem = f"policy {self._name}: {in_one_line(error)}, in epoch {self._epoch}"
+            raise ValueError(problem) from error
 
 
 def in_one_line(error: Exception) -> str:
@@ -150,7 +182,7 @@ def in_one_line(error: Exception) -> str:
     return f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"
 
 
-def require_actions(name: str, returned: Any, n: int, count: int) -> NDArray[np.integer[Any]]:
+def require_actions(name: str, returned: Any, n: int, count: int) -> Index:
     """Return actions (n,) as an array; refuse anything else.
 
     Raises:
@@ -168,4 +200,4 @@ def require_actions(name: str, returned: Any, n: int, count: int) -> NDArray[np.
             f"actions of {name}: found {actions.min()} (smallest) and {actions.max()} (largest), "
             f"expected 0 to {count - 1}"
         )
-    return actions
+    return actions.astype(np.int64)

@@ -6,8 +6,24 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from experiments.evaluation.agents import GUIDE, Act, agent_from, is_agent, policy_of, tried
+from experiments.evaluation.agents import (
+    GUIDE,
+    Act,
+    Estimator,
+    agent_from,
+    is_agent,
+    policy_of,
+    tried,
+)
 from experiments.evaluation.branches import CLAIRVOYANT, Clairvoyant
+from experiments.evaluation.playing import (
+    EpochResults,
+    Trial,
+    run_alone,
+    run_clairvoyant,
+    run_estimator,
+    run_policy,
+)
 from experiments.evaluation.runs import Run
 from mmwave_env.filters.bank import (
     Bank,
@@ -18,16 +34,13 @@ from mmwave_env.filters.bank import (
     default_modes,
     named_modes,
 )
-from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.interface.observation import Observation, action_names
-from mmwave_env.interface.policy import Policy
+from mmwave_env.interface.observation import Observation
+from mmwave_env.interface.policy import FixedMode, Policy, Switching
 from mmwave_env.io.files import AnyPath
 from mmwave_env.io.lookup import unknown
-from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import radio_from
 from mmwave_env.task import bank_and_modes
-from policies import FixedMode, LikelihoodRule, SpeedRule, learned_policy, shipped_policies
+from policies import LikelihoodRule, SpeedRule, load, shipped_policies
 
 BEST_IMM = "imm-best"  # the IMM with the modes of best_bank
 RULE = "speed-rule"  # the paper's rule
@@ -36,26 +49,22 @@ OTHERS = ("a .safetensors file", "the folder of a run", "module:function, withou
 SHIPPED = ("ppo", "guided", "guided-ppo", "corrector")
 
 
-@dataclass(frozen=True)
-class Contender:
-    """A policy with its modes, or an IMM.
+@dataclass(frozen=True, kw_only=True)
+class Contender(Switching):
+    """A policy with its modes, or an IMM, by a name.
 
     Attributes:
         name: name on the command line and in results.
-        bank: filter modes to choose from or to mix. Its transition probabilities and NIS quantile
-            matter only for an IMM, or if beliefs are "per-mode".
-        policy: function from an :class:`Observation` to a policy; None for the IMM of the bank.
-        observation: kind of observation that the policy reads: "full", "prior" or "signed".
-        beliefs: "shared" if all modes work on one belief, "per-mode" if each keeps its own.
-        corrects: whether the policy corrects beliefs.
+        run: function that runs the contender on episodes, and returns every epoch's results.
     """
 
     name: str
-    bank: Bank
-    policy: Callable[[Observation], Policy] | None
-    observation: str = "full"
-    beliefs: str = "shared"
-    corrects: bool = False
+    run: Callable[[Trial], EpochResults] = run_policy
+
+    @classmethod
+    def imm(cls, name: str, bank: Bank) -> "Contender":
+        """Return a contender for the IMM of a bank."""
+        return cls(bank, name=name, run=run_alone)
 
     @classmethod
     def learned(cls, path: AnyPath, name: str | None = None, radio: str = "handset") -> "Contender":
@@ -64,15 +73,7 @@ class Contender:
         A policy that has a bank for each radio uses the bank for ``radio``. If ``name`` is None,
         the path is the name.
         """
-        policy = learned_policy(path)
-        return cls(
-            os.fspath(path) if name is None else name,
-            policy.bank(radio) if policy.beliefs == "per-mode" else Bank(policy.modes),
-            partial(type(policy), path),
-            observation=policy.card.observation,
-            beliefs=policy.beliefs,
-            corrects=bool(policy.card.base),
-        )
+        return cls(**vars(load(path, radio)), name=os.fspath(path) if name is None else name)
 
     @classmethod
     def own(
@@ -98,35 +99,15 @@ class Contender:
         modes = getattr(agent, "modes", modes)
         bank_of = getattr(agent, "bank", None) if beliefs == "per-mode" else None
         bank, chosen = bank_and_modes(bank_of(radio) if bank_of else modes, beliefs, radio)
+        estimates = isinstance(policy, Estimator)
         return cls(
-            name,
-            bank or Bank(chosen),
-            partial(tried, name, policy),
+            bank or chosen,
+            policy=(lambda table: policy) if estimates else partial(tried, name, policy),
             observation=getattr(agent, "observation", observation),
-            beliefs=beliefs,
             corrects=policy.corrects,
+            name=name,
+            run=run_estimator if estimates else run_policy,
         )
-
-    @property
-    def modes(self) -> tuple[Mode, ...]:
-        """Return the modes of the bank."""
-        return self.bank.modes
-
-    @property
-    def mixes(self) -> bool:
-        """Return whether the modes keep their own beliefs, which are mixed."""
-        return self.policy is None or self.beliefs == "per-mode"
-
-    @property
-    def actions(self) -> list[str]:
-        """Return the names of the actions that the policy chooses from."""
-        return action_names(self.modes, self.beliefs)
-
-    def start(self, layout: Layout, planar: bool = False) -> Policy | None:
-        """Return a new policy for measurements with this layout; None for an IMM."""
-        pipeline = Pipeline(self.modes, layout, planar)
-        table = Observation(pipeline, self.observation, self.beliefs)
-        return self.policy and self.policy(table)
 
 
 Make = Callable[[], Contender]
@@ -148,8 +129,10 @@ def _of_any_modes(bank: Bank) -> dict[str, Make]:
         policies[RULE] = SpeedRule
     if len(names) > 1:
         policies["likelihood-rule"] = lambda table: LikelihoodRule(table, names)
-    makes: dict[str, Make] = {n: partial(Contender, n, bank, p) for n, p in policies.items()}
-    return makes | {"imm": partial(Contender, "imm", bank, None)}
+    makes: dict[str, Make] = {
+        n: partial(Contender, bank.modes, policy=p, name=n) for n, p in policies.items()
+    }
+    return makes | {"imm": partial(Contender.imm, "imm", bank)}
 
 
 def contenders(radio: str, modes: Modes = None) -> dict[str, Make]:
@@ -167,7 +150,7 @@ def contenders(radio: str, modes: Modes = None) -> dict[str, Make]:
     ckf = Bank((named_modes(radio)["ckf"],))
     ekf, ukf, *others = _of_any_modes(Bank(default_modes(radio))).items()
     alone = dict([ekf, ukf, next(iter(_of_any_modes(ckf).items()))])
-    best = {BEST_IMM: lambda: Contender(BEST_IMM, best_bank(radio), None)}
+    best = {BEST_IMM: lambda: Contender.imm(BEST_IMM, best_bank(radio))}
     shipped = shipped_policies()
     base = radio_from(radio).base
     files = ((name, file) for name in SHIPPED for file in (name, f"{name}-{base}"))
@@ -199,7 +182,7 @@ def contender_from(
         return known[name]()
     if name == CLAIRVOYANT:
         bank = bank_from(modes, radio)
-        return Contender(name, bank, lambda table: Clairvoyant(), beliefs="per-mode")
+        return Contender(bank, policy=lambda table: Clairvoyant(), name=name, run=run_clairvoyant)
     if name in shipped or name.endswith(".safetensors"):
         return Contender.learned(name, radio=radio)
     if Path(name).is_dir():

@@ -7,7 +7,7 @@ import numpy as np
 
 from experiments.console.tables import grid
 from experiments.evaluation.contenders import Contender
-from experiments.evaluation.runner import EpochResults
+from experiments.evaluation.playing import EpochResults
 from mmwave_env.io.files import Json
 from mmwave_env.localization.levels import PARTS, Levels
 from mmwave_env.localization.position_errors import DISTANCES_M, SHARES, PositionErrors
@@ -44,7 +44,7 @@ class Positions:
             errors = self.errors.setdefault(name, PositionErrors(self.levels.risk, self.planar))
             parts = [*(results[part] for part in PARTS), results.get("trusted")]
             self.levels.reset()
-            factors = self.levels.factors(self.anchors, contender.mixes, time_s, *parts)
+            factors = self.levels.factors(self.anchors, contender.bank is not None, time_s, *parts)
             errors.add(*(v[:, counts] for v in (results["error"], results["P"], factors)))
 
     def figures(self) -> Json:

@@ -2,63 +2,33 @@
 
 import warnings
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, cast
+from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.console.progress import bars
-from experiments.evaluation.agents import NO_FILTERS, Estimator, in_one_line, require_actions
-from experiments.evaluation.branches import Clairvoyant
 from experiments.evaluation.contenders import Contender, contender_from
+from experiments.evaluation.playing import EpochResults, Scoring, Trial
 from experiments.evaluation.seeds import Selection
-from mmwave_env.engines.engine import Engine, run_imm
 from mmwave_env.filters.bank import Modes
-from mmwave_env.filters.belief import Belief
-from mmwave_env.filters.correction import corrected_all
-from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.interface.policy import Correction, Policy
-from mmwave_env.interface.reward import Reward, TrackingReward, terms_of, total
+from mmwave_env.interface.policy import Policy
+from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.io.lookup import printable
 from mmwave_env.metrics import BURN_IN, METRICS, TERMS, scored, summary
-from mmwave_env.numerics.linalg import pack, unpack
-from mmwave_env.numerics.numbers import Array, Array32
-from mmwave_env.task import Task
-from mmwave_env.world.episode import Episode, EpisodeBatch, EpisodeSource, columns_of
+from mmwave_env.numerics.numbers import Array
+from mmwave_env.world.episode import Episode, EpisodeBatch, EpisodeSource
 from mmwave_env.world.simulated import SimulatedSource
-
-
-class Scoring(NamedTuple):
-    """Reward and terrain that apply to all contenders."""
-
-    reward: Reward = TrackingReward()  # function of (belief, truth)
-    planar: bool = False  # whether height and vertical speed are known; NEES then covers two axes
-
-    @classmethod
-    def of(cls, task: Task) -> "Scoring":
-        """Return the scoring of a task; refuse a paired reward."""
-        if task.baseline is not None:
-            raise ValueError(
-                "reward: found a paired reward, expected an unpaired reward; paired differences "
-                "between policies, including the IMM, are shown in any case"
-            )
-        return cls(task.reward, task.pipeline.planar)
-
 
 PLAIN = Scoring()
 Scores = dict[str, Array]  # metric -> (episodes,)
 
-# Results of n episodes: "reward" and "nees" (n, T); "error" (n, T, 3); a policy's "mode" (n, T)
-EpochResults = dict[str, NDArray[Any]]
-
 PARTS = ("reward", "nees", "error")
-BELIEF = ("x", "P")  # parts of the state that a corrector (a policy with "correct") changes
 CHUNK = 1000  # maximum number of episodes in memory
 
 Watch = Callable[[Contender, Array, EpochResults], None]
 
 
-def score(contender: Contender, policy: Policy | None, episodes: Sequence[Episode]) -> Scores:
+def score(contender: Contender, policy: Policy, episodes: Sequence[Episode]) -> Scores:
     """Run a contender and its policy on equally long episodes; return metrics of each episode."""
     results = run_contender(contender, policy, _scorable(episodes))
     return _summary(results, episodes[0].time_s, PLAIN)
@@ -73,7 +43,7 @@ def _scorable(episodes: Sequence[Episode]) -> Sequence[Episode]:
 
 def run_contender(
     contender: Contender,
-    policy: Policy | None,
+    policy: Policy,
     episodes: EpisodeBatch | Sequence[Episode],
     scoring: Scoring = PLAIN,
     after: Sequence[str] = (),
@@ -94,83 +64,10 @@ def run_contender(
     """
     if scoring.planar and not isinstance(episodes, EpisodeBatch):
         _scorable(episodes)
-    episodes = EpisodeBatch.of(episodes)
+    batch = EpisodeBatch.of(episodes)
     if scoring.planar:
-        episodes = episodes.on_flat_ground()
-    pipeline = Pipeline(contender.modes, episodes.layout, scoring.planar)
-    names = (*PARTS, *after)
-    if policy and policy.corrects:
-        names = tuple(dict.fromkeys((*names, *BELIEF, "truth")))
-    if policy is None:
-        return run_imm(contender.bank, scoring.reward, episodes, *names, planar=scoring.planar)
-    n, T, _ = episodes.table.shape
-    if isinstance(policy, Estimator):
-        if not {*after} <= {*BELIEF}:
-            raise ValueError(f"policy: found {contender.name}, {NO_FILTERS}")
-        x, P = policy.estimate(pipeline, episodes)
-        truth = episodes.table[:, :, columns_of(episodes.layout).truth]
-        mean = list(np.moveaxis(x, -1, 0))
-        packed = list(np.moveaxis(P, -1, 0))
-        axes = pipeline.position_axes
-        known = pipeline.known_axes
-        belief = Belief(mean, unpack(packed, known), axes)
-        return {"x": x, "P": P, **_scored(belief, truth, scoring.reward)}
-    bank = contender.bank if contender.mixes else None
-    engine = Engine(pipeline, n, scoring.reward, contender.observation, bank)
-    engine.reset(episodes)
-    policy.reset(np.ones(n, bool))
-    if isinstance(policy, Clairvoyant):
-        policy.foresee(engine)
-    program = engine.batch.program
-    rows = program.rows(names)
-    outputs = np.empty((n, T, len(rows)))
-    taken = np.empty((n, T), np.int8)
-    corrections: list[Correction] = []
-    observations = engine.observations()
-    for t in range(T):
-        choices = _answer(contender.name, t, policy.act, observations)
-        taken[:, t] = actions = require_actions(contender.name, choices, n, len(contender.actions))
-        observations, outputs[:, t] = engine.step(actions, rows)
-        if policy.corrects:
-            corrections.append(_answer(contender.name, t, policy.correct, observations))
-    results = program.by_name(names, outputs) | {"mode": taken}
-    if policy.corrects:
-        results |= _corrected(results, corrections, pipeline, scoring.reward)
-    return results
-
-
-def _answer(name: str, epoch: int, ask: Callable[[Array32], Any], observations: Array32) -> Any:
-    """Return a policy's answer to observations (n, features); an error names policy and epoch."""
-    try:
-        return ask(observations)
-    except Exception as error:  # a user's code can raise anything
-        raise ValueError(f"policy {name}: {in_one_line(error)}, in epoch {epoch + 1}") from error
-
-
-def _corrected(
-    results: EpochResults, corrections: Sequence[Correction], pipeline: Pipeline, reward: Reward
-) -> EpochResults:
-    """Correct the belief after every epoch; return the results that depend on the belief."""
-    shift, log_factor, trusted = (
-        np.stack(parts, axis=1) for parts in zip(*corrections, strict=True)
-    )
-    belief = corrected_all(results["x"], results["P"], shift, log_factor, pipeline)
-    return {
-        "x": np.stack(belief.x, axis=-1),
-        "P": np.stack(pack(belief.P), axis=-1),
-        "trusted": trusted,
-        **_scored(belief, results["truth"], reward),
-    }
-
-
-def _scored(belief: Belief, true_states: Array, reward: Reward) -> EpochResults:
-    """Score a belief whose components are arrays (n, T), against true states (n, T, 6)."""
-    truth = list(np.moveaxis(true_states, -1, 0))
-    return {
-        "error": np.stack(belief.error(truth), axis=-1),
-        "nees": belief.nees(truth),
-        "reward": total(terms_of(reward, belief, truth)),
-    }
+        batch = batch.on_flat_ground()
+    return contender.run(Trial(contender, policy, batch, scoring, (*PARTS, *after)))
 
 
 def _epochs_per_second(time_s: Array) -> float:

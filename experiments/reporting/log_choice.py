@@ -89,11 +89,7 @@ def choice_of(args: LogArgs, radio: str, log: Log) -> Choice:
             why = f"of {WITHOUT_ELEVATIONS} (no elevations), weighted by their probability"
             return Choice(Switching(_bank(WITHOUT_ELEVATIONS, radio)), why)
         name = args.policy or default_policy(args.height)
-        contender = contender_from(name, radio)
-        bank_or_modes = contender.bank if contender.mixes else contender.modes
-        kind = contender.observation
-        switching = Switching(bank_or_modes, None, contender.policy, kind, contender.corrects)
-        return Choice(switching, f"chosen by the policy {name}")
+        return Choice(contender_from(name, radio), f"chosen by the policy {name}")
     return _algorithm_1(args, modes_of(args, radio))
 
 

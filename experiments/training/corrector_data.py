@@ -16,6 +16,7 @@ from experiments.training.hyperparameters import CorrectorHyperparameters
 from experiments.training.training_task import TrainingTask
 from mmwave_env.compiler.program import rows_of
 from mmwave_env.engines.engine import Engine
+from mmwave_env.engines.play import play
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.correction import deviations_of
@@ -176,20 +177,19 @@ class CorrectorData:
         pipeline = Pipeline(bank.modes, batch.layout)
         engine = Engine(pipeline, n, TrackingReward(), "signed", bank)
         engine.reset(batch)
-        policy: Policy = FixedMode(0)
-        if self._switch:
-            policy = LearnedSwitch(self._hyper.base, engine.observation)
-        wanted = [feature.name for feature in after_update(pipeline, per_mode=True)]
-        columns = [engine.observation.names.index(name) for name in wanted]
+        after = [feature.name for feature in after_update(pipeline, per_mode=True)]
+        columns = np.array([engine.observation.names.index(name) for name in after])
         rows = rows_of([engine.at.x, engine.at.P, engine.at.error])
-        outputs = np.empty((epochs, n, len(rows)))
-        features = np.empty((epochs, n, len(columns)), np.float32)
-        observations = engine.observations()
-        for t in range(epochs):
-            observations, outputs[t] = engine.step(policy.act(observations), rows)
-            features[t] = observations[:, columns]
+        track = play(engine, self.policy(engine), epochs, rows, columns)
         size = batch.layout.state_size
-        return lot_of(features, *np.split(outputs, [size, len(rows) - 3], axis=2))
+        outputs = np.split(track.outputs.swapaxes(0, 1), [size, len(rows) - 3], axis=2)
+        return lot_of(track.features.swapaxes(0, 1), *outputs)
+
+    def policy(self, engine: Engine) -> Policy:
+        """Return the policy of the base, which an IMM lacks."""
+        if self._switch is None:
+            return FixedMode(0)
+        return LearnedSwitch(self._hyper.base, engine.observation)
 
 
 def weaving(source: SimulatedSource, rng: np.random.Generator) -> SimulatedSource:

@@ -88,7 +88,7 @@ def _played(
             of = run_contender(contender, contender.start(batch.layout), batch, after=PARTS)
             parts = [*(of[part] for part in PARTS), of.get("trusted")]
             features = Levels(kind=GAUSSIAN).features(
-                batch.layout.anchors, contender.mixes, time_s, *parts
+                batch.layout.anchors, contender.bank is not None, time_s, *parts
             )
             error = np.stack([horizontal(of["error"]), vertical(of["error"])], axis=-1)
             levels = np.stack([gaussian_levels(of["P"], risk) for risk in RISKS], axis=-2)

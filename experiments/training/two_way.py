@@ -21,6 +21,7 @@ from experiments.training.corrector_data import CorrectorData, Lot, lot_of
 from experiments.training.hyperparameters import CorrectorHyperparameters
 from experiments.training.levels import task_of_correctors
 from mmwave_env.engines.engine import Engine, run_imm
+from mmwave_env.engines.play import play
 from mmwave_env.engines.smoothed_features import GATES, smoothed_features
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.mode_smoothing import smooth_modes
@@ -80,14 +81,8 @@ def _actions(batch: EpisodeBatch, bank: Bank, base: str) -> Index:
     """Return the actions (n, T) of a policy."""
     n, epochs, _ = batch.table.shape
     engine = Engine(Pipeline(bank.modes, batch.layout), n, TrackingReward(), "full", bank)
-    policy = LearnedSwitch(base, engine.observation)
     engine.reset(batch)
-    observations = engine.observations()
-    actions = np.empty((n, epochs), np.int64)
-    for t in range(epochs):
-        actions[:, t] = policy.act(observations)
-        observations, _ = engine.step(actions[:, t])
-    return actions
+    return play(engine, LearnedSwitch(base, engine.observation), epochs).actions
 
 
 class SmoothedData(CorrectorData):

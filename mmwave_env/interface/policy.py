@@ -8,10 +8,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, cast, runtime_checkable
 
+import numpy as np
+from numpy.typing import NDArray
+
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.interface.observation import Observation
+from mmwave_env.interface.observation import Observation, action_names
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Epoch
 from mmwave_env.numerics.numbers import Array32, Index, Mask, Number, Vector
@@ -31,9 +34,9 @@ class Correction(NamedTuple):
         trusted: (n,) trust, the factor, 0 to 1, by which the network's answer was scaled.
     """
 
-    shift: Array32
-    log_factor: Array32
-    trusted: Array32
+    shift: NDArray[Any]
+    log_factor: NDArray[Any]
+    trusted: NDArray[Any]
 
 
 @runtime_checkable
@@ -108,15 +111,27 @@ def policy_from(agent: Any) -> Policy:
     return cast(Policy, _Agent(act, reset, correct, hasattr(agent, "correct")))
 
 
+class FixedMode(Policy):
+    """A policy that always takes the same action; 0 leaves an IMM as it is."""
+
+    def __init__(self, action: int = 0) -> None:
+        self.action = action
+
+    def act(self, observation: Array32) -> Index:
+        """Return actions (n,)."""
+        return np.full(len(observation), self.action, np.int64)
+
+
 @dataclass(frozen=True)
 class Switching:
     """The modes of a track, and the rule or policy that chooses between them.
 
     Attributes:
-        modes: one or several modes, of which one runs at a time; or a bank, whose modes interact.
+        filters: one or several modes, of which one runs at a time; or a bank, whose modes interact.
         rule: function of (mean (7,) before the epoch, epoch) that returns the number of a mode.
         policy: function that makes a policy, given the table of features that the policy observes.
             The policy chooses the mode to run or, in a bank, the mode whose probability is raised.
+            None for a rule, for a single mode, and for an IMM.
         observation: kind of observation that the policy reads: "full", "prior" or "signed".
         corrects: whether the policy corrects beliefs.
 
@@ -124,7 +139,7 @@ class Switching:
         ValueError: a rule is combined with a bank or a policy.
     """
 
-    modes: tuple[Mode, ...] | Bank
+    filters: tuple[Mode, ...] | Bank
     rule: Rule | None = None
     policy: Callable[[Observation], Policy] | None = None
     observation: str = "full"
@@ -137,7 +152,17 @@ class Switching:
     @property
     def bank(self) -> Bank | None:
         """Return the bank; None if only one mode runs at a time."""
-        return self.modes if isinstance(self.modes, Bank) else None
+        return self.filters if isinstance(self.filters, Bank) else None
+
+    @property
+    def modes(self) -> tuple[Mode, ...]:
+        """Return the modes."""
+        return self.filters.modes if isinstance(self.filters, Bank) else tuple(self.filters)
+
+    @property
+    def names(self) -> list[str]:
+        """Return the names of the modes."""
+        return [mode.name for mode in self.modes]
 
     @property
     def beliefs(self) -> str:
@@ -145,11 +170,18 @@ class Switching:
         return "per-mode" if self.bank else "shared"
 
     @property
-    def names(self) -> list[str]:
-        """Return the names of the modes."""
-        return [mode.name for mode in (self.bank.modes if self.bank else self.modes)]  # type: ignore[union-attr]
+    def actions(self) -> list[str]:
+        """Return the names of the actions that a policy chooses from."""
+        return action_names(self.modes, self.beliefs)
 
-    def pipeline(self, layout: Layout, planar: bool) -> Pipeline:
+    def pipeline(self, layout: Layout, planar: bool = False) -> Pipeline:
         """Return the pipeline of the modes."""
-        modes = self.modes.modes if isinstance(self.modes, Bank) else tuple(self.modes)
-        return Pipeline(modes, layout, planar)
+        return Pipeline(self.modes, layout, planar)
+
+    def start(self, layout: Layout, planar: bool = False) -> Policy:
+        """Return a new policy for measurements with this layout; an IMM's always takes action 0."""
+        if self.policy is None:
+            return FixedMode(0)
+        return self.policy(
+            Observation(self.pipeline(layout, planar), self.observation, self.beliefs)
+        )

@@ -10,7 +10,6 @@ from experiments.evaluation.comparison import compare_scores
 from experiments.evaluation.contenders import Contender
 from experiments.evaluation.runner import score_contenders
 from experiments.evaluation.seeds import Selection
-from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.update import ekf
 from mmwave_env.models.radio import RADIOS
@@ -83,7 +82,7 @@ def test_a_vector_environment_without_infos_warns_too():
 @pytest.mark.slow
 def test_a_comparison_includes_episodes_with_nan_beliefs_and_names_the_policy():
     source = SimulatedSource(SCENES["street"], RADIOS["standard"], epochs=STEPS)
-    chosen = Contender("mine", Bank(tuple(TASK["modes"])), lambda observation: FixedMode(0))
+    chosen = Contender(tuple(TASK["modes"]), policy=lambda table: FixedMode(0), name="mine")
     selection = Selection(range(6))
     with pytest.warns(RuntimeWarning, match=r"^mine: [1-5] of 6 episodes .* NaN or infinite"):
         scores = score_contenders([chosen, "fixed-ekf"], source, "standard", selection)

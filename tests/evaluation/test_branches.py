@@ -77,4 +77,4 @@ def test_the_clairvoyant_is_refused_for_episodes_without_truth():
     with refuses("policy"):
         run_contender(policy, policy.start(LAYOUT), unknown)
     with refuses("policy"):  # nothing called foresee, as when a log is localized
-        policy.start(LAYOUT)(begun(0).observations())
+        policy.start(LAYOUT).act(begun(0).observations())

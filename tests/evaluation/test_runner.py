@@ -47,8 +47,7 @@ def test_scores_equal_the_results_of_stepping_a_single_environment(beliefs, per_
     selection = Selection(range(2))
     (scores,) = score_contenders([contender], SOURCE, "handset", selection, watch=watch).values()
     assert set(scores) == {*METRICS, "error_term", "nees_term"}
-    modes = contender.bank if contender.mixes else contender.modes
-    env = gym.make("MmWaveLoc-v0", beliefs=beliefs, modes=modes)
+    env = gym.make("MmWaveLoc-v0", beliefs=beliefs, modes=contender.filters)
     for e in range(2):
         policy = contender.policy(env.unwrapped.observation)
         observation, _ = env.reset(seed=e)
@@ -87,7 +86,7 @@ def test_every_radio_has_the_expected_contenders(radio):
     learned = [*(["ppo"] if radio != "high" else []), "guided", "guided-ppo", "corrector"]
     assert list(made) == [*plain, "imm", "imm-best", *learned]
     assert all(c.name == name and c.modes for name, c in made.items())
-    assert made["imm-best"] == Contender("imm-best", best_bank(radio), None)
+    assert made["imm-best"] == Contender.imm("imm-best", best_bank(radio))
 
 
 def test_episodes_without_truth_are_refused():
@@ -164,13 +163,13 @@ def test_the_imm_always_uses_the_transition_matrix_of_a_bank_or_bank_file(tmp_pa
     for modes in (HANDSET, path, str(path), (str(path),)):
         for beliefs in BELIEFS:
             imm = contender_from("imm", "handset", modes, beliefs=beliefs)
-            assert imm == Contender("imm", HANDSET, None)
+            assert imm == Contender.imm("imm", HANDSET)
     assert contender_from("fixed-walk", "handset", path).modes == HANDSET.modes
 
 
 # --- correctors
 
-IMM = Contender("imm", HANDSET, None)
+IMM = Contender.imm("imm", HANDSET)
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,6 @@ import pytest
 
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.runs import Run
-from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.interface.observation import Observation
 from mmwave_env.models.layout import Layout
 from policies import LearnedSwitch, shipped_policies
 from tests.paths import ROOT
@@ -45,6 +43,4 @@ def test_a_shipped_policy_is_the_median_of_its_five_training_seeds(name):
     rewards = [card.evaluation["reward"] for card in cards]
     assert rewards == sorted(rewards, reverse=True)
     played = contender_from(run.name, "standard" if name == "ppo-standard" else "handset")
-    pipeline = Pipeline(played.bank.modes, Layout())
-    policy = played.policy(Observation(pipeline, played.observation, played.beliefs))
-    assert policy.card.seed == run.median
+    assert played.start(Layout()).card.seed == run.median

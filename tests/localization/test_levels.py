@@ -50,7 +50,7 @@ def watched(levels, policies, source, radio, seeds):
     def keep(contender, time_s, results):
         levels.reset()
         read = [*(results[part] for part in PARTS), results.get("trusted")]
-        factors = levels.factors(ANCHORS, contender.mixes, time_s, *read)
+        factors = levels.factors(ANCHORS, contender.bank is not None, time_s, *read)
         bounds = gaussian_levels(results["P"], levels.risk) * factors
         error = results["error"]
         sizes = np.stack([np.hypot(error[..., 0], error[..., 1]), abs(error[..., 2])], axis=-1)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from experiments.evaluation.contenders import contender_from
-from experiments.evaluation.runner import Scoring
+from experiments.evaluation.playing import Scoring
 from experiments.evaluation.seeds import draw_episodes
 from experiments.reporting.histories import history_of
 from mmwave_env.datasets.samples import source_from
@@ -34,8 +34,8 @@ def test_a_history_equals_what_an_environment_records(name, arguments):
     scoring = Scoring(TrackingReward(), arguments.get("planar", False))
     contender = contender_from(name, "handset")
     history = history_of(contender, EPISODE, scoring, STREETS)
-    modes = contender.bank if contender.mixes else contender.modes
-    env = gym.make("MmWaveLoc-v0", render_mode="rgb_array", modes=modes, **arguments).unwrapped
+    arguments |= {"modes": contender.filters, "render_mode": "rgb_array"}
+    env = gym.make("MmWaveLoc-v0", **arguments).unwrapped
     env.reset(seed=SEED)
     for mode in history.modes[1:]:
         env.step(mode)

@@ -7,7 +7,8 @@ import pytest
 
 from experiments.evaluation.agents import Estimator
 from experiments.evaluation.contenders import Contender, contender_from
-from experiments.evaluation.runner import Scoring, run_contender
+from experiments.evaluation.playing import Scoring
+from experiments.evaluation.runner import run_contender
 from experiments.rivals.noise import EVERYTHING, StudentImm, Variational, adapted, stated, student_t
 from experiments.rivals.particle import Particles, resampled
 from mmwave_env.filters import Mode, Pipeline, ekf, ukf
@@ -152,7 +153,7 @@ def test_a_rival_can_be_named_as_a_contender():
 
 def test_an_estimator_is_refused_as_a_policy_that_chooses_modes():
     with refuses("policy"):
-        Variational()(np.zeros((1, 3), np.float32))
+        Variational().act(np.zeros((1, 3), np.float32))
     contender = Contender.own("own", Variational(), "handset")
     with refuses("policy"):
         run_contender(contender, Variational(), episodes(2), after=("memory.nis",))
