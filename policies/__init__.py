@@ -1,11 +1,10 @@
 """Policies, which choose a mode (a filter) in every epoch: simple rules and learned policies."""
 
 from mmwave_env.interface.policy import Correction, FixedMode, Policy
-from policies.baselines import LikelihoodRule
 from policies.corrector import Corrector, learned_policy, load
 from policies.learned import LearnedSwitch, shipped_policies
+from policies.rules import LikelihoodRule, SpeedRule
 from policies.sb3 import save_sb3
-from policies.speed_rule import SpeedRule
 
 __all__ = [
     "Correction",

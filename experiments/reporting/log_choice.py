@@ -14,7 +14,7 @@ from mmwave_env.interface.policy import Rule, Switching
 from mmwave_env.io.lookup import choose
 from mmwave_env.logs.lines import number
 from mmwave_env.logs.log import Log
-from policies.speed_rule import SLOW_MPS, by_odometry_speed, by_predicted_speed, mode_at
+from policies.rules import SLOW_MPS, by_odometry_speed, by_predicted_speed, mode_at
 
 # "corrector" corrects the beliefs of "guided". Without elevations, "guided" chooses wrong modes so
 # often that neither of the two is useful (docs/learning.md).

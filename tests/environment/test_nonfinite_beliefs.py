@@ -16,7 +16,7 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.numbers import where
 from mmwave_env.world.simulated import SimulatedSource
-from policies.baselines import FixedMode
+from policies import FixedMode
 
 ID = "mmwave_env:MmWaveLoc-v0"
 STEPS = 15

@@ -17,7 +17,7 @@ from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, Scene
 from mmwave_env.world.simulated import SimulatedSource
-from policies.speed_rule import by_predicted_speed
+from policies.rules import by_predicted_speed
 from tests.filters.tracks import geometry
 from tests.logs.by_hand import hide_anchors
 from tests.paths import LOGS, representative

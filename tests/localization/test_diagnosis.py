@@ -16,7 +16,7 @@ from mmwave_env.localization.track_scores import group_statistics
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import Origin, read_scene
-from policies.speed_rule import by_predicted_speed
+from policies.rules import by_predicted_speed
 from tests.localization.mistakes import (
     AZIMUTHS,
     FOLDERS,

@@ -30,7 +30,7 @@ from mmwave_env.models.scene import SCENES, Scene
 from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource
 from policies.corrector import TWO_WAY, TwoWayCorrector
-from policies.speed_rule import by_odometry_speed, by_predicted_speed
+from policies.rules import by_odometry_speed, by_predicted_speed
 from tests.filters.tracks import geometry, track
 from tests.logs.by_hand import assert_same, damaged, log_with
 from tests.logs.writing import write_log

@@ -16,7 +16,7 @@ from mmwave_env.models.scene import scene_from
 from mmwave_env.world.episode import blank_incoming
 from mmwave_env.world.simulated import SimulatedSource
 from policies import FixedMode, LikelihoodRule, SpeedRule
-from policies.speed_rule import by_odometry_speed, by_predicted_speed
+from policies.rules import by_odometry_speed, by_predicted_speed
 
 THREE = ("ekf", "ukf", "ckf")
 

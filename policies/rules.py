@@ -1,4 +1,7 @@
-"""The paper's rule (Sec. III-A): use the EKF pipeline up to 2 m/s, and the UKF pipeline above."""
+"""Policies that need no training: the paper's rule (Sec. III-A), and the most likely mode.
+
+The paper's rule uses the EKF pipeline up to 2 m/s, and the UKF pipeline above.
+"""
 
 import warnings
 
@@ -57,3 +60,25 @@ class SpeedRule(Policy):
         # Observations are float32: a speed at the threshold may be rounded to a value above it.
         threshold = min(self.threshold, DESIGN_LIMIT_MPS)
         return mode_at(speed, threshold * (1.0 + 1e-6)).astype(np.int64)  # type: ignore[no-any-return]
+
+
+class LikelihoodRule(Policy):
+    """A policy that chooses the mode that best explains recent measurements and the coming one.
+
+    A mode's score is a moving average of its log-likelihood relative to the mode ``modes[-1]``.
+
+    Args:
+        observation: the environment's table of features; its kind must be "full" or "signed".
+        modes: names of the modes, in order.
+    """
+
+    def __init__(self, observation: Observation, modes: list[str]) -> None:
+        self.observation = observation
+        self._features = [f"preference fast {name}" for name in modes[:-1]]
+
+    def act(self, observation: Array32) -> Index:
+        """Return actions (n,)."""
+        against_last = [self.observation.read(observation, name) for name in self._features]
+        scores = np.stack([*against_last, np.zeros(len(observation))], axis=-1)
+        best: Index = scores.argmax(axis=-1)
+        return best
