@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation
-from mmwave_env.interface.policy import Correction, Policy, policy_from
+from mmwave_env.interface.policy import OF_A_MODEL, Correction, Policy
 from mmwave_env.models.measurement import Epoch, Site, blank_site
 from mmwave_env.numerics.numbers import Array, Array32, Index, Mask, Vector
 from mmwave_env.numerics.pytree import unflatten
@@ -22,7 +22,6 @@ Act = Callable[[Array32], Any]  # observations (n, features) -> actions (n,)
 
 MODULE = re.compile(r"[\w.]+:[\w.]+")
 GUIDE = "docs/own-agent.md"
-OF_A_MODEL = "for a model, use lambda seen: model.predict(seen, deterministic=True)[0]"
 NO_FILTERS = "which runs no filters and works only in comparisons; expected another policy"
 TRIED = 3  # number of random observations to try an agent on
 
@@ -106,18 +105,6 @@ def agent_from(name: str) -> Act:
             f"policy {name}: {in_one_line(error)}; expected module:function, a function "
             f"that takes no arguments and returns the agent ({GUIDE})"
         ) from error
-
-
-def policy_of(name: str, agent: Act) -> Policy:
-    """Return an agent as a policy.
-
-    Raises:
-        ValueError: the agent is neither a policy nor a function.
-    """
-    try:
-        return policy_from(agent)
-    except ValueError as error:
-        raise ValueError(f"policy {name}: {error}; {OF_A_MODEL} ({GUIDE})") from error
 
 
 def tried(name: str, policy: Policy, table: Observation) -> Policy:

@@ -56,11 +56,9 @@ def compare(
         policies: agents, by the names to show in tables. An agent is either a function that maps
             observations (n, features), float32, of ``n`` episodes to ``n`` integer actions, or
             anything that ``mmwave-loc compare --policies`` accepts: a policy file,
-            "module:function", a run's folder, or a contender's name. A function may have a method
-            ``reset(begins)``; ``begins``, a bool (n,), marks the episodes that begin. If a
-            function has attributes ``modes``, ``observation`` or ``beliefs``, they override the
-            arguments here. If a function has a method ``correct``, its corrections are scored
-            (docs/own-agent.md).
+            "module:function", a run's folder, or a contender's name. docs/own-agent.md describes
+            the methods (``reset``, ``correct``) and attributes (``modes``, ``observation``,
+            ``beliefs``, which override the arguments) that a function may have.
         beside: names of known contenders to compare with, from
             :func:`~experiments.evaluation.contenders.contenders`.
         scenario, radio: same as in the environment.
@@ -75,16 +73,33 @@ def compare(
 
     Returns:
         The metrics of all contenders, and paired differences: each of the user's agents against
-        every other contender, and the pairs of known contenders that ``mmwave-loc compare``
-        shows. ``print`` shows them as Markdown.
+        every other contender, and the pairs of known contenders that ``mmwave-loc compare`` shows.
 
     Raises:
-        ValueError: ``policies`` is not a dict; ``episodes`` is not a number; a scenario, radio or
-            contender is unknown; a name occurs twice; or an agent fails to load, raises, or does
-            not return actions. All errors are raised before any episode runs, except errors of
-            agents that fail in an episode.
+        ValueError: an argument is not valid, an agent fails to load, raises, or does not return
+            actions. Only agents that fail in an episode raise errors after episodes have run.
         FileNotFoundError: a file that an argument names does not exist.
     """
+    _require_valid(policies, episodes, world)
+    task = task_from(scenario=scenario, radio=radio, episodes=data, **world)
+    scoring = Scoring.of(task)
+    selection = Selection.of(episodes, seed, USUAL_EPISODES)
+    settings = (radio, modes, observation, beliefs)
+    everybody = [_contender(name, agent, *settings) for name, agent in policies.items()]
+    everybody += [contender_from(name, radio) for name in beside]
+    scores = score_contenders(everybody, task.source, radio, selection, scoring=scoring)
+    return compare_scores(
+        scores,
+        list(policies),
+        scenario=task.source.name,
+        radio=task.radio.name,
+        selection=selection,
+        reward=reward_name(scoring.reward),
+    )
+
+
+def _require_valid(policies: object, episodes: object, world: Mapping[str, Any]) -> None:
+    """Refuse arguments of :func:`compare` of a wrong type or name."""
     if not isinstance(policies, Mapping):
         raise ValueError(
             f"policies: found a {type(policies).__name__}, expected a dict of agents by name, such "
@@ -97,27 +112,13 @@ def compare(
         )
     if wrong := sorted({"action", "base", "terminate_on_divergence"} & world.keys()):
         raise ValueError(f"{wrong[0]}: not an argument of compare, which plays complete episodes")
-    task = task_from(scenario=scenario, radio=radio, episodes=data, **world)
-    scoring = Scoring.of(task)
-    selection = Selection.of(episodes, seed, USUAL_EPISODES)
 
-    def contender(name: str, agent: Agent) -> Contender:
-        if not isinstance(agent, (str, os.PathLike)):
-            return Contender.own(name, agent, radio, modes, observation, beliefs)
-        known = contender_from(os.fspath(agent), radio, modes, observation, beliefs)
-        return replace(known, name=name)
 
-    everybody = [contender(name, agent) for name, agent in policies.items()]
-    everybody += [contender_from(name, radio) for name in beside]
-    scores = score_contenders(everybody, task.source, radio, selection, scoring=scoring)
-    return compare_scores(
-        scores,
-        list(policies),
-        scenario=task.source.name,
-        radio=task.radio.name,
-        selection=selection,
-        reward=reward_name(scoring.reward),
-    )
+def _contender(name: str, agent: Agent, *settings: Any) -> Contender:
+    """Return the contender of an agent; the settings are radio, modes, observation, beliefs."""
+    if isinstance(agent, (str, os.PathLike)):
+        return replace(contender_from(os.fspath(agent), *settings), name=name)
+    return Contender.own(name, agent, *settings)
 
 
 def evaluate(policy: Agent, **where: Any) -> Comparison:

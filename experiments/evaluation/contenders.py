@@ -12,7 +12,6 @@ from experiments.evaluation.agents import (
     Estimator,
     agent_from,
     is_agent,
-    policy_of,
     tried,
 )
 from experiments.evaluation.branches import CLAIRVOYANT, Clairvoyant
@@ -35,7 +34,7 @@ from mmwave_env.filters.bank import (
     named_modes,
 )
 from mmwave_env.interface.observation import Observation
-from mmwave_env.interface.policy import FixedMode, Policy, Switching
+from mmwave_env.interface.policy import FixedMode, Policy, Switching, policy_from
 from mmwave_env.io.files import AnyPath
 from mmwave_env.io.lookup import unknown
 from mmwave_env.models.radio import radio_from
@@ -94,7 +93,7 @@ class Contender(Switching):
         Raises:
             ValueError: modes or beliefs are unknown; the message lists the valid names.
         """
-        policy = policy_of(name, agent)
+        policy = policy_from(agent, f"policy {name}")
         beliefs = getattr(agent, "beliefs", beliefs)
         modes = getattr(agent, "modes", modes)
         bank_of = getattr(agent, "bank", None) if beliefs == "per-mode" else None

@@ -41,8 +41,6 @@ class Scoring(NamedTuple):
 # Results of n episodes: "reward" and "nees" (n, T); "error" (n, T, 3); a policy's "mode" (n, T)
 EpochResults = dict[str, NDArray[Any]]
 
-BELIEF = ("x", "P")  # parts of the state that a policy may correct
-
 
 class Trial(NamedTuple):
     """A contender's trial on n episodes of T epochs.
@@ -130,9 +128,9 @@ def run_estimator(trial: Trial) -> EpochResults:
 
 def _played(trial: Trial, engine: Engine) -> EpochResults:
     """Play the episodes that an engine has begun."""
-    names = tuple(trial.names)
+    names = trial.names
     if trial.policy.corrects:
-        names = tuple(dict.fromkeys((*names, *BELIEF, "truth")))
+        names = [*dict.fromkeys((*names, "x", "P", "truth"))]  # what a correction changes
     program = engine.batch.program
     track = play(engine, trial.policy, trial.episodes.table.shape[1], program.rows(names))
     results: EpochResults = {**program.by_name(names, track.outputs), "mode": track.actions}

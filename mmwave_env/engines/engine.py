@@ -21,7 +21,7 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import CORRECTION, MODE
 from mmwave_env.interface.features import Feature
 from mmwave_env.interface.observation import Observation
-from mmwave_env.interface.policy import Policy, Rule, policy_from
+from mmwave_env.interface.policy import Rule, policy_from
 from mmwave_env.interface.reward import Reward
 from mmwave_env.numerics.numbers import Array, Array32, Index, Mask
 from mmwave_env.numerics.pytree import flatten
@@ -95,7 +95,7 @@ class Engine:
         self.obs_rows = rows_of(at.observation)
         if observation:
             self.observation = Observation(pipeline, observation, "per-mode" if bank else "shared")
-        self._base = _base_from(base(self.observation)) if base else None
+        self._base = policy_from(base(self.observation), "base") if base else None
         self._end_s = 0.0
         if tuned:
             self.tune(bank or [mode.tuning for mode in pipeline.modes])
@@ -276,14 +276,6 @@ class Engine:
     def observations(self) -> Array32:
         """Return a copy of the current observations (n, features)."""
         return self.read(self.at.observation, np.float32)[:, self._shown]
-
-
-def _base_from(agent: Any) -> Policy:
-    """Return the agent that the argument ``base`` of an environment made, as a policy."""
-    try:
-        return policy_from(agent)
-    except ValueError as error:
-        raise ValueError(f"base: {error}") from error
 
 
 def tracks_of(

@@ -11,7 +11,7 @@ from mmwave_env.numerics.numbers import Array, Array32, Index
 
 
 class Played(NamedTuple):
-    """What happened in T epochs of n tracks.
+    """The record of T epochs of n tracks.
 
     Attributes:
         actions: (n, T) the policy's actions.

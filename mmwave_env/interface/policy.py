@@ -20,6 +20,7 @@ from mmwave_env.models.measurement import Epoch
 from mmwave_env.numerics.numbers import Array32, Index, Mask, Number, Vector
 
 Rule = Callable[[Vector, Epoch], Number]
+OF_A_MODEL = "for a model, use lambda seen: model.predict(seen, deterministic=True)[0]"
 
 
 class Correction(NamedTuple):
@@ -89,12 +90,13 @@ class _Agent:
     corrects: bool
 
 
-def policy_from(agent: Any) -> Policy:
+def policy_from(agent: Any, name: str) -> Policy:
     """Return a user's agent as a policy.
 
     Args:
         agent: a policy; or a function from observations (n, features) to actions (n,), which may
             have the methods ``reset`` and ``correct``.
+        name: name for the message of an error.
 
     Raises:
         ValueError: the agent is neither.
@@ -104,7 +106,8 @@ def policy_from(agent: Any) -> Policy:
     act = getattr(agent, "act", agent)
     if not callable(act):
         raise ValueError(
-            f"found {agent!r}, expected a function from observations (n, features) to actions (n,)"
+            f"{name}: found {agent!r}, expected a function from observations (n, features) to "
+            f"actions (n,); {OF_A_MODEL}"
         )
     reset = getattr(agent, "reset", lambda mask: None)
     correct = getattr(agent, "correct", lambda observation: None)
