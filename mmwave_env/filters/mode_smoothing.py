@@ -13,7 +13,7 @@ JMLR 7. With one mode, the result is the same as in :func:`mmwave_env.filters.te
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,6 +25,8 @@ from mmwave_env.models.motion import transition_times
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.numerics.pytree import indices
+
+_EPOCHS_TOGETHER = 2048  # number of epochs whose predictions are computed together
 
 
 class ModeBeliefs(NamedTuple):
@@ -69,16 +71,25 @@ def smooth_modes(
         spread_hz: (N, T) measured Doppler spread.
         hz_per_mps: carrier frequency divided by the speed of light.
     """
-    transition = settings_of(bank, pipeline.layout).transition
+    together = max(1, _EPOCHS_TOGETHER // dt.shape[1])
+    if len(dt) > together:
+        groups = [slice(first, first + together) for first in range(0, len(dt), together)]
+        parts = [
+            smooth_modes(bank, pipeline, mixtures[g], dt[g], spread_hz[g], hz_per_mps)
+            for g in groups
+        ]
+        means, covariances = zip(*parts, strict=True)
+        return np.concatenate(means), np.concatenate(covariances)
     filtered, gamma = _beliefs(mixtures, pipeline)
+    transition = settings_of(bank, pipeline.layout).transition
+    coming = Epoch(dt[:, 1:, None], [], [], [], [], spread_hz[:, 1:, None])
+    before = ModeBeliefs(*(part[:, :-1] for part in filtered))
+    moves = _predicted(pipeline, before, gamma[:, :-1], coming, hz_per_mps, transition)
     after = ModeBeliefs(*(part[:, -1] for part in filtered))
     smoothed = [merged(after)]
     for t in range(dt.shape[1] - 2, -1, -1):
         now = ModeBeliefs(*(part[:, t] for part in filtered))
-        coming = Epoch(dt[:, t + 1, None], [], [], [], [], spread_hz[:, t + 1, None])
-        moves = over_step(transition, dt[:, t + 1, None, None])
-        matrix = np.concatenate([np.concatenate(row, axis=2) for row in moves], axis=1)
-        after = _backwards(pipeline, now, gamma[:, t], after, coming, hz_per_mps, matrix)
+        after = _backwards(now, _Moves(*(part[:, t] for part in moves)), after)
         smoothed.append(merged(after))
     means, covariances = zip(*reversed(smoothed), strict=True)
     P = np.stack(covariances, axis=1)
@@ -99,54 +110,77 @@ def _beliefs(mixtures: Array, pipeline: Pipeline) -> tuple[ModeBeliefs, Array]:
     return ModeBeliefs(x, P, mixtures[..., np.array(at.probability)]), gamma
 
 
-def _backwards(
+class _Moves(NamedTuple):
+    """Predictions of a following epoch, for each mode now and each mode in that epoch.
+
+    Attributes:
+        x, P: (N, ..., modes now, modes, 7) predicted means, and covariances.
+        gain: (N, ..., modes now, modes, 7, 7) smoother gains.
+        log_weight: (N, ..., modes now, modes) logarithms of joint probabilities of both modes,
+            given the measurements until now, divided by the square roots of det P.
+    """
+
+    x: Array
+    P: Array
+    gain: Array
+    log_weight: Array
+
+
+def _predicted(
     pipeline: Pipeline,
     now: ModeBeliefs,
     gamma: Array,
-    after: ModeBeliefs,
     coming: Epoch,
     hz_per_mps: float,
-    transition: Array,
-) -> ModeBeliefs:
-    """Return the smoothed beliefs of an epoch, given the smoothed beliefs of the following epoch.
+    transition: Any,
+) -> _Moves:
+    """Return the predictions from filtered beliefs (N, T, modes), each for its following epoch.
 
     Args:
         pipeline: pipeline of the modes.
-        now, gamma: filtered beliefs of the epoch, and the scale (N, modes) of Q in adaptive modes.
-        after: smoothed beliefs of the following epoch.
-        coming: the following epoch; only its dt and Doppler spread, both (N, 1), are used.
+        now, gamma: filtered beliefs of epochs, and the scale (N, T, modes) of Q in adaptive modes.
+        coming: the following epochs; only their dt and Doppler spread, both (N, T, 1), are used.
         hz_per_mps: carrier frequency divided by the speed of light.
-        transition: (N, modes, modes) probabilities [track, mode now, mode in the following epoch].
+        transition: probabilities of transitions in a second.
     """
-    known = list(pipeline.known_axes)
+    shape = now.probability.shape
     n = now.x.shape[-1]
-    x_now = [now.x[..., i] for i in range(n)]  # each an array (N, modes now)
+    x_now = [now.x[..., i] for i in range(n)]
     packed = [now.P[..., i, j] for i in range(n) for j in range(i + 1)]
-    FP = _matrix(transition_times(unpack(packed), coming.dt, hz_per_mps), now.x.shape[:-1])
-    x = []
-    P = []
-    weight = []
+    FP = _matrix(transition_times(unpack(packed), coming.dt, hz_per_mps), shape)
+    x = np.empty((*shape, len(pipeline.modes), n))
+    P = np.empty((*x.shape, n))
     for i, mode in enumerate(pipeline.modes):
         mean, covariance = predict(
-            pipeline, mode, x_now, packed, gamma[:, i, None], coming, hz_per_mps
+            pipeline, mode, x_now, packed, gamma[..., i, None], coming, hz_per_mps
         )
-        x_predicted = np.stack(np.broadcast_arrays(*mean), axis=-1)
-        P_predicted = _matrix(covariance, now.x.shape[:-1])
-        P_predicted[..., known, known] = 1.0  # instead of 0, so that the matrix has an inverse
-        step = after.x[:, i, None] - x_predicted
-        solved = np.linalg.solve(P_predicted, np.concatenate([FP, step[..., None]], axis=-1))
-        gain = np.swapaxes(solved[..., :-1], -1, -2)  # 0 for known axes
-        change = after.P[:, i, None] - P_predicted
-        x.append(now.x + (gain @ step[..., None])[..., 0])
-        P.append(now.P + gain @ change @ np.swapaxes(gain, -1, -2))
-        distance = (step * solved[..., -1]).sum(axis=-1)
-        density = -0.5 * (distance + np.linalg.slogdet(P_predicted)[1])
-        weight.append(np.log(transition[:, :, i] * now.probability) + density)
-    logs = np.stack(weight, axis=2)  # indexed like ``transition``
+        x[..., i, :] = np.stack(np.broadcast_arrays(*mean), axis=-1)
+        P[..., i, :, :] = _matrix(covariance, shape)
+    # 1 instead of 0, so that the matrix has an inverse
+    P[..., pipeline.known_axes, pipeline.known_axes] = 1.0
+    gain = np.swapaxes(np.linalg.solve(P, FP[..., None, :, :]), -1, -2)  # 0 for known axes
+    matrix = np.block(over_step(transition, coming.dt[..., None]))
+    log_weight = np.log(matrix * now.probability[..., None]) - 0.5 * np.linalg.slogdet(P)[1]
+    return _Moves(x, P, gain, log_weight)
+
+
+def _backwards(now: ModeBeliefs, move: _Moves, after: ModeBeliefs) -> ModeBeliefs:
+    """Return the smoothed beliefs of an epoch, given the smoothed beliefs of the following epoch.
+
+    Args:
+        now: filtered beliefs of the epoch.
+        move: predictions of the following epoch.
+        after: smoothed beliefs of the following epoch.
+    """
+    step = after.x[:, None] - move.x
+    distance = (step * np.linalg.solve(move.P, step[..., None])[..., 0]).sum(axis=-1)
+    logs = move.log_weight - 0.5 * distance
     joint = np.exp(logs - logs.max(axis=1, keepdims=True))
     joint *= after.probability[:, None] / joint.sum(axis=1, keepdims=True)
     probability = np.maximum(joint.sum(axis=2), np.finfo(float).tiny)
-    pairs = ModeBeliefs(np.stack(x, axis=2), np.stack(P, axis=2), joint / probability[..., None])
+    x = now.x[:, :, None] + (move.gain @ step[..., None])[..., 0]
+    change = move.gain @ (after.P[:, None] - move.P) @ np.swapaxes(move.gain, -1, -2)
+    pairs = ModeBeliefs(x, now.P[:, :, None] + change, joint / probability[..., None])
     return ModeBeliefs(*merged(pairs), probability / probability.sum(axis=1, keepdims=True))
 
 
