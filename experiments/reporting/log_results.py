@@ -25,7 +25,7 @@ from experiments.reporting.track_report import drawn_track, track_markdown
 from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH
 from mmwave_env.datasets.samples import sample_folder
 from mmwave_env.filters.bank import modes_from
-from mmwave_env.io.files import Json, require_writable, write_json, write_text
+from mmwave_env.io.files import Json, require_writable, write_json
 from mmwave_env.io.lookup import as_name
 from mmwave_env.localization.association import associate
 from mmwave_env.localization.contradictions import contradictions
@@ -33,7 +33,7 @@ from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.localizer import Track, localize
 from mmwave_env.localization.map_files import MAP_FILES, origin_of
 from mmwave_env.localization.radio_choice import nearest_radio
-from mmwave_env.localization.track_files import require_own_files, table_beside, track_texts
+from mmwave_env.localization.track_files import require_own_files, table_beside, write_track
 from mmwave_env.localization.track_scores import (
     group_statistics,
     track_statistics,
@@ -201,14 +201,42 @@ def _scores(args: LogArgs, work: Work, track: Track) -> tuple[Json, ValueError |
     }, None
 
 
-def _write_track(args: LogArgs, files: Inputs, track: Track, scene: Scene) -> None:
-    """Write the files of --out; no file is written if the content of another can't be made."""
-    title = as_name(Path(files.log.name.removesuffix(".gz")).stem)
-    texts: dict[Path, str] = {}
-    for out in args.out:
-        texts |= track_texts(out, track, scene, title, args.risk)
-    for path, text in texts.items():
-        write_text(path, text)
+def _figures(
+    args: LogArgs, files: Inputs, work: Work, track: Track
+) -> tuple[Json, ValueError | None]:
+    """Return all results about a track, and an error in the log or in the ground truth, if any."""
+    scores, mismatch = _scores(args, work, track)
+    error = track.damage or mismatch
+    groups = group_statistics(track)
+    doubts = contradictions(work.log.whole(), work.scene, work.radio, groups)
+    for doubt in doubts:
+        warnings.warn(f"{doubt}; --diagnose looks for a likely mistake", stacklevel=2)
+    written = {
+        "out": f"{_kind(args)} track",
+        "the table of --out": "table of standard deviations and modes",
+        "plot": "picture",
+    }
+    return {
+        "log": str(files.log),
+        "scene": work.scene.name,
+        "radio": f"{work.radio.name}, chosen by auto" if args.radio == AUTO else args.radio,
+        "imm": args.imm,
+        "rule": work.choice.why,
+        "algorithm_1": args.imm is None and args.policy is None and is_algorithm_1(args),
+        **track_statistics(track),
+        "groups": groups,
+        **({"association": work.association} if work.association else {}),
+        **scores,
+        "contradictions": [d._asdict() for d in doubts],
+        "written": {
+            str(path): written[of] for of, path in _outputs(args) if path and of in written
+        },
+        "error": error and str(error),
+    }, error
+
+
+def _kind(args: LogArgs) -> str:
+    return "smoothed" if args.smoothing else "filtered"
 
 
 def localized(args: LogArgs) -> None:
@@ -221,40 +249,15 @@ def localized(args: LogArgs) -> None:
     for out in args.out:
         if out.suffix in MAP_FILES:
             origin_of(scene, out)
-    outputs = {path: name for name, path in _outputs(args) if path}
     work = _work(args, files, scene)
-    for path in outputs:
-        require_writable(path)
+    for _, path in _outputs(args):
+        if path:
+            require_writable(path)
     with progress("localizing") as report:
         track = _track(args, work, args.window if args.smoothing else None, report)
-    _write_track(args, files, track, scene)
-    scores, mismatch = _scores(args, work, track)
-    error = track.damage or mismatch
-    groups = group_statistics(track)
-    doubts = contradictions(work.log.whole(), scene, work.radio, groups)
-    for doubt in doubts:
-        warnings.warn(f"{doubt}; --diagnose looks for a likely mistake", stacklevel=2)
-    kind = "smoothed" if args.smoothing else "filtered"
-    written = {
-        "out": f"{kind} track",
-        "the table of --out": "table of standard deviations and modes",
-        "plot": "picture",
-    }
-    figures = {
-        "log": str(files.log),
-        "scene": scene.name,
-        "radio": f"{work.radio.name}, chosen by auto" if args.radio == AUTO else args.radio,
-        "imm": args.imm,
-        "rule": work.choice.why,
-        "algorithm_1": args.imm is None and args.policy is None and is_algorithm_1(args),
-        **track_statistics(track),
-        "groups": groups,
-        **({"association": work.association} if work.association else {}),
-        **scores,
-        "contradictions": [d._asdict() for d in doubts],
-        "written": {str(path): written[of] for path, of in outputs.items() if of in written},
-        "error": error and str(error),
-    }
+    name = as_name(Path(files.log.name.removesuffix(".gz")).stem)
+    write_track(track, args.out, scene, name, args.risk)
+    figures, error = _figures(args, files, work, track)
     if args.json:  # before show(), which fails if the reader of the tables closes the pipe
         write_json(args.json, provenance("localize", args) | figures)
     try:
@@ -262,7 +265,7 @@ def localized(args: LogArgs) -> None:
             log = "/".join(files.log.parts[-2:])
             truth_m = work.truth.at(track.time_s).position_m if work.truth else None
             drawn = drawn_track(track, truth_m, scene.anchors_m)
-            draw_trajectory(drawn, args.plot, f"{log}, {kind} track")
+            draw_trajectory(drawn, args.plot, f"{log}, {_kind(args)} track")
     finally:  # the results are shown even if a picture fails
         try:
             show(track_markdown(figures))

@@ -10,6 +10,7 @@ a *two-way corrector* may correct the smoothed track.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -120,26 +121,33 @@ def localize(
         LogError: the track would have no epoch because of such an error.
         ValueError: no epoch determines a position with which a track could begin.
     """
-    levels = levels or Levels(kind=GAUSSIAN)
-    divided = segments(log, scene, radio)
     tracker = tracker_of(switching, log.layout, height_m is not None)
+    levels = levels or Levels(kind=GAUSSIAN)
+    settings = _Settings(scene, radio, switching, tracker, window, height_m, levels, two_way)
+    divided = segments(log, scene, radio)
     tracks: list[Track] = []
     for segment, part in enumerate(divided.parts):
         for epochs in _chunks(part, window or 1):
-            begins = epochs.start == part.start
-            track, kept = _filtered(
-                log.part(epochs), scene, radio, switching, tracker, height_m, levels, begins
-            )
-            if window and len(track):
-                track = _smoothed(track, kept, window, scene, switching)
-                if two_way:
-                    track = _corrected(track, kept, window, scene, radio, switching, two_way)
+            track = _track(log.part(epochs), settings, begins=epochs.start == part.start)
             number = np.full(len(track), segment)
             tracks.append(replace(track, segment=number, skipped=divided.skipped))
             if track.damage is not log.damage:
                 return _joined(tracks)
             report(epochs.stop / len(log))
     return replace(_joined(tracks), dropped=divided.dropped)
+
+
+class _Settings(NamedTuple):
+    """What all parts of a track share; :func:`localize` describes it."""
+
+    scene: Scene
+    radio: Radio
+    switching: Switching
+    tracker: Engine | PolicyTracker
+    window: int | None
+    height_m: float | None
+    levels: Levels
+    two_way: SmoothedCorrector | None
 
 
 def _joined(tracks: list[Track]) -> Track:
@@ -157,43 +165,26 @@ def _chunks(part: slice, window: int) -> Iterator[slice]:
         yield slice(first, min(first + step, part.stop))
 
 
-def _filtered(
-    log: Log,
-    scene: Scene,
-    radio: Radio,
-    switching: Switching,
-    tracker: Engine | PolicyTracker,
-    height_m: float | None,
-    levels: Levels,
-    begins: bool,
-) -> tuple[Track, Array]:
-    """Filter a part of a segment; return its track, and the smoother's input (T, values).
+def _track(log: Log, settings: _Settings, begins: bool) -> Track:
+    """Return the track of a part of a segment, which ends before a belief that is not finite.
 
-    ``begins`` tells whether the segment begins here. The track ends before the first belief that is
-    not finite.
+    ``begins`` tells whether the segment begins here.
     """
-    episode = episode_from(log, scene, radio, begins)
-    if height_m is not None:
-        episode = episode.on_flat_ground(height_m)
-    tracker.load([episode], go_on=not begins)
-    parts = {name: of[0] for name, of in tracker.run(*parts_of(switching)).items()}
+    episode = episode_from(log, settings.scene, settings.radio, begins)
+    if settings.height_m is not None:
+        episode = episode.on_flat_ground(settings.height_m)
+    settings.tracker.load([episode], go_on=not begins)
+    outputs = settings.tracker.run(*parts_of(settings.switching))
+    parts = {name: of[0] for name, of in outputs.items()}
     x, P, trusted = (parts.pop(name, None) for name in CORRECTED)
     if trusted is None:
         x = parts["x"]
         P = parts["P"]
         trusted = np.full(len(log), np.nan)
-    accepted = parts["memory.accepted"] > 0.5
-    nis = parts["memory.nis"]
-    if begins:
-        levels.reset()
-    gates = nis, accepted, episode.visible & ~accepted
-    read = [values[None] for values in (x, P, *gates, trusted)]
-    bank = switching.bank is not None
-    factors = levels.factors(log.layout.anchors, bank, log.time_s, *read)[0]
     track = Track(
         **vars(replace(log, visible=episode.visible)),
-        modes=switching.names,
-        planar=height_m is not None,
+        modes=settings.switching.names,
+        planar=settings.height_m is not None,
         skipped=0,
         dropped=0,
         segment=np.zeros(len(log), np.int64),
@@ -202,22 +193,40 @@ def _filtered(
         smooth_x=x,
         smooth_P=P,
         mode=parts["memory.mode"].astype(np.int64),
-        nis=nis,
-        accepted=accepted,
+        nis=parts["memory.nis"],
+        accepted=parts["memory.accepted"] > 0.5,
         trusted=trusted,
         smooth_trusted=np.full(len(log), np.nan),
-        level_factors=factors,
+        level_factors=np.ones((len(log), 2)),
     )
+    track = replace(track, level_factors=_factors(track, settings, begins))
     kept = filtered_of(parts)
     sound = np.isfinite(x).all(axis=1) & np.isfinite(P).all(axis=1)
-    if sound.all():
-        return track, kept
-    end = int(np.argmin(sound))
-    damage = LogError(
-        f"log, time {log.time_s[end]} s: found measurements that cause NaN or infinity "
-        "in the estimate, expected measurements that a receiver can make"
+    if not sound.all():
+        end = int(np.argmin(sound))
+        damage = LogError(
+            f"log, time {log.time_s[end]} s: found measurements that cause NaN or infinity "
+            "in the estimate, expected measurements that a receiver can make"
+        )
+        track = replace(track.part(slice(end)), damage=damage)
+        kept = kept[:end]
+    if settings.window and len(track):
+        track = _smoothed(track, kept, settings, settings.window)
+    return track
+
+
+def _factors(track: Track, settings: _Settings, begins: bool) -> Array:
+    """Return the factors (T, 2) of Gaussian protection levels."""
+    levels = settings.levels
+    if begins:
+        levels.reset()
+    rejected = track.visible & ~track.accepted
+    read = track.x, track.P, track.nis, track.accepted, rejected, track.trusted
+    mixes = settings.switching.bank is not None
+    of_track = levels.factors(
+        track.layout.anchors, mixes, track.time_s, *(part[None] for part in read)
     )
-    return replace(track.part(slice(end)), damage=damage), kept[:end]
+    return of_track[0]  # type: ignore[no-any-return]
 
 
 def episode_from(log: Log, scene: Scene, radio: Radio, begins: bool = True) -> Episode:
@@ -255,15 +264,18 @@ def episode_from(log: Log, scene: Scene, radio: Radio, begins: bool = True) -> E
     )
 
 
-def _smoothed(track: Track, kept: Array, window: int, scene: Scene, switching: Switching) -> Track:
-    """Smooth a part of a track by windows, given the smoother's input (T, values)."""
+def _smoothed(track: Track, kept: Array, settings: _Settings, window: int) -> Track:
+    """Smooth a part of a track by windows, given the smoother's input (T, values); correct it."""
 
     def run(filtered: Array, time_s: Array, spread_hz: Array) -> tuple[Array, Array]:
-        here = switching, track.layout, track.planar, scene
+        here = settings.switching, track.layout, track.planar, settings.scene
         return smoothed(*here, filtered, time_s, spread_hz)
 
     x, P = _by_windows(run, window, kept, track.time_s, track.doppler_spread_hz)
-    return replace(track, smooth_x=x, smooth_P=P)
+    track = replace(track, smooth_x=x, smooth_P=P)
+    if settings.two_way:
+        return _corrected(track, kept, settings, window, settings.two_way)
+    return track
 
 
 def _by_windows(run: Callable[..., tuple[Array, ...]], window: int, *parts: Array) -> list[Array]:
@@ -282,19 +294,13 @@ def _by_windows(run: Callable[..., tuple[Array, ...]], window: int, *parts: Arra
 
 
 def _corrected(
-    track: Track,
-    kept: Array,
-    window: int,
-    scene: Scene,
-    radio: Radio,
-    switching: Switching,
-    two_way: SmoothedCorrector,
+    track: Track, kept: Array, settings: _Settings, window: int, two_way: SmoothedCorrector
 ) -> Track:
     """Correct a part of a smoothed track by windows, which are the smoother's."""
     layout = track.layout
-    pipeline = switching.pipeline(layout, track.planar)
+    pipeline = settings.switching.pipeline(layout, track.planar)
     two_way.read_from_track(pipeline)
-    batch = EpisodeBatch.of([episode_from(track, scene, radio, begins=False)])
+    batch = EpisodeBatch.of([episode_from(track, settings.scene, settings.radio, begins=False)])
     mixtures = kept[:, layout.state_size + layout.triangle :]
     rejected = track.visible & ~track.accepted
 

@@ -2,6 +2,7 @@
 
 import csv
 import io
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -72,34 +73,34 @@ def require_own_files(track: Path) -> None:
             )
 
 
-def track_texts(
-    out: Path, track: Track, scene: Scene, name: str = "", risk: float = RISK
-) -> dict[Path, str]:
-    """Return the contents of the files of a track, by path.
+def write_track(
+    track: Track, files: Sequence[Path], scene: Scene, name: str = "", risk: float = RISK
+) -> None:
+    """Write a track to files; the contents of all files are complete before the first is written.
 
     Args:
-        out: file for the smoothed track; its ending determines the format. Values for which a
-            TUM file has no column are written to the file that :func:`table_beside` returns.
-        track: the track.
+        track: the track, of which the smoothed beliefs are written.
+        files: files, whose endings determine the formats. Values for which a TUM file has no
+            column are written to the file that :func:`table_beside` returns.
         scene: the scene; files for maps need its origin.
         name: name of the track in files for maps.
         risk: risk of the protection levels in tables.
 
     Raises:
-        ValueError: the file is for a map, but the scene has no origin.
+        ValueError: a file is for a map, but the scene has no origin.
+        OSError: a file can't be written.
     """
-    if out.suffix in MAP_FILES:
-        return {out: MAP_FILES[out.suffix].text(track, origin_of(scene, out), name)}
-    table = table_beside(out)
-    if table is None:
-        return {out: table_text(track, risk)}
-    poses = _TRACK_HEADER + tum_lines(track.time_s, track.smooth_x[:, :3])
-    return {out: poses, table: table_text(track, risk)}
-
-
-def write_track(out: Path, track: Track, scene: Scene, name: str = "", risk: float = RISK) -> None:
-    """Write the files of a track; see :func:`track_texts`."""
-    for path, text in track_texts(out, track, scene, name, risk).items():
+    texts: dict[Path, str] = {}
+    for path in files:
+        table = table_beside(path)
+        if path.suffix in MAP_FILES:
+            texts[path] = MAP_FILES[path.suffix].text(track, origin_of(scene, path), name)
+        elif table is None:
+            texts[path] = table_text(track, risk)
+        else:
+            texts[path] = _TRACK_HEADER + tum_lines(track.time_s, track.smooth_x[:, :3])
+            texts[table] = table_text(track, risk)
+    for path, text in texts.items():
         write_text(path, text)
 
 

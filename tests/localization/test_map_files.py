@@ -33,7 +33,7 @@ def tracks():
 
 def written(tmp_path, ending, parts):
     path = tmp_path / f"walk{ending}"
-    write_track(path, Track.joined(parts), SCENE, "walk")
+    write_track(Track.joined(parts), [path], SCENE, "walk")
     return path
 
 
@@ -119,7 +119,7 @@ def test_geojson_has_lines_within_segments_and_95_percent_error_ellipses(tmp_pat
 def test_a_map_file_needs_an_origin_and_replaces_only_files_of_its_kind(tmp_path, ending):
     path = tmp_path / f"walk{ending}"
     with refuses("out"):
-        write_track(path, some_track(3), SCENES["street"])
+        write_track(some_track(3), [path], SCENES["street"])
     written(tmp_path, ending, tracks())
     require_own_files(path)
     path.write_text("{}")

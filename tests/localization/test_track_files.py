@@ -45,7 +45,7 @@ def test_a_track_and_its_table_replace_only_files_of_their_kind(tmp_path):
     table = tmp_path / "trip.csv"
     for _ in range(2):  # the second track replaces the first
         require_own_files(out)
-        write_track(out, some_track(2), SCENE)
+        write_track(some_track(2), [out], SCENE)
     for path, others in (
         (table, (b"t,x,y,z\n0,1,2,3\n", b"\xff\xfe", b"")),
         (out, (b"# t x y z qx qy qz qw; mmwave-loc simulate\n", b"0 1 2 3 0 0 0 1\n", b"")),
@@ -61,7 +61,7 @@ def test_a_track_and_its_table_replace_only_files_of_their_kind(tmp_path):
 def test_a_track_is_written_as_tum_and_as_a_table(tmp_path, trusted):
     track = replace(some_track(9), trusted=np.full(9, trusted))
     out = tmp_path / "new" / "walk.v2.tum"
-    write_track(out, track, SCENE)
+    write_track(track, [out], SCENE)
     assert sorted(path.name for path in out.parent.iterdir()) == ["walk.v2.csv", "walk.v2.tum"]
     x = track.smooth_x
     P = track.smooth_P
