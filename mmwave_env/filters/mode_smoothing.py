@@ -148,13 +148,14 @@ def _predicted(
     x_now = [now.x[..., i] for i in range(n)]
     packed = [now.P[..., i, j] for i in range(n) for j in range(i + 1)]
     FP = _matrix(transition_times(unpack(packed), coming.dt, hz_per_mps), shape)
-    x = np.empty((*shape, len(pipeline.modes), n))
+    x = np.empty((*shape, shape[-1], n))
     P = np.empty((*x.shape, n))
     for i, mode in enumerate(pipeline.modes):
         mean, covariance = predict(
             pipeline, mode, x_now, packed, gamma[..., i, None], coming, hz_per_mps
         )
-        x[..., i, :] = np.stack(np.broadcast_arrays(*mean), axis=-1)
+        for k, values in enumerate(mean):
+            x[..., i, k] = values
         P[..., i, :, :] = _matrix(covariance, shape)
     # 1 instead of 0, so that the matrix has an inverse
     P[..., pipeline.known_axes, pipeline.known_axes] = 1.0

@@ -86,8 +86,9 @@ def _follow(
             rival = tracker.rival(track, paths.epochs[number : number + LOOK_AHEAD])
         except ArithmeticError as error:
             damage = LogError(
-                f"log, time {epoch.time_s} s: found measurements of a user straight above or below "
-                "an anchor, or extremely far away, expected measurements that a receiver can make"
+                f"log, line {epoch.line}, time {epoch.time_s} s: found measurements of a user "
+                "straight above or below an anchor, or extremely far away, expected measurements "
+                "that a receiver can make"
             )
             if not tracks:
                 raise damage from error

@@ -205,8 +205,8 @@ def _track(log: Log, settings: _Settings, begins: bool) -> Track:
     if not sound.all():
         end = int(np.argmin(sound))
         damage = LogError(
-            f"log, time {log.time_s[end]} s: found measurements that cause NaN or infinity "
-            "in the estimate, expected measurements that a receiver can make"
+            f"log, line {log.line[end]}, time {log.time_s[end]} s: found measurements that cause "
+            "NaN or infinity in the estimate, expected measurements that a receiver can make"
         )
         track = replace(track.part(slice(end)), damage=damage)
         kept = kept[:end]
