@@ -45,7 +45,7 @@ ROOMS = {  # maximum tokens of a room; lines are free
     "mmwave_env/filters": 17_770,
     "mmwave_env/interface": 8_290,
     "mmwave_env/io": 2_810,
-    "mmwave_env/localization": 21_830,
+    "mmwave_env/localization": 21_680,
     "mmwave_env/logs": 12_000,
     "mmwave_env/models": 11_680,
     "mmwave_env/numerics": 3_660,

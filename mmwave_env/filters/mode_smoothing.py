@@ -160,7 +160,7 @@ def _predicted(
     # 1 instead of 0, so that the matrix has an inverse
     P[..., pipeline.known_axes, pipeline.known_axes] = 1.0
     gain = np.swapaxes(np.linalg.solve(P, FP[..., None, :, :]), -1, -2)  # 0 for known axes
-    matrix = np.block(over_step(transition, coming.dt[..., None]))
+    matrix = np.block(over_step(transition, coming.dt[..., None]))  # type: ignore[var-annotated]
     log_weight = np.log(matrix * now.probability[..., None]) - 0.5 * np.linalg.slogdet(P)[1]
     return _Moves(x, P, gain, log_weight)
 

@@ -138,7 +138,7 @@ def localize(
 
 
 class _Settings(NamedTuple):
-    """What all parts of a track share; :func:`localize` describes it."""
+    """Settings that all parts of a track share; :func:`localize` describes them."""
 
     scene: Scene
     radio: Radio

@@ -19,7 +19,9 @@ from mmwave_env.localization.localizer import (
     episode_from,
     filtered_of,
     localize,
+    parts_of,
     smoothed,
+    tracker_of,
 )
 from mmwave_env.logs.log import Log, read_log
 from mmwave_env.logs.log_tables import LogError
@@ -78,9 +80,9 @@ def run(log, modes=(EKF,), rule=None, **options):
 def filtered(log, modes):
     """Return the smoother's input (T, values) for a log that begins with a line of sight."""
     switching = Switching(modes)
-    tracker = switching.tracker(log.layout, planar=False)
+    tracker = tracker_of(switching, log.layout, planar=False)
     tracker.load([episode_from(log, SCENE, RADIO)])
-    return filtered_of({name: of[0] for name, of in tracker.run(*switching.parts).items()})
+    return filtered_of({name: of[0] for name, of in tracker.run(*parts_of(switching)).items()})
 
 
 def episode_of(block):
