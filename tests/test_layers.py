@@ -59,21 +59,12 @@ def room(module):
     return rest[0] if package == "mmwave_env" and rest else package
 
 
-def running(path):
-    """Return the syntax tree of a file without code that only type checkers read."""
-    tree = ast.parse(path.read_text())
-    for node in ast.walk(tree):
-        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
-            node.body = []
-    return tree
-
-
 def imports(path):
-    """Yield the modules and names that a file imports, except imports for type checkers only.
+    """Yield the modules and names that a file imports, also for type checkers only.
 
     A call such as import_module(name) counts as an import of :data:`ANY`.
     """
-    for node in ast.walk(running(path)):
+    for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
             yield from ((alias.name, "") for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:

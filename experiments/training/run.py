@@ -5,11 +5,11 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.progress import TimeElapsedColumn
 
-from experiments.console.options import TaskArgs, require_at_least
+from experiments.console.options import TaskArgs, TrainArgs, require_at_least
 from experiments.console.progress import bars, say
 from experiments.console.provenance import command_line
 from experiments.console.tables import show
@@ -32,9 +32,6 @@ from mmwave_env.filters.bank import Bank, bank_as_written
 from mmwave_env.interface.reward import REWARDS, PairedReward, Reward, TrackingReward
 from mmwave_env.io.files import Json, read_json, write_bytes, write_json
 from mmwave_env.io.lookup import choose
-
-if TYPE_CHECKING:
-    from experiments.train import Args
 
 # Default length of a training run, by algorithm: number of steps or, for rollouts, number of states
 # in which all actions are tried.
@@ -91,7 +88,7 @@ def hyperparameters(args: TaskArgs, places: int, path: Path | None = None) -> Hy
     return hyper  # rollouts compare rewards of actions, so the IMM's reward would cancel out
 
 
-def manifest_of(args: "Args", banks: Mapping[str, Bank], hyper: Hyperparameters) -> Json:
+def manifest_of(args: TrainArgs, banks: Mapping[str, Bank], hyper: Hyperparameters) -> Json:
     """Return, as JSON, the choices of a run, which may not change when the run is resumed."""
     written = {radio: bank_as_written(bank) for radio, bank in banks.items()}
     first, *_ = written.values()
@@ -102,7 +99,7 @@ def manifest_of(args: "Args", banks: Mapping[str, Bank], hyper: Hyperparameters)
     return {"command": command, "hyperparameters": hyperparameters, **choices}
 
 
-def begin(args: "Args", manifest: Json) -> None:
+def begin(args: TrainArgs, manifest: Json) -> None:
     """Make the folder of a run, or check that the folder holds the run to resume.
 
     Raises:
@@ -158,7 +155,7 @@ def shown(jobs: list[Any]) -> Iterator[Any]:
         yield tell
 
 
-def train(args: "Args") -> None:
+def train(args: TrainArgs) -> None:
     """Run the command."""
     try:
         from experiments.training.job import Job
