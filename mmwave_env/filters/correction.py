@@ -112,7 +112,7 @@ def corrected(belief: Belief, shift: Vector, log_factor: Vector) -> Belief:
 def corrected_all(
     x: Array, P: Array, shift: Array, log_factor: Array, pipeline: Pipeline
 ) -> Belief:
-    """Correct a batch of beliefs; the result's components are arrays, or floats if x is (7,).
+    """Correct a batch of beliefs in double precision; the result's components are arrays (...).
 
     Args:
         x, P: (..., 7) means and (..., 28) packed covariances (lower triangles) of the batch.
@@ -121,7 +121,7 @@ def corrected_all(
     """
 
     def components(batch: Array) -> list[Number]:
-        return batch.tolist() if batch.ndim == 1 else list(np.moveaxis(batch, -1, 0))
+        return list(np.moveaxis(batch.astype(np.float64), -1, 0))
 
     belief = pipeline.belief(components(x), components(P))
     return corrected(belief, components(shift), components(log_factor))
