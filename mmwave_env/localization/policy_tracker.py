@@ -66,22 +66,18 @@ class PolicyTracker:
         rows = program.rows(names)
         epochs = int(engine.batch.state.length[0])
         outputs = np.empty((1, epochs, len(rows)))
-        if not self._policy.corrects:
-            for t in range(epochs):
-                actions = self._policy.act(engine.filter())
-                _, outputs[:, t] = engine.decide(actions, rows)
-            return program.by_name(names, outputs)
-        belief_rows = program.rows(_CORRECTED)
-        beliefs = np.empty((1, epochs, len(belief_rows)))
-        trusted = np.empty((1, epochs))
+        beliefs = []
+        trusted = []
         for t in range(epochs):
             actions = self._policy.act(engine.filter())
             observations, outputs[:, t] = engine.decide(actions, rows)
-            correction = self._policy.correct(observations)
-            assert correction is not None
-            trusted[:, t] = correction.trusted
-            numbers = np.concatenate([correction.shift, correction.log_factor], axis=1)
-            beliefs[:, t] = engine.correct(numbers, belief_rows)
-        x, P = program.by_name(_CORRECTED, beliefs).values()
+            correction = self._policy.correct(observations) if self._policy.corrects else None
+            if correction is not None:
+                numbers = np.concatenate([correction.shift, correction.log_factor], axis=1)
+                beliefs.append(engine.correct(numbers, program.rows(_CORRECTED)))
+                trusted.append(correction.trusted)
         parts = program.by_name(names, outputs)
-        return parts | {"corrected_x": x, "corrected_P": P, "trusted": trusted}
+        if not beliefs:
+            return parts
+        x, P = program.by_name(_CORRECTED, np.stack(beliefs, axis=1)).values()
+        return parts | {"corrected_x": x, "corrected_P": P, "trusted": np.stack(trusted, axis=1)}
