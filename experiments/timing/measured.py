@@ -100,11 +100,11 @@ class Measured:
         def limit(name: str) -> None:
             self.limits_s[name].append(limit_s(self.operations[name]) / WIDTH)
 
-        pieces: list[Callable[[], None]]
-        pieces = [partial(start, name) for name in self._processes] * min(FRESH_RUNS, repeats)
+        pieces: list[Callable[[], None]] = []
+        pieces += [partial(start, name) for name in self._processes] * min(FRESH_RUNS, repeats)
         pieces += [partial(warm_up, name) for name in makes]
-        measured: list[Callable[[], None]]
-        measured = [partial(run, name) for name in makes]
+        measured: list[Callable[[], None]] = []
+        measured += [partial(run, name) for name in makes]
         measured += [partial(answer, *latency) for latency in LATENCIES]
         measured += [partial(limit, name) for name in self.operations]
         return pieces + measured * repeats
