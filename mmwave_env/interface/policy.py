@@ -174,7 +174,9 @@ class Switching:
 
     @property
     def actions(self) -> list[str]:
-        """Return the names of the actions that a policy chooses from."""
+        """Return the names of the actions that the policy chooses from; without one, the modes'."""
+        if self.policy is None:
+            return self.names
         return action_names(self.modes, self.beliefs)
 
     def pipeline(self, layout: Layout, planar: bool = False) -> Pipeline:

@@ -19,7 +19,7 @@ from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Index, Mask, Number, Vector, where
 from mmwave_env.numerics.pytree import flatten, indices
-from mmwave_env.world.checks import refuse
+from mmwave_env.world.checks import refuse, require_increasing
 
 NEUTRAL_SNR_DB = 20.0  # replaces an SNR that was not measured; about the mean SNR in streets
 
@@ -70,10 +70,39 @@ class Episode:
     doppler_anchor: Index | None = None
 
     def __post_init__(self) -> None:
+        self._require_shapes()
+        if not (self.sigma > 0.0).all():
+            refuse(self._record, "sigma", self.sigma[~(self.sigma > 0.0)][0], "> 0 everywhere")
+        P = self.prior_covariance
+        if not (abs(P - P.T).max() <= 1e-8 * abs(P).max() and np.linalg.eigvalsh(P)[0] > 0.0):
+            refuse(self._record, "prior_covariance", P.tolist(), "a positive definite matrix")
         for field, values, bound in self._bounded():
             wrong = ~bound.holds(values)
             if wrong.any():
                 refuse(self._record, field, f"{values[wrong].flat[0]:g}", bound.expected)
+
+    def _require_shapes(self) -> None:
+        """Refuse arrays of wrong shapes, and times that do not increase."""
+        T = len(self.time_s)
+        layout = self.layout
+        shapes = {
+            "measurement": (T, layout.size),
+            "visible": (T, len(layout.groups)),
+            "scene_anchors_m": (layout.anchors, 3),
+            "sigma": (T, layout.size),
+            "snr_db": (T, layout.anchors),
+            "doppler_spread_hz": (T,),
+            "prior_mean": (layout.state_size,),
+            "prior_covariance": (layout.state_size, layout.state_size),
+            "truth_position_m": (T, 3),
+            "truth_velocity_mps": (T, 3),
+            "doppler_anchor": (T,),
+        }
+        for field, shape in shapes.items():
+            value = getattr(self, field)
+            if value is not None and value.shape != shape:
+                refuse(self._record, field, f"shape {value.shape}", f"shape {shape}")
+        require_increasing(self._record, self.time_s)
 
     def _bounded(self) -> Iterator[tuple[str, Array, Bound]]:
         """Yield the name, the values and the bound of each quantity that has a bound."""

@@ -115,10 +115,10 @@ def test_attributes_and_methods_apply_to_all_environments():
     with refuses("set_attr('word')"):
         venv.set_attr("word", "y", 1)
     venv.reset()
-    states = venv.env_method("state", indices=[0, 1, 2, 3])
+    states = venv.env_method("belief", indices=[0, 1, 2, 3])
     assert len(states) == 4 and all(state is states[0] for state in states)
-    with refuses("env_method('state')"):
-        venv.env_method("state", indices=[0])
+    with refuses("env_method('belief')"):
+        venv.env_method("belief", indices=[0])
     assert venv.env_is_wrapped(Monitor) == [True] * 4
     assert venv.env_is_wrapped(gym.wrappers.TimeLimit, [2]) == [False]
 

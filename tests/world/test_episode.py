@@ -150,15 +150,31 @@ def test_a_missing_measurement_that_is_not_finite_is_not_counted(episode):
     assert blind.nonfinite == 0 and np.isfinite(blind.table()).all()
 
 
-DAMAGED = ("scene_anchors_m", "doppler_spread_hz", "prior_mean", "truth_position_m", "time_s")
+DAMAGE = {
+    "scene_anchors_m": lambda v: v[:2],
+    "measurement": lambda v: v[:, :5],
+    "sigma": lambda v: 0.0 * v,
+    "visible": lambda v: v[:-1],
+    "snr_db": lambda v: v[:, :1],
+    "doppler_spread_hz": lambda v: v[:, None],
+    "prior_mean": lambda v: v * np.nan,
+    "prior_covariance": lambda v: -v,
+    "truth_position_m": lambda v: v[:, :2],
+    "truth_velocity_mps": lambda v: v.T,
+    "time_s": lambda v: v[::-1],
+}
 
 
-@pytest.mark.parametrize("field", DAMAGED)
-def test_nan_is_refused_where_a_value_may_not_be_missing(episode, field):
-    value = getattr(episode, field).copy()
-    value.flat[1] = np.nan
-    with refuses(field, "episode 'cyclist'"):
-        replace(episode, **{field: value})
+@pytest.mark.parametrize("field", DAMAGE)
+def test_a_wrong_field_is_refused_with_the_names_of_field_and_episode(episode, field):
+    """Check also that NaN is refused in fields whose values may not be missing."""
+    wrong = [DAMAGE[field](getattr(episode, field))]
+    if field not in ("measurement", "visible", "snr_db"):
+        wrong.append(getattr(episode, field).copy())
+        wrong[1].flat[1] = np.nan
+    for value in wrong:
+        with refuses(field, "episode 'cyclist'"):
+            replace(episode, **{field: value})
 
 
 # --- the table that engines read, with one row per epoch
