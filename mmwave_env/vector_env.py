@@ -38,6 +38,23 @@ Step = tuple[Observations, Array, Mask, Mask, dict[str, Any]]
 BEGUN = 512  # maximum number of episodes drawn in one call, to limit the memory that they need
 
 
+def _require_known(num_envs: int, threads: int, render_mode: str | None, backend: str) -> None:
+    """Refuse counts below 1, and values that only a single environment knows."""
+    for name, count in (("num_envs", num_envs), ("threads", threads)):
+        require(name, count, int)
+        if count < 1:
+            raise ValueError(f"{name}: found {count}, expected at least 1")
+    for name, value, known in (
+        ("render_mode", render_mode, (None, "rgb_array")),
+        ("backend", backend, ("lanes",)),
+    ):
+        if value not in known:
+            raise ValueError(
+                f"{name}: found {value!r}, expected {' or '.join(map(repr, known))}; for other "
+                'values use gymnasium.make, or make_vec with vectorization_mode="sync"'
+            )
+
+
 class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Observations, Index, NDArray[Any]]):
     """N copies of :class:`~mmwave_env.env.MmWaveLocEnv`, stepped in one kernel call.
 
@@ -83,19 +100,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Observations, Index, 
         backend: str = "lanes",
         **arguments: Any,
     ) -> None:
-        for name, count in (("num_envs", num_envs), ("threads", threads)):
-            require(name, count, int)
-            if count < 1:
-                raise ValueError(f"{name}: found {count}, expected at least 1")
-        for name, value, known in (
-            ("render_mode", render_mode, (None, "rgb_array")),
-            ("backend", backend, ("lanes",)),
-        ):
-            if value not in known:
-                raise ValueError(
-                    f"{name}: found {value!r}, expected {' or '.join(map(repr, known))}; for other "
-                    'values use gymnasium.make, or make_vec with vectorization_mode="sync"'
-                )
+        _require_known(num_envs, threads, render_mode, backend)
         if render_mode:
             require_drawable(render_size, render_theme, f"render_mode={render_mode!r}")
         self.render_mode = render_mode
