@@ -11,11 +11,11 @@ from experiments.evaluation.branches import Clairvoyant
 from mmwave_env.engines.engine import Engine, run_imm
 from mmwave_env.engines.play import play
 from mmwave_env.filters.belief import Belief
-from mmwave_env.filters.correction import corrected_all
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.actions import CORRECTION, MODE
 from mmwave_env.interface.policy import Policy, Switching
 from mmwave_env.interface.reward import Reward, TrackingReward, terms_of, total
-from mmwave_env.numerics.linalg import pack, unpack
+from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.task import Task
 from mmwave_env.world.episode import EpisodeBatch, columns_of
@@ -69,8 +69,11 @@ class Trial(NamedTuple):
         switching = self.switching
         n = len(self.episodes.table)
         reward = self.scoring.reward
-        engine = Engine(self.pipeline, n, reward, switching.observation, switching.bank)
-        engine.reset(self.episodes)
+        action = CORRECTION if self.policy.corrects else MODE
+        engine = Engine(
+            self.pipeline, n, reward, switching.observation, switching.bank, action=action
+        )
+        engine.batch.load(self.episodes)
         return engine
 
     def scores(self, belief: Belief, true_states: Array) -> EpochResults:
@@ -128,19 +131,14 @@ def run_estimator(trial: Trial) -> EpochResults:
 
 def _played(trial: Trial, engine: Engine) -> EpochResults:
     """Play the episodes that an engine has begun."""
-    names = trial.names
-    if trial.policy.corrects:
-        names = [*dict.fromkeys((*names, "x", "P", "truth"))]  # what a correction changes
-    program = engine.batch.program
-    track = play(engine, trial.policy, trial.episodes.table.shape[1], program.rows(names))
-    results: EpochResults = {**program.by_name(names, track.outputs), "mode": track.actions}
-    if track.corrections is None:
-        return results
-    shift, log_factor, trusted = track.corrections
-    belief = corrected_all(results["x"], results["P"], shift, log_factor, engine.pipeline)
-    return results | {
-        "x": np.stack(belief.x, axis=-1),
-        "P": np.stack(pack(belief.P), axis=-1),
-        "trusted": trusted,
-        **trial.scores(belief, results["truth"]),
-    }
+    policy = trial.policy
+    corrected = {"x": "reported.x", "P": "reported.P"} if policy.corrects else {}
+    names = [corrected.get(name, name) for name in trial.names]
+    program = engine.program
+    policy.reset(np.ones(engine.batch.n, bool))
+    track = play(engine, policy, trial.episodes.table.shape[1], program.rows(names))
+    parts = program.by_name(names, track.outputs)
+    results: EpochResults = dict(zip(trial.names, parts.values(), strict=True))
+    if policy.corrects:
+        results["trusted"] = track.trusted
+    return results | {"mode": track.actions}

@@ -21,6 +21,7 @@ from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.correction import deviations_of
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.actions import CORRECTION
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.interface.signed import after_update
 from mmwave_env.models.random_radio import RandomRadio
@@ -175,8 +176,8 @@ class CorrectorData:
         """Play episodes with the base; return what a corrector learns from them."""
         n, epochs, _ = batch.table.shape
         pipeline = Pipeline(bank.modes, batch.layout)
-        engine = Engine(pipeline, n, TrackingReward(), "signed", bank)
-        engine.reset(batch)
+        engine = Engine(pipeline, n, TrackingReward(), "signed", bank, action=CORRECTION)
+        engine.batch.load(batch)
         after = [feature.name for feature in after_update(pipeline, per_mode=True)]
         columns = np.array([engine.observation.names.index(name) for name in after])
         rows = rows_of([engine.at.x, engine.at.P, engine.at.error])

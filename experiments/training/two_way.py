@@ -81,7 +81,7 @@ def _actions(batch: EpisodeBatch, bank: Bank, base: str) -> Index:
     """Return the actions (n, T) of a policy."""
     n, epochs, _ = batch.table.shape
     engine = Engine(Pipeline(bank.modes, batch.layout), n, TrackingReward(), "full", bank)
-    engine.reset(batch)
+    engine.batch.load(batch)
     return play(engine, LearnedSwitch(base, engine.observation), epochs).actions
 
 

@@ -79,8 +79,9 @@ class MeasuredTrack(Track):
             aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad: (T, L) angles of links, rad.
             doppler_hz: (T,) Doppler shift of the base station, positive while the range grows.
             snr_db: (T, L) SNR of links, dB; with the radio, it determines the noise.
-            range_sigma_m, aoa_azimuth_sigma_rad, aoa_elevation_sigma_rad, aod_azimuth_sigma_rad,
-                doppler_sigma_hz: the receiver's own standard deviations, in place of the profile's.
+            range_sigma_m, aoa_azimuth_sigma_rad, aoa_elevation_sigma_rad, aod_azimuth_sigma_rad:
+                the receiver's own standard deviations, in place of the profile's.
+            doppler_sigma_hz: the same for the Doppler shift.
             doppler_spread_hz: (T,) Doppler spread; None, NaN or 0 if it was not measured.
             carrier_hz, bandwidth_hz, name: frequencies of the signal; the track's name.
 

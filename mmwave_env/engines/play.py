@@ -1,4 +1,4 @@
-"""The loop of a policy: it acts, the filters step, and it may correct their beliefs."""
+"""The loop of a policy: the modes run, it acts, the belief follows, and it may be corrected."""
 
 from typing import NamedTuple
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from mmwave_env.compiler.program import NO_ROWS
 from mmwave_env.engines.engine import Engine
-from mmwave_env.interface.policy import Correction, Policy
+from mmwave_env.interface.policy import Policy
 from mmwave_env.numerics.numbers import Array, Array32, Index
 
 
@@ -17,14 +17,14 @@ class Played(NamedTuple):
         actions: (n, T) the policy's actions.
         outputs: (n, T, k) the rows that the caller asked for, after every epoch.
         features: (n, T, c) the columns of observations that the caller asked for, after every
-            epoch.
-        corrections: corrections (n, T, 3) of the beliefs; None if the policy does not correct.
+            epoch's update.
+        trusted: (n, T) factors that scaled the corrections; NaN if the policy does not correct.
     """
 
     actions: Index
     outputs: Array
     features: Array32
-    corrections: Correction | None
+    trusted: Array32
 
 
 def play(
@@ -33,36 +33,34 @@ def play(
     epochs: int,
     output_rows: Index = NO_ROWS,
     columns: Index = NO_ROWS,
+    scored: bool = True,
 ) -> Played:
-    """Play the next epochs of an engine's tracks, which have just begun.
+    """Play the next epochs of an engine's tracks; each epoch is filtered once.
 
     Args:
-        engine: engine that has loaded the tracks and run their first epoch (``reset``).
-        policy: policy whose features have been looked up in ``engine.observation``.
+        engine: engine that has loaded the tracks. If the policy corrects beliefs, or if columns
+            that describe the belief after its update are recorded, its actions are corrections.
+        policy: policy whose features have been looked up in ``engine.observation``, and that has
+            been reset where tracks begin.
         epochs: number of epochs.
-        output_rows: indices of the rows to record, as in :meth:`Engine.step`.
+        output_rows: indices of the rows to record, as in :meth:`Engine.decide`.
         columns: indices of the columns of observations to record.
+        scored: whether to score the beliefs against the truth.
     """
     n = engine.batch.n
     actions = np.empty((n, epochs), np.int64)
     outputs = np.empty((n, epochs, len(output_rows)))
     features = np.empty((n, epochs, len(columns)), np.float32)
-    corrections = []
-    policy.reset(np.ones(n, bool))
-    observations = engine.observations()
+    trusted = np.full((n, epochs), np.nan, np.float32)
     for t in range(epochs):
-        actions[:, t] = policy.act(observations)
-        observations, outputs[:, t] = engine.step(actions[:, t], output_rows)
+        actions[:, t] = policy.act(engine.filter())
+        observations, outputs[:, t] = engine.decide(actions[:, t], output_rows, scored)
         features[:, t] = observations[:, columns]
-        if policy.corrects:
-            corrections.append(policy.correct(observations))
-    return Played(actions, outputs, features, stacked(corrections))
-
-
-def stacked(corrections: list[Correction | None]) -> Correction | None:
-    """Return the corrections (n, 3) of T epochs as arrays (n, T, 3); None if there are none."""
-    known = [correction for correction in corrections if correction is not None]
-    if not known:
-        return None
-    shift, log_factor, trusted = zip(*known, strict=True)
-    return Correction(np.stack(shift, 1), np.stack(log_factor, 1), np.stack(trusted, 1))
+        if not policy.corrects:
+            continue
+        correction = policy.correct(observations)
+        assert correction is not None
+        numbers = np.concatenate([correction.shift, correction.log_factor], axis=1)
+        outputs[:, t] = engine.correct(numbers, output_rows)
+        trusted[:, t] = correction.trusted
+    return Played(actions, outputs, features, trusted)

@@ -9,14 +9,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from mmwave_env.engines.engine import Engine
+from mmwave_env.engines.play import play
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import CORRECTION, MODE
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.policy import Switching
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode
-
-_CORRECTED = ("reported.x", "reported.P")
 
 
 class PolicyTracker:
@@ -61,23 +60,13 @@ class PolicyTracker:
         """
         if self._starts:
             self._policy.reset(np.array([True]))
-        engine = self._engine
-        program = engine.program
-        rows = program.rows(names)
-        epochs = int(engine.batch.state.length[0])
-        outputs = np.empty((1, epochs, len(rows)))
-        beliefs = []
-        trusted = []
-        for t in range(epochs):
-            actions = self._policy.act(engine.filter())
-            observations, outputs[:, t] = engine.decide(actions, rows)
-            correction = self._policy.correct(observations) if self._policy.corrects else None
-            if correction is not None:
-                numbers = np.concatenate([correction.shift, correction.log_factor], axis=1)
-                beliefs.append(engine.correct(numbers, program.rows(_CORRECTED)))
-                trusted.append(correction.trusted)
-        parts = program.by_name(names, outputs)
-        if not beliefs:
-            return parts
-        x, P = program.by_name(_CORRECTED, np.stack(beliefs, axis=1)).values()
-        return parts | {"corrected_x": x, "corrected_P": P, "trusted": np.stack(trusted, axis=1)}
+        corrected = {"reported.x": "corrected_x", "reported.P": "corrected_P"}
+        wanted = (*names, *corrected) if self._policy.corrects else names
+        program = self._engine.program
+        epochs = int(self._engine.batch.state.length[0])
+        played = play(self._engine, self._policy, epochs, program.rows(wanted), scored=False)
+        parts = program.by_name(wanted, played.outputs)
+        if self._policy.corrects:
+            parts |= {to: parts.pop(name) for name, to in corrected.items()}
+            parts["trusted"] = played.trusted.astype(float)
+        return parts
