@@ -1,12 +1,16 @@
 """Signals from a scheduler or a closed terminal: the program cleans up as after Ctrl-C."""
 
+import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from threading import Timer
+from types import FrameType
 from typing import Any
 
 # Signals that end the program, if the system has them; Windows has no SIGHUP.
 ENDING = tuple(getattr(signal, n) for n in ("SIGTERM", "SIGHUP") if hasattr(signal, n))
+SOON_S = 0.01  # delay after which a signal that could not be handled is sent again
 
 
 class Ended(SystemExit):
@@ -42,7 +46,10 @@ def ended_by_signals() -> Iterator[None]:
     """
     came: list[int] = []
 
-    def end(number: int, _: Any) -> None:
+    def end(number: int, frame: FrameType | None) -> None:
+        if _in_callback(frame):
+            Timer(SOON_S, os.kill, (os.getpid(), number)).start()
+            return
         ignore_signals()
         came.append(number)
         raise Ended(number)
@@ -55,6 +62,15 @@ def ended_by_signals() -> Iterator[None]:
             if came and not isinstance(other, Ended):
                 raise Ended(came[0]) from None
             raise
+
+
+def _in_callback(frame: FrameType | None) -> bool:
+    """Return whether the running code is a callback from C code that would drop exceptions."""
+    while frame is not None:
+        if frame.f_code.co_name.startswith("_raw_object_cache"):  # a callback of llvmlite
+            return True
+        frame = frame.f_back
+    return False
 
 
 def ignore_signals() -> None:
