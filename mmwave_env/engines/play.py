@@ -54,10 +54,12 @@ def play(
     trusted = np.full((n, epochs), np.nan, np.float32)
     for t in range(epochs):
         actions[:, t] = policy.act(engine.filter())
-        observations, outputs[:, t] = engine.decide(actions[:, t], output_rows, scored)
-        features[:, t] = observations[:, columns]
         if not policy.corrects:
+            observations, outputs[:, t] = engine.decide(actions[:, t], output_rows, scored)
+            features[:, t] = observations[:, columns]
             continue
+        observations, _ = engine.decide(actions[:, t])  # the corrected belief is scored instead
+        features[:, t] = observations[:, columns]
         correction = policy.correct(observations)
         assert correction is not None
         numbers = np.concatenate([correction.shift, correction.log_factor], axis=1)
