@@ -22,7 +22,7 @@ from mmwave_env.filters.imm import begin, over_step
 from mmwave_env.filters.pipeline import Pipeline, predict
 from mmwave_env.models.measurement import Epoch
 from mmwave_env.models.motion import transition_times
-from mmwave_env.numerics.linalg import unpack
+from mmwave_env.numerics.linalg import cholesky, inverse, unpack
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.numerics.pytree import indices
 
@@ -45,11 +45,13 @@ class ModeBeliefs(NamedTuple):
 
 def merged(beliefs: ModeBeliefs) -> tuple[Array, Array]:
     """Return the means (..., 7) and the covariances (..., 7, 7) of mixtures of all modes."""
-    weight = beliefs.probability[..., None]
-    mean = (weight * beliefs.x).sum(axis=-2)
-    offset = beliefs.x - mean[..., None, :]
-    outer = offset[..., :, None] * offset[..., None, :]
-    return mean, (weight[..., None] * (beliefs.P + outer)).sum(axis=-3)
+    weight = beliefs.probability[..., None, :]
+    mean = weight @ beliefs.x
+    offset = beliefs.x - mean
+    entries = beliefs.P.reshape(*beliefs.x.shape[:-1], -1)
+    inside = (weight @ entries).reshape(*mean.shape[:-2], *beliefs.P.shape[-2:])
+    between = (np.swapaxes(offset, -1, -2) * weight) @ offset
+    return mean[..., 0, :], inside + between
 
 
 def smooth_modes(
@@ -115,6 +117,7 @@ class _Moves(NamedTuple):
 
     Attributes:
         x, P: (N, ..., modes now, modes, 7) predicted means, and covariances.
+        whitener: (N, ..., modes now, modes, 7, 7) inverses of the Cholesky factors of P.
         gain: (N, ..., modes now, modes, 7, 7) smoother gains.
         log_weight: (N, ..., modes now, modes) logarithms of joint probabilities of both modes,
             given the measurements until now, divided by the square roots of det P.
@@ -122,6 +125,7 @@ class _Moves(NamedTuple):
 
     x: Array
     P: Array
+    whitener: Array
     gain: Array
     log_weight: Array
 
@@ -148,21 +152,27 @@ def _predicted(
     x_now = [now.x[..., i] for i in range(n)]
     packed = [now.P[..., i, j] for i in range(n) for j in range(i + 1)]
     FP = _matrix(transition_times(unpack(packed), coming.dt, hz_per_mps), shape)
-    x = np.empty((*shape, shape[-1], n))
-    P = np.empty((*x.shape, n))
+    means = []
+    covariances = []
+    whiteners = []
+    log_scales = []  # logarithms of square roots of det P
     for i, mode in enumerate(pipeline.modes):
         mean, covariance = predict(
             pipeline, mode, x_now, packed, gamma[..., i, None], coming, hz_per_mps
         )
-        for k, values in enumerate(mean):
-            x[..., i, k] = values
-        P[..., i, :, :] = _matrix(covariance, shape)
-    # 1 instead of 0, so that the matrix has an inverse
-    P[..., pipeline.known_axes, pipeline.known_axes] = 1.0
-    gain = np.swapaxes(np.linalg.solve(P, FP[..., None, :, :]), -1, -2)  # 0 for known axes
+        for axis in pipeline.known_axes:  # 1 instead of 0, so that the matrix has an inverse
+            covariance[axis][axis] = np.ones(shape)
+        factor = cholesky(covariance)
+        means.append(np.stack(mean, axis=-1))
+        covariances.append(_matrix(covariance, shape))
+        whiteners.append(_matrix(inverse(factor), shape))
+        log_scales.append(sum(np.log(factor[k][k]) for k in range(n)))
+    P = np.stack(covariances, axis=-3)
+    whitener = np.stack(whiteners, axis=-3)
+    gain = np.swapaxes(whitener @ FP[..., None, :, :], -1, -2) @ whitener  # 0 for known axes
     matrix = np.block(over_step(transition, coming.dt[..., None]))  # type: ignore[var-annotated]
-    log_weight = np.log(matrix * now.probability[..., None]) - 0.5 * np.linalg.slogdet(P)[1]
-    return _Moves(x, P, gain, log_weight)
+    log_weight = np.log(matrix * now.probability[..., None]) - np.stack(log_scales, axis=-1)
+    return _Moves(np.stack(means, axis=-2), P, whitener, gain, log_weight)
 
 
 def _backwards(now: ModeBeliefs, move: _Moves, after: ModeBeliefs) -> ModeBeliefs:
@@ -174,7 +184,7 @@ def _backwards(now: ModeBeliefs, move: _Moves, after: ModeBeliefs) -> ModeBelief
         after: smoothed beliefs of the following epoch.
     """
     step = after.x[:, None] - move.x
-    distance = (step * np.linalg.solve(move.P, step[..., None])[..., 0]).sum(axis=-1)
+    distance = np.square((move.whitener @ step[..., None])[..., 0]).sum(axis=-1)
     logs = move.log_weight - 0.5 * distance
     joint = np.exp(logs - logs.max(axis=1, keepdims=True))
     joint *= after.probability[:, None] / joint.sum(axis=1, keepdims=True)
@@ -186,6 +196,10 @@ def _backwards(now: ModeBeliefs, move: _Moves, after: ModeBeliefs) -> ModeBelief
 
 
 def _matrix(entries: Sequence[Sequence[Array]], shape: tuple[int, ...]) -> Array:
-    """Stack a matrix of arrays into one array (..., 7, 7)."""
-    rows = [np.stack([np.broadcast_to(e, shape) for e in row], axis=-1) for row in entries]
-    return np.stack(rows, axis=-2)
+    """Return a matrix of arrays as one array (..., 7, 7)."""
+    n = len(entries)
+    matrix = np.empty((*shape, n, n))
+    for i, row in enumerate(entries):
+        for j, values in enumerate(row):
+            matrix[..., i, j] = values
+    return matrix

@@ -56,6 +56,17 @@ def cholesky(a: Matrix) -> list[list[Number]]:
     return factor
 
 
+def inverse(factor: Matrix) -> list[list[Number]]:
+    """Return the inverse of a factor from :func:`cholesky`; row and column i are 0 as column i."""
+    n = len(factor)
+    result: list[list[Number]] = [[0.0] * n for _ in range(n)]
+    for j in range(n):
+        rest = [row[j:] for row in factor[j:]]
+        for i, value in enumerate(forward(rest, [1.0] + [0.0] * (n - j - 1)), start=j):
+            result[i][j] = value
+    return result
+
+
 def forward(factor: Matrix, b: Vector) -> list[Number]:
     """Solve ``factor y = b`` for a factor from :func:`cholesky`; y_i is 0 where column i is 0."""
     y: list[Number] = []
