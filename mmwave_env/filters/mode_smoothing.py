@@ -23,7 +23,7 @@ from mmwave_env.filters.pipeline import Pipeline, predict
 from mmwave_env.models.measurement import Epoch
 from mmwave_env.models.motion import transition_times
 from mmwave_env.numerics.linalg import cholesky, inverse, unpack
-from mmwave_env.numerics.numbers import Array
+from mmwave_env.numerics.numbers import Array, Number
 from mmwave_env.numerics.pytree import indices
 
 _EPOCHS_TOGETHER = 2048  # number of epochs whose predictions are computed together
@@ -116,17 +116,19 @@ class _Moves(NamedTuple):
     """Predictions of a following epoch, for each mode now and each mode in that epoch.
 
     Attributes:
-        x, P: (N, ..., modes now, modes, 7) predicted means, and covariances.
-        whitener: (N, ..., modes now, modes, 7, 7) inverses of the Cholesky factors of P.
+        x: (N, ..., modes now, modes, 7) predicted means.
+        whitener: (N, ..., modes now, modes, 7, 7) inverses of the Cholesky factors of the predicted
+            covariances P.
         gain: (N, ..., modes now, modes, 7, 7) smoother gains.
+        rest: (N, ..., modes now, modes, 7, 7) covariances now, if the following state were known.
         log_weight: (N, ..., modes now, modes) logarithms of joint probabilities of both modes,
             given the measurements until now, divided by the square roots of det P.
     """
 
     x: Array
-    P: Array
     whitener: Array
     gain: Array
+    rest: Array
     log_weight: Array
 
 
@@ -151,28 +153,28 @@ def _predicted(
     n = now.x.shape[-1]
     x_now = [now.x[..., i] for i in range(n)]
     packed = [now.P[..., i, j] for i in range(n) for j in range(i + 1)]
-    FP = _matrix(transition_times(unpack(packed), coming.dt, hz_per_mps), shape)
-    means = []
-    covariances = []
-    whiteners = []
-    log_scales = []  # logarithms of square roots of det P
+    pairs = (*shape, shape[-1])
+    FP = np.zeros((*shape, n, n))
+    _fill(FP, transition_times(unpack(packed), coming.dt, hz_per_mps))
+    x = np.empty((*pairs, n))
+    whitener = np.zeros((*pairs, n, n))
+    log_scale = np.empty(pairs)  # logarithms of square roots of det P
     for i, mode in enumerate(pipeline.modes):
-        mean, covariance = predict(
-            pipeline, mode, x_now, packed, gamma[..., i, None], coming, hz_per_mps
-        )
+        mean, P = predict(pipeline, mode, x_now, packed, gamma[..., i, None], coming, hz_per_mps)
+        covariance = [list(row) for row in P]
         for axis in pipeline.known_axes:  # 1 instead of 0, so that the matrix has an inverse
             covariance[axis][axis] = np.ones(shape)
         factor = cholesky(covariance)
-        means.append(np.stack(mean, axis=-1))
-        covariances.append(_matrix(covariance, shape))
-        whiteners.append(_matrix(inverse(factor), shape))
-        log_scales.append(sum(np.log(factor[k][k]) for k in range(n)))
-    P = np.stack(covariances, axis=-3)
-    whitener = np.stack(whiteners, axis=-3)
-    gain = np.swapaxes(whitener @ FP[..., None, :, :], -1, -2) @ whitener  # 0 for known axes
+        log_scale[..., i] = sum(np.log(factor[k][k]) for k in range(n))
+        _fill(whitener[..., i, :, :], inverse(factor))
+        for k, values in enumerate(mean):
+            x[..., i, k] = values
+    whitened = whitener @ FP[..., None, :, :]
+    gain = np.swapaxes(whitened, -1, -2) @ whitener  # 0 for known axes
+    rest = now.P[..., None, :, :] - np.swapaxes(whitened, -1, -2) @ whitened
     matrix = np.block(over_step(transition, coming.dt[..., None]))  # type: ignore[var-annotated]
-    log_weight = np.log(matrix * now.probability[..., None]) - np.stack(log_scales, axis=-1)
-    return _Moves(np.stack(means, axis=-2), P, whitener, gain, log_weight)
+    log_weight = np.log(matrix * now.probability[..., None]) - log_scale
+    return _Moves(x, whitener, gain, rest, log_weight)
 
 
 def _backwards(now: ModeBeliefs, move: _Moves, after: ModeBeliefs) -> ModeBeliefs:
@@ -190,16 +192,14 @@ def _backwards(now: ModeBeliefs, move: _Moves, after: ModeBeliefs) -> ModeBelief
     joint *= after.probability[:, None] / joint.sum(axis=1, keepdims=True)
     probability = np.maximum(joint.sum(axis=2), np.finfo(float).tiny)
     x = now.x[:, :, None] + (move.gain @ step[..., None])[..., 0]
-    change = move.gain @ (after.P[:, None] - move.P) @ np.swapaxes(move.gain, -1, -2)
-    pairs = ModeBeliefs(x, now.P[:, :, None] + change, joint / probability[..., None])
+    P = move.rest + move.gain @ after.P[:, None] @ np.swapaxes(move.gain, -1, -2)
+    pairs = ModeBeliefs(x, P, joint / probability[..., None])
     return ModeBeliefs(*merged(pairs), probability / probability.sum(axis=1, keepdims=True))
 
 
-def _matrix(entries: Sequence[Sequence[Array]], shape: tuple[int, ...]) -> Array:
-    """Return a matrix of arrays as one array (..., 7, 7)."""
-    n = len(entries)
-    matrix = np.empty((*shape, n, n))
-    for i, row in enumerate(entries):
+def _fill(target: Array, matrix: Sequence[Sequence[Number]]) -> None:
+    """Copy the entries of a matrix, except structural zeros, into an array (..., 7, 7) of zeros."""
+    for i, row in enumerate(matrix):
         for j, values in enumerate(row):
-            matrix[..., i, j] = values
-    return matrix
+            if not (isinstance(values, float) and values == 0.0):
+                target[..., i, j] = values
