@@ -26,7 +26,7 @@ SEES = {  # room -> rooms that it may import
     "interface": FILTER_SIDE,
     "task": WORLDS | {"datasets"},  # chooses where episodes come from
     "engines": WORLDS,
-    "policies": FILTER_SIDE | {"interface"},
+    "policies": FILTER_SIDE | {"interface", "compiler"},
     **dict.fromkeys(["env", "vector_env"], frozenset(ENVIRONMENT)),
     "localization": ENVIRONMENT | {"logs"},
     "sb3": {"vector_env"},

@@ -161,11 +161,12 @@ class Without(Corrector):
         names = [column.name for column in self.card.features]
         self._others = [i for i, name in enumerate(names) if name.startswith(begins)]
 
-    def correct_features(self, features: NDArray[np.float32]) -> Any:
-        """Correct after taking these features from the same epoch of another episode."""
+    def features_in(self, observation: NDArray[np.float32]) -> Any:
+        """Return the features, some of them from the same epoch of another episode."""
+        features = super().features_in(observation)
         mixed = features.copy()
         mixed[:, self._others] = np.roll(features, 1, axis=0)[:, self._others]
-        return super().correct_features(mixed)
+        return mixed
 
 
 def without_groups(radio: str) -> Iterator[tuple[str, Array]]:

@@ -55,7 +55,7 @@ def compiled(function: Callable[..., Any]) -> Any:
 
     For a function that only compiled code calls, ``register_jitable`` is enough.
     """
-    return _with_cache(numba.njit(nogil=True)(function), function)
+    return _with_cache(numba.njit(nogil=True, error_model="numpy")(function), function)
 
 
 def compiled_callback(signature: Any, function: Callable[..., Any]) -> Any:
@@ -73,7 +73,8 @@ def compiled_callback(signature: Any, function: Callable[..., Any]) -> Any:
 
 def _with_cache(compiler: Any, function: Callable[..., Any]) -> Any:
     if folder := _folder():
-        compiler._cache = _OnDisk(function, folder)
+        with suppress(OSError):  # the function may not come from a file
+            compiler._cache = _OnDisk(function, folder)
     return compiler
 
 
@@ -198,6 +199,8 @@ class _OnDisk(NullCache):  # type: ignore[misc]
 
     def __init__(self, function: Callable[..., Any], folder: Path) -> None:
         self._name = f"{function.__module__}.{function.__qualname__}"
+        # The folder's name does not depend on sources outside the package, such as a policy's.
+        self._source = sha256(Path(function.__code__.co_filename).read_bytes()).hexdigest()
         self._folder = folder
 
     @property
@@ -237,7 +240,7 @@ class _OnDisk(NullCache):  # type: ignore[misc]
 
     def _entry(self, signature: Any, codegen: Any) -> tuple[str, Path]:
         """Return the key (text that identifies this version of the function) and the file."""
-        key = f"{self._name} {signature} {codegen.magic_tuple()}"
+        key = f"{self._name} {self._source} {signature} {codegen.magic_tuple()}"
         return key, self._folder / f"{self._name}-{sha256(key.encode()).hexdigest()[:20]}"
 
 

@@ -72,6 +72,7 @@ class Batch(Generic[Workspace]):
         self._input_rows = input_rows
         self.on_floats = on_floats
         self._run = Repeated(run_blocks)
+        self._over = np.zeros(n, np.int64)  # epochs and lengths of tracks that load no epoch
         self.parts = spans(blocks, max(1, min(threads, blocks // BLOCKS_PER_THREAD)))
 
     def load(
@@ -196,8 +197,7 @@ class Batch(Generic[Workspace]):
         if running is not None:
             state = state._replace(running=running)
         if again:
-            nothing = np.zeros((2, self.n), np.int64)
-            state = state._replace(feed=_NO_FEED, length=nothing[0], epoch=nothing[1])
+            state = state._replace(feed=_NO_FEED, length=self._over, epoch=self._over)
         if self.on_floats:
             program.run_on_floats(state, io)
             return

@@ -100,7 +100,7 @@ def test_the_network_equals_pytorch(path):
     shown = features(20)
     corrector = started(path)
     for epoch, expected in zip(shown, by_pytorch(shown, ONE_WAY), strict=True):
-        shift, log_factor, trusted = corrector.correct_features(epoch)
+        shift, log_factor, trusted = corrector.correct(epoch)
         np.testing.assert_allclose(shift, expected[:, :3] * trusted[:, None], atol=1e-5)
         np.testing.assert_allclose(log_factor, expected[:, 3:] * trusted[:, None], atol=1e-5)
 
@@ -141,10 +141,10 @@ def test_files_of_filtered_and_of_smoothed_tracks_are_not_confused(path, two_way
 def test_a_corrector_remembers_until_an_episode_begins(path):
     corrector = started(path)
     shown = features(3)
-    first = corrector.correct_features(shown[0]).shift
-    assert (corrector.correct_features(shown[0]).shift != first).any(axis=1).all()
+    first = corrector.correct(shown[0]).shift
+    assert (corrector.correct(shown[0]).shift != first).any(axis=1).all()
     corrector.reset(np.array([True, False, True, False]))
-    again = corrector.correct_features(shown[0]).shift
+    again = corrector.correct(shown[0]).shift
     np.testing.assert_array_equal(again[[0, 2]], first[[0, 2]])
     assert (again[[1, 3]] != first[[1, 3]]).any(axis=1).all()
 
@@ -152,12 +152,12 @@ def test_a_corrector_remembers_until_an_episode_begins(path):
 def test_corrections_fade_beyond_the_range_of_training_and_come_back(path):
     corrector = started(path)
     shown = features(1)[0]
-    assert (corrector.correct_features(shown).trusted > 0.0).all()
+    assert (corrector.correct(shown).trusted > 0.0).all()
     strange = shown.copy()
     strange[0, 3] = 9.0
-    faded = corrector.correct_features(strange)
+    faded = corrector.correct(strange)
     assert faded.trusted[0] < 1e-3 and np.abs(faded.shift[0]).max() < 1e-2
-    trusted = [corrector.correct_features(shown).trusted[0] for _ in range(12)]
+    trusted = [corrector.correct(shown).trusted[0] for _ in range(12)]
     assert all(np.diff(trusted) >= -0.2) and trusted[-1] > 5.0 * trusted[0]
 
 
@@ -167,15 +167,15 @@ def test_a_corrector_never_answers_nan(path, value):
     strange = features(1)[0]
     strange[1, 5] = value
     for _ in range(3):
-        answer = corrector.correct_features(strange)
+        answer = corrector.correct(strange)
         assert all(np.isfinite(part).all() for part in answer) and answer.trusted[1] == 0.0
-    healthy = corrector.correct_features(features(1)[0])
+    healthy = corrector.correct(features(1)[0])
     assert np.isfinite(healthy.shift).all()
 
 
 def test_members_that_disagree_are_not_trusted(tmp_path):
     corrector = started(write(tmp_path / "wild.safetensors", network(scale=6.0), card()))
-    answers = [corrector.correct_features(epoch) for epoch in features(20)]
+    answers = [corrector.correct(epoch) for epoch in features(20)]
     assert np.mean([answer.trusted for answer in answers]) < 0.1
     assert max(np.abs(answer.shift).max() for answer in answers) <= MOST_SHIFT
     assert max(np.abs(answer.log_factor).max() for answer in answers) <= MOST_LOG_FACTOR
@@ -184,7 +184,7 @@ def test_members_that_disagree_are_not_trusted(tmp_path):
 def test_features_are_found_by_name_and_anchors_may_be_missing(path):
     everything = np.random.default_rng(0).normal(size=(4, len(TABLE))).astype(np.float32)
     chosen = everything[:, [TABLE.names.index(name) for name in NAMES]]
-    expected = started(path).correct_features(chosen).shift
+    expected = started(path).correct(chosen).shift
     np.testing.assert_allclose(started(path, TABLE).correct(everything).shift, expected, atol=1e-6)
     alone = Observation(Pipeline(MODES, Layout(1)), "signed", "per-mode")
     shift = started(path, alone).correct(np.zeros((4, len(alone)), np.float32)).shift

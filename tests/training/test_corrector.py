@@ -90,7 +90,7 @@ def test_the_policy_file_gives_the_corrections_of_the_network(tmp_path, lots):
     with torch.no_grad():
         shift, _ = training.trainer.learner.answer(lot)
     for features, expected in zip(lot.features, shift.mean(2).numpy(), strict=True):
-        answer = corrector.correct_features(features)
+        answer = corrector.correct(features)
         np.testing.assert_allclose(
             answer.shift, expected * answer.trusted[:, None], atol=2e-4 + 1e-3 * abs(expected).max()
         )

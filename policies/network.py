@@ -1,0 +1,257 @@
+"""Networks of policies, compiled: layers, recurrent units and corrections, track by track.
+
+Every track is computed alone, in single precision and in the same order. So the results of a track
+depend neither on the other tracks nor on whether it is live or recorded.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba.extending import register_jitable
+from numpy.polynomial import Polynomial
+
+from mmwave_env.compiler.disk_cache import compiled
+from mmwave_env.numerics.numbers import Array32
+from policies.policy_file import CORRECTIONS, Tensors
+
+# "Trust" is the factor, 0 to 1, by which corrections are scaled.
+RANGE_FADE = 2.0  # trust is exp(-2 d) if a feature is d standard deviations outside its range
+RECOVERY = 0.1  # maximum growth of trust per epoch; slow, as unusual features stay in the memory
+# The network is an ensemble, whose members compute different shifts. If the spread of the shifts,
+# in corrected standard deviations, is at most SPREAD[0], trust is not reduced; from SPREAD[1] on,
+# trust is 0.
+SPREAD = (0.5, 1.0)
+TANH_LIMIT = 9.0  # tanh of larger numbers is 1 in single precision
+
+
+class Layer(NamedTuple):
+    """A linear layer."""
+
+    weight: Array32  # (inputs, outputs)
+    bias: Array32  # (outputs,)
+
+
+class Unit(NamedTuple):
+    """A gated recurrent unit (Cho et al. 2014): reset gates, update gates, then candidates."""
+
+    of_input: Layer  # (inputs, 3 units)
+    of_state: Layer  # (units, 3 units)
+
+
+class Network(NamedTuple):
+    """A recurrent network that corrects beliefs."""
+
+    low: Array32  # (features,) ranges of the features in training
+    high: Array32
+    front: Layer
+    units: tuple[Unit, ...]  # one, or a second that reads the track backwards
+    head: Layer  # of the units' states and the front layer's output
+    out: Layer  # see :func:`mean_and_differences`
+    most: Array32  # (CORRECTIONS,) limits of an answer
+
+
+def _tanh_fraction(levels: int = 13) -> tuple[Array32, Array32]:
+    """Return the coefficients of P and Q in tanh(x) = x P(x^2) / Q(x^2), highest power first.
+
+    The fraction is Lambert's continued fraction (DLMF 4.39.1), x / (1 + x^2 / (3 + x^2 / ...)).
+    Up to TANH_LIMIT, 13 levels are exact to 4e-7.
+    """
+    square = Polynomial([0.0, 1.0])
+    above = Polynomial([1.0])
+    below = Polynomial([2.0 * levels - 1.0])
+    for odd in range(2 * levels - 3, 0, -2):
+        tail = above
+        above = below
+        below = odd * below + square * tail
+    scale = below.coef[0]
+    return (
+        (above.coef[::-1] / scale).astype(np.float32),
+        (below.coef[::-1] / scale).astype(np.float32),
+    )
+
+
+_ABOVE, _BELOW = _tanh_fraction()
+
+
+@register_jitable  # type: ignore[untyped-decorator]
+def _squash(values):  # type: ignore[no-untyped-def]
+    """Replace numbers by their hyperbolic tangents."""
+    for j in range(len(values)):
+        x = min(max(values[j], np.float32(-TANH_LIMIT)), np.float32(TANH_LIMIT))
+        square = x * x
+        above = _ABOVE[0]
+        below = _BELOW[0]
+        for k in range(1, len(_ABOVE)):
+            above = above * square + _ABOVE[k]
+        for k in range(1, len(_BELOW)):
+            below = below * square + _BELOW[k]
+        values[j] = x * above / below
+
+
+@register_jitable  # type: ignore[untyped-decorator]
+def _add_product(out, x, weight, first):  # type: ignore[no-untyped-def]
+    """Add the product of ``x`` and rows of a layer's weight, from row ``first`` on, to ``out``."""
+    n = len(x)
+    whole = n - n % 4
+    for i in range(0, whole, 4):  # four inputs at a time, so that ``out`` is read less often
+        a = x[i]
+        b = x[i + 1]
+        c = x[i + 2]
+        d = x[i + 3]
+        row = first + i
+        for j in range(len(out)):
+            of_two = a * weight[row, j] + b * weight[row + 1, j]
+            out[j] += of_two + (c * weight[row + 2, j] + d * weight[row + 3, j])
+    for i in range(whole, n):
+        for j in range(len(out)):
+            out[j] += x[i] * weight[first + i, j]
+
+
+@register_jitable  # type: ignore[untyped-decorator]
+def _linear(out, x, layer):  # type: ignore[no-untyped-def]
+    """Set ``out`` to a layer's outputs for an input."""
+    for j in range(len(out)):
+        out[j] = layer.bias[j]
+    _add_product(out, x, layer.weight, 0)
+
+
+@register_jitable  # type: ignore[untyped-decorator]
+def _read(features, network, front):  # type: ignore[no-untyped-def]
+    """Set ``front`` to the first layer's output; return the trust that the features' ranges allow.
+
+    Features are limited to their ranges. A feature that is NaN becomes the lower limit, and the
+    trust is then 0.
+    """
+    inside = np.empty(len(features), np.float32)
+    beyond = np.float32(0.0)
+    for i in range(len(features)):
+        value = features[i]
+        inside[i] = network.low[i]
+        if value > network.low[i]:
+            inside[i] = min(value, network.high[i])
+        outside = abs(value - inside[i])
+        if outside > beyond or math.isnan(outside):
+            beyond = outside  # once NaN, it stays NaN
+    _linear(front, inside, network.front)
+    _squash(front)
+    if math.isnan(beyond):
+        return np.float32(0.0)
+    return np.float32(math.exp(-RANGE_FADE * beyond))
+
+
+@register_jitable  # type: ignore[untyped-decorator]
+def _remember(front, unit, state):  # type: ignore[no-untyped-def]
+    """Replace the state (units,) of a recurrent unit by its next state, given its input."""
+    units = len(state)
+    gates = np.empty(3 * units, np.float32)
+    past = np.empty(3 * units, np.float32)
+    _linear(gates, front, unit.of_input)
+    _linear(past, state, unit.of_state)
+    candidate = np.empty(units, np.float32)
+    half = np.float32(0.5)
+    for j in range(2 * units):
+        gates[j] = half * (gates[j] + past[j])
+    _squash(gates[: 2 * units])  # the logistic function of 2 z is (1 + tanh z) / 2
+    for j in range(units):
+        reset = half + half * gates[j]
+        candidate[j] = gates[2 * units + j] + past[2 * units + j] * reset
+    _squash(candidate)
+    for j in range(units):
+        update = half + half * gates[units + j]
+        state[j] = (state[j] - candidate[j]) * update + candidate[j]
+
+
+@register_jitable  # type: ignore[untyped-decorator]
+def _answer(memory, front, trust, network, answer):  # type: ignore[no-untyped-def]
+    """Set ``answer`` (CORRECTIONS,) to the scaled correction; return the factor that scaled it."""
+    head = np.empty(len(network.head.bias), np.float32)
+    _linear(head, memory, network.head)
+    _add_product(head, front, network.head.weight, len(memory))
+    _squash(head)
+    out = np.empty(len(network.out.bias), np.float32)
+    _linear(out, head, network.out)
+    for i in range(CORRECTIONS):
+        answer[i] = min(max(out[i], -network.most[i]), network.most[i])
+    members = (len(out) - CORRECTIONS) // 3
+    widest = 0.0
+    for direction in range(3):
+        variance = 0.0
+        for i in range(CORRECTIONS + direction, len(out), 3):
+            variance += out[i] * out[i] / members
+        widest = max(widest, variance * math.exp(-2.0 * answer[3 + direction]))
+    agreed = (SPREAD[1] - math.sqrt(widest)) / (SPREAD[1] - SPREAD[0])
+    trusted = np.float32(trust * min(max(agreed, 0.0), 1.0))
+    for i in range(CORRECTIONS):
+        answer[i] *= trusted
+    return trusted
+
+
+@compiled
+def correct_epoch(features, network, state, trust, answers, trusted):  # type: ignore[no-untyped-def]
+    """Correct an epoch of n tracks.
+
+    Args:
+        features: (n, features) in single precision.
+        network: the :class:`Network`.
+        state: (n, units) the recurrent unit's states, changed in place.
+        trust: (n,) trust of the features' ranges, changed in place.
+        answers: (n, CORRECTIONS) filled with the corrections.
+        trusted: (n,) filled with the factors that scaled them.
+    """
+    front = np.empty(len(network.front.bias), np.float32)
+    recovery = np.float32(RECOVERY)
+    for i in range(len(features)):
+        trust[i] = min(_read(features[i], network, front), trust[i] + recovery)
+        _remember(front, network.units[0], state[i])
+        trusted[i] = _answer(state[i], front, trust[i], network, answers[i])
+
+
+@compiled
+def correct_track(features, network, answers, trusted):  # type: ignore[no-untyped-def]
+    """Correct a track, which is read forwards and backwards.
+
+    Args:
+        features: (T, features) in single precision.
+        network: the :class:`Network`, which has two units of the same size.
+        answers: (T, CORRECTIONS) filled with the corrections.
+        trusted: (T,) filled with the factors that scaled them.
+    """
+    T = len(features)
+    units = len(network.units[0].of_state.weight)
+    front = np.empty((T, len(network.front.bias)), np.float32)
+    memory = np.empty((T, 2 * units), np.float32)
+    strange = np.empty(T, np.float32)
+    recovery = np.float32(RECOVERY)
+    for t in range(T):
+        strange[t] = _read(features[t], network, front[t])
+    trust = strange.copy()
+    for direction in range(2):
+        state = np.zeros(units, np.float32)
+        so_far = np.float32(1.0)
+        for step in range(T):
+            t = T - 1 - step if direction else step
+            _remember(front[t], network.units[direction], state)
+            memory[t, direction * units : (direction + 1) * units] = state
+            so_far = min(strange[t], so_far + recovery)
+            trust[t] = min(trust[t], so_far)
+    for t in range(T):
+        trusted[t] = _answer(memory[t], front[t], trust[t], network, answers[t])
+
+
+def layer_in(tensors: Tensors, name: str, part: str = "") -> Layer:
+    """Return the layer ``name`` of a policy file; ``part`` is "_ih" or "_hh" in recurrent units."""
+    return Layer(tensors[f"{name}.weight{part}"].T.copy(), tensors[f"{name}.bias{part}"])
+
+
+def mean_and_differences(weight: Array32, bias: Array32) -> Layer:
+    """Return the layer that combines the outputs of an ensemble's members.
+
+    Its outputs are the members' mean, then each member's shift minus the mean shift. The arguments
+    are the weight (inputs, outputs) and the bias of the members' layer.
+    """
+    members = np.concatenate([weight, bias[None]]).reshape(len(weight) + 1, -1, CORRECTIONS)
+    mean = members.mean(axis=1)
+    differences = (members - mean[:, None])[..., :3]
+    rows = np.concatenate([mean, differences.reshape(len(mean), -1)], axis=1)
+    return Layer(rows[:-1].copy(), rows[-1].copy())
