@@ -41,7 +41,7 @@ from numba.core.compiler import CompileResult
 from numba.core.registry import cpu_target
 from numba.core.serialize import dumps
 from numba.core.sigutils import normalize_signature
-from numba.misc.appdirs import user_cache_dir
+from platformdirs import user_cache_path
 
 _PACKAGE = Path(__file__).parents[1]  # an edit anywhere in the package makes a new version
 _SOURCES = "**/*.py"
@@ -89,13 +89,15 @@ def is_compiled(function: Any, arguments: tuple[Any, ...]) -> bool:
 def _folder() -> Path | None:
     """Return the folder for code compiled from the current sources; None if no folder can be used.
 
-    Its parent is numba's ``NUMBA_CACHE_DIR`` (if set), the package's ``__pycache__`` or the user's
-    folder for caches: the first of the three that can hold a private, writable folder.
+    Its parent is numba's ``NUMBA_CACHE_DIR`` (if set), the user's folder for caches or the
+    package's ``__pycache__``: the first of the three that can hold a private, writable folder.
+    Files in the package's folder would survive ``pip uninstall``, and the package would then still
+    be found.
     """
     version = _version()
     if version is None:
         return None
-    parents = [_PACKAGE / "__pycache__", Path(user_cache_dir("mmwave-env", appauthor=False))]
+    parents = [user_cache_path("mmwave-env", appauthor=False), _PACKAGE / "__pycache__"]
     if numba.config.CACHE_DIR:
         parents.insert(0, Path(numba.config.CACHE_DIR).absolute())
     for parent in parents:
