@@ -42,7 +42,7 @@ ROOMS = {  # maximum tokens of a room; lines are free
     "mmwave_env/compiler": 8_640,
     "mmwave_env/datasets": 10_820,
     "mmwave_env/engines": 12_740,
-    "mmwave_env/filters": 18_050,
+    "mmwave_env/filters": 18_400,
     "mmwave_env/interface": 8_290,
     "mmwave_env/io": 2_810,
     "mmwave_env/localization": 21_680,

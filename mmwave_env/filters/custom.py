@@ -14,12 +14,15 @@ from pathlib import Path
 from traceback import FrameSummary, format_list, walk_tb
 from typing import Any
 
+import numpy as np
+
 from mmwave_env.filters.gating import Gate
 from mmwave_env.filters.modes import ALGORITHMS, Mode
+from mmwave_env.filters.textbook import Sensor
 from mmwave_env.filters.update import Posterior
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Measurement
-from mmwave_env.numerics.linalg import unpack
+from mmwave_env.numerics.linalg import pack, symmetric, unpack
 from mmwave_env.numerics.numbers import Number
 from mmwave_env.numerics.pytree import flatten
 from mmwave_env.numerics.tape import taped
@@ -115,7 +118,8 @@ def check_algorithm(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> 
 
     Raises:
         AlgorithmError: the algorithm cannot run on lanes, takes the wrong arguments, modifies
-            its arguments, or does not return a posterior.
+            its arguments, does not return a posterior, or returns a log-likelihood that does not
+            fall as innovations grow.
     """
     algorithm = mode.update
     if algorithm in ALGORITHMS.values():
@@ -132,6 +136,18 @@ def check_algorithm(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> 
             raise AlgorithmError(complaint(subject, algorithm, problem))
     if problem := next(_wrong_shapes(layout, result), ""):
         raise AlgorithmError(complaint(subject, algorithm, f"returned {problem}"))
+    likelihoods = []
+    for sigmas in (0.0, 1.0):
+        example = _example(mode, layout, known_axes, sigmas)
+        posterior = try_out(algorithm, example, subject, AlgorithmError)
+        likelihoods.append(posterior.log_likelihood)
+    if not likelihoods[1] < likelihoods[0]:
+        problem = (
+            f"returned log_likelihood {likelihoods[0]:g} without any innovation and "
+            f"{likelihoods[1]:g} with innovations of one standard deviation, expected less; an IMM "
+            "would trust the mode however wrong it is"
+        )
+        raise AlgorithmError(complaint(subject, algorithm, problem))
 
 
 def _arguments(
@@ -148,6 +164,29 @@ def _arguments(
     measurement = Measurement._make([*measured, layout, *partial_rows])
     gate = Gate(mode.gate, 0.0 if mode.recovery is None else force, mode.robust)
     return x, unpack(P, zero=known_axes), measurement, gate
+
+
+def _example(
+    mode: Mode, layout: Layout, known_axes: tuple[int, ...], sigmas: float
+) -> tuple[list[float], list[list[float]], Measurement, Gate]:
+    """Return arguments as floats; each value is ``sigmas`` standard deviations off its prediction.
+
+    The prior is almost exact, so the innovation's standard deviation is that of the noise.
+    """
+    anchors = [[40.0 + 10.0 * anchor, 15.0, 10.0] for anchor in range(layout.anchors)]
+    x = [0.0, 0.0, 1.5, 1.0, 0.5, 0.0, 0.0, 0.0][: layout.state_size]
+    P = symmetric(layout.state_size, lambda i, j: 1e-8 * (i == j))
+    sensor = Sensor(np.array(anchors), 1.0, layout.odometry, clock=layout.clock)
+    z = sensor.h(np.array(x)) + 0.1 * sigmas
+    rows = [1.0] * layout.size
+    first = [1.0] + [0.0] * (layout.anchors - 1)
+    partial_rows = [rows, first] if layout.partial else [(), ()]
+    visible = [1.0] * len(layout.groups)
+    measurement = Measurement._make(
+        [anchors, 1.0, z.tolist(), [0.01] * layout.size, visible, layout, *partial_rows]
+    )
+    gate = Gate(mode.gate, 0.0, mode.robust)
+    return x, unpack(pack(P), zero=known_axes), measurement, gate
 
 
 def _wrong_shapes(layout: Layout, result: Any) -> Iterator[str]:

@@ -13,7 +13,7 @@ from mmwave_env.filters.custom import AlgorithmError
 from mmwave_env.filters.linearization import SigmaPoints
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.filters.update import ckf, ekf, ukf, update
+from mmwave_env.filters.update import Posterior, ckf, ekf, ukf, update
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.layout import Layout
 from tests.filters.tracks import STREET
@@ -185,7 +185,7 @@ def test_valid_algorithms_are_accepted_with_any_layout(layout, planar, ours, opt
     Pipeline((Mode("own", own, **options),), layout, planar)
 
 
-def test_equal_pipelines_share_one_trial():
+def test_equal_pipelines_share_their_trials():
     calls = []
 
     def counting(x, P, measurement, gate):
@@ -193,7 +193,25 @@ def test_equal_pipelines_share_one_trial():
         return ekf(x, P, measurement, gate)
 
     pipeline = Pipeline((Mode("own", counting),), STREET)
-    assert len(calls) == 1
+    once = len(calls)
     replace(pipeline, modes=pipeline.modes)
     Engine(pipeline, 1, TrackingReward())
-    assert len(calls) == 1
+    assert len(calls) == once
+
+
+def fuses_nothing(x, P, measurement, gate):
+    groups = [0.0] * len(measurement.layout.groups)
+    return Posterior(list(x), [list(row) for row in P], groups, groups, 0.0)
+
+
+def constant_likelihood(x, P, measurement, gate):
+    return ekf(x, P, measurement, gate)._replace(log_likelihood=-3.0)
+
+
+@pytest.mark.parametrize("algorithm", [fuses_nothing, constant_likelihood])
+@pytest.mark.parametrize(
+    "layout", [STREET, Layout(1), Layout(2, partial=True), Layout(3, odometry=True, clock=True)]
+)
+def test_a_likelihood_that_does_not_fall_with_the_innovation_is_refused(algorithm, layout):
+    """Check this because an IMM trusted a mode that fused nothing with 61 % of its probability."""
+    assert "log_likelihood" in str(refusal(algorithm, layout))
