@@ -14,7 +14,7 @@ T = TypeVar("T")
 Json = dict[str, Any]  # an object of a JSON file
 AnyPath = str | os.PathLike[str]
 
-TEXT_BYTES = 16 << 20  # maximum size of a text file; logs and tracks may be longer (read in blocks)
+TEXT_BYTES = 16 << 20  # maximum size of a text file; logs and trajectories may be longer
 JSON_BYTES = 8 << 20  # maximum size of a JSON file; the largest in this project has 0.06 MB
 JSON_DEPTH = 50  # maximum depth of nested lists and objects
 

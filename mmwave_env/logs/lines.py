@@ -1,83 +1,66 @@
-"""Reader of text files in blocks of lines, so that even the longest file needs little memory."""
+"""Reader of text files, which are read whole."""
 
 import gzip
 import math
 import os
 import zlib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from mmwave_env.io.files import naming, open_regular
 
-_BLOCK_BYTES = 1 << 20
+_PIECE_BYTES = 1 << 20
+_MEMORY = 10.0  # bytes of memory for each byte of text, including what is made from it, as a track
 
 
-class DamagedFileError(ValueError):
-    """Error for a file that is damaged from some row on; all earlier rows are yielded first.
+def read_lines(path: Path) -> tuple[list[str], str]:
+    """Return the lines of a text file, and what is damaged after them; "" if nothing is.
 
-    Rows are counted from 1; ``unit`` is the word for a row in the message.
-    """
-
-    def __init__(
-        self, path: Path, row: int, problem: str, expected: str, unit: str = "line"
-    ) -> None:
-        super().__init__(f"{path}, {unit} {row}: found {problem}, expected {expected}")
-        self.row = row
-
-
-def line_blocks(path: Path) -> Iterator[tuple[list[str], float]]:
-    """Yield the lines of a text file, about 1 MiB at a time, and the share of the file read so far.
-
-    A file whose name ends in ``.gz`` is unzipped. Lines are yielded without their line ends. Bytes
+    A file whose name ends in ``.gz`` is unzipped. Lines are returned without their line ends. Bytes
     that are not UTF-8 are escaped, so that messages can show them.
 
     Raises:
-        OSError: the file can't be opened or read.
-        DamagedFileError: the gzip data are broken, or a line is longer than 1 MiB.
+        OSError: the file can't be opened or read, or needs more memory than there is.
     """
-    with open_regular(path) as raw, naming(path):
-        total = max(os.fstat(raw.fileno()).st_size, 1)
-        zipped = path.suffix.lower() == ".gz"
-        file: Any = gzip.GzipFile(fileobj=raw) if zipped else raw
-        first = 1
-        rest = b""
-        end = False
-        while not end:
-            content, end, damage = _read(file)
-            content = rest + content
-            cut = len(content) if end and not damage else content.rfind(b"\n") + 1
-            rest = content[cut:]
-            content = content[:cut]
-            text = content.decode("utf-8", errors="backslashreplace").replace("\r\n", "\n")
-            lines = (text.removeprefix("\ufeff") if first == 1 else text).split("\n")
-            if not lines[-1]:  # if the text ends with a line end, there is no line after it
-                lines.pop()
-            if lines:
-                yield lines, min(raw.tell() / total, 1.0)
-            first += len(lines)
-            if damage:
-                raise DamagedFileError(path, first, damage, "a complete file")
-            if len(rest) > _BLOCK_BYTES:
-                problem = f"more than {_BLOCK_BYTES} bytes that begin with {rest[:20]!r}"
-                raise DamagedFileError(path, first, problem, "a line of text")
-
-
-def _read(file: Any) -> tuple[bytes, bool, str]:
-    """Return the next bytes, whether the file ends after them, and what is damaged, or ""."""
     pieces: list[bytes] = []
-    size = 0
-    while size < _BLOCK_BYTES:
+    done = 0
+    damage = ""
+    with open_regular(path) as raw, naming(path):
+        size = os.fstat(raw.fileno()).st_size
+        file: Any = gzip.GzipFile(fileobj=raw) if path.suffix.lower() == ".gz" else raw
         try:
             # If decompression fails, read() would lose the data before the failure.
-            piece = file.read1(_BLOCK_BYTES)
+            while piece := file.read1(_PIECE_BYTES):
+                pieces.append(piece)
+                done += len(piece)
+                require_memory(path, _MEMORY * done * size / raw.tell())
         except (EOFError, gzip.BadGzipFile, zlib.error) as error:
-            return b"".join(pieces), True, f"broken gzip data ({error})"
-        if not piece:
-            return b"".join(pieces), True, ""
-        pieces.append(piece)
-        size += len(piece)
-    return b"".join(pieces), False, ""
+            damage = f"broken gzip data ({error})"
+    text = b"".join(pieces).decode("utf-8-sig", errors="backslashreplace")
+    lines = text.replace("\r\n", "\n").split("\n")
+    if damage or not lines[-1]:  # damaged, or nothing after a line end
+        lines.pop()
+    return lines, damage
+
+
+def free_memory() -> float:
+    """Return how many bytes of memory this program can still use; infinity if this is unknown."""
+    try:
+        lines = Path("/proc/meminfo").read_text().splitlines()
+    except OSError:
+        return math.inf
+    sizes = dict(line.split(":") for line in lines)
+    return 1024.0 * float(sizes["MemAvailable"].split()[0])
+
+
+def require_memory(path: Path, needed: float) -> None:
+    """Refuse a file that needs more bytes of memory than are free."""
+    free = free_memory()
+    if needed > free:
+        raise OSError(
+            f"{path}: found a file that needs {needed / 1e9:.2g} GB of memory, expected at most "
+            f"{free / 1e9:.2g} GB, which are free; divide the file"
+        )
 
 
 def number(word: str) -> float:

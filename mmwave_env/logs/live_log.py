@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mmwave_env.logs.log import Log, log_of, places, require_noise, with_clock
+from mmwave_env.logs.log import Log, layout_of, log_of, places
 from mmwave_env.logs.log_checks import first_damage
-from mmwave_env.logs.log_columns import BODY, QUANTITIES, STATION, Unit, columns_of
-from mmwave_env.logs.log_tables import LogError, LogFile, Table, parse_carefully
-from mmwave_env.models.layout import Layout, wrapped
+from mmwave_env.logs.log_columns import BODY, QUANTITIES, STATION, Unit
+from mmwave_env.logs.log_tables import LogError, Table, log_file, parse
+from mmwave_env.models.layout import wrapped
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import PI
 
@@ -59,17 +59,11 @@ class LiveLog:
         clock: bool = False,
         delimiter: str = ",",
     ) -> None:
-        try:
-            columns = columns_of(names, scene.hz_per_mps, partial=True)
-        except ValueError as error:
-            raise LogError(f"{source}: {error}") from error
-        self._log = LogFile(Path(source), columns, len(names), delimiter=delimiter)
-        require_noise(self._log, snr_db)
-        if clock:
-            self._log = with_clock(self._log)
+        self._log = log_file(Path(source), names, delimiter, scene.hz_per_mps, partial=True)
         self._scene = scene
         self._snr_db = snr_db
-        self.layout = Layout(len(scene.anchors_m), "speed" in columns, True, clock)
+        self.layout = layout_of(self._log, scene, True, clock, snr_db)
+        columns = self._log.columns
         self._turned = STATION in columns or BODY in columns
         self._time = columns["time"].number
         self._anchor = columns["anchor"].number
@@ -141,7 +135,7 @@ class LiveLog:
 
     def _table(self, rows: list[list[float]], number: int = 0) -> Table:
         """Return rows of cells as a table; ``number`` is the last row's number in the source."""
-        return Table(self._log.columns, np.full(len(rows), number), np.array(rows))
+        return Table(self._log, np.full(len(rows), number), np.array(rows))
 
     def _placed(self, rows: list[list[float]]) -> tuple[list[float], int]:
         """Return ``placed`` of a :class:`LiveEpoch`, from the cells of its rows."""
@@ -186,7 +180,7 @@ class LiveLog:
                 return sound
             texts = (str(nan if row.get(of) is None else row[of]) for of in self._limits)
             row = self._log.delimiter.join(texts)
-        table = parse_carefully(self._log, [row], number)
+        table = parse(self._log, [row], number)
         cells: list[float] = table.cells[0].tolist() if len(table) else []
         if table.damage or not self._plain(cells):
             self._require_sound(table)
@@ -216,7 +210,7 @@ class LiveLog:
         return cells[self._anchor] in self._anchors and not isnan(cells[self._time])
 
     def _require_sound(self, table: Table) -> None:
-        _, damage = first_damage(self._log, table, self.layout.anchors, limits=True)
+        _, damage = first_damage(table, self.layout, limits=True)
         if damage:
             raise damage
 

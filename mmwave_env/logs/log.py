@@ -30,7 +30,7 @@ from mmwave_env.logs.log_columns import (
     SIGMA_OF,
     STATION,
 )
-from mmwave_env.logs.log_tables import Arrays, LogError, LogFile, Table, open_log
+from mmwave_env.logs.log_tables import Arrays, LogError, LogFile, Table, read_table
 from mmwave_env.models.layout import Layout, whole_groups, without_noise, wrap_angles, wrapped
 from mmwave_env.models.measurement import seen_from_image
 from mmwave_env.models.scene import Scene
@@ -104,17 +104,13 @@ def read_log(
         was found and what was expected.
 
     Raises:
-        LogError: the file is not a log, or lacks a column; it has no measurement before its end or
-            its first damaged row; or it would need more memory than there is.
-        OSError: the file can't be read.
+        LogError: the file is not a log, or lacks a column; or it has no measurement before its end
+            or its first damaged row.
+        OSError: the file can't be read, or needs more memory than there is.
     """
-    file = open_log(path, scene.hz_per_mps, odometry, partial=partial)
-    if partial:
-        require_noise(file, snr_db)
-    if clock:
-        file = with_clock(file)
-    layout = Layout(len(scene.anchors_m), "speed" in file.columns, partial, clock)
-    table, damage = sound_epochs(file, file.read(), layout.anchors, limits)
+    table = read_table(path, scene.hz_per_mps, odometry=odometry, partial=partial)
+    layout = layout_of(table.file, scene, partial, clock, snr_db)
+    table, damage = sound_epochs(table, layout, limits)
     log = log_of(table, scene, layout, limits, snr_db)
     if not log.visible.any():
         raise damage or LogError(
@@ -125,34 +121,33 @@ def read_log(
     return replace(log, damage=damage)
 
 
-def with_clock(log: LogFile) -> LogFile:
-    """Mark that a log's ranges contain an offset of the user's clock; refuse a log without ranges.
+def layout_of(
+    file: LogFile, scene: Scene, partial: bool, clock: bool, snr_db: float | None
+) -> Layout:
+    """Return the layout of a log; :func:`read_log` describes the arguments.
 
-    Ranges from round-trip times don't count, because they do not contain the offset.
+    Raises:
+        LogError: a partial log has measurements with neither a standard deviation nor an SNR, or
+            the clock has an offset, but no range contains it, as round-trip times do not.
     """
-    ranges = log.columns.get("toa")
-    if ranges is None or ranges.name.startswith("rtt"):
-        problem = "no range" if ranges is None else f"round-trip times ({ranges.name})"
-        raise LogError(
-            f"{log.path}: clock: found the setting 'offset', but the log has {problem}; expected "
-            "one-way times or ranges, such as toa_s, or the setting 'synchronized'"
-        )
-    return replace(log, clock=True)
-
-
-def require_noise(log: LogFile, snr_db: float | None) -> None:
-    """Refuse an infinite SNR, and measurements with neither a standard deviation nor an SNR."""
-    if snr_db is not None:
-        if not math.isfinite(snr_db):
-            raise LogError(f"snr: found {snr_db} dB, expected a finite number")
-        return
-    for quantity in (*ROW_QUANTITIES, STATION, BODY) if "snr" not in log.columns else ():
-        if quantity in log.columns and SIGMA_OF[quantity] not in log.columns:
+    if snr_db is not None and not math.isfinite(snr_db):
+        raise LogError(f"snr: found {snr_db} dB, expected a finite number")
+    columns = file.columns
+    for quantity in (*ROW_QUANTITIES, STATION, BODY) if partial and snr_db is None else ():
+        if quantity in columns and columns.keys().isdisjoint(("snr", SIGMA_OF[quantity])):
             own = next(iter(QUANTITIES[SIGMA_OF[quantity]].columns))
             raise LogError(
-                f"{log.path}: columns: found {log.columns[quantity].name} without its noise, "
+                f"{file.path}: columns: found {columns[quantity].name} without its noise, "
                 f"expected {own} or snr_db, or --snr DB for all links"
             )
+    if clock and ("toa" not in columns or columns["toa"].name.startswith("rtt")):
+        times = columns.get("toa")
+        problem = f"round-trip times ({times.name})" if times else "no range"
+        raise LogError(
+            f"{file.path}: clock: found the setting 'offset', but the log has {problem}; expected "
+            "one-way times or ranges, such as toa_s, or the setting 'synchronized'"
+        )
+    return Layout(len(scene.anchors_m), "speed" in columns, partial, clock)
 
 
 def places(layout: Layout) -> dict[str, tuple[int, int]]:
@@ -260,11 +255,11 @@ def read_paths(path: Path, scene: Scene, odometry: bool = True) -> PathLog:
 
     Raises:
         LogError: as for :func:`read_log`; also for too many paths in an epoch.
-        OSError: the file can't be read.
+        OSError: as for :func:`read_log`.
     """
-    file = open_log(path, scene.hz_per_mps, odometry, associated=False)
-    layout = Layout(len(scene.anchors_m), "speed" in file.columns)
-    table, damage = sound_epochs(file, file.read(), None, limits=True)
+    table = read_table(path, scene.hz_per_mps, odometry=odometry, associated=False)
+    layout = Layout(len(scene.anchors_m), "speed" in table.columns)
+    table, damage = sound_epochs(table, None, limits=True)
     epochs = list(_split(table, layout))
     if not any(len(epoch.snr_db) for epoch in epochs):
         raise damage or LogError(

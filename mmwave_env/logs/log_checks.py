@@ -8,8 +8,9 @@ import numpy as np
 
 from mmwave_env.io.records import Bound
 from mmwave_env.logs.log_columns import QUANTITIES, STATION
-from mmwave_env.logs.log_tables import LogError, LogFile, Table
+from mmwave_env.logs.log_tables import LogError, Table
 from mmwave_env.models import envelope
+from mmwave_env.models.layout import Layout
 from mmwave_env.numerics.numbers import Array, Mask
 
 MOST_PATHS = 1000  # maximum number of paths in an epoch of a log without anchor numbers
@@ -17,17 +18,17 @@ _ROUNDING_DEG = 1e-4  # rounding error of angles that were once stored as 32-bit
 
 
 def sound_epochs(
-    log: LogFile, table: Table, anchors: int | None, limits: bool
+    table: Table, layout: Layout | None, limits: bool
 ) -> tuple[Table, LogError | None]:
     """Check the rows of a log; return those of all epochs before the first damage, and its error.
 
     Args:
-        log: the file.
-        table: its rows.
-        anchors: number of anchors in the scene; None if rows are paths without anchor numbers.
+        table: the rows.
+        layout: layout of the log; None if rows are paths without anchor numbers.
         limits: whether to refuse values beyond physical limits.
     """
-    damaged, error = first_damage(log, table, anchors, limits)
+    damaged, error = first_damage(table, layout, limits)
+    anchors = layout.anchors if layout else None
     return table.part(slice(_end_of_epochs(table.raw("time"), damaged, anchors))), error
 
 
@@ -40,26 +41,24 @@ class _Check(NamedTuple):
     words: Callable[[int], str] | None = None  # row -> what was found; if None, the cell is shown
 
 
-def first_damage(
-    log: LogFile, table: Table, anchors: int | None, limits: bool
-) -> tuple[int, LogError | None]:
+def first_damage(table: Table, layout: Layout | None, limits: bool) -> tuple[int, LogError | None]:
     """Return the first damaged row's index and error; if there is none, the row count and None."""
     n = len(table)
     first, error = (n - 1, table.damage) if table.damage else (n, None)
     if not n:
         return first, error
     with np.errstate(invalid="ignore", over="ignore"):  # times and ranges may be infinite
-        for check in chain(_checks(table, anchors, log.clock), _limits(table) if limits else ()):
+        for check in chain(_checks(table, layout), _limits(table) if limits else ()):
             row = int(np.argmax(check.wrong))
             if check.wrong[row] and row < first:
                 number = _show(table.raw(check.quantity)[row])
                 problem = check.words(row) if check.words else number
-                error = log.error(table.rows[row], check.quantity, problem, check.expected)
+                error = table.file.error(table.rows[row], check.quantity, problem, check.expected)
                 first = row
     return first, error
 
 
-def _checks(table: Table, anchors: int | None, clock: bool) -> Iterator[_Check]:
+def _checks(table: Table, layout: Layout | None) -> Iterator[_Check]:
     """Yield the checks that every log must pass."""
     time = table.raw("time")
     epoch = table.epoch
@@ -73,7 +72,7 @@ def _checks(table: Table, anchors: int | None, clock: bool) -> Iterator[_Check]:
         "times in increasing order, and the rows of an epoch together",
         lambda row: f"{_show(time[row])} after {_show(time[row - 1])}",
     )
-    if anchors is None:
+    if layout is None:
         number = np.arange(len(epoch)) - np.searchsorted(epoch, epoch)  # path's index in its epoch
         yield _Check(
             "time",
@@ -82,10 +81,11 @@ def _checks(table: Table, anchors: int | None, clock: bool) -> Iterator[_Check]:
             lambda row: f"{number[row] + 1} paths at the same time",
         )
     else:
-        yield from _anchor_checks(table, anchors)
+        yield from _anchor_checks(table, layout.anchors)
     for quantity in table.columns:
         limits = QUANTITIES[quantity].limits
-        if limits and limits[0].least == 0.0 and not (clock and quantity == "toa"):
+        may_be_negative = layout and layout.clock and quantity == "toa"
+        if limits and limits[0].least == 0.0 and not may_be_negative:
             yield _Check(quantity, table.raw(quantity) < 0.0, "at least 0")
     for quantity in table.columns:
         if QUANTITIES[quantity].per_epoch:

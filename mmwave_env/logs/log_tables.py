@@ -6,17 +6,18 @@ numbers; ``log_checks.py`` checks the numbers.
 
 import csv
 import math
-from collections.abc import Iterator, Sequence
+from array import array
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
 from mmwave_env.io.files import open_regular
-from mmwave_env.io.lookup import quoted
-from mmwave_env.logs.lines import DamagedFileError, line_blocks, number
+from mmwave_env.io.lookup import quoted, require_extra
+from mmwave_env.logs.lines import number, read_lines, require_memory
 from mmwave_env.logs.log_columns import BODY, STATION, Column, columns_of
 from mmwave_env.numerics.numbers import Array, Index
 
@@ -24,7 +25,7 @@ AnyArrays = TypeVar("AnyArrays", bound="Arrays")
 
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
 _BATCH_ROWS = 1 << 14
-_ROW_BYTES = 1000  # memory for a row of a log, and for its part in the track
+_ROW_BYTES = 1000  # memory for a row of a Parquet file, and for its part in the track
 _NUMBER = "a number, or nothing if it was not measured"
 _ANCHOR = "the number of an anchor in the scene (1: the base station)"
 
@@ -59,15 +60,37 @@ class Arrays:
         return replace(last, **{n: np.concatenate([getattr(p, n) for p in parts]) for n in names})
 
 
+@dataclass(frozen=True)
+class LogFile:
+    """A log of which only the header was read."""
+
+    path: Path  # path of the file
+    columns: dict[str, Column]  # the columns that are used, by quantity
+    width: int  # number of columns in the file
+    delimiter: str = ","  # character between the cells of a CSV file
+
+    def error(self, row: int, quantity: str, problem: str, expected: str) -> LogError:
+        """Return an error that names a cell; in a CSV file, the row number is the line number."""
+        place = f"{'row' if _is_parquet(self.path) else 'line'} {row}"
+        if quantity:
+            place += f", column {self.columns[quantity].name!r}"
+        return LogError(f"{self.path}, {place}: found {problem}, expected {expected}")
+
+
 @dataclass(frozen=True, eq=False)
 class Table(Arrays):
     """Rows of a log: all rows of a file, or those up to the first damage."""
 
-    columns: dict[str, Column]  # the columns that are used, by quantity
+    file: LogFile
     rows: Index  # (n,) row numbers in the file, for messages
     cells: Array  # (n, columns) as in the file, NaN where empty
     # damage in the last row, which ends the log; cells of that row that can't be read are NaN
     damage: LogError | None = None
+
+    @property
+    def columns(self) -> dict[str, Column]:
+        """Return the columns that are used, by quantity."""
+        return self.file.columns
 
     def raw(self, quantity: str) -> Array:
         """Return the cells (n,) of a quantity as in the file."""
@@ -111,111 +134,54 @@ class Table(Arrays):
         return np.column_stack([self["toa"], arrival, self["aoa_elevation"], departure])
 
 
-@dataclass(frozen=True)
-class LogFile:
-    """A log of which only the header was read."""
-
-    path: Path  # path of the file
-    columns: dict[str, Column]  # the columns that are used, by quantity
-    width: int  # number of columns in the file
-    clock: bool = False  # whether the user's clock has an offset, so that ranges may be negative
-    delimiter: str = ","  # character between the cells of a CSV file
-
-    def error(self, row: int, quantity: str, problem: str, expected: str) -> LogError:
-        """Return an error that names a cell; in a CSV file, the row number is the line number."""
-        place = f"{'row' if _is_parquet(self.path) else 'line'} {row}"
-        if quantity:
-            place += f", column {self.columns[quantity].name!r}"
-        return LogError(f"{self.path}, {place}: found {problem}, expected {expected}")
-
-    def read(self) -> Table:
-        """Read all rows, or those up to the first damage, which is in the last row.
-
-        Raises:
-            LogError: the log and its track would need more memory than there is.
-        """
-        parts = [Table(self.columns, np.empty(0, np.int64), np.empty((0, len(self.columns))))]
-        count = 0
-        free = free_memory()
-        try:
-            for table, share in self._tables():
-                parts.append(table)
-                count += len(table)
-                _require_memory(self.path, count / share, free)
-        except DamagedFileError as error:
-            cells = np.full((1, len(self.columns)), np.nan)
-            parts.append(Table(self.columns, np.array([error.row]), cells, LogError(str(error))))
-        return Table.joined(parts)
-
-    def _tables(self) -> Iterator[tuple[Table, float]]:
-        """Yield the rows, some thousands at a time, and the share of the file read so far."""
-        return _parquet_tables(self) if _is_parquet(self.path) else _csv_tables(self)
-
-
-def free_memory() -> float:
-    """Return how many bytes of memory this program can still use; infinity if this is unknown."""
-    try:
-        lines = Path("/proc/meminfo").read_text().splitlines()
-    except OSError:
-        return math.inf
-    sizes = dict(line.split(":") for line in lines)
-    return 1024.0 * float(sizes["MemAvailable"].split()[0])
-
-
-def _require_memory(path: Path, rows: float, free: float) -> None:
-    needed = rows * _ROW_BYTES
-    if needed > free:
-        raise LogError(
-            f"{path}: found about {rows:.2g} rows, which need {needed / 1e9:.1f} GB of memory, "
-            f"expected at most {free / 1e9:.1f} GB, which are free; divide the log"
-        )
-
-
-def open_log(
-    path: Path,
-    hz_per_mps: float,
-    odometry: bool = True,
-    associated: bool = True,
-    partial: bool = False,
+def log_file(
+    path: Path, names: Sequence[str], delimiter: str, hz_per_mps: float, **options: bool
 ) -> LogFile:
-    """Read the header of a log.
+    """Return the description of a log with these columns.
 
-    Args:
-        path: path of a CSV (plain or gzipped) or Parquet file.
-        hz_per_mps, odometry, associated, partial: same as for
-            :func:`~mmwave_env.logs.log_columns.columns_of`.
+    :func:`~mmwave_env.logs.log_columns.columns_of` describes ``hz_per_mps`` and ``options``.
+
+    Raises:
+        LogError: a column is wrong or missing.
+    """
+    try:
+        columns = columns_of(names, hz_per_mps, **options)
+    except ValueError as error:
+        raise LogError(f"{path}: {error}") from error
+    return LogFile(path, columns, len(names), delimiter)
+
+
+def read_table(path: Path, hz_per_mps: float, **options: bool) -> Table:
+    """Read the rows of a CSV (plain or gzipped) or Parquet file, up to the first damage, if any.
+
+    :func:`~mmwave_env.logs.log_columns.columns_of` describes ``hz_per_mps`` and ``options``.
 
     Raises:
         LogError: the file has another format, or a column is wrong or missing.
-        OSError: the file can't be read.
+        MissingExtraError: Parquet needs pyarrow, which is not installed.
+        OSError: the file can't be read, or needs more memory than there is.
     """
     if not path.name.lower().endswith(SUFFIXES):
         raise LogError(f"{path}: found {path.suffix!r}, expected one of {', '.join(SUFFIXES)}")
-    open_regular(path, "a measurement log").close()
-    parquet = _is_parquet(path)
-    names, delimiter = (list(_parquet_types(path)), ",") if parquet else _csv_names(path)
-    try:
-        columns = columns_of(names, hz_per_mps, odometry, associated, partial)
-    except ValueError as error:
-        raise LogError(f"{path}: {error}") from error
-    log = LogFile(path, columns, len(names), delimiter=delimiter)
-    if parquet:
-        _require_numbers(log)
-    return log
+    if _is_parquet(path):
+        return _read_parquet(path, hz_per_mps, **options)
+    lines, problem = read_lines(path)
+    names, delimiter = _header(path, lines, problem)
+    file = log_file(path, names, delimiter, hz_per_mps, **options)
+    table = parse(file, lines[1:], 2)
+    if problem and not table.damage:
+        return _ending(table, len(lines) + 1, problem)
+    return table
 
 
 def _is_parquet(path: Path) -> bool:
     return path.suffix.lower() == ".parquet"
 
 
-def _csv_names(path: Path) -> tuple[list[str], str]:
+def _header(path: Path, lines: list[str], problem: str) -> tuple[list[str], str]:
     """Return the names of columns and the delimiter: a semicolon if the header has no comma."""
-    try:
-        lines, _ = next(line_blocks(path), ([], 0.0))
-    except DamagedFileError as error:
-        raise LogError(str(error)) from error
     if not lines:
-        raise LogError(f"{path}: found an empty file, expected a measurement log")
+        raise LogError(f"{path}: found {problem or 'an empty file'}, expected a measurement log")
     delimiter = "," if "," in lines[0] else ";"
     try:  # str.split would not do, because some programs quote names
         names = [name.strip() for name in next(csv.reader(lines[:1], delimiter=delimiter))]
@@ -228,130 +194,81 @@ def _csv_names(path: Path) -> tuple[list[str], str]:
     return names, delimiter
 
 
-def _csv_tables(log: LogFile) -> Iterator[tuple[Table, float]]:
-    first = 1
-    for lines, share in line_blocks(log.path):
-        header = 1 if first == 1 else 0
-        body = lines[header:]
-        cells = _parse_quickly(body, log)
-        if cells is None:
-            table = parse_carefully(log, body, first + header)
-        else:
-            table = Table(log.columns, np.arange(len(body)) + first + header, cells)
-        yield table, share
-        if table.damage:
-            return
-        first += len(lines)
+def parse(file: LogFile, lines: Sequence[str], first: int) -> Table:
+    """Parse lines up to the first damage; skip blank lines, and read blank cells as NaN.
 
-
-def _parse_quickly(lines: list[str], log: LogFile) -> Array | None:
-    """Parse cells (lines, columns); return None if a line needs :func:`parse_carefully`."""
-    used = [column.number for column in log.columns.values()]
-    if not lines:
-        return np.empty((0, len(used)))
-    if any(line.count(log.delimiter) != log.width - 1 for line in lines):
-        return None
-    text = "\n" + "\n".join(lines) + "\n"
-    if log.delimiter != ",":
-        if "," in text:  # probably decimal commas; parse_carefully refuses them
-            return None
-        text = text.replace(log.delimiter, ",")
-    for empty, filled in ((",,", ",nan,"), (",,", ",nan,"), ("\n,", "\nnan,"), (",\n", ",nan\n")):
-        text = text.replace(empty, filled)
-    split = text[1:-1].split("\n")
-    try:
-        cells = np.loadtxt(
-            split, delimiter=",", comments=None, ndmin=2, usecols=used, encoding=None
-        )
-    except ValueError:
-        return None
-    return cells if len(cells) == len(lines) else None
-
-
-def parse_carefully(log: LogFile, lines: list[str], first: int) -> Table:
-    """Parse cell by cell up to the first damage; skip blank lines, and read blank cells as NaN."""
-    cells = []
-    rows = []
+    ``first`` is the number of the first line.
+    """
+    cells = array("d")
+    rows = array("q")
     damage = None
     for row, line in enumerate(lines, start=first):
-        if not line.strip():
-            continue
-        words = line.split(log.delimiter)
-        values = [math.nan] * len(log.columns)
-        if len(words) != log.width:
-            count = f"{len(words)} cells" if len(words) > 1 else f"one cell, {line[:40]!r}"
-            damage = log.error(row, "", count, f"{log.width}, as in the header")
-        else:
-            for i, (quantity, column) in enumerate(log.columns.items()):
-                word = words[column.number].strip()
-                values[i] = number(word)
-                empty = not word or word.lower().lstrip("+-") == "nan"
-                if damage is None and math.isnan(values[i]) and not empty:
+        words = line.split(file.delimiter)
+        values = []
+        if len(words) == file.width:
+            for quantity, column in file.columns.items():
+                word = words[column.number]
+                value = number(word)
+                values.append(value)
+                if math.isnan(value) and not (damage or _says_nothing(word)):
                     expected = _ANCHOR if quantity == "anchor" else _NUMBER
-                    damage = log.error(row, quantity, quoted(word), expected)
-        cells.append(values)
+                    damage = file.error(row, quantity, quoted(word.strip()), expected)
+        elif not line.strip():
+            continue
+        else:
+            values = [math.nan] * len(file.columns)
+            count = f"{len(words)} cells" if len(words) > 1 else f"one cell, {line[:40]!r}"
+            damage = file.error(row, "", count, f"{file.width}, as in the header")
+        cells.extend(values)
         rows.append(row)
         if damage:
             break
-    table = np.array(cells, float).reshape(len(rows), len(log.columns))
-    return Table(log.columns, np.array(rows, np.int64), table, damage)
+    table = np.array(cells).reshape(len(rows), len(file.columns))
+    return Table(file, np.array(rows), table, damage)
 
 
-def require_arrow(path: Path) -> tuple[Any, Any]:
-    """Return pyarrow and its Parquet module; raise a LogError if they are not installed."""
+def _says_nothing(word: str) -> bool:
+    """Tell whether a cell says that nothing was measured: it is blank or "nan"."""
+    return word.strip().lower().lstrip("+-") in ("", "nan")
+
+
+def _ending(table: Table, row: int, problem: str) -> Table:
+    """Add a row without values, in which the file is broken, to the rows before it."""
+    damage = table.file.error(row, "", problem, "a complete file")
+    cells = np.pad(table.cells, ((0, 1), (0, 0)), constant_values=np.nan)
+    return Table(table.file, np.append(table.rows, row), cells, damage)
+
+
+def _read_parquet(path: Path, hz_per_mps: float, **options: bool) -> Table:
+    require_extra("pyarrow", "data", f"{path}: Parquet")
+    import pyarrow
+    from pyarrow import parquet
+
+    open_regular(path, "a measurement log").close()
     try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError as error:
-        raise LogError(f'{path}: Parquet needs pyarrow: pip install "mmwave-loc[data]"') from error
-    return pyarrow, pyarrow.parquet
-
-
-def _open_parquet(path: Path) -> Any:
-    pyarrow, parquet = require_arrow(path)
-    try:
-        # Without buffer_size, a row group of a million rows would be in memory at once.
-        return parquet.ParquetFile(
-            path, buffer_size=1 << 20, pre_buffer=False, page_checksum_verification=True
-        )
-    except (OSError, pyarrow.ArrowException) as error:
+        source = parquet.ParquetFile(path, page_checksum_verification=True)
+        kinds = {field.name: field.type for field in source.schema_arrow}
+    except (OSError, UnicodeDecodeError, pyarrow.ArrowException) as error:
         raise LogError(f"{path}: found unreadable data ({error}), expected Parquet") from error
-
-
-def _parquet_types(path: Path) -> dict[str, Any]:
-    """Return the names of the columns with their types."""
-    try:
-        with _open_parquet(path) as file:
-            return {field.name: field.type for field in file.schema_arrow}
-    except UnicodeDecodeError as error:
-        expected = "names of columns in UTF-8"
-        raise LogError(f"{path}: found {error.object[:40]!r}, expected {expected}") from error
-
-
-def _require_numbers(log: LogFile) -> None:
-    types = require_arrow(log.path)[0].types
-    kinds = _parquet_types(log.path)
-    numeric = types.is_floating, types.is_integer, types.is_decimal, types.is_null
-    for column in log.columns.values():
-        kind = kinds[column.name]
-        if not any(is_kind(kind) for is_kind in numeric):
-            place = f"{log.path}, column {column.name!r}"
-            raise LogError(f"{place}: found type {kind}, expected numbers")
-
-
-def _parquet_tables(log: LogFile) -> Iterator[tuple[Table, float]]:
-    pyarrow, _ = require_arrow(log.path)
-    names = [column.name for column in log.columns.values()]
-    with _open_parquet(log.path) as file:
-        total = max(file.metadata.num_rows, 1)
-        done = 0
+    with source:
+        file = log_file(path, list(kinds), "", hz_per_mps, **options)
+        names = [column.name for column in file.columns.values()]
+        types = pyarrow.types
+        numeric = types.is_floating, types.is_integer, types.is_decimal, types.is_null
+        for name in names:
+            if not any(is_kind(kinds[name]) for is_kind in numeric):
+                place = f"{path}, column {name!r}"
+                raise LogError(f"{place}: found type {kinds[name]}, expected numbers")
+        require_memory(path, _ROW_BYTES * source.metadata.num_rows)
+        cells = np.empty((0, len(names)))
+        batches = [cells]
+        problem = ""
         try:
-            for batch in file.iter_batches(_BATCH_ROWS, columns=names, use_threads=False):
+            for batch in source.iter_batches(_BATCH_ROWS, columns=names):
                 columns = [batch.column(name).cast(pyarrow.float64(), safe=False) for name in names]
-                cells = [column.to_numpy(zero_copy_only=False) for column in columns]
-                rows = np.arange(len(batch)) + done + 1
-                done += len(batch)
-                yield Table(log.columns, rows, np.stack(cells, axis=1)), done / total
+                batches.append(np.column_stack(columns))
         except (OSError, pyarrow.ArrowException) as error:
             problem = f"broken Parquet data ({error})"
-            raise DamagedFileError(log.path, done + 1, problem, "a complete file", "row") from error
+    cells = np.concatenate(batches)
+    table = Table(file, np.arange(len(cells)) + 1, cells)
+    return _ending(table, len(cells) + 1, problem) if problem else table

@@ -72,13 +72,11 @@ DAMAGE = {  # damaged line -> comma and name of the damaged column, if the messa
 }
 
 
-@pytest.mark.parametrize("block_bytes", [40, 50, 1 << 20])
 @pytest.mark.parametrize("line", DAMAGE, ids=ascii)
-def test_the_error_names_a_damaged_line(tmp_path, monkeypatch, line, block_bytes):
+def test_the_error_names_a_damaged_line(tmp_path, line):
     first, second, third, _ = POSES.split("\n")
     content = "\n".join([f"# {first}", first, "", second, line, third]) + "\n"
     path = store(tmp_path, content.encode("utf-8", "surrogateescape"))
-    monkeypatch.setattr("mmwave_env.logs.lines._BLOCK_BYTES", block_bytes)
     with refuses(f"{path}, line 5{DAMAGE[line]}"):
         read_tum(path)
 
