@@ -176,37 +176,22 @@ class LiveLog:
                         f"{self._log.path}, row {number}, column {name!r}: "
                         f"found an unknown column, expected one of {', '.join(self._limits)}"
                     )
-            if sound := self._sound_numbers(row):
-                return sound
-            texts = (str(nan if row.get(of) is None else row[of]) for of in self._limits)
-            row = self._log.delimiter.join(texts)
+            values = [row.get(name) for name in self._limits]
+            cells = [nan if value is None else value for value in values]
+            if _NUMBERS.issuperset(map(type, cells)) and self._plain(cells):
+                return list(map(float, cells))
+            row = self._log.delimiter.join(map(str, cells))
         table = parse(self._log, [row], number)
-        cells: list[float] = table.cells[0].tolist() if len(table) else []
-        if table.damage or not self._plain(cells):
+        cells = table.cells.ravel().tolist()
+        if cells and (table.damage or not self._plain(cells)):
             self._require_sound(table)
         return cells
 
-    def _sound_numbers(self, row: Mapping[str, Any]) -> list[float] | None:
-        """Return the cells of a row that is surely sound; None if the row needs the full checks."""
-        cells = []
-        for name, (low, high) in self._limits.items():
-            value = row.get(name)
-            if value is None:
-                value = nan
-            elif type(value) not in _NUMBERS or value < low or value > high:
-                return None
-            cells.append(float(value))
-        return cells if self._is_of_epoch(cells) else None
-
     def _plain(self, cells: list[float]) -> bool:
         """Tell whether the cells of a row are surely sound; if not, they need the full checks."""
-        for cell, (low, high) in zip(cells, self._limits.values(), strict=False):
+        for cell, (low, high) in zip(cells, self._limits.values(), strict=True):
             if cell < low or cell > high:  # NaN is an empty cell
                 return False
-        return not cells or self._is_of_epoch(cells)
-
-    def _is_of_epoch(self, cells: list[float]) -> bool:
-        """Tell whether a row has a time, and the number of an anchor of the scene."""
         return cells[self._anchor] in self._anchors and not isnan(cells[self._time])
 
     def _require_sound(self, table: Table) -> None:
