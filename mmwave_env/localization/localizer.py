@@ -124,17 +124,18 @@ def localize(
     tracker = tracker_of(switching, log.layout, height_m is not None)
     levels = levels or Levels(kind=GAUSSIAN)
     settings = _Settings(scene, radio, switching, tracker, window, height_m, levels, two_way)
-    divided = segments(log, scene, radio)
+    parts = segments(log, scene, radio)
     tracks: list[Track] = []
-    for segment, part in enumerate(divided.parts):
+    for segment, part in enumerate(parts):
         for epochs in _chunks(part, window or 1):
             track = _track(log.part(epochs), settings, begins=epochs.start == part.start)
             number = np.full(len(track), segment)
-            tracks.append(replace(track, segment=number, skipped=divided.skipped))
+            tracks.append(replace(track, segment=number, skipped=parts[0].start))
             if track.damage is not log.damage:
                 return _joined(tracks)
             report(epochs.stop / len(log))
-    return replace(_joined(tracks), dropped=divided.dropped)
+    track = _joined(tracks)
+    return replace(track, dropped=len(log) - track.skipped - len(track))
 
 
 class _Settings(NamedTuple):
@@ -176,11 +177,15 @@ def _track(log: Log, settings: _Settings, begins: bool) -> Track:
     settings.tracker.load([episode], go_on=not begins)
     outputs = settings.tracker.run(*parts_of(settings.switching))
     parts = {name: of[0] for name, of in outputs.items()}
-    x, P, trusted = (parts.pop(name, None) for name in CORRECTED)
-    if trusted is None:
-        x = parts["x"]
-        P = parts["P"]
-        trusted = np.full(len(log), np.nan)
+    x = parts.get("corrected_x", parts["x"])
+    P = parts.get("corrected_P", parts["P"])
+    nis = parts["memory.nis"]
+    accepted = parts["memory.accepted"] > 0.5
+    trusted = parts.get("trusted", np.full(len(log), np.nan))
+    factors = settings.levels.of_track(
+        begins, log.layout.anchors, settings.switching.bank is not None, log.time_s,
+        x, P, nis, episode.visible, accepted, trusted,
+    )  # fmt: skip
     track = Track(
         **vars(replace(log, visible=episode.visible)),
         modes=settings.switching.names,
@@ -193,13 +198,12 @@ def _track(log: Log, settings: _Settings, begins: bool) -> Track:
         smooth_x=x,
         smooth_P=P,
         mode=parts["memory.mode"].astype(np.int64),
-        nis=parts["memory.nis"],
-        accepted=parts["memory.accepted"] > 0.5,
+        nis=nis,
+        accepted=accepted,
         trusted=trusted,
         smooth_trusted=np.full(len(log), np.nan),
-        level_factors=np.ones((len(log), 2)),
+        level_factors=factors,
     )
-    track = replace(track, level_factors=_factors(track, settings, begins))
     kept = filtered_of(parts)
     sound = np.isfinite(x).all(axis=1) & np.isfinite(P).all(axis=1)
     if not sound.all():
@@ -213,20 +217,6 @@ def _track(log: Log, settings: _Settings, begins: bool) -> Track:
     if settings.window and len(track):
         track = _smoothed(track, kept, settings, settings.window)
     return track
-
-
-def _factors(track: Track, settings: _Settings, begins: bool) -> Array:
-    """Return the factors (T, 2) of Gaussian protection levels."""
-    levels = settings.levels
-    if begins:
-        levels.reset()
-    rejected = track.visible & ~track.accepted
-    read = track.x, track.P, track.nis, track.accepted, rejected, track.trusted
-    mixes = settings.switching.bank is not None
-    of_track = levels.factors(
-        track.layout.anchors, mixes, track.time_s, *(part[None] for part in read)
-    )
-    return of_track[0]  # type: ignore[no-any-return]
 
 
 def episode_from(log: Log, scene: Scene, radio: Radio, begins: bool = True) -> Episode:
@@ -322,7 +312,7 @@ def _corrected(
 
 def filtered_of(parts: Mapping[str, Array]) -> Array:
     """Return the input (T, values) of the smoother, from parts of the state in T epochs."""
-    kept = (values for name, values in parts.items() if name not in _FILTERED)
+    kept = (values for name, values in parts.items() if name not in {*_FILTERED, *CORRECTED})
     return np.concatenate([parts["x"], parts["P"], *kept], axis=1)
 
 

@@ -184,16 +184,8 @@ def _descend(
     return cost, position, information
 
 
-class Segments(NamedTuple):
-    """The parts of a log that are tracked separately."""
-
-    parts: list[slice]  # the epochs of each segment; its first epoch gives the prior
-    skipped: int  # number of epochs before the first segment
-    dropped: int  # number of epochs between segments and after the last
-
-
-def segments(log: Log, scene: Scene, radio: Radio) -> Segments:
-    """Divide a log into segments.
+def segments(log: Log, scene: Scene, radio: Radio) -> list[slice]:
+    """Return the epochs of each segment of a log; the first epoch of a segment gives its prior.
 
     A segment ends if all links and odometry are missing for more than ``GAP_S``, or before an epoch
     that the log marks in ``restarts``. The next segment begins with the next epoch that has a fix.
@@ -204,22 +196,20 @@ def segments(log: Log, scene: Scene, radio: Radio) -> Segments:
     """
     ends = np.append(_ends(log), len(log))
     parts: list[slice] = []
-    skipped = _first_fix(log, 0, scene, radio)
-    first = skipped
+    first = _first_fix(log, 0, scene, radio)
     while first < len(log):
         end = int(ends[np.searchsorted(ends, first, side="right")])
         parts.append(slice(first, end))
         first = _first_fix(log, end, scene, radio)
     if not parts:
         raise log.damage or ValueError(
-            f"log: found {skipped} epochs, none of which determines a position, expected an epoch "
+            f"log: found {len(log)} epochs, none of which determines a position, expected an epoch "
             f"in which anchor 1 has a range of at least {RANGE_LIMITS_M[0]:g} m, an SNR and all "
             f"angles (elevation at most {np.degrees(STEEPEST_FIX_RAD):g} degrees). If columns are "
             "missing or the clock has an offset, the links of an epoch must together determine a "
             "single position (without azimuths, anchors on a line leave two)"
         )
-    tracked = sum(part.stop - part.start for part in parts)
-    return Segments(parts, skipped, len(log) - skipped - tracked)
+    return parts
 
 
 def _direct(log: Log) -> bool:

@@ -11,7 +11,6 @@ import numpy as np
 from mmwave_env.interface.policy import Switching
 from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.localizer import (
-    CORRECTED,
     episode_from,
     filtered_of,
     parts_of,
@@ -160,22 +159,18 @@ class Tracker:
         ):
             self._last_s = time_s
         parts = {name: of[0] for name, of in self._filter.run(*parts_of(self._switching)).items()}
-        x, P, trusted = (parts.pop(name, None) for name in CORRECTED)
-        if trusted is None:
-            x = parts["x"]
-            P = parts["P"]
-        accepted = parts["memory.accepted"]
+        x = parts.get("corrected_x", parts["x"])
+        P = parts.get("corrected_P", parts["P"])
+        accepted = parts["memory.accepted"] > 0.5
         nis = parts["memory.nis"]
         factors = None
         if begins:
             self._late.clear()
         if self._levels:
-            if begins:
-                self._levels.reset()
-            known = np.array([np.nan]) if trusted is None else trusted
-            read = [part[None] for part in (x, P, nis, accepted, visible - accepted, known)]
-            at = self._layout.anchors, self._switching.bank is not None, np.array([time_s])
-            factors = self._levels.factors(*at, *read)[0, 0]
+            factors = self._levels.of_track(
+                begins, self._layout.anchors, self._switching.bank is not None, np.array([time_s]),
+                x, P, nis, np.array(visible), accepted, parts.get("trusted", np.array([np.nan])),
+            )[0]  # fmt: skip
         mode = self._names[int(parts["memory.mode"][0])]
         self._late.append((time_s, spread_hz, mode, factors, parts))
         passed = accepted[0].tolist()
@@ -183,9 +178,9 @@ class Tracker:
         groups = [g for g, is_seen in enumerate(visible) if is_seen]
         return self._position(time_s, x[0], P[0], mode, factors)._replace(
             nis={self._groups[g]: numbers[g] for g in groups},
-            rejected=[self._groups[g] for g in groups if passed[g] < 0.5],
+            rejected=[self._groups[g] for g in groups if not passed[g]],
             begins=begins,
-            trusted=None if trusted is None else float(trusted[0]),
+            trusted=float(parts["trusted"][0]) if "trusted" in parts else None,
         )
 
     def _prepare(self, layout: Layout) -> None:

@@ -134,7 +134,7 @@ def test_a_track_that_started_from_a_reflection_gives_way_to_the_line_of_sight()
     assert seen_in(block)[:20] == [(0,)] * 20 and begins[0] == 0
     assert len(begins) == 2 and 20 < begins[1] <= 30
     assert seen_in(block)[30:] == anchors_seen[30:] and figures["starts"] == 2
-    first, second = segments(block, SCENE, RADIO).parts
+    first, second = segments(block, SCENE, RADIO)
     assert first.start == 0 and second.stop - second.start >= 20
 
 
@@ -146,7 +146,7 @@ def test_a_new_track_begins_after_a_gap(false_paths):
     wrong = sum(set(a) - set(b) != set() for a, b in zip(seen_in(block), anchors_seen, strict=True))
     assert wrong <= (1 if false_paths else 0)
     assert seen_in(block)[-9:] == anchors_seen[-9:]
-    assert len(segments(block, SCENE, RADIO).parts) == figures["starts"] == 2
+    assert len(segments(block, SCENE, RADIO)) == figures["starts"] == 2
 
 
 def test_false_paths_alone_do_not_make_a_track():

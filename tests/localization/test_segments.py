@@ -27,8 +27,10 @@ def log(time_s, groups_seen, odometry=True):
 
 def times_of(log):
     """Return the times of each segment; the numbers of epochs skipped before and dropped after."""
-    found = segments(log, STREET, HANDSET)
-    return [log.time_s[part].tolist() for part in found.parts], found.skipped, found.dropped
+    parts = segments(log, STREET, HANDSET)
+    times = [log.time_s[part].tolist() for part in parts]
+    skipped = parts[0].start
+    return times, skipped, len(log) - skipped - sum(map(len, times))
 
 
 # visible groups of an epoch; only the link of anchor 1 determines a position (a fix)
