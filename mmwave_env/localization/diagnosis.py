@@ -8,9 +8,8 @@ values in the file, not of the converted values, because likelihoods in differen
 compared. If no single mistake explains the log, pairs of mistakes are tried.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import combinations, permutations
 from typing import NamedTuple
 
@@ -58,15 +57,26 @@ _ADVANTAGE = 0.01  # bonus for the log as it is, added to its log-likelihood per
 _OUTLIER_QUANTILE = 1e-6  # NIS is capped at the value that chi-square exceeds with this probability
 
 Fits = dict[str, float | None]
-Undo = Callable[["Reading"], "Reading"]
+
+
+class Change(NamedTuple):
+    """A change of values in the log, given their rows: rows = offset + factor * source."""
+
+    rows: slice
+    source: slice
+    factor: float = 1.0
+    offset: float = 0.0
 
 
 class Mistake(NamedTuple):
-    """A likely mistake in a log."""
+    """A likely mistake in a log, and what undoes it."""
 
     words: str  # "the log is consistent if WORDS"
     cure: str  # how to correct the log: "to correct it, CURE"
-    undo: Undo
+    changes: Sequence[Change] = ()
+    time_factor: float = 1.0  # factor by which to multiply the times
+    order: Sequence[int] = ()  # anchor n of the log, from 0, is anchor order[n] of the scene
+    radio: str = ""  # name of another radio that measured the log
 
 
 class Reading(NamedTuple):
@@ -83,7 +93,25 @@ class Reading(NamedTuple):
 
     def without(self, mistake: Mistake) -> "Reading":
         """Return the reading in which one more mistake is undone."""
-        return mistake.undo(self)._replace(undone=(*self.undone, mistake))
+        old = self.log
+        z = old.measurement.copy()
+        sigma = old.sigma.copy()
+        log_scale = self.log_scale
+        for rows, source, factor, offset in mistake.changes:
+            z[:, rows] = offset + factor * old.measurement[:, source]
+            sigma[:, rows] = abs(factor) * old.sigma[:, source]
+            log_scale += float(_values(old)[:, source].sum() * np.log(abs(factor)))
+        scene = self.scene
+        if mistake.order:
+            gnb, *others = [(x, y, z) for x, y, z in scene.anchors_m[list(mistake.order)].tolist()]
+            scene = replace(scene, base_station_m=gnb, walls=(), virtual_anchors_m=tuple(others))
+        return Reading(
+            replace(old, measurement=z, sigma=sigma, time_s=mistake.time_factor * old.time_s),
+            scene,
+            RADIOS.get(mistake.radio, self.radio),
+            log_scale,
+            (*self.undone, mistake),
+        )
 
     def finding(
         self, why: list[Contradiction], fits: Fits | None = None, likelihood: float | None = None
@@ -119,48 +147,13 @@ def _values(log: Log) -> Mask:
     return visible & np.isfinite(log.measurement)
 
 
-def _scaled(quantities: Sequence[slice], factor: float, offset: float = 0.0) -> Undo:
-    """Return a function that scales values, given their rows, then adds an offset to them."""
-
-    def undo(reading: Reading) -> Reading:
-        log = reading.log
-        z = log.measurement.copy()
-        sigma = log.sigma.copy()
-        count = 0
-        for rows in quantities:
-            z[:, rows] = offset + factor * z[:, rows]
-            sigma[:, rows] *= abs(factor)
-            count += _values(log)[:, rows].sum()
-        return reading._replace(
-            log=replace(log, measurement=z, sigma=sigma),
-            log_scale=reading.log_scale + float(count * np.log(abs(factor))),
-        )
-
-    return undo
+def _scaled(quantities: Sequence[slice], factor: float, offset: float = 0.0) -> list[Change]:
+    """Return the changes that scale values, given their rows, then add an offset to them."""
+    return [Change(rows, rows, factor, offset) for rows in quantities]
 
 
-def _timed(factor: float, reading: Reading) -> Reading:
-    """Multiply the times by a factor."""
-    return reading._replace(log=replace(reading.log, time_s=factor * reading.log.time_s))
-
-
-def _exchanged(quantity: slice, other: slice, reading: Reading) -> Reading:
-    """Exchange two values of every link, given their rows."""
-    log = reading.log
-    right = np.arange(log.layout.size)
-    rows = right.copy()
-    rows[quantity] = right[other]
-    rows[other] = right[quantity]
-    new = replace(log, measurement=log.measurement[:, rows], sigma=log.sigma[:, rows])
-    return reading._replace(log=new)
-
-
-def _anchors(order: Sequence[int], reading: Reading) -> Reading:
-    """Assume that anchor n of the log, counted from 0, is anchor ``order[n]`` of the scene."""
-    gnb, *others = [(x, y, z) for x, y, z in reading.scene.anchors_m[list(order)].tolist()]
-    return reading._replace(
-        scene=replace(reading.scene, base_station_m=gnb, walls=(), virtual_anchors_m=tuple(others))
-    )
+def _exchanged(rows: slice, other: slice) -> list[Change]:
+    return [Change(rows, other), Change(other, rows)]
 
 
 def _orders(anchors: int) -> list[list[int]]:
@@ -182,27 +175,28 @@ def mistakes(scene: Scene, radio: Radio) -> Iterator[Mistake]:
     for order in _orders(len(scene.anchors_m)):
         numbers = ", ".join(str(i + 1) for i in order)
         cure = f"list the anchors of the scene in the order {numbers}"
-        yield Mistake(f"anchors are the scene's {numbers}", cure, partial(_anchors, order))
+        yield Mistake(f"anchors are the scene's {numbers}", cure, order=order)
     for name in sorted(RADIOS.keys() - {radio.name}):
         cure = f"use --radio {name}, or radio={name!r}"
-        yield Mistake(f"radio is {name}", cure, partial(Reading._replace, radio=RADIOS[name]))
+        yield Mistake(f"radio is {name}", cure, radio=name)
 
 
 def _conventions(scene: Scene) -> Iterator[Mistake]:
     """Yield mistakes about the meaning of a value: exchanged columns, signs and zeros of angles."""
     swap = "exchange the columns of aoa_azimuth and"
-    ends = partial(_exchanged, _AZIMUTH, _DEPARTURE)
-    vertical = partial(_exchanged, _AZIMUTH, _ELEVATION)
+    ends = _exchanged(_AZIMUTH, _DEPARTURE)
     turned = _scaled([_ELEVATION], -1.0)
     yield Mistake("arrival and departure are exchanged", f"{swap} aod_azimuth", ends)
     yield Mistake(
-        "azimuth and elevation of arrival are exchanged", f"{swap} aoa_elevation", vertical
+        "azimuth and elevation of arrival are exchanged",
+        f"{swap} aoa_elevation",
+        _exchanged(_AZIMUTH, _ELEVATION),
     )
     yield Mistake("elevation has the other sign", "negate aoa_elevation", turned)
     yield Mistake(
         "arrival is measured at the user (downlink)",
         f"{swap} aod_azimuth, negate aoa_elevation",
-        lambda reading: turned(ends(reading)),
+        [*ends, *turned],
     )
     yield Mistake(
         "elevation is a zenith angle",
@@ -245,7 +239,7 @@ def _units(scene: Scene) -> Iterator[Mistake]:
     for error, (factor, unit) in _FACTORS.items():
         cure = f"multiply values by {factor:g}, or name the column after its true unit, such as"
         yield Mistake(f"time of flight is {error}", f"{cure} toa_{unit}", _scaled([_RANGE], factor))
-        yield Mistake(f"time is {error}", f"{cure} time_{unit}", partial(_timed, factor))
+        yield Mistake(f"time is {error}", f"{cure} time_{unit}", time_factor=factor)
     for unit, suffix, factor in (("m/s", "mps", scene.hz_per_mps), ("kHz", "khz", 1e3)):
         other = f"doppler_{suffix}"
         words = f"Doppler shift is in {unit}, not in Hz"
