@@ -15,7 +15,6 @@ have a Doppler shift, because it is not known yet which path belongs to the base
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -228,13 +227,9 @@ def log_of(table: Table, scene: Scene, layout: Layout, wrap: bool, snr_db: float
 class PathEpoch(NamedTuple):
     """The n paths of an epoch; all values were measured, except perhaps the Doppler shift."""
 
-    layout: Layout  # layout of the scene's anchors, with or without odometry
     time_s: float
     line: int  # number of the first row in the file
     measurement: Array  # (n, 5) range (m), three angles (rad), Doppler shift (Hz, or NaN)
-    # whether all angles of arrival are angles at the base station. If not, a path that a wall
-    # reflected has the angles at the base station's mirror image in the wall
-    at_station: bool
     snr_db: Array  # (n,)
     incomplete: int  # number of paths that are left out because some of their values are missing
     doppler_spread_hz: float  # 0 where none was measured
@@ -244,6 +239,10 @@ class PathEpoch(NamedTuple):
 class PathLog(NamedTuple):
     """The epochs of a log of paths."""
 
+    layout: Layout  # layout of the scene's anchors, with or without odometry
+    # whether all angles of arrival are angles at the base station. If not, a path that a wall
+    # reflected has the angles at the base station's mirror image in the wall
+    at_station: bool
     epochs: list[PathEpoch]
     damage: LogError | None  # what is damaged after these epochs; None if the whole log is sound
 
@@ -260,15 +259,15 @@ def read_paths(path: Path, scene: Scene, odometry: bool = True) -> PathLog:
     table = read_table(path, scene.hz_per_mps, odometry=odometry, associated=False)
     layout = Layout(len(scene.anchors_m), "speed" in table.columns)
     table, damage = sound_epochs(table, None, limits=True)
-    epochs = list(_split(table, layout))
+    epochs = list(_split(table))
     if not any(len(epoch.snr_db) for epoch in epochs):
         raise damage or LogError(
             f"{path}: found no complete path in {len(epochs)} epochs, expected at least one"
         )
-    return PathLog(epochs, damage)
+    return PathLog(layout, STATION in table.columns, epochs, damage)
 
 
-def _split(table: Table, layout: Layout) -> Iterator[PathEpoch]:
+def _split(table: Table) -> Iterator[PathEpoch]:
     """Yield the complete paths of every epoch."""
     snr = table["snr"]
     time = table["time"]
@@ -281,16 +280,15 @@ def _split(table: Table, layout: Layout) -> Iterator[PathEpoch]:
     speed = table.first(table["speed"])
     heading = table.first(table["heading"])
     odometry = np.column_stack([speed, wrapped(heading)])
-    for epoch, (first, end) in enumerate(pairwise([*table.starts.tolist(), len(table)])):
-        kept = np.flatnonzero(whole[first:end]) + first
+    of_epochs = np.split(np.arange(len(table)), table.starts[1:])
+    for epoch, (first, rows) in enumerate(zip(table.starts, of_epochs, strict=False)):
+        kept = rows[whole[rows]]
         yield PathEpoch(
-            layout=layout,
             time_s=float(time[first]),
             line=int(table.rows[first]),
             measurement=measurement[kept],
-            at_station=STATION in table.columns,
             snr_db=snr[kept],
-            incomplete=int((some & ~whole)[first:end].sum()),
+            incomplete=int((some & ~whole)[rows].sum()),
             doppler_spread_hz=float(np.nan_to_num(spread[epoch])),
             odometry=odometry[epoch],
         )

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from mmwave_env.filters.textbook import tangent
-from mmwave_env.localization.path_tracker import NO_PATH, assign, disagreement, path_nis
+from mmwave_env.localization.association import NO_PATH, assign, disagreement, path_nis
 from tests.filters.problems import numbers, problems
 
 

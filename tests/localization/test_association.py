@@ -31,7 +31,7 @@ LAYOUT = Layout(3)
 
 def associated(epochs, scene=SCENE):
     """Assign the paths of a log, or of these epochs, to anchors; return the log and the counts."""
-    paths = epochs if isinstance(epochs, PathLog) else PathLog(list(epochs), None)
+    paths = epochs if isinstance(epochs, PathLog) else PathLog(LAYOUT, False, list(epochs), None)
     return associate(paths, scene, RADIO, MODES[-1])
 
 
@@ -53,7 +53,7 @@ def walk(anchors_seen, false_paths=0, seed=0, y_m=-2.0):
         paths = paths[rng.permutation(len(paths))]
         snr = np.full(len(paths), 25.0)
         odometry = np.full(2, np.nan)
-        yield PathEpoch(LAYOUT, time[t], t + 2, paths, False, snr, 0, 100.0, odometry)
+        yield PathEpoch(time[t], t + 2, paths, snr, 0, 100.0, odometry)
 
 
 ALL = (0, 1, 2)
@@ -110,9 +110,9 @@ def test_angles_of_arrival_may_be_measured_at_the_base_station():
             # The anchors of this scene are numbered in the order of their distances from the user.
             order = np.argsort(np.argsort(epoch.measurement[:, 0]))
             z = np.stack([mirrored[rank][path] for path, rank in enumerate(order)])
-            yield epoch._replace(measurement=z, at_station=True)
+            yield epoch._replace(measurement=z)
 
-    block, _ = associated(seen_at_station())
+    block, _ = associated(PathLog(LAYOUT, True, [*seen_at_station()], None))
     usual, _ = associated(walk([ALL] * 20))
     assert seen_in(block) == seen_in(usual)
     np.testing.assert_allclose(block.measurement, usual.measurement, rtol=1e-9)
@@ -168,5 +168,5 @@ def test_association_does_not_change_odometry(tmp_path):
 
 def test_epochs_before_a_damaged_line_are_returned():
     damage = LogError("line 7")
-    log, _ = associated(PathLog(list(walk([ALL] * 12)), damage))
+    log, _ = associated(PathLog(LAYOUT, False, [*walk([ALL] * 12)], damage))
     assert len(log) == 12 and log.damage is damage

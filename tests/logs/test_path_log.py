@@ -33,11 +33,11 @@ def delivered(path, *fields):
 
 def test_an_epoch_may_have_any_number_of_paths(tmp_path):
     lines = [f"0,{PATH}", "1,,,,,,", f"2.5,{PATH}", "2.5,2e-7,4,0.1,-4,,21", f"2.5,{PATH}"]
-    epochs = read_paths(store(tmp_path, *lines), SCENE).epochs
+    layout, _, epochs, _ = read_paths(store(tmp_path, *lines), SCENE)
     assert [e.time_s for e in epochs] == [0.0, 1.0, 2.5]
     assert [e.measurement.shape for e in epochs] == [(1, 5), (0, 5), (3, 5)]
     three = epochs[2]
-    assert three.layout == Layout(3)
+    assert layout == Layout(3)
     assert (three.incomplete, three.doppler_spread_hz) == (0, 0.0)
     first = [1e-7 * SPEED_OF_LIGHT, 0.5, -0.1, -2.6, 12.5]
     second = [2e-7 * SPEED_OF_LIGHT, 4 - 2 * np.pi, 0.1, 2 * np.pi - 4, np.nan]
@@ -61,12 +61,12 @@ def test_a_path_that_lacks_a_value_is_left_out(tmp_path):
 def test_values_that_apply_to_a_whole_epoch_may_be_in_any_of_its_rows(tmp_path):
     header = HEADER + ",doppler_spread_hz,speed_mps,heading_deg"
     lines = [f"0,{PATH},,,", f"0,{PATH},7,,190", f"0,{PATH},,2.5,", f"1,{PATH},,,"]
-    first, second = read_paths(store(tmp_path, *lines, header=header), SCENE).epochs
-    assert first.layout == Layout(3, odometry=True) and first.doppler_spread_hz == 7.0
+    layout, _, (first, second), _ = read_paths(store(tmp_path, *lines, header=header), SCENE)
+    assert layout == Layout(3, odometry=True) and first.doppler_spread_hz == 7.0
     np.testing.assert_allclose(first.odometry, [2.5, np.radians(-170.0)])
     assert np.isnan(second.odometry).all() and second.doppler_spread_hz == 0.0
     without = read_paths(store(tmp_path, *lines, header=header), SCENE, odometry=False)
-    assert without.epochs[0].layout == Layout(3)
+    assert without.layout == Layout(3)
 
 
 def test_epochs_before_a_damaged_row_are_returned_before_the_error(tmp_path):
