@@ -26,7 +26,7 @@ from safetensors.numpy import save
 from mmwave_env.io.lookup import choose
 from mmwave_env.localization.position_errors import gaussian_levels, horizontal, require_risk
 from mmwave_env.metrics import RISK
-from mmwave_env.numerics.numbers import Array, Mask
+from mmwave_env.numerics.numbers import Array
 
 # parts of a filter's state from which the network's inputs, the features, are computed
 PARTS = ("x", "P", "memory.nis", "memory.accepted", "memory.rejected")
@@ -134,17 +134,6 @@ class Levels:
             return np.ones((*parts[0].shape[:2], 2))
         logs = shipped().log_factors(self.features(anchors, mixes, time_s, *parts))
         return np.exp(logs[..., shipped().risks.index(self.risk), :])  # type: ignore[no-any-return]
-
-    def of_track(
-        self, begins: bool, anchors: int, mixes: bool, time_s: Array, x: Array, P: Array,
-        nis: Array, visible: Mask, accepted: Mask, trusted: Array,
-    ) -> Array:  # fmt: skip
-        """Return factors (T, 2) of the next T epochs of a single track, which may begin here."""
-        if begins:
-            self.reset()
-        parts = (x, P, nis, accepted, visible & ~accepted, trusted)
-        factors = self.factors(anchors, mixes, time_s, *(part[None] for part in parts))
-        return factors[0]  # type: ignore[no-any-return]
 
     def features(self, anchors: int, mixes: bool, time_s: Array, *parts: Any) -> Array:
         """Return the features (n, T, features) of the next T epochs of n tracks.

@@ -7,8 +7,9 @@ from a first position. The track is filtered first, and then smoothed, ``window`
 a *two-way corrector* may correct the smoothed track.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -19,9 +20,10 @@ from mmwave_env.engines.smoothed_features import smoothed_features
 from mmwave_env.engines.smoothing import smooth
 from mmwave_env.filters.correction import corrected_all
 from mmwave_env.filters.mode_smoothing import smooth_modes
+from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import SMOOTHING_WINDOW
 from mmwave_env.interface.policy import SmoothedCorrector, Switching
-from mmwave_env.localization.levels import GAUSSIAN, Levels
+from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.policy_tracker import PolicyTracker
 from mmwave_env.localization.segments import first_fix, segments
 from mmwave_env.logs.log import Log
@@ -34,8 +36,9 @@ from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.world.episode import Episode, EpisodeBatch, columns_of
 
 _FILTERED = ("x", "P", "memory.mode", "memory.nis", "memory.accepted")
+# parts of the state that the smoother needs in addition to x and P: without and with a bank
 _PREDICTED = ("x_predicted", "P_predicted")
-CORRECTED = ("corrected_x", "corrected_P", "trusted")  # parts of the state that a corrector adds
+_MIXTURE = ("mixture",)
 _CHUNK = 1 << 14  # epochs that are filtered and smoothed together
 
 
@@ -74,19 +77,103 @@ class Track(Log):
         return [self.part(slice(first, end)) for first, end in pairwise(ends)]
 
 
-def parts_of(switching: Switching) -> tuple[str, ...]:
-    """Return the names of the state's parts that the results and the smoother need."""
-    return (*_FILTERED, "mixture") if switching.bank else (*_FILTERED, *_PREDICTED)
+class Filtered(NamedTuple):
+    """Filtered beliefs in T epochs; :class:`Track` describes all arrays except ``kept``."""
+
+    x: Array
+    P: Array
+    mode: Index
+    nis: Array
+    accepted: Mask
+    trusted: Array
+    kept: Array  # (T, values) input of the smoother
 
 
-def tracker_of(switching: Switching, layout: Layout, planar: bool) -> Engine | PolicyTracker:
-    """Return the engine that filters a single track."""
-    pipeline = switching.pipeline(layout, planar)
-    if switching.policy:
-        return PolicyTracker(pipeline, switching)
-    if switching.bank:
-        return tracks_of(pipeline, 1, switching.bank, action="")
-    return tracks_of(pipeline, 1, rule=switching.rule)
+@dataclass(frozen=True, eq=False)
+class Localizer:
+    """Modes that localize a user by logs of one layout; :func:`localize` describes the fields."""
+
+    layout: Layout
+    scene: Scene
+    radio: Radio
+    switching: Switching
+    height_m: float | None = None
+    levels: Levels | None = None
+
+    @property
+    def planar(self) -> bool:
+        """Tell whether the height is known."""
+        return self.height_m is not None
+
+    @cached_property
+    def pipeline(self) -> Pipeline:
+        """Return the modes in this layout."""
+        return self.switching.pipeline(self.layout, self.planar)
+
+    @cached_property
+    def engine(self) -> Engine | PolicyTracker:
+        """Return the engine that filters a single track."""
+        if self.switching.policy:
+            return PolicyTracker(self.pipeline, self.switching)
+        if self.switching.bank:
+            return tracks_of(self.pipeline, 1, self.switching.bank, action="")
+        return tracks_of(self.pipeline, 1, rule=self.switching.rule)
+
+    def load(self, log: Log, begins: bool = True) -> Mask:
+        """Load epochs with which a track goes on or ``begins``; return their visible groups."""
+        episode = episode_from(log, self.scene, self.radio, begins)
+        if self.height_m is not None:
+            episode = episode.on_flat_ground(self.height_m)
+        self.engine.load([episode], go_on=not begins)
+        return episode.visible
+
+    def run(self) -> Filtered:
+        """Filter the loaded epochs."""
+        names = _MIXTURE if self.switching.bank else _PREDICTED
+        outputs = self.engine.run(*_FILTERED, *names)
+        parts = {name: of[0] for name, of in outputs.items()}
+        x = parts["x"]
+        P = parts["P"]
+        return Filtered(
+            parts.get("corrected_x", x),
+            parts.get("corrected_P", P),
+            parts["memory.mode"].astype(np.int64),
+            parts["memory.nis"],
+            parts["memory.accepted"] > 0.5,
+            parts.get("trusted", np.full(len(x), np.nan)),
+            np.concatenate([x, P, *(parts[name] for name in names)], axis=1),
+        )
+
+    def level_factors(
+        self, filtered: Filtered, visible: Mask, time_s: Array, begins: bool
+    ) -> Array | None:
+        """Return factors (T, 2) of Gaussian levels; None if no levels are computed."""
+        if self.levels is None:
+            return None
+        if begins:
+            self.levels.reset()
+        x, P, _, nis, accepted, trusted, _ = filtered
+        parts = (x, P, nis, accepted, visible & ~accepted, trusted)
+        mixes = self.switching.bank is not None
+        of_tracks = [part[None] for part in parts]
+        return self.levels.factors(self.layout.anchors, mixes, time_s, *of_tracks)[0]  # type: ignore[no-any-return]
+
+    def smoothed(self, kept: Array, time_s: Array, spread_hz: Array) -> tuple[Array, Array]:
+        """Return smoothed means (N, T, 7 or 8), packed covariances (N, T, 28 or 36) of N windows.
+
+        ``kept`` (N, T, values) is a part of :class:`Filtered`. ``time_s`` and the Doppler spreads
+        ``spread_hz`` are (N, T).
+        """
+        n = self.layout.state_size
+        dt = np.diff(time_s)
+        hz_per_mps = self.scene.hz_per_mps
+        x, P, rest = np.split(kept, [n, n + self.layout.triangle], axis=2)
+        if self.switching.bank:
+            steps = np.pad(dt, ((0, 0), (1, 0)))
+            return smooth_modes(
+                self.switching.bank, self.pipeline, rest, steps, spread_hz, hz_per_mps
+            )
+        return smooth(x, P, rest[..., :n], rest[..., n:], dt, self.planar, hz_per_mps)
 
 
 def localize(
@@ -121,14 +208,13 @@ def localize(
         LogError: the track would have no epoch because of such an error.
         ValueError: no epoch determines a position with which a track could begin.
     """
-    tracker = tracker_of(switching, log.layout, height_m is not None)
-    levels = levels or Levels(kind=GAUSSIAN)
-    settings = _Settings(scene, radio, switching, tracker, window, height_m, levels, two_way)
+    localizer = Localizer(log.layout, scene, radio, switching, height_m, levels)
     parts = segments(log, scene, radio)
     tracks: list[Track] = []
     for segment, part in enumerate(parts):
         for epochs in _chunks(part, window or 1):
-            track = _track(log.part(epochs), settings, begins=epochs.start == part.start)
+            begins = epochs.start == part.start
+            track = _track(log.part(epochs), localizer, begins, window, two_way)
             number = np.full(len(track), segment)
             tracks.append(replace(track, segment=number, skipped=parts[0].start))
             if track.damage is not log.damage:
@@ -136,19 +222,6 @@ def localize(
             report(epochs.stop / len(log))
     track = _joined(tracks)
     return replace(track, dropped=len(log) - track.skipped - len(track))
-
-
-class _Settings(NamedTuple):
-    """Settings that all parts of a track share; :func:`localize` describes them."""
-
-    scene: Scene
-    radio: Radio
-    switching: Switching
-    tracker: Engine | PolicyTracker
-    window: int | None
-    height_m: float | None
-    levels: Levels
-    two_way: SmoothedCorrector | None
 
 
 def _joined(tracks: list[Track]) -> Track:
@@ -166,30 +239,25 @@ def _chunks(part: slice, window: int) -> Iterator[slice]:
         yield slice(first, min(first + step, part.stop))
 
 
-def _track(log: Log, settings: _Settings, begins: bool) -> Track:
+def _track(
+    log: Log,
+    localizer: Localizer,
+    begins: bool,
+    window: int | None,
+    two_way: SmoothedCorrector | None,
+) -> Track:
     """Return the track of a part of a segment, which ends before a belief that is not finite.
 
     ``begins`` tells whether the segment begins here.
     """
-    episode = episode_from(log, settings.scene, settings.radio, begins)
-    if settings.height_m is not None:
-        episode = episode.on_flat_ground(settings.height_m)
-    settings.tracker.load([episode], go_on=not begins)
-    outputs = settings.tracker.run(*parts_of(settings.switching))
-    parts = {name: of[0] for name, of in outputs.items()}
-    x = parts.get("corrected_x", parts["x"])
-    P = parts.get("corrected_P", parts["P"])
-    nis = parts["memory.nis"]
-    accepted = parts["memory.accepted"] > 0.5
-    trusted = parts.get("trusted", np.full(len(log), np.nan))
-    factors = settings.levels.of_track(
-        begins, log.layout.anchors, settings.switching.bank is not None, log.time_s,
-        x, P, nis, episode.visible, accepted, trusted,
-    )  # fmt: skip
+    visible = localizer.load(log, begins)
+    filtered = localizer.run()
+    x, P, mode, nis, accepted, trusted, kept = filtered
+    factors = localizer.level_factors(filtered, visible, log.time_s, begins)
     track = Track(
-        **vars(replace(log, visible=episode.visible)),
-        modes=settings.switching.names,
-        planar=settings.height_m is not None,
+        **vars(replace(log, visible=visible)),
+        modes=localizer.switching.names,
+        planar=localizer.planar,
         skipped=0,
         dropped=0,
         segment=np.zeros(len(log), np.int64),
@@ -197,14 +265,13 @@ def _track(log: Log, settings: _Settings, begins: bool) -> Track:
         P=P,
         smooth_x=x,
         smooth_P=P,
-        mode=parts["memory.mode"].astype(np.int64),
+        mode=mode,
         nis=nis,
         accepted=accepted,
         trusted=trusted,
         smooth_trusted=np.full(len(log), np.nan),
-        level_factors=factors,
+        level_factors=np.ones((len(log), 2)) if factors is None else factors,
     )
-    kept = filtered_of(parts)
     sound = np.isfinite(x).all(axis=1) & np.isfinite(P).all(axis=1)
     if not sound.all():
         end = int(np.argmin(sound))
@@ -214,8 +281,10 @@ def _track(log: Log, settings: _Settings, begins: bool) -> Track:
         )
         track = replace(track.part(slice(end)), damage=damage)
         kept = kept[:end]
-    if settings.window and len(track):
-        track = _smoothed(track, kept, settings, settings.window)
+    if window and len(track):
+        track = _smoothed(track, kept, localizer, window)
+        if two_way:
+            return _corrected(track, kept, localizer, window, two_way)
     return track
 
 
@@ -254,18 +323,11 @@ def episode_from(log: Log, scene: Scene, radio: Radio, begins: bool = True) -> E
     )
 
 
-def _smoothed(track: Track, kept: Array, settings: _Settings, window: int) -> Track:
-    """Smooth a part of a track by windows, given the smoother's input (T, values); correct it."""
-
-    def run(filtered: Array, time_s: Array, spread_hz: Array) -> tuple[Array, Array]:
-        here = settings.switching, track.layout, track.planar, settings.scene
-        return smoothed(*here, filtered, time_s, spread_hz)
-
-    x, P = _by_windows(run, window, kept, track.time_s, track.doppler_spread_hz)
-    track = replace(track, smooth_x=x, smooth_P=P)
-    if settings.two_way:
-        return _corrected(track, kept, settings, window, settings.two_way)
-    return track
+def _smoothed(track: Track, kept: Array, localizer: Localizer, window: int) -> Track:
+    """Smooth a part of a track by windows, given the smoother's input (T, values)."""
+    spread_hz = track.doppler_spread_hz
+    x, P = _by_windows(localizer.smoothed, window, kept, track.time_s, spread_hz)
+    return replace(track, smooth_x=x, smooth_P=P)
 
 
 def _by_windows(run: Callable[..., tuple[Array, ...]], window: int, *parts: Array) -> list[Array]:
@@ -284,13 +346,13 @@ def _by_windows(run: Callable[..., tuple[Array, ...]], window: int, *parts: Arra
 
 
 def _corrected(
-    track: Track, kept: Array, settings: _Settings, window: int, two_way: SmoothedCorrector
+    track: Track, kept: Array, localizer: Localizer, window: int, two_way: SmoothedCorrector
 ) -> Track:
     """Correct a part of a smoothed track by windows, which are the smoother's."""
     layout = track.layout
-    pipeline = settings.switching.pipeline(layout, track.planar)
+    pipeline = localizer.pipeline
     two_way.read_from_track(pipeline)
-    batch = EpisodeBatch.of([episode_from(track, settings.scene, settings.radio, begins=False)])
+    batch = EpisodeBatch.of([episode_from(track, localizer.scene, localizer.radio, begins=False)])
     mixtures = kept[:, layout.state_size + layout.triangle :]
     rejected = track.visible & ~track.accepted
 
@@ -308,34 +370,3 @@ def _corrected(
         run, window, batch.table[0], track.smooth_x, track.smooth_P, mixtures, *gates
     )
     return replace(track, smooth_x=x, smooth_P=P, smooth_trusted=trusted)
-
-
-def filtered_of(parts: Mapping[str, Array]) -> Array:
-    """Return the input (T, values) of the smoother, from parts of the state in T epochs."""
-    kept = (values for name, values in parts.items() if name not in {*_FILTERED, *CORRECTED})
-    return np.concatenate([parts["x"], parts["P"], *kept], axis=1)
-
-
-def smoothed(
-    switching: Switching,
-    layout: Layout,
-    planar: bool,
-    scene: Scene,
-    filtered: Array,
-    time_s: Array,
-    spread_hz: Array,
-) -> tuple[Array, Array]:
-    """Return smoothed means (N, T, 7 or 8) and packed covariances (N, T, 28 or 36) of N windows.
-
-    ``filtered`` (N, T, values) comes from :func:`filtered_of`. ``time_s`` and the Doppler
-    spreads ``spread_hz`` are (N, T).
-    """
-    n = layout.state_size
-    dt = np.diff(time_s)
-    ends = [n, n + layout.triangle]
-    x, P, kept = np.split(filtered, ends, axis=2)
-    if switching.bank:
-        steps = np.pad(dt, ((0, 0), (1, 0)))
-        pipeline = switching.pipeline(layout, planar)
-        return smooth_modes(switching.bank, pipeline, kept, steps, spread_hz, scene.hz_per_mps)
-    return smooth(x, P, kept[..., :n], kept[..., n:], dt, planar, scene.hz_per_mps)

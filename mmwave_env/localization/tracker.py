@@ -10,13 +10,7 @@ import numpy as np
 
 from mmwave_env.interface.policy import Switching
 from mmwave_env.localization.levels import Levels
-from mmwave_env.localization.localizer import (
-    episode_from,
-    filtered_of,
-    parts_of,
-    smoothed,
-    tracker_of,
-)
+from mmwave_env.localization.localizer import Localizer
 from mmwave_env.localization.map_files import geodetic
 from mmwave_env.localization.position_errors import gaussian_levels
 from mmwave_env.localization.segments import can_begin
@@ -108,9 +102,9 @@ class Tracker:
         self._log: LiveLog | None = None
         self._filter: Any = None
         self._last_s: float | None = None  # time of the last measurement; None without a track
-        # for each of the last epochs: time; Doppler spread; mode; factors by which Gaussian levels
-        # are multiplied; parts of the filter's state, which are the smoother's input
-        self._late: deque[tuple[float, float, str, Array | None, dict[str, Array]]]
+        # for each of the last epochs: time; Doppler spread; mode; factors (1, 2) by which Gaussian
+        # levels are multiplied; the smoother's input (1, values)
+        self._late: deque[tuple[float, float, str, Array | None, Array]]
         self._late = deque(maxlen=lag + 1)
 
     def update(self, rows: Iterable[Mapping[str, Any]]) -> Position | None:
@@ -158,34 +152,27 @@ class Tracker:
             or (self._layout.odometry and visible[-1])
         ):
             self._last_s = time_s
-        parts = {name: of[0] for name, of in self._filter.run(*parts_of(self._switching)).items()}
-        x = parts.get("corrected_x", parts["x"])
-        P = parts.get("corrected_P", parts["P"])
-        accepted = parts["memory.accepted"] > 0.5
-        nis = parts["memory.nis"]
-        factors = None
+        filtered = self._localizer.run()
+        x, P, (mode,), (nis,), (accepted,), (trusted,), kept = filtered
         if begins:
             self._late.clear()
-        if self._levels:
-            factors = self._levels.of_track(
-                begins, self._layout.anchors, self._switching.bank is not None, np.array([time_s]),
-                x, P, nis, np.array(visible), accepted, parts.get("trusted", np.array([np.nan])),
-            )[0]  # fmt: skip
-        mode = self._names[int(parts["memory.mode"][0])]
-        self._late.append((time_s, spread_hz, mode, factors, parts))
-        passed = accepted[0].tolist()
-        numbers = nis[0].tolist()
-        groups = [g for g, is_seen in enumerate(visible) if is_seen]
-        return self._position(time_s, x[0], P[0], mode, factors)._replace(
-            nis={self._groups[g]: numbers[g] for g in groups},
-            rejected=[self._groups[g] for g in groups if not passed[g]],
+        seen = np.array(visible)
+        factors = self._localizer.level_factors(filtered, seen, np.array([time_s]), begins)
+        self._late.append((time_s, spread_hz, self._names[mode], factors, kept))
+        groups = np.flatnonzero(seen).tolist()
+        return self._position(time_s, x[0], P[0], self._names[mode], factors)._replace(
+            nis={self._groups[g]: float(nis[g]) for g in groups},
+            rejected=[self._groups[g] for g in groups if not accepted[g]],
             begins=begins,
-            trusted=float(parts["trusted"][0]) if "trusted" in parts else None,
+            trusted=None if isnan(trusted) else float(trusted),
         )
 
     def _prepare(self, layout: Layout) -> None:
         """Create the filter and everything else that all epochs share."""
-        self._filter = tracker_of(self._switching, layout, self._height_m is not None)
+        self._localizer = Localizer(
+            layout, self._scene, self._radio, self._switching, self._height_m, self._levels
+        )
+        self._filter = self._localizer.engine
         self._layout = layout
         self._groups = layout.group_names
         self._names = self._switching.names
@@ -199,11 +186,8 @@ class Tracker:
 
     def _load(self, log: Log, begins: bool) -> tuple[list[bool], float]:
         """Load an epoch (T = 1); return which groups are visible, and the Doppler spread, Hz."""
-        episode = episode_from(log, self._scene, self._radio, begins)
-        if self._height_m is not None:
-            episode = episode.on_flat_ground(self._height_m)
-        self._filter.load([episode], go_on=not begins)
-        return episode.visible[0].tolist(), float(log.doppler_spread_hz[0])
+        visible = self._localizer.load(log, begins)
+        return visible[0].tolist(), float(log.doppler_spread_hz[0])
 
     def _load_quickly(self, epoch: LiveEpoch) -> tuple[list[bool], float] | None:
         """Load an epoch as :meth:`_load` does, but faster; return None if this is impossible."""
@@ -246,12 +230,9 @@ class Tracker:
         """
         if len(self._late) < (self._late.maxlen or 0):
             return None
-        times, spreads, modes, factors, parts = zip(*self._late, strict=True)
-        x, P = smoothed(
-            self._switching, self._layout, self._height_m is not None, self._scene,
-            np.concatenate(list(map(filtered_of, parts)))[None], np.array([times]),
-            np.array([spreads]),
-        )  # fmt: skip
+        times, spreads, modes, factors, kept = zip(*self._late, strict=True)
+        late = np.concatenate(kept)[None]
+        x, P = self._localizer.smoothed(late, np.array([times]), np.array([spreads]))
         return self._position(times[0], x[0, 0], P[0, 0], modes[0], factors[0])
 
     def _position(
@@ -272,5 +253,5 @@ class Tracker:
             position = position._replace(clock_m=float(x[7]), clock_sigma_m=clock_sigma_m)
         if self._levels is None or factors is None:
             return position
-        levels = gaussian_levels(P, self._levels.risk) * factors
+        levels = gaussian_levels(P, self._levels.risk) * factors[0]
         return position._replace(levels_m=levels.tolist())

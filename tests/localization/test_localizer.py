@@ -15,14 +15,7 @@ from mmwave_env.filters.modes import robust
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.policy import Switching
 from mmwave_env.interface.reward import TrackingReward
-from mmwave_env.localization.localizer import (
-    episode_from,
-    filtered_of,
-    localize,
-    parts_of,
-    smoothed,
-    tracker_of,
-)
+from mmwave_env.localization.localizer import Localizer, localize
 from mmwave_env.logs.log import Log, read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.layout import Layout
@@ -78,11 +71,10 @@ def run(log, modes=(EKF,), rule=None, **options):
 
 
 def filtered(log, modes):
-    """Return the smoother's input (T, values) for a log that begins with a line of sight."""
-    switching = Switching(modes)
-    tracker = tracker_of(switching, log.layout, planar=False)
-    tracker.load([episode_from(log, SCENE, RADIO)])
-    return filtered_of({name: of[0] for name, of in tracker.run(*parts_of(switching)).items()})
+    """Return the localizer of a log that begins with a line of sight, and its filtered beliefs."""
+    localizer = Localizer(log.layout, SCENE, RADIO, Switching(modes))
+    localizer.load(log)
+    return localizer, localizer.run()
 
 
 def episode_of(block):
@@ -179,13 +171,11 @@ def test_an_imm_with_a_rule_is_refused(block):
 def test_every_window_is_smoothed_including_a_shorter_last_one(monkeypatch, block, window, modes):
     monkeypatch.setattr("mmwave_env.localization.localizer._CHUNK", 64)
     result = run(block, modes, window=window)
-    kept = filtered(block.part(slice(2, None)), modes)
+    localizer, (*_, kept) = filtered(block.part(slice(2, None)), modes)
     for first in range(0, T - 2, window):
         part = slice(first, first + window)
         values = (kept, result.time_s, result.doppler_spread_hz)
-        x, P = smoothed(
-            Switching(modes), block.layout, False, SCENE, *(v[None, part] for v in values)
-        )
+        x, P = localizer.smoothed(*(v[None, part] for v in values))
         np.testing.assert_allclose(result.smooth_x[part], x[0], rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(result.smooth_P[part], P[0], rtol=1e-12, atol=1e-12)
     assert not np.array_equal(result.smooth_x, result.x)
