@@ -24,7 +24,7 @@ from safetensors import safe_open
 from safetensors.numpy import save
 
 from mmwave_env.io.lookup import choose
-from mmwave_env.localization.position_errors import gaussian_levels, horizontal, require_risk
+from mmwave_env.localization.position_errors import gaussian_levels, horizontal
 from mmwave_env.metrics import RISK
 from mmwave_env.numerics.numbers import Array
 
@@ -37,6 +37,7 @@ _MEMORY = np.array([[0.6], [0.9], [0.97]])  # in running means: weight of the pa
 # lower limits, so that logarithms and quotients are finite
 _LEAST = 1e-9
 _LEAST_S = 1e-2
+_LARGEST_RISK = 0.5
 _KIND = [18, 20]  # indices of two 0/1 features: presence of a corrector and of a bank of modes
 
 
@@ -110,7 +111,8 @@ class Levels:
     """
 
     def __init__(self, risk: float = RISK, kind: str = CALIBRATED) -> None:
-        require_risk(risk)
+        if not 0.0 < risk <= _LARGEST_RISK:
+            raise ValueError(f"risk: found {risk:g}, expected above 0 and at most {_LARGEST_RISK}")
         choose(dict.fromkeys(KINDS), kind, "levels")
         self.risk = risk
         self.kind = kind

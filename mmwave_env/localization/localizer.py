@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -78,15 +78,15 @@ class Track(Log):
 
 
 class Filtered(NamedTuple):
-    """Filtered beliefs in T epochs; :class:`Track` describes all arrays except ``kept``."""
+    """Filtered beliefs in T epochs, and what :class:`Track` holds beside them, as floats."""
 
     x: Array
     P: Array
-    mode: Index
+    mode: Array
     nis: Array
-    accepted: Mask
-    trusted: Array
-    kept: Array  # (T, values) input of the smoother
+    accepted: Array
+    trusted: Array | None  # None without a corrector
+    kept: tuple[Array, ...]  # input of the smoother, arrays (T, values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,32 +137,36 @@ class Localizer:
         return Filtered(
             parts.get("corrected_x", x),
             parts.get("corrected_P", P),
-            parts["memory.mode"].astype(np.int64),
+            parts["memory.mode"],
             parts["memory.nis"],
-            parts["memory.accepted"] > 0.5,
-            parts.get("trusted", np.full(len(x), np.nan)),
-            np.concatenate([x, P, *(parts[name] for name in names)], axis=1),
+            parts["memory.accepted"],
+            parts.get("trusted"),
+            (x, P, *(parts[name] for name in names)),
         )
 
     def level_factors(
-        self, filtered: Filtered, visible: Mask, time_s: Array, begins: bool
+        self, filtered: Filtered, visible: Any, time_s: Any, begins: bool
     ) -> Array | None:
-        """Return factors (T, 2) of Gaussian levels; None if no levels are computed."""
+        """Return factors (T, 2) of Gaussian levels; None if no levels are computed.
+
+        ``visible`` (T, groups) and the times (T,) are arrays or lists.
+        """
         if self.levels is None:
             return None
         if begins:
             self.levels.reset()
         x, P, _, nis, accepted, trusted, _ = filtered
-        parts = (x, P, nis, accepted, visible & ~accepted, trusted)
+        known = np.full(len(x), np.nan) if trusted is None else trusted
+        parts = (x, P, nis, accepted, visible - accepted, known)
         mixes = self.switching.bank is not None
         of_tracks = [part[None] for part in parts]
-        return self.levels.factors(self.layout.anchors, mixes, time_s, *of_tracks)[0]  # type: ignore[no-any-return]
+        return self.levels.factors(self.layout.anchors, mixes, np.asarray(time_s), *of_tracks)[0]  # type: ignore[no-any-return]
 
     def smoothed(self, kept: Array, time_s: Array, spread_hz: Array) -> tuple[Array, Array]:
         """Return smoothed means (N, T, 7 or 8), packed covariances (N, T, 28 or 36) of N windows.
 
-        ``kept`` (N, T, values) is a part of :class:`Filtered`. ``time_s`` and the Doppler spreads
-        ``spread_hz`` are (N, T).
+        ``kept`` (N, T, values) are the joined arrays of :class:`Filtered`. ``time_s`` and the
+        Doppler spreads ``spread_hz`` are (N, T).
         """
         n = self.layout.state_size
         dt = np.diff(time_s)
@@ -252,7 +256,9 @@ def _track(
     """
     visible = localizer.load(log, begins)
     filtered = localizer.run()
-    x, P, mode, nis, accepted, trusted, kept = filtered
+    x, P, mode, nis, accepted, trusted, parts = filtered
+    kept = np.concatenate(parts, axis=1)
+    unknown = np.full(len(log), np.nan)
     factors = localizer.level_factors(filtered, visible, log.time_s, begins)
     track = Track(
         **vars(replace(log, visible=visible)),
@@ -265,11 +271,11 @@ def _track(
         P=P,
         smooth_x=x,
         smooth_P=P,
-        mode=mode,
+        mode=mode.astype(np.int64),
         nis=nis,
-        accepted=accepted,
-        trusted=trusted,
-        smooth_trusted=np.full(len(log), np.nan),
+        accepted=accepted > 0.5,
+        trusted=unknown if trusted is None else trusted,
+        smooth_trusted=unknown,
         level_factors=np.ones((len(log), 2)) if factors is None else factors,
     )
     sound = np.isfinite(x).all(axis=1) & np.isfinite(P).all(axis=1)

@@ -34,13 +34,6 @@ CONFIDENCE = 0.95  # confidence of the interval "ci95" of :func:`exceedance`
 _RATIOS = np.linspace(0.0, 1.0, 1025)  # values of b / a; between them, levels are interpolated
 _ANGLES = (np.arange(64) + 0.5) * (np.pi / 128)  # values of t; one quadrant represents all
 _HALVINGS = 60
-_LARGEST_RISK = 0.5
-
-
-def require_risk(risk: float) -> None:
-    """Raise ValueError unless a risk is above 0 and at most a half."""
-    if not 0.0 < risk <= _LARGEST_RISK:
-        raise ValueError(f"risk: found {risk:g}, expected more than 0 and at most {_LARGEST_RISK}")
 
 
 def horizontal_level(P: Array, risk: float) -> Array:

@@ -12,7 +12,7 @@ from mmwave_env.filters.pipeline import VERTICAL
 from mmwave_env.localization.localizer import Track
 from mmwave_env.localization.position_errors import PositionErrors
 from mmwave_env.logs.truth import Truth
-from mmwave_env.metrics import RISK, Sums, nees_interval, running_summary
+from mmwave_env.metrics import RISK, ate, nees_interval, rmse
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array, Index
 
@@ -108,9 +108,7 @@ def _pairs(time_s: Array, segment: Index, first_s: Array) -> tuple[Index, float 
 def _accuracy(
     error: Array, nees: Array, pairs: Index, interval: tuple[float, float]
 ) -> dict[str, float | None]:
-    """Return :func:`~mmwave_env.metrics.running_summary` of epochs, without the divergence rate.
-
-    The RPE is None if there are no pairs.
+    """Return the accuracy of the scored epochs; the RPE is None if there are no pairs.
 
     Args:
         error: (n, 3) errors of the scored epochs, m.
@@ -118,15 +116,14 @@ def _accuracy(
         pairs: (pairs, 2) indices of epochs, as :func:`_pairs` returns them.
         interval: interval of the NEES of a consistent filter.
     """
-    distance = np.linalg.norm(error, axis=1)
-    change = np.linalg.norm(error[pairs[:, 1]] - error[pairs[:, 0]], axis=1)
-    inside = (nees >= interval[0]) & (nees <= interval[1])
-    summed = [values.sum() for values in (distance, distance**2, change, nees, inside)]
-    figures = running_summary(Sums(*np.array([len(error), len(pairs), *summed, 0.0])))
+    low, high = interval
+    change = error[pairs[:, 1]] - error[pairs[:, 0]]
     return {
-        name: None if name == "rpe_m" and not len(pairs) else float(value)
-        for name, value in figures.items()
-        if name != "divergence_rate"
+        "ate_m": float(ate(error)),
+        "rmse_m": float(rmse(error)),
+        "rpe_m": float(ate(change)) if len(pairs) else None,
+        "nees": float(nees.mean()),
+        "in_bounds": float(((nees >= low) & (nees <= high)).mean()),
     }
 
 

@@ -103,8 +103,8 @@ class Tracker:
         self._filter: Any = None
         self._last_s: float | None = None  # time of the last measurement; None without a track
         # for each of the last epochs: time; Doppler spread; mode; factors (1, 2) by which Gaussian
-        # levels are multiplied; the smoother's input (1, values)
-        self._late: deque[tuple[float, float, str, Array | None, Array]]
+        # levels are multiplied; the smoother's input, arrays (1, values)
+        self._late: deque[tuple[float, float, str, Array | None, tuple[Array, ...]]]
         self._late = deque(maxlen=lag + 1)
 
     def update(self, rows: Iterable[Mapping[str, Any]]) -> Position | None:
@@ -153,18 +153,20 @@ class Tracker:
         ):
             self._last_s = time_s
         filtered = self._localizer.run()
-        x, P, (mode,), (nis,), (accepted,), (trusted,), kept = filtered
+        factors = self._localizer.level_factors(filtered, visible, [time_s], begins)
+        mode = self._names[int(filtered.mode[0])]
         if begins:
             self._late.clear()
-        seen = np.array(visible)
-        factors = self._localizer.level_factors(filtered, seen, np.array([time_s]), begins)
-        self._late.append((time_s, spread_hz, self._names[mode], factors, kept))
-        groups = np.flatnonzero(seen).tolist()
-        return self._position(time_s, x[0], P[0], self._names[mode], factors)._replace(
-            nis={self._groups[g]: float(nis[g]) for g in groups},
-            rejected=[self._groups[g] for g in groups if not accepted[g]],
+        self._late.append((time_s, spread_hz, mode, factors, filtered.kept))
+        (nis,) = filtered.nis.tolist()
+        (accepted,) = filtered.accepted.tolist()
+        trusted = filtered.trusted
+        groups = [g for g, is_seen in enumerate(visible) if is_seen]
+        return self._position(time_s, filtered.x[0], filtered.P[0], mode, factors)._replace(
+            nis={self._groups[g]: nis[g] for g in groups},
+            rejected=[self._groups[g] for g in groups if accepted[g] < 0.5],
             begins=begins,
-            trusted=None if isnan(trusted) else float(trusted),
+            trusted=None if trusted is None else float(trusted[0]),
         )
 
     def _prepare(self, layout: Layout) -> None:
@@ -231,7 +233,7 @@ class Tracker:
         if len(self._late) < (self._late.maxlen or 0):
             return None
         times, spreads, modes, factors, kept = zip(*self._late, strict=True)
-        late = np.concatenate(kept)[None]
+        late = np.concatenate([np.concatenate(parts, axis=1) for parts in kept])[None]
         x, P = self._localizer.smoothed(late, np.array([times]), np.array([spreads]))
         return self._position(times[0], x[0, 0], P[0, 0], modes[0], factors[0])
 

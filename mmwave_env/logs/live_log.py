@@ -176,10 +176,9 @@ class LiveLog:
                         f"{self._log.path}, row {number}, column {name!r}: "
                         f"found an unknown column, expected one of {', '.join(self._limits)}"
                     )
-            values = [row.get(name) for name in self._limits]
-            cells = [nan if value is None else value for value in values]
-            if _NUMBERS.issuperset(map(type, cells)) and self._plain(cells):
-                return list(map(float, cells))
+            cells = [nan if (cell := row.get(name)) is None else cell for name in self._limits]
+            if self._plain(cells):
+                return cells
             row = self._log.delimiter.join(map(str, cells))
         table = parse(self._log, [row], number)
         cells = table.cells.ravel().tolist()
@@ -187,10 +186,10 @@ class LiveLog:
             self._require_sound(table)
         return cells
 
-    def _plain(self, cells: list[float]) -> bool:
+    def _plain(self, cells: list[Any]) -> bool:
         """Tell whether the cells of a row are surely sound; if not, they need the full checks."""
         for cell, (low, high) in zip(cells, self._limits.values(), strict=True):
-            if cell < low or cell > high:  # NaN is an empty cell
+            if type(cell) not in _NUMBERS or cell < low or cell > high:  # NaN is an empty cell
                 return False
         return cells[self._anchor] in self._anchors and not isnan(cells[self._time])
 

@@ -182,8 +182,6 @@ def log_of(table: Table, scene: Scene, layout: Layout, wrap: bool, snr_db: float
         links[:, 1:3] = np.array(arrivals)[anchor, :, range(len(epoch))]
     placed = np.full((T, 2 * size + layout.anchors + 1), np.nan)
     for quantity, (first, step) in places(layout).items():
-        if quantity not in of_link and quantity not in table.columns:
-            continue
         numbers = of_link[quantity] if quantity in of_link else table[quantity]
         some = np.flatnonzero(~np.isnan(numbers))[::-1]  # in reverse, so the first value is kept
         placed[epoch[some], first + step * anchor[some]] = numbers[some]

@@ -171,10 +171,10 @@ def test_an_imm_with_a_rule_is_refused(block):
 def test_every_window_is_smoothed_including_a_shorter_last_one(monkeypatch, block, window, modes):
     monkeypatch.setattr("mmwave_env.localization.localizer._CHUNK", 64)
     result = run(block, modes, window=window)
-    localizer, (*_, kept) = filtered(block.part(slice(2, None)), modes)
+    localizer, beliefs = filtered(block.part(slice(2, None)), modes)
     for first in range(0, T - 2, window):
         part = slice(first, first + window)
-        values = (kept, result.time_s, result.doppler_spread_hz)
+        values = (np.hstack(beliefs.kept), result.time_s, result.doppler_spread_hz)
         x, P = localizer.smoothed(*(v[None, part] for v in values))
         np.testing.assert_allclose(result.smooth_x[part], x[0], rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(result.smooth_P[part], P[0], rtol=1e-12, atol=1e-12)

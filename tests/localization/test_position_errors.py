@@ -10,13 +10,13 @@ from hypothesis.extra import numpy as hnp
 from scipy.integrate import quad
 from scipy.stats import beta, norm
 
+from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.position_errors import (
     DISTANCES_M,
     SHARES,
     PositionErrors,
     exceedance,
     horizontal_level,
-    require_risk,
     vertical_level,
 )
 from tests.refusals import refuses
@@ -96,7 +96,7 @@ def test_an_error_or_a_level_of_nan_counts_as_an_exceeded_level():
 @pytest.mark.parametrize("risk", [0.0, -1.0, 0.6, np.nan, np.inf])
 def test_an_impossible_risk_is_refused(risk):
     with refuses("risk"):
-        require_risk(risk)
+        Levels(risk, "gaussian")
 
 
 ERRORS = hnp.arrays(float, st.tuples(st.integers(1, 60), st.just(3)), elements=st.floats(-50, 50))
