@@ -215,32 +215,30 @@ def localize(
     localizer = Localizer(log.layout, scene, radio, switching, height_m, levels)
     parts = segments(log, scene, radio)
     tracks: list[Track] = []
-    for segment, part in enumerate(parts):
-        for epochs in _chunks(part, window or 1):
-            begins = epochs.start == part.start
-            track = _track(log.part(epochs), localizer, begins, window, two_way)
-            number = np.full(len(track), segment)
-            tracks.append(replace(track, segment=number, skipped=parts[0].start))
-            if track.damage is not log.damage:
-                return _joined(tracks)
-            report(epochs.stop / len(log))
-    track = _joined(tracks)
-    return replace(track, dropped=len(log) - track.skipped - len(track))
+    for segment, epochs, begins in _chunks(parts, window or 1):
+        track = _track(log.part(epochs), localizer, begins, window, two_way)
+        number = np.full(len(track), segment)
+        tracks.append(replace(track, segment=number, skipped=parts[0].start))
+        if track.damage is not log.damage:
+            break
+        report(epochs.stop / len(log))
+    joined: Track = Track.joined(tracks)
+    if joined.damage and not len(joined):
+        raise joined.damage
+    if joined.damage is not log.damage:
+        return joined
+    return replace(joined, dropped=len(log) - joined.skipped - len(joined))
 
 
-def _joined(tracks: list[Track]) -> Track:
-    """Join the parts of a track; refuse a track without epochs."""
-    track: Track = Track.joined(tracks)
-    if not len(track) and track.damage:
-        raise track.damage
-    return track
+def _chunks(parts: Sequence[slice], window: int) -> Iterator[tuple[int, slice, bool]]:
+    """Divide segments into chunks of whole windows, because intermediate results are large.
 
-
-def _chunks(part: slice, window: int) -> Iterator[slice]:
-    """Divide a segment into chunks of whole windows, because intermediate results are large."""
+    Also yield the number of the chunk's segment, and whether the segment begins with the chunk.
+    """
     step = max(1, _CHUNK // window) * window
-    for first in range(part.start, part.stop, step):
-        yield slice(first, min(first + step, part.stop))
+    for segment, part in enumerate(parts):
+        for first in range(part.start, part.stop, step):
+            yield segment, slice(first, min(first + step, part.stop)), first == part.start
 
 
 def _track(
@@ -288,7 +286,9 @@ def _track(
         track = replace(track.part(slice(end)), damage=damage)
         kept = kept[:end]
     if window and len(track):
-        track = _smoothed(track, kept, localizer, window)
+        spread_hz = track.doppler_spread_hz
+        x, P = _by_windows(localizer.smoothed, window, kept, track.time_s, spread_hz)
+        track = replace(track, smooth_x=x, smooth_P=P)
         if two_way:
             return _corrected(track, kept, localizer, window, two_way)
     return track
@@ -327,13 +327,6 @@ def episode_from(log: Log, scene: Scene, radio: Radio, begins: bool = True) -> E
         doppler_anchor=log.doppler_anchor if log.layout.partial else None,
         prior=prior,
     )
-
-
-def _smoothed(track: Track, kept: Array, localizer: Localizer, window: int) -> Track:
-    """Smooth a part of a track by windows, given the smoother's input (T, values)."""
-    spread_hz = track.doppler_spread_hz
-    x, P = _by_windows(localizer.smoothed, window, kept, track.time_s, spread_hz)
-    return replace(track, smooth_x=x, smooth_P=P)
 
 
 def _by_windows(run: Callable[..., tuple[Array, ...]], window: int, *parts: Array) -> list[Array]:

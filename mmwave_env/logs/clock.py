@@ -84,24 +84,22 @@ def clock_offset(
     ``truth_at`` maps times (T,), by the clock of the track, to true positions.
     """
     log = log.part(slice(_COMPARED))
-    estimate = _linear(log, scene, truth_at(log.time_s))
-    if estimate is None:
-        return None
-    first, deviation = estimate
-    seconds = first.seconds
+    seconds = 0.0
+    first = None
     for _ in range(_ROUNDS):
         estimate = _linear(log, scene, truth_at(log.time_s + seconds))
         if estimate is None or abs(seconds + estimate[0].seconds) > _FARTHEST_S:
             return None
-        left, moved = estimate
+        first = first or estimate
+        left, deviation = estimate
         seconds += left.seconds
         if abs(left.seconds) < 0.1 * left.deviation_s:
             break
     else:
         return None
-    if abs(seconds - first.seconds) < left.deviation_s:
-        return first
-    noise = np.nanmean((moved / deviation) ** 2)
+    if abs(seconds - first[0].seconds) < left.deviation_s:
+        return first[0]
+    noise = np.nanmean((deviation / first[1]) ** 2)
     return ClockOffset(seconds, left.deviation_s, max(0.0, 1.0 - float(noise)), left.limit)
 
 
@@ -137,14 +135,14 @@ def _linear(log: Log, scene: Scene, truth: TrueEpochs) -> tuple[ClockOffset, Arr
     ends = [(exact(p + step), exact(p - step)) for step in 0.5 * _STEP_M * np.eye(3)]
     slopes = [difference(*pair) / (_STEP_M * deviation) for pair in ends]
     rate = np.einsum("ti,itr->tr", v, slopes)
-    terms = np.stack([np.ones_like(error), error, rate, *slopes], axis=-1)
+    terms = np.stack([np.ones_like(error), *slopes, rate, error], axis=-1)
     terms[~np.isfinite(terms).all(axis=-1)] = 0.0
     stretch_s = _SHORTEST_S
     while log.time_s[-1] - log.time_s[0] >= _STRETCHES * stretch_s:
         stretch_s *= 2.0
     ends_at = np.flatnonzero(np.diff((log.time_s - log.time_s[0]) // stretch_s)) + 1
     # For each stretch and row, sum the product of every pair of terms over the epochs. The terms
-    # are 1, the error, and the derivatives of the error with respect to tau and s.
+    # are 1, the derivatives of the error with respect to s and tau, and the error.
     sums = np.array([np.einsum("tri,trj->rij", part, part) for part in np.split(terms, ends_at)])
     sums = sums[sums[:, :, 0, 0].any(axis=1)]
     total = sums.sum(axis=0)
@@ -165,11 +163,8 @@ def _fit(sums: Array) -> tuple[float, float] | None:
     of_means = ones[:, :, None] * ones[:, None] / np.maximum(ones[:, :1, None], 1.0)
     centered = (sums - of_means).sum(axis=0)[1:, 1:]
     # From the error, and from its derivative with respect to tau, subtract what s explains.
-    by_shift = np.linalg.pinv(centered[2:, 2:], hermitian=True) @ centered[2:, :2]
-    error, rate = np.vstack([np.eye(2), -by_shift]).T
-    changes = float(rate @ centered @ rate)
-    errors = float(error @ centered @ error)
-    if not (changes > 1e-9 * centered[1, 1] and errors > 0.0):
+    by_shift = np.linalg.pinv(centered[:3, :3], hermitian=True) @ centered[:3, 3:]
+    (changes, both), (_, errors) = (centered[3:, 3:] - centered[3:, :3] @ by_shift).tolist()
+    if not (changes > 1e-9 * centered[3, 3] and errors > 0.0):
         return None
-    seconds = float(rate @ centered @ error) / changes
-    return seconds, seconds**2 * changes / errors
+    return both / changes, both**2 / (changes * errors)

@@ -10,7 +10,7 @@ from typing import Any
 from mmwave_env.io.files import naming, open_regular
 
 _PIECE_BYTES = 1 << 20
-_MEMORY = 10.0  # bytes of memory for each byte of text, including what is made from it, as a track
+_MEMORY = 20.0  # bytes of memory for each byte of text; the track of a log needs most of it
 
 
 def read_lines(path: Path) -> tuple[list[str], str]:

@@ -25,7 +25,7 @@ AnyArrays = TypeVar("AnyArrays", bound="Arrays")
 
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
 _BATCH_ROWS = 1 << 14
-_ROW_BYTES = 1000  # memory for a row of a Parquet file, and for its part in the track
+_ROW_BYTES = 2000  # memory for a row of a Parquet file, and for its part in the track
 _NUMBER = "a number, or nothing if it was not measured"
 _ANCHOR = "the number of an anchor in the scene (1: the base station)"
 

@@ -179,7 +179,7 @@ def test_a_log_that_needs_more_memory_than_there_is_is_refused_with_its_size(
     path = tmp_path / f"log{suffix}"
     write_log(path, episode(epochs=2000))
     monkeypatch.setattr("mmwave_env.logs.lines.free_memory", lambda: 1e6)
-    with pytest.raises(OSError, match=r"needs 0.00\d+ GB of memory, expected at most 0.001 GB"):
+    with pytest.raises(OSError, match=r"needs 0.01\d GB of memory, expected at most 0.001 GB"):
         read_log(path, SCENE)
 
 
