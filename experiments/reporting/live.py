@@ -51,7 +51,7 @@ def run_live(args: LogArgs) -> None:
         if tracker is None:
             log = epoch.log()
             radio = nearest_radio(log, scene) if args.radio == AUTO else args.radio
-            if not can_begin(log, 0, scene, radio_from(radio)):
+            if not can_begin(log, scene, radio_from(radio)):
                 continue
             choice = choice_of(args, radio, log)
             tracker = Tracker(

@@ -216,18 +216,17 @@ def localize(
     parts = segments(log, scene, radio)
     tracks: list[Track] = []
     for segment, epochs, begins in _chunks(parts, window or 1):
-        track = _track(log.part(epochs), localizer, begins, window, two_way)
-        number = np.full(len(track), segment)
-        tracks.append(replace(track, segment=number, skipped=parts[0].start))
+        track = _track(log.part(epochs), localizer, segment, begins, window, two_way)
+        tracks.append(track)
         if track.damage is not log.damage:
             break
         report(epochs.stop / len(log))
     joined: Track = Track.joined(tracks)
     if joined.damage and not len(joined):
         raise joined.damage
-    if joined.damage is not log.damage:
-        return joined
-    return replace(joined, dropped=len(log) - joined.skipped - len(joined))
+    skipped = parts[0].start
+    dropped = len(log) - skipped - len(joined) if joined.damage is log.damage else 0
+    return replace(joined, skipped=skipped, dropped=dropped)
 
 
 def _chunks(parts: Sequence[slice], window: int) -> Iterator[tuple[int, slice, bool]]:
@@ -244,13 +243,14 @@ def _chunks(parts: Sequence[slice], window: int) -> Iterator[tuple[int, slice, b
 def _track(
     log: Log,
     localizer: Localizer,
+    segment: int,
     begins: bool,
     window: int | None,
     two_way: SmoothedCorrector | None,
 ) -> Track:
     """Return the track of a part of a segment, which ends before a belief that is not finite.
 
-    ``begins`` tells whether the segment begins here.
+    ``segment`` is the segment's number; ``begins`` tells whether the segment begins here.
     """
     visible = localizer.load(log, begins)
     filtered = localizer.run()
@@ -264,7 +264,7 @@ def _track(
         planar=localizer.planar,
         skipped=0,
         dropped=0,
-        segment=np.zeros(len(log), np.int64),
+        segment=np.full(len(log), segment),
         x=x,
         P=P,
         smooth_x=x,
@@ -307,7 +307,7 @@ def episode_from(log: Log, scene: Scene, radio: Radio, begins: bool = True) -> E
     prior = (np.zeros(n), np.eye(n))
     visible = log.visible
     if begins:
-        fix = first_fix(log, 0, scene, radio)
+        fix = first_fix(log.part(slice(1)), scene, radio)
         if fix is None:  # segments() begins every segment with a position
             raise ValueError("log: found no position in the first epoch, expected a position")
         prior = fix.prior

@@ -51,18 +51,16 @@ def gives_fix(links: Array) -> Mask:
     return (links[:, 0] >= RANGE_LIMITS_M[0]) & (abs(links[:, 2]) <= STEEPEST_FIX_RAD)
 
 
-def first_fix(log: Log, epoch: int, scene: Scene, radio: Radio) -> Fix | None:
-    """Return a position to begin a track with, or None if an epoch of a log determines none.
+def first_fix(row: Log, scene: Scene, radio: Radio) -> Fix | None:
+    """Return a position to begin a track with, or None if an epoch (T = 1) determines none.
 
     A complete link of the base station is used even if it is steeper than :func:`can_begin` allows.
     """
-    row = log.part(slice(epoch, epoch + 1))
     sigma = radio.sigma(row.snr_db, scene, row.layout)
     sigma = np.where(np.isfinite(row.sigma), row.sigma, sigma)[0]
     link = row.measurement[0, :4]
-    clock = row.layout.clock
     used = np.zeros(len(row.layout.groups), np.bool_)
-    if row.visible[0, 0] and np.isfinite(link).all() and not clock:
+    if _has_whole_link(row):
         used[0] = True
         return Fix(prior_from_fix(scene.anchors_m[0], link, sigma[:4], radio, scene), used)
     if _direct(row):
@@ -72,19 +70,24 @@ def first_fix(log: Log, epoch: int, scene: Scene, radio: Radio) -> Fix | None:
     if solved is None:
         return None
     unknown, covariance = solved
-    P = radio.prior_covariance(scene, clock)
+    P = radio.prior_covariance(scene, row.layout.clock)
     among = _UNKNOWN[: len(unknown)]
     P[np.ix_(among, among)] = covariance
     P[3, 3] = P[4, 4] = UNKNOWN_VELOCITY_MPS**2
     return Fix((np.array(_state(unknown)), P), used)
 
 
-def can_begin(log: Log, epoch: int, scene: Scene, radio: Radio) -> bool:
-    """Tell whether an epoch of a log determines a position that a track can begin with."""
-    link = log.measurement[epoch : epoch + 1, :4]
-    if log.visible[epoch, 0] and np.isfinite(link).all() and not log.layout.clock:
-        return bool(gives_fix(link)[0])
-    return first_fix(log, epoch, scene, radio) is not None
+def can_begin(row: Log, scene: Scene, radio: Radio) -> bool:
+    """Tell whether an epoch (T = 1) determines a position that a track can begin with."""
+    if _has_whole_link(row):
+        return bool(gives_fix(row.measurement)[0])
+    return first_fix(row, scene, radio) is not None
+
+
+def _has_whole_link(row: Log) -> bool:
+    """Tell whether a complete link of the base station gives an epoch (T = 1) a position."""
+    whole = bool(np.isfinite(row.measurement[0, :4]).all())
+    return whole and bool(row.visible[0, 0]) and not row.layout.clock
 
 
 def _least_squares(row: Log, sigma: Array, scene: Scene) -> tuple[Array, Array] | None:
@@ -221,7 +224,7 @@ def _first_fix(log: Log, start: int, scene: Scene, radio: Radio) -> int:
     """Return the first epoch with a fix, from ``start`` on; the log's length if there is none."""
     links = 1 if _direct(log) else log.layout.anchors
     for epoch in np.flatnonzero(log.visible[start:, :links].any(axis=1)) + start:
-        if can_begin(log, int(epoch), scene, radio):
+        if can_begin(log.part(slice(epoch, epoch + 1)), scene, radio):
             return int(epoch)
     return len(log)
 

@@ -140,7 +140,7 @@ class Tracker:
         begins = self._last_s is None or time_s - self._last_s > GAP_S
         if begins:
             self._last_s = None
-            if not can_begin(epoch.log(), 0, self._scene, self._radio):
+            if not can_begin(epoch.log(), self._scene, self._radio):
                 return None
             if self._filter is None:
                 self._prepare(epoch.log().layout)

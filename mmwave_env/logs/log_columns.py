@@ -208,8 +208,7 @@ def _require(
         if other in columns:
             if usual in columns:
                 raise _twice(columns[usual].name, columns[other].name, f"{usual} in only one frame")
-            required = [needed if quantity == usual else quantity for quantity in required]
-            required += [needed] if partial else []
+            required = [*(quantity for quantity in required if quantity != usual), needed]
     if partial and columns.keys().isdisjoint(HORIZONTAL):
         known = ", ".join(next(iter(QUANTITIES[quantity].columns)) for quantity in HORIZONTAL)
         raise ValueError(
