@@ -28,7 +28,7 @@ from mmwave_env.filters.pipeline import Pipeline, predict, predict_update
 from mmwave_env.localization.segments import gives_fix
 from mmwave_env.logs.log import Log, PathEpoch, PathLog
 from mmwave_env.logs.log_tables import LogError
-from mmwave_env.models.measurement import Epoch, Site, link_group, seen_from_image
+from mmwave_env.models.measurement import Epoch, Site, link_group
 from mmwave_env.models.prior import GAP_S, prior_from_fix
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
@@ -117,7 +117,6 @@ class PathTracker:
 
     def __init__(self, paths: PathLog, scene: Scene, radio: Radio, mode: Mode) -> None:
         layout = paths.layout
-        self._at_station = paths.at_station
         self._scene = scene
         self._radio = radio
         self._mode = mode
@@ -219,13 +218,7 @@ class PathTracker:
         snr = np.repeat(paths.snr_db[:, None], layout.anchors, axis=1)
         sigma = self._radio.sigma(snr, self._scene, layout)
         of_links = sigma[:, : layout.doppler].reshape(n, layout.anchors, 4).swapaxes(0, 1)
-        z = np.broadcast_to(paths.measurement[:, :4], of_links.shape).copy()
-        if self._at_station:
-            for link, anchor in zip(z, self._anchors, strict=True):
-                link[:, 1], link[:, 2] = seen_from_image(
-                    link[:, 1], link[:, 2], self._anchors[0], anchor
-                )
-        return _Links(z, of_links, sigma[:, layout.doppler])
+        return _Links(paths.links, of_links, sigma[:, layout.doppler])
 
     def epoch(
         self, paths: PathEpoch, dt: float, links: _Links | None = None, labels: Any = ()
@@ -247,7 +240,7 @@ class PathTracker:
                 sigma[rows] = links.sigma[anchor, path].tolist()
                 visible[anchor] = 1.0
                 snr[anchor] = float(paths.snr_db[path])
-        if links and visible[0] and np.isfinite(doppler := paths.measurement[labels[0], 4]):
+        if links and visible[0] and np.isfinite(doppler := paths.doppler[labels[0]]):
             z[layout.doppler] = float(doppler)
             sigma[layout.doppler] = float(links.doppler_sigma[labels[0]])
             visible[layout.anchors] = 1.0

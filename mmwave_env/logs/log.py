@@ -31,7 +31,6 @@ from mmwave_env.logs.log_columns import (
 )
 from mmwave_env.logs.log_tables import Arrays, LogError, LogFile, Table, read_table
 from mmwave_env.models.layout import Layout, whole_groups, without_noise, wrap_angles, wrapped
-from mmwave_env.models.measurement import seen_from_image
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Index, Mask
 
@@ -168,18 +167,12 @@ def places(layout: Layout) -> dict[str, tuple[int, int]]:
 def log_of(table: Table, scene: Scene, layout: Layout, wrap: bool, snr_db: float | None) -> Log:
     """Convert the rows of complete epochs to a log."""
     epoch = table.epoch
-    links = table.links()
-    station = scene.anchors_m[0]
     anchor = table["anchor"].astype(np.int64) - 1
+    links = table.links(scene.anchors_m)[anchor, np.arange(len(anchor))]
     starts = table.starts
     T = len(starts)
     size = layout.size
     of_link = dict(zip(LINK_QUANTITIES, links.T, strict=True))
-    if STATION in table.columns:
-        arrivals = [
-            seen_from_image(links[:, 1], links[:, 2], station, image) for image in scene.anchors_m
-        ]
-        links[:, 1:3] = np.array(arrivals)[anchor, :, range(len(epoch))]
     placed = np.full((T, 2 * size + layout.anchors + 1), np.nan)
     for quantity, (first, step) in places(layout).items():
         numbers = of_link[quantity] if quantity in of_link else table[quantity]
@@ -227,7 +220,8 @@ class PathEpoch(NamedTuple):
 
     time_s: float
     line: int  # number of the first row in the file
-    measurement: Array  # (n, 5) range (m), three angles (rad), Doppler shift (Hz, or NaN)
+    links: Array  # (L, n, 4) range (m) and angles (rad), as each anchor would have measured them
+    doppler: Array  # (n,) Doppler shift, Hz; NaN where not measured
     snr_db: Array  # (n,)
     incomplete: int  # number of paths that are left out because some of their values are missing
     doppler_spread_hz: float  # 0 where none was measured
@@ -238,9 +232,6 @@ class PathLog(NamedTuple):
     """The epochs of a log of paths."""
 
     layout: Layout  # layout of the scene's anchors, with or without odometry
-    # whether all angles of arrival are angles at the base station. If not, a path that a wall
-    # reflected has the angles at the base station's mirror image in the wall
-    at_station: bool
     epochs: list[PathEpoch]
     damage: LogError | None  # what is damaged after these epochs; None if the whole log is sound
 
@@ -257,21 +248,21 @@ def read_paths(path: Path, scene: Scene, odometry: bool = True) -> PathLog:
     table = read_table(path, scene.hz_per_mps, odometry=odometry, associated=False)
     layout = Layout(len(scene.anchors_m), "speed" in table.columns)
     table, damage = sound_epochs(table, None, limits=True)
-    epochs = list(_split(table))
+    epochs = list(_split(table, scene))
     if not any(len(epoch.snr_db) for epoch in epochs):
         raise damage or LogError(
             f"{path}: found no complete path in {len(epochs)} epochs, expected at least one"
         )
-    return PathLog(layout, STATION in table.columns, epochs, damage)
+    return PathLog(layout, epochs, damage)
 
 
-def _split(table: Table) -> Iterator[PathEpoch]:
+def _split(table: Table, scene: Scene) -> Iterator[PathEpoch]:
     """Yield the complete paths of every epoch."""
     snr = table["snr"]
     time = table["time"]
-    measurement = np.column_stack([table.links(), table["doppler"]])
-    measurement[:, 1:4] = wrapped(measurement[:, 1:4])
-    finite = np.isfinite(np.column_stack([measurement[:, :4], snr]))
+    links = table.links(scene.anchors_m)
+    doppler = table["doppler"]
+    finite = np.isfinite(np.column_stack([links[0], snr]))
     whole = finite.all(axis=1)
     some = finite.any(axis=1)
     spread = table.first(table["doppler_spread"])
@@ -281,10 +272,13 @@ def _split(table: Table) -> Iterator[PathEpoch]:
     of_epochs = np.split(np.arange(len(table)), table.starts[1:])
     for epoch, (first, rows) in enumerate(zip(table.starts, of_epochs, strict=False)):
         kept = rows[whole[rows]]
+        of_epoch = links[:, kept]
+        of_epoch[..., 1:] = wrapped(of_epoch[..., 1:])
         yield PathEpoch(
             time_s=float(time[first]),
             line=int(table.rows[first]),
-            measurement=measurement[kept],
+            links=of_epoch,
+            doppler=doppler[kept],
             snr_db=snr[kept],
             incomplete=int((some & ~whole)[rows].sum()),
             doppler_spread_hz=float(np.nan_to_num(spread[epoch])),

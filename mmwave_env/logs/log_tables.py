@@ -19,6 +19,7 @@ from mmwave_env.io.files import open_regular
 from mmwave_env.io.lookup import quoted, require_extra
 from mmwave_env.logs.lines import number, read_lines, require_memory
 from mmwave_env.logs.log_columns import BODY, STATION, Column, columns_of
+from mmwave_env.models.measurement import seen_from_image
 from mmwave_env.numerics.numbers import Array, Index
 
 AnyArrays = TypeVar("AnyArrays", bound="Arrays")
@@ -121,17 +122,25 @@ class Table(Arrays):
         first[self.epoch[some]] = values[some]  # backwards, so that the first row's value remains
         return first
 
-    def links(self) -> Array:
-        """Return (n, 4) ranges (m) and angles (rad); azimuths of departure are in the map's frame.
+    def links(self, anchors_m: Array) -> Array:
+        """Return (L, n, 4) ranges (m) and angles (rad), as each anchor would have measured them.
 
-        An azimuth of arrival is that of the line from the anchor to the user; for a mirror image in
-        a log with a column :data:`STATION`, it is the azimuth measured at the base station instead.
+        Anchors (L, 3) are in m. Angles are in the map's frame. In a log with a column
+        :data:`STATION`, all angles of arrival were measured at the base station, anchor 1. If a
+        path belongs to a mirror image of the base station, its angles at the image are different.
         """
-        arrival = self[STATION if STATION in self.columns else "aoa_azimuth"]
         departure = self["aod_azimuth"]
         if BODY in self.columns:  # departures are NaN in epochs without a heading
             departure = self[BODY] + self.first(self["heading"])[self.epoch]
-        return np.column_stack([self["toa"], arrival, self["aoa_elevation"], departure])
+        elevation = self["aoa_elevation"]
+        links = np.column_stack([self["toa"], self["aoa_azimuth"], elevation, departure])
+        of_anchors = np.broadcast_to(links, (len(anchors_m), *links.shape))
+        if STATION in self.columns:
+            of_anchors = of_anchors.copy()
+            for link, image in zip(of_anchors, anchors_m, strict=True):
+                arrival = seen_from_image(self[STATION], elevation, anchors_m[0], image)
+                link[:, 1:3] = np.column_stack(arrival)
+        return of_anchors
 
 
 def log_file(

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmwave_env.datasets.log_writer import log_columns, log_text
+from mmwave_env.logs.log import read_paths
 from mmwave_env.logs.log_columns import QUANTITIES
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
@@ -68,6 +69,12 @@ def test_angles_of_arrival_at_the_base_station_are_mirrored(tmp_path, suffix):
     image = read(tmp_path / "image.csv")
     np.testing.assert_array_equal(block.visible, image.visible)
     np.testing.assert_allclose(block.measurement, image.measurement, rtol=1e-9)
+    paths = read_paths(path, SCENE).epochs[0]
+    anchors = columns["anchor"][: len(paths.snr_db)].astype(int) - 1
+    links = paths.links[anchors, np.arange(len(anchors))]
+    expected = read_paths(tmp_path / "image.csv", SCENE).epochs[0].links[0]
+    assert len(links) == L
+    np.testing.assert_allclose(links, expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize("odometry", [True, False])

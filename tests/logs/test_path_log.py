@@ -33,15 +33,16 @@ def delivered(path, *fields):
 
 def test_an_epoch_may_have_any_number_of_paths(tmp_path):
     lines = [f"0,{PATH}", "1,,,,,,", f"2.5,{PATH}", "2.5,2e-7,4,0.1,-4,,21", f"2.5,{PATH}"]
-    layout, _, epochs, _ = read_paths(store(tmp_path, *lines), SCENE)
+    layout, epochs, _ = read_paths(store(tmp_path, *lines), SCENE)
     assert [e.time_s for e in epochs] == [0.0, 1.0, 2.5]
-    assert [e.measurement.shape for e in epochs] == [(1, 5), (0, 5), (3, 5)]
+    assert [e.links.shape for e in epochs] == [(3, 1, 4), (3, 0, 4), (3, 3, 4)]
     three = epochs[2]
     assert layout == Layout(3)
     assert (three.incomplete, three.doppler_spread_hz) == (0, 0.0)
-    first = [1e-7 * SPEED_OF_LIGHT, 0.5, -0.1, -2.6, 12.5]
-    second = [2e-7 * SPEED_OF_LIGHT, 4 - 2 * np.pi, 0.1, 2 * np.pi - 4, np.nan]
-    np.testing.assert_allclose(three.measurement, [first, second, first], rtol=1e-12)
+    first = [1e-7 * SPEED_OF_LIGHT, 0.5, -0.1, -2.6]
+    second = [2e-7 * SPEED_OF_LIGHT, 4 - 2 * np.pi, 0.1, 2 * np.pi - 4]
+    np.testing.assert_allclose(three.links, [[first, second, first]] * 3, rtol=1e-12)
+    np.testing.assert_array_equal(three.doppler, [12.5, np.nan, 12.5])
     assert three.snr_db.tolist() == [20, 21, 20]
 
 
@@ -61,7 +62,7 @@ def test_a_path_that_lacks_a_value_is_left_out(tmp_path):
 def test_values_that_apply_to_a_whole_epoch_may_be_in_any_of_its_rows(tmp_path):
     header = HEADER + ",doppler_spread_hz,speed_mps,heading_deg"
     lines = [f"0,{PATH},,,", f"0,{PATH},7,,190", f"0,{PATH},,2.5,", f"1,{PATH},,,"]
-    layout, _, (first, second), _ = read_paths(store(tmp_path, *lines, header=header), SCENE)
+    layout, (first, second), _ = read_paths(store(tmp_path, *lines, header=header), SCENE)
     assert layout == Layout(3, odometry=True) and first.doppler_spread_hz == 7.0
     np.testing.assert_allclose(first.odometry, [2.5, np.radians(-170.0)])
     assert np.isnan(second.odometry).all() and second.doppler_spread_hz == 0.0
@@ -95,8 +96,8 @@ def test_every_usable_link_is_read_as_a_path(tmp_path):
     for t, epoch in enumerate(read_paths(path, SCENE).epochs):
         links = true.measurement[t, :12].reshape(3, 4)[true.usable[t, :3]]
         order = np.argsort(links[:, 0])
-        theirs = np.argsort(epoch.measurement[:, 0])
-        np.testing.assert_allclose(epoch.measurement[theirs, :4], links[order], rtol=1e-12)
+        theirs = np.argsort(epoch.links[0, :, 0])
+        np.testing.assert_allclose(epoch.links[0, theirs], links[order], rtol=1e-12)
         snr = true.snr_db[t, true.usable[t, :3]]
         np.testing.assert_array_equal(epoch.snr_db[theirs], snr[order])
         assert epoch.time_s == true.time_s[t]
