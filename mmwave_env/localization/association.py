@@ -101,17 +101,6 @@ class PathTrack(NamedTuple):
         return int((self.labels != NO_PATH).sum())
 
 
-class _Links(NamedTuple):
-    """The n paths of an epoch, each converted to L links, one for each anchor."""
-
-    # z, sigma: (L, n, 4) values of the links and their standard deviations, m and rad
-    z: Array
-    sigma: Array
-    # (n,) standard deviation, Hz, of each path's Doppler shift, assuming that the path comes
-    # directly from the base station
-    doppler_sigma: Array
-
-
 class PathTracker:
     """A tracker that follows users by propagation paths; :func:`associate` names its arguments."""
 
@@ -131,14 +120,14 @@ class PathTracker:
 
     def follow(self, track: PathTrack, paths: PathEpoch) -> PathTrack:
         """Return the track after the next epoch."""
-        links = self._links(paths)
+        sigma = self._sigma(paths)
         dt = paths.time_s - track.time_s
         coming = self.epoch(paths, dt)
         hz_per_mps = self._scene.hz_per_mps
         gamma = track.memory.gamma
         x, P = predict(self._pipeline, self._mode, track.x, track.P, gamma, coming, hz_per_mps)
-        labels = assign(path_nis(x, P, self._anchors, links.z, links.sigma), self._gate)
-        epoch = self.epoch(paths, dt, links, labels)
+        labels = assign(self._nis(x, P, paths, sigma), self._gate)
+        epoch = self.epoch(paths, dt, sigma, labels)
         return self._updated(track._replace(labels=labels, epoch=epoch), paths.time_s)
 
     def rival(self, track: PathTrack | None, window: Sequence[PathEpoch]) -> PathTrack | None:
@@ -179,54 +168,54 @@ class PathTracker:
 
     def _beginnings(self, track: PathTrack | None, paths: PathEpoch) -> Iterator[PathTrack]:
         """Yield a track for each path that may be the line of sight, except paths of ``track``."""
-        links = self._links(paths)
-        sights = links.z[0]
-        likely = gives_fix(sights) & (disagreement(sights, links.sigma[0]) < self._disagreement)
+        sigma = self._sigma(paths)
+        sights = paths.links[0]
+        likely = gives_fix(sights) & (disagreement(sights, sigma[:, :4]) < self._disagreement)
         if track:
             likely[track.labels[track.labels != NO_PATH]] = False
             if track.labels[0] != NO_PATH:  # no path is shorter than the line of sight
                 likely &= sights[:, 0] < sights[track.labels[0], 0]
         for path in np.flatnonzero(likely):
-            begun = self._begin(paths, links, int(path))
+            begun = self._begin(paths, sigma, int(path))
             if begun:
                 yield begun
 
-    def _begin(self, paths: PathEpoch, links: _Links, path: int) -> PathTrack | None:
+    def _begin(self, paths: PathEpoch, sigma: Array, path: int) -> PathTrack | None:
         """Return a track with this path as line of sight; None if a wall would block this path."""
         anchors = self._scene.anchors_m
         mean, covariance = prior_from_fix(
-            anchors[0], links.z[0, path], links.sigma[0, path], self._radio, self._scene
+            anchors[0], paths.links[0, path], sigma[path, :4], self._radio, self._scene
         )
         distance = np.linalg.norm(mean[:3] - anchors, axis=1)
         if distance.argmin() != 0:  # a position behind a wall is nearest to a mirror image
             return None
         x = mean.tolist()
         P = covariance.tolist()
-        nis = path_nis(x, P, self._anchors, links.z, links.sigma)
+        nis = self._nis(x, P, paths, sigma)
         nis[0] = np.inf
         nis[:, path] = np.inf
         labels = assign(nis, self._gate)
-        epoch = self.epoch(paths, 0.0, links, labels)
+        epoch = self.epoch(paths, 0.0, sigma, labels)
         prior = PathTrack(x, pack(P), self._memory, paths.time_s, paths.time_s, labels, epoch)
         track = self._updated(prior, paths.time_s)
         labels[0] = path
-        return track._replace(epoch=self.epoch(paths, 0.0, links, labels))
+        return track._replace(epoch=self.epoch(paths, 0.0, sigma, labels))
 
-    def _links(self, paths: PathEpoch) -> _Links:
-        layout = self._layout
-        n = len(paths.snr_db)
-        snr = np.repeat(paths.snr_db[:, None], layout.anchors, axis=1)
-        sigma = self._radio.sigma(snr, self._scene, layout)
-        of_links = sigma[:, : layout.doppler].reshape(n, layout.anchors, 4).swapaxes(0, 1)
-        return _Links(paths.links, of_links, sigma[:, layout.doppler])
+    def _sigma(self, paths: PathEpoch) -> Array:
+        """Return standard deviations (n, rows) of all values, if all anchors had a path's SNR."""
+        snr_db = np.repeat(paths.snr_db[:, None], self._layout.anchors, axis=1)
+        return self._radio.sigma(snr_db, self._scene, self._layout)
 
-    def epoch(
-        self, paths: PathEpoch, dt: float, links: _Links | None = None, labels: Any = ()
-    ) -> Epoch:
+    def _nis(self, x: Vector, P: Matrix, paths: PathEpoch, sigma: Array) -> Array:
+        """Return the NIS (L, n) of each pair of an anchor and a path."""
+        of_links = sigma[:, : self._layout.doppler].reshape(-1, self._layout.anchors, 4)
+        return path_nis(x, P, self._anchors, paths.links, of_links.swapaxes(0, 1))
+
+    def epoch(self, paths: PathEpoch, dt: float, deviations: Any = None, labels: Any = ()) -> Epoch:
         """Return an epoch in which each assigned path provides the values of its anchor's link.
 
-        ``labels`` (L,) are the indices of the anchors' paths; without them, no anchor has a path,
-        but odometry may be present.
+        ``labels`` (L,) are the indices of the anchors' paths, and ``deviations`` those of
+        :meth:`_sigma`. Without them, no anchor has a path, but odometry may be present.
         """
         layout = self._layout
         z = [0.0] * layout.size
@@ -234,15 +223,15 @@ class PathTracker:
         visible = [0.0] * len(layout.groups)
         snr = [0.0] * layout.anchors
         for anchor, path in enumerate(labels):
-            if links and path != NO_PATH:
+            if path != NO_PATH:
                 rows = layout.link(anchor)
-                z[rows] = links.z[anchor, path].tolist()
-                sigma[rows] = links.sigma[anchor, path].tolist()
+                z[rows] = paths.links[anchor, path].tolist()
+                sigma[rows] = deviations[path, rows].tolist()
                 visible[anchor] = 1.0
                 snr[anchor] = float(paths.snr_db[path])
-        if links and visible[0] and np.isfinite(doppler := paths.doppler[labels[0]]):
+        if visible[0] and np.isfinite(doppler := paths.doppler[labels[0]]):
             z[layout.doppler] = float(doppler)
-            sigma[layout.doppler] = float(links.doppler_sigma[labels[0]])
+            sigma[layout.doppler] = float(deviations[labels[0], layout.doppler])
             visible[layout.anchors] = 1.0
         if layout.odometry and np.isfinite(paths.odometry).all():
             rows = slice(layout.doppler + 1, layout.size)

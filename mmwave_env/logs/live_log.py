@@ -76,8 +76,11 @@ class LiveLog:
         self._blank = [nan] * 2 * self.layout.size + snr + [nan]
         self._limits = {column.name: _limits(of, column.unit) for of, column in columns.items()}
         self._anchors = set(range(1, self.layout.anchors + 1))
-        of_epoch = [of for of in columns if QUANTITIES[of].per_epoch or of == "doppler"]
-        self._of_epoch = [(columns[of].number, of == "doppler") for of in of_epoch]
+        self._of_epoch = [
+            (column.number, of == "doppler")
+            for of, column in columns.items()
+            if QUANTITIES[of].per_epoch or of == "doppler"
+        ]
         self._rows: list[list[float]] = []
         self._last_s = -inf
 

@@ -62,9 +62,6 @@ def _checks(table: Table, layout: Layout | None) -> Iterator[_Check]:
     """Yield the checks that every log must pass."""
     time = table.raw("time")
     epoch = table.epoch
-    for quantity in table.columns:
-        wrong = np.isinf(table.raw(quantity))
-        yield _Check(quantity, wrong, "a finite number, or nothing")
     yield _Check("time", np.isnan(time), "a time in every row")
     yield _Check(
         "time",
@@ -83,11 +80,12 @@ def _checks(table: Table, layout: Layout | None) -> Iterator[_Check]:
     else:
         yield from _anchor_checks(table, layout.anchors)
     for quantity in table.columns:
+        values = table.raw(quantity)
         limits = QUANTITIES[quantity].limits
         may_be_negative = layout and layout.clock and quantity == "toa"
+        yield _Check(quantity, np.isinf(values), "a finite number, or nothing")
         if limits and limits[0].least == 0.0 and not may_be_negative:
-            yield _Check(quantity, table.raw(quantity) < 0.0, "at least 0")
-    for quantity in table.columns:
+            yield _Check(quantity, values < 0.0, "at least 0")
         if QUANTITIES[quantity].per_epoch:
             yield _one_value(table, quantity)
 
