@@ -45,7 +45,7 @@ ROOMS = {  # maximum tokens of a room; lines are free
     "mmwave_env/filters": 18_400,
     "mmwave_env/interface": 8_290,
     "mmwave_env/io": 2_810,
-    "mmwave_env/localization": 20_880,
+    "mmwave_env/localization": 20_860,
     "mmwave_env/logs": 10_890,
     "mmwave_env/models": 11_680,
     "mmwave_env/numerics": 3_770,

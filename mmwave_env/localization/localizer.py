@@ -156,10 +156,9 @@ class Localizer:
         if begins:
             self.levels.reset()
         x, P, _, nis, accepted, trusted, _ = filtered
-        known = np.full(len(x), np.nan) if trusted is None else trusted
-        parts = (x, P, nis, accepted, visible - accepted, known)
+        parts = (x, P, nis, accepted, visible - accepted, trusted)
+        of_tracks = [part[None] for part in parts if part is not None]
         mixes = self.switching.bank is not None
-        of_tracks = [part[None] for part in parts]
         return self.levels.factors(self.layout.anchors, mixes, np.asarray(time_s), *of_tracks)[0]  # type: ignore[no-any-return]
 
     def smoothed(self, kept: Array, time_s: Array, spread_hz: Array) -> tuple[Array, Array]:
