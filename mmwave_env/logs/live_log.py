@@ -138,7 +138,7 @@ class LiveLog:
 
     def _table(self, rows: list[list[float]], number: int = 0) -> Table:
         """Return rows of cells as a table; ``number`` is the last row's number in the source."""
-        return Table(self._log, np.full(len(rows), number), np.array(rows))
+        return Table(self._log, np.full(len(rows), number), np.array(rows, float))
 
     def _placed(self, rows: list[list[float]]) -> tuple[list[float], int]:
         """Return ``placed`` of a :class:`LiveEpoch`, from the cells of its rows."""
