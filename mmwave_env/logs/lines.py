@@ -64,7 +64,7 @@ def require_memory(path: Path, needed: float) -> None:
 
 
 def number(word: str) -> float:
-    """Parse a number; return NaN for other words, and for 1_0 and ١, which numpy cannot read."""
+    """Parse a number; return NaN for other words, and for 1_0 and ١, which only Python can read."""
     try:
         return float(word) if word.isascii() and "_" not in word else math.nan
     except ValueError:
