@@ -66,7 +66,7 @@ def trained(values: Values) -> Row:
             checkpoint_every=1 << 30,
             episodes=args.episodes,
         )
-        best = train(job, lambda news: None)["best"]
+        best = train(job, lambda *_: None)["best"]
         row: Row = {"timesteps": best["timesteps"]}
         row |= {f"{metric}_mean": best[metric] for metric in METRICS}
         return row | {"policy_file": job.policy.read_bytes()}

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from experiments.training.corrector_data import CorrectorData, Lot
 from experiments.training.hyperparameters import CorrectorHyperparameters, falling
 from experiments.training.job import Job
-from experiments.training.trainer import State, Trainer
+from experiments.training.trainer import Trainer
 from experiments.training.training_task import places_from
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation
@@ -107,7 +107,7 @@ class Learner:
         low, high = np.quantile(rows, (OUTSIDE, 1.0 - OUTSIDE), axis=0)
         mean = rows.mean(0, np.float64)
         sigma = rows.std(0, np.float64) + CONSTANT
-        self.scales = {"low": low, "high": high, "mean": mean, "sigma": sigma}
+        self.scales.update(low=low, high=high, mean=mean, sigma=sigma)
 
     def learn(self, lots: list[Lot], left: float, rng: np.random.Generator) -> float:
         """Mix the episodes anew, take a gradient step for each new lot; return the mean loss.
@@ -172,9 +172,9 @@ class CorrectorTrainer(Trainer):
     EARLY = 32
     LATER = 32
 
-    def __init__(self, job: Job[CorrectorHyperparameters], seed: int) -> None:
+    def __init__(self, job: Job, seed: int) -> None:
         torch.manual_seed(seed)
-        hyper = job.hyperparameters
+        hyper: CorrectorHyperparameters = job.hyperparameters
         self.judged = replace(job.task, places=places_from(hyper.judged_at))
         self.base = hyper.base
         self._seed = seed
@@ -182,15 +182,16 @@ class CorrectorTrainer(Trainer):
         self.data = CorrectorData(job.task, hyper, seed)
         pipeline = Pipeline(job.task.bank.modes, Layout())
         table = Observation(pipeline, "signed", "per-mode")
-        names = {feature.name for feature in after_update(pipeline, per_mode=True)}
-        self.observation = table.kind
-        self.columns = tuple(column for column in table.columns if column.name in names)
-        self.learner = Learner(CorrectorNetwork(len(names), hyper), hyper)
+        self.table = table.only(after_update(pipeline, per_mode=True))
+        self.learner = Learner(CorrectorNetwork(len(self.table), hyper), hyper)
+        self.network = self.learner.network
+        self.optimizer = self.learner.optimizer
+        self.scales = self.learner.scales
 
     def update(self, left: float) -> tuple[int, dict[str, float]]:
         """Learn from new episodes at the task's places and in random streets."""
         lots = list(self.data.lots())
-        if not self.learner.scales:
+        if not self.scales:
             lots += [lot for _ in range(FIRST) for lot in self.data.lots()]
             self.learner.measure(lots)
         rng = np.random.default_rng((self._seed, self._updates))
@@ -201,20 +202,6 @@ class CorrectorTrainer(Trainer):
     def tensors(self) -> Tensors:
         """Return the network in the form that a policy file stores."""
         return self.learner.tensors()
-
-    def state(self) -> State:
-        """Return the weights, the optimizer and the scales of the features."""
-        return {
-            "network": self.learner.network.state_dict(),
-            "optimizer": self.learner.optimizer.state_dict(),
-            "scales": {k: torch.from_numpy(scale) for k, scale in self.learner.scales.items()},
-        }
-
-    def restore(self, state: State) -> None:
-        """Go on from the weights of a :meth:`state`, with new episodes."""
-        self.learner.network.load_state_dict(state["network"])
-        self.learner.optimizer.load_state_dict(state["optimizer"])
-        self.learner.scales = {name: value.numpy() for name, value in state["scales"].items()}
 
 
 def mixed(lots: list[Lot], size: int, rng: np.random.Generator) -> Iterator[Lot]:

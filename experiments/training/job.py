@@ -1,41 +1,25 @@
 """Specification of a training, and of the files that it writes."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, NamedTuple, TypeVar
+from typing import Any
 
 from experiments.evaluation.seeds import SEEDS_EACH, TRAINING_SEED
 from experiments.training.evaluator import EPISODES
-from experiments.training.hyperparameters import Hyperparameters
 from experiments.training.training_task import TrainingTask
 
-H = TypeVar("H", bound=Hyperparameters)
-
-
-class News(NamedTuple):
-    """A message about the progress of a training.
-
-    Attributes:
-        timesteps: number of timesteps so far.
-        text: text to print; empty in most messages.
-        evaluation: results of a periodic evaluation by name, including "reward".
-    """
-
-    timesteps: int
-    text: str = ""
-    evaluation: Mapping[str, float] | None = None
-
-
-Tell = Callable[[News], None]
+# a function that hears of a training's progress: its number of timesteps so far, and a text to
+# print, which is mostly empty
+Tell = Callable[[int, str], None]
 
 
 @dataclass(frozen=True)
-class Job(Generic[H]):
+class Job:
     """A training to run."""
 
     task: TrainingTask
-    hyperparameters: H
+    hyperparameters: Any  # hyperparameters of the algorithm
     seed: int  # training seed; a run numbers its trainings from 0
     # length of the training: number of environment steps, summed over all environments; for the
     # algorithm "rollouts", number of states in which all actions are tried

@@ -10,20 +10,20 @@ from typing import Any, cast
 
 from experiments.console.signals import answered, ended_by_signals
 from experiments.training.corrector import CorrectorTrainer
-from experiments.training.job import Job, News, Tell
+from experiments.training.job import Job, Tell
 from experiments.training.ppo import PpoTrainer
 from experiments.training.rollouts import RolloutTrainer
 from experiments.training.trainer import Trainer, Training
 from mmwave_env.io.files import Json, read_json
 
-TRAINERS: dict[str, Callable[[Job[Any], int], Trainer]] = {
+TRAINERS: dict[str, Callable[[Job, int], Trainer]] = {
     "ppo": PpoTrainer,
     "rollouts": RolloutTrainer,
     "corrector": CorrectorTrainer,
 }
 
 
-def train(job: Job[Any], tell: Tell) -> Json:
+def train(job: Job, tell: Tell) -> Json:
     """Run a training in this process; return its outcome.
 
     Raises:
@@ -33,14 +33,14 @@ def train(job: Job[Any], tell: Tell) -> Json:
 
 
 def side_by_side(
-    jobs: Sequence[Job[Any]], at_once: int, tell: Callable[[Job[Any], News], None]
+    jobs: Sequence[Job], at_once: int, tell: Callable[[Job, int, str], None]
 ) -> list[Json]:
     """Run training jobs in parallel; return their outcomes. If one job fails, end all others.
 
     Args:
         jobs: training runs.
         at_once: number of processes that run at the same time.
-        tell: function that is called with a job and each :class:`News` of the job.
+        tell: function that is called with a job, its number of timesteps and a text to print.
 
     Raises:
         ValueError: the input of a training is not valid.
@@ -48,7 +48,7 @@ def side_by_side(
     """
     waiting = list(reversed(jobs))
     outcomes = dict[int, Json]()
-    running: dict[Any, tuple[Job[Any], BaseProcess]] = {}
+    running: dict[Any, tuple[Job, BaseProcess]] = {}
     try:
         while waiting or running:
             while waiting and len(running) < at_once:
@@ -67,7 +67,7 @@ def side_by_side(
                         "--resume continues the run"
                     ) from None
                 if kind == "news":
-                    tell(job, News(*content))
+                    tell(job, *content)
                 elif kind == "refused":
                     raise ValueError(f"seed {job.seed}: {content[0]}")
                 else:
@@ -82,7 +82,7 @@ def side_by_side(
     return [outcomes[job.seed] for job in jobs]
 
 
-def _started(job: Job[Any]) -> tuple[Connection, BaseProcess]:
+def _started(job: Job) -> tuple[Connection, BaseProcess]:
     """Start a process that trains; return the connection for its messages, and the process."""
     spawn = multiprocessing.get_context("spawn")  # a fork would share PyTorch's locks
     os.environ["OPENBLAS_NUM_THREADS"] = "1"  # otherwise the processes compete for cores
@@ -93,14 +93,14 @@ def _started(job: Job[Any]) -> tuple[Connection, BaseProcess]:
     return ours, process
 
 
-def _train(job: Job[Any], line: Connection) -> None:
+def _train(job: Job, line: Connection) -> None:
     """Run one training in this process; end quietly if the parent has closed the connection."""
     try:
         with ended_by_signals():
             if job.outcome.is_file():
                 outcome = read_json(job.outcome, "the outcome of a training", dict)
             else:
-                outcome = train(job, lambda news: line.send(("news", *news)))
+                outcome = train(job, lambda *news: line.send(("news", *news)))
             line.send(("done", outcome))
     except BrokenPipeError:
         return

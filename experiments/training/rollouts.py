@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from experiments.training.hyperparameters import RolloutHyperparameters, falling
 from experiments.training.job import Job
 from experiments.training.rollout_env import RolloutEnv, Tried
-from experiments.training.trainer import State, Trainer
+from experiments.training.trainer import Trainer
 from mmwave_env.numerics.numbers import Array32, Index
 from policies.policy_file import Tensors
 from policies.sb3 import Normalization, actor_tensors
@@ -32,13 +32,17 @@ class RolloutLearner:
     Args:
         features, actions: numbers of features and of actions.
         hyper, normal: hyperparameters, and normalization of an observation.
+
+    Attributes:
+        network, optimizer: the network and the optimizer of its weights.
+        scales: the fields of the normalization, by name.
     """
 
     def __init__(
         self, features: int, actions: int, hyper: RolloutHyperparameters, normal: Normalization
     ) -> None:
         self._hyper = hyper
-        self.normal = normal
+        self.scales = normal._asdict()
         layers: list[nn.Module] = []
         for width, neurons in pairwise((features, *hyper.hidden)):
             layers += [nn.Linear(width, neurons), nn.Tanh()]
@@ -48,7 +52,7 @@ class RolloutLearner:
             last.bias.zero_()
             last.bias[0] = hyper.first_action_bias
         self.network = nn.Sequential(*layers, last)
-        self._optimizer = torch.optim.Adam(self.network.parameters(), lr=hyper.learning_rate)
+        self.optimizer = torch.optim.Adam(self.network.parameters(), lr=hyper.learning_rate)
         self._observations = torch.empty((hyper.memory, features))
         self._gains = torch.empty((hyper.memory, actions))
         self._seen = 0
@@ -58,8 +62,8 @@ class RolloutLearner:
         return logits
 
     def _normal(self, observations: Array32) -> Tensor:
-        normal = [torch.from_numpy(part.astype(np.float32)) for part in self.normal]
-        low, high, mean, sigma = normal
+        scales = [torch.from_numpy(part.astype(np.float32)) for part in self.scales.values()]
+        low, high, mean, sigma = scales
         return (torch.clamp(torch.from_numpy(observations), low, high) - mean) / sigma
 
     @torch.no_grad()
@@ -96,7 +100,7 @@ class RolloutLearner:
         """
         hyper = self._hyper
         filled = min(self._seen, len(self._gains))
-        for group in self._optimizer.param_groups:
+        for group in self.optimizer.param_groups:
             group["lr"] = hyper.learning_rate * left
         sums = np.zeros(3)
         for _ in range(hyper.gradient_steps):
@@ -107,26 +111,12 @@ class RolloutLearner:
             expected = (p * gains).sum(1).mean()
             entropy = -(p * log_p).sum(1).mean()
             loss = -expected - hyper.ent_coef * left * entropy
-            self._optimizer.zero_grad()
+            self.optimizer.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
-            self._optimizer.step()
+            self.optimizer.step()
             sums += expected.item(), gains.amax(1).mean().item(), entropy.item()
         names = ("gain/expected", "gain/possible", "entropy")
         return dict(zip(names, (sums / hyper.gradient_steps).tolist(), strict=True))
-
-    def state(self) -> State:
-        """Return the weights, the optimizer and the normalization, for :meth:`restore`."""
-        return {
-            "network": self.network.state_dict(),
-            "optimizer": self._optimizer.state_dict(),
-            "normal": [torch.from_numpy(part) for part in self.normal],
-        }
-
-    def restore(self, state: State) -> None:
-        """Go on from the weights of a :meth:`state`, with an empty memory."""
-        self.network.load_state_dict(state["network"])
-        self._optimizer.load_state_dict(state["optimizer"])
-        self.normal = Normalization(*(part.numpy() for part in state["normal"]))
 
 
 class RolloutTrainer(Trainer):
@@ -144,44 +134,35 @@ class RolloutTrainer(Trainer):
     EARLY = 8
     LATER = 8
 
-    def __init__(self, job: Job[RolloutHyperparameters], seed: int) -> None:
+    def __init__(self, job: Job, seed: int) -> None:
         torch.manual_seed(seed)
-        hyper = job.hyperparameters
+        hyper: RolloutHyperparameters = job.hyperparameters
         self._hyper = hyper
         self.judged = job.task
         self.env = RolloutEnv(job.task, hyper.num_envs, hyper.horizon, hyper.gamma, seed)
+        self.table = self.env.observation
         normal = self.env.measured_normalization(hyper.clip_observation)
-        table = self.env.observation
-        self.observation = table.kind
-        self.columns = table.columns
-        self.learner = RolloutLearner(len(table), len(table.actions), hyper, normal)
+        self.learner = RolloutLearner(len(self.table), len(self.table.actions), hyper, normal)
+        self.network = self.learner.network
+        self.optimizer = self.learner.optimizer
+        self.scales = self.learner.scales
 
     def update(self, left: float) -> tuple[int, dict[str, float]]:
         """Try all actions in some states and learn; return the number of states, and statistics."""
         env = self.env
         learner = self.learner
         new = 0
-        taken = np.zeros(len(env.observation.actions), np.int64)
+        taken = []
         while new < self._hyper.states:
             tried = env.try_all(learner.greedy)
             learner.remember(tried)
             new += len(tried.values)
             for _ in range(self._hyper.stride):
-                actions = learner.sampled(env.observations)
-                taken += np.bincount(actions, minlength=len(taken))
-                env.step(actions)
-        names = [f"share/{name}" for name in env.observation.actions]
-        shares = dict(zip(names, (taken / taken.sum()).tolist(), strict=True))
+                taken.append(learner.sampled(env.observations))
+                env.step(taken[-1])
+        shares = self.shares(np.concatenate(taken))
         return new, shares | learner.improve(falling(self._hyper.final_fraction, left))
 
     def tensors(self) -> Tensors:
         """Return the network in the form that a policy file stores."""
-        return actor_tensors(self.learner.network, self.learner.normal)
-
-    def state(self) -> State:
-        """Return the weights, the optimizer and the normalization."""
-        return self.learner.state()
-
-    def restore(self, state: State) -> None:
-        """Go on from the weights of a :meth:`state`, with an empty memory."""
-        self.learner.restore(state)
+        return actor_tensors(self.learner.network, Normalization(**self.scales))

@@ -146,10 +146,10 @@ def shown(jobs: list[Any]) -> Iterator[Any]:
     with bars(TimeElapsedColumn()) as bar:
         tasks = {job.seed: bar.add_task(f"seed {job.seed}", total=job.timesteps) for job in jobs}
 
-        def tell(job: Any, news: Any) -> None:
-            bar.update(tasks[job.seed], completed=news.timesteps)
-            if news.text:
-                line = f"seed {job.seed}, {news.timesteps} steps: {news.text}"
+        def tell(job: Any, timesteps: int, text: str) -> None:
+            bar.update(tasks[job.seed], completed=timesteps)
+            if text:
+                line = f"seed {job.seed}, {timesteps} steps: {text}"
                 bar.console.print(line, soft_wrap=True)
 
         yield tell

@@ -11,26 +11,19 @@ from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any, ClassVar
 
+import numpy as np
 import torch
 
 from experiments.console.provenance import versions_of
 from experiments.training.evaluator import Evaluator
-from experiments.training.job import Job, News, Tell
+from experiments.training.job import Job, Tell
 from experiments.training.training_task import TrainingTask
-from mmwave_env.interface.observation import Column
-from mmwave_env.io.files import (
-    Json,
-    first_line,
-    read_bounded,
-    write_bytes,
-    write_json,
-    write_text,
-)
+from mmwave_env.interface.observation import Observation
+from mmwave_env.io.files import Json, atomic_path, first_line, write_bytes, write_json, write_text
+from mmwave_env.numerics.numbers import Index
 from policies.policy_file import Card, Tensors, to_bytes
 
 State = dict[str, Any]  # numbers, strings and tensors in nested lists and dicts
-
-MOST_BYTES = 1 << 30  # size limit of a checkpoint
 
 
 class Trainer(ABC):
@@ -40,17 +33,20 @@ class Trainer(ABC):
         EARLY, LATER: numbers of updates between two evaluations, before and after a policy first
             beats the paper's rule.
         judged: task on which its policies are compared.
-        observation: kind of observation that the network reads.
-        columns: features that the network reads.
+        table: features that the network reads.
         base: policy whose beliefs the network corrects; empty if it chooses modes.
+        network, optimizer: the network and the optimizer of its weights.
+        scales: statistics by which the network's features are normalized.
     """
 
     EARLY: ClassVar[int]
     LATER: ClassVar[int]
     judged: TrainingTask
-    observation: str
-    columns: tuple[Column, ...]
+    table: Observation
     base: str = ""
+    network: torch.nn.Module
+    optimizer: torch.optim.Optimizer
+    scales: dict[str, Any]
 
     @abstractmethod
     def update(self, left: float) -> tuple[int, dict[str, float]]:
@@ -67,13 +63,23 @@ class Trainer(ABC):
     def tensors(self) -> Tensors:
         """Return the network in the form that a policy file stores."""
 
-    @abstractmethod
     def state(self) -> State:
         """Return the weights, the optimizer and the normalization, for :meth:`restore`."""
+        scales = {name: torch.from_numpy(np.asarray(s)) for name, s in self.scales.items()}
+        network = self.network.state_dict()
+        return {"network": network, "optimizer": self.optimizer.state_dict(), "scales": scales}
 
-    @abstractmethod
     def restore(self, state: State) -> None:
         """Go on from the weights of a :meth:`state`, with new episodes."""
+        self.network.load_state_dict(state["network"])
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.scales.update({name: scale.numpy() for name, scale in state["scales"].items()})
+
+    def shares(self, actions: Index) -> dict[str, float]:
+        """Return the share of each action among actions (n,), for the log."""
+        names = self.table.actions
+        shares = np.bincount(actions, minlength=len(names)) / len(actions)
+        return {f"share/{name}": float(s) for name, s in zip(names, shares, strict=True)}
 
 
 @dataclass
@@ -103,7 +109,7 @@ class Training:
         job: training to run; if its folder has a checkpoint, the training goes on from it.
         algorithm: function that makes a trainer, given the job and the seed of the first
             environment; the other seeds count up from it.
-        tell: function that is called with :class:`News` of the training.
+        tell: function that hears of the progress.
 
     Attributes:
         progress: progress of the training.
@@ -113,17 +119,15 @@ class Training:
         ValueError: the checkpoint is damaged.
     """
 
-    def __init__(
-        self, job: Job[Any], algorithm: Callable[[Job[Any], int], Trainer], tell: Tell
-    ) -> None:
+    def __init__(self, job: Job, algorithm: Callable[[Job, int], Trainer], tell: Tell) -> None:
         torch.set_num_threads(1)  # networks this small gain nothing from more threads
-        self._begun_s = time.monotonic()
         self._job = job
         self._tell = tell
         self.progress = Progress()
         state: State | None = None
         if job.checkpoint.exists():
             self.progress, state = read_checkpoint(job.checkpoint)
+        self._begun_s = time.monotonic() - self.progress.seconds
         # after an interruption, the environments get new episodes
         seed = job.first_seed + self.progress.updates * job.hyperparameters.num_envs
         self.trainer = algorithm(job, seed)
@@ -135,7 +139,7 @@ class Training:
     @property
     def seconds(self) -> float:
         """Return the wall time of the training, including time before an interruption."""
-        return self.progress.seconds + time.monotonic() - self._begun_s
+        return time.monotonic() - self._begun_s
 
     def run(self) -> Json:
         """Train to the end; return the outcome, which is also written to a file."""
@@ -145,7 +149,7 @@ class Training:
             self._update()
             if progress.updates % job.checkpoint_every == 0:
                 self._save()
-            self._tell(News(progress.timesteps))
+            self._tell(progress.timesteps, "")
         self._write_log()
         outcome = {
             "seed": job.seed,
@@ -187,21 +191,20 @@ class Training:
             seconds = round(self.seconds, 1)
             progress.beat_rule = {"timesteps": timesteps, "seconds": seconds}
             text = f"beats the 2 m/s rule after {timesteps} steps, {seconds} s; {text}"
-        means = {
-            key: float(value["mean"] if isinstance(value, dict) else value)
+        self._tell(timesteps, text)
+        return {
+            f"tuning/{key}": float(value["mean"] if isinstance(value, dict) else value)
             for key, value in figures.items()
         }
-        self._tell(News(timesteps, text, means))
-        return {f"tuning/{key}": mean for key, mean in means.items()}
 
     def _card(self, evaluation: Json) -> Card:
         job = self._job
-        trainer = self.trainer
-        task = trainer.judged
+        table = self.trainer.table
+        task = self.trainer.judged
         return Card(
-            modes=task.bank.modes,
-            observation=trainer.observation,
-            features=trainer.columns,
+            modes=table.modes,
+            observation=table.kind,
+            features=table.columns,
             scenario=task.scenario,
             radio=", ".join(task.banks),
             algorithm=job.hyperparameters.algorithm,
@@ -210,18 +213,18 @@ class Training:
             command=job.command,
             evaluation=evaluation,
             versions=versions_of("gymnasium", "numpy", "numba", "torch", "stable-baselines3"),
-            beliefs=task.beliefs,
-            banks=dict(task.banks) if task.beliefs == "per-mode" else {},
-            base=trainer.base,
+            beliefs=table.beliefs,
+            banks=dict(task.banks) if table.beliefs == "per-mode" else {},
+            base=self.trainer.base,
         )
 
     def _save(self) -> None:
         """Write the log and a checkpoint."""
         self._write_log()
-        progress = asdict(self.progress) | {"seconds": self.seconds}
-        memory = io.BytesIO()
-        torch.save({"progress": progress, "trainer": self.trainer.state()}, memory)
-        write_bytes(self._job.checkpoint, memory.getvalue())
+        self.progress.seconds = self.seconds
+        saved = {"progress": asdict(self.progress), "trainer": self.trainer.state()}
+        with atomic_path(self._job.checkpoint) as temporary:
+            torch.save(saved, temporary)
 
     def _write_log(self) -> None:
         write_text(self._job.folder / "progress.csv", as_csv(self.progress.rows))
@@ -246,8 +249,7 @@ def read_checkpoint(path: Path) -> tuple[Progress, State]:
         ValueError: the file is damaged; nothing in it is executed.
     """
     with going_on_from(path):
-        content = io.BytesIO(read_bounded(path, MOST_BYTES, "a checkpoint"))
-        saved = torch.load(content, map_location="cpu", weights_only=True)
+        saved = torch.load(path, map_location="cpu", weights_only=True)
         return Progress(**saved["progress"]), saved["trainer"]
 
 

@@ -74,7 +74,7 @@ def test_the_exported_actor_chooses_the_actions_of_the_trained_model(tmp_path):
     env.training = False
     with torch.no_grad():
         model.policy.action_net.weight *= 100.0  # otherwise, all logits would be similar
-    table = training.env.observation
+    table = training.table
     path = write(tmp_path / "actor.safetensors", training.tensors(), card_of(table))
     policy = LearnedSwitch(path, table)
     now = env.reset()
@@ -89,14 +89,13 @@ def test_the_exported_actor_chooses_the_actions_of_the_trained_model(tmp_path):
 
 
 def test_a_training_reports_its_periodic_evaluations(tmp_path):
-    """Check that all evaluations are reported; a search needs them to stop bad trials."""
     heard = []
-    outcome = train(job_of(tmp_path), heard.append)
-    rewards = {news.timesteps: news.evaluation["reward"] for news in heard if news.evaluation}
+    outcome = train(job_of(tmp_path), lambda *news: heard.append(news))
+    rewards = {steps: float(text.rpartition("reward ")[2]) for steps, text in heard if text}
     assert len(rewards) > 1 and max(rewards) == outcome["timesteps"] == 1024
     best = outcome["best"]
-    assert rewards[best["timesteps"]] == best["reward"] == max(rewards.values())
-    assert [news.timesteps for news in heard] == sorted(news.timesteps for news in heard)
+    assert rewards[best["timesteps"]] == max(rewards.values()) == round(best["reward"], 3)
+    assert heard == sorted(heard, key=lambda news: news[0])
 
 
 # --- hyperparameters

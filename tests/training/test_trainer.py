@@ -50,7 +50,7 @@ def test_a_damaged_checkpoint_is_read_or_refused(tmp_path, data):
 def test_a_checkpoint_that_lacks_entries_of_the_trainer_is_refused(tmp_path):
     job = job_of(tmp_path)
     written(job.checkpoint, {"timesteps": 3})
-    with refuses("checkpoint.pt", "parameters"):
+    with refuses("checkpoint.pt", "network"):
         train(job, silent)
 
 
