@@ -2,7 +2,6 @@
 
 import tempfile
 import warnings
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +57,7 @@ def trained(values: Values) -> Row:
     with tempfile.TemporaryDirectory() as folder:
         job = Job(
             training_task(args),
-            replace(hyperparameters(args, len(args.places) or 1), **changed),
+            hyperparameters(args, len(args.places) or 1, **changed),
             args.seed,
             args.total_timesteps,
             Path(folder),

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from experiments.evaluation.branches import Act, Branches
-from experiments.training.training_task import TrainingTask, require_environments
+from experiments.training.training_task import TrainingTask
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import rows_of
 from mmwave_env.engines.engine import Engine
@@ -40,7 +40,7 @@ class RolloutEnv:
 
     Args:
         task: task of the training.
-        n: number of environments, a multiple of eight.
+        n: number of environments, a multiple of eight, and at least eight per place.
         horizon: length of a rollout, epochs.
         discount: weight of a reward that comes one second later, 0 to 1.
         seed: seed of the first environment; the other seeds count up from it.
@@ -50,14 +50,13 @@ class RolloutEnv:
         observations: (n, features) observations of the current states.
 
     Raises:
-        ValueError: n is too small or not a multiple of eight, or banks can't share a program.
+        ValueError: the banks can't share a program, or the layouts differ.
     """
 
     def __init__(
         self, task: TrainingTask, n: int, horizon: int, discount: float, seed: int
     ) -> None:
         places = task.places
-        require_environments(n, len(places), WIDTH)
         self._sources = [place.source(task.scenario) for place in places]
         self._horizon = horizon
         self._everyone = np.arange(n)

@@ -26,7 +26,6 @@ from experiments.training.training_task import (
     TrainingTask,
     banks_of,
     places_from,
-    require_environments,
 )
 from mmwave_env.filters.bank import Bank, bank_as_written
 from mmwave_env.interface.reward import REWARDS, PairedReward, Reward, TrackingReward
@@ -65,24 +64,30 @@ def training_task(args: TaskArgs) -> TrainingTask:
     return TrainingTask(args.scenario, places, banks, args.observation, rewards(args), args.beliefs)
 
 
-def hyperparameters(args: TaskArgs, places: int, path: Path | None = None) -> Hyperparameters:
+def hyperparameters(
+    args: TaskArgs, places: int, path: Path | None = None, **changed: Any
+) -> Hyperparameters:
     """Read the hyperparameters of a training.
 
     Args:
         args: options of the task.
         places: number of places to train at.
         path: file of hyperparameters; None for the shipped file.
+        changed: hyperparameters to change, by name.
 
     Raises:
         ValueError: the file is for another algorithm, or its number of environments can't be
             divided among the places.
     """
     path = path or shipped_hyperparameters(args.algo, args.beliefs)
-    hyper = read_hyperparameters(path, args.algo)
-    try:
-        require_environments(hyper.num_envs, places, hyper.together)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+    hyper = replace(read_hyperparameters(path, args.algo), **changed)
+    together = hyper.together
+    if hyper.num_envs % together or hyper.num_envs < together * places:
+        multiple = f"a multiple of {together}, " if together > 1 else ""
+        raise ValueError(
+            f"{path}: num_envs: found {hyper.num_envs}, expected {multiple}{together * places} or "
+            f"more for {places} places"
+        )
     if isinstance(hyper, PpoHyperparameters):
         return replace(hyper, paired=hyper.paired or args.reward == "paired")
     return hyper  # rollouts compare rewards of actions, so the IMM's reward would cancel out

@@ -118,25 +118,6 @@ def places_from(words: Sequence[str]) -> tuple[Place, ...]:
     return tuple(replace(p, measurements=p.measurements or MEASUREMENTS) for p in places)
 
 
-def require_environments(count: int, places: int, together: int = 1) -> None:
-    """Check that a number of environments can be spread over the places.
-
-    Args:
-        count: number of environments.
-        places: number of places.
-        together: number of adjacent environments that must share a place.
-
-    Raises:
-        ValueError: the number is not possible; the message says which numbers are possible.
-    """
-    if count % together or count < together * places:
-        multiple = f"a multiple of {together}, " if together > 1 else ""
-        raise ValueError(
-            f"num_envs: found {count}, expected {multiple}{together * places} or more for "
-            f"{places} places"
-        )
-
-
 def shares(count: int, places: int) -> list[int]:
     """Split ``count`` environments or episodes over places as evenly as possible."""
     each, more = divmod(count, places)

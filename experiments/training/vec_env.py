@@ -2,14 +2,14 @@
 
 from collections.abc import Sequence
 from itertools import accumulate
-from typing import Any, cast
+from typing import Any, NoReturn, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from experiments.training.hyperparameters import PpoHyperparameters
-from experiments.training.training_task import TrainingTask, require_environments, shares
+from experiments.training.training_task import TrainingTask, shares
 from mmwave_env.interface.reward import PairedReward
 from mmwave_env.numerics.numbers import Array32, Mask
 from mmwave_env.sb3 import Indices, Infos, SB3VecEnv
@@ -32,14 +32,10 @@ class PlacesVecEnv(VecEnv):
         envs: native vector environments, one per place.
         observation: table of features.
 
-    Raises:
-        ValueError: there are more places than environments.
     """
 
     def __init__(self, task: TrainingTask, hyperparameters: PpoHyperparameters) -> None:
-        count = hyperparameters.num_envs
-        places = task.places
-        require_environments(count, len(places))
+        counts = shares(hyperparameters.num_envs, len(task.places))
         options: dict[str, Any] = {
             "observation": task.observation,
             "reward": PairedReward(task.reward) if hyperparameters.paired else task.reward,
@@ -49,7 +45,7 @@ class PlacesVecEnv(VecEnv):
         }
         self.envs = [
             MmWaveLocVectorEnv(n, **task.arguments(place), **options)
-            for place, n in zip(places, shares(count, len(places)), strict=True)
+            for place, n in zip(task.places, counts, strict=True)
         ]
         self.observation = self.envs[0].observation
         self._parts = [SB3VecEnv(env) for env in self.envs]
@@ -95,16 +91,8 @@ class PlacesVecEnv(VecEnv):
         every = [value for part in self._parts for value in part.get_attr(attr_name)]
         return [every[i] for i in self._get_indices(indices)]
 
-    def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """Raise an error, since no training sets attributes of its environments."""
+    def _unused(self, *_: Any, **__: Any) -> NoReturn:
+        """Raise an error, since no training calls this method of a ``VecEnv``."""
         raise NotImplementedError
 
-    def env_method(
-        self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
-    ) -> list[Any]:
-        """Raise an error, since no training calls methods of its environments."""
-        raise NotImplementedError
-
-    def env_is_wrapped(self, wrapper_class: type[Any], indices: Indices = None) -> list[bool]:
-        """Return False for each index, since no environment has a wrapper."""
-        return [False for _ in self._get_indices(indices)]
+    set_attr = env_method = env_is_wrapped = _unused

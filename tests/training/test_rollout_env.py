@@ -121,12 +121,6 @@ def test_states_near_the_end_of_an_episode_are_left_out():
     assert len(env.try_all(chaotic(4)).values) == 16
 
 
-@pytest.mark.parametrize("n", [12, 0])
-def test_a_number_of_environments_that_does_not_suit_the_places_is_refused(n):
-    with refuses("num_envs"):
-        environment(n=n)
-
-
 def test_places_that_one_engine_cannot_run_are_refused():
     ukfs = Bank(tuple(replace(mode, algorithm="ukf") for mode in MODES))
     with refuses("bank of standard"):

@@ -186,12 +186,12 @@ def test_wrong_options_are_refused_before_a_folder_is_made(words, message, tmp_p
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.parametrize("algorithm", KINDS)
-def test_too_few_environments_are_refused_before_a_folder_is_made(algorithm, tmp_path):
+@pytest.mark.parametrize(("algorithm", "count"), [*((kind, 1) for kind in KINDS), ("rollouts", 20)])
+def test_too_few_environments_are_refused_before_a_folder_is_made(algorithm, count, tmp_path):
     shipped = json_in(shipped_hyperparameters(algorithm))
     path = tmp_path / "few.json"
     out = tmp_path / "run"
-    path.write_text(json.dumps(shipped | {"num_envs": 1}))
+    path.write_text(json.dumps(shipped | {"num_envs": count}))
     with refuses(path, "num_envs"):
         main(Args(algo=algorithm, hyperparameters=path, places=PLACES, out=out))
     assert not out.exists()
