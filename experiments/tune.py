@@ -1,4 +1,4 @@
-"""mmwave-loc tune: modes, a complete bank, protection levels, or corrections of smoothed tracks."""
+"""mmwave-loc tune: modes, a complete bank, or protection levels."""
 
 import math
 from dataclasses import dataclass, fields, replace
@@ -15,13 +15,11 @@ class Args(JsonArgs):
     With --bank, tune a bank: the five modes of imm-best and the probabilities of
     changes between them. The reward of the bank's IMM in all scenes, at 1 and 10
     Hz, is maximized. With --levels, train and calibrate the protection levels
-    anew. With --two-way, train the network of localize --two-way anew. --bank
-    needs the extra "tune"; --levels and --two-way need "train".
+    anew. --bank needs the extra "tune"; --levels needs "train".
 
         mmwave-loc tune --radio handset --out modes.json
         mmwave-loc tune --bank --radio phone.json --episodes 900 --out bank.json
         mmwave-loc tune --levels --out mmwave_env/data/levels.safetensors
-        mmwave-loc tune --two-way --out policies/data/smoothing/two-way.safetensors
     """
 
     radio: str = "handset"
@@ -48,19 +46,14 @@ class Args(JsonArgs):
     seeds, and calibrate it on tuning seeds, with the
     shipped policies; the only other options are --seed
     and --out, which is required"""
-    two_way: bool = False
-    """train the network that corrects smoothed tracks, on
-    training seeds, in about an hour; the only other option
-    is --out, which is required"""
     out: Path | None = None
     """mode file to write, which `--modes` and the
-    environment's `modes` accept; with --levels or
-    --two-way, file (.safetensors) of the network to write"""
+    environment's `modes` accept; with --levels, file
+    (.safetensors) of the network to write"""
 
 
 OF_BANK = ("bank", "radio", "episodes", "evaluations", "seed", "out", "json")  # allowed with --bank
 OF_LEVELS = ("levels", "seed", "out")  # allowed with --levels
-OF_TWO_WAY = ("two_way", "out")  # allowed with --two-way
 Content = dict[str, Any]  # content of a JSON file
 
 
@@ -79,24 +72,17 @@ def _tuned_bank(args: Args) -> Content:
     return bank
 
 
-def _train_network(args: Args) -> None:
-    """Train the network of protection levels or the two-way corrector; write its file."""
+def _train_levels(args: Args) -> None:
+    """Train the network of protection levels; write its file."""
     from experiments.console.progress import say
     from experiments.console.provenance import provenance
+    from experiments.training.levels import trained_levels
     from mmwave_env.io.files import write_bytes
 
     if args.out is None or args.out.suffix != ".safetensors":
         raise ValueError(f"out: found {args.out}, expected a name that ends with .safetensors")
-    command = provenance("tune", args)["command"]
-    if args.two_way:
-        from experiments.training.two_way import trained_two_way
-
-        write_bytes(args.out, trained_two_way(command))
-        return
-    from experiments.training.levels import trained_levels
-
     network = trained_levels(args.seed)
-    write_bytes(args.out, network.to_bytes(command))
+    write_bytes(args.out, network.to_bytes(provenance("tune", args)["command"]))
     for kind, constants in zip(("filter", "bank", "corrector"), network.constants, strict=True):
         for risk, both in zip(network.risks, constants, strict=True):
             h, v = map(math.exp, both)
@@ -156,14 +142,13 @@ def main(args: Args) -> None:
     for chosen, owned, name in (
         (args.levels, OF_LEVELS, "levels"),
         (args.bank, OF_BANK, "bank"),
-        (args.two_way, OF_TWO_WAY, "two-way"),
     ):
         for option in fields(Args) if chosen else ():
             if option.name not in owned and getattr(args, option.name) != option.default:
                 raise ValueError(f"{option.name}: cannot be combined with --{name}")
     figures: Content = {}
-    if args.levels or args.two_way:
-        _train_network(args)
+    if args.levels:
+        _train_levels(args)
         return
     if args.bank:
         content = _tuned_bank(args)

@@ -153,12 +153,13 @@ class LearnedArgs:
 class TaskArgs(LearnedArgs):
     """Options for the task to learn."""
 
-    algo: Literal["ppo", "rollouts", "corrector"] = "ppo"
+    algo: Literal["ppo", "rollouts", "corrector", "two-way"] = "ppo"
     """ppo: PPO of Stable-Baselines3; rollouts: rollout policy
     iteration with common random numbers, which tries every
     action on the same measurements; corrector: a recurrent
     network that corrects the beliefs of the policy
-    `guided`"""
+    `guided`; two-way: the network of localize --two-way,
+    which corrects smoothed tracks"""
     radio: str = "handset"
     """radio to train with on the street, if --places is not
     given: handset, standard, high or a JSON file"""
@@ -190,11 +191,12 @@ class TrainArgs(TaskArgs):
     """number of training runs, one per seed"""
     total_timesteps: int | None = None
     """length of each training run, rounded up to complete
-    updates: for --algo ppo or corrector, the number of
-    steps of environments (None: 4000000 for ppo,
-    320000000 for corrector); for --algo rollouts, the
-    number of states in which every action is tried
-    (None: 1200000)"""
+    updates: for --algo ppo, corrector or two-way, the number
+    of steps of environments (None: 4000000 for ppo,
+    320000000 for corrector, 64000000 for two-way, which
+    plays every step once and learns from it eight times);
+    for --algo rollouts, the number of states in which every
+    action is tried (None: 1200000)"""
     hyperparameters: Path | None = None
     """JSON file of hyperparameters, instead of the
     algorithm's default file in experiments/training, such

@@ -67,7 +67,7 @@ def trained(values: Values) -> Row:
         )
         best = train(job, lambda *_: None)["best"]
         row: Row = {"timesteps": best["timesteps"]}
-        row |= {f"{metric}_mean": best[metric] for metric in METRICS}
+        row |= {f"{metric}_mean": best[metric] for metric in METRICS if metric in best}
         return row | {"policy_file": job.policy.read_bytes()}
 
 

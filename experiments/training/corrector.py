@@ -25,7 +25,7 @@ from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.signed import after_update
 from mmwave_env.metrics import BURN_IN
 from mmwave_env.models.layout import Layout
-from mmwave_env.numerics.numbers import Array, Index
+from mmwave_env.numerics.numbers import Index
 from policies.policy_file import CORRECTIONS, Tensors
 
 FIRST = 3  # number of extra rounds of lots in the first update, to measure the features' ranges
@@ -85,24 +85,58 @@ def loss_of(
     return loss
 
 
-class Learner:
-    """A network with its optimizer and with the scales of its features.
+class CorrectorTrainer(Trainer):
+    """The updates of a corrector; timesteps are epochs from which it learns.
 
     Args:
-        network: network to train; its hyperparameters are ``hyper``.
+        job: training to run.
+        seed: seed of all random numbers.
 
     Attributes:
-        scales: limits, mean and standard deviation of every feature, set from the first lots.
+        TWO_WAY, DATA: whether the network also reads tracks backwards, and the source of lots.
     """
 
-    def __init__(self, network: CorrectorNetwork, hyper: CorrectorHyperparameters) -> None:
-        self.network = network
-        self._hyper = hyper
-        self.optimizer = torch.optim.Adam(network.parameters(), lr=hyper.learning_rate)
-        self.scales: dict[str, Array] = {}
+    EARLY = 32
+    LATER = 32
+    TWO_WAY = False
+    DATA = CorrectorData
+
+    def __init__(self, job: Job, seed: int) -> None:
+        torch.manual_seed(seed)
+        self.hyper: CorrectorHyperparameters = job.hyperparameters
+        self.judged = replace(job.task, places=places_from(self.hyper.judged_at))
+        self.base = self.hyper.base
+        self.seed = seed
+        self.data = self.DATA(job.task, self.hyper, seed)
+        pipeline = Pipeline(job.task.bank.modes, Layout())
+        table = Observation(pipeline, "signed", "per-mode")
+        self.table = table.only(after_update(pipeline, per_mode=True))
+        self.network = CorrectorNetwork(len(self.table), self.hyper, self.TWO_WAY)
+        self.optimizer = torch.optim.Adam(self.network.parameters(), self.hyper.learning_rate)
+        self.scales = {}
+        self._updates = enumerate(self.lots())
+
+    def lots(self) -> Iterator[list[Lot]]:
+        """Yield the lots of each update: new episodes at the task's places and in random streets.
+
+        Also set the scales, unless they are restored from a checkpoint.
+        """
+        if not self.scales:
+            first = [lot for _ in range(1 + FIRST) for lot in self.data.lots()]
+            self.measure(first)
+            yield first
+        while True:
+            yield list(self.data.lots())
+
+    def update(self, left: float) -> tuple[int, dict[str, float]]:
+        """Learn from the next lots."""
+        number, lots = next(self._updates)
+        rng = np.random.default_rng((self.seed, number))
+        loss = self.learn(lots, left, rng)
+        return sum(lot.features[..., 0].size for lot in lots), {"loss": loss}
 
     def measure(self, lots: list[Lot]) -> None:
-        """Set the scales from the features in some lots."""
+        """Set the scales from the features in some lots: limits, mean and standard deviation."""
         rows = np.concatenate([lot.features.reshape(-1, lot.features.shape[2]) for lot in lots])
         low, high = np.quantile(rows, (OUTSIDE, 1.0 - OUTSIDE), axis=0)
         mean = rows.mean(0, np.float64)
@@ -114,14 +148,14 @@ class Learner:
 
         ``left``, from 1 to 0, is the share of the training that is left.
         """
-        rate = self._hyper.learning_rate * falling(self._hyper.final_fraction, left)
+        rate = self.hyper.learning_rate * falling(self.hyper.final_fraction, left)
         for group in self.optimizer.param_groups:
             group["lr"] = rate
-        return float(np.mean([self._step(lot) for lot in mixed(lots, self._hyper.batch_size, rng)]))
+        return float(np.mean([self._step(lot) for lot in mixed(lots, self.hyper.batch_size, rng)]))
 
     def _step(self, lot: Lot) -> float:
         """Take a gradient step; each member of an ensemble learns from about half of the lot."""
-        hyper = self._hyper
+        hyper = self.hyper
         error = torch.from_numpy(lot.error)
         deviation = torch.from_numpy(lot.deviation)
         losses = loss_of(self.answer(lot), error, deviation, hyper.likelihood_weight)
@@ -159,49 +193,6 @@ class Learner:
         tensors["front.bias"] = state["front.bias"] - shift
         tensors |= {name: self.scales[name] for name in ("low", "high")}
         return {name: value.astype(np.float32) for name, value in tensors.items()}
-
-
-class CorrectorTrainer(Trainer):
-    """The updates of a corrector; timesteps are played epochs.
-
-    Args:
-        job: training to run.
-        seed: seed of all random numbers.
-    """
-
-    EARLY = 32
-    LATER = 32
-
-    def __init__(self, job: Job, seed: int) -> None:
-        torch.manual_seed(seed)
-        hyper: CorrectorHyperparameters = job.hyperparameters
-        self.judged = replace(job.task, places=places_from(hyper.judged_at))
-        self.base = hyper.base
-        self._seed = seed
-        self._updates = 0
-        self.data = CorrectorData(job.task, hyper, seed)
-        pipeline = Pipeline(job.task.bank.modes, Layout())
-        table = Observation(pipeline, "signed", "per-mode")
-        self.table = table.only(after_update(pipeline, per_mode=True))
-        self.learner = Learner(CorrectorNetwork(len(self.table), hyper), hyper)
-        self.network = self.learner.network
-        self.optimizer = self.learner.optimizer
-        self.scales = self.learner.scales
-
-    def update(self, left: float) -> tuple[int, dict[str, float]]:
-        """Learn from new episodes at the task's places and in random streets."""
-        lots = list(self.data.lots())
-        if not self.scales:
-            lots += [lot for _ in range(FIRST) for lot in self.data.lots()]
-            self.learner.measure(lots)
-        rng = np.random.default_rng((self._seed, self._updates))
-        self._updates += 1
-        loss = self.learner.learn(lots, left, rng)
-        return sum(lot.features[..., 0].size for lot in lots), {"loss": loss}
-
-    def tensors(self) -> Tensors:
-        """Return the network in the form that a policy file stores."""
-        return self.learner.tensors()
 
 
 def mixed(lots: list[Lot], size: int, rng: np.random.Generator) -> Iterator[Lot]:

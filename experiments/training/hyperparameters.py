@@ -108,11 +108,20 @@ class CorrectorHyperparameters(_Hyperparameters):
     algorithm = "corrector"
 
 
+@dataclass(frozen=True, kw_only=True)
+class TwoWayHyperparameters(CorrectorHyperparameters):
+    """Hyperparameters of two-way correctors (:mod:`experiments.training.two_way`)."""
+
+    rounds: (
+        Count  # number of rounds of episodes to play before learning, half a million epochs each
+    )
+
+    algorithm = "two-way"
+
+
 Hyperparameters = PpoHyperparameters | RolloutHyperparameters | CorrectorHyperparameters
-KINDS: dict[str, type[Hyperparameters]] = {
-    kind.algorithm: kind
-    for kind in (PpoHyperparameters, RolloutHyperparameters, CorrectorHyperparameters)
-}
+ALL = (PpoHyperparameters, RolloutHyperparameters, CorrectorHyperparameters, TwoWayHyperparameters)
+KINDS: dict[str, type[Hyperparameters]] = {kind.algorithm: kind for kind in ALL}
 
 
 def read_hyperparameters(path: Path, algorithm: str) -> Hyperparameters:

@@ -14,12 +14,14 @@ from experiments.training.job import Job, Tell
 from experiments.training.ppo import PpoTrainer
 from experiments.training.rollouts import RolloutTrainer
 from experiments.training.trainer import Trainer, Training
+from experiments.training.two_way import TwoWayTrainer
 from mmwave_env.io.files import Json, read_json
 
 TRAINERS: dict[str, Callable[[Job, int], Trainer]] = {
     "ppo": PpoTrainer,
     "rollouts": RolloutTrainer,
     "corrector": CorrectorTrainer,
+    "two-way": TwoWayTrainer,
 }
 
 

@@ -34,7 +34,12 @@ from mmwave_env.io.lookup import choose
 
 # Default length of a training run, by algorithm: number of steps or, for rollouts, number of states
 # in which all actions are tried.
-TIMESTEPS = {"ppo": 4_000_000, "rollouts": 1_200_000, "corrector": 320_000_000}
+TIMESTEPS = {
+    "ppo": 4_000_000,
+    "rollouts": 1_200_000,
+    "corrector": 320_000_000,
+    "two-way": 64_000_000,
+}
 
 # Options that do not affect a policy; the command stated in a policy file omits them.
 ASIDE = ("jobs", "checkpoint_every", "out", "resume", "overwrite")
@@ -172,7 +177,7 @@ def train(args: TrainArgs) -> None:
     if args.resume and args.overwrite:
         raise ValueError("overwrite: cannot be combined with resume, which keeps the run")
     require_at_least(1, args, "seeds", "total_timesteps", "jobs", "checkpoint_every")
-    if args.algo == "corrector":
+    if args.algo in ("corrector", "two-way"):
         args = replace(args, beliefs="per-mode")
     task = training_task(args)
     hyper = hyperparameters(args, len(task.places), args.hyperparameters)

@@ -63,6 +63,13 @@ class Trainer(ABC):
     def tensors(self) -> Tensors:
         """Return the network in the form that a policy file stores."""
 
+    def examiner(self, episodes: int) -> Callable[[Path], Json]:
+        """Return the function that evaluates the latest policy, given its file.
+
+        Results by name include "reward"; ``episodes`` is their number of episodes.
+        """
+        return Evaluator(self.judged, episodes).examine
+
     def state(self) -> State:
         """Return the weights, the optimizer and the normalization, for :meth:`restore`."""
         scales = {name: torch.from_numpy(np.asarray(s)) for name, s in self.scales.items()}
@@ -134,7 +141,7 @@ class Training:
         if state is not None:
             with going_on_from(job.checkpoint):
                 self.trainer.restore(state)
-        self._evaluator = Evaluator(self.trainer.judged, job.episodes)
+        self._examine = self.trainer.examiner(job.episodes)
 
     @property
     def seconds(self) -> float:
@@ -181,13 +188,14 @@ class Training:
         tensors = self.trainer.tensors()
         latest = self._job.folder / "latest.safetensors"
         write_bytes(latest, to_bytes(tensors, self._card({})))
-        figures = self._evaluator.examine(latest)
+        figures = self._examine(latest)
         timesteps = progress.timesteps
         if progress.best is None or figures["reward"] > progress.best["reward"]:
             progress.best = {"timesteps": timesteps, **figures}
             write_bytes(self._job.policy, to_bytes(tensors, self._card(progress.best)))
         text = f"reward {figures['reward']:.3f}"
-        if progress.beat_rule is None and figures["minus speed-rule"]["ci95"][0] > 0.0:
+        gain = figures.get("minus speed-rule")
+        if progress.beat_rule is None and gain and gain["ci95"][0] > 0.0:
             seconds = round(self.seconds, 1)
             progress.beat_rule = {"timesteps": timesteps, "seconds": seconds}
             text = f"beats the 2 m/s rule after {timesteps} steps, {seconds} s; {text}"

@@ -5,7 +5,9 @@ every track forwards and backwards. Smoothing takes longer than learning, so all
 first; then the network learns from each of them several times.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,36 +15,24 @@ import torch
 from numpy.typing import NDArray
 
 from experiments.console.options import TUNING_SEED
-from experiments.console.progress import progress, say
-from experiments.console.provenance import versions_of
-from experiments.evaluation.seeds import SEEDS_EACH, TRAINING_SEED
-from experiments.training.corrector import CorrectorNetwork, Learner
+from experiments.training.corrector import CorrectorTrainer
 from experiments.training.corrector_data import CorrectorData, Lot, lot_of
-from experiments.training.hyperparameters import CorrectorHyperparameters
-from experiments.training.levels import task_of_correctors
-from mmwave_env.engines.engine import Engine, run_imm
+from experiments.training.hyperparameters import TwoWayHyperparameters
+from mmwave_env.engines.engine import Engine
 from mmwave_env.engines.play import play
 from mmwave_env.engines.smoothed_features import GATES, smoothed_features
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.mode_smoothing import smooth_modes
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.interface.observation import observation_columns
 from mmwave_env.interface.reward import TrackingReward
-from mmwave_env.interface.signed import after_update
 from mmwave_env.io.files import Json
 from mmwave_env.metrics import BURN_IN
-from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import blank_site
-from mmwave_env.numerics.numbers import Array, Array32, Index
+from mmwave_env.numerics.numbers import Array, Array32
 from mmwave_env.numerics.pytree import unflatten
 from mmwave_env.world.episode import EpisodeBatch, columns_of
 from policies import LearnedSwitch
-from policies.policy_file import Card, to_bytes
 
-SEED = TRAINING_SEED + 8 * SEEDS_EACH  # seed of episodes that no shipped network was trained on
-# number of rounds of lots to play, and of passes over all these lots
-ROUNDS = 16
-PASSES = 8
 TOGETHER = 18  # number of lots whose episodes are mixed
 PARTS = ("x", "error", "mixture", *(f"memory.{gate}" for gate in GATES))
 
@@ -66,8 +56,12 @@ def smoothed(batch: EpisodeBatch, bank: Bank, base: str) -> Smoothed:
     """Filter episodes with the policy ``base`` and a bank, and smooth the tracks."""
     pipeline = Pipeline(bank.modes, batch.layout)
     at = columns_of(batch.layout)
-    actions = _actions(batch, bank, base)
-    of = run_imm(bank, TrackingReward(), batch, *PARTS, actions=actions)
+    n, epochs, _ = batch.table.shape
+    engine = Engine(pipeline, n, TrackingReward(), "full", bank, predicted=True)
+    engine.batch.load(batch)
+    policy = LearnedSwitch(base, engine.observation)
+    track = play(engine, policy, epochs, engine.program.rows(PARTS))
+    of = engine.program.by_name(PARTS, track.outputs)
     hz_per_mps = float(unflatten(blank_site(batch.layout), iter(batch.site[0])).hz_per_mps)
     dt = batch.table[:, :, at.dt]
     spread_hz = batch.table[:, :, at.doppler_spread_hz]
@@ -75,14 +69,6 @@ def smoothed(batch: EpisodeBatch, bank: Bank, base: str) -> Smoothed:
     gates = [of[f"memory.{gate}"] for gate in GATES]
     features = smoothed_features(pipeline, batch, x, P, of["mixture"], gates)
     return Smoothed(features, x, P, of["error"] + (x - of["x"])[..., :3])
-
-
-def _actions(batch: EpisodeBatch, bank: Bank, base: str) -> Index:
-    """Return the actions (n, T) of a policy."""
-    n, epochs, _ = batch.table.shape
-    engine = Engine(Pipeline(bank.modes, batch.layout), n, TrackingReward(), "full", bank)
-    engine.batch.load(batch)
-    return play(engine, LearnedSwitch(base, engine.observation), epochs).actions
 
 
 class SmoothedData(CorrectorData):
@@ -96,71 +82,51 @@ class SmoothedData(CorrectorData):
         return lot_of(np.swapaxes(track.features, 0, 1), x, P, error)
 
 
-def trained_two_way(command: str, rounds: int = ROUNDS, passes: int = PASSES) -> bytes:
-    """Train a two-way corrector; print how good it is on tuning seeds; return its policy file.
+class TwoWayTrainer(CorrectorTrainer):
+    """The updates of a two-way corrector.
 
-    Args:
-        command: command line to state in the file.
-        rounds: number of rounds of lots to play, half a million epochs each.
-        passes: number of passes over all lots.
+    All episodes are played before the first update. Every update learns from some of their lots;
+    ``LATER`` updates are about one pass over all lots.
     """
-    torch.set_num_threads(1)
-    torch.manual_seed(SEED)
-    task, hyper = task_of_correctors()
-    data = SmoothedData(task, hyper, SEED)
-    lots = []
-    with progress("playing") as report:
-        for i in range(rounds):
-            lots += list(data.lots())
-            report((i + 1) / rounds)
-    learner = learned_from(lots, hyper, passes)
-    held = list(SmoothedData(task, hyper, TUNING_SEED).lots())
-    evaluation = {str(p): _figures(learner, lot) for p, lot in zip(task.places, held, strict=False)}
-    pipeline = Pipeline(task.bank.modes, Layout())
-    card = Card(
-        modes=task.bank.modes,
-        observation="signed",
-        features=observation_columns(after_update(pipeline, per_mode=True)),
-        scenario=task.scenario,
-        radio=", ".join(task.banks),
-        algorithm=hyper.algorithm,
-        seed=SEED,
-        timesteps=sum(lot.features[..., 0].size for lot in lots),
-        command=command,
-        evaluation=evaluation,
-        versions=versions_of("gymnasium", "numpy", "numba", "torch"),
-        beliefs="per-mode",
-        banks=dict(task.banks),
-        base=hyper.base,
-    )
-    return to_bytes(learner.tensors(), card)
+
+    EARLY = 16
+    LATER = 16
+    TWO_WAY = True
+    DATA = SmoothedData
+
+    def lots(self) -> Iterator[list[Lot]]:
+        """Yield the lots of each update, pass after pass, each time in a new order."""
+        assert isinstance(self.hyper, TwoWayHyperparameters)
+        rng = np.random.default_rng(self.seed)
+        lots = [lot for _ in range(self.hyper.rounds) for lot in self.data.lots()]
+        if not self.scales:
+            self.measure(lots[: 4 * TOGETHER])
+        while True:
+            order = rng.permutation(len(lots))
+            for some in np.array_split(order, -(-len(lots) // TOGETHER)):
+                yield [lots[i] for i in some]
+
+    def examiner(self, episodes: int) -> Callable[[Path], Json]:
+        """Return a function that evaluates the network by the errors of new tracks.
+
+        Its results are "reward", the negative mean error (m) of corrected tracks, and "smoothed_m",
+        the mean error before the correction.
+        """
+        hyper = replace(self.hyper, random_share=0.0)
+        lots = list(SmoothedData(self.judged, hyper, TUNING_SEED).lots())
+
+        @torch.no_grad()
+        def examine(_: Path) -> Json:
+            shifts = [self.answer(lot)[0].mean(dim=2).numpy() * lot.deviation for lot in lots]
+            left = [lot.error - shift for lot, shift in zip(lots, shifts, strict=True)]
+            return {
+                "reward": -_mean_length(left),
+                "smoothed_m": _mean_length([lot.error for lot in lots]),
+            }
+
+        return examine
 
 
-def learned_from(lots: Sequence[Lot], hyper: CorrectorHyperparameters, passes: int) -> Learner:
-    """Return a learner whose network learned from all lots, ``passes`` times."""
-    learner = Learner(CorrectorNetwork(lots[0].features.shape[-1], hyper, two_way=True), hyper)
-    learner.measure(list(lots[: 4 * TOGETHER]))
-    groups = -(-len(lots) // TOGETHER)
-    with progress("learning") as report:
-        for i in range(passes):
-            rng = np.random.default_rng((SEED, i))
-            for j, some in enumerate(np.array_split(rng.permutation(len(lots)), groups)):
-                done = (i + j / groups) / passes
-                learner.learn([lots[k] for k in some], 1.0 - done, rng)
-                report(done)
-    return learner
-
-
-def _figures(learner: Learner, lot: Lot) -> Json:
-    """Return the mean error (m) of smoothed tracks, before and after correction."""
-    with torch.no_grad():
-        shift = learner.answer(lot)[0].mean(dim=2).numpy()
-    before = _mean_length(lot.error)
-    after = _mean_length(lot.error - shift * lot.deviation)
-    say(f"error of smoothed tracks: {before:.4f} m, corrected: {after:.4f} m")
-    return {"smoothed_m": before, "corrected_m": after}
-
-
-def _mean_length(error: NDArray[Any]) -> float:
-    """Return the mean length of errors (T, n, 3) in scored epochs."""
-    return float(np.linalg.norm(error[BURN_IN:], axis=-1).mean())
+def _mean_length(errors: Iterable[NDArray[Any]]) -> float:
+    """Return the mean length of errors, arrays (T, n, 3), in scored epochs; lots count equally."""
+    return float(np.mean([np.linalg.norm(e[BURN_IN:], axis=-1).mean() for e in errors]))

@@ -12,14 +12,16 @@ from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.protocol import judge, sites
 from experiments.training.corrector import CorrectorTrainer, loss_of, mixed
 from experiments.training.corrector_data import WEAVING_BEHIND_M, CorrectorData, weaving
-from experiments.training.hyperparameters import CorrectorHyperparameters
+from experiments.training.hyperparameters import CorrectorHyperparameters, TwoWayHyperparameters
 from experiments.training.job import Job
 from experiments.training.processes import train
 from experiments.training.trainer import Training
+from experiments.training.training_task import banks_of
 from mmwave_env.metrics import BURN_IN
 from mmwave_env.models.random_scene import WIDE_SCENE
 from policies import Corrector
-from tests.training.test_rollout_env import task
+from policies.corrector import TwoWayCorrector
+from tests.training.test_rollout_env import PLACES, task
 from tests.training.test_train_interrupted import assert_goes_on, silent
 
 pytestmark = pytest.mark.torch
@@ -80,6 +82,15 @@ def test_an_interrupted_training_goes_on(tmp_path):
 
 
 @pytest.mark.slow
+def test_an_interrupted_training_on_smoothed_tracks_goes_on(tmp_path):
+    hyper = TwoWayHyperparameters(**vars(HYPER) | {"base": "guided"}, rounds=1)
+    guided = task(banks=banks_of((), PLACES, "per-mode"))
+    assert_goes_on(job_of(tmp_path, hyper, task=guided))
+    card = TwoWayCorrector(tmp_path / "policy.safetensors").card
+    assert card.algorithm == "two-way" and card.evaluation["smoothed_m"] > 0.0
+
+
+@pytest.mark.slow
 def test_the_policy_file_gives_the_corrections_of_the_network(tmp_path, lots):
     training = Training(job_of(tmp_path), CorrectorTrainer, silent)
     training.run()
@@ -88,7 +99,7 @@ def test_the_policy_file_gives_the_corrections_of_the_network(tmp_path, lots):
     lot = lots[0]
     corrector.reset(np.ones(lot.features.shape[1], bool))
     with torch.no_grad():
-        shift, _ = training.trainer.learner.answer(lot)
+        shift, _ = training.trainer.answer(lot)
     for features, expected in zip(lot.features, shift.mean(2).numpy(), strict=True):
         answer = corrector.correct(features)
         np.testing.assert_allclose(
