@@ -22,6 +22,7 @@ from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.correction import deviations_of
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import CORRECTION
+from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.interface.signed import after_update
 from mmwave_env.models.random_radio import RandomRadio
@@ -100,17 +101,12 @@ class CorrectorData:
         self._seed = seed
         self._stream = np.array([stream_of(seed)], np.uint64)
         self._radios = {p.profile: p.source(task.scenario).radio for p in task.places}
-        self._switch = None if hyper.base == BASE_IMM else LearnedSwitch(hyper.base)
         self.played = 0
-
-    def bank(self, radio: str) -> Bank:
-        """Return the bank of the base for a radio profile."""
-        return self._switch.bank(radio) if self._switch else self._task.banks[radio]
 
     def lots(self) -> Iterator[Lot]:
         """Yield a played lot for every place, then random lots (``random_share`` of all lots)."""
         for radio, batch in self.batches():
-            yield self._play(batch, self.bank(radio))
+            yield self._play(batch, self._task.banks[radio])
 
     def batches(self) -> Iterator[tuple[str, EpisodeBatch]]:
         """Yield the name of a radio profile and unplayed episodes for each lot of :meth:`lots`."""
@@ -162,7 +158,7 @@ class CorrectorData:
         if rng.random() < WEAVING:
             source = weaving(replace(source, scene=replace(scene, behind_m=WEAVING_BEHIND_M)), rng)
         batch = self._draw(source)
-        _spoil(batch, rng)
+        degrade(batch, rng)
         return profile.name, batch
 
     def _draw(self, source: SimulatedSource) -> EpisodeBatch:
@@ -181,16 +177,16 @@ class CorrectorData:
         after = [feature.name for feature in after_update(pipeline, per_mode=True)]
         columns = np.array([engine.observation.names.index(name) for name in after])
         rows = rows_of([engine.at.x, engine.at.P, engine.at.error])
-        track = play(engine, self.policy(engine), epochs, rows, columns)
+        policy = base_policy(self._hyper.base, engine.observation)
+        track = play(engine, policy, epochs, rows, columns)
         size = batch.layout.state_size
         outputs = np.split(track.outputs.swapaxes(0, 1), [size, len(rows) - 3], axis=2)
         return lot_of(track.features.swapaxes(0, 1), *outputs)
 
-    def policy(self, engine: Engine) -> Policy:
-        """Return the policy of the base, which an IMM lacks."""
-        if self._switch is None:
-            return FixedMode(0)
-        return LearnedSwitch(self._hyper.base, engine.observation)
+
+def base_policy(base: str, table: Observation) -> Policy:
+    """Return the policy of a base, which acts on a table of features; an IMM stays as it is."""
+    return FixedMode() if base == BASE_IMM else LearnedSwitch(base, table)
 
 
 def weaving(source: SimulatedSource, rng: np.random.Generator) -> SimulatedSource:
@@ -230,7 +226,7 @@ def lot_of(features: Array32, x: Array, P: Array, error: Array) -> Lot:
     return Lot(*(part[:, sound] for part in lot))
 
 
-def _spoil(batch: EpisodeBatch, rng: np.random.Generator) -> None:
+def degrade(batch: EpisodeBatch, rng: np.random.Generator) -> None:
     """Make the receiver, at random, misjudge noise or orientation, or miss some anchors."""
     at = columns_of(batch.layout)
     layout = batch.layout

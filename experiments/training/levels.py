@@ -9,6 +9,7 @@ correctors of beliefs. Constants, calibrated on other episodes, are added to the
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import torch
@@ -19,11 +20,7 @@ from experiments.evaluation.runner import run_contender
 from experiments.evaluation.seeds import SEEDS_EACH, TRAINING_SEED
 from experiments.training.corrector import OUTSIDE
 from experiments.training.corrector_data import CorrectorData
-from experiments.training.hyperparameters import (
-    CorrectorHyperparameters,
-    read_hyperparameters,
-    shipped_hyperparameters,
-)
+from experiments.training.hyperparameters import read_hyperparameters, shipped_hyperparameters
 from experiments.training.training_task import TrainingTask, banks_of, places_from
 from mmwave_env.compiler.program import rows_of
 from mmwave_env.interface.reward import TrackingReward
@@ -43,7 +40,9 @@ KINDS = (SINGLE, ("guided", "imm-best"), ("corrector",))
 PLACES = [f"{scene}:{radio}" for scene in TRAINED_SCENES for radio in TUNED_RADIOS]
 SEED = TRAINING_SEED + 9 * SEEDS_EACH  # seed of episodes that no corrector was trained on
 # ENVS: episodes per place in a round. ROUNDS: training rounds. CALIBRATION: calibration rounds.
+# RANDOM_SHARE: share of random episodes among the training episodes.
 ENVS = 64
+RANDOM_SHARE = 0.5
 ROUNDS = 48
 CALIBRATION = 30
 # the learning rate falls linearly to 0
@@ -58,28 +57,20 @@ LIMIT = 8.0
 HALVINGS = 24
 
 
-def task_of_correctors() -> tuple[TrainingTask, CorrectorHyperparameters]:
-    """Return the task and the shipped hyperparameters with which correctors are trained."""
-    hyper = read_hyperparameters(shipped_hyperparameters("corrector"), "corrector")
-    assert isinstance(hyper, CorrectorHyperparameters)
-    places = places_from(PLACES)
-    banks = banks_of((), places, "per-mode")
-    task = TrainingTask("mixed", places, banks, "signed", TrackingReward(), "per-mode")
-    return task, hyper
-
-
 def _played(
-    seed: int, rounds: int, policies: Sequence[tuple[str, ...]], random_share: float | None = None
+    seed: int, rounds: int, policies: Sequence[tuple[str, ...]], random_share: float
 ) -> Iterator[tuple[Array, Array]]:
     """Yield features and logs for each batch of episodes and each group of policies.
 
     The features are (n, T, features). The logs (n, T, risks, 2) are logarithms of the horizontal
-    and the vertical error, each divided by its Gaussian level. The episodes are drawn with the
-    hyperparameters of the corrector; ``random_share`` may replace that of random episodes.
+    and the vertical error, each divided by its Gaussian level. The episodes are drawn as for a
+    corrector; ``random_share`` is the share of random episodes.
     """
-    task, hyper = task_of_correctors()
-    share = hyper.random_share if random_share is None else random_share
-    data = CorrectorData(task, replace(hyper, num_envs=ENVS, random_share=share), seed)
+    places = places_from(PLACES)
+    banks = banks_of((), places, "per-mode")
+    task = TrainingTask("mixed", places, banks, "signed", TrackingReward(), "per-mode")
+    hyper: Any = read_hyperparameters(shipped_hyperparameters("corrector"), "corrector")
+    data = CorrectorData(task, replace(hyper, num_envs=ENVS, random_share=random_share), seed)
     rng = np.random.default_rng(seed)
     for radio, batch in (lot for _ in range(rounds) for lot in data.batches()):
         time_s = batch.table[0, :, rows_of([columns_of(batch.layout).dt])[0]].cumsum()
@@ -142,7 +133,7 @@ def _constants(network: Network, seed: int, rounds: int) -> Array:
     another (split conformal prediction, Lee et al. 2023). The largest of these constants is used.
     """
     over: list[list[Array]] = [[] for _ in range(len(PLACES) * len(KINDS))]
-    for i, (features, logs) in enumerate(_played(seed, rounds, KINDS, random_share=0.0)):
+    for i, (features, logs) in enumerate(_played(seed, rounds, KINDS, 0.0)):
         over[i % len(over)].append(logs - network.log_factors(features))
     constants = []
     for kind in range(len(KINDS)):
@@ -177,7 +168,7 @@ def trained_levels(
     The network learns from ``rounds`` rounds of episodes in ``steps`` gradient steps, and is
     calibrated on ``calibration`` rounds.
     """
-    lots = [_finite(lot) for lot in _played(SEED, rounds, LEARNED_FROM)]
+    lots = [_finite(lot) for lot in _played(SEED, rounds, LEARNED_FROM, RANDOM_SHARE)]
     features = np.concatenate([features for features, _ in lots])
     logs = np.concatenate([logs for _, logs in lots])
     network = _trained(features, logs, steps)

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from experiments.console.options import TUNING_SEED
 from experiments.training.corrector import CorrectorTrainer
-from experiments.training.corrector_data import CorrectorData, Lot, lot_of
+from experiments.training.corrector_data import CorrectorData, Lot, base_policy, lot_of
 from experiments.training.hyperparameters import TwoWayHyperparameters
+from experiments.training.training_task import banks_of
 from mmwave_env.engines.engine import Engine
 from mmwave_env.engines.play import play
 from mmwave_env.engines.smoothed_features import GATES, smoothed_features
@@ -31,7 +32,6 @@ from mmwave_env.models.measurement import blank_site
 from mmwave_env.numerics.numbers import Array, Array32
 from mmwave_env.numerics.pytree import unflatten
 from mmwave_env.world.episode import EpisodeBatch, columns_of
-from policies import LearnedSwitch
 
 TOGETHER = 18  # number of lots whose episodes are mixed
 PARTS = ("x", "error", "mixture", *(f"memory.{gate}" for gate in GATES))
@@ -59,7 +59,7 @@ def smoothed(batch: EpisodeBatch, bank: Bank, base: str) -> Smoothed:
     n, epochs, _ = batch.table.shape
     engine = Engine(pipeline, n, TrackingReward(), "full", bank, predicted=True)
     engine.batch.load(batch)
-    policy = LearnedSwitch(base, engine.observation)
+    policy = base_policy(base, engine.observation)
     track = play(engine, policy, epochs, engine.program.rows(PARTS))
     of = engine.program.by_name(PARTS, track.outputs)
     hz_per_mps = float(unflatten(blank_site(batch.layout), iter(batch.site[0])).hz_per_mps)
@@ -112,8 +112,10 @@ class TwoWayTrainer(CorrectorTrainer):
         Its results are "reward", the negative mean error (m) of corrected tracks, and "smoothed_m",
         the mean error before the correction.
         """
+        banks = banks_of((), self.judged.places, "per-mode")
+        task = replace(self.judged, banks=banks)
         hyper = replace(self.hyper, random_share=0.0)
-        lots = list(SmoothedData(self.judged, hyper, TUNING_SEED).lots())
+        lots = list(SmoothedData(task, hyper, TUNING_SEED).lots())
 
         @torch.no_grad()
         def examine(_: Path) -> Json:
