@@ -3,7 +3,6 @@
 import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
-from itertools import accumulate
 from pathlib import Path
 
 import numpy as np
@@ -34,9 +33,11 @@ class Evaluator:
     def __init__(self, task: TrainingTask, episodes: int = EPISODES) -> None:
         counts = shares(max(episodes, len(task.places)), len(task.places))
         self._at: list[tuple[Place, Sequence[Episode]]] = []
-        for place, last, n in zip(task.places, accumulate(counts), counts, strict=True):
-            seeds = range(TUNING_SEED + last - n, TUNING_SEED + last)
+        first = TUNING_SEED
+        for place, n in zip(task.places, counts, strict=True):
+            seeds = range(first, first + n)
             self._at.append((place, draw_episodes(place.source(task.scenario), seeds)))
+            first += n
         rivals = PER_MODE_RIVALS if task.beliefs == "per-mode" else TRAINING_RIVALS
         # The rule warns at speeds outside its design window, which occur here on purpose.
         with warnings.catch_warnings(action="ignore"):

@@ -6,7 +6,7 @@ from typing import cast
 import numpy as np
 import torch
 from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.callbacks import ConvertCallback
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecNormalize
 
@@ -18,18 +18,6 @@ from mmwave_env.interface.info import LAST_KEYS
 from mmwave_env.io.files import Json
 from policies.policy_file import Tensors
 from policies.sb3 import model_tensors
-
-
-class Ended(BaseCallback):
-    """A collector of the last infos of episodes."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.infos: list[Json] = []
-
-    def _on_step(self) -> bool:
-        self.infos += [info for info in self.locals["infos"] if "episode" in info]
-        return True
 
 
 class PpoTrainer(Trainer):
@@ -59,24 +47,30 @@ class PpoTrainer(Trainer):
         self.model.set_logger(Logger(None, []))
         self.network = self.model.policy
         self.optimizer = self.model.policy.optimizer
-        self._ended = Ended()
+        self._last_infos: list[Json] = []
+        self._callback = ConvertCallback(self._keep_last_infos)
 
     def update(self, left: float) -> tuple[int, dict[str, float]]:
         """Collect steps and learn from them; return their number, and statistics."""
         model = self.model
         hyper: PpoHyperparameters = self._job.hyperparameters
         if model._last_obs is None:
-            model._setup_learn(self._job.timesteps, self._ended)
+            model._setup_learn(self._job.timesteps, self._callback)
         steps = hyper.num_envs * hyper.n_steps
         model.ent_coef = hyper.ent_coef * falling(hyper.final_fraction, left)
-        self._ended.infos.clear()
-        model.collect_rollouts(self.normal, self._ended, model.rollout_buffer, hyper.n_steps)
+        self._last_infos.clear()
+        model.collect_rollouts(self.normal, self._callback, model.rollout_buffer, hyper.n_steps)
         model._current_progress_remaining = left - steps / self._job.timesteps
         model.train()
         figures = {key: float(value) for key, value in model.logger.name_to_value.items()}
         model.logger.dump()  # forgets the values
         actions = model.rollout_buffer.actions.astype(np.int64).ravel()
-        return steps, figures | _means(self._ended.infos) | self.shares(actions)
+        return steps, figures | _means(self._last_infos) | self.shares(actions)
+
+    def _keep_last_infos(self, step: Json, _: Json) -> bool:
+        """Keep the last infos of episodes that ended in a step, whose variables are given."""
+        self._last_infos += [info for info in step["infos"] if "episode" in info]
+        return True
 
     def tensors(self) -> Tensors:
         """Return the actor's tensors in the form that a policy file stores."""

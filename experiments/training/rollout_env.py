@@ -1,6 +1,5 @@
 """Environments at several places, with rollouts that measure the value of every action."""
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +11,6 @@ from mmwave_env.compiler.program import rows_of
 from mmwave_env.engines.engine import Engine
 from mmwave_env.engines.epoch import untuned
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.models.layout import Layout
 from mmwave_env.numerics.numbers import Array, Array32, Index
 from mmwave_env.world.keys import Streams
 from policies.sb3 import Normalization
@@ -50,7 +48,7 @@ class RolloutEnv:
         observations: (n, features) observations of the current states.
 
     Raises:
-        ValueError: the banks can't share a program, or the layouts differ.
+        ValueError: the places can't share a program.
     """
 
     def __init__(
@@ -62,7 +60,17 @@ class RolloutEnv:
         self._everyone = np.arange(n)
         block = self._everyone // WIDTH
         self._place = block % len(places)
-        pipeline = _one_pipeline(task, {source.layout for source in self._sources})
+        pipelines = [
+            Pipeline(task.banks[place.profile].modes, source.layout)
+            for place, source in zip(places, self._sources, strict=True)
+        ]
+        pipeline = pipelines[0]
+        if any(untuned(other) != untuned(pipeline) for other in pipelines):
+            raise ValueError(
+                "places: found several kinds of clock, algorithms or safeguards, expected one kind "
+                "of clock, and modes that differ only in process noise and in the size of "
+                "acceleration_mps2 and turn_rate_radps"
+            )
         bank = task.bank if task.beliefs == "per-mode" else None
         self._engine = Engine(pipeline, n, task.reward, task.observation, bank)
         self.observation = self._engine.observation
@@ -131,23 +139,3 @@ class RolloutEnv:
         state = self._engine.batch.state
         whole = state.epoch - 1 + self._horizon <= state.length
         return Tried(self.observations[whole], values[whole])
-
-
-def _one_pipeline(task: TrainingTask, layouts: set[Layout]) -> Pipeline:
-    """Return the pipeline that runs all banks of a task.
-
-    Raises:
-        ValueError: the banks differ in more than their tuned values, or the layouts differ.
-    """
-    layout, *others = layouts
-    if others:
-        raise ValueError("places: found several kinds of clock, expected one for all places")
-    pipeline = Pipeline(task.bank.modes, layout)
-    for radio, bank in task.banks.items():
-        if untuned(replace(pipeline, modes=bank.modes)) != untuned(pipeline):
-            raise ValueError(
-                f"bank of {radio}: found other algorithms or safeguards than in the bank of "
-                f"{task.places[0].profile}, expected modes that differ only in process noise and "
-                "in the size of acceleration_mps2 and turn_rate_radps"
-            )
-    return pipeline

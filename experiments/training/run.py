@@ -1,8 +1,7 @@
 """The train command: the folder of a run, its progress on a terminal, and its summary."""
 
 import shutil
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -150,21 +149,6 @@ def _require_same(path: Path, manifest: Json) -> None:
             )
 
 
-@contextmanager
-def shown(jobs: list[Any]) -> Iterator[Any]:
-    """Show a progress bar for each training; yield a function that updates the bars."""
-    with bars(TimeElapsedColumn()) as bar:
-        tasks = {job.seed: bar.add_task(f"seed {job.seed}", total=job.timesteps) for job in jobs}
-
-        def tell(job: Any, timesteps: int, text: str) -> None:
-            bar.update(tasks[job.seed], completed=timesteps)
-            if text:
-                line = f"seed {job.seed}, {timesteps} steps: {text}"
-                bar.console.print(line, soft_wrap=True)
-
-        yield tell
-
-
 def train(args: TrainArgs) -> None:
     """Run the command."""
     try:
@@ -189,7 +173,15 @@ def train(args: TrainArgs) -> None:
         for seed in range(args.seeds)
     ]
     begin(args, manifest)
-    with shown(jobs) as tell:
+    with bars(TimeElapsedColumn()) as bar:
+        tasks = [bar.add_task(f"seed {job.seed}", total=steps) for job in jobs]
+
+        def tell(job: Job, timesteps: int, text: str) -> None:
+            bar.update(tasks[job.seed], completed=timesteps)
+            if text:
+                line = f"seed {job.seed}, {timesteps} steps: {text}"
+                bar.console.print(line, soft_wrap=True)
+
         outcomes = side_by_side(jobs, args.jobs, tell)
     outcomes.sort(key=lambda outcome: -outcome["best"]["reward"])
     median = outcomes[len(outcomes) // 2]

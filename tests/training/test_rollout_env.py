@@ -123,7 +123,7 @@ def test_states_near_the_end_of_an_episode_are_left_out():
 
 def test_places_that_one_engine_cannot_run_are_refused():
     ukfs = Bank(tuple(replace(mode, algorithm="ukf") for mode in MODES))
-    with refuses("bank of standard"):
+    with refuses("places"):
         environment(task(banks=BANKS | {"standard": ukfs}))
     drifting = Place("street", "standard", clock="offset")
     with refuses("places"):
