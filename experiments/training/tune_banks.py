@@ -128,8 +128,6 @@ def scores(bank: Bank, batches: Sequence[EpisodeBatch]) -> tuple[Array, Array]:
 
 SEED = 0  # seed of the search
 
-Value = Callable[[Bank, int], float]
-
 # Ranges to search:
 ODDS = (-14.0, 8.0)  # log(probability to change to another mode / probability to stay)
 # A sigma_v below 0.04 would earn a slightly higher reward, because simulated users walk straight.
@@ -147,19 +145,6 @@ DECIMALS = 6  # decimals of probabilities
 _PROBABILITY_STEP = 0.6
 _NOISE_STEP = 0.25
 _NINES_STEP = 0.3
-
-
-def rows_as_softmax(odds: Array) -> Array:
-    """Return transition probabilities p[from, to] (modes, modes) as a softmax of log odds.
-
-    Args:
-        odds: (modes * (modes - 1),) log(p_ij / p_ii), row by row without the diagonal.
-    """
-    modes = 1 + int(np.sqrt(len(odds)))
-    logits = np.zeros((modes, modes))
-    logits[~np.eye(modes, dtype=bool)] = odds
-    transition: Array = softmax(logits, axis=1)
-    return transition
 
 
 class SearchSpace(NamedTuple):
@@ -182,12 +167,17 @@ def search_space(modes: Sequence[Mode]) -> SearchSpace:
     first = len(chances)
 
     def bank_at(point: Array) -> Bank:
-        transition = rows_as_softmax(point[:first])
+        logits = np.zeros((n, n))
+        logits[~np.eye(n, dtype=bool)] = point[:first]  # log(p_ij / p_ii), row by row
         tuned = list(modes)
         for (i, field), size in zip(free, np.exp(point[first:-1]), strict=True):
             value: Any = float(np.copysign(float(f"{size:.3g}"), getattr(modes[i], field)))
             tuned[i] = replace(tuned[i], **{field: value})
-        return Bank(tuple(tuned), _written(transition), 1.0 - float(f"{10.0 ** -point[-1]:.2g}"))
+        return Bank(
+            tuple(tuned),
+            _written(softmax(logits, axis=1)),
+            1.0 - float(f"{10.0 ** -point[-1]:.2g}"),
+        )
 
     return SearchSpace(
         np.array([*chances, *noise, 3.0]),
@@ -205,7 +195,7 @@ def _written(transition: Array) -> tuple[tuple[float, ...], ...]:
     return tuple(map(tuple, short.tolist()))
 
 
-def best_bank_of(space: SearchSpace, value: Value, evaluations: int) -> Bank:
+def best_bank_of(space: SearchSpace, value: Callable[[Bank, int], float], evaluations: int) -> Bank:
     """Return the bank at the mean of the search's centers in the second half of the search.
 
     Points are compared only within a generation, so each generation may have its own episodes. The

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 from scipy.optimize import minimize
@@ -68,18 +69,20 @@ def tune(mode: Mode, free: Sequence[str], objective: Objective) -> Mode:
     A Nelder-Mead search over all free parameters starts at the best point of a logarithmic grid
     over the first two of them.
     """
-    axes = [np.geomspace(*RANGES[name], n) for name, n in zip(free, POINTS, strict=False)]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
-
-    def at(numbers: Iterable[float]) -> Mode:
-        return replace(mode, **{k: float(v) for k, v in zip(free, numbers, strict=False)})  # type: ignore[arg-type]
-
-    values = np.array([objective(at(point)).mean() for point in tracked(points, mode.name)])
-    start = [getattr(at(points[np.nanargmax(values)]), name) for name in free]
     bounds = np.log([RANGES[name] for name in free])
-    corner = np.clip(np.log(np.maximum(start, 1e-12)), *(bounds.T + [[0.0], [-STEP]]))
+
+    def at(values: Iterable[float]) -> Mode:
+        return replace(mode, **{k: float(v) for k, v in zip(free, values, strict=False)})  # type: ignore[arg-type]
+
+    def loss(logarithms: Sequence[float]) -> float:
+        return -float(np.nan_to_num(objective(at(np.exp(logarithms))).mean(), nan=-np.inf))
+
+    axes = [np.linspace(a, b, n) for (a, b), n in zip(bounds.tolist(), POINTS, strict=False)]
+    best = at(np.exp(min(tracked([*product(*axes)], mode.name), key=loss)))
+    start = np.log([max(getattr(best, name), 1e-12) for name in free])
+    corner = np.clip(start, *(bounds.T + [[0.0], [-STEP]]))
     optimum = minimize(
-        lambda logarithms: -np.nan_to_num(objective(at(np.exp(logarithms))).mean(), nan=-np.inf),
+        loss,
         corner,
         method="Nelder-Mead",
         bounds=bounds,
@@ -89,4 +92,4 @@ def tune(mode: Mode, free: Sequence[str], objective: Objective) -> Mode:
             "fatol": 1e-5,
         },
     )
-    return at([float(f"{v:.3g}") for v in np.exp(optimum.x)])
+    return at([float(f"{value:.3g}") for value in np.exp(optimum.x)])
