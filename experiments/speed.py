@@ -50,7 +50,6 @@ def main(args: Args) -> None:
 
     require_extra("filterpy", "filterpy", "speed")
     from experiments.console.doc_pages import page_to_renew, renewed
-    from experiments.console.progress import tracked
     from experiments.console.provenance import provenance
     from experiments.console.tables import show
     from experiments.timing.measured import Measured
@@ -62,8 +61,7 @@ def main(args: Args) -> None:
         # fails early, before measuring, if the page names an unknown table
         renewed(page, dict.fromkeys(TITLES, ""))
     measured = Measured(args.sizes)
-    for measure in tracked(measured.pieces(args.seconds, args.repeats), "speed"):
-        measure()
+    measured.measure(args.seconds, args.repeats)
     results = tables(measured)
     show("\n".join(f"### {title}\n\n{table}\n" for title, table in results.items()))
     if args.json:

@@ -21,18 +21,24 @@ def fresh(name: str, n: int) -> tuple[float, float]:
     two values: the seconds from Python's start to the end of the first step, and the peak resident
     memory, MiB (2^20 bytes), in a run that is longer than an episode.
     """
-    words = [sys.executable, "-m", __name__, name, str(n)]
-    # The new process finds the same packages as this process.
-    packages = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     begin = time.perf_counter()
-    with subprocess.Popen(words, env=packages, stdout=subprocess.PIPE, text=True) as child:
-        assert child.stdout is not None
+    with started(__name__, name, str(n)) as child:
         child.stdout.readline()
         first_step_s = time.perf_counter() - begin
         peak_mb = child.stdout.readline()
     if child.returncode:
-        raise subprocess.CalledProcessError(child.returncode, words)
+        raise subprocess.CalledProcessError(child.returncode, child.args)
     return first_step_s, float(peak_mb)
+
+
+def started(*words: str, **options: Any) -> Any:
+    """Start a Python module, with arguments, in a process that finds the same packages as this one.
+
+    ``options`` are options of the process. The process prints to a pipe.
+    """
+    packages = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    command = [sys.executable, "-m", *words]
+    return subprocess.Popen(command, env=packages, stdout=subprocess.PIPE, **options)
 
 
 def _step(name: str, n: int) -> None:

@@ -1,17 +1,16 @@
 """Latency of a live track: the time to compute the user's position from the rows of an epoch."""
 
 import json
-import os
 import subprocess
-import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import isnan
 from typing import Any
 
 import numpy as np
 
-from experiments.evaluation.contenders import imm_banks
+from experiments.evaluation.contenders import contender_from
+from experiments.timing.fresh import started
 from experiments.timing.workloads import RADIO
 from mmwave_env.datasets.log_writer import log_columns
 from mmwave_env.filters.bank import named_modes
@@ -20,7 +19,6 @@ from mmwave_env.localization.tracker import Tracker
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import scene_from
 from mmwave_env.world.simulated import SimulatedSource
-from policies import load
 
 # 4000 epochs; the first 1000 do not count
 SCENE = "street"
@@ -30,12 +28,13 @@ PERCENTILES = (50.0, 99.0, 99.9)
 # localize --live, or calls of Tracker.update
 PIPE = "through a pipe"
 PYTHON = "in Python"
-# name -> options of `mmwave-loc localize`, and a function that selects the same filters in Python
-CONTENDERS: dict[str, tuple[tuple[str, str], Callable[[], Switching]]] = {
-    "EKF": (("--speed", "1"), lambda: Switching((named_modes(RADIO)["ekf"],))),
-    "imm-best": (("--imm", "imm-best"), lambda: Switching(imm_banks(RADIO)["imm-best"]())),
-    "guided": (("--policy", "guided"), lambda: load("guided", RADIO)),
-    "corrector": (("--policy", "corrector"), lambda: load("corrector", RADIO)),
+EKF = "EKF"
+# name -> options of `mmwave-loc localize`
+CONTENDERS = {
+    EKF: ("--speed", "1"),
+    "imm-best": ("--imm", "imm-best"),
+    "guided": ("--policy", "guided"),
+    "corrector": ("--policy", "corrector"),
 }
 LATENCIES = [(name, interface) for name in CONTENDERS for interface in (PYTHON, PIPE)]
 
@@ -49,27 +48,24 @@ def latency_us(name: str, interface: str) -> list[float]:
         [{n: v for n, v in zip(columns, row, strict=True) if not isnan(v)} for row in rows]
         for rows in cells
     ]
-    options, make = CONTENDERS[name]
-    if interface == PYTHON:
-        times = _timed(Tracker(SCENE, make(), RADIO).update, epochs)
+    if interface == PIPE:
+        times = _through_a_pipe(CONTENDERS[name], epochs)
     else:
-        times = _through_a_pipe(options, epochs)
+        ekf = Switching((named_modes(RADIO)["ekf"],))
+        switching = ekf if name == EKF else contender_from(name, RADIO)
+        times = _timed(Tracker(SCENE, switching, RADIO).update, epochs)
     return np.percentile(1e6 * times[WARM_UP:], PERCENTILES).tolist()  # type: ignore[no-any-return]
 
 
-def _through_a_pipe(options: tuple[str, str], epochs: list[Any]) -> Any:
-    words = [sys.executable, "-m", "experiments.console", "localize", "-", "--live", "--scene"]
-    # The new process finds the same packages as this process.
-    packages = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    with subprocess.Popen(
-        [*words, SCENE, "--radio", RADIO, *options], env=packages,
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-    ) as child:  # fmt: skip
+def _through_a_pipe(options: Sequence[str], epochs: list[Any]) -> Any:
+    words = ["experiments.console", "localize", "-", "--live", "--scene", SCENE, "--radio", RADIO]
+    pipes = {"stdin": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    with started(*words, *options, **pipes) as child:
 
         def ask(line: bytes) -> None:
-            child.stdin.write(line)  # type: ignore[union-attr]
-            child.stdin.flush()  # type: ignore[union-attr]
-            child.stdout.readline()  # type: ignore[union-attr]
+            child.stdin.write(line)
+            child.stdin.flush()
+            child.stdout.readline()
 
         return _timed(ask, [json.dumps({"rows": rows}).encode() + b"\n" for rows in epochs])
 

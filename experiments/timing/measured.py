@@ -4,12 +4,12 @@ import gc
 import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from functools import partial
 from statistics import median
 from typing import Any
 
 import numpy as np
 
+from experiments.console.progress import tracked
 from experiments.timing import workloads
 from experiments.timing.fresh import fresh
 from experiments.timing.latency import LATENCIES, PERCENTILES, latency_us
@@ -57,8 +57,6 @@ class Measured:
 
     def __init__(self, sizes: Sequence[int]) -> None:
         self.sizes = sorted(set(sizes))
-        largest = {workloads.native_name(n): n for n in self.sizes[-FRESH_SIZES:]}
-        self._processes = {"single": 0} | largest
         self.operations = kernels()
         # steps per second and number of busy cores, by workload (environments, single filters)
         self.steps_per_s: Rounds = defaultdict(list)
@@ -71,52 +69,37 @@ class Measured:
         self.cold_start_s: Rounds = defaultdict(list)
         self.peak_mb: Rounds = defaultdict(list)
 
-    def pieces(self, seconds: float, repeats: int) -> list[Callable[[], None]]:
-        """Return functions that each make one measurement, to be called in this order.
+    def measure(self, seconds: float, repeats: int) -> None:
+        """Measure everything in several rounds; a rate is measured for at least ``seconds``.
 
         Every round runs all workloads, so a drift of the machine's speed affects them equally.
         """
-        running: dict[str, workloads.Laps] = {}
-        makes = workloads.environments(self.sizes) | workloads.filters()
-
-        def start(name: str) -> None:
-            first_step_s, peak_mb = fresh(workloads.ENVIRONMENT, self._processes[name])
+        processes = [("single", 0)]
+        processes += [(workloads.native_name(n), n) for n in self.sizes[-FRESH_SIZES:]]
+        for name, n in tracked(processes * min(FRESH_RUNS, repeats), "new processes"):
+            first_step_s, peak_mb = fresh(workloads.ENVIRONMENT, n)
             self.cold_start_s[name].append(first_step_s)
             self.peak_mb[name].append(peak_mb)
-
-        def warm_up(name: str) -> None:
+        running: dict[str, workloads.Laps] = {}
+        makes = workloads.environments(self.sizes) | workloads.filters()
+        for name in tracked(makes, "compilation"):
             running[name] = makes[name]()
             rate(running[name], seconds)  # the first run compiles
-
-        def run(name: str) -> None:
-            steps_per_s, cores = rate(running[name], seconds)
-            self.steps_per_s[name].append(steps_per_s)
-            self.cores_busy[name].append(cores)
-
-        def answer(name: str, interface: str) -> None:
-            for percentile, value in zip(PERCENTILES, latency_us(name, interface), strict=True):
-                self.latency_us[f"{name} {interface}, p{percentile:g}"].append(value)
-
-        def limit(name: str) -> None:
-            self.limits_s[name].append(limit_s(self.operations[name]) / WIDTH)
-
-        pieces: list[Callable[[], None]] = []
-        pieces += [partial(start, name) for name in self._processes] * min(FRESH_RUNS, repeats)
-        pieces += [partial(warm_up, name) for name in makes]
-        measured: list[Callable[[], None]] = []
-        measured += [partial(run, name) for name in makes]
-        measured += [partial(answer, *latency) for latency in LATENCIES]
-        measured += [partial(limit, name) for name in self.operations]
-        return pieces + measured * repeats
-
-    def natives(self, threads: int = workloads.BOTH) -> list[str]:
-        """Return names of our vector environments ("native") with ``threads`` threads."""
-        return [workloads.native_name(n, threads) for n in self.sizes]
+        for _ in tracked(range(repeats), "rounds"):
+            for name, laps in running.items():
+                steps_per_s, cores = rate(laps, seconds)
+                self.steps_per_s[name].append(steps_per_s)
+                self.cores_busy[name].append(cores)
+            for name, interface in LATENCIES:
+                for percentile, value in zip(PERCENTILES, latency_us(name, interface), strict=True):
+                    self.latency_us[f"{name} {interface}, p{percentile:g}"].append(value)
+            for name, operations in self.operations.items():
+                self.limits_s[name].append(limit_s(operations) / WIDTH)
 
     @property
     def ours(self) -> list[str]:
         """Return names of our environments, the single environment first."""
-        return ["single"] + [n for threads in workloads.THREADS for n in self.natives(threads)]
+        return [name for name in workloads.environments(self.sizes) if name not in BASES]
 
     def ratios(self) -> Rounds:
         """Return our steps per second divided by the rate of each workload in :data:`BASES`."""
@@ -129,9 +112,10 @@ class Measured:
 
     def fractions(self) -> Rounds:
         """Return the minimum time of a step on a core, divided by the measured time of the step."""
+        alone = [workloads.native_name(n, 1) for n in self.sizes]
         return {
             name: np.multiply(self.limits_of(name), self.steps_per_s[name]).tolist()
-            for name in (*workloads.FILTERS, *self.natives(1))
+            for name in (*workloads.FILTERS, *alone)
         }
 
     def limits_of(self, name: str) -> list[float]:

@@ -1,10 +1,10 @@
 """Markdown tables of the speed measurements."""
 
-import math
 import os
 import platform
 import re
 from collections.abc import Callable, Sequence
+from decimal import Decimal
 from pathlib import Path
 from statistics import median
 
@@ -34,10 +34,7 @@ def label(name: str) -> str:
 
 def short(value: float) -> str:
     """Format a number to three digits."""
-    if not value:
-        return "0"
-    digits = 2 - math.floor(math.log10(abs(value)))
-    return f"{round(value, digits):,.{max(0, digits)}f}"
+    return f"{Decimal(f'{value:#.3g}'):,f}"
 
 
 def spread(values: Sequence[float], unit: float = 1.0) -> str:

@@ -6,7 +6,7 @@ the previous result of its chain. Loads and stores use other units and are timed
 limit is the longer time. Waits for results, register spills, caches and code fetches are ignored.
 """
 
-import time
+import timeit
 from collections import Counter
 from collections.abc import Callable
 from functools import cache
@@ -110,11 +110,5 @@ def _repeated(build: Callable[[Any], None]) -> Any:
 
 def _seconds(repeat: Any, blocks: Any) -> float:
     """Return the seconds of a pass over the blocks, the minimum of several tries."""
-    repeat(blocks.copy(), 1)  # the first call compiles
-    shortest = np.inf
-    for _ in range(TRIES):
-        used = blocks.copy()
-        begin = time.perf_counter()
-        repeat(used, CALLS)
-        shortest = min(shortest, time.perf_counter() - begin)
-    return shortest / CALLS
+    repeat(blocks, 1)  # the first call compiles
+    return min(timeit.repeat(lambda: repeat(blocks, CALLS), number=1, repeat=TRIES)) / CALLS

@@ -60,8 +60,8 @@ def environments(sizes: Sequence[int]) -> dict[str, Callable[[], Laps]]:
         SYNC_NAME: partial(stepped, SYNC, vectorization_mode="sync"),
         **{
             native_name(n, threads): partial(stepped, n, threads=threads)
-            for n in sizes
             for threads in THREADS
+            for n in sizes
         },
     }
 
