@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, wraps
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +25,6 @@ from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource
 
-CHUNK = 128  # number of tracks computed together: few enough for the processor's caches
 TUNED_ON = {"pedestrian": 0, "vehicle": 1}  # kind of user -> index of the mode tuned for it
 
 
@@ -96,14 +95,6 @@ class Bench:
 
 def track(mode: Mode, episodes: Sequence[Episode], planar: bool = False) -> TrackRun:
     """Filter and smooth episodes of the same length with a mode."""
-    parts = [_tracks(mode, episodes[i : i + CHUNK], planar) for i in range(0, len(episodes), CHUNK)]
-    axes = 2 if planar else 3
-    errors, nees, better_errors, better_nees = map(np.concatenate, zip(*parts, strict=True))
-    return TrackRun(_errors(errors, nees, axes), _errors(better_errors, better_nees, axes))
-
-
-def _tracks(mode: Mode, episodes: Sequence[Episode], planar: bool) -> Sequence[Array]:
-    """Return position errors (n, T, 3) and NEES (n, T) of the filter, then of the smoother."""
     pipeline = Pipeline((mode,), episodes[0].layout, planar)
     tracker = tracks_of(pipeline, len(episodes))
     tracker.load(episodes)
@@ -114,7 +105,9 @@ def _tracks(mode: Mode, episodes: Sequence[Episode], planar: bool) -> Sequence[A
     covariance = unpack(list(np.moveaxis(better_P, -1, 0)), zero=pipeline.known_axes)
     # NEES depends only on state minus truth: pass the error as the state, and 0 as the truth.
     offset = Belief(list(np.moveaxis(better, -1, 0)), covariance, pipeline.position_axes)
-    return error, nees, better, offset.nees([0.0] * 3)
+    axes = len(pipeline.position_axes)
+    smoothed = _errors(better, offset.nees([0.0] * 3), axes)
+    return TrackRun(_errors(error, nees, axes), smoothed)
 
 
 def _errors(error: Array, nees: Array, axes: int) -> Errors:
@@ -174,7 +167,7 @@ def section(
     """Return a decorator that turns a generator of rows into a function that returns a section."""
 
     def decorate(rows: Rows) -> Callable[[Bench], Section]:
-        return wraps(rows)(lambda bench: Section(title, note, header, labels, [*rows(bench)]))
+        return lambda bench: Section(title, note, header, labels, [*rows(bench)])
 
     return decorate
 
