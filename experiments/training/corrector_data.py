@@ -180,8 +180,8 @@ class CorrectorData:
         policy = base_policy(self._hyper.base, engine.observation)
         track = play(engine, policy, epochs, rows, columns)
         size = batch.layout.state_size
-        outputs = np.split(track.outputs.swapaxes(0, 1), [size, len(rows) - 3], axis=2)
-        return lot_of(track.features.swapaxes(0, 1), *outputs)
+        outputs = np.split(track.outputs, [size, len(rows) - 3], axis=2)
+        return lot_of(track.features, *outputs)
 
 
 def base_policy(base: str, table: Observation) -> Policy:
@@ -214,16 +214,16 @@ def weaving(source: SimulatedSource, rng: np.random.Generator) -> SimulatedSourc
 def lot_of(features: Array32, x: Array, P: Array, error: Array) -> Lot:
     """Return a lot, given the features, and the base's beliefs and errors in the scene's axes.
 
-    All arrays are (T, n, ...); P is packed, and errors are estimates minus truth. Episodes in which
+    All arrays are (n, T, ...); P is packed, and errors are estimates minus truth. Episodes in which
     the base's belief became NaN or infinite (docs/reliability.md) are left out.
     """
     belief = Belief(list(np.moveaxis(x, -1, 0)), unpack(list(np.moveaxis(P, -1, 0))))
     frame, deviations = deviations_of(belief)
     along, across = frame.into(-error[..., 0], -error[..., 1])
     truth = np.stack([along, across, -error[..., 2]], axis=-1).astype(np.float32)
-    lot = Lot(features, truth, np.stack(deviations, axis=-1).astype(np.float32))
-    sound = np.logical_and.reduce([np.isfinite(part).all(axis=(0, 2)) for part in lot])
-    return Lot(*(part[:, sound] for part in lot))
+    parts = (features, truth, np.stack(deviations, axis=-1).astype(np.float32))
+    sound = np.logical_and.reduce([np.isfinite(part).all(axis=(1, 2)) for part in parts])
+    return Lot(*(np.swapaxes(part[sound], 0, 1) for part in parts))
 
 
 def degrade(batch: EpisodeBatch, rng: np.random.Generator) -> None:

@@ -12,7 +12,7 @@ from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.runner import Scores, score
 from experiments.evaluation.seeds import draw_episodes
-from experiments.training.training_task import Place, TrainingTask, shares
+from experiments.training.training_task import Place, TrainingTask
 from mmwave_env.io.files import Json
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode
@@ -31,13 +31,12 @@ class Evaluator:
     """
 
     def __init__(self, task: TrainingTask, episodes: int = EPISODES) -> None:
-        counts = shares(max(episodes, len(task.places)), len(task.places))
+        places = task.places
+        seeds = TUNING_SEED + np.arange(max(episodes, len(places)))
         self._at: list[tuple[Place, Sequence[Episode]]] = []
-        first = TUNING_SEED
-        for place, n in zip(task.places, counts, strict=True):
-            seeds = range(first, first + n)
-            self._at.append((place, draw_episodes(place.source(task.scenario), seeds)))
-            first += n
+        for place, some in zip(places, np.array_split(seeds, len(places)), strict=True):
+            episodes_here = draw_episodes(place.source(task.scenario), some.tolist())
+            self._at.append((place, episodes_here))
         rivals = PER_MODE_RIVALS if task.beliefs == "per-mode" else TRAINING_RIVALS
         # The rule warns at speeds outside its design window, which occur here on purpose.
         with warnings.catch_warnings(action="ignore"):

@@ -150,7 +150,8 @@ def _least(parts: list[Array], infinite: int) -> Array:
     standard error of this share over episodes, is at most the risk. ``infinite`` is a number of
     episodes to add, whose logs are infinite. Constants above LIMIT become infinite.
     """
-    low, high = np.array([[[-LIMIT] * 2], [[LIMIT] * 2]]).repeat(len(RISKS), axis=1)
+    high = np.full((len(RISKS), 2), LIMIT)
+    low = -high
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
         over = [(~(part <= middle)).mean(axis=1) for part in parts]

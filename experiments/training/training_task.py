@@ -5,7 +5,6 @@ A *place* is a scene with a radio, a rate of epochs, the measured quantities and
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
 from typing import Any, cast
 
 from experiments.console.options import WorldArgs
@@ -15,6 +14,7 @@ from mmwave_env.filters.bank import Bank, bank_from, modes_from
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.reward import Reward
 from mmwave_env.models.layout import CLOCKS, MEASUREMENTS, measurements_from
+from mmwave_env.models.radio import radio_from
 from mmwave_env.task import task_from
 from mmwave_env.world.simulated import SimulatedSource
 
@@ -61,10 +61,10 @@ class Place:
         clock = "" if self.clock == "synchronized" else f":{self.clock}"
         return f"{self.scene}:{self.radio}{rate}{subset}{clock}"
 
-    @cached_property
+    @property
     def profile(self) -> str:
         """Return the name of the radio, which identifies its tuned modes and IMMs."""
-        return self.source("mixed").radio.name
+        return radio_from(self.radio).name
 
     def source(self, scenario: str) -> SimulatedSource:
         """Return the source of episodes at this place, for a kind of user (``scenario``)."""
@@ -116,12 +116,6 @@ def places_from(words: Sequence[str]) -> tuple[Place, ...]:
     if all(place.measurements is None for place in places):
         return places
     return tuple(replace(p, measurements=p.measurements or MEASUREMENTS) for p in places)
-
-
-def shares(count: int, places: int) -> list[int]:
-    """Split ``count`` environments or episodes over places as evenly as possible."""
-    each, more = divmod(count, places)
-    return [each + (place < more) for place in range(places)]
 
 
 @dataclass(frozen=True)

@@ -75,11 +75,7 @@ class SmoothedData(CorrectorData):
     """A source of lots of smoothed tracks, with their features, errors and deviations."""
 
     def _play(self, batch: EpisodeBatch, bank: Bank) -> Lot:
-        track = smoothed(batch, bank, self._hyper.base)
-        x = np.swapaxes(track.x, 0, 1)
-        P = np.swapaxes(track.P, 0, 1)
-        error = np.swapaxes(track.error, 0, 1)
-        return lot_of(np.swapaxes(track.features, 0, 1), x, P, error)
+        return lot_of(*smoothed(batch, bank, self._hyper.base))
 
 
 class TwoWayTrainer(CorrectorTrainer):

@@ -1,7 +1,6 @@
 """Vector environment for Stable-Baselines3, made of one native vector environment per place."""
 
 from collections.abc import Sequence
-from itertools import accumulate
 from typing import Any, NoReturn, cast
 
 import numpy as np
@@ -9,7 +8,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from experiments.training.hyperparameters import PpoHyperparameters
-from experiments.training.training_task import TrainingTask, shares
+from experiments.training.training_task import TrainingTask
 from mmwave_env.interface.reward import PairedReward
 from mmwave_env.numerics.numbers import Array32, Mask
 from mmwave_env.sb3 import Indices, Infos, SB3VecEnv
@@ -35,7 +34,7 @@ class PlacesVecEnv(VecEnv):
     """
 
     def __init__(self, task: TrainingTask, hyperparameters: PpoHyperparameters) -> None:
-        counts = shares(hyperparameters.num_envs, len(task.places))
+        count = hyperparameters.num_envs
         options: dict[str, Any] = {
             "observation": task.observation,
             "reward": PairedReward(task.reward) if hyperparameters.paired else task.reward,
@@ -43,21 +42,22 @@ class PlacesVecEnv(VecEnv):
             "infos": "episode",
             "threads": 1,
         }
+        # for each place, the numbers of its environments
+        self._here = np.array_split(np.arange(count), len(task.places))
         self.envs = [
-            MmWaveLocVectorEnv(n, **task.arguments(place), **options)
-            for place, n in zip(task.places, counts, strict=True)
+            MmWaveLocVectorEnv(len(here), **task.arguments(place), **options)
+            for place, here in zip(task.places, self._here, strict=True)
         ]
         self.observation = self.envs[0].observation
         self._parts = [SB3VecEnv(env) for env in self.envs]
-        self._firsts = [0, *accumulate(part.num_envs for part in self._parts)]
         first = self._parts[0]
-        super().__init__(self._firsts[-1], first.observation_space, first.action_space)
+        super().__init__(count, first.observation_space, first.action_space)
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Give environment i, counted across all places, the seed ``seed + i``."""
         seeds = super().seed(seed)
-        for part, first in zip(self._parts, self._firsts, strict=False):
-            part.seed(seeds[first])
+        for part, here in zip(self._parts, self._here, strict=True):
+            part.seed(seeds[here[0]])
         return seeds
 
     def reset(self) -> NDArray[Any]:
@@ -72,8 +72,8 @@ class PlacesVecEnv(VecEnv):
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Set the actions (n,) of the step that :meth:`step_wait` makes."""
-        for part, some in zip(self._parts, np.split(actions, self._firsts[1:-1]), strict=True):
-            part.step_async(some)
+        for part, here in zip(self._parts, self._here, strict=True):
+            part.step_async(actions[here])
 
     def step_wait(self) -> tuple[NDArray[Any], Array32, Mask, Infos]:
         """Return observations (n, features), rewards (n,), whether episodes ended (n,), infos."""
