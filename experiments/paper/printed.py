@@ -57,11 +57,10 @@ def untuned(algorithm: str, coupling: bool) -> Mode:
 
 def _row(name: str, printed: Published | None, forms: Sequence[Scores]) -> Row:
     """Return a row: per metric, the paper's value, then our value per form of process noise."""
-    ours = iter(bootstrap(np.stack([scores[m] for m in PRINTED for scores in forms], axis=1)))
     row: Row = [name]
     for metric in PRINTED:
         row.append("" if printed is None else getattr(printed, metric))
-        row += [next(ours) for _ in forms]
+        row += bootstrap(np.stack([scores[metric] for scores in forms], axis=1))
     return row
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.console.progress import note, progress, say
+from experiments.console.progress import note, say, tracked
 from experiments.console.tables import grid, show
 from experiments.evaluation.intervals import Interval, rounded
 from experiments.sweeping.cells import evaluated, keep, kept, read, trained
@@ -49,15 +49,13 @@ def _computed(spec: Spec, folder: Path, todo: Mapping[str, Values]) -> int:
     """Compute missing cells, write their rows, and return the number of cells that failed."""
     failed = 0
     compute = evaluated if spec.kind == "evaluate" else trained
-    with progress("cells") as report:
-        for number, (name, row, error) in enumerate(computed(compute, todo), start=1):
-            if row is not None:
-                keep(folder, name, todo[name], row)
-            else:
-                failed += 1
-                cell = ", ".join(f"{axis} {value}" for axis, value in todo[name].items())
-                note(f"failed: {cell}: {error}")
-            report(number / len(todo))
+    for name, row, error in tracked(computed(compute, todo), "cells", len(todo)):
+        if row is not None:
+            keep(folder, name, todo[name], row)
+        else:
+            failed += 1
+            cell = ", ".join(f"{axis} {value}" for axis, value in todo[name].items())
+            note(f"failed: {cell}: {error}")
     return failed
 
 
