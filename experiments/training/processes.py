@@ -6,7 +6,7 @@ import signal
 from collections.abc import Callable, Sequence
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
-from typing import Any, cast
+from typing import Any
 
 from experiments.console.signals import answered, ended_by_signals
 from experiments.training.corrector import CorrectorTrainer
@@ -48,8 +48,7 @@ def side_by_side(
         ValueError: the input of a training is not valid.
         ChildProcessError: a training failed in another way, or was ended from outside.
     """
-    waiting = list(reversed(jobs))
-    outcomes = dict[int, Json]()
+    waiting = [job for job in reversed(jobs) if not job.outcome.is_file()]
     running: dict[Any, tuple[Job, BaseProcess]] = {}
     try:
         while waiting or running:
@@ -57,31 +56,29 @@ def side_by_side(
                 job = waiting.pop()
                 line, process = _started(job)
                 running[line] = job, process
-            for ready in wait(list(running)):
-                line = cast(Connection, ready)  # the annotation of wait allows sockets
+            ready: list[Any] = wait(list(running))
+            for line in ready:
                 job, process = running[line]
                 try:
-                    kind, *content = line.recv()
+                    message = line.recv()
                 except (EOFError, OSError):
                     process.join()
-                    raise ChildProcessError(
-                        f"seed {job.seed}: its process ended with code {process.exitcode}; "
-                        "--resume continues the run"
-                    ) from None
-                if kind == "news":
-                    tell(job, *content)
-                elif kind == "refused":
-                    raise ValueError(f"seed {job.seed}: {content[0]}")
-                else:
-                    (outcomes[job.seed],) = content
+                    if process.exitcode:
+                        raise ChildProcessError(
+                            f"seed {job.seed}: its process ended with code {process.exitcode}; "
+                            "--resume continues the run"
+                        ) from None
                     del running[line]
-                    process.join()
+                    continue
+                if isinstance(message, str):
+                    raise ValueError(f"seed {job.seed}: {message}")
+                tell(job, *message)
     finally:
         for _, process in running.values():
             process.terminate()
         for _, process in running.values():
             process.join()
-    return [outcomes[job.seed] for job in jobs]
+    return [read_json(job.outcome, "the outcome of a training", dict) for job in jobs]
 
 
 def _started(job: Job) -> tuple[Connection, BaseProcess]:
@@ -96,15 +93,14 @@ def _started(job: Job) -> tuple[Connection, BaseProcess]:
 
 
 def _train(job: Job, line: Connection) -> None:
-    """Run one training in this process; end quietly if the parent has closed the connection."""
+    """Run one training in this process; end quietly if the parent has closed the connection.
+
+    Messages are the progress, and a text that says why the training was refused.
+    """
     try:
         with ended_by_signals():
-            if job.outcome.is_file():
-                outcome = read_json(job.outcome, "the outcome of a training", dict)
-            else:
-                outcome = train(job, lambda *news: line.send(("news", *news)))
-            line.send(("done", outcome))
+            train(job, lambda *news: line.send(news))
     except BrokenPipeError:
         return
     except (ValueError, OSError) as error:
-        line.send(("refused", str(error)))
+        line.send(str(error))

@@ -7,7 +7,6 @@ import numpy as np
 from experiments.evaluation.branches import Act, Branches
 from experiments.training.training_task import TrainingTask
 from mmwave_env.compiler.lanes import WIDTH
-from mmwave_env.compiler.program import rows_of
 from mmwave_env.engines.engine import Engine
 from mmwave_env.engines.epoch import untuned
 from mmwave_env.filters.pipeline import Pipeline
@@ -81,7 +80,6 @@ class RolloutEnv:
                 self._engine.tune(task.banks[place.profile], here)
         step_s = np.array([place.dt for place in places])[self._place]
         self._weights = discount ** (step_s[:, None] * np.arange(horizon))
-        self._reward_row = rows_of(self._engine.at.reward)
         self._streams = Streams(n)
         for i in range(n):
             self._streams.seed(i, seed + i)
@@ -90,18 +88,13 @@ class RolloutEnv:
         length = self._engine.batch.state.length
         length[:] = 1 + block * (length - 1) // (block[-1] + 1)
 
-    def step(self, actions: Index) -> Array:
-        """Take the actions (n,), one in every environment; start a new episode where one ends.
-
-        Returns:
-            The rewards (n,).
-        """
-        self.observations, rewards = self._engine.step(actions, self._reward_row)
+    def step(self, actions: Index) -> None:
+        """Take the actions (n,), one in every environment; start a new episode where one ends."""
+        self.observations, _ = self._engine.step(actions)
         state = self._engine.batch.state
         over = np.flatnonzero(state.epoch > state.length)
         if len(over):
             self._begin(over)
-        return rewards[:, 0]
 
     def _begin(self, some: Index) -> None:
         """Start new episodes in the environments with the indices ``some`` (k,)."""
