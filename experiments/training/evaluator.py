@@ -1,7 +1,7 @@
 """Evaluation of the policies of a training run: gains in reward over rivals (a rule and IMMs)."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,39 +21,44 @@ PER_MODE_RIVALS = (*TRAINING_RIVALS, "imm-best")  # rivals if every mode keeps i
 EPISODES = 500  # number of episodes to evaluate a policy on
 
 
-class Evaluator:
-    """An evaluator that scores all policies on the same episodes, by the default reward.
+def examiner(task: TrainingTask, episodes: int = EPISODES) -> Callable[[Path], Json]:
+    """Return a function that scores policy files on the same episodes, by the default reward.
+
+    Its results are the first seed, the number of episodes, the mean of every metric and, as "minus
+    NAME", the mean gain in reward over each rival, with a 95 % interval. If there are several
+    places, the gain at each place is under "PLACE minus NAME".
 
     Args:
         task: task of the training; episodes are split evenly among its places (scene and radio).
         episodes: number of episodes; every place gets at least one.
     """
+    places = task.places
+    numbers = np.arange(max(episodes, len(places)))
+    # for each place, the numbers of its episodes, and the episodes
+    at: list[tuple[Place, Index, Sequence[Episode]]] = []
+    for place, here in zip(places, np.array_split(numbers, len(places)), strict=True):
+        seeds = (TUNING_SEED + here).tolist()
+        at.append((place, here, draw_episodes(place.source(task.scenario), seeds)))
 
-    def __init__(self, task: TrainingTask, episodes: int = EPISODES) -> None:
-        places = task.places
-        numbers = np.arange(max(episodes, len(places)))
-        # for each place, the numbers of its episodes, and the episodes
-        self._at: list[tuple[Place, Index, Sequence[Episode]]] = []
-        for place, here in zip(places, np.array_split(numbers, len(places)), strict=True):
-            seeds = (TUNING_SEED + here).tolist()
-            self._at.append((place, here, draw_episodes(place.source(task.scenario), seeds)))
-        rivals = PER_MODE_RIVALS if task.beliefs == "per-mode" else TRAINING_RIVALS
-        # The rule warns at speeds outside its design window, which occur here on purpose.
-        with warnings.catch_warnings(action="ignore"):
-            self._rivals = {name: self._scores(name)["reward"] for name in rivals}
+    def scores_of(name: str) -> Scores:
+        """Score a contender, given its name or file, on all episodes."""
+        parts = []
+        for place, _, some in at:
+            contender = contender_from(name, place.radio)
+            parts.append(score(contender, contender.start(some[0].layout), some))
+        return {metric: np.concatenate([part[metric] for part in parts]) for metric in parts[0]}
 
-    def examine(self, path: Path) -> Json:
-        """Evaluate a policy file; return results by name.
+    rivals = PER_MODE_RIVALS if task.beliefs == "per-mode" else TRAINING_RIVALS
+    # The rule warns at speeds outside its design window, which occur here on purpose.
+    with warnings.catch_warnings(action="ignore"):
+        rewards = {name: scores_of(name)["reward"] for name in rivals}
 
-        The results are the first seed, the number of episodes, the mean of every metric and, as
-        "minus NAME", the mean gain in reward over each rival, with a 95 % interval. If there are
-        several places, the gain at each place is under "PLACE minus NAME".
-        """
-        scores = self._scores(str(path))
-        differences = {name: scores["reward"] - reward for name, reward in self._rivals.items()}
+    def examine(path: Path) -> Json:
+        scores = scores_of(str(path))
+        differences = {name: scores["reward"] - reward for name, reward in rewards.items()}
         figures = _gains(differences)
-        if len(self._at) > 1:
-            for place, here, _ in self._at:
+        if len(places) > 1:
+            for place, here, _ in at:
                 gains = _gains({name: values[here] for name, values in differences.items()})
                 figures |= {f"{place} {name}": gain for name, gain in gains.items()}
         return {
@@ -63,13 +68,7 @@ class Evaluator:
             **{name: gain.json for name, gain in figures.items()},
         }
 
-    def _scores(self, name: str) -> Scores:
-        """Score a contender, given its name or file, on all episodes."""
-        parts = []
-        for place, _, episodes in self._at:
-            contender = contender_from(name, place.radio)
-            parts.append(score(contender, contender.start(episodes[0].layout), episodes))
-        return {metric: np.concatenate([part[metric] for part in parts]) for metric in parts[0]}
+    return examine
 
 
 def _gains(differences: dict[str, Array]) -> dict[str, Interval]:

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from experiments.evaluation.seeds import SEEDS_EACH, TRAINING_SEED
 from experiments.training.evaluator import EPISODES
 from experiments.training.training_task import TrainingTask
 
@@ -43,8 +42,3 @@ class Job:
     def checkpoint(self) -> Path:
         """Return the file of the latest checkpoint, which is deleted when the training finishes."""
         return self.folder / "checkpoint.pt"
-
-    @property
-    def first_seed(self) -> int:
-        """Return the first of the seeds that belong to the training."""
-        return TRAINING_SEED + SEEDS_EACH * self.seed

@@ -15,7 +15,8 @@ import numpy as np
 import torch
 
 from experiments.console.provenance import versions_of
-from experiments.training.evaluator import Evaluator
+from experiments.evaluation.seeds import SEEDS_EACH, TRAINING_SEED
+from experiments.training.evaluator import examiner
 from experiments.training.job import Job, Tell
 from experiments.training.training_task import TrainingTask
 from mmwave_env.interface.observation import Observation
@@ -68,7 +69,7 @@ class Trainer(ABC):
 
         Results by name include "reward"; ``episodes`` is their number of episodes.
         """
-        return Evaluator(self.judged, episodes).examine
+        return examiner(self.judged, episodes)
 
     def state(self) -> State:
         """Return the weights, the optimizer and the normalization, for :meth:`restore`."""
@@ -136,7 +137,8 @@ class Training:
             self.progress, state = read_checkpoint(job.checkpoint)
         self._begun_s = time.monotonic() - self.progress.seconds
         # after an interruption, the environments get new episodes
-        seed = job.first_seed + self.progress.updates * job.hyperparameters.num_envs
+        new = self.progress.updates * job.hyperparameters.num_envs
+        seed = TRAINING_SEED + SEEDS_EACH * job.seed + new
         self.trainer = algorithm(job, seed)
         if state is not None:
             with going_on_from(job.checkpoint):
