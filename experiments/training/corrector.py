@@ -104,7 +104,10 @@ class CorrectorTrainer(Trainer):
     def __init__(self, job: Job, seed: int) -> None:
         torch.manual_seed(seed)
         self.hyper: CorrectorHyperparameters = job.hyperparameters
-        self.judged = replace(job.task, places=places_from(self.hyper.judged_at))
+        places = places_from(self.hyper.judged_at)
+        # the training's bank, or its first bank for a radio that it does not use
+        banks = {p.profile: job.task.banks.get(p.profile, job.task.bank) for p in places}
+        self.judged = replace(job.task, places=places, banks=banks)
         self.base = self.hyper.base
         self.seed = seed
         self.data = self.DATA(job.task, self.hyper, seed)

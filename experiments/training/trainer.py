@@ -210,7 +210,7 @@ class Training:
     def _card(self, evaluation: Json) -> Card:
         job = self._job
         table = self.trainer.table
-        task = self.trainer.judged
+        task = job.task
         return Card(
             modes=table.modes,
             observation=table.kind,

@@ -18,7 +18,6 @@ from experiments.console.options import TUNING_SEED
 from experiments.training.corrector import CorrectorTrainer
 from experiments.training.corrector_data import CorrectorData, Lot, base_policy, lot_of
 from experiments.training.hyperparameters import TwoWayHyperparameters
-from experiments.training.training_task import banks_of
 from mmwave_env.engines.engine import Engine
 from mmwave_env.engines.play import play
 from mmwave_env.engines.smoothed_features import GATES, smoothed_features
@@ -108,10 +107,8 @@ class TwoWayTrainer(CorrectorTrainer):
         Its results are "reward", the negative mean error (m) of corrected tracks, and "smoothed_m",
         the mean error before the correction.
         """
-        banks = banks_of((), self.judged.places, "per-mode")
-        task = replace(self.judged, banks=banks)
         hyper = replace(self.hyper, random_share=0.0)
-        lots = list(SmoothedData(task, hyper, TUNING_SEED).lots())
+        lots = list(SmoothedData(self.judged, hyper, TUNING_SEED).lots())
 
         @torch.no_grad()
         def examine(_: Path) -> Json:
