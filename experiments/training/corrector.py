@@ -10,9 +10,11 @@ plays each episode only once. Every update has new *lots* (batches of equally lo
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from experiments.training.corrector_data import CorrectorData, Lot
@@ -27,6 +29,7 @@ from mmwave_env.metrics import BURN_IN
 from mmwave_env.models.layout import Layout
 from mmwave_env.numerics.numbers import Index
 from policies.policy_file import CORRECTIONS, Tensors
+from policies.sb3 import Normalization
 
 FIRST = 3  # number of extra rounds of lots in the first update, to measure the features' ranges
 OUTSIDE = 2e-4  # share of a feature's values below its lower limit, and also above its upper limit
@@ -61,6 +64,13 @@ class CorrectorNetwork(nn.Module):
         head = torch.tanh(self.head(torch.cat([memory, front], -1)))
         answer = self.out(head).unflatten(-1, (-1, CORRECTIONS))
         return answer[..., :3], answer[..., 3:]
+
+
+def normalization_of(rows: NDArray[Any]) -> Normalization:
+    """Return the normalization of features, given many of their values (n, features)."""
+    low, high = np.quantile(rows, (OUTSIDE, 1.0 - OUTSIDE), axis=0)
+    sigma = rows.std(0, np.float64) + CONSTANT
+    return Normalization(low, high, rows.mean(0, np.float64), sigma)
 
 
 def loss_of(
@@ -125,7 +135,7 @@ class CorrectorTrainer(Trainer):
         Also set the scales, unless they are restored from a checkpoint.
         """
         if not self.scales:
-            first = [lot for _ in range(1 + FIRST) for lot in self.data.lots()]
+            first = list(self.data.lots(1 + FIRST))
             self.measure(first)
             yield first
         while True:
@@ -141,10 +151,7 @@ class CorrectorTrainer(Trainer):
     def measure(self, lots: list[Lot]) -> None:
         """Set the scales from the features in some lots: limits, mean and standard deviation."""
         rows = np.concatenate([lot.features.reshape(-1, lot.features.shape[2]) for lot in lots])
-        low, high = np.quantile(rows, (OUTSIDE, 1.0 - OUTSIDE), axis=0)
-        mean = rows.mean(0, np.float64)
-        sigma = rows.std(0, np.float64) + CONSTANT
-        self.scales.update(low=low, high=high, mean=mean, sigma=sigma)
+        self.scales.update(normalization_of(rows)._asdict())
 
     def learn(self, lots: list[Lot], left: float, rng: np.random.Generator) -> float:
         """Mix the episodes anew, take a gradient step for each new lot; return the mean loss.
@@ -172,10 +179,7 @@ class CorrectorTrainer(Trainer):
 
     def answer(self, lot: Lot) -> tuple[Tensor, Tensor]:
         """Return the network's outputs for a lot; see :meth:`CorrectorNetwork.forward`."""
-        low = self.scales["low"]
-        high = self.scales["high"]
-        mean = self.scales["mean"]
-        sigma = self.scales["sigma"]
+        low, high, mean, sigma = Normalization(**self.scales)
         normal = (np.clip(lot.features, low, high) - mean) / sigma
         answer: tuple[Tensor, Tensor] = self.network(torch.from_numpy(normal.astype(np.float32)))
         return answer

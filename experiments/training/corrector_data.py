@@ -103,23 +103,24 @@ class CorrectorData:
         self._radios = {p.profile: p.source(task.scenario).radio for p in task.places}
         self.played = 0
 
-    def lots(self) -> Iterator[Lot]:
+    def lots(self, rounds: int = 1) -> Iterator[Lot]:
         """Yield a played lot for every place, then random lots (``random_share`` of all lots)."""
-        for radio, batch in self.batches():
+        for radio, batch in self.batches(rounds):
             yield self._play(batch, self._task.banks[radio])
 
-    def batches(self) -> Iterator[tuple[str, EpisodeBatch]]:
+    def batches(self, rounds: int = 1) -> Iterator[tuple[str, EpisodeBatch]]:
         """Yield the name of a radio profile and unplayed episodes for each lot of :meth:`lots`."""
         places = self._task.places
         share = self._hyper.random_share
-        for place in places:
-            rng = self._rng()
-            source = place.source(self._task.scenario)
-            if place.dt == 1.0:
-                source = self._at_some_rate(source, rng)
-            yield place.profile, self._draw(source)
-        for _ in range(round(len(places) * share / (1.0 - share))):
-            yield self._at_random(self._rng())
+        for _ in range(rounds):
+            for place in places:
+                rng = self._rng()
+                source = place.source(self._task.scenario)
+                if place.dt == 1.0:
+                    source = self._at_some_rate(source, rng)
+                yield place.profile, self._draw(source)
+            for _ in range(round(len(places) * share / (1.0 - share))):
+                yield self._at_random(self._rng())
 
     def _rng(self) -> np.random.Generator:
         """Return the random generator with which the next lot makes its choices."""

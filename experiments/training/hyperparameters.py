@@ -24,7 +24,7 @@ Neurons = Annotated[tuple[Count, ...], Size(1, 100)]
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Hyperparameters:
+class Hyperparameters:
     """Hyperparameters of every algorithm."""
 
     num_envs: Count  # number of environments stepped, or episodes played, at the same time
@@ -32,6 +32,7 @@ class _Hyperparameters:
     learning_rate: NotNegative  # initial learning rate; it falls linearly
     final_fraction: Probability  # share of learning_rate and ent_coef that is left at the end
 
+    algorithm: ClassVar[str]  # name on the command line
     together: ClassVar[int] = 1  # number of adjacent environments that share a place (scene, radio)
 
     def __post_init__(self) -> None:
@@ -39,7 +40,7 @@ class _Hyperparameters:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _SwitcherHyperparameters(_Hyperparameters):
+class _SwitcherHyperparameters(Hyperparameters):
     """Hyperparameters of the algorithms that train switchers (policies that choose modes)."""
 
     gamma: Probability  # discount per epoch (PPO) or per second (rollouts)
@@ -89,7 +90,7 @@ class RolloutHyperparameters(_SwitcherHyperparameters):
 
 
 @dataclass(frozen=True, kw_only=True)
-class CorrectorHyperparameters(_Hyperparameters):
+class CorrectorHyperparameters(Hyperparameters):
     """Hyperparameters of correctors (:mod:`experiments.training.corrector`)."""
 
     base: str  # policy whose beliefs are corrected: a shipped switcher, or imm-best
@@ -119,7 +120,6 @@ class TwoWayHyperparameters(CorrectorHyperparameters):
     algorithm = "two-way"
 
 
-Hyperparameters = PpoHyperparameters | RolloutHyperparameters | CorrectorHyperparameters
 ALL = (PpoHyperparameters, RolloutHyperparameters, CorrectorHyperparameters, TwoWayHyperparameters)
 KINDS: dict[str, type[Hyperparameters]] = {kind.algorithm: kind for kind in ALL}
 

@@ -18,7 +18,7 @@ from torch import nn
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.runner import run_contender
 from experiments.evaluation.seeds import SEEDS_EACH, TRAINING_SEED
-from experiments.training.corrector import OUTSIDE
+from experiments.training.corrector import normalization_of
 from experiments.training.corrector_data import CorrectorData
 from experiments.training.hyperparameters import read_hyperparameters, shipped_hyperparameters
 from experiments.training.training_task import TrainingTask, banks_of, places_from
@@ -72,7 +72,7 @@ def _played(
     hyper: Any = read_hyperparameters(shipped_hyperparameters("corrector"), "corrector")
     data = CorrectorData(task, replace(hyper, num_envs=ENVS, random_share=random_share), seed)
     rng = np.random.default_rng(seed)
-    for radio, batch in (lot for _ in range(rounds) for lot in data.batches()):
+    for radio, batch in data.batches(rounds):
         time_s = batch.table[0, :, rows_of([columns_of(batch.layout).dt])[0]].cumsum()
         for names in policies:
             contender = contender_from(str(rng.choice(names)), radio)
@@ -99,10 +99,7 @@ def _trained(features: Array, logs: Array, steps: int) -> Network:
     """Train a network to predict quantiles of ``logs`` (n, risks, 2); leave its constants at 0."""
     torch.set_num_threads(1)
     torch.manual_seed(0)
-    some = features[::16].astype(float)
-    low, high = np.quantile(some, (OUTSIDE, 1.0 - OUTSIDE), axis=0)
-    mean = some.mean(axis=0)
-    sigma = some.std(axis=0) + 1e-3
+    low, high, mean, sigma = normalization_of(features[::16].astype(float))
     inside = np.clip(features, low.astype(np.float32), high.astype(np.float32))
     x = torch.from_numpy((inside - mean.astype(np.float32)) / sigma.astype(np.float32))
     y = torch.from_numpy(logs)

@@ -93,7 +93,7 @@ class TwoWayTrainer(CorrectorTrainer):
         """Yield the lots of each update, pass after pass, each time in a new order."""
         assert isinstance(self.hyper, TwoWayHyperparameters)
         rng = np.random.default_rng(self.seed)
-        lots = [lot for _ in range(self.hyper.rounds) for lot in self.data.lots()]
+        lots = list(self.data.lots(self.hyper.rounds))
         if not self.scales:
             self.measure(lots[: 4 * TOGETHER])
         while True:
