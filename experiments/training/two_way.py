@@ -56,7 +56,7 @@ def smoothed(batch: EpisodeBatch, bank: Bank, base: str) -> Smoothed:
     pipeline = Pipeline(bank.modes, batch.layout)
     at = columns_of(batch.layout)
     n, epochs, _ = batch.table.shape
-    engine = Engine(pipeline, n, TrackingReward(), "full", bank, predicted=True)
+    engine = Engine(pipeline, n, TrackingReward(), "full", bank)
     engine.batch.load(batch)
     policy = base_policy(base, engine.observation)
     track = play(engine, policy, epochs, engine.program.rows(PARTS))
