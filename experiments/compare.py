@@ -48,9 +48,9 @@ def main(args: Args) -> None:
     from experiments.console.provenance import provenance
     from experiments.console.tables import booktabs, show
     from experiments.evaluation.asked import all_contenders
-    from experiments.figures.canvas import require_picture
-    from experiments.figures.curves import draw_consistency, draw_error_cdf
     from experiments.reporting.comparison_results import results
+    from experiments.reporting.figures.canvas import require_picture
+    from experiments.reporting.figures.curves import draw_consistency, draw_error_cdf
     from mmwave_env.io.files import require_writable, write_json, write_text
     from mmwave_env.metrics import METRICS
 

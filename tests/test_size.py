@@ -30,11 +30,9 @@ BUDGET = {
 ROOMS = {  # maximum tokens of a room; lines are free
     "experiments": 5_730,
     "experiments/console": 5_480,
-    "experiments/evaluation": 12_890,
-    "experiments/figures": 3_930,
+    "experiments/evaluation": 15_030,
     "experiments/paper": 5_780,
-    "experiments/reporting": 12_370,
-    "experiments/rivals": 2_070,
+    "experiments/reporting": 16_300,
     "experiments/sweeping": 2_930,
     "experiments/timing": 5_880,
     "experiments/training": 19_040,

@@ -11,8 +11,8 @@ from experiments.console.options import AUTO, LogArgs
 from experiments.console.progress import progress
 from experiments.console.provenance import provenance
 from experiments.console.tables import show
-from experiments.figures.canvas import require_picture
-from experiments.figures.trajectory import draw_trajectory
+from experiments.reporting.figures.canvas import require_picture
+from experiments.reporting.figures.trajectory import draw_trajectory
 from experiments.reporting.log_choice import (
     Choice,
     choice_of,

@@ -4,7 +4,7 @@ import numpy as np
 
 from experiments.console.tables import escaped, grid
 from experiments.evaluation.positions import KINDS, positions_markdown
-from experiments.figures.trajectory import DrawnTrack
+from experiments.reporting.figures.trajectory import DrawnTrack
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS
 from mmwave_env.io.files import Json
 from mmwave_env.localization.localizer import Track

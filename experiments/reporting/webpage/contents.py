@@ -7,8 +7,12 @@ from typing import NamedTuple
 from experiments.evaluation.comparison import Comparison
 from experiments.evaluation.positions import positions_markdown
 from experiments.evaluation.runs import outcomes_markdown
-from experiments.figures.canvas import PHONE_MM
-from experiments.figures.curves import draw_consistency, draw_error_cdf, draw_learning_curves
+from experiments.reporting.figures.canvas import PHONE_MM
+from experiments.reporting.figures.curves import (
+    draw_consistency,
+    draw_error_cdf,
+    draw_learning_curves,
+)
 from experiments.reporting.track_report import track_markdown
 from experiments.reporting.webpage.markup import drawn, element, html_of, table
 from experiments.reporting.webpage.played import Played, ranking, watched_names

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtri
 
-from experiments.figures.canvas import caption, legend_beside, picture
-from experiments.figures.timeline import mode_ribbon
+from experiments.reporting.figures.canvas import caption, legend_beside, picture
+from experiments.reporting.figures.timeline import mode_ribbon
 from mmwave_env.numerics.numbers import Array, Index
 
 ELLIPSES = 15  # maximum number of ellipses along a track

@@ -9,10 +9,14 @@ from matplotlib.image import imread
 
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.seeds import draw_episodes
-from experiments.figures.canvas import caption, contenders
-from experiments.figures.curves import draw_consistency, draw_error_cdf, draw_learning_curves
-from experiments.figures.timeline import draw_histories
-from experiments.figures.trajectory import DrawnTrack, draw_trajectory
+from experiments.reporting.figures.canvas import caption, contenders
+from experiments.reporting.figures.curves import (
+    draw_consistency,
+    draw_error_cdf,
+    draw_learning_curves,
+)
+from experiments.reporting.figures.timeline import draw_histories
+from experiments.reporting.figures.trajectory import DrawnTrack, draw_trajectory
 from experiments.reporting.histories import history_of
 from mmwave_env.task import task_from
 
