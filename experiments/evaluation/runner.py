@@ -7,9 +7,11 @@ from typing import cast
 import numpy as np
 
 from experiments.console.progress import bars
+from experiments.evaluation.agents import Estimator
 from experiments.evaluation.contenders import Contender, contender_from
-from experiments.evaluation.playing import EpochResults, Scoring, Trial
+from experiments.evaluation.playing import EpochResults, Scoring, run_estimator, run_policy
 from experiments.evaluation.seeds import Selection
+from mmwave_env.engines.engine import run_imm
 from mmwave_env.filters.bank import Modes
 from mmwave_env.interface.policy import Policy
 from mmwave_env.interface.reward import TrackingReward
@@ -67,7 +69,14 @@ def run_contender(
     batch = EpisodeBatch.of(episodes)
     if scoring.planar:
         batch = batch.on_flat_ground()
-    return contender.run(Trial(contender, policy, batch, scoring, (*PARTS, *after)))
+    names = (*PARTS, *after)
+    if contender.policy is None:
+        assert contender.bank  # an IMM: no policy acts, so one call runs all epochs
+        return run_imm(contender.bank, scoring.reward, batch, *names, planar=scoring.planar)
+    if isinstance(policy, Estimator):
+        pipeline = contender.pipeline(batch.layout, scoring.planar)
+        return run_estimator(pipeline, policy, batch, scoring.reward, names)
+    return run_policy(contender, policy, batch, scoring, names)
 
 
 def _epochs_per_second(time_s: Array) -> float:

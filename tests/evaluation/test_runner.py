@@ -86,7 +86,7 @@ def test_every_radio_has_the_expected_contenders(radio):
     learned = [*(["ppo"] if radio != "high" else []), "guided", "guided-ppo", "corrector"]
     assert list(made) == [*plain, "imm", "imm-best", *learned]
     assert all(c.name == name and c.modes for name, c in made.items())
-    assert made["imm-best"] == Contender.imm("imm-best", best_bank(radio))
+    assert made["imm-best"] == Contender(best_bank(radio), name="imm-best")
 
 
 def test_episodes_without_truth_are_refused():
@@ -163,13 +163,13 @@ def test_the_imm_always_uses_the_transition_matrix_of_a_bank_or_bank_file(tmp_pa
     for modes in (HANDSET, path, str(path), (str(path),)):
         for beliefs in BELIEFS:
             imm = contender_from("imm", "handset", modes, beliefs=beliefs)
-            assert imm == Contender.imm("imm", HANDSET)
+            assert imm == Contender(HANDSET, name="imm")
     assert contender_from("fixed-walk", "handset", path).modes == HANDSET.modes
 
 
 # --- correctors
 
-IMM = Contender.imm("imm", HANDSET)
+IMM = Contender(HANDSET, name="imm")
 
 
 @pytest.fixture(scope="module")
