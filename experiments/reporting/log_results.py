@@ -21,7 +21,7 @@ from experiments.reporting.log_choice import (
     require_one_choice,
 )
 from experiments.reporting.log_diagnosis import diagnosed
-from experiments.reporting.track_report import drawn_track, track_markdown
+from experiments.reporting.track_report import track_markdown
 from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH
 from mmwave_env.datasets.samples import sample_folder
 from mmwave_env.filters.bank import modes_from
@@ -263,9 +263,11 @@ def localized(args: LogArgs) -> None:
     try:
         if args.plot:
             log = "/".join(files.log.parts[-2:])
-            truth_m = work.truth.at(track.time_s).position_m if work.truth else None
-            drawn = drawn_track(track, truth_m, scene.anchors_m)
-            draw_trajectory(drawn, args.plot, f"{log}, {_kind(args)} track")
+            truth_m = np.full((len(track), 3), np.nan)
+            if work.truth:
+                truth_m = work.truth.at(track.time_s).position_m
+            title = f"{log}, {_kind(args)} track"
+            draw_trajectory(track, truth_m, scene.anchors_m, args.plot, title)
     finally:  # the results are shown even if a picture fails
         try:
             show(track_markdown(figures))
