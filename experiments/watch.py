@@ -101,15 +101,15 @@ def _drawn(
     """Return the episode of a seed or key, its streets (None if unknown), and its title."""
     import numpy as np
 
-    from experiments.evaluation.seeds import Selection
+    from experiments.evaluation.seeds import draw_episodes, keys_for, seeds_from
     from mmwave_env.world.keys import key_from
     from mmwave_env.world.simulated import SimulatedSource
 
     if key is None:
-        selection = Selection.of(1, seed, 1)
-        (episode,) = selection.draw(task.source)
-        keys = selection.keys(task.source)
-        which = f"seed {selection.seeds[0]}"
+        seeds = seeds_from(1, seed, 1)
+        (episode,) = draw_episodes(task.source, seeds)
+        keys = keys_for(task.source, seeds)
+        which = f"seed {seeds[0]}"
     elif seed is not None:
         raise ValueError(f"key: cannot be combined with seed {seed}; use only one of the two")
     elif not isinstance(task.source, SimulatedSource):

@@ -15,7 +15,6 @@ from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.playing import EpochResults
 from experiments.evaluation.protocol import HARD, KINDS, RECORDED, Site, sites
 from experiments.evaluation.runner import score_contenders
-from experiments.evaluation.seeds import Selection
 from mmwave_env.localization.levels import PARTS, Levels
 from mmwave_env.localization.position_errors import gaussian_levels, horizontal, vertical
 from mmwave_env.metrics import scored
@@ -57,7 +56,7 @@ def figures_at(site: Site) -> Array:
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # modes are untuned for an unseen radio on purpose
-        seeds = Selection(range(FEWER if few else EPISODES))
+        seeds = range(FEWER if few else EPISODES)
         score_contenders(POLICIES, source, site.radio, seeds, watch=[add], after=PARTS)
     return np.array(figures)
 

@@ -14,7 +14,7 @@ from experiments.evaluation.comparison import Comparison, compare_scores
 from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.playing import Scoring
 from experiments.evaluation.runner import score_contenders
-from experiments.evaluation.seeds import Selection
+from experiments.evaluation.seeds import seeds_from
 from mmwave_env.filters.bank import Modes
 from mmwave_env.interface.reward import reward_name
 from mmwave_env.io.files import AnyPath
@@ -83,17 +83,17 @@ def compare(
     _require_valid(policies, episodes, world)
     task = task_from(scenario=scenario, radio=radio, episodes=data, **world)
     scoring = Scoring.of(task)
-    selection = Selection.of(episodes, seed, USUAL_EPISODES)
+    seeds = seeds_from(episodes, seed, USUAL_EPISODES)
     settings = (radio, modes, observation, beliefs)
     everybody = [_contender(name, agent, *settings) for name, agent in policies.items()]
     everybody += [contender_from(name, radio) for name in beside]
-    scores = score_contenders(everybody, task.source, radio, selection, scoring=scoring)
+    scores = score_contenders(everybody, task.source, radio, seeds, scoring=scoring)
     return compare_scores(
         scores,
         list(policies),
         scenario=task.source.name,
         radio=task.radio.name,
-        selection=selection,
+        seeds=seeds,
         reward=reward_name(scoring.reward),
     )
 

@@ -23,7 +23,7 @@ from experiments.evaluation.contenders import BEST_IMM, RULE, contender_from, co
 from experiments.evaluation.hard import HARD_SOURCES
 from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.runner import Scores, score_contenders
-from experiments.evaluation.seeds import Selection
+from experiments.evaluation.seeds import seeds_from
 from mmwave_env.datasets.samples import sample_names
 from mmwave_env.io.files import Json, read_json
 from mmwave_env.models.radio import TUNED_RADIOS
@@ -134,13 +134,13 @@ def require_contenders(names: Sequence[str]) -> None:
 
 def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> Judged:
     """Run contenders, the paper's rule and every IMM at a site, on the same episodes."""
-    selection = Selection(range(seed, seed + episodes))
+    seeds = seeds_from(episodes, seed, EPISODES)
     # Modes of an unseen radio are untuned on purpose, so suppress the warning about untuned modes.
     with warnings.catch_warnings(action="ignore"):
         imms = [name for name in contenders(site.radio) if name.startswith("imm")]
         everybody = dict.fromkeys([*names, RULE, *imms])
         chosen = [contender_from(name, site.radio) for name in everybody]
-        scores = score_contenders(chosen, site.source(), site.radio, selection)
+        scores = score_contenders(chosen, site.source(), site.radio, seeds)
     return Judged(site, scores, tuple(imms))
 
 

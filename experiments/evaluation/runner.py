@@ -10,7 +10,7 @@ from experiments.console.progress import bars
 from experiments.evaluation.agents import Estimator
 from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.playing import EpochResults, Scoring, run_estimator, run_policy
-from experiments.evaluation.seeds import Selection
+from experiments.evaluation.seeds import draw_episodes, keys_for
 from mmwave_env.engines.engine import run_imm
 from mmwave_env.filters.bank import Modes
 from mmwave_env.interface.policy import Policy
@@ -121,11 +121,11 @@ def _summary(results: EpochResults, time_s: Array, scoring: Scoring) -> Scores:
     }
 
 
-def _drawn(selection: Selection, source: EpisodeSource) -> tuple[EpisodeBatch, Array]:
+def _drawn(source: EpisodeSource, seeds: Sequence[int]) -> tuple[EpisodeBatch, Array]:
     """Draw equally long episodes, ready to run; also return the first episode's times (T,)."""
-    keys = selection.keys(source)
+    keys = keys_for(source, seeds)
     if keys is None:
-        episodes = selection.draw(source)
+        episodes = draw_episodes(source, seeds)
         return EpisodeBatch.of(_scorable(episodes)), episodes[0].time_s
     simulated = cast(SimulatedSource, source)
     return simulated.sample_batch(keys), simulated.time_s
@@ -135,7 +135,7 @@ def score_contenders(
     names: Sequence[str | Contender],
     source: EpisodeSource,
     radio: str,
-    selection: Selection,
+    seeds: Sequence[int],
     modes: Modes = None,
     watch: Sequence[Watch] = (),
     scoring: Scoring = PLAIN,
@@ -145,7 +145,7 @@ def score_contenders(
 
     Args:
         names: contenders, or their names, which :func:`contender_from` looks up.
-        source, selection: source of the episodes, and the seeds of the episodes to run.
+        source, seeds: source of the episodes, and the seeds of the episodes to run.
         radio, modes: radio profile and modes that :func:`contender_from` gets for each name.
         watch: functions called with a contender, the times (T,) and the contender's epoch results.
         after: parts of the state that epoch results include, as in :func:`run_contender`.
@@ -163,9 +163,9 @@ def score_contenders(
         raise ValueError(f"policies: found {listed}, expected different names")
     policies = [contender.start(source.layout, scoring.planar) for contender in chosen]
     with bars() as progress:
-        task = progress.add_task(printable(source.name), total=len(selection) * (1 + len(chosen)))
-        for first in range(0, len(selection), CHUNK):
-            batch, time_s = _drawn(selection.part(first, CHUNK), source)
+        task = progress.add_task(printable(source.name), total=len(seeds) * (1 + len(chosen)))
+        for first in range(0, len(seeds), CHUNK):
+            batch, time_s = _drawn(source, seeds[first : first + CHUNK])
             count = len(batch.names)
             progress.advance(task, count)
             if not first:

@@ -8,7 +8,7 @@ from experiments.evaluation.asked import (
     all_contenders,
     contender_of,
     runs_of,
-    selection_of,
+    seeds_of,
     task_of,
 )
 from experiments.evaluation.comparison import Comparison, compare_scores, episodes_csv
@@ -44,7 +44,7 @@ def results(args: EpisodeArgs, names: Sequence[str], with_epochs: bool = False) 
     task = task_of(args)
     runs = runs_of(args, names)
     scoring = Scoring.of(task)
-    selection = selection_of(args)
+    seeds = seeds_of(args)
     files = {name: runs[name].policy if name in runs else name for name in names}
     shown = {file: name for name, file in files.items()}
     epochs = EpochErrors(shown)
@@ -56,21 +56,21 @@ def results(args: EpisodeArgs, names: Sequence[str], with_epochs: bool = False) 
         [contender_of(args, file) for file in trainings(names, runs)],
         task.source,
         args.radio,
-        selection,
+        seeds,
         watch=watch,
         scoring=scoring,
         after=PARTS if args.percentiles else (),
     )
     scores = {name: scores_of[file] for name, file in files.items()}
     if args.episodes_csv:
-        write_text(args.episodes_csv, episodes_csv(scores, selection, task.source))
+        write_text(args.episodes_csv, episodes_csv(scores, seeds, task.source))
     known = all_contenders(args)
     comparison = compare_scores(
         scores,
         [name for name in names if name not in known],
         scenario=task.source.name,
         radio=task.radio.name,
-        selection=selection,
+        seeds=seeds,
         reward=reward_name(scoring.reward),
     )
     text = str(comparison)

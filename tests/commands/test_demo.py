@@ -6,7 +6,6 @@ from experiments import demo
 from experiments.console.options import EpisodeArgs
 from experiments.evaluation.asked import all_contenders
 from experiments.evaluation.comparison import compare_scores
-from experiments.evaluation.seeds import Selection
 from experiments.reporting.comparison_results import Results
 from experiments.reporting.histories import EpochErrors
 from mmwave_env.metrics import METRICS, TERMS
@@ -17,7 +16,7 @@ def test_results_for_every_data_set_are_printed_and_written(tmp_path, monkeypatc
     def results(args, names):
         assert args.percentiles
         scores = {name: dict.fromkeys((*METRICS, *TERMS), np.arange(3.0)) for name in names}
-        episodes = {"scenario": args.data or "mixed", "selection": Selection(range(args.episodes))}
+        episodes = {"scenario": args.data or "mixed", "seeds": range(args.episodes)}
         comparison = compare_scores(scores, radio=args.radio, **episodes)
         return Results(comparison, str(comparison), comparison.json, EpochErrors({}))
 

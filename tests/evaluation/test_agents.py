@@ -114,7 +114,7 @@ MISTAKES = {  # name of an agent -> expected message
 @pytest.mark.parametrize("name", MISTAKES)
 def test_an_invalid_agent_is_refused_before_an_episode_runs(name, folder, monkeypatch):
     (folder / "mine.zip").write_bytes(b"")
-    monkeypatch.setattr("experiments.evaluation.seeds.Selection.draw", None)
+    monkeypatch.setattr("experiments.evaluation.runner.draw_episodes", None)
     done = command("evaluate", "--policy", name, cwd=folder)
     assert_one_clear_line(done, f"^mmwave-loc evaluate: .*{MISTAKES[name]}")
 
@@ -157,7 +157,7 @@ def test_compare_accepts_objects_modules_files_and_loaded_policies(tmp_path):
     agents = {"object": mine, "module": "my_agents:second"}
     agents |= {"file": file, "loaded": LearnedSwitch(file)}
     comparison = compare(agents, beside=("fixed-ukf",), episodes=3, seed=4)
-    assert (comparison.scenario, *comparison.selection.seeds) == ("mixed", 4, 5, 6)
+    assert (comparison.scenario, *comparison.seeds) == ("mixed", 4, 5, 6)
     rows = comparison.policies
     assert list(rows) == ["object", "module", "file", "loaded", "fixed-ukf"]
     assert rows["object"] == rows["module"] == rows["fixed-ukf"]

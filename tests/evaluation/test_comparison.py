@@ -6,7 +6,6 @@ import pytest
 from experiments.evaluation.comparison import compare_scores
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.positions import HEADER, percent, positions_markdown
-from experiments.evaluation.seeds import Selection
 from mmwave_env.localization.position_errors import PositionErrors
 from mmwave_env.metrics import HEADERS, METRICS, TERMS
 
@@ -22,7 +21,7 @@ def scores(**rewards):
     }
 
 
-SETTING = {"scenario": "mixed", "radio": "handset", "selection": Selection(range(3))}
+SETTING = {"scenario": "mixed", "radio": "handset", "seeds": range(3)}
 
 
 def test_contenders_are_paired_with_references_but_users_agents_are_paired_with_all():

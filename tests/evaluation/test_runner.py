@@ -12,7 +12,7 @@ from experiments.evaluation import contenders as contenders_module
 from experiments.evaluation import runner as evaluation
 from experiments.evaluation.contenders import Contender, contender_from, contenders
 from experiments.evaluation.runner import run_contender, score, score_contenders
-from experiments.evaluation.seeds import Selection, draw_episodes
+from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.filters.bank import bank_as_written, best_bank, modes_from
 from mmwave_env.interface.observation import BELIEFS
 from mmwave_env.metrics import BURN_IN, INFO_KEYS, METRICS
@@ -44,8 +44,8 @@ def test_scores_equal_the_results_of_stepping_a_single_environment(beliefs, per_
         contender = contender_from("speed-rule", "handset")
     taken = []
     watch = [lambda _, episodes, results: taken.extend(results["mode"].tolist())]
-    selection = Selection(range(2))
-    (scores,) = score_contenders([contender], SOURCE, "handset", selection, watch=watch).values()
+    seeds = range(2)
+    (scores,) = score_contenders([contender], SOURCE, "handset", seeds, watch=watch).values()
     assert set(scores) == {*METRICS, "error_term", "nees_term"}
     env = gym.make("MmWaveLoc-v0", beliefs=beliefs, modes=contender.filters)
     for e in range(2):
@@ -70,10 +70,10 @@ def test_scores_equal_the_results_of_stepping_a_single_environment(beliefs, per_
 
 def test_scores_depend_neither_on_the_chunk_size_nor_on_other_seeds_or_contenders(monkeypatch):
     names = ["fixed-ekf", "fixed-ukf"]
-    whole = score_contenders(names, SOURCE, "handset", Selection(range(5)))
+    whole = score_contenders(names, SOURCE, "handset", range(5))
     monkeypatch.setattr(evaluation, "CHUNK", 2)
-    assert_equal(score_contenders(names, SOURCE, "handset", Selection(range(5))), whole)
-    alone = score_contenders(["fixed-ukf"], SOURCE, "handset", Selection(range(3, 5)))
+    assert_equal(score_contenders(names, SOURCE, "handset", range(5)), whole)
+    alone = score_contenders(["fixed-ukf"], SOURCE, "handset", range(3, 5))
     last = {metric: values[3:] for metric, values in whole["fixed-ukf"].items()}
     assert_equal(alone, {"fixed-ukf": last})
     assert (whole["fixed-ekf"]["ate_m"] != whole["fixed-ukf"]["ate_m"]).all()

@@ -7,6 +7,7 @@ from typing import NamedTuple
 from experiments.evaluation.comparison import Comparison
 from experiments.evaluation.positions import positions_markdown
 from experiments.evaluation.runs import outcomes_markdown
+from experiments.evaluation.seeds import named
 from experiments.reporting.figures.canvas import PHONE_MM
 from experiments.reporting.figures.curves import (
     draw_consistency,
@@ -51,7 +52,7 @@ def results_of(source: Source) -> tuple[Verdict, str]:
 def _verdict(comparison: Comparison) -> Verdict:
     """Return the verdict on the best contender and the next contender that is paired with it."""
     best, *others = comparison.policies
-    name = f"{comparison.scenario}, {comparison.radio}, {comparison.selection}"
+    name = f"{comparison.scenario}, {comparison.radio}, {named(comparison.seeds)}"
     about = f"{len(others) + 1} contenders on {name}." if others else f"{best} on {name}."
     paired = ((other, comparison.margin(best, other)) for other in others)
     other, by = next(((other, margin) for other, margin in paired if margin), ("", None))

@@ -8,11 +8,12 @@ import numpy as np
 from experiments.console.options import EpisodeArgs, LogArgs
 from experiments.console.provenance import options_from
 from experiments.evaluation.agents import is_agent
-from experiments.evaluation.asked import contender_of, runs_of, selection_of, task_of
+from experiments.evaluation.asked import contender_of, runs_of, seeds_of, task_of
 from experiments.evaluation.contenders import Contender
 from experiments.evaluation.playing import Scoring
 from experiments.evaluation.positions import Positions
 from experiments.evaluation.runner import score_contenders
+from experiments.evaluation.seeds import draw_episodes, keys_for, named
 from experiments.reporting.histories import EpochErrors, history_of
 from experiments.reporting.log_results import beginning
 from experiments.reporting.webpage.sources import Source
@@ -69,24 +70,24 @@ def _play_episodes(source: Source, most: int, watched: int) -> Played:
     args = options_from(EpisodeArgs, source.content)
     args = replace(args, episodes=min(most, source.content["episodes"]))
     task = task_of(args)
-    selection = selection_of(args)
+    seeds = seeds_of(args)
     missing = dict[str, str]()
     scoring = Scoring.of(task)
     chosen = _contenders(args, names, missing)
     levels = Levels(args.risk, args.levels)
     positions = Positions(alike, levels, task.source.layout.anchors, scoring.planar)
-    played = Played(str(selection), EpochErrors(alike), positions, missing=missing)
+    played = Played(named(seeds), EpochErrors(alike), positions, missing=missing)
     watch = [played.epochs.add, positions.add]
     score_contenders(
-        chosen, task.source, args.radio, selection, watch=watch, scoring=scoring, after=PARTS
+        chosen, task.source, args.radio, seeds, watch=watch, scoring=scoring, after=PARTS
     )
     watchable = [contender for contender in chosen if contender.name in watched_names(names)]
-    keys = selection.keys(task.source)
+    keys = keys_for(task.source, seeds)
     rows = slice(1, LONGEST + 1)  # without the prior
-    for i, episode in enumerate(selection.draw(task.source)[: watched if watchable else 0]):
+    for i, episode in enumerate(draw_episodes(task.source, seeds)[: watched if watchable else 0]):
         streets = task.streets_of(0 if keys is None else int(keys[i]))
         histories = [history_of(c, episode, scoring, streets).part(rows) for c in watchable]
-        name = f"{task.source.name}: {episode.name}, seed {selection.seeds[i]}"
+        name = f"{task.source.name}: {episode.name}, seed {seeds[i]}"
         shown = _episode(name, histories[0], episode.layout.group_names)
         for contender, history in zip(watchable, histories, strict=True):
             course = _course(history, contender.actions, contender.policy is None)
