@@ -15,7 +15,6 @@ from experiments.evaluation.comparison import Comparison, compare_scores, episod
 from experiments.evaluation.playing import Scoring
 from experiments.evaluation.positions import Positions, positions_markdown
 from experiments.evaluation.runner import score_contenders
-from experiments.evaluation.runs import trainings
 from experiments.reporting.histories import EpochErrors
 from experiments.reporting.training_seeds import over_training_seeds, seeds_markdown
 from mmwave_env.interface.reward import reward_name
@@ -45,15 +44,14 @@ def results(args: EpisodeArgs, names: Sequence[str], with_epochs: bool = False) 
     runs = runs_of(args, names)
     scoring = Scoring.of(task)
     seeds = seeds_of(args)
-    files = {name: runs[name].policy if name in runs else name for name in names}
-    shown = {file: name for name, file in files.items()}
-    epochs = EpochErrors(shown)
-    positions = Positions(shown, levels, task.source.layout.anchors, args.planar)
+    others = [file for run in runs.values() for file in run.policies if file != run.policy]
+    epochs = EpochErrors(names)
+    positions = Positions(names, levels, task.source.layout.anchors, args.planar)
     watch = [epochs.add] if with_epochs else []
     if args.percentiles:
         watch.append(positions.add)
     scores_of = score_contenders(
-        [contender_of(args, file) for file in trainings(names, runs)],
+        [contender_of(args, name) for name in (*names, *others)],
         task.source,
         args.radio,
         seeds,
@@ -61,7 +59,7 @@ def results(args: EpisodeArgs, names: Sequence[str], with_epochs: bool = False) 
         scoring=scoring,
         after=PARTS if args.percentiles else (),
     )
-    scores = {name: scores_of[file] for name, file in files.items()}
+    scores = {name: scores_of[name] for name in names}
     if args.episodes_csv:
         write_text(args.episodes_csv, episodes_csv(scores, seeds, task.source))
     known = all_contenders(args)
@@ -80,7 +78,7 @@ def results(args: EpisodeArgs, names: Sequence[str], with_epochs: bool = False) 
     if runs:
         content["training_seeds"] = {}
     for run in runs.values():
-        trained = [scores_of[file] for file in run.policies]
+        trained = [scores_of[run.name if file == run.policy else file] for file in run.policies]
         spread = content["training_seeds"][run.name] = over_training_seeds(run, trained, scores)
         text += seeds_markdown(run, spread)
     if args.percentiles:

@@ -8,7 +8,7 @@ import numpy as np
 from experiments.console.options import EpisodeArgs, LogArgs
 from experiments.console.provenance import options_from
 from experiments.evaluation.agents import is_agent
-from experiments.evaluation.asked import contender_of, runs_of, seeds_of, task_of
+from experiments.evaluation.asked import contender_of, seeds_of, task_of
 from experiments.evaluation.contenders import Contender
 from experiments.evaluation.playing import Scoring
 from experiments.evaluation.positions import Positions
@@ -39,8 +39,8 @@ class Played:
 
     which: str = "no episodes"  # description of the episodes
     # ``epochs`` has errors and NEES of scored epochs, ``positions`` errors and protection levels
-    epochs: EpochErrors = field(default_factory=lambda: EpochErrors({}))
-    positions: Positions = field(default_factory=lambda: Positions({}))
+    epochs: EpochErrors = field(default_factory=lambda: EpochErrors(()))
+    positions: Positions = field(default_factory=lambda: Positions(()))
     shown: list[Json] = field(default_factory=list)  # episodes to watch, as JSON
     # name of a missing contender -> reason; the name "" stands for all contenders
     missing: dict[str, str] = field(default_factory=dict)
@@ -66,7 +66,6 @@ def play(source: Source, most: int, watched: int) -> Played:
 
 def _play_episodes(source: Source, most: int, watched: int) -> Played:
     names = ranking(source.content["policies"])
-    alike = dict(zip(names, names, strict=True))
     args = options_from(EpisodeArgs, source.content)
     args = replace(args, episodes=min(most, source.content["episodes"]))
     task = task_of(args)
@@ -75,8 +74,8 @@ def _play_episodes(source: Source, most: int, watched: int) -> Played:
     scoring = Scoring.of(task)
     chosen = _contenders(args, names, missing)
     levels = Levels(args.risk, args.levels)
-    positions = Positions(alike, levels, task.source.layout.anchors, scoring.planar)
-    played = Played(named(seeds), EpochErrors(alike), positions, missing=missing)
+    positions = Positions(names, levels, task.source.layout.anchors, scoring.planar)
+    played = Played(named(seeds), EpochErrors(names), positions, missing=missing)
     watch = [played.epochs.add, positions.add]
     score_contenders(
         chosen, task.source, args.radio, seeds, watch=watch, scoring=scoring, after=PARTS
@@ -132,9 +131,7 @@ def _contenders(args: EpisodeArgs, names: list[str], missing: dict[str, str]) ->
         try:
             if is_agent(name):
                 raise ValueError("it is a user's code, which is not run for a report")
-            run = runs_of(args, [name])
-            file = run[name].policy if run else name
-            available.append(replace(contender_of(args, file), name=name))
+            available.append(contender_of(args, name))
         except (ValueError, OSError) as error:
             missing[name] = str(error)
     return available
