@@ -1,17 +1,15 @@
 """Parser of a command's options, the fields of a dataclass; it reports a mistake in one line."""
 
 import inspect
-import os
 import re
 import sys
 import textwrap
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from collections.abc import Sequence
+from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 from typing import TypeVar
 
 T = TypeVar("T")
-UNLIMITED = "10000"  # number of columns that no line of tyro's messages reaches
 RULE = re.compile(r"^ +-+ *$", re.MULTILINE)  # line between the parts of tyro's messages
 
 
@@ -30,7 +28,7 @@ def parse(arguments: type[T], words: Sequence[str], program: str) -> T:
         return tyro.cli(arguments, prog=program, description=about, args=words, config=config)
     box = StringIO()
     try:
-        with _unlimited_columns(), redirect_stdout(box), redirect_stderr(box):
+        with redirect_stdout(box), redirect_stderr(box):
             return tyro.cli(arguments, prog=program, args=words, config=config)
     except SystemExit as end:
         if end.code:
@@ -38,19 +36,6 @@ def parse(arguments: type[T], words: Sequence[str], program: str) -> T:
 
             print(f"{program}: {printable(_message(box.getvalue()))}", file=sys.stderr)
         raise
-
-
-@contextmanager
-def _unlimited_columns() -> Iterator[None]:
-    """Make the terminal appear so wide within the block that tyro breaks no line."""
-    before = os.environ.get("COLUMNS")
-    os.environ["COLUMNS"] = UNLIMITED
-    try:
-        yield
-    finally:
-        del os.environ["COLUMNS"]
-        if before is not None:
-            os.environ["COLUMNS"] = before
 
 
 def _message(box: str) -> str:
