@@ -78,8 +78,9 @@ def inputs(args: LogArgs) -> Inputs:
 
 def _check(args: LogArgs, files: Inputs) -> None:
     """Refuse options that contradict each other, and outputs that would replace other files."""
-    if args.diagnose and (args.out or args.plot):
-        raise ValueError("diagnose: cannot be combined with --out or --plot, which need a track")
+    if args.diagnose and (args.out or args.plot or args.truth):
+        beside = "--out, --plot or --truth, which need a track"
+        raise ValueError(f"diagnose: cannot be combined with {beside}")
     if args.diagnose and args.associate:
         beside = "--associate, because a diagnosis needs anchor numbers"
         raise ValueError(f"diagnose: cannot be combined with {beside}")
@@ -245,7 +246,7 @@ def localized(args: LogArgs) -> None:
     _check(args, files)
     scene = scene_from(files.scene)
     if args.diagnose:
-        return diagnosed(args, files.log, scene, files.truth)
+        return diagnosed(args, files.log, scene)
     for out in args.out:
         if out.suffix in MAP_FILES:
             origin_of(scene, out)
