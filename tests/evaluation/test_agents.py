@@ -115,8 +115,8 @@ MISTAKES = {  # name of an agent -> expected message
 def test_an_invalid_agent_is_refused_before_an_episode_runs(name, folder, monkeypatch):
     (folder / "mine.zip").write_bytes(b"")
     monkeypatch.setattr("experiments.evaluation.runner.draw_episodes", None)
-    done = command("evaluate", "--policy", name, cwd=folder)
-    assert_one_clear_line(done, f"^mmwave-loc evaluate: .*{MISTAKES[name]}")
+    done = command("compare", "--policy", name, cwd=folder)
+    assert_one_clear_line(done, f"^mmwave-loc compare: .*{MISTAKES[name]}")
 
 
 @pytest.mark.usefixtures("folder")
