@@ -127,14 +127,14 @@ def _copied(out: Path, name: str) -> int:
         FileExistsError: a file already exists.
     """
     from mmwave_env.datasets.samples import log_names, sample_folder
-    from mmwave_env.io.files import require_writable, write_bytes
+    from mmwave_env.io.files import write_bytes
 
     folder = sample_folder(name, "log" if name in log_names() else "recording")
-    files = {out / file.name: file for file in sorted(folder.iterdir())}
-    for new in files:
+    files = sorted(folder.iterdir())
+    for file in files:
+        new = out / file.name
         if new.exists():
             raise FileExistsError(f"{new}: found a file of this name, expected none in the folder")
-        require_writable(new)
-    for new, file in files.items():
-        write_bytes(new, file.read_bytes())
+    for file in files:
+        write_bytes(out / file.name, file.read_bytes())
     return len(files)
