@@ -57,7 +57,7 @@ def main(args: Args) -> None:
     """Run the command."""
     from experiments.console.progress import progress, say
     from experiments.evaluation.asked import contender_of, task_of
-    from experiments.evaluation.playing import Scoring
+    from experiments.evaluation.runner import Scoring
     from experiments.reporting.histories import history_of
 
     _check(args)

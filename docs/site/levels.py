@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from experiments.console.tables import grid
 from experiments.evaluation.contenders import Contender
 from experiments.evaluation.intervals import bootstrap
-from experiments.evaluation.playing import EpochResults
 from experiments.evaluation.protocol import HARD, KINDS, RECORDED, Site, sites
-from experiments.evaluation.runner import score_contenders
+from experiments.evaluation.runner import EpochResults, score_contenders
 from mmwave_env.localization.levels import PARTS, Levels
 from mmwave_env.localization.position_errors import gaussian_levels, horizontal, vertical
 from mmwave_env.metrics import scored

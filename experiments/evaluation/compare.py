@@ -9,8 +9,7 @@ from typing import Any
 from experiments.evaluation.agents import Act
 from experiments.evaluation.comparison import Comparison, compare_scores
 from experiments.evaluation.contenders import Contender, contender_from
-from experiments.evaluation.playing import Scoring
-from experiments.evaluation.runner import score_contenders
+from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.evaluation.seeds import seeds_from
 from mmwave_env.filters.bank import Modes
 from mmwave_env.interface.reward import reward_name

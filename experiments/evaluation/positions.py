@@ -7,7 +7,7 @@ import numpy as np
 
 from experiments.console.tables import grid
 from experiments.evaluation.contenders import Contender
-from experiments.evaluation.playing import EpochResults
+from experiments.evaluation.runner import EpochResults
 from mmwave_env.io.files import Json
 from mmwave_env.localization.levels import PARTS, Levels
 from mmwave_env.localization.position_errors import DISTANCES_M, SHARES, PositionErrors

@@ -12,9 +12,8 @@ from experiments.evaluation.asked import (
     task_of,
 )
 from experiments.evaluation.comparison import Comparison, compare_scores, episodes_csv
-from experiments.evaluation.playing import Scoring
 from experiments.evaluation.positions import Positions, positions_markdown
-from experiments.evaluation.runner import score_contenders
+from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.reporting.histories import EpochErrors
 from experiments.reporting.training_seeds import over_training_seeds, seeds_markdown
 from mmwave_env.interface.reward import reward_name

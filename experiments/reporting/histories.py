@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from experiments.evaluation.contenders import Contender
-from experiments.evaluation.playing import EpochResults, Scoring
-from experiments.evaluation.runner import PLAIN, run_contender
+from experiments.evaluation.runner import PLAIN, EpochResults, Scoring, run_contender
 from mmwave_env.metrics import scored
 from mmwave_env.models.scene import Streets
 from mmwave_env.numerics.numbers import Array

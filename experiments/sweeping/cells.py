@@ -10,8 +10,7 @@ import numpy as np
 
 from experiments.evaluation.asked import contender_of, task_of
 from experiments.evaluation.intervals import bootstrap
-from experiments.evaluation.playing import Scoring
-from experiments.evaluation.runner import score_contenders
+from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.evaluation.seeds import seeds_from
 from experiments.sweeping.spec import HYPERPARAMETER, Evaluation, Spec, Training, Values, plain
 from experiments.training.run import hyperparameters, training_task

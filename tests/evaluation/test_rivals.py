@@ -7,7 +7,6 @@ import pytest
 
 from experiments.evaluation.agents import Estimator
 from experiments.evaluation.contenders import Contender, contender_from
-from experiments.evaluation.playing import Scoring
 from experiments.evaluation.rivals.noise import (
     EVERYTHING,
     StudentImm,
@@ -17,7 +16,7 @@ from experiments.evaluation.rivals.noise import (
     student_t,
 )
 from experiments.evaluation.rivals.particle import Particles, resampled
-from experiments.evaluation.runner import run_contender
+from experiments.evaluation.runner import Scoring, run_contender
 from mmwave_env.filters import Mode, Pipeline, ekf, ukf
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import exact_rows

@@ -10,9 +10,8 @@ from experiments.console.provenance import options_from
 from experiments.evaluation.agents import is_agent
 from experiments.evaluation.asked import contender_of, seeds_of, task_of
 from experiments.evaluation.contenders import Contender
-from experiments.evaluation.playing import Scoring
 from experiments.evaluation.positions import Positions
-from experiments.evaluation.runner import score_contenders
+from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.evaluation.seeds import draw_episodes, keys_for, named
 from experiments.reporting.histories import EpochErrors, history_of
 from experiments.reporting.log_results import beginning
