@@ -5,13 +5,16 @@ function ``main``. Options are read before slow imports, so help and errors appe
 """
 
 import importlib
+import inspect
 import os
+import re
 import sys
+import textwrap
 import traceback
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
-from io import TextIOWrapper
+from contextlib import contextmanager, nullcontext, redirect_stderr, redirect_stdout, suppress
+from io import StringIO, TextIOWrapper
 from typing import Any, NoReturn
 
 from experiments.console.signals import Ended, ended_by_signals, ignore_signals
@@ -39,6 +42,7 @@ GROUPS = {
     },
     "measure": {"speed": "measure steps per second, memory and latency"},
 }
+RULE = re.compile(r"^ +-+ *$", re.MULTILINE)  # line between the parts of tyro's messages
 COMMANDS = {name: about for group in GROUPS.values() for name, about in group.items()}
 EVERYWHERE = {  # options of every command
     "--quiet": "show neither tables nor progress, only warnings and errors",
@@ -59,11 +63,34 @@ def read_arguments(name: str, words: Sequence[str]) -> Any:
     """Parse words of a command line into the ``Args`` of a command's module.
 
     Raises:
-        SystemExit: help was asked for, or an option is wrong.
+        SystemExit: with 0 after showing help, with 2 after one line about a wrong option.
     """
-    from experiments.console.parser import parse
+    import tyro
 
-    return parse(importlib.import_module(f"experiments.{name}").Args, words, f"mmwave-loc {name}")
+    program = f"mmwave-loc {name}"
+    arguments = importlib.import_module(f"experiments.{name}").Args
+    config = (tyro.conf.DisallowNone, tyro.conf.PositionalMetavarFromFieldName)
+    # tyro joins the lines of a paragraph, except lines that begin with a space.
+    about = textwrap.indent(inspect.getdoc(arguments) or "", " ")
+    box = StringIO()
+    try:
+        with redirect_stderr(box):
+            return tyro.cli(arguments, prog=program, description=about, args=words, config=config)
+    except SystemExit as end:
+        if end.code:
+            _print_problem(f"{program}: {_message(box.getvalue())}")
+        raise
+
+
+def _message(box: str) -> str:
+    """Return, in one line, tyro's message about a mistake and the option that tyro suggests."""
+    parts = [" ".join(part.split()) for part in RULE.split(box)]
+    message = parts[1].partition(" Got errors")[0]
+    message = re.sub(r"^Missing from .*?: ", "required: ", message).rstrip(".")
+    close = re.match(r"Perhaps you meant: (\S+)", parts[2])
+    if close:
+        return f"{message}; did you mean {close[1]}?"
+    return f"{message}; --help lists all options"
 
 
 @contextmanager

@@ -110,7 +110,7 @@ def test_the_error_about_an_unknown_command_lists_all_names_and_suggests_a_simil
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("module", ["experiments.console.parser", "experiments.compare", "numba"])
+@pytest.mark.parametrize("module", ["tyro", "experiments.compare", "numba"])
 def test_an_interrupt_at_startup_ends_the_program_with_one_line(module):
     # If a shell runs tests in the background, SIGINT is ignored until signal.signal sets a handler.
     code = (
