@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.console.tables import grid
-from experiments.evaluation.contenders import Contender
+from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.protocol import HARD, KINDS, RECORDED, Site, sites
 from experiments.evaluation.runner import EpochResults, score_contenders
@@ -56,7 +56,8 @@ def figures_at(site: Site) -> Array:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # modes are untuned for an unseen radio on purpose
         seeds = range(FEWER if few else EPISODES)
-        score_contenders(POLICIES, source, site.radio, seeds, watch=[add], after=PARTS)
+        contenders = [contender_from(name, site.radio) for name in POLICIES]
+        score_contenders(contenders, source, seeds, watch=[add], after=PARTS)
     return np.array(figures)
 
 

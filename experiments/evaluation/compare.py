@@ -71,7 +71,7 @@ def compare(
     settings = (radio, modes, observation, beliefs)
     everybody = [_contender(name, agent, *settings) for name, agent in policies.items()]
     everybody += [contender_from(name, radio) for name in beside]
-    scores = score_contenders(everybody, task.source, radio, seeds, scoring=scoring)
+    scores = score_contenders(everybody, task.source, seeds, scoring=scoring)
     return compare_scores(
         scores,
         list(policies),

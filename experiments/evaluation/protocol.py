@@ -139,7 +139,7 @@ def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> Judged:
     with warnings.catch_warnings(action="ignore"):
         everybody = dict.fromkeys([*names, RULE, *IMMS])
         chosen = [contender_from(name, site.radio) for name in everybody]
-        scores = score_contenders(chosen, site.source(), site.radio, seeds)
+        scores = score_contenders(chosen, site.source(), seeds)
     return Judged(site, scores)
 
 

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from experiments.console.progress import bars
 from experiments.evaluation.agents import NO_FILTERS, Estimator
 from experiments.evaluation.branches import Clairvoyant
-from experiments.evaluation.contenders import Contender, contender_from
+from experiments.evaluation.contenders import Contender
 from experiments.evaluation.seeds import draw_episodes, keys_for
 from mmwave_env.engines.engine import Engine, run_imm
 from mmwave_env.engines.play import play
-from mmwave_env.filters.bank import Modes
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import CORRECTION, MODE
@@ -229,11 +228,9 @@ def _drawn(source: EpisodeSource, seeds: Sequence[int]) -> tuple[EpisodeBatch, A
 
 
 def score_contenders(
-    names: Sequence[str | Contender],
+    contenders: Sequence[Contender],
     source: EpisodeSource,
-    radio: str,
     seeds: Sequence[int],
-    modes: Modes = None,
     watch: Sequence[Watch] = (),
     scoring: Scoring = PLAIN,
     after: Sequence[str] = (),
@@ -241,33 +238,28 @@ def score_contenders(
     """Compute the scores of contenders on the same episodes.
 
     Args:
-        names: contenders, or their names, which :func:`contender_from` looks up.
+        contenders: policies with their modes, or IMMs.
         source, seeds: source of the episodes, and the seeds of the episodes to run.
-        radio, modes: radio profile and modes that :func:`contender_from` gets for each name.
         watch: functions called with a contender, the times (T,) and the contender's epoch results.
         after: parts of the state that epoch results include, as in :func:`run_contender`.
 
     Raises:
-        ValueError: a contender is unknown, or occurs twice.
+        ValueError: a contender occurs twice.
     """
-    chosen = [
-        name if isinstance(name, Contender) else contender_from(name, radio, modes)
-        for name in names
-    ]
-    parts: dict[str, list[Scores]] = {contender.name: [] for contender in chosen}
-    if len(parts) < len(chosen):
-        listed = ", ".join(contender.name for contender in chosen)
+    parts: dict[str, list[Scores]] = {contender.name: [] for contender in contenders}
+    if len(parts) < len(contenders):
+        listed = ", ".join(contender.name for contender in contenders)
         raise ValueError(f"policies: found {listed}, expected different names")
-    policies = [contender.start(source.layout, scoring.planar) for contender in chosen]
+    policies = [contender.start(source.layout, scoring.planar) for contender in contenders]
     with bars() as progress:
-        task = progress.add_task(printable(source.name), total=len(seeds) * (1 + len(chosen)))
+        task = progress.add_task(printable(source.name), total=len(seeds) * (1 + len(contenders)))
         for first in range(0, len(seeds), CHUNK):
             batch, time_s = _drawn(source, seeds[first : first + CHUNK])
             count = len(batch.names)
             progress.advance(task, count)
             if not first:
                 _warn_of_short(time_s)
-            for contender, policy in zip(chosen, policies, strict=True):
+            for contender, policy in zip(contenders, policies, strict=True):
                 results = run_contender(contender, policy, batch, scoring, after=after)
                 _warn_of_nonfinite(contender, results)
                 parts[contender.name].append(_summary(results, time_s, scoring))

@@ -52,7 +52,6 @@ def results(args: EpisodeArgs, names: Sequence[str], with_epochs: bool = False) 
     scores_of = score_contenders(
         [contender_of(args, name) for name in (*names, *others)],
         task.source,
-        args.radio,
         seeds,
         watch=watch,
         scoring=scoring,

@@ -28,7 +28,7 @@ def evaluated(values: Values) -> Row:
         task = task_of(args)
         contender = contender_of(args, args.policy)
         (scores,) = score_contenders(
-            [contender], task.source, args.radio, seeds, scoring=Scoring.of(task)
+            [contender], task.source, seeds, scoring=Scoring.of(task)
         ).values()
     row: Row = {"warnings": "; ".join(sorted({str(warning.message) for warning in warned}))}
     intervals = bootstrap(np.stack([*scores.values()], axis=1))

@@ -45,7 +45,7 @@ def test_scores_equal_the_results_of_stepping_a_single_environment(beliefs, per_
     taken = []
     watch = [lambda _, episodes, results: taken.extend(results["mode"].tolist())]
     seeds = range(2)
-    (scores,) = score_contenders([contender], SOURCE, "handset", seeds, watch=watch).values()
+    (scores,) = score_contenders([contender], SOURCE, seeds, watch=watch).values()
     assert set(scores) == {*METRICS, "error_term", "nees_term"}
     env = gym.make("MmWaveLoc-v0", beliefs=beliefs, modes=contender.filters)
     for e in range(2):
@@ -69,11 +69,11 @@ def test_scores_equal_the_results_of_stepping_a_single_environment(beliefs, per_
 
 
 def test_scores_depend_neither_on_the_chunk_size_nor_on_other_seeds_or_contenders(monkeypatch):
-    names = ["fixed-ekf", "fixed-ukf"]
-    whole = score_contenders(names, SOURCE, "handset", range(5))
+    both = [contender_from(name, "handset") for name in ("fixed-ekf", "fixed-ukf")]
+    whole = score_contenders(both, SOURCE, range(5))
     monkeypatch.setattr(evaluation, "CHUNK", 2)
-    assert_equal(score_contenders(names, SOURCE, "handset", range(5)), whole)
-    alone = score_contenders(["fixed-ukf"], SOURCE, "handset", range(3, 5))
+    assert_equal(score_contenders(both, SOURCE, range(5)), whole)
+    alone = score_contenders(both[1:], SOURCE, range(3, 5))
     last = {metric: values[3:] for metric, values in whole["fixed-ukf"].items()}
     assert_equal(alone, {"fixed-ukf": last})
     assert (whole["fixed-ekf"]["ate_m"] != whole["fixed-ukf"]["ate_m"]).all()

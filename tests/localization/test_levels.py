@@ -56,7 +56,7 @@ def watched(levels, policies, source, radio, seeds):
         over[contender.name] = sizes / bounds
 
     chosen = [contender_from(name, radio) for name in policies]
-    score_contenders(chosen, source, radio, seeds, watch=[keep], after=PARTS)
+    score_contenders(chosen, source, seeds, watch=[keep], after=PARTS)
     return over
 
 
@@ -123,7 +123,8 @@ def test_gaussian_levels_follow_from_the_covariances():
 
     watch = [positions.add, add]
     seeds = range(FRESH, FRESH + 8)
-    score_contenders(["imm"], task.source, "handset", seeds, watch=watch, after=PARTS)
+    imm = contender_from("imm", "handset")
+    score_contenders([imm], task.source, seeds, watch=watch, after=PARTS)
     expected = {"risk": 0.05, "levels": "gaussian", "policies": {"imm": plain.figures()}}
     assert positions.figures() == expected
 

@@ -76,9 +76,7 @@ def _play_episodes(source: Source, most: int, watched: int) -> Played:
     positions = Positions(names, levels, task.source.layout.anchors, scoring.planar)
     played = Played(named(seeds), EpochErrors(names), positions, missing=missing)
     watch = [played.epochs.add, positions.add]
-    score_contenders(
-        chosen, task.source, args.radio, seeds, watch=watch, scoring=scoring, after=PARTS
-    )
+    score_contenders(chosen, task.source, seeds, watch=watch, scoring=scoring, after=PARTS)
     watchable = [contender for contender in chosen if contender.name in watched_names(names)]
     keys = keys_for(task.source, seeds)
     rows = slice(1, LONGEST + 1)  # without the prior
