@@ -83,10 +83,9 @@ def _tables(text: str, width: int) -> Iterator[Table]:
     """
     lines = [CELL.findall(line[1:]) for line in text.splitlines()]
     header, _, *rows = [[unescaped(cell.strip()) for cell in line] for line in lines]
-    columns = list(zip(header, *rows, strict=True))
-    first = columns[0]
+    first, *others = zip(header, *rows, strict=True)
     group = [first]
-    for column in columns[1:]:
+    for column in others:
         if len(group) > 1 and _width([*group, column]) > width:
             yield _table(group)
             group = [first]
