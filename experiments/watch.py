@@ -106,7 +106,7 @@ def _drawn(
     from mmwave_env.world.simulated import SimulatedSource
 
     if key is None:
-        seeds = seeds_from(1, seed, 1)
+        seeds = seeds_from(1, seed)
         (episode,) = draw_episodes(task.source, seeds)
         keys = keys_for(task.source, seeds)
         which = f"seed {seeds[0]}"

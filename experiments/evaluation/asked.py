@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 
-from experiments.console.options import USUAL_EPISODES, EpisodeArgs, ModeArgs, WorldArgs
+from experiments.console.options import EpisodeArgs, ModeArgs, WorldArgs
 from experiments.evaluation.contenders import Contender, contender_from, contenders
 from experiments.evaluation.runs import Run
 from experiments.evaluation.seeds import seeds_from
@@ -49,7 +49,7 @@ def source_of(args: WorldArgs) -> EpisodeSource:
 
 def seeds_of(args: EpisodeArgs) -> range:
     """Return the seeds of the episodes that options select."""
-    return seeds_from(args.episodes, args.seed, USUAL_EPISODES)
+    return seeds_from(args.episodes, args.seed)
 
 
 def _task(args: WorldArgs, modes: Modes, beliefs: str = "shared") -> Task:

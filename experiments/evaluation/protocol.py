@@ -134,7 +134,7 @@ def require_contenders(names: Sequence[str]) -> None:
 
 def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> Judged:
     """Run contenders, the paper's rule and every IMM at a site, on the same episodes."""
-    seeds = seeds_from(episodes, seed, EPISODES)
+    seeds = seeds_from(episodes, seed)
     # Modes of an unseen radio are untuned on purpose, so suppress the warning about untuned modes.
     with warnings.catch_warnings(action="ignore"):
         everybody = dict.fromkeys([*names, RULE, *IMMS])

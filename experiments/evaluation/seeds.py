@@ -8,6 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from experiments.console.options import USUAL_EPISODES
 from mmwave_env.world.episode import Episode, EpisodeSource
 from mmwave_env.world.keys import Keys, keys_of
 
@@ -15,7 +16,7 @@ TRAINING_SEED = 10_000_000  # first seed of the episodes for training
 SEEDS_EACH = 1_000_000  # number of seeds reserved for the episodes of each training run
 
 
-def seeds_from(episodes: int | None, seed: int | None, usual: int) -> range:
+def seeds_from(episodes: int | None, seed: int | None, usual: int = USUAL_EPISODES) -> range:
     """Return the seeds that a user asked for, by default ``usual`` seeds from 0 on.
 
     Raises:

@@ -23,7 +23,7 @@ Row = dict[str, Any]
 def evaluated(values: Values) -> Row:
     """Evaluate a policy; return each metric's mean, 95 % interval and values per episode."""
     args = Evaluation(**values)
-    seeds = seeds_from(args.episodes, args.seed, args.episodes)
+    seeds = seeds_from(args.episodes, args.seed)
     with warnings.catch_warnings(record=True, action="always", category=UserWarning) as warned:
         task = task_of(args)
         contender = contender_of(args, args.policy)
