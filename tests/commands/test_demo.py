@@ -27,7 +27,7 @@ def test_results_for_every_data_set_are_printed_and_written(tmp_path, monkeypatc
     data_sets = ["mixed", "canyon28_pedestrian", "canyon28_vehicle"]
     monkeypatch.setattr("experiments.reporting.comparison_results.results", results)
     monkeypatch.setattr("experiments.reporting.webpage.page.page_of", page_of)
-    demo.main(demo.Args(out=tmp_path, json=tmp_path / "all.json", percentiles=True))
+    demo.main(demo.Args(out=tmp_path, percentiles=True))
     shown = capsys.readouterr().out
     rows = [line.split(" | ")[0][2:] for line in shown.splitlines() if "±" in line]
     everyone = all_contenders(EpisodeArgs())
@@ -37,8 +37,6 @@ def test_results_for_every_data_set_are_printed_and_written(tmp_path, monkeypatc
     assert all(written.count(f"\n| {name} |") == 2 * len(data_sets) for name in everyone)
     (page,) = tmp_path.glob("*.html")
     assert str(page) in shown and page.read_text() == "a page"
-    together = json_in(tmp_path / "all.json")
     for data in data_sets:
         assert str(tmp_path / f"{data}.json") in shown
-        assert together[data] == json_in(tmp_path / f"{data}.json")
-        assert list(together[data]["policies"]) == list(everyone)
+        assert list(json_in(tmp_path / f"{data}.json")["policies"]) == list(everyone)
