@@ -109,16 +109,12 @@ def errors_of(source: Source, played: Played) -> Iterator[str]:
     """Yield HTML tables and pictures of the errors of a comparison; nothing for other sources."""
     if source.kind != "comparison":
         return
-    which = played.which
-    figures = played.positions.figures()
-    if "position_errors" in source.content:
-        which = "all episodes"
-        figures = source.content["position_errors"]
     ranked = ranking(source.content["policies"])
-    policies = figures["policies"]
-    if policies:
+    if figures := source.content.get("position_errors"):  # from --percentiles
+        policies = figures["policies"]
         rows = {name: policies[name] for name in ranked if name in policies}
-        yield element("p", f"Errors in {which}, without the first 10 epochs of each", "caption")
+        about = "Errors in all episodes, without the first 10 epochs of each"
+        yield element("p", about, "caption")
         kind = figures.get("levels", "gaussian")
         yield html_of(positions_markdown("contender", rows, figures["risk"], kind))
     errors_m = played.epochs.errors_m
@@ -127,8 +123,9 @@ def errors_of(source: Source, played: Played) -> Iterator[str]:
         draw = partial(draw_error_cdf, {name: errors_m[name] for name in shown}, width_mm=PHONE_MM)
         yield drawn(f"Distribution of errors (CDF), {played.which}", draw)
         chosen = {name: nees[name] for name in shown}
-        axes = 2 if played.positions.planar else 3
-        draw = partial(draw_consistency, played.epochs.time_s, chosen, axes, width_mm=PHONE_MM)
+        draw = partial(
+            draw_consistency, played.epochs.time_s, chosen, played.axes, width_mm=PHONE_MM
+        )
         yield drawn(f"NEES and its chi-square bounds, {played.which}", draw)
 
 

@@ -10,7 +10,6 @@ from experiments.console.provenance import options_from
 from experiments.evaluation.agents import is_agent
 from experiments.evaluation.asked import contender_of, seeds_of, task_of
 from experiments.evaluation.contenders import Contender
-from experiments.evaluation.positions import Positions
 from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.evaluation.seeds import draw_episodes, keys_for, named
 from experiments.reporting.histories import EpochErrors, history_of
@@ -20,7 +19,6 @@ from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import VERTICAL
 from mmwave_env.io.files import Json
 from mmwave_env.io.lookup import printable
-from mmwave_env.localization.levels import PARTS, Levels
 from mmwave_env.metrics import nees_interval
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array
@@ -37,9 +35,8 @@ class Played:
     """Results of contenders in episodes that were played again."""
 
     which: str = "no episodes"  # description of the episodes
-    # ``epochs`` has errors and NEES of scored epochs, ``positions`` errors and protection levels
-    epochs: EpochErrors = field(default_factory=lambda: EpochErrors(()))
-    positions: Positions = field(default_factory=lambda: Positions(()))
+    epochs: EpochErrors = field(default_factory=lambda: EpochErrors(()))  # of scored epochs
+    axes: int = 3  # number of axes that the NEES covers
     shown: list[Json] = field(default_factory=list)  # episodes to watch, as JSON
     # name of a missing contender -> reason; the name "" stands for all contenders
     missing: dict[str, str] = field(default_factory=dict)
@@ -72,11 +69,9 @@ def _play_episodes(source: Source, most: int, watched: int) -> Played:
     missing = dict[str, str]()
     scoring = Scoring.of(task)
     chosen = _contenders(args, names, missing)
-    levels = Levels(args.risk, args.levels)
-    positions = Positions(names, levels, task.source.layout.anchors, scoring.planar)
-    played = Played(named(seeds), EpochErrors(names), positions, missing=missing)
-    watch = [played.epochs.add, positions.add]
-    score_contenders(chosen, task.source, seeds, watch=watch, scoring=scoring, after=PARTS)
+    axes = 2 if scoring.planar else 3
+    played = Played(named(seeds), EpochErrors(names), axes, missing=missing)
+    score_contenders(chosen, task.source, seeds, watch=[played.epochs.add], scoring=scoring)
     watchable = [contender for contender in chosen if contender.name in watched_names(names)]
     keys = keys_for(task.source, seeds)
     rows = slice(1, LONGEST + 1)  # without the prior
