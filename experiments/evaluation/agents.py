@@ -125,8 +125,8 @@ def tried(name: str, policy: Policy, table: Observation) -> Policy:
     space = table.space
     rng = np.random.default_rng(0)
     shown = rng.uniform(space.low, space.high, (TRIED, len(table))).astype(np.float32)
-    given = f"observations {shown.shape}, float32, made with {table.made_with}"
-    with blaming(name, f"; it was given {given}; {OF_A_MODEL} ({GUIDE})"):
+    about = f"observations {shown.shape}, float32, made with {table.made_with}"
+    with blaming(name, f"; it was given {about}; {OF_A_MODEL} ({GUIDE})"):
         policy.reset(np.ones(TRIED, np.bool_))
         actions = np.asarray(policy.act(shown))
     require_actions(name, actions, TRIED, len(table.actions))
