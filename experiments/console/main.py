@@ -22,7 +22,7 @@ from experiments.console.signals import Ended, ended_by_signals, ignore_signals
 GROUPS = {
     "begin": {
         "demo": "compare all policies on simulated and ray-traced streets",
-        "list": "show all names: policies, radios, streets, ...; copy samples",
+        "list": "show all names: policies, radios, streets, samples, ...",
     },
     "localize": {
         "localize": "compute the track of a measurement log, or find its errors",
