@@ -43,7 +43,7 @@ def compare(
             "module:function", a run's folder, or a contender's name. docs/own-agent.md describes
             the methods (``reset``, ``correct``) and attributes (``modes``, ``observation``,
             ``beliefs``, which override the arguments) that a function may have.
-        beside: names of known contenders to compare with, from
+        beside: names of known contenders to compare with, none or several, from
             :func:`~experiments.evaluation.contenders.contenders`.
         scenario, radio: same as in the environment.
         episodes: number of episodes, 200 by default; results to publish need 1000 or more.
@@ -103,15 +103,3 @@ def _contender(name: str, agent: Agent, *settings: Any) -> Contender:
     if isinstance(agent, (str, os.PathLike)):
         return replace(contender_from(os.fspath(agent), *settings), name=name)
     return Contender.own(name, agent, *settings)
-
-
-def evaluate(policy: Agent, **where: Any) -> Comparison:
-    """Evaluate an agent, given in any form that :func:`compare` accepts in ``policies``.
-
-    Return its metrics with 95 % intervals; ``where`` are further arguments of :func:`compare`.
-    """
-    if isinstance(policy, (str, os.PathLike)):
-        name = os.fspath(policy)
-    else:
-        name = getattr(policy, "__name__", type(policy).__name__)
-    return compare({name: policy}, (), **where)

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from experiments.evaluation.compare import compare, evaluate
+from experiments.evaluation.compare import compare
 from experiments.evaluation.contenders import contender_from
 from mmwave_env.filters.bank import Bank, bank_as_written, modes_from
 from mmwave_env.models.layout import Layout
@@ -180,15 +180,11 @@ def test_the_command_line_supports_beliefs_per_mode(folder):
     assert f"| my_agents:second |{mine}" in done.stdout
 
 
-def test_evaluate_accepts_a_name_or_a_function():
-    alone = evaluate("fixed-ukf", episodes=2, seed=3)
+def test_agents_are_names_or_functions_and_need_no_rivals():
+    agents = {"fixed-ukf": "fixed-ukf", "mine": lambda o: np.ones(len(o), int)}
+    alone, mine = [compare({name: agent}, (), episodes=2, seed=3) for name, agent in agents.items()]
     assert list(alone.policies) == ["fixed-ukf"] and not alone.paired
-
-    def second(observations):
-        return np.ones(len(observations), int)
-
-    mine = evaluate(second, episodes=2, seed=3)
-    assert mine.policies == {"second": alone.policies["fixed-ukf"]}
+    assert mine.policies == {"mine": alone.policies["fixed-ukf"]}
 
 
 @pytest.mark.parametrize(
