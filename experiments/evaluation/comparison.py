@@ -2,7 +2,7 @@
 
 import csv
 import io
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
@@ -105,7 +105,7 @@ class Comparison:
         parts = [
             f"### {escaped(self.scenario)}, {escaped(self.radio)}, {named(self.seeds)}{reward}\n"
         ]
-        parts.append(grid(*self.table(METRICS)))
+        parts.append(grid(*self.table()))
         if self.paired:
             intervals = ", 95 % intervals" if len(self.seeds) > 1 else ""
             pairs = {f"{a} - {b}": b for a, b in product(self.policies, repeat=2)}
@@ -118,24 +118,18 @@ class Comparison:
             parts += [f"\nPaired differences of the reward{intervals}:\n", table]
         return "\n".join(parts) + "\n"
 
-    def table(self, metrics: Collection[str]) -> tuple[list[str], list[list[str]]]:
+    def table(self) -> tuple[list[str], list[list[str]]]:
         """Return a header and a row per policy: means ± half the widths of their 95 % intervals.
 
-        If the metrics include the reward, and there are scores, the last column has the scores.
+        If there are scores, the last column has them.
         """
-        rows = [[name, *(rounded(row[m]) for m in metrics)] for name, row in self.policies.items()]
-        header = ["policy", *(HEADERS[metric] for metric in metrics)]
+        rows = [[name, *(rounded(row[m]) for m in METRICS)] for name, row in self.policies.items()]
+        header = ["policy", *(HEADERS[metric] for metric in METRICS)]
         scores = self.scores
-        if scores and "reward" in metrics:
+        if scores:
             header.append("score")
             rows = [[*row, score_cell(scores[row[0]])] for row in rows]
         return header, rows
-
-    @property
-    def terms(self) -> str:
-        """Return a Markdown table of both terms of the tracking reward, error and NEES."""
-        about = "The terms of the tracking reward, which is minus their sum:"
-        return f"\n{about}\n\n{grid(*self.table(TERMS))}\n"
 
 
 def episodes_csv(scores: dict[str, Scores], seeds: Sequence[int], source: EpisodeSource) -> str:

@@ -71,8 +71,6 @@ def results(args: EpisodeArgs, names: Sequence[str], with_epochs: bool = False) 
     )
     text = str(comparison)
     content = comparison.json
-    if args.percentiles:
-        text += comparison.terms
     if runs:
         content["training_seeds"] = {}
     for run in runs.values():

@@ -64,7 +64,7 @@ def test_the_speed_rule_has_score_0_and_the_clairvoyant_has_score_100():
     table = scores(mine=[-1, -2], speed_rule=[-3, -4], clairvoyant=[1, 0], worse=[-5, -4])
     result = compare_scores(table, **SETTING)
     assert result.scores == {"mine": 50.0, "speed-rule": 0.0, "clairvoyant": 100.0, "worse": -25.0}
-    header, rows = result.table(METRICS)
+    header, rows = result.table()
     assert header[-1] == "score" and [row[-1] for row in rows] == ["50", "0", "100", "-25"]
     del table["clairvoyant"]
     assert "score" not in str(compare_scores(table, **SETTING))

@@ -19,7 +19,6 @@ from experiments.reporting.webpage.markup import drawn, element, html_of, table
 from experiments.reporting.webpage.played import Played, ranking, watched_names
 from experiments.reporting.webpage.sources import Source
 from mmwave_env.io.files import Json
-from mmwave_env.metrics import METRICS
 
 
 class Verdict(NamedTuple):
@@ -80,7 +79,7 @@ def _track_verdict(c: Json) -> Verdict:
 
 
 def _compared(comparison: Comparison) -> Iterator[str]:
-    header, rows = comparison.table(METRICS)
+    header, rows = comparison.table()
     yield table("Means ± half the widths of 95 % intervals, best reward first", header, rows)
     pairs = [
         [name, other, pair["reward"], pair["ate_m"]]
