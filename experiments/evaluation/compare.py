@@ -1,7 +1,10 @@
 """Comparison of a user's agents with known contenders in one call, :func:`compare`."""
 
 import os
-from collections.abc import Mapping, Sequence
+import sys
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from numbers import Integral
 from typing import Any
@@ -14,6 +17,7 @@ from experiments.evaluation.seeds import seeds_from
 from mmwave_env.filters.bank import Modes
 from mmwave_env.interface.reward import reward_name
 from mmwave_env.io.files import AnyPath
+from mmwave_env.io.lookup import printable
 from mmwave_env.task import task_from
 from mmwave_env.world.episode import EpisodeSource
 
@@ -21,6 +25,17 @@ USUAL_EPISODES = 200
 Agent = AnyPath | Act
 
 
+@contextmanager
+def _warnings_in_lines() -> Iterator[None]:
+    """Print every warning once, on one line, without the line of our code that caused it."""
+    with warnings.catch_warnings(action="once"):
+        warnings.showwarning = lambda message, *_: print(
+            f"warning: {printable(str(message))}", file=sys.stderr
+        )
+        yield
+
+
+@_warnings_in_lines()
 def compare(
     policies: Mapping[str, Agent],
     beside: Sequence[str] = ("fixed-ukf", "speed-rule", "imm"),
