@@ -48,11 +48,10 @@ def main(args: Args) -> None:
     from experiments.console.provenance import provenance
     from experiments.console.tables import booktabs, show
     from experiments.evaluation.asked import all_contenders
-    from experiments.figures.canvas import require_picture
-    from experiments.figures.curves import draw_consistency, draw_error_cdf
     from experiments.reporting.comparison_results import results
+    from experiments.reporting.figures.canvas import require_picture
+    from experiments.reporting.figures.curves import draw_consistency, draw_error_cdf
     from mmwave_env.io.files import require_writable, write_json, write_text
-    from mmwave_env.metrics import METRICS
 
     pictures = {"errors": args.errors, "consistency": args.consistency}
     if args.width_mm is not None and not WIDTH_MM[0] <= args.width_mm <= WIDTH_MM[1]:
@@ -71,7 +70,7 @@ def main(args: Args) -> None:
     names = args.policies or all_contenders(args)
     made = results(args, names, with_epochs=any(pictures.values()))
     if args.table:
-        write_text(args.table, booktabs(*made.comparison.table(METRICS)))
+        write_text(args.table, booktabs(*made.comparison.table()))
     if args.json:  # before show(), which fails if the program that reads its output stops
         write_json(args.json, provenance("compare", args) | made.json)
     epochs = made.epochs

@@ -3,13 +3,13 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from experiments.console.options import EpisodeArgs, JsonArgs, PageArgs
+from experiments.console.options import EpisodeArgs, PageArgs
 
 RECORDINGS = "canyon28_pedestrian", "canyon28_vehicle"
 
 
 @dataclass(kw_only=True)
-class Args(JsonArgs):
+class Args:
     """Compare all policies in simulations and on two ray-traced recordings.
 
     The files in the folder --out also contain all paired differences, which are
@@ -41,7 +41,7 @@ def main(args: Args) -> None:
     runs = [EpisodeArgs(episodes=args.episodes)]
     runs += [EpisodeArgs(data=name, episodes=args.draws) for name in RECORDINGS]
     tables = []
-    everything = {}
+    files = []
     made = provenance("demo", args)
     for run in runs:
         options = replace(run, percentiles=args.percentiles)
@@ -50,13 +50,10 @@ def main(args: Args) -> None:
         result, text, content, _ = results(options, names)
         show(str(replace(result, paired={})))
         tables.append(text)
-        everything[result.scenario] = made | {"options": options_of(options)} | content
-        write_json(args.out / f"{result.scenario}.json", everything[result.scenario])
+        files.append(args.out / f"{result.scenario}.json")
+        write_json(files[-1], made | {"options": options_of(options)} | content)
     write_text(args.out / "tables.md", "\n".join(tables))
-    if args.json:
-        write_json(args.json, everything)
-    files = tuple(args.out / f"{scenario}.json" for scenario in everything)
-    report = PageArgs(results=files, out=args.out / "report.html")
+    report = PageArgs(results=tuple(files), out=args.out / "report.html")
     note("web page: rerunning some episodes to show them epoch by epoch")
     write_text(report.out, page_of(report))
     say(

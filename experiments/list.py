@@ -2,7 +2,6 @@
 
 import inspect
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
@@ -15,7 +14,7 @@ Kind = Literal["all", "policies", "scenarios", "radios", "scenes", "modes", "sam
 
 @dataclass(kw_only=True)
 class Args:
-    """List the names that options and arguments accept; copy samples.
+    """List the names that options and arguments accept.
 
     mmwave-loc list policies
     """
@@ -24,11 +23,6 @@ class Args:
     """what to list: policies, scenarios, radios, scenes, modes, samples, rewards or all"""
     radio: str = "handset"
     """radio profile whose policies and modes are listed"""
-    out: Path | None = None
-    """folder for the files of the sample that --copy names; only with `list samples`"""
-    copy: str | None = None
-    """name of the sample to copy into --out: its log if it
-    has one, otherwise its recording"""
 
 
 POLICIES = {
@@ -49,12 +43,6 @@ def main(args: Args) -> None:
     from experiments.console.progress import say
     from mmwave_env.models.radio import radio_from
 
-    if args.out is not None and args.copy is not None and args.what == "samples":
-        say(f"copied to {args.out}/: {_copied(args.out, args.copy)} files")
-        return
-    for name, value in (("out", args.out), ("copy", args.copy)):
-        if value is not None:
-            raise ValueError(f"{name}: found {value}, expected: list samples --copy NAME --out DIR")
     radio_from(args.radio)  # refuses an unknown radio
     for kind, names in _kinds(args.radio).items():
         if args.what in (kind, "all"):
@@ -117,24 +105,3 @@ def _description(scene: "Scene") -> str:
         f"streets x {west:g} to {east:g} m, y {south:g} to {north:g} m; "
         f"inside the walls: {' and '.join(wall.side_of(base) for wall in scene.walls)}"
     )
-
-
-def _copied(out: Path, name: str) -> int:
-    """Copy the files of a sample; return the number of files.
-
-    Raises:
-        ValueError: there is no such sample.
-        FileExistsError: a file already exists.
-    """
-    from mmwave_env.datasets.samples import log_names, sample_folder
-    from mmwave_env.io.files import require_writable, write_bytes
-
-    folder = sample_folder(name, "log" if name in log_names() else "recording")
-    files = {out / file.name: file for file in sorted(folder.iterdir())}
-    for new in files:
-        if new.exists():
-            raise FileExistsError(f"{new}: found a file of this name, expected none in the folder")
-        require_writable(new)
-    for new, file in files.items():
-        write_bytes(new, file.read_bytes())
-    return len(files)

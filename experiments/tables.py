@@ -50,10 +50,10 @@ def main(args: Args) -> None:
     from experiments.console.doc_pages import page_to_renew, renewed
     from experiments.console.progress import say, tracked
     from experiments.console.tables import show
-    from experiments.figures.canvas import require_picture
     from experiments.paper.bench import Bench
     from experiments.paper.figure import draw
     from experiments.paper.printed import page_tables
+    from experiments.reporting.figures.canvas import require_picture
     from mmwave_env.io.files import require_writable, write_text
 
     figures = [args.out / "tables.png"] + ([args.docs.with_suffix(".png")] if args.docs else [])

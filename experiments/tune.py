@@ -52,8 +52,10 @@ class Args(JsonArgs):
     (.safetensors) of the network to write"""
 
 
-OF_BANK = ("bank", "radio", "episodes", "evaluations", "seed", "out", "json")  # allowed with --bank
-OF_LEVELS = ("levels", "seed", "out")  # allowed with --levels
+ALONE = {  # option -> the options that can be combined with it
+    "levels": ("levels", "seed", "out"),
+    "bank": ("bank", "radio", "episodes", "evaluations", "seed", "out", "json"),
+}
 Content = dict[str, Any]  # content of a JSON file
 
 
@@ -139,21 +141,14 @@ def main(args: Args) -> None:
         require_writable(args.out)
         if args.out.resolve() == Path(args.radio).resolve():
             raise ValueError(f"out: found {args.out}, which is the radio; expected another file")
-    for chosen, owned, name in (
-        (args.levels, OF_LEVELS, "levels"),
-        (args.bank, OF_BANK, "bank"),
-    ):
-        for option in fields(Args) if chosen else ():
-            if option.name not in owned and getattr(args, option.name) != option.default:
-                raise ValueError(f"{option.name}: cannot be combined with --{name}")
-    figures: Content = {}
+    used = [option.name for option in fields(args) if getattr(args, option.name) != option.default]
+    for name, beside in ALONE.items():
+        if name in used and (others := [other for other in used if other not in beside]):
+            raise ValueError(f"{others[0]}: cannot be combined with --{name.replace('_', '-')}")
     if args.levels:
         _train_levels(args)
         return
-    if args.bank:
-        content = _tuned_bank(args)
-    else:
-        content, figures = _tuned_modes(args)
+    content, figures = (_tuned_bank(args), {}) if args.bank else _tuned_modes(args)
     made = provenance("tune", args)
     if args.json:
         write_json(args.json, made | content | figures)

@@ -43,10 +43,10 @@ class Args(ModeArgs):
     """number that determines a simulated episode, instead of
     --seed; mmwave-loc compare --episodes-csv writes the
     keys of its episodes"""
-    begin: float | None = None
-    """time to begin at, s from the start of the episode (None: its start)"""
-    end: float | None = None
-    """time to end at, s from the start of the episode (None: its end)"""
+    begin: float = 0.0
+    """time to begin at, s from the start of the episode"""
+    end: float = float("inf")
+    """time to end at, s from the start of the episode (inf: its end)"""
 
 
 MOST = 3  # maximum number of policies to show
@@ -57,7 +57,7 @@ def main(args: Args) -> None:
     """Run the command."""
     from experiments.console.progress import progress, say
     from experiments.evaluation.asked import contender_of, task_of
-    from experiments.evaluation.playing import Scoring
+    from experiments.evaluation.runner import Scoring
     from experiments.reporting.histories import history_of
 
     _check(args)
@@ -101,15 +101,15 @@ def _drawn(
     """Return the episode of a seed or key, its streets (None if unknown), and its title."""
     import numpy as np
 
-    from experiments.evaluation.seeds import Selection
+    from experiments.evaluation.seeds import draw_episodes, keys_for, seeds_from
     from mmwave_env.world.keys import key_from
     from mmwave_env.world.simulated import SimulatedSource
 
     if key is None:
-        selection = Selection.of(1, seed, 1)
-        (episode,) = selection.draw(task.source)
-        keys = selection.keys(task.source)
-        which = f"seed {selection.seeds[0]}"
+        seeds = seeds_from(1, seed)
+        (episode,) = draw_episodes(task.source, seeds)
+        keys = keys_for(task.source, seeds)
+        which = f"seed {seeds[0]}"
     elif seed is not None:
         raise ValueError(f"key: cannot be combined with seed {seed}; use only one of the two")
     elif not isinstance(task.source, SimulatedSource):
@@ -122,18 +122,12 @@ def _drawn(
     return episode, streets, f"{episode.name}, {which}"
 
 
-def _between(time_s: "Array", begin: float | None, end: float | None) -> list[int]:
-    """Return indices of rows between two times, without row 0 (the prior) if ``begin`` is set."""
-    import numpy as np
-
-    low = -np.inf if begin is None else begin
-    high = np.inf if end is None else end
-    rows: list[int] = np.flatnonzero((time_s >= low) & (time_s <= high)).tolist()
-    if begin is not None and rows[:1] == [0]:
-        del rows[0]
+def _between(time_s: "Array", begin: float, end: float) -> list[int]:
+    """Return indices of rows between two times; row 0, the prior, is at the episode's start."""
+    rows = [row for row, time in enumerate(time_s.tolist()) if begin <= time <= end]
     if not rows:
         raise ValueError(
-            f"begin, end: found {low:g} to {high:g} s, expected part of the episode, "
+            f"begin, end: found {begin:g} to {end:g} s, expected part of the episode, "
             f"0 to {time_s[-1]:g} s"
         )
     return rows

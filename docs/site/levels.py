@@ -10,12 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.console.tables import grid
-from experiments.evaluation.contenders import Contender
+from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.intervals import bootstrap
-from experiments.evaluation.playing import EpochResults
 from experiments.evaluation.protocol import HARD, KINDS, RECORDED, Site, sites
-from experiments.evaluation.runner import score_contenders
-from experiments.evaluation.seeds import Selection
+from experiments.evaluation.runner import EpochResults, score_contenders
 from mmwave_env.localization.levels import PARTS, Levels
 from mmwave_env.localization.position_errors import gaussian_levels, horizontal, vertical
 from mmwave_env.metrics import scored
@@ -57,8 +55,9 @@ def figures_at(site: Site) -> Array:
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # modes are untuned for an unseen radio on purpose
-        seeds = Selection(range(FEWER if few else EPISODES))
-        score_contenders(POLICIES, source, site.radio, seeds, watch=[add], after=PARTS)
+        seeds = range(FEWER if few else EPISODES)
+        contenders = [contender_from(name, site.radio) for name in POLICIES]
+        score_contenders(contenders, source, seeds, watch=[add], after=PARTS)
     return np.array(figures)
 
 

@@ -11,7 +11,6 @@ import numpy as np
 from experiments.console.tables import grid
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.protocol import HARD, RECORDED, Site, sites
-from experiments.evaluation.seeds import Selection
 from experiments.training.two_way import smoothed
 from mmwave_env.filters.correction import corrected_all
 from mmwave_env.filters.pipeline import Pipeline
@@ -39,7 +38,7 @@ def row(site: Site, network: TwoWayCorrector) -> list[object]:
     """Return a row of the table: mean errors, their difference, and mean NEES."""
     bank = LearnedSwitch(BASE).bank(site.radio)
     few = site.kind in (RECORDED, HARD)
-    seeds = Selection(range(FEWER if few else EPISODES))
+    seeds = range(FEWER if few else EPISODES)
     batch = EpisodeBatch.of(seeds.draw(site.source()))
     pipeline = Pipeline(bank.modes, batch.layout)
     network.read_from_track(pipeline)

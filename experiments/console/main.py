@@ -5,13 +5,16 @@ function ``main``. Options are read before slow imports, so help and errors appe
 """
 
 import importlib
+import inspect
 import os
+import re
 import sys
+import textwrap
 import traceback
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
-from io import TextIOWrapper
+from contextlib import contextmanager, nullcontext, redirect_stderr, redirect_stdout, suppress
+from io import StringIO, TextIOWrapper
 from typing import Any, NoReturn
 
 from experiments.console.signals import Ended, ended_by_signals, ignore_signals
@@ -19,7 +22,7 @@ from experiments.console.signals import Ended, ended_by_signals, ignore_signals
 GROUPS = {
     "begin": {
         "demo": "compare all policies on simulated and ray-traced streets",
-        "list": "show all names: policies, radios, streets, ...; copy samples",
+        "list": "show all names: policies, radios, streets, samples, ...",
     },
     "localize": {
         "localize": "compute the track of a measurement log, or find its errors",
@@ -27,7 +30,6 @@ GROUPS = {
     },
     "compare": {
         "compare": "compare policies on the same episodes, with paired differences",
-        "evaluate": "same as compare",
         "tables": "reproduce the paper's tables and test its claims",
         "leaderboard": "judge contenders by the benchmark, and rank all entries",
         "watch": "play an episode with some policies, in a window or as a video",
@@ -40,26 +42,12 @@ GROUPS = {
     },
     "measure": {"speed": "measure steps per second, memory and latency"},
 }
+RULE = re.compile(r"^ +-+ *$", re.MULTILINE)  # line between the parts of tyro's messages
 COMMANDS = {name: about for group in GROUPS.values() for name, about in group.items()}
-SAME = {"evaluate": "compare"}  # alias -> command
 EVERYWHERE = {  # options of every command
     "--quiet": "show neither tables nor progress, only warnings and errors",
     "--debug": "if something fails, show where in the program (a traceback)",
 }
-LONGEST_LINE = 2000  # maximum length of a message, characters
-
-
-def page_of(name: str) -> str:
-    """Return the name of the module that implements a command."""
-    return f"experiments.{SAME.get(name, name)}"
-
-
-def _in_one_line(text: str) -> str:
-    """Return a message in printable characters, cut if it is too long."""
-    from mmwave_env.io.lookup import printable
-
-    line = printable(text)
-    return line if len(line) <= LONGEST_LINE else f"{line[:LONGEST_LINE]} ..."
 
 
 def _leave(code: int) -> NoReturn:
@@ -75,11 +63,34 @@ def read_arguments(name: str, words: Sequence[str]) -> Any:
     """Parse words of a command line into the ``Args`` of a command's module.
 
     Raises:
-        SystemExit: help was asked for, or an option is wrong.
+        SystemExit: with 0 after showing help, with 2 after one line about a wrong option.
     """
-    from experiments.console.parser import parse
+    import tyro
 
-    return parse(importlib.import_module(page_of(name)).Args, words, f"mmwave-loc {name}")
+    program = f"mmwave-loc {name}"
+    arguments = importlib.import_module(f"experiments.{name}").Args
+    config = (tyro.conf.DisallowNone, tyro.conf.PositionalMetavarFromFieldName)
+    # tyro joins the lines of a paragraph, except lines that begin with a space.
+    about = textwrap.indent(inspect.getdoc(arguments) or "", " ")
+    box = StringIO()
+    try:
+        with redirect_stderr(box):
+            return tyro.cli(arguments, prog=program, description=about, args=words, config=config)
+    except SystemExit as end:
+        if end.code:
+            _print_problem(f"{program}: {_message(box.getvalue())}")
+        raise
+
+
+def _message(box: str) -> str:
+    """Return, in one line, tyro's message about a mistake and the option that tyro suggests."""
+    parts = [" ".join(part.split()) for part in RULE.split(box)]
+    message = parts[1].partition(" Got errors")[0]
+    message = re.sub(r"^Missing from .*?: ", "required: ", message).rstrip(".")
+    close = re.match(r"Perhaps you meant: (\S+)", parts[2])
+    if close:
+        return f"{message}; did you mean {close[1]}?"
+    return f"{message}; --help lists all options"
 
 
 @contextmanager
@@ -95,6 +106,13 @@ def _quiet() -> Iterator[None]:
         QUIET.reset(token)
 
 
+def _print_problem(text: str) -> None:
+    """Print one line on standard error, in printable characters."""
+    from mmwave_env.io.lookup import printable
+
+    print(printable(text), file=sys.stderr)
+
+
 def _complain(program: str, error: BaseException, debug: bool) -> None:
     """Print one line about an error, after its traceback if ``debug``."""
     if debug:
@@ -108,7 +126,7 @@ def _complain(program: str, error: BaseException, debug: bool) -> None:
     else:
         where = "" if debug else "; please report it (--debug shows where it happened)"
         line = f"failed with {type(error).__name__}: {error}{where}"
-    print(f"{program}: {_in_one_line(line)}", file=sys.stderr)
+    _print_problem(f"{program}: {line}")
 
 
 @contextmanager
@@ -142,16 +160,14 @@ def run(name: str, words: Sequence[str]) -> None:
     quiet = "--quiet" in words
     words = [word for word in words if word not in EVERYWHERE]
     with _errors_in_one_line(f"mmwave-loc {name}", debug):
-        warnings.showwarning = lambda message, *_, **__: print(
-            f"warning: {_in_one_line(str(message))}", file=sys.stderr
-        )
+        warnings.showwarning = lambda message, *_, **__: _print_problem(f"warning: {message}")
         for stream in (sys.stdout, sys.stderr):
             if isinstance(stream, TextIOWrapper):  # its encoding may lack a character
                 stream.reconfigure(errors="backslashreplace")
         args = read_arguments(name, words)
         with _quiet() if quiet else nullcontext():
             _require_results_can_be_written(args)
-            importlib.import_module(page_of(name)).main(args)
+            importlib.import_module(f"experiments.{name}").main(args)
 
 
 def _require_results_can_be_written(args: Any) -> None:
@@ -194,7 +210,7 @@ def _complete(words: Sequence[str]) -> None:
     """Print or write a shell's completion script for commands and options, and exit."""
     import tyro
 
-    commands = {name: importlib.import_module(page_of(name)).Args for name in COMMANDS}
+    commands = {name: importlib.import_module(f"experiments.{name}").Args for name in COMMANDS}
     tyro.extras.subcommand_cli_from_dict(commands, prog="mmwave-loc", args=words)
 
 

@@ -33,18 +33,6 @@ class JsonArgs:
 
 
 @dataclass(kw_only=True)
-class EpisodeResultArgs(JsonArgs):
-    """Options for the results of episodes."""
-
-    episodes_csv: Path | None = None
-    """write a CSV table with one row per policy and episode, and one column per metric"""
-    percentiles: bool = False
-    """also show percentiles of horizontal and vertical
-    errors, the shares of errors within some distances, and
-    how often errors exceed their protection levels"""
-
-
-@dataclass(kw_only=True)
 class WorldArgs:
     """Options for streets, users and radio, as in the environment."""
 
@@ -114,9 +102,15 @@ class IntegrityArgs:
 
 
 @dataclass(kw_only=True)
-class EpisodeArgs(ModeArgs, IntegrityArgs, EpisodeResultArgs):
-    """Options for the episodes to run."""
+class EpisodeArgs(ModeArgs, IntegrityArgs, JsonArgs):
+    """Options for the episodes to run, and for their results."""
 
+    episodes_csv: Path | None = None
+    """write a CSV table with one row per policy and episode, and one column per metric"""
+    percentiles: bool = False
+    """also show percentiles of horizontal and vertical
+    errors, the shares of errors within some distances, and
+    how often errors exceed their protection levels"""
     episodes: int | None = None
     """number of episodes (None: 1000); results to publish need 1000 or more"""
     seed: int | None = None
@@ -127,8 +121,8 @@ class EpisodeArgs(ModeArgs, IntegrityArgs, EpisodeResultArgs):
 
 
 @dataclass(kw_only=True)
-class LearnedArgs:
-    """Options for the environment of a learned policy."""
+class TaskArgs:
+    """Options for the task to learn."""
 
     scenario: str = "mixed"
     """kind of user: a name (see mmwave-loc list scenarios) or
@@ -147,12 +141,6 @@ class LearnedArgs:
     the features that say how well each mode explains the
     coming epoch); or signed (full, plus residuals along
     and across velocity)"""
-
-
-@dataclass(kw_only=True)
-class TaskArgs(LearnedArgs):
-    """Options for the task to learn."""
-
     algo: Literal["ppo", "rollouts", "corrector", "two-way"] = "ppo"
     """ppo: PPO of Stable-Baselines3; rollouts: rollout policy
     iteration with common random numbers, which tries every
@@ -218,8 +206,11 @@ class TrainArgs(TaskArgs):
 
 
 @dataclass(kw_only=True)
-class TrackOutputArgs(JsonArgs):
-    """Options for the results of a log."""
+class LogArgs(IntegrityArgs, JsonArgs):
+    """Options for a log: its track, the filters, and the paper's Algorithm 1.
+
+    If an option of Algorithm 1 is set (speed to robust), the algorithm replaces the policy.
+    """
 
     out: tuple[Path, ...] = ()
     """write the track to these files: .tum, which also writes
@@ -235,12 +226,6 @@ class TrackOutputArgs(JsonArgs):
     (wrong units, signs, frames or order of anchors;
     arrival and departure swapped), and which correction
     helps"""
-
-
-@dataclass(kw_only=True)
-class FilterArgs:
-    """Options for the filters."""
-
     policy: str | None = None
     """policy that chooses the modes: corrector (default),
     guided, ppo, a policy file, or module:function"""
@@ -271,12 +256,6 @@ class FilterArgs:
     clock: str = "synchronized"
     """synchronized, or offset: estimate the offset of the
     user's clock, which shifts all ranges"""
-
-
-@dataclass(kw_only=True)
-class AlgorithmArgs:
-    """Options of the paper's Algorithm 1; if any is set, the algorithm replaces the policy."""
-
     speed: str | None = None
     """Algorithm 1: the user's speed, m/s, which selects the
     pipeline that runs; or auto, to decide in every epoch"""
@@ -291,12 +270,6 @@ class AlgorithmArgs:
     mobility) and the UKF (high mobility)"""
     robust: bool = False
     """give outlying links less weight instead of rejecting them (also with --imm)"""
-
-
-@dataclass(kw_only=True)
-class LogArgs(AlgorithmArgs, FilterArgs, IntegrityArgs, TrackOutputArgs):
-    """Options for the log, its scene and its ground truth."""
-
     log: Positional[Path | None] = None
     """measurement log: .csv, .csv.gz or .parquet; - for standard input, with --live"""
     scene: str | None = None

@@ -22,23 +22,19 @@ OUTPUTS = {"json", "episodes_csv", "errors", "consistency", "plot", "docs", "out
 def command_line(name: str, args: Any) -> str:
     """Return the command line that sets the given options; default values are left out."""
     kinds = get_type_hints(type(args), include_extras=True)
-    nameless = [field.name for field in fields(args) if Positional in get_args(kinds[field.name])]
-    values = [value for field in nameless if (value := getattr(args, field)) is not None]
-    words = ["mmwave-loc", name, *(word for value in values for word in _words(value))]
+    words = ["mmwave-loc", name]
+    options: list[str] = []
     for field in fields(args):
         value = getattr(args, field.name)
+        texts = [*map(str, value if isinstance(value, tuple) else (value,))]
         option = field.name.replace("_", "-")
-        if field.name in nameless or value == field.default:
-            continue
-        if isinstance(value, bool):
-            words.append(f"--{option}" if value else f"--no-{option}")
-        else:
-            words += [f"--{option}", *_words(value)]
-    return shlex.join(words)
-
-
-def _words(value: Any) -> list[str]:
-    return [*map(str, value if isinstance(value, tuple) else (value,))]
+        if Positional in get_args(kinds[field.name]):
+            words += [] if value is None else texts
+        elif isinstance(value, bool) and value != field.default:
+            options.append(f"--{option}" if value else f"--no-{option}")
+        elif value != field.default:
+            options += [f"--{option}", *texts]
+    return shlex.join([*words, *options])
 
 
 def provenance(name: str, args: Any) -> Json:

@@ -1,7 +1,6 @@
 """Text and tables of results, as Markdown, as LaTeX and on a terminal."""
 
 import re
-import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 
 from rich import box
@@ -15,8 +14,6 @@ from mmwave_env.io.lookup import printable
 
 TABLE = re.compile(r"((?:^\|.*\n?)+)", re.MULTILINE)
 CELL = re.compile(r"((?:\\.|[^|\\])*)\|")  # a cell, with the | that ends it
-UNIT = re.compile(r" (?=(?:m|s|%)(?: |$))")  # the space before a unit, where a line must not break
-GLUED = "\u00a0"  # a space where :mod:`textwrap` does not break
 GAP = 2  # spaces between columns
 # Characters that are markup in Markdown or HTML. An underscore is markup only at a word's edge.
 _READ = re.compile(
@@ -30,11 +27,6 @@ _LATEX = str.maketrans(
 )
 _MINUS = re.compile(r"(?<![\w-])-(?=\d)")
 _ESCAPED = re.compile(r"\\([\\`*|$~<&\]_])")
-
-
-def printable_lines(text: str) -> str:
-    """Return text with unprintable characters as escape codes, but keep the line breaks."""
-    return "\n".join(map(printable, text.split("\n")))
 
 
 def escaped(text: str) -> str:
@@ -72,7 +64,7 @@ def show(text: str) -> None:
     Control characters, for example in a name from a file, do not reach the terminal.
     """
     console = Console()
-    text = printable_lines(text)
+    text = "\n".join(map(printable, text.split("\n")))
     if not console.is_terminal:
         print(text)
         return
@@ -91,10 +83,9 @@ def _tables(text: str, width: int) -> Iterator[Table]:
     """
     lines = [CELL.findall(line[1:]) for line in text.splitlines()]
     header, _, *rows = [[unescaped(cell.strip()) for cell in line] for line in lines]
-    columns = list(zip(header, *rows, strict=True))
-    first = columns[0]
+    first, *others = zip(header, *rows, strict=True)
     group = [first]
-    for column in columns[1:]:
+    for column in others:
         if len(group) > 1 and _width([*group, column]) > width:
             yield _table(group)
             group = [first]
@@ -112,9 +103,7 @@ def _table(columns: Sequence[Sequence[str]]) -> Table:
         padding=(0, 1, 0, 0),
     )
     for column in columns:
-        width = _least_width(column)
-        title = textwrap.fill(UNIT.sub(GLUED, column[0]), width).replace(GLUED, " ")
-        table.add_column(Text(title), width=width)
+        table.add_column(Text(column[0]), width=_least_width(column))
     for cells in zip(*(column[1:] for column in columns), strict=True):
         table.add_row(*map(Text, cells))
     return table
@@ -126,5 +115,4 @@ def _width(columns: Sequence[Sequence[str]]) -> int:
 
 def _least_width(column: Sequence[str]) -> int:
     """Return the width of a column in which no cell and no word of the header is broken."""
-    words = UNIT.sub(GLUED, column[0]).split(" ")
-    return max(map(cell_len, [*words, *column[1:]]))
+    return max(map(cell_len, [*column[0].split(" "), *column[1:]]))

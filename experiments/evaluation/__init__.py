@@ -1,1 +1,1 @@
-"""Evaluation of contenders on the same episodes: selection, runs, statistics and tables."""
+"""Evaluation of contenders on the same episodes: seeds, runs, statistics and tables."""

@@ -5,6 +5,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any, cast
 
 import numpy as np
@@ -79,6 +80,16 @@ class Estimator(Policy):
         raise ValueError(f"policy: found {type(self).__name__}, {NO_FILTERS}")
 
 
+@contextmanager
+def blaming(name: str, more: str) -> Iterator[None]:
+    """Turn an exception of a user's code into a ValueError that names the policy, and ``more``."""
+    try:
+        yield
+    except Exception as error:  # a user's code can raise anything
+        problem = f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"
+        raise ValueError(f"policy {name}: {problem}{more}") from error
+
+
 def is_agent(name: str) -> bool:
     """Return whether a name has the form module:function."""
     return MODULE.fullmatch(name) is not None
@@ -95,16 +106,12 @@ def agent_from(name: str) -> Act:
     module, _, path = name.partition(":")
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())  # last, so that installed modules take precedence
-    try:
+    expected = "module:function, a function that takes no arguments and returns the agent"
+    with blaming(name, f"; expected {expected} ({GUIDE})"):
         make: Any = importlib.import_module(module)
         for part in path.split("."):
             make = getattr(make, part)
         return cast(Act, make())
-    except Exception as error:  # a user's code can raise anything
-        raise ValueError(
-            f"policy {name}: {in_one_line(error)}; expected module:function, a function "
-            f"that takes no arguments and returns the agent ({GUIDE})"
-        ) from error
 
 
 def tried(name: str, policy: Policy, table: Observation) -> Policy:
@@ -118,14 +125,10 @@ def tried(name: str, policy: Policy, table: Observation) -> Policy:
     space = table.space
     rng = np.random.default_rng(0)
     shown = rng.uniform(space.low, space.high, (TRIED, len(table))).astype(np.float32)
-    try:
+    about = f"observations {shown.shape}, float32, made with {table.made_with}"
+    with blaming(name, f"; it was given {about}; {OF_A_MODEL} ({GUIDE})"):
         policy.reset(np.ones(TRIED, np.bool_))
         actions = np.asarray(policy.act(shown))
-    except Exception as error:  # a user's code can raise anything
-        raise ValueError(
-            f"policy {name}: {in_one_line(error)}; it was given observations "
-            f"{shown.shape}, float32, made with {table.made_with}; {OF_A_MODEL} ({GUIDE})"
-        ) from error
     require_actions(name, actions, TRIED, len(table.actions))
     return _Checked(name, policy, len(table.actions))
 
@@ -150,23 +153,13 @@ class _Checked(Policy):
 
     def act(self, observation: Array32) -> Index:
         self._epoch += 1
-        returned = self._answer(self._policy.act, observation)
+        with blaming(self._name, f", in epoch {self._epoch}"):
+            returned = self._policy.act(observation)
         return require_actions(self._name, returned, len(observation), self._actions)
 
     def correct(self, observation: Array32) -> Correction | None:
-        return cast(Correction, self._answer(self._policy.correct, observation))
-
-    def _answer(self, ask: Callable[[Array32], Any], observation: Array32) -> Any:
-        try:
-            return ask(observation)
-        except Exception as error:  # a user's code can raise anything
-            problem = f"policy {self._name}: {in_one_line(error)}, in epoch {self._epoch}"
-            raise ValueError(problem) from error
-
-
-def in_one_line(error: Exception) -> str:
-    """Return the type of an exception, and the first line of its message."""
-    return f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"
+        with blaming(self._name, f", in epoch {self._epoch}"):
+            return self._policy.correct(observation)
 
 
 def require_actions(name: str, returned: Any, n: int, count: int) -> Index:

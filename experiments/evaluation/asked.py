@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 
-from experiments.console.options import USUAL_EPISODES, EpisodeArgs, ModeArgs, WorldArgs
+from experiments.console.options import EpisodeArgs, ModeArgs, WorldArgs
 from experiments.evaluation.contenders import Contender, contender_from, contenders
 from experiments.evaluation.runs import Run
-from experiments.evaluation.seeds import Selection
+from experiments.evaluation.seeds import seeds_from
 from mmwave_env.filters.bank import Modes, bank_over
 from mmwave_env.filters.modes import Mode
 from mmwave_env.task import Task, TaskArguments, task_from
@@ -47,9 +47,9 @@ def source_of(args: WorldArgs) -> EpisodeSource:
     return _task(args, [Mode("none")]).source
 
 
-def selection_of(args: EpisodeArgs) -> Selection:
-    """Return the episodes that options select."""
-    return Selection.of(args.episodes, args.seed, USUAL_EPISODES)
+def seeds_of(args: EpisodeArgs) -> range:
+    """Return the seeds of the episodes that options select."""
+    return seeds_from(args.episodes, args.seed)
 
 
 def _task(args: WorldArgs, modes: Modes, beliefs: str = "shared") -> Task:

@@ -12,9 +12,8 @@ from typing import Any
 from experiments.evaluation.agents import Act
 from experiments.evaluation.comparison import Comparison, compare_scores
 from experiments.evaluation.contenders import Contender, contender_from
-from experiments.evaluation.playing import Scoring
-from experiments.evaluation.runner import score_contenders
-from experiments.evaluation.seeds import Selection
+from experiments.evaluation.runner import Scoring, score_contenders
+from experiments.evaluation.seeds import seeds_from
 from mmwave_env.filters.bank import Modes
 from mmwave_env.interface.reward import reward_name
 from mmwave_env.io.files import AnyPath
@@ -59,7 +58,7 @@ def compare(
             "module:function", a run's folder, or a contender's name. docs/own-agent.md describes
             the methods (``reset``, ``correct``) and attributes (``modes``, ``observation``,
             ``beliefs``, which override the arguments) that a function may have.
-        beside: names of known contenders to compare with, from
+        beside: names of known contenders to compare with, none or several, from
             :func:`~experiments.evaluation.contenders.contenders`.
         scenario, radio: same as in the environment.
         episodes: number of episodes, 200 by default; results to publish need 1000 or more.
@@ -83,17 +82,17 @@ def compare(
     _require_valid(policies, episodes, world)
     task = task_from(scenario=scenario, radio=radio, episodes=data, **world)
     scoring = Scoring.of(task)
-    selection = Selection.of(episodes, seed, USUAL_EPISODES)
+    seeds = seeds_from(episodes, seed, USUAL_EPISODES)
     settings = (radio, modes, observation, beliefs)
     everybody = [_contender(name, agent, *settings) for name, agent in policies.items()]
     everybody += [contender_from(name, radio) for name in beside]
-    scores = score_contenders(everybody, task.source, radio, selection, scoring=scoring)
+    scores = score_contenders(everybody, task.source, seeds, scoring=scoring)
     return compare_scores(
         scores,
         list(policies),
         scenario=task.source.name,
         radio=task.radio.name,
-        selection=selection,
+        seeds=seeds,
         reward=reward_name(scoring.reward),
     )
 
@@ -119,15 +118,3 @@ def _contender(name: str, agent: Agent, *settings: Any) -> Contender:
     if isinstance(agent, (str, os.PathLike)):
         return replace(contender_from(os.fspath(agent), *settings), name=name)
     return Contender.own(name, agent, *settings)
-
-
-def evaluate(policy: Agent, **where: Any) -> Comparison:
-    """Evaluate an agent, given in any form that :func:`compare` accepts in ``policies``.
-
-    Return its metrics with 95 % intervals; ``where`` are further arguments of :func:`compare`.
-    """
-    if isinstance(policy, (str, os.PathLike)):
-        name = os.fspath(policy)
-    else:
-        name = getattr(policy, "__name__", type(policy).__name__)
-    return compare({name: policy}, (), **where)

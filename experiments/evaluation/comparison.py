@@ -2,7 +2,7 @@
 
 import csv
 import io
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
@@ -14,7 +14,7 @@ from experiments.evaluation.branches import CLAIRVOYANT
 from experiments.evaluation.contenders import BEST_IMM, RULE
 from experiments.evaluation.intervals import Interval, bootstrap, rounded
 from experiments.evaluation.runner import Scores
-from experiments.evaluation.seeds import Selection
+from experiments.evaluation.seeds import keys_for, named, seeds_from
 from mmwave_env.io.files import Json
 from mmwave_env.io.lookup import as_cell
 from mmwave_env.metrics import HEADERS, METRICS, TERMS
@@ -44,10 +44,10 @@ def score_cell(score: float | None) -> str:
 class Comparison:
     """Results of contenders on one source of episodes; ``str`` formats them as Markdown."""
 
-    # scenario, radio and selection say which episodes were run
+    # scenario, radio and seeds say which episodes were run
     scenario: str
     radio: str
-    selection: Selection
+    seeds: Sequence[int]
     policies: dict[str, dict[str, Interval]]  # means by contender and metric
     paired: dict[str, dict[str, Interval]]  # paired differences by "A - B" and metric
     reward: str = "tracking"  # kind of reward in the column "reward"
@@ -60,7 +60,8 @@ class Comparison:
             return {k: {m: i.json for m, i in row.items()} for k, row in rows.items()}
 
         tables = {"policies": table(self.policies), "paired": table(self.paired)}
-        return {"scenario": self.scenario, "radio": self.radio, **self.selection.json, **tables}
+        run = {"episodes": len(self.seeds), "seed": self.seeds[0]}
+        return {"scenario": self.scenario, "radio": self.radio, **run, **tables}
 
     @classmethod
     def from_json(cls, content: Json) -> "Comparison":
@@ -75,9 +76,9 @@ class Comparison:
             return {k: {m: Interval.of(i) for m, i in row.items()} for k, row in rows}
 
         policies = sorted(table("policies").items(), key=lambda row: -row[1]["reward"].mean)
-        selection = Selection.of(content["episodes"], content["seed"], 0)
+        seeds = seeds_from(content["episodes"], content["seed"], 0)
         names = content["scenario"], content["radio"]
-        return cls(*names, selection, dict(policies), table("paired"))
+        return cls(*names, seeds, dict(policies), table("paired"))
 
     @property
     def scores(self) -> dict[str, float | None]:
@@ -101,10 +102,12 @@ class Comparison:
         """Return a table of the policies' means, then a table of paired reward differences."""
         # Rewards of different kinds are not comparable. So the title names any kind but "tracking".
         reward = "" if self.reward == "tracking" else f", reward {escaped(self.reward)}"
-        parts = [f"### {escaped(self.scenario)}, {escaped(self.radio)}, {self.selection}{reward}\n"]
-        parts.append(grid(*self.table(METRICS)))
+        parts = [
+            f"### {escaped(self.scenario)}, {escaped(self.radio)}, {named(self.seeds)}{reward}\n"
+        ]
+        parts.append(grid(*self.table()))
         if self.paired:
-            intervals = ", 95 % intervals" if len(self.selection) > 1 else ""
+            intervals = ", 95 % intervals" if len(self.seeds) > 1 else ""
             pairs = {f"{a} - {b}": b for a, b in product(self.policies, repeat=2)}
             subtracted = list(dict.fromkeys(pairs[pair] for pair in self.paired))
             rows: list[list[object]] = []
@@ -115,38 +118,31 @@ class Comparison:
             parts += [f"\nPaired differences of the reward{intervals}:\n", table]
         return "\n".join(parts) + "\n"
 
-    def table(self, metrics: Collection[str]) -> tuple[list[str], list[list[str]]]:
+    def table(self) -> tuple[list[str], list[list[str]]]:
         """Return a header and a row per policy: means ± half the widths of their 95 % intervals.
 
-        If the metrics include the reward, and there are scores, the last column has the scores.
+        If there are scores, the last column has them.
         """
-        rows = [[name, *(rounded(row[m]) for m in metrics)] for name, row in self.policies.items()]
-        header = ["policy", *(HEADERS[metric] for metric in metrics)]
+        rows = [[name, *(rounded(row[m]) for m in METRICS)] for name, row in self.policies.items()]
+        header = ["policy", *(HEADERS[metric] for metric in METRICS)]
         scores = self.scores
-        if scores and "reward" in metrics:
+        if scores:
             header.append("score")
             rows = [[*row, score_cell(scores[row[0]])] for row in rows]
         return header, rows
 
-    @property
-    def terms(self) -> str:
-        """Return a Markdown table of both terms of the tracking reward, error and NEES."""
-        about = "The terms of the tracking reward, which is minus their sum:"
-        return f"\n{about}\n\n{grid(*self.table(TERMS))}\n"
 
-
-def episodes_csv(scores: dict[str, Scores], selection: Selection, source: EpisodeSource) -> str:
+def episodes_csv(scores: dict[str, Scores], seeds: Sequence[int], source: EpisodeSource) -> str:
     """Return a CSV table with a row per contender and episode, and a column per metric.
 
-    A row also has the key of its episode, if the episode is simulated. ``selection`` and ``source``
-    say which episodes were scored.
+    A row also has the key of its episode, if the episode is simulated. ``seeds`` and ``source`` say
+    which episodes were scored.
     """
     table = io.StringIO()
     rows = csv.writer(table, lineterminator="\n")
     columns = (*METRICS, *TERMS)
     rows.writerow(["policy", "seed", "key", *columns])
-    seeds = selection.seeds
-    keys = selection.keys(source)
+    keys = keys_for(source, seeds)
     written = [None] * len(seeds) if keys is None else keys.tolist()
     for name, metrics in scores.items():
         values = (metrics[metric].tolist() for metric in columns)

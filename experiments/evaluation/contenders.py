@@ -15,14 +15,6 @@ from experiments.evaluation.agents import (
     tried,
 )
 from experiments.evaluation.branches import CLAIRVOYANT, Clairvoyant
-from experiments.evaluation.playing import (
-    EpochResults,
-    Trial,
-    run_alone,
-    run_clairvoyant,
-    run_estimator,
-    run_policy,
-)
 from experiments.evaluation.runs import Run
 from mmwave_env.filters.bank import (
     Bank,
@@ -54,16 +46,9 @@ class Contender(Switching):
 
     Attributes:
         name: name on the command line and in results.
-        run: function that runs the contender on episodes, and returns every epoch's results.
     """
 
     name: str
-    run: Callable[[Trial], EpochResults] = run_policy
-
-    @classmethod
-    def imm(cls, name: str, bank: Bank) -> "Contender":
-        """Return a contender for the IMM of a bank."""
-        return cls(bank, name=name, run=run_alone)
 
     @classmethod
     def learned(cls, path: AnyPath, name: str | None = None, radio: str = "handset") -> "Contender":
@@ -105,7 +90,6 @@ class Contender(Switching):
             observation=getattr(agent, "observation", observation),
             corrects=policy.corrects,
             name=name,
-            run=run_estimator if estimates else run_policy,
         )
 
 
@@ -131,7 +115,7 @@ def _of_any_modes(bank: Bank) -> dict[str, Make]:
     makes: dict[str, Make] = {
         n: partial(Contender, bank.modes, policy=p, name=n) for n, p in policies.items()
     }
-    return makes | {"imm": partial(Contender.imm, "imm", bank)}
+    return makes | {"imm": partial(Contender, bank, name="imm")}
 
 
 def contenders(radio: str, modes: Modes = None) -> dict[str, Make]:
@@ -149,7 +133,7 @@ def contenders(radio: str, modes: Modes = None) -> dict[str, Make]:
     ckf = Bank((named_modes(radio)["ckf"],))
     ekf, ukf, *others = _of_any_modes(Bank(default_modes(radio))).items()
     alone = dict([ekf, ukf, next(iter(_of_any_modes(ckf).items()))])
-    best = {BEST_IMM: lambda: Contender.imm(BEST_IMM, best_bank(radio))}
+    best = {BEST_IMM: lambda: Contender(best_bank(radio), name=BEST_IMM)}
     shipped = shipped_policies()
     base = radio_from(radio).base
     files = ((name, file) for name in SHIPPED for file in (name, f"{name}-{base}"))
@@ -181,7 +165,7 @@ def contender_from(
         return known[name]()
     if name == CLAIRVOYANT:
         bank = bank_from(modes, radio)
-        return Contender(bank, policy=lambda table: Clairvoyant(), name=name, run=run_clairvoyant)
+        return Contender(bank, policy=lambda table: Clairvoyant(), name=name)
     if name in shipped or name.endswith(".safetensors"):
         return Contender.learned(name, radio=radio)
     if Path(name).is_dir():

@@ -7,21 +7,18 @@ that each score has its own policy, and would count K policies on n episodes as 
 """
 
 import math
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
 from mmwave_env.io.files import Json
-from mmwave_env.numerics.numbers import Array, Index
+from mmwave_env.numerics.numbers import Array
 
 RESAMPLES = 4000
 BLOCK = 100  # number of resamples that are computed together, to bound the memory
-KEPT = 20_000  # largest number of episodes whose resamples are small enough to cache
 
 
 @dataclass(frozen=True)
@@ -62,30 +59,19 @@ def rounded(interval: Interval) -> str:
 
 
 @lru_cache(maxsize=2)
-def _resamples(n: int, seed: int = 0) -> NDArray[np.uint16]:
-    """Return how often each resample draws each of n episodes or seeds, (resamples, n)."""
-    counts = np.empty((RESAMPLES, n), np.uint16)
-    for first, rows in zip(range(0, RESAMPLES, BLOCK), _drawn(n, seed, BLOCK), strict=True):
-        counts[first : first + BLOCK] = rows
-    return counts
-
-
-def _drawn(n: int, seed: int, rows: int) -> Iterator[Index]:
-    """Yield the counts of :func:`_resamples`, a few rows at a time to bound the memory."""
+def _resamples(n: int, seed: int = 0) -> list[NDArray[np.uint16]]:
+    """Return how often each resample draws each of n episodes or seeds, in blocks (BLOCK, n)."""
     rng = np.random.default_rng(seed)
-    for first in range(0, RESAMPLES, rows):
-        size = min(rows, RESAMPLES - first)
-        yield rng.multinomial(n, np.full(n, 1.0 / n), size=size)
+    blocks = np.split(np.empty((RESAMPLES, n), np.uint16), RESAMPLES // BLOCK)
+    for block in blocks:
+        block[:] = rng.multinomial(n, np.full(n, 1.0 / n), size=BLOCK)
+    return blocks
 
 
 def _resampled_means(values: Array) -> Array:
     """Return means (resamples, k) of columns (episodes, k); all columns use the same resamples."""
     n = len(values)
-    if n > KEPT:
-        blocks: Iterable[Any] = _drawn(n, 0, max(1, BLOCK * KEPT // n))
-    else:
-        blocks = np.split(_resamples(n), RESAMPLES // BLOCK)
-    return np.concatenate([rows / n @ values for rows in blocks])
+    return np.concatenate([block / n @ values for block in _resamples(n)])
 
 
 def bootstrap(values: Array) -> list[Interval]:
@@ -139,11 +125,9 @@ def crossed_bootstrap(scores: Array) -> Interval:
     K, n = scores.shape
     apart = scores.mean(axis=1, keepdims=True) - scores.mean()
     moved = scores + (few_seeds_factor(K) - 1.0) * apart
-    of_seeds = _resamples(K, 1)
-    of_episodes = _resamples(n)
     means = [
-        ((of_seeds[i : i + BLOCK] / K @ moved) * (of_episodes[i : i + BLOCK] / n)).sum(axis=1)
-        for i in range(0, RESAMPLES, BLOCK)
+        ((of_seeds / K @ moved) * (of_episodes / n)).sum(axis=1)
+        for of_seeds, of_episodes in zip(_resamples(K, 1), _resamples(n), strict=True)
     ]
     low, high = np.percentile(np.concatenate(means), [2.5, 97.5])
     return Interval(float(scores.mean()), float(low), float(high))

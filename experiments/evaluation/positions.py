@@ -1,13 +1,13 @@
 """Statistics of contenders' position errors and protection levels."""
 
-from collections.abc import Mapping
+from collections.abc import Collection
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from experiments.console.tables import grid
 from experiments.evaluation.contenders import Contender
-from experiments.evaluation.playing import EpochResults
+from experiments.evaluation.runner import EpochResults
 from mmwave_env.io.files import Json
 from mmwave_env.localization.levels import PARTS, Levels
 from mmwave_env.localization.position_errors import DISTANCES_M, SHARES, PositionErrors
@@ -27,11 +27,11 @@ HEADER = (
 class Positions:
     """Position errors of all scored epochs, with protection levels."""
 
-    names: Mapping[str, str]  # contender's name -> name to show; other contenders are skipped
+    names: Collection[str]  # contenders; others are skipped
     levels: Levels = field(default_factory=Levels)
     anchors: int = 3  # number of anchors in the episodes
     planar: bool = False  # whether the height is known
-    errors: dict[str, PositionErrors] = field(default_factory=dict)  # name to show -> errors
+    errors: dict[str, PositionErrors] = field(default_factory=dict)  # by contender
 
     def add(self, contender: Contender, time_s: Array, results: EpochResults) -> None:
         """Add a contender's epoch results on some episodes.
@@ -39,9 +39,9 @@ class Positions:
         The results must include :data:`~mmwave_env.localization.levels.PARTS`.
         """
         if contender.name in self.names:
-            name = self.names[contender.name]
             counts = scored(len(time_s))
-            errors = self.errors.setdefault(name, PositionErrors(self.levels.risk, self.planar))
+            empty = PositionErrors(self.levels.risk, self.planar)
+            errors = self.errors.setdefault(contender.name, empty)
             parts = [*(results[part] for part in PARTS), results.get("trusted")]
             self.levels.reset()
             factors = self.levels.factors(self.anchors, contender.bank is not None, time_s, *parts)

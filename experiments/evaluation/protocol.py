@@ -19,11 +19,11 @@ from experiments.console.tables import grid
 from experiments.evaluation.asked import source_of
 from experiments.evaluation.branches import CLAIRVOYANT
 from experiments.evaluation.comparison import MISSING, score_cell, score_of
-from experiments.evaluation.contenders import BEST_IMM, RULE, contender_from, contenders
+from experiments.evaluation.contenders import BEST_IMM, RULE, contender_from
 from experiments.evaluation.hard import HARD_SOURCES
 from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.runner import Scores, score_contenders
-from experiments.evaluation.seeds import Selection
+from experiments.evaluation.seeds import seeds_from
 from mmwave_env.datasets.samples import sample_names
 from mmwave_env.io.files import Json, read_json
 from mmwave_env.models.radio import TUNED_RADIOS
@@ -32,6 +32,7 @@ from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import EpisodeSource
 
 TRAINED, UNSEEN_KIND, RECORDED, HARD = KINDS = ("to train in", "unseen", "recorded", "hard")
+IMMS = ("imm", BEST_IMM)
 UNSEEN_SCENES = ("avenue", "plaza", "alley")
 UNSEEN_RADIOS = ("tablet",)
 UNSEEN = UNSEEN_SCENES + UNSEEN_RADIOS  # nothing is tuned or trained on them
@@ -88,7 +89,6 @@ class Judged:
 
     site: Site
     scores: dict[str, Scores]  # metrics by contender
-    imms: tuple[str, ...]  # names of the IMMs among the contenders
 
     def gain(self, name: str, rival: str) -> Array:
         """Return the reward (episodes,) of a contender minus the reward of a rival."""
@@ -96,7 +96,7 @@ class Judged:
 
     def figures(self, name: str) -> Json:
         """Return a contender's figures at this site: means, and gains over the rule and IMMs."""
-        gains = {imm: self.gain(name, imm) for imm in self.imms if imm != name}
+        gains = {imm: self.gain(name, imm) for imm in IMMS if imm in self.scores and imm != name}
         own = [self.scores[name][metric] for metric in ("reward", "ate_m")]
         columns = np.stack([*own, *gains.values()], axis=1)
         reward, ate_m, *minus = (interval.json for interval in bootstrap(columns))
@@ -134,14 +134,13 @@ def require_contenders(names: Sequence[str]) -> None:
 
 def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> Judged:
     """Run contenders, the paper's rule and every IMM at a site, on the same episodes."""
-    selection = Selection(range(seed, seed + episodes))
+    seeds = seeds_from(episodes, seed)
     # Modes of an unseen radio are untuned on purpose, so suppress the warning about untuned modes.
     with warnings.catch_warnings(action="ignore"):
-        imms = [name for name in contenders(site.radio) if name.startswith("imm")]
-        everybody = dict.fromkeys([*names, RULE, *imms])
+        everybody = dict.fromkeys([*names, RULE, *IMMS])
         chosen = [contender_from(name, site.radio) for name in everybody]
-        scores = score_contenders(chosen, site.source(), site.radio, selection)
-    return Judged(site, scores, tuple(imms))
+        scores = score_contenders(chosen, site.source(), seeds)
+    return Judged(site, scores)
 
 
 def entry(name: str, judged: Sequence[Judged]) -> Json:

@@ -2,29 +2,57 @@
 
 import warnings
 from collections.abc import Callable, Sequence
-from typing import cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from experiments.console.progress import bars
-from experiments.evaluation.contenders import Contender, contender_from
-from experiments.evaluation.playing import EpochResults, Scoring, Trial
-from experiments.evaluation.seeds import Selection
-from mmwave_env.filters.bank import Modes
-from mmwave_env.interface.policy import Policy
-from mmwave_env.interface.reward import TrackingReward
+from experiments.evaluation.agents import NO_FILTERS, Estimator
+from experiments.evaluation.branches import Clairvoyant
+from experiments.evaluation.contenders import Contender
+from experiments.evaluation.seeds import draw_episodes, keys_for
+from mmwave_env.engines.engine import Engine, run_imm
+from mmwave_env.engines.play import play
+from mmwave_env.filters.belief import Belief
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.actions import CORRECTION, MODE
+from mmwave_env.interface.policy import Policy, Switching
+from mmwave_env.interface.reward import Reward, TrackingReward, terms_of, total
 from mmwave_env.io.lookup import printable
 from mmwave_env.metrics import BURN_IN, METRICS, TERMS, scored, summary
+from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array
-from mmwave_env.world.episode import Episode, EpisodeBatch, EpisodeSource
+from mmwave_env.task import Task
+from mmwave_env.world.episode import Episode, EpisodeBatch, EpisodeSource, columns_of
 from mmwave_env.world.simulated import SimulatedSource
-
-PLAIN = Scoring()
-Scores = dict[str, Array]  # metric -> (episodes,)
 
 PARTS = ("reward", "nees", "error")
 CHUNK = 1000  # maximum number of episodes in memory
 
+# Results of n episodes: "reward" and "nees" (n, T); "error" (n, T, 3); a policy's "mode" (n, T)
+EpochResults = dict[str, NDArray[Any]]
+Scores = dict[str, Array]  # metric -> (episodes,)
+
+
+class Scoring(NamedTuple):
+    """Reward and terrain that apply to all contenders."""
+
+    reward: Reward = TrackingReward()  # function of (belief, truth)
+    planar: bool = False  # whether height and vertical speed are known; NEES then covers two axes
+
+    @classmethod
+    def of(cls, task: Task) -> "Scoring":
+        """Return the scoring of a task; refuse a paired reward."""
+        if task.baseline is not None:
+            raise ValueError(
+                "reward: found a paired reward, expected an unpaired reward; paired differences "
+                "between policies, including the IMM, are shown in any case"
+            )
+        return cls(task.reward, task.pipeline.planar)
+
+
+PLAIN = Scoring()
 Watch = Callable[[Contender, Array, EpochResults], None]
 
 
@@ -67,7 +95,84 @@ def run_contender(
     batch = EpisodeBatch.of(episodes)
     if scoring.planar:
         batch = batch.on_flat_ground()
-    return contender.run(Trial(contender, policy, batch, scoring, (*PARTS, *after)))
+    names = (*PARTS, *after)
+    if contender.policy is None:
+        assert contender.bank  # an IMM: no policy acts, so one call runs all epochs
+        return run_imm(contender.bank, scoring.reward, batch, *names, planar=scoring.planar)
+    if isinstance(policy, Estimator):
+        pipeline = contender.pipeline(batch.layout, scoring.planar)
+        return _run_estimator(pipeline, policy, batch, scoring.reward, names)
+    return _run_policy(contender, policy, batch, scoring, names)
+
+
+def _run_policy(
+    switching: Switching,
+    policy: Policy,
+    episodes: EpisodeBatch,
+    scoring: Scoring,
+    names: Sequence[str],
+) -> EpochResults:
+    """Play a policy on n episodes of T epochs; return also its actions, "mode" (n, T).
+
+    If the policy corrects beliefs, results are those of the corrected beliefs, and "trusted" (n, T)
+    has the factors that scaled the corrections.
+
+    Args:
+        switching: the modes, and what the policy observes.
+        policy: policy to play; the clairvoyant sees the whole episodes first.
+        episodes: the episodes.
+        scoring: reward and terrain.
+        names: parts of the state to return for every epoch: arrays (n, T, values) by name.
+    """
+    (n, T, _) = episodes.table.shape
+    engine = Engine(
+        switching.pipeline(episodes.layout, scoring.planar),
+        n,
+        scoring.reward,
+        switching.observation,
+        switching.bank,
+        action=CORRECTION if policy.corrects else MODE,
+    )
+    engine.batch.load(episodes)
+    if isinstance(policy, Clairvoyant):
+        policy.foresee(engine)
+    policy.reset(np.ones(n, bool))
+    corrected = {"x": "reported.x", "P": "reported.P"} if policy.corrects else {}
+    read = [corrected.get(name, name) for name in names]
+    track = play(engine, policy, T, engine.program.rows(read))
+    parts = engine.program.by_name(read, track.outputs)
+    results: EpochResults = dict(zip(names, parts.values(), strict=True))
+    if policy.corrects:
+        results["trusted"] = track.trusted
+    return results | {"mode": track.actions}
+
+
+def _run_estimator(
+    pipeline: Pipeline,
+    estimator: Estimator,
+    episodes: EpisodeBatch,
+    reward: Reward,
+    names: Sequence[str],
+) -> EpochResults:
+    """Run an estimator, which uses no filters; arguments are as in :func:`_run_policy`.
+
+    Raises:
+        ValueError: a name is neither a score nor a part of the belief.
+    """
+    x, P = estimator.estimate(pipeline, episodes)
+    covariance = unpack(list(np.moveaxis(P, -1, 0)), pipeline.known_axes)
+    belief = Belief(list(np.moveaxis(x, -1, 0)), covariance, pipeline.position_axes)
+    truth = list(np.moveaxis(episodes.table[:, :, columns_of(episodes.layout).truth], -1, 0))
+    results = {
+        "x": x,
+        "P": P,
+        "error": np.stack(belief.error(truth), axis=-1),
+        "nees": belief.nees(truth),
+        "reward": total(terms_of(reward, belief, truth)),
+    }
+    if not {*names} <= {*results}:
+        raise ValueError(f"policy: found {type(estimator).__name__}, {NO_FILTERS}")
+    return results
 
 
 def _epochs_per_second(time_s: Array) -> float:
@@ -112,22 +217,20 @@ def _summary(results: EpochResults, time_s: Array, scoring: Scoring) -> Scores:
     }
 
 
-def _drawn(selection: Selection, source: EpisodeSource) -> tuple[EpisodeBatch, Array]:
+def _drawn(source: EpisodeSource, seeds: Sequence[int]) -> tuple[EpisodeBatch, Array]:
     """Draw equally long episodes, ready to run; also return the first episode's times (T,)."""
-    keys = selection.keys(source)
+    keys = keys_for(source, seeds)
     if keys is None:
-        episodes = selection.draw(source)
+        episodes = draw_episodes(source, seeds)
         return EpisodeBatch.of(_scorable(episodes)), episodes[0].time_s
     simulated = cast(SimulatedSource, source)
     return simulated.sample_batch(keys), simulated.time_s
 
 
 def score_contenders(
-    names: Sequence[str | Contender],
+    contenders: Sequence[Contender],
     source: EpisodeSource,
-    radio: str,
-    selection: Selection,
-    modes: Modes = None,
+    seeds: Sequence[int],
     watch: Sequence[Watch] = (),
     scoring: Scoring = PLAIN,
     after: Sequence[str] = (),
@@ -135,33 +238,28 @@ def score_contenders(
     """Compute the scores of contenders on the same episodes.
 
     Args:
-        names: contenders, or their names, which :func:`contender_from` looks up.
-        source, selection: source of the episodes, and the seeds of the episodes to run.
-        radio, modes: radio profile and modes that :func:`contender_from` gets for each name.
+        contenders: policies with their modes, or IMMs.
+        source, seeds: source of the episodes, and the seeds of the episodes to run.
         watch: functions called with a contender, the times (T,) and the contender's epoch results.
         after: parts of the state that epoch results include, as in :func:`run_contender`.
 
     Raises:
-        ValueError: a contender is unknown, or occurs twice.
+        ValueError: a contender occurs twice.
     """
-    chosen = [
-        name if isinstance(name, Contender) else contender_from(name, radio, modes)
-        for name in names
-    ]
-    parts: dict[str, list[Scores]] = {contender.name: [] for contender in chosen}
-    if len(parts) < len(chosen):
-        listed = ", ".join(contender.name for contender in chosen)
+    parts: dict[str, list[Scores]] = {contender.name: [] for contender in contenders}
+    if len(parts) < len(contenders):
+        listed = ", ".join(contender.name for contender in contenders)
         raise ValueError(f"policies: found {listed}, expected different names")
-    policies = [contender.start(source.layout, scoring.planar) for contender in chosen]
+    policies = [contender.start(source.layout, scoring.planar) for contender in contenders]
     with bars() as progress:
-        task = progress.add_task(printable(source.name), total=len(selection) * (1 + len(chosen)))
-        for first in range(0, len(selection), CHUNK):
-            batch, time_s = _drawn(selection.part(first, CHUNK), source)
+        task = progress.add_task(printable(source.name), total=len(seeds) * (1 + len(contenders)))
+        for first in range(0, len(seeds), CHUNK):
+            batch, time_s = _drawn(source, seeds[first : first + CHUNK])
             count = len(batch.names)
             progress.advance(task, count)
             if not first:
                 _warn_of_short(time_s)
-            for contender, policy in zip(chosen, policies, strict=True):
+            for contender, policy in zip(contenders, policies, strict=True):
                 results = run_contender(contender, policy, batch, scoring, after=after)
                 _warn_of_nonfinite(contender, results)
                 parts[contender.name].append(_summary(results, time_s, scoring))

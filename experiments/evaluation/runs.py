@@ -1,7 +1,7 @@
 """Folders that ``mmwave-loc train`` writes, with one policy per training seed."""
 
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from io import StringIO
@@ -61,11 +61,6 @@ class Run:
 
     def _policy(self, seed: int) -> str:
         return str(Path(self.name) / f"seed-{seed}" / "policy.safetensors")
-
-
-def trainings(names: Sequence[str], runs: Mapping[str, Run]) -> list[str]:
-    """Return names of contenders, with each run replaced by the policy files of its seeds."""
-    return [file for name in names for file in (runs[name].policies if name in runs else [name])]
 
 
 def curves_of(log: Path) -> dict[str, tuple[list[float], list[float]]]:

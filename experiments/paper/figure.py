@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from experiments.evaluation.intervals import Interval
-from experiments.figures.canvas import picture, plain_numbers
 from experiments.paper.bench import Cell, Section
+from experiments.reporting.figures.canvas import picture, plain_numbers
 from mmwave_env.models.radio import TUNED_RADIOS
 
 COUPLED = 3  # column of our ATE with coupled process noise; column 1 has the paper's ATE

@@ -8,14 +8,12 @@ from experiments.evaluation.asked import (
     all_contenders,
     contender_of,
     runs_of,
-    selection_of,
+    seeds_of,
     task_of,
 )
 from experiments.evaluation.comparison import Comparison, compare_scores, episodes_csv
-from experiments.evaluation.playing import Scoring
 from experiments.evaluation.positions import Positions, positions_markdown
-from experiments.evaluation.runner import score_contenders
-from experiments.evaluation.runs import trainings
+from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.reporting.histories import EpochErrors
 from experiments.reporting.training_seeds import over_training_seeds, seeds_markdown
 from mmwave_env.interface.reward import reward_name
@@ -44,43 +42,39 @@ def results(args: EpisodeArgs, names: Sequence[str], with_epochs: bool = False) 
     task = task_of(args)
     runs = runs_of(args, names)
     scoring = Scoring.of(task)
-    selection = selection_of(args)
-    files = {name: runs[name].policy if name in runs else name for name in names}
-    shown = {file: name for name, file in files.items()}
-    epochs = EpochErrors(shown)
-    positions = Positions(shown, levels, task.source.layout.anchors, args.planar)
+    seeds = seeds_of(args)
+    others = [file for run in runs.values() for file in run.policies if file != run.policy]
+    epochs = EpochErrors(names)
+    positions = Positions(names, levels, task.source.layout.anchors, args.planar)
     watch = [epochs.add] if with_epochs else []
     if args.percentiles:
         watch.append(positions.add)
     scores_of = score_contenders(
-        [contender_of(args, file) for file in trainings(names, runs)],
+        [contender_of(args, name) for name in (*names, *others)],
         task.source,
-        args.radio,
-        selection,
+        seeds,
         watch=watch,
         scoring=scoring,
         after=PARTS if args.percentiles else (),
     )
-    scores = {name: scores_of[file] for name, file in files.items()}
+    scores = {name: scores_of[name] for name in names}
     if args.episodes_csv:
-        write_text(args.episodes_csv, episodes_csv(scores, selection, task.source))
+        write_text(args.episodes_csv, episodes_csv(scores, seeds, task.source))
     known = all_contenders(args)
     comparison = compare_scores(
         scores,
         [name for name in names if name not in known],
         scenario=task.source.name,
         radio=task.radio.name,
-        selection=selection,
+        seeds=seeds,
         reward=reward_name(scoring.reward),
     )
     text = str(comparison)
     content = comparison.json
-    if args.percentiles:
-        text += comparison.terms
     if runs:
         content["training_seeds"] = {}
     for run in runs.values():
-        trained = [scores_of[file] for file in run.policies]
+        trained = [scores_of[run.name if file == run.policy else file] for file in run.policies]
         spread = content["training_seeds"][run.name] = over_training_seeds(run, trained, scores)
         text += seeds_markdown(run, spread)
     if args.percentiles:

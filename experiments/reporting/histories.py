@@ -1,13 +1,12 @@
 """Histories, errors and NEES of contenders, epoch by epoch, for pictures."""
 
-from collections.abc import Mapping
+from collections.abc import Collection
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from experiments.evaluation.contenders import Contender
-from experiments.evaluation.playing import EpochResults, Scoring
-from experiments.evaluation.runner import PLAIN, run_contender
+from experiments.evaluation.runner import PLAIN, EpochResults, Scoring, run_contender
 from mmwave_env.metrics import scored
 from mmwave_env.models.scene import Streets
 from mmwave_env.numerics.numbers import Array
@@ -59,9 +58,9 @@ def _after(prior: Array | float, epochs: Array) -> Array:
 class EpochErrors:
     """Errors and NEES of contenders in all scored epochs of equally long episodes."""
 
-    names: Mapping[str, str]  # contender's name -> name to show; other contenders are skipped
+    names: Collection[str]  # contenders; others are skipped
     time_s: Array = field(default_factory=lambda: np.zeros(0))  # (T,) s since the first epoch
-    # name to show -> (errors, NEES) for each call of add()
+    # contender -> (errors, NEES) for each call of add()
     _parts: dict[str, list[tuple[Array, Array]]] = field(default_factory=dict)
 
     def add(self, contender: Contender, time_s: Array, results: EpochResults) -> None:
@@ -71,7 +70,7 @@ class EpochErrors:
             self.time_s = (time_s - time_s[0])[counted]
             error = results["error"][:, counted]
             nees = results["nees"][:, counted]
-            parts = self._parts.setdefault(self.names[contender.name], [])
+            parts = self._parts.setdefault(contender.name, [])
             parts.append((error.astype(np.float32), nees))
 
     @property

@@ -4,8 +4,9 @@ import csv
 import json
 import sys
 from collections.abc import Iterator
+from io import TextIOWrapper
 from itertools import chain
-from typing import Any, BinaryIO
+from typing import Any
 
 from experiments.console.options import AUTO, LogArgs, require_at_least
 from experiments.console.progress import note
@@ -22,7 +23,6 @@ from mmwave_env.models.layout import clock_from
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import Scene, scene_from
 
-LONGEST_LINE = 1 << 16  # bytes; a longer line causes a warning and is left out
 SOURCE = "standard input"
 
 
@@ -47,7 +47,7 @@ def run_live(args: LogArgs) -> None:
     levels = Levels(args.risk, args.levels)
     scene = scene_from(args.scene)
     tracker: Tracker | None = None
-    for epoch in _epochs(sys.stdin.buffer, scene, args.snr, clock):
+    for epoch in _epochs(scene, args.snr, clock):
         if tracker is None:
             log = epoch.log()
             radio = nearest_radio(log, scene) if args.radio == AUTO else args.radio
@@ -73,15 +73,16 @@ def _content(position: Position) -> Json:
     return {name: value for name, value in position._asdict().items() if value is not None}
 
 
-def _epochs(
-    stream: BinaryIO, scene: Scene, snr_db: float | None, clock: bool
-) -> Iterator[LiveEpoch]:
+def _epochs(scene: Scene, snr_db: float | None, clock: bool) -> Iterator[LiveEpoch]:
     """Read rows (CSV below a header, or JSON objects); yield the epochs that they form.
 
     A JSON object is one row, or a whole epoch: {"rows": [...]}. Line 1 must name all columns.
     """
-    lines = _lines(stream)
-    number, first = next(((number, line) for number, line in lines if line.strip()), (0, ""))
+    assert isinstance(sys.stdin, TextIOWrapper)
+    # Bytes that are no text become escape codes, which a row's checks refuse.
+    sys.stdin.reconfigure(encoding="utf-8-sig", errors="backslashreplace")
+    lines: Iterator[tuple[int, str]] = enumerate(map(str.rstrip, sys.stdin), start=1)
+    number, first = next(((number, line) for number, line in lines if line), (0, ""))
     if not first:
         raise ValueError(f"log: found nothing on {SOURCE}, expected a header or JSON lines")
     as_json = first.lstrip().startswith("{")
@@ -94,14 +95,11 @@ def _epochs(
         names = dict.fromkeys(name.strip() for name in header)
     log = LiveLog([*names], scene, snr_db, SOURCE, clock, "," if as_json else delimiter)
     for number, line in lines:
-        rows: list[Any] = [line]
-        whole = False
-        if as_json:
-            try:
-                rows, whole = _objects(line, number)
-            except LogError as error:
-                _warn(error)
-                continue
+        try:
+            rows, whole = _objects(line, number) if as_json else ([line], False)
+        except LogError as error:
+            _warn(error)
+            continue
         for row in rows:
             try:
                 yield from log.add(row, number)
@@ -125,30 +123,6 @@ def _objects(line: str, number: int) -> tuple[list[Any], bool]:
             'all rows of an epoch as {"rows": [...]}'
         ) from error
     return rows, "rows" in content
-
-
-def _lines(stream: BinaryIO) -> Iterator[tuple[int, str]]:
-    """Yield the number and the text of every line; warn about lines that are not text."""
-    number = 0
-    rest = False
-    while content := stream.readline(LONGEST_LINE):
-        whole = content.endswith(b"\n")
-        number += not rest
-        too_long = rest or (not whole and len(content) == LONGEST_LINE)
-        rest = not whole
-        try:
-            if too_long:
-                raise ValueError(f"more than {LONGEST_LINE} bytes")
-            text = content.decode("utf-8-sig").rstrip("\r\n")
-            if not text.replace("\t", " ").isprintable():
-                raise ValueError("binary data")
-        except ValueError:
-            if whole or not too_long:
-                _warn(
-                    f"{SOURCE}, line {number}: found {quoted(content[:20])}, expected a row of text"
-                )
-            continue
-        yield number, text
 
 
 def _warn(problem: object) -> None:

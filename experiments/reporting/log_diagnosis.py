@@ -17,16 +17,14 @@ from mmwave_env.localization.diagnosis import AS_IT_IS, Finding, diagnose
 from mmwave_env.localization.radio_choice import nearest_radio
 from mmwave_env.logs.log import Log, read_log
 from mmwave_env.logs.log_tables import LogError
-from mmwave_env.logs.truth import Truth
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import Scene
-from mmwave_env.world.mobility import FASTEST_MPS
 
 _UNEVEN = 0.1  # tolerated difference between a time step and the usual step, as a fraction
 
 
-def diagnosed(args: LogArgs, path: Path, scene: Scene, truth_file: Path | None) -> None:
+def diagnosed(args: LogArgs, path: Path, scene: Scene) -> None:
     """Show facts about a log, and whether undoing a likely mistake makes the log consistent.
 
     Raises:
@@ -37,7 +35,7 @@ def diagnosed(args: LogArgs, path: Path, scene: Scene, truth_file: Path | None) 
     radio = nearest_radio(log, scene) if args.radio == AUTO else args.radio
     with progress("looking for likely mistakes"):
         findings = diagnose(log, scene, radio_from(radio), modes_of(args, radio)[-1])
-        facts = log_facts(log, scene, Truth(truth_file) if truth_file else None)
+        facts = log_facts(log, scene)
     if args.json:
         hypotheses = [
             {**f._asdict(), "contradictions": [c._asdict() for c in f.contradictions]}
@@ -58,8 +56,8 @@ def _read(path: Path, scene: Scene, snr_db: float | None) -> Log:
         return read(path, scene, partial=True, snr_db=snr_db)
 
 
-def log_facts(log: Log, scene: Scene, truth: Truth | None) -> Json:
-    """Return facts about a log: its times, the user's true speed, the anchors, and problems."""
+def log_facts(log: Log, scene: Scene) -> Json:
+    """Return facts about a log: its times, how often each anchor is measured, and problems."""
     links = log.visible[:, : log.layout.anchors]
     steps = np.diff(log.time_s)
     step_s = float(np.median(steps)) if len(steps) else None
@@ -69,17 +67,6 @@ def log_facts(log: Log, scene: Scene, truth: Truth | None) -> Json:
     if step_s:
         words = f"steps that differ from {step_s:.4g} s by more than 10 %"
         irregular[words] = abs(steps - step_s) > _UNEVEN * step_s
-    speed_mps = None
-    if truth:
-        distances = np.linalg.norm(np.diff(truth.at(log.time_s).position_m, axis=0), axis=1)
-        known = np.isfinite(distances) & (steps <= GAP_S)
-        speeds = np.where(known, distances / steps, 0.0)
-        irregular[f"steps of the ground truth faster than {FASTEST_MPS:g} m/s"] = (
-            speeds > FASTEST_MPS
-        )
-        if known.any():
-            mean = float(distances[known].sum() / steps[known].sum())
-            speed_mps = {"mean": mean, "max": float(speeds.max())}
     irregular["epochs in which no anchor was measured"] = ~links.any(axis=1)
     for name, incomplete in zip(log.layout.group_names, log.incomplete.T, strict=True):
         irregular[f"epochs in which {name} lacks some values and so counts as missing"] = incomplete
@@ -95,7 +82,6 @@ def log_facts(log: Log, scene: Scene, truth: Truth | None) -> Json:
         "first_s": float(log.time_s[0]),
         "last_s": float(log.time_s[-1]),
         "step_s": step_s,
-        "speed_mps": speed_mps,
         "anchors": [
             {"position_m": anchor, "seen": count, "share": count / len(log)}
             for anchor, count in zip(scene.anchors_m.tolist(), counts, strict=True)
@@ -107,15 +93,8 @@ def log_facts(log: Log, scene: Scene, truth: Truth | None) -> Json:
 def facts_markdown(facts: Json) -> str:
     """Return the facts about a log as Markdown."""
     step_s = facts["step_s"]
-    speed_mps = facts["speed_mps"]
     rate = f", {1.0 / step_s:.4g} Hz" if step_s else ""
     times = f"{facts['first_s']:.12g} to {facts['last_s']:.12g} s{rate}"
-    lines = [f"- {facts['epochs']} epochs, {times}\n"]
-    if speed_mps:
-        mean = speed_mps["mean"]
-        lines.append(
-            f"- true speed: {mean:.2f} m/s on average, {speed_mps['max']:.2f} m/s at most\n"
-        )
     rows = [
         [
             f"{number}{', base station' if number == 1 else ''}",
@@ -124,9 +103,10 @@ def facts_markdown(facts: Json) -> str:
         ]
         for number, anchor in enumerate(facts["anchors"], start=1)
     ]
-    lines.append(f"\n{grid(['anchor', 'x m', 'y m', 'z m', 'seen'], rows)}\n\n")
+    anchors = grid(["anchor", "x m", "y m", "z m", "seen"], rows)
     problems = facts["problems"] or ["no problems in the file's format"]
-    return "".join(lines) + "".join(f"- {problem}\n" for problem in problems)
+    listed = "".join(f"- {problem}\n" for problem in problems)
+    return f"- {facts['epochs']} epochs, {times}\n\n{anchors}\n\n{listed}"
 
 
 def _number(value: float | None) -> str:

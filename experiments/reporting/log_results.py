@@ -11,8 +11,8 @@ from experiments.console.options import AUTO, LogArgs
 from experiments.console.progress import progress
 from experiments.console.provenance import provenance
 from experiments.console.tables import show
-from experiments.figures.canvas import require_picture
-from experiments.figures.trajectory import draw_trajectory
+from experiments.reporting.figures.canvas import require_picture
+from experiments.reporting.figures.trajectory import draw_trajectory
 from experiments.reporting.log_choice import (
     Choice,
     choice_of,
@@ -21,7 +21,7 @@ from experiments.reporting.log_choice import (
     require_one_choice,
 )
 from experiments.reporting.log_diagnosis import diagnosed
-from experiments.reporting.track_report import drawn_track, track_markdown
+from experiments.reporting.track_report import track_markdown
 from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH
 from mmwave_env.datasets.samples import sample_folder
 from mmwave_env.filters.bank import modes_from
@@ -78,8 +78,9 @@ def inputs(args: LogArgs) -> Inputs:
 
 def _check(args: LogArgs, files: Inputs) -> None:
     """Refuse options that contradict each other, and outputs that would replace other files."""
-    if args.diagnose and (args.out or args.plot):
-        raise ValueError("diagnose: cannot be combined with --out or --plot, which need a track")
+    if args.diagnose and (args.out or args.plot or args.truth):
+        beside = "--out, --plot or --truth, which need a track"
+        raise ValueError(f"diagnose: cannot be combined with {beside}")
     if args.diagnose and args.associate:
         beside = "--associate, because a diagnosis needs anchor numbers"
         raise ValueError(f"diagnose: cannot be combined with {beside}")
@@ -245,7 +246,7 @@ def localized(args: LogArgs) -> None:
     _check(args, files)
     scene = scene_from(files.scene)
     if args.diagnose:
-        return diagnosed(args, files.log, scene, files.truth)
+        return diagnosed(args, files.log, scene)
     for out in args.out:
         if out.suffix in MAP_FILES:
             origin_of(scene, out)
@@ -263,9 +264,11 @@ def localized(args: LogArgs) -> None:
     try:
         if args.plot:
             log = "/".join(files.log.parts[-2:])
-            truth_m = work.truth.at(track.time_s).position_m if work.truth else None
-            drawn = drawn_track(track, truth_m, scene.anchors_m)
-            draw_trajectory(drawn, args.plot, f"{log}, {_kind(args)} track")
+            truth_m = np.full((len(track), 3), np.nan)
+            if work.truth:
+                truth_m = work.truth.at(track.time_s).position_m
+            title = f"{log}, {_kind(args)} track"
+            draw_trajectory(track, truth_m, scene.anchors_m, args.plot, title)
     finally:  # the results are shown even if a picture fails
         try:
             show(track_markdown(figures))

@@ -1,37 +1,12 @@
-"""The report that ``localize`` prints about a track, and the epochs to draw in its picture."""
-
-import numpy as np
+"""The report that ``localize`` prints about a track."""
 
 from experiments.console.tables import escaped, grid
 from experiments.evaluation.positions import KINDS, positions_markdown
-from experiments.figures.trajectory import DrawnTrack
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS
 from mmwave_env.io.files import Json
-from mmwave_env.localization.localizer import Track
 from mmwave_env.metrics import HEADERS, INFO_KEYS
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.prior import GAP_S
-from mmwave_env.numerics.numbers import Array
-
-_POINTS = 6000  # maximum number of points in a picture; a longer track is thinned
-_POSITION = [0, 1, 3, 1, 2, 4, 3, 4, 5]  # indices of the position's 3 x 3 covariance in a packed P
-
-
-def drawn_track(track: Track, truth_m: Array | None, anchors_m: Array) -> DrawnTrack:
-    """Return a track for drawing, with at most ``_POINTS`` epochs.
-
-    ``truth_m`` (T, 3) are true positions, NaN where unknown. ``anchors_m`` (L, 3) are the anchors,
-    the base station first.
-    """
-    every = 1
-    while len(track) > every * _POINTS:
-        every *= 2
-    shown = slice(None, None, every)
-    x = track.smooth_x[shown, :3]
-    truth = np.full(x.shape, np.nan) if truth_m is None else truth_m[shown]
-    P = track.smooth_P[shown][:, _POSITION].reshape(-1, 3, 3)
-    numbers = track.mode[shown], track.segment[shown]
-    return DrawnTrack(track.time_s[shown], x, P, truth, *numbers, track.modes, anchors_m)
 
 
 def _decimals(value: float | None) -> str:

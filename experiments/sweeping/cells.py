@@ -9,9 +9,8 @@ import numpy as np
 
 from experiments.evaluation.asked import contender_of, task_of
 from experiments.evaluation.intervals import bootstrap
-from experiments.evaluation.playing import Scoring
-from experiments.evaluation.runner import score_contenders
-from experiments.evaluation.seeds import Selection
+from experiments.evaluation.runner import Scoring, score_contenders
+from experiments.evaluation.seeds import seeds_from
 from experiments.sweeping.spec import HYPERPARAMETER, Evaluation, Spec, Training, Values, plain
 from experiments.training.run import hyperparameters, training_task
 from mmwave_env.io.files import atomic_path, first_line, write_bytes
@@ -23,12 +22,12 @@ Row = dict[str, Any]
 def evaluated(values: Values) -> Row:
     """Evaluate a policy; return each metric's mean, 95 % interval and values per episode."""
     args = Evaluation(**values)
-    selection = Selection(range(args.seed, args.seed + args.episodes))
+    seeds = seeds_from(args.episodes, args.seed)
     with warnings.catch_warnings(record=True, action="always", category=UserWarning) as warned:
         task = task_of(args)
         contender = contender_of(args, args.policy)
         (scores,) = score_contenders(
-            [contender], task.source, args.radio, selection, scoring=Scoring.of(task)
+            [contender], task.source, seeds, scoring=Scoring.of(task)
         ).values()
     row: Row = {"warnings": "; ".join(sorted({str(warning.message) for warning in warned}))}
     intervals = bootstrap(np.stack([*scores.values()], axis=1))

@@ -6,7 +6,6 @@ from experiments import demo
 from experiments.console.options import EpisodeArgs
 from experiments.evaluation.asked import all_contenders
 from experiments.evaluation.comparison import compare_scores
-from experiments.evaluation.seeds import Selection
 from experiments.reporting.comparison_results import Results
 from experiments.reporting.histories import EpochErrors
 from mmwave_env.metrics import METRICS, TERMS
@@ -17,9 +16,9 @@ def test_results_for_every_data_set_are_printed_and_written(tmp_path, monkeypatc
     def results(args, names):
         assert args.percentiles
         scores = {name: dict.fromkeys((*METRICS, *TERMS), np.arange(3.0)) for name in names}
-        episodes = {"scenario": args.data or "mixed", "selection": Selection(range(args.episodes))}
+        episodes = {"scenario": args.data or "mixed", "seeds": range(args.episodes)}
         comparison = compare_scores(scores, radio=args.radio, **episodes)
-        return Results(comparison, str(comparison), comparison.json, EpochErrors({}))
+        return Results(comparison, str(comparison), comparison.json, EpochErrors(()))
 
     def page_of(args):
         assert args.results == tuple(tmp_path / f"{data}.json" for data in data_sets)
@@ -28,7 +27,7 @@ def test_results_for_every_data_set_are_printed_and_written(tmp_path, monkeypatc
     data_sets = ["mixed", "canyon28_pedestrian", "canyon28_vehicle"]
     monkeypatch.setattr("experiments.reporting.comparison_results.results", results)
     monkeypatch.setattr("experiments.reporting.webpage.page.page_of", page_of)
-    demo.main(demo.Args(out=tmp_path, json=tmp_path / "all.json", percentiles=True))
+    demo.main(demo.Args(out=tmp_path, percentiles=True))
     shown = capsys.readouterr().out
     rows = [line.split(" | ")[0][2:] for line in shown.splitlines() if "±" in line]
     everyone = all_contenders(EpisodeArgs())
@@ -38,8 +37,6 @@ def test_results_for_every_data_set_are_printed_and_written(tmp_path, monkeypatc
     assert all(written.count(f"\n| {name} |") == 2 * len(data_sets) for name in everyone)
     (page,) = tmp_path.glob("*.html")
     assert str(page) in shown and page.read_text() == "a page"
-    together = json_in(tmp_path / "all.json")
     for data in data_sets:
         assert str(tmp_path / f"{data}.json") in shown
-        assert together[data] == json_in(tmp_path / f"{data}.json")
-        assert list(together[data]["policies"]) == list(everyone)
+        assert list(json_in(tmp_path / f"{data}.json")["policies"]) == list(everyone)

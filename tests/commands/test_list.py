@@ -1,9 +1,9 @@
-"""Tests of ``mmwave-loc list``, which lists names and copies samples."""
+"""Tests of ``mmwave-loc list``."""
 
 import pytest
 
 from experiments.evaluation.contenders import contenders
-from mmwave_env.datasets.samples import sample_folder, sample_names
+from mmwave_env.datasets.samples import sample_names
 from mmwave_env.filters.bank import named_modes
 from mmwave_env.interface.reward import REWARDS
 from mmwave_env.models.radio import RADIOS
@@ -38,29 +38,3 @@ def test_without_a_kind_all_kinds_are_listed():
 def test_an_unknown_kind_or_radio_is_refused():
     assert_one_clear_line(command("list", "polices"), "polices.*what.*policies")
     assert_one_clear_line(command("list", "modes", "--radio", "lab"), "radio: found 'lab'")
-
-
-def test_a_sample_can_be_copied(tmp_path):
-    folders = {"canyon28_pedestrian": "log", "canyon28_stop_and_go": "recording"}
-    for name, kind in folders.items():
-        said = succeed("list", "samples", "--copy", name, "--out", tmp_path / name)
-        files = list(sample_folder(name, kind).iterdir())
-        assert said == f"copied to {tmp_path / name}/: {len(files)} files\n"
-        for file in files:
-            assert (tmp_path / name / file.name).read_bytes() == file.read_bytes()
-
-
-def test_copying_a_sample_replaces_no_file(tmp_path):
-    succeed("list", "samples", "--copy", "canyon28_pedestrian", "--out", tmp_path / "walk")
-    (tmp_path / "walk" / "log.csv").unlink()  # the refused second copy must not add this file
-    done = command("list", "samples", "--copy", "canyon28_pedestrian", "--out", tmp_path / "walk")
-    assert_one_clear_line(done, "scene.json: found a file of this name, expected none")
-    assert not (tmp_path / "walk" / "log.csv").exists()
-
-
-def test_copying_needs_a_known_sample_and_a_folder(tmp_path):
-    for words in (["samples", "--out", tmp_path], ["samples", "--copy", "canyon28_vehicle"]):
-        assert_one_clear_line(command("list", *words), "expected: list samples --copy NAME --out")
-    done = command("list", "samples", "--copy", "canyon29", "--out", tmp_path / "new")
-    assert_one_clear_line(done, "sample: found 'canyon29', expected one of canyon28_")
-    assert not list(tmp_path.iterdir())

@@ -48,7 +48,7 @@ def test_the_command_writes_a_mode_file_that_environments_and_commands_accept(tm
     env = gym.make("mmwave_env:MmWaveLoc-v0", modes=str(modes))
     assert env.unwrapped.modes == (ekf, robust)
     words = ("--modes", modes, "--policy", "fixed-ukf-robust", "--episodes", 2)
-    assert "fixed-ukf-robust" in succeed("evaluate", *words)
+    assert "fixed-ukf-robust" in succeed("compare", *words)
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ import shlex
 import pytest
 
 import mmwave_env
-from experiments.console.main import COMMANDS, SAME, page_of, read_arguments
+from experiments.console.main import COMMANDS, read_arguments
 from experiments.console.options import IntegrityArgs, TaskArgs
 from tests.cli import assert_one_clear_line, command, environment, python, started, succeed
 from tests.paths import ROOT, json_in
@@ -25,7 +25,7 @@ def test_the_program_lists_its_commands_and_shows_its_version():
     bare = command()
     assert helped.returncode == 0 and bare.returncode == 2
     assert all(name in helped.stdout for name in COMMANDS) and helped.stdout == bare.stdout
-    assert command("help").stdout == helped.stdout and set(SAME) < set(COMMANDS)
+    assert command("help").stdout == helped.stdout
     assert succeed("--version") == f"mmwave-loc {mmwave_env.__version__}\n"
 
 
@@ -38,7 +38,7 @@ def test_every_command_explains_its_options(name):
     assert examples
     for example in examples:
         typed, *words = shlex.split(example)
-        assert typed == SAME.get(name, name)
+        assert typed == name
         read_arguments(name, words)
     assert command("help", name, columns=80).stdout == shown
 
@@ -81,17 +81,17 @@ def test_shells_complete_commands_and_options():
 
 RECORDED = ("simulate", "--out", "never", "--data", "canyon28_vehicle")
 MISTAKES = {  # name -> words typed, expected message
-    "missing scene": (("evaluate", "--scene", "plaza.json"), "plaza.json"),
-    "negative count": (("evaluate", "--episodes", "-5"), "episodes: found -5, expected at least 1"),
+    "missing scene": (("compare", "--scene", "plaza.json"), "plaza.json"),
+    "negative count": (("compare", "--episodes", "-5"), "episodes: found -5, expected at least 1"),
     "JSON to a .tex file": (("compare", "--json", "t.tex"), "json: .* ends with .json"),
     "a table to .txt": (("compare", "--episodes-csv", "t.txt"), "episodes-csv: .* ends with .csv"),
     "scenario of recorded data": ((*RECORDED, "--scenario", "jam"), "scenario: found 'jam', but"),
-    "unknown option": (("evaluate", "--color", "red"), "--color"),
-    "mistyped option": (("evaluate", "--episode=3"), "--episode=3; did you mean --episodes[?]"),
+    "unknown option": (("compare", "--color", "red"), "--color"),
+    "mistyped option": (("compare", "--episode=3"), "--episode=3; did you mean --episodes[?]"),
     "a word too many": (("speed", "fast"), "fast"),
-    "a word as a number": (("evaluate", "--seed", "one"), "--seed.*one"),
+    "a word as a number": (("compare", "--seed", "one"), "--seed.*one"),
     "unknown choice": (("train", "--algo", "pp"), "pp.*--algo.*ppo.*rollouts"),
-    "an option without its value": (("evaluate", "--json"), "--json"),
+    "an option without its value": (("compare", "--json"), "--json"),
     "a required option missing": (("simulate",), "--out PATH"),
     "an unsupported risk": (("compare", "--risk", "0.05"), "risk: found 0.05, expected 0.01 or"),
 }
@@ -105,12 +105,12 @@ def test_a_mistake_ends_with_one_clear_line(mistake):
 
 
 def test_the_error_about_an_unknown_command_lists_all_names_and_suggests_a_similar_one():
-    assert_one_clear_line(command("fly"), "'fly', expected one of demo, .*compare, evaluate")
+    assert_one_clear_line(command("fly"), "'fly', expected one of demo, .*compare, tables")
     assert_one_clear_line(command("localise"), "'localise', did you mean localize[?] Expected")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("module", ["experiments.console.parser", "experiments.compare", "numba"])
+@pytest.mark.parametrize("module", ["tyro", "experiments.compare", "numba"])
 def test_an_interrupt_at_startup_ends_the_program_with_one_line(module):
     # If a shell runs tests in the background, SIGINT is ignored until signal.signal sets a handler.
     code = (
@@ -121,12 +121,12 @@ def test_an_interrupt_at_startup_ends_the_program_with_one_line(module):
         "    def find_spec(self, name, path=None, target=None):\n"
         f"        if name == {module!r}: os.kill(os.getpid(), signal.SIGINT)\n"
         "sys.meta_path.insert(0, Interrupt())\n"
-        "sys.argv = ['mmwave-loc', 'evaluate', '--episodes', '100000']\n"
+        "sys.argv = ['mmwave-loc', 'compare', '--episodes', '100000']\n"
         "main()\n"
     )
     done = python(code)
     assert (done.returncode, done.stdout) == (130, "")
-    assert re.fullmatch("mmwave-loc( evaluate)?: interrupted\n", done.stderr)
+    assert re.fullmatch("mmwave-loc( compare)?: interrupted\n", done.stderr)
 
 
 def test_defaults_of_options_equal_the_constants_of_the_library():
@@ -138,7 +138,7 @@ def test_defaults_of_options_equal_the_constants_of_the_library():
     from mmwave_env.rendering.theme import FRAMES_PER_SECOND, SMALLEST
 
     def options(name):
-        return importlib.import_module(page_of(name)).Args
+        return importlib.import_module(f"experiments.{name}").Args
 
     assert IntegrityArgs.risk == RISK
     assert options("localize").window == SMOOTHING_WINDOW
@@ -178,7 +178,7 @@ def test_quiet_shows_nothing_and_still_writes_the_results(tmp_path):
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     assert list(json_in(tmp_path / "all.json")["policies"]) == ["fixed-ukf", "imm"]
     assert "fixed-ukf" in command("compare", *options).stdout  # later commands are not quiet
-    assert_one_clear_line(command("evaluate", "--quiet", "--radio", "lab"), "'lab'.*handset")
+    assert_one_clear_line(command("compare", "--quiet", "--radio", "lab"), "'lab'.*handset")
 
 
 def test_a_traceback_is_shown_only_with_the_option_debug(monkeypatch):
@@ -193,13 +193,13 @@ def test_a_traceback_is_shown_only_with_the_option_debug(monkeypatch):
     assert line.startswith(f"mmwave-loc list: {failure}")
     shown = command("list", "--debug").stderr
     assert shown.startswith("Traceback") and "in fails" in shown
-    assert "Traceback" in command("evaluate", "--debug", "--radio", "lab").stderr
+    assert "Traceback" in command("compare", "--debug", "--radio", "lab").stderr
 
 
 @pytest.mark.parametrize("word", ["lab\x1b]0;owned\x07", "a\nb", "a\u202eb", "\udcff"])
 def test_messages_about_mistakes_contain_no_control_characters(word):
-    for words in (("evaluate", "--radio", word), ("evaluate", "--policy", word), (word,)):
+    for words in (("compare", "--radio", word), ("compare", "--policy", word), (word,)):
         done = command(*words)
         assert all(line.isprintable() for line in (done.stdout + done.stderr).splitlines())
         assert done.returncode == 2
-    assert_one_clear_line(command("evaluate", f"--no{word}"), "--no")
+    assert_one_clear_line(command("compare", f"--no{word}"), "--no")

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from experiments.evaluation.comparison import compare_scores
-from experiments.evaluation.contenders import Contender
+from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.runner import score_contenders
-from experiments.evaluation.seeds import Selection
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.update import ekf
 from mmwave_env.models.radio import RADIOS
@@ -83,13 +82,14 @@ def test_a_vector_environment_without_infos_warns_too():
 def test_a_comparison_includes_episodes_with_nan_beliefs_and_names_the_policy():
     source = SimulatedSource(SCENES["street"], RADIOS["standard"], epochs=STEPS)
     chosen = Contender(tuple(TASK["modes"]), policy=lambda table: FixedMode(0), name="mine")
-    selection = Selection(range(6))
+    ekf = contender_from("fixed-ekf", "standard")
+    seeds = range(6)
     with pytest.warns(RuntimeWarning, match=r"^mine: [1-5] of 6 episodes .* NaN or infinite"):
-        scores = score_contenders([chosen, "fixed-ekf"], source, "standard", selection)
+        scores = score_contenders([chosen, ekf], source, seeds)
     lost = np.isnan(scores["mine"]["nees"])
     assert 0 < np.count_nonzero(lost) < 6
     assert (scores["mine"]["divergence_rate"][lost] == 1.0).all()
-    comparison = compare_scores(scores, scenario="mixed", radio="standard", selection=selection)
+    comparison = compare_scores(scores, scenario="mixed", radio="standard", seeds=seeds)
     assert np.isnan(comparison.policies["mine"]["ate_m"].mean)
     row = next(line for line in str(comparison).splitlines() if line.startswith("| mine"))
     assert "nan" in row

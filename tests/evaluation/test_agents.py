@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from experiments.evaluation.compare import compare, evaluate
+from experiments.evaluation.compare import compare
 from experiments.evaluation.contenders import contender_from
 from mmwave_env.filters.bank import Bank, bank_as_written, modes_from
 from mmwave_env.models.layout import Layout
@@ -114,9 +114,9 @@ MISTAKES = {  # name of an agent -> expected message
 @pytest.mark.parametrize("name", MISTAKES)
 def test_an_invalid_agent_is_refused_before_an_episode_runs(name, folder, monkeypatch):
     (folder / "mine.zip").write_bytes(b"")
-    monkeypatch.setattr("experiments.evaluation.seeds.Selection.draw", None)
-    done = command("evaluate", "--policy", name, cwd=folder)
-    assert_one_clear_line(done, f"^mmwave-loc evaluate: .*{MISTAKES[name]}")
+    monkeypatch.setattr("experiments.evaluation.runner.draw_episodes", None)
+    done = command("compare", "--policy", name, cwd=folder)
+    assert_one_clear_line(done, f"^mmwave-loc compare: .*{MISTAKES[name]}")
 
 
 @pytest.mark.usefixtures("folder")
@@ -157,7 +157,7 @@ def test_compare_accepts_objects_modules_files_and_loaded_policies(tmp_path):
     agents = {"object": mine, "module": "my_agents:second"}
     agents |= {"file": file, "loaded": LearnedSwitch(file)}
     comparison = compare(agents, beside=("fixed-ukf",), episodes=3, seed=4)
-    assert (comparison.scenario, *comparison.selection.seeds) == ("mixed", 4, 5, 6)
+    assert (comparison.scenario, *comparison.seeds) == ("mixed", 4, 5, 6)
     rows = comparison.policies
     assert list(rows) == ["object", "module", "file", "loaded", "fixed-ukf"]
     assert rows["object"] == rows["module"] == rows["fixed-ukf"]
@@ -180,15 +180,11 @@ def test_the_command_line_supports_beliefs_per_mode(folder):
     assert f"| my_agents:second |{mine}" in done.stdout
 
 
-def test_evaluate_accepts_a_name_or_a_function():
-    alone = evaluate("fixed-ukf", episodes=2, seed=3)
+def test_agents_are_names_or_functions_and_need_no_rivals():
+    agents = {"fixed-ukf": "fixed-ukf", "mine": lambda o: np.ones(len(o), int)}
+    alone, mine = [compare({name: agent}, (), episodes=2, seed=3) for name, agent in agents.items()]
     assert list(alone.policies) == ["fixed-ukf"] and not alone.paired
-
-    def second(observations):
-        return np.ones(len(observations), int)
-
-    mine = evaluate(second, episodes=2, seed=3)
-    assert mine.policies == {"second": alone.policies["fixed-ukf"]}
+    assert mine.policies == {"mine": alone.policies["fixed-ukf"]}
 
 
 @pytest.mark.parametrize(

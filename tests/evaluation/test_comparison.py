@@ -6,7 +6,6 @@ import pytest
 from experiments.evaluation.comparison import compare_scores
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.positions import HEADER, percent, positions_markdown
-from experiments.evaluation.seeds import Selection
 from mmwave_env.localization.position_errors import PositionErrors
 from mmwave_env.metrics import HEADERS, METRICS, TERMS
 
@@ -22,7 +21,7 @@ def scores(**rewards):
     }
 
 
-SETTING = {"scenario": "mixed", "radio": "handset", "selection": Selection(range(3))}
+SETTING = {"scenario": "mixed", "radio": "handset", "seeds": range(3)}
 
 
 def test_contenders_are_paired_with_references_but_users_agents_are_paired_with_all():
@@ -65,7 +64,7 @@ def test_the_speed_rule_has_score_0_and_the_clairvoyant_has_score_100():
     table = scores(mine=[-1, -2], speed_rule=[-3, -4], clairvoyant=[1, 0], worse=[-5, -4])
     result = compare_scores(table, **SETTING)
     assert result.scores == {"mine": 50.0, "speed-rule": 0.0, "clairvoyant": 100.0, "worse": -25.0}
-    header, rows = result.table(METRICS)
+    header, rows = result.table()
     assert header[-1] == "score" and [row[-1] for row in rows] == ["50", "0", "100", "-25"]
     del table["clairvoyant"]
     assert "score" not in str(compare_scores(table, **SETTING))

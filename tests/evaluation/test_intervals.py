@@ -45,14 +45,6 @@ def test_intervals_agree_with_scipy_s_bootstrap(n):
         assert abs(interval.high - other.high) <= margin
 
 
-def test_intervals_of_many_episodes_are_the_same_if_computed_in_parts(monkeypatch):
-    values = np.random.default_rng(0).normal(size=(60, 2))
-    expected = bootstrap(values)
-    monkeypatch.setattr(intervals, "KEPT", 7)
-    for interval, other in zip(bootstrap(values), expected, strict=True):
-        assert (interval.low, interval.high) == pytest.approx((other.low, other.high), rel=1e-12)
-
-
 def test_a_ratio_of_means_has_an_interval():
     rng = np.random.default_rng(0)
     under = rng.uniform(1.0, 2.0, (400, 1))

@@ -12,7 +12,7 @@ from experiments.evaluation import contenders as contenders_module
 from experiments.evaluation import runner as evaluation
 from experiments.evaluation.contenders import Contender, contender_from, contenders
 from experiments.evaluation.runner import run_contender, score, score_contenders
-from experiments.evaluation.seeds import Selection, draw_episodes
+from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.filters.bank import bank_as_written, best_bank, modes_from
 from mmwave_env.interface.observation import BELIEFS
 from mmwave_env.metrics import BURN_IN, INFO_KEYS, METRICS
@@ -44,8 +44,8 @@ def test_scores_equal_the_results_of_stepping_a_single_environment(beliefs, per_
         contender = contender_from("speed-rule", "handset")
     taken = []
     watch = [lambda _, episodes, results: taken.extend(results["mode"].tolist())]
-    selection = Selection(range(2))
-    (scores,) = score_contenders([contender], SOURCE, "handset", selection, watch=watch).values()
+    seeds = range(2)
+    (scores,) = score_contenders([contender], SOURCE, seeds, watch=watch).values()
     assert set(scores) == {*METRICS, "error_term", "nees_term"}
     env = gym.make("MmWaveLoc-v0", beliefs=beliefs, modes=contender.filters)
     for e in range(2):
@@ -69,11 +69,11 @@ def test_scores_equal_the_results_of_stepping_a_single_environment(beliefs, per_
 
 
 def test_scores_depend_neither_on_the_chunk_size_nor_on_other_seeds_or_contenders(monkeypatch):
-    names = ["fixed-ekf", "fixed-ukf"]
-    whole = score_contenders(names, SOURCE, "handset", Selection(range(5)))
+    both = [contender_from(name, "handset") for name in ("fixed-ekf", "fixed-ukf")]
+    whole = score_contenders(both, SOURCE, range(5))
     monkeypatch.setattr(evaluation, "CHUNK", 2)
-    assert_equal(score_contenders(names, SOURCE, "handset", Selection(range(5))), whole)
-    alone = score_contenders(["fixed-ukf"], SOURCE, "handset", Selection(range(3, 5)))
+    assert_equal(score_contenders(both, SOURCE, range(5)), whole)
+    alone = score_contenders(both[1:], SOURCE, range(3, 5))
     last = {metric: values[3:] for metric, values in whole["fixed-ukf"].items()}
     assert_equal(alone, {"fixed-ukf": last})
     assert (whole["fixed-ekf"]["ate_m"] != whole["fixed-ukf"]["ate_m"]).all()
@@ -86,7 +86,7 @@ def test_every_radio_has_the_expected_contenders(radio):
     learned = [*(["ppo"] if radio != "high" else []), "guided", "guided-ppo", "corrector"]
     assert list(made) == [*plain, "imm", "imm-best", *learned]
     assert all(c.name == name and c.modes for name, c in made.items())
-    assert made["imm-best"] == Contender.imm("imm-best", best_bank(radio))
+    assert made["imm-best"] == Contender(best_bank(radio), name="imm-best")
 
 
 def test_episodes_without_truth_are_refused():
@@ -163,13 +163,13 @@ def test_the_imm_always_uses_the_transition_matrix_of_a_bank_or_bank_file(tmp_pa
     for modes in (HANDSET, path, str(path), (str(path),)):
         for beliefs in BELIEFS:
             imm = contender_from("imm", "handset", modes, beliefs=beliefs)
-            assert imm == Contender.imm("imm", HANDSET)
+            assert imm == Contender(HANDSET, name="imm")
     assert contender_from("fixed-walk", "handset", path).modes == HANDSET.modes
 
 
 # --- correctors
 
-IMM = Contender.imm("imm", HANDSET)
+IMM = Contender(HANDSET, name="imm")
 
 
 @pytest.fixture(scope="module")

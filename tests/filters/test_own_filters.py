@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
+from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.runner import score_contenders
-from experiments.evaluation.seeds import Selection
 from mmwave_env.filters.custom import AlgorithmError
 from mmwave_env.filters.gating import Gate
 from mmwave_env.filters.modes import Mode
@@ -84,9 +84,8 @@ def test_a_custom_filter_can_localize_the_user_of_a_log(iekf, tmp_path):
 def test_a_custom_filter_is_evaluated_like_a_shipped_mode(iekf):
     mine = Mode("iekf", iekf, sigma_v=1.8)
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=30)
-    scores = score_contenders(
-        ["fixed-iekf", "imm"], source, "handset", Selection(range(2)), (mine,)
-    )
+    both = [contender_from(name, "handset", (mine,)) for name in ("fixed-iekf", "imm")]
+    scores = score_contenders(both, source, range(2))
     assert np.isfinite(scores["fixed-iekf"]["ate_m"]).all()
     np.testing.assert_allclose(scores["imm"]["ate_m"], scores["fixed-iekf"]["ate_m"], rtol=1e-6)
 

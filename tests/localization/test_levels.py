@@ -6,7 +6,6 @@ import pytest
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.positions import Positions
 from experiments.evaluation.runner import score_contenders
-from experiments.evaluation.seeds import Selection
 from mmwave_env.interface.policy import Switching
 from mmwave_env.localization.levels import PARTS, Levels, Network
 from mmwave_env.localization.localizer import localize
@@ -57,7 +56,7 @@ def watched(levels, policies, source, radio, seeds):
         over[contender.name] = sizes / bounds
 
     chosen = [contender_from(name, radio) for name in policies]
-    score_contenders(chosen, source, radio, Selection(seeds), watch=[keep], after=PARTS)
+    score_contenders(chosen, source, seeds, watch=[keep], after=PARTS)
     return over
 
 
@@ -117,14 +116,15 @@ def test_live_tracks_and_tracks_of_logs_have_equal_levels(corrector, name):  # n
 def test_gaussian_levels_follow_from_the_covariances():
     task = task_from(radio="handset", episode_steps=30)
     plain = PositionErrors(0.05)
-    positions = Positions({"imm": "imm"}, Levels(0.05, "gaussian"))
+    positions = Positions(["imm"], Levels(0.05, "gaussian"))
 
     def add(contender, time_s, results):
         plain.add(results["error"][:, 10:], results["P"][:, 10:])
 
     watch = [positions.add, add]
-    seeds = Selection(range(FRESH, FRESH + 8))
-    score_contenders(["imm"], task.source, "handset", seeds, watch=watch, after=PARTS)
+    seeds = range(FRESH, FRESH + 8)
+    imm = contender_from("imm", "handset")
+    score_contenders([imm], task.source, seeds, watch=watch, after=PARTS)
     expected = {"risk": 0.05, "levels": "gaussian", "policies": {"imm": plain.figures()}}
     assert positions.figures() == expected
 

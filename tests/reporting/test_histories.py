@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from experiments.evaluation.contenders import contender_from
-from experiments.evaluation.playing import Scoring
+from experiments.evaluation.runner import Scoring
 from experiments.evaluation.seeds import draw_episodes
 from experiments.reporting.histories import history_of
 from mmwave_env.datasets.samples import source_from

@@ -55,7 +55,8 @@ def test_tables_show_the_numbers_of_the_file_and_the_best_policy_first(tmp_path)
     content = results.comparison(("worse", "better"))
     rows = content["policies"]
     rows["worse"], rows["better"] = rows["better"], rows["worse"]
-    page = compared(tmp_path, {"mixed": content, "jam": results.comparison()})
+    files = [write(tmp_path / "a.json", content), write(tmp_path / "b.json", results.comparison())]
+    page = report(tmp_path, *files, *NONE)
     assert [known for tag, known in page.tags if tag == "details"] == [{"open": None}, {}]
     assert content["command"] in page.text and "python 3.12.0" in page.text
     _, *shown = page.table("Means")
@@ -82,13 +83,12 @@ def test_the_report_plays_the_compared_episodes_again(tmp_path):
     file = tmp_path / "r.json"
     options = "--policies imm guided speed-rule --episodes 3 --episode-steps 40 --seed 7"
     succeed("compare", *options.split(), "--percentiles", "--json", file)
-    (source,) = read_source(file)
+    source = read_source(file)
     played = play(source, 10, 2)
     for name, row in source.content["policies"].items():
         ate = np.linalg.norm(played.epochs.errors_m[name], axis=-1).mean()
         assert ate == pytest.approx(row["ate_m"]["mean"])
         assert played.epochs.nees[name].mean() == pytest.approx(row["nees"]["mean"])
-    assert played.positions.figures() == source.content["position_errors"]
     assert [episode["name"].split()[-1] for episode in played.shown] == ["7", "8"]
     page = report(tmp_path, file, "--watch", 1)
     (episode,) = json.loads(page.data)["episodes"]

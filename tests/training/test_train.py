@@ -252,7 +252,7 @@ def test_a_damaged_manifest_is_refused(damaged, tmp_path):
 
 @pytest.mark.slow
 def test_a_policy_trained_at_two_places_with_beliefs_per_mode_plays_at_a_third(tmp_path):
-    """Run the command ``train``, then the command ``evaluate``."""
+    """Run the command ``train``, then the command ``compare``."""
     short = ("--seeds", 1, "--total-timesteps", 1, "--out", tmp_path / "run")
     shown = succeed("train", "--beliefs", "per-mode", "--places", *PLACES, *short)
     assert "| minus imm-best |" in shown
@@ -268,4 +268,4 @@ def test_a_policy_trained_at_two_places_with_beliefs_per_mode_plays_at_a_third(t
     _, card = read_policy(policy)
     assert card.beliefs == "per-mode" and list(card.banks) == ["handset", "standard"]
     words = ("--radio", "high", "--scene", "dynamic-doppler", "--episodes", 5)
-    assert f"| {policy} |" in succeed("evaluate", "--policy", policy, *words)
+    assert f"| {policy} |" in succeed("compare", "--policy", policy, *words)

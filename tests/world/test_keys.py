@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import mmwave_env  # noqa: F401  registers the environment
-from experiments.evaluation.seeds import Selection
+from experiments.evaluation.seeds import keys_for
 from mmwave_env.world.keys import Streams, key_from, keys_at, keys_of, stream_of
 from tests.environment.vector_checker import same
 from tests.refusals import refuses
@@ -55,7 +55,7 @@ def test_a_seed_gives_the_same_keys_everywhere():
             gymnasiums.reset(seed=seed)[1]["episode_key"][0],
         ]
         assert keys == [expected.pop(0)] * 3
-    keys = Selection(range(8, 10)).keys(single.unwrapped.source).tolist()
+    keys = keys_for(single.unwrapped.source, range(8, 10)).tolist()
     assert keys == native.reset(seed=8)[1]["episode_key"].tolist()
 
 

@@ -7,14 +7,18 @@ from typing import NamedTuple
 from experiments.evaluation.comparison import Comparison
 from experiments.evaluation.positions import positions_markdown
 from experiments.evaluation.runs import outcomes_markdown
-from experiments.figures.canvas import PHONE_MM
-from experiments.figures.curves import draw_consistency, draw_error_cdf, draw_learning_curves
+from experiments.evaluation.seeds import named
+from experiments.reporting.figures.canvas import PHONE_MM
+from experiments.reporting.figures.curves import (
+    draw_consistency,
+    draw_error_cdf,
+    draw_learning_curves,
+)
 from experiments.reporting.track_report import track_markdown
 from experiments.reporting.webpage.markup import drawn, element, html_of, table
 from experiments.reporting.webpage.played import Played, ranking, watched_names
 from experiments.reporting.webpage.sources import Source
 from mmwave_env.io.files import Json
-from mmwave_env.metrics import METRICS
 
 
 class Verdict(NamedTuple):
@@ -47,7 +51,7 @@ def results_of(source: Source) -> tuple[Verdict, str]:
 def _verdict(comparison: Comparison) -> Verdict:
     """Return the verdict on the best contender and the next contender that is paired with it."""
     best, *others = comparison.policies
-    name = f"{comparison.scenario}, {comparison.radio}, {comparison.selection}"
+    name = f"{comparison.scenario}, {comparison.radio}, {named(comparison.seeds)}"
     about = f"{len(others) + 1} contenders on {name}." if others else f"{best} on {name}."
     paired = ((other, comparison.margin(best, other)) for other in others)
     other, by = next(((other, margin) for other, margin in paired if margin), ("", None))
@@ -75,7 +79,7 @@ def _track_verdict(c: Json) -> Verdict:
 
 
 def _compared(comparison: Comparison) -> Iterator[str]:
-    header, rows = comparison.table(METRICS)
+    header, rows = comparison.table()
     yield table("Means ± half the widths of 95 % intervals, best reward first", header, rows)
     pairs = [
         [name, other, pair["reward"], pair["ate_m"]]
@@ -104,16 +108,12 @@ def errors_of(source: Source, played: Played) -> Iterator[str]:
     """Yield HTML tables and pictures of the errors of a comparison; nothing for other sources."""
     if source.kind != "comparison":
         return
-    which = played.which
-    figures = played.positions.figures()
-    if "position_errors" in source.content:
-        which = "all episodes"
-        figures = source.content["position_errors"]
     ranked = ranking(source.content["policies"])
-    policies = figures["policies"]
-    if policies:
+    if figures := source.content.get("position_errors"):  # from --percentiles
+        policies = figures["policies"]
         rows = {name: policies[name] for name in ranked if name in policies}
-        yield element("p", f"Errors in {which}, without the first 10 epochs of each", "caption")
+        about = "Errors in all episodes, without the first 10 epochs of each"
+        yield element("p", about, "caption")
         kind = figures.get("levels", "gaussian")
         yield html_of(positions_markdown("contender", rows, figures["risk"], kind))
     errors_m = played.epochs.errors_m
@@ -122,8 +122,9 @@ def errors_of(source: Source, played: Played) -> Iterator[str]:
         draw = partial(draw_error_cdf, {name: errors_m[name] for name in shown}, width_mm=PHONE_MM)
         yield drawn(f"Distribution of errors (CDF), {played.which}", draw)
         chosen = {name: nees[name] for name in shown}
-        axes = 2 if played.positions.planar else 3
-        draw = partial(draw_consistency, played.epochs.time_s, chosen, axes, width_mm=PHONE_MM)
+        draw = partial(
+            draw_consistency, played.epochs.time_s, chosen, played.axes, width_mm=PHONE_MM
+        )
         yield drawn(f"NEES and its chi-square bounds, {played.which}", draw)
 
 

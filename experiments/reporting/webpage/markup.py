@@ -1,4 +1,4 @@
-"""HTML for names and other text, for tables, and for pictures from ``experiments.figures``."""
+"""HTML for names and other text, for tables, and for pictures of the folder ``figures``."""
 
 from base64 import b64encode
 from collections.abc import Callable, Sequence

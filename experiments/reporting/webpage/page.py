@@ -20,7 +20,7 @@ SCRIPTS = ("drawing.js", "map.js", "player.js")
 
 def page_of(args: PageArgs) -> str:
     """Return the web page of results; refuse results that can't be read."""
-    sources = [source for path in args.results for source in read_source(path)]
+    sources = [read_source(path) for path in args.results]
     verdicts = []
     results = []
     origins = []

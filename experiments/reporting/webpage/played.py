@@ -8,11 +8,10 @@ import numpy as np
 from experiments.console.options import EpisodeArgs, LogArgs
 from experiments.console.provenance import options_from
 from experiments.evaluation.agents import is_agent
-from experiments.evaluation.asked import contender_of, runs_of, selection_of, task_of
+from experiments.evaluation.asked import contender_of, seeds_of, task_of
 from experiments.evaluation.contenders import Contender
-from experiments.evaluation.playing import Scoring
-from experiments.evaluation.positions import Positions
-from experiments.evaluation.runner import score_contenders
+from experiments.evaluation.runner import Scoring, score_contenders
+from experiments.evaluation.seeds import draw_episodes, keys_for, named
 from experiments.reporting.histories import EpochErrors, history_of
 from experiments.reporting.log_results import beginning
 from experiments.reporting.webpage.sources import Source
@@ -20,7 +19,6 @@ from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import VERTICAL
 from mmwave_env.io.files import Json
 from mmwave_env.io.lookup import printable
-from mmwave_env.localization.levels import PARTS, Levels
 from mmwave_env.metrics import nees_interval
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array
@@ -37,9 +35,8 @@ class Played:
     """Results of contenders in episodes that were played again."""
 
     which: str = "no episodes"  # description of the episodes
-    # ``epochs`` has errors and NEES of scored epochs, ``positions`` errors and protection levels
-    epochs: EpochErrors = field(default_factory=lambda: EpochErrors({}))
-    positions: Positions = field(default_factory=lambda: Positions({}))
+    epochs: EpochErrors = field(default_factory=lambda: EpochErrors(()))  # of scored epochs
+    axes: int = 3  # number of axes that the NEES covers
     shown: list[Json] = field(default_factory=list)  # episodes to watch, as JSON
     # name of a missing contender -> reason; the name "" stands for all contenders
     missing: dict[str, str] = field(default_factory=dict)
@@ -65,28 +62,23 @@ def play(source: Source, most: int, watched: int) -> Played:
 
 def _play_episodes(source: Source, most: int, watched: int) -> Played:
     names = ranking(source.content["policies"])
-    alike = dict(zip(names, names, strict=True))
     args = options_from(EpisodeArgs, source.content)
     args = replace(args, episodes=min(most, source.content["episodes"]))
     task = task_of(args)
-    selection = selection_of(args)
+    seeds = seeds_of(args)
     missing = dict[str, str]()
     scoring = Scoring.of(task)
     chosen = _contenders(args, names, missing)
-    levels = Levels(args.risk, args.levels)
-    positions = Positions(alike, levels, task.source.layout.anchors, scoring.planar)
-    played = Played(str(selection), EpochErrors(alike), positions, missing=missing)
-    watch = [played.epochs.add, positions.add]
-    score_contenders(
-        chosen, task.source, args.radio, selection, watch=watch, scoring=scoring, after=PARTS
-    )
+    axes = 2 if scoring.planar else 3
+    played = Played(named(seeds), EpochErrors(names), axes, missing=missing)
+    score_contenders(chosen, task.source, seeds, watch=[played.epochs.add], scoring=scoring)
     watchable = [contender for contender in chosen if contender.name in watched_names(names)]
-    keys = selection.keys(task.source)
+    keys = keys_for(task.source, seeds)
     rows = slice(1, LONGEST + 1)  # without the prior
-    for i, episode in enumerate(selection.draw(task.source)[: watched if watchable else 0]):
+    for i, episode in enumerate(draw_episodes(task.source, seeds)[: watched if watchable else 0]):
         streets = task.streets_of(0 if keys is None else int(keys[i]))
         histories = [history_of(c, episode, scoring, streets).part(rows) for c in watchable]
-        name = f"{task.source.name}: {episode.name}, seed {selection.seeds[i]}"
+        name = f"{task.source.name}: {episode.name}, seed {seeds[i]}"
         shown = _episode(name, histories[0], episode.layout.group_names)
         for contender, history in zip(watchable, histories, strict=True):
             course = _course(history, contender.actions, contender.policy is None)
@@ -131,9 +123,7 @@ def _contenders(args: EpisodeArgs, names: list[str], missing: dict[str, str]) ->
         try:
             if is_agent(name):
                 raise ValueError("it is a user's code, which is not run for a report")
-            run = runs_of(args, [name])
-            file = run[name].policy if run else name
-            available.append(replace(contender_of(args, file), name=name))
+            available.append(contender_of(args, name))
         except (ValueError, OSError) as error:
             missing[name] = str(error)
     return available

@@ -12,12 +12,12 @@ READ = "results (--json) of compare, demo or localize, or a folder that train wr
 class Source(NamedTuple):
     """Results of one command."""
 
-    path: str  # path as the user typed it; for a part of a file, the part's title is appended
+    path: str  # path as the user typed it
     kind: str  # "comparison", "track" or "run"
     content: Json  # content of a file; or a run's summary, with learning curves as "curves"
 
 
-def read_source(path: Path) -> list[Source]:
+def read_source(path: Path) -> Source:
     """Read a file of results, or the folder of a finished or unfinished run.
 
     Raises:
@@ -35,12 +35,6 @@ def read_source(path: Path) -> list[Source]:
             run["seeds"] = [read_json(file, "the outcome of a training", dict) for file in outcomes]
         logs = sorted(path.glob("seed-*/progress.csv"))
         run["curves"] = {file.parent.name: curves_of(file) for file in logs}
-        return [Source(str(path), "run", run)]
+        return Source(str(path), "run", run)
     content = read_json(path, "results", dict)
-    if content and all(isinstance(part, dict) for part in content.values()):  # from demo --json
-        return [_result(f"{path}: {title}", part) for title, part in content.items()]
-    return [_result(str(path), content)]
-
-
-def _result(name: str, content: Json) -> Source:
-    return Source(name, "track" if "groups" in content else "comparison", content)
+    return Source(str(path), "track" if "groups" in content else "comparison", content)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtr, chdtri
 
-from experiments.figures.canvas import (
+from experiments.reporting.figures.canvas import (
     COLORS,
     PHONE_MM,
     caption,
@@ -60,7 +60,7 @@ def draw_consistency(
     Args:
         time_s: (T,) times since the first epoch of an episode.
         nees: contender -> NEES (n, T) of n episodes; each value sums over ``dof`` coordinates.
-        path, width_mm: arguments of :func:`~experiments.figures.canvas.panels`.
+        path, width_mm: arguments of :func:`~experiments.reporting.figures.canvas.panels`.
     """
     episodes = len(next(iter(nees.values())))
     low, high = chdtri(episodes * dof, [0.975, 0.025]) / (episodes * dof)

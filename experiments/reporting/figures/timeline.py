@@ -7,7 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from experiments.figures.canvas import NO_MODE, caption, contenders, legend_beside, picture
+from experiments.reporting.figures.canvas import (
+    NO_MODE,
+    caption,
+    contenders,
+    legend_beside,
+    picture,
+)
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.rendering.history import History
 

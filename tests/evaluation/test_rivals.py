@@ -7,10 +7,16 @@ import pytest
 
 from experiments.evaluation.agents import Estimator
 from experiments.evaluation.contenders import Contender, contender_from
-from experiments.evaluation.playing import Scoring
-from experiments.evaluation.runner import run_contender
-from experiments.rivals.noise import EVERYTHING, StudentImm, Variational, adapted, stated, student_t
-from experiments.rivals.particle import Particles, resampled
+from experiments.evaluation.rivals.noise import (
+    EVERYTHING,
+    StudentImm,
+    Variational,
+    adapted,
+    stated,
+    student_t,
+)
+from experiments.evaluation.rivals.particle import Particles, resampled
+from experiments.evaluation.runner import Scoring, run_contender
 from mmwave_env.filters import Mode, Pipeline, ekf, ukf
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import exact_rows
@@ -145,7 +151,7 @@ def test_rivals_track_with_any_receiver_and_on_flat_ground(agent, options):
 
 
 def test_a_rival_can_be_named_as_a_contender():
-    contender = contender_from("experiments.rivals:variational", "handset")
+    contender = contender_from("experiments.evaluation.rivals:variational", "handset")
     results = run_contender(contender, contender.start(SOURCE.layout), episodes(2))
     assert results["reward"].shape == (2, SOURCE.epochs)
     Pipeline(StudentImm().bank("handset").modes, Layout())  # raises if SIMD lanes can't run it

@@ -1,5 +1,6 @@
 """Tests that pictures can be drawn with any names in them, and that drawing is reproducible."""
 
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import matplotlib as mpl
@@ -7,34 +8,42 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+from experiments.console.options import LogArgs
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.seeds import draw_episodes
-from experiments.figures.canvas import caption, contenders
-from experiments.figures.curves import draw_consistency, draw_error_cdf, draw_learning_curves
-from experiments.figures.timeline import draw_histories
-from experiments.figures.trajectory import DrawnTrack, draw_trajectory
+from experiments.reporting.figures.canvas import caption, contenders
+from experiments.reporting.figures.curves import (
+    draw_consistency,
+    draw_error_cdf,
+    draw_learning_curves,
+)
+from experiments.reporting.figures.timeline import draw_histories
+from experiments.reporting.figures.trajectory import draw_trajectory
 from experiments.reporting.histories import history_of
+from experiments.reporting.log_results import beginning
+from mmwave_env.numerics.linalg import pack
 from mmwave_env.task import task_from
 
 AWKWARD = "a$b_{^$ | \x1b[31m <b>\n漢字 \u202eق"
 T = 50
 
 
-def track(modes, position_m=None):
-    rng = np.random.default_rng(0)
-    if position_m is None:
-        position_m = np.cumsum(rng.normal(size=(T, 3)), axis=0)
-    covariance = np.tile(0.01 * np.eye(3), (T, 1, 1))
-    mode = np.arange(T) // 20 % len(modes)
-    states = position_m, covariance, position_m + 0.1, mode, np.zeros(T, int)
-    return DrawnTrack(np.arange(T) * 1.0, *states, modes, np.zeros((2, 3)))
+def draw_track(name, path, position_m):
+    """Draw a track in which a mode of this name and another one take turns."""
+    (block, _) = beginning(LogArgs(sample="canyon28_pedestrian", imm="imm"), T)
+    P = np.tile(pack(0.01 * np.eye(7)), (T, 1))
+    mode = np.arange(T) // 20 % 2
+    states = {"smooth_x": position_m, "smooth_P": P, "mode": mode, "segment": np.zeros(T, int)}
+    track = replace(block, modes=[name, "ukf"], **states)
+    draw_trajectory(track, position_m + 0.1, np.zeros((2, 3)), path, name)
 
 
 def drawn(name, path):
     """Draw a picture of every kind with a name in it, and return the files."""
+    walk = np.cumsum(np.random.default_rng(0).normal(size=(T, 3)), axis=0)
     errors = np.random.default_rng(1).normal(size=(4, T, 3))
     files = [path / f"{kind}.svg" for kind in ("track", "cdf", "nees", "curves", "time")]
-    draw_trajectory(track([name, "ukf"]), files[0], name)
+    draw_track(name, files[0], walk)
     draw_error_cdf({name: errors, "imm": 2.0 * errors}, files[1])
     draw_consistency(np.arange(T) * 1.0, {name: (errors**2).sum(axis=-1)}, 3, files[2])
     draw_learning_curves(f"reward minus {name}", [([1e3, 1e6], [0.0, 1.0])], files[3])
@@ -89,7 +98,7 @@ def test_small_ellipses_are_enlarged_and_the_picture_says_so(tmp_path):
     still = np.zeros((T, 3))
     moving = still + np.linspace(0.0, 100.0, T)[:, None]
     for name, position in (("still", still), ("moving", moving)):
-        draw_trajectory(track(["ekf", "ukf"], position), tmp_path / f"{name}.svg", name)
+        draw_track(name, tmp_path / f"{name}.svg", position)
     assert "enlarged" not in (tmp_path / "still.svg").read_text()
     assert "enlarged" in (tmp_path / "moving.svg").read_text()
 

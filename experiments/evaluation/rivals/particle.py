@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from experiments.evaluation.agents import Estimator
-from experiments.rivals.noise import DOF, log_density, stated
+from experiments.evaluation.rivals.noise import DOF, log_density, stated
 from mmwave_env.compiler.program import BatchState, Program, StepIO, blocks_of, fill, rows_of
 from mmwave_env.filters.pipeline import Pipeline, predict
 from mmwave_env.models.layout import Layout
