@@ -28,7 +28,7 @@ from mmwave_env.interface.observation import with_modes
 from mmwave_env.io.lookup import choose, require_extra
 from mmwave_env.metrics import DIVERGENCE_M
 from mmwave_env.rendering.gallery import Gallery
-from mmwave_env.rendering.theme import FRAMES_PER_SECOND, SMALLEST, require_drawable
+from mmwave_env.rendering.theme import FRAMES_PER_SECOND, SMALLEST, Pixels, require_drawable
 from mmwave_env.task import task_from
 from mmwave_env.world.keys import Stream, key_from, option_of
 
@@ -408,7 +408,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         inputs[0] = action
         return int(action)
 
-    def render(self) -> NDArray[np.uint8] | None:
+    def render(self) -> Pixels | None:
         """Draw the track, seen from above; return pixels (size, size, 3), or None for "human"."""
         if self._gallery is None:
             return None

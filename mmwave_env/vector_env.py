@@ -28,7 +28,7 @@ from mmwave_env.io.records import require
 from mmwave_env.metrics import DIVERGENCE_M
 from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.rendering.gallery import Gallery
-from mmwave_env.rendering.theme import FRAMES_PER_SECOND, SMALLEST, require_drawable
+from mmwave_env.rendering.theme import FRAMES_PER_SECOND, SMALLEST, Pixels, require_drawable
 from mmwave_env.task import task_from
 from mmwave_env.world.keys import Keys, Streams, keys_from, option_of
 
@@ -147,7 +147,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Observations, Index, 
         self.batch = engine.batch
         self._stepper = Stepper(engine, self._tally, self._infos)
 
-    def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # type: ignore[override]
+    def render(self) -> tuple[Pixels, ...] | None:  # type: ignore[override]
         """Draw pictures (size, size, 3) of the first 16 environments; None without a render mode.
 
         Gymnasium's `wrappers.vector.RecordVideo` arranges these pictures in a grid.
