@@ -9,7 +9,6 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import InvalidAction, ResetNeeded
-from numpy.typing import NDArray
 
 from mmwave_env.engines.environment import Environment
 from mmwave_env.engines.tally import count, exceeds
@@ -27,6 +26,7 @@ from mmwave_env.interface.info import (
 from mmwave_env.interface.observation import with_modes
 from mmwave_env.io.lookup import choose, require_extra
 from mmwave_env.metrics import DIVERGENCE_M
+from mmwave_env.numerics.numbers import Array32
 from mmwave_env.rendering.gallery import Gallery
 from mmwave_env.rendering.theme import FRAMES_PER_SECOND, SMALLEST, Pixels, require_drawable
 from mmwave_env.task import task_from
@@ -37,7 +37,7 @@ _HERE = np.zeros(1, np.int64)  # index of the environment in a batch of one
 BACKENDS = {"lanes": "SIMD lanes", "filterpy": "the slow, independent filters of filterpy"}
 
 
-class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
+class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
     """An agent chooses which Kalman filter pipeline localizes a mobile user.
 
     ## Description
@@ -318,7 +318,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+    ) -> tuple[Array32, dict[str, Any]]:
         """Draw an episode; the same seed draws the same episode. See Gymnasium's `Env.reset`.
 
         ``options={"episode_key": k}`` plays an episode again; k is its key, from an earlier info.
@@ -358,7 +358,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], Any]):
         engine.advance(engine.io())
         return {"episode_name": name, "episode_key": np.uint64(key), "nonfinite": 0}
 
-    def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+    def step(self, action: Any) -> tuple[Array32, float, bool, bool, dict[str, Any]]:
         """Process an epoch: apply a mode, weights or a correction. See Gymnasium's `Env.step`."""
         if self._over:
             raise ResetNeeded("Call reset before step: there is no episode under way.")

@@ -11,6 +11,7 @@ from mmwave_env.datasets.log_folder import read_log_folder
 from mmwave_env.datasets.measured import MeasuredTrack
 from mmwave_env.datasets.recorded import Recording
 from mmwave_env.datasets.tracks import TrackSource
+from mmwave_env.io.files import AnyPath
 from mmwave_env.io.lookup import choose
 from mmwave_env.models.radio import Radio
 
@@ -49,7 +50,7 @@ def recording_from(name: str) -> Recording:
 
 
 def source_from(
-    episodes: str | os.PathLike[str] | Recording | MeasuredTrack,
+    episodes: AnyPath | Recording | MeasuredTrack,
     radio: str | Radio,
     epochs: int | None = None,
     measurements: Sequence[str] | None = None,

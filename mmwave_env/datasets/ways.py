@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mmwave_env.io.files import read_text
+from mmwave_env.io.files import AnyPath, read_text
 from mmwave_env.io.lookup import is_name, quoted
 from mmwave_env.io.records import Printable
 from mmwave_env.world.checks import refuse_in
@@ -20,7 +20,7 @@ COLUMNS = ("t", "x", "y", "z", "vx", "vy", "vz")  # a file has all or none of th
 ID = "id"
 
 
-def read_ways(path: str | os.PathLike[str]) -> Ways:
+def read_ways(path: AnyPath) -> Ways:
     """Read trajectories from a CSV file with columns t, x, y, z; vx, vy, vz and id are optional.
 
     Units are s, m and m/s, in the frame of the scene. Rows with the same id belong to one user and
@@ -47,7 +47,7 @@ def read_ways(path: str | os.PathLike[str]) -> Ways:
     return Ways(name, trajectories)
 
 
-def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
+def read_trajectory(path: AnyPath) -> Trajectory:
     """Read the only trajectory in a CSV file, as :func:`read_ways` does; refuse several."""
     ways = read_ways(path).trajectories
     if len(ways) > 1:

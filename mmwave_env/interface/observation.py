@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
 from mmwave_env.filters.bank import default_modes
 from mmwave_env.filters.modes import Mode
@@ -24,7 +23,7 @@ from mmwave_env.interface.features import Feature, View, coming, context
 from mmwave_env.interface.signed import signed
 from mmwave_env.io.lookup import choose
 from mmwave_env.models.radio import TUNED_RADIOS
-from mmwave_env.numerics.numbers import Number, clip
+from mmwave_env.numerics.numbers import Array, Array32, Number, clip
 
 LIMIT = 10.0  # maximum distance of a feature from its mean, in standard deviations
 
@@ -148,7 +147,7 @@ class Observation:
         """Return the standardized values of all features."""
         return standardized(self.features, view)
 
-    def read(self, observation: NDArray[np.float32], name: str) -> NDArray[np.float64]:
+    def read(self, observation: Array32, name: str) -> Array:
         """Return a feature in its own unit, from observations (..., features).
 
         The value is as exact as single precision allows; zeros and counts are exact. For a value

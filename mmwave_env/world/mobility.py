@@ -1,12 +1,12 @@
 """Kinds of users: their target speeds, their limits and their phases of walking or driving."""
 
-import os
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, replace
 from math import inf
 from pathlib import Path
 from typing import Annotated
 
+from mmwave_env.io.files import AnyPath
 from mmwave_env.io.lookup import as_name, choose, quoted
 from mmwave_env.io.records import (
     Bound,
@@ -162,7 +162,7 @@ SCENARIOS = {  # names and meanings
 }
 
 
-def mobilities_of(scenario: str | os.PathLike[str]) -> tuple[Mobility, ...]:
+def mobilities_of(scenario: AnyPath) -> tuple[Mobility, ...]:
     """Return the kinds of users that a scenario draws with equal probabilities.
 
     Raises:
@@ -176,7 +176,7 @@ def mobilities_of(scenario: str | os.PathLike[str]) -> tuple[Mobility, ...]:
     return choose(each | mixed, str(scenario), "scenario")  # type: ignore[operator]
 
 
-def read_mobility(path: str | os.PathLike[str]) -> Mobility:
+def read_mobility(path: AnyPath) -> Mobility:
     """Read a kind of user from a JSON file with the fields of :class:`Mobility`, in nested objects.
 
     "name" is by default the name of the file.

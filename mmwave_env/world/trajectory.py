@@ -3,7 +3,6 @@
 This module also interprets the argument ``scenario=``, which selects kinds of users or ways.
 """
 
-import os
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from typing import NoReturn
 
 import numpy as np
 
+from mmwave_env.io.files import AnyPath
 from mmwave_env.models.envelope import POSITION_M
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.scene import Scene
@@ -199,7 +199,7 @@ class PlacedWays:
         return numbers, np.array(truth).reshape(len(choice), self.epochs, 6)
 
 
-Scenario = str | os.PathLike[str] | Mobility | Trajectory | Ways
+Scenario = AnyPath | Mobility | Trajectory | Ways
 Users = tuple[Mobility, ...] | Ways
 
 

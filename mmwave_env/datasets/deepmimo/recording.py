@@ -4,7 +4,6 @@
 :mod:`~mmwave_env.datasets.deepmimo.anchors` finds the anchors that these paths lead to.
 """
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -20,6 +19,7 @@ from mmwave_env.datasets.deepmimo.anchors import (
 from mmwave_env.datasets.deepmimo.v4 import Scenario, open_scenario
 from mmwave_env.datasets.recorded import Recording
 from mmwave_env.datasets.ways import COLUMNS, read_trajectory
+from mmwave_env.io.files import AnyPath
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.scene import scene_of_anchors
 from mmwave_env.numerics.numbers import Array, Index
@@ -30,7 +30,7 @@ SIDECAR = "trajectory.csv"  # times, positions and perhaps velocities; not a fil
 
 
 def read_deepmimo(
-    folder: str | os.PathLike[str],
+    folder: AnyPath,
     virtual_anchors: int = 2,
     bandwidth_hz: float = 100e6,
     *,
