@@ -67,16 +67,12 @@ class Recording(Track):
             name, time_s, anchors_m, links, strength, (position_m, velocity_mps), signal
         )
         recording = cls(**fields, path_gain_db=gain)
-        recording.add_doppler()
+        layout = recording.layout
+        away = recording.position_m - recording.anchors_m[0]
+        rate = range_rate(list(away.T), list(recording.velocity_mps.T))
+        recording.measurement[:, layout.doppler] = recording.scene.hz_per_mps * rate
+        recording.visible[:, layout.anchors] = recording.visible[:, 0]
         return recording
-
-    def add_doppler(self) -> None:
-        """Compute the Doppler shift from the true velocity wherever there is a line of sight."""
-        away = self.position_m - self.anchors_m[0]
-        layout = self.layout
-        rate = range_rate(list(away.T), list(self.velocity_mps.T))
-        self.measurement[:, layout.doppler] = self.scene.hz_per_mps * rate
-        self.visible[:, layout.anchors] = self.visible[:, 0]
 
     def _received(self, radio: Radio, rng: np.random.Generator, epochs: slice) -> Received:
         """Draw the noise, the oscillator's bias and the Doppler spread of some epochs."""

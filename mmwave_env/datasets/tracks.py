@@ -37,14 +37,12 @@ _ENOUGH = 20  # minimum number of epochs for a median
 
 
 class Received(NamedTuple):
-    """The measurements of T epochs, as :meth:`Episode.measured` takes them."""
+    """The measurements of T epochs."""
 
     measurement: Array  # (T, rows)
     snr_db: Array  # (T, L)
     doppler_spread_hz: Array  # (T,)
     bias_hz: Array | None  # (T,) the oscillator's bias, None if unknown
-    sigma: Array | None = None  # (T, rows) standard deviations, NaN where the receiver states none
-    doppler_anchor: Index | None = None  # (T,) index, from 0, of the Doppler shift's anchor
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -60,6 +58,10 @@ class Track(ABC):
         visible: (T, groups) whether each group was measured; if not, its values are meaningless.
         position_m: (T, 3) true positions, NaN in epochs where unknown.
         velocity_mps: (T, 3) true velocities, NaN in epochs where unknown.
+        sigma: (T, rows) the receiver's own standard deviations, NaN where it states none; None
+            unless the layout is partial (single values may be missing).
+        doppler_anchor: (T,) index, from 0, of the anchor whose Doppler shift was measured; None
+            for the base station.
     """
 
     KIND: ClassVar[str] = "track"
@@ -72,6 +74,8 @@ class Track(ABC):
     visible: Mask
     position_m: Array
     velocity_mps: Array
+    sigma: Array | None = None
+    doppler_anchor: Index | None = None
 
     def __post_init__(self) -> None:
         if not is_name(self.name):
@@ -123,8 +127,8 @@ class Track(ABC):
             snr_db=received.snr_db,
             doppler_spread_hz=received.doppler_spread_hz,
             prior=(mean, covariance),
-            sigma=received.sigma,
-            doppler_anchor=received.doppler_anchor,
+            sigma=None if self.sigma is None else self.sigma[epochs],
+            doppler_anchor=None if self.doppler_anchor is None else self.doppler_anchor[epochs],
             position_m=position,
             velocity_mps=velocity,
         )

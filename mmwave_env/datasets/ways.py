@@ -3,7 +3,6 @@
 import csv
 import math
 import os
-from array import array
 from collections.abc import Iterator
 from io import StringIO
 from pathlib import Path
@@ -31,16 +30,15 @@ def read_ways(path: AnyPath) -> Ways:
         FileNotFoundError: the file does not exist.
     """
     name = os.fspath(path)
-    users: dict[str, tuple[list[int], array[float]]] = {}
+    users: dict[str, list[tuple[int, list[float]]]] = {}
     for line, user, numbers in _rows(Path(path)):
-        lines, values = users.setdefault(user, ([], array("d")))
-        lines.append(line)
-        values.extend(numbers)
+        users.setdefault(user, []).append((line, numbers))
     if not users:
         raise ValueError(f"{name}: found 0 rows, expected at least 2")
     trajectories = []
-    for user, (lines, values) in users.items():
-        table = np.array(values).reshape(len(lines), -1)
+    for user, rows in users.items():
+        lines, values = zip(*rows, strict=True)
+        table = np.array(values)
         velocity = table[:, 4:] if table.shape[1] > 4 else None
         title = f"{user} of {name}" if user else name
         trajectories.append(Trajectory(title, table[:, 0], table[:, 1:4], velocity, lines))
