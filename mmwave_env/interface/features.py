@@ -4,9 +4,11 @@ An estimator can compute each feature at run time; none uses the truth. The form
 of plain numbers, so that they can be compiled into the SIMD kernel.
 """
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
+from importlib.resources import files
 from typing import Any, NamedTuple
 
 from mmwave_env.filters.memory import Memory
@@ -57,12 +59,29 @@ class View(NamedTuple):
     last: Any = None  # a ``signed.LastEpoch`` if there are signed features (residuals)
 
 
+class Scale(NamedTuple):
+    """The mean and standard deviation, in a feature's unit, that standardize the feature."""
+
+    mean: float
+    deviation: float
+
+
+@cache
+def feature_scales() -> dict[str, Scale]:
+    """Read mean and standard deviation of every kind of feature from data/feature_scales.json."""
+    # Measured 2026-11-23 (commit 476d657): 24 episodes with random actions for each combination of
+    # scene, radio, kind of beliefs and set of modes (two modes, without and with odometry; eight
+    # modes; the radio's bank). The file has medians over the combinations. No value was clipped.
+    text = files("mmwave_env").joinpath("data/feature_scales.json").read_text(encoding="utf-8")
+    return {kind: Scale(**scale) for kind, scale in json.loads(text)["kinds"].items()}
+
+
 @dataclass(frozen=True)
 class Feature:
     """One component of the observation: (clip(value, low, high) - mean) / deviation.
 
-    Mean and standard deviation depend on the kind; :mod:`mmwave_env.interface.observation` defines
-    them and also limits the feature to ten standard deviations from the mean.
+    Mean and standard deviation depend on the kind; :mod:`mmwave_env.interface.observation` also
+    limits the feature to ten standard deviations from the mean.
     """
 
     name: str  # unique in the table
@@ -76,6 +95,11 @@ class Feature:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "kind", self.kind or self.name)
+
+    @property
+    def scale(self) -> Scale:
+        """Return the mean and standard deviation of the feature's kind."""
+        return feature_scales()[self.kind]
 
 
 def context(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
