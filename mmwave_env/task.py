@@ -167,8 +167,7 @@ def task_from(**arguments: Any) -> Task:
                 "terminate_on_divergence: cannot be combined with corrections and a paired reward"
             )
         worst = pays.worst - max(mode.cost for mode in pipeline.modes)  # type: ignore[attr-defined]
-    acts = asked.action, asked.base
-    return Task(source, radio, pipeline, bank, pays, baseline, worst, *acts)
+    return Task(source, radio, pipeline, bank, pays, baseline, worst, asked.action, asked.base)
 
 
 def _require_action(asked: TaskArguments) -> None:

@@ -15,7 +15,7 @@ from mmwave_env.filters.memory import Memory
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.update import ModeResult, capped_log_likelihood
 from mmwave_env.models.layout import Layout
-from mmwave_env.models.measurement import Epoch, Site, doppler_anchor, range_rate
+from mmwave_env.models.measurement import Epoch, Site, doppler_anchor, norms, range_rate
 from mmwave_env.models.motion import move
 from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, log, maximum, sqrt, where
@@ -118,8 +118,7 @@ def context(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
 
 
 def _speed(view: View) -> Number:
-    v = view.x[3:6]
-    return sqrt(dot(v, v))
+    return norms(view.x[3:6])[1]
 
 
 def _motion(layout: Layout) -> list[Feature]:
@@ -176,8 +175,7 @@ def last_epoch(layout: Layout) -> list[Feature]:
 
 def _distance(view: View, anchor: int) -> Number:
     predicted = move(view.x[:7], view.epoch.dt)
-    step = [predicted[i] - view.site.anchors[anchor][i] for i in range(3)]
-    return sqrt(dot(step, step))
+    return norms([predicted[i] - view.site.anchors[anchor][i] for i in range(3)])[1]
 
 
 def _links(layout: Layout, distances: bool) -> list[Feature]:
@@ -306,7 +304,7 @@ def _correction(view: View, mode: int, first: int, across: bool) -> Number:
     candidate = view.candidates[mode]
     step = [candidate.x[i] - predicted[i] for i in (first, first + 1)]
     v = predicted[3:5]
-    speed = sqrt(v[0] * v[0] + v[1] * v[1] + 1e-6)
+    speed = sqrt(dot(v, v) + 1e-6)
     product = step[1] * v[0] - step[0] * v[1] if across else dot(step, v)
     return product / speed
 

@@ -326,5 +326,4 @@ def _scene(content: dict[str, Any]) -> Scene:
         return object_from(Scene, content)
     s = object_from(AnchorScene, content)
     gnb, *virtual = s.anchors
-    signal = s.carrier_hz, s.bandwidth_hz
-    return Scene(s.name, gnb, (), s.streets, *signal, tuple(virtual), s.origin)
+    return Scene(s.name, gnb, (), s.streets, s.carrier_hz, s.bandwidth_hz, tuple(virtual), s.origin)

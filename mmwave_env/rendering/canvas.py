@@ -130,11 +130,9 @@ class Canvas:
 
     def _scaled(self, part: Rect) -> pygame.Rect:
         """Return a part of the picture in the coordinates of the large surface."""
-        left = round(part.left * self._scale)
-        top = round(part.top * self._scale)
-        right = round(part.right * self._scale)
-        bottom = round(part.bottom * self._scale)
-        return pygame.Rect(left, top, right - left, bottom - top)
+        corners = np.multiply([part.topleft, part.bottomright], self._scale)
+        low, high = np.rint(corners).astype(int)
+        return pygame.Rect(low, high - low)
 
 
 @lru_cache(maxsize=32)

@@ -63,9 +63,7 @@ def follow(history: History, frame: Rect) -> View:
     )
     gap = abs(truth - estimate).max(axis=1)
     deviation = np.sqrt(np.maximum(np.nan_to_num(history.P[recent][:, [0, 2]]).max(axis=1), 0.0))
-    wanted = np.maximum.reduce(
-        [np.full(len(gap), _LEAST_M), _AHEAD_S * speed, 1.2 * gap, 3.0 * deviation]
-    )
+    wanted = np.maximum.reduce([_AHEAD_S * speed, 1.2 * gap, 3.0 * deviation], initial=_LEAST_M)
     shape = np.array([frame.width / frame.height, 1.0])
     half = max(
         float(weights @ wanted),

@@ -168,11 +168,22 @@ class Episode:
                 stated[:, layout.doppler] = of_doppler[:, layout.doppler]
         if sigma is not None:
             stated = np.where(np.isfinite(sigma), sigma, stated)
-        place = (scene.anchors_m, scene.hz_per_mps)
-        truth = (position_m, velocity_mps)
-        rows = (time_s, measurement, stated)
-        signal = (snr_db, doppler_spread_hz)
-        return cls(name, *place, *rows, visible, *signal, *prior, *truth, layout, doppler_anchor)
+        return cls(
+            name,
+            scene.anchors_m,
+            scene.hz_per_mps,
+            time_s,
+            measurement,
+            stated,
+            visible,
+            snr_db,
+            doppler_spread_hz,
+            *prior,
+            position_m,
+            velocity_mps,
+            layout,
+            doppler_anchor,
+        )
 
     @property
     def _record(self) -> str:
@@ -342,15 +353,15 @@ class Incoming(NamedTuple):
     def epoch(self, layout: Layout) -> Epoch:
         """Return everything except the truth, which the estimator must not use."""
         sigma = [abs(sigma) for sigma in self.signed_sigma]
-        parts = self.dt, self.z, sigma
+        measured = [where(sigma > 0.0, 1.0, 0.0) for sigma in self.signed_sigma]
         if layout.partial:
-            measured = [where(sigma > 0.0, 1.0, 0.0) for sigma in self.signed_sigma]
-            some = [where(number > 0.5, 1.0, 0.0) for number in layout.degrees(measured)]
-            more = measured, self.doppler_of
-            return Epoch(*parts, some, self.snr_db, self.doppler_spread_hz, *more)
-        first = [self.signed_sigma[rows.start] for rows in layout.groups]
-        visible = [where(sigma > 0.0, 1.0, 0.0) for sigma in first]
-        return Epoch(*parts, visible, self.snr_db, self.doppler_spread_hz)
+            visible = [where(number > 0.5, 1.0, 0.0) for number in layout.degrees(measured)]
+        else:
+            visible = [measured[rows.start] for rows in layout.groups]
+            measured = []
+        snr_db = self.snr_db
+        spread_hz = self.doppler_spread_hz
+        return Epoch(self.dt, self.z, sigma, visible, snr_db, spread_hz, measured, self.doppler_of)
 
 
 def blank_incoming(layout: Layout) -> Incoming:

@@ -138,27 +138,29 @@ _JAM = (Gait(0.0, 0.0, 8.0, 1.0), Gait(0.5, 2.5, 8.0, 1.5), Gait(3.0, 7.0, 6.0, 
 _CYCLING = Limits((0.6, 1.2), (1.5, 2.5), (1.5, 2.5), 2.0, 4.0, 0.2, (5.0, 15.0))
 _CYCLE = (Gait(2.0, 6.5, 25.0),)
 
-MOBILITIES: dict[str, Mobility] = {
-    "pedestrian": Mobility("pedestrian", (Phase(_ON_FOOT, _WALK),), blocks=4),
-    "vehicle": Mobility("vehicle", (Phase(_DRIVING, _DRIVE),)),
-    "walk-ride": Mobility(
-        "walk-ride",
-        (Phase(_ON_FOOT, _WALK, (45.0, 75.0)), Phase(_DRIVING, _DRIVE)),
-        ends_as_it_began=True,
-    ),
-    "jam": Mobility("jam", (Phase(replace(_DRIVING, red_light_probability=0.0), _JAM),)),
-    "cyclist": Mobility("cyclist", (Phase(_CYCLING, _CYCLE),)),
+# More kinds would change the results of "mixed", the default scenario.
+MOBILITIES = {
+    kind.name: kind
+    for kind in (
+        Mobility("pedestrian", (Phase(_ON_FOOT, _WALK),), blocks=4),
+        Mobility("vehicle", (Phase(_DRIVING, _DRIVE),)),
+        Mobility(
+            "walk-ride",
+            (Phase(_ON_FOOT, _WALK, (45.0, 75.0)), Phase(_DRIVING, _DRIVE)),
+            ends_as_it_began=True,
+        ),
+        Mobility("jam", (Phase(replace(_DRIVING, red_light_probability=0.0), _JAM),)),
+        Mobility("cyclist", (Phase(_CYCLING, _CYCLE),)),
+    )
 }
 MIXED = "mixed"
-# The kinds of users in "mixed", the default scenario; more kinds would change its results.
-_IN_EQUAL_SHARES = ("pedestrian", "vehicle", "walk-ride", "jam", "cyclist")
 SCENARIOS = {  # names and meanings
     "pedestrian": "walks, stands, turns at crossings",
     "vehicle": "drives, brakes, waits at red lights",
     "walk-ride": "walks, rides a car, walks again",
     "jam": "stop-and-go traffic",
     "cyclist": "cycles",
-    MIXED: f"{', '.join(_IN_EQUAL_SHARES)} in equal shares",
+    MIXED: f"{', '.join(MOBILITIES)} in equal shares",
 }
 
 
@@ -171,9 +173,9 @@ def mobilities_of(scenario: AnyPath) -> tuple[Mobility, ...]:
     """
     if str(scenario).endswith(".json"):
         return (read_mobility(scenario),)
-    mixed = {MIXED: tuple(MOBILITIES[name] for name in _IN_EQUAL_SHARES)}
-    each = {name: (mobility,) for name, mobility in MOBILITIES.items()}
-    return choose(each | mixed, str(scenario), "scenario")  # type: ignore[operator]
+    kinds = {name: (mobility,) for name, mobility in MOBILITIES.items()}
+    mixed: dict[str, tuple[Mobility, ...]] = {MIXED: tuple(MOBILITIES.values())}
+    return choose(kinds | mixed, str(scenario), "scenario")
 
 
 def read_mobility(path: AnyPath) -> Mobility:
