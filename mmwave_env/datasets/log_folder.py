@@ -132,11 +132,9 @@ def log_columns(episode: Episode) -> dict[str, Array]:
     shifted = episode.doppler_anchor
     if shifted is None:
         shifted = np.zeros(T, np.int64)
-    shown = np.repeat(usable, layout.widths, axis=1)
-    measured = np.where(shown, episode.measurement, np.nan)
-    measured[:, 2 : layout.doppler : 4] = np.clip(
-        measured[:, 2 : layout.doppler : 4], -PI / 2, PI / 2
-    )
+    measured = np.where(episode.used, episode.measurement, np.nan)
+    elevations = measured[:, 2 : layout.doppler : 4]
+    np.clip(elevations, -PI / 2, PI / 2, out=elevations)
     sigma = np.where(np.isnan(measured), np.nan, episode.sigma)
     heard = usable[:, :L].copy()
     heard[epochs, shifted] |= usable[:, L]

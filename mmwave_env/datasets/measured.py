@@ -97,8 +97,7 @@ class MeasuredTrack(Track):
             name, time_s, anchors_m, links, ("snr_db", snr_db), truth, signal, doppler_hz
         )
         fields |= _as_partial(record, fields, np.isfinite(snr), sigma_of)
-        spread = np.zeros(len(snr)) if doppler_spread_hz is None else doppler_spread_hz
-        spread = numbers(record, "doppler_spread_hz", spread, (len(snr),))
+        spread = numbers(record, "doppler_spread_hz", doppler_spread_hz, (len(snr),))
         snr = np.where(np.isnan(snr), -np.inf, snr)
         return cls(**fields, snr_db=snr, doppler_spread_hz=np.nan_to_num(spread))
 
@@ -137,8 +136,6 @@ def _as_partial(
     for i, (name, values) in enumerate(deviations.items()):
         link = i < len(LINK)
         shape = heard.shape if link else heard.shape[:1]
-        if values is None:
-            continue
         stated = numbers(record, sigma_name(name), values, shape)
         if (stated <= 0.0).any():
             expected = "more than 0, or NaN if unknown"

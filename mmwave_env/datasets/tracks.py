@@ -4,7 +4,7 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -168,15 +168,10 @@ class Track(ABC):
         layout = Layout(len(anchors))
         rows = np.full((T, layout.size), np.nan)
         for i, (link, values) in enumerate(zip(LINK, links, strict=True)):
-            if values is not None:
-                rows[:, i : layout.doppler : 4] = numbers(record, link, values, (T, layout.anchors))
-        if doppler_hz is not None:
-            rows[:, layout.doppler] = numbers(record, "doppler_hz", doppler_hz, (T,))
+            rows[:, i : layout.doppler : 4] = numbers(record, link, values, (T, layout.anchors))
+        rows[:, layout.doppler] = numbers(record, "doppler_hz", doppler_hz, (T,))
         wrap_angles(rows, layout)
-        strengths = np.full((T, layout.anchors), np.nan)
-        field, values = strength
-        if values is not None:
-            strengths = numbers(record, field, values, strengths.shape)
+        strengths = numbers(record, *strength, (T, layout.anchors))
         visible, _ = whole_groups(rows, np.isfinite(strengths), layout)
         fields = {
             "name": name,
@@ -321,10 +316,15 @@ class TrackSource:
         return episode.only(self._measurements) if self._measurements else episode
 
 
-def numbers(record: str, field: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array:
-    """Return a new array of ``values``, refused unless it has this shape (None: any length > 0)."""
+def numbers(
+    record: str, field: str, values: ArrayLike | None, shape: tuple[int | None, ...]
+) -> Array:
+    """Return a new array of ``values``, refused unless it has this shape (None: any length > 0).
+
+    If there are no values, all of the array is NaN.
+    """
     try:
-        array = np.array(values, float)
+        array = np.full(cast(Any, shape), np.nan) if values is None else np.array(values, float)
     except (TypeError, ValueError) as error:
         refuse(record, field, f"{type(values).__name__} ({error})", "an array of numbers")
     wanted = [n or max(m, 1) for n, m in zip(shape, array.shape, strict=False)]

@@ -108,7 +108,7 @@ class Episode:
         """Yield the name, the values and the bound of each quantity that has a bound."""
         mean = self.prior_mean
         deviation = np.sqrt(np.diag(self.prior_covariance))
-        sigma = np.where(self._used, self.sigma, np.nan)
+        sigma = np.where(self.used, self.sigma, np.nan)
         if self.truth_position_m is not None and self.truth_velocity_mps is not None:
             yield "truth_position_m", self.truth_position_m, FINITE
             yield "truth_velocity_mps", self.truth_velocity_mps, FINITE
@@ -211,7 +211,7 @@ class Episode:
         return np.isfinite(self.measurement) & np.isfinite(self.sigma)
 
     @property
-    def _used(self) -> Mask:
+    def used(self) -> Mask:
         """Return a mask (T, rows) of measured rows in usable groups."""
         groups = np.repeat(self.usable, self.layout.widths, axis=1)
         return groups & self._finite if self.layout.partial else groups
@@ -239,7 +239,7 @@ class Episode:
     def only(self, measurements: Sequence[str]) -> "Episode":
         """Return the episode with only these measurements, e.g. "range", in a partial layout."""
         layout = replace(self.layout, partial=True)
-        rows = self._used & offered_rows(layout, measurements)
+        rows = self.used & offered_rows(layout, measurements)
         measurement = np.where(rows, self.measurement, np.nan)
         visible, _ = whole_groups(measurement, self.visible, layout)
         return replace(self, measurement=measurement, visible=visible, layout=layout)
@@ -248,7 +248,7 @@ class Episode:
         """Return the table (T, columns) that engines load; :func:`columns_of` gives the columns."""
         at = columns_of(self.layout)
         links = self.usable[:, : self.layout.anchors]
-        keep = self._used
+        keep = self.used
         position = self.truth_position_m
         velocity = self.truth_velocity_mps
         table = np.empty((len(self), len(flatten(at))))

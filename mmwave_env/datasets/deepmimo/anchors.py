@@ -88,7 +88,7 @@ class StationLinks:
     paths: StationPaths  # paths of the station, for E receivers, P paths each
     anchors_m: Array  # (K, 3) position of the station, then of its images, in the order found
     member: Index  # (E, P) index of the anchor that a path leads to; -1 for none
-    rows: Array  # (E, P, 4) values in the order of ``LINK``, m, rad; NaN if a path has no anchor
+    rows: Array  # (E, P, 4) values in the order of ``LINK``, m, rad; meaningless without an anchor
 
     @cached_property
     def is_ground(self) -> Mask:
