@@ -91,15 +91,12 @@ class Feature:
     low: float
     high: float
     value: Callable[..., Number]  # formula, a function of a View
-    kind: str = ""  # name without its anchor or mode; by default the full name
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "kind", self.kind or self.name)
+    kind: str = ""  # name without its anchor or mode; "" if it has none
 
     @property
     def scale(self) -> Scale:
         """Return the mean and standard deviation of the feature's kind."""
-        return feature_scales()[self.kind]
+        return feature_scales()[self.kind or self.name]
 
 
 def context(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:

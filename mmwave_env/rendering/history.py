@@ -12,18 +12,12 @@ NO_MODE = -1  # mode number of the prior, which no mode computed
 POSITION_NUMBERS = 6  # a packed covariance begins with this many entries about the position
 
 
-class Scenery(NamedTuple):
-    """The data that stay the same through an episode."""
+class History(NamedTuple):
+    """The prior and the k epochs after it, as rows of arrays; the first row is the prior."""
 
     name: str  # name of the episode
     anchors_m: Array  # (L, 3) positions, the base station first
     streets: Streets | None  # streets of the map; None if unknown
-
-
-class History(NamedTuple):
-    """The prior and the k epochs after it, as rows of arrays; the first row is the prior."""
-
-    scenery: Scenery  # data that stay the same through the episode
     axes: int  # number of position axes that NEES covers
     time_s: Array  # (k + 1,) time since the first epoch
     modes: Index  # (k + 1,) number of the mode that ran; ``NO_MODE`` in the first row
@@ -49,8 +43,8 @@ class History(NamedTuple):
 
     def part(self, rows: slice) -> "History":
         """Return a history with only these rows."""
-        arrays: Any = self[2:]
-        return History(self.scenery, self.axes, *(array[rows] for array in arrays))
+        arrays: Any = self[4:]
+        return History(*self[:4], *(array[rows] for array in arrays))
 
 
 class Recorder:
@@ -78,9 +72,8 @@ class Recorder:
     ) -> None:
         P = slice(rows["P"].start, rows["P"].start + POSITION_NUMBERS)
         self._rows = {**rows, "P": P}
-        self._axes = axes
         anchors_m = workspace[rows["anchors"]].reshape(-1, 3).copy()
-        self._scenery = Scenery(name, anchors_m, streets)
+        self._episode = (name, anchors_m, streets, axes)
         self._modes: list[int] = []
         self._epochs: list[dict[str, Array]] = []
         self.add(workspace, NO_MODE)
@@ -96,8 +89,7 @@ class Recorder:
         part = {key: np.array([epoch[key] for epoch in self._epochs]) for key in self._rows}
         part["nees"][0] = np.nan  # the workspace still has the previous episode's NEES
         return History(
-            self._scenery,
-            self._axes,
+            *self._episode,
             np.cumsum(np.append(0.0, part["dt"][:-1])),
             np.array(self._modes),
             *(part[key] for key in ("truth", "estimate", "P", "nees")),

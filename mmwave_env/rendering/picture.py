@@ -79,7 +79,7 @@ class Picture:
         if history.epochs == 0:
             numbers = f"prior   {error}"
         else:
-            links = len(history.scenery.anchors_m)
+            links = len(history.anchors_m)
             numbers = (
                 f"epoch {history.epochs}   {history.time_s[-1]:g} s   "
                 f"true {np.linalg.norm(history.truth[-1, 3:]):.1f} m/s   "
@@ -87,7 +87,7 @@ class Picture:
                 f"links {history.accepted[-1, :links].sum()} of {links}"
             )
         room = UNITS - 3.0 * _PAD - canvas.width_of(numbers)
-        name = canvas.fitting(printable(history.scenery.name), room)
+        name = canvas.fitting(printable(history.name), room)
         canvas.words(name, (_PAD, y), "ink")
         canvas.words(numbers, (UNITS - _PAD, y), "ink", align=1.0)
 

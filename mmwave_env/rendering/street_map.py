@@ -86,9 +86,9 @@ def draw_map(canvas: Canvas, view: View, history: History) -> None:
     """Draw the complete map in the frame of the view."""
     canvas.clip(view.frame)
     canvas.fill("ground", view.frame)
-    if history.scenery.streets:
-        _draw_streets(canvas, view, history.scenery.streets)
-    _draw_walls(canvas, view, history.scenery.anchors_m)
+    if history.streets:
+        _draw_streets(canvas, view, history.streets)
+    _draw_walls(canvas, view, history.anchors_m)
     _draw_links(canvas, view, history)
     _draw_tracks(canvas, view, history)
     _draw_anchors(canvas, view, history)
@@ -153,7 +153,7 @@ def _draw_links(canvas: Canvas, view: View, history: History) -> None:
     if history.epochs == 0:
         return
     user = _point(view, history.truth[-1])
-    for link, anchor in enumerate(view.pixels(history.scenery.anchors_m)):
+    for link, anchor in enumerate(view.pixels(history.anchors_m)):
         ends = view.frame.clipline(user, anchor.tolist())
         if not ends:
             continue
@@ -221,7 +221,7 @@ def _draw_anchors(canvas: Canvas, view: View, history: History) -> None:
     here = history.truth[-1, :3]
     around = 9.0
     names: list[tuple[str, Point]] = []
-    for number, anchor in enumerate(history.scenery.anchors_m):
+    for number, anchor in enumerate(history.anchors_m):
         at = _point(view, anchor)
         name = f"anchor {number + 1}" if number else "gNB"
         if inner.collidepoint(at):
