@@ -41,7 +41,7 @@ class View(NamedTuple):
     @property
     def extent_m(self) -> tuple[Array, Array]:
         """Return the south-west and north-east corners (2,) of the visible part."""
-        half = np.array([self.frame.width, self.frame.height]) / (2.0 * self.scale)
+        half = np.array(self.frame.size) / (2.0 * self.scale)
         return self.center_m - half, self.center_m + half
 
 
@@ -58,9 +58,8 @@ def follow(history: History, frame: Rect) -> View:
     user = history.truth[recent]
     truth = user[:, :2]
     speed = np.linalg.norm(user[:, 3:6], axis=1)
-    estimate = np.where(
-        np.isfinite(history.estimate[recent, :2]), history.estimate[recent, :2], truth
-    )
+    estimate = history.estimate[recent, :2]
+    estimate = np.where(np.isfinite(estimate), estimate, truth)
     gap = abs(truth - estimate).max(axis=1)
     deviation = np.sqrt(np.maximum(np.nan_to_num(history.P[recent][:, [0, 2]]).max(axis=1), 0.0))
     wanted = np.maximum.reduce([_AHEAD_S * speed, 1.2 * gap, 3.0 * deviation], initial=_LEAST_M)
@@ -171,11 +170,9 @@ def _draw_tracks(canvas: Canvas, view: View, history: History) -> None:
     truth = view.pixels(history.truth[rows])
     track = view.pixels(history.estimate[rows])
     color = history.modes[-1]
-    if np.isfinite(history.P[-1, :3]).all():
-        xx, xy, yy = history.P[-1, :3]
-        outline = view.pixels(
-            ellipse(history.estimate[-1, :2], np.array([[xx, xy], [xy, yy]]), 2.0)
-        )
+    P = history.P[-1][[[0, 1], [1, 2]]]
+    if np.isfinite(P).all():
+        outline = view.pixels(ellipse(history.estimate[-1, :2], P, 2.0))
         canvas.polygon(outline, color, 0.18)
         canvas.line(outline, color, 1.2, closed=True)
     if len(truth) > 1:
