@@ -60,11 +60,14 @@ class Recording(Track):
         Raises:
             ValueError: an array has a wrong shape or invalid values; the message names the array.
         """
-        links = (range_m, aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad)
-        strength = ("path_gain_db", path_gain_db)
-        signal = (carrier_hz, bandwidth_hz)
         fields, gain = cls._fields(
-            name, time_s, anchors_m, links, strength, (position_m, velocity_mps), signal
+            name,
+            time_s,
+            anchors_m,
+            (range_m, aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad),
+            ("path_gain_db", path_gain_db),
+            (position_m, velocity_mps),
+            (carrier_hz, bandwidth_hz),
         )
         recording = cls(**fields, path_gain_db=gain)
         layout = recording.layout

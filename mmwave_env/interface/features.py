@@ -6,7 +6,6 @@ of plain numbers, so that they can be compiled into the SIMD kernel.
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache, partial
 from importlib.resources import files
 from typing import Any, NamedTuple
@@ -76,8 +75,7 @@ def feature_scales() -> dict[str, Scale]:
     return {kind: Scale(**scale) for kind, scale in json.loads(text)["kinds"].items()}
 
 
-@dataclass(frozen=True)
-class Feature:
+class Feature(NamedTuple):
     """One component of the observation: (clip(value, low, high) - mean) / deviation.
 
     Mean and standard deviation depend on the kind; :mod:`mmwave_env.interface.observation` also

@@ -12,7 +12,17 @@ from functools import cache
 from numbers import Integral, Real
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    NamedTuple,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
 
@@ -22,8 +32,7 @@ from mmwave_env.io.lookup import LONGEST, choose, is_name, quoted
 T = TypeVar("T")
 
 
-@dataclass(frozen=True)
-class Bound:
+class Bound(NamedTuple):
     """Limits of a number."""
 
     expected: str  # the limits in words, for messages
@@ -48,8 +57,7 @@ def counts(least: int, most: int) -> Bound:
     return Bound(f"an integer from {least} to {most}", least=least, most=most)
 
 
-@dataclass(frozen=True)
-class Size:
+class Size(NamedTuple):
     """Limits of the length of a list."""
 
     least: int

@@ -5,7 +5,7 @@ The strips show speed, error and NEES; a ribbon below them shows the mode of eac
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -173,8 +173,7 @@ _GAP = 4.0
 _RIBBON = 12.0
 
 
-@dataclass(frozen=True)
-class Strip:
+class Strip(NamedTuple):
     """A diagram of a quantity over n epochs."""
 
     title: str  # quantity and unit
@@ -205,7 +204,7 @@ def draw_strips(canvas: Canvas, top: float, history: History, beside: Sequence[H
     for i, make in enumerate((_speed, _error, _nees)):
         strips = [make(drawn, rows) for drawn in (history, *beside)]
         low, _ = strips[0].values
-        strip = replace(strips[0], values=(low, max(strip.values[1] for strip in strips)))
+        strip = strips[0]._replace(values=(low, max(strip.values[1] for strip in strips)))
         plot = Rect(_LEFT, top + i * (_HEIGHT + _GAP) + _GAP / 2.0, _WIDTH, _HEIGHT)
         _draw_strip(canvas, plot, strip, x, modes)
     lane = Rect(_LEFT, top + 3.0 * (_HEIGHT + _GAP) + 1.0, _WIDTH, _RIBBON)

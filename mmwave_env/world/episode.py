@@ -275,10 +275,11 @@ class Episode:
 def sigma_bounds(layout: Layout) -> list[tuple[list[int], Bound]]:
     """Return three pairs (rows, bound of sigma): ranges and speed; angles; the Doppler shift."""
     lengths = np.setdiff1d(np.arange(layout.size), [*layout.angles, layout.doppler]).tolist()
-    angles = envelope.ANGLE_SIGMA_RAD
-    doppler = envelope.DOPPLER_SIGMA_HZ
-    of_lengths = lengths, envelope.RANGE_SIGMA_M
-    return [of_lengths, (layout.angles, angles), ([layout.doppler], doppler)]
+    return [
+        (lengths, envelope.RANGE_SIGMA_M),
+        (layout.angles, envelope.ANGLE_SIGMA_RAD),
+        ([layout.doppler], envelope.DOPPLER_SIGMA_HZ),
+    ]
 
 
 class EpisodeBatch(NamedTuple):

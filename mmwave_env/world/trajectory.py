@@ -6,7 +6,7 @@ This module also interprets the argument ``scenario=``, which selects kinds of u
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NoReturn
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 
@@ -176,8 +176,7 @@ class Ways:
         return PlacedWays(names, [tables[i] for i in kept], epochs)
 
 
-@dataclass(frozen=True, eq=False)
-class PlacedWays:
+class PlacedWays(NamedTuple):
     """A set of K ways through a scene; an episode is a window of one of them."""
 
     names: Sequence[str]

@@ -152,7 +152,8 @@ def _links(
     if len(stations) == 1:
         links = find_links(stations[0], position_m)
         images = np.flatnonzero(~links.is_ground)[1:].tolist()
-        images.sort(key=lambda k: -links.epochs_seen[k])
+        epochs_seen = links.epochs_seen
+        images.sort(key=lambda k: -epochs_seen[k])
         return [(links, k) for k in [0, *images[:virtual_anchors]]]
     in_sight = [s for s in stations if (s.interactions == LINE_OF_SIGHT).any()]
     if not in_sight:

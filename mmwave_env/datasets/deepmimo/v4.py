@@ -8,9 +8,8 @@ of time, but the files contain neither times nor velocities.
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,8 +29,7 @@ PARAMS = "params.json"  # the file that marks a folder as a scenario
 _RECEIVERS = re.compile(r"rx_pos_(t\d+_tx\d+)_r(\d+)\.(?:npz|npy)")
 
 
-@dataclass(frozen=True)
-class Scenario:
+class Scenario(NamedTuple):
     """A description of a scenario folder, without the propagation paths."""
 
     folder: Path  # folder of the scenario
