@@ -47,10 +47,10 @@ ROOMS = {  # maximum tokens of a room; lines are free
     "mmwave_env/io": 2_810,
     "mmwave_env/localization": 20_860,
     "mmwave_env/logs": 10_890,
-    "mmwave_env/models": 11_610,
+    "mmwave_env/models": 11_580,
     "mmwave_env/numerics": 3_770,
     "mmwave_env/rendering": 9_360,
-    "mmwave_env/world": 15_030,
+    "mmwave_env/world": 15_010,
     "policies": 7_700,
     "tests": 209_110,
 }

@@ -12,13 +12,13 @@ from mmwave_env.io.records import (
     Bound,
     Name,
     Probability,
+    Record,
     Size,
     between,
     counts,
     object_from,
     read_object,
     require_fields,
-    require_ordered,
 )
 from mmwave_env.world.kinematics import FAR
 from mmwave_env.world.travel import PhasePlan, TravelGait, TravelPhase, TravelPlan, blank_plan
@@ -55,7 +55,7 @@ class Gait:
 
 
 @dataclass(frozen=True)
-class Limits:
+class Limits(Record):
     """The limits of a traveler's motion, some of them drawn from ranges as an episode begins.
 
     Attributes:
@@ -68,6 +68,8 @@ class Limits:
         red_light_s: range from which the duration of each red light is drawn.
     """
 
+    ordered = ("acceleration_mps2", "braking_mps2", "lateral_mps2", "red_light_s")
+
     acceleration_mps2: Range
     braking_mps2: Range
     lateral_mps2: Range
@@ -76,13 +78,9 @@ class Limits:
     red_light_probability: Probability = 0.0
     red_light_s: tuple[Wait, Wait] = (5.0, 25.0)
 
-    def __post_init__(self) -> None:
-        require_fields(self)
-        require_ordered(self, "acceleration_mps2", "braking_mps2", "lateral_mps2", "red_light_s")
-
 
 @dataclass(frozen=True)
-class Phase:
+class Phase(Record):
     """A part of an episode with one style of moving.
 
     Attributes:
@@ -91,13 +89,11 @@ class Phase:
         duration_s: range of the duration; by default the phase lasts until the episode ends.
     """
 
+    ordered = ("duration_s",)
+
     limits: Limits
     gaits: Annotated[tuple[Gait, ...], Size(1, 10)]
     duration_s: tuple[Duration, Duration] = (inf, inf)
-
-    def __post_init__(self) -> None:
-        require_fields(self)
-        require_ordered(self, "duration_s")
 
 
 @dataclass(frozen=True)
