@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mmwave_env.numerics.numbers import Array
+from mmwave_env.numerics.numbers import Array, Index
 
 BURN_IN = 10  # number of first epochs left out of averages, because the prior still affects them
 RISK = 1e-3  # default probability that an error exceeds its bound, the protection level
@@ -36,17 +36,6 @@ def rmse(error: Array) -> Array:
     return np.sqrt(_squared(error).mean(axis=-1))  # type: ignore[no-any-return]
 
 
-def rpe(error: Array, delta: int = 1) -> Array:
-    """Compute the relative pose error (...,): mean |e_k - e_(k - delta)| of errors (..., T, 3), m.
-
-    It is zero for tracks of at most ``delta`` epochs.
-    """
-    change = error[..., delta:, :] - error[..., :-delta, :]
-    if change.shape[-2] == 0:
-        return np.zeros(error.shape[:-2])
-    return ate(change)
-
-
 def nees_interval(axes: int = 3) -> tuple[float, float]:
     """Return the two-sided interval that holds a consistent filter's NEES in 95 % of epochs."""
     from scipy.special import chdtri
@@ -60,21 +49,11 @@ def scored(epochs: int) -> slice:
     return slice(min(BURN_IN, epochs - 1), None)
 
 
-class Epochs(NamedTuple):
-    """The epochs of complete tracks, without the burn-in."""
-
-    reward: Array  # (..., T)
-    error: Array  # (..., T, 3) estimated minus true position, m
-    nees: Array  # (..., T) NEES of the position
-    second: int  # number of epochs in a second, at least 1
-    interval: tuple[float, float]  # contains the NEES of a consistent filter in 95 % of epochs
-
-
 class Sums(NamedTuple):
-    """Sums (n,) over the epochs after the burn-in, for n tracks whose epochs are not stored."""
+    """Sums (n,) over the epochs of n tracks after the burn-in."""
 
-    epochs: Array  # number of epochs
-    changes: Array  # number of pairs of epochs that are a second apart
+    epochs: Index | int  # number of epochs
+    changes: Index | int  # number of pairs of epochs that are a second apart
     distance: Array  # length of the position error, m
     squared: Array  # squared length of the position error, m^2
     change: Array  # length of the change of the position error over a second, m
@@ -90,9 +69,8 @@ class Metric(NamedTuple):
     header: str  # header of its column in tables
     unit: str
     meaning: str
-    whole: Callable[[Epochs], Array]  # computes the metric from complete tracks
-    # computes the metric from running sums; if None, infos do not contain the metric
-    running: Callable[[Sums], Array] | None = None
+    # computes the metric; None for the reward, which infos do not contain
+    of: Callable[[Sums], Array] | None = None
     info: str = ""  # key in infos, if it differs from the name
 
     @property
@@ -104,45 +82,39 @@ class Metric(NamedTuple):
 METRICS = {
     metric.name: metric
     for metric in (
-        Metric("reward", "reward", "", "mean reward per epoch", lambda e: e.reward.mean(axis=-1)),
+        Metric("reward", "reward", "", "mean reward per epoch"),
         Metric(
             "ate_m", "ATE m", "m", "mean position error",
-            lambda e: ate(e.error),
             lambda s: s.distance / s.epochs,
         ),
         Metric(
             "rmse_m", "RMSE m", "m", "root mean square position error",
-            lambda e: rmse(e.error),
             lambda s: np.sqrt(s.squared / s.epochs),
         ),
         Metric(
             "rpe_m", "RPE m", "m",
             "mean change of the position error over 1 s (at least one epoch)",
-            lambda e: rpe(e.error, e.second),
             lambda s: s.change / np.maximum(s.changes, 1),
         ),
         Metric(
             "nees", "NEES", "", "mean NEES of the position",
-            lambda e: e.nees.mean(axis=-1),
             lambda s: s.nees / s.epochs,
             "mean_nees",
         ),
         Metric(
             "in_bounds", "in 95 % bounds", "",
             "share of epochs with NEES in its two-sided 95 % interval",
-            lambda e: ((e.nees >= e.interval[0]) & (e.nees <= e.interval[1])).mean(axis=-1),
             lambda s: s.inside / s.epochs,
         ),
         Metric(
             "divergence_rate", "diverged", "",
             f"share of episodes with an error above {DIVERGENCE_M:g} m",
-            lambda e: _diverged(_squared(e.error).max(axis=-1)),
             lambda s: _diverged(s.largest),
             "divergence",
         ),
     )
 }  # fmt: skip
-INFO_KEYS = {m.name: m.info or m.name for m in METRICS.values() if m.running}
+INFO_KEYS = {m.name: m.info or m.name for m in METRICS.values() if m.of}
 TERMS = {  # term -> its header and meaning; the tracking reward is minus the sum of both terms
     "error_term": ("error term", "what position errors cost in the tracking reward, per epoch"),
     "nees_term": ("NEES term", "what the NEES costs in the tracking reward, per epoch"),
@@ -166,13 +138,26 @@ def summary(
     reward only if rewards (..., T) are passed.
     """
     counted = scored(nees.shape[-1])
-    pays = nees if reward is None else reward
-    columns = pays[..., counted], error[..., counted, :], nees[..., counted]
-    epochs = Epochs(*columns, max(1, round(epochs_per_s)), nees_interval(axes))
-    wanted = [m for m in METRICS.values() if reward is not None or m.name != "reward"]
-    return {metric.name: metric.whole(epochs) for metric in wanted}
+    nees = nees[..., counted]
+    error = error[..., counted, :]
+    delta = max(1, round(epochs_per_s))
+    low, high = nees_interval(axes)
+    squared = _squared(error)
+    change = _squared(error[..., delta:, :] - error[..., :-delta, :])
+    sums = Sums(
+        epochs=nees.shape[-1],
+        changes=change.shape[-1],
+        distance=np.sqrt(squared).sum(axis=-1),
+        squared=squared.sum(axis=-1),
+        change=np.sqrt(change).sum(axis=-1),
+        nees=nees.sum(axis=-1),
+        inside=((nees >= low) & (nees <= high)).sum(axis=-1),
+        largest=squared.max(axis=-1),
+    )
+    metrics = running_summary(sums)
+    return metrics if reward is None else {"reward": reward[..., counted].mean(axis=-1)} | metrics
 
 
 def running_summary(sums: Sums) -> dict[str, Array]:
-    """Compute, for each of n tracks, the metrics (n,) that running sums determine."""
-    return {name: METRICS[name].running(sums) for name in INFO_KEYS}  # type: ignore[misc]
+    """Compute, for each of n tracks, the metrics (n,) that sums determine."""
+    return {name: METRICS[name].of(sums) for name in INFO_KEYS}  # type: ignore[misc]

@@ -6,7 +6,6 @@ from dataclasses import dataclass, fields
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmwave_env.datasets.measured import MeasuredTrack
 from mmwave_env.datasets.recorded import Recording
@@ -19,12 +18,14 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import ACTIONS, CORRECTION, MODE
 from mmwave_env.interface.observation import BELIEFS, Observation
 from mmwave_env.interface.reward import PairedReward, Reward, reward_from
+from mmwave_env.io.files import AnyPath
 from mmwave_env.io.lookup import choose, did_you_mean
 from mmwave_env.io.records import require
 from mmwave_env.models.layout import clock_from, measurements_from
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.random_scene import RandomScene, scenes_from
 from mmwave_env.models.scene import Scene, Streets
+from mmwave_env.numerics.numbers import Array32
 from mmwave_env.world.episode import Episode, EpisodeBatch, EpisodeSource
 from mmwave_env.world.keys import Keys
 from mmwave_env.world.simulated import SimulatedSource
@@ -33,7 +34,7 @@ from mmwave_env.world.trajectory import Scenario
 EPISODE_STEPS = 200
 # function that makes an agent from the description of the observations (which feature is in which
 # column); an agent is a function from observations (n, features) to actions (n,)
-Base = Callable[[Observation], Callable[[NDArray[np.float32]], Any]]
+Base = Callable[[Observation], Callable[[Array32], Any]]
 
 
 @dataclass(frozen=True)
@@ -107,14 +108,14 @@ class TaskArguments:
     """
 
     scenario: Scenario | None = None
-    radio: str | os.PathLike[str] | Radio = "handset"
+    radio: AnyPath | Radio = "handset"
     scene: str | Scene | RandomScene | None = None
     modes: Modes = None
     beliefs: str = "shared"
     reward: str | Reward | PairedReward = "tracking"
     episode_steps: int | None = None
     dt: float | None = None
-    episodes: str | os.PathLike[str] | Recording | MeasuredTrack | EpisodeSource | None = None
+    episodes: AnyPath | Recording | MeasuredTrack | EpisodeSource | None = None
     planar: bool = False
     odometry: bool = False
     measurements: Sequence[str] | None = None
@@ -166,8 +167,7 @@ def task_from(**arguments: Any) -> Task:
                 "terminate_on_divergence: cannot be combined with corrections and a paired reward"
             )
         worst = pays.worst - max(mode.cost for mode in pipeline.modes)  # type: ignore[attr-defined]
-    acts = asked.action, asked.base
-    return Task(source, radio, pipeline, bank, pays, baseline, worst, *acts)
+    return Task(source, radio, pipeline, bank, pays, baseline, worst, asked.action, asked.base)
 
 
 def _require_action(asked: TaskArguments) -> None:

@@ -26,14 +26,13 @@ from mmwave_env.interface.info import (
 from mmwave_env.io.lookup import choose
 from mmwave_env.io.records import require
 from mmwave_env.metrics import DIVERGENCE_M
-from mmwave_env.numerics.numbers import Array, Index, Mask
+from mmwave_env.numerics.numbers import Array, Array32, Index, Mask
 from mmwave_env.rendering.gallery import Gallery
-from mmwave_env.rendering.theme import FRAMES_PER_SECOND, SMALLEST, require_drawable
+from mmwave_env.rendering.theme import FRAMES_PER_SECOND, SMALLEST, Pixels, require_drawable
 from mmwave_env.task import task_from
 from mmwave_env.world.keys import Keys, Streams, keys_from, option_of
 
-Observations = NDArray[np.float32]
-Step = tuple[Observations, Array, Mask, Mask, dict[str, Any]]
+Step = tuple[Array32, Array, Mask, Mask, dict[str, Any]]
 
 BEGUN = 512  # maximum number of episodes drawn in one call, to limit the memory that they need
 
@@ -55,7 +54,7 @@ def _require_known(num_envs: int, threads: int, render_mode: str | None, backend
             )
 
 
-class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Observations, Index, NDArray[Any]]):
+class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArray[Any]]):
     """N copies of :class:`~mmwave_env.env.MmWaveLocEnv`, stepped in one kernel call.
 
     Environment i has the same episodes, observations, rewards and infos, to the last bit, as a
@@ -147,7 +146,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Observations, Index, 
         self.batch = engine.batch
         self._stepper = Stepper(engine, self._tally, self._infos)
 
-    def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # type: ignore[override]
+    def render(self) -> tuple[Pixels, ...] | None:  # type: ignore[override]
         """Draw pictures (size, size, 3) of the first 16 environments; None without a render mode.
 
         Gymnasium's `wrappers.vector.RecordVideo` arranges these pictures in a grid.
@@ -169,7 +168,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Observations, Index, 
         *,
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
-    ) -> tuple[Observations, dict[str, Any]]:
+    ) -> tuple[Array32, dict[str, Any]]:
         """Draw an episode for every environment, or only where ``options["reset_mask"]`` is True.
 
         Args:
@@ -283,7 +282,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Observations, Index, 
             infos = self._end(observations, infos)
         return observations, rewards, terminated, truncated, infos
 
-    def _end(self, observations: Observations, infos: dict[str, Any]) -> dict[str, Any]:
+    def _end(self, observations: Array32, infos: dict[str, Any]) -> dict[str, Any]:
         """Add the infos of ended episodes; begin new episodes if the autoreset mode is SameStep."""
         ended = np.flatnonzero(self._over)
         lost = np.zeros(self.num_envs, np.int64)
@@ -327,7 +326,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Observations, Index, 
             f"actions: found {actions!r}, expected {n} integers in {self.single_action_space}"
         )
 
-    def _same_step(self, observations: Observations, infos: dict[str, Any]) -> dict[str, Any]:
+    def _same_step(self, observations: Array32, infos: dict[str, Any]) -> dict[str, Any]:
         """Reset environments whose episodes ended; put their old infos into ``final_info``."""
         over = self._over.copy()
         ended = np.flatnonzero(over)

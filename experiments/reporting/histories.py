@@ -10,7 +10,7 @@ from experiments.evaluation.runner import PLAIN, EpochResults, Scoring, run_cont
 from mmwave_env.metrics import scored
 from mmwave_env.models.scene import Streets
 from mmwave_env.numerics.numbers import Array
-from mmwave_env.rendering.history import NO_MODE, POSITION_NUMBERS, History, Scenery
+from mmwave_env.rendering.history import NO_MODE, POSITION_NUMBERS, History
 from mmwave_env.world.episode import Episode
 
 _KEPT = ("x", "P", "memory.accepted", "memory.rejected", "memory.mode")
@@ -36,7 +36,9 @@ def history_of(
     truth = np.hstack([episode.truth_position_m, episode.truth_velocity_mps])
     none = np.zeros_like(made["memory.accepted"][0])
     return History(
-        Scenery(episode.name, episode.scene_anchors_m, streets),
+        episode.name,
+        episode.scene_anchors_m,
+        streets,
         2 if scoring.planar else 3,
         time_s=_after(0.0, episode.time_s - episode.time_s[0]),
         modes=_after(NO_MODE, made.get("mode", made["memory.mode"])).astype(np.int64),

@@ -12,7 +12,7 @@ import numpy as np
 from experiments.evaluation.contenders import contender_from
 from experiments.timing.fresh import started
 from experiments.timing.workloads import RADIO
-from mmwave_env.datasets.log_writer import log_columns
+from mmwave_env.datasets.log_folder import log_columns
 from mmwave_env.filters.bank import named_modes
 from mmwave_env.interface.policy import Switching
 from mmwave_env.localization.tracker import Tracker

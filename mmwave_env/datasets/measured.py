@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from mmwave_env.datasets.tracks import Received, Track, numbers
 from mmwave_env.models.layout import LINK, Layout, sigma_name, whole_groups, without_noise
 from mmwave_env.models.radio import Radio
-from mmwave_env.numerics.numbers import Array, Index, Mask
+from mmwave_env.numerics.numbers import Array, Mask
 from mmwave_env.world.checks import refuse
 
 
@@ -35,16 +35,10 @@ class MeasuredTrack(Track):
     Attributes:
         snr_db: (T, L) SNR of every link; -inf where no SNR was measured.
         doppler_spread_hz: (T,) Doppler spread.
-        sigma: (T, rows) the receiver's own standard deviations, NaN where it states none; None
-            unless the layout is partial (single values may be missing).
-        doppler_anchor: (T,) index, from 0, of the anchor whose Doppler shift was measured; None
-            for the base station.
     """
 
     snr_db: Array
     doppler_spread_hz: Array
-    sigma: Array | None = None
-    doppler_anchor: Index | None = None
 
     @classmethod
     def from_arrays(
@@ -103,17 +97,13 @@ class MeasuredTrack(Track):
             name, time_s, anchors_m, links, ("snr_db", snr_db), truth, signal, doppler_hz
         )
         fields |= _as_partial(record, fields, np.isfinite(snr), sigma_of)
-        spread = np.zeros(len(snr)) if doppler_spread_hz is None else doppler_spread_hz
-        spread = numbers(record, "doppler_spread_hz", spread, (len(snr),))
+        spread = numbers(record, "doppler_spread_hz", doppler_spread_hz, (len(snr),))
         snr = np.where(np.isnan(snr), -np.inf, snr)
         return cls(**fields, snr_db=snr, doppler_spread_hz=np.nan_to_num(spread))
 
     def _received(self, radio: Radio, rng: np.random.Generator, epochs: slice) -> Received:
-        snr = self.snr_db[epochs]
         spread = self.doppler_spread_hz[epochs]
-        sigma = None if self.sigma is None else self.sigma[epochs]
-        anchor = None if self.doppler_anchor is None else self.doppler_anchor[epochs]
-        return Received(self.measurement[epochs], snr, spread, None, sigma, anchor)
+        return Received(self.measurement[epochs], self.snr_db[epochs], spread, None)
 
 
 def _require_noise(
@@ -146,8 +136,6 @@ def _as_partial(
     for i, (name, values) in enumerate(deviations.items()):
         link = i < len(LINK)
         shape = heard.shape if link else heard.shape[:1]
-        if values is None:
-            continue
         stated = numbers(record, sigma_name(name), values, shape)
         if (stated <= 0.0).any():
             expected = "more than 0, or NaN if unknown"

@@ -60,23 +60,22 @@ class Recording(Track):
         Raises:
             ValueError: an array has a wrong shape or invalid values; the message names the array.
         """
-        links = (range_m, aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad)
-        strength = ("path_gain_db", path_gain_db)
-        signal = (carrier_hz, bandwidth_hz)
         fields, gain = cls._fields(
-            name, time_s, anchors_m, links, strength, (position_m, velocity_mps), signal
+            name,
+            time_s,
+            anchors_m,
+            (range_m, aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad),
+            ("path_gain_db", path_gain_db),
+            (position_m, velocity_mps),
+            (carrier_hz, bandwidth_hz),
         )
         recording = cls(**fields, path_gain_db=gain)
-        recording.add_doppler()
+        layout = recording.layout
+        away = recording.position_m - recording.anchors_m[0]
+        rate = range_rate(list(away.T), list(recording.velocity_mps.T))
+        recording.measurement[:, layout.doppler] = recording.scene.hz_per_mps * rate
+        recording.visible[:, layout.anchors] = recording.visible[:, 0]
         return recording
-
-    def add_doppler(self) -> None:
-        """Compute the Doppler shift from the true velocity wherever there is a line of sight."""
-        away = self.position_m - self.anchors_m[0]
-        layout = self.layout
-        rate = range_rate(list(away.T), list(self.velocity_mps.T))
-        self.measurement[:, layout.doppler] = self.scene.hz_per_mps * rate
-        self.visible[:, layout.anchors] = self.visible[:, 0]
 
     def _received(self, radio: Radio, rng: np.random.Generator, epochs: slice) -> Received:
         """Draw the noise, the oscillator's bias and the Doppler spread of some epochs."""

@@ -10,7 +10,8 @@ from mmwave_env.datasets.deepmimo.v4 import PARAMS
 from mmwave_env.datasets.log_folder import read_log_folder
 from mmwave_env.datasets.measured import MeasuredTrack
 from mmwave_env.datasets.recorded import Recording
-from mmwave_env.datasets.tracks import TrackSource
+from mmwave_env.datasets.tracks import Track, TrackSource
+from mmwave_env.io.files import AnyPath
 from mmwave_env.io.lookup import choose
 from mmwave_env.models.radio import Radio
 
@@ -49,7 +50,7 @@ def recording_from(name: str) -> Recording:
 
 
 def source_from(
-    episodes: str | os.PathLike[str] | Recording | MeasuredTrack,
+    episodes: AnyPath | Recording | MeasuredTrack,
     radio: str | Radio,
     epochs: int | None = None,
     measurements: Sequence[str] | None = None,
@@ -67,10 +68,14 @@ def source_from(
             shorter than ``epochs``.
         OSError: a file can't be read.
     """
-    if not isinstance(episodes, str | os.PathLike):
-        return TrackSource(episodes, radio, epochs, measurements, clock)
+    track = _read(episodes, clock) if isinstance(episodes, str | os.PathLike) else episodes
+    return TrackSource(track, radio, epochs, measurements, clock)
+
+
+def _read(episodes: AnyPath, clock: bool) -> Track:
+    """Read the sample with this name, or the folder with this path."""
     if episodes in sample_names():
-        return TrackSource(recording_from(str(episodes)), radio, epochs, measurements, clock)
+        return recording_from(str(episodes))
     folder = Path(episodes)
     if not folder.is_dir():
         raise ValueError(
@@ -78,6 +83,6 @@ def source_from(
             "or a folder with a measurement log, its scene and its truth, or a DeepMIMO scenario "
             "(a file with a trajectory belongs to --scenario)"
         )
-    is_scenario = (folder / PARAMS).exists()
-    track = read_deepmimo(folder) if is_scenario else read_log_folder(folder, clock)
-    return TrackSource(track, radio, epochs, measurements, clock)
+    if (folder / PARAMS).exists():
+        return read_deepmimo(folder)
+    return read_log_folder(folder, clock)

@@ -4,7 +4,7 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,14 +37,12 @@ _ENOUGH = 20  # minimum number of epochs for a median
 
 
 class Received(NamedTuple):
-    """The measurements of T epochs, as :meth:`Episode.measured` takes them."""
+    """The measurements of T epochs."""
 
     measurement: Array  # (T, rows)
     snr_db: Array  # (T, L)
     doppler_spread_hz: Array  # (T,)
     bias_hz: Array | None  # (T,) the oscillator's bias, None if unknown
-    sigma: Array | None = None  # (T, rows) standard deviations, NaN where the receiver states none
-    doppler_anchor: Index | None = None  # (T,) index, from 0, of the Doppler shift's anchor
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -60,6 +58,10 @@ class Track(ABC):
         visible: (T, groups) whether each group was measured; if not, its values are meaningless.
         position_m: (T, 3) true positions, NaN in epochs where unknown.
         velocity_mps: (T, 3) true velocities, NaN in epochs where unknown.
+        sigma: (T, rows) the receiver's own standard deviations, NaN where it states none; None
+            unless the layout is partial (single values may be missing).
+        doppler_anchor: (T,) index, from 0, of the anchor whose Doppler shift was measured; None
+            for the base station.
     """
 
     KIND: ClassVar[str] = "track"
@@ -72,6 +74,8 @@ class Track(ABC):
     visible: Mask
     position_m: Array
     velocity_mps: Array
+    sigma: Array | None = None
+    doppler_anchor: Index | None = None
 
     def __post_init__(self) -> None:
         if not is_name(self.name):
@@ -123,8 +127,8 @@ class Track(ABC):
             snr_db=received.snr_db,
             doppler_spread_hz=received.doppler_spread_hz,
             prior=(mean, covariance),
-            sigma=received.sigma,
-            doppler_anchor=received.doppler_anchor,
+            sigma=None if self.sigma is None else self.sigma[epochs],
+            doppler_anchor=None if self.doppler_anchor is None else self.doppler_anchor[epochs],
             position_m=position,
             velocity_mps=velocity,
         )
@@ -164,15 +168,10 @@ class Track(ABC):
         layout = Layout(len(anchors))
         rows = np.full((T, layout.size), np.nan)
         for i, (link, values) in enumerate(zip(LINK, links, strict=True)):
-            if values is not None:
-                rows[:, i : layout.doppler : 4] = numbers(record, link, values, (T, layout.anchors))
-        if doppler_hz is not None:
-            rows[:, layout.doppler] = numbers(record, "doppler_hz", doppler_hz, (T,))
+            rows[:, i : layout.doppler : 4] = numbers(record, link, values, (T, layout.anchors))
+        rows[:, layout.doppler] = numbers(record, "doppler_hz", doppler_hz, (T,))
         wrap_angles(rows, layout)
-        strengths = np.full((T, layout.anchors), np.nan)
-        field, values = strength
-        if values is not None:
-            strengths = numbers(record, field, values, strengths.shape)
+        strengths = numbers(record, *strength, (T, layout.anchors))
         visible, _ = whole_groups(rows, np.isfinite(strengths), layout)
         fields = {
             "name": name,
@@ -317,10 +316,15 @@ class TrackSource:
         return episode.only(self._measurements) if self._measurements else episode
 
 
-def numbers(record: str, field: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array:
-    """Return a new array of ``values``, refused unless it has this shape (None: any length > 0)."""
+def numbers(
+    record: str, field: str, values: ArrayLike | None, shape: tuple[int | None, ...]
+) -> Array:
+    """Return a new array of ``values``, refused unless it has this shape (None: any length > 0).
+
+    If there are no values, all of the array is NaN.
+    """
     try:
-        array = np.array(values, float)
+        array = np.full(cast(Any, shape), np.nan) if values is None else np.array(values, float)
     except (TypeError, ValueError) as error:
         refuse(record, field, f"{type(values).__name__} ({error})", "an array of numbers")
     wanted = [n or max(m, 1) for n, m in zip(shape, array.shape, strict=False)]

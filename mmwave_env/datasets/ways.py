@@ -3,14 +3,13 @@
 import csv
 import math
 import os
-from array import array
 from collections.abc import Iterator
 from io import StringIO
 from pathlib import Path
 
 import numpy as np
 
-from mmwave_env.io.files import read_text
+from mmwave_env.io.files import AnyPath, read_text
 from mmwave_env.io.lookup import is_name, quoted
 from mmwave_env.io.records import Printable
 from mmwave_env.world.checks import refuse_in
@@ -20,7 +19,7 @@ COLUMNS = ("t", "x", "y", "z", "vx", "vy", "vz")  # a file has all or none of th
 ID = "id"
 
 
-def read_ways(path: str | os.PathLike[str]) -> Ways:
+def read_ways(path: AnyPath) -> Ways:
     """Read trajectories from a CSV file with columns t, x, y, z; vx, vy, vz and id are optional.
 
     Units are s, m and m/s, in the frame of the scene. Rows with the same id belong to one user and
@@ -31,23 +30,22 @@ def read_ways(path: str | os.PathLike[str]) -> Ways:
         FileNotFoundError: the file does not exist.
     """
     name = os.fspath(path)
-    users: dict[str, tuple[list[int], array[float]]] = {}
+    users: dict[str, list[tuple[int, list[float]]]] = {}
     for line, user, numbers in _rows(Path(path)):
-        lines, values = users.setdefault(user, ([], array("d")))
-        lines.append(line)
-        values.extend(numbers)
+        users.setdefault(user, []).append((line, numbers))
     if not users:
         raise ValueError(f"{name}: found 0 rows, expected at least 2")
     trajectories = []
-    for user, (lines, values) in users.items():
-        table = np.array(values).reshape(len(lines), -1)
+    for user, rows in users.items():
+        lines, values = zip(*rows, strict=True)
+        table = np.array(values)
         velocity = table[:, 4:] if table.shape[1] > 4 else None
         title = f"{user} of {name}" if user else name
         trajectories.append(Trajectory(title, table[:, 0], table[:, 1:4], velocity, lines))
     return Ways(name, trajectories)
 
 
-def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
+def read_trajectory(path: AnyPath) -> Trajectory:
     """Read the only trajectory in a CSV file, as :func:`read_ways` does; refuse several."""
     ways = read_ways(path).trajectories
     if len(ways) > 1:

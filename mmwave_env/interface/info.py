@@ -13,7 +13,13 @@ STATE_KEYS = ("truth", "estimate")  # in the infos of resets and steps
 TERMS_KEY = "reward_terms"
 COST_KEY = "cost"  # 1.0 where the horizontal error exceeds its protection level
 STEP_KEYS = (
-    *("position_error_m", "nees", "nis", "accepted", "rejected", "mode", "gamma"),
+    "position_error_m",
+    "nees",
+    "nis",
+    "accepted",
+    "rejected",
+    "mode",
+    "gamma",
     TERMS_KEY,
     COST_KEY,
 )

@@ -6,6 +6,7 @@ users' agents all follow the protocol :class:`Policy`; code that runs filters as
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any, NamedTuple, Protocol, cast, runtime_checkable
 
 import numpy as np
@@ -80,16 +81,6 @@ class SmoothedCorrector(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class _Agent:
-    """A user's function as a policy."""
-
-    act: Callable[[Array32], Index]
-    reset: Callable[[Mask], None]
-    correct: Callable[[Array32], Correction | None]
-    corrects: bool
-
-
 def policy_from(agent: Any, name: str) -> Policy:
     """Return a user's agent as a policy.
 
@@ -111,7 +102,8 @@ def policy_from(agent: Any, name: str) -> Policy:
         )
     reset = getattr(agent, "reset", lambda mask: None)
     correct = getattr(agent, "correct", lambda observation: None)
-    return cast(Policy, _Agent(act, reset, correct, hasattr(agent, "correct")))
+    corrects = hasattr(agent, "correct")
+    return cast(Policy, SimpleNamespace(act=act, reset=reset, correct=correct, corrects=corrects))
 
 
 class FixedMode(Policy):

@@ -9,8 +9,7 @@ because it is compiled for SIMD lanes. :class:`PairedReward` subtracts the rewar
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache, reduce
-from operator import add
+from functools import lru_cache
 from typing import Any, cast
 
 from mmwave_env.filters.belief import Belief
@@ -107,7 +106,7 @@ def _as_terms(paid: Terms | Number) -> Terms:
 
 def total(terms: Terms) -> Number:
     """Return the reward, which is the sum of its terms."""
-    return cast(Number, reduce(add, terms.values()))
+    return sum(terms.values(), 0.0)
 
 
 @lru_cache(maxsize=64)

@@ -13,7 +13,7 @@ from mmwave_env.filters.correction import Frame
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.features import Feature, View, last_epoch
 from mmwave_env.models.layout import Layout
-from mmwave_env.models.measurement import Epoch, direction
+from mmwave_env.models.measurement import Epoch, direction, norms
 from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import PI, Number, Vector, log, maximum, minimum, sqrt, where, wrap
 
@@ -97,8 +97,7 @@ def _squashed(q: Number) -> Number:
 def _ray(view: View, anchor: int) -> tuple[list[Number], Number, tuple[Number, Number, Number]]:
     """Return the vector from anchor to user, its horizontal length, and its :func:`direction`."""
     step = [view.x[i] - view.site.anchors[anchor][i] for i in range(3)]
-    flat = sqrt(step[0] * step[0] + step[1] * step[1])
-    return step, flat, direction(step)
+    return step, norms(step)[0], direction(step)
 
 
 def _residual(view: View, layout: Layout, anchor: int, name: str) -> tuple[Number, Number]:

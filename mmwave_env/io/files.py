@@ -5,7 +5,6 @@ import os
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from itertools import chain
 from pathlib import Path
 from secrets import token_hex
 from typing import Any, BinaryIO, TypeVar
@@ -106,8 +105,10 @@ def parse_json(text: str) -> Any:
         raise ValueError(nested) from None
     level = [value]
     for _ in range(JSON_DEPTH + 1):
-        nodes = (node for node in level if isinstance(node, dict | list))
-        level = [*chain(*(node.values() if isinstance(node, dict) else node for node in nodes))]
+        nodes = [node for node in level if isinstance(node, dict | list)]
+        level = []
+        for node in nodes:
+            level += node.values() if isinstance(node, dict) else node
     if level:
         raise ValueError(nested)
     return value

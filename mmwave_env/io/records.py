@@ -12,7 +12,18 @@ from functools import cache
 from numbers import Integral, Real
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    NamedTuple,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
 
@@ -22,8 +33,7 @@ from mmwave_env.io.lookup import LONGEST, choose, is_name, quoted
 T = TypeVar("T")
 
 
-@dataclass(frozen=True)
-class Bound:
+class Bound(NamedTuple):
     """Limits of a number."""
 
     expected: str  # the limits in words, for messages
@@ -48,8 +58,7 @@ def counts(least: int, most: int) -> Bound:
     return Bound(f"an integer from {least} to {most}", least=least, most=most)
 
 
-@dataclass(frozen=True)
-class Size:
+class Size(NamedTuple):
     """Limits of the length of a list."""
 
     least: int
@@ -118,7 +127,7 @@ def _matches(hint: Any, value: Any) -> bool:
 
 def _within(base: Any, limit: Any, value: Any) -> bool:
     """Tell whether a value fits the type ``base`` and its annotation."""
-    if isinstance(limit, (Bound, Printable)):
+    if isinstance(limit, Bound):
         kind = isinstance(value, _KINDS[base][0]) and not isinstance(value, bool)
         return kind and bool(limit.holds(value))
     return _matches(base, value) and (isinstance(limit, str) or bool(limit.holds(value)))
@@ -135,8 +144,7 @@ def _describe(hint: Any) -> str:
     if hint in _KINDS:
         return _KINDS[hint][1]
     if origin is Annotated:
-        limit = inside[1]
-        return limit if isinstance(limit, str) else limit.expected  # type: ignore[no-any-return]
+        return getattr(inside[1], "expected", inside[1])  # type: ignore[no-any-return]
     if origin is Literal:
         return f"one of {', '.join(map(str, inside))}"
     if origin in (Union, UnionType):
@@ -159,12 +167,20 @@ def require_fields(record: Any, of: str = "") -> None:
         require(name, getattr(record, name), hint, of)
 
 
-def require_ordered(record: object, *names: str) -> None:
-    """Refuse fields that are pairs [low, high] if the first number is larger than the second."""
-    for name in names:
-        low, high = getattr(record, name)
-        if low > high:
-            raise ValueError(f"{name}: found {(low, high)}, expected [low, high] with low <= high")
+class Record:
+    """Base of dataclasses that refuse wrong values as they are made (:func:`require_fields`)."""
+
+    # names of fields that are pairs [low, high], in which the first number must not be the larger
+    ordered: ClassVar[tuple[str, ...]] = ()
+
+    def __post_init__(self) -> None:
+        require_fields(self)
+        for name in self.ordered:
+            low, high = getattr(self, name)
+            if low > high:
+                raise ValueError(
+                    f"{name}: found {(low, high)}, expected [low, high] with low <= high"
+                )
 
 
 def require(name: str, value: Any, hint: Any, of: str = "") -> None:

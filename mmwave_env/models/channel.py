@@ -1,8 +1,7 @@
 """Effects of the channel on the links: shadowing, blockage, multipath and detection.
 
 Like the filters, the channel is written as functions of plain numbers, so that it can be compiled
-to simulate eight episodes at once on SIMD lanes. Only :func:`draw_channel` draws random numbers;
-the other functions receive them as arguments.
+to simulate eight episodes at once on SIMD lanes.
 """
 
 import math
@@ -113,22 +112,15 @@ class SpellDraws(NamedTuple):
     angles: list[Number]  # (3,) standard normals, for the angle biases
 
 
-class ChannelDraws(NamedTuple):
-    """Random numbers for an epoch of the channel."""
+def _draw(
+    dice: Dice, anchors: int
+) -> tuple[list[Number], list[SpellDraws], list[SpellDraws], Number, list[Number]]:
+    """Draw the random numbers for the links of ``anchors`` anchors in an epoch.
 
-    shadowing: list[Number]  # (L,) standard normals
-    # blockage, multipath: (L,) random numbers for each link's spell
-    blockage: list[SpellDraws]
-    multipath: list[SpellDraws]
-    outage: Number  # uniform in [0, 1)
-    detection: list[Number]  # (L,) uniform in [0, 1)
-    # scatter, floor: standard normals for the Doppler spread
-    scatter: Number
-    floor: Number
-
-
-def draw_channel(dice: Dice, anchors: int) -> ChannelDraws:
-    """Draw the random numbers for one epoch, for the links of ``anchors`` anchors."""
+    Returns:
+        Standard normals (L,) for the shadowing; random numbers (L,) for blockage and for multipath;
+        a number in [0, 1) for the outage; numbers (L,) in [0, 1) for the detection.
+    """
 
     def each(draw: Callable[[], Number]) -> list[Number]:
         return [draw() for _ in range(anchors)]
@@ -142,10 +134,7 @@ def draw_channel(dice: Dice, anchors: int) -> ChannelDraws:
     excess = [each(dice.exponential), each(dice.exponential)]
     blockage = list(map(SpellDraws, uniforms[0], excess[0], each(angles)))
     multipath = list(map(SpellDraws, uniforms[1], excess[1], each(angles)))
-    detection = each(dice.uniform)
-    return ChannelDraws(
-        shadowing, blockage, multipath, outage, detection, dice.normal(), dice.normal()
-    )
+    return shadowing, blockage, multipath, outage, each(dice.uniform)
 
 
 class Reception(NamedTuple):
@@ -178,7 +167,7 @@ def channel_epoch(
     channel: Channel,
     before: ChannelState,
     is_first: Number,
-    draws: ChannelDraws,
+    dice: Dice,
     distance: Vector,
     speed: Number,
 ) -> tuple[ChannelState, Reception]:
@@ -189,25 +178,24 @@ def channel_epoch(
     there is no multipath or outage. Other epochs start from the state ``before``.
     """
     c = channel
-    rho = channel.correlation
+    normals, blockage, multipath, uniform, detection = _draw(dice, len(distance))
+    rho = c.correlation
     innovation = sqrt(1.0 - rho * rho)
     state = ChannelState([], [], [], 0.0)
     reception = Reception([], [], [], 0.0)
     onset = where(is_first, 0.0, c.outage_onset)
     was_out = where(is_first, 0.0, before.outage)
-    outage = spell_goes_on(was_out, draws.outage, onset, c.outage_end)
+    outage = spell_goes_on(was_out, uniform, onset, c.outage_end)
     for a, d in enumerate(distance):
-        moved = rho * before.shadowing[a] + innovation * draws.shadowing[a]
-        shadow = where(is_first, draws.shadowing[a], moved)
+        moved = rho * before.shadowing[a] + innovation * normals[a]
+        shadow = where(is_first, normals[a], moved)
         chance = c.blockage_base + c.blockage_per_m * d
         chance = c.blockage_scale * where(chance < c.blockage_limit, chance, c.blockage_limit)
         onset = c.blockage.end * chance / maximum(1.0 - chance, 1e-9)
         onset = where(is_first, chance, onset)
-        blocked = _next_spell(before.blockage[a], c.blockage, is_first, onset, draws.blockage[a])
+        blocked = _next_spell(before.blockage[a], c.blockage, is_first, onset, blockage[a])
         onset = where(is_first, 0.0, c.multipath_onset)
-        reflected = _next_spell(
-            before.multipath[a], c.multipath, is_first, onset, draws.multipath[a]
-        )
+        reflected = _next_spell(before.multipath[a], c.multipath, is_first, onset, multipath[a])
         snr = c.offset_db[a] - (2.1 / DECIBEL) * log(d) + c.shadowing_db * shadow
         snr = snr - c.blockage_loss_db * blocked.on
         odds = exp(clip((c.detection_snr_db - snr) / c.detection_slope_db, -500.0, 500.0))
@@ -215,11 +203,12 @@ def channel_epoch(
         state.blockage.append(blocked)
         state.multipath.append(reflected)
         reception.snr_db.append(snr)
-        detected = where(draws.detection[a] * (1.0 + odds) < 1.0, 1.0 - outage, 0.0)
+        detected = where(detection[a] * (1.0 + odds) < 1.0, 1.0 - outage, 0.0)
         reception.detected.append(detected)
         biases = zip(blocked.bias, reflected.bias, strict=True)
         reception.bias.append([blocked.on * u + reflected.on * v for u, v in biases])
-    scatter = exp(c.spread_sigma * draws.scatter)
-    floor = c.spread_floor_hz * maximum(draws.floor, -1.0 * draws.floor)
+    scatter = exp(c.spread_sigma * dice.normal())
+    normal = dice.normal()
+    floor = c.spread_floor_hz * maximum(normal, -1.0 * normal)
     spread = c.spread_gain_hz * speed * scatter + floor
     return state._replace(outage=outage), reception._replace(doppler_spread_hz=spread)

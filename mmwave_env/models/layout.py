@@ -17,10 +17,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmwave_env.io.lookup import choose, quoted
-from mmwave_env.numerics.numbers import PI, Number, Vector, where
+from mmwave_env.numerics.numbers import PI, Array, Index, Mask, Number, Vector, where
 
 STATE = ("px", "py", "pz", "vx", "vy", "vz", "b")  # m, m/s, Hz
 STATE_SIZE = len(STATE)
@@ -168,7 +167,7 @@ def sigma_name(name: str) -> str:
     return f"{quantity}_sigma_{unit}"
 
 
-def wrap_angles(measurement: NDArray[np.float64], layout: Layout) -> None:
+def wrap_angles(measurement: Array, layout: Layout) -> None:
     """Move the angles of measurements (T, rows) into [-pi, pi), in place."""
     rows = layout.angles
     measurement[:, rows] = wrapped(measurement[:, rows])
@@ -180,9 +179,7 @@ def wrapped(angles: Number) -> Number:
     return where((angles >= -PI) & (angles < PI), angles, moved)
 
 
-def whole_groups(
-    measurement: NDArray[np.float64], heard: NDArray[np.bool_], layout: Layout
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def whole_groups(measurement: Array, heard: Mask, layout: Layout) -> tuple[Mask, Mask]:
     """Return two masks (T, groups): measured groups, and groups lost due to a missing row or SNR.
 
     In a partial layout, a group is measured if any of its rows is, and no group is ever lost.
@@ -205,12 +202,12 @@ def whole_groups(
 
 
 def without_noise(
-    measurement: NDArray[np.float64],
-    sigma: NDArray[np.float64],
-    heard: NDArray[np.bool_],
-    doppler_anchor: NDArray[np.int64],
+    measurement: Array,
+    sigma: Array,
+    heard: Mask,
+    doppler_anchor: Index,
     layout: Layout,
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Return a mask (T, rows) of measured rows that are lost because their noise is unknown.
 
     Args:

@@ -117,16 +117,14 @@ def seen_from_image(
     (cos_az, sin_az) = cos_sin(azimuth)
     (cos_el, sin_el) = cos_sin(elevation)
     d = [cos_el * cos_az, cos_el * sin_az, sin_el]
-    squared = n[0] * n[0] + n[1] * n[1] + n[2] * n[2]
-    along = 2.0 * (d[0] * n[0] + d[1] * n[1] + d[2] * n[2]) / (squared if squared else 1.0)
+    along = 2.0 * dot(d, n) / (dot(n, n) or 1.0)
     _, *mirrored = direction([d[i] - along * n[i] for i in range(3)])
     return mirrored[0], mirrored[1]
 
 
 def range_rate(d: Vector, velocity: Vector) -> Number:
     """Return the rate of change of |d|, m/s, for an anchor at rest; 0 at the anchor itself."""
-    along = d[0] * velocity[0] + d[1] * velocity[1] + d[2] * velocity[2]
-    return along / maximum(norms(d)[1], NEAREST_M)
+    return dot(d, velocity) / maximum(norms(d)[1], NEAREST_M)
 
 
 def _inverse(length: Number) -> Number:

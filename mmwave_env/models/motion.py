@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 from mmwave_env.models.layout import STATE_SIZE
-from mmwave_env.numerics.linalg import symmetric
+from mmwave_env.numerics.linalg import dot, symmetric
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, cos_sin, maximum, sqrt, where
 
 STANDING_MPS = 0.2  # far below this speed, the direction is unclear, so accelerate() does little
@@ -74,7 +74,7 @@ def accelerate(x: Vector, acceleration: Number, dt: Number) -> list[Number]:
     covariance. A negative acceleration brakes, at most to a standstill.
     """
     v = x[3:5]
-    speed = sqrt(v[0] * v[0] + v[1] * v[1] + STANDING_MPS**2)
+    speed = sqrt(dot(v, v) + STANDING_MPS**2)
     a = maximum(acceleration, -speed / maximum(dt, _SHORTEST_S))
     change = [a * dt * (component / speed) for component in v]
     moved = [x[i] + (0.5 * dt) * change[i] for i in range(2)]

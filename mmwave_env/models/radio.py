@@ -6,13 +6,13 @@ changing the SNR. The filters do not know which links are affected.
 """
 
 import math
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 
+from mmwave_env.io.files import AnyPath
 from mmwave_env.io.lookup import as_name, choose, quoted, unknown
 from mmwave_env.io.records import (
     Bound,
@@ -242,10 +242,10 @@ RADIOS: dict[str, Radio] = {
     ),
 }
 # Radios for which filter modes were tuned; the benchmark and the paper's tables cover all three.
-TUNED_RADIOS = ("handset", "standard", "high")
+TUNED_RADIOS = SHIPPED
 
 
-def radio_from(radio: str | os.PathLike[str] | Radio) -> Radio:
+def radio_from(radio: AnyPath | Radio) -> Radio:
     """Return the profile of a ``radio=`` argument: a name, a JSON file or a Radio.
 
     Raises:
@@ -258,7 +258,7 @@ def radio_from(radio: str | os.PathLike[str] | Radio) -> Radio:
     return choose(RADIOS, str(radio), "radio")
 
 
-def read_radio(path: str | os.PathLike[str]) -> Radio:
+def read_radio(path: AnyPath) -> Radio:
     """Read a radio from a JSON file, which contains the fields that differ from the base profile.
 
     The field "base" names the base, a shipped profile; its default is "standard". The default of

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import numpy as np
 
-from mmwave_env.io.records import between, require_fields
+from mmwave_env.io.records import Record, between
 from mmwave_env.models.radio import Radio
 
 # Fields to multiply by random factors. Factors up to 4 keep shipped profiles in Radio's limits.
@@ -20,7 +20,7 @@ _PAIRS = ("range_floor_m", "multipath_range_m")  # pairs, each multiplied by one
 
 
 @dataclass(frozen=True)
-class RandomRadio:
+class RandomRadio(Record):
     """A distribution of radios: a profile with random changes of noise, rates and link budget.
 
     Attributes:
@@ -33,9 +33,6 @@ class RandomRadio:
     profile: Radio
     factor: Annotated[float, between(1.0, 4.0)] = 2.0
     budget_db: Annotated[float, between(0.0, 20.0, "dB")] = 4.0
-
-    def __post_init__(self) -> None:
-        require_fields(self)
 
     def draw(self, rng: np.random.Generator) -> Radio:
         """Draw the next radio."""

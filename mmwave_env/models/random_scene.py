@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 from mmwave_env.io.lookup import choose
-from mmwave_env.io.records import Name, between, counts, require_fields, require_ordered
+from mmwave_env.io.records import Name, Record, between, counts
 from mmwave_env.models.scene import (
     SCENES,
     Bandwidth,
@@ -27,7 +27,7 @@ Lengths = Annotated[tuple[Length, Length], "[low, high], each 0.001 to 10000 m"]
 
 
 @dataclass(frozen=True)
-class RandomScene:
+class RandomScene(Record):
     """A random scene: a grid of streets, a base station at one of its crossings and two walls.
 
     One wall closes the grid to the north or south, the other to the east or west, so that every
@@ -46,6 +46,8 @@ class RandomScene:
         carrier_hz, bandwidth_hz: same as in :class:`~mmwave_env.models.scene.Scene`.
     """
 
+    ordered = ("block_m", "beside_m", "height_m", "behind_m")
+
     name: Name = RANDOM
     block_m: Lengths = (60.0, 140.0)
     blocks: Annotated[int, counts(1, 30)] = 3
@@ -55,10 +57,6 @@ class RandomScene:
     user_height_m: Length = 1.5
     carrier_hz: Carrier = 28e9
     bandwidth_hz: Bandwidth = 100e6
-
-    def __post_init__(self) -> None:
-        require_fields(self)
-        require_ordered(self, "block_m", "beside_m", "height_m", "behind_m")
 
     @property
     def example(self) -> Scene:

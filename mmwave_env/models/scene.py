@@ -15,12 +15,12 @@ from mmwave_env.io.lookup import as_name, choose
 from mmwave_env.io.records import (
     Bound,
     Name,
+    Record,
     Size,
     between,
     object_from,
     read_object,
     require_fields,
-    require_ordered,
 )
 from mmwave_env.models.envelope import POSITION_M
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
@@ -80,7 +80,7 @@ class Wall:
 
 
 @dataclass(frozen=True)
-class Origin:
+class Origin(Record):
     """The location of a scene's origin on the earth (WGS 84).
 
     Attributes:
@@ -94,12 +94,9 @@ class Origin:
     height_m: Annotated[float, between(-1e4, 1e5, "m")] = 0.0
     bearing_deg: Annotated[float, between(-360.0, 360.0, "degrees")] = 90.0
 
-    def __post_init__(self) -> None:
-        require_fields(self)
-
 
 @dataclass(frozen=True)
-class Streets:
+class Streets(Record):
     """A rectangular grid of streets on which users move.
 
     Attributes:
@@ -109,14 +106,15 @@ class Streets:
         height_m: height of the user equipment, m.
     """
 
+    ordered = ("x_m", "y_m")
+
     x_m: Extent = (0.0, 160.0)
     y_m: Extent = (-160.0, 0.0)
     block_m: Annotated[float, between(1.0, 1e6, "m")] = 80.0
     height_m: Coordinate = 1.5
 
     def __post_init__(self) -> None:
-        require_fields(self)
-        require_ordered(self, "x_m", "y_m")
+        super().__post_init__()
         for name, extent in (("x_m", self.x_m), ("y_m", self.y_m)):
             blocks = (extent[1] - extent[0]) / self.block_m
             if abs(blocks - round(blocks)) > 1e-6:
@@ -291,7 +289,7 @@ def scene_json(scene: Scene) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class AnchorScene:
+class AnchorScene(Record):
     """The content of a scene file that lists anchors instead of walls.
 
     Attributes:
@@ -310,9 +308,6 @@ class AnchorScene:
     streets: Streets = field(default_factory=Streets)
     origin: Origin | None = None
 
-    def __post_init__(self) -> None:
-        require_fields(self)
-
 
 def _scene(content: dict[str, Any]) -> Scene:
     """Make a scene from the content of a file in one of the two forms."""
@@ -326,5 +321,4 @@ def _scene(content: dict[str, Any]) -> Scene:
         return object_from(Scene, content)
     s = object_from(AnchorScene, content)
     gnb, *virtual = s.anchors
-    signal = s.carrier_hz, s.bandwidth_hz
-    return Scene(s.name, gnb, (), s.streets, *signal, tuple(virtual), s.origin)
+    return Scene(s.name, gnb, (), s.streets, s.carrier_hz, s.bandwidth_hz, tuple(virtual), s.origin)

@@ -6,15 +6,16 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mmwave_env.numerics.numbers import Array
-from mmwave_env.rendering.theme import SMALLEST, Color
+from mmwave_env.rendering.theme import SMALLEST, Color, Pixels, Theme
 
 os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # otherwise pygame prints a greeting
 import pygame
 
 Point = tuple[float, float]
+Paint = str | int | Color  # a color's name in the theme, a mode's number, or a color
 Rect = pygame.FRect  # a part of a picture, in units (see Canvas) from the upper left
 UNITS = float(SMALLEST)  # height and width of a picture, in units
 _TIMES = 2  # factor of supersampling, for smooth edges
@@ -27,25 +28,33 @@ class Canvas:
     Coordinates, line widths and font sizes are in units; a unit is 1 px in the smallest picture.
     """
 
-    def __init__(self, size: int) -> None:
+    def __init__(self, size: int, theme: Theme) -> None:
         pygame.font.init()
+        self._theme = theme
         self._unit = size / UNITS
         self._scale = _TIMES * size / UNITS
         self._large = pygame.Surface((size * _TIMES, size * _TIMES), 0, 32)
         self._surface = pygame.Surface((size, size), 0, 32)
         self._words: list[tuple[Any, Point]] = []
 
+    def color(self, paint: Paint) -> Color:
+        """Return the red, green and blue of a color."""
+        if isinstance(paint, str):
+            return getattr(self._theme, paint)  # type: ignore[no-any-return]
+        return paint if isinstance(paint, tuple) else self._theme.mode(paint)
+
     def clip(self, part: Rect | None) -> None:
         """Draw the following shapes only inside a part of the picture; None removes the limit."""
         self._large.set_clip(part and self._scaled(part))
 
-    def fill(self, color: Color, part: Rect | None = None) -> None:
+    def fill(self, paint: Paint, part: Rect | None = None) -> None:
         """Fill a part of the picture, or all of it."""
-        self._large.fill(color, part and self._scaled(part))
+        self._large.fill(self.color(paint), part and self._scaled(part))
 
-    def polygon(self, points: ArrayLike, color: Color, opacity: float = 1.0) -> None:
+    def polygon(self, points: ArrayLike, paint: Paint, opacity: float = 1.0) -> None:
         """Fill a polygon (n, 2)."""
         large = self._enlarged(points)
+        color = self.color(paint)
         if opacity == 1.0:
             pygame.draw.polygon(self._large, color, large)
             return
@@ -57,35 +66,35 @@ class Canvas:
         self._large.blit(glass, box)
 
     def line(
-        self, points: ArrayLike, color: Color, width: float = 1.0, closed: bool = False
+        self, points: ArrayLike, paint: Paint, width: float = 1.0, closed: bool = False
     ) -> None:
         """Draw a line through at least two points (n, 2)."""
         thick = max(1, round(width * self._scale))
-        pygame.draw.lines(self._large, color, closed, self._enlarged(points), thick)
+        pygame.draw.lines(self._large, self.color(paint), closed, self._enlarged(points), thick)
 
-    def dashes(self, start: Point, end: Point, color: Color, width: float = 1.0) -> None:
+    def dashes(self, start: Point, end: Point, paint: Paint, width: float = 1.0) -> None:
         """Draw a dashed line between two points in the picture."""
         way = np.subtract(end, start)
         dash = 5.0
         length = math.hypot(*way)
         for i in range(math.ceil(length / (2.0 * dash))):
             shares = 2.0 * i * dash / length, min((2.0 * i + 1.0) * dash / length, 1.0)
-            self.line(start + np.outer(shares, way), color, width)
+            self.line(start + np.outer(shares, way), paint, width)
 
-    def disc(self, center: Point, radius: float, color: Color) -> None:
+    def disc(self, center: Point, radius: float, paint: Paint) -> None:
         """Draw a filled circle."""
         (middle,) = self._enlarged([center]).tolist()
-        pygame.draw.circle(self._large, color, middle, radius * self._scale)
+        pygame.draw.circle(self._large, self.color(paint), middle, radius * self._scale)
 
     def words(
-        self, text: str, at: Point, color: Color, size: float = 15.0, align: float = 0.0
+        self, text: str, at: Point, paint: Paint, size: float = 15.0, align: float = 0.0
     ) -> Rect:
         """Write one line of text, centered vertically at a point; return the part it covers.
 
         Text from users must have passed :func:`~mmwave_env.io.lookup.printable`. ``align`` is the
         fraction of the text's width that is left of the point.
         """
-        drawn = _font(round(size * self._unit)).render(text, True, color)
+        drawn = _font(round(size * self._unit)).render(text, True, self.color(paint))
         width = drawn.get_width() / self._unit
         height = drawn.get_height() / self._unit
         place = Rect(at[0] - align * width, at[1] - height / 2.0, width, height)
@@ -104,7 +113,7 @@ class Canvas:
         cut = (f"{text[:kept]}..." for kept in range(len(text), -1, -1))
         return next((words for words in cut if self.width_of(words, size) <= width), "...")
 
-    def finish(self) -> NDArray[np.uint8]:
+    def finish(self) -> Pixels:
         """Combine shapes and words; return the picture (height, width, 3)."""
         size = self._surface.get_size()
         pygame.transform.smoothscale(self._large, size, self._surface)
@@ -121,11 +130,9 @@ class Canvas:
 
     def _scaled(self, part: Rect) -> pygame.Rect:
         """Return a part of the picture in the coordinates of the large surface."""
-        left = round(part.left * self._scale)
-        top = round(part.top * self._scale)
-        right = round(part.right * self._scale)
-        bottom = round(part.bottom * self._scale)
-        return pygame.Rect(left, top, right - left, bottom - top)
+        corners = np.multiply([part.topleft, part.bottomright], self._scale)
+        low, high = np.rint(corners).astype(int)
+        return pygame.Rect(low, high - low)
 
 
 @lru_cache(maxsize=32)

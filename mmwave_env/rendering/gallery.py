@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from mmwave_env.models.scene import Streets
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.rendering.history import Recorder
+from mmwave_env.rendering.theme import Pixels
 
 DRAWN = 16  # maximum number of pictures; more would be too small to read and need much memory
 
@@ -29,8 +30,9 @@ class Gallery:
         theme: str,
     ) -> None:
         self._n = n
+        self._recorded = (rows, axes)
         self._drawn_by = (modes, size, theme)
-        self.recorders = [Recorder(rows, axes) for _ in range(min(n, DRAWN))]
+        self.recorders: dict[int, Recorder] = {}  # by the environment's index
         self._picture: Any = None
         self._window: Any = None
 
@@ -50,25 +52,27 @@ class Gallery:
         ``names`` (n,) are the names of the episodes. Given an environment's index, ``streets``
         returns the streets of its episode; ``workspace`` returns its state, an array (size,).
         """
-        for index in indices[indices < len(self.recorders)].tolist():
-            self.recorders[index].begin(names[index], streets(index), workspace(index))
+        for index in indices[indices < DRAWN].tolist():
+            self.recorders[index] = Recorder(
+                *self._recorded, names[index], streets(index), workspace(index)
+            )
 
     def add(self, indices: Index, actions: NDArray[Any], workspace: Callable[[int], Array]) -> None:
         """Record the epoch that some environments just processed with their ``actions`` (n,)."""
-        for index in indices[indices < len(self.recorders)].tolist():
+        for index in indices[indices < DRAWN].tolist():
             self.recorders[index].add(workspace(index), int(actions[index]))
 
-    def draw(self) -> tuple[NDArray[np.uint8], ...]:
+    def draw(self) -> tuple[Pixels, ...]:
         """Draw n pictures, one per environment; pictures after the first DRAWN are black."""
         if self._picture is None:
             from mmwave_env.rendering.picture import Picture
 
             self._picture = Picture(*self._drawn_by)
-        drawn = [self._picture.draw(recorder.history) for recorder in self.recorders]
+        drawn = [self._picture.draw(recorder.history) for recorder in self.recorders.values()]
         drawn += [np.zeros_like(drawn[0])] * (self._n - len(drawn))
         return tuple(drawn)
 
-    def show(self, picture: NDArray[np.uint8]) -> None:
+    def show(self, picture: Pixels) -> None:
         """Show a picture in a window, which opens with the first picture."""
         if self._window is None:
             from mmwave_env.rendering.window import Window

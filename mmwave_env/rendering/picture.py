@@ -5,10 +5,9 @@ The strips show speed, error and NEES; a ribbon below them shows the mode of eac
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmwave_env.io.lookup import choose, printable
 from mmwave_env.metrics import nees_interval
@@ -16,7 +15,7 @@ from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.rendering.canvas import UNITS, Canvas, Rect
 from mmwave_env.rendering.history import History
 from mmwave_env.rendering.street_map import draw_by_mode, draw_map, follow, nice, runs
-from mmwave_env.rendering.theme import SMALLEST, THEMES, Theme
+from mmwave_env.rendering.theme import SMALLEST, THEMES, Pixels
 
 # maximum numbers of columns and rows in the legend of modes
 _COLUMNS = 4
@@ -44,13 +43,12 @@ class Picture:
         title: str = "",
         rows: int = 0,
     ) -> None:
-        self._theme = choose(THEMES, theme, "render_theme").for_modes(modes)
-        self._canvas = Canvas(size)
+        self._canvas = Canvas(size, choose(THEMES, theme, "render_theme").for_modes(modes))
         self._modes = [f"{number} {printable(name)}" for number, name in enumerate(modes)]
         self._title = printable(title)
         self._rows = max(rows, legend_rows(len(modes)))
 
-    def draw(self, history: History, beside: Sequence[History] = ()) -> NDArray[np.uint8]:
+    def draw(self, history: History, beside: Sequence[History] = ()) -> Pixels:
         """Draw a history's last epoch and the trajectory so far; return pixels (size, size, 3).
 
         The picture depends only on the arguments: the same history gives the same picture. The
@@ -58,32 +56,30 @@ class Picture:
         one; the scales of speed and error fit all histories.
         """
         canvas = self._canvas
-        theme = self._theme
-        canvas.fill(theme.paper)
+        canvas.fill("paper")
         title = 24.0 if self._title else 0.0
         if self._title:
             words = canvas.fitting(self._title, UNITS - 2.0 * _PAD, 22)
-            canvas.words(words, (_PAD, 14.0), theme.ink, 22)
+            canvas.words(words, (_PAD, 14.0), "ink", 22)
         self._draw_header(history, title + 10.0)
         top = title + 20.0
         legend = UNITS - 15.0 * self._rows - 4.0
         strips = legend - 160.0
         frame = Rect(0.0, top, UNITS, strips - 17.0 - top)
-        draw_map(canvas, follow(history, frame), history, theme)
+        draw_map(canvas, follow(history, frame), history)
         self._draw_legend(history, strips - 8.5)
-        draw_strips(canvas, strips, history, theme, beside)
+        draw_strips(canvas, strips, history, beside)
         self._draw_modes(history, legend)
         return canvas.finish()
 
     def _draw_header(self, history: History, y: float) -> None:
         """Draw the episode's name and the epoch's values in one line."""
         canvas = self._canvas
-        theme = self._theme
         error = f"error {history.error_m[-1]:.2f} m"
         if history.epochs == 0:
             numbers = f"prior   {error}"
         else:
-            links = len(history.scenery.anchors_m)
+            links = len(history.anchors_m)
             numbers = (
                 f"epoch {history.epochs}   {history.time_s[-1]:g} s   "
                 f"true {np.linalg.norm(history.truth[-1, 3:]):.1f} m/s   "
@@ -91,52 +87,43 @@ class Picture:
                 f"links {history.accepted[-1, :links].sum()} of {links}"
             )
         room = UNITS - 3.0 * _PAD - canvas.width_of(numbers)
-        name = canvas.fitting(printable(history.scenery.name), room)
-        canvas.words(name, (_PAD, y), theme.ink)
-        canvas.words(numbers, (UNITS - _PAD, y), theme.ink, align=1.0)
+        name = canvas.fitting(printable(history.name), room)
+        canvas.words(name, (_PAD, y), "ink")
+        canvas.words(numbers, (UNITS - _PAD, y), "ink", align=1.0)
 
     def _draw_legend(self, history: History, y: float) -> None:
         """Draw the legend of the map's symbols and lines."""
         canvas = self._canvas
-        theme = self._theme
         x = 12.0
-        mode = theme.mode(int(history.modes[-1])) if history.epochs else theme.quiet
-        canvas.disc((x, y), 4.0, theme.truth)
-        x = canvas.words("user", (x + 8.0, y), theme.quiet, 14).right + 16.0
-        canvas.disc((x, y), 4.0, mode)
-        canvas.disc((x, y), 2.0, theme.paper)
-        x = canvas.words("estimate, 2σ", (x + 8.0, y), theme.quiet, 14).right
-        canvas.words("links:", (x + 16.0, y), theme.quiet, 14)
+        canvas.disc((x, y), 4.0, "truth")
+        x = canvas.words("user", (x + 8.0, y), "quiet", 14).right + 16.0
+        canvas.disc((x, y), 4.0, history.modes[-1])
+        canvas.disc((x, y), 2.0, "paper")
+        x = canvas.words("estimate, 2σ", (x + 8.0, y), "quiet", 14).right
+        canvas.words("links:", (x + 16.0, y), "quiet", 14)
         x += 16.0 + canvas.width_of("links: ", 14)
-        for meaning, color, width in (
-            ("accepted", theme.accepted, 1.4),
-            ("rejected", theme.rejected, 1.6),
-            ("missing", theme.missing, 1.4),
-        ):
+        for meaning in ("accepted", "rejected", "missing"):
             start = (x, y)
             end = (x + 22.0, y)
             if meaning == "rejected":
-                canvas.dashes(start, end, color, width)
+                canvas.dashes(start, end, meaning, 1.6)
             else:
-                canvas.line([start, end], color, width)
-            x = canvas.words(meaning, (end[0] + 4.0, y), theme.quiet, 14).right
-            x += 12.0
+                canvas.line([start, end], meaning, 1.4)
+            x = canvas.words(meaning, (x + 26.0, y), "quiet", 14).right + 12.0
 
     def _draw_modes(self, history: History, top: float) -> None:
         """Draw the legend of modes, with the name of the current mode highlighted."""
         canvas = self._canvas
-        theme = self._theme
         columns = min(_COLUMNS, len(self._modes))
         width = (UNITS - 2.0 * _PAD) / columns
         shown = self._modes[: _COLUMNS * _ROWS]
         for mode, name in enumerate(shown):
             left = _PAD + mode % columns * width
             y = top + mode // columns * 15.0 + 8.0
-            color = theme.mode(mode)
-            now = int(history.modes[-1]) == mode
-            canvas.fill(color, Rect(left, y - 5.0, 14.0, 10.0))
+            now = history.modes[-1] == mode
+            canvas.fill(mode, Rect(left, y - 5.0, 14.0, 10.0))
             words = canvas.fitting(name, width - 24.0, 14)
-            canvas.words(words, (left + 19.0, y), theme.ink if now else theme.quiet, 14)
+            canvas.words(words, (left + 19.0, y), "ink" if now else "quiet", 14)
 
 
 _GAP_SHARE = 1 / 120  # gap between two pictures, as a share of a picture's width
@@ -163,7 +150,7 @@ class Playback:
         ]
         self._parts = list(zip(histories, pictures, strict=True))
 
-    def draw(self, epochs: int) -> NDArray[np.uint8]:
+    def draw(self, epochs: int) -> Pixels:
         """Draw all histories after ``epochs`` epochs; return pixels (size, sum of widths, 3)."""
         known = [history.part(slice(epochs + 1)) for history, _ in self._parts]
         drawn = [
@@ -186,8 +173,7 @@ _GAP = 4.0
 _RIBBON = 12.0
 
 
-@dataclass(frozen=True)
-class Strip:
+class Strip(NamedTuple):
     """A diagram of a quantity over n epochs."""
 
     title: str  # quantity and unit
@@ -209,9 +195,7 @@ class Strip:
         return np.asarray((shown - low) / (high - low))
 
 
-def draw_strips(
-    canvas: Canvas, top: float, history: History, theme: Theme, beside: Sequence[History]
-) -> None:
+def draw_strips(canvas: Canvas, top: float, history: History, beside: Sequence[History]) -> None:
     """Draw all strips below ``top``, with scales that also fit the histories ``beside``."""
     rows = slice(max(1, history.epochs - _WINDOW + 1), None)
     modes = history.modes[rows]
@@ -220,12 +204,12 @@ def draw_strips(
     for i, make in enumerate((_speed, _error, _nees)):
         strips = [make(drawn, rows) for drawn in (history, *beside)]
         low, _ = strips[0].values
-        strip = replace(strips[0], values=(low, max(strip.values[1] for strip in strips)))
+        strip = strips[0]._replace(values=(low, max(strip.values[1] for strip in strips)))
         plot = Rect(_LEFT, top + i * (_HEIGHT + _GAP) + _GAP / 2.0, _WIDTH, _HEIGHT)
-        _draw_strip(canvas, plot, strip, x, modes, theme)
+        _draw_strip(canvas, plot, strip, x, modes)
     lane = Rect(_LEFT, top + 3.0 * (_HEIGHT + _GAP) + 1.0, _WIDTH, _RIBBON)
-    _draw_ribbon(canvas, lane, x, modes, theme)
-    _draw_clock(canvas, lane, (first, last), theme)
+    _draw_ribbon(canvas, lane, x, modes)
+    _draw_clock(canvas, lane, (first, last))
 
 
 def _times(history: History, rows: slice) -> tuple[float, float]:
@@ -263,46 +247,44 @@ def _top(values: Array) -> float:
     return next(step * below for step in (1.0, 2.0, 2.5) if step * below >= largest)
 
 
-def _draw_strip(
-    canvas: Canvas, plot: Rect, strip: Strip, x: Array, modes: Index, theme: Theme
-) -> None:
+def _draw_strip(canvas: Canvas, plot: Rect, strip: Strip, x: Array, modes: Index) -> None:
     """Draw background, ticks, band and lines of a strip, and a legend to the left of the strip."""
 
     def y(values: Array | float) -> Array:
         return plot.bottom - strip.heights(values) * plot.height
 
-    canvas.fill(theme.ground, plot)
-    color = theme.mode(int(modes[-1])) if len(modes) else theme.quiet
+    canvas.fill("ground", plot)
+    color = modes[-1] if len(modes) else "quiet"
     legend = [("estimate", color, 2.4)]
     if strip.truth is not None:
-        legend.insert(0, ("true", theme.truth, 1.6))
+        legend.insert(0, ("true", "truth", 1.6))
     if strip.band:
         low, high, meaning = strip.band
-        legend.append((meaning, theme.band, 9.0))
+        legend.append((meaning, "band", 9.0))
         upper = float(y(high))
         lower = float(y(low))
-        canvas.fill(theme.band, Rect(plot.left, upper, plot.width, lower - upper))
+        canvas.fill("band", Rect(plot.left, upper, plot.width, lower - upper))
     for tick in strip.ticks or strip.values:
         level = float(y(tick))
-        canvas.line([[plot.left, level], [plot.right, level]], theme.grid, 0.6)
+        canvas.line([[plot.left, level], [plot.right, level]], "grid", 0.6)
         inside = min(max(level, plot.top + 5.0), plot.bottom - 5.0)
-        canvas.words(f"{tick:g}", (plot.right + 4.0, inside), theme.quiet, 13)
+        canvas.words(f"{tick:g}", (plot.right + 4.0, inside), "quiet", 13)
     if len(x) > 1:
         if strip.truth is not None:
-            canvas.line(np.stack([x, y(strip.truth)], axis=1), theme.truth, 1.4)
-        draw_by_mode(canvas, np.stack([x, y(strip.curve)], axis=1), modes, theme, 1.8)
+            canvas.line(np.stack([x, y(strip.truth)], axis=1), "truth", 1.4)
+        draw_by_mode(canvas, np.stack([x, y(strip.curve)], axis=1), modes, 1.8)
     row = min(13.0, plot.height / (len(legend) + 1))
-    canvas.words(strip.title, (_PAD, plot.top + row / 2.0), theme.ink, 15)
+    canvas.words(strip.title, (_PAD, plot.top + row / 2.0), "ink", 15)
     for i, (meaning, color, width) in enumerate(legend, start=1):
         level = plot.top + (i + 0.5) * row
         canvas.line([[_PAD, level], [_PAD + 14.0, level]], color, width)
-        canvas.words(meaning, (_PAD + 19.0, level), theme.quiet, 13)
+        canvas.words(meaning, (_PAD + 19.0, level), "quiet", 13)
 
 
-def _draw_ribbon(canvas: Canvas, lane: Rect, x: Array, modes: Index, theme: Theme) -> None:
+def _draw_ribbon(canvas: Canvas, lane: Rect, x: Array, modes: Index) -> None:
     """Draw a ribbon in the colors of the modes that ran, with the modes' numbers where they fit."""
-    canvas.words("mode", (_PAD, lane.centery), theme.ink, 15)
-    canvas.fill(theme.ground, lane)
+    canvas.words("mode", (_PAD, lane.centery), "ink", 15)
+    canvas.fill("ground", lane)
     if len(x) == 0:
         return
     ends = np.r_[x, 2.0 * x[-1] - x[-2] if len(x) > 1 else x[-1] + lane.width / _WINDOW]
@@ -310,20 +292,19 @@ def _draw_ribbon(canvas: Canvas, lane: Rect, x: Array, modes: Index, theme: Them
         left = float(ends[begin])
         right = min(float(ends[end]), lane.right)
         part = Rect(left, lane.top, right - left, lane.height)
-        color = theme.mode(int(modes[begin]))
-        canvas.fill(color, part)
+        canvas.fill(modes[begin], part)
         if part.width > 12.0:
-            light = np.dot(color, (0.299, 0.587, 0.114)) > 140.0
+            light = np.dot(canvas.color(modes[begin]), (0.299, 0.587, 0.114)) > 140.0
             ink = (0, 0, 0) if light else (255, 255, 255)  # the color that contrasts more
             canvas.words(str(modes[begin]), part.center, ink, 13, 0.5)
 
 
-def _draw_clock(canvas: Canvas, lane: Rect, times_s: tuple[float, float], theme: Theme) -> None:
+def _draw_clock(canvas: Canvas, lane: Rect, times_s: tuple[float, float]) -> None:
     """Draw the time axis below the ribbon."""
     first, last = times_s
     step = nice((last - first) / 4.0)
     y = lane.bottom
     for time in np.arange(math.ceil(first / step), last / step + 1e-9) * step:
         x = lane.left + (time - first) / (last - first) * lane.width
-        canvas.line([[x, y], [x, y + 3.0]], theme.quiet, 0.8)
-        canvas.words(f"{time:g} s", (x, y + 9.0), theme.quiet, 13, 0.5)
+        canvas.line([[x, y], [x, y + 3.0]], "quiet", 0.8)
+        canvas.words(f"{time:g} s", (x, y + 9.0), "quiet", 13, 0.5)

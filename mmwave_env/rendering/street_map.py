@@ -11,9 +11,8 @@ import numpy as np
 
 from mmwave_env.models.scene import Streets
 from mmwave_env.numerics.numbers import Array, Index
-from mmwave_env.rendering.canvas import Canvas, Point, Rect, ellipse
+from mmwave_env.rendering.canvas import Canvas, Paint, Point, Rect, ellipse
 from mmwave_env.rendering.history import History
-from mmwave_env.rendering.theme import Color, Theme
 
 # length of moving averages, and time constant of their weights
 _MEMORY_S = 20.0
@@ -42,7 +41,7 @@ class View(NamedTuple):
     @property
     def extent_m(self) -> tuple[Array, Array]:
         """Return the south-west and north-east corners (2,) of the visible part."""
-        half = np.array([self.frame.width, self.frame.height]) / (2.0 * self.scale)
+        half = np.array(self.frame.size) / (2.0 * self.scale)
         return self.center_m - half, self.center_m + half
 
 
@@ -59,14 +58,11 @@ def follow(history: History, frame: Rect) -> View:
     user = history.truth[recent]
     truth = user[:, :2]
     speed = np.linalg.norm(user[:, 3:6], axis=1)
-    estimate = np.where(
-        np.isfinite(history.estimate[recent, :2]), history.estimate[recent, :2], truth
-    )
+    estimate = history.estimate[recent, :2]
+    estimate = np.where(np.isfinite(estimate), estimate, truth)
     gap = abs(truth - estimate).max(axis=1)
     deviation = np.sqrt(np.maximum(np.nan_to_num(history.P[recent][:, [0, 2]]).max(axis=1), 0.0))
-    wanted = np.maximum.reduce(
-        [np.full(len(gap), _LEAST_M), _AHEAD_S * speed, 1.2 * gap, 3.0 * deviation]
-    )
+    wanted = np.maximum.reduce([_AHEAD_S * speed, 1.2 * gap, 3.0 * deviation], initial=_LEAST_M)
     shape = np.array([frame.width / frame.height, 1.0])
     half = max(
         float(weights @ wanted),
@@ -85,26 +81,26 @@ def nice(value: float) -> float:
     return next(step * power for step in (10.0, 5.0, 2.0, 1.0) if step * power <= value * 1.000001)
 
 
-def draw_map(canvas: Canvas, view: View, history: History, theme: Theme) -> None:
+def draw_map(canvas: Canvas, view: View, history: History) -> None:
     """Draw the complete map in the frame of the view."""
     canvas.clip(view.frame)
-    canvas.fill(theme.ground, view.frame)
-    if history.scenery.streets:
-        _draw_streets(canvas, view, history.scenery.streets, theme)
-    _draw_walls(canvas, view, history.scenery.anchors_m, theme)
-    _draw_links(canvas, view, history, theme)
-    _draw_tracks(canvas, view, history, theme)
-    _draw_anchors(canvas, view, history, theme)
+    canvas.fill("ground", view.frame)
+    if history.streets:
+        _draw_streets(canvas, view, history.streets)
+    _draw_walls(canvas, view, history.anchors_m)
+    _draw_links(canvas, view, history)
+    _draw_tracks(canvas, view, history)
+    _draw_anchors(canvas, view, history)
     canvas.clip(None)
 
 
-def _draw_streets(canvas: Canvas, view: View, streets: Streets, theme: Theme) -> None:
+def _draw_streets(canvas: Canvas, view: View, streets: Streets) -> None:
     """Draw streets with an assumed width, and the blocks of houses between them."""
     half = min(_STREET_M, streets.block_m / 4.0) / 2.0
     (west, east) = streets.x_m
     (south, north) = streets.y_m
     net = np.array([[west - half, south - half], [east + half, north + half]])
-    canvas.fill(theme.street, _box(view, net))
+    canvas.fill("street", _box(view, net))
     low, high = view.extent_m
     if streets.block_m * view.scale < 4.0:  # blocks would be too small to see
         return
@@ -113,7 +109,7 @@ def _draw_streets(canvas: Canvas, view: View, streets: Streets, theme: Theme) ->
     for x in columns:
         for y in rows:
             block = np.array([[x, y], [x, y]]) + [[half], [streets.block_m - half]]
-            canvas.fill(theme.building, _box(view, block))
+            canvas.fill("building", _box(view, block))
 
 
 def _blocks(extent_m: tuple[float, float], block_m: float, low: float, high: float) -> Array:
@@ -133,7 +129,7 @@ def _box(view: View, corners_m: Array) -> Rect:
     return Rect(left, top, right - left, bottom - top)
 
 
-def _draw_walls(canvas: Canvas, view: View, anchors_m: Array, theme: Theme) -> None:
+def _draw_walls(canvas: Canvas, view: View, anchors_m: Array) -> None:
     """Draw the vertical walls halfway between the base station and its mirror images."""
     reach = 2.0 * float(np.hypot(view.frame.width, view.frame.height)) / view.scale
     for image in anchors_m[1:]:
@@ -147,54 +143,51 @@ def _draw_walls(canvas: Canvas, view: View, anchors_m: Array, theme: Theme) -> N
         foot = middle + along * ((view.center_m - middle) @ along)
         front = view.pixels(np.array([foot - reach * along, foot + reach * along]))
         deep = max(_FACADE_M * view.scale, 3.0) * normal * (1.0, -1.0)
-        canvas.polygon(np.vstack([front, front[::-1] + deep]), theme.building)
-        canvas.line(front, theme.wall, 1.5)
+        canvas.polygon(np.vstack([front, front[::-1] + deep]), "building")
+        canvas.line(front, "wall", 1.5)
 
 
-def _draw_links(canvas: Canvas, view: View, history: History, theme: Theme) -> None:
+def _draw_links(canvas: Canvas, view: View, history: History) -> None:
     """Draw each link, a line from the user to an anchor, as accepted, rejected or missing."""
     if history.epochs == 0:
         return
     user = _point(view, history.truth[-1])
-    for link, anchor in enumerate(view.pixels(history.scenery.anchors_m)):
+    for link, anchor in enumerate(view.pixels(history.anchors_m)):
         ends = view.frame.clipline(user, anchor.tolist())
         if not ends:
             continue
         if history.rejected[-1, link]:
-            canvas.dashes(*ends, theme.rejected, 1.6)
+            canvas.dashes(*ends, "rejected", 1.6)
         elif history.accepted[-1, link]:
-            canvas.line(ends, theme.accepted, 1.2)
+            canvas.line(ends, "accepted", 1.2)
         else:
-            canvas.line(ends, theme.missing)
+            canvas.line(ends, "missing")
 
 
-def _draw_tracks(canvas: Canvas, view: View, history: History, theme: Theme) -> None:
+def _draw_tracks(canvas: Canvas, view: View, history: History) -> None:
     """Draw the trajectories and current positions of user and estimate, and the 2σ ellipse."""
     rows = slice(-_TRAIL, None)
     truth = view.pixels(history.truth[rows])
     track = view.pixels(history.estimate[rows])
-    color = theme.quiet if history.epochs == 0 else theme.mode(int(history.modes[-1]))
-    if np.isfinite(history.P[-1, :3]).all():
-        xx, xy, yy = history.P[-1, :3]
-        outline = view.pixels(
-            ellipse(history.estimate[-1, :2], np.array([[xx, xy], [xy, yy]]), 2.0)
-        )
+    color = history.modes[-1]
+    P = history.P[-1][[[0, 1], [1, 2]]]
+    if np.isfinite(P).all():
+        outline = view.pixels(ellipse(history.estimate[-1, :2], P, 2.0))
         canvas.polygon(outline, color, 0.18)
         canvas.line(outline, color, 1.2, closed=True)
     if len(truth) > 1:
-        canvas.line(truth, theme.truth, 1.4)
+        canvas.line(truth, "truth", 1.4)
     if len(track) > 1:
-        draw_by_mode(canvas, track, history.modes[rows], theme, 2.2)
-    canvas.disc(_point(view, history.truth[-1]), 4.0, theme.truth)
-    for radius, filled in ((5.0, theme.paper), (4.0, color), (2.0, theme.paper)):
+        draw_by_mode(canvas, track, history.modes[rows], 2.2)
+    canvas.disc(_point(view, history.truth[-1]), 4.0, "truth")
+    for radius, filled in ((5.0, "paper"), (4.0, color), (2.0, "paper")):
         canvas.disc(_point(view, history.estimate[-1]), radius, filled)
 
 
-def draw_by_mode(canvas: Canvas, points: Array, modes: Index, theme: Theme, width: float) -> None:
+def draw_by_mode(canvas: Canvas, points: Array, modes: Index, width: float) -> None:
     """Draw a line through points (n, 2); each piece has the color of the mode at its end."""
     for begin, end in runs(modes[1:]):
-        color = theme.mode(int(modes[begin + 1]))
-        canvas.line(points[begin : end + 1], color, width)
+        canvas.line(points[begin : end + 1], modes[begin + 1], width)
 
 
 def runs(modes: Index) -> list[tuple[int, int]]:
@@ -203,49 +196,49 @@ def runs(modes: Index) -> list[tuple[int, int]]:
     return list(pairwise([0, *changes.tolist(), len(modes)]))
 
 
-def _draw_scale(canvas: Canvas, view: View, theme: Theme) -> Rect:
+def _draw_scale(canvas: Canvas, view: View) -> Rect:
     """Draw a scale bar in the lower right corner; return the part of the picture it covers."""
     length = nice(110.0 / view.scale)
     place = Rect(0.0, 0.0, length * view.scale + 12.0, 25.0)
     place.bottomright = view.frame.right - 4.0, view.frame.bottom - 2.0
-    _draw_plate(canvas, place, theme)
+    _draw_plate(canvas, place)
     bar = place.inflate(-12.0, -12.0)
     tick = np.array([0.0, 3.0])
     ends = np.array([bar.bottomleft, bar.bottomright])
     for line in (ends, ends[:1] + [-tick, tick], ends[1:] + [-tick, tick]):
-        canvas.line(line, theme.ink, 1.2)
-    canvas.words(f"{length:g} m", (bar.centerx, bar.bottom - 10.0), theme.ink, 14, 0.5)
+        canvas.line(line, "ink", 1.2)
+    canvas.words(f"{length:g} m", (bar.centerx, bar.bottom - 10.0), "ink", 14, 0.5)
     return place
 
 
-def _draw_anchors(canvas: Canvas, view: View, history: History, theme: Theme) -> None:
+def _draw_anchors(canvas: Canvas, view: View, history: History) -> None:
     """Draw scale bar and anchors; if an anchor is out of view, draw an arrow and its distance."""
     inner = view.frame.inflate(-14.0, -14.0)
     user = _point(view, history.truth[-1])
     here = history.truth[-1, :3]
     around = 9.0
     names: list[tuple[str, Point]] = []
-    for number, anchor in enumerate(history.scenery.anchors_m):
+    for number, anchor in enumerate(history.anchors_m):
         at = _point(view, anchor)
         name = f"anchor {number + 1}" if number else "gNB"
         if inner.collidepoint(at):
             # the base station is a filled triangle; its mirror images are hollow triangles
             shape = at + np.array([[0.0, -7.0], [6.0, 5.0], [-6.0, 5.0]])
-            canvas.polygon(shape, theme.paper if number else theme.ink)
-            canvas.line(shape, theme.wall if number else theme.ink, 1.5, closed=True)
+            canvas.polygon(shape, "paper" if number else "ink")
+            canvas.line(shape, "wall" if number else "ink", 1.5, closed=True)
         else:
             _, at = inner.clipline(user, at) or (user, user)
-            _draw_arrow(canvas, user, at, theme.wall if number else theme.ink)
+            _draw_arrow(canvas, user, at, "wall" if number else "ink")
             name += f", {np.linalg.norm(anchor - here):.0f} m"
         names.append((name, at))
     symbols = [user, _point(view, history.estimate[-1]), *(at for _, at in names)]
     taken = [Rect(x - around, y - around, 2.0 * around, 2.0 * around) for x, y in symbols]
-    taken.append(_draw_scale(canvas, view, theme))
+    taken.append(_draw_scale(canvas, view))
     for name, at in names:
-        _label(canvas, name, at, view.frame, theme, taken)
+        _label(canvas, name, at, view.frame, taken)
 
 
-def _draw_arrow(canvas: Canvas, start: Point, tip: Point, color: Color) -> None:
+def _draw_arrow(canvas: Canvas, start: Point, tip: Point, color: Paint) -> None:
     way = np.subtract(tip, start)
     way *= 10.0 / max(float(np.hypot(*way)), 1e-9)
     side = 0.5 * np.array([-way[1], way[0]])
@@ -253,9 +246,7 @@ def _draw_arrow(canvas: Canvas, start: Point, tip: Point, color: Color) -> None:
     canvas.polygon(np.array([tip, back + side, back - side]), color)
 
 
-def _label(
-    canvas: Canvas, text: str, at: Point, frame: Rect, theme: Theme, taken: list[Rect]
-) -> None:
+def _label(canvas: Canvas, text: str, at: Point, frame: Rect, taken: list[Rect]) -> None:
     """Draw a name near a point, inside the frame and, if possible, beside the ``taken`` parts."""
     width = canvas.width_of(text, 14) + 6.0
     height = 15.0
@@ -267,14 +258,14 @@ def _label(
     ]
     place = next((place for place in places if place.collidelist(taken) < 0), places[0])
     taken.append(place)
-    _draw_plate(canvas, place, theme)
-    canvas.words(text, (place.left + 3.0, place.centery), theme.ink, 14)
+    _draw_plate(canvas, place)
+    canvas.words(text, (place.left + 3.0, place.centery), "ink", 14)
 
 
-def _draw_plate(canvas: Canvas, place: Rect, theme: Theme) -> None:
+def _draw_plate(canvas: Canvas, place: Rect) -> None:
     """Draw a translucent background for words."""
     corners = [place.topleft, place.topright, place.bottomright, place.bottomleft]
-    canvas.polygon(corners, theme.paper, 0.8)
+    canvas.polygon(corners, "paper", 0.8)
 
 
 def _point(view: View, position_m: Array) -> Point:

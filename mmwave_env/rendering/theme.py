@@ -9,8 +9,12 @@ from collections.abc import Sequence
 from itertools import cycle
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from mmwave_env.io.lookup import choose, require_extra
 
+Pixels = NDArray[np.uint8]  # (height, width, 3) red, green and blue
 Color = tuple[int, ...]  # red, green and blue, 0 to 255
 
 # Name, light color, dark color. "quiet" is for explanations, "none" for the action "none".
@@ -71,8 +75,11 @@ class Theme(NamedTuple):
         )
 
     def mode(self, number: int) -> Color:
-        """Return the color of a mode; the colors repeat if there are more modes than colors."""
-        return self.modes[number % len(self.modes)]
+        """Return the color of a mode; the colors repeat if there are more modes than colors.
+
+        The prior, which no mode computed and whose number is negative, is quiet.
+        """
+        return self.modes[number % len(self.modes)] if number >= 0 else self.quiet
 
 
 def hex_of(color: Color) -> str:

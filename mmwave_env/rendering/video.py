@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmwave_env.io.files import atomic_path, require_writable
 from mmwave_env.io.lookup import require_extra
+from mmwave_env.rendering.theme import Pixels
 
-Draw = Callable[[int], NDArray[np.uint8]]
-Pictures = Iterator[NDArray[np.uint8]]
+Draw = Callable[[int], Pixels]
+Pictures = Iterator[Pixels]
 _PACKAGES = {".gif": "PIL", ".mp4": "imageio_ffmpeg"}  # package that writes each format
 _COLORS = 256  # maximum number of colors in a GIF
 _SAMPLES = 6  # number of pictures from which the palette is computed
@@ -43,7 +43,7 @@ def write_video(
     ``numbers``. ``report`` receives the fraction of pictures drawn. Call ``require_video`` first.
     """
 
-    def pictures() -> Iterator[NDArray[np.uint8]]:
+    def pictures() -> Pictures:
         for done, number in enumerate(numbers, start=1):
             yield draw(number)
             report(done / len(numbers))
@@ -70,7 +70,7 @@ def _write_gif(path: Path, pictures: Pictures, samples: list[Any], fps: int) -> 
     frames[0].save(path, "GIF", save_all=True, append_images=frames[1:], duration=lasts, loop=0)
 
 
-def _write_mp4(path: Path, pictures: Pictures, first: NDArray[np.uint8], fps: int) -> None:
+def _write_mp4(path: Path, pictures: Pictures, first: Pixels, fps: int) -> None:
     import imageio_ffmpeg
 
     size = first.shape[1::-1]

@@ -4,11 +4,9 @@ import os
 import time
 from typing import Any
 
-import numpy as np
 import pygame
-from numpy.typing import NDArray
 
-from mmwave_env.rendering.theme import FRAMES_PER_SECOND
+from mmwave_env.rendering.theme import FRAMES_PER_SECOND, Pixels
 
 SPEEDS = (1, 2, 5, 10, 20, 50, 100)  # pictures per second
 _STEP = (pygame.K_n, pygame.K_RIGHT)
@@ -55,7 +53,7 @@ class Window:
         self.speed = FRAMES_PER_SECOND
         self._name()
 
-    def show(self, picture: NDArray[np.uint8]) -> None:
+    def show(self, picture: Pixels) -> None:
         """Show a picture (height, width, 3) until the next is due or asked for."""
         surface = pygame.image.frombuffer(picture.tobytes(), picture.shape[1::-1], "RGB")
         self._stepping = False

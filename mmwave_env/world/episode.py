@@ -108,7 +108,7 @@ class Episode:
         """Yield the name, the values and the bound of each quantity that has a bound."""
         mean = self.prior_mean
         deviation = np.sqrt(np.diag(self.prior_covariance))
-        sigma = np.where(self._used, self.sigma, np.nan)
+        sigma = np.where(self.used, self.sigma, np.nan)
         if self.truth_position_m is not None and self.truth_velocity_mps is not None:
             yield "truth_position_m", self.truth_position_m, FINITE
             yield "truth_velocity_mps", self.truth_velocity_mps, FINITE
@@ -168,11 +168,22 @@ class Episode:
                 stated[:, layout.doppler] = of_doppler[:, layout.doppler]
         if sigma is not None:
             stated = np.where(np.isfinite(sigma), sigma, stated)
-        place = (scene.anchors_m, scene.hz_per_mps)
-        truth = (position_m, velocity_mps)
-        rows = (time_s, measurement, stated)
-        signal = (snr_db, doppler_spread_hz)
-        return cls(name, *place, *rows, visible, *signal, *prior, *truth, layout, doppler_anchor)
+        return cls(
+            name,
+            scene.anchors_m,
+            scene.hz_per_mps,
+            time_s,
+            measurement,
+            stated,
+            visible,
+            snr_db,
+            doppler_spread_hz,
+            *prior,
+            position_m,
+            velocity_mps,
+            layout,
+            doppler_anchor,
+        )
 
     @property
     def _record(self) -> str:
@@ -200,7 +211,7 @@ class Episode:
         return np.isfinite(self.measurement) & np.isfinite(self.sigma)
 
     @property
-    def _used(self) -> Mask:
+    def used(self) -> Mask:
         """Return a mask (T, rows) of measured rows in usable groups."""
         groups = np.repeat(self.usable, self.layout.widths, axis=1)
         return groups & self._finite if self.layout.partial else groups
@@ -228,7 +239,7 @@ class Episode:
     def only(self, measurements: Sequence[str]) -> "Episode":
         """Return the episode with only these measurements, e.g. "range", in a partial layout."""
         layout = replace(self.layout, partial=True)
-        rows = self._used & offered_rows(layout, measurements)
+        rows = self.used & offered_rows(layout, measurements)
         measurement = np.where(rows, self.measurement, np.nan)
         visible, _ = whole_groups(measurement, self.visible, layout)
         return replace(self, measurement=measurement, visible=visible, layout=layout)
@@ -237,7 +248,7 @@ class Episode:
         """Return the table (T, columns) that engines load; :func:`columns_of` gives the columns."""
         at = columns_of(self.layout)
         links = self.usable[:, : self.layout.anchors]
-        keep = self._used
+        keep = self.used
         position = self.truth_position_m
         velocity = self.truth_velocity_mps
         table = np.empty((len(self), len(flatten(at))))
@@ -264,10 +275,11 @@ class Episode:
 def sigma_bounds(layout: Layout) -> list[tuple[list[int], Bound]]:
     """Return three pairs (rows, bound of sigma): ranges and speed; angles; the Doppler shift."""
     lengths = np.setdiff1d(np.arange(layout.size), [*layout.angles, layout.doppler]).tolist()
-    angles = envelope.ANGLE_SIGMA_RAD
-    doppler = envelope.DOPPLER_SIGMA_HZ
-    of_lengths = lengths, envelope.RANGE_SIGMA_M
-    return [of_lengths, (layout.angles, angles), ([layout.doppler], doppler)]
+    return [
+        (lengths, envelope.RANGE_SIGMA_M),
+        (layout.angles, envelope.ANGLE_SIGMA_RAD),
+        ([layout.doppler], envelope.DOPPLER_SIGMA_HZ),
+    ]
 
 
 class EpisodeBatch(NamedTuple):
@@ -342,15 +354,15 @@ class Incoming(NamedTuple):
     def epoch(self, layout: Layout) -> Epoch:
         """Return everything except the truth, which the estimator must not use."""
         sigma = [abs(sigma) for sigma in self.signed_sigma]
-        parts = self.dt, self.z, sigma
+        measured = [where(sigma > 0.0, 1.0, 0.0) for sigma in self.signed_sigma]
         if layout.partial:
-            measured = [where(sigma > 0.0, 1.0, 0.0) for sigma in self.signed_sigma]
-            some = [where(number > 0.5, 1.0, 0.0) for number in layout.degrees(measured)]
-            more = measured, self.doppler_of
-            return Epoch(*parts, some, self.snr_db, self.doppler_spread_hz, *more)
-        first = [self.signed_sigma[rows.start] for rows in layout.groups]
-        visible = [where(sigma > 0.0, 1.0, 0.0) for sigma in first]
-        return Epoch(*parts, visible, self.snr_db, self.doppler_spread_hz)
+            visible = [where(number > 0.5, 1.0, 0.0) for number in layout.degrees(measured)]
+        else:
+            visible = [measured[rows.start] for rows in layout.groups]
+            measured = []
+        snr_db = self.snr_db
+        spread_hz = self.doppler_spread_hz
+        return Epoch(self.dt, self.z, sigma, visible, snr_db, spread_hz, measured, self.doppler_of)
 
 
 def blank_incoming(layout: Layout) -> Incoming:

@@ -20,7 +20,7 @@ Keys = NDArray[np.uint64]
 _STRIDE = np.uint64(0x9E3779B97F4A7C15)  # 2**64 / golden ratio, rounded to an odd number
 
 
-def keys_at(streams: NDArray[np.uint64], episodes: NDArray[np.uint64]) -> Keys:
+def keys_at(streams: Keys, episodes: Keys) -> Keys:
     """Return the keys (n,) of episodes, given their streams (n,) or () and indices (from 0)."""
     # overflow is intended: arrays of integers wrap around
     bits = np.atleast_1d(streams) + (np.atleast_1d(episodes) + np.uint64(1)) * _STRIDE

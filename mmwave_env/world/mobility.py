@@ -1,24 +1,24 @@
 """Kinds of users: their target speeds, their limits and their phases of walking or driving."""
 
-import os
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, replace
 from math import inf
 from pathlib import Path
 from typing import Annotated
 
+from mmwave_env.io.files import AnyPath
 from mmwave_env.io.lookup import as_name, choose, quoted
 from mmwave_env.io.records import (
     Bound,
     Name,
     Probability,
+    Record,
     Size,
     between,
     counts,
     object_from,
     read_object,
     require_fields,
-    require_ordered,
 )
 from mmwave_env.world.kinematics import FAR
 from mmwave_env.world.travel import PhasePlan, TravelGait, TravelPhase, TravelPlan, blank_plan
@@ -55,7 +55,7 @@ class Gait:
 
 
 @dataclass(frozen=True)
-class Limits:
+class Limits(Record):
     """The limits of a traveler's motion, some of them drawn from ranges as an episode begins.
 
     Attributes:
@@ -68,6 +68,8 @@ class Limits:
         red_light_s: range from which the duration of each red light is drawn.
     """
 
+    ordered = ("acceleration_mps2", "braking_mps2", "lateral_mps2", "red_light_s")
+
     acceleration_mps2: Range
     braking_mps2: Range
     lateral_mps2: Range
@@ -76,13 +78,9 @@ class Limits:
     red_light_probability: Probability = 0.0
     red_light_s: tuple[Wait, Wait] = (5.0, 25.0)
 
-    def __post_init__(self) -> None:
-        require_fields(self)
-        require_ordered(self, "acceleration_mps2", "braking_mps2", "lateral_mps2", "red_light_s")
-
 
 @dataclass(frozen=True)
-class Phase:
+class Phase(Record):
     """A part of an episode with one style of moving.
 
     Attributes:
@@ -91,13 +89,11 @@ class Phase:
         duration_s: range of the duration; by default the phase lasts until the episode ends.
     """
 
+    ordered = ("duration_s",)
+
     limits: Limits
     gaits: Annotated[tuple[Gait, ...], Size(1, 10)]
     duration_s: tuple[Duration, Duration] = (inf, inf)
-
-    def __post_init__(self) -> None:
-        require_fields(self)
-        require_ordered(self, "duration_s")
 
 
 @dataclass(frozen=True)
@@ -138,31 +134,33 @@ _JAM = (Gait(0.0, 0.0, 8.0, 1.0), Gait(0.5, 2.5, 8.0, 1.5), Gait(3.0, 7.0, 6.0, 
 _CYCLING = Limits((0.6, 1.2), (1.5, 2.5), (1.5, 2.5), 2.0, 4.0, 0.2, (5.0, 15.0))
 _CYCLE = (Gait(2.0, 6.5, 25.0),)
 
-MOBILITIES: dict[str, Mobility] = {
-    "pedestrian": Mobility("pedestrian", (Phase(_ON_FOOT, _WALK),), blocks=4),
-    "vehicle": Mobility("vehicle", (Phase(_DRIVING, _DRIVE),)),
-    "walk-ride": Mobility(
-        "walk-ride",
-        (Phase(_ON_FOOT, _WALK, (45.0, 75.0)), Phase(_DRIVING, _DRIVE)),
-        ends_as_it_began=True,
-    ),
-    "jam": Mobility("jam", (Phase(replace(_DRIVING, red_light_probability=0.0), _JAM),)),
-    "cyclist": Mobility("cyclist", (Phase(_CYCLING, _CYCLE),)),
+# More kinds would change the results of "mixed", the default scenario.
+MOBILITIES = {
+    kind.name: kind
+    for kind in (
+        Mobility("pedestrian", (Phase(_ON_FOOT, _WALK),), blocks=4),
+        Mobility("vehicle", (Phase(_DRIVING, _DRIVE),)),
+        Mobility(
+            "walk-ride",
+            (Phase(_ON_FOOT, _WALK, (45.0, 75.0)), Phase(_DRIVING, _DRIVE)),
+            ends_as_it_began=True,
+        ),
+        Mobility("jam", (Phase(replace(_DRIVING, red_light_probability=0.0), _JAM),)),
+        Mobility("cyclist", (Phase(_CYCLING, _CYCLE),)),
+    )
 }
 MIXED = "mixed"
-# The kinds of users in "mixed", the default scenario; more kinds would change its results.
-_IN_EQUAL_SHARES = ("pedestrian", "vehicle", "walk-ride", "jam", "cyclist")
 SCENARIOS = {  # names and meanings
     "pedestrian": "walks, stands, turns at crossings",
     "vehicle": "drives, brakes, waits at red lights",
     "walk-ride": "walks, rides a car, walks again",
     "jam": "stop-and-go traffic",
     "cyclist": "cycles",
-    MIXED: f"{', '.join(_IN_EQUAL_SHARES)} in equal shares",
+    MIXED: f"{', '.join(MOBILITIES)} in equal shares",
 }
 
 
-def mobilities_of(scenario: str | os.PathLike[str]) -> tuple[Mobility, ...]:
+def mobilities_of(scenario: AnyPath) -> tuple[Mobility, ...]:
     """Return the kinds of users that a scenario draws with equal probabilities.
 
     Raises:
@@ -171,12 +169,12 @@ def mobilities_of(scenario: str | os.PathLike[str]) -> tuple[Mobility, ...]:
     """
     if str(scenario).endswith(".json"):
         return (read_mobility(scenario),)
-    mixed = {MIXED: tuple(MOBILITIES[name] for name in _IN_EQUAL_SHARES)}
-    each = {name: (mobility,) for name, mobility in MOBILITIES.items()}
-    return choose(each | mixed, str(scenario), "scenario")  # type: ignore[operator]
+    kinds = {name: (mobility,) for name, mobility in MOBILITIES.items()}
+    mixed: dict[str, tuple[Mobility, ...]] = {MIXED: tuple(MOBILITIES.values())}
+    return choose(kinds | mixed, str(scenario), "scenario")
 
 
-def read_mobility(path: str | os.PathLike[str]) -> Mobility:
+def read_mobility(path: AnyPath) -> Mobility:
     """Read a kind of user from a JSON file with the fields of :class:`Mobility`, in nested objects.
 
     "name" is by default the name of the file.

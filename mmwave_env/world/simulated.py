@@ -177,20 +177,28 @@ class SimulatedSource:
         index = self._site[1]
         scene = self._example
         starts = [group.start for group in self.layout.groups]
-        partial = self.layout.partial
         episodes = []
         for name, table, site in zip(batch.names, batch.table, batch.site, strict=True):
             columns = [np.ascontiguousarray(table[:, c]) for c in columns_of(self.layout)]
             rows: Any = Incoming._make(columns)
-            where = site[flatten(index.anchors)].reshape(-1, 3), scene.hz_per_mps, self.time_s
             measured = rows.signed_sigma > 0.0
-            visible = np.logical_or.reduceat(measured, starts, axis=1)
-            z = np.where(measured, rows.z, np.nan) if partial else rows.z
-            sigma = np.abs(rows.signed_sigma)
-            received = z, sigma, visible, rows.snr_db, rows.doppler_spread_hz
-            prior = site[index.prior_x], self._prior_covariance
-            truth = rows.truth[:, :3], rows.truth[:, 3:]
-            episodes.append(Episode(name, *where, *received, *prior, *truth, self.layout))
+            episode = Episode(
+                name,
+                site[flatten(index.anchors)].reshape(-1, 3),
+                scene.hz_per_mps,
+                self.time_s,
+                np.where(measured, rows.z, np.nan) if self.layout.partial else rows.z,
+                np.abs(rows.signed_sigma),
+                np.logical_or.reduceat(measured, starts, axis=1),
+                rows.snr_db,
+                rows.doppler_spread_hz,
+                site[index.prior_x],
+                self._prior_covariance,
+                rows.truth[:, :3],
+                rows.truth[:, 3:],
+                self.layout,
+            )
+            episodes.append(episode)
         return episodes
 
     def scene_of(self, key: int) -> Scene:

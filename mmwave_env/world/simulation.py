@@ -19,7 +19,6 @@ from mmwave_env.models.channel import (
     ChannelState,
     channel_epoch,
     channel_of,
-    draw_channel,
     initial_state,
 )
 from mmwave_env.models.layout import Layout
@@ -110,8 +109,7 @@ def measure(
     speed = sqrt(dot(velocity, velocity))
     exact = exact_rows(position, velocity, receiver.anchors, settings.hz_per_mps, layout)
     distance = [exact[layout.link(a)][0] for a in range(layout.anchors)]
-    draws = draw_channel(dice, layout.anchors)
-    channel, reception = channel_epoch(radio, receiver.channel, is_first, draws, distance, speed)
+    channel, reception = channel_epoch(radio, receiver.channel, is_first, dice, distance, speed)
     sigma = deviations(radio.floor_variance, radio.bound_variance, reception.snr_db, layout)
     added = [value for link in reception.bias for value in link] + [receiver.bias_hz]
     added += [0.0] * (layout.size - len(added))

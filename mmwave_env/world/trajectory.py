@@ -3,14 +3,14 @@
 This module also interprets the argument ``scenario=``, which selects kinds of users or ways.
 """
 
-import os
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NoReturn
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 
+from mmwave_env.io.files import AnyPath
 from mmwave_env.models.envelope import POSITION_M
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.scene import Scene
@@ -176,8 +176,7 @@ class Ways:
         return PlacedWays(names, [tables[i] for i in kept], epochs)
 
 
-@dataclass(frozen=True, eq=False)
-class PlacedWays:
+class PlacedWays(NamedTuple):
     """A set of K ways through a scene; an episode is a window of one of them."""
 
     names: Sequence[str]
@@ -199,7 +198,7 @@ class PlacedWays:
         return numbers, np.array(truth).reshape(len(choice), self.epochs, 6)
 
 
-Scenario = str | os.PathLike[str] | Mobility | Trajectory | Ways
+Scenario = AnyPath | Mobility | Trajectory | Ways
 Users = tuple[Mobility, ...] | Ways
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from experiments.console.main import run
-from mmwave_env.datasets.log_writer import log_columns, log_text
+from mmwave_env.datasets.log_folder import log_columns, log_text
 from mmwave_env.datasets.samples import log_names
 from mmwave_env.logs.log import read_log
 from mmwave_env.logs.tum import read_tum

@@ -110,6 +110,9 @@ def test_the_docstring_explains_every_argument_and_every_key_of_infos():
     information = page.split("## Information")[1].split("## Arguments")[0]
     for key in STEP_KEYS | END_KEYS | {"episode_name", "episode_key", "nonfinite", SMOOTHED}:
         assert f"`{key}`" in information
+    for radio in RADIOS:
+        for mode, row in zip(modes_from(None, radio), page.split("\n| ")[2:], strict=False):
+            assert f" {mode.sigma_v:.2f} {radio}" in row
 
 
 def test_the_same_seed_gives_the_same_episode(configuration):

@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from mmwave_env.datasets.log_writer import log_columns, log_text
+from mmwave_env.datasets.log_folder import log_columns, log_text
 from mmwave_env.logs.log import Log, read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.radio import RADIOS

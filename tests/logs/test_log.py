@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmwave_env.datasets.log_writer import log_columns, log_text
+from mmwave_env.datasets.log_folder import log_columns, log_text
 from mmwave_env.logs.log import read_paths
 from mmwave_env.logs.log_columns import QUANTITIES
 from mmwave_env.models.layout import Layout

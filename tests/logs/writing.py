@@ -4,7 +4,7 @@ import gzip
 
 import numpy as np
 
-from mmwave_env.datasets.log_writer import log_columns, log_text
+from mmwave_env.datasets.log_folder import log_columns, log_text
 
 
 def write_log(path, episode):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, chi2, kstest, lognorm, norm
 
-from mmwave_env.models.channel import channel_epoch, channel_of, draw_channel, initial_state
+from mmwave_env.models.channel import channel_epoch, channel_of, initial_state
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import RADIOS, Radio, radio_from
 from mmwave_env.models.scene import SCENES
@@ -46,8 +46,7 @@ def channel(radio, epochs, users, distance_m=100.0, speed_mps=0.0, dt=1.0, links
     distance = [np.full(users, distance_m)] * links
     speed = np.full(users, speed_mps)
     for t in range(epochs):
-        draws = draw_channel(dice, links)
-        state, reception = channel_epoch(model, state, t == 0, draws, distance, speed)
+        state, reception = channel_epoch(model, state, t == 0, dice, distance, speed)
         receptions.append(reception)
 
     def of_links(values):

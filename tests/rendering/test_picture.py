@@ -11,7 +11,7 @@ import pytest
 from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.models.scene import Streets
 from mmwave_env.rendering.canvas import Rect
-from mmwave_env.rendering.history import NO_MODE, History, Scenery
+from mmwave_env.rendering.history import NO_MODE, History
 from mmwave_env.rendering.picture import Picture
 from mmwave_env.rendering.street_map import follow
 from mmwave_env.rendering.theme import THEMES
@@ -43,12 +43,12 @@ def history(truth=HERE, estimate=HERE, modes=(0,), accepted=NOTHING, rejected=NO
 
     rows = len(truth) + 1
     P = np.tile([0.01, 0.0, 0.01, 0.0, 0.0, 0.01], (rows, 1))
-    place = Scenery(scenery["name"], np.array(scenery["anchors"]), scenery["streets"])
+    place = scenery["name"], np.array(scenery["anchors"]), scenery["streets"]
     time = np.maximum(0.0, np.arange(rows) - 1.0)
     ran = np.array([NO_MODE, *modes])
     gates = (np.tile(groups, (rows, 1)) for groups in (accepted, rejected))
     beliefs = states(truth, 6), states(estimate, 7), P, np.full(rows, 3.0)
-    return History(place, 3, time, ran, *beliefs, *gates)
+    return History(*place, 3, time, ran, *beliefs, *gates)
 
 
 def drawn(names=("ekf", "ukf"), **arguments):

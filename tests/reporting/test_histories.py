@@ -41,9 +41,9 @@ def test_a_history_equals_what_an_environment_records(name, arguments):
         env.step(mode)
     recorded = env._gallery.recorders[0].history
     assert history.axes == recorded.axes and history.epochs == recorded.epochs == len(EPISODE)
-    assert history.scenery.name == recorded.scenery.name
-    assert history.scenery.streets == recorded.scenery.streets is not None
-    np.testing.assert_array_equal(history.scenery.anchors_m, recorded.scenery.anchors_m)
+    assert history.name == recorded.name
+    assert history.streets == recorded.streets is not None
+    np.testing.assert_array_equal(history.anchors_m, recorded.anchors_m)
     for field in ("time_s", "modes", "truth", "estimate", "P", "nees", "accepted", "rejected"):
         np.testing.assert_allclose(
             getattr(history, field), getattr(recorded, field), err_msg=field, rtol=1e-9, atol=1e-9
@@ -62,5 +62,5 @@ def test_the_history_of_a_recording_begins_at_its_prior():
     (episode,) = draw_episodes(source_from("canyon28_pedestrian", "handset"), [0])
     history = history_of(contender_from("fixed-ukf", "handset"), episode)
     np.testing.assert_array_equal(history.estimate[0], episode.prior_mean)
-    assert history.scenery.streets is None and history.time_s[0] == history.time_s[1] == 0.0
+    assert history.streets is None and history.time_s[0] == history.time_s[1] == 0.0
     assert history.time_s[-1] == episode.time_s[-1] - episode.time_s[0]

@@ -22,7 +22,7 @@ from mmwave_env.io.lookup import printable
 from mmwave_env.metrics import nees_interval
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array
-from mmwave_env.rendering.history import POSITION_NUMBERS, History, Scenery
+from mmwave_env.rendering.history import POSITION_NUMBERS, History
 from mmwave_env.rendering.theme import THEMES, hex_of
 
 LONGEST = 600  # maximum number of epochs of an episode that can be watched
@@ -99,7 +99,9 @@ def _play_log(source: Source) -> Played:
     scene = work.scene
     switching = work.choice.switching
     history = History(
-        Scenery(log, scene.anchors_m, scene.streets if scene.streets_known else None),
+        log,
+        scene.anchors_m,
+        scene.streets if scene.streets_known else None,
         len(axes),
         time_s=block.time_s - block.time_s[0],
         modes=block.mode,
@@ -146,16 +148,15 @@ def _episode(name: str, history: History, groups: Sequence[str]) -> Json:
     ``history`` is the history of any contender, since the truth is the same in all; ``groups`` are
     names of groups of measurements.
     """
-    scenery = history.scenery
     truth = history.truth
-    streets = scenery.streets
+    streets = history.streets
     return {
         "name": printable(name),
         "time_s": _numbers(history.time_s),
         "x": _numbers(truth[:, 0]),
         "y": _numbers(truth[:, 1]),
         "speed_mps": _numbers(np.linalg.norm(truth[:, 3:], axis=1)),
-        "anchors": [_numbers(anchor) for anchor in scenery.anchors_m],
+        "anchors": [_numbers(anchor) for anchor in history.anchors_m],
         "streets": streets and {"x": [*streets.x_m], "y": [*streets.y_m], "block": streets.block_m},
         "groups": ["gNB", *groups[1:]],
         "nees_bounds": [*nees_interval(history.axes)],

@@ -17,10 +17,8 @@ as in the files, but angles are in radians.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
-from typing import NoReturn
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 
@@ -35,8 +33,7 @@ LINE_OF_SIGHT = 0.0
 REFLECTION = 1.0
 
 
-@dataclass(frozen=True, eq=False)
-class StationPaths:
+class StationPaths(NamedTuple):
     """The paths between one base station and E receivers, at most P for each receiver.
 
     All values of a reflection (``interactions`` 1) are finite, and so are all values of a line of
@@ -81,22 +78,21 @@ _ROW_KEYS = ("delay", "aoa_az", "aoa_el", "aod_az")  # names of arrays, in the o
 _TOLERANCES = (2.0 * TOLERANCE_M, 0.02, 0.02, 0.02)  # m, rad; wrong conventions cause larger errors
 
 
-@dataclass(frozen=True, eq=False)
-class StationLinks:
+class StationLinks(NamedTuple):
     """The anchors that the paths of a station lead to, and the paths' noise-free measurements."""
 
     paths: StationPaths  # paths of the station, for E receivers, P paths each
     anchors_m: Array  # (K, 3) position of the station, then of its images, in the order found
     member: Index  # (E, P) index of the anchor that a path leads to; -1 for none
-    rows: Array  # (E, P, 4) values in the order of ``LINK``, m, rad; NaN if a path has no anchor
+    rows: Array  # (E, P, 4) values in the order of ``LINK``, m, rad; meaningless without an anchor
 
-    @cached_property
+    @property
     def is_ground(self) -> Mask:
         """Return which anchors (K,) are images in the ground, a mirror below the station."""
         normal = self.anchors_m[0] - self.anchors_m
         return np.asarray(normal[:, 2] > _FLAT * np.linalg.norm(normal, axis=1))
 
-    @cached_property
+    @property
     def epochs_seen(self) -> Index:
         """Count the epochs in which each anchor (K,) is seen."""
         epoch, path = np.nonzero(self.member >= 0)

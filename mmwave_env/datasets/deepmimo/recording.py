@@ -4,7 +4,6 @@
 :mod:`~mmwave_env.datasets.deepmimo.anchors` finds the anchors that these paths lead to.
 """
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -20,8 +19,8 @@ from mmwave_env.datasets.deepmimo.anchors import (
 from mmwave_env.datasets.deepmimo.v4 import Scenario, open_scenario
 from mmwave_env.datasets.recorded import Recording
 from mmwave_env.datasets.ways import COLUMNS, read_trajectory
-from mmwave_env.models.layout import Layout
-from mmwave_env.models.scene import scene_of_anchors
+from mmwave_env.io.files import AnyPath
+from mmwave_env.models.layout import LINK
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.world.checks import refuse_in
 from mmwave_env.world.trajectory import Trajectory
@@ -30,7 +29,7 @@ SIDECAR = "trajectory.csv"  # times, positions and perhaps velocities; not a fil
 
 
 def read_deepmimo(
-    folder: str | os.PathLike[str],
+    folder: AnyPath,
     virtual_anchors: int = 2,
     bandwidth_hz: float = 100e6,
     *,
@@ -83,29 +82,25 @@ def _recording(
     bandwidth_hz: float,
 ) -> Recording:
     """Return a recording of the strongest path to each anchor of ``links`` (:func:`_links`)."""
-    anchors = np.array([station.anchors_m[k] for station, k in links])
-    layout = Layout(len(links))
-    epochs = np.arange(len(way.time_s))
-    measurement = np.zeros((len(epochs), layout.size))
-    visible = np.zeros((len(epochs), layout.anchors + 1), bool)
-    gain_db = np.zeros((len(epochs), layout.anchors))
+    shape = (len(way.time_s), len(links))
+    rows = np.full((*shape, len(LINK)), np.nan)
+    gain_db = np.full(shape, np.nan)
     for a, (station, k) in enumerate(links):
-        visible[:, a], strongest = station.strongest(k)
-        measurement[:, layout.link(a)] = station.rows[epochs, strongest]
-        gain_db[:, a] = station.paths.gain_db[epochs, strongest]
-    recording = Recording(
-        name=scenario.name,
-        scene=scene_of_anchors(scenario.name, anchors, scenario.carrier_hz, bandwidth_hz),
-        layout=layout,
+        visible, strongest = station.strongest(k)
+        paths = visible.nonzero()[0], strongest[visible]
+        rows[visible, a] = station.rows[paths]
+        gain_db[visible, a] = station.paths.gain_db[paths]
+    return Recording.from_arrays(
         time_s=way.time_s,
-        measurement=measurement,
-        visible=visible,
+        anchors_m=[station.anchors_m[k] for station, k in links],
+        **{name: rows[..., i] for i, name in enumerate(LINK)},
         path_gain_db=gain_db,
         position_m=way.position_m,
-        velocity_mps=np.asarray(way.velocity_mps),
+        velocity_mps=way.velocity_mps,
+        carrier_hz=scenario.carrier_hz,
+        bandwidth_hz=bandwidth_hz,
+        name=scenario.name,
     )
-    recording.add_doppler()
-    return recording
 
 
 def _way_of(scenario: Scenario, epochs: Index, dt_s: float | None) -> Trajectory:
@@ -157,7 +152,8 @@ def _links(
     if len(stations) == 1:
         links = find_links(stations[0], position_m)
         images = np.flatnonzero(~links.is_ground)[1:].tolist()
-        images.sort(key=lambda k: -links.epochs_seen[k])
+        epochs_seen = links.epochs_seen
+        images.sort(key=lambda k: -epochs_seen[k])
         return [(links, k) for k in [0, *images[:virtual_anchors]]]
     in_sight = [s for s in stations if (s.interactions == LINE_OF_SIGHT).any()]
     if not in_sight:

@@ -8,9 +8,8 @@ of time, but the files contain neither times nor velocities.
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,8 +29,7 @@ PARAMS = "params.json"  # the file that marks a folder as a scenario
 _RECEIVERS = re.compile(r"rx_pos_(t\d+_tx\d+)_r(\d+)\.(?:npz|npy)")
 
 
-@dataclass(frozen=True)
-class Scenario:
+class Scenario(NamedTuple):
     """A description of a scenario folder, without the propagation paths."""
 
     folder: Path  # folder of the scenario
@@ -62,24 +60,24 @@ class Scenario:
         Raises:
             ValueError: a row does not exist, or the number of rows is wrong.
         """
-        rows = np.arange(self.receivers) if users is None else np.asarray(users)
+        rows = np.arange(self.receivers) if users is None else np.atleast_1d(users)
         if rows.size == 0 or rows.dtype.kind not in "iu" or rows.ndim > 1:
             raise ValueError(f"users: found {users!r}, expected indices of receivers, from 0")
         outside = rows[(rows < 0) | (rows >= self.receivers)]
         if outside.size:
             raise ValueError(
-                f"users: found {outside.flat[0]}, expected 0 to {self.receivers - 1}, the "
+                f"users: found {outside[0]}, expected 0 to {self.receivers - 1}, the "
                 f"receivers of {self.folder}"
             )
         if not self.is_dynamic:
-            return np.column_stack([np.zeros(rows.size, int), rows.reshape(-1)])
+            return np.column_stack([np.zeros_like(rows), rows])
         scenes = np.arange(len(self.scenes))
         if rows.size not in (1, len(scenes)):
             raise ValueError(
                 f"users: found {rows.size} indices, expected 1, or {len(scenes)}: one for each "
                 f"scene of {self.folder}; every scene has {self.receivers} receivers"
             )
-        return np.column_stack([scenes, np.broadcast_to(rows.reshape(-1), len(scenes))])
+        return np.column_stack([scenes, np.broadcast_to(rows, len(scenes))])
 
     def file(self, scene: int, key: str, station: str) -> Path:
         """Return the file with the array ``key``; refuse a missing file."""
@@ -90,8 +88,8 @@ class Scenario:
         parts = []
         for scene, rows in _by_scene(epochs):
             file = self.file(scene, "rx_pos", self.stations[0])
-            array = read_array(file, "rx_pos", (self.receivers, 3), rows)
-            parts.append(_finite(file, "rx_pos", array, rows))
+            parts.append(read_array(file, "rx_pos", (self.receivers, 3), rows))
+            _require_finite(file, "rx_pos", parts[-1], rows)
         return np.concatenate(parts)
 
     @property
@@ -226,47 +224,39 @@ def _read_scene(scenario: Scenario, scene: int, station: str, rows: Index) -> di
     def read(key: str, *shape: int | str, rows: Index | None = rows) -> Array:
         return read_array(scenario.file(scene, key, station), key, shape, rows)
 
-    def check(key: str, array: Array, used: Mask | None = None) -> Array:
-        return _finite(scenario.file(scene, key, station), key, array, rows, used)
-
     N = scenario.receivers
     inter = read("inter", N, "P")
     P = inter.shape[1]
-    used = (inter == LINE_OF_SIGHT) | (inter == REFLECTION)
     points = read("inter_pos", N, P, "I", 3)  # the largest array; refused if it is too large
-    first = points[:, :, 0] if points.shape[2] else np.full((*inter.shape, 3), np.nan)
-    arrays = {
-        "tx_pos": check("tx_pos", read("tx_pos", 1, 3, rows=None)),
-        "inter": inter,
-        "inter_pos": check("inter_pos", first, inter == REFLECTION),
-    }
-    for key in ("power", "delay", "aoa_az", "aoa_el", "aod_az", "aod_el"):
-        arrays[key] = check(key, read(key, N, P), used)
-    return arrays
+    bounce = points[:, :, 0] if points.shape[2] else np.full((*inter.shape, 3), np.nan)
+    reflected = inter == REFLECTION
+    keys = ("power", "delay", "aoa_az", "aoa_el", "aod_az", "aod_el")
+    arrays = {key: read(key, N, P) for key in keys}
+    arrays |= {"tx_pos": read("tx_pos", 1, 3, rows=None), "inter_pos": bounce}
+    used: dict[str, Mask | bool] = dict.fromkeys(keys, (inter == LINE_OF_SIGHT) | reflected)
+    used |= {"tx_pos": True, "inter_pos": reflected[..., None]}
+    for key, needed in used.items():
+        _require_finite(scenario.file(scene, key, station), key, arrays[key], rows, needed)
+    return arrays | {"inter": inter}
 
 
-def _finite(
-    file: Path, key: str, array: Array, rows: Index | None, used: Mask | None = None
-) -> Array:
-    """Return an array, or refuse it if it contains NaN or infinity.
-
-    If ``used`` (R, P) is given, only paths where it is True are checked; all others become NaN.
-    """
-    if used is not None:
-        used = used.reshape(used.shape + (1,) * (array.ndim - 2))
-        array = np.where(used, array, np.nan)
-    bad = ~np.isfinite(array) & (True if used is None else used)
+def _require_finite(
+    file: Path, key: str, array: Array, rows: Index, needed: Mask | bool = True
+) -> None:
+    """Refuse NaN and infinity in an array (R, ...) of receivers' ``rows``, where it is needed."""
+    bad = ~np.isfinite(array) & needed
     if bad.any():
-        first, *rest = index = np.argwhere(bad)[0].tolist()
-        place = ", ".join(map(str, [first if rows is None else rows[first], *rest]))
+        row, *rest = index = np.argwhere(bad)[0].tolist()
+        place = ", ".join(map(str, [rows[row], *rest]))
         refuse_in(file, f"{key}[{place}]", array[tuple(index)], "a finite number")
-    return array
 
 
 def _stacked(scenes: Sequence[Array]) -> Array:
     """Stack the arrays (R, P, ...) of scenes, padded with NaN to the largest number of paths."""
     most = max(array.shape[1] for array in scenes)
-    missing = [[(0, 0), (0, most - a.shape[1]), *[(0, 0)] * (a.ndim - 2)] for a in scenes]
-    return np.concatenate(
-        [np.pad(a, by, constant_values=np.nan) for a, by in zip(scenes, missing, strict=True)]
-    )
+    padded = []
+    for array in scenes:
+        missing = np.zeros((array.ndim, 2), int)
+        missing[1, 1] = most - array.shape[1]
+        padded.append(np.pad(array, missing, constant_values=np.nan))
+    return np.concatenate(padded)
