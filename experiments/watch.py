@@ -9,11 +9,8 @@ from experiments.console.options import ModeArgs
 
 if TYPE_CHECKING:
     from experiments.evaluation.contenders import Contender
-    from mmwave_env.models.scene import Streets
     from mmwave_env.numerics.numbers import Array
     from mmwave_env.rendering.history import History
-    from mmwave_env.task import Task
-    from mmwave_env.world.episode import Episode
 
 
 @dataclass(kw_only=True)
@@ -36,13 +33,8 @@ class Args(ModeArgs):
     """height and width of each policy's picture, px, 480 to 1080"""
     render_theme: str = "light"
     """colors: light or dark"""
-    seed: int | None = None
-    """seed of the episode (None: 0); mmwave-loc compare runs
-    the same episode for this seed"""
-    key: int | None = None
-    """number that determines a simulated episode, instead of
-    --seed; mmwave-loc compare --episodes-csv writes the
-    keys of its episodes"""
+    seed: int = 0
+    """seed of the episode; mmwave-loc compare runs the same episode for this seed"""
     begin: float = 0.0
     """time to begin at, s from the start of the episode"""
     end: float = float("inf")
@@ -58,18 +50,22 @@ def main(args: Args) -> None:
     from experiments.console.progress import progress, say
     from experiments.evaluation.asked import contender_of, task_of
     from experiments.evaluation.runner import Scoring
+    from experiments.evaluation.seeds import draw_episodes, keys_for, seeds_from
     from experiments.reporting.histories import history_of
 
     _check(args)
     contenders = [contender_of(args, name) for name in args.policies]
     task = task_of(args)
     scoring = Scoring.of(task)
-    (episode, streets, title) = _drawn(task, args.seed, args.key)
+    seeds = seeds_from(1, args.seed)
+    keys = keys_for(task.source, seeds)
+    (episode,) = draw_episodes(task.source, seeds)
+    streets = task.streets_of(0 if keys is None else int(keys[0]))
     with progress("filtering"):
         histories = [history_of(c, episode, scoring, streets) for c in contenders]
     rows = _between(histories[0].time_s, args.begin, args.end)
     first, last = histories[0].time_s[[rows[0], rows[-1]]]
-    say(f"{title}, {first:g} to {last:g} s")
+    say(f"{episode.name}, seed {args.seed}, {first:g} to {last:g} s")
     for contender, history in zip(contenders, histories, strict=True):
         error = history.error_m[rows]
         off = f"{error.mean():.1f} m off on average, {error.max():.1f} m at most"
@@ -93,33 +89,6 @@ def _check(args: Args) -> None:
         from mmwave_env.rendering.window import require_display
 
         require_display("window", "write a video with --out FILE.gif")
-
-
-def _drawn(
-    task: "Task", seed: int | None, key: int | None
-) -> "tuple[Episode, Streets | None, str]":
-    """Return the episode of a seed or key, its streets (None if unknown), and its title."""
-    import numpy as np
-
-    from experiments.evaluation.seeds import draw_episodes, keys_for, seeds_from
-    from mmwave_env.world.keys import key_from
-    from mmwave_env.world.simulated import SimulatedSource
-
-    if key is None:
-        seeds = seeds_from(1, seed)
-        (episode,) = draw_episodes(task.source, seeds)
-        keys = keys_for(task.source, seeds)
-        which = f"seed {seeds[0]}"
-    elif seed is not None:
-        raise ValueError(f"key: cannot be combined with seed {seed}; use only one of the two")
-    elif not isinstance(task.source, SimulatedSource):
-        raise ValueError("key: recorded episodes have no key; use --seed")
-    else:
-        keys = np.array([key_from(key)], np.uint64)
-        which = f"key {key}"
-        (episode,) = task.source.episodes(keys)
-    streets = task.streets_of(0 if keys is None else int(keys[0]))
-    return episode, streets, f"{episode.name}, {which}"
 
 
 def _between(time_s: "Array", begin: float, end: float) -> list[int]:

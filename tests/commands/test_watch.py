@@ -7,7 +7,6 @@ import sys
 import numpy as np
 import pytest
 
-from mmwave_env.world.keys import keys_of
 from tests.cli import assert_one_clear_line, command, succeed
 from tests.paths import ROOT
 
@@ -53,16 +52,6 @@ def test_policies_are_shown_side_by_side_and_the_first_picture_shows_the_prior(t
     assert second.startswith("imm: ") and written == f"written to {out}: 13 pictures"
 
 
-def test_a_seed_and_its_key_play_the_same_episode(tmp_path):
-    pytest.importorskip("PIL")
-    files = [tmp_path / "seed.gif", tmp_path / "key.gif"]
-    options = ("--policies", "fixed-ukf", *SHORT, "--out")
-    by_seed = succeed("watch", "--seed", 7, *options, files[0])
-    by_key = succeed("watch", "--key", int(keys_of([7])[0]), *options, files[1])
-    assert by_seed.splitlines()[1] == by_key.splitlines()[1]
-    assert files[0].read_bytes() == files[1].read_bytes()
-
-
 def test_a_part_of_a_recording_or_of_a_log_can_be_played(tmp_path, window):
     part = ("--policies", "fixed-ukf", "--begin", 3, "--end", 8)
     succeed("watch", "--data", "canyon28_pedestrian", *part)
@@ -87,8 +76,6 @@ def test_closing_the_window_ends_the_command(monkeypatch, window):
 MISTAKES = {  # name -> options, expected message
     "unknown policy": (("--policies", "oracle"), "policy: found 'oracle', expected one of"),
     "too many policies": (("--policies", *["imm"] * 4), "policies: found 4, expected 1 to 3$"),
-    "a key of a recording": (("--key", 1, "--data", "canyon28_vehicle"), "key: recorded"),
-    "key and seed": (("--key", 1, "--seed", 2), "key: cannot be combined with seed 2"),
     "unknown ending": (("--out", "video.avi"), "out: found video.avi, expected.*.gif or .mp4$"),
     "unknown theme": (("--render-theme", "blue"), "render_theme: found 'blue'.*light, dark"),
     "tiny": (("--render-size", 100), "render_size: found 100, expected an even number from 480"),
