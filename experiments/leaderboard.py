@@ -46,26 +46,20 @@ class Args:
     folder; judge the others one by one, and write each
     entry when it is ready, so that the same command
     continues after an interruption"""
-    docs: Path | None = None
-    """Markdown page to update: each table after a comment
-    `<!-- table: ... -->` is replaced"""
 
 
 def main(args: Args) -> None:
     """Run the command."""
-    from experiments.console.doc_pages import page_to_renew, renewed
     from experiments.console.progress import note, say
     from experiments.console.provenance import provenance
     from experiments.console.tables import show
     from experiments.evaluation import protocol
     from experiments.evaluation.branches import CLAIRVOYANT
-    from mmwave_env.io.files import write_json, write_text
+    from mmwave_env.io.files import write_json
 
     require_at_least(2, args, "episodes", "draws")
     if args.out.is_file():
         raise ValueError(f"out: found the file {args.out}, expected a folder")
-    page = page_to_renew(args.docs) if args.docs else ""
-    protocol.require_contenders(args.policies)
     groups = [args.policies] if args.policies else []
     stems = {name: re.sub(r"[^\w.-]+", "-", name).strip("-") for name in args.policies}
     files = {name: args.out / f"{stem}.json" for name, stem in stems.items()}
@@ -91,6 +85,3 @@ def main(args: Args) -> None:
     show("\n\n".join(f"{TITLES[name]}:\n\n{table}" for name, table in tables.items()))
     if files:
         say(f"entries in {', '.join(map(str, files.values()))}")
-    if args.docs:
-        tables = protocol.tables_of(protocol.without_files(entries), ceiling)
-        write_text(args.docs, renewed(page, tables))

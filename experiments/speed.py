@@ -8,7 +8,6 @@ step. Ratios are shown first, since absolute figures depend much more on the mac
 
 import os
 from dataclasses import dataclass
-from pathlib import Path
 
 from experiments.console.options import JsonArgs, require_at_least
 
@@ -27,9 +26,6 @@ class Args(JsonArgs):
     repeats: int = 5
     """number of rounds; each measures everything once, and
     the tables show medians and ranges"""
-    docs: Path | None = None
-    """Markdown page to update: each table after a comment
-    `<!-- table: ... -->` is replaced"""
 
 
 # No import above may load numpy: its linear algebra reads these variables when it is loaded.
@@ -45,26 +41,17 @@ def main(args: Args) -> None:
     require_at_least(1, args, "repeats")
     for name in _ONE_THREAD:
         os.environ.setdefault(name, "1")
-    from mmwave_env.io.files import write_json, write_text
+    from mmwave_env.io.files import write_json
     from mmwave_env.io.lookup import require_extra
 
     require_extra("filterpy", "filterpy", "speed")
-    from experiments.console.doc_pages import page_to_renew, renewed
     from experiments.console.provenance import provenance
     from experiments.console.tables import show
     from experiments.timing.measured import Measured
-    from experiments.timing.report import TITLES, tables
+    from experiments.timing.report import TABLES
 
-    page = ""
-    if args.docs:
-        page = page_to_renew(args.docs)
-        # fails early, before measuring, if the page names an unknown table
-        renewed(page, dict.fromkeys(TITLES, ""))
     measured = Measured(args.sizes)
     measured.measure(args.seconds, args.repeats)
-    results = tables(measured)
-    show("\n".join(f"### {title}\n\n{table}\n" for title, table in results.items()))
+    show("\n".join(f"### {title}\n\n{make(measured)}\n" for title, make in TABLES.items()))
     if args.json:
         write_json(args.json, provenance("speed", args) | measured.json())
-    if args.docs:
-        write_text(args.docs, renewed(page, results))

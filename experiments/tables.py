@@ -24,11 +24,6 @@ class Args:
     """seed of the first episode; 0 is the first seed for results that are published"""
     out: Path = Path("results/paper")
     """folder for tables.md, tables.csv and tables.png"""
-    docs: Path | None = None
-    """Markdown page to update: each table after a comment
-    `<!-- table: ... -->` is replaced, and all numbers and a
-    picture are saved beside the page, with the endings .csv
-    and .png"""
 
 
 SECTIONS = 19  # number of sections, for the progress bar
@@ -47,34 +42,27 @@ def sections(bench: "Bench") -> "Iterator[Section]":
 
 def main(args: Args) -> None:
     """Run the command."""
-    from experiments.console.doc_pages import page_to_renew, renewed
     from experiments.console.progress import say, tracked
     from experiments.console.tables import show
     from experiments.paper.bench import Bench
     from experiments.paper.figure import draw
-    from experiments.paper.printed import page_tables
+    from experiments.paper.printed import summaries
     from experiments.reporting.figures.canvas import require_picture
     from mmwave_env.io.files import require_writable, write_text
 
-    figures = [args.out / "tables.png"] + ([args.docs.with_suffix(".png")] if args.docs else [])
-    for figure in figures:
-        require_picture("out", figure)
+    figure = args.out / "tables.png"
+    require_picture("out", figure)
     require_writable(args.out / "tables.md")
-    page = page_to_renew(args.docs) if args.docs else ""
     bench = Bench(args.episodes, args.seed)
     results = {section.title: section for section in tracked(sections(bench), "tables", SECTIONS)}
-    text = "\n".join(section.markdown() for section in results.values())
+    text = "\n".join([summaries(results), *(section.markdown() for section in results.values())])
     records = [record for section in results.values() for record in section.records()]
     table = io.StringIO()
     csv.writer(table, lineterminator="\n").writerows([FIELDS, *records])
     write_text(args.out / "tables.md", text)
     write_text(args.out / "tables.csv", table.getvalue())
-    if args.docs:
-        write_text(args.docs, renewed(page, page_tables(results)))
-        write_text(args.docs.with_suffix(".csv"), table.getvalue())
     try:
-        for figure in figures:
-            draw(results, figure)
+        draw(results, figure)
     finally:  # the tables are shown even if a picture fails
         show(text)
     say(f"written to {args.out}/")

@@ -89,14 +89,15 @@ class Session:
 
     Args:
         page: page whose blocks are run.
-        folder: empty folder, to which the session adds a link to the checkout's docs/.
+        folder: empty folder, to which the session adds links to docs/ and experiments/.
     """
 
     def __init__(self, page: Path, folder: Path) -> None:
         self.folder = folder
         self._done = set[int]()
         self._names: dict[str, Any] = {"__name__": page.stem}
-        (folder / "docs").symlink_to(ROOT / "docs")
+        for name in ("docs", "experiments"):
+            (folder / name).symlink_to(ROOT / name)
 
     def printed(self, block: Block) -> str:
         """Run a block and return its output; "" if the session has run it before."""

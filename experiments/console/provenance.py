@@ -16,7 +16,7 @@ from mmwave_env.io.records import require
 
 T = TypeVar("T")
 # options that name the files to write
-OUTPUTS = {"json", "episodes_csv", "errors", "consistency", "plot", "docs", "out"}
+OUTPUTS = {"json", "episodes_csv", "errors", "consistency", "plot", "out"}
 
 
 def command_line(name: str, args: Any) -> str:
@@ -76,5 +76,5 @@ def versions_of(*packages: str) -> dict[str, str]:
 
 def versions() -> dict[str, str]:
     """Return the versions of this package, Python and the packages that affect the results."""
-    packages = {name: version(name) for name in ("gymnasium", "numpy", "numba", "scipy")}
-    return {"mmwave-loc": __version__, "python": platform.python_version(), **packages}
+    packages = versions_of("gymnasium", "numpy", "numba", "scipy")
+    return packages | {"python": platform.python_version()}

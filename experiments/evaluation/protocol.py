@@ -118,20 +118,6 @@ def scored_over(figures: Json) -> int:
     return min(episodes, CEILING_DRAWS if recorded else CEILING_EPISODES)
 
 
-def require_contenders(names: Sequence[str]) -> None:
-    """Check, before any episode runs, that the contenders exist at every site.
-
-    Raises:
-        ValueError, FileNotFoundError: same as from
-            :func:`~experiments.evaluation.contenders.contender_from`.
-    """
-    # Modes of an unseen radio are untuned on purpose, so suppress the warning about untuned modes.
-    with warnings.catch_warnings(action="ignore"):
-        for radio in dict.fromkeys(site.radio for site in sites()):
-            for name in names:
-                contender_from(name, radio)
-
-
 def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> Judged:
     """Run contenders, the paper's rule and every IMM at a site, on the same episodes."""
     seeds = seeds_from(episodes, seed)
@@ -207,11 +193,6 @@ def tables_of(entries: Sequence[Json], ceiling: Json) -> dict[str, str]:
     }
 
 
-def without_files(entries: Sequence[Json]) -> list[Json]:
-    """Return the entries that are no policy files, such as single trainings; if none is, all."""
-    return [content for content in entries if "/" not in content["entry"]] or [*entries]
-
-
 def standing(figures: Json) -> str:
     """Return "above" if an entry beats every IMM at a site, "below" if an IMM beats the entry.
 
@@ -276,10 +257,9 @@ def gains_by_kind(ranked: Sequence[tuple[str, Json]]) -> str:
 def by_score(entries: Sequence[Json], ceiling: Json) -> str:
     """Return a Markdown table by site: the clairvoyant's gain over the rule, then every score.
 
-    Policy files and the clairvoyant are left out if there are other entries.
+    The clairvoyant's own scores, which are all 100, are left out.
     """
-    names = {content["entry"]: content["sites"] for content in without_files(entries)}
-    shown = {name: at for name, at in names.items() if name != CLAIRVOYANT} or names
+    shown = {c["entry"]: c["sites"] for c in entries if c["entry"] != CLAIRVOYANT}
     rows = []
     for site in sites():
         top = ceiling["sites"].get(site.name, {}).get("over_rule")

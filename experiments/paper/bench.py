@@ -135,14 +135,10 @@ class Section:
         """Return the headers of the columns."""
         return self.header.split(" | ")
 
-    def body(self) -> str:
-        """Return the table and its note as Markdown."""
-        rows = [[shown(cell) for cell in row] for row in self.rows]
-        return f"{grid(self.columns, rows)}\n\n{self.note}"
-
     def markdown(self) -> str:
-        """Return the section with its title as Markdown."""
-        return f"### {self.title}\n\n{self.body()}\n"
+        """Return the title, the table and its note as Markdown."""
+        rows = [[shown(cell) for cell in row] for row in self.rows]
+        return f"### {self.title}\n\n{grid(self.columns, rows)}\n\n{self.note}\n"
 
     def records(self) -> list[Row]:
         """Return a row [section, row, column, mean, low, high] for every number."""

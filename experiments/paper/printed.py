@@ -1,6 +1,6 @@
 """Tables I, II and III with the paper's printed values (arXiv 2510.06861) and our values.
 
-docs/paper.md has short forms of all sections; verdicts.csv lists the rows of its last table.
+Short forms of the sections come first; verdicts.csv lists the rows of the last of these.
 """
 
 import csv
@@ -123,16 +123,16 @@ def table_three(bench: Bench) -> Iterator[Row]:
         yield row
 
 
-def page_tables(sections: Mapping[str, Section]) -> dict[str, str]:
-    """Return the tables of docs/paper.md as Markdown, by title, from sections by title."""
+def summaries(sections: Mapping[str, Section]) -> str:
+    """Return short forms of Tables I and II and of the claims as Markdown, from all sections."""
     with Path(__file__).with_name("verdicts.csv").open(encoding="utf-8") as file:
         rows = [_span(wanted, sections[wanted["section"]]) for wanted in csv.DictReader(file)]
-    return {
-        "Table I": _beside("Table I: pedestrian", sections),
-        "Table II": _beside("Table II: vehicle", sections),
-        "Table III": sections["Table III"].body(),
-        "Claims": grid(["quantity", "paper", "ours, least", "ours, most"], rows),
-    }
+    claims = grid(["quantity", "paper", "ours, least", "ours, most"], rows)
+    return (
+        f"### Table I\n\n{_beside('Table I: pedestrian', sections)}\n\n"
+        f"### Table II\n\n{_beside('Table II: vehicle', sections)}\n\n"
+        f"### Claims\n\n{claims}\n"
+    )
 
 
 def _beside(title: str, sections: Mapping[str, Section]) -> str:

@@ -45,11 +45,6 @@ def spread(values: Sequence[float], unit: float = 1.0) -> str:
     return f"{short(median(values))} ({short(min(values))} to {short(max(values))})"
 
 
-def tables(measured: Measured) -> dict[str, str]:
-    """Return all tables by title, the ratios first."""
-    return {title: make(measured) for title, make in _TABLES.items()}
-
-
 def _ratios(measured: Measured) -> str:
     ratios = measured.ratios()
     rows = [
@@ -101,11 +96,10 @@ def _processes(header: str, rounds: Rounds) -> str:
 
 
 def _machine(measured: Measured) -> str:
+    header = ["processor", "processors", "Python", "numpy", "numba", "rounds"]
+    versions = (platform.python_version(), np.__version__, numba.__version__)
     rounds = len(measured.steps_per_s["filterpy"])
-    return (
-        f"{_processor()}, {os.cpu_count()} processors; Python {platform.python_version()}, "
-        f"numpy {np.__version__}, numba {numba.__version__}; {rounds} rounds."
-    )
+    return grid(header, [[_processor(), os.cpu_count(), *versions, rounds]])
 
 
 def _processor() -> str:
@@ -115,7 +109,8 @@ def _processor() -> str:
     return platform.processor() or platform.machine()
 
 
-_TABLES: dict[str, Callable[[Measured], str]] = {
+# title -> function that makes the table, the ratios first
+TABLES: dict[str, Callable[[Measured], str]] = {
     "Ratios": _ratios,
     "Steps per second": _rates,
     "Filters alone": _filters,
@@ -125,4 +120,3 @@ _TABLES: dict[str, Callable[[Measured], str]] = {
     "First step": lambda m: _processes("seconds to the end of the first step", m.cold_start_s),
     "Machine": _machine,
 }
-TITLES = tuple(_TABLES)

@@ -29,17 +29,11 @@ def entries(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_entries_are_ranked_and_a_page_is_updated(entries, tmp_path):
-    page = tmp_path / "page.md"
-    page.write_text(
-        "".join(f"<!-- table: {t} -->\n<!-- end -->\n" for t in ("leaderboard", "gains", "scores"))
-    )
-    shown = succeed("leaderboard", "--out", entries, "--docs", page)
+def test_entries_are_ranked(entries):
+    shown = succeed("leaderboard", "--out", entries)
     best = "| imm-best (too few: 2 / 2) | "
     assert shown.index(best) < shown.index("| speed-rule (too few: 2 / 2) | ")
     assert all(f"| {site.name} | " in shown for site in sites())
-    for line in shown.splitlines():
-        assert line in page.read_text() or not line.startswith("|")
 
 
 @pytest.mark.slow
@@ -76,7 +70,8 @@ def test_a_file_that_is_not_an_entry_is_refused(tmp_path):
     ],
 )
 def test_a_mistake_is_refused_before_episodes_are_played(options, message, tmp_path):
-    (tmp_path / "mine.json").write_text("{")
+    if not options:
+        (tmp_path / "mine.json").write_text("{")
     assert_one_clear_line(command("leaderboard", *options, "--out", tmp_path), message)
 
 
