@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.console.options import AUTO, LogArgs
+from experiments.console.options import AUTO, LogArgs, require_alone
 from experiments.console.progress import progress
 from experiments.console.provenance import provenance
 from experiments.console.tables import show
@@ -17,7 +17,6 @@ from experiments.reporting.log_choice import (
     Choice,
     choice_of,
     is_algorithm_1,
-    require_none,
     require_one_choice,
 )
 from experiments.reporting.log_diagnosis import diagnosed
@@ -71,22 +70,16 @@ def inputs(args: LogArgs) -> Inputs:
         if args.scene is None:
             raise ValueError(f"scene: found none, expected --scene FILE, the scene of {args.log}")
         return Inputs(args.log, args.scene, args.truth)
-    require_none("--sample", log=args.log, scene=args.scene)
+    require_alone(args, "sample", "log", "scene")
     folder = sample_folder(args.sample)
     return Inputs(folder / LOG, str(folder / SCENE), args.truth or folder / TRUTH)
 
 
 def _check(args: LogArgs, files: Inputs) -> None:
     """Refuse options that contradict each other, and outputs that would replace other files."""
-    if args.diagnose and (args.out or args.plot or args.truth):
-        beside = "--out, --plot or --truth, which need a track"
-        raise ValueError(f"diagnose: cannot be combined with {beside}")
-    if args.diagnose and args.associate:
-        beside = "--associate, because a diagnosis needs anchor numbers"
-        raise ValueError(f"diagnose: cannot be combined with {beside}")
-    for name in ("diagnose", "associate"):
-        if getattr(args, name) and args.clock != "synchronized":
-            raise ValueError(f"clock: {args.clock} cannot be combined with --{name}")
+    require_alone(args, "diagnose", "out", "plot", "truth", "associate", "clock")
+    require_alone(args, "associate", "clock")
+    require_alone(args, "two_way", "height", "smoothing")
     require_one_choice(args)
     if not 2 <= args.window <= LONGEST_WINDOW:
         raise ValueError(
@@ -95,8 +88,6 @@ def _check(args: LogArgs, files: Inputs) -> None:
         )
     if args.height is not None and not np.isfinite(args.height):
         raise ValueError(f"height: found {args.height}, expected a number of meters")
-    if args.two_way and (args.height is not None or not args.smoothing):
-        raise ValueError("two-way: cannot be combined with --height or --no-smoothing")
     Levels(args.risk, args.levels)  # raises if the risk or the kind is invalid
     if args.plot is not None:
         require_picture("plot", args.plot)
@@ -171,15 +162,6 @@ def _track(args: LogArgs, work: Work, window: int | None, report: Callable[[floa
         TwoWayCorrector(TWO_WAY) if args.two_way else None,
         report,
     )
-
-
-def beginning(args: LogArgs, epochs: int) -> tuple[Track, Work]:
-    """Filter the first epochs of a log; return their track and the log's :class:`Work`."""
-    files = inputs(args)
-    work = _work(args, files, scene_from(files.scene))
-    work = work._replace(log=work.log.part(slice(epochs)))
-    track = _track(args, work, None, lambda share: None)
-    return track.by_segment()[0], work
 
 
 def _scores(args: LogArgs, work: Work, track: Track) -> tuple[Json, ValueError | None]:
