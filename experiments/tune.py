@@ -1,11 +1,11 @@
 """mmwave-loc tune: modes, a complete bank, or protection levels."""
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from experiments.console.options import TUNING_SEED, JsonArgs, WorldArgs
+from experiments.console.options import TUNING_SEED, JsonArgs, WorldArgs, require_alone
 
 
 @dataclass(kw_only=True)
@@ -52,10 +52,7 @@ class Args(JsonArgs):
     (.safetensors) of the network to write"""
 
 
-ALONE = {  # option -> the options that can be combined with it
-    "levels": ("levels", "seed", "out"),
-    "bank": ("bank", "radio", "episodes", "evaluations", "seed", "out", "json"),
-}
+OF_MODES = ("modes", "scenarios", "free", "diagonal")  # options that tune single modes
 Content = dict[str, Any]  # content of a JSON file
 
 
@@ -141,10 +138,8 @@ def main(args: Args) -> None:
         require_writable(args.out)
         if args.out.resolve() == Path(args.radio).resolve():
             raise ValueError(f"out: found {args.out}, which is the radio; expected another file")
-    used = [option.name for option in fields(args) if getattr(args, option.name) != option.default]
-    for name, beside in ALONE.items():
-        if name in used and (others := [other for other in used if other not in beside]):
-            raise ValueError(f"{others[0]}: cannot be combined with --{name.replace('_', '-')}")
+    require_alone(args, "bank", *OF_MODES)
+    require_alone(args, "levels", "bank", "radio", "episodes", "evaluations", "json", *OF_MODES)
     if args.levels:
         _train_levels(args)
         return

@@ -24,6 +24,13 @@ def require_at_least(least: int, args: Any, *names: str) -> None:
             raise ValueError(f"{name}: found {number}, expected at least {least}")
 
 
+def require_alone(args: Any, option: str, *others: str) -> None:
+    """Refuse ``others`` beside ``option``, if none of the two has its default value."""
+    for other in others:
+        if all(getattr(args, name) != getattr(type(args), name) for name in (option, other)):
+            raise ValueError(f"{other}: cannot be combined with --{option.replace('_', '-')}")
+
+
 @dataclass(kw_only=True)
 class JsonArgs:
     """Options for results in a file."""

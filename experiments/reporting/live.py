@@ -8,7 +8,7 @@ from io import TextIOWrapper
 from itertools import chain
 from typing import Any
 
-from experiments.console.options import AUTO, LogArgs, require_at_least
+from experiments.console.options import AUTO, LogArgs, require_alone, require_at_least
 from experiments.console.progress import note
 from experiments.reporting.log_choice import choice_of, require_one_choice
 from mmwave_env.io.files import Json, parse_json
@@ -36,11 +36,8 @@ def run_live(args: LogArgs) -> None:
     """
     if str(args.log) != "-" or args.scene is None:
         raise ValueError('live: needs "-" (standard input) as the log, and --scene')
-    for name in ("sample", "truth", "out", "plot", "json", "two_way", "associate", "diagnose"):
-        if getattr(args, name) not in (None, (), False):
-            raise ValueError(f"{name}: cannot be combined with --live, which only prints JSON")
-    if not args.odometry:
-        raise ValueError("odometry: instead of --no-odometry, --live needs rows without odometry")
+    files = ("sample", "truth", "out", "plot", "json")
+    require_alone(args, "live", *files, "two_way", "associate", "diagnose", "odometry")
     require_at_least(0, args, "lag")
     require_one_choice(args)
     clock = clock_from(args.clock)

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.console.options import LogArgs
-from experiments.evaluation.contenders import contender_from, imm_banks
-from mmwave_env.filters.bank import Bank, bank_from, modes_from
+from experiments.console.options import LogArgs, require_alone
+from experiments.evaluation.contenders import BEST_IMM, contender_from
+from mmwave_env.filters.bank import Bank, bank_from, best_bank, default_modes, modes_from
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS, Mode, robust
 from mmwave_env.interface.policy import Rule, Switching
 from mmwave_env.io.lookup import choose
@@ -18,7 +18,7 @@ from policies.rules import SLOW_MPS, by_odometry_speed, by_predicted_speed, mode
 
 # "corrector" corrects the beliefs of "guided". Without elevations, "guided" chooses wrong modes so
 # often that neither of the two is useful (docs/learning.md).
-WITHOUT_ELEVATIONS = "imm-best"
+WITHOUT_ELEVATIONS = BEST_IMM
 RULES: dict[str, tuple[Rule, str]] = {  # --follow -> (rule, words before "speed" in reports)
     "prediction": (by_predicted_speed, "the predicted"),
     "odometry": (by_odometry_speed, "odometry's"),
@@ -38,28 +38,15 @@ def is_algorithm_1(args: LogArgs) -> bool:
     return chosen or args.robust or args.follow != "prediction"
 
 
-def require_none(beside: str, **options: object) -> None:
-    """Refuse options that can't be combined with the option ``beside``."""
-    for name, value in options.items():
-        if value is not None:
-            raise ValueError(f"{name}: cannot be combined with {beside}; use only one of the two")
-
-
 def require_one_choice(args: LogArgs) -> None:
     """Refuse options of a policy, an IMM and Algorithm 1 that contradict each other."""
+    require_alone(args, "imm", "speed", "modes", "policy", "follow")
+    require_alone(args, "policy", "speed", "modes", "follow", "robust")
     by_speed = args.speed not in (None, "auto")
-    if args.imm is not None:
-        require_none("--imm", speed=args.speed, modes=args.modes, policy=args.policy)
-    if args.policy is not None and is_algorithm_1(args):
-        require_none("--policy", speed=args.speed, modes=args.modes)
-        raise ValueError(
-            "policy: cannot be combined with an option of Algorithm 1 (--follow or --robust), "
-            "because a policy is trained with its own modes"
-        )
-    if not by_speed and args.outside == "abort":
+    if args.outside == "abort" and not by_speed:
         raise ValueError("outside: abort needs a number for --speed (in m/s)")
-    if (args.imm or by_speed) and args.follow == "odometry":
-        raise ValueError("follow: odometry needs --speed auto, and cannot be combined with --imm")
+    if args.follow == "odometry" and by_speed:
+        raise ValueError("follow: odometry needs --speed auto")
 
 
 def default_policy(height_m: float | None) -> str:
@@ -97,7 +84,8 @@ def _bank(name: str, radio: str) -> Bank:
     """Return an IMM's bank (modes, transition probabilities), by name or from a mode file."""
     if name.endswith(".json"):
         return bank_from(name, radio)
-    return choose(imm_banks(radio), name, "imm")()
+    makes = {"imm": lambda radio: Bank(default_modes(radio)), BEST_IMM: best_bank}
+    return choose(makes, name, "imm")(radio)
 
 
 def modes_of(args: LogArgs, radio: str) -> tuple[Mode, ...]:
