@@ -6,12 +6,6 @@ from pathlib import Path
 
 from experiments.console.options import require_at_least
 
-TITLES = {
-    "scores": "Score at each site",
-    "gains": "Mean gain over imm-best, and numbers of sites: above every IMM / level / below one",
-    "leaderboard": "Mean score (100: the clairvoyant, 0: the paper's rule)",
-}
-
 
 @dataclass(kw_only=True)
 class Args:
@@ -55,11 +49,14 @@ def main(args: Args) -> None:
     from experiments.console.tables import show
     from experiments.evaluation import protocol
     from experiments.evaluation.branches import CLAIRVOYANT
+    from experiments.evaluation.contenders import contender_from
     from mmwave_env.io.files import write_json
 
     require_at_least(2, args, "episodes", "draws")
     if args.out.is_file():
         raise ValueError(f"out: found the file {args.out}, expected a folder")
+    for name in args.policies:
+        contender_from(name, "handset")  # refuses an unknown name
     groups = [args.policies] if args.policies else []
     stems = {name: re.sub(r"[^\w.-]+", "-", name).strip("-") for name in args.policies}
     files = {name: args.out / f"{stem}.json" for name, stem in stems.items()}
@@ -81,7 +78,6 @@ def main(args: Args) -> None:
         raise ValueError(f"out: found no entries in {args.out}; name contenders with --policies")
     entries = protocol.entries_in(args.out)
     protocol.add_scores(entries, ceiling)
-    tables = protocol.tables_of(entries, ceiling)
-    show("\n\n".join(f"{TITLES[name]}:\n\n{table}" for name, table in tables.items()))
+    show(protocol.tables_of(entries, ceiling))
     if files:
         say(f"entries in {', '.join(map(str, files.values()))}")

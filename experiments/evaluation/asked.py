@@ -8,7 +8,6 @@ from pathlib import Path
 from experiments.console.options import EpisodeArgs, ModeArgs, WorldArgs
 from experiments.evaluation.contenders import Contender, contender_from, contenders
 from experiments.evaluation.runs import Run
-from experiments.evaluation.seeds import seeds_from
 from mmwave_env.filters.bank import Modes, bank_over
 from mmwave_env.filters.modes import Mode
 from mmwave_env.task import Task, TaskArguments, task_from
@@ -45,11 +44,6 @@ def source_of(args: WorldArgs) -> EpisodeSource:
     """Return the source of the episodes that options describe."""
     # Filters do not matter here; a dummy mode avoids the warning about untuned modes.
     return _task(args, [Mode("none")]).source
-
-
-def seeds_of(args: EpisodeArgs) -> range:
-    """Return the seeds of the episodes that options select."""
-    return seeds_from(args.episodes, args.seed)
 
 
 def _task(args: WorldArgs, modes: Modes, beliefs: str = "shared") -> Task:

@@ -96,11 +96,6 @@ class Contender(Switching):
 Make = Callable[[], Contender]
 
 
-def imm_banks(radio: str) -> dict[str, Callable[[], Bank]]:
-    """Return functions that make the IMMs' banks, by name; they read files only when called."""
-    return {"imm": lambda: Bank(default_modes(radio)), BEST_IMM: lambda: best_bank(radio)}
-
-
 def _of_any_modes(bank: Bank) -> dict[str, Make]:
     """Return functions that make a bank's contenders: each mode alone, the rules and the IMM."""
     names = [mode.name for mode in bank.modes]

@@ -183,14 +183,16 @@ def add_scores(entries: Iterable[Json], ceiling: Json) -> None:
                 at["score"] = score_of(at["over_rule"]["mean"], top["over_rule"]["mean"])
 
 
-def tables_of(entries: Sequence[Json], ceiling: Json) -> dict[str, str]:
-    """Return all tables, by title, of entries in which :func:`add_scores` has set the scores."""
+def tables_of(entries: Sequence[Json], ceiling: Json) -> str:
+    """Return all tables of entries in which :func:`add_scores` has set the scores."""
     ranked = ranking(entries)
-    return {
-        "scores": by_score(entries, ceiling),
-        "gains": gains_by_kind(ranked),
-        "leaderboard": scores_by_kind(ranked),
-    }
+    return (
+        f"Score at each site:\n\n{by_score(entries, ceiling)}\n\n"
+        "Mean gain over imm-best, and numbers of sites: above every IMM / level / below one:\n\n"
+        f"{gains_by_kind(ranked)}\n\n"
+        "Mean score (100: the clairvoyant, 0: the paper's rule):\n\n"
+        f"{scores_by_kind(ranked)}"
+    )
 
 
 def standing(figures: Json) -> str:

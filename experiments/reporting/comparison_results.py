@@ -8,12 +8,12 @@ from experiments.evaluation.asked import (
     all_contenders,
     contender_of,
     runs_of,
-    seeds_of,
     task_of,
 )
 from experiments.evaluation.comparison import Comparison, compare_scores, episodes_csv
 from experiments.evaluation.positions import Positions, positions_markdown
 from experiments.evaluation.runner import Scoring, score_contenders
+from experiments.evaluation.seeds import seeds_from
 from experiments.reporting.histories import EpochErrors
 from experiments.reporting.training_seeds import over_training_seeds, seeds_markdown
 from mmwave_env.interface.reward import reward_name
@@ -42,7 +42,7 @@ def results(args: EpisodeArgs, names: Sequence[str], with_epochs: bool = False) 
     task = task_of(args)
     runs = runs_of(args, names)
     scoring = Scoring.of(task)
-    seeds = seeds_of(args)
+    seeds = seeds_from(args.episodes, args.seed)
     others = [file for run in runs.values() for file in run.policies if file != run.policy]
     epochs = EpochErrors(names)
     positions = Positions(names, levels, task.source.layout.anchors, args.planar)

@@ -62,25 +62,18 @@ class EpochErrors:
 
     names: Collection[str]  # contenders; others are skipped
     time_s: Array = field(default_factory=lambda: np.zeros(0))  # (T,) s since the first epoch
-    # contender -> (errors, NEES) for each call of add()
-    _parts: dict[str, list[tuple[Array, Array]]] = field(default_factory=dict)
+    errors_m: dict[str, Array] = field(default_factory=dict)  # contender -> (n, T, 3), m
+    nees: dict[str, Array] = field(default_factory=dict)  # contender -> (n, T)
 
     def add(self, contender: Contender, time_s: Array, results: EpochResults) -> None:
         """Add a contender's epoch results on episodes whose epochs have these times (T,)."""
-        if contender.name in self.names:
+        name = contender.name
+        if name in self.names:
             counted = scored(len(time_s))
             self.time_s = (time_s - time_s[0])[counted]
-            error = results["error"][:, counted]
-            nees = results["nees"][:, counted]
-            parts = self._parts.setdefault(contender.name, [])
-            parts.append((error.astype(np.float32), nees))
+            _append(self.errors_m, name, results["error"][:, counted].astype(np.float32))
+            _append(self.nees, name, results["nees"][:, counted])
 
-    @property
-    def errors_m(self) -> dict[str, Array]:
-        """Return position errors (n, T, 3) by name, m."""
-        return {n: np.concatenate([error for error, _ in p]) for n, p in self._parts.items()}
 
-    @property
-    def nees(self) -> dict[str, Array]:
-        """Return NEES (n, T) by name."""
-        return {n: np.concatenate([nees for _, nees in p]) for n, p in self._parts.items()}
+def _append(table: dict[str, Array], name: str, values: Array) -> None:
+    table[name] = np.concatenate([table[name], values]) if name in table else values

@@ -15,7 +15,7 @@ from experiments.reporting.figures.curves import (
 )
 from experiments.reporting.track_report import track_markdown
 from experiments.reporting.webpage.markup import drawn, element, html_of, table
-from experiments.reporting.webpage.played import Played, ranking, watched_names
+from experiments.reporting.webpage.played import Played, watched_names
 from experiments.reporting.webpage.sources import Source
 from mmwave_env.io.files import Json
 
@@ -105,7 +105,7 @@ def errors_of(source: Source, played: Played) -> Iterator[str]:
     """Yield HTML tables and pictures of the errors of a comparison; nothing for other sources."""
     if source.kind != "comparison":
         return
-    ranked = ranking(source.content["policies"])
+    ranked = [*Comparison.from_json(source.content).policies]
     if figures := source.content.get("position_errors"):  # from --percentiles
         policies = figures["policies"]
         rows = {name: policies[name] for name in ranked if name in policies}

@@ -9,6 +9,7 @@ from experiments.console.options import EpisodeArgs
 from experiments.console.provenance import options_from
 from experiments.evaluation.agents import is_agent
 from experiments.evaluation.asked import contender_of, task_of
+from experiments.evaluation.comparison import Comparison
 from experiments.evaluation.contenders import Contender
 from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.evaluation.seeds import draw_episodes, keys_for, named, seeds_from
@@ -55,7 +56,7 @@ def play(source: Source, most: int, watched: int) -> Played:
 
 
 def _play_episodes(source: Source, most: int, watched: int) -> Played:
-    names = ranking(source.content["policies"])
+    names = [*Comparison.from_json(source.content).policies]
     args = options_from(EpisodeArgs, source.content)
     args = replace(args, episodes=min(most, source.content["episodes"]))
     task = task_of(args)
@@ -92,11 +93,6 @@ def _contenders(args: EpisodeArgs, names: list[str], missing: dict[str, str]) ->
         except (ValueError, OSError) as error:
             missing[name] = str(error)
     return available
-
-
-def ranking(policies: Json) -> list[str]:
-    """Return the names of the contenders in results, best reward first."""
-    return sorted(policies, key=lambda name: -policies[name]["reward"]["mean"])
 
 
 def watched_names(ranked: Sequence[str]) -> list[str]:
