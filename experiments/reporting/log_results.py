@@ -40,7 +40,6 @@ from mmwave_env.localization.track_scores import (
     truth_scores,
     warn_if_far,
 )
-from mmwave_env.logs.clock import clock_offset
 from mmwave_env.logs.log import Log, read_log, read_paths
 from mmwave_env.logs.truth import Truth
 from mmwave_env.models.layout import clock_from
@@ -193,13 +192,8 @@ def _scores(args: LogArgs, work: Work, track: Track) -> tuple[Json, ValueError |
     if scores is None:
         return {}, truth.no_match(*ends)
     truth.warn_if_few(scores["scored"], len(track), *ends)
-    clock = clock_offset(work.log, work.scene, truth.at)
-    if clock and clock.matters:
-        warnings.warn(f"{truth.path}: {clock.advice}", stacklevel=2)
     warn_if_far(truth, scores, "filtered")
-    return {
-        "truth": scores | {"levels": args.levels, "clock": clock and clock.figures()},
-    }, None
+    return {"truth": scores | {"levels": args.levels}}, None
 
 
 def _figures(
