@@ -187,11 +187,10 @@ def _scores(args: LogArgs, work: Work, track: Track) -> tuple[Json, ValueError |
     if truth is None:
         return {}, None
     names = ["filtered", "smoothed"] if args.smoothing else ["filtered"]
-    scores = truth_scores(track, truth, names, args.risk)
-    ends = float(track.time_s[0]), float(track.time_s[-1])
-    if scores is None:
-        return {}, truth.no_match(*ends)
-    truth.warn_if_few(scores["scored"], len(track), *ends)
+    try:
+        scores = truth_scores(track, truth, names, args.risk)
+    except ValueError as error:
+        return {}, error
     warn_if_far(truth, scores, "filtered")
     return {"truth": scores | {"levels": args.levels}}, None
 

@@ -53,11 +53,7 @@ def read_log_folder(folder: Path, clock: bool = False) -> MeasuredTrack:
     if np.array_equal(whole.visible, log.visible) and not np.isfinite(log.sigma).any():
         log = whole
     true = truth.at(log.time_s)
-    ends = float(log.time_s[0]), float(log.time_s[-1])
-    matched = int(np.isfinite(true.position_m[:, 0]).sum())
-    if not matched:
-        raise truth.no_match(*ends)
-    truth.warn_if_few(matched, len(log), *ends)
+    truth.require_match(int(np.isfinite(true.position_m[:, 0]).sum()), log.time_s)
     return MeasuredTrack(
         name=as_name(folder.resolve().name),
         scene=scene,

@@ -66,25 +66,25 @@ class Truth:
             velocity[between] = self._spline(time_s[between], 1)
         return TrueEpochs(position, velocity, np.where(held | between, away, np.nan))
 
-    def no_match(self, first_s: float, last_s: float) -> ValueError:
-        """Return the error for a track without a match in a log from ``first_s`` to ``last_s``."""
-        return ValueError(
-            f"{self.path}: found times from {self.first_s!r} to {self.last_s!r} s, expected some "
-            f"within {TOLERANCE_S} s of the log's times ({first_s!r} to {last_s!r} s); gaps of at "
-            f"most {BRIDGED_S:g} s are interpolated"
-        )
+    def require_match(self, matched: int, time_s: Array) -> None:
+        """Compare this file with a log, given its times (T,) and how many have a true position.
 
-    def warn_if_few(self, matched: int, epochs: int, first_s: float, last_s: float) -> None:
-        """Warn if less than half of a log's epochs have a true position."""
-        if 2 * matched >= epochs:
+        If less than half have one, there is a warning.
+
+        Raises:
+            ValueError: none of them has one.
+        """
+        if 2 * matched >= len(time_s):
             return
-        warnings.warn(
-            f"{self.path}: found a true position for {matched} of the log's {epochs} epochs, "
-            f"expected at least half; the log's times are {first_s:.10g} to {last_s:.10g} s, those "
-            f"of this file {self.first_s:.10g} to {self.last_s:.10g} s: are both in seconds, and "
-            f"are there gaps of more than {BRIDGED_S:g} s in this file?",
-            stacklevel=3,
+        problem = (
+            f"{self.path}: found a true position for {matched} of the log's {len(time_s)} epochs, "
+            f"expected at least half; the log's times are {time_s[0]:.10g} to {time_s[-1]:.10g} s, "
+            f"those of this file {self.first_s:.10g} to {self.last_s:.10g} s: are both in seconds "
+            f"and by the same clock, and are there gaps of more than {BRIDGED_S:g} s in this file?"
         )
+        if not matched:
+            raise ValueError(problem)
+        warnings.warn(problem, stacklevel=3)
 
 
 def stretches(time_s: Array, position_m: Array, gap_s: float) -> list[slice]:

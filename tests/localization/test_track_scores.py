@@ -20,8 +20,10 @@ from tests.localization.test_track_files import some_track
 from tests.logs.test_truth import truth_of
 
 T = 400
+FEW = pytest.mark.filterwarnings("ignore:.*found a true position for")
 
 
+@FEW
 @pytest.mark.parametrize("planar", [False, True])
 @pytest.mark.parametrize("known", [slice(0, T), slice(70, 330), slice(10, 12), slice(10, 11)])
 def test_scores_equal_the_metrics_of_complete_tracks(tmp_path, planar, known):
@@ -91,6 +93,7 @@ def test_rpe_pairs_epochs_one_second_apart_but_not_across_gaps(tmp_path):
     assert apart == pytest.approx(1.0)
 
 
+@FEW
 def test_a_ground_truth_with_several_seconds_between_poses_gives_no_rpe(tmp_path):
     rpe_m, apart, _ = scored_at(tmp_path, 0.1 * np.arange(T), np.arange(0, T, 100))
     assert rpe_m is None and apart is None
