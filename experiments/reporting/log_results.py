@@ -259,7 +259,7 @@ def localized(args: LogArgs) -> None:
             log = "/".join(files.log.parts[-2:])
             truth_m = np.full((len(track), 3), np.nan)
             if work.truth:
-                truth_m = work.truth.at(track.time_s).position_m
+                truth_m = work.truth.at(track.time_s)
             title = f"{log}, {_kind(args)} track"
             draw_trajectory(track, truth_m, scene.anchors_m, args.plot, title)
     finally:  # the results are shown even if a picture fails

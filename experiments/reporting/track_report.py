@@ -99,13 +99,9 @@ def _accuracy(truth: Json, epochs: int) -> str:
     rows = [[name, *(_decimals(row[m]) for m in metrics)] for name, row in truth["tracks"].items()]
     low, high = truth["nees_interval"]
     kinds = {n: {k: row[k] for k in KINDS if k in row} for n, row in truth["tracks"].items()}
-    between = truth["interpolated"]
-    away = f"{1e3 * truth['nearest_pose_s']:.1f} ms from the nearest pose on average"
-    poses = f", {between} of them between poses, {away}" if between else ""
     over = "" if truth["rpe_s"] is None else f"RPE is computed over {truth['rpe_s']:.3g} s; "
     return (
-        f"{grid(header, rows)}\n\n{truth['scored']} of {epochs} epochs have a true position"
-        f"{poses}. {over}"
+        f"{grid(header, rows)}\n\n{truth['scored']} of {epochs} epochs have a true position. {over}"
         f"NEES should be {truth['nees_expected']} on average, and 95 % of its values should be "
         f"within [{low:.2f}, {high:.2f}].\n\n"
         f"{positions_markdown('track', kinds, truth['risk'], truth['levels'])}"

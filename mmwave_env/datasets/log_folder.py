@@ -52,8 +52,8 @@ def read_log_folder(folder: Path, clock: bool = False) -> MeasuredTrack:
     whole = log.whole()
     if np.array_equal(whole.visible, log.visible) and not np.isfinite(log.sigma).any():
         log = whole
-    true = truth.at(log.time_s)
-    truth.require_match(int(np.isfinite(true.position_m[:, 0]).sum()), log.time_s)
+    position = truth.at(log.time_s)
+    truth.require_match(int(np.isfinite(position[:, 0]).sum()), log.time_s)
     return MeasuredTrack(
         name=as_name(folder.resolve().name),
         scene=scene,
@@ -65,8 +65,8 @@ def read_log_folder(folder: Path, clock: bool = False) -> MeasuredTrack:
         doppler_spread_hz=log.doppler_spread_hz,
         sigma=log.sigma if log.layout.partial else None,
         doppler_anchor=log.doppler_anchor if log.layout.partial else None,
-        position_m=true.position_m,
-        velocity_mps=velocity_of(log.time_s, true.position_m, GAP_S),
+        position_m=position,
+        velocity_mps=velocity_of(log.time_s, position, GAP_S),
     )
 
 

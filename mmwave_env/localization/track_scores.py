@@ -42,7 +42,7 @@ def truth_scores(
     Raises:
         ValueError: no epoch has a true position.
     """
-    position, _, away_s = truth.at(track.time_s)
+    position = truth.at(track.time_s)
     known = np.flatnonzero(~np.isnan(position[:, 0]))
     truth.require_match(len(known), track.time_s)
     axes = (0, 1) if track.planar else (0, 1, 2)
@@ -62,8 +62,6 @@ def truth_scores(
         rows[name] = accuracy | errors.figures()
     return {
         "scored": len(known),
-        "interpolated": int(np.count_nonzero(away_s[known])),
-        "nearest_pose_s": float(np.abs(away_s[known]).sum() / len(known)),
         "rpe_s": apart_s if len(pairs) else None,
         "nees_expected": len(axes),
         "nees_interval": interval,

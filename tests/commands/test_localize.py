@@ -119,12 +119,7 @@ def test_the_error_does_not_depend_on_the_rate_of_the_truth(capsys, tmp_path, ra
     truth = at_another_rate(RIDE, tmp_path / "truth.tum", rate_hz)
     results = figures(RIDE, "--speed", "10", "--radio", "standard", "--truth", truth, truth=False)
     assert results["truth"]["tracks"]["smoothed"]["ate_m"] == pytest.approx(0.0625, abs=0.0025)
-    between = results["truth"]["interpolated"]
-    away = 1e3 * results["truth"]["nearest_pose_s"]
-    assert between > 105 and away < 0.25 * 1e3 / rate_hz + 3.0
-    shown = capsys.readouterr()
-    assert f"{between} of them between poses, {away:.1f} ms from the nearest pose" in shown.out
-    assert shown.err == ""
+    assert capsys.readouterr().err == ""
 
 
 def test_the_printed_figures_equal_those_in_the_json_file(capsys, tmp_path):
