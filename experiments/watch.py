@@ -27,8 +27,7 @@ class Args(ModeArgs):
     out: Path | None = None
     """write a video to this .gif or .mp4 file instead of opening a window"""
     fps: int = 10
-    """epochs per second; in a window, keys change this speed
-    (the window's title names the keys)"""
+    """epochs per second; in a window, space pauses"""
     render_size: int = 480
     """height and width of each policy's picture, px, 480 to 1080"""
     render_theme: str = "light"
@@ -125,8 +124,7 @@ def _show(
         return
     from mmwave_env.rendering.window import Window
 
-    window = Window(size * len(contenders), size)
-    window.speed = args.fps
+    window = Window(size * len(contenders), size, args.fps)
     for row in rows:
         window.paused |= row == rows[-1]  # after the last row, wait for the user
         window.show(playback.draw(row))

@@ -39,7 +39,6 @@ from mmwave_env.localization.track_scores import (
     truth_scores,
     warn_if_far,
 )
-from mmwave_env.logs.clock import clock_offset
 from mmwave_env.logs.log import Log, read_log, read_paths
 from mmwave_env.logs.truth import Truth
 from mmwave_env.models.layout import clock_from
@@ -170,18 +169,12 @@ def _scores(args: LogArgs, work: Work, track: Track) -> tuple[Json, ValueError |
     if truth is None:
         return {}, None
     names = ["filtered", "smoothed"] if args.smoothing else ["filtered"]
-    scores = truth_scores(track, truth, names, args.risk)
-    ends = float(track.time_s[0]), float(track.time_s[-1])
-    if scores is None:
-        return {}, truth.no_match(*ends)
-    truth.warn_if_few(scores["scored"], len(track), *ends)
-    clock = clock_offset(work.log, work.scene, truth.at)
-    if clock and clock.matters:
-        warnings.warn(f"{truth.path}: {clock.advice}", stacklevel=2)
+    try:
+        scores = truth_scores(track, truth, names, args.risk)
+    except ValueError as error:
+        return {}, error
     warn_if_far(truth, scores, "filtered")
-    return {
-        "truth": scores | {"levels": args.levels, "clock": clock and clock.figures()},
-    }, None
+    return {"truth": scores | {"levels": args.levels}}, None
 
 
 def _figures(
@@ -248,7 +241,7 @@ def localized(args: LogArgs) -> None:
             log = "/".join(files.log.parts[-2:])
             truth_m = np.full((len(track), 3), np.nan)
             if work.truth:
-                truth_m = work.truth.at(track.time_s).position_m
+                truth_m = work.truth.at(track.time_s)
             title = f"{log}, {_kind(args)} track"
             draw_trajectory(track, truth_m, scene.anchors_m, args.plot, title)
     finally:  # the results are shown even if a picture fails

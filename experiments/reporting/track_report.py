@@ -77,20 +77,6 @@ def _groups(groups: Json) -> str:
     return grid(header, rows)
 
 
-def _clock(truth: Json) -> str:
-    """Return the end of a sentence about true positions, and a sentence on the truth's clock."""
-    between = truth["interpolated"]
-    clock = truth["clock"]
-    away = f"{1e3 * truth['nearest_pose_s']:.1f} ms from the nearest pose on average"
-    said = f", {between} of them between poses, {away}." if between else "."
-    if clock:
-        ahead = 1000.0 * clock["ahead_s"]
-        deviation = 1000.0 * clock["deviation_s"]
-        side = "behind" if ahead < 0.0 else "ahead of"
-        said += f" The truth's clock is {abs(ahead):.0f} ± {deviation:.0f} ms {side} the log's."
-    return said
-
-
 def _association(counts: Json) -> list[str]:
     between = counts["without_track"]
     starts = _times(counts["starts"])
@@ -115,8 +101,7 @@ def _accuracy(truth: Json, epochs: int) -> str:
     kinds = {n: {k: row[k] for k in KINDS if k in row} for n, row in truth["tracks"].items()}
     over = "" if truth["rpe_s"] is None else f"RPE is computed over {truth['rpe_s']:.3g} s; "
     return (
-        f"{grid(header, rows)}\n\n{truth['scored']} of {epochs} epochs have a true position"
-        f"{_clock(truth)} {over}"
+        f"{grid(header, rows)}\n\n{truth['scored']} of {epochs} epochs have a true position. {over}"
         f"NEES should be {truth['nees_expected']} on average, and 95 % of its values should be "
         f"within [{low:.2f}, {high:.2f}].\n\n"
         f"{positions_markdown('track', kinds, truth['risk'], truth['levels'])}"

@@ -1,7 +1,6 @@
 """Reader and writer of folders with the log, the scene and the true track of an episode."""
 
 import math
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,6 @@ from mmwave_env.datasets.deepmimo.v4 import PARAMS
 from mmwave_env.datasets.measured import MeasuredTrack
 from mmwave_env.io.files import write_json, write_text
 from mmwave_env.io.lookup import as_name
-from mmwave_env.logs.clock import clock_offset
 from mmwave_env.logs.log import read_log
 from mmwave_env.logs.log_tables import SUFFIXES
 from mmwave_env.logs.truth import Truth, velocity_of
@@ -34,8 +32,7 @@ def read_log_folder(folder: Path, clock: bool = False) -> MeasuredTrack:
     :class:`~mmwave_env.logs.truth.Truth` interpolates the true positions at the times of the
     epochs. True velocities are computed from these positions. The layout is partial (single values
     of a link may be missing) if a link lacks some of its values, if the log states standard
-    deviations, or if a Doppler shift was measured at an anchor other than the base station. If the
-    clocks of log and track seem to differ, there is a warning.
+    deviations, or if a Doppler shift was measured at an anchor other than the base station.
 
     Args:
         folder: contains ``log.csv`` (or ``.csv.gz``, ``.parquet``), ``scene.json``, ``truth.tum``.
@@ -55,15 +52,8 @@ def read_log_folder(folder: Path, clock: bool = False) -> MeasuredTrack:
     whole = log.whole()
     if np.array_equal(whole.visible, log.visible) and not np.isfinite(log.sigma).any():
         log = whole
-    true = truth.at(log.time_s)
-    ends = float(log.time_s[0]), float(log.time_s[-1])
-    matched = int(np.isfinite(true.position_m[:, 0]).sum())
-    if not matched:
-        raise truth.no_match(*ends)
-    truth.warn_if_few(matched, len(log), *ends)
-    ahead = clock_offset(log, scene, truth.at)
-    if ahead and ahead.matters:
-        warnings.warn(f"{truth.path}: {ahead.advice}", stacklevel=2)
+    position = truth.at(log.time_s)
+    truth.require_match(int(np.isfinite(position[:, 0]).sum()), log.time_s)
     return MeasuredTrack(
         name=as_name(folder.resolve().name),
         scene=scene,
@@ -75,8 +65,8 @@ def read_log_folder(folder: Path, clock: bool = False) -> MeasuredTrack:
         doppler_spread_hz=log.doppler_spread_hz,
         sigma=log.sigma if log.layout.partial else None,
         doppler_anchor=log.doppler_anchor if log.layout.partial else None,
-        position_m=true.position_m,
-        velocity_mps=velocity_of(log.time_s, true.position_m, GAP_S),
+        position_m=position,
+        velocity_mps=velocity_of(log.time_s, position, GAP_S),
     )
 
 

@@ -13,10 +13,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mmwave_env.datasets.tracks import Received, Track
-from mmwave_env.models.layout import wrap_angles
+from mmwave_env.logs.truth import velocity_of
+from mmwave_env.models.layout import LINK, Layout, whole_groups, wrap_angles
 from mmwave_env.models.measurement import range_rate
+from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import Radio, doppler_spread, oscillator_bias
+from mmwave_env.models.scene import scene_of_anchors
 from mmwave_env.numerics.numbers import Array
+from mmwave_env.world.checks import refuse, require_increasing
 
 _NO_PATH_DB = -200.0  # gain of a missing path: so low that it is negligible, but not infinite
 
@@ -52,30 +56,46 @@ class Recording(Track):
     ) -> "Recording":
         """Return a recording of the paths of a ray tracer or survey; NaN stands for a missing path.
 
-        Arguments are as in :meth:`~mmwave_env.datasets.measured.MeasuredTrack.from_arrays`, but
-        measurements are exact. The radio profile converts ``path_gain_db`` (T, L), which is
-        negative, to an SNR. Where there is a line of sight, the Doppler shift is computed from the
-        true velocity.
+        Times (T,) increase; anchors (L, 3) begin with the base station; values of paths are (T, L),
+        gains are negative; true positions and velocities, by default their slopes, are (T, 3).
+        docs/data.md, "Angles", defines angles. The Doppler shift comes from the true velocity.
 
         Raises:
             ValueError: an array has a wrong shape or invalid values; the message names the array.
         """
-        fields, gain = cls._fields(
-            name,
-            time_s,
-            anchors_m,
-            (range_m, aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad),
-            ("path_gain_db", path_gain_db),
-            (position_m, velocity_mps),
-            (carrier_hz, bandwidth_hz),
+        record = f"{cls.KIND} {name!r}"
+        time = _numbers(record, "time_s", time_s, (None,))
+        require_increasing(record, time)
+        T = len(time)
+        anchors = _numbers(record, "anchors_m", anchors_m, (None, 3))
+        layout = Layout(len(anchors))
+        scene = scene_of_anchors(name, anchors, carrier_hz, bandwidth_hz)
+        position = _numbers(record, "position_m", position_m, (T, 3))
+        if velocity_mps is None:
+            velocity = velocity_of(time, position, GAP_S)
+        else:
+            velocity = _numbers(record, "velocity_mps", velocity_mps, (T, 3))
+        links = (range_m, aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad)
+        rows = np.empty((T, layout.size))
+        for i, (link, values) in enumerate(zip(LINK, links, strict=True)):
+            rows[:, i : layout.doppler : 4] = _numbers(record, link, values, (T, layout.anchors))
+        away = position - anchors[0]
+        rows[:, layout.doppler] = scene.hz_per_mps * range_rate(list(away.T), list(velocity.T))
+        wrap_angles(rows, layout)
+        gain = _numbers(record, "path_gain_db", path_gain_db, (T, layout.anchors))
+        visible, _ = whole_groups(rows, np.isfinite(gain), layout)
+        visible[:, layout.anchors] = visible[:, 0]
+        return cls(
+            name=name,
+            scene=scene,
+            layout=layout,
+            time_s=time,
+            measurement=rows,
+            visible=visible,
+            position_m=position,
+            velocity_mps=velocity,
+            path_gain_db=gain,
         )
-        recording = cls(**fields, path_gain_db=gain)
-        layout = recording.layout
-        away = recording.position_m - recording.anchors_m[0]
-        rate = range_rate(list(away.T), list(recording.velocity_mps.T))
-        recording.measurement[:, layout.doppler] = recording.scene.hz_per_mps * rate
-        recording.visible[:, layout.anchors] = recording.visible[:, 0]
-        return recording
 
     def _received(self, radio: Radio, rng: np.random.Generator, epochs: slice) -> Received:
         """Draw the noise, the oscillator's bias and the Doppler spread of some epochs."""
@@ -92,3 +112,15 @@ class Recording(Track):
         speed = np.linalg.norm(self.velocity_mps[epochs], axis=1)
         spread_hz = doppler_spread(radio, scene.hz_per_mps, speed, rng)
         return Received(measurement, snr, spread_hz, bias)
+
+
+def _numbers(record: str, field: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array:
+    """Return a new array of ``values``, refused unless it has this shape (None: any length > 0)."""
+    try:
+        array = np.array(values, float)
+    except (TypeError, ValueError) as error:
+        refuse(record, field, f"{type(values).__name__} ({error})", "an array of numbers")
+    wanted = [n or max(m, 1) for n, m in zip(shape, array.shape, strict=False)]
+    if array.ndim != len(shape) or list(array.shape) != wanted:
+        refuse(record, field, f"shape {array.shape}", f"shape {shape}".replace("None", "any"))
+    return array

@@ -4,28 +4,20 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple, cast
+from typing import ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from mmwave_env.io.lookup import is_name, quoted
 from mmwave_env.io.records import Printable
-from mmwave_env.logs.truth import stretches, velocity_of
-from mmwave_env.models.layout import (
-    LINK,
-    Layout,
-    measurements_from,
-    offered_rows,
-    whole_groups,
-    wrap_angles,
-)
+from mmwave_env.logs.truth import stretches
+from mmwave_env.models.layout import LINK, Layout, measurements_from, offered_rows
 from mmwave_env.models.measurement import exact_rows
 from mmwave_env.models.prior import GAP_S, draw_prior
 from mmwave_env.models.radio import Radio, clock_bias, radio_from
-from mmwave_env.models.scene import Scene, scene_of_anchors
+from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Index, Mask, wrap
-from mmwave_env.world.checks import refuse, require_increasing
+from mmwave_env.world.checks import refuse
 from mmwave_env.world.episode import Episode
 
 # Median errors of a link's range (m) and angles (rad). Medians above _FAR are warned of, medians
@@ -132,58 +124,6 @@ class Track(ABC):
             position_m=position,
             velocity_mps=velocity,
         )
-
-    @classmethod
-    def _fields(
-        cls,
-        name: str,
-        time_s: ArrayLike,
-        anchors_m: ArrayLike,
-        links: Sequence[ArrayLike | None],
-        strength: tuple[str, ArrayLike | None],
-        truth: tuple[ArrayLike, ArrayLike | None],
-        signal: tuple[float, float],
-        doppler_hz: ArrayLike | None = None,
-    ) -> tuple[dict[str, Any], Array]:
-        """Check arrays; return the fields of a :class:`Track`, and the links' SNR or gain (T, L).
-
-        The arrays are arguments of a subclass's ``from_arrays``. ``links`` has one array (T, L) or
-        None for each measurement of ``LINK``, with NaN where not measured. ``strength`` is the name
-        and the array of the SNR or gain; ``truth`` has the true positions and velocities (T, 3);
-        ``signal`` has the carrier frequency and the bandwidth, Hz.
-
-        Raises:
-            ValueError: an array has the wrong shape, or times do not increase.
-        """
-        record = f"{cls.KIND} {name!r}"
-        time = numbers(record, "time_s", time_s, (None,))
-        require_increasing(record, time)
-        T = len(time)
-        position = numbers(record, "position_m", truth[0], (T, 3))
-        if truth[1] is None:
-            velocity = velocity_of(time, position, GAP_S)
-        else:
-            velocity = numbers(record, "velocity_mps", truth[1], (T, 3))
-        anchors = numbers(record, "anchors_m", anchors_m, (None, 3))
-        layout = Layout(len(anchors))
-        rows = np.full((T, layout.size), np.nan)
-        for i, (link, values) in enumerate(zip(LINK, links, strict=True)):
-            rows[:, i : layout.doppler : 4] = numbers(record, link, values, (T, layout.anchors))
-        rows[:, layout.doppler] = numbers(record, "doppler_hz", doppler_hz, (T,))
-        wrap_angles(rows, layout)
-        strengths = numbers(record, *strength, (T, layout.anchors))
-        visible, _ = whole_groups(rows, np.isfinite(strengths), layout)
-        fields = {
-            "name": name,
-            "scene": scene_of_anchors(name, anchors, *signal),
-            "layout": layout,
-            "time_s": time,
-            "measurement": rows,
-            "visible": visible,
-            "position_m": position,
-            "velocity_mps": velocity,
-        }
-        return fields, strengths
 
     @property
     def record(self) -> str:
@@ -314,20 +254,3 @@ class TrackSource:
         start = int(rng.choice(self._starts))
         episode = self.track.episode(self.radio, rng, slice(start, start + self.epochs))
         return episode.only(self._measurements) if self._measurements else episode
-
-
-def numbers(
-    record: str, field: str, values: ArrayLike | None, shape: tuple[int | None, ...]
-) -> Array:
-    """Return a new array of ``values``, refused unless it has this shape (None: any length > 0).
-
-    If there are no values, all of the array is NaN.
-    """
-    try:
-        array = np.full(cast(Any, shape), np.nan) if values is None else np.array(values, float)
-    except (TypeError, ValueError) as error:
-        refuse(record, field, f"{type(values).__name__} ({error})", "an array of numbers")
-    wanted = [n or max(m, 1) for n, m in zip(shape, array.shape, strict=False)]
-    if array.ndim != len(shape) or list(array.shape) != wanted:
-        refuse(record, field, f"shape {array.shape}", f"shape {shape}".replace("None", "any"))
-    return array

@@ -27,8 +27,11 @@ def ratio(part: float, whole: float) -> float | None:
 
 def truth_scores(
     track: Track, truth: Truth, names: Sequence[str], risk: float = RISK
-) -> dict[str, Any] | None:
+) -> dict[str, Any]:
     """Return the accuracy of tracks against true positions, with values to compare it with.
+
+    :mod:`mmwave_env.metrics` defines ATE, RMSE, RPE and NEES. If less than half of the epochs have
+    a true position, there is a warning.
 
     Args:
         track: the track.
@@ -36,14 +39,12 @@ def truth_scores(
         names: the tracks to score: "filtered", "smoothed" or both.
         risk: risk of the protection levels.
 
-    Returns:
-        The accuracy; None if no epoch has a true position. :mod:`mmwave_env.metrics` defines ATE,
-        RMSE, RPE and NEES.
+    Raises:
+        ValueError: no epoch has a true position.
     """
-    position, _, away_s = truth.at(track.time_s)
+    position = truth.at(track.time_s)
     known = np.flatnonzero(~np.isnan(position[:, 0]))
-    if not len(known):
-        return None
+    truth.require_match(len(known), track.time_s)
     axes = (0, 1) if track.planar else (0, 1, 2)
     interval = nees_interval(len(axes))
     pairs, apart_s = _pairs(track.time_s[known], track.segment[known], track.time_s[:_ENOUGH])
@@ -61,8 +62,6 @@ def truth_scores(
         rows[name] = accuracy | errors.figures()
     return {
         "scored": len(known),
-        "interpolated": int(np.count_nonzero(away_s[known])),
-        "nearest_pose_s": float(np.abs(away_s[known]).sum() / len(known)),
         "rpe_s": apart_s if len(pairs) else None,
         "nees_expected": len(axes),
         "nees_interval": interval,

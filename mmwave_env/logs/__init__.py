@@ -1,1 +1,1 @@
-"""Measurement logs and TUM trajectories: readers, checks, and an estimate of clock offsets."""
+"""Measurement logs and TUM trajectories: readers, checks."""

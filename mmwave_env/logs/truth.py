@@ -4,7 +4,7 @@ import warnings
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -13,14 +13,6 @@ from mmwave_env.numerics.numbers import Array
 
 BRIDGED_S = 1.5  # longest gap that is interpolated: GPS gives a pose per second, sometimes late
 TOLERANCE_S = 0.01  # a pose this close in time is used without interpolation, as in the tool evo
-
-
-class TrueEpochs(NamedTuple):
-    """True positions in T epochs, and times from the epochs to the nearest poses of the track."""
-
-    position_m: Array  # (T, 3), NaN where not known
-    velocity_mps: Array  # (T, 3), NaN where not known
-    away_s: Array  # (T,) time of the nearest pose minus the epoch's time; NaN where not known
 
 
 class Truth:
@@ -38,7 +30,6 @@ class Truth:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._poses = read_tum(path)
-        self._slope = velocity_of(*self._poses, BRIDGED_S)
         self.first_s = float(self._poses.time_s[0])
         self.last_s = float(self._poses.time_s[-1])
 
@@ -46,45 +37,43 @@ class Truth:
     def _spline(self) -> Any:
         from scipy.interpolate import CubicHermiteSpline
 
-        return CubicHermiteSpline(*self._poses, np.nan_to_num(self._slope))
+        slope = velocity_of(*self._poses, BRIDGED_S)
+        return CubicHermiteSpline(*self._poses, np.nan_to_num(slope))
 
-    def at(self, time_s: Array) -> TrueEpochs:
-        """Interpolate at times (T,)."""
+    def at(self, time_s: Array) -> Array:
+        """Return positions (T, 3), m, at times (T,); NaN where not known."""
         t, p = self._poses
         after = np.searchsorted(t, time_s)
         before = np.maximum(after - 1, 0)
         after = np.minimum(after, len(t) - 1)
         nearest = np.where(time_s - t[before] <= t[after] - time_s, before, after)
-        away = t[nearest] - time_s
-        held = np.abs(away) <= TOLERANCE_S
+        held = np.abs(t[nearest] - time_s) <= TOLERANCE_S
         position = np.where(held[:, None], p[nearest], np.nan)
-        velocity = np.where((away == 0.0)[:, None], self._slope[nearest], np.nan)
         step = t[after] - t[before]
         between = (t[before] < time_s) & (time_s < t[after]) & (step <= BRIDGED_S)
         if between.any():
             position[between] = self._spline(time_s[between])
-            velocity[between] = self._spline(time_s[between], 1)
-        return TrueEpochs(position, velocity, np.where(held | between, away, np.nan))
+        return position
 
-    def no_match(self, first_s: float, last_s: float) -> ValueError:
-        """Return the error for a track without a match in a log from ``first_s`` to ``last_s``."""
-        return ValueError(
-            f"{self.path}: found times from {self.first_s!r} to {self.last_s!r} s, expected some "
-            f"within {TOLERANCE_S} s of the log's times ({first_s!r} to {last_s!r} s); gaps of at "
-            f"most {BRIDGED_S:g} s are interpolated"
-        )
+    def require_match(self, matched: int, time_s: Array) -> None:
+        """Compare this file with a log, given its times (T,) and how many have a true position.
 
-    def warn_if_few(self, matched: int, epochs: int, first_s: float, last_s: float) -> None:
-        """Warn if less than half of a log's epochs have a true position."""
-        if 2 * matched >= epochs:
+        If less than half have one, there is a warning.
+
+        Raises:
+            ValueError: none of them has one.
+        """
+        if 2 * matched >= len(time_s):
             return
-        warnings.warn(
-            f"{self.path}: found a true position for {matched} of the log's {epochs} epochs, "
-            f"expected at least half; the log's times are {first_s:.10g} to {last_s:.10g} s, those "
-            f"of this file {self.first_s:.10g} to {self.last_s:.10g} s: are both in seconds, and "
-            f"are there gaps of more than {BRIDGED_S:g} s in this file?",
-            stacklevel=3,
+        problem = (
+            f"{self.path}: found a true position for {matched} of the log's {len(time_s)} epochs, "
+            f"expected at least half; the log's times are {time_s[0]:.10g} to {time_s[-1]:.10g} s, "
+            f"those of this file {self.first_s:.10g} to {self.last_s:.10g} s: are both in seconds "
+            f"and by the same clock, and are there gaps of more than {BRIDGED_S:g} s in this file?"
         )
+        if not matched:
+            raise ValueError(problem)
+        warnings.warn(problem, stacklevel=3)
 
 
 def stretches(time_s: Array, position_m: Array, gap_s: float) -> list[slice]:

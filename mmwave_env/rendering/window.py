@@ -1,4 +1,4 @@
-"""Window that shows pictures and reacts to keys."""
+"""Window that shows pictures."""
 
 import os
 import time
@@ -8,10 +8,6 @@ import pygame
 
 from mmwave_env.rendering.theme import FRAMES_PER_SECOND, Pixels
 
-SPEEDS = (1, 2, 5, 10, 20, 50, 100)  # pictures per second
-_STEP = (pygame.K_n, pygame.K_RIGHT)
-_FASTER = (pygame.K_PLUS, pygame.K_EQUALS, pygame.K_KP_PLUS, pygame.K_UP)
-_SLOWER = (pygame.K_MINUS, pygame.K_KP_MINUS, pygame.K_DOWN)
 _UNSEEN = {"offscreen", "dummy"}  # video drivers without a visible window
 
 
@@ -38,31 +34,28 @@ def require_display(
 
 
 class Window:
-    """A window that shows one picture after another, at a speed that the user changes with keys.
+    """A window that shows one picture after another, ``speed`` per second.
 
-    The title lists the keys. Space begins or ends a pause; n shows the next picture and begins a
-    pause. After the user closes the window, :meth:`show` returns immediately.
+    Space begins or ends a pause. After the user closes the window, :meth:`show` returns
+    immediately.
     """
 
-    def __init__(self, width: int, height: int) -> None:
+    def __init__(self, width: int, height: int, speed: int = FRAMES_PER_SECOND) -> None:
         require_display()
         self._screen: Any = pygame.display.set_mode((width, height))
+        pygame.display.set_caption("MmWaveLoc-v0 (space: pause)")
         self._shown_s = 0.0
-        self._stepping = False
+        self._speed = speed
         self.paused = False
-        self.speed = FRAMES_PER_SECOND
-        self._name()
 
     def show(self, picture: Pixels) -> None:
-        """Show a picture (height, width, 3) until the next is due or asked for."""
+        """Show a picture (height, width, 3) until the next is due."""
         surface = pygame.image.frombuffer(picture.tobytes(), picture.shape[1::-1], "RGB")
-        self._stepping = False
         while self._screen is not None:
             self._screen.blit(surface, (0, 0))
             pygame.display.flip()
             self._listen()
-            over = not self.paused and time.monotonic() >= self._shown_s + 1.0 / self.speed
-            if over or self._stepping:
+            if not self.paused and time.monotonic() >= self._shown_s + 1.0 / self._speed:
                 break
             pygame.time.wait(5)
         self._shown_s = time.monotonic()
@@ -79,27 +72,10 @@ class Window:
             self._screen = None
 
     def _listen(self) -> None:
-        """Handle the events since the last call, until one of them asks for a single step."""
-        while self._screen is not None and not self._stepping:
-            event = pygame.event.poll()
-            if event.type == pygame.NOEVENT:
-                return
+        """Handle the events since the last call."""
+        for event in pygame.event.get():
             if event.type == pygame.QUIT:
                 self.close()
-            elif event.type == pygame.KEYDOWN:
-                self._press(event.key)
-                self._name()
-
-    def _press(self, key: int) -> None:
-        if key == pygame.K_SPACE:
-            self.paused = not self.paused
-        elif key in _STEP:
-            self.paused = self._stepping = True
-        elif key in _FASTER:
-            self.speed = next((speed for speed in SPEEDS if speed > self.speed), SPEEDS[-1])
-        elif key in _SLOWER:
-            self.speed = next((speed for speed in SPEEDS[::-1] if speed < self.speed), SPEEDS[0])
-
-    def _name(self) -> None:
-        state = "paused" if self.paused else f"{self.speed} pictures per second"
-        pygame.display.set_caption(f"MmWaveLoc-v0, {state} (space: pause, n: one epoch, + and -)")
+                return
+            if event.type == pygame.KEYDOWN and event.key == pygame.K_SPACE:
+                self.paused = not self.paused

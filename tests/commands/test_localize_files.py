@@ -240,6 +240,6 @@ def test_if_log_and_truth_do_not_overlap_in_time_the_error_shows_both_time_spans
     truth.write_text(tum_lines(np.array([1000.0, 1002.5]), np.zeros((2, 3))))
     more = ("--speed", "1", "--truth", truth, "--out", out)
     shown, line = refused(options(WALK / "log.csv", *more))
-    assert "found times from 1000.0 to 1002.5 s, expected some within 0.01 s" in line
-    assert "(0.0 to 39.9 s)" in line and "; 400 epochs are written" in line
+    assert "those of this file 1000 to 1002.5 s" in line
+    assert "the log's times are 0 to 39.9 s" in line and "; 400 epochs are written" in line
     assert len(read_tum(out).time_s) == 400 and "ATE" not in shown

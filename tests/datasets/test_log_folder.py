@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.interpolate import CubicSpline
 
 from mmwave_env.datasets.log_folder import read_log_folder, write_log_folder
 from mmwave_env.datasets.measured import MeasuredTrack
@@ -87,17 +86,6 @@ def test_epochs_are_matched_to_poses_by_time(folder):
         episode = source_from(folder, "handset").sample(np.random.default_rng(0))
     np.testing.assert_array_equal(episode.truth_position_m, track.position_m[early])
     np.testing.assert_array_equal(episode.time_s, track.time_s[early])
-
-
-def test_a_wrong_clock_of_the_truth_is_reported_but_not_corrected(sample):
-    """Check a true track at 30 Hz (the log has 10 Hz) whose clock is 0.1 s ahead."""
-    track = read_log_folder(sample)
-    time = np.arange(0.004, track.time_s[-1], 1.0 / 30.0)
-    position = CubicSpline(track.time_s, track.position_m)(time)
-    (sample / "truth.tum").write_text(tum_lines(time + 0.1, position))
-    with pytest.warns(UserWarning, match=r"truth.tum: found its clock 1\d\d ± \d+ ms"):
-        position = read_log_folder(sample).position_m
-    np.testing.assert_allclose(position[2:-1], track.position_m[1:-2], atol=1e-3)
 
 
 def test_a_log_with_sigma_columns_and_missing_quantities_can_be_played_and_written_again(folder):

@@ -1,4 +1,4 @@
-"""Tests that arrays of measurements become episodes, and that messages name a wrong array."""
+"""Tests of measured tracks, the episodes from them, and recordings from arrays."""
 
 import gymnasium as gym
 import numpy as np
@@ -14,7 +14,7 @@ from mmwave_env.logs.truth import stretches, velocity_of
 from mmwave_env.models.layout import LINK, Layout
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import SCENES
+from mmwave_env.models.scene import SCENES, scene_of_anchors
 from mmwave_env.world.simulated import SimulatedSource
 from tests.logs.by_hand import shown
 from tests.paths import representative
@@ -39,124 +39,33 @@ def links(record, visible):
 
 
 def arrays(episode):
-    """Return, by name, the arrays from which ``MeasuredTrack.from_arrays`` makes this episode."""
-    visible = episode.usable[:, :3]
-    doppler = episode.layout.doppler
-    return {
+    """Return, by name, the arrays of an episode that :func:`track` can change."""
+    return links(episode, episode.usable[:, :3]) | {
         "time_s": episode.time_s,
         "anchors_m": episode.scene_anchors_m,
-        **links(episode, visible),
-        "snr_db": np.where(visible, episode.snr_db, np.nan),
-        "doppler_hz": np.where(episode.usable[:, 3], episode.measurement[:, doppler], np.nan),
-        "doppler_spread_hz": episode.doppler_spread_hz,
         "position_m": episode.truth_position_m,
     }
 
 
-def track(**changes):
-    return MeasuredTrack.from_arrays(**{**arrays(simulated()), **changes})
-
-
-# --- from arrays
-
-
-def test_the_arrays_of_an_episode_give_the_same_episode():
-    true = simulated()
-    velocity = true.truth_velocity_mps
-    episode = track(velocity_mps=velocity).episode("handset", generator())
-    at = np.repeat(true.usable, [4, 4, 4, 1], axis=1)
-    np.testing.assert_array_equal(episode.usable, true.usable)
-    np.testing.assert_array_equal(episode.measurement[at], true.measurement[at])
-    np.testing.assert_allclose(episode.sigma[at], true.sigma[at], rtol=1e-12)
-    for field in ("time_s", "doppler_spread_hz", "truth_position_m", "truth_velocity_mps"):
-        np.testing.assert_array_equal(getattr(episode, field), getattr(true, field))
-    np.testing.assert_array_equal(episode.site()[:10], true.site()[:10])  # anchors and carrier
-    np.testing.assert_array_equal(episode.prior_covariance, true.prior_covariance)
-    assert episode.nonfinite == 0
-
-
-def test_lists_are_accepted_and_doppler_shifts_are_optional():
-    lists = {name: np.asarray(value).tolist() for name, value in arrays(simulated()).items()}
-    del lists["doppler_hz"], lists["doppler_spread_hz"]
-    own = MeasuredTrack.from_arrays(**lists)
-    assert not own.visible[:, 3].any() and not own.doppler_spread_hz.any()
-    np.testing.assert_array_equal(own.visible[:, :3], track().visible[:, :3])
-
-
-@pytest.mark.parametrize("name", [*LINK, "snr_db"])
-def test_a_link_may_lack_a_measurement_but_without_snr_it_is_not_visible(name):
-    whole = track()
-    epoch, anchor = np.argwhere(whole.visible[:, :3])[0]
-    values = arrays(simulated())[name].copy()
-    values[epoch, anchor] = np.nan
-    own = track(**{name: values})
-    rows = slice(4 * anchor, 4 * anchor + 4)
-    heard = name != "snr_db"
-    assert not whole.layout.partial and own.layout.partial == heard
-    expected = whole.visible.copy()
-    expected[epoch, anchor] = heard
-    np.testing.assert_array_equal(own.visible[:, :3], expected[:, :3])
-    if heard:
-        lacks = np.isnan(own.measurement[epoch, rows])
-        np.testing.assert_array_equal(lacks, [link == name for link in LINK])
-
-
-SIGMA = {"range_sigma_m": 0.3, "aoa_azimuth_sigma_rad": 0.02}
-
-
-def test_measurements_with_standard_deviations_need_no_snr():
-    own = arrays(simulated())
-    shape = own["range_m"].shape
-    some = {name: own[name] for name in ("time_s", "anchors_m", "position_m")}
-    some |= {"range_m": own["range_m"], "aoa_azimuth_rad": own["aoa_azimuth_rad"]}
-    stated = {name: np.full(shape, value) for name, value in SIGMA.items()}
-    episode = MeasuredTrack.from_arrays(**some, **stated).episode("handset", generator())
-    np.testing.assert_array_equal(episode.usable[:, :3], np.isfinite(own["range_m"]))
-    assert not episode.usable[:, 3].any() and episode.layout.partial
-    seen = np.isfinite(episode.measurement[:, :2])
-    np.testing.assert_array_equal(episode.sigma[:, :2][seen], np.tile([0.3, 0.02], (60, 1))[seen])
-    stated["range_sigma_m"][:, 0] = np.nan  # without sigma and SNR, a range counts as missing
-    lost = MeasuredTrack.from_arrays(**some, **stated)
-    np.testing.assert_array_equal(
-        np.isfinite(lost.measurement[:, [0, 4]]), np.isfinite(own["range_m"][:, :2]) & [False, True]
+def track(episode=None, **changes):
+    """Return an episode as a measured track, with some arrays changed."""
+    episode = episode or simulated()
+    own = arrays(episode) | changes
+    measurement = episode.measurement.copy()
+    for i, name in enumerate(LINK):
+        measurement[:, i : episode.layout.doppler : 4] = own[name]
+    return MeasuredTrack(
+        name="own",
+        scene=scene_of_anchors("own", own["anchors_m"], 28e9, 100e6),
+        layout=episode.layout,
+        time_s=own["time_s"],
+        measurement=measurement,
+        visible=episode.usable,
+        snr_db=episode.snr_db,
+        doppler_spread_hz=episode.doppler_spread_hz,
+        position_m=own["position_m"],
+        velocity_mps=velocity_of(own["time_s"], own["position_m"], GAP_S),
     )
-
-
-@pytest.mark.parametrize(
-    ("changes", "field"),
-    [
-        ({"snr_db": None}, "range_m"),
-        ({"snr_db": None, "range_sigma_m": np.ones((60, 3))}, "aoa_azimuth_rad"),
-        ({"range_sigma_m": np.zeros((60, 3))}, "range_sigma_m"),
-        ({"doppler_sigma_hz": np.ones((60, 3))}, "doppler_sigma_hz"),
-        (dict.fromkeys(("range_m", "aoa_azimuth_rad", "aod_azimuth_rad")), "aod_azimuth_rad"),
-    ],
-    ids=str,
-)
-def test_missing_or_nonpositive_noise_is_refused_and_so_are_too_few_measurements(changes, field):
-    with refuses(field):
-        track(**changes)
-
-
-def test_angles_that_differ_by_a_full_turn_give_the_same_track():
-    turned = track(aod_azimuth_rad=arrays(simulated())["aod_azimuth_rad"] + 2 * np.pi)
-    at = track().visible[:, 0]
-    np.testing.assert_allclose(turned.measurement[at], track().measurement[at], atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [
-        ("snr_db", np.zeros((60, 2))),
-        ("position_m", np.zeros((60, 2))),
-        ("anchors_m", [1.0, 2.0, 3.0]),
-        ("time_s", np.zeros(60)),
-        ("carrier_hz", 28.0),
-    ],
-)
-def test_the_error_names_an_array_of_a_wrong_shape_or_value(field, value):
-    with refuses(field):
-        track(**{field: value})
 
 
 # --- wrong conventions and units
@@ -182,17 +91,18 @@ MISTAKES = {  # name -> (function that returns the changed arrays, array that th
 
 
 @pytest.mark.parametrize("name", MISTAKES)
-def test_arrays_that_contradict_the_truth_cause_a_warning(name):
+def test_values_that_contradict_the_truth_cause_a_warning(name):
     change, column = MISTAKES[name]
+    episode = simulated(radio=RADIOS["standard"])
     with pytest.warns(UserWarning, match=f"track 'own': .*{column}"):
-        track(**change(arrays(simulated(radio=RADIOS["standard"]))))
+        track(episode, **change(arrays(episode)))
 
 
 @pytest.mark.parametrize("seeds", representative([range(20), range(20, 354)], range(20)))
 def test_correct_tracks_cause_no_warning(seeds):
     for seed in seeds:
         for radio in RADIOS.values():
-            MeasuredTrack.from_arrays(**arrays(simulated(seed, 200, radio, "mixed")))
+            track(simulated(seed, 200, radio, "mixed"))
 
 
 # --- episodes
@@ -297,3 +207,19 @@ def test_a_recording_can_be_made_from_arrays():
         Recording.from_arrays(**{**own, "path_gain_db": [1.0]})
     with pytest.warns(UserWarning, match="aoa_azimuth_rad of anchor 1"):
         Recording.from_arrays(**{**own, "aoa_azimuth_rad": own["aod_azimuth_rad"]})
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("path_gain_db", np.zeros((60, 2))),
+        ("position_m", np.zeros((60, 2))),
+        ("anchors_m", [1.0, 2.0, 3.0]),
+        ("time_s", np.zeros(60)),
+        ("carrier_hz", 28.0),
+    ],
+)
+def test_the_error_names_an_array_of_a_wrong_shape_or_value(field, value):
+    own = arrays(simulated()) | {"path_gain_db": np.full((60, 3), -90.0), field: value}
+    with refuses(field):
+        Recording.from_arrays(**own)

@@ -20,8 +20,10 @@ from tests.localization.test_track_files import some_track
 from tests.logs.test_truth import truth_of
 
 T = 400
+FEW = pytest.mark.filterwarnings("ignore:.*found a true position for")
 
 
+@FEW
 @pytest.mark.parametrize("planar", [False, True])
 @pytest.mark.parametrize("known", [slice(0, T), slice(70, 330), slice(10, 12), slice(10, 11)])
 def test_scores_equal_the_metrics_of_complete_tracks(tmp_path, planar, known):
@@ -91,6 +93,7 @@ def test_rpe_pairs_epochs_one_second_apart_but_not_across_gaps(tmp_path):
     assert apart == pytest.approx(1.0)
 
 
+@FEW
 def test_a_ground_truth_with_several_seconds_between_poses_gives_no_rpe(tmp_path):
     rpe_m, apart, _ = scored_at(tmp_path, 0.1 * np.arange(T), np.arange(0, T, 100))
     assert rpe_m is None and apart is None
@@ -112,14 +115,12 @@ def test_rpe_does_not_pair_epochs_of_different_segments(tmp_path):
     assert rpe_m == pytest.approx(mean_change(x, [(k, k + 1) for k in range(T - 1) if k != 99]))
 
 
-def test_epochs_between_poses_are_scored_and_counted_as_interpolated(tmp_path):
+def test_epochs_between_poses_are_scored(tmp_path):
     block = replace(some_track(T), time_s=np.arange(T) * 0.001)
     truth = truth_of(tmp_path, np.arange(0.0, 0.3, 0.1), np.zeros((3, 3)))
     figures = truth_scores(block, truth, ["filtered"])
     # Epochs up to 10 ms after the last pose are scored, too.
-    assert figures["scored"] == 211 and figures["interpolated"] == 208
-    away = np.abs(block.time_s[:211, None] - [0.0, 0.1, 0.2]).min(axis=1)
-    assert figures["nearest_pose_s"] == pytest.approx(away.mean())
+    assert figures["scored"] == 211
 
 
 def test_statistics_of_groups_equal_statistics_of_the_complete_track():

@@ -1,11 +1,11 @@
-"""Tests of the window that shows pictures: its keys, speed and closing, and what it shows."""
+"""Tests of the window that shows pictures: its pause and closing, and what it shows."""
 
 import gymnasium as gym
 import numpy as np
 import pygame
 import pytest
 
-from mmwave_env.rendering.window import SPEEDS, Window
+from mmwave_env.rendering.window import Window
 
 ID = "mmwave_env:MmWaveLoc-v0"
 
@@ -13,42 +13,31 @@ ID = "mmwave_env:MmWaveLoc-v0"
 @pytest.fixture
 def window(monkeypatch):
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    window = Window(480, 480)
-    window.speed = SPEEDS[-1]
+    window = Window(480, 480, 100)
     yield window
     window.close()
-
-
-def press(*keys):
-    for key in keys:
-        pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=key))
 
 
 PICTURE = np.zeros((480, 480, 3), np.uint8)
 
 
-def test_the_window_stays_paused_after_single_steps_until_space_is_pressed(window):
-    press(pygame.K_SPACE, pygame.K_n)
-    window.show(PICTURE)
-    assert window.paused
-    press(pygame.K_n)
-    window.show(PICTURE)
-    assert window.paused
-    press(pygame.K_SPACE)
-    window.show(PICTURE)
-    assert not window.paused
+def press_space():
+    pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=pygame.K_SPACE))
 
 
-def test_the_speed_keys_stop_at_the_lowest_and_highest_speed(window):
-    press(pygame.K_PLUS)
+def test_space_begins_and_ends_a_pause(window, monkeypatch):
+    waits = []
+
+    def wait(milliseconds):
+        assert window.paused
+        waits.append(milliseconds)
+        if len(waits) == 3:
+            press_space()
+
+    monkeypatch.setattr(pygame.time, "wait", wait)
+    press_space()
     window.show(PICTURE)
-    assert window.speed == SPEEDS[-1]
-    press(pygame.K_MINUS, pygame.K_DOWN)
-    window.show(PICTURE)
-    assert window.speed == SPEEDS[-3]
-    press(*[pygame.K_MINUS] * 9, pygame.K_UP, pygame.K_n)
-    window.show(PICTURE)
-    assert window.speed == SPEEDS[1]
+    assert len(waits) == 3 and not window.paused
 
 
 def test_a_closed_window_stays_closed_and_does_not_wait(window):
