@@ -15,7 +15,7 @@ from mmwave_env.io.files import Json, parse_json
 from mmwave_env.io.lookup import printable, quoted
 from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.radio_choice import nearest_radio
-from mmwave_env.localization.segments import can_begin
+from mmwave_env.localization.starts import start_at
 from mmwave_env.localization.tracker import Position, Tracker
 from mmwave_env.logs.live_log import LiveEpoch, LiveLog
 from mmwave_env.logs.log_tables import LogError
@@ -48,7 +48,7 @@ def run_live(args: LogArgs) -> None:
         if tracker is None:
             log = epoch.log()
             radio = nearest_radio(log, scene) if args.radio == AUTO else args.radio
-            if not can_begin(log, scene, radio_from(radio)):
+            if not start_at(log, 0, scene, radio_from(radio)):
                 continue
             choice = choice_of(args, radio, log)
             tracker = Tracker(

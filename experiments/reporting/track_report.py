@@ -30,7 +30,7 @@ def _course(figures: Json) -> list[str]:
         f"{speed['mean']:.2f} m/s on average, {speed['max']:.2f} m/s at most"
     ]
     if f["skipped"]:
-        lines.append(f"{f['skipped']} epochs before the first line of sight were skipped")
+        lines.append(f"{f['skipped']} epochs before the first position were skipped")
     if f["restarts"] or f["dropped"]:
         event = f"restarted {_times(f['restarts'])} after" if f["restarts"] else "ended at"
         gaps = f"{'a gap' if f['restarts'] < 2 else 'gaps'} of more than {GAP_S:g} s"

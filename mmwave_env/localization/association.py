@@ -25,7 +25,7 @@ from mmwave_env.filters.linearization import Tangent
 from mmwave_env.filters.memory import Memory, initial_memory, memory_after, memory_before
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline, predict, predict_update
-from mmwave_env.localization.segments import gives_fix
+from mmwave_env.localization.starts import gives_fix
 from mmwave_env.logs.log import Log, PathEpoch, PathLog
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.measurement import Epoch, Site, link_group

@@ -21,6 +21,7 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.localization.contradictions import Contradiction, contradictions, impossible
 from mmwave_env.localization.localizer import episode_from
+from mmwave_env.localization.starts import start_at
 from mmwave_env.logs.log import Log
 from mmwave_env.models.layout import wrap_angles
 from mmwave_env.models.radio import RADIOS, Radio
@@ -325,7 +326,10 @@ def _findings(readings: Sequence[Reading], mode: Mode) -> list[Finding]:
             wrap_angles(z, reading.log.layout)
             log = replace(reading.log, measurement=z)
             try:
-                episodes.append(episode_from(log, reading.scene, reading.radio))
+                start = start_at(log, 0, reading.scene, reading.radio)
+                if start is None:
+                    raise ValueError("the first epoch determines no position")
+                episodes.append(episode_from(log, reading.scene, reading.radio, start))
                 tracked.append(reading._replace(log=log))
             except ValueError as error:
                 why = [Contradiction("track", f"none ({error})", "a track")]

@@ -25,7 +25,8 @@ from mmwave_env.filters.smoother import SMOOTHING_WINDOW
 from mmwave_env.interface.policy import SmoothedCorrector, Switching
 from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.policy_tracker import PolicyTracker
-from mmwave_env.localization.segments import first_fix, segments
+from mmwave_env.localization.segments import Segment, segments
+from mmwave_env.localization.starts import Start
 from mmwave_env.logs.log import Log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.layout import Layout
@@ -119,12 +120,15 @@ class Localizer:
             return tracks_of(self.pipeline, 1, self.switching.bank, action="")
         return tracks_of(self.pipeline, 1, rule=self.switching.rule)
 
-    def load(self, log: Log, begins: bool = True) -> Mask:
-        """Load epochs with which a track goes on or ``begins``; return their visible groups."""
-        episode = episode_from(log, self.scene, self.radio, begins)
+    def load(self, log: Log, start: Start | None = None) -> Mask:
+        """Load epochs with which a track begins, or goes on if ``start`` is None.
+
+        Return the groups (T, groups) that are visible and were not spent for the start.
+        """
+        episode = episode_from(log, self.scene, self.radio, start)
         if self.height_m is not None:
             episode = episode.on_flat_ground(self.height_m)
-        self.engine.load([episode], go_on=not begins)
+        self.engine.load([episode], go_on=start is None)
         return episode.visible
 
     def run(self) -> Filtered:
@@ -214,8 +218,8 @@ def localize(
     localizer = Localizer(log.layout, scene, radio, switching, height_m, levels)
     parts = segments(log, scene, radio)
     tracks: list[Track] = []
-    for segment, epochs, begins in _chunks(parts, window or 1):
-        track = _track(log.part(epochs), localizer, segment, begins, window, two_way)
+    for segment, epochs, start in _chunks(parts, window or 1):
+        track = _track(log.part(epochs), localizer, segment, start, window, two_way)
         tracks.append(track)
         if track.damage is not log.damage:
             break
@@ -223,40 +227,41 @@ def localize(
     joined: Track = Track.joined(tracks)
     if joined.damage and not len(joined):
         raise joined.damage
-    skipped = parts[0].start
+    skipped = parts[0].epochs.start
     dropped = len(log) - skipped - len(joined) if joined.damage is log.damage else 0
     return replace(joined, skipped=skipped, dropped=dropped)
 
 
-def _chunks(parts: Sequence[slice], window: int) -> Iterator[tuple[int, slice, bool]]:
+def _chunks(parts: Sequence[Segment], window: int) -> Iterator[tuple[int, slice, Start | None]]:
     """Divide segments into chunks of whole windows, because intermediate results are large.
 
-    Also yield the number of the chunk's segment, and whether the segment begins with the chunk.
+    Also yield the number of the chunk's segment, and the start if the segment begins here.
     """
     step = max(1, _CHUNK // window) * window
-    for segment, part in enumerate(parts):
+    for segment, (part, start) in enumerate(parts):
         for first in range(part.start, part.stop, step):
-            yield segment, slice(first, min(first + step, part.stop)), first == part.start
+            begins = start if first == part.start else None
+            yield segment, slice(first, min(first + step, part.stop)), begins
 
 
 def _track(
     log: Log,
     localizer: Localizer,
     segment: int,
-    begins: bool,
+    start: Start | None,
     window: int | None,
     two_way: SmoothedCorrector | None,
 ) -> Track:
     """Return the track of a part of a segment, which ends before a belief that is not finite.
 
-    ``segment`` is the segment's number; ``begins`` tells whether the segment begins here.
+    ``segment`` is the segment's number; it begins here if there is a ``start``.
     """
-    visible = localizer.load(log, begins)
+    visible = localizer.load(log, start)
     filtered = localizer.run()
     x, P, mode, nis, accepted, trusted, parts = filtered
     kept = np.concatenate(parts, axis=1)
     unknown = np.full(len(log), np.nan)
-    factors = localizer.level_factors(filtered, visible, log.time_s, begins)
+    factors = localizer.level_factors(filtered, visible, log.time_s, start is not None)
     track = Track(
         **vars(replace(log, visible=visible)),
         modes=localizer.switching.names,
@@ -293,25 +298,19 @@ def _track(
     return track
 
 
-def episode_from(log: Log, scene: Scene, radio: Radio, begins: bool = True) -> Episode:
+def episode_from(log: Log, scene: Scene, radio: Radio, start: Start | None) -> Episode:
     """Return epochs of a log as an episode without true positions.
 
-    If a track ``begins`` here, its prior comes from links of the first epoch. These links are then
-    not visible, so that they are not used twice. If no track begins, the prior is meaningless.
-
-    Raises:
-        ValueError: a track begins here, but the first epoch determines no position.
+    If a track begins here, the links that its start has spent are not visible. If none begins, the
+    prior is meaningless.
     """
     n = log.layout.state_size
     prior = (np.zeros(n), np.eye(n))
     visible = log.visible
-    if begins:
-        fix = first_fix(log.part(slice(1)), scene, radio)
-        if fix is None:  # segments() begins every segment with a position
-            raise ValueError("log: found no position in the first epoch, expected a position")
-        prior = fix.prior
+    if start:
+        prior = start.prior
         visible = visible.copy()
-        visible[0] &= ~fix.used
+        visible[: len(start.spent)] &= ~start.spent[: len(visible)]
     return Episode.measured(
         "log",
         scene,
@@ -350,7 +349,7 @@ def _corrected(
     layout = track.layout
     pipeline = localizer.pipeline
     two_way.read_from_track(pipeline)
-    batch = EpisodeBatch.of([episode_from(track, localizer.scene, localizer.radio, begins=False)])
+    batch = EpisodeBatch.of([episode_from(track, localizer.scene, localizer.radio, None)])
     mixtures = kept[:, layout.state_size + layout.triangle :]
     rejected = track.visible & ~track.accepted
 

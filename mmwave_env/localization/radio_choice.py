@@ -44,4 +44,5 @@ def _deviation(log: Log, row: int) -> float:
     change = np.diff(values, axis=0)
     second = np.diff(wrap(change) if row else change, axis=0)
     second = second[np.isfinite(second)]
-    return float(_ROBUST * np.median(np.abs(second))) if len(second) >= _FEWEST else np.nan
+    deviation = float(_ROBUST * np.median(np.abs(second))) if len(second) >= _FEWEST else 0.0
+    return deviation or np.nan  # values may change steadily, without any noise

@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Iterable, Mapping
-from math import isnan
+from math import inf, isnan
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,7 +13,8 @@ from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.localizer import Localizer
 from mmwave_env.localization.map_files import geodetic
 from mmwave_env.localization.position_errors import gaussian_levels
-from mmwave_env.localization.segments import can_begin
+from mmwave_env.localization.segments import DOUBTFUL_GAP_S
+from mmwave_env.localization.starts import Doubt, Start
 from mmwave_env.logs.live_log import LiveEpoch, LiveLog
 from mmwave_env.logs.log import Log
 from mmwave_env.models.layout import Layout, clock_from
@@ -102,6 +103,7 @@ class Tracker:
         self._log: LiveLog | None = None
         self._filter: Any = None
         self._last_s: float | None = None  # time of the last measurement; None without a track
+        self._doubt: Doubt | None = None  # epochs that may still revise the track
         # for each of the last epochs: time; Doppler spread; mode; factors (1, 2) by which Gaussian
         # levels are multiplied; the smoother's input, arrays (1, values)
         self._late: deque[tuple[float, float, str, Array | None, tuple[Array, ...]]]
@@ -136,37 +138,67 @@ class Tracker:
 
     def step(self, epoch: LiveEpoch) -> Position | None:
         """Process an epoch of a live log, as :meth:`update` does."""
-        time_s = epoch.time_s
-        begins = self._last_s is None or time_s - self._last_s > GAP_S
-        if begins:
+        gap_s = inf if self._last_s is None else epoch.time_s - self._last_s
+        if gap_s > GAP_S:
+            return self._begin(epoch.log())
+        if gap_s > DOUBTFUL_GAP_S:
+            self._doubt = Doubt(self._scene, self._radio)
+        if self._doubt:
+            revised = self._doubt.revise(epoch.log())
+            if not self._doubt.is_open():
+                self._doubt = None
+            if revised:
+                return self._restart(*revised)
+        visible, spread_hz = self._load_quickly(epoch) or self._load(epoch.log())
+        return self._filtered([epoch.time_s], [visible], [spread_hz])
+
+    def _begin(self, row: Log) -> Position | None:
+        """Begin a track with an epoch (T = 1); return None if it determines no position."""
+        if self._last_s is not None or self._doubt is None:
+            self._doubt = Doubt(self._scene, self._radio)
             self._last_s = None
-            if not can_begin(epoch.log(), self._scene, self._radio):
-                return None
-            if self._filter is None:
-                self._prepare(epoch.log().layout)
-        loaded = None if begins else self._load_quickly(epoch)
-        visible, spread_hz = loaded or self._load(epoch.log(), begins)
-        if (
-            begins
-            or any(visible[: self._layout.anchors])
-            or (self._layout.odometry and visible[-1])
-        ):
-            self._last_s = time_s
+        start = self._doubt.begin(row)
+        return self._restart(row, start) if start else None
+
+    def _restart(self, log: Log, start: Start) -> Position:
+        """Begin a track with the first of T epochs; return the belief after the last one."""
+        if self._filter is None:
+            self._prepare(log.layout)
+        visible = self._localizer.load(log, start)
+        times = log.time_s.tolist()
+        self._last_s = times[0]
+        return self._filtered(times, visible.tolist(), log.doppler_spread_hz.tolist(), begins=True)
+
+    def _filtered(
+        self,
+        time_s: list[float],
+        visible: list[list[bool]],
+        spread_hz: list[float],
+        begins: bool = False,
+    ) -> Position:
+        """Filter the loaded epochs; return the belief after the last one."""
         filtered = self._localizer.run()
-        factors = self._localizer.level_factors(filtered, visible, [time_s], begins)
-        mode = self._names[int(filtered.mode[0])]
+        factors = self._localizer.level_factors(filtered, visible, time_s, begins)
+        modes = [self._names[int(mode)] for mode in filtered.mode]
         if begins:
             self._late.clear()
-        self._late.append((time_s, spread_hz, mode, factors, filtered.kept))
-        (nis,) = filtered.nis.tolist()
-        (accepted,) = filtered.accepted.tolist()
+        for t, groups in enumerate(visible):
+            if any(groups[: self._layout.anchors]) or (self._layout.odometry and groups[-1]):
+                self._last_s = time_s[t]
+            own = None if factors is None else factors[t : t + 1]
+            kept = tuple(part[t : t + 1] for part in filtered.kept)
+            self._late.append((time_s[t], spread_hz[t], modes[t], own, kept))
+        *_, nis = filtered.nis.tolist()
+        *_, accepted = filtered.accepted.tolist()
         trusted = filtered.trusted
-        groups = [g for g, is_seen in enumerate(visible) if is_seen]
-        return self._position(time_s, filtered.x[0], filtered.P[0], mode, factors)._replace(
-            nis={self._groups[g]: nis[g] for g in groups},
-            rejected=[self._groups[g] for g in groups if accepted[g] < 0.5],
+        last = None if factors is None else factors[-1:]
+        measured = [g for g, is_seen in enumerate(visible[-1]) if is_seen]
+        position = self._position(time_s[-1], filtered.x[-1], filtered.P[-1], modes[-1], last)
+        return position._replace(
+            nis={self._groups[g]: nis[g] for g in measured},
+            rejected=[self._groups[g] for g in measured if accepted[g] < 0.5],
             begins=begins,
-            trusted=None if trusted is None else float(trusted[0]),
+            trusted=None if trusted is None else float(trusted[-1]),
         )
 
     def _prepare(self, layout: Layout) -> None:
@@ -186,9 +218,9 @@ class Tracker:
         sigma = self._radio.sigma(ends, self._scene, layout)
         self._sound = all(bound.holds(sigma[:, rows]).all() for rows, bound in sigma_bounds(layout))
 
-    def _load(self, log: Log, begins: bool) -> tuple[list[bool], float]:
+    def _load(self, log: Log) -> tuple[list[bool], float]:
         """Load an epoch (T = 1); return which groups are visible, and the Doppler spread, Hz."""
-        visible = self._localizer.load(log, begins)
+        visible = self._localizer.load(log)
         return visible[0].tolist(), float(log.doppler_spread_hz[0])
 
     def _load_quickly(self, epoch: LiveEpoch) -> tuple[list[bool], float] | None:

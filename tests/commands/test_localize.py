@@ -164,8 +164,8 @@ def test_the_truth_is_used_only_for_scores(tmp_path):
 def test_a_late_start_a_restart_and_an_end_at_a_long_gap_are_reported(capsys, tmp_path):
     """Use the walk at a tenth of its rate, without the epochs from 100 to 129 s.
 
-    The base station (anchor 1), without which no track begins, is not visible in the first 20 s.
-    In the second case, anchor 1 is not visible after the gap either, so the track ends at the gap.
+    Nothing is measured in the first 20 s. In the second case, nothing is measured after the gap
+    either, so the track ends at the gap.
     """
     log = tmp_path / "gap.csv"
     gap = range(100, 130)
@@ -175,16 +175,18 @@ def test_a_late_start_a_restart_and_an_end_at_a_long_gap_are_reported(capsys, tm
         (range(20, 400), "restarted once after a gap of more than 15 s; 0 epochs", (1, 0, 350)),
         (range(20, 100), "ended at a gap of more than 15 s; 270 epochs", (0, 270, 80)),
     ):
-        visible = [t in visible_s or not rest.startswith("1,") for t, rest in rows]
+        nothing = "," * (header.count(",") - 1)
         kept = [
-            f"{t},{rest}" for (t, rest), s in zip(rows, visible, strict=True) if s and t not in gap
+            f"{t},{rest}" if t in visible_s else f"{t},{rest.partition(',')[0]}{nothing}"
+            for t, rest in rows
+            if t not in gap
         ]
         log.write_text("\n".join([header, *kept]) + "\n")
         results = figures(WALK, "--speed", "1", "--plot", tmp_path / "t.png", truth=False, log=log)
         assert (results["restarts"], results["dropped"], results["epochs"]) == counts
         shown = capsys.readouterr().out
         assert f"{said} skipped" in shown and results["skipped"] == 20
-        assert "20 epochs before the first line of sight were skipped" in shown
+        assert "20 epochs before the first position were skipped" in shown
 
 
 def test_the_track_equals_the_result_of_the_python_function_localize(tmp_path):

@@ -193,8 +193,10 @@ def test_a_damaged_log_gives_the_track_up_to_the_damage(tmp_path, name, zipped):
 NO_TRACK = {  # name -> log, expected message
     "unknown column": (f"{lines_of()[0]},mood\n", "column 'mood'"),
     "first row": (with_line(2, lambda l: cell(l, 2, "x")), "line 2, column"),
-    "no line of sight": (
-        "\n".join(l for l in lines_of() if ",1," not in l[:7]),
+    "one range": (
+        "\n".join(
+            ["time_s,anchor,range_m,snr_db", *(f"{t},1,{80 + t % 7},20" for t in range(400))]
+        ),
         "log: found 400 epochs",
     ),
 }

@@ -113,7 +113,7 @@ def test_a_track_that_started_from_a_reflection_gives_way_to_the_line_of_sight()
     assert len(begins) == 2 and 20 < begins[1] <= 30
     assert seen_in(block)[30:] == anchors_seen[30:] and figures["starts"] == 2
     first, second = segments(block, SCENE, RADIO)
-    assert first.start == 0 and second.stop - second.start >= 20
+    assert first.epochs.start == 0 and second.epochs.stop - second.epochs.start >= 20
 
 
 @pytest.mark.parametrize("false_paths", [0, 5])

@@ -16,6 +16,7 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.policy import Switching
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.localization.localizer import Localizer, localize
+from mmwave_env.localization.starts import start_at
 from mmwave_env.logs.log import Log, read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.layout import Layout
@@ -42,17 +43,17 @@ BANK = best_bank()
 
 @cache
 def log(folder, odometry=False):
-    """Return a log with uneven time steps; the first two epochs lack the line of sight."""
+    """Return a log with uneven time steps; nothing is measured in the first two epochs."""
     source = SimulatedSource(SCENE, RADIO, "walk-ride", epochs=T, odometry=odometry)
     episode = source.sample(np.random.default_rng(3))
     time = 1.7e9 + np.random.default_rng(0).uniform(0.5, 1.5, T).cumsum()
     visible = episode.visible.copy()
-    visible[:2, 0] = False
+    visible[:2] = False
     visible[2, 0] = True
     path = folder / f"log{odometry}.csv"
     write_log(path, replace(episode, time_s=time, visible=visible))
     block = read_log(path, SCENE)
-    assert len(block) == T and not block.visible[:2, 0].any() and block.visible[2, 0]
+    assert len(block) == T and not block.visible[:2].any() and block.visible[2, 0]
     return block
 
 
@@ -73,7 +74,7 @@ def run(log, modes=(EKF,), rule=None, **options):
 def filtered(log, modes):
     """Return the localizer of a log that begins with a line of sight, and its filtered beliefs."""
     localizer = Localizer(log.layout, SCENE, RADIO, Switching(modes))
-    localizer.load(log)
+    localizer.load(log, start_at(log, 0, SCENE, RADIO))
     return localizer, localizer.run()
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mmwave_env.localization.radio_choice import nearest_radio
-from mmwave_env.localization.segments import can_begin
+from mmwave_env.localization.starts import start_at
 from mmwave_env.logs.log import read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
@@ -70,7 +70,7 @@ def test_ranges_to_anchors_on_a_line_begin_no_track_because_a_mirrored_one_fits_
     for columns, begins in ((names, False), ((*names, "aoa_azimuth_rad"), True)):
         block = read(written(tmp_path, columns))
         rows = [block.part(slice(n, n + 1)) for n in range(0, 400, 20)]
-        assert any(can_begin(row, SCENE, RADIOS["standard"]) for row in rows) == begins
+        assert any(start_at(row, 0, SCENE, RADIOS["standard"]) for row in rows) == begins
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from mmwave_env.filters.correction import corrected
 from mmwave_env.interface.policy import Switching
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.localization.localizer import episode_from, localize
+from mmwave_env.localization.starts import start_at
 from mmwave_env.localization.tracker import Tracker
 from mmwave_env.logs.log import read_log
 from mmwave_env.logs.log_tables import LogError
@@ -44,7 +45,7 @@ def test_the_track_equals_the_track_in_the_environment_to_the_last_bit(monkeypat
     monkeypatch.setattr("mmwave_env.localization.localizer._CHUNK", chunk)
     switching = load(name, "standard")
     whole = first_epochs()
-    episode = episode_from(whole, SCENE, RADIO)
+    episode = episode_from(whole, SCENE, RADIO, start_at(whole, 0, SCENE, RADIO))
     pipeline = switching.pipeline(whole.layout, planar=False)
     engine = Engine(pipeline, 1, TrackingReward(), switching.observation, switching.bank)
     engine.reset([episode])
@@ -91,7 +92,7 @@ def test_a_corrected_track_has_the_corrected_beliefs_of_the_environment(correcto
     whole = first_epochs()
     pipeline = switching.pipeline(whole.layout, planar=False)
     engine = Engine(pipeline, 1, TrackingReward(), "signed", switching.bank)
-    engine.reset([episode_from(whole, SCENE, RADIO)])
+    engine.reset([episode_from(whole, SCENE, RADIO, start_at(whole, 0, SCENE, RADIO))])
     policy = Corrector(corrector, engine.observation)
     expected = []
     trusted = []

@@ -1,0 +1,485 @@
+"""First positions of tracks, from the links of one or several epochs of a log.
+
+A complete link of the base station gives a position directly. Otherwise, the position is computed
+from all links of the epoch, by nonlinear least squares with the height of the streets as a weak
+prior. Receivers that measure one anchor after the other have one link per epoch; so if an epoch
+alone determines no position, the latest links of the second before it help.
+
+The first epochs may be wrong: a receiver that sees the base station only by a reflection measures
+a range that is too long, and other angles. So a start is confirmed by *votes*, the positions in
+some of the first epochs. If a majority agrees on a straight motion that another vote contradicts,
+the track begins from this motion instead.
+"""
+
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+
+from mmwave_env.logs.log import Log
+from mmwave_env.logs.log_columns import RANGE_LIMITS_M
+from mmwave_env.models.layout import STATE_SIZE
+from mmwave_env.models.measurement import SPEED_OF_LIGHT, link_group
+from mmwave_env.models.prior import STEEPEST_FIX_RAD, UNKNOWN_VELOCITY_MPS, prior_from_fix
+from mmwave_env.models.radio import CLOCK_OFFSET_S, Radio
+from mmwave_env.models.scene import Scene
+from mmwave_env.numerics.numbers import Array, Mask
+
+# Standard deviations of the weak prior: of the height around the height of the streets, and of x
+# and y around the mean position of the anchors.
+HEIGHT_SIGMA_M = 2.0
+_FARTHEST_M = 1e3
+_WORST_FIX_M = 50.0  # maximum horizontal standard deviation of a position to begin a track with
+_AMBIGUOUS = 12.0  # minima whose normalized squared errors differ by less than this are ambiguous
+_UNKNOWN = [0, 1, 2, 7]  # indices of the state's position and range bias
+# Searches start around some anchors: where an azimuth points to, else in 12 directions; at the
+# measured range, else at three distances.
+_SEARCHED = 4
+_DIRECTIONS = 12
+_STARTS_M = (10.0, 40.0, 160.0)
+_ROUNDS = 20
+POOL_S = 1.0  # age up to which earlier links help to determine a first position
+VOTES = 5  # positions that confirm a start
+# minimum time between votes: between the first ones, between later ones
+_SPACING_S = 0.25
+_LATER_SPACING_S = 1.0
+# The motion between votes: standard deviations of position, velocity and its change in a second
+_POSITION = np.diag([_FARTHEST_M, _FARTHEST_M, HEIGHT_SIGMA_M]) ** 2
+_VELOCITY = np.diag([UNKNOWN_VELOCITY_MPS, UNKNOWN_VELOCITY_MPS, 0.5]) ** 2
+_WALKS = (0.3, 1.5)
+# A vote may be wrong: by this distance (standard deviation per axis), and as seldom as this
+# penalty, -2 times the logarithm of a probability of 10 %, says.
+_WRONG_M = 5.0
+_SELDOM = 4.6
+_CAUTION = 4.0  # factor for the covariance of a start from votes, whose links are used again
+_DOUBTED_S = 10.0  # time after a start or a long gap in which votes may end a track
+_PATIENCE_S = 60.0  # time in which the first votes must come
+_JUMP = 3  # votes on each side of a jump
+_JUMP_ERROR = 16.0  # minimum reduction of the error by a jump
+
+
+class Start(NamedTuple):
+    """A state to begin a track with."""
+
+    prior: tuple[Array, Array]  # mean (7,), covariance (7, 7); (8,), (8, 8) with a clock offset
+    # (k, groups) which groups of the first k epochs the filters must leave out, because the prior
+    # was computed from them, or because they contradict it
+    spent: Mask
+
+
+def gives_fix(links: Array) -> Mask:
+    """Tell which links (n, 4 or more), in m and rad, determine a position to begin a track with.
+
+    Straight above or below an anchor, the azimuth is undefined. Near the vertical, it is so
+    uncertain that a Gaussian does not describe the position.
+    """
+    return (links[:, 0] >= RANGE_LIMITS_M[0]) & (abs(links[:, 2]) <= STEEPEST_FIX_RAD)
+
+
+def start_at(log: Log, epoch: int, scene: Scene, radio: Radio) -> Start | None:
+    """Return a state to begin a track with at an epoch of a log; None if there is none."""
+    row = log.part(slice(epoch, epoch + 1))
+    sigma = _deviations(row, scene, radio)[0]
+    link = row.measurement[0, :4]
+    spent = np.zeros((1, len(row.layout.groups)), np.bool_)
+    whole = bool(np.isfinite(link).all()) and bool(row.visible[0, 0]) and not row.layout.clock
+    if whole and gives_fix(row.measurement)[0]:
+        spent[0, 0] = True
+        return Start(prior_from_fix(scene.anchors_m[0], link, sigma[:4], radio, scene), spent)
+    links = row.layout.anchors
+    elevations = row.measurement[0, 2 : row.layout.doppler : 4]
+    if (row.visible[0, :links] & (abs(elevations) > STEEPEST_FIX_RAD)).any():
+        return None  # near the vertical, filters can't follow
+    spent[0, :links] = row.visible[0, :links]
+    solved = _solved(row.measurement[0], sigma, row.visible[0], scene, row.layout.clock)
+    if solved is None:
+        solved = _solved(*_pooled(log, epoch, scene, radio), scene, row.layout.clock)
+    if solved is None:
+        return None
+    unknown, covariance = solved
+    n = row.layout.state_size
+    x = np.zeros(n)
+    P = radio.prior_covariance(scene, row.layout.clock)
+    among = _UNKNOWN[: len(unknown)]
+    x[among] = unknown
+    P[np.ix_(among, among)] = covariance
+    P[3, 3] = P[4, 4] = UNKNOWN_VELOCITY_MPS**2
+    return Start((x, P), spent)
+
+
+def _deviations(log: Log, scene: Scene, radio: Radio) -> Array:
+    """Return the standard deviations (T, rows): the receiver's own, else the radio's."""
+    modelled = radio.sigma(log.snr_db, scene, log.layout)
+    return np.where(np.isfinite(log.sigma), log.sigma, modelled)
+
+
+def _pooled(log: Log, epoch: int, scene: Scene, radio: Radio) -> tuple[Array, Array, Mask]:
+    """Return the latest measurement (rows,) of every row in the second before an epoch.
+
+    Also return standard deviations (rows,), which allow for an unknown motion since then, and the
+    groups (groups,) that were measured.
+    """
+    now = log.time_s[epoch]
+    first = int(np.searchsorted(log.time_s, now - POOL_S))
+    recent = log.part(slice(first, epoch + 1))
+    layout = log.layout
+    measurement = np.full(layout.size, np.nan)
+    sigma = np.full(layout.size, np.nan)
+    visible = np.zeros(len(layout.groups), np.bool_)
+    deviations = _deviations(recent, scene, radio)
+    for t in range(len(recent)):
+        moved_m = UNKNOWN_VELOCITY_MPS * (now - recent.time_s[t])
+        for group in np.flatnonzero(recent.visible[t, : layout.anchors]).tolist():
+            rows = layout.link(group)
+            z = recent.measurement[t, rows]
+            distance = z[0] if np.isfinite(z[0]) else _STARTS_M[0]
+            moved = moved_m / np.array([1.0, *[max(distance, 1.0)] * 3])
+            some = np.isfinite(z)
+            measurement[rows] = np.where(some, z, measurement[rows])
+            grown = np.hypot(deviations[t, rows], moved)
+            sigma[rows] = np.where(some, grown, sigma[rows])
+            visible[group] = True
+    return measurement, sigma, visible
+
+
+class _Links(NamedTuple):
+    """The links of an epoch, for least squares: arrays (4, links), and a weak prior."""
+
+    anchors: Array  # (3, links)
+    z: Array
+    variance: Array
+    measured: Array
+    center: Array  # (unknowns,)
+    weight: Array  # (unknowns,) inverse variances around the center
+
+
+def _solved(
+    measurement: Array, sigma: Array, visible: Mask, scene: Scene, clock: bool
+) -> tuple[Array, Array] | None:
+    """Return the position (3,) and its covariance from links, or None.
+
+    If the clock is not synchronized, its range bias is a fourth unknown, with the filters' prior.
+    The search starts in several places, because there may be several minima. The result is None if
+    the best minimum is too uncertain, or if a minimum more than 4 standard deviations away from it
+    fits the links about as well.
+    """
+    every = scene.anchors_m[: len(measurement) // 4]  # four rows per link, and some others
+    visible_links = np.flatnonzero(visible[: len(every)])
+    z = measurement[: 4 * len(every)].reshape(-1, 4)[visible_links].T
+    measured = np.isfinite(z)
+    azimuths = measured[[1, 3]].any(axis=0)
+    if measured[0].sum() + azimuths.sum() < 2 + clock:
+        return None  # the height of the streets is known only roughly
+    if not azimuths.any() and _on_a_line(every[visible_links[measured[0]], :2]):
+        return None  # without azimuths, a mirrored position fits as well
+    n = 3 + clock
+    deviation = [_FARTHEST_M, _FARTHEST_M, HEIGHT_SIGMA_M, SPEED_OF_LIGHT * CLOCK_OFFSET_S]
+    center = [*every[:, :2].mean(axis=0), scene.streets.height_m, 0.0]
+    links = _Links(
+        anchors=every[visible_links].T,
+        z=np.where(measured, z, 0.0),
+        variance=np.where(
+            measured, sigma[: 4 * len(every)].reshape(-1, 4)[visible_links].T ** 2, 1.0
+        ),
+        measured=measured.astype(float),
+        center=np.array(center[:n]),
+        weight=1.0 / np.array(deviation[:n]) ** 2,
+    )
+    cost, position, information = _descended(links, np.array(list(_starts(links))))
+    best = int(np.argmin(cost))
+    covariance = np.linalg.inv(information[best])
+    if not np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]) <= _WORST_FIX_M:
+        return None
+    apart = (position - position[best])[:, :2]
+    distance = np.einsum("si,ij,sj->s", apart, np.linalg.inv(covariance[:2, :2]), apart)
+    if ((cost - cost[best] < _AMBIGUOUS) & (distance > 16.0)).any():
+        return None
+    return position[best], covariance
+
+
+def _on_a_line(points: Array) -> bool:
+    """Tell whether points (n, 2) are on a line, with deviations of at most 1 % of its length."""
+    if len(points) < 3:
+        return True
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(spread[1] <= 0.01 * spread[0])
+
+
+def _starts(links: _Links) -> Iterator[Array]:
+    """Yield positions (3 or 4,) around the nearest anchors, at the height of the streets."""
+    turns = np.linspace(0.0, 2.0 * np.pi, _DIRECTIONS, endpoint=False)
+    distance, arrival, _, departure = np.where(links.measured > 0.5, links.z, np.nan)
+    azimuth = np.where(np.isnan(arrival), departure + np.pi, arrival)
+    order = np.lexsort((distance, np.isnan(azimuth)))  # first those with azimuths, then the nearest
+    for link in order[:_SEARCHED]:
+        directions = turns if np.isnan(azimuth[link]) else [azimuth[link]]
+        distances = _STARTS_M if np.isnan(distance[link]) else [distance[link]]
+        for radius in distances:
+            for turn in directions:
+                aside = radius * np.array([np.cos(turn), np.sin(turn)])
+                yield np.array([*(links.anchors[:2, link] + aside), *links.center[2:]])
+
+
+def _normal(links: _Links, positions: Array) -> tuple[Array, Array, Array]:
+    """Return, at S positions (S, n), squared errors (S,), -1/2 of their gradients, informations."""
+    S, n = positions.shape
+    unknown = _UNKNOWN[:n]
+    still = [np.zeros((S, 1))] * (STATE_SIZE - 3)
+    columns = [positions[:, i, None] for i in range(n)]
+    x = [*columns[:3], *still, *columns[3:]]
+    group = link_group(x, *(list(part[:, None]) for part in links[:4]))
+    shape = (S, links.anchors.shape[1])
+    e = np.stack([np.broadcast_to(value, shape) for value in group.innovation], axis=-1)
+    w = 1.0 / np.stack([np.broadcast_to(value, shape) for value in group.variance], axis=-1)
+    H = np.empty((*shape, 3, n))
+    for row, gradient in enumerate(group.jacobian):
+        for column, i in enumerate(unknown):
+            H[..., row, column] = gradient[i]
+    away = links.center - positions
+    cost = (w * e * e).sum(axis=(1, 2)) + (links.weight * away * away).sum(axis=1)
+    cost += np.broadcast_to(group.spare_nis, shape).sum(axis=1)  # of azimuth differences
+    weighted = w[..., None] * H
+    gradient = np.einsum("slrn,slr->sn", weighted, e) + links.weight * away
+    information = np.einsum("slrn,slrm->snm", weighted, H) + np.diag(links.weight)
+    return cost, gradient, information
+
+
+def _descended(links: _Links, position: Array) -> tuple[Array, Array, Array]:
+    """Find minima near S positions (S, n) by Levenberg-Marquardt; return them as _normal does."""
+    cost, gradient, information = _normal(links, position)
+    damping = np.full(len(position), 1e-4)
+    for _ in range(_ROUNDS):
+        scale = np.einsum("snn->sn", information)[:, None] * np.eye(position.shape[1])
+        step = np.linalg.solve(information + damping[:, None, None] * scale, gradient[..., None])
+        new = position + step[..., 0]
+        after = _normal(links, new)
+        better = after[0] <= cost
+        settled = better & (cost - after[0] < 1e-6)
+        position = np.where(better[:, None], new, position)
+        gradient = np.where(better[:, None], after[1], gradient)
+        information = np.where(better[:, None, None], after[2], information)
+        cost = np.where(better, after[0], cost)
+        damping = np.where(better, damping / 10.0, damping * 10.0)
+        if settled.all():
+            break
+    return cost, position, information
+
+
+class Vote(NamedTuple):
+    """A position in one of the first epochs of a track."""
+
+    epoch: int
+    time_s: float
+    position: Array  # (3,)
+    covariance: Array  # (3, 3)
+
+
+class Ballot:
+    """The votes in the first seconds of a track, or after a gap.
+
+    Args:
+        scene, radio: the scene and the radio of the log.
+    """
+
+    def __init__(self, scene: Scene, radio: Radio) -> None:
+        self._scene = scene
+        self._radio = radio
+        self._votes: list[Vote] = []
+
+    def is_open(self, elapsed_s: float) -> bool:
+        """Tell whether an epoch so long after the first one may still vote."""
+        enough = len(self._votes) >= VOTES
+        return elapsed_s <= (_DOUBTED_S if enough else _PATIENCE_S)
+
+    @property
+    def is_undecided(self) -> bool:
+        """Tell whether the next vote may still change the start."""
+        return len(self._votes) <= VOTES + _JUMP
+
+    def add(self, log: Log, epoch: int) -> bool:
+        """Let an epoch of a log vote, unless it follows another vote at once; tell if it did."""
+        spacing_s = _SPACING_S if len(self._votes) < VOTES else _LATER_SPACING_S
+        now = float(log.time_s[epoch])
+        if self._votes and now - self._votes[-1].time_s < spacing_s:
+            return False
+        sigma = _deviations(log.part(slice(epoch, epoch + 1)), self._scene, self._radio)[0]
+        clock = log.layout.clock
+        links = log.measurement[epoch], sigma, log.visible[epoch]
+        solved = _solved(*links, self._scene, clock)
+        if solved is None:
+            solved = _solved(*_pooled(log, epoch, self._scene, self._radio), self._scene, clock)
+        if solved is None:
+            return False
+        position, covariance = solved
+        self._votes.append(Vote(epoch, now, position[:3], covariance[:3, :3]))
+        return True
+
+    def jump(self) -> int | None:
+        """Return the epoch, not one of the first, at which another motion begins, or None."""
+        jump = self._jump()
+        return None if jump is None else self._votes[jump].epoch
+
+    def _jump(self) -> int | None:
+        """Return the index of the vote of the first jump that the next vote confirms, or None."""
+        votes = self._votes
+        jump = None
+        most = _JUMP_ERROR
+        for first in range(VOTES, len(votes) - _JUMP + 1):
+            before = votes[first - _JUMP : first]
+            after = votes[first : first + _JUMP]
+            apart = _motion(before).error + _motion(after).error
+            gain = _motion(before + after).error - apart
+            if gain > most:
+                most = gain
+                jump = first
+            elif jump is not None:
+                return jump
+        return None
+
+    def start(self, log: Log, first: int) -> Start | None:
+        """Return the start at an epoch on which a majority agrees.
+
+        The result is None if all votes agree, or if there are too few.
+        """
+        if len(self._votes) < VOTES:
+            return None
+        votes = self._votes[: min(VOTES + _JUMP, self._jump() or len(self._votes))]
+        motion, wrong = _majority(votes, float(log.time_s[first]))
+        if not wrong:
+            return None
+        right = next(vote for i, vote in enumerate(votes) if i not in wrong)
+        usual = start_at(log, right.epoch, self._scene, self._radio)
+        if usual is None:
+            return None
+        x, P = (part.copy() for part in usual.prior)
+        horizontal = [0, 1, 3, 4]
+        among = np.ix_(horizontal, horizontal)
+        x[horizontal] = motion.mean[horizontal]
+        P[horizontal] = 0.0
+        P[:, horizontal] = 0.0
+        P[among] = _CAUTION * motion.covariance[among]
+        contradicting = [votes[i].epoch - first for i in wrong]
+        spent = np.zeros((1 + max(contradicting), len(log.layout.groups)), np.bool_)
+        spent[contradicting] = True
+        return Start((x, P), spent)
+
+
+class Doubt:
+    """The epochs since a start or a gap, whose votes may revise a track that is under way.
+
+    The epochs arrive one by one; the result is the same as that of ``segments.py``, which knows
+    all epochs of a log.
+
+    Args:
+        scene, radio: the scene and the radio of the log.
+    """
+
+    def __init__(self, scene: Scene, radio: Radio) -> None:
+        self._scene = scene
+        self._radio = radio
+        self._log: Log | None = None
+        self._first = 0  # index of the epoch with which the track begins, or ends its gap
+        self._ballot = Ballot(scene, radio)
+        self._revised = False
+
+    def begin(self, row: Log) -> Start | None:
+        """Return a start with an epoch (T = 1) and the second before it, or None."""
+        log = self._with(row)
+        self._log = log.part(slice(int(np.searchsorted(log.time_s, row.time_s[0] - POOL_S)), None))
+        self._first = len(self._log) - 1
+        start = start_at(self._log, self._first, self._scene, self._radio)
+        if start:
+            self._ballot.add(self._log, self._first)
+        return start
+
+    def revise(self, row: Log) -> tuple[Log, Start] | None:
+        """Return the epochs with which to begin again, and their start; None if the track stands.
+
+        ``row`` is the next epoch (T = 1), the last one of the epochs that are returned.
+        """
+        self._log = log = self._with(row)
+        if not self._ballot.add(log, len(log) - 1):
+            return None
+        jump = self._ballot.jump()
+        if jump is not None:
+            self._first = jump
+            self._ballot = Ballot(self._scene, self._radio)
+            for epoch in range(jump, len(log)):
+                self._ballot.add(log, epoch)
+        elif not self._ballot.is_undecided:
+            return None
+        start = self._ballot.start(log, self._first)
+        revised = start is not None
+        if start is None and (self._revised or jump is not None):
+            start = start_at(log, self._first, self._scene, self._radio)
+        self._revised = revised
+        return (log.part(slice(self._first, None)), start) if start else None
+
+    def is_open(self) -> bool:
+        """Tell whether the next epoch may still revise the track."""
+        assert self._log
+        return self._ballot.is_open(float(self._log.time_s[-1] - self._log.time_s[self._first]))
+
+    def _with(self, row: Log) -> Log:
+        return row if self._log is None else Log.joined([self._log, row])
+
+
+def _majority(votes: list[Vote], time_s: float) -> "tuple[_Motion, tuple[int, ...]]":
+    """Return the most likely motion, and the indices of the votes, less than half, that are wrong.
+
+    Only some of the first votes may be wrong.
+    """
+    choices: list[tuple[_Motion, tuple[int, ...]]] = []
+    for count in range(min(VOTES, (len(votes) - 1) // 2) + 1):
+        choices += [(_motion(votes, time_s, w), w) for w in combinations(range(VOTES), count)]
+    return min(choices, key=lambda choice: choice[0].error)
+
+
+class _Motion(NamedTuple):
+    """A motion through votes, some of which are wrong."""
+
+    error: float  # -2 times the logarithm of the likelihood, up to a constant per vote
+    mean: Array  # (6,) position and velocity
+    covariance: Array  # (6, 6)
+
+
+def _motion(
+    votes: Sequence[Vote], time_s: float | None = None, wrong: Sequence[int] = ()
+) -> _Motion:
+    """Return the most likely motion through votes, of which those with some indices are wrong.
+
+    The user moves from an unknown position with an unknown velocity, which a random walk changes
+    from the first vote on; the strength of the walk is the most likely one of a few. The state that
+    is returned is that of the time of the first vote or, if ``time_s`` is given, at this earlier
+    time.
+    """
+    t = np.array([vote.time_s for vote in votes]) - votes[0].time_s
+    center = votes[0].position
+    z = np.concatenate([vote.position - center for vote in votes])
+    noise = np.zeros((len(z), len(z)))
+    for i, vote in enumerate(votes):
+        rows = slice(3 * i, 3 * i + 3)
+        noise[rows, rows] = vote.covariance + (i in wrong) * _WRONG_M**2 * np.eye(3)
+    now = 0.0 if time_s is None else time_s - votes[0].time_s
+    every = np.ones_like(t)
+    unmoved = (
+        noise + np.kron(np.outer(t, t), _VELOCITY) + np.kron(np.outer(every, every), _POSITION)
+    )
+    of_position = np.kron(now * t, _VELOCITY) + np.kron(every, _POSITION)
+    across = np.vstack([of_position, np.kron(t, _VELOCITY)])
+    own = np.block(
+        [[_POSITION + now**2 * _VELOCITY, now * _VELOCITY], [now * _VELOCITY, _VELOCITY]]
+    )
+    earlier = np.minimum.outer(t, t)
+    later = np.maximum.outer(t, t)
+    walked = np.kron(earlier**2 * (3.0 * later - earlier) / 6.0, np.diag([1.0, 1.0, 0.0]))
+    choices = []
+    for walk in _WALKS:
+        S = unmoved + walk**2 * walked
+        whitened = np.linalg.solve(S, z)
+        error = float(z @ whitened + np.linalg.slogdet(S)[1]) + len(wrong) * _SELDOM
+        mean = across @ whitened
+        mean[:3] += center
+        choices.append(_Motion(error, mean, own - across @ np.linalg.solve(S, across.T)))
+    return min(choices, key=lambda motion: motion.error)

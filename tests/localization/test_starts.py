@@ -1,0 +1,187 @@
+"""Tests of the beginnings of tracks: from any links, in spite of reflections, and after outages."""
+
+import numpy as np
+import pytest
+
+from experiments.evaluation.contenders import contender_from
+from mmwave_env.localization.localizer import localize
+from mmwave_env.localization.segments import segments
+from mmwave_env.localization.starts import start_at
+from mmwave_env.localization.tracker import Tracker
+from mmwave_env.logs.log import read_log
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import scene_of_anchors
+
+RADIO = RADIOS["standard"]
+ONE = scene_of_anchors("one", np.array([[0.0, 0.0, 2.5]]), 60e9, 1.76e9)
+FOUR = np.array([[0.0, 0.0, 2.5], [10.0, 0.0, 2.5], [10.0, 8.0, 2.0], [0.0, 8.0, 1.8]])
+ROOM = scene_of_anchors("room", FOUR, 6.5e9, 5e8)
+RANGES = {"range_sigma_m": 0.1}
+BOTH = RANGES | {"aoa_azimuth_sigma_deg": 3.0}
+
+
+def rows_of(scene, times, path, wrong=lambda t, link: link, seen=None, seed=0, noise=BOTH):
+    """Return the rows (dicts) of a log with ranges and, perhaps, azimuths of arrival.
+
+    Args:
+        times: times of the epochs.
+        path: function from time to position.
+        wrong: function of time and a link [range, azimuth in degrees] to the link received.
+        seen: function from the number of an epoch to the anchors that are measured.
+        noise: standard deviations that the receiver states.
+    """
+    rng = np.random.default_rng(seed)
+    rows = []
+    for number, t in enumerate(times):
+        for anchor in range(len(scene.anchors_m)) if seen is None else seen(number):
+            east, north, up = path(t) - scene.anchors_m[anchor]
+            link = [np.hypot(np.hypot(east, north), up), np.degrees(np.arctan2(north, east))]
+            distance, azimuth = wrong(t, link)
+            row = {"time_s": float(t), "anchor": anchor + 1.0}
+            row["range_m"] = float(distance + 0.1 * rng.standard_normal())
+            if noise is BOTH:
+                azimuth += 3.0 * rng.standard_normal()
+                row["aoa_azimuth_deg"] = float((azimuth + 180.0) % 360.0 - 180.0)
+            rows.append(row | noise)
+    return rows
+
+
+def log_of(tmp_path, scene, rows):
+    path = tmp_path / "log.csv"
+    lines = [",".join(rows[0]), *(",".join(map(repr, row.values())) for row in rows)]
+    path.write_text("\n".join(lines) + "\n")
+    return read_log(path, scene, partial=True)
+
+
+def places(t):
+    """Return standing places that are 0.5 m apart."""
+    return np.array([3.0 + 0.4 * t, 4.0 + 0.3 * t, 1.5])
+
+
+def circle(t):
+    return np.array([5.0 + 3.0 * np.cos(0.2 * t), 4.0 + 2.0 * np.sin(0.2 * t), 1.2])
+
+
+def errors(track, path, means):
+    """Return horizontal errors (T, 2)."""
+    truth = np.array([path(t)[:2] for t in track.time_s])
+    return means[:, :2] - truth
+
+
+def rms(errors):
+    return float(np.sqrt((errors**2).sum(axis=1).mean()))
+
+
+def nees(errors, P):
+    """Return the normalized squared errors (T,) of horizontal positions."""
+    S = np.array([[[xx, yx], [yx, yy]] for xx, yx, yy in P[:, :3]])
+    return np.einsum("ti,tij,tj->t", errors, np.linalg.inv(S), errors)
+
+
+REFLECTED = {"the first two": (0, 1), "the second": (1,), "the third": (2,), "the tenth": (9,)}
+
+
+@pytest.mark.parametrize("reflected", REFLECTED.values(), ids=REFLECTED)
+@pytest.mark.parametrize("policy", ["imm-best", "speed-rule"])
+def test_reflections_among_the_first_epochs_do_no_lasting_harm(tmp_path, reflected, policy):
+    """Check 3 m too far and 30 degrees aside, on average over logs that differ in their noise."""
+    means = {}
+    for name, epochs in (("right", ()), ("reflected", reflected)):
+        smoothed, filtered, squared = [], [], []
+        for seed in range(6):
+
+            def wrong(t, link, epochs=epochs):
+                return [link[0] + 3.0, link[1] + 30.0] if t in epochs else link
+
+            log = log_of(tmp_path, ONE, rows_of(ONE, range(45), places, wrong, seed=seed))
+            track = localize(log, ONE, RADIO, contender_from(policy, "standard"))
+            smooth = errors(track, places, track.smooth_x)
+            smoothed.append(rms(smooth))
+            filtered.append(rms(errors(track, places, track.x)[4:]))
+            squared.append(nees(smooth, track.smooth_P).mean())
+            first = nees(errors(track, places, track.x), track.P)[:4]
+            assert len(track) == 45 and np.median(first) < 5.99  # inside their 95 %
+        means[name] = np.mean([smoothed, filtered, squared], axis=1)
+    assert (means["reflected"][:2] <= 1.15 * means["right"][:2]).all()
+    assert means["reflected"][2] <= 4.0
+
+
+def outage(t, link):
+    return [link[0] + 10.0, link[1]] if 74 <= t < 80 else link
+
+
+def street(t):
+    return np.array([20.0 + 0.7 * t, 15.0, 1.5])
+
+
+@pytest.mark.parametrize("policy", ["imm-best", "speed-rule"])
+def test_ranges_that_are_wrong_after_an_outage_are_taken_back(tmp_path, policy):
+    times = [*range(60), *range(74, 100)]
+    log = log_of(tmp_path, ROOM, rows_of(ROOM, times, street, outage))
+    track = localize(log, ROOM, RADIO, contender_from(policy, "standard"), window=None)
+    wrong = np.linalg.norm(errors(track, street, track.x), axis=1)
+    assert wrong[track.time_s >= 84].max() < 2.0
+
+
+def test_sequential_ranges_begin_a_track_within_two_seconds(tmp_path):
+    """Check ranges that a receiver measures one after the other, 10 a second, with 0.1 m noise."""
+    times = np.arange(0.0, 60.0, 0.1).round(1)
+    rows = rows_of(ROOM, times, circle, seen=lambda n: [n % 4], noise=RANGES)
+    log = log_of(tmp_path, ROOM, rows)
+    track = localize(log, ROOM, RADIO, contender_from("imm-best", "standard"))
+    assert track.time_s[0] <= 2.0
+    late = track.time_s > 10.0
+    assert rms(errors(track, circle, track.x)[late]) < 0.15
+    assert rms(errors(track, circle, track.smooth_x)[late]) < 0.08
+
+
+@pytest.mark.parametrize("anchors", [1, 32])
+def test_a_first_position_is_found_among_many_anchors_but_not_with_one_range(tmp_path, anchors):
+    rng = np.random.default_rng(0)
+    masts = np.column_stack([rng.uniform(0.0, 100.0, (anchors, 2)), rng.uniform(3, 9, anchors)])
+    scene = scene_of_anchors("masts", masts, 28e9, 1e8)
+    rows = rows_of(scene, [0.0], lambda t: np.array([40.0, 30.0, 1.5]), noise=RANGES)
+    log = log_of(tmp_path, scene, rows)
+    start = start_at(log, 0, scene, RADIO)
+    if anchors == 1:
+        assert start is None
+    else:
+        np.testing.assert_allclose(start.prior[0][:2], [40.0, 30.0], atol=0.3)
+
+
+@pytest.mark.parametrize("reflected", [(), (0, 1), (1,)])
+@pytest.mark.parametrize("policy", ["imm-best", "corrector"])
+def test_live_takes_back_a_start_and_equals_the_log_from_then_on(tmp_path, reflected, policy):
+    def wrong(t, link):
+        return [link[0] + 3.0, link[1] + 30.0] if t in reflected else link
+
+    rows = rows_of(ONE, range(30), places, wrong)
+    switching = contender_from(policy, "standard")
+    track = localize(log_of(tmp_path, ONE, rows), ONE, RADIO, switching, window=None)
+    tracker = Tracker(ONE, switching, RADIO)
+    positions = [tracker.update([row]) for row in rows]
+    begins = [p.begins for p in positions]
+    assert begins.index(True) == 0 and any(begins[1:]) == bool(reflected)
+    later = slice(0 if not reflected else 8, None)
+    np.testing.assert_array_equal([p.position_m for p in positions[later]], track.x[later, :3])
+
+
+def test_live_takes_back_wrong_ranges_after_an_outage(tmp_path):
+    times = [*range(60), *range(74, 100)]
+    rows = rows_of(ROOM, times, street, outage)
+    log = log_of(tmp_path, ROOM, rows)
+    switching = contender_from("imm-best", "standard")
+    track = localize(log, ROOM, RADIO, switching, window=None)
+    tracker = Tracker(ROOM, switching, RADIO)
+    epochs = [[row for row in rows if row["time_s"] == t] for t in times]
+    positions = [tracker.update(epoch) for epoch in epochs]
+    last = slice(-12, None)
+    np.testing.assert_array_equal([p.position_m for p in positions[last]], track.x[last, :3])
+
+
+def test_any_links_of_any_anchors_begin_a_track(tmp_path):
+    rows = rows_of(ROOM, range(20), circle, seen=lambda n: [1, 2, 3])
+    log = log_of(tmp_path, ROOM, rows)
+    (segment,) = segments(log, ROOM, RADIO)
+    assert segment.epochs == slice(0, 20)
+    np.testing.assert_allclose(segment.start.prior[0][:2], circle(0.0)[:2], atol=1.0)
