@@ -13,7 +13,7 @@ import textwrap
 import traceback
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, redirect_stderr, suppress
+from contextlib import contextmanager, nullcontext, redirect_stderr, redirect_stdout, suppress
 from io import StringIO, TextIOWrapper
 from typing import Any, NoReturn
 
@@ -44,6 +44,10 @@ GROUPS = {
 }
 RULE = re.compile(r"^ +-+ *$", re.MULTILINE)  # line between the parts of tyro's messages
 COMMANDS = {name: about for group in GROUPS.values() for name, about in group.items()}
+EVERYWHERE = {  # options of every command
+    "--quiet": "show neither tables nor progress, only warnings and errors",
+    "--debug": "if something fails, show where in the program (a traceback)",
+}
 
 
 def _leave(code: int) -> NoReturn:
@@ -87,6 +91,19 @@ def _message(box: str) -> str:
     if close:
         return f"{message}; did you mean {close[1]}?"
     return f"{message}; --help lists all options"
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Suppress, within the block, progress bars and all printing but warnings and errors."""
+    from experiments.console.progress import QUIET
+
+    token = QUIET.set(True)
+    try:
+        with open(os.devnull, "w", encoding="utf-8") as nowhere, redirect_stdout(nowhere):
+            yield
+    finally:
+        QUIET.reset(token)
 
 
 def _print_problem(text: str) -> None:
@@ -140,15 +157,17 @@ def _errors_in_one_line(program: str, debug: bool = False) -> Iterator[None]:
 def run(name: str, words: Sequence[str]) -> None:
     """Run one command; exit with 2 after bad input, and with 1 after an internal error."""
     debug = "--debug" in words
-    words = [word for word in words if word != "--debug"]
+    quiet = "--quiet" in words
+    words = [word for word in words if word not in EVERYWHERE]
     with _errors_in_one_line(f"mmwave-loc {name}", debug):
         warnings.showwarning = lambda message, *_, **__: _print_problem(f"warning: {message}")
         for stream in (sys.stdout, sys.stderr):
             if isinstance(stream, TextIOWrapper):  # its encoding may lack a character
                 stream.reconfigure(errors="backslashreplace")
         args = read_arguments(name, words)
-        _require_results_can_be_written(args)
-        importlib.import_module(f"experiments.{name}").main(args)
+        with _quiet() if quiet else nullcontext():
+            _require_results_can_be_written(args)
+            importlib.import_module(f"experiments.{name}").main(args)
 
 
 def _require_results_can_be_written(args: Any) -> None:
@@ -170,13 +189,9 @@ def _help() -> str:
         "usage: mmwave-loc COMMAND [OPTIONS]; --help after a command lists its options",
         "       mmwave-loc --version; --json after it adds versions, threads and kernels",
     ]
-    for group, commands in GROUPS.items():
+    for group, commands in (GROUPS | {"options of every command": EVERYWHERE}).items():
         lines += ["", f"{group}:"]
         lines += [f"  {name:12} {about}" for name, about in commands.items()]
-    lines += [
-        "",
-        "--debug after any command shows where in the program it failed (a traceback)",
-    ]
     return "\n".join(lines)
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import TypeVar
 
 from rich.console import Console
@@ -11,17 +12,20 @@ from mmwave_env.io.lookup import printable
 
 T = TypeVar("T")
 
+QUIET: ContextVar[bool] = ContextVar("quiet", default=False)  # True: show neither bars nor tables
+
 
 def bars(*columns: ProgressColumn | str) -> Progress:
     """Return progress bars that are drawn on standard error and vanish at the end.
 
     No bar is shown if standard error is not a terminal. ``columns`` follow rich's default columns.
     """
-    console = Console(stderr=True)
+    console = Console(stderr=True, quiet=QUIET.get())
     _, *others = Progress.get_default_columns()
+    hidden = console.quiet or not console.is_terminal
     description = TextColumn("{task.description}", style="progress.description", markup=False)
     all_columns = description, *others, *columns
-    return Progress(*all_columns, console=console, transient=True, disable=not console.is_terminal)
+    return Progress(*all_columns, console=console, transient=True, disable=hidden)
 
 
 def say(*lines: str) -> None:
@@ -31,7 +35,7 @@ def say(*lines: str) -> None:
 
 def note(text: str) -> None:
     """Print on standard error what the program is doing."""
-    Console(stderr=True).out(printable(text), highlight=False)
+    Console(stderr=True, quiet=QUIET.get()).out(printable(text), highlight=False)
 
 
 @contextmanager

@@ -12,7 +12,7 @@ import mmwave_env
 from experiments.console.main import COMMANDS, read_arguments
 from experiments.console.options import IntegrityArgs, TaskArgs
 from tests.cli import assert_one_clear_line, command, environment, python, started, succeed
-from tests.paths import ROOT
+from tests.paths import ROOT, json_in
 
 # These packages take long to import.
 HEAVY = {"numba", "gymnasium", "numpy", "scipy", "matplotlib", "torch", "rich", "pyarrow"}
@@ -170,6 +170,15 @@ def test_the_error_names_a_deleted_working_folder(tmp_path):
     )
     done = python(code)
     assert_one_clear_line(done, "the working folder|log.csv: found no such file")
+
+
+def test_quiet_shows_nothing_and_still_writes_the_results(tmp_path):
+    options = ("--policies", "fixed-ukf", "imm", "--episodes", 2)
+    done = command("compare", *options, "--quiet", "--json", tmp_path / "all.json")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert list(json_in(tmp_path / "all.json")["policies"]) == ["fixed-ukf", "imm"]
+    assert "fixed-ukf" in command("compare", *options).stdout  # later commands are not quiet
+    assert_one_clear_line(command("compare", "--quiet", "--radio", "lab"), "'lab'.*handset")
 
 
 def test_a_traceback_is_shown_only_with_the_option_debug(monkeypatch):
