@@ -187,12 +187,23 @@ def _help() -> str:
     """Return the list of commands in groups."""
     lines = [
         "usage: mmwave-loc COMMAND [OPTIONS]; --help after a command lists its options",
-        "       mmwave-loc --version; --json after it adds versions, threads and kernels",
+        "       mmwave-loc --version; --json after it also tests the compiled kernels",
     ]
     for group, commands in (GROUPS | {"options of every command": EVERYWHERE}).items():
         lines += ["", f"{group}:"]
         lines += [f"  {name:12} {about}" for name, about in commands.items()]
     return "\n".join(lines)
+
+
+def _report() -> NoReturn:
+    """Print versions, threads, kernels and their self-test as JSON; exit with 1 if a test fails."""
+    import json
+
+    from experiments.console.version import about
+
+    report = about()
+    print(json.dumps(report, indent=2))
+    sys.exit(0 if all(test["passed"] for test in report["self_test"]) else 1)
 
 
 def _complete(words: Sequence[str]) -> None:
@@ -225,10 +236,5 @@ def main() -> None:
         if words[0] not in ("-V", "--version"):
             raise ValueError(unknown("command", words[0], COMMANDS))
         if words[1:] == ["--json"]:
-            import json
-
-            from experiments.console.version import about
-
-            print(json.dumps(about(), indent=2))
-            return
+            _report()
         print(f"mmwave-loc {__version__}")
