@@ -163,6 +163,15 @@ def _track(args: LogArgs, work: Work, window: int | None, report: Callable[[floa
     )
 
 
+def beginning(args: LogArgs, epochs: int) -> tuple[Track, Work]:
+    """Filter the first epochs of a log; return their track and the log's :class:`Work`."""
+    files = inputs(args)
+    work = _work(args, files, scene_from(files.scene))
+    work = work._replace(log=work.log.part(slice(epochs)))
+    track = _track(args, work, None, lambda share: None)
+    return track.by_segment()[0], work
+
+
 def _scores(args: LogArgs, work: Work, track: Track) -> tuple[Json, ValueError | None]:
     """Compare a track with the ground truth, if any; return scores, and an error if none fits."""
     truth = work.truth

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from experiments.evaluation.contenders import contender_from
+from experiments.console.options import LogArgs
 from experiments.reporting.figures.canvas import caption
 from experiments.reporting.figures.curves import (
     draw_consistency,
@@ -16,12 +16,7 @@ from experiments.reporting.figures.curves import (
     draw_learning_curves,
 )
 from experiments.reporting.figures.trajectory import draw_trajectory
-from mmwave_env.datasets.log_folder import LOG, SCENE
-from mmwave_env.datasets.samples import sample_folder
-from mmwave_env.localization.localizer import localize
-from mmwave_env.logs.log import read_log
-from mmwave_env.models.radio import radio_from
-from mmwave_env.models.scene import scene_from
+from experiments.reporting.log_results import beginning
 from mmwave_env.numerics.linalg import pack
 
 AWKWARD = "a$b_{^$ | \x1b[31m <b>\n漢字 \u202eق"
@@ -30,10 +25,7 @@ T = 50
 
 def draw_track(name, path, position_m):
     """Draw a track in which a mode of this name and another one take turns."""
-    folder = sample_folder("canyon28_pedestrian")
-    scene = scene_from(folder / SCENE)
-    log = read_log(folder / LOG, scene).part(slice(T))
-    block = localize(log, scene, radio_from("handset"), contender_from("imm", "handset"), None)
+    (block, _) = beginning(LogArgs(sample="canyon28_pedestrian", imm="imm"), T)
     P = np.tile(pack(0.01 * np.eye(7)), (T, 1))
     mode = np.arange(T) // 20 % 2
     states = {"smooth_x": position_m, "smooth_P": P, "mode": mode, "segment": np.zeros(T, int)}

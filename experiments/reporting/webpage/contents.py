@@ -64,6 +64,8 @@ def _verdict(comparison: Comparison) -> Verdict:
         about += f" No winner: the reward of {best} minus the reward of {other} is {by}{interval}."
     else:
         about += f" {best} won: its reward is {by} above the reward of {other}{interval}."
+    if unpaired := others[: others.index(other)]:
+        about += f" Ranked between these two, but not paired with {best}: {', '.join(unpaired)}."
     return Verdict(name, title, about)
 
 

@@ -6,7 +6,7 @@ function drawMap(place, episode, chosen) {
   const svg = picture(width, height, `Map of ${episode.name}: the true track, and the estimates of ${chosen.join(" and ")}. North is up.`);
   const courses = chosen.map((name) => episode.contenders[name]);
   const [toX, toY, perMeter] = mapScale(episode, courses, width, height);
-  const placed = (track) => [pixels(track.x, toX), pixels(track.y, toY)]; // null where a filter has failed
+  const placed = (track) => [pixels(track.x, toX), pixels(track.y, toY)]; // coordinates are null where a log has no ground truth
   shape(svg, "rect", { width, height, fill: "var(--ground)" });
   drawStreets(svg, episode, toX, toY, perMeter);
   const links = episode.anchors.map(() => shape(svg, "line", { "stroke-width": 1.4 }));

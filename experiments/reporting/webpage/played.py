@@ -1,11 +1,11 @@
-"""Replay of a comparison's episodes, for details that results files do not store."""
+"""Replay of a comparison's episodes, or of a log, for details that results files do not store."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from experiments.console.options import EpisodeArgs
+from experiments.console.options import EpisodeArgs, LogArgs
 from experiments.console.provenance import options_from
 from experiments.evaluation.agents import is_agent
 from experiments.evaluation.asked import contender_of, task_of
@@ -14,12 +14,16 @@ from experiments.evaluation.contenders import Contender
 from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.evaluation.seeds import draw_episodes, keys_for, named, seeds_from
 from experiments.reporting.histories import EpochErrors, history_of
+from experiments.reporting.log_results import beginning
 from experiments.reporting.webpage.sources import Source
+from mmwave_env.filters.belief import Belief
+from mmwave_env.filters.pipeline import VERTICAL
 from mmwave_env.io.files import Json
 from mmwave_env.io.lookup import printable
 from mmwave_env.metrics import nees_interval
+from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array
-from mmwave_env.rendering.history import History
+from mmwave_env.rendering.history import POSITION_NUMBERS, History
 from mmwave_env.rendering.theme import THEMES, hex_of
 
 LONGEST = 600  # maximum number of epochs of an episode that can be watched
@@ -40,19 +44,21 @@ class Played:
 
 
 def play(source: Source, most: int, watched: int) -> Played:
-    """Run the first episodes of a comparison again; tracks and runs have none.
+    """Run the first episodes of a comparison, or the beginning of a log, again.
 
     A user's code is not run: contenders given as module:function or as a .zip file are left out.
     At most ``most`` episodes run; the page shows the first ``watched`` of these episodes.
     """
-    if source.kind != "comparison":
+    if source.kind == "run":
         return Played()
-    if not most:
-        return Played(missing={"": "no episodes were asked for"})
     try:
-        return _play_episodes(source, most, watched)
+        if source.kind == "track":
+            return _play_log(source)
+        if most:
+            return _play_episodes(source, most, watched)
     except (ValueError, OSError) as error:
         return Played(missing={"": str(error)})
+    return Played(missing={"": "no episodes were asked for"})
 
 
 def _play_episodes(source: Source, most: int, watched: int) -> Played:
@@ -80,6 +86,37 @@ def _play_episodes(source: Source, most: int, watched: int) -> Played:
             shown["contenders"][printable(contender.name)] = course
         played.shown.append(shown)
     return played
+
+
+def _play_log(source: Source) -> Played:
+    """Localize the first epochs of a log again."""
+    block, work = beginning(options_from(LogArgs, source.content), LONGEST)
+    axes = (0, 1) if block.planar else (0, 1, 2)
+    known = velocity = np.full((len(block), 3), np.nan)
+    if work.truth:
+        known, velocity = work.truth.at(block.time_s)[:2]
+    belief = Belief([*block.x.T], unpack([*block.P.T], VERTICAL if block.planar else ()), axes)
+    log = source.content["log"]
+    scene = work.scene
+    switching = work.choice.switching
+    history = History(
+        log,
+        scene.anchors_m,
+        scene.streets if scene.streets_known else None,
+        len(axes),
+        time_s=block.time_s - block.time_s[0],
+        modes=block.mode,
+        truth=np.hstack([known, velocity]),
+        estimate=block.x,
+        P=block.P[:, :POSITION_NUMBERS],
+        nees=np.asarray(belief.nees([*known.T])),
+        accepted=block.accepted,
+        rejected=block.visible & ~block.accepted,
+    )
+    shown = _episode(log, history, block.layout.group_names)
+    weighed = switching.bank is not None
+    shown["contenders"]["track"] = _course(history, switching.names, weighed)
+    return Played(shown=[shown])
 
 
 def _contenders(args: EpisodeArgs, names: list[str], missing: dict[str, str]) -> list[Contender]:

@@ -78,7 +78,7 @@ function sentence(episode, chosen, at) {
     const error = course.error_m[at] === null ? "" : `, error ${course.error_m[at]} m`;
     return `${name}: ${course.modes[course.mode[at]]}, estimated speed ${course.speed_mps[at]} m/s${error}${nees}`;
   });
-  const speed = `, speed ${episode.speed_mps[at]} m/s`;
+  const speed = episode.speed_mps[at] === null ? "" : `, speed ${episode.speed_mps[at]} m/s`;
   return `${episode.time_s[at]} s${speed}. ${said.join("; ")}.`;
 }
 
@@ -155,7 +155,8 @@ function drawStrips(place, episode, chosen) {
     top += 36;
   });
   top += 4;
-  const most = 2 * Math.max(1, ...episode.speed_mps); // higher speeds are drawn at this speed
+  const known = episode.speed_mps.some((v) => v !== null); // a log may have no ground truth
+  const most = known ? 2 * Math.max(1, ...episode.speed_mps) : Infinity; // higher speeds are drawn at this speed
   const speeds = courses.map((course) => course.speed_mps.map((v) => (v === null ? null : Math.min(v, most))));
   const speed = fromZero(46, "speed m/s", [...episode.speed_mps, ...speeds.flat()]);
   speeds.forEach((values, i) => line(values, speed, i));
