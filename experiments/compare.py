@@ -8,6 +8,8 @@ from tyro.conf import arg
 
 from experiments.console.options import EpisodeArgs
 
+WIDTH_MM = (80.0, 500.0)  # smallest and largest width of a readable picture
+
 
 @dataclass(kw_only=True)
 class Args(EpisodeArgs):
@@ -35,35 +37,48 @@ class Args(EpisodeArgs):
     vertical errors to this .png, .svg or .pdf file"""
     consistency: Path | None = None
     """draw NEES over time, with its chi-square bounds, to this file"""
+    width_mm: float | None = None
+    """width of the pictures, mm, such as the width of a journal's column"""
+    table: Path | None = None
+    """write the table of means to this .tex file: LaTeX, for the package booktabs"""
 
 
 def main(args: Args) -> None:
     """Run the command."""
     from experiments.console.provenance import provenance
-    from experiments.console.tables import show
+    from experiments.console.tables import booktabs, show
     from experiments.evaluation.asked import all_contenders
     from experiments.reporting.comparison_results import results
     from experiments.reporting.figures.canvas import require_picture
     from experiments.reporting.figures.curves import draw_consistency, draw_error_cdf
-    from mmwave_env.io.files import write_json
+    from mmwave_env.io.files import require_writable, write_json, write_text
 
     pictures = {"errors": args.errors, "consistency": args.consistency}
+    if args.width_mm is not None and not WIDTH_MM[0] <= args.width_mm <= WIDTH_MM[1]:
+        expected = f"{WIDTH_MM[0]:g} to {WIDTH_MM[1]:g}"
+        raise ValueError(f"width_mm: found {args.width_mm:g}, expected {expected}")
     for option, path in pictures.items():
         if path:
             require_picture(option, path)
     if args.errors and args.errors == args.consistency:
         expected = "a file other than the --errors file"
         raise ValueError(f"consistency: found {args.consistency}, expected {expected}")
+    if args.table and args.table.suffix != ".tex":
+        raise ValueError(f"table: found {args.table}, expected a name that ends with .tex")
+    if args.table:
+        require_writable(args.table)
     names = args.policies or all_contenders(args)
     made = results(args, names, with_epochs=any(pictures.values()))
+    if args.table:
+        write_text(args.table, booktabs(*made.comparison.table()))
     if args.json:  # before show(), which fails if the program that reads its output stops
         write_json(args.json, provenance("compare", args) | made.json)
     epochs = made.epochs
     try:
         if args.errors:
-            draw_error_cdf(epochs.errors_m, args.errors)
+            draw_error_cdf(epochs.errors_m, args.errors, args.width_mm)
         if args.consistency:
             axes = 2 if args.planar else 3
-            draw_consistency(epochs.time_s, epochs.nees, axes, args.consistency)
+            draw_consistency(epochs.time_s, epochs.nees, axes, args.consistency, args.width_mm)
     finally:  # the tables are shown even if a picture fails
         show(made.text)

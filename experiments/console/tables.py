@@ -1,7 +1,7 @@
-"""Text and tables of results, as Markdown and on a terminal."""
+"""Text and tables of results, as Markdown, as LaTeX and on a terminal."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 from rich import box
 from rich.cells import cell_len
@@ -20,6 +20,12 @@ _READ = re.compile(
     r"[\\`*|$~]|<(?=[A-Za-z/!?])|&(?=[A-Za-z#])|\](?=[(\[:])"
     r"|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9])"
 )
+_LATEX = str.maketrans(
+    {char: rf"\{char}" for char in "&%$#_{}"}
+    | {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+    | {"±": r"$\pm$"}
+)
+_MINUS = re.compile(r"(?<![\w-])-(?=\d)")
 _ESCAPED = re.compile(r"\\([\\`*|$~<&\]_])")
 
 
@@ -38,6 +44,18 @@ def grid(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     table = [[escaped(str(cell)) for cell in cells] for cells in (header, *rows)]
     lines = ["| " + " | ".join(cells) + " |" for cells in table]
     return "\n".join([lines[0], "|---" * len(header) + "|", *lines[1:]])
+
+
+def booktabs(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """Return plain-text cells as a LaTeX ``tabular`` in the style of the package booktabs."""
+    lines = [rf"\begin{{tabular}}{{l{'r' * (len(header) - 1)}}}", r"\toprule", _latex_row(header)]
+    lines += [r"\midrule", *map(_latex_row, rows), r"\bottomrule", r"\end{tabular}"]
+    return "\n".join(lines) + "\n"
+
+
+def _latex_row(cells: Iterable[object]) -> str:
+    texts = (printable(str(cell)).translate(_LATEX) for cell in cells)
+    return " & ".join(_MINUS.sub("$-$", text) for text in texts) + r" \\"
 
 
 def show(text: str) -> None:

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from experiments.console import progress as terminal
 from experiments.console.progress import progress, say, tracked
-from experiments.console.tables import escaped, grid, show, unescaped
+from experiments.console.tables import booktabs, escaped, grid, show, unescaped
 from mmwave_env.io.lookup import LONGEST, as_cell, as_name, did_you_mean, is_name, printable, quoted
 
 NAMES = st.text(st.characters(codec=None), max_size=200)
@@ -28,6 +28,13 @@ def test_names_are_short_and_printable():
         assert is_name(name)
     for name in ("", "a\nb", "\x1b[31m", "\udcff", "\u202e", "x" * (LONGEST + 1), 7, None, ["a"]):
         assert not is_name(name)
+
+
+def test_latex_tables_show_every_character():
+    table = booktabs(["policy", "95 %"], [["a_b & c-1", "-0.5 ± 0.1"], ["{x}^2", "#~$\\"]])
+    assert r"a\_b \& c-1 & $-$0.5 $\pm$ 0.1 \\" in table and r"policy & 95 \% \\" in table
+    last = r"\{x\}\textasciicircum{}2 & \#\textasciitilde{}\$\textbackslash{} \\"
+    assert last in table
 
 
 @given(NAMES)

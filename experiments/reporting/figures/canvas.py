@@ -1,6 +1,6 @@
 """Figures in the project's style (publication.mplstyle), and parts that several pictures share."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -18,10 +18,11 @@ UNDATED: dict[str, dict[str, Any]] = {  # metadata without dates, so equal pictu
 COLORS = [hex_of(color) for color in THEMES["light"].modes]  # colors of modes, as in videos
 NO_MODE = hex_of(THEMES["light"].none)
 
-LEGEND_COLUMNS = 2  # number of columns of a legend below panels
-WIDTH_IN = 4.6  # width of a picture that fits on a phone, and in a column of a page
-PANEL_IN = 3.0  # height of a panel of such a picture
-ENTRY_IN = 0.25  # height of a line of its legend
+LEGEND_COLUMNS = 2  # number of columns in a legend below panels
+FONT_PT = 10.0
+PHONE_MM = 117.0  # width of a picture for a phone
+STACKED_MM = 170.0  # up to this width, panels are stacked
+MM_PER_IN = 25.4
 
 
 def require_picture(option: str, path: Path) -> None:
@@ -41,7 +42,9 @@ def require_picture(option: str, path: Path) -> None:
 
 
 @contextmanager
-def picture(path: Path, width_in: float, height_in: float) -> Iterator[Any]:
+def picture(
+    path: Path, width_in: float, height_in: float, font_pt: float = FONT_PT
+) -> Iterator[Any]:
     """Yield a matplotlib figure to draw into, and write it to a .png, .svg or .pdf file at the end.
 
     The figure has the project's style, whatever matplotlib settings the user has. The file is
@@ -52,7 +55,7 @@ def picture(path: Path, width_in: float, height_in: float) -> Iterator[Any]:
     from matplotlib.rcsetup import cycler
 
     colors = {"axes.prop_cycle": cycler(color=COLORS)}
-    with style.context([STYLE, colors], after_reset=True):
+    with style.context([STYLE, colors | {"font.size": font_pt}], after_reset=True):
         figure = Figure(figsize=(width_in, height_in))
         yield figure
         suffix = path.suffix.lower()
@@ -69,27 +72,56 @@ def caption(name: str) -> str:
     return "".join(x if font.get_char_index(ord(x)) else spelled(x) for x in letters)
 
 
-def legend_beside(axes: Any) -> None:
+def contenders(names: Iterable[str]) -> dict[str, str]:
+    """Map names of contenders (policies and IMMs) to their labels in a picture.
+
+    A path is shortened to its shortest ending that distinguishes it from all other names.
+    """
+    parts = {name: Path(name).parts for name in names}
+    shown = {}
+    for name, own in parts.items():
+        others = [parts[other] for other in parts if other != name]
+        alone = (k for k in range(1, len(own)) if all(o[-k:] != own[-k:] for o in others))
+        shown[name] = caption(str(Path(*own[-next(alone, len(own)) :])))
+    return shown
+
+
+def legend_beside(axes: Any, **options: Any) -> None:
     """Draw a legend to the right of a panel, where it does not cover data."""
-    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.02), borderaxespad=0.0)
+    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.02), borderaxespad=0.0, **options)
 
 
 @contextmanager
-def panels(path: Path, count: int) -> Iterator[Sequence[Any]]:
-    """Yield the panels of a picture, one below the other; below them, draw one legend of all."""
-    height_in = PANEL_IN * count
-    with picture(path, WIDTH_IN, height_in) as figure:
-        drawn = figure.subplots(count, squeeze=False)[:, 0]
-        yield drawn
-        entries: dict[str, Any] = {}
-        for axes in drawn:
-            handles, labels = axes.get_legend_handles_labels()
-            entries |= zip(labels, handles, strict=True)
-        if entries:
-            lines = -(-len(entries) // LEGEND_COLUMNS)
-            figure.set_figheight(height_in + ENTRY_IN * lines)
-            below = {"loc": "outside lower left", "ncols": LEGEND_COLUMNS}
-            figure.legend(entries.values(), entries.keys(), **below)
+def panels(
+    path: Path, count: int, entries: int, width_mm: float | None
+) -> Iterator[tuple[Any, list[Any]]]:
+    """Yield a picture and its ``count`` panels: side by side, or stacked if they would be narrow.
+
+    The picture has room for the legend that :func:`legend_of` draws, with ``entries`` labels. The
+    font is smaller in narrow pictures, so that labels fit.
+    """
+    usual = PHONE_MM / MM_PER_IN if stacked(width_mm) else 2.2 + 4.4 * count
+    width = usual if width_mm is None else width_mm / MM_PER_IN
+    if stacked(width_mm):
+        height = 0.63 * width * count + 0.3 + 0.2 * (-(-entries // LEGEND_COLUMNS))
+    else:
+        height = max(4.2, 1.0 + 0.19 * entries) * width / usual
+    with picture(path, width, height, FONT_PT * min(1.0, width / usual)) as figure:
+        grid = figure.subplots(*((count, 1) if stacked(width_mm) else (1, count)), squeeze=False)
+        yield figure, list(grid.flat)
+
+
+def stacked(width_mm: float | None) -> bool:
+    """Return whether the panels of a picture of this width are stacked."""
+    return width_mm is not None and width_mm <= STACKED_MM
+
+
+def legend_of(figure: Any, axes: Any, width_mm: float | None, handles: Sequence[Any]) -> None:
+    """Draw the legend of a picture from :func:`panels`; the handles contain the labels."""
+    if stacked(width_mm):
+        figure.legend(handles=handles, loc="outside lower left", ncols=LEGEND_COLUMNS)
+    else:
+        legend_beside(axes, handles=handles)
 
 
 def plain_numbers(axis: Any) -> None:

@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtri
 
-from experiments.reporting.figures.canvas import NO_MODE, caption, legend_beside, picture
+from experiments.reporting.figures.canvas import caption, legend_beside, picture
+from experiments.reporting.figures.timeline import mode_ribbon
 from mmwave_env.localization.localizer import Track
-from mmwave_env.numerics.numbers import Array, Index
+from mmwave_env.numerics.numbers import Array
 
 POINTS = 6000  # maximum number of epochs in a picture; a longer track is thinned
 ELLIPSES = 15  # maximum number of ellipses along a track
@@ -121,20 +122,3 @@ def _draw_error(axes: Any, track: Track, truth_m: Array, time: Array) -> None:
         axes.plot(time, error, color="black", lw=0.8, label="error")
     axes.set(ylabel="position error (m)", ylim=(0.0, None))
     legend_beside(axes)
-
-
-def mode_ribbon(axes: Any, time: Array, mode: Index, modes: int, low: float = 0.0) -> None:
-    """Draw a band of height 1 above ``low``, in the colors of the modes that ran.
-
-    ``mode`` (T,) has the number of the mode that ran at each ``time`` (T,), or -1 if no mode ran.
-    """
-    begins = np.flatnonzero(np.diff(mode, prepend=-2))
-    ends = np.append(begins[1:], len(mode) - 1)
-    for number in range(-1, modes):
-        chosen = mode[begins] == number
-        spans = list(zip(time[begins[chosen]], (time[ends] - time[begins])[chosen], strict=True))
-        color = NO_MODE if number < 0 else f"C{number}"
-        axes.broken_barh(spans, (low, 1.0), facecolors=color, lw=0.0)
-    axes.grid(visible=False)
-    axes.spines[:].set_visible(False)
-    axes.tick_params(axis="y", length=0)

@@ -8,6 +8,7 @@ from experiments.evaluation.comparison import Comparison
 from experiments.evaluation.positions import positions_markdown
 from experiments.evaluation.runs import outcomes_markdown
 from experiments.evaluation.seeds import named
+from experiments.reporting.figures.canvas import PHONE_MM
 from experiments.reporting.figures.curves import (
     draw_consistency,
     draw_error_cdf,
@@ -118,10 +119,12 @@ def errors_of(source: Source, played: Played) -> Iterator[str]:
     errors_m = played.epochs.errors_m
     nees = played.epochs.nees
     if shown := [name for name in watched_names(ranked) if name in errors_m]:
-        draw = partial(draw_error_cdf, {name: errors_m[name] for name in shown})
+        draw = partial(draw_error_cdf, {name: errors_m[name] for name in shown}, width_mm=PHONE_MM)
         yield drawn(f"Distribution of errors (CDF), {played.which}", draw)
         chosen = {name: nees[name] for name in shown}
-        draw = partial(draw_consistency, played.epochs.time_s, chosen, played.axes)
+        draw = partial(
+            draw_consistency, played.epochs.time_s, chosen, played.axes, width_mm=PHONE_MM
+        )
         yield drawn(f"NEES and its chi-square bounds, {played.which}", draw)
 
 
