@@ -114,6 +114,10 @@ class SB3VecEnv(VecEnv):
         method: Callable[..., Any] = getattr(self.env, method_name)
         return [method(*method_args, **method_kwargs)] * self.num_envs
 
+    def get_images(self) -> list[Any]:
+        """Return the pictures (height, width, 3) of the environments, as ``render`` shows them."""
+        return list(self.env.render() or ())
+
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Indices = None) -> list[bool]:
         """Return, for each index, True if the wrapper is Monitor, whose work this class does."""
         return [wrapper_class is Monitor] * len(list(self._get_indices(indices)))

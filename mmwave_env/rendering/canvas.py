@@ -2,7 +2,7 @@
 
 import math
 import os
-from functools import lru_cache
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -135,10 +135,17 @@ class Canvas:
         return pygame.Rect(low, high - low)
 
 
-@lru_cache(maxsize=32)
+_FONTS: dict[int, Any] = {}  # by size
+
+
 def _font(size: int) -> Any:
+    """Return the default font; anybody's ``pygame.quit()`` ends the fonts made before."""
+    with suppress(KeyError, pygame.error):
+        _FONTS[size].get_height()
+        return _FONTS[size]
     pygame.font.init()
-    return pygame.font.Font(None, size)
+    _FONTS[size] = pygame.font.Font(None, size)
+    return _FONTS[size]
 
 
 def ellipse(center: Array, P: Array, deviations: float) -> Array:

@@ -141,3 +141,11 @@ def test_single_environments_pass_the_checker_of_stable_baselines3(arguments):
         warnings.simplefilter("error")
         check_env(env.unwrapped)
         check_env(env)
+
+
+def test_the_adapter_has_the_pictures_of_its_environments():
+    venv = SB3VecEnv(native(render_mode="rgb_array"))
+    venv.reset()
+    pictures = venv.get_images()
+    np.testing.assert_array_equal(pictures, venv.env.render())
+    assert venv.render("rgb_array").ndim == 3

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import gymnasium as gym
 import numpy as np
+import pygame
 import pytest
 
 from mmwave_env.env import MmWaveLocEnv
@@ -274,3 +275,13 @@ def test_the_view_moves_smoothly():
     for (before, scale), (after, later) in pairwise(shown[5:]):
         assert np.hypot(*(after - before)) * scale < 40.0
         assert 0.8 < later / scale < 1.25
+
+
+@pytest.mark.parametrize("end", ["pygame.quit", "pygame.font.quit"])
+def test_pictures_survive_the_end_of_pygame(end):
+    """Check what Gymnasium's own environments do when they close."""
+    env = gym.make(ID, render_mode="rgb_array")
+    env.reset(seed=0)
+    before = env.render()
+    {"pygame.quit": pygame.quit, "pygame.font.quit": pygame.font.quit}[end]()
+    np.testing.assert_array_equal(env.render(), before)
