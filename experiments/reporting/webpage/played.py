@@ -20,7 +20,9 @@ from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import VERTICAL
 from mmwave_env.io.files import Json
 from mmwave_env.io.lookup import printable
+from mmwave_env.logs.truth import velocity_of
 from mmwave_env.metrics import nees_interval
+from mmwave_env.models.prior import GAP_S
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.rendering.history import POSITION_NUMBERS, History
@@ -92,9 +94,10 @@ def _play_log(source: Source) -> Played:
     """Localize the first epochs of a log again."""
     block, work = beginning(options_from(LogArgs, source.content), LONGEST)
     axes = (0, 1) if block.planar else (0, 1, 2)
-    known = velocity = np.full((len(block), 3), np.nan)
+    known = np.full((len(block), 3), np.nan)
     if work.truth:
-        known, velocity = work.truth.at(block.time_s)[:2]
+        known = work.truth.at(block.time_s)
+    velocity = velocity_of(block.time_s, known, GAP_S)
     belief = Belief([*block.x.T], unpack([*block.P.T], VERTICAL if block.planar else ()), axes)
     log = source.content["log"]
     scene = work.scene
