@@ -22,22 +22,23 @@ the :class:`Card` and a checksum of card and tensors.
 """
 
 import json
-import os
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field, fields
+from collections import Counter
+from dataclasses import asdict, dataclass, field
 from hashlib import sha256
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple, get_origin, get_type_hints
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from mmwave_env.filters.bank import Bank, as_written, bank_as_written, bank_in
+from mmwave_env.filters.bank import Bank, as_written, bank_as_written
 from mmwave_env.filters.modes import Mode
 from mmwave_env.interface.observation import BELIEFS, OBSERVATIONS, Column, action_names
-from mmwave_env.io.files import AnyPath, Json, first_line, naming, open_regular, parse_json
+from mmwave_env.io.files import AnyPath, Json, first_line, parse_json, read_bounded
 from mmwave_env.io.lookup import choose, quoted
+from mmwave_env.io.records import Record, object_from
 from mmwave_env.numerics.numbers import Array32
 
 FORMAT = 2
@@ -45,16 +46,16 @@ FORMAT = 2
 # and up, and logarithms of factors for the three standard deviations.
 CORRECTIONS = 6
 MOST_BYTES = 128 << 20  # maximum size of a file: a thousand times the size of our largest policy
-MOST_HEADER = 16 << 20  # maximum size of the header, which contains names, shapes and the card
 _KEY = "policy"  # only one key, because the library would write several keys in random order
-_PER_MODE = ("beliefs", "banks")  # fields that files leave out if the belief is shared
-_LATER = (*_PER_MODE, "base")  # fields that older files do not have
+# fields that older files do not have, with the values for which files leave them out
+_LATER: Json = {"beliefs": "shared", "banks": {}, "base": ""}
 
 Tensors = dict[str, Array32]
+Shapes = dict[str, tuple[int, ...]]
 
 
 @dataclass(frozen=True)
-class Card:
+class Card(Record):
     """The description of a policy and its training, stored in the policy's file.
 
     Raises:
@@ -73,7 +74,7 @@ class Card:
     seed: int  # seed of the training; -1 if it had none
     timesteps: int  # number of epochs of the training
     command: str  # command that made the file
-    evaluation: Json  # results, as JSON of any form
+    evaluation: dict[str, object]  # results, as JSON of any form
     versions: dict[str, str]  # versions of packages used in training, including "mmwave-loc"
     beliefs: str = "shared"  # "shared" or "per-mode"
     # if every mode has its own belief, the bank for each radio profile of the training; the modes
@@ -84,62 +85,33 @@ class Card:
     base: str = ""
 
     def __post_init__(self) -> None:
-        for name, hint in get_type_hints(Card).items():
-            value = getattr(self, name)
-            expected = get_origin(hint) or hint
-            if type(value) is not expected:
-                raise ValueError(f"{name}: found {quoted(value)}, expected {expected.__name__}")
+        super().__post_init__()
         choose(OBSERVATIONS, self.observation, "observation")
+        choose(BELIEFS, self.beliefs, "beliefs")
         names = [column.name for column in self.features]
         if len(set(names)) < len(names):
             raise ValueError("features: found a name more than once, expected different names")
-        if not isinstance(self.versions.get("mmwave-loc"), str):
+        if "mmwave-loc" not in self.versions:
             raise ValueError(f"versions: found {self.versions!r}, expected 'mmwave-loc' among them")
-        choose(BELIEFS, self.beliefs, "beliefs")
-        if self.beliefs == "per-mode":
-            self._require_banks()
-        elif self.banks:
+        per_mode = self.beliefs == "per-mode"
+        if bool(self.banks) != per_mode:
             raise ValueError(
-                f"banks: found banks for {', '.join(self.banks)}, expected none if beliefs are "
-                "'shared'"
+                f"banks: found {len(self.banks)} banks with beliefs {self.beliefs!r}, expected "
+                f"{'at least one' if per_mode else 'none'}"
             )
-
-    def _require_banks(self) -> None:
-        """Refuse banks that do not agree with each other or with the modes."""
-        if not self.banks:
-            raise ValueError("banks: found none, expected at least one if beliefs are 'per-mode'")
-        first, *_ = self.banks.values()
-        if self.modes != first.modes:
-            raise ValueError(
-                f"modes: found {_names(self.modes)}, expected {_names(first.modes)} with the same "
-                "tuning as in the first bank"
-            )
+        if per_mode and self.modes != next(iter(self.banks.values())).modes:
+            raise ValueError("modes: found others than in the first bank, expected the same")
         for radio, bank in self.banks.items():
-            if _names(bank.modes) != _names(self.modes):
+            if action_names(bank.modes, self.beliefs) != self.actions:
                 raise ValueError(
-                    f"bank of radio {radio!r}: found the modes {_names(bank.modes)}, expected "
-                    f"{_names(self.modes)}"
+                    f"bank of radio {radio!r}: found other names of modes than in the first bank, "
+                    f"expected {', '.join(self.actions)}"
                 )
 
     @property
     def actions(self) -> list[str]:
         """Return the names of the actions."""
         return action_names(self.modes, self.beliefs)
-
-    @classmethod
-    def from_json(cls, content: Any) -> "Card":
-        """Return the card described by a policy file's JSON.
-
-        Raises:
-            ValueError: the JSON does not describe a card; the message says what is wrong.
-        """
-        if not isinstance(content, dict):
-            raise ValueError(f"card: found {quoted(content)}, expected an object")
-        _require_names("card", {*content, *_LATER}, [field.name for field in fields(cls)])
-        alone = bank_in({"modes": content["modes"]})
-        banks = _banks_in(content.get("banks", {}))
-        features = tuple(map(_column, content["features"]))
-        return cls(**{**content, "modes": alone.modes, "banks": banks, "features": features})
 
     def as_json(self) -> Json:
         """Return the card as the JSON of a policy file.
@@ -150,8 +122,16 @@ class Card:
         banks = {radio: bank_as_written(bank) for radio, bank in self.banks.items()}
         modes = [as_written(mode) for mode in self.modes]
         content = {**asdict(self), "modes": modes, "banks": banks}
-        absent = {*(() if banks else _PER_MODE), *(() if self.base else ("base",))}
-        return {name: value for name, value in content.items() if name not in absent}
+        return {k: v for k, v in content.items() if k not in _LATER or v != _LATER[k]}
+
+
+@dataclass(frozen=True)
+class _Document(Record):
+    """The JSON object in a file's metadata."""
+
+    format: Literal[2]
+    sha256: str
+    card: Card
 
 
 class PolicyFile(NamedTuple):
@@ -168,26 +148,6 @@ def _column(row: Any) -> Column:
     if types == [str, str, float, float] and np.isfinite(row[2]) and 0.0 < row[3] < np.inf:
         return Column(*row)
     raise ValueError(f"features: found {quoted(row)}, expected [name, unit, mean, deviation]")
-
-
-def _banks_in(content: Any) -> dict[str, Bank]:
-    """Return the banks of a card in a policy file."""
-    if not isinstance(content, dict):
-        raise ValueError(
-            f"banks: found {quoted(content)}, expected an object with a bank for each radio"
-        )
-    banks = {}
-    for radio, bank in content.items():
-        where = f"bank of radio {quoted(radio)}"
-        try:
-            banks[radio] = bank_in(bank)
-        except ValueError as error:
-            raise ValueError(f"{where}: {error}") from error
-    return banks
-
-
-def _names(modes: Iterable[Mode]) -> str:
-    return ", ".join(mode.name for mode in modes)
 
 
 def to_bytes(tensors: Tensors, card: Card) -> bytes:
@@ -213,53 +173,25 @@ def read_policy(path: AnyPath) -> tuple[Tensors, Card]:
         OSError: the file can't be read; FileNotFoundError if it does not exist.
     """
     path = Path(path)
-    _require_header(path)
+    read_bounded(path, MOST_BYTES, "a policy (.safetensors)")
     try:
         with safe_open(path, "np") as file:
-            document = _document((file.metadata() or {}).get(_KEY))
-            card = Card.from_json(document["card"])
+            content = parse_json((file.metadata() or {}).get(_KEY, "{}"))
+            written = dict(content["card"])
+            content["card"] = written | {"features": tuple(map(_column, written["features"]))}
+            document = object_from(_Document, content)
             tensors = {name: _tensor(file, name) for name in file.keys()}  # noqa: SIM118
-        _require_network(tensors, card)
-        expected = _checksum(tensors, document["card"])
-        if document["sha256"] != expected:
+        _require_network(tensors, document.card)
+        expected = _checksum(tensors, written)
+        if document.sha256 != expected:
             raise ValueError(
-                f"sha256: found {quoted(document['sha256'])}, expected {expected!r}; the file is "
+                f"sha256: found {quoted(document.sha256)}, expected {expected!r}; the file is "
                 "damaged: copy it or train the policy again"
             )
-    # A card with unexpected content may cause any of these errors in the code above.
+    # Unexpected content may cause any of these errors in the code above.
     except (ValueError, TypeError, AttributeError, LookupError, SafetensorError) as error:
         raise ValueError(f"{path}: not a policy file: {first_line(error)}") from error
-    return tensors, card
-
-
-def _require_header(path: Path) -> None:
-    """Refuse a file if it or its header is too large, before its data are read."""
-    with open_regular(path, "a policy (.safetensors)") as file, naming(path):
-        size = os.fstat(file.fileno()).st_size
-        header = int.from_bytes(file.read(8), "little")
-    if size > MOST_BYTES or header > MOST_HEADER:
-        sizes = f"a file of {size} bytes with a header of {header}"
-        most = f"at most {MOST_BYTES} and {MOST_HEADER}"
-        raise ValueError(f"{path}: not a policy file: found {sizes}, expected {most}")
-
-
-def _document(text: str | None) -> Json:
-    """Return the JSON object of the metadata."""
-    if text is None:
-        raise ValueError(f"metadata: found nothing under {_KEY!r}, expected format, sha256, card")
-    try:
-        document = parse_json(text)
-    except ValueError as error:
-        raise ValueError(f"metadata {_KEY!r}: found text that is not JSON: {error}") from error
-    if not isinstance(document, dict):
-        raise ValueError(f"metadata {_KEY!r}: found {quoted(document)}, expected an object")
-    if document.get("format") != FORMAT:
-        raise ValueError(
-            f"format: found {quoted(document.get('format'))}, expected {FORMAT}; use the version "
-            "of mmwave-loc that wrote the file, or train the policy again"
-        )
-    _require_names(f"metadata {_KEY!r}", document, ("format", "sha256", "card"))
-    return document
+    return tensors, document.card
 
 
 def _tensor(file: Any, name: str) -> Array32:
@@ -273,82 +205,57 @@ def _tensor(file: Any, name: str) -> Array32:
 
 def _require_network(tensors: Tensors, card: Card) -> None:
     """Refuse tensors that do not form the network that the card describes."""
-    shapes = (_corrector_shapes if card.base else _actor_shapes)(tensors, card)
-    _require_names("tensors", tensors, shapes)
+    size = Counter({name: tensor.size for name, tensor in tensors.items()})
+    features = len(card.features)
+    shapes: Shapes = {"low": (features,), "high": (features,)}
+    shapes |= _corrector_shapes(size, features) if card.base else _actor_shapes(size, card)
+    if tensors.keys() != shapes.keys():
+        raise ValueError(f"tensors: found {sorted(tensors)}, expected {sorted(shapes)}")
     for name, shape in shapes.items():
         tensor = tensors[name]
-        if tensor.dtype != np.float32:
-            raise ValueError(f"tensor {name!r}: found type {tensor.dtype}, expected float32")
-        if not tensor.size:
-            raise ValueError(f"tensor {name!r}: found an empty tensor, expected numbers")
-        if tensor.shape != shape:
-            raise ValueError(f"tensor {name!r}: found shape {tensor.shape}, expected {shape}")
-        if not np.isfinite(tensor).all():
-            raise ValueError(f"tensor {name!r}: found NaN or infinity, expected finite numbers")
-    if len(card.features) != tensors["low"].size:
-        raise ValueError(
-            f"features: found {len(card.features)}, expected {tensors['low'].size}, the size of "
-            "the tensor 'low'"
-        )
+        numbers = tensor.dtype == np.float32 and tensor.size and np.isfinite(tensor).all()
+        if tensor.shape != shape or not numbers:
+            raise ValueError(
+                f"tensor {name!r}: found {tensor.dtype} {tensor.shape}, expected finite float32 "
+                f"{shape} for {features} features"
+            )
     if (tensors["low"] > tensors["high"]).any():
         raise ValueError("tensor 'low': found numbers above tensor 'high', expected none")
 
 
-def _actor_shapes(tensors: Tensors, card: Card) -> dict[str, tuple[int, ...]]:
-    """Return the shapes of a switcher's tensors, given its numbers of features, layers, neurons."""
-    size = {name: tensor.size for name, tensor in tensors.items()}
-    features = size.get("low", 0)
-    shapes: dict[str, tuple[int, ...]] = {"low": (features,), "high": (features,)}
-    width = features
-    layers = sum(name.startswith("layer.") and name.endswith(".weight") for name in tensors)
-    for i in range(max(layers, 1)):
-        out = size.get(f"layer.{i}.bias", 0) if i < layers - 1 else len(card.actions)
-        shapes[f"layer.{i}.weight"] = (out, width)
-        shapes[f"layer.{i}.bias"] = (out,)
-        width = out
+def _actor_shapes(size: Counter[str], card: Card) -> Shapes:
+    """Return the shapes of a switcher's layers, given the sizes of all its tensors."""
+    hidden = max(sum(name.endswith(".weight") for name in size), 1) - 1
+    widths = [len(card.features), *(size[f"layer.{i}.bias"] for i in range(hidden))]
+    shapes: Shapes = {}
+    for i, (width, out) in enumerate(pairwise([*widths, len(card.actions)])):
+        shapes |= {f"layer.{i}.weight": (out, width), f"layer.{i}.bias": (out,)}
     return shapes
 
 
-def _corrector_shapes(tensors: Tensors, card: Card) -> dict[str, tuple[int, ...]]:
-    """Return the shapes of a corrector's tensors, given its numbers of features and neurons."""
-    size = {name: tensor.size for name, tensor in tensors.items()}
-    features = size.get("low", 0)
-    front = size.get("front.bias", 0)
-    head = size.get("head.bias", 0)
-    gates = size.get("gru.bias_ih", 0)
-    out = size.get("out.bias", 0)
-    gates = max(gates - gates % 3, 3)
-    out = max(out - out % CORRECTIONS, CORRECTIONS)
-    units = ("gru", "back") if any(name.startswith("back.") for name in tensors) else ("gru",)
-    recurrent: dict[str, tuple[int, ...]] = {}
-    for unit in units:
-        recurrent |= {
-            f"{unit}.weight_ih": (gates, front),
-            f"{unit}.weight_hh": (gates, gates // 3),
-            f"{unit}.bias_ih": (gates,),
-            f"{unit}.bias_hh": (gates,),
-        }
-    return recurrent | {
-        "low": (features,),
-        "high": (features,),
+def _corrector_shapes(size: Counter[str], features: int) -> Shapes:
+    """Return the shapes of a corrector's layers, given the sizes of all its tensors."""
+    front = size["front.bias"]
+    head = size["head.bias"]
+    units = size["gru.bias_ih"] // 3
+    out = size["out.bias"] // CORRECTIONS * CORRECTIONS
+    recurrent = ("gru", "back") if size["back.bias_ih"] else ("gru",)
+    shapes: Shapes = {
         "front.weight": (front, features),
         "front.bias": (front,),
-        "head.weight": (head, front + len(units) * gates // 3),
+        "head.weight": (head, front + len(recurrent) * units),
         "head.bias": (head,),
         "out.weight": (out, head),
         "out.bias": (out,),
     }
-
-
-def _require_names(group: str, names: Iterable[str], expected: Iterable[str]) -> None:
-    """Refuse missing and unknown names."""
-    names = set(names)
-    expected = set(expected)
-    if names != expected:
-        raise ValueError(
-            f"{group}: missing {', '.join(sorted(expected - names)) or 'none'}, "
-            f"unknown {', '.join(sorted(names - expected)) or 'none'}"
-        )
+    for unit in recurrent:
+        shapes |= {
+            f"{unit}.weight_ih": (3 * units, front),
+            f"{unit}.weight_hh": (3 * units, units),
+            f"{unit}.bias_ih": (3 * units,),
+            f"{unit}.bias_hh": (3 * units,),
+        }
+    return shapes
 
 
 def _checksum(tensors: Tensors, card: Json) -> str:

@@ -11,10 +11,10 @@ from mmwave_env.io.records import (
     Bound,
     Name,
     Probability,
+    Record,
     Size,
     counts,
     object_from,
-    require_fields,
 )
 
 MOST = 10**15  # largest value of a hyperparameter; more would need too much memory and time
@@ -24,7 +24,7 @@ Neurons = Annotated[tuple[Count, ...], Size(1, 100)]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Hyperparameters:
+class Hyperparameters(Record):
     """Hyperparameters of every algorithm."""
 
     num_envs: Count  # number of environments stepped, or episodes played, at the same time
@@ -34,9 +34,6 @@ class Hyperparameters:
 
     algorithm: ClassVar[str]  # name on the command line
     together: ClassVar[int] = 1  # number of adjacent environments that share a place (scene, radio)
-
-    def __post_init__(self) -> None:
-        require_fields(self)
 
 
 @dataclass(frozen=True, kw_only=True)

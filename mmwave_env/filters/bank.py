@@ -18,7 +18,7 @@ from mmwave_env.filters.gating import at_degrees, chi_square_limits
 from mmwave_env.filters.imm import ImmSettings, stay_matrix
 from mmwave_env.filters.modes import Mode, robust
 from mmwave_env.io.lookup import choose
-from mmwave_env.io.records import Bound, Probability, Size, object_from, read_object, require_fields
+from mmwave_env.io.records import Bound, Probability, Record, Size, object_from, read_object
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import TUNED_RADIOS, Radio, radio_from
 
@@ -36,7 +36,7 @@ NOTES = {
 
 
 @dataclass(frozen=True)
-class Bank:
+class Bank(Record):
     """Modes that each keep their own belief, and the parameters of their interaction.
 
     Attributes:
@@ -58,7 +58,7 @@ class Bank:
     nis_quantile: Annotated[float, Bound("a quantile in (0, 1]", above=0.0, most=1.0)] = 1.0
 
     def __post_init__(self) -> None:
-        require_fields(self)
+        super().__post_init__()
         names = [mode.name for mode in self.modes]
         if len(set(names)) < len(names):
             raise ValueError(f"modes: found {names}, expected different names")

@@ -119,10 +119,20 @@ def _matches(hint: Any, value: Any) -> bool:
         return value in inside
     if origin in (Union, UnionType):
         return any(_matches(kind, value) for kind in inside)
-    if origin is tuple:
-        every = inside[:1] * len(value) if inside[-1] is ... and _is_list(value) else inside
-        return _is_list(value) and len(value) == len(every) and all(map(_matches, every, value))
+    if origin in (tuple, dict):
+        return _elements_match(hint, value)
     return callable(value) if origin else isinstance(value, hint)
+
+
+def _elements_match(hint: Any, value: Any) -> bool:
+    """Tell whether a value is a list or a dict whose elements fit the type ``hint``."""
+    inside = get_args(hint)
+    if get_origin(hint) is dict:
+        return isinstance(value, dict) and all(_matches(inside[1], each) for each in value.values())
+    if not _is_list(value):
+        return False
+    every = inside[:1] * len(value) if inside[-1] is ... else inside
+    return len(value) == len(every) and all(map(_matches, every, value))
 
 
 def _within(base: Any, limit: Any, value: Any) -> bool:
@@ -152,7 +162,7 @@ def _describe(hint: Any) -> str:
     if origin is tuple:
         each = [_describe(element) for element in inside if element is not ...]
         return f"a list, each element {each[0]}" if inside[-1] is ... else f"[{', '.join(each)}]"
-    return "a function" if origin else "an object"
+    return "a function" if origin is Callable else "an object"
 
 
 def require_fields(record: Any, of: str = "") -> None:
@@ -232,6 +242,9 @@ def _construct(hint: Any, value: Any, where: str) -> Any:
         return tuple(
             _construct(inside, element, f"{where}[{i}]") for i, element in enumerate(value)
         )
+    if get_origin(hint) is dict and isinstance(value, dict):
+        inside = get_args(hint)[1]
+        return {k: _construct(inside, v, f"{where}[{quoted(k)}]") for k, v in value.items()}
     if hint is float and type(value) is int:
         return float(value) if abs(value) < 1e300 else math.inf
     is_object = isinstance(hint, type) and is_dataclass(hint)
