@@ -64,8 +64,7 @@ class PpoTrainer(Trainer):
         model.train()
         figures = {key: float(value) for key, value in model.logger.name_to_value.items()}
         model.logger.dump()  # forgets the values
-        actions = model.rollout_buffer.actions.astype(np.int64).ravel()
-        return steps, figures | _means(self._last_infos) | self.shares(actions)
+        return steps, figures | _means(self._last_infos)
 
     def _keep_last_infos(self, step: Json, _: Json) -> bool:
         """Keep the last infos of episodes that ended in a step, whose variables are given."""

@@ -152,16 +152,13 @@ class RolloutTrainer(Trainer):
         env = self.env
         learner = self.learner
         new = 0
-        taken = []
         while new < self._hyper.states:
             tried = env.try_all(learner.greedy)
             learner.remember(tried)
             new += len(tried.values)
             for _ in range(self._hyper.stride):
-                taken.append(learner.sampled(env.observations))
-                env.step(taken[-1])
-        shares = self.shares(np.concatenate(taken))
-        return new, shares | learner.improve(falling(self._hyper.final_fraction, left))
+                env.step(learner.sampled(env.observations))
+        return new, learner.improve(falling(self._hyper.final_fraction, left))
 
     def tensors(self) -> Tensors:
         """Return the network in the form that a policy file stores."""

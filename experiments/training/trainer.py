@@ -21,7 +21,6 @@ from experiments.training.job import Job, Tell
 from experiments.training.training_task import TrainingTask
 from mmwave_env.interface.observation import Observation
 from mmwave_env.io.files import Json, atomic_path, first_line, write_bytes, write_json, write_text
-from mmwave_env.numerics.numbers import Index
 from policies.policy_file import Card, Tensors, to_bytes
 
 State = dict[str, Any]  # numbers, strings and tensors in nested lists and dicts
@@ -82,12 +81,6 @@ class Trainer(ABC):
         self.network.load_state_dict(state["network"])
         self.optimizer.load_state_dict(state["optimizer"])
         self.scales.update({name: scale.numpy() for name, scale in state["scales"].items()})
-
-    def shares(self, actions: Index) -> dict[str, float]:
-        """Return the share of each action among actions (n,), for the log."""
-        names = self.table.actions
-        shares = np.bincount(actions, minlength=len(names)) / len(actions)
-        return {f"share/{name}": float(s) for name, s in zip(names, shares, strict=True)}
 
 
 @dataclass
