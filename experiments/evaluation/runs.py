@@ -89,10 +89,8 @@ def outcomes_markdown(outcomes: Sequence[Json]) -> str:
     minus = [key for key in outcomes[0]["best"] if key.startswith("minus ")]
     for outcome in outcomes:
         best = outcome["best"]
-        beat = outcome["beat_rule"]
         gains = [Interval.of(best[name]) for name in minus]
-        beaten = f"{beat['seconds']:g} s, {beat['timesteps']} steps" if beat else "never"
         cells = [outcome["seed"], f"{best['reward']:.4f}", best["timesteps"], *gains]
-        rows.append([*cells, beaten, f"{outcome['seconds']:g} s"])
-    header = ["seed", "reward", "best after", *minus, "beat the rule after", "time"]
+        rows.append([*cells, f"{outcome['seconds']:g} s"])
+    header = ["seed", "reward", "best after", *minus, "time"]
     return grid(header, rows)

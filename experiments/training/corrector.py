@@ -106,8 +106,7 @@ class CorrectorTrainer(Trainer):
         TWO_WAY, DATA: whether the network also reads tracks backwards, and the source of lots.
     """
 
-    EARLY = 32
-    LATER = 32
+    EVERY = 32
     TWO_WAY = False
     DATA = CorrectorData
 

@@ -8,12 +8,11 @@ import numpy as np
 
 from experiments.console.options import TUNING_SEED
 from experiments.evaluation.contenders import contender_from
-from experiments.evaluation.intervals import Interval, bootstrap
+from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.runner import Scores, score
 from experiments.evaluation.seeds import draw_episodes
 from experiments.training.training_task import Place, TrainingTask
 from mmwave_env.io.files import Json
-from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.world.episode import Episode
 
 TRAINING_RIVALS = ("speed-rule", "imm")  # rivals in every training
@@ -25,8 +24,7 @@ def examiner(task: TrainingTask, episodes: int = EPISODES) -> Callable[[Path], J
     """Return a function that scores policy files on the same episodes, by the default reward.
 
     Its results are the first seed, the number of episodes, the mean of every metric and, as "minus
-    NAME", the mean gain in reward over each rival, with a 95 % interval. If there are several
-    places, the gain at each place is under "PLACE minus NAME".
+    NAME", the mean gain in reward over each rival, with a 95 % interval.
 
     Args:
         task: task of the training; episodes are split evenly among its places (scene and radio).
@@ -34,16 +32,15 @@ def examiner(task: TrainingTask, episodes: int = EPISODES) -> Callable[[Path], J
     """
     places = task.places
     numbers = np.arange(max(episodes, len(places)))
-    # for each place, the numbers of its episodes, and the episodes
-    at: list[tuple[Place, Index, Sequence[Episode]]] = []
+    episodes_at: list[tuple[Place, Sequence[Episode]]] = []
     for place, here in zip(places, np.array_split(numbers, len(places)), strict=True):
         seeds = (TUNING_SEED + here).tolist()
-        at.append((place, here, draw_episodes(place.source(task.scenario), seeds)))
+        episodes_at.append((place, draw_episodes(place.source(task.scenario), seeds)))
 
     def scores_of(name: str) -> Scores:
         """Score a contender, given its name or file, on all episodes."""
         parts = []
-        for place, _, some in at:
+        for place, some in episodes_at:
             contender = contender_from(name, place.radio)
             parts.append(score(contender, contender.start(some[0].layout), some))
         return {metric: np.concatenate([part[metric] for part in parts]) for metric in parts[0]}
@@ -56,22 +53,15 @@ def examiner(task: TrainingTask, episodes: int = EPISODES) -> Callable[[Path], J
     def examine(path: Path) -> Json:
         scores = scores_of(str(path))
         differences = {name: scores["reward"] - reward for name, reward in rewards.items()}
-        figures = _gains(differences)
-        if len(places) > 1:
-            for place, here, _ in at:
-                gains = _gains({name: values[here] for name, values in differences.items()})
-                figures |= {f"{place} {name}": gain for name, gain in gains.items()}
+        intervals = bootstrap(np.stack(list(differences.values()), axis=1))
         return {
             "seed": TUNING_SEED,
             "episodes": len(scores["reward"]),
             **{metric: float(values.mean()) for metric, values in scores.items()},
-            **{name: gain.json for name, gain in figures.items()},
+            **{
+                f"minus {name}": gain.json
+                for name, gain in zip(differences, intervals, strict=True)
+            },
         }
 
     return examine
-
-
-def _gains(differences: dict[str, Array]) -> dict[str, Interval]:
-    """Return the mean difference from each rival, with an interval, under "minus NAME"."""
-    intervals = bootstrap(np.stack(list(differences.values()), axis=1))
-    return {f"minus {name}": gain for name, gain in zip(differences, intervals, strict=True)}

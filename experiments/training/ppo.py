@@ -6,7 +6,6 @@ from typing import cast
 import numpy as np
 import torch
 from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import ConvertCallback
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecNormalize
 
@@ -14,8 +13,6 @@ from experiments.training.hyperparameters import PpoHyperparameters, falling
 from experiments.training.job import Job
 from experiments.training.trainer import Trainer
 from experiments.training.vec_env import PlacesVecEnv
-from mmwave_env.interface.info import LAST_KEYS
-from mmwave_env.io.files import Json
 from policies.policy_file import Tensors
 from policies.sb3 import model_tensors
 
@@ -32,8 +29,7 @@ class PpoTrainer(Trainer):
         model: the algorithm and its network.
     """
 
-    EARLY = 2
-    LATER = 16
+    EVERY = 16
 
     def __init__(self, job: Job, seed: int) -> None:
         self._job = job
@@ -47,44 +43,26 @@ class PpoTrainer(Trainer):
         self.model.set_logger(Logger(None, []))
         self.network = self.model.policy
         self.optimizer = self.model.policy.optimizer
-        self._last_infos: list[Json] = []
-        self._callback = ConvertCallback(self._keep_last_infos)
 
     def update(self, left: float) -> tuple[int, dict[str, float]]:
         """Collect steps and learn from them; return their number, and statistics."""
         model = self.model
         hyper: PpoHyperparameters = self._job.hyperparameters
         if model._last_obs is None:
-            model._setup_learn(self._job.timesteps, self._callback)
+            _, self._callback = model._setup_learn(self._job.timesteps, None)
         steps = hyper.num_envs * hyper.n_steps
         model.ent_coef = hyper.ent_coef * falling(hyper.final_fraction, left)
-        self._last_infos.clear()
         model.collect_rollouts(self.normal, self._callback, model.rollout_buffer, hyper.n_steps)
         model._current_progress_remaining = left - steps / self._job.timesteps
         model.train()
         figures = {key: float(value) for key, value in model.logger.name_to_value.items()}
         model.logger.dump()  # forgets the values
-        return steps, figures | _means(self._last_infos)
-
-    def _keep_last_infos(self, step: Json, _: Json) -> bool:
-        """Keep the last infos of episodes that ended in a step, whose variables are given."""
-        self._last_infos += [info for info in step["infos"] if "episode" in info]
-        return True
+        ended = [episode["r"] for episode in model.ep_info_buffer or ()]  # the latest 100 episodes
+        return steps, figures | ({"rollout/reward": float(np.mean(ended))} if ended else {})
 
     def tensors(self) -> Tensors:
         """Return the actor's tensors in the form that a policy file stores."""
         return model_tensors(self.model)
-
-
-def _means(infos: list[Json]) -> dict[str, float]:
-    """Return the means of the metrics of episodes, given their last infos."""
-    if not infos:
-        return {}
-    figures = {"rollout/reward": float(np.mean([info["episode"]["r"] for info in infos]))}
-    for key in LAST_KEYS:
-        if key in infos[0]:
-            figures[f"rollout/{key}"] = float(np.mean([info[key] for info in infos]))
-    return figures
 
 
 def learner(venv: VecNormalize, hyper: PpoHyperparameters, seed: int) -> PPO:

@@ -131,8 +131,7 @@ class RolloutTrainer(Trainer):
         learner: network that learns from the tried actions.
     """
 
-    EARLY = 8
-    LATER = 8
+    EVERY = 8
 
     def __init__(self, job: Job, seed: int) -> None:
         torch.manual_seed(seed)

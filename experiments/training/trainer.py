@@ -30,8 +30,7 @@ class Trainer(ABC):
     """An algorithm that trains the network of a policy, update after update.
 
     Attributes:
-        EARLY, LATER: numbers of updates between two evaluations, before and after a policy first
-            beats the paper's rule.
+        EVERY: number of updates between two evaluations.
         judged: task on which its policies are compared.
         table: features that the network reads.
         base: policy whose beliefs the network corrects; empty if it chooses modes.
@@ -39,8 +38,7 @@ class Trainer(ABC):
         scales: statistics by which the network's features are normalized.
     """
 
-    EARLY: ClassVar[int]
-    LATER: ClassVar[int]
+    EVERY: ClassVar[int]
     judged: TrainingTask
     table: Observation
     base: str = ""
@@ -91,7 +89,6 @@ class Progress:
         updates, timesteps: numbers of updates and of timesteps so far.
         seconds: wall time until the last checkpoint.
         best: results of the best policy so far.
-        beat_rule: timesteps and seconds until a policy first beat the paper's rule.
         rows: rows of the log, which have statistics of an update.
     """
 
@@ -99,7 +96,6 @@ class Progress:
     timesteps: int = 0
     seconds: float = 0.0
     best: Json | None = None
-    beat_rule: Json | None = None
     rows: list[dict[str, float]] = field(default_factory=list)
 
 
@@ -157,7 +153,6 @@ class Training:
             "seed": job.seed,
             "timesteps": progress.timesteps,
             "seconds": round(self.seconds, 1),
-            "beat_rule": progress.beat_rule,
             "best": progress.best,
         }
         write_json(job.outcome, outcome)
@@ -171,8 +166,7 @@ class Training:
         steps, figures = self.trainer.update(1.0 - progress.timesteps / job.timesteps)
         progress.timesteps += steps
         progress.updates += 1
-        every = self.trainer.LATER if progress.beat_rule else self.trainer.EARLY
-        if progress.updates % every == 0 or progress.timesteps >= job.timesteps:
+        if progress.updates % self.trainer.EVERY == 0 or progress.timesteps >= job.timesteps:
             figures |= self._evaluate()
         row = {"timesteps": progress.timesteps, **figures, "seconds": self.seconds}
         progress.rows.append(row)
@@ -188,13 +182,7 @@ class Training:
         if progress.best is None or figures["reward"] > progress.best["reward"]:
             progress.best = {"timesteps": timesteps, **figures}
             write_bytes(self._job.policy, to_bytes(tensors, self._card(progress.best)))
-        text = f"reward {figures['reward']:.3f}"
-        gain = figures.get("minus speed-rule")
-        if progress.beat_rule is None and gain and gain["ci95"][0] > 0.0:
-            seconds = round(self.seconds, 1)
-            progress.beat_rule = {"timesteps": timesteps, "seconds": seconds}
-            text = f"beats the 2 m/s rule after {timesteps} steps, {seconds} s; {text}"
-        self._tell(timesteps, text)
+        self._tell(timesteps, f"reward {figures['reward']:.3f}")
         return {
             f"tuning/{key}": float(value["mean"] if isinstance(value, dict) else value)
             for key, value in figures.items()

@@ -81,11 +81,10 @@ class TwoWayTrainer(CorrectorTrainer):
     """The updates of a two-way corrector.
 
     All episodes are played before the first update. Every update learns from some of their lots;
-    ``LATER`` updates are about one pass over all lots.
+    ``EVERY`` updates are about one pass over all lots.
     """
 
-    EARLY = 16
-    LATER = 16
+    EVERY = 16
     TWO_WAY = True
     DATA = SmoothedData
 

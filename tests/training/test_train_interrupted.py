@@ -98,7 +98,7 @@ def test_training_runs_with_different_seeds_differ(tmp_path):
 def outcome(seed):
     """Return the outcome that a training process writes."""
     best = {"reward": 0.5, "timesteps": 100}
-    return {"seed": seed, "timesteps": 200, "seconds": 1.5, "beat_rule": None, "best": best}
+    return {"seed": seed, "timesteps": 200, "seconds": 1.5, "best": best}
 
 
 def finished(folder, seed):
