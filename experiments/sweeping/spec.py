@@ -9,18 +9,18 @@ import json
 import math
 import os
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any
 
 from experiments.console.options import USUAL_EPISODES, ModeArgs, TaskArgs
 from experiments.training.hyperparameters import read_hyperparameters, shipped_hyperparameters
 from mmwave_env import __version__
 from mmwave_env.io.files import parse_json, read_text
 from mmwave_env.io.lookup import choose, quoted
-from mmwave_env.io.records import Bound, counts, hints_of, require
+from mmwave_env.io.records import Bound, Record, counts, object_from, require
 
 MOST_CELLS = 100_000  # a cell takes a second or longer, so more cells must be a mistake
 HYPERPARAMETER = "hyperparameters."  # prefix of the names of axes that are hyperparameters
@@ -31,7 +31,7 @@ Values = Mapping[str, Any]  # values of a cell, by axis
 
 
 @dataclass(kw_only=True)
-class Evaluation(ModeArgs):
+class Evaluation(ModeArgs, Record):
     """Keys of a table [evaluate]: the options of `mmwave-loc compare` that affect its results."""
 
     policy: str
@@ -41,7 +41,7 @@ class Evaluation(ModeArgs):
 
 
 @dataclass(kw_only=True)
-class Training(TaskArgs):
+class Training(TaskArgs, Record):
     """Keys of a table [train], except hyperparameters: options of `mmwave-loc train`."""
 
     total_timesteps: Count
@@ -108,38 +108,30 @@ def _spec(content: Any) -> Spec:
     require(kind, table, dict)
     tried = table.pop("hyperparameters", {}) if kind == "train" else {}
     require(f"{kind}.hyperparameters", tried, dict)
-    axes = dict(_options(kind, table))
-    axes |= _hyperparameters(tried, axes)
+    axes = _axes(KINDS[kind], table, {}, f"{kind}.")
+    if tried:
+        algo = axes.get("algo", [Training.algo])[0]
+        beliefs = axes.get("beliefs", [Training.beliefs])[0]
+        shipped = read_hyperparameters(shipped_hyperparameters(algo, beliefs), algo)
+        for name, values in _axes(
+            type(shipped), tried, vars(shipped), "train.hyperparameters."
+        ).items():
+            axes[HYPERPARAMETER + name] = values
     spec = Spec(kind, axes)
     if len(spec) > MOST_CELLS:
         raise ValueError(f"{kind}: found {len(spec)} cells, expected at most {MOST_CELLS}")
     return spec
 
 
-def _options(kind: str, table: Values) -> Iterator[tuple[str, Sequence[Any]]]:
-    for option in fields(KINDS[kind]):
-        if option.default is MISSING and option.name not in table:
-            raise ValueError(f"{kind}.{option.name}: found none, expected a value")
-    for key, content in table.items():
-        hint = choose(hints_of(KINDS[kind]), key, f"{kind}: key")
-        values = _values(key, content)
+def _axes(kind: type[Any], table: Values, others: Values, where: str) -> dict[str, Sequence[Any]]:
+    """Return the axes of a table; refuse values that ``kind`` refuses beside the ``others``."""
+    axes = {key: _values(key, content) for key, content in table.items()}
+    first = {**others} | {key: values[0] for key, values in axes.items()}
+    object_from(kind, first, where)
+    for key, values in axes.items():
         for value in values:
-            require(f"{kind}.{key}", value, hint)
-        yield key, values
-
-
-def _hyperparameters(table: Values, axes: Values) -> dict[str, Sequence[Any]]:
-    """Return the axes of hyperparameters, given the other axes; refuse invalid values."""
-    algo = axes.get("algo", [Training.algo])[0]
-    beliefs = axes.get("beliefs", [Training.beliefs])[0]
-    checked = read_hyperparameters(shipped_hyperparameters(algo, beliefs), algo)
-    tried = {}
-    for name, content in table.items():
-        choose(get_type_hints(type(checked)), name, "train.hyperparameters")
-        tried[HYPERPARAMETER + name] = _values(name, content)
-        for value in reversed(tried[HYPERPARAMETER + name]):
-            checked = replace(checked, **{name: value})
-    return tried
+            object_from(kind, first | {key: value}, where)
+    return axes
 
 
 def _values(key: str, content: Any) -> Sequence[Any]:

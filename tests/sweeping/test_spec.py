@@ -86,7 +86,7 @@ TRAIN = "[train]\ntotal_timesteps = 5\n"
         ("[evaluate\n", "grid.toml"),
         ("[evalute]\n", "table"),
         ("[evaluate]\nseed = 0\n", "evaluate.policy"),
-        (POLICY + 'raido = "handset"\n', "evaluate: key"),
+        (POLICY + 'raido = "handset"\n', "evaluate.key"),
         (POLICY + "episodes = 0\n", "evaluate.episodes"),
         (POLICY + "dt = [-inf]\n", "evaluate.dt"),
         ('[evaluate]\npolicy = ["imm", "imm"]\n', "policy"),
