@@ -73,7 +73,7 @@ def test_pages_of_tracks_and_training_runs_have_tables_and_a_title(tmp_path, tra
     assert "log.csv: line 41: found 'x'" in page.text
     assert page.title.startswith(f"{track['epochs']} epochs of ")
     _, row = page.table('aria-label="seed"')
-    assert row == ["0", "-1.5000", "2000", "0.250 [0.150, 0.350]", "never", "9.5 s"]
+    assert row == ["0", "-1.5000", "2000", "0.250 [0.150, 0.350]", "9.5 s"]
     assert [tag for tag, _ in page.tags].count("figure") == 1
 
 

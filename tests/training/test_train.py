@@ -88,7 +88,8 @@ def test_the_exported_actor_chooses_the_actions_of_the_trained_model(tmp_path):
     assert taken == {0, 1, 2} and np.mean(alike) == 1.0
 
 
-def test_a_training_reports_its_periodic_evaluations(tmp_path):
+def test_a_training_reports_its_periodic_evaluations(tmp_path, monkeypatch):
+    monkeypatch.setattr("experiments.training.ppo.PpoTrainer.EVERY", 2)
     heard = []
     outcome = train(job_of(tmp_path), lambda *news: heard.append(news))
     rewards = {steps: float(text.rpartition("reward ")[2]) for steps, text in heard if text}
