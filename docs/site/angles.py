@@ -4,8 +4,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from experiments.figures.canvas import picture
 
+from experiments.reporting.figures.canvas import picture
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import exact_rows
 from mmwave_env.models.scene import Scene, Wall

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from experiments.figures.canvas import picture
 from numpy.typing import NDArray
 
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.runner import run_contender, score
 from experiments.evaluation.seeds import draw_episodes
+from experiments.reporting.figures.canvas import picture
 from mmwave_env.interface.observation import Observation
 from mmwave_env.metrics import scored
 from mmwave_env.models.radio import RADIOS
