@@ -19,7 +19,7 @@ from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Index
 
-DOUBTFUL_GAP_S = 5.0  # the first epochs after a gap of this length are doubted like a start
+DOUBTFUL_GAP_S = 10.0  # the first epochs after a gap of this length are doubted like a start
 
 
 class Segment(NamedTuple):
@@ -41,7 +41,8 @@ def segments(log: Log, scene: Scene, radio: Radio) -> list[Segment]:
     """
     gap_s = _gaps(log)
     ends = np.append(np.flatnonzero((gap_s > GAP_S) | log.restarts), len(log))
-    doubtful = np.flatnonzero(gap_s > DOUBTFUL_GAP_S)
+    links = log.visible[:, : log.layout.anchors].any(axis=1)
+    doubtful = np.flatnonzero((gap_s > DOUBTFUL_GAP_S) & links)
     parts: list[Segment] = []
     first = 0
     while first < len(log):
@@ -66,12 +67,15 @@ def _divided(
         if start is None:
             return
         ballot = _ballot(log, begin, end, scene, radio)
-        cuts = [ballot.jump()]
         start = ballot.start(log, begin) or start
+        cut = ballot.jump()
         for gap in doubtful[(doubtful > begin) & (doubtful < end)].tolist():
+            if cut is not None and cut <= gap:
+                break
             ballot = _ballot(log, gap, end, scene, radio)
-            cuts.append(gap if ballot.start(log, gap) else ballot.jump())
-        first = min((cut for cut in cuts if cut is not None), default=end)
+            later = gap if ballot.start(log, gap) else ballot.jump()
+            cut = later if cut is None else cut
+        first = end if cut is None else cut
         yield Segment(slice(begin, first), start)
 
 

@@ -328,8 +328,7 @@ class Ballot:
         for first in range(VOTES, len(votes) - _JUMP + 1):
             before = votes[first - _JUMP : first]
             after = votes[first : first + _JUMP]
-            apart = _motion(before).error + _motion(after).error
-            gain = _motion(before + after).error - apart
+            gain = _errors(before + after).min() - _errors(before).min() - _errors(after).min()
             if gain > most:
                 most = gain
                 jump = first
@@ -345,7 +344,7 @@ class Ballot:
         if len(self._votes) < VOTES:
             return None
         votes = self._votes[: min(VOTES + _JUMP, self._jump() or len(self._votes))]
-        motion, wrong = _majority(votes, float(log.time_s[first]))
+        mean, covariance, wrong = _majority(votes, float(log.time_s[first]))
         if not wrong:
             return None
         right = next(vote for i, vote in enumerate(votes) if i not in wrong)
@@ -355,10 +354,10 @@ class Ballot:
         x, P = (part.copy() for part in usual.prior)
         horizontal = [0, 1, 3, 4]
         among = np.ix_(horizontal, horizontal)
-        x[horizontal] = motion.mean[horizontal]
+        x[horizontal] = mean[horizontal]
         P[horizontal] = 0.0
         P[:, horizontal] = 0.0
-        P[among] = _CAUTION * motion.covariance[among]
+        P[among] = _CAUTION * covariance[among]
         contradicting = [votes[i].epoch - first for i in wrong]
         spent = np.zeros((1 + max(contradicting), len(log.layout.groups)), np.bool_)
         spent[contradicting] = True
@@ -425,61 +424,63 @@ class Doubt:
         return row if self._log is None else Log.joined([self._log, row])
 
 
-def _majority(votes: list[Vote], time_s: float) -> "tuple[_Motion, tuple[int, ...]]":
+def _majority(votes: list[Vote], time_s: float) -> tuple[Array, Array, tuple[int, ...]]:
     """Return the most likely motion, and the indices of the votes, less than half, that are wrong.
 
-    Only some of the first votes may be wrong.
+    Only some of the first votes may be wrong. The motion is the position and the velocity (6,) at a
+    time, which is not later than the first vote, and their covariance (6, 6).
     """
-    choices: list[tuple[_Motion, tuple[int, ...]]] = []
-    for count in range(min(VOTES, (len(votes) - 1) // 2) + 1):
-        choices += [(_motion(votes, time_s, w), w) for w in combinations(range(VOTES), count)]
-    return min(choices, key=lambda choice: choice[0].error)
-
-
-class _Motion(NamedTuple):
-    """A motion through votes, some of which are wrong."""
-
-    error: float  # -2 times the logarithm of the likelihood, up to a constant per vote
-    mean: Array  # (6,) position and velocity
-    covariance: Array  # (6, 6)
-
-
-def _motion(
-    votes: Sequence[Vote], time_s: float | None = None, wrong: Sequence[int] = ()
-) -> _Motion:
-    """Return the most likely motion through votes, of which those with some indices are wrong.
-
-    The user moves from an unknown position with an unknown velocity, which a random walk changes
-    from the first vote on; the strength of the walk is the most likely one of a few. The state that
-    is returned is that of the time of the first vote or, if ``time_s`` is given, at this earlier
-    time.
-    """
+    most = min(VOTES, (len(votes) - 1) // 2)
+    counts = range(most + 1)
+    choices = [wrong for count in counts for wrong in combinations(range(VOTES), count)]
+    errors = _errors(votes, choices)
+    best, walk = np.unravel_index(np.argmin(errors), errors.shape)
+    S = _covariances(votes, choices[best])[walk]
     t = np.array([vote.time_s for vote in votes]) - votes[0].time_s
-    center = votes[0].position
-    z = np.concatenate([vote.position - center for vote in votes])
-    noise = np.zeros((len(z), len(z)))
-    for i, vote in enumerate(votes):
-        rows = slice(3 * i, 3 * i + 3)
-        noise[rows, rows] = vote.covariance + (i in wrong) * _WRONG_M**2 * np.eye(3)
-    now = 0.0 if time_s is None else time_s - votes[0].time_s
-    every = np.ones_like(t)
-    unmoved = (
-        noise + np.kron(np.outer(t, t), _VELOCITY) + np.kron(np.outer(every, every), _POSITION)
+    now = time_s - votes[0].time_s
+    across = np.vstack(
+        [np.kron(now * t, _VELOCITY) + np.tile(_POSITION, len(t)), np.kron(t, _VELOCITY)]
     )
-    of_position = np.kron(now * t, _VELOCITY) + np.kron(every, _POSITION)
-    across = np.vstack([of_position, np.kron(t, _VELOCITY)])
     own = np.block(
         [[_POSITION + now**2 * _VELOCITY, now * _VELOCITY], [now * _VELOCITY, _VELOCITY]]
     )
+    mean = across @ np.linalg.solve(S, _positions(votes))
+    mean[:3] += votes[0].position
+    return mean, own - across @ np.linalg.solve(S, across.T), choices[best]
+
+
+def _errors(votes: list[Vote], choices: Sequence[tuple[int, ...]] = ((),)) -> Array:
+    """Return -2 times the log-likelihoods (choices, walks) of votes, up to a constant per vote.
+
+    Each choice lists the indices of wrong votes.
+    """
+    S = np.array([_covariances(votes, wrong) for wrong in choices])
+    z = _positions(votes)
+    nis = np.linalg.solve(S, z[:, None])[..., 0] @ z
+    seldom = _SELDOM * np.array([[len(wrong)] for wrong in choices])
+    return nis + np.linalg.slogdet(S)[1] + seldom  # type: ignore[no-any-return]
+
+
+def _positions(votes: list[Vote]) -> Array:
+    """Return the positions (3 n,) of votes, relative to the first one."""
+    return np.concatenate([vote.position - votes[0].position for vote in votes])
+
+
+def _covariances(votes: list[Vote], wrong: Sequence[int] = ()) -> Array:
+    """Return the covariances (walks, 3 n, 3 n) of the votes' positions.
+
+    The user moves from an unknown position with an unknown velocity, which a random walk changes
+    from the first vote on. A wrong vote is anywhere around the user.
+    """
+    n = len(votes)
+    t = np.array([vote.time_s for vote in votes]) - votes[0].time_s
     earlier = np.minimum.outer(t, t)
-    later = np.maximum.outer(t, t)
-    walked = np.kron(earlier**2 * (3.0 * later - earlier) / 6.0, np.diag([1.0, 1.0, 0.0]))
-    choices = []
-    for walk in _WALKS:
-        S = unmoved + walk**2 * walked
-        whitened = np.linalg.solve(S, z)
-        error = float(z @ whitened + np.linalg.slogdet(S)[1]) + len(wrong) * _SELDOM
-        mean = across @ whitened
-        mean[:3] += center
-        choices.append(_Motion(error, mean, own - across @ np.linalg.solve(S, across.T)))
-    return min(choices, key=lambda motion: motion.error)
+    walked = earlier**2 * (3.0 * np.maximum.outer(t, t) - earlier) / 6.0
+    walks = np.square(_WALKS)[:, None, None]
+    S = np.zeros((len(_WALKS), n, 3, n, 3))
+    for axis in range(3):
+        steady = _POSITION[axis, axis] + _VELOCITY[axis, axis] * np.outer(t, t)
+        S[:, :, axis, :, axis] = steady + (walks * walked if axis < 2 else 0.0)
+    for i, vote in enumerate(votes):
+        S[:, i, :, i, :] += vote.covariance + (i in wrong) * _WRONG_M**2 * np.eye(3)
+    return S.reshape(len(_WALKS), 3 * n, 3 * n)
