@@ -15,12 +15,10 @@ from mmwave_env.io.files import Json, parse_json
 from mmwave_env.io.lookup import printable, quoted
 from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.radio_choice import nearest_radio
-from mmwave_env.localization.starts import start_at
 from mmwave_env.localization.tracker import Position, Tracker
 from mmwave_env.logs.live_log import LiveEpoch, LiveLog
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.layout import clock_from
-from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import Scene, scene_from
 
 SOURCE = "standard input"
@@ -44,24 +42,29 @@ def run_live(args: LogArgs) -> None:
     levels = Levels(args.risk, args.levels)
     scene = scene_from(args.scene)
     tracker: Tracker | None = None
+    began = False
     for epoch in _epochs(scene, args.snr, clock):
         if tracker is None:
             log = epoch.log()
-            radio = nearest_radio(log, scene) if args.radio == AUTO else args.radio
-            if not start_at(log, 0, scene, radio_from(radio)):
+            if not log.visible[:, : log.layout.anchors].any():
                 continue
+            radio = nearest_radio(log, scene) if args.radio == AUTO else args.radio
             choice = choice_of(args, radio, log)
             tracker = Tracker(
                 scene, choice.switching, radio, height_m=args.height, lag=max(args.lag, 1),
                 levels=levels,
             )  # fmt: skip
-            note(f"a new track begins: modes {choice.why}, radio {radio}")
         position = tracker.step(epoch)
         if position:
+            if not began:
+                note(f"a new track begins: modes {choice.why}, radio {radio}")
+            elif position.begins:
+                note(f"a new track begins at {position.time_s!r} s")
             late = tracker.smoothed() if args.lag else None
             content = _content(position) | ({"smoothed": _content(late)} if late else {})
             print(json.dumps(content), flush=True)
-    if tracker is None:
+            began = True
+    if not began:
         _warn(f"{SOURCE}: found no epoch that determines a position")
 
 
@@ -73,7 +76,7 @@ def _content(position: Position) -> Json:
 def _epochs(scene: Scene, snr_db: float | None, clock: bool) -> Iterator[LiveEpoch]:
     """Read rows (CSV below a header, or JSON objects); yield the epochs that they form.
 
-    A JSON object is one row, or a whole epoch: {"rows": [...]}. Line 1 must name all columns.
+    A JSON object is one row, or a whole epoch: {"rows": [...]}.
     """
     assert isinstance(sys.stdin, TextIOWrapper)
     # Bytes that are no text become escape codes, which a row's checks refuse.
@@ -102,6 +105,9 @@ def _epochs(scene: Scene, snr_db: float | None, clock: bool) -> Iterator[LiveEpo
                 yield from log.add(row, number)
             except LogError as error:
                 _warn(error)
+            for warning in log.warnings:
+                _warn(f"{SOURCE}, {warning}")
+            log.warnings.clear()
         if whole:
             yield from log.end_epoch()
     yield from log.end_epoch()

@@ -384,6 +384,9 @@ class Doubt:
 
     def begin(self, row: Log) -> Start | None:
         """Return a start with an epoch (T = 1) and the second before it, or None."""
+        before = self._log
+        if before and (before.layout != row.layout or before.time_s[-1] >= row.time_s[0]):
+            self._log = None
         log = self._with(row)
         self._log = log.part(slice(int(np.searchsorted(log.time_s, row.time_s[0] - POOL_S)), None))
         self._first = len(self._log) - 1

@@ -1,5 +1,6 @@
 """Live localization: a position for every epoch as soon as its rows have arrived."""
 
+import warnings
 from collections import deque
 from collections.abc import Iterable, Mapping
 from math import inf, isnan
@@ -114,8 +115,7 @@ class Tracker:
 
         Args:
             rows: mappings, one per anchor, whose keys are names of columns (docs/data.md). If a
-                value was not measured, it is None or its key is missing; but the first epoch with
-                rows must have the keys of all columns.
+                value was not measured, it is None or its key is missing.
 
         Returns:
             The belief. It is None before the first epoch that determines a position, and after a
@@ -134,12 +134,19 @@ class Tracker:
             self._log = LiveLog(list(names), self._scene, self._snr_db, clock=self._clock)
         for epoch in self._log.add_epoch(rows):
             position = self.step(epoch)
+        for warning in self._log.warnings:
+            warnings.warn(warning, stacklevel=2)
+        self._log.warnings.clear()
         return position
 
     def step(self, epoch: LiveEpoch) -> Position | None:
         """Process an epoch of a live log, as :meth:`update` does."""
+        if self._filter is not None and epoch.layout != self._layout:
+            self._filter = None
+            self._last_s = None
+            self._doubt = None
         gap_s = inf if self._last_s is None else epoch.time_s - self._last_s
-        if gap_s > GAP_S:
+        if gap_s > GAP_S or gap_s <= 0.0:  # a clock that was set back begins a new track, too
             return self._begin(epoch.log())
         if gap_s > DOUBTFUL_GAP_S:
             self._doubt = Doubt(self._scene, self._radio)

@@ -15,11 +15,12 @@ from mmwave_env.logs.log import Log, layout_of, log_of, places
 from mmwave_env.logs.log_checks import first_damage
 from mmwave_env.logs.log_columns import BODY, QUANTITIES, STATION, Unit
 from mmwave_env.logs.log_tables import LogError, Table, log_file, parse
-from mmwave_env.models.layout import wrapped
+from mmwave_env.models.layout import Layout, wrapped
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import PI
 
 _NUMBERS = {float, int, np.float64}  # types that need no parsing; others are parsed as text
+_LATE = 3  # number of late epochs, one after the other, with which a log goes on
 _MARGIN = 1e-9  # values this close to a limit (relative distance) need the full checks
 
 
@@ -27,6 +28,7 @@ class LiveEpoch(NamedTuple):
     """An epoch of a live log."""
 
     time_s: float
+    layout: Layout
     log: Callable[[], Log]  # returns the epoch as a log, T = 1
     # None if some angles are not in the map's frame. Otherwise a pair: all values in the order of
     # :func:`~mmwave_env.logs.log.places` (NaN where not measured), and the index, from 0, of the
@@ -40,11 +42,19 @@ class LiveLog:
     An epoch is over when every anchor has a row, when a row with a later time or a blank line
     arrives, or when :meth:`end_epoch` is called. Only the rows of one epoch are kept in memory.
 
+    Rows that are late are refused; but if they keep coming, with increasing times, a clock was set
+    back, or one row had a time in the future: then the log goes on at the earlier time. A row of
+    values by column may have a column that no row had before. Columns with unknown names are
+    ignored, and the first row with one adds a warning.
+
     Args:
         names: names of the columns, as in the header of a log.
         scene, snr_db, clock: same as for :func:`~mmwave_env.logs.log.read_log`.
         source: name of the source, for messages.
         delimiter: character between the cells of a row that is text.
+
+    Attributes:
+        warnings: what was ignored; the caller shows and clears them.
 
     Raises:
         LogError: a column is wrong or missing, or the noise of a quantity is unknown.
@@ -59,10 +69,25 @@ class LiveLog:
         clock: bool = False,
         delimiter: str = ",",
     ) -> None:
-        self._log = log_file(Path(source), names, delimiter, scene.hz_per_mps, partial=True)
+        self._source = Path(source)
+        self._delimiter = delimiter
         self._scene = scene
         self._snr_db = snr_db
-        self.layout = layout_of(self._log, scene, True, clock, snr_db)
+        self._clock = clock
+        self.warnings: list[str] = []
+        self._ignored: set[str] = set()
+        self._rows: list[list[float]] = []
+        self._last_s = -inf
+        self._late_s: list[float] = []  # increasing times of late rows, with no other row between
+        self._set_columns(names)
+
+    def _set_columns(self, names: Sequence[str]) -> None:
+        """Set the names of the columns, in any order; refuse wrong ones."""
+        scene = self._scene
+        log = log_file(self._source, names, self._delimiter, scene.hz_per_mps, partial=True)
+        self.layout = layout_of(log, scene, True, self._clock, self._snr_db)
+        self._log = log
+        self._names = [*names]
         columns = self._log.columns
         self._turned = STATION in columns or BODY in columns
         self._time = columns["time"].number
@@ -72,7 +97,7 @@ class LiveLog:
             for of, place in places(self.layout).items()
             if of in columns
         ]
-        snr = [nan if snr_db is None else snr_db] * self.layout.anchors
+        snr = [nan if self._snr_db is None else self._snr_db] * self.layout.anchors
         self._blank = [nan] * 2 * self.layout.size + snr + [nan]
         self._limits = {column.name: _limits(of, column.unit) for of, column in columns.items()}
         self._anchors = set(range(1, self.layout.anchors + 1))
@@ -81,8 +106,6 @@ class LiveLog:
             for of, column in columns.items()
             if QUANTITIES[of].per_epoch or of == "doppler"
         ]
-        self._rows: list[list[float]] = []
-        self._last_s = -inf
 
     def add(self, row: str | Mapping[str, Any], number: int = 0) -> list[LiveEpoch]:
         """Add a row: a line of CSV, or values by column; return the epochs that are now over.
@@ -99,15 +122,27 @@ class LiveLog:
         if not self._rows or cells[self._time] != self._rows[0][self._time]:
             time_s = self._time_s(cells)
             latest_s = self._time_s(self._rows[0]) if self._rows else self._last_s
-            if time_s <= latest_s:
-                problem = f"time {time_s:g} s in a row that follows the epoch at {latest_s:g} s"
+            if time_s <= latest_s and not self._goes_on_at(time_s):
+                problem = f"time {time_s!r} s in a row that follows the epoch at {latest_s!r} s"
                 raise self._log.error(number, "time", problem, "times that increase")
             over = self.end_epoch()
+        self._late_s.clear()
         for before in self._rows:
             if not self._agree(cells, before):
                 self._require_sound(self._table([*self._rows, cells], number))
         self._rows.append(cells)
         return [*over, *(self.end_epoch() if len(self._rows) == self.layout.anchors else [])]
+
+    def _goes_on_at(self, time_s: float) -> bool:
+        """Tell whether so many late rows came in order that the log goes on at their time."""
+        if not self._late_s or time_s > self._late_s[-1]:
+            self._late_s.append(time_s)
+        elif time_s < self._late_s[-1]:
+            self._late_s = [time_s]
+        if len(self._late_s) < _LATE:
+            return False
+        self._rows = []
+        return True
 
     def add_epoch(self, rows: Iterable[str | Mapping[str, Any]]) -> list[LiveEpoch]:
         """Add all rows of an epoch, end it, and return the epochs that are now over.
@@ -115,6 +150,9 @@ class LiveLog:
         Raises:
             LogError: a row is damaged or late; all these rows are ignored.
         """
+        rows = list(rows)
+        for row in rows:
+            self._learn_from(row, 0)
         before = self._rows.copy(), self._last_s
         try:
             over = [epoch for row in rows for epoch in self.add(row)]
@@ -134,7 +172,8 @@ class LiveLog:
         def log() -> Log:
             return log_of(self._table(rows), self._scene, self.layout, True, self._snr_db)
 
-        return [LiveEpoch(self._last_s, log, None if self._turned else self._placed(rows))]
+        placed = None if self._turned else self._placed(rows)
+        return [LiveEpoch(self._last_s, self.layout, log, placed)]
 
     def _table(self, rows: list[list[float]], number: int = 0) -> Table:
         """Return rows of cells as a table; ``number`` is the last row's number in the source."""
@@ -173,12 +212,7 @@ class LiveLog:
     def _cells(self, row: str | Mapping[str, Any], number: int) -> list[float]:
         """Return the cells of a row, or no cells for a blank line; refuse a damaged row."""
         if not isinstance(row, str):
-            for name in row:
-                if name not in self._limits:
-                    raise LogError(
-                        f"{self._log.path}, row {number}, column {name!r}: "
-                        f"found an unknown column, expected one of {', '.join(self._limits)}"
-                    )
+            self._learn_from(row, number)
             cells = [nan if (cell := row.get(name)) is None else cell for name in self._limits]
             if self._plain(cells):
                 return cells
@@ -188,6 +222,28 @@ class LiveLog:
         if cells and (table.damage or not self._plain(cells)):
             self._require_sound(table)
         return cells
+
+    def _learn_from(self, row: str | Mapping[str, Any], number: int) -> None:
+        """Add the columns of a row that no row had before."""
+        if isinstance(row, str):
+            return
+        new = [name for name in row if name not in self._limits and name not in self._ignored]
+        if new:
+            self._learn(new, number)
+
+    def _learn(self, names: list[str], number: int) -> None:
+        """Add columns; ignore those that are unknown from now on."""
+        known = [dict(zip(self._limits, cells, strict=True)) for cells in self._rows]
+        try:
+            self._set_columns([*self._names, *names])
+        except LogError as error:
+            if len(names) == 1:
+                self._ignored.add(names[0])
+                self.warnings.append(f"row {number}, column {names[0]!r} is ignored: {error}")
+            for name in names if len(names) > 1 else ():
+                self._learn([name], number)
+            return
+        self._rows = [[row.get(column, nan) for column in self._limits] for row in known]
 
     def _plain(self, cells: list[Any]) -> bool:
         """Tell whether the cells of a row are surely sound; if not, they need the full checks."""

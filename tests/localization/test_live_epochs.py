@@ -140,3 +140,60 @@ def test_an_epoch_takes_little_work_and_no_lasting_memory():
     # At most 600 calls of functions per epoch, on average: 10,000 calls take about 1 ms.
     assert pstats.Stats(profile).total_calls < 600 * 50
     assert len(os.listdir("/dev/fd")) == files
+
+
+STREAMS = {  # name -> change of the time of an epoch, given its number; epochs that may be lost
+    "one time in the future": (lambda n, t: t + 1e9 if n == 20 else t, 3),
+    "a minute ahead for one epoch": (lambda n, t: t + 60.0 if n == 20 else t, 3),
+    "a clock set back": (lambda n, t: t + 3600.0 if n < 30 else t, 2),
+    "a week that wraps": (lambda n, t: (604_770.0 + t) % 604_800.0, 2),
+    "a receiver that restarts": (lambda n, t: t - 30.0 * (n >= 30), 2),
+}
+
+
+@pytest.mark.parametrize("stream", STREAMS)
+def test_live_goes_on_after_wrong_times(stream):
+    change, lost = STREAMS[stream]
+    epochs = walk()
+    tracker = Tracker(SCENE, Switching((EKF,)), RADIO)
+    positions = []
+    refused = 0
+    for number, rows in enumerate(epochs):
+        try:
+            changed = [row | {"time_s": change(number, row["time_s"])} for row in rows]
+            positions.append(tracker.update(changed))
+        except LogError:
+            refused += 1
+    assert refused <= lost and len([p for p in positions if p]) >= len(epochs) - lost
+    assert positions[-1].time_s == change(len(epochs) - 1, epochs[-1][0]["time_s"])
+    assert sum(p.begins for p in positions if p) <= 3
+
+
+def test_rows_may_have_other_keys_than_the_first_row():
+    """Check that keys may appear later, and that unknown keys are named once and ignored."""
+    whole = Tracker(SCENE, Switching((EKF,)), RADIO)
+    expected = [whole.update(rows) for rows in walk(20)]
+    tracker = Tracker(SCENE, Switching((EKF,)), RADIO)
+    positions = []
+    for number, rows in enumerate(walk(20)):
+        measured = [{k: v for k, v in row.items() if v is not None} for row in rows[::-1]]
+        if number == 3:
+            with pytest.warns(UserWarning, match="rssi"):
+                positions.append(tracker.update([row | {"rssi": -70.0} for row in measured]))
+        else:
+            more = {"rssi": -70.0} if number > 3 else {}
+            positions.append(tracker.update([row | more for row in measured]))
+    np.testing.assert_array_equal(
+        [p.position_m for p in positions if p], [p.position_m for p in expected if p]
+    )
+
+
+def test_odometry_that_appears_later_begins_a_new_track():
+    epochs = walk(20)
+    for rows in epochs[10:]:
+        for row in rows:
+            row |= {"speed_mps": 1.2, "heading_deg": 350.0}
+    tracker = Tracker(SCENE, Switching((EKF,)), RADIO)
+    positions = [tracker.update(rows) for rows in epochs]
+    assert [n for n, p in enumerate(positions) if p and p.begins] == [0, 10]
+    assert "odometry" in positions[-1].nis
