@@ -217,6 +217,12 @@ def localize(
     """
     localizer = Localizer(log.layout, scene, radio, switching, height_m, levels)
     parts = segments(log, scene, radio)
+    visible = log.visible.copy()
+    for part in parts:  # here, because a chunk may have fewer epochs than a start spends
+        of_part = visible[part.epochs]
+        spent = part.start.spent[: len(of_part)]
+        of_part[: len(spent)] &= ~spent
+    log = replace(log, visible=visible)
     tracks: list[Track] = []
     for segment, epochs, start in _chunks(parts, window or 1):
         track = _track(log.part(epochs), localizer, segment, start, window, two_way)
