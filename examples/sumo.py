@@ -74,7 +74,7 @@ def write_ways(path, ways):
         writer.writerow(["t", "id", "x", "y", "z"])
         for way in ways:
             for t, place in zip(way.time_s, way.position_m, strict=True):
-                writer.writerow([repr(t), way.name, *(f"{value:.2f}" for value in place)])
+                writer.writerow([float(t), way.name, *(f"{value:.2f}" for value in place)])
     print(f"{len(ways)} ways written to {path}")
 
 
