@@ -92,9 +92,7 @@ def start_at(log: Log, epoch: int, scene: Scene, radio: Radio) -> Start | None:
     if (row.visible[0, :links] & (abs(elevations) > STEEPEST_FIX_RAD)).any():
         return None  # near the vertical, filters can't follow
     spent[0, :links] = row.visible[0, :links]
-    solved = _solved(row.measurement[0], sigma, row.visible[0], scene, row.layout.clock)
-    if solved is None:
-        solved = _solved(*_pooled(log, epoch, scene, radio), scene, row.layout.clock)
+    solved = _position_at(log, epoch, scene, radio)
     if solved is None:
         return None
     unknown, covariance = solved
@@ -106,6 +104,15 @@ def start_at(log: Log, epoch: int, scene: Scene, radio: Radio) -> Start | None:
     P[np.ix_(among, among)] = covariance
     P[3, 3] = P[4, 4] = UNKNOWN_VELOCITY_MPS**2
     return Start((x, P), spent)
+
+
+def _position_at(log: Log, epoch: int, scene: Scene, radio: Radio) -> tuple[Array, Array] | None:
+    """Return :func:`_solved` for an epoch's links or, if that is None, with earlier ones."""
+    row = log.part(slice(epoch, epoch + 1))
+    sigma = _deviations(row, scene, radio)[0]
+    clock = log.layout.clock
+    solved = _solved(row.measurement[0], sigma, row.visible[0], scene, clock)
+    return solved or _solved(*_pooled(log, epoch, scene, radio), scene, clock)
 
 
 def _deviations(log: Log, scene: Scene, radio: Radio) -> Array:
@@ -303,12 +310,7 @@ class Ballot:
         now = float(log.time_s[epoch])
         if self._votes and now - self._votes[-1].time_s < spacing_s:
             return False
-        sigma = _deviations(log.part(slice(epoch, epoch + 1)), self._scene, self._radio)[0]
-        clock = log.layout.clock
-        links = log.measurement[epoch], sigma, log.visible[epoch]
-        solved = _solved(*links, self._scene, clock)
-        if solved is None:
-            solved = _solved(*_pooled(log, epoch, self._scene, self._radio), self._scene, clock)
+        solved = _position_at(log, epoch, self._scene, self._radio)
         if solved is None:
             return False
         position, covariance = solved

@@ -64,6 +64,10 @@ class Position(NamedTuple):
 class Tracker:
     """A live tracker of one user; ``localize`` computes bit-identical filtered tracks from logs.
 
+    Only ``localize`` knows from the beginning what the first epochs say together: where these
+    contradict a start, a live track is different until it takes the start back
+    (:mod:`mmwave_env.localization.starts`), some epochs later.
+
     ```python
     >>> tracker = Tracker("street", policy=policies.load("corrector"))
     >>> rows = [{"time_s": 0.0, "anchor": 1, "range_m": 71.2, "aoa_azimuth_deg": -45.1,
