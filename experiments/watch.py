@@ -59,9 +59,9 @@ def main(args: Args) -> None:
     seeds = seeds_from(1, args.seed)
     keys = keys_for(task.source, seeds)
     (episode,) = draw_episodes(task.source, seeds)
-    streets = task.streets_of(0 if keys is None else int(keys[0]))
+    scene = task.scene_of(0 if keys is None else int(keys[0]))
     with progress("filtering"):
-        histories = [history_of(c, episode, scoring, streets) for c in contenders]
+        histories = [history_of(c, episode, scoring, scene) for c in contenders]
     rows = _between(histories[0].time_s, args.begin, args.end)
     first, last = histories[0].time_s[[rows[0], rows[-1]]]
     say(f"{episode.name}, seed {args.seed}, {first:g} to {last:g} s")

@@ -340,7 +340,7 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         column = self._engine.column(0)
         if self._gallery:
             names = [info["episode_name"]]
-            self._gallery.begin(_HERE, names, self._streets_of, self._engine.column)
+            self._gallery.begin(_HERE, names, self._scene_of, self._engine.column)
             if self.render_mode == "human":
                 self.render()
         info |= {key: column[self._info_rows[key]] for key in STATE_KEYS}

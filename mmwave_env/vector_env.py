@@ -161,7 +161,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         if self._gallery:
             names = self._names.tolist()
             engine = self._engine
-            self._gallery.begin(places, names, self._streets_of, engine.column)
+            self._gallery.begin(places, names, self._scene_of, engine.column)
 
     def reset(
         self,

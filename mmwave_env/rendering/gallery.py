@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.models.scene import Streets
+from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.rendering.history import Recorder
 from mmwave_env.rendering.theme import Pixels
@@ -44,17 +44,17 @@ class Gallery:
         self,
         indices: Index,
         names: Sequence[str],
-        streets: Callable[[int], Streets | None],
+        scene: Callable[[int], Scene | None],
         workspace: Callable[[int], Array],
     ) -> None:
         """Begin new recordings of some environments, whose workspaces contain the prior.
 
-        ``names`` (n,) are the names of the episodes. Given an environment's index, ``streets``
-        returns the streets of its episode; ``workspace`` returns its state, an array (size,).
+        ``names`` (n,) are the names of the episodes. Given an environment's index, ``scene``
+        returns the scene of its episode; ``workspace`` returns its state, an array (size,).
         """
         for index in indices[indices < DRAWN].tolist():
             self.recorders[index] = Recorder(
-                *self._recorded, names[index], streets(index), workspace(index)
+                *self._recorded, names[index], scene(index), workspace(index)
             )
 
     def add(self, indices: Index, actions: NDArray[Any], workspace: Callable[[int], Array]) -> None:

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mmwave_env.models.scene import Streets
+from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Index, Mask
 
 NO_MODE = -1  # mode number of the prior, which no mode computed
@@ -17,7 +17,7 @@ class History(NamedTuple):
 
     name: str  # name of the episode
     anchors_m: Array  # (L, 3) positions, the base station first
-    streets: Streets | None  # streets of the map; None if unknown
+    scene: Scene | None  # scene whose streets and walls the map shows; None if unknown
     axes: int  # number of position axes that NEES covers
     time_s: Array  # (k + 1,) time since the first epoch
     modes: Index  # (k + 1,) number of the mode that ran; ``NO_MODE`` in the first row
@@ -58,7 +58,7 @@ class Recorder:
             and ``dt`` (seconds until the next epoch).
         axes: number of position axes that NEES covers.
         name: name of the episode.
-        streets: streets of the map; None if unknown.
+        scene: scene whose streets and walls the map shows; None if unknown.
         workspace: (size,) workspace with the prior.
     """
 
@@ -67,13 +67,13 @@ class Recorder:
         rows: Mapping[str, Any],
         axes: int,
         name: str,
-        streets: Streets | None,
+        scene: Scene | None,
         workspace: Array,
     ) -> None:
         P = slice(rows["P"].start, rows["P"].start + POSITION_NUMBERS)
         self._rows = {**rows, "P": P}
         anchors_m = workspace[rows["anchors"]].reshape(-1, 3).copy()
-        self._episode = (name, anchors_m, streets, axes)
+        self._episode = (name, anchors_m, scene, axes)
         self._modes: list[int] = []
         self._epochs: list[dict[str, Array]] = []
         self.add(workspace, NO_MODE)

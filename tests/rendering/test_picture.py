@@ -10,7 +10,7 @@ import pygame
 import pytest
 
 from mmwave_env.env import MmWaveLocEnv
-from mmwave_env.models.scene import Streets
+from mmwave_env.models.scene import Scene, Streets, Wall
 from mmwave_env.rendering.canvas import Rect
 from mmwave_env.rendering.history import NO_MODE, History
 from mmwave_env.rendering.picture import Picture
@@ -34,7 +34,7 @@ HERE = ((0.0, 0.0),)
 
 def history(truth=HERE, estimate=HERE, modes=(0,), accepted=NOTHING, rejected=NOTHING, **scenery):
     """Return a history: the prior, then an epoch for each point of ``truth``, a second apart."""
-    scenery = {"name": "test", "anchors": [(200.0, 150.0, 10.0)], "streets": None} | scenery
+    scenery = {"name": "test", "anchors": [(200.0, 150.0, 10.0)], "scene": None} | scenery
 
     def states(points, size):
         filled = np.zeros((len(points) + 1, size))
@@ -44,7 +44,7 @@ def history(truth=HERE, estimate=HERE, modes=(0,), accepted=NOTHING, rejected=NO
 
     rows = len(truth) + 1
     P = np.tile([0.01, 0.0, 0.01, 0.0, 0.0, 0.01], (rows, 1))
-    place = scenery["name"], np.array(scenery["anchors"]), scenery["streets"]
+    place = scenery["name"], np.array(scenery["anchors"]), scenery["scene"]
     time = np.maximum(0.0, np.arange(rows) - 1.0)
     ran = np.array([NO_MODE, *modes])
     gates = (np.tile(groups, (rows, 1)) for groups in (accepted, rejected))
@@ -123,21 +123,21 @@ def test_the_estimate_is_drawn_at_its_position():
     assert rows.mean() < user[0] and columns.mean() > user[1]  # north-east of the user
 
 
-def test_a_wall_is_drawn_halfway_between_the_base_station_and_its_image():
+def test_walls_are_drawn_only_where_the_scene_has_some():
     gnb = (0.0, 10.0, 10.0)
-    image = (20.0, 10.0, 10.0)
-    picture = drawn(anchors=[gnb, image])[20:280]
-    wall = near(picture, LIGHT.wall)
+    anchors = [gnb, (20.0, 10.0, 10.0)]  # of the same height, so the second may be an image
+    walled = drawn(anchors=anchors, scene=Scene("test", gnb, (Wall((-2.0, 0.0), -10.0),)))
+    wall = near(walled[20:280], LIGHT.wall)
     column = int(np.argmax(wall.sum(axis=0)))
     assert wall[:, column].sum() > 200  # from top to bottom
     assert 250 < column < 400  # 10 m east of the user
-    # An anchor at another height is not a mirror image in a vertical wall.
-    lower = near(drawn(anchors=[gnb, (20.0, 10.0, 4.0)])[20:280], LIGHT.wall)
-    assert lower.sum(axis=0).max() < 100
+    masts = near(drawn(anchors=anchors, scene=Scene("test", gnb))[20:280], LIGHT.wall)
+    assert masts.sum(axis=0).max() < 100
 
 
 def test_streets_are_drawn_if_they_are_known():
-    with_streets = drawn(streets=Streets((-80.0, 80.0), (-80.0, 80.0), 80.0))[20:280]
+    streets = Streets((-80.0, 80.0), (-80.0, 80.0), 80.0)
+    with_streets = drawn(scene=Scene("test", (200.0, 150.0, 10.0), streets=streets))[20:280]
     without = drawn()[20:280]
     assert near(with_streets, LIGHT.building).mean() > 0.3
     assert near(without, LIGHT.building).mean() < 0.02  # smoothed edges of other shapes

@@ -17,7 +17,7 @@ from mmwave_env.world.keys import keys_of
 SEED = 5
 TASK = task_from()
 (EPISODE,) = draw_episodes(TASK.source, [SEED])
-STREETS = TASK.streets_of(int(keys_of([SEED])[0]))
+SCENE = TASK.scene_of(int(keys_of([SEED])[0]))
 
 
 @pytest.mark.parametrize(
@@ -33,7 +33,7 @@ def test_a_history_equals_what_an_environment_records(name, arguments):
     pytest.importorskip("pygame")
     scoring = Scoring(TrackingReward(), arguments.get("planar", False))
     contender = contender_from(name, "handset")
-    history = history_of(contender, EPISODE, scoring, STREETS)
+    history = history_of(contender, EPISODE, scoring, SCENE)
     arguments |= {"modes": contender.filters, "render_mode": "rgb_array"}
     env = gym.make("MmWaveLoc-v0", **arguments).unwrapped
     env.reset(seed=SEED)
@@ -42,7 +42,7 @@ def test_a_history_equals_what_an_environment_records(name, arguments):
     recorded = env._gallery.recorders[0].history
     assert history.axes == recorded.axes and history.epochs == recorded.epochs == len(EPISODE)
     assert history.name == recorded.name
-    assert history.streets == recorded.streets is not None
+    assert history.scene == recorded.scene is not None
     np.testing.assert_array_equal(history.anchors_m, recorded.anchors_m)
     for field in ("time_s", "modes", "truth", "estimate", "P", "nees", "accepted", "rejected"):
         np.testing.assert_allclose(
@@ -62,5 +62,5 @@ def test_the_history_of_a_recording_begins_at_its_prior():
     (episode,) = draw_episodes(source_from("canyon28_pedestrian", "handset"), [0])
     history = history_of(contender_from("fixed-ukf", "handset"), episode)
     np.testing.assert_array_equal(history.estimate[0], episode.prior_mean)
-    assert history.streets is None and history.time_s[0] == history.time_s[1] == 0.0
+    assert history.scene is None and history.time_s[0] == history.time_s[1] == 0.0
     assert history.time_s[-1] == episode.time_s[-1] - episode.time_s[0]
