@@ -21,7 +21,7 @@ def command(*words, cwd=ROOT, columns=200, stdin=b""):
     User warnings are shown as the program shows them; other warnings are errors, as in all tests.
     An exception that the program does not expect ends the command with code 1.
     """
-    out = StringIO()
+    out = TextIOWrapper(BytesIO(), "utf-8", write_through=True)  # like most terminals
     err = StringIO()
     before = os.getcwd()
     typed = ["mmwave-loc", *map(str, words)]
@@ -43,7 +43,7 @@ def command(*words, cwd=ROOT, columns=200, stdin=b""):
             code = end.code
         finally:
             os.chdir(before)
-    return subprocess.CompletedProcess(typed, code or 0, out.getvalue(), err.getvalue())
+    return subprocess.CompletedProcess(typed, code or 0, out.buffer.getvalue().decode(), err.getvalue())
 
 
 def environment():
