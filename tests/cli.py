@@ -43,7 +43,9 @@ def command(*words, cwd=ROOT, columns=200, stdin=b""):
             code = end.code
         finally:
             os.chdir(before)
-    return subprocess.CompletedProcess(typed, code or 0, out.buffer.getvalue().decode(), err.getvalue())
+    return subprocess.CompletedProcess(
+        typed, code or 0, out.buffer.getvalue().decode(), err.getvalue()
+    )
 
 
 def environment():

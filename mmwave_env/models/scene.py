@@ -255,7 +255,7 @@ def scene_from(scene: "str | Path | Scene") -> Scene:
         return scene
     if str(scene).endswith(".json"):
         return read_scene(Path(scene))
-    return choose(SCENES, str(scene), "scene")
+    return choose(SCENES, str(scene), "scene", ", or a .json file")
 
 
 def read_scene(path: Path) -> Scene:
