@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.actions import WEIGHTS, limits_of, numbers_in
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.policy import OF_A_MODEL, Correction, Policy
 from mmwave_env.models.measurement import Epoch, Site, blank_site
@@ -129,7 +130,7 @@ def tried(name: str, policy: Policy, table: Observation) -> Policy:
     with blaming(name, f"; it was given {about}; {OF_A_MODEL} ({GUIDE})"):
         policy.reset(np.ones(TRIED, np.bool_))
         actions = np.asarray(policy.act(shown))
-    require_actions(name, actions, TRIED, len(table.actions))
+    _require_actions(name, policy.action, actions, TRIED, len(table.actions))
     return _Checked(name, policy, len(table.actions))
 
 
@@ -141,7 +142,7 @@ class _Checked(Policy):
     """
 
     def __init__(self, name: str, policy: Policy, actions: int) -> None:
-        self.corrects = policy.corrects
+        self.action = policy.action
         self._name = name
         self._policy = policy
         self._actions = actions
@@ -155,25 +156,29 @@ class _Checked(Policy):
         self._epoch += 1
         with blaming(self._name, f", in epoch {self._epoch}"):
             returned = self._policy.act(observation)
-        return require_actions(self._name, returned, len(observation), self._actions)
+        return _require_actions(self._name, self.action, returned, len(observation), self._actions)
 
     def correct(self, observation: Array32) -> Correction | None:
         with blaming(self._name, f", in epoch {self._epoch}"):
             return self._policy.correct(observation)
 
 
-def require_actions(name: str, returned: Any, n: int, count: int) -> Index:
-    """Return actions (n,) as an array; refuse anything else.
+def _require_actions(name: str, kind: str, returned: Any, n: int, count: int) -> NDArray[Any]:
+    """Return actions (n,), or weights (n, count - 1), as an array; refuse anything else.
 
     Raises:
         ValueError: ``returned`` does not hold n integers from 0 to ``count`` - 1, one for each
-            observation.
+            observation; or, if the kind is "weights", valid weights.
     """
+    if kind == WEIGHTS:
+        with blaming(name, f" ({GUIDE})"):
+            return numbers_in("weights", returned, limits_of(WEIGHTS, count - 1), n)
     actions: NDArray[Any] = np.asarray(returned)
     if actions.shape != (n,) or actions.dtype.kind not in "iu":
         raise ValueError(
             f"actions of {name}: found shape {actions.shape} of {actions.dtype}, expected ({n},) "
-            f"of integers, one for each row of the observations; {OF_A_MODEL} ({GUIDE})"
+            f"of integers, one for each row of the observations; {OF_A_MODEL}; an agent that "
+            f'returns weights has the attribute action = "weights" ({GUIDE})'
         )
     if actions.min() < 0 or actions.max() >= count:
         raise ValueError(

@@ -25,6 +25,7 @@ from mmwave_env.filters.bank import (
     default_modes,
     named_modes,
 )
+from mmwave_env.interface.actions import MODE
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.policy import FixedMode, Policy, Switching, policy_from
 from mmwave_env.io.files import AnyPath
@@ -83,12 +84,14 @@ class Contender(Switching):
         modes = getattr(agent, "modes", modes)
         bank_of = getattr(agent, "bank", None) if beliefs == "per-mode" else None
         bank, chosen = bank_and_modes(bank_of(radio) if bank_of else modes, beliefs, radio)
+        if policy.action != MODE and not bank:
+            found = f"policy {name}: found actions of the kind {policy.action}"
+            raise ValueError(f'{found}, which need beliefs="per-mode"')
         estimates = isinstance(policy, Estimator)
         return cls(
             bank or chosen,
             policy=(lambda table: policy) if estimates else partial(tried, name, policy),
             observation=getattr(agent, "observation", observation),
-            corrects=policy.corrects,
             name=name,
         )
 

@@ -16,7 +16,7 @@ from mmwave_env.engines.engine import Engine, run_imm
 from mmwave_env.engines.play import play
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.interface.actions import CORRECTION, MODE
+from mmwave_env.interface.actions import CORRECTION
 from mmwave_env.interface.policy import Policy, Switching
 from mmwave_env.interface.reward import Reward, TrackingReward, terms_of, total
 from mmwave_env.io.lookup import printable
@@ -131,18 +131,19 @@ def _run_policy(
         scoring.reward,
         switching.observation,
         switching.bank,
-        action=CORRECTION if policy.corrects else MODE,
+        action=policy.action,
     )
     engine.batch.load(episodes)
     if isinstance(policy, Clairvoyant):
         policy.foresee(engine)
     policy.reset(np.ones(n, bool))
-    corrected = {"x": "reported.x", "P": "reported.P"} if policy.corrects else {}
+    corrects = policy.action == CORRECTION
+    corrected = {"x": "reported.x", "P": "reported.P"} if corrects else {}
     read = [corrected.get(name, name) for name in names]
     track = play(engine, policy, T, engine.program.rows(read))
     parts = engine.program.by_name(read, track.outputs)
     results: EpochResults = dict(zip(names, parts.values(), strict=True))
-    if policy.corrects:
+    if corrects:
         results["trusted"] = track.trusted
     return results | {"mode": track.actions}
 

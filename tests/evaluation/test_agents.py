@@ -3,13 +3,17 @@
 import json
 import sys
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
 from experiments.evaluation.compare import compare
-from experiments.evaluation.contenders import contender_from
+from experiments.evaluation.contenders import Contender, contender_from
+from experiments.evaluation.runner import run_contender
+from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.filters.bank import Bank, bank_as_written, modes_from
 from mmwave_env.models.layout import Layout
+from mmwave_env.task import task_from
 from policies import Correction, LearnedSwitch
 from tests.cli import assert_one_clear_line, command
 from tests.refusals import refuses
@@ -87,6 +91,36 @@ def test_an_agent_without_reset_may_correct_beliefs():
     mine = result.policies["mine"]["ate_m"].mean
     base = result.policies["imm-best"]["ate_m"].mean
     assert mine > base + 0.1
+
+
+class Weighing:
+    """An agent that returns weights of the modes."""
+
+    beliefs = "per-mode"
+    action = "weights"
+
+    def __call__(self, observations):
+        return np.sin(7.0 * observations[:, :5])
+
+
+def test_an_agent_that_returns_weights_earns_what_it_earns_in_the_environment(monkeypatch):
+    env = gym.make("MmWaveLoc-v0", beliefs="per-mode", action="weights", episode_steps=50)
+    observation, _ = env.reset(seed=3)
+    earned = []
+    for _ in range(50):
+        observation, reward, *_ = env.step(Weighing()(observation[None])[0])
+        earned.append(reward)
+    contender = Contender.own("mine", Weighing(), "handset")
+    episodes = draw_episodes(task_from(episode_steps=50).source, [3])
+    policy = contender.start(episodes[0].layout)
+    (rewards,) = run_contender(contender, policy, episodes)["reward"]
+    np.testing.assert_allclose(rewards, earned, rtol=1e-9)
+    with refuses("mine"):
+        wrong = Contender.own("mine", Weighing(), "handset", ["ekf", "ukf"])
+        wrong.start(episodes[0].layout)
+    monkeypatch.setattr(Weighing, "beliefs", "shared")
+    with refuses("mine"):
+        compare({"mine": Weighing()}, episodes=1)
 
 
 def test_an_agent_from_a_module_is_compared_like_any_policy(folder):
