@@ -85,8 +85,8 @@ class Contender(Switching):
         bank_of = getattr(agent, "bank", None) if beliefs == "per-mode" else None
         bank, chosen = bank_and_modes(bank_of(radio) if bank_of else modes, beliefs, radio)
         if policy.action != MODE and not bank:
-            found = f"policy {name}: found actions of the kind {policy.action}"
-            raise ValueError(f'{found}, which need beliefs="per-mode"')
+            unusable = f"policy {name}: found actions of the kind {policy.action}"
+            raise ValueError(f'{unusable}, which need beliefs="per-mode"')
         estimates = isinstance(policy, Estimator)
         return cls(
             bank or chosen,
