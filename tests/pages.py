@@ -1,5 +1,7 @@
 """Helpers that run code blocks of the docs; ``python -m tests.pages PAGE`` renews a page's tables.
 
+For a notebook (``docs/notebooks/corrector.ipynb``), it renews the stored outputs.
+
 A comment above a block says what is done with the block:
 
 - ``<!-- example -->``: the block is run. All Python blocks of a page share one session, lines that
@@ -16,6 +18,7 @@ shown. If a file name precedes ``printed``, the file (written by the block) repl
 After the text, ``; rows: A + B`` and ``; columns: C + D`` keep only some rows and columns.
 """
 
+import os
 import re
 import shlex
 import sys
@@ -27,8 +30,9 @@ from itertools import dropwhile, takewhile
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+from unittest.mock import patch
 
-from tests.cli import succeed
+from tests.cli import environment, succeed
 from tests.paths import ROOT
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -186,6 +190,45 @@ def renewed(page: Path) -> str:
     return text
 
 
-if __name__ == "__main__":
-    for path in map(Path, sys.argv[1:]):
+def run_notebook(path: Path) -> Any:
+    """Run a notebook in its folder, as Jupyter does; return it with the new outputs.
+
+    Details of the run, such as counts, are left out, and so are progress bars.
+    """
+    import nbclient
+    import nbformat
+
+    notebook = nbformat.read(path, as_version=4)
+    nbformat.validate(notebook)
+    folder = {"metadata": {"path": path.parent}}
+    with patch.dict(os.environ, PYTHONPATH=environment()["PYTHONPATH"]):
+        nbclient.NotebookClient(notebook, resources=folder, timeout=600).execute()
+    notebook.metadata.language_info = {"name": "python"}
+    for cell in notebook.cells:
+        cell.metadata = {}
+        if cell.cell_type == "code":
+            cell.execution_count = None
+            cell.outputs = [_stored(o) for o in cell.outputs if o.get("name") != "stderr"]
+    return notebook
+
+
+def _stored(output: Any) -> Any:
+    if "data" in output:
+        output.data.pop("image/jpeg", None)
+        output.execution_count = None
+    return output
+
+
+def renew(path: Path) -> None:
+    """Renew the tables of a page, or the stored outputs of a notebook."""
+    if path.suffix == ".md":
         path.write_text(renewed(path), encoding="utf-8")
+        return
+    import nbformat
+
+    nbformat.write(run_notebook(path), path)
+
+
+if __name__ == "__main__":
+    for word in sys.argv[1:]:
+        renew(Path(word))
