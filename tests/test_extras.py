@@ -1,5 +1,6 @@
 """Tests that commands and environments name a missing extra (a group of optional packages)."""
 
+import importlib
 import sys
 
 import gymnasium as gym
@@ -45,3 +46,10 @@ def test_an_environment_names_the_missing_extra(package, extra, arguments, monke
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(ImportError, match=rf"needs {package}.*mmwave-loc\[{extra}\]"):
         gym.make("MmWaveLoc-v0", **arguments)
+
+
+def test_the_vector_environment_for_stable_baselines3_names_the_missing_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "stable_baselines3", None)
+    monkeypatch.delitem(sys.modules, "mmwave_env.sb3", raising=False)
+    with pytest.raises(ImportError, match=r"needs stable_baselines3.*mmwave-loc\[train\]"):
+        importlib.import_module("mmwave_env.sb3")
