@@ -40,6 +40,18 @@ OTHERS = ("a .safetensors file", "the folder of a run", "module:function, withou
 # Learned contenders; their shipped policy files are for one radio (NAME-RADIO) or for all (NAME).
 SHIPPED = ("ppo", "guided", "guided-ppo", "corrector")
 
+DESCRIPTIONS = {
+    "speed-rule": "the paper's rule: EKF up to 2 m/s, UKF above",
+    "likelihood-rule": "chooses the mode that explains the coming measurement best",
+    "imm": "interacting multiple models: mixes all modes instead of choosing one",
+    "imm-best": "tuned IMM of modes for users who stand, cruise, turn, accelerate or brake",
+    "ppo": "learned policy that chooses between the profile's two modes",
+    "guided": "learned policy that raises the probability of one mode of `imm-best`, or of none",
+    "corrector": "the policy `guided`, with a recurrent network that corrects the positions",
+    "guided-ppo": "same as `guided`, but trained only with PPO",
+    "clairvoyant": "knows the truth: a ceiling for policies that choose modes; runs only if named",
+}
+
 
 @dataclass(frozen=True, kw_only=True)
 class Contender(Switching):
