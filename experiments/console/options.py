@@ -260,6 +260,11 @@ class LogArgs(IntegrityArgs, JsonArgs):
     """use speed and heading if the log has them"""
     height: float | None = None
     """known height of a user on flat terrain, m"""
+    start: str | None = None
+    """X,Y of a place near the user at first, m: needed if
+    anchors on a line measure ranges alone, because a
+    mirrored position fits as well; replaces side in the
+    scene"""
     clock: str = "synchronized"
     """synchronized, or offset: estimate the offset of the
     user's clock, which shifts all ranges"""

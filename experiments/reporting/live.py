@@ -10,7 +10,7 @@ from typing import Any
 
 from experiments.console.options import AUTO, LogArgs, require_alone, require_at_least
 from experiments.console.progress import note
-from experiments.reporting.log_choice import choice_of, require_one_choice
+from experiments.reporting.log_choice import choice_of, require_one_choice, scene_of
 from mmwave_env.io.files import Json, parse_json
 from mmwave_env.io.lookup import printable, quoted
 from mmwave_env.localization.levels import Levels
@@ -19,7 +19,7 @@ from mmwave_env.localization.tracker import Position, Tracker
 from mmwave_env.logs.live_log import LiveEpoch, LiveLog
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.layout import clock_from
-from mmwave_env.models.scene import Scene, scene_from
+from mmwave_env.models.scene import Scene
 
 SOURCE = "standard input"
 
@@ -40,7 +40,7 @@ def run_live(args: LogArgs) -> None:
     require_one_choice(args)
     clock = clock_from(args.clock)
     levels = Levels(args.risk, args.levels)
-    scene = scene_from(args.scene)
+    scene = scene_of(args, args.scene)
     tracker: Tracker | None = None
     began = False
     for epoch in _epochs(scene, args.snr, clock):

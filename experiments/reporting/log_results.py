@@ -18,6 +18,7 @@ from experiments.reporting.log_choice import (
     choice_of,
     is_algorithm_1,
     require_one_choice,
+    scene_of,
 )
 from experiments.reporting.log_diagnosis import diagnosed
 from experiments.reporting.track_report import track_markdown
@@ -43,7 +44,7 @@ from mmwave_env.logs.log import Log, read_log, read_paths
 from mmwave_env.logs.truth import Truth
 from mmwave_env.models.layout import clock_from
 from mmwave_env.models.radio import Radio, radio_from
-from mmwave_env.models.scene import Scene, scene_from
+from mmwave_env.models.scene import Scene
 from mmwave_env.world.episode import NEUTRAL_SNR_DB
 from policies.corrector import TWO_WAY, TwoWayCorrector
 
@@ -166,7 +167,7 @@ def _track(args: LogArgs, work: Work, window: int | None, report: Callable[[floa
 def beginning(args: LogArgs, epochs: int) -> tuple[Track, Work]:
     """Filter the first epochs of a log; return their track and the log's :class:`Work`."""
     files = inputs(args)
-    work = _work(args, files, scene_from(files.scene))
+    work = _work(args, files, scene_of(args, files.scene))
     work = work._replace(log=work.log.part(slice(epochs)))
     track = _track(args, work, None, lambda share: None)
     return track.by_segment()[0], work
@@ -228,7 +229,7 @@ def localized(args: LogArgs) -> None:
     """Run ``mmwave-loc localize`` on a recorded log."""
     files = inputs(args)
     _check(args, files)
-    scene = scene_from(files.scene)
+    scene = scene_of(args, files.scene)
     if args.diagnose:
         return diagnosed(args, files.log, scene)
     for out in args.out:
