@@ -297,6 +297,16 @@ class LogArgs(IntegrityArgs, JsonArgs):
     lag: int = 0
     """with --live, also print the position this many epochs
     ago, smoothed with all later epochs"""
+    format: Literal["lines", "3gpp"] = "lines"
+    """with --live, what to print: positions in the scene's
+    frame, or LocationData of 3GPP TS 29.572, which needs an
+    origin in the scene"""
+    confidence: float = 0.95
+    """with --format 3gpp, probability that the user is in the
+    ellipse that is printed"""
+    accuracy: float | None = None
+    """with --format 3gpp, also tell whether the longer half
+    axis of the ellipse is at most this many meters"""
     associate: bool = False
     """the log's rows are paths without anchor numbers: assign
     each path to an anchor, or reject it as false"""

@@ -234,7 +234,7 @@ def localized(args: LogArgs) -> None:
         return diagnosed(args, files.log, scene)
     for out in args.out:
         if out.suffix in MAP_FILES:
-            origin_of(scene, out)
+            origin_of(scene, f"out: {out}")
     work = _work(args, files, scene)
     for _, path in _outputs(args):
         if path:
