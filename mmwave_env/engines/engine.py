@@ -23,7 +23,7 @@ from mmwave_env.interface.features import Feature
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.policy import Rule, policy_from
 from mmwave_env.interface.reward import Reward
-from mmwave_env.numerics.numbers import Array, Array32, Index, Mask
+from mmwave_env.numerics.numbers import Array, Array32, Index
 from mmwave_env.numerics.pytree import flatten
 from mmwave_env.task import Base
 from mmwave_env.world.episode import Episode, EpisodeBatch
@@ -220,10 +220,8 @@ class Engine:
 
         The results have the same shapes as in :meth:`step`, but are valid only for ``places``.
         """
-        running = np.zeros(self.batch.n, np.bool_)
-        running[places] = True
         io = self.io(output_rows)
-        self.advance(io, running)
+        self.advance(io, places if len(places) < self.batch.n else None)
         return io.observations[:, 0], io.outputs[:, 0]
 
     def step(
@@ -246,12 +244,12 @@ class Engine:
         self.advance(io)
         return io.observations[:, 0], io.outputs[:, 0]
 
-    def advance(self, io: StepIO, running: Mask | None = None) -> None:
-        """Make a step of all environments, or where ``running`` (n,) is True."""
-        self.batch.advance(io, running)
-        self.trust(io, running)
+    def advance(self, io: StepIO, places: Index | None = None) -> None:
+        """Make a step of all environments, or of those with indices ``places``."""
+        self.batch.advance(io, places)
+        self.trust(io, places)
 
-    def trust(self, io: StepIO, running: Mask | None = None) -> None:
+    def trust(self, io: StepIO, places: Index | None = None) -> None:
         """Let the agent ``base``, if there is one, act between filter and decide of a step."""
         if self._base is None:
             return
@@ -267,7 +265,7 @@ class Engine:
         decision = StepIO(
             io.input_rows, io.inputs, NO_ROWS, io.outputs[..., :0], io.obs_rows, io.observations
         )
-        self.batch.advance(decision, running, self._program("decide", "refresh"), again=True)
+        self.batch.advance(decision, places, self._program("decide", "refresh"), again=True)
 
     def io(self, output_rows: Index = NO_ROWS) -> StepIO:
         """Return the buffers of a step: for actions, observations and output rows."""
