@@ -7,7 +7,7 @@ of the workspace: ``incoming`` is the next epoch; ``site`` contains the anchors,
 """
 
 from collections.abc import Sequence
-from typing import Any, Generic
+from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -20,7 +20,6 @@ from mmwave_env.compiler.program import (
     Program,
     Repeated,
     StepIO,
-    Workspace,
     blocks_of,
     run_blocks,
 )
@@ -36,7 +35,7 @@ BLOCKS_PER_THREAD = 64  # minimum number of blocks for each thread
 _NO_FEED = Feed.none()
 
 
-class Batch(Generic[Workspace]):
+class Batch:
     """N environments running one program.
 
     Args:
@@ -55,7 +54,7 @@ class Batch(Generic[Workspace]):
 
     def __init__(
         self,
-        program: Program[Workspace],
+        program: Program[Any],
         layout: Layout,
         n: int,
         input_rows: Index = NO_ROWS,
@@ -65,7 +64,7 @@ class Batch(Generic[Workspace]):
         self.program = program
         self.layout = layout
         self.n = n
-        self.at = program.index
+        self.at: Any = program.index
         blocks = -(-n // WIDTH)
         rows = blocks_of(program.start, n)
         self.state = BatchState.of(np.empty((n, 0, len(program.blank))), rows)
@@ -102,8 +101,7 @@ class Batch(Generic[Workspace]):
             self.state.table[places, 0, columns_of(self.layout).dt] = gap_s
             self.state.epoch[places] = 0
             return
-        _, site, _, *_ = self.at
-        self.write(site, packed.site, places)
+        self.write(self.at.site, packed.site, places)
         self.restart(places)
 
     def load_epoch(self, incoming: Sequence[float], gap_s: float) -> None:
@@ -130,8 +128,7 @@ class Batch(Generic[Workspace]):
         block, lane = np.divmod(places, WIDTH)
         self.state.feed.kept[block, :, lane] = starts.worlds
         self.state.length[places] = source.epochs
-        _, site, _, *_ = self.at
-        self.write(site, starts.sites, places)
+        self.write(self.at.site, starts.sites, places)
         self.restart(places)
 
     def _attach(self, source: SimulatedSource) -> None:
@@ -153,20 +150,18 @@ class Batch(Generic[Workspace]):
     def restart(self, places: Index | None = None) -> None:
         """Start over with the loaded episodes; ``places`` is the same as in :meth:`load`."""
         places = np.arange(self.n) if places is None else places
-        _, _, is_first, *_ = self.at
-        self.write(is_first, 1.0, places)
+        self.write(self.at.is_first, 1.0, places)
         self.state.epoch[places] = 0
 
     def episodes(self, places: Index) -> EpisodeBatch:
         """Return the episodes loaded in some environments, without their names."""
-        _, site, *_ = self.at
         block, lane = np.divmod(places, WIDTH)
         length = self.state.length[places]
         return EpisodeBatch(
             names=[""] * len(places),
             length=length,
             table=self.state.table[places, : length.max(initial=0)],
-            site=self.state.rows[block, self.span(site), lane],
+            site=self.state.rows[block, self.span(self.at.site), lane],
             layout=self.layout,
         )
 
@@ -180,7 +175,7 @@ class Batch(Generic[Workspace]):
         self,
         io: StepIO,
         places: Index | None = None,
-        program: Program[Workspace] | None = None,
+        program: Program[Any] | None = None,
         again: bool = False,
     ) -> None:
         """Run the next epochs; past the end of an episode, epochs are blank (without measurements).
@@ -211,7 +206,7 @@ class Batch(Generic[Workspace]):
             array[block, :, lane] = values
 
     def _advance(
-        self, parts: list[tuple[int, int]], io: StepIO, program: Program[Workspace], again: bool
+        self, parts: list[tuple[int, int]], io: StepIO, program: Program[Any], again: bool
     ) -> None:
         """Run the next epochs of some ranges of blocks; arguments are as for :meth:`advance`."""
         state = self.state

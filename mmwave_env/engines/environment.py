@@ -47,7 +47,7 @@ class Baseline:
         threads: maximum number of threads in use; results do not depend on it.
     """
 
-    def __init__(self, task: Task, batch: Batch[Any], threads: int = 1) -> None:
+    def __init__(self, task: Task, batch: Batch, threads: int = 1) -> None:
         self._task = task
         self._batch = batch
         self._threads = threads
