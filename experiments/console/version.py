@@ -81,11 +81,11 @@ def _episodes(task: Task, episodes: EpisodeBatch) -> float:
     computed = []
     for kept in starts.worlds:
         w = unflatten(world.template, iter(np.concatenate([blank, settings, kept]).tolist()))
-        for dt in source.steps_s:
+        for _ in range(source.epochs):
             w = observed(w)
             for _ in range(int(w.settings.stride)):
                 w = moved(happened(w))
-            computed.append(flatten(w.measured._replace(dt=dt)))
+            computed.append(flatten(w.measured))
     return _deviation(np.array(computed), episodes.table.reshape(len(computed), -1))
 
 

@@ -14,7 +14,18 @@ from numpy.typing import NDArray
 
 from mmwave_env.compiler.program import NO_ROWS, Program, StepIO, rows_of
 from mmwave_env.engines.batch import Batch
-from mmwave_env.engines.epoch import Asked, EpochState, program_of, untuned
+from mmwave_env.engines.epoch import (
+    Asked,
+    EpochState,
+    Verb,
+    correct,
+    decide,
+    filter_epoch,
+    program_of,
+    refresh,
+    score,
+    untuned,
+)
 from mmwave_env.filters.bank import Bank, settings_of
 from mmwave_env.filters.modes import Tuning
 from mmwave_env.filters.pipeline import Pipeline
@@ -23,7 +34,7 @@ from mmwave_env.interface.features import Feature
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.policy import Rule, policy_from
 from mmwave_env.interface.reward import Reward
-from mmwave_env.numerics.numbers import Array, Array32, Index, Mask
+from mmwave_env.numerics.numbers import Array, Array32, Index
 from mmwave_env.numerics.pytree import flatten
 from mmwave_env.task import Base
 from mmwave_env.world.episode import Episode, EpisodeBatch
@@ -77,12 +88,12 @@ class Engine:
             untuned(pipeline) if tuned else pipeline,
             bank is not None, observation, reward, action, predicted, rule,
         )  # fmt: skip
-        self._programs: dict[tuple[str, ...], Program[EpochState]] = {}
-        verbs = ["decide", "score", "filter"]  # of a step
+        self._programs: dict[tuple[Verb, ...], Program[EpochState]] = {}
+        verbs = [decide, score, filter_epoch]  # of a step
         if action == CORRECTION:
-            verbs = ["correct", "filter"]
+            verbs = [correct, filter_epoch]
             if base is None:
-                verbs += ["decide", "refresh"]
+                verbs += [decide, refresh]
         self.program = self._program(*verbs)
         at = self.program.index
         inputs = rows_of([at.action, at.numbers if action != MODE else []])
@@ -100,7 +111,7 @@ class Engine:
         if tuned:
             self.tune(bank or [mode.tuning for mode in pipeline.modes])
 
-    def _program(self, *verbs: str) -> Program[EpochState]:
+    def _program(self, *verbs: Verb) -> Program[EpochState]:
         if verbs not in self._programs:
             self._programs[verbs] = program_of(self._asked, verbs)
         return self._programs[verbs]
@@ -143,7 +154,10 @@ class Engine:
         self._end_s = float(episodes[0].time_s[-1])
 
     def load_epoch(self, incoming: Sequence[float], time_s: float) -> None:
-        """Load one more epoch of a single track; see :meth:`Batch.load_epoch`."""
+        """Load one more epoch, at a time in seconds, of a single track that was loaded before.
+
+        ``incoming`` (columns,) is a row of :meth:`~mmwave_env.world.episode.Episode.table`.
+        """
         self.batch.load_epoch(incoming, time_s - self._end_s)
         self._end_s = time_s
 
@@ -158,9 +172,9 @@ class Engine:
             For each name, an array: (N, epochs), or (N, epochs, k) if the part has k numbers.
             Values past the end of an episode are meaningless.
         """
-        verbs = ["filter", "decide"]
+        verbs = [filter_epoch, decide]
         if SCORED & set(names):
-            verbs.append("score")
+            verbs.append(score)
         program = self._program(*verbs)
         io = self.batch.io(int(self.batch.state.length.max()), program.rows(names))
         if actions is not None:
@@ -171,7 +185,7 @@ class Engine:
     def filter(self) -> Array32:
         """Run all modes on the next epoch of every track; return observations (n, features)."""
         io = self.io()
-        self.batch.advance(io, program=self._program("filter"))
+        self.batch.advance(io, program=self._program(filter_epoch))
         return io.observations[:, 0]
 
     def decide(
@@ -188,11 +202,11 @@ class Engine:
             Observations (n, features), whose columns about the belief after its update are new if
             actions are corrections; and the output rows (n, k).
         """
-        verbs = ["decide"]
+        verbs = [decide]
         if scored:
-            verbs.append("score")
+            verbs.append(score)
         if self._asked.action == CORRECTION:
-            verbs.append("refresh")
+            verbs.append(refresh)
         io = self.io(output_rows)
         if self._asked.action == WEIGHTS:
             io.inputs[:, 0, 1:] = actions
@@ -210,7 +224,7 @@ class Engine:
         """
         io = self.batch.io(1, output_rows)
         io.inputs[:, 0, 1:] = numbers
-        self.batch.advance(io, program=self._program("correct"), again=True)
+        self.batch.advance(io, program=self._program(correct), again=True)
         return io.outputs[:, 0]
 
     def reset(self, episodes: EpisodeBatch | Sequence[Episode]) -> None:
@@ -223,10 +237,8 @@ class Engine:
 
         The results have the same shapes as in :meth:`step`, but are valid only for ``places``.
         """
-        running = np.zeros(self.batch.n, np.bool_)
-        running[places] = True
         io = self.io(output_rows)
-        self.advance(io, running)
+        self.advance(io, places if len(places) < self.batch.n else None)
         return io.observations[:, 0], io.outputs[:, 0]
 
     def step(
@@ -249,12 +261,12 @@ class Engine:
         self.advance(io)
         return io.observations[:, 0], io.outputs[:, 0]
 
-    def advance(self, io: StepIO, running: Mask | None = None) -> None:
-        """Make a step of all environments, or where ``running`` (n,) is True."""
-        self.batch.advance(io, running)
-        self.trust(io, running)
+    def advance(self, io: StepIO, places: Index | None = None) -> None:
+        """Make a step of all environments, or of those with indices ``places``."""
+        self.batch.advance(io, places)
+        self.trust(io, places)
 
-    def trust(self, io: StepIO, running: Mask | None = None) -> None:
+    def trust(self, io: StepIO, places: Index | None = None) -> None:
         """Let the agent ``base``, if there is one, act between filter and decide of a step."""
         if self._base is None:
             return
@@ -270,7 +282,7 @@ class Engine:
         decision = StepIO(
             io.input_rows, io.inputs, NO_ROWS, io.outputs[..., :0], io.obs_rows, io.observations
         )
-        self.batch.advance(decision, running, self._program("decide", "refresh"), again=True)
+        self.batch.advance(decision, places, self._program(decide, refresh), again=True)
 
     def io(self, output_rows: Index = NO_ROWS) -> StepIO:
         """Return the buffers of a step: for actions, observations and output rows."""

@@ -47,7 +47,7 @@ class Baseline:
         threads: maximum number of threads in use; results do not depend on it.
     """
 
-    def __init__(self, task: Task, batch: Batch[Any], threads: int = 1) -> None:
+    def __init__(self, task: Task, batch: Batch, threads: int = 1) -> None:
         self._task = task
         self._batch = batch
         self._threads = threads
@@ -198,9 +198,11 @@ class Environment:
             batch.load(episodes, places)
             return episodes.names
         starts = source.begin(keys)
-        if self._task.pipeline.planar:
-            starts = starts.on_flat_ground(source.layout)
         batch.begin(source, starts, places)
+        if self._task.pipeline.planar:  # as in Episode.on_flat_ground
+            prior = self._engine.at.site.prior_x
+            batch.write(prior[2], starts.first[:, 2], places)
+            batch.write(prior[5], 0.0, places)
         return [source.names[kind] for kind in starts.kinds]
 
     def _episodes(self, places: Index) -> EpisodeBatch:
@@ -213,8 +215,12 @@ class Environment:
     def _begin_tracks(self, places: Index) -> None:
         """Start the baseline and the tally for episodes that just began in some environments."""
         self._begin_baseline(places)
-        length = self._engine.batch.state.length[places]
-        self._tally.begin(places, self._engine.batch.steps_s(places), length)
+        batch = self._engine.batch
+        if batch.state.feed.run:
+            step_s = np.full(len(places), self._task.simulated.dt)
+        else:
+            step_s = batch.steps_s(places)
+        self._tally.begin(places, step_s, batch.state.length[places])
 
     def _metrics_of(self, ended: Index, threads: int = 1) -> dict[str, Array]:
         """Compute the final metrics of episodes that ended in some environments (k,)."""

@@ -347,25 +347,19 @@ def with_expected_spread(epoch: Epoch, velocity: Vector, site: Site) -> Epoch:
     return epoch._replace(doppler_spread_hz=where(spread > 0.0, spread, measured * expected))
 
 
-VERBS: dict[str, Callable[[EpochState, Asked], EpochState]] = {
-    "filter": filter_epoch,
-    "decide": decide,
-    "refresh": refresh,
-    "correct": correct,
-    "score": score,
-}
+Verb = Callable[[EpochState, Asked], EpochState]
 
 
 @lru_cache(maxsize=64)
-def program_of(asked: Asked, verbs: tuple[str, ...]) -> Program[EpochState]:
+def program_of(asked: Asked, verbs: tuple[Verb, ...]) -> Program[EpochState]:
     """Return the program of some verbs, in order; programs of the same ``asked`` share a state."""
     return Program(partial(_run, asked=asked, verbs=verbs), _start(asked))
 
 
-def _run(w: EpochState, asked: Asked, verbs: Sequence[str]) -> EpochState:
+def _run(w: EpochState, asked: Asked, verbs: Sequence[Verb]) -> EpochState:
     after = w
     for verb in verbs:
-        after = VERBS[verb](after, asked)
+        after = verb(after, asked)
     if not asked.observation:  # no epoch waits for an action
         after = after._replace(pending=(), candidates=[])
     return after
@@ -431,10 +425,10 @@ def _with_room_for_a_policy(state: EpochState, asked: Asked) -> EpochState:
 
 def untuned(pipeline: Pipeline) -> Pipeline:
     """Return the pipeline without tunings, so that modes that differ only in tuning are equal."""
-    zeros: dict[str, Any] = dict.fromkeys(NOISES, 0.0) | {"coupling": False}
     modes = []
     for i, mode in enumerate(pipeline.modes):
-        kept = ("acceleration_mps2", "turn_rate_radps")
-        motion = {name: float(getattr(mode, name) != 0.0) for name in kept}
-        modes.append(replace(mode, name=str(i), **zeros | motion))
+        tuning: dict[str, Any] = dict.fromkeys(NOISES, 0.0)
+        for name in ("acceleration_mps2", "turn_rate_radps"):
+            tuning[name] = float(getattr(mode, name) != 0.0)
+        modes.append(replace(mode, name=str(i), coupling=False, **tuning))
     return replace(pipeline, modes=tuple(modes))

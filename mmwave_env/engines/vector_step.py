@@ -110,7 +110,7 @@ class Stepper:
         program = (batch.program.on_lanes(), batch.program.blank)
         arguments = (*program, batch.state, io, self._read, actions, result, self._tally.counts)
         jobs = [(begin, end, *arguments) for begin, end in batch.parts]
-        ended = sum(self._run(len(batch.state.rows), jobs))
+        ended = sum(self._run(len(batch.state.rows), jobs, len(jobs)))
         self._engine.trust(io)
         if not self._info_keys:
             return result, ended, {}

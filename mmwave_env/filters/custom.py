@@ -22,7 +22,7 @@ from mmwave_env.filters.textbook import Sensor
 from mmwave_env.filters.update import Posterior
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Measurement
-from mmwave_env.numerics.linalg import pack, symmetric, unpack
+from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Number
 from mmwave_env.numerics.pytree import flatten
 from mmwave_env.numerics.tape import taped
@@ -125,7 +125,7 @@ def check_algorithm(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> 
     if algorithm in ALGORITHMS.values():
         return
     subject = f"algorithm {name_of(algorithm)} of mode {mode.name!r}"
-    arguments = _arguments(mode, layout, known_axes)
+    arguments = _arguments(mode, layout, known_axes, taped(_numbers(layout, 0.0), []))
     before = [flatten(argument) for argument in arguments]
     result = try_out(algorithm, arguments, subject, AlgorithmError)
     names = "x", "P", "measurement", "gate"
@@ -138,7 +138,7 @@ def check_algorithm(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> 
         raise AlgorithmError(complaint(subject, algorithm, f"returned {problem}"))
     likelihoods = []
     for sigmas in (0.0, 1.0):
-        example = _example(mode, layout, known_axes, sigmas)
+        example = _arguments(mode, layout, known_axes, _numbers(layout, sigmas))
         posterior = try_out(algorithm, example, subject, AlgorithmError)
         likelihoods.append(posterior.log_likelihood)
     if not likelihoods[1] < likelihoods[0]:
@@ -150,43 +150,32 @@ def check_algorithm(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> 
         raise AlgorithmError(complaint(subject, algorithm, problem))
 
 
-def _arguments(
-    mode: Mode, layout: Layout, known_axes: tuple[int, ...]
-) -> tuple[list[Number], list[list[Number]], Measurement, Gate]:
-    """Return arguments for the algorithm of a mode: x (7,), P (7, 7), a measurement, a gate."""
-    rows = [0.0] * layout.size
-    links = [0.0] * layout.anchors
-    partial_rows = [rows, links] if layout.partial else [(), ()]
-    belief = [[0.0] * layout.state_size, [0.0] * layout.triangle]
-    measured = [[[0.0] * 3] * layout.anchors, 0.0, rows, rows, [0.0] * len(layout.groups)]
-    numbers: list[Any] = [belief, measured, partial_rows, 0.0]
-    (x, P), measured, partial_rows, force = taped(numbers, [])
-    measurement = Measurement._make([*measured, layout, *partial_rows])
-    gate = Gate(mode.gate, 0.0 if mode.recovery is None else force, mode.robust)
-    return x, unpack(P, zero=known_axes), measurement, gate
-
-
-def _example(
-    mode: Mode, layout: Layout, known_axes: tuple[int, ...], sigmas: float
-) -> tuple[list[float], list[list[float]], Measurement, Gate]:
-    """Return arguments as floats; each value is ``sigmas`` standard deviations off its prediction.
+def _numbers(layout: Layout, sigmas: float) -> list[Any]:
+    """Return numbers for :func:`_arguments`; values are ``sigmas`` deviations off their prediction.
 
     The prior is almost exact, so the innovation's standard deviation is that of the noise.
     """
+    n = layout.state_size
     anchors = [[40.0 + 10.0 * anchor, 15.0, 10.0] for anchor in range(layout.anchors)]
-    x = [0.0, 0.0, 1.5, 1.0, 0.5, 0.0, 0.0, 0.0][: layout.state_size]
-    P = symmetric(layout.state_size, lambda i, j: 1e-8 * (i == j))
+    x = [0.0, 0.0, 1.5, 1.0, 0.5, 0.0, 0.0, 0.0][:n]
+    P = [1e-8 * (i == j) for i in range(n) for j in range(i + 1)]
     sensor = Sensor(np.array(anchors), 1.0, layout.odometry, clock=layout.clock)
     z = sensor.h(np.array(x)) + 0.1 * sigmas
-    rows = [1.0] * layout.size
-    first = [1.0] + [0.0] * (layout.anchors - 1)
-    partial_rows = [rows, first] if layout.partial else [(), ()]
     visible = [1.0] * len(layout.groups)
-    measurement = Measurement._make(
-        [anchors, 1.0, z.tolist(), [0.01] * layout.size, visible, layout, *partial_rows]
-    )
-    gate = Gate(mode.gate, 0.0, mode.robust)
-    return x, unpack(pack(P), zero=known_axes), measurement, gate
+    first = [1.0] + [0.0] * (layout.anchors - 1)
+    partial_rows = [[1.0] * layout.size, first] if layout.partial else [(), ()]
+    measured = [anchors, 1.0, z.tolist(), [0.01] * layout.size, visible, *partial_rows]
+    return [x, P, 0.0, measured]
+
+
+def _arguments(
+    mode: Mode, layout: Layout, known_axes: tuple[int, ...], numbers: list[Any]
+) -> tuple[list[Number], list[list[Number]], Measurement, Gate]:
+    """Return arguments for the algorithm of a mode: x (7,), P (7, 7), a measurement, a gate."""
+    x, P, force, measured = numbers
+    measurement = Measurement._make([*measured[:5], layout, *measured[5:]])
+    gate = Gate(mode.gate, 0.0 if mode.recovery is None else force, mode.robust)
+    return x, unpack(P, zero=known_axes), measurement, gate
 
 
 def _wrong_shapes(layout: Layout, result: Any) -> Iterator[str]:

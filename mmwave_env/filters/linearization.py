@@ -60,11 +60,11 @@ class SigmaPoints:
     beta: float = 2.0
     kappa: float = 0.0
 
-    def reach(self, size: int = STATE_SIZE) -> float:
+    def reach(self, size: int) -> float:
         """Return the distance of the points from the mean, as a multiple of the columns of L."""
         return self.alpha * float((size + self.kappa) ** 0.5)
 
-    def latents(self, curved: int, size: int = STATE_SIZE) -> "Latents":
+    def latents(self, curved: int, size: int) -> "Latents":
         """Return the moments of the latents, with one curvature latent per curved column."""
         return Latents(curved, 0.5 / self.reach(size) ** 2, self.beta - self.alpha**2, size)
 
@@ -96,7 +96,7 @@ class Latents:
     curvatures: int  # number of curvature latents
     weight: float  # w, the weight of an outer sigma point
     bend: float  # beta - alpha^2, weight of the mean shift's outer product with itself
-    size: int = STATE_SIZE  # number of components of the state
+    size: int  # number of components of the state
 
     @property
     def linear(self) -> int:
@@ -130,10 +130,7 @@ class Latents:
 
     def shift(self, row: Vector) -> Number:
         """Return the mean shift of a row, the weighted sum of its curvatures."""
-        total: Number = 0.0
-        for v in row[self.linear : self.coupled]:
-            total = total + v
-        return self.weight * total
+        return self.weight * sum(row[self.linear : self.coupled], 0.0)
 
 
 class Prior(NamedTuple):

@@ -9,8 +9,14 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from mmwave_env.filters.gating import Gate, at_degrees, chi_square_limits, gate_groups
-from mmwave_env.filters.linearization import Linearization, SigmaPoints, Tangent, linearize
-from mmwave_env.models.measurement import Measurement
+from mmwave_env.filters.linearization import (
+    Latents,
+    Linearization,
+    SigmaPoints,
+    Tangent,
+    linearize,
+)
+from mmwave_env.models.measurement import ROWS_OF_LINK, Measurement
 from mmwave_env.numerics.linalg import cholesky, dot, forward, symmetric
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, maximum
 
@@ -38,6 +44,9 @@ class Posterior(NamedTuple):
 Algorithm = Callable[[Vector, Matrix, Measurement, Gate], Posterior]
 
 
+_Gated = tuple[Vector, Number, Number, Number]  # coefficients, innovation, noise, acceptance
+
+
 class _Row(NamedTuple):
     """A scalar row that depends on all latents, conditioned on the links and the rows before it."""
 
@@ -51,16 +60,10 @@ class _Row(NamedTuple):
 
 
 def _condition(
-    row: Vector,
-    noise: Number,
-    innovation: Number,
-    accepted: Number,
-    before: list[_Row],
-    C: Matrix,
-    information: Vector,
-    unit: Matrix,
+    gated: _Gated, before: list[_Row], C: Matrix, information: Vector, unit: Matrix
 ) -> _Row:
     """Condition the belief on one scalar row, given the links and the rows before it."""
+    row, innovation, noise, accepted = gated
     n = len(information)
     white = forward(C, row[:n])
     free = list(row[n:])
@@ -80,21 +83,21 @@ def _condition(
     return _Row(white, free, shared, cross, e, accepted / s)
 
 
-def _inform(
-    B: Matrix, V: Matrix, innovation: Vector, noise: Vector, accepted: Number, b: Vector
+def _information(
+    latents: Latents, rows: Sequence[_Gated]
 ) -> tuple[list[list[Number]], list[Number]]:
-    """Return the information matrix and vector of the coupled latents after adding a link."""
-    n = len(b)
-    precision = [list(row) for row in B]
-    vector = list(b)
-    for row, y, variance in zip(V, innovation, noise, strict=True):
+    """Return the information matrix and vector of the coupled latents, given the links' rows."""
+    n = latents.coupled
+    B: list[list[Number]] = latents.precision
+    b: list[Number] = [0.0] * n
+    for row, y, variance, accepted in rows:
         w = accepted / variance
         for i in range(n):
             weighted = w * row[i]
-            vector[i] = vector[i] + weighted * y
+            b[i] = b[i] + weighted * y
             for j in range(i + 1):
-                precision[i][j] = precision[i][j] + weighted * row[j]
-    return precision, vector
+                B[i][j] = B[i][j] + weighted * row[j]
+    return B, b
 
 
 def update(
@@ -115,27 +118,21 @@ def update(
     The prior is x (7,) and P (7, 7), positive definite except for the zeros of components that are
     known exactly. The linearization is the tangent (EKF) or sigma points (UKF, CKF).
     """
-    anchors = measurement.layout.anchors
     L, latents, groups, V = prior = linearize(x, P, measurement, linearization)
-    n = latents.coupled
     gates = gate_groups(prior, measurement, gate)
-    innovations = [
-        [y - latents.shift(row) for y, row in zip(group.innovation, rows, strict=True)]
-        for group, rows in zip(groups, V, strict=True)
-    ]
-    gated = list(zip(V, innovations, gates.noise, gates.accepted, strict=True))
-    B: list[list[Number]] = latents.precision
-    b: list[Number] = [0.0] * n
-    for rows, innovation, noise, accepted in gated[:anchors]:
-        B, b = _inform(B, rows, innovation, noise, accepted, b)
+    gated: list[_Gated] = []
+    for group, rows, noise, accepted in zip(groups, V, gates.noise, gates.accepted, strict=True):
+        for row, y, variance in zip(rows, group.innovation, noise, strict=True):
+            gated.append((row, y - latents.shift(row), variance, accepted))
+    of_links = ROWS_OF_LINK * measurement.layout.anchors
+    B, b = _information(latents, gated[:of_links])
     C = cholesky(B)
     information = forward(C, b)
     linear = latents.linear
-    unit = [forward(C, [float(i == c) for i in range(n)]) for c in range(linear)]
+    unit = [forward(C, [float(i == c) for i in range(len(b))]) for c in range(linear)]
     scalars: list[_Row] = []
-    for rows, innovation, noise, accepted in gated[anchors:]:
-        for row, y, variance in zip(rows, innovation, noise, strict=True):
-            scalars.append(_condition(row, variance, y, accepted, scalars, C, information, unit))
+    for each in gated[of_links:]:
+        scalars.append(_condition(each, scalars, C, information, unit))
     mean = [dot(u, information) for u in unit]
     covariance = symmetric(linear, lambda i, j: dot(unit[i], unit[j]))
     new_x, new_P = _recompose(x, L, mean, covariance, scalars)

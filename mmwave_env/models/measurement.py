@@ -42,6 +42,7 @@ SPEED_OF_LIGHT = 299_792_458.0  # m/s
 # Longest length that counts as 0: less than the uncertainty of an antenna's position, but far more
 # than the rounding errors of coordinates of 1000 km (1e-10 m).
 NEAREST_M = 1e-3
+ROWS_OF_LINK = 3  # in a link's group: range, azimuth and elevation
 _SLOWEST_ODOMETRY = 1e-3  # m/s; minimum of the speeds by which gradients are divided
 
 

@@ -286,7 +286,6 @@ class EpisodeBatch(NamedTuple):
     """A batch of n episodes in the form that engines load."""
 
     names: list[str]  # (n,) names of the episodes
-    nonfinite: Index  # (n,) number of groups with NaN or infinity, which count as missing
     length: Index  # (n,) number of epochs
     table: Array  # (n, epochs, columns) from :meth:`Episode.table`; unused after the last epoch
     site: Array  # (n, numbers) anchors, carrier and prior from :meth:`Episode.site`
@@ -318,7 +317,6 @@ class EpisodeBatch(NamedTuple):
             row[: len(own)] = own
         return cls(
             names=[episode.name for episode in episodes],
-            nonfinite=np.array([episode.nonfinite for episode in episodes]),
             length=length,
             table=table,
             site=np.stack([episode.site() for episode in episodes]),
@@ -327,17 +325,11 @@ class EpisodeBatch(NamedTuple):
 
     def on_flat_ground(self) -> "EpisodeBatch":
         """Return the batch with :meth:`Episode.on_flat_ground` applied to every episode."""
-        height_m = self.table[:, 0, columns_of(self.layout).truth[2]]
-        return self._replace(site=level(self.site, height_m, self.layout))
-
-
-def level(sites: Array, height_m: Array, layout: Layout) -> Array:
-    """Return sites (n, numbers) whose prior means have the heights ``height_m`` (n,) and vz = 0."""
-    sites = sites.copy()
-    prior = indices(blank_site(layout)).prior_x
-    sites[:, prior[2]] = height_m
-    sites[:, prior[5]] = 0.0
-    return sites
+        site = self.site.copy()
+        prior = indices(blank_site(self.layout)).prior_x
+        site[:, prior[2]] = self.table[:, 0, columns_of(self.layout).truth[2]]
+        site[:, prior[5]] = 0.0
+        return self._replace(site=site)
 
 
 class Incoming(NamedTuple):

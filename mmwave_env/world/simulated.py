@@ -14,7 +14,6 @@ import numpy as np
 
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import BatchState, Feed, Program, StepIO, blocks_of, fill, rows_of
-from mmwave_env.compiler.threads import share, spans
 from mmwave_env.models.channel import channel_of
 from mmwave_env.models.envelope import STEP_S
 from mmwave_env.models.layout import Layout, offered_rows
@@ -26,7 +25,7 @@ from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.numerics.pytree import flatten, indices
 from mmwave_env.numerics.random import Dice, seeded
-from mmwave_env.world.episode import Episode, EpisodeBatch, Incoming, columns_of, level
+from mmwave_env.world.episode import Episode, EpisodeBatch, Incoming, columns_of
 from mmwave_env.world.keys import Keys, draw_key
 from mmwave_env.world.mobility import FASTEST_MPS, MIXED, plans_of
 from mmwave_env.world.simulation import (
@@ -63,10 +62,6 @@ class EpisodeStarts(NamedTuple):
     truth: Array
     first: Array
     sites: Array
-
-    def on_flat_ground(self, layout: Layout) -> "EpisodeStarts":
-        """Return the beginnings with known heights, as :meth:`Episode.on_flat_ground` does."""
-        return self._replace(sites=level(self.sites, self.first[:, 2], layout))
 
 
 @dataclass(frozen=True)
@@ -146,11 +141,6 @@ class SimulatedSource:
         """Return the times (epochs,) of every episode."""
         return self.dt * np.arange(self.epochs, dtype=np.float64)
 
-    @cached_property
-    def steps_s(self) -> Array:
-        """Return the seconds (epochs,) since the previous epoch, 0 for the first."""
-        return np.diff(self.time_s, prepend=0.0)
-
     @property
     def name(self) -> str:
         """Return the scenario's name, followed by the scene's name unless that is "street"."""
@@ -211,19 +201,13 @@ class SimulatedSource:
     def sample_batch(self, keys: Keys, threads: int = 1) -> EpisodeBatch:
         """Return the episodes of keys (n,) as a batch, drawn by at most ``threads`` threads."""
         n = len(keys)
-        at = columns_of(self.layout)
         starts = self.begin(keys)
         program, state = self._simulation(starts)
         measured = rows_of(program.index.measured)
         io = StepIO.of(n, self.epochs, output_rows=measured)
-        program.on_lanes()  # compile now; otherwise threads would wait while one of them compiles
-        blocks = len(state.rows)
-        jobs = [(state, io, part) for part in spans(blocks, min(threads, blocks))]
-        share(program.run_on_lanes, jobs, threads)
-        io.outputs[:, :, at.dt] = self.steps_s
+        program.run_on_lanes(state, io, threads)
         return EpisodeBatch(
             names=[self.names[kind] for kind in starts.kinds],
-            nonfinite=np.zeros(n, np.int64),
             length=np.full(n, self.epochs),
             table=io.outputs,
             site=starts.sites,
@@ -235,8 +219,7 @@ class SimulatedSource:
         _, _, receiver, user = self.world.template  # numbers that fill unused SIMD lanes
         kept = blocks_of(np.array(flatten([receiver, user]), float), len(worlds))
         fill(kept, np.arange(kept.shape[1]), worlds)
-        timed = columns_of(self.layout).dt
-        return Feed(self.world.on_lanes(), self._settings_rows, kept, timed, self.steps_s)
+        return Feed(self.world.on_lanes(), self._settings_rows, kept)
 
     def _simulation(self, starts: EpisodeStarts) -> tuple[Program[Any], BatchState]:
         """Return the program that simulates episodes, and its initial state."""
@@ -358,6 +341,7 @@ class SimulatedSource:
         settings = WorldSettings(
             hz_per_mps=scene.hz_per_mps,
             channel=channel_of(radio, scene, self.layout, self.dt),
+            dt=self.dt,
             drift_hz=scene.hz_per_mps * (radio.drift_mps * self.dt**0.5),
             step_s=self.dt / stride,
             stride=float(stride),

@@ -48,6 +48,7 @@ class WorldSettings(NamedTuple):
 
     hz_per_mps: Number  # carrier frequency divided by the speed of light
     channel: Channel  # constants of the channel, from radio and scene
+    dt: Number  # time between epochs, s
     drift_hz: Number  # standard deviation of the change of the oscillator's bias per epoch
     step_s: Number  # length of a substep
     stride: Number  # number of substeps in an epoch
@@ -88,7 +89,7 @@ class UserState(NamedTuple):
 class WorldState(NamedTuple):
     """The state of a simulated episode between two epochs."""
 
-    measured: Incoming  # the epoch just measured; the caller fills in its ``dt``
+    measured: Incoming  # the epoch just measured
     settings: WorldSettings
     receiver: ReceiverState
     user: UserState
@@ -125,7 +126,7 @@ def measure(
     if layout.partial:
         present = [v * offered for v, offered in zip(present, settings.offered, strict=True)]
     measured = Incoming(
-        dt=0.0,
+        dt=where(is_first, 0.0, settings.dt),
         z=_where_measured(present, z, 0.0),
         signed_sigma=_where_measured(present, sigma, -1.0),
         snr_db=[
@@ -198,7 +199,7 @@ def blank_world(layout: Layout, phases: int, gaits: int) -> WorldState:
     drift = [1.0, 1.0] if layout.clock else []
     return WorldState(
         measured=blank_incoming(layout),
-        settings=WorldSettings(1.0, channel, 1.0, 1.0, 1.0, offered, drift),
+        settings=WorldSettings(1.0, channel, 1.0, 1.0, 1.0, 1.0, offered, drift),
         receiver=ReceiverState(dice, anchors, 1.0, initial_state(layout.anchors), 0.0, clock),
         user=UserState(dice, Net(1.0, 1.0, 1.0, 0.0, 0.0, 1.5), acts, still),
     )

@@ -18,7 +18,7 @@ from experiments.timing.operations import count
 from mmwave_env.datasets.samples import recording_from
 from mmwave_env.datasets.tracks import TrackSource
 from mmwave_env.engines.engine import Engine
-from mmwave_env.engines.epoch import Asked, program_of, untuned
+from mmwave_env.engines.epoch import Asked, decide, filter_epoch, program_of, score, untuned
 from mmwave_env.filters.bank import Bank, best_bank, default_modes, named_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import SMOOTHING_WINDOW
@@ -183,7 +183,7 @@ def operations() -> Iterator[Row]:
     bank = best_bank()
     both = Pipeline(default_modes(), source.layout)
     five = Pipeline(bank.modes, source.layout)
-    whole = ("filter", "decide", "score")
+    whole = (filter_epoch, decide, score)
     programs: dict[str, Any] = {}
     for name in ("ekf", "ukf", "ckf", "ekf-robust", "ukf-robust"):
         alone = untuned(Pipeline((modes[name],), source.layout))
