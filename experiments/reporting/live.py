@@ -111,6 +111,9 @@ def _epochs(scene: Scene, snr_db: float | None, clock: bool) -> Iterator[LiveEpo
         if whole:
             yield from log.end_epoch()
     yield from log.end_epoch()
+    if log.left_out:
+        counts = ", ".join(f"{count} of {name!r}" for name, count in log.left_out.items())
+        _warn(f"{SOURCE}: left out in all: {counts}")
 
 
 def _objects(line: str, number: int) -> tuple[list[Any], bool]:

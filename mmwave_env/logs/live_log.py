@@ -4,6 +4,7 @@ A row whose cells are well within their limits passes quick checks. All other ro
 checks of ``log_checks.py``, which are slower and also find out what is wrong.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import inf, isnan, nan
 from pathlib import Path
@@ -12,16 +13,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mmwave_env.logs.log import Log, layout_of, log_of, places
-from mmwave_env.logs.log_checks import first_damage
-from mmwave_env.logs.log_columns import BODY, QUANTITIES, STATION, Unit
+from mmwave_env.logs.log_checks import first_damage, without_lost
+from mmwave_env.logs.log_columns import BODY, LOST, QUANTITIES, STATION
 from mmwave_env.logs.log_tables import LogError, Table, log_file, parse
 from mmwave_env.models.layout import Layout, wrapped
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import PI
 
 _NUMBERS = {float, int, np.float64}  # types that need no parsing; others are parsed as text
+_LOST = {-1.0, *LOST, *(-code for code in LOST)}  # numbers that need the full checks
 _LATE = 3  # number of late epochs, one after the other, with which a log goes on
-_MARGIN = 1e-9  # values this close to a limit (relative distance) need the full checks
 
 
 class LiveEpoch(NamedTuple):
@@ -55,6 +56,8 @@ class LiveLog:
 
     Attributes:
         warnings: what was ignored; the caller shows and clears them.
+        left_out: number of values that were left out, by the name of their column; the first of
+            each column causes a warning.
 
     Raises:
         LogError: a column is wrong or missing, or the noise of a quantity is unknown.
@@ -75,6 +78,7 @@ class LiveLog:
         self._snr_db = snr_db
         self._clock = clock
         self.warnings: list[str] = []
+        self.left_out: Counter[str] = Counter()
         self._ignored: set[str] = set()
         self._rows: list[list[float]] = []
         self._last_s = -inf
@@ -99,7 +103,7 @@ class LiveLog:
         ]
         snr = [nan if self._snr_db is None else self._snr_db] * self.layout.anchors
         self._blank = [nan] * 2 * self.layout.size + snr + [nan]
-        self._limits = {column.name: _limits(of, column.unit) for of, column in columns.items()}
+        self._limits = {column.name: (column.low, column.high) for column in columns.values()}
         self._anchors = set(range(1, self.layout.anchors + 1))
         self._of_epoch = [
             (column.number, of == "doppler")
@@ -220,8 +224,13 @@ class LiveLog:
         table = parse(self._log, [row], number)
         cells = table.cells.ravel().tolist()
         if cells and (table.damage or not self._plain(cells)):
+            table, notes = without_lost(table, self._clock)
             self._require_sound(table)
-        return cells
+            for name, note in notes.items():
+                if not self.left_out[name]:
+                    self.warnings.append(f"left out, as missing: {note}")
+            self.left_out.update(notes.keys())
+        return table.cells.ravel().tolist()
 
     def _learn_from(self, row: str | Mapping[str, Any], number: int) -> None:
         """Add the columns of a row that no row had before."""
@@ -248,7 +257,8 @@ class LiveLog:
     def _plain(self, cells: list[Any]) -> bool:
         """Tell whether the cells of a row are surely sound; if not, they need the full checks."""
         for cell, (low, high) in zip(cells, self._limits.values(), strict=True):
-            if type(cell) not in _NUMBERS or cell < low or cell > high:  # NaN is an empty cell
+            # NaN is an empty cell
+            if type(cell) not in _NUMBERS or cell < low or cell > high or cell in _LOST:
                 return False
         return cells[self._anchor] in self._anchors and not isnan(cells[self._time])
 
@@ -256,16 +266,3 @@ class LiveLog:
         _, damage = first_damage(table, self.layout, limits=True)
         if damage:
             raise damage
-
-
-def _limits(quantity: str, unit: Unit) -> tuple[float, float]:
-    """Return limits within which cells are surely sound, slightly tighter than the real limits."""
-    limits = QUANTITIES[quantity].limits
-    if not limits:
-        return -1e300, 1e300
-    bound, of = limits
-    assert bound.least is not None and bound.most is not None
-    scale = unit.divide / unit.multiply * (np.pi / 180.0 if of == "degrees" else 1.0)
-    low = bound.least * scale
-    high = bound.most * scale
-    return low + _MARGIN * abs(low), high - _MARGIN * abs(high)

@@ -70,9 +70,13 @@ class LogFile:
     width: int  # number of columns in the file
     delimiter: str = ","  # character between the cells of a CSV file
 
+    def place(self, row: int) -> str:
+        """Return the place of a row; in a CSV file, the row number is the line number."""
+        return f"{'row' if _is_parquet(self.path) else 'line'} {row}"
+
     def error(self, row: int, quantity: str, problem: str, expected: str) -> LogError:
-        """Return an error that names a cell; in a CSV file, the row number is the line number."""
-        place = f"{'row' if _is_parquet(self.path) else 'line'} {row}"
+        """Return an error that names a cell, or a row if ``quantity`` is ""."""
+        place = self.place(row)
         if quantity:
             place += f", column {self.columns[quantity].name!r}"
         return LogError(f"{self.path}, {place}: found {problem}, expected {expected}")

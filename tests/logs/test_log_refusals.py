@@ -1,13 +1,15 @@
 """Tests of damaged logs: the epochs before the damage are read, then an error names the damage."""
 
 import sys
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from mmwave_env.io.lookup import MissingExtraError
-from mmwave_env.logs.log import read_log
+from mmwave_env.logs.live_log import LiveLog
+from mmwave_env.logs.log import Log, read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from tests.logs.by_hand import (
@@ -46,12 +48,7 @@ CELLS = [  # row, column and wrong content of the cell
     (6, "time_s", "1.0000000001"),
     *((7, "anchor", number) for number in ("", "0", "4", "1.5")),
     (8, "anchor", "2"),
-    (7, "toa_s", "-1e-9"),
-    (7, "aoa_elevation_rad", "1.67"),
-    (7, "aod_azimuth_rad", "-57.3"),
-    (6, "doppler_hz", "1e308"),
     (7, "doppler_hz", "3"),
-    (7, "snr_db", "-1e4"),
 ]
 DAMAGE = {  # name -> change, fields that the message names, number of epochs before the error
     f"line {row + 2}, {column} {value!a}": (
@@ -65,12 +62,12 @@ DAMAGE = {  # name -> change, fields that the message names, number of epochs be
     "NULs": (lambda lines: lines.insert(9, {"": "\0" * 90}), ["line 11"], 3),
     "additional row": (lambda lines: lines.append(lines[9]), ["line 14", "anchor"], 3),
     "first of two errors": (
-        lambda lines: (lines[7].update(toa_s="-1"), lines[10].update(snr_db="x")),
-        ["line 9", "toa_s"],
+        lambda lines: (lines[7].update(anchor="9"), lines[10].update(snr_db="x")),
+        ["line 9", "anchor"],
         2,
     ),
     "text before a wrong number": (
-        lambda lines: (lines[7].update(snr_db="x"), lines[10].update(toa_s="-1")),
+        lambda lines: (lines[7].update(snr_db="x"), lines[10].update(anchor="9")),
         ["line 9", "snr_db"],
         2,
     ),
@@ -89,6 +86,53 @@ def test_epochs_before_a_damaged_row_are_read_before_an_error_names_the_row(tmp_
     else:
         whole = read(store(tmp_path, text(rows()), "whole.csv"))
         assert_same(replace(log, line=whole.line[:epochs]), whole.part(slice(epochs)))
+
+
+LOST = {  # cells of a row -> columns whose cells are left out
+    "a range far below 0": ({"toa_s": "-1e-7"}, "toa_s"),
+    "an elevation beyond the vertical": ({"aoa_elevation_rad": "-1.578"}, "aoa_elevation_rad"),
+    "9999": (dict.fromkeys(COLUMNS[2:6], "-9999.0"), " ".join(COLUMNS[2:6])),
+    "-1 in a whole link": (dict.fromkeys(COLUMNS[2:], "-1"), " ".join(COLUMNS[2:])),
+    "an infinite shift": ({"doppler_hz": "1e999"}, "doppler_hz"),
+    **{
+        f"a deviation of {value}": ({"range_sigma_m": value}, "range_sigma_m toa_s")
+        for value in ("inf", "1e10", "1.8e308", "0", "-1")
+    },
+}
+
+
+@pytest.mark.parametrize("name", LOST)
+def test_values_that_mean_lost_or_are_impossible_are_left_out_of_files_and_live(tmp_path, name):
+    cells, columns = LOST[name]
+    lines = [{**line, "range_sigma_m": "0.5"} for line in rows()]
+    lines[6] |= cells
+    empty = deepcopy(lines)
+    empty[6] |= dict.fromkeys(columns.split(), "")
+    expected = read(store(tmp_path, text(empty), "empty.csv"), partial=True)
+    with pytest.warns(
+        UserWarning, match=f"left out, as missing: 1 of '{columns.split()[0]}'.*line 8"
+    ):
+        log = read(store(tmp_path, text(lines)), partial=True)
+    assert_same(log, expected)
+    live = LiveLog(list(lines[0]), SCENE)
+    epochs = [epoch.log() for line in lines for epoch in live.add(",".join(line.values()))]
+    assert_same(replace(Log.joined(epochs), line=log.line), log)
+    assert len(live.warnings) == live.left_out.total() == len(columns.replace(" toa_s", "").split())
+
+
+def test_ranges_slightly_below_0_and_unwrapped_azimuths_are_used(tmp_path):
+    lines = [{**line, "aod_azimuth_deg": line["aod_azimuth_rad"]} for line in rows()]
+    for line in lines:
+        del line["aod_azimuth_rad"]
+    lines[7] |= {"toa_s": "-1e-9", "aod_azimuth_deg": "-810"}
+    z = read(store(tmp_path, text(lines))).measurement[2]
+    np.testing.assert_allclose(z[[4, 7]], [-1e-9 * SPEED_OF_LIGHT, -np.pi / 2])
+
+
+def test_a_column_that_is_mostly_beyond_its_limits_is_refused_with_the_likely_unit(tmp_path):
+    lines = [line | {"aoa_azimuth_rad": "-57.3"} for line in rows()]
+    with pytest.raises(LogError, match="line 2, column 'aoa_azimuth_rad'.*aoa_azimuth_deg"):
+        read(store(tmp_path, text(lines)))
 
 
 @pytest.mark.parametrize("angle", [np.pi / 2, -np.pi / 2, float(np.float32(np.pi / 2))])
@@ -263,9 +307,7 @@ class TestParquet:
             ("anchor", 7, None),
             ("time_s", 7, 0.0),
             ("time_s", 6, None),
-            ("toa_s", 2, -1.0),
             ("doppler_hz", 4, 1.0),
-            ("snr_db", 11, float("inf")),
         ],
     )
     @pytest.mark.parametrize("batch", [2, 5, 1000])
