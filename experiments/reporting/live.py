@@ -1,6 +1,5 @@
 """Live localization: rows from standard input, one JSON line per epoch on standard output."""
 
-import csv
 import json
 import sys
 from collections.abc import Iterator
@@ -17,7 +16,7 @@ from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.radio_choice import nearest_radio
 from mmwave_env.localization.tracker import Position, Tracker
 from mmwave_env.logs.live_log import LiveEpoch, LiveLog
-from mmwave_env.logs.log_tables import LogError
+from mmwave_env.logs.log_tables import LogError, header_of
 from mmwave_env.models.layout import clock_from
 from mmwave_env.models.scene import Scene, scene_from
 
@@ -86,14 +85,13 @@ def _epochs(scene: Scene, snr_db: float | None, clock: bool) -> Iterator[LiveEpo
     if not first:
         raise ValueError(f"log: found nothing on {SOURCE}, expected a header or JSON lines")
     as_json = first.lstrip().startswith("{")
-    delimiter = "," if "," in first else ";"
     if as_json:
-        names = dict.fromkeys(name for row in _objects(first, number)[0] for name in row)
+        names = [*dict.fromkeys(name for row in _objects(first, number)[0] for name in row)]
         lines = chain([(number, first)], lines)
+        delimiter = ","
     else:
-        header = next(csv.reader([first], delimiter=delimiter))
-        names = dict.fromkeys(name.strip() for name in header)
-    log = LiveLog([*names], scene, snr_db, SOURCE, clock, "," if as_json else delimiter)
+        names, delimiter = header_of(first)
+    log = LiveLog(names, scene, snr_db, SOURCE, clock, delimiter)
     for number, line in lines:
         try:
             rows, whole = _objects(line, number) if as_json else ([line], False)

@@ -220,8 +220,8 @@ class LiveLog:
             cells = [nan if (cell := row.get(name)) is None else cell for name in self._limits]
             if self._plain(cells):
                 return cells
-            row = self._log.delimiter.join(map(str, cells))
-        table = parse(self._log, [row], number)
+            words = ["" if (cell := row.get(name)) is None else str(cell) for name in self._names]
+        table = parse(self._log, [row if isinstance(row, str) else words], number)
         cells = table.cells.ravel().tolist()
         if cells and (table.damage or not self._plain(cells)):
             table, notes = without_lost(table, self._clock)

@@ -67,7 +67,7 @@ class LogFile:
 
     path: Path  # path of the file
     columns: dict[str, Column]  # the columns that are used, by quantity
-    width: int  # number of columns in the file
+    names: Sequence[str]  # names of all columns in the file
     delimiter: str = ","  # character between the cells of a CSV file
 
     def place(self, row: int) -> str:
@@ -161,7 +161,7 @@ def log_file(
         columns = columns_of(names, hz_per_mps, **options)
     except ValueError as error:
         raise LogError(f"{path}: {error}") from error
-    return LogFile(path, columns, len(names), delimiter)
+    return LogFile(path, columns, names, delimiter)
 
 
 def read_table(path: Path, hz_per_mps: float, **options: bool) -> Table:
@@ -179,7 +179,12 @@ def read_table(path: Path, hz_per_mps: float, **options: bool) -> Table:
     if _is_parquet(path):
         return _read_parquet(path, hz_per_mps, **options)
     lines, problem = read_lines(path)
-    names, delimiter = _header(path, lines, problem)
+    if not lines:
+        raise LogError(f"{path}: found {problem or 'an empty file'}, expected a measurement log")
+    try:
+        names, delimiter = header_of(lines[0])
+    except ValueError as error:
+        raise LogError(f"{path}, line 1: {error}") from error
     file = log_file(path, names, delimiter, hz_per_mps, **options)
     table = parse(file, lines[1:], 2)
     if problem and not table.damage:
@@ -191,34 +196,42 @@ def _is_parquet(path: Path) -> bool:
     return path.suffix.lower() == ".parquet"
 
 
-def _header(path: Path, lines: list[str], problem: str) -> tuple[list[str], str]:
-    """Return the names of columns and the delimiter: a semicolon if the header has no comma."""
-    if not lines:
-        raise LogError(f"{path}: found {problem or 'an empty file'}, expected a measurement log")
-    delimiter = "," if "," in lines[0] else ";"
-    try:  # str.split would not do, because some programs quote names
-        names = [name.strip() for name in next(csv.reader(lines[:1], delimiter=delimiter))]
-    except csv.Error:
-        names = []
+def header_of(line: str) -> tuple[list[str], str]:
+    """Return the names of columns and the delimiter: a semicolon if the header has no comma.
+
+    Raises:
+        ValueError: the line is no header.
+    """
+    delimiter = "," if "," in line else ";"
+    names = [name.strip() for name in _words(line, delimiter)]
     if len(names) < 2:
-        raise LogError(
-            f"{path}, line 1: found {lines[0][:60]!r}, expected comma-separated names of columns"
-        )
+        raise ValueError(f"found {line[:60]!r}, expected comma-separated names of columns")
     return names, delimiter
 
 
-def parse(file: LogFile, lines: Sequence[str], first: int) -> Table:
-    """Parse lines up to the first damage; skip blank lines, and read blank cells as NaN.
+def _words(line: str, delimiter: str) -> list[str]:
+    """Return the cells of a line, without the quotes of RFC 4180."""
+    if '"' in line:
+        try:
+            return next(csv.reader([line], delimiter=delimiter, strict=True))
+        except csv.Error:
+            pass  # a cell keeps its quote, so that messages can show it
+    return line.split(delimiter)
 
-    ``first`` is the number of the first line.
+
+def parse(file: LogFile, lines: Sequence[str | list[str]], first: int) -> Table:
+    """Parse lines (or their cells) up to the first damage; skip blank lines.
+
+    Blank cells are read as NaN. ``first`` is the number of the first line.
     """
     cells = array("d")
     rows = array("q")
     damage = None
+    width = len(file.names)
     for row, line in enumerate(lines, start=first):
-        words = line.split(file.delimiter)
+        words = _words(line, file.delimiter) if isinstance(line, str) else line
         values = []
-        if len(words) == file.width:
+        if len(words) == width:
             for quantity, column in file.columns.items():
                 word = words[column.number]
                 value = number(word)
@@ -226,12 +239,12 @@ def parse(file: LogFile, lines: Sequence[str], first: int) -> Table:
                 if math.isnan(value) and not (damage or _says_nothing(word)):
                     expected = _ANCHOR if quantity == "anchor" else _NUMBER
                     damage = file.error(row, quantity, quoted(word.strip()), expected)
-        elif not line.strip():
+        elif isinstance(line, str) and not line.strip():
             continue
         else:
             values = [math.nan] * len(file.columns)
             count = f"{len(words)} cells" if len(words) > 1 else f"one cell, {line[:40]!r}"
-            damage = file.error(row, "", count, f"{file.width}, as in the header")
+            damage = file.error(row, "", count, f"{width}, as in the header")
         cells.extend(values)
         rows.append(row)
         if damage:
@@ -241,8 +254,8 @@ def parse(file: LogFile, lines: Sequence[str], first: int) -> Table:
 
 
 def _says_nothing(word: str) -> bool:
-    """Tell whether a cell says that nothing was measured: it is blank or "nan"."""
-    return word.strip().lower().lstrip("+-") in ("", "nan")
+    """Tell whether a cell says that nothing was measured: it is blank, "nan", "NA" or "null"."""
+    return word.strip().lower().lstrip("+-") in ("", "nan", "na", "null", "none")
 
 
 def _ending(table: Table, row: int, problem: str) -> Table:

@@ -24,6 +24,7 @@ from tests.logs.by_hand import (
     episode,
     in_body,
     read,
+    read_live,
     require_pyarrow,
     rows,
     shown,
@@ -212,6 +213,9 @@ VARIANTS = {
     "spaces": lambda s: s.replace(",", " , "),
     "semicolons": lambda s: s.replace(",", ";"),
     "quoted header": lambda s: '"' + HEADER.replace(",", '","') + '"' + s[len(HEADER) :],
+    "quoted cells": lambda s: '"' + s.replace(",", '","').replace("\n", '"\n"')[:-1],
+    "one quoted column": lambda s: s.replace(",1,", ',"1",'),
+    "NA": lambda s: s.replace(",,", ",NA,"),
     "anchor 1.0": lambda s: s.replace("\n0,1,", "\n0.0,1.0,"),
     "other order": lambda s: "".join(",".join(line.split(",")[::-1]) + "\n" for line in s.split()),
 }
@@ -222,9 +226,12 @@ def test_separators_line_ends_and_the_order_of_columns_do_not_change_what_is_rea
     plain = text(rows())
     other = VARIANTS[name](text(rows()))
     assert other != plain
-    same = read(store(tmp_path, other, "other.csv"))
-    expected = read(store(tmp_path, plain))
-    assert_same(replace(same, line=expected.line), expected)
+    same = read(store(tmp_path, other, "other.csv"), partial=True)
+    expected = read(store(tmp_path, plain), partial=True)
+    assert_same(same, expected, "line")
+    if name != "blank lines":
+        live, _ = read_live(other)
+        assert_same(live, expected, "line")
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
