@@ -10,7 +10,7 @@ from typing import Any
 from experiments.console.options import AUTO, LogArgs, require_alone, require_at_least
 from experiments.console.progress import note
 from experiments.reporting.log_choice import choice_of, require_one_choice
-from mmwave_env.io.files import Json, parse_json
+from mmwave_env.io.files import Json, first_line, parse_json
 from mmwave_env.io.lookup import printable, quoted
 from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.radio_choice import nearest_radio
@@ -123,8 +123,8 @@ def _objects(line: str, number: int) -> tuple[list[Any], bool]:
             raise ValueError("a row that is not an object")
     except (ValueError, TypeError, AttributeError) as error:
         raise LogError(
-            f"{SOURCE}, line {number}: found {quoted(line)}, expected a row as a JSON object, or "
-            'all rows of an epoch as {"rows": [...]}'
+            f"{SOURCE}, line {number}: found {quoted(line)} ({first_line(error)}), expected a row "
+            'as a JSON object, or all rows of an epoch as {"rows": [...]}'
         ) from error
     return rows, "rows" in content
 

@@ -79,7 +79,7 @@ class LiveLog:
         self._clock = clock
         self.warnings: list[str] = []
         self.left_out: Counter[str] = Counter()
-        self._ignored: set[str] = set()
+        self._ignored = {""}
         self._rows: list[list[float]] = []
         self._last_s = -inf
         self._late_s: list[float] = []  # increasing times of late rows, with no other row between
@@ -94,10 +94,11 @@ class LiveLog:
         self._names = [*names]
         columns = self._log.columns
         self._turned = STATION in columns or BODY in columns
-        self._time = columns["time"].number
-        self._anchor = columns["anchor"].number
+        cell_of = {of: i for i, of in enumerate(columns)}
+        self._time = cell_of["time"]
+        self._anchor = cell_of["anchor"]
         self._slots = [
-            (columns[of].number, *place, columns[of].unit.convert, place[0] in self.layout.angles)
+            (cell_of[of], *place, columns[of].unit.convert, place[0] in self.layout.angles)
             for of, place in places(self.layout).items()
             if of in columns
         ]
@@ -106,8 +107,8 @@ class LiveLog:
         self._limits = {column.name: (column.low, column.high) for column in columns.values()}
         self._anchors = set(range(1, self.layout.anchors + 1))
         self._of_epoch = [
-            (column.number, of == "doppler")
-            for of, column in columns.items()
+            (i, of == "doppler")
+            for of, i in cell_of.items()
             if QUANTITIES[of].per_epoch or of == "doppler"
         ]
 

@@ -135,7 +135,7 @@ QUANTITIES = {
     "speed": Quantity(_SPEED, "the speed from odometry", _FASTEST, per_epoch=True),
     "heading": Quantity(_in("heading", _ANGLE), "the direction of travel", _TURN, per_epoch=True),
 }
-_QUANTITY_OF = {name: quantity for quantity, row in QUANTITIES.items() for name in row.columns}
+QUANTITY_OF = {name: quantity for quantity, row in QUANTITIES.items() for name in row.columns}
 
 # For each quantity, words that suggest it if they occur in the name of an unknown column.
 _SYNONYMS = {
@@ -187,14 +187,14 @@ def columns_of(
     If ``odometry`` is False, columns of odometry are ignored, except a heading that angles need; if
     ``associated`` is False, a column of anchors is ignored. A Doppler shift in m/s is multiplied by
     ``hz_per_mps``, f_c / c. If ``partial`` is True, one quantity of :data:`HORIZONTAL` is enough;
-    otherwise the range, the three angles and the SNR are required.
+    otherwise the range, the three angles and the SNR are required. Columns named "" are ignored.
 
     Raises:
         ValueError: a name is unknown or lacks its unit, or a quantity occurs twice or is
             missing; the message lists the names that are allowed.
     """
     columns: dict[str, Column] = {}
-    if unknown := [name for name in names if name not in _QUANTITY_OF]:
+    if unknown := [name for name in names if name and name not in QUANTITY_OF]:
         problems = "; ".join(map(_problem, unknown[:10]))  # enough to read in one message
         known = ", ".join(next(iter(row.columns)) for row in QUANTITIES.values())
         raise ValueError(
@@ -202,7 +202,9 @@ def columns_of(
             "docs/own-data.md shows a command that renames the columns of a log"
         )
     for number, name in enumerate(names):
-        quantity = _QUANTITY_OF[name]
+        if not name:
+            continue
+        quantity = QUANTITY_OF[name]
         if quantity in columns:
             raise _twice(columns[quantity].name, name, f"{quantity} once")
         unit = QUANTITIES[quantity].columns[name]
@@ -258,7 +260,7 @@ def _problem(name: str) -> str:
         expected = _one_of(QUANTITIES[spelled[max(meant, key=len)]].columns)
         return f"column {quoted(name)}: found no known unit, expected {expected}"
     *_, unit = words = re.findall("[a-z]+", name.lower()) or [name]
-    hint = did_you_mean(name, _QUANTITY_OF, 2)
+    hint = did_you_mean(name, QUANTITY_OF, 2)
     for quantity, synonyms in _SYNONYMS.items():
         if not set(synonyms).isdisjoint(words):
             known = QUANTITIES[quantity].columns

@@ -6,6 +6,7 @@ numbers; ``log_checks.py`` checks the numbers.
 
 import csv
 import math
+import re
 from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -18,7 +19,7 @@ import numpy as np
 from mmwave_env.io.files import open_regular
 from mmwave_env.io.lookup import quoted, require_extra
 from mmwave_env.logs.lines import number, read_lines, require_memory
-from mmwave_env.logs.log_columns import BODY, STATION, Column, columns_of
+from mmwave_env.logs.log_columns import BODY, QUANTITY_OF, STATION, Column, columns_of
 from mmwave_env.models.measurement import seen_from_image
 from mmwave_env.numerics.numbers import Array, Index
 
@@ -27,6 +28,7 @@ AnyArrays = TypeVar("AnyArrays", bound="Arrays")
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
 _BATCH_ROWS = 1 << 14
 _ROW_BYTES = 2000  # memory for a row of a Parquet file, and for its part in the track
+_UNNAMED = re.compile(r"^Unnamed: \d+$")
 _NUMBER = "a number, or nothing if it was not measured"
 _ANCHOR = "the number of an anchor in the scene (1: the base station)"
 
@@ -67,8 +69,13 @@ class LogFile:
 
     path: Path  # path of the file
     columns: dict[str, Column]  # the columns that are used, by quantity
-    names: Sequence[str]  # names of all columns in the file
+    names: Sequence[str]  # names of all columns in the file; "" if a column has none
     delimiter: str = ","  # character between the cells of a CSV file
+
+    @cached_property
+    def unnamed(self) -> list[int]:
+        """Return the indices of the columns without a name, which may hold numbers of rows."""
+        return [number for number, name in enumerate(self.names) if not name]
 
     def place(self, row: int) -> str:
         """Return the place of a row; in a CSV file, the row number is the line number."""
@@ -185,6 +192,9 @@ def read_table(path: Path, hz_per_mps: float, **options: bool) -> Table:
         names, delimiter = header_of(lines[0])
     except ValueError as error:
         raise LogError(f"{path}, line 1: {error}") from error
+    first = _words(lines[1], delimiter) if len(lines) > 1 else []
+    if len(first) == len(names) + 1 and first[0].isdigit() and first[-1]:
+        names = ["", *names]  # R names the rows, but not their column
     file = log_file(path, names, delimiter, hz_per_mps, **options)
     table = parse(file, lines[1:], 2)
     if problem and not table.damage:
@@ -199,11 +209,13 @@ def _is_parquet(path: Path) -> bool:
 def header_of(line: str) -> tuple[list[str], str]:
     """Return the names of columns and the delimiter: a semicolon if the header has no comma.
 
+    The name of a column without one is "", also if pandas called it "Unnamed: 0".
+
     Raises:
         ValueError: the line is no header.
     """
     delimiter = "," if "," in line else ";"
-    names = [name.strip() for name in _words(line, delimiter)]
+    names = [_UNNAMED.sub("", name.strip()) for name in _words(line, delimiter)]
     if len(names) < 2:
         raise ValueError(f"found {line[:60]!r}, expected comma-separated names of columns")
     return names, delimiter
@@ -228,9 +240,12 @@ def parse(file: LogFile, lines: Sequence[str | list[str]], first: int) -> Table:
     rows = array("q")
     damage = None
     width = len(file.names)
+    unnamed = file.unnamed
     for row, line in enumerate(lines, start=first):
         words = _words(line, file.delimiter) if isinstance(line, str) else line
         values = []
+        if len(words) > width and not "".join(words[width:]).strip():
+            words = words[:width]  # some programs write delimiters without cells
         if len(words) == width:
             for quantity, column in file.columns.items():
                 word = words[column.number]
@@ -239,6 +254,10 @@ def parse(file: LogFile, lines: Sequence[str | list[str]], first: int) -> Table:
                 if math.isnan(value) and not (damage or _says_nothing(word)):
                     expected = _ANCHOR if quantity == "anchor" else _NUMBER
                     damage = file.error(row, quantity, quoted(word.strip()), expected)
+            for spare in (words[i] for i in unnamed):
+                if not (damage or spare.strip().isdigit() or _says_nothing(spare)):
+                    problem = f"{quoted(spare)} in a column without a name"
+                    damage = file.error(row, "", problem, "a name, or only numbers of rows")
         elif isinstance(line, str) and not line.strip():
             continue
         else:
@@ -273,11 +292,17 @@ def _read_parquet(path: Path, hz_per_mps: float, **options: bool) -> Table:
     open_regular(path, "a measurement log").close()
     try:
         source = parquet.ParquetFile(path, page_checksum_verification=True)
-        kinds = {field.name: field.type for field in source.schema_arrow}
-    except (OSError, UnicodeDecodeError, pyarrow.ArrowException) as error:
+        schema = source.schema_arrow
+        kinds = {field.name: field.type for field in schema}
+        index = (schema.pandas_metadata or {}).get("index_columns", [])
+    except (OSError, ValueError, AttributeError, pyarrow.ArrowException) as error:
         raise LogError(f"{path}: found unreadable data ({error}), expected Parquet") from error
     with source:
-        file = log_file(path, list(kinds), "", hz_per_mps, **options)
+        known = [
+            "" if name in index and name not in QUANTITY_OF else _UNNAMED.sub("", name)
+            for name in schema.names
+        ]
+        file = log_file(path, known, "", hz_per_mps, **options)
         names = [column.name for column in file.columns.values()]
         types = pyarrow.types
         numeric = types.is_floating, types.is_integer, types.is_decimal, types.is_null

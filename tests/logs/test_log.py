@@ -204,6 +204,12 @@ def test_the_doppler_shift_is_missing_if_the_log_has_no_doppler_column(tmp_path)
     assert block.visible[:, :L].all() and not block.visible[:, L].any()
 
 
+def numbered(content, name):
+    """Return a log's text with a first column that has this name and numbers of rows."""
+    first, *lines = content.rstrip().split("\n")
+    return "\n".join([f"{name},{first}", *(f'"{n}",{line}' for n, line in enumerate(lines))])
+
+
 VARIANTS = {
     "CRLF": lambda s: s.replace("\n", "\r\n"),
     "BOM": lambda s: "\ufeff" + s,
@@ -215,10 +221,19 @@ VARIANTS = {
     "quoted header": lambda s: '"' + HEADER.replace(",", '","') + '"' + s[len(HEADER) :],
     "quoted cells": lambda s: '"' + s.replace(",", '","').replace("\n", '"\n"')[:-1],
     "one quoted column": lambda s: s.replace(",1,", ',"1",'),
+    "numbered rows": lambda s: numbered(s, ""),
+    "Unnamed: 0": lambda s: numbered(s, "Unnamed: 0"),
+    "delimiters without cells": lambda s: s.replace("\n", ",,\n"),
+    "delimiters in rows": lambda s: HEADER + s.replace("\n", ",\n")[len(HEADER) + 1 :],
     "NA": lambda s: s.replace(",,", ",NA,"),
     "anchor 1.0": lambda s: s.replace("\n0,1,", "\n0.0,1.0,"),
     "other order": lambda s: "".join(",".join(line.split(",")[::-1]) + "\n" for line in s.split()),
 }
+
+
+def test_rows_that_r_has_numbered_are_read(tmp_path):
+    path = store(tmp_path, numbered(text(rows()), "").removeprefix(","))
+    assert_same(read(path), read(store(tmp_path, text(rows()))))
 
 
 @pytest.mark.parametrize("name", VARIANTS)

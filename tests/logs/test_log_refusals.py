@@ -59,6 +59,11 @@ DAMAGE = {  # name -> change, fields that the message names, number of epochs be
     )
     for row, column, value in CELLS
 } | {
+    "text without a name": (
+        lambda lines: [line.update({"": "x"}) for line in lines],
+        ["line 2"],
+        0,
+    ),
     "one cell": (lambda lines: lines.insert(7, {"": "xyz"}), ["line 9"], 2),
     "NULs": (lambda lines: lines.insert(9, {"": "\0" * 90}), ["line 11"], 3),
     "additional row": (lambda lines: lines.append(lines[9]), ["line 14", "anchor"], 3),
@@ -294,6 +299,22 @@ class TestParquet:
         empty = self.arrow.nulls(12)
         block = read(self.store(tmp_path, self.columns(anchor=anchor, doppler_hz=empty)))
         assert block.visible[:, :L].all() and not block.visible[:, L].any()
+
+    def test_an_index_of_pandas_is_ignored(self, tmp_path):
+        columns = self.columns()
+        table = self.arrow.table(columns | {"__index_level_0__": range(12)})
+        pandas = {"pandas": '{"index_columns": ["__index_level_0__", "time_s", {}]}'}
+        path = self.store(tmp_path, columns)
+        expected = read(path)
+        self.parquet.write_table(table.replace_schema_metadata(pandas), path)
+        assert_same(read(path), expected)
+
+    def test_a_column_that_occurs_twice_is_refused(self, tmp_path):
+        table = self.arrow.table(self.columns())
+        path = tmp_path / "log.parquet"
+        self.parquet.write_table(table.append_column("snr_db", table["snr_db"]), path)
+        with pytest.raises(LogError, match="columns: found 'snr_db' twice"):
+            read_log(path, SCENE)
 
     @pytest.mark.parametrize("values", [["1"] * 12, [True] * 12, [[1.0]] * 12])
     def test_columns_that_are_not_numeric_are_refused(self, tmp_path, values):
