@@ -110,7 +110,7 @@ def _epochs(scene: Scene, snr_db: float | None, clock: bool) -> Iterator[LiveEpo
             yield from log.end_epoch()
     yield from log.end_epoch()
     if log.left_out:
-        counts = ", ".join(f"{count} of {name!r}" for name, count in log.left_out.items())
+        counts = ", ".join(f"{name}: {count}" for name, count in log.left_out.items())
         _warn(f"{SOURCE}: left out in all: {counts}")
 
 

@@ -56,8 +56,8 @@ class LiveLog:
 
     Attributes:
         warnings: what was ignored; the caller shows and clears them.
-        left_out: number of values that were left out, by the name of their column; the first of
-            each column causes a warning.
+        left_out: number of values that were left out, by the name of their column, and of
+            "repeated rows"; the first of each causes a warning.
 
     Raises:
         LogError: a column is wrong or missing, or the noise of a quantity is unknown.
@@ -81,6 +81,7 @@ class LiveLog:
         self.left_out: Counter[str] = Counter()
         self._ignored = {""}
         self._rows: list[list[float]] = []
+        self._last: list[list[float]] = []  # rows of the last epoch
         self._last_s = -inf
         self._late_s: list[float] = []  # increasing times of late rows, with no other row between
         self._set_columns(names)
@@ -127,6 +128,8 @@ class LiveLog:
         if not self._rows or cells[self._time] != self._rows[0][self._time]:
             time_s = self._time_s(cells)
             latest_s = self._time_s(self._rows[0]) if self._rows else self._last_s
+            if time_s <= latest_s and self._repeats(cells, self._last, number):
+                return []
             if time_s <= latest_s and not self._goes_on_at(time_s):
                 problem = f"time {time_s!r} s in a row that follows the epoch at {latest_s!r} s"
                 raise self._log.error(number, "time", problem, "times that increase")
@@ -134,9 +137,24 @@ class LiveLog:
         self._late_s.clear()
         for before in self._rows:
             if not self._agree(cells, before):
+                if self._repeats(cells, [before], number):
+                    return over
                 self._require_sound(self._table([*self._rows, cells], number))
         self._rows.append(cells)
         return [*over, *(self.end_epoch() if len(self._rows) == self.layout.anchors else [])]
+
+    def _repeats(self, cells: list[float], rows: list[list[float]], number: int) -> bool:
+        """Tell whether one of these rows has the same cells; count and report repeated rows."""
+        if repr(cells) not in map(repr, rows):
+            return False
+        self._report("repeated rows", f"repeated rows (row {number})")
+        return True
+
+    def _report(self, name: str, note: str) -> None:
+        """Count what was left out; the first of each name causes a warning."""
+        self.left_out[name] += 1
+        if self.left_out[name] == 1:
+            self.warnings.append(f"left out: {note}")
 
     def _goes_on_at(self, time_s: float) -> bool:
         """Tell whether so many late rows came in order that the log goes on at their time."""
@@ -173,6 +191,7 @@ class LiveLog:
         self._last_s = self._time_s(self._rows[0])
         rows = self._rows
         self._rows = []
+        self._last = rows
 
         def log() -> Log:
             return log_of(self._table(rows), self._scene, self.layout, True, self._snr_db)
@@ -228,9 +247,7 @@ class LiveLog:
             table, notes = without_lost(table, self._clock)
             self._require_sound(table)
             for name, note in notes.items():
-                if not self.left_out[name]:
-                    self.warnings.append(f"left out, as missing: {note}")
-            self.left_out.update(notes.keys())
+                self._report(name, note)
         return table.cells.ravel().tolist()
 
     def _learn_from(self, row: str | Mapping[str, Any], number: int) -> None:

@@ -24,7 +24,7 @@ def sound_epochs(
 ) -> tuple[Table, LogError | None]:
     """Check the rows of a log; return those of all epochs before the first damage, and its error.
 
-    Cells that :func:`without_lost` empties cause a warning.
+    Repeated rows are left out. They, and cells that :func:`without_lost` empties, cause a warning.
 
     Args:
         table: the rows.
@@ -33,9 +33,13 @@ def sound_epochs(
     """
     clock = layout is not None and layout.clock
     table, notes = without_lost(table, clock, _WRONG_UNIT if limits else 0.0)
+    if layout and (repeated := _repeated(table)).any():
+        first = table.file.place(table.rows[np.argmax(repeated)])
+        notes["repeated rows"] = f"{repeated.sum()} repeated rows ({first})"
+        table = table.part(~repeated)
     if notes:
         what = "; ".join(notes.values())
-        warnings.warn(f"{table.file.path}: left out, as missing: {what}", stacklevel=3)
+        warnings.warn(f"{table.file.path}: left out: {what}", stacklevel=3)
     damaged, error = first_damage(table, layout, limits)
     anchors = layout.anchors if layout else None
     return table.part(slice(_end_of_epochs(table.raw("time"), damaged, anchors))), error
@@ -76,6 +80,18 @@ def without_lost(table: Table, clock: bool, most: float = 1.0) -> tuple[Table, d
             notes[column.name] = _note(table, quantity, wrong)
         cells[wrong | lost.get(SIGMA_OF.get(quantity, ""), False), i] = np.nan
     return (replace(table, cells=cells) if notes else table), notes
+
+
+def _repeated(table: Table) -> Mask:
+    """Tell which rows (n,) are equal to a row before them in their epoch."""
+    order = np.lexsort([table.raw("anchor"), table.epoch])
+    cells = table.cells[order]
+    empty = np.isnan(cells)
+    equal = (cells[1:] == cells[:-1]) | (empty[1:] & empty[:-1])
+    repeated = np.zeros(len(table), bool)
+    repeated[order[1:]] = equal.all(axis=1)
+    repeated[-1:] &= table.damage is None
+    return repeated
 
 
 def _note(table: Table, quantity: str, wrong: Mask) -> str:
@@ -157,7 +173,7 @@ def _anchor_checks(table: Table, anchors: int) -> Iterator[_Check]:
     yield _Check(
         "anchor",
         first[number] != np.arange(len(link)),
-        "each anchor once per epoch",
+        "each anchor once per epoch; keep one of these rows, or their mean",
         lambda row: f"{_show(anchor[row])} twice at time {_show(time[row])}",
     )
     if "doppler" in table.columns:

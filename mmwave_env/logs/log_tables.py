@@ -9,7 +9,9 @@ import math
 import re
 from array import array
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
+from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
 from typing import TypeVar
@@ -21,7 +23,7 @@ from mmwave_env.io.lookup import quoted, require_extra
 from mmwave_env.logs.lines import number, read_lines, require_memory
 from mmwave_env.logs.log_columns import BODY, QUANTITY_OF, STATION, Column, columns_of
 from mmwave_env.models.measurement import seen_from_image
-from mmwave_env.numerics.numbers import Array, Index
+from mmwave_env.numerics.numbers import Array, Index, Mask
 
 AnyArrays = TypeVar("AnyArrays", bound="Arrays")
 
@@ -30,7 +32,10 @@ _BATCH_ROWS = 1 << 14
 _ROW_BYTES = 2000  # memory for a row of a Parquet file, and for its part in the track
 _UNNAMED = re.compile(r"^Unnamed: \d+$")
 _NUMBER = "a number, or nothing if it was not measured"
-_ANCHOR = "the number of an anchor in the scene (1: the base station)"
+_EXPECTED = {
+    "time": "a number, or a date and time such as 2026-11-20T09:15:00.5Z",
+    "anchor": "the number of an anchor in the scene (1: the base station)",
+}
 
 
 class LogError(ValueError):
@@ -49,7 +54,7 @@ class Arrays:
     def __len__(self) -> int:
         return len(next(iter(self.arrays().values())))
 
-    def part(self: AnyArrays, rows: slice) -> AnyArrays:
+    def part(self: AnyArrays, rows: slice | Mask) -> AnyArrays:
         """Return only these rows or epochs."""
         return replace(self, **{name: values[rows] for name, values in self.arrays().items()})
 
@@ -250,10 +255,12 @@ def parse(file: LogFile, lines: Sequence[str | list[str]], first: int) -> Table:
             for quantity, column in file.columns.items():
                 word = words[column.number]
                 value = number(word)
+                if math.isnan(value) and not _says_nothing(word):
+                    value = _other_number(file, quantity, word)
+                    if math.isnan(value) and not damage:
+                        expected = _EXPECTED.get(quantity, _NUMBER)
+                        damage = file.error(row, quantity, quoted(word.strip()), expected)
                 values.append(value)
-                if math.isnan(value) and not (damage or _says_nothing(word)):
-                    expected = _ANCHOR if quantity == "anchor" else _NUMBER
-                    damage = file.error(row, quantity, quoted(word.strip()), expected)
             for spare in (words[i] for i in unnamed):
                 if not (damage or spare.strip().isdigit() or _says_nothing(spare)):
                     problem = f"{quoted(spare)} in a column without a name"
@@ -270,6 +277,19 @@ def parse(file: LogFile, lines: Sequence[str | list[str]], first: int) -> Table:
             break
     table = np.array(cells).reshape(len(rows), len(file.columns))
     return Table(file, np.array(rows), table, damage)
+
+
+def _other_number(file: LogFile, quantity: str, word: str) -> float:
+    """Parse a decimal comma (if semicolons divide cells), or a date and time (ISO 8601); or NaN.
+
+    A date and time becomes the time since 1970. It is UTC if it states no offset.
+    """
+    if quantity == "time":
+        with suppress(ValueError):
+            moment = datetime.fromisoformat(word.strip())
+            seconds = moment.replace(tzinfo=moment.tzinfo or UTC).timestamp()
+            return seconds * file.columns["time"].unit.divide
+    return number(word.replace(",", ".")) if file.delimiter == ";" else math.nan
 
 
 def _says_nothing(word: str) -> bool:
@@ -307,7 +327,8 @@ def _read_parquet(path: Path, hz_per_mps: float, **options: bool) -> Table:
         types = pyarrow.types
         numeric = types.is_floating, types.is_integer, types.is_decimal, types.is_null
         for name in names:
-            if not any(is_kind(kinds[name]) for is_kind in numeric):
+            dated = types.is_timestamp(kinds[name]) and QUANTITY_OF[name] == "time"
+            if not (dated or any(is_kind(kinds[name]) for is_kind in numeric)):
                 place = f"{path}, column {name!r}"
                 raise LogError(f"{place}: found type {kinds[name]}, expected numbers")
         require_memory(path, _ROW_BYTES * source.metadata.num_rows)
@@ -316,10 +337,17 @@ def _read_parquet(path: Path, hz_per_mps: float, **options: bool) -> Table:
         problem = ""
         try:
             for batch in source.iter_batches(_BATCH_ROWS, columns=names):
-                columns = [batch.column(name).cast(pyarrow.float64(), safe=False) for name in names]
+                columns = [batch.column(name) for name in names]
+                for i, column in enumerate(columns):
+                    if types.is_timestamp(column.type):
+                        columns[i] = column.cast(pyarrow.timestamp("us"), safe=False).cast("int64")
+                columns = [column.cast(pyarrow.float64(), safe=False) for column in columns]
                 batches.append(np.column_stack(columns))
         except (OSError, pyarrow.ArrowException) as error:
             problem = f"broken Parquet data ({error})"
     cells = np.concatenate(batches)
+    time = file.columns["time"]
+    if types.is_timestamp(kinds[time.name]):
+        cells[:, names.index(time.name)] *= time.unit.divide / 1e6  # they were read in us
     table = Table(file, np.arange(len(cells)) + 1, cells)
     return _ending(table, len(cells) + 1, problem) if problem else table
