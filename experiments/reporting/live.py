@@ -1,6 +1,5 @@
 """Live localization: rows from standard input, one JSON line per epoch on standard output."""
 
-import csv
 import json
 import sys
 from collections.abc import Iterator
@@ -11,7 +10,7 @@ from typing import Any
 from experiments.console.options import AUTO, LogArgs, require_alone, require_at_least
 from experiments.console.progress import note
 from experiments.reporting.log_choice import choice_of, require_one_choice, scene_of
-from mmwave_env.io.files import Json, parse_json
+from mmwave_env.io.files import Json, first_line, parse_json
 from mmwave_env.io.lookup import printable, quoted
 from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.location_data import location_data
@@ -19,7 +18,7 @@ from mmwave_env.localization.map_files import origin_of
 from mmwave_env.localization.radio_choice import nearest_radio
 from mmwave_env.localization.tracker import Position, Tracker
 from mmwave_env.logs.live_log import LiveEpoch, LiveLog
-from mmwave_env.logs.log_tables import LogError
+from mmwave_env.logs.log_tables import LogError, header_of
 from mmwave_env.models.layout import clock_from
 from mmwave_env.models.scene import Scene
 
@@ -94,14 +93,13 @@ def _epochs(scene: Scene, snr_db: float | None, clock: bool) -> Iterator[LiveEpo
     if not first:
         raise ValueError(f"log: found nothing on {SOURCE}, expected a header or JSON lines")
     as_json = first.lstrip().startswith("{")
-    delimiter = "," if "," in first else ";"
     if as_json:
-        names = dict.fromkeys(name for row in _objects(first, number)[0] for name in row)
+        names = [*dict.fromkeys(name for row in _objects(first, number)[0] for name in row)]
         lines = chain([(number, first)], lines)
+        delimiter = ","
     else:
-        header = next(csv.reader([first], delimiter=delimiter))
-        names = dict.fromkeys(name.strip() for name in header)
-    log = LiveLog([*names], scene, snr_db, SOURCE, clock, "," if as_json else delimiter)
+        names, delimiter = header_of(first)
+    log = LiveLog(names, scene, snr_db, SOURCE, clock, delimiter)
     for number, line in lines:
         try:
             rows, whole = _objects(line, number) if as_json else ([line], False)
@@ -119,6 +117,9 @@ def _epochs(scene: Scene, snr_db: float | None, clock: bool) -> Iterator[LiveEpo
         if whole:
             yield from log.end_epoch()
     yield from log.end_epoch()
+    if log.left_out:
+        counts = ", ".join(f"{name}: {count}" for name, count in log.left_out.items())
+        _warn(f"{SOURCE}: left out in all: {counts}")
 
 
 def _objects(line: str, number: int) -> tuple[list[Any], bool]:
@@ -130,8 +131,8 @@ def _objects(line: str, number: int) -> tuple[list[Any], bool]:
             raise ValueError("a row that is not an object")
     except (ValueError, TypeError, AttributeError) as error:
         raise LogError(
-            f"{SOURCE}, line {number}: found {quoted(line)}, expected a row as a JSON object, or "
-            'all rows of an epoch as {"rows": [...]}'
+            f"{SOURCE}, line {number}: found {quoted(line)} ({first_line(error)}), expected a row "
+            'as a JSON object, or all rows of an epoch as {"rows": [...]}'
         ) from error
     return rows, "rows" in content
 

@@ -93,14 +93,14 @@ def read_text(path: Path, expected: str = "text", most: int = TEXT_BYTES) -> str
 
 
 def parse_json(text: str) -> Any:
-    """Parse JSON; refuse lists and objects that are nested more than :data:`JSON_DEPTH` deep.
+    """Parse JSON; refuse objects with a key twice, and more than :data:`JSON_DEPTH` nested levels.
 
     Raises:
         ValueError: the text is not valid JSON; the message says what is wrong.
     """
     nested = f"found lists or objects nested too deeply, expected at most {JSON_DEPTH} levels"
     try:
-        value = json.loads(text)
+        value = json.loads(text, object_pairs_hook=_object)
     except RecursionError:
         raise ValueError(nested) from None
     level = [value]
@@ -112,6 +112,15 @@ def parse_json(text: str) -> Any:
     if level:
         raise ValueError(nested)
     return value
+
+
+def _object(pairs: list[tuple[str, Any]]) -> Json:
+    content = dict(pairs)
+    if len(content) < len(pairs):
+        keys = [key for key, _ in pairs]
+        twice = next(key for key in keys if keys.count(key) > 1)
+        raise ValueError(f"{twice}: found this key twice, expected it once")
+    return content
 
 
 def read_json(path: Path, kind: str, make: Callable[[Json], T], see: str = "") -> T:

@@ -4,6 +4,7 @@ A row whose cells are well within their limits passes quick checks. All other ro
 checks of ``log_checks.py``, which are slower and also find out what is wrong.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import inf, isnan, nan
 from pathlib import Path
@@ -12,16 +13,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mmwave_env.logs.log import Log, layout_of, log_of, places
-from mmwave_env.logs.log_checks import first_damage
-from mmwave_env.logs.log_columns import BODY, QUANTITIES, STATION, Unit
+from mmwave_env.logs.log_checks import first_damage, without_lost
+from mmwave_env.logs.log_columns import BODY, LOST, QUANTITIES, STATION
 from mmwave_env.logs.log_tables import LogError, Table, log_file, parse
 from mmwave_env.models.layout import Layout, wrapped
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import PI
 
 _NUMBERS = {float, int, np.float64}  # types that need no parsing; others are parsed as text
+_LOST = {-1.0, *LOST, *(-code for code in LOST)}  # numbers that need the full checks
 _LATE = 3  # number of late epochs, one after the other, with which a log goes on
-_MARGIN = 1e-9  # values this close to a limit (relative distance) need the full checks
 
 
 class LiveEpoch(NamedTuple):
@@ -55,6 +56,8 @@ class LiveLog:
 
     Attributes:
         warnings: what was ignored; the caller shows and clears them.
+        left_out: number of values that were left out, by the name of their column, and of
+            "repeated rows"; the first of each causes a warning.
 
     Raises:
         LogError: a column is wrong or missing, or the noise of a quantity is unknown.
@@ -75,8 +78,10 @@ class LiveLog:
         self._snr_db = snr_db
         self._clock = clock
         self.warnings: list[str] = []
-        self._ignored: set[str] = set()
+        self.left_out: Counter[str] = Counter()
+        self._ignored = {""}
         self._rows: list[list[float]] = []
+        self._last: list[list[float]] = []  # rows of the last epoch
         self._last_s = -inf
         self._late_s: list[float] = []  # increasing times of late rows, with no other row between
         self._set_columns(names)
@@ -90,20 +95,21 @@ class LiveLog:
         self._names = [*names]
         columns = self._log.columns
         self._turned = STATION in columns or BODY in columns
-        self._time = columns["time"].number
-        self._anchor = columns["anchor"].number
+        cell_of = {of: i for i, of in enumerate(columns)}
+        self._time = cell_of["time"]
+        self._anchor = cell_of["anchor"]
         self._slots = [
-            (columns[of].number, *place, columns[of].unit.convert, place[0] in self.layout.angles)
+            (cell_of[of], *place, columns[of].unit.convert, place[0] in self.layout.angles)
             for of, place in places(self.layout).items()
             if of in columns
         ]
         snr = [nan if self._snr_db is None else self._snr_db] * self.layout.anchors
         self._blank = [nan] * 2 * self.layout.size + snr + [nan]
-        self._limits = {column.name: _limits(of, column.unit) for of, column in columns.items()}
+        self._limits = {column.name: (column.low, column.high) for column in columns.values()}
         self._anchors = set(range(1, self.layout.anchors + 1))
         self._of_epoch = [
-            (column.number, of == "doppler")
-            for of, column in columns.items()
+            (i, of == "doppler")
+            for of, i in cell_of.items()
             if QUANTITIES[of].per_epoch or of == "doppler"
         ]
 
@@ -122,6 +128,8 @@ class LiveLog:
         if not self._rows or cells[self._time] != self._rows[0][self._time]:
             time_s = self._time_s(cells)
             latest_s = self._time_s(self._rows[0]) if self._rows else self._last_s
+            if time_s <= latest_s and self._repeats(cells, self._last, number):
+                return []
             if time_s <= latest_s and not self._goes_on_at(time_s):
                 problem = f"time {time_s!r} s in a row that follows the epoch at {latest_s!r} s"
                 raise self._log.error(number, "time", problem, "times that increase")
@@ -129,9 +137,24 @@ class LiveLog:
         self._late_s.clear()
         for before in self._rows:
             if not self._agree(cells, before):
+                if self._repeats(cells, [before], number):
+                    return over
                 self._require_sound(self._table([*self._rows, cells], number))
         self._rows.append(cells)
         return [*over, *(self.end_epoch() if len(self._rows) == self.layout.anchors else [])]
+
+    def _repeats(self, cells: list[float], rows: list[list[float]], number: int) -> bool:
+        """Tell whether one of these rows has the same cells; count and report repeated rows."""
+        if repr(cells) not in map(repr, rows):
+            return False
+        self._report("repeated rows", f"repeated rows (row {number})")
+        return True
+
+    def _report(self, name: str, note: str) -> None:
+        """Count what was left out; the first of each name causes a warning."""
+        self.left_out[name] += 1
+        if self.left_out[name] == 1:
+            self.warnings.append(f"left out: {note}")
 
     def _goes_on_at(self, time_s: float) -> bool:
         """Tell whether so many late rows came in order that the log goes on at their time."""
@@ -168,6 +191,7 @@ class LiveLog:
         self._last_s = self._time_s(self._rows[0])
         rows = self._rows
         self._rows = []
+        self._last = rows
 
         def log() -> Log:
             return log_of(self._table(rows), self._scene, self.layout, True, self._snr_db)
@@ -216,12 +240,15 @@ class LiveLog:
             cells = [nan if (cell := row.get(name)) is None else cell for name in self._limits]
             if self._plain(cells):
                 return cells
-            row = self._log.delimiter.join(map(str, cells))
-        table = parse(self._log, [row], number)
+            words = ["" if (cell := row.get(name)) is None else str(cell) for name in self._names]
+        table = parse(self._log, [row if isinstance(row, str) else words], number)
         cells = table.cells.ravel().tolist()
         if cells and (table.damage or not self._plain(cells)):
+            table, notes = without_lost(table, self._clock)
             self._require_sound(table)
-        return cells
+            for name, note in notes.items():
+                self._report(name, note)
+        return table.cells.ravel().tolist()
 
     def _learn_from(self, row: str | Mapping[str, Any], number: int) -> None:
         """Add the columns of a row that no row had before."""
@@ -248,7 +275,8 @@ class LiveLog:
     def _plain(self, cells: list[Any]) -> bool:
         """Tell whether the cells of a row are surely sound; if not, they need the full checks."""
         for cell, (low, high) in zip(cells, self._limits.values(), strict=True):
-            if type(cell) not in _NUMBERS or cell < low or cell > high:  # NaN is an empty cell
+            # NaN is an empty cell
+            if type(cell) not in _NUMBERS or cell < low or cell > high or cell in _LOST:
                 return False
         return cells[self._anchor] in self._anchors and not isnan(cells[self._time])
 
@@ -256,16 +284,3 @@ class LiveLog:
         _, damage = first_damage(table, self.layout, limits=True)
         if damage:
             raise damage
-
-
-def _limits(quantity: str, unit: Unit) -> tuple[float, float]:
-    """Return limits within which cells are surely sound, slightly tighter than the real limits."""
-    limits = QUANTITIES[quantity].limits
-    if not limits:
-        return -1e300, 1e300
-    bound, of = limits
-    assert bound.least is not None and bound.most is not None
-    scale = unit.divide / unit.multiply * (np.pi / 180.0 if of == "degrees" else 1.0)
-    low = bound.least * scale
-    high = bound.most * scale
-    return low + _MARGIN * abs(low), high - _MARGIN * abs(high)

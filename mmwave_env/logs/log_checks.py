@@ -1,20 +1,22 @@
 """Checks of the rows of a measurement log."""
 
+import warnings
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
 
 from mmwave_env.io.records import Bound
-from mmwave_env.logs.log_columns import QUANTITIES, STATION
+from mmwave_env.logs.log_columns import DEVIATIONS, LOST, QUANTITIES, SIGMA_OF, STATION
 from mmwave_env.logs.log_tables import LogError, Table
 from mmwave_env.models import envelope
 from mmwave_env.models.layout import Layout
 from mmwave_env.numerics.numbers import Array, Mask
 
 MOST_PATHS = 1000  # maximum number of paths in an epoch of a log without anchor numbers
-_ROUNDING_DEG = 1e-4  # rounding error of angles that were once stored as 32-bit numbers
+_WRONG_UNIT = 0.5  # with a larger share of values beyond its limits, a column has a wrong unit
 
 
 def sound_epochs(
@@ -22,14 +24,88 @@ def sound_epochs(
 ) -> tuple[Table, LogError | None]:
     """Check the rows of a log; return those of all epochs before the first damage, and its error.
 
+    Repeated rows are left out. They, and cells that :func:`without_lost` empties, cause a warning.
+
     Args:
         table: the rows.
         layout: layout of the log; None if rows are paths without anchor numbers.
-        limits: whether to refuse values beyond physical limits.
+        limits: whether to refuse columns that are mostly beyond physical limits.
     """
+    clock = layout is not None and layout.clock
+    table, notes = without_lost(table, clock, _WRONG_UNIT if limits else 0.0)
+    if layout and (repeated := _repeated(table)).any():
+        first = table.file.place(table.rows[np.argmax(repeated)])
+        notes["repeated rows"] = f"{repeated.sum()} repeated rows ({first})"
+        table = table.part(~repeated)
+    if notes:
+        what = "; ".join(notes.values())
+        warnings.warn(f"{table.file.path}: left out: {what}", stacklevel=3)
     damaged, error = first_damage(table, layout, limits)
     anchors = layout.anchors if layout else None
     return table.part(slice(_end_of_epochs(table.raw("time"), damaged, anchors))), error
+
+
+def without_lost(table: Table, clock: bool, most: float = 1.0) -> tuple[Table, dict[str, str]]:
+    """Empty the cells that mean "lost", are infinite, or are beyond physical limits.
+
+    If a standard deviation is emptied, its value is, too. If more than a share ``most`` of a column
+    is beyond the limits, these cells are kept; of standard deviations, at least half are needed.
+    ``clock``: whether ranges may be negative, because the user's clock has an unknown offset.
+
+    Returns:
+        The table, and a note on what was emptied in each column, by the column's name.
+    """
+    lost = {}
+    minus_one = np.zeros(len(table), bool)  # rows in which -1 means "lost"
+    for quantity in table.columns:
+        if not QUANTITIES[quantity].limits:
+            continue
+        raw = table.raw(quantity)
+        wrong = np.isinf(raw) | np.isin(abs(raw), LOST)
+        if quantity == "toa":
+            wrong |= raw == -1.0
+        beyond = _beyond(table, quantity, clock) & ~wrong
+        share = max(most, _WRONG_UNIT) if quantity in DEVIATIONS else most
+        if beyond.sum() <= share * (~np.isnan(raw) & ~wrong).sum():
+            wrong |= beyond
+        minus_one |= wrong & (raw == -1.0)
+        lost[quantity] = wrong
+    cells = table.cells.copy()
+    notes = {}
+    for i, (quantity, column) in enumerate(table.columns.items()):
+        if quantity not in lost:
+            continue
+        wrong = lost[quantity] | (minus_one & (cells[:, i] == -1.0))
+        if wrong.any():
+            notes[column.name] = _note(table, quantity, wrong)
+        cells[wrong | lost.get(SIGMA_OF.get(quantity, ""), False), i] = np.nan
+    return (replace(table, cells=cells) if notes else table), notes
+
+
+def _repeated(table: Table) -> Mask:
+    """Tell which rows (n,) are equal to a row before them in their epoch."""
+    order = np.lexsort([table.raw("anchor"), table.epoch])
+    cells = table.cells[order]
+    empty = np.isnan(cells)
+    equal = (cells[1:] == cells[:-1]) | (empty[1:] & empty[:-1])
+    repeated = np.zeros(len(table), bool)
+    repeated[order[1:]] = equal.all(axis=1)
+    repeated[-1:] &= table.damage is None
+    return repeated
+
+
+def _note(table: Table, quantity: str, wrong: Mask) -> str:
+    """Return how many cells of a column are wrong, and the first of them."""
+    column = table.columns[quantity]
+    row = int(np.argmax(wrong))
+    value = table.raw(quantity)[row]
+    limits = QUANTITIES[quantity].limits
+    why = "which means lost"
+    if limits and not column.low <= value <= column.high:
+        why = f"expected {_limit(table, quantity, *limits, wrong).expected}"
+    place = table.file.place(table.rows[row])
+    values = ", with their values" if quantity in DEVIATIONS else ""
+    return f"{wrong.sum()} of {column.name!r}{values} ({_show(value)} in {place}, {why})"
 
 
 class _Check(NamedTuple):
@@ -47,8 +123,8 @@ def first_damage(table: Table, layout: Layout | None, limits: bool) -> tuple[int
     first, error = (n - 1, table.damage) if table.damage else (n, None)
     if not n:
         return first, error
-    with np.errstate(invalid="ignore", over="ignore"):  # times and ranges may be infinite
-        for check in chain(_checks(table, layout), _limits(table) if limits else ()):
+    with np.errstate(invalid="ignore", over="ignore"):  # times may be infinite
+        for check in chain(_checks(table, layout), _limits(table, layout) if limits else ()):
             row = int(np.argmax(check.wrong))
             if check.wrong[row] and row < first:
                 number = _show(table.raw(check.quantity)[row])
@@ -79,13 +155,8 @@ def _checks(table: Table, layout: Layout | None) -> Iterator[_Check]:
         )
     else:
         yield from _anchor_checks(table, layout.anchors)
+    yield _Check("time", np.isinf(time), "a finite number")
     for quantity in table.columns:
-        values = table.raw(quantity)
-        limits = QUANTITIES[quantity].limits
-        may_be_negative = layout and layout.clock and quantity == "toa"
-        yield _Check(quantity, np.isinf(values), "a finite number, or nothing")
-        if limits and limits[0].least == 0.0 and not may_be_negative:
-            yield _Check(quantity, values < 0.0, "at least 0")
         if QUANTITIES[quantity].per_epoch:
             yield _one_value(table, quantity)
 
@@ -102,7 +173,7 @@ def _anchor_checks(table: Table, anchors: int) -> Iterator[_Check]:
     yield _Check(
         "anchor",
         first[number] != np.arange(len(link)),
-        "each anchor once per epoch",
+        "each anchor once per epoch; keep one of these rows, or their mean",
         lambda row: f"{_show(anchor[row])} twice at time {_show(time[row])}",
     )
     if "doppler" in table.columns:
@@ -123,12 +194,21 @@ def _one_value(table: Table, quantity: str) -> _Check:
     )
 
 
-def _limits(table: Table) -> Iterator[_Check]:
+def _beyond(table: Table, quantity: str, clock: bool) -> Mask:
+    """Tell which values (n,) are beyond the limits of their quantity."""
+    column = table.columns[quantity]
+    raw = table.raw(quantity)
+    low = -column.high if clock and quantity == "toa" else column.low
+    return (raw < low) | (raw > column.high)
+
+
+def _limits(table: Table, layout: Layout | None) -> Iterator[_Check]:
     """Yield the checks that values are within physical limits."""
     for quantity in table.columns:
         limits = QUANTITIES[quantity].limits
         if limits:
-            yield _limit(table, quantity, *limits)
+            wrong = _beyond(table, quantity, layout is not None and layout.clock)
+            yield _limit(table, quantity, *limits, wrong)
     step_s = np.diff(table["time"], prepend=np.nan)
     shortest = envelope.STEP_S.least or 0.0
     yield _Check(
@@ -139,16 +219,11 @@ def _limits(table: Table) -> Iterator[_Check]:
     )
 
 
-def _limit(table: Table, quantity: str, bound: Bound, unit: str) -> _Check:
+def _limit(table: Table, quantity: str, bound: Bound, unit: str, wrong: Mask) -> _Check:
     """Return the check that the values of a column are within the limits of their quantity."""
     values = table[quantity]
-    most = bound.most or 0.0
     if unit == "degrees":
         values = np.degrees(values)
-        most = most + _ROUNDING_DEG
-    wrong = abs(values) > most
-    if (least := bound.least or 0.0) > 0.0:
-        wrong |= values < least
     stem, _, ending = table.columns[quantity].name.rpartition("_")
     likely = f"if the value is in degrees, name the column {stem}_deg; " if ending == "rad" else ""
     azimuth = table.columns.get("aoa_azimuth") or table.columns.get(STATION)

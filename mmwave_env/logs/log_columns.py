@@ -32,10 +32,24 @@ class Quantity(NamedTuple):
 
     columns: dict[str, Unit]  # names of the columns that may hold the quantity, with their units
     meaning: str  # the quantity in words, for messages
-    # limits of what a receiver can measure, and their unit. ``localize --diagnose`` checks only
-    # lower limits of 0
+    # limits of what a receiver can measure, and their unit; None for times and numbers of anchors
     limits: tuple[Bound, str] | None = None
     per_epoch: bool = False  # whether the quantity belongs to the epoch instead of an anchor
+
+    def range_in(self, name: str, unit: Unit) -> tuple[float, float]:
+        """Return the least and the most plausible value of a column, in the column's unit."""
+        if self.limits is None:
+            return -1e300, 1e300
+        bound, of = self.limits
+        assert bound.least is not None and bound.most is not None
+        scale = unit.divide / unit.multiply
+        spare = 0.0
+        if of == "degrees":
+            scale *= np.pi / 180.0
+            spare = _ROUNDING_DEG
+        if self.limits is _TURN and name.endswith("_deg"):
+            spare = _UNWRAPPED_DEG
+        return scale * (bound.least - spare), scale * (bound.most + spare)
 
 
 def _in(name: str, units: dict[str, Unit]) -> dict[str, Unit]:
@@ -63,12 +77,16 @@ _SPEED = {"speed_mps": Unit(), "speed_kmh": Unit(1.0, 3.6)}
 
 RANGE_LIMITS_M = (1e-3, 1e6)  # limits of real ranges; ranges in a wrong unit often violate them
 WIDEST_ELEVATION_DEG = 90.0
-_RANGE = between(0.0, RANGE_LIMITS_M[1], "m"), "m"
+_RANGE = between(-1.0, RANGE_LIMITS_M[1], "m"), "m"  # noise makes short ranges negative
 _TURN = between(-360.0, 360.0, "degrees (docs/data.md, Angles)"), "degrees"
 _TILT = (
     between(-WIDEST_ELEVATION_DEG, WIDEST_ELEVATION_DEG, "degrees from the horizon"),
     "degrees",
 )
+# Angles may be a little beyond their limits, if they were once stored as 32-bit numbers. Unwrapped
+# azimuths of many turns are wrapped if they are surely in degrees.
+_ROUNDING_DEG = 1e-4
+_UNWRAPPED_DEG = 36_000.0
 _SNR = between(-1e3, 1e3, "dB"), "dB"
 # limits within which filters are numerically sound
 _BIAS = (envelope.BIAS_HZ, "Hz")
@@ -115,9 +133,9 @@ QUANTITIES = {
         _in("doppler_spread", _SHIFT), "the Doppler spread", _SPREAD, per_epoch=True
     ),
     "speed": Quantity(_SPEED, "the speed from odometry", _FASTEST, per_epoch=True),
-    "heading": Quantity(_in("heading", _ANGLE), "the direction of travel", per_epoch=True),
+    "heading": Quantity(_in("heading", _ANGLE), "the direction of travel", _TURN, per_epoch=True),
 }
-_QUANTITY_OF = {name: quantity for quantity, row in QUANTITIES.items() for name in row.columns}
+QUANTITY_OF = {name: quantity for quantity, row in QUANTITIES.items() for name in row.columns}
 
 # For each quantity, words that suggest it if they occur in the name of an unknown column.
 _SYNONYMS = {
@@ -135,6 +153,9 @@ LINK_QUANTITIES = ("toa", "aoa_azimuth", "aoa_elevation", "aod_azimuth")
 ODOMETRY_QUANTITIES = ("speed", "heading")
 SIGMA_OF = {quantity: f"{quantity}_sigma" for quantity in (*LINK_QUANTITIES, "doppler")}
 SIGMA_OF |= {STATION: "aoa_azimuth_sigma", BODY: "aod_azimuth_sigma"}
+DEVIATIONS = frozenset(SIGMA_OF.values())
+# numbers that mean "lost" in the files of some receivers, with either sign, in any unit
+LOST = (999.0, 9999.0, 99999.0, 999999.0, 32767.0, 32768.0, 65535.0)
 ROW_QUANTITIES = (*LINK_QUANTITIES, "doppler")  # quantities that belong to an anchor
 HORIZONTAL = ("toa", "aoa_azimuth", STATION, "aod_azimuth", BODY)  # a log needs one or more of them
 _WHOLE = (*LINK_QUANTITIES, "snr")  # required unless links may lack values
@@ -150,6 +171,8 @@ class Column(NamedTuple):
     name: str  # name in the file
     number: int  # index of the column in the file, from 0
     unit: Unit  # unit in the file
+    low: float  # least and most plausible value, in the file's unit
+    high: float
 
 
 def columns_of(
@@ -164,14 +187,14 @@ def columns_of(
     If ``odometry`` is False, columns of odometry are ignored, except a heading that angles need; if
     ``associated`` is False, a column of anchors is ignored. A Doppler shift in m/s is multiplied by
     ``hz_per_mps``, f_c / c. If ``partial`` is True, one quantity of :data:`HORIZONTAL` is enough;
-    otherwise the range, the three angles and the SNR are required.
+    otherwise the range, the three angles and the SNR are required. Columns named "" are ignored.
 
     Raises:
         ValueError: a name is unknown or lacks its unit, or a quantity occurs twice or is
             missing; the message lists the names that are allowed.
     """
     columns: dict[str, Column] = {}
-    if unknown := [name for name in names if name not in _QUANTITY_OF]:
+    if unknown := [name for name in names if name and name not in QUANTITY_OF]:
         problems = "; ".join(map(_problem, unknown[:10]))  # enough to read in one message
         known = ", ".join(next(iter(row.columns)) for row in QUANTITIES.values())
         raise ValueError(
@@ -179,13 +202,15 @@ def columns_of(
             "docs/own-data.md shows a command that renames the columns of a log"
         )
     for number, name in enumerate(names):
-        quantity = _QUANTITY_OF[name]
+        if not name:
+            continue
+        quantity = QUANTITY_OF[name]
         if quantity in columns:
             raise _twice(columns[quantity].name, name, f"{quantity} once")
         unit = QUANTITIES[quantity].columns[name]
         if name.startswith("doppler") and name.endswith("_mps"):
             unit = Unit(hz_per_mps)
-        columns[quantity] = Column(name, number, unit)
+        columns[quantity] = Column(name, number, unit, *QUANTITIES[quantity].range_in(name, unit))
     ignored = () if odometry else ("speed",) if BODY in columns else ODOMETRY_QUANTITIES
     for quantity in ignored if associated else (*ignored, "anchor"):
         columns.pop(quantity, None)
@@ -235,7 +260,7 @@ def _problem(name: str) -> str:
         expected = _one_of(QUANTITIES[spelled[max(meant, key=len)]].columns)
         return f"column {quoted(name)}: found no known unit, expected {expected}"
     *_, unit = words = re.findall("[a-z]+", name.lower()) or [name]
-    hint = did_you_mean(name, _QUANTITY_OF, 2)
+    hint = did_you_mean(name, QUANTITY_OF, 2)
     for quantity, synonyms in _SYNONYMS.items():
         if not set(synonyms).isdisjoint(words):
             known = QUANTITIES[quantity].columns

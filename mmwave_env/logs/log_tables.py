@@ -6,9 +6,12 @@ numbers; ``log_checks.py`` checks the numbers.
 
 import csv
 import math
+import re
 from array import array
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
+from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
 from typing import TypeVar
@@ -18,17 +21,21 @@ import numpy as np
 from mmwave_env.io.files import open_regular
 from mmwave_env.io.lookup import quoted, require_extra
 from mmwave_env.logs.lines import number, read_lines, require_memory
-from mmwave_env.logs.log_columns import BODY, STATION, Column, columns_of
+from mmwave_env.logs.log_columns import BODY, QUANTITY_OF, STATION, Column, columns_of
 from mmwave_env.models.measurement import seen_from_image
-from mmwave_env.numerics.numbers import Array, Index
+from mmwave_env.numerics.numbers import Array, Index, Mask
 
 AnyArrays = TypeVar("AnyArrays", bound="Arrays")
 
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
 _BATCH_ROWS = 1 << 14
 _ROW_BYTES = 2000  # memory for a row of a Parquet file, and for its part in the track
+_UNNAMED = re.compile(r"^Unnamed: \d+$")
 _NUMBER = "a number, or nothing if it was not measured"
-_ANCHOR = "the number of an anchor in the scene (1: the base station)"
+_EXPECTED = {
+    "time": "a number, or a date and time such as 2026-11-20T09:15:00.5Z",
+    "anchor": "the number of an anchor in the scene (1: the base station)",
+}
 
 
 class LogError(ValueError):
@@ -47,7 +54,7 @@ class Arrays:
     def __len__(self) -> int:
         return len(next(iter(self.arrays().values())))
 
-    def part(self: AnyArrays, rows: slice) -> AnyArrays:
+    def part(self: AnyArrays, rows: slice | Mask) -> AnyArrays:
         """Return only these rows or epochs."""
         return replace(self, **{name: values[rows] for name, values in self.arrays().items()})
 
@@ -67,12 +74,21 @@ class LogFile:
 
     path: Path  # path of the file
     columns: dict[str, Column]  # the columns that are used, by quantity
-    width: int  # number of columns in the file
+    names: Sequence[str]  # names of all columns in the file; "" if a column has none
     delimiter: str = ","  # character between the cells of a CSV file
 
+    @cached_property
+    def unnamed(self) -> list[int]:
+        """Return the indices of the columns without a name, which may hold numbers of rows."""
+        return [number for number, name in enumerate(self.names) if not name]
+
+    def place(self, row: int) -> str:
+        """Return the place of a row; in a CSV file, the row number is the line number."""
+        return f"{'row' if _is_parquet(self.path) else 'line'} {row}"
+
     def error(self, row: int, quantity: str, problem: str, expected: str) -> LogError:
-        """Return an error that names a cell; in a CSV file, the row number is the line number."""
-        place = f"{'row' if _is_parquet(self.path) else 'line'} {row}"
+        """Return an error that names a cell, or a row if ``quantity`` is ""."""
+        place = self.place(row)
         if quantity:
             place += f", column {self.columns[quantity].name!r}"
         return LogError(f"{self.path}, {place}: found {problem}, expected {expected}")
@@ -157,7 +173,7 @@ def log_file(
         columns = columns_of(names, hz_per_mps, **options)
     except ValueError as error:
         raise LogError(f"{path}: {error}") from error
-    return LogFile(path, columns, len(names), delimiter)
+    return LogFile(path, columns, names, delimiter)
 
 
 def read_table(path: Path, hz_per_mps: float, **options: bool) -> Table:
@@ -175,7 +191,15 @@ def read_table(path: Path, hz_per_mps: float, **options: bool) -> Table:
     if _is_parquet(path):
         return _read_parquet(path, hz_per_mps, **options)
     lines, problem = read_lines(path)
-    names, delimiter = _header(path, lines, problem)
+    if not lines:
+        raise LogError(f"{path}: found {problem or 'an empty file'}, expected a measurement log")
+    try:
+        names, delimiter = header_of(lines[0])
+    except ValueError as error:
+        raise LogError(f"{path}, line 1: {error}") from error
+    first = _words(lines[1], delimiter) if len(lines) > 1 else []
+    if len(first) == len(names) + 1 and first[0].isdigit() and first[-1]:
+        names = ["", *names]  # R names the rows, but not their column
     file = log_file(path, names, delimiter, hz_per_mps, **options)
     table = parse(file, lines[1:], 2)
     if problem and not table.damage:
@@ -187,47 +211,66 @@ def _is_parquet(path: Path) -> bool:
     return path.suffix.lower() == ".parquet"
 
 
-def _header(path: Path, lines: list[str], problem: str) -> tuple[list[str], str]:
-    """Return the names of columns and the delimiter: a semicolon if the header has no comma."""
-    if not lines:
-        raise LogError(f"{path}: found {problem or 'an empty file'}, expected a measurement log")
-    delimiter = "," if "," in lines[0] else ";"
-    try:  # str.split would not do, because some programs quote names
-        names = [name.strip() for name in next(csv.reader(lines[:1], delimiter=delimiter))]
-    except csv.Error:
-        names = []
+def header_of(line: str) -> tuple[list[str], str]:
+    """Return the names of columns and the delimiter: a semicolon if the header has no comma.
+
+    The name of a column without one is "", also if pandas called it "Unnamed: 0".
+
+    Raises:
+        ValueError: the line is no header.
+    """
+    delimiter = "," if "," in line else ";"
+    names = [_UNNAMED.sub("", name.strip()) for name in _words(line, delimiter)]
     if len(names) < 2:
-        raise LogError(
-            f"{path}, line 1: found {lines[0][:60]!r}, expected comma-separated names of columns"
-        )
+        raise ValueError(f"found {line[:60]!r}, expected comma-separated names of columns")
     return names, delimiter
 
 
-def parse(file: LogFile, lines: Sequence[str], first: int) -> Table:
-    """Parse lines up to the first damage; skip blank lines, and read blank cells as NaN.
+def _words(line: str, delimiter: str) -> list[str]:
+    """Return the cells of a line, without the quotes of RFC 4180."""
+    if '"' in line:
+        try:
+            return next(csv.reader([line], delimiter=delimiter, strict=True))
+        except csv.Error:
+            pass  # a cell keeps its quote, so that messages can show it
+    return line.split(delimiter)
 
-    ``first`` is the number of the first line.
+
+def parse(file: LogFile, lines: Sequence[str | list[str]], first: int) -> Table:
+    """Parse lines (or their cells) up to the first damage; skip blank lines.
+
+    Blank cells are read as NaN. ``first`` is the number of the first line.
     """
     cells = array("d")
     rows = array("q")
     damage = None
+    width = len(file.names)
+    unnamed = file.unnamed
     for row, line in enumerate(lines, start=first):
-        words = line.split(file.delimiter)
+        words = _words(line, file.delimiter) if isinstance(line, str) else line
         values = []
-        if len(words) == file.width:
+        if len(words) > width and not "".join(words[width:]).strip():
+            words = words[:width]  # some programs write delimiters without cells
+        if len(words) == width:
             for quantity, column in file.columns.items():
                 word = words[column.number]
                 value = number(word)
+                if math.isnan(value) and not _says_nothing(word):
+                    value = _other_number(file, quantity, word)
+                    if math.isnan(value) and not damage:
+                        expected = _EXPECTED.get(quantity, _NUMBER)
+                        damage = file.error(row, quantity, quoted(word.strip()), expected)
                 values.append(value)
-                if math.isnan(value) and not (damage or _says_nothing(word)):
-                    expected = _ANCHOR if quantity == "anchor" else _NUMBER
-                    damage = file.error(row, quantity, quoted(word.strip()), expected)
-        elif not line.strip():
+            for spare in (words[i] for i in unnamed):
+                if not (damage or spare.strip().isdigit() or _says_nothing(spare)):
+                    problem = f"{quoted(spare)} in a column without a name"
+                    damage = file.error(row, "", problem, "a name, or only numbers of rows")
+        elif isinstance(line, str) and not line.strip():
             continue
         else:
             values = [math.nan] * len(file.columns)
             count = f"{len(words)} cells" if len(words) > 1 else f"one cell, {line[:40]!r}"
-            damage = file.error(row, "", count, f"{file.width}, as in the header")
+            damage = file.error(row, "", count, f"{width}, as in the header")
         cells.extend(values)
         rows.append(row)
         if damage:
@@ -236,9 +279,22 @@ def parse(file: LogFile, lines: Sequence[str], first: int) -> Table:
     return Table(file, np.array(rows), table, damage)
 
 
+def _other_number(file: LogFile, quantity: str, word: str) -> float:
+    """Parse a decimal comma (if semicolons divide cells), or a date and time (ISO 8601); or NaN.
+
+    A date and time becomes the time since 1970. It is UTC if it states no offset.
+    """
+    if quantity == "time":
+        with suppress(ValueError):
+            moment = datetime.fromisoformat(word.strip())
+            seconds = moment.replace(tzinfo=moment.tzinfo or UTC).timestamp()
+            return seconds * file.columns["time"].unit.divide
+    return number(word.replace(",", ".")) if file.delimiter == ";" else math.nan
+
+
 def _says_nothing(word: str) -> bool:
-    """Tell whether a cell says that nothing was measured: it is blank or "nan"."""
-    return word.strip().lower().lstrip("+-") in ("", "nan")
+    """Tell whether a cell says that nothing was measured: it is blank, "nan", "NA" or "null"."""
+    return word.strip().lower().lstrip("+-") in ("", "nan", "na", "null", "none")
 
 
 def _ending(table: Table, row: int, problem: str) -> Table:
@@ -256,16 +312,23 @@ def _read_parquet(path: Path, hz_per_mps: float, **options: bool) -> Table:
     open_regular(path, "a measurement log").close()
     try:
         source = parquet.ParquetFile(path, page_checksum_verification=True)
-        kinds = {field.name: field.type for field in source.schema_arrow}
-    except (OSError, UnicodeDecodeError, pyarrow.ArrowException) as error:
+        schema = source.schema_arrow
+        kinds = {field.name: field.type for field in schema}
+        index = (schema.pandas_metadata or {}).get("index_columns", [])
+    except (OSError, ValueError, AttributeError, pyarrow.ArrowException) as error:
         raise LogError(f"{path}: found unreadable data ({error}), expected Parquet") from error
     with source:
-        file = log_file(path, list(kinds), "", hz_per_mps, **options)
+        known = [
+            "" if name in index and name not in QUANTITY_OF else _UNNAMED.sub("", name)
+            for name in schema.names
+        ]
+        file = log_file(path, known, "", hz_per_mps, **options)
         names = [column.name for column in file.columns.values()]
         types = pyarrow.types
         numeric = types.is_floating, types.is_integer, types.is_decimal, types.is_null
         for name in names:
-            if not any(is_kind(kinds[name]) for is_kind in numeric):
+            dated = types.is_timestamp(kinds[name]) and QUANTITY_OF[name] == "time"
+            if not (dated or any(is_kind(kinds[name]) for is_kind in numeric)):
                 place = f"{path}, column {name!r}"
                 raise LogError(f"{place}: found type {kinds[name]}, expected numbers")
         require_memory(path, _ROW_BYTES * source.metadata.num_rows)
@@ -274,10 +337,17 @@ def _read_parquet(path: Path, hz_per_mps: float, **options: bool) -> Table:
         problem = ""
         try:
             for batch in source.iter_batches(_BATCH_ROWS, columns=names):
-                columns = [batch.column(name).cast(pyarrow.float64(), safe=False) for name in names]
+                columns = [batch.column(name) for name in names]
+                for i, column in enumerate(columns):
+                    if types.is_timestamp(column.type):
+                        columns[i] = column.cast(pyarrow.timestamp("us"), safe=False).cast("int64")
+                columns = [column.cast(pyarrow.float64(), safe=False) for column in columns]
                 batches.append(np.column_stack(columns))
         except (OSError, pyarrow.ArrowException) as error:
             problem = f"broken Parquet data ({error})"
     cells = np.concatenate(batches)
+    time = file.columns["time"]
+    if types.is_timestamp(kinds[time.name]):
+        cells[:, names.index(time.name)] *= time.unit.divide / 1e6  # they were read in us
     table = Table(file, np.arange(len(cells)) + 1, cells)
     return _ending(table, len(cells) + 1, problem) if problem else table

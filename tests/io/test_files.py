@@ -200,6 +200,11 @@ def test_text_is_read_as_utf8_with_or_without_a_byte_order_mark(tmp_path):
         read_text(path)
 
 
+def test_json_is_refused_if_a_key_occurs_twice():
+    with refuses("noise"):
+        parse_json('{"a": [{"noise": 1, "b": 2, "noise": 1}]}')
+
+
 def test_json_is_refused_if_it_is_nested_too_deeply():
     for begin, end in (("[", "]"), ('{"a":', "}")):
         assert parse_json(begin * JSON_DEPTH + "1" + end * JSON_DEPTH)
