@@ -121,6 +121,11 @@ class Corrector(CorrectionNetwork, Policy):
         if self._base:
             self._base.reset(mask)
 
+    @property
+    def memory(self) -> tuple[Array32, ...]:  # type: ignore[override]
+        """Return the memory of the network: its hidden units, and its trust."""
+        return self._hidden, self._trust
+
     def act(self, observation: Array32) -> Index:
         """Return the base's actions (n,) for observations (n, features)."""
         if self._base is None:

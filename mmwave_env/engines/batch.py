@@ -116,6 +116,23 @@ class Batch:
         self.state.length[0] = 1
         self.state.epoch[0] = 0
 
+    def resume(self, columns: Array, incoming: Array, gap_s: Array) -> None:
+        """Go on with k tracks of other batches of the program, each with one more epoch.
+
+        Args:
+            columns: (k, size) states of the tracks, as :meth:`read` returns them; k is at most n.
+            incoming: (k, columns) rows of tables, as in :meth:`load_epoch`.
+            gap_s: (k,) seconds since the previous epochs.
+        """
+        k = len(columns)
+        block, lane = np.divmod(np.arange(k), WIDTH)
+        self.make_room(1)
+        self.state.rows[block, :, lane] = columns
+        self.state.table[:k, 0] = incoming
+        self.state.table[:k, 0, columns_of(self.layout).dt] = gap_s
+        self.state.length[:] = 1
+        self.state.epoch[:] = 0
+
     def begin(self, source: SimulatedSource, starts: EpisodeStarts, places: Index) -> None:
         """Start over with episodes that are simulated while the environments step.
 

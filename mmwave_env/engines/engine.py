@@ -67,6 +67,7 @@ class Engine:
     """
 
     observation: Observation
+    memory: tuple[Array32, ...] = ()  # nothing beside the states in the batch
 
     def __init__(
         self,
@@ -160,6 +161,12 @@ class Engine:
         """
         self.batch.load_epoch(incoming, time_s - self._end_s)
         self._end_s = time_s
+
+    def resume(
+        self, columns: Array, incoming: Array, gap_s: Array, memory: Sequence[Array32] = ()
+    ) -> None:
+        """Go on with up to N tracks of other engines; see :meth:`Batch.resume`."""
+        self.batch.resume(columns, incoming, gap_s)
 
     def run(self, *names: str, actions: NDArray[np.integer[Any]] | None = None) -> dict[str, Array]:
         """Filter the loaded episodes to their ends.

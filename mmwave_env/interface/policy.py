@@ -50,9 +50,12 @@ class Policy(Protocol):
     Attributes:
         action: kind of its actions (:mod:`mmwave_env.interface.actions`). If it is "correction",
             :meth:`act` returns modes, and :meth:`correct` returns corrections.
+        memory: arrays, each with a row per track, of all that the policy remembers of the past;
+            a live localization of many users writes into them.
     """
 
     action: str = MODE
+    memory: tuple[NDArray[Any], ...] = ()
 
     def reset(self, mask: Mask) -> None:
         """Forget the past of tracks where ``mask`` (n,) is True: new tracks begin there."""
@@ -108,7 +111,9 @@ def policy_from(agent: Any, name: str) -> Policy:
     correct = getattr(agent, "correct", lambda observation: None)
     action = getattr(agent, "action", CORRECTION if hasattr(agent, "correct") else MODE)
     choose(ACTIONS, action, f"action of {name}")
-    return cast(Policy, SimpleNamespace(act=act, reset=reset, correct=correct, action=action))
+    return cast(
+        Policy, SimpleNamespace(act=act, reset=reset, correct=correct, action=action, memory=())
+    )
 
 
 class FixedMode(Policy):

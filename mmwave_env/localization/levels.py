@@ -87,16 +87,33 @@ class Network(NamedTuple):
         values = np.fmin(np.fmax(features, self.low), self.high)  # NaN becomes the low limit
         *hidden, (weight, bias) = self.layers
         for w, b in hidden:
-            values = np.tanh(values @ w.T + b)
-        answer = values @ weight.T + bias
+            values = np.tanh(_weighted(values, w) + b)
+        answer = _weighted(values, weight) + bias
         kinds = features[..., _KIND].sum(axis=-1).astype(int)
         return answer.reshape(*answer.shape[:-1], -1, 2) + self.constants[kinds]  # type: ignore[no-any-return]
+
+
+def _weighted(values: Array, weight: Array) -> Array:
+    """Return the products (..., k) of vectors (..., m) and a matrix (k, m).
+
+    Unlike ``@``, the result of a vector does not depend, to the bit, on the others beside it.
+    """
+    return np.einsum("...m,km->...k", values, weight)  # type: ignore[no-any-return]
 
 
 @cache
 def shipped() -> Network:
     """Return the network that is shipped with the package."""
     return Network.read(Path(str(files("mmwave_env").joinpath("data", "levels.safetensors"))))
+
+
+class LevelState(NamedTuple):
+    """What levels keep of the past of n tracks."""
+
+    means: Array  # (n, 3, quantities) running means with three weights
+    x: Array  # (n, 1, 7 or 8) states after the last epoch
+    first_s: Array  # (n,) times of the first and of the last epoch
+    last_s: Array
 
 
 class Levels:
@@ -108,6 +125,9 @@ class Levels:
 
     Raises:
         ValueError: the kind or the risk is invalid, or no levels were calibrated for this risk.
+
+    Attributes:
+        state: what is kept of the past of the current tracks; None where tracks begin.
     """
 
     def __init__(self, risk: float = RISK, kind: str = CALIBRATED) -> None:
@@ -126,9 +146,7 @@ class Levels:
 
     def reset(self) -> None:
         """Forget the current tracks; the next epoch begins new tracks."""
-        self._means: Array | None = None  # (n, 3, quantities) running means with three weights
-        self._x = np.empty(0)  # (n, 1, 7 or 8) states after the last epoch
-        self._first_s = self._last_s = 0.0
+        self.state: LevelState | None = None
 
     def factors(self, anchors: int, mixes: bool, time_s: Array, *parts: Any) -> Array:
         """Return factors (n, T, 2) of Gaussian levels; :meth:`features` describes the arguments."""
@@ -143,33 +161,32 @@ class Levels:
         Args:
             anchors: number of anchors.
             mixes: whether the beliefs come from a bank of interacting modes.
-            time_s: (T,) times of the epochs.
+            time_s: (T,) or (n, T) times of the epochs.
             parts: means x (n, T, 7 or 8); packed covariances P (n, T, 28 or 36); NIS, acceptance
                 and rejection (0 or 1) of each group of measurements, as three arrays (n, T,
                 groups); optionally, factors (n, T) that scaled corrections; NaN if not corrected.
         """
         x, P, nis, accepted, rejected, trusted = (*parts, None)[:6]
-        if self._means is None:
-            self._x = x[:, :1]
-            self._first_s = float(time_s[0])
-            self._last_s = self._first_s
-        dt = np.diff(time_s, prepend=self._last_s)
-        past = np.append(self._x, x[:, :-1], axis=1)
-        self._x = x[:, -1:]
-        self._last_s = float(time_s[-1])
-        moved = x[..., :3] - past[..., :3] - dt[:, None] * past[..., 3:6]
+        time_s = np.broadcast_to(time_s, x.shape[:2])
+        first_s = time_s[:, 0]
+        before = self.state or LevelState(np.empty(0), x[:, :1], first_s, first_s)
+        dt = np.diff(time_s, prepend=before.last_s[:, None])
+        past = np.append(before.x, x[:, :-1], axis=1)
+        moved = x[..., :3] - past[..., :3] - dt[..., None] * past[..., 3:6]
         sizes = _sizes(P)
         gates = _gates(anchors, nis, accepted, rejected)
         now = np.stack([*gates, *sizes, *_relative(moved, sizes)], axis=-1)
         averaged = np.concatenate([now, moved, x[..., 3:5]], axis=-1)
-        if self._means is None:
-            self._means = np.repeat(averaged[:, 0, None], len(_MEMORY), axis=1)
-        means = np.empty((*now.shape[:2], *self._means.shape[1:]))
-        for t, keep in enumerate(_MEMORY ** dt[:, None, None]):
-            means[:, t] = self._means = keep * self._means + (1.0 - keep) * averaged[:, t, None]
+        mean = before.means
+        if self.state is None:
+            mean = np.repeat(averaged[:, 0, None], len(_MEMORY), axis=1)
+        means = np.empty((*now.shape[:2], *mean.shape[1:]))
+        for t, keep in enumerate(_MEMORY ** dt.T[..., None, None]):
+            means[:, t] = mean = keep * mean + (1.0 - keep) * averaged[:, t, None]
+        self.state = LevelState(mean, x[:, -1:], before.first_s, time_s[:, -1])
         lag = _relative(means[..., -5:-2], [size[..., None] for size in sizes])
         turn = np.log1p(horizontal(means[..., -2:] - x[..., None, 3:5]))
-        clocks = np.log(np.maximum(dt, _LEAST_S)), np.log1p(time_s - self._first_s)
+        clocks = np.log(np.maximum(dt, _LEAST_S)), np.log1p(time_s - before.first_s[:, None])
         known = np.full(now.shape[:2], np.nan) if trusted is None else trusted
         corrected = np.isfinite(known)
         rest = [*_shape(x, P), *clocks, corrected, np.where(corrected, known, 1.0), float(mixes)]

@@ -114,28 +114,36 @@ class Localizer:
     @cached_property
     def engine(self) -> Engine | PolicyTracker:
         """Return the engine that filters a single track."""
+        return self.tracks(1)
+
+    def tracks(self, n: int) -> Engine | PolicyTracker:
+        """Return an engine that filters n tracks."""
         if self.switching.policy:
-            return PolicyTracker(self.pipeline, self.switching)
+            return PolicyTracker(self.pipeline, self.switching, n)
         if self.switching.bank:
-            return tracks_of(self.pipeline, 1, self.switching.bank, action="")
-        return tracks_of(self.pipeline, 1, rule=self.switching.rule)
+            return tracks_of(self.pipeline, n, self.switching.bank, action="")
+        return tracks_of(self.pipeline, n, rule=self.switching.rule)
+
+    def episode(self, log: Log, start: Start | None = None) -> Episode:
+        """Return epochs with which a track begins, or goes on if ``start`` is None."""
+        episode = episode_from(log, self.scene, self.radio, start)
+        return episode if self.height_m is None else episode.on_flat_ground(self.height_m)
 
     def load(self, log: Log, start: Start | None = None) -> Mask:
         """Load epochs with which a track begins, or goes on if ``start`` is None.
 
         Return the groups (T, groups) that are visible and were not spent for the start.
         """
-        episode = episode_from(log, self.scene, self.radio, start)
-        if self.height_m is not None:
-            episode = episode.on_flat_ground(self.height_m)
+        episode = self.episode(log, start)
         self.engine.load([episode], go_on=start is None)
         return episode.visible
 
-    def run(self) -> Filtered:
-        """Filter the loaded epochs."""
+    def run(self, engine: Engine | PolicyTracker | None = None, count: int = 0) -> Filtered:
+        """Filter the loaded epochs, or an epoch of the first ``count`` tracks of another engine."""
         names = _MIXTURE if self.switching.bank else _PREDICTED
-        outputs = self.engine.run(*_FILTERED, *names)
-        parts = {name: of[0] for name, of in outputs.items()}
+        outputs = (engine or self.engine).run(*_FILTERED, *names)
+        chosen: Any = (slice(count), 0) if engine else 0
+        parts = {name: of[chosen] for name, of in outputs.items()}
         x = parts["x"]
         P = parts["P"]
         return Filtered(
@@ -149,11 +157,12 @@ class Localizer:
         )
 
     def level_factors(
-        self, filtered: Filtered, visible: Any, time_s: Any, begins: bool
+        self, filtered: Filtered, visible: Any, time_s: Any, begins: bool, tracks: bool = False
     ) -> Array | None:
         """Return factors (T, 2) of Gaussian levels; None if no levels are computed.
 
-        ``visible`` (T, groups) and the times (T,) are arrays or lists.
+        ``visible`` (T, groups) and the times (T,) are arrays or lists. If ``tracks``, they are one
+        epoch of each of T tracks.
         """
         if self.levels is None:
             return None
@@ -161,9 +170,11 @@ class Localizer:
             self.levels.reset()
         x, P, _, nis, accepted, trusted, _ = filtered
         parts = (x, P, nis, accepted, visible - accepted, trusted)
-        of_tracks = [part[None] for part in parts if part is not None]
+        axis = 1 if tracks else 0
+        of_tracks = [np.expand_dims(part, axis) for part in parts if part is not None]
+        times = np.expand_dims(time_s, axis)
         mixes = self.switching.bank is not None
-        return self.levels.factors(self.layout.anchors, mixes, np.asarray(time_s), *of_tracks)[0]  # type: ignore[no-any-return]
+        return self.levels.factors(self.layout.anchors, mixes, times, *of_tracks).squeeze(axis)  # type: ignore[no-any-return]
 
     def smoothed(self, kept: Array, time_s: Array, spread_hz: Array) -> tuple[Array, Array]:
         """Return smoothed means (N, T, 7 or 8), packed covariances (N, T, 28 or 36) of N windows.

@@ -1,4 +1,4 @@
-"""A track in which a policy chooses the mode in every epoch; no ground truth is needed.
+"""Tracks in which a policy chooses the mode in every epoch; no ground truth is needed.
 
 Each epoch is filtered once: all modes run, the policy chooses, and the belief follows. The numbers
 are the same as in an environment. A policy that corrects beliefs then reads the updated belief.
@@ -14,32 +14,38 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import CORRECTION, MODE
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.policy import Switching
-from mmwave_env.numerics.numbers import Array
+from mmwave_env.numerics.numbers import Array, Array32
 from mmwave_env.world.episode import Episode
 
 
 class PolicyTracker:
-    """One track in which a policy chooses an action in every epoch, as in an environment.
+    """Tracks in which a policy chooses an action in every epoch, as in an environment.
 
     Args:
         pipeline: modes and layout.
         switching: the policy, and what it observes.
+        n: number of tracks.
+
+    Attributes:
+        policy: the policy.
+        batch: states and episodes of the tracks.
 
     Raises:
         ValueError: the policy corrects beliefs that the modes share.
     """
 
-    def __init__(self, pipeline: Pipeline, switching: Switching) -> None:
+    def __init__(self, pipeline: Pipeline, switching: Switching, n: int = 1) -> None:
         assert switching.policy
         bank = switching.bank
         table = Observation(pipeline, switching.observation, switching.beliefs)
-        self._policy = switching.policy(table)
-        action = self._policy.action
+        self.policy = switching.policy(table)
+        action = self.policy.action
         if action != MODE and not bank:
             raise ValueError(f'policy: found {action} for a shared belief, expected "per-mode"')
         self._engine = Engine(
-            pipeline, 1, None, switching.observation, bank, action=action, predicted=bank is None
+            pipeline, n, None, switching.observation, bank, action=action, predicted=bank is None
         )
+        self.batch = self._engine.batch
         self._corrects = action == CORRECTION
         self._starts = True
 
@@ -53,6 +59,21 @@ class PolicyTracker:
         self._engine.load_epoch(incoming, time_s)
         self._starts = False
 
+    @property
+    def memory(self) -> tuple[Array32, ...]:
+        """Return the policy's memory."""
+        return self.policy.memory
+
+    def resume(
+        self, columns: Array, incoming: Array, gap_s: Array, memory: Sequence[Array32]
+    ) -> None:
+        """Go on with k tracks, and with the policy's memory of each, arrays (k, ...)."""
+        self.batch.resume(columns, incoming, gap_s)
+        self.policy.reset(np.ones(self.batch.n, np.bool_))
+        for rows, part in zip(memory, self.policy.memory, strict=True):
+            part[: len(rows)] = rows
+        self._starts = False
+
     def run(self, *names: str) -> dict[str, Array]:
         """Filter the loaded episode once, in the same way as :meth:`Engine.run`.
 
@@ -60,12 +81,12 @@ class PolicyTracker:
         belief, and "trusted" is the factor by which the correction was scaled.
         """
         if self._starts:
-            self._policy.reset(np.array([True]))
+            self.policy.reset(np.array([True]))
         corrected = {"reported.x": "corrected_x", "reported.P": "corrected_P"}
         wanted = (*names, *corrected) if self._corrects else names
         program = self._engine.program
         epochs = int(self._engine.batch.state.length[0])
-        played = play(self._engine, self._policy, epochs, program.rows(wanted), scored=False)
+        played = play(self._engine, self.policy, epochs, program.rows(wanted), scored=False)
         parts = program.by_name(wanted, played.outputs)
         if self._corrects:
             parts |= {to: parts.pop(name) for name, to in corrected.items()}

@@ -1,8 +1,10 @@
 """Live localization: a position for every epoch as soon as its rows have arrived."""
 
+import itertools
 import warnings
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from math import inf, isnan
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mmwave_env.interface.policy import Switching
-from mmwave_env.localization.levels import Levels
-from mmwave_env.localization.localizer import Localizer
+from mmwave_env.localization.levels import Levels, LevelState
+from mmwave_env.localization.localizer import Filtered, Localizer
 from mmwave_env.localization.map_files import geodetic
 from mmwave_env.localization.position_errors import gaussian_levels
 from mmwave_env.localization.segments import DOUBTFUL_GAP_S
@@ -24,7 +26,16 @@ from mmwave_env.models.radio import SNR_LIMITS_DB, Radio, deviations, radio_from
 from mmwave_env.models.scene import Scene, scene_from
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.numerics.pytree import flatten
-from mmwave_env.world.episode import NEUTRAL_SNR_DB, blank_incoming, columns_of, sigma_bounds
+from mmwave_env.world.episode import (
+    NEUTRAL_SNR_DB,
+    EpisodeBatch,
+    blank_incoming,
+    columns_of,
+    sigma_bounds,
+)
+
+MOST_USERS = 1 << 14
+_TIME_AHEAD_S = 1.0  # by which an epoch may be ahead of all users
 
 
 class Position(NamedTuple):
@@ -129,47 +140,58 @@ class Tracker:
             LogError: a row is damaged, or its time is not later than the previous epoch's. All rows
                 of the call are ignored, so the caller may repair the row and pass all rows again.
         """
-        rows = list(rows)
         position = None
+        for epoch in self._arrived(rows):
+            position = self.step(epoch)
+        return position
+
+    def _arrived(self, rows: Iterable[Mapping[str, Any]]) -> list[LiveEpoch]:
+        """Return the epochs that rows form."""
+        rows = list(rows)
         if not rows:
-            return None
+            return []
         if self._log is None:
             names = dict.fromkeys(name for row in rows for name in row)
             self._log = LiveLog(list(names), self._scene, self._snr_db, clock=self._clock)
-        for epoch in self._log.add_epoch(rows):
-            position = self.step(epoch)
+        epochs = self._log.add_epoch(rows)
         for warning in self._log.warnings:
-            warnings.warn(warning, stacklevel=2)
+            warnings.warn(warning, stacklevel=3)
         self._log.warnings.clear()
-        return position
+        return epochs
 
     def step(self, epoch: LiveEpoch) -> Position | None:
         """Process an epoch of a live log, as :meth:`update` does."""
+        revised = self._revised(epoch)
+        if revised:
+            return self._restart(*revised)
+        if self._last_s is None:
+            return None
+        row, visible, spread_hz = self._incoming(epoch)
+        self._filter.load_epoch(row, epoch.time_s)
+        return self._filtered([epoch.time_s], [visible], [spread_hz])
+
+    def _revised(self, epoch: LiveEpoch) -> tuple[Log, Start] | None:
+        """Return the epochs with which a track begins, or begins anew, and the start; else None."""
         if self._filter is not None and epoch.layout != self._layout:
             self._filter = None
             self._last_s = None
             self._doubt = None
         gap_s = inf if self._last_s is None else epoch.time_s - self._last_s
         if gap_s > GAP_S or gap_s <= 0.0:  # a clock that was set back begins a new track, too
-            return self._begin(epoch.log())
+            if self._last_s is not None or self._doubt is None:
+                self._doubt = Doubt(self._scene, self._radio)
+                self._last_s = None
+            row = epoch.log()
+            start = self._doubt.begin(row)
+            return (row, start) if start else None
         if gap_s > DOUBTFUL_GAP_S:
             self._doubt = Doubt(self._scene, self._radio)
-        if self._doubt:
-            revised = self._doubt.revise(epoch.log())
-            if not self._doubt.is_open():
-                self._doubt = None
-            if revised:
-                return self._restart(*revised)
-        visible, spread_hz = self._load_quickly(epoch) or self._load(epoch.log())
-        return self._filtered([epoch.time_s], [visible], [spread_hz])
-
-    def _begin(self, row: Log) -> Position | None:
-        """Begin a track with an epoch (T = 1); return None if it determines no position."""
-        if self._last_s is not None or self._doubt is None:
-            self._doubt = Doubt(self._scene, self._radio)
-            self._last_s = None
-        start = self._doubt.begin(row)
-        return self._restart(row, start) if start else None
+        if self._doubt is None:
+            return None
+        revised = self._doubt.revise(epoch.log())
+        if not self._doubt.is_open():
+            self._doubt = None
+        return revised
 
     def _restart(self, log: Log, start: Start) -> Position:
         """Begin a track with the first of T epochs; return the belief after the last one."""
@@ -190,26 +212,43 @@ class Tracker:
         """Filter the loaded epochs; return the belief after the last one."""
         filtered = self._localizer.run()
         factors = self._localizer.level_factors(filtered, visible, time_s, begins)
-        modes = [self._names[int(mode)] for mode in filtered.mode]
         if begins:
             self._late.clear()
         for t, groups in enumerate(visible):
-            if any(groups[: self._layout.anchors]) or (self._layout.odometry and groups[-1]):
+            if self._measures(groups):
                 self._last_s = time_s[t]
             own = None if factors is None else factors[t : t + 1]
             kept = tuple(part[t : t + 1] for part in filtered.kept)
-            self._late.append((time_s[t], spread_hz[t], modes[t], own, kept))
-        *_, nis = filtered.nis.tolist()
-        *_, accepted = filtered.accepted.tolist()
+            mode = self._names[int(filtered.mode[t])]
+            self._late.append((time_s[t], spread_hz[t], mode, own, kept))
+        return self._reported(filtered, -1, time_s[-1], visible[-1], factors, begins)
+
+    def _measures(self, visible: list[bool]) -> bool:
+        """Tell whether an epoch measured a link or odometry."""
+        return any(visible[: self._layout.anchors]) or (self._layout.odometry and visible[-1])
+
+    def _reported(
+        self,
+        filtered: Filtered,
+        t: int,
+        time_s: float,
+        visible: list[bool],
+        factors: Array | None,
+        begins: bool = False,
+    ) -> Position:
+        """Return the belief after the filtered epoch t, with what happened in it."""
+        nis = filtered.nis[t].tolist()
+        accepted = filtered.accepted[t].tolist()
         trusted = filtered.trusted
-        last = None if factors is None else factors[-1:]
-        measured = [g for g, is_seen in enumerate(visible[-1]) if is_seen]
-        position = self._position(time_s[-1], filtered.x[-1], filtered.P[-1], modes[-1], last)
+        mode = self._names[int(filtered.mode[t])]
+        last = None if factors is None else factors[t][None]
+        measured = [g for g, is_seen in enumerate(visible) if is_seen]
+        position = self._position(time_s, filtered.x[t], filtered.P[t], mode, last)
         return position._replace(
             nis={self._groups[g]: nis[g] for g in measured},
             rejected=[self._groups[g] for g in measured if accepted[g] < 0.5],
             begins=begins,
-            trusted=None if trusted is None else float(trusted[-1]),
+            trusted=None if trusted is None else float(trusted[t]),
         )
 
     def _prepare(self, layout: Layout) -> None:
@@ -229,13 +268,18 @@ class Tracker:
         sigma = self._radio.sigma(ends, self._scene, layout)
         self._sound = all(bound.holds(sigma[:, rows]).all() for rows, bound in sigma_bounds(layout))
 
-    def _load(self, log: Log) -> tuple[list[bool], float]:
-        """Load an epoch (T = 1); return which groups are visible, and the Doppler spread, Hz."""
-        visible = self._localizer.load(log)
-        return visible[0].tolist(), float(log.doppler_spread_hz[0])
+    def _incoming(self, epoch: LiveEpoch) -> tuple[Any, list[bool], float]:
+        """Return an epoch's row of a table, its visible groups, and the Doppler spread, Hz."""
+        quick = self._quick_incoming(epoch)
+        if quick:
+            return quick
+        log = epoch.log()
+        episode = self._localizer.episode(log)
+        row = EpisodeBatch.of([episode]).table[0, 0]
+        return row, episode.visible[0].tolist(), float(log.doppler_spread_hz[0])
 
-    def _load_quickly(self, epoch: LiveEpoch) -> tuple[list[bool], float] | None:
-        """Load an epoch as :meth:`_load` does, but faster; return None if this is impossible."""
+    def _quick_incoming(self, epoch: LiveEpoch) -> tuple[list[float], list[bool], float] | None:
+        """Return the same as :meth:`_incoming`, but faster; None if this is impossible."""
         if not epoch.placed or not self._sound:
             return None
         (numbers, doppler_anchor) = epoch.placed
@@ -265,8 +309,7 @@ class Tracker:
             row[at.doppler_of[link]] = float(link == doppler_anchor)
         if not isnan(numbers[-1]):
             row[at.doppler_spread_hz] = numbers[-1]
-        self._filter.load_epoch(row, epoch.time_s)
-        return visible, row[at.doppler_spread_hz]
+        return row, visible, row[at.doppler_spread_hz]
 
     def smoothed(self) -> Position | None:
         """Return the position ``lag`` epochs ago, smoothed with the epochs since then.
@@ -300,3 +343,146 @@ class Tracker:
             return position
         levels = gaussian_levels(P, self._levels.risk) * factors[0]
         return position._replace(levels_m=levels.tolist())
+
+
+@dataclass(slots=True)
+class _User:
+    """What is kept of a user between two epochs."""
+
+    seen_s: float = 0.0  # time of all users together when the user's last epoch arrived
+    last_s: float | None = None  # as in a Tracker
+    doubt: Doubt | None = None
+    end_s: float = 0.0  # time of the last filtered epoch
+    state: Array = field(default_factory=lambda: np.empty(0))  # (size,) state of the filter
+    memory: Sequence[Array] = ()  # the policy's, arrays (1, ...)
+    levels: Sequence[Array] = ()  # of a LevelState
+
+
+class Trackers:
+    """Live trackers of many users, whose epochs are filtered together.
+
+    Each user's positions are, to the bit, those of a :class:`Tracker` of its own. Users come and
+    go: whoever is silent for longer than a track can last is forgotten, and whoever has been silent
+    longest if there are more than ``MOST_USERS``. A policy's memory must be in its ``memory``.
+
+    ```python
+    >>> trackers = Trackers("street", policy=policies.load("corrector"))
+    >>> rows = [{"ue": "a", "time_s": 0.0, "anchor": 1, "range_m": 71.2, "aoa_azimuth_deg": -45.1,
+    ...          "aoa_elevation_deg": -6.9, "aod_azimuth_deg": 134.8, "snr_db": 22.0}]
+    >>> trackers.update(rows)["a"].position_m  # doctest: +SKIP
+
+    ```
+
+    Args:
+        arguments, options: the same as for a :class:`Tracker`, without ``lag``.
+
+    Attributes:
+        forgotten: users who were forgotten; the caller clears it.
+    """
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        self.forgotten: list[str] = []
+        self._one = Tracker(*arguments, **options | {"lag": 0})  # begins tracks
+        self._users: dict[str, _User] = {}  # in the order of their last epochs
+        self._now_s = -inf
+        self._engines: dict[int, Any] = {}  # by number of tracks
+
+    def update(self, rows: Iterable[Mapping[str, Any]]) -> dict[str, Position]:
+        """Process rows with a key ``ue``, an epoch of each user; return the beliefs by user.
+
+        Arguments and errors are the same as for :meth:`Tracker.update`.
+        """
+        positions = dict(self.step(self._one._arrived(rows)))
+        for user in self.forgotten:
+            assert self._one._log
+            self._one._log.forget(user)
+        self.forgotten.clear()
+        return positions
+
+    def step(self, epochs: Iterable[LiveEpoch]) -> list[tuple[str, Position]]:
+        """Process epochs of live logs; return users, and the beliefs after their epochs."""
+        one = self._one
+        done = []
+        ready: dict[str, LiveEpoch] = {}
+        for epoch in epochs:
+            name = epoch.user
+            if name in ready:
+                done += self._filtered(ready)
+                ready = {}
+            if one._filter is not None and epoch.layout != one._layout:
+                self._users.clear()
+                self._engines.clear()
+            user = self._arrived(epoch)
+            one._last_s = user.last_s
+            one._doubt = user.doubt
+            revised = one._revised(epoch)
+            if revised:
+                done.append((name, one._restart(*revised)))
+                self._keep(user, epoch, one._filter, 0)
+            elif one._last_s is not None:
+                ready[name] = epoch
+            user.last_s = one._last_s
+            user.doubt = one._doubt
+        return [*done, *self._filtered(ready)]
+
+    def _arrived(self, epoch: LiveEpoch) -> _User:
+        """Return the user of an epoch; forget users who have left."""
+        if not self._users:
+            self._now_s = epoch.time_s
+        user = self._users.pop(epoch.user, None) or _User()
+        # A wrong time far ahead of the others is no reason to forget all of them.
+        self._now_s = max(self._now_s, min(epoch.time_s, self._now_s + _TIME_AHEAD_S))
+        user.seen_s = self._now_s
+        self._users[epoch.user] = user
+        for name, other in [*itertools.islice(self._users.items(), 2)]:
+            if self._now_s - other.seen_s > GAP_S or len(self._users) > MOST_USERS:
+                del self._users[name]
+                self.forgotten.append(name)
+        return user
+
+    def _filtered(self, ready: Mapping[str, LiveEpoch]) -> list[tuple[str, Position]]:
+        """Filter an epoch of each of some users."""
+        if not ready:
+            return []
+        one = self._one
+        localizer = one._localizer
+        users = [self._users[name] for name in ready]
+        n = max(8, 1 << (len(users) - 1).bit_length())
+        if n not in self._engines:
+            self._engines[n] = localizer.tracks(n)
+        engine = self._engines[n]
+        rows, visible, _ = zip(*map(one._incoming, ready.values()), strict=True)
+        times = np.array([epoch.time_s for epoch in ready.values()])
+        gaps = times - np.array([user.end_s for user in users])
+        states = np.array([user.state for user in users])
+        engine.resume(states, np.array(rows), gaps, _joined([user.memory for user in users]))
+        filtered = localizer.run(engine, len(users))
+        if localizer.levels and users[0].levels:
+            localizer.levels.state = LevelState(*_joined([user.levels for user in users]))
+        factors = localizer.level_factors(filtered, np.array(visible), times, False, tracks=True)
+        done = []
+        for i, (name, epoch) in enumerate(ready.items()):
+            user = users[i]
+            self._keep(user, epoch, engine, i)
+            if one._measures(visible[i]):
+                user.last_s = epoch.time_s
+            done.append((name, one._reported(filtered, i, epoch.time_s, visible[i], factors)))
+        return done
+
+    def _keep(self, user: _User, epoch: LiveEpoch, engine: Any, track: int) -> None:
+        """Keep what a track's next epoch needs."""
+        levels = self._one._localizer.levels
+        user.end_s = epoch.time_s
+        user.state = engine.batch.column(track)
+        user.memory = _row(engine.memory, track)
+        user.levels = _row(levels.state, track) if levels and levels.state else ()
+
+
+def _row(arrays: Sequence[Array], row: int) -> list[Array]:
+    """Return copies of a row of arrays (n, ...), as arrays (1, ...)."""
+    return [part[row : row + 1].copy() for part in arrays]
+
+
+def _joined(rows: Sequence[Sequence[Array]]) -> list[Array]:
+    """Join the rows (1, ...) of n users into arrays (n, ...)."""
+    return [np.concatenate(parts) for parts in zip(*rows, strict=True)]

@@ -6,6 +6,7 @@ checks of ``log_checks.py``, which are slower and also find out what is wrong.
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from math import inf, isnan, nan
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,19 +16,21 @@ import numpy as np
 from mmwave_env.logs.log import Log, layout_of, log_of, places
 from mmwave_env.logs.log_checks import first_damage, without_lost
 from mmwave_env.logs.log_columns import BODY, LOST, QUANTITIES, STATION
-from mmwave_env.logs.log_tables import LogError, Table, log_file, parse
+from mmwave_env.logs.log_tables import LogError, Table, log_file, parse, words_of
 from mmwave_env.models.layout import Layout, wrapped
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import PI
 
 _NUMBERS = {float, int, np.float64}  # types that need no parsing; others are parsed as text
 _LOST = {-1.0, *LOST, *(-code for code in LOST)}  # numbers that need the full checks
+USER = "ue"  # name of the column that names users
 _LATE = 3  # number of late epochs, one after the other, with which a log goes on
 
 
 class LiveEpoch(NamedTuple):
     """An epoch of a live log."""
 
+    user: str  # the cell ``ue`` of its rows; "" without such a column
     time_s: float
     layout: Layout
     log: Callable[[], Log]  # returns the epoch as a log, T = 1
@@ -37,11 +40,22 @@ class LiveEpoch(NamedTuple):
     placed: tuple[list[float], int] | None
 
 
+@dataclass(slots=True)
+class _Arrivals:
+    """What has arrived from a user."""
+
+    rows: list[list[float]] = field(default_factory=list)  # of the current epoch
+    last: list[list[float]] = field(default_factory=list)  # rows of the last epoch
+    last_s: float = -inf
+    late_s: list[float] = field(default_factory=list)  # increasing times of the latest, late rows
+
+
 class LiveLog:
     """A collector that groups the rows of a log into epochs as the rows arrive.
 
     An epoch is over when every anchor has a row, when a row with a later time or a blank line
     arrives, or when :meth:`end_epoch` is called. Only the rows of one epoch are kept in memory.
+    Rows may have a column ``ue``, any text, which names the user; each user has epochs of its own.
 
     Rows that are late are refused; but if they keep coming, with increasing times, a clock was set
     back, or one row had a time in the future: then the log goes on at the earlier time. A row of
@@ -79,12 +93,10 @@ class LiveLog:
         self._clock = clock
         self.warnings: list[str] = []
         self.left_out: Counter[str] = Counter()
-        self._ignored = {""}
-        self._rows: list[list[float]] = []
-        self._last: list[list[float]] = []  # rows of the last epoch
-        self._last_s = -inf
-        self._late_s: list[float] = []  # increasing times of late rows, with no other row between
-        self._set_columns(names)
+        self._ignored = {"", USER}
+        self._arrivals: dict[str, _Arrivals] = {}  # by user
+        self._user = names.index(USER) if USER in names else None
+        self._set_columns([name for name in names if name != USER])
 
     def _set_columns(self, names: Sequence[str]) -> None:
         """Set the names of the columns, in any order; refuse wrong ones."""
@@ -121,27 +133,32 @@ class LiveLog:
         Raises:
             LogError: the row is damaged or late; it is ignored.
         """
-        cells = self._cells(row, number)
+        user, cells = self._cells(row, number)
         if not cells:
             return self.end_epoch()
+        arrived = self._arrivals.setdefault(user, _Arrivals())
         over = []
-        if not self._rows or cells[self._time] != self._rows[0][self._time]:
+        if not arrived.rows or cells[self._time] != arrived.rows[0][self._time]:
             time_s = self._time_s(cells)
-            latest_s = self._time_s(self._rows[0]) if self._rows else self._last_s
-            if time_s <= latest_s and self._repeats(cells, self._last, number):
+            latest_s = self._time_s(arrived.rows[0]) if arrived.rows else arrived.last_s
+            if time_s <= latest_s and self._repeats(cells, arrived.last, number):
                 return []
-            if time_s <= latest_s and not self._goes_on_at(time_s):
+            if time_s <= latest_s and not _goes_on_at(arrived, time_s):
                 problem = f"time {time_s!r} s in a row that follows the epoch at {latest_s!r} s"
                 raise self._log.error(number, "time", problem, "times that increase")
-            over = self.end_epoch()
-        self._late_s.clear()
-        for before in self._rows:
+            over = self._end(user)
+        arrived.late_s.clear()
+        for before in arrived.rows:
             if not self._agree(cells, before):
                 if self._repeats(cells, [before], number):
                     return over
-                self._require_sound(self._table([*self._rows, cells], number))
-        self._rows.append(cells)
-        return [*over, *(self.end_epoch() if len(self._rows) == self.layout.anchors else [])]
+                self._require_sound(self._table([*arrived.rows, cells], number))
+        arrived.rows.append(cells)
+        return [*over, *(self._end(user) if len(arrived.rows) == self.layout.anchors else [])]
+
+    def forget(self, user: str) -> None:
+        """Forget a user, who has left."""
+        self._arrivals.pop(user, None)
 
     def _repeats(self, cells: list[float], rows: list[list[float]], number: int) -> bool:
         """Tell whether one of these rows has the same cells; count and report repeated rows."""
@@ -156,17 +173,6 @@ class LiveLog:
         if self.left_out[name] == 1:
             self.warnings.append(f"left out: {note}")
 
-    def _goes_on_at(self, time_s: float) -> bool:
-        """Tell whether so many late rows came in order that the log goes on at their time."""
-        if not self._late_s or time_s > self._late_s[-1]:
-            self._late_s.append(time_s)
-        elif time_s < self._late_s[-1]:
-            self._late_s = [time_s]
-        if len(self._late_s) < _LATE:
-            return False
-        self._rows = []
-        return True
-
     def add_epoch(self, rows: Iterable[str | Mapping[str, Any]]) -> list[LiveEpoch]:
         """Add all rows of an epoch, end it, and return the epochs that are now over.
 
@@ -176,28 +182,37 @@ class LiveLog:
         rows = list(rows)
         for row in rows:
             self._learn_from(row, 0)
-        before = self._rows.copy(), self._last_s
+        users = {self._user_of(row) for row in rows}
+        known = [(user, self._arrivals[user]) for user in users & self._arrivals.keys()]
+        before = {user: replace(arrived, rows=arrived.rows.copy()) for user, arrived in known}
         try:
             over = [epoch for row in rows for epoch in self.add(row)]
         except LogError:
-            self._rows, self._last_s = before
+            for user in users:
+                self.forget(user)
+            self._arrivals |= before
             raise
         return [*over, *self.end_epoch()]
 
     def end_epoch(self) -> list[LiveEpoch]:
-        """End the current epoch; return a list with this epoch, or [] if it has no rows yet."""
-        if not self._rows:
+        """End the users' current epochs; return those that have rows."""
+        return [epoch for user in list(self._arrivals) for epoch in self._end(user)]
+
+    def _end(self, user: str) -> list[LiveEpoch]:
+        """End a user's epoch; return a list with this epoch, or [] if it has no rows yet."""
+        arrived = self._arrivals[user]
+        rows = arrived.rows
+        if not rows:
             return []
-        self._last_s = self._time_s(self._rows[0])
-        rows = self._rows
-        self._rows = []
-        self._last = rows
+        arrived.last_s = self._time_s(rows[0])
+        arrived.rows = []
+        arrived.last = rows
 
         def log() -> Log:
             return log_of(self._table(rows), self._scene, self.layout, True, self._snr_db)
 
         placed = None if self._turned else self._placed(rows)
-        return [LiveEpoch(self._last_s, self.layout, log, placed)]
+        return [LiveEpoch(user, arrived.last_s, self.layout, log, placed)]
 
     def _table(self, rows: list[list[float]], number: int = 0) -> Table:
         """Return rows of cells as a table; ``number`` is the last row's number in the source."""
@@ -233,22 +248,37 @@ class LiveLog:
                 return False
         return cells[self._anchor] != before[self._anchor]
 
-    def _cells(self, row: str | Mapping[str, Any], number: int) -> list[float]:
-        """Return the cells of a row, or no cells for a blank line; refuse a damaged row."""
+    def _user_of(self, row: str | Mapping[str, Any]) -> str:
+        """Return the user of a row; "" if the row does not name any."""
         if not isinstance(row, str):
+            return "" if (user := row.get(USER)) is None else str(user)
+        if self._user is None:
+            return ""
+        words = words_of(row, self._delimiter)
+        return words[self._user].strip() if len(words) > self._user else ""
+
+    def _cells(self, row: str | Mapping[str, Any], number: int) -> tuple[str, list[float]]:
+        """Return the user and cells of a row; no cells for a blank line; refuse a damaged row."""
+        user = self._user_of(row)
+        if isinstance(row, str):
+            words = words_of(row, self._delimiter) if row.strip() else []
+            if self._user is not None and len(words) > self._user:
+                words.pop(self._user)
+            cells = self._log.quick_numbers(row, words) or []
+        else:
             self._learn_from(row, number)
             cells = [nan if (cell := row.get(name)) is None else cell for name in self._limits]
-            if self._plain(cells):
-                return cells
             words = ["" if (cell := row.get(name)) is None else str(cell) for name in self._names]
-        table = parse(self._log, [row if isinstance(row, str) else words], number)
+        if cells and self._plain(cells):
+            return user, cells
+        table = parse(self._log, [words] if words else [], number)
         cells = table.cells.ravel().tolist()
         if cells and (table.damage or not self._plain(cells)):
             table, notes = without_lost(table, self._clock)
             self._require_sound(table)
             for name, note in notes.items():
                 self._report(name, note)
-        return table.cells.ravel().tolist()
+        return user, table.cells.ravel().tolist()
 
     def _learn_from(self, row: str | Mapping[str, Any], number: int) -> None:
         """Add the columns of a row that no row had before."""
@@ -260,7 +290,7 @@ class LiveLog:
 
     def _learn(self, names: list[str], number: int) -> None:
         """Add columns; ignore those that are unknown from now on."""
-        known = [dict(zip(self._limits, cells, strict=True)) for cells in self._rows]
+        before = list(self._limits)
         try:
             self._set_columns([*self._names, *names])
         except LogError as error:
@@ -270,7 +300,12 @@ class LiveLog:
             for name in names if len(names) > 1 else ():
                 self._learn([name], number)
             return
-        self._rows = [[row.get(column, nan) for column in self._limits] for row in known]
+        place = {name: i for i, name in enumerate(before)}
+        for arrived in self._arrivals.values():
+            arrived.rows = [
+                [row[place[name]] if name in place else nan for name in self._limits]
+                for row in arrived.rows
+            ]
 
     def _plain(self, cells: list[Any]) -> bool:
         """Tell whether the cells of a row are surely sound; if not, they need the full checks."""
@@ -284,3 +319,15 @@ class LiveLog:
         _, damage = first_damage(table, self.layout, limits=True)
         if damage:
             raise damage
+
+
+def _goes_on_at(arrived: _Arrivals, time_s: float) -> bool:
+    """Tell whether so many late rows came in order that the log goes on at their time."""
+    if not arrived.late_s or time_s > arrived.late_s[-1]:
+        arrived.late_s.append(time_s)
+    elif time_s < arrived.late_s[-1]:
+        arrived.late_s = [time_s]
+    if len(arrived.late_s) < _LATE:
+        return False
+    arrived.rows = []
+    return True

@@ -82,6 +82,20 @@ class LogFile:
         """Return the indices of the columns without a name, which may hold numbers of rows."""
         return [number for number, name in enumerate(self.names) if not name]
 
+    @cached_property
+    def numbers(self) -> list[int]:
+        """Return the indices of the columns that are used."""
+        return [column.number for column in self.columns.values()]
+
+    def quick_numbers(self, line: str, words: Sequence[str]) -> list[float] | None:
+        """Return the numbers of a line, NaN for empty cells; None if it needs a closer look."""
+        if len(words) != len(self.names) or self.unnamed or "_" in line or not line.isascii():
+            return None
+        try:
+            return [float(words[i]) if words[i] else math.nan for i in self.numbers]
+        except ValueError:
+            return None
+
     def place(self, row: int) -> str:
         """Return the place of a row; in a CSV file, the row number is the line number."""
         return f"{'row' if _is_parquet(self.path) else 'line'} {row}"
@@ -197,7 +211,7 @@ def read_table(path: Path, hz_per_mps: float, **options: bool) -> Table:
         names, delimiter = header_of(lines[0])
     except ValueError as error:
         raise LogError(f"{path}, line 1: {error}") from error
-    first = _words(lines[1], delimiter) if len(lines) > 1 else []
+    first = words_of(lines[1], delimiter) if len(lines) > 1 else []
     if len(first) == len(names) + 1 and first[0].isdigit() and first[-1]:
         names = ["", *names]  # R names the rows, but not their column
     file = log_file(path, names, delimiter, hz_per_mps, **options)
@@ -220,13 +234,13 @@ def header_of(line: str) -> tuple[list[str], str]:
         ValueError: the line is no header.
     """
     delimiter = "," if "," in line else ";"
-    names = [_UNNAMED.sub("", name.strip()) for name in _words(line, delimiter)]
+    names = [_UNNAMED.sub("", name.strip()) for name in words_of(line, delimiter)]
     if len(names) < 2:
         raise ValueError(f"found {line[:60]!r}, expected comma-separated names of columns")
     return names, delimiter
 
 
-def _words(line: str, delimiter: str) -> list[str]:
+def words_of(line: str, delimiter: str) -> list[str]:
     """Return the cells of a line, without the quotes of RFC 4180."""
     if '"' in line:
         try:
@@ -244,39 +258,48 @@ def parse(file: LogFile, lines: Sequence[str | list[str]], first: int) -> Table:
     cells = array("d")
     rows = array("q")
     damage = None
-    width = len(file.names)
-    unnamed = file.unnamed
     for row, line in enumerate(lines, start=first):
-        words = _words(line, file.delimiter) if isinstance(line, str) else line
-        values = []
-        if len(words) > width and not "".join(words[width:]).strip():
-            words = words[:width]  # some programs write delimiters without cells
-        if len(words) == width:
-            for quantity, column in file.columns.items():
-                word = words[column.number]
-                value = number(word)
-                if math.isnan(value) and not _says_nothing(word):
-                    value = _other_number(file, quantity, word)
-                    if math.isnan(value) and not damage:
-                        expected = _EXPECTED.get(quantity, _NUMBER)
-                        damage = file.error(row, quantity, quoted(word.strip()), expected)
-                values.append(value)
-            for spare in (words[i] for i in unnamed):
-                if not (damage or spare.strip().isdigit() or _says_nothing(spare)):
-                    problem = f"{quoted(spare)} in a column without a name"
-                    damage = file.error(row, "", problem, "a name, or only numbers of rows")
-        elif isinstance(line, str) and not line.strip():
-            continue
-        else:
-            values = [math.nan] * len(file.columns)
-            count = f"{len(words)} cells" if len(words) > 1 else f"one cell, {line[:40]!r}"
-            damage = file.error(row, "", count, f"{width}, as in the header")
-        cells.extend(values)
-        rows.append(row)
+        words = words_of(line, file.delimiter) if isinstance(line, str) else line
+        values = file.quick_numbers(line, words) if isinstance(line, str) else None
+        if values is None:
+            values, damage = _careful(file, row, line, words)
+        if values:
+            cells.extend(values)
+            rows.append(row)
         if damage:
             break
     table = np.array(cells).reshape(len(rows), len(file.columns))
     return Table(file, np.array(rows), table, damage)
+
+
+def _careful(
+    file: LogFile, row: int, line: str | list[str], words: list[str]
+) -> tuple[list[float], LogError | None]:
+    """Return the numbers of a line, none if it is blank, and its first damage, if any."""
+    width = len(file.names)
+    damage = None
+    values = []
+    if len(words) > width and not "".join(words[width:]).strip():
+        words = words[:width]  # some programs write delimiters without cells
+    if len(words) == width:
+        for quantity, column in file.columns.items():
+            word = words[column.number]
+            value = number(word)
+            if math.isnan(value) and not _says_nothing(word):
+                value = _other_number(file, quantity, word)
+                if math.isnan(value) and not damage:
+                    expected = _EXPECTED.get(quantity, _NUMBER)
+                    damage = file.error(row, quantity, quoted(word.strip()), expected)
+            values.append(value)
+        for spare in (words[i] for i in file.unnamed):
+            if not (damage or spare.strip().isdigit() or _says_nothing(spare)):
+                problem = f"{quoted(spare)} in a column without a name"
+                damage = file.error(row, "", problem, "a name, or only numbers of rows")
+    elif line.strip() if isinstance(line, str) else line:
+        values = [math.nan] * len(file.columns)
+        count = f"{len(words)} cells" if len(words) > 1 else f"one cell, {words[0][:40]!r}"
+        damage = file.error(row, "", count, f"{width}, as in the header")
+    return values, damage
 
 
 def _other_number(file: LogFile, quantity: str, word: str) -> float:
