@@ -2,8 +2,7 @@
 
 import json
 import sys
-from collections.abc import Iterator
-from io import TextIOWrapper
+from collections.abc import Iterator, Sequence
 from itertools import chain
 from typing import Any
 
@@ -16,11 +15,12 @@ from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.location_data import location_data
 from mmwave_env.localization.map_files import origin_of
 from mmwave_env.localization.radio_choice import nearest_radio
-from mmwave_env.localization.tracker import Position, Tracker
+from mmwave_env.localization.tracker import Position, Tracker, Trackers
 from mmwave_env.logs.live_log import LiveEpoch, LiveLog
+from mmwave_env.logs.log import Log
 from mmwave_env.logs.log_tables import LogError, header_of
 from mmwave_env.models.layout import clock_from
-from mmwave_env.models.scene import Scene
+from mmwave_env.models.scene import Origin, Scene
 
 SOURCE = "standard input"
 
@@ -41,38 +41,72 @@ def run_live(args: LogArgs) -> None:
     require_at_least(0, args, "lag")
     require_one_choice(args)
     clock = clock_from(args.clock)
-    if not 0.0 < args.confidence < 1.0:
-        raise ValueError(f"confidence: found {args.confidence}, expected between 0 and 1")
     levels = Levels(args.risk, args.levels)
     scene = scene_of(args, args.scene)
-    origin = origin_of(scene, "format: 3gpp") if args.format == "3gpp" else None
-    tracker: Tracker | None = None
+    origin = _origin(args, scene)
+    tracker: Tracker | Trackers | None = None
     began = False
-    for epoch in _epochs(scene, args.snr, clock):
-        if tracker is None:
-            log = epoch.log()
-            if not log.visible[:, : log.layout.anchors].any():
+    for live, epochs in _epochs(scene, args.snr, clock):
+        users = any(epoch.user for epoch in epochs)
+        if tracker is None or (users and isinstance(tracker, Tracker)):
+            log = next(filter(_has_links, (epoch.log() for epoch in epochs)), None)
+            if log is None:
                 continue
-            radio = nearest_radio(log, scene) if args.radio == AUTO else args.radio
-            choice = choice_of(args, radio, log)
-            tracker = Tracker(
-                scene, choice.switching, radio, height_m=args.height, lag=max(args.lag, 1),
-                levels=levels,
-            )  # fmt: skip
-        position = tracker.step(epoch)
-        if position:
-            if not began:
-                note(f"a new track begins: modes {choice.why}, radio {radio}")
-            elif position.begins:
-                note(f"a new track begins at {position.time_s!r} s")
-            late = tracker.smoothed() if args.lag else None
-            content = _content(position) | ({"smoothed": _content(late)} if late else {})
+            tracker, why = _tracker(args, scene, log, levels)
+            if users:
+                require_alone(args, "lag", "live")
+                tracker = Trackers(tracker)
+        for user, position in _positions(tracker, epochs):
+            if not began or (position.begins and not user):
+                note(f"a new track begins at {position.time_s!r} s: {why}")
+            content: Json = {"ue": user} if user else {}
             if origin:
-                content = location_data(position, origin, args.confidence, args.accuracy)
-            print(json.dumps(content), flush=True)
+                content |= location_data(position, origin, args.confidence, args.accuracy)
+            else:
+                content |= _content(position)
+            late = tracker.smoothed() if args.lag else None
+            if late:
+                content["smoothed"] = _content(late)
+            print(json.dumps(content), flush=not user)
             began = True
+        if isinstance(tracker, Trackers):
+            sys.stdout.flush()
+            live.forget(tracker.forgotten)
     if not began:
         _warn(f"{SOURCE}: found no epoch that determines a position")
+
+
+def _tracker(args: LogArgs, scene: Scene, log: Log, levels: Levels) -> tuple[Tracker, str]:
+    """Return a tracker for a log that begins like this, and its modes and radio in words."""
+    radio = nearest_radio(log, scene) if args.radio == AUTO else args.radio
+    choice = choice_of(args, radio, log)
+    lag = max(args.lag, 1)
+    tracker = Tracker(scene, choice.switching, radio, height_m=args.height, lag=lag, levels=levels)
+    return tracker, f"modes {choice.why}, radio {radio}"
+
+
+def _origin(args: LogArgs, scene: Scene) -> Origin | None:
+    """Return the scene's origin if --format needs it."""
+    if not 0.0 < args.confidence < 1.0:
+        raise ValueError(f"confidence: found {args.confidence}, expected between 0 and 1")
+    return origin_of(scene, "format: 3gpp") if args.format == "3gpp" else None
+
+
+def _has_links(log: Log) -> bool:
+    return bool(log.visible[:, : log.layout.anchors].any())
+
+
+def _positions(
+    tracker: Tracker | Trackers, epochs: Sequence[LiveEpoch]
+) -> Iterator[tuple[str, Position]]:
+    """Yield users ("" if there is only one), and the beliefs after their epochs."""
+    if isinstance(tracker, Trackers):
+        yield from tracker.step(epochs)
+        return
+    for epoch in epochs:
+        position = tracker.step(epoch)
+        if position:
+            yield "", position
 
 
 def _content(position: Position) -> Json:
@@ -80,16 +114,36 @@ def _content(position: Position) -> Json:
     return {name: value for name, value in position._asdict().items() if value is not None}
 
 
-def _epochs(scene: Scene, snr_db: float | None, clock: bool) -> Iterator[LiveEpoch]:
+def _lines() -> Iterator[tuple[int, str] | None]:
+    """Yield the numbers and texts of the lines of standard input; None where the input waits."""
+    stream: Any = sys.stdin.buffer
+    number = 1
+    rest = b""
+    while piece := stream.read1(1 << 16):
+        *lines, rest = (rest + piece).split(b"\n")
+        yield from enumerate(map(_text, lines), start=number)
+        yield None
+        number += len(lines)
+    if rest:
+        yield number, _text(rest)
+        yield None
+
+
+def _text(line: bytes) -> str:
+    """Return a line as text; bytes that are no text become escape codes, which checks refuse."""
+    return line.decode("utf-8-sig", errors="backslashreplace").rstrip()
+
+
+def _epochs(
+    scene: Scene, snr_db: float | None, clock: bool
+) -> Iterator[tuple[LiveLog, list[LiveEpoch]]]:
     """Read rows (CSV below a header, or JSON objects); yield the epochs that they form.
 
-    A JSON object is one row, or a whole epoch: {"rows": [...]}.
+    A JSON object is one row, or a whole epoch: {"rows": [...]}. Epochs that arrive together are
+    yielded together, with the log to which they belong.
     """
-    assert isinstance(sys.stdin, TextIOWrapper)
-    # Bytes that are no text become escape codes, which a row's checks refuse.
-    sys.stdin.reconfigure(encoding="utf-8-sig", errors="backslashreplace")
-    lines: Iterator[tuple[int, str]] = enumerate(map(str.rstrip, sys.stdin), start=1)
-    number, first = next(((number, line) for number, line in lines if line), (0, ""))
+    lines = _lines()
+    number, first = next((line for line in lines if line and line[1]), (0, ""))
     if not first:
         raise ValueError(f"log: found nothing on {SOURCE}, expected a header or JSON lines")
     as_json = first.lstrip().startswith("{")
@@ -100,26 +154,39 @@ def _epochs(scene: Scene, snr_db: float | None, clock: bool) -> Iterator[LiveEpo
     else:
         names, delimiter = header_of(first)
     log = LiveLog(names, scene, snr_db, SOURCE, clock, delimiter)
-    for number, line in lines:
-        try:
-            rows, whole = _objects(line, number) if as_json else ([line], False)
-        except LogError as error:
-            _warn(error)
-            continue
-        for row in rows:
-            try:
-                yield from log.add(row, number)
-            except LogError as error:
-                _warn(error)
-            for warning in log.warnings:
-                _warn(f"{SOURCE}, {warning}")
-            log.warnings.clear()
-        if whole:
-            yield from log.end_epoch()
-    yield from log.end_epoch()
+    epochs: list[LiveEpoch] = []
+    for line in lines:
+        if line is None:
+            yield log, epochs
+            epochs = []
+        else:
+            epochs += _added(log, *line, as_json)
+    yield log, log.end_epoch()
     if log.left_out:
         counts = ", ".join(f"{name}: {count}" for name, count in log.left_out.items())
         _warn(f"{SOURCE}: left out in all: {counts}")
+
+
+def _added(log: LiveLog, number: int, line: str, as_json: bool) -> Iterator[LiveEpoch]:
+    """Add a line to a log; yield the epochs that are now over. Warn of what is left out."""
+    if not line:
+        yield from log.end_epoch()
+        return
+    try:
+        rows, whole = _objects(line, number) if as_json else ([line], False)
+    except LogError as error:
+        _warn(error)
+        return
+    for row in rows:
+        try:
+            yield from log.add(row, number)
+        except LogError as error:
+            _warn(error)
+        for warning in log.warnings:
+            _warn(f"{SOURCE}, {warning}")
+        log.warnings.clear()
+    if whole:
+        yield from log.end_epoch(rows)
 
 
 def _objects(line: str, number: int) -> tuple[list[Any], bool]:

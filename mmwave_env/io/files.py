@@ -103,7 +103,7 @@ def parse_json(text: str) -> Any:
         value = json.loads(text, object_pairs_hook=_object)
     except RecursionError:
         raise ValueError(nested) from None
-    level = [value]
+    level = [value] if text.count("[") + text.count("{") > JSON_DEPTH else []
     for _ in range(JSON_DEPTH + 1):
         nodes = [node for node in level if isinstance(node, dict | list)]
         level = []

@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mmwave_env.logs.live_log import LiveEpoch, log_from
 from mmwave_env.logs.log import Log
 from mmwave_env.logs.log_columns import RANGE_LIMITS_M
 from mmwave_env.models.layout import STATE_SIZE
@@ -318,11 +319,15 @@ class Ballot:
         """Tell whether the next vote may still change the start."""
         return len(self._votes) <= VOTES + _JUMP
 
+    def is_due(self, time_s: float) -> bool:
+        """Tell whether an epoch at this time is not too near to the last vote."""
+        spacing_s = _SPACING_S if len(self._votes) < VOTES else _LATER_SPACING_S
+        return not self._votes or time_s - self._votes[-1].time_s >= spacing_s
+
     def add(self, log: Log, epoch: int) -> bool:
         """Let an epoch of a log vote, unless it follows another vote at once; tell if it did."""
-        spacing_s = _SPACING_S if len(self._votes) < VOTES else _LATER_SPACING_S
         now = float(log.time_s[epoch])
-        if self._votes and now - self._votes[-1].time_s < spacing_s:
+        if not self.is_due(now):
             return False
         solved = _position_at(log, epoch, self._scene, self._radio)
         if solved is None:
@@ -393,38 +398,40 @@ class Doubt:
     def __init__(self, scene: Scene, radio: Radio) -> None:
         self._scene = scene
         self._radio = radio
-        self._log: Log | None = None
+        self._epochs: list[LiveEpoch] = []
         self._first = 0  # index of the epoch with which the track begins, or ends its gap
         self._ballot = Ballot(scene, radio)
         self._revised = False
 
-    def begin(self, row: Log) -> Start | None:
-        """Return a start with an epoch (T = 1) and the second before it, or None."""
-        before = self._log
-        if before and (before.layout != row.layout or before.time_s[-1] >= row.time_s[0]):
-            self._log = None
-        log = self._with(row)
-        self._log = log.part(slice(int(np.searchsorted(log.time_s, row.time_s[0] - POOL_S)), None))
-        self._first = len(self._log) - 1
-        start = start_at(self._log, self._first, self._scene, self._radio)
-        if start:
-            self._ballot.add(self._log, self._first)
-        return start
+    def begin(self, epoch: LiveEpoch) -> tuple[Log, Start] | None:
+        """Return an epoch (T = 1), and a start with it and the second before it; or None."""
+        kept = [e for e in self._epochs if epoch.time_s - POOL_S <= e.time_s < epoch.time_s]
+        self._epochs = [e for e in kept if e.layout == epoch.layout] + [epoch]
+        self._first = len(self._epochs) - 1
+        log = log_from(self._epochs)
+        start = start_at(log, self._first, self._scene, self._radio)
+        if start is None:
+            return None
+        self._ballot.add(log, self._first)
+        return log.part(slice(self._first, None)), start
 
-    def revise(self, row: Log) -> tuple[Log, Start] | None:
+    def revise(self, epoch: LiveEpoch) -> tuple[Log, Start] | None:
         """Return the epochs with which to begin again, and their start; None if the track stands.
 
-        ``row`` is the next epoch (T = 1), the last one of the epochs that are returned.
+        ``epoch`` is the next epoch, the last one of the epochs that are returned.
         """
-        self._log = log = self._with(row)
+        self._epochs.append(epoch)
+        if not self._ballot.is_due(epoch.time_s):
+            return None
+        log = log_from(self._epochs)
         if not self._ballot.add(log, len(log) - 1):
             return None
         jump = self._ballot.jump()
         if jump is not None:
             self._first = jump
             self._ballot = Ballot(self._scene, self._radio)
-            for epoch in range(jump, len(log)):
-                self._ballot.add(log, epoch)
+            for later in range(jump, len(log)):
+                self._ballot.add(log, later)
         elif not self._ballot.is_undecided:
             return None
         start = self._ballot.start(log, self._first)
@@ -436,11 +443,8 @@ class Doubt:
 
     def is_open(self) -> bool:
         """Tell whether the next epoch may still revise the track."""
-        assert self._log
-        return self._ballot.is_open(float(self._log.time_s[-1] - self._log.time_s[self._first]))
-
-    def _with(self, row: Log) -> Log:
-        return row if self._log is None else Log.joined([self._log, row])
+        elapsed_s = self._epochs[-1].time_s - self._epochs[self._first].time_s
+        return self._ballot.is_open(elapsed_s)
 
 
 def _majority(votes: list[Vote], time_s: float) -> tuple[Array, Array, tuple[int, ...]]:

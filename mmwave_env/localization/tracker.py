@@ -181,14 +181,12 @@ class Tracker:
             if self._last_s is not None or self._doubt is None:
                 self._doubt = Doubt(self._scene, self._radio)
                 self._last_s = None
-            row = epoch.log()
-            start = self._doubt.begin(row)
-            return (row, start) if start else None
+            return self._doubt.begin(epoch)
         if gap_s > DOUBTFUL_GAP_S:
             self._doubt = Doubt(self._scene, self._radio)
         if self._doubt is None:
             return None
-        revised = self._doubt.revise(epoch.log())
+        revised = self._doubt.revise(epoch)
         if not self._doubt.is_open():
             self._doubt = None
         return revised
@@ -221,7 +219,14 @@ class Tracker:
             kept = tuple(part[t : t + 1] for part in filtered.kept)
             mode = self._names[int(filtered.mode[t])]
             self._late.append((time_s[t], spread_hz[t], mode, own, kept))
-        return self._reported(filtered, -1, time_s[-1], visible[-1], factors, begins)
+        levels = self._levels_m(filtered.P, factors)
+        return self._reported(filtered, -1, time_s[-1], visible[-1], levels, begins)
+
+    def _levels_m(self, P: Array, factors: Array | None) -> Array | None:
+        """Return protection levels (n, 2) from covariances (n, ...) and factors (n, 2)."""
+        if self._levels is None or factors is None:
+            return None
+        return gaussian_levels(P, self._levels.risk) * factors
 
     def _measures(self, visible: list[bool]) -> bool:
         """Tell whether an epoch measured a link or odometry."""
@@ -233,7 +238,7 @@ class Tracker:
         t: int,
         time_s: float,
         visible: list[bool],
-        factors: Array | None,
+        levels_m: Array | None,
         begins: bool = False,
     ) -> Position:
         """Return the belief after the filtered epoch t, with what happened in it."""
@@ -241,10 +246,10 @@ class Tracker:
         accepted = filtered.accepted[t].tolist()
         trusted = filtered.trusted
         mode = self._names[int(filtered.mode[t])]
-        last = None if factors is None else factors[t][None]
         measured = [g for g, is_seen in enumerate(visible) if is_seen]
-        position = self._position(time_s, filtered.x[t], filtered.P[t], mode, last)
+        position = self._position(time_s, filtered.x[t], filtered.P[t], mode)
         return position._replace(
+            levels_m=None if levels_m is None else levels_m[t].tolist(),
             nis={self._groups[g]: nis[g] for g in measured},
             rejected=[self._groups[g] for g in measured if accepted[g] < 0.5],
             begins=begins,
@@ -321,12 +326,12 @@ class Tracker:
         times, spreads, modes, factors, kept = zip(*self._late, strict=True)
         late = np.concatenate([np.concatenate(parts, axis=1) for parts in kept])[None]
         x, P = self._localizer.smoothed(late, np.array([times]), np.array([spreads]))
-        return self._position(times[0], x[0, 0], P[0, 0], modes[0], factors[0])
+        position = self._position(times[0], x[0, 0], P[0, 0], modes[0])
+        levels_m = self._levels_m(P[0, :1], factors[0])
+        return position._replace(levels_m=None if levels_m is None else levels_m[0].tolist())
 
-    def _position(
-        self, time_s: float, x: Array, P: Array, mode: str, factors: Array | None
-    ) -> Position:
-        """Return a :class:`Position` without NIS, rejections, ``begins`` and ``trusted``."""
+    def _position(self, time_s: float, x: Array, P: Array, mode: str) -> Position:
+        """Return a :class:`Position` without levels and without what happened in the epoch."""
         xx, yx, yy, zx, zy, zz = P[:6].tolist()
         covariance = [[xx, yx, zx], [yx, yy, zy], [zx, zy, zz]]
         origin = self._scene.origin
@@ -339,10 +344,7 @@ class Tracker:
         if self._layout.clock:
             clock_sigma_m = float(np.sqrt(P[35]))
             position = position._replace(clock_m=float(x[7]), clock_sigma_m=clock_sigma_m)
-        if self._levels is None or factors is None:
-            return position
-        levels = gaussian_levels(P, self._levels.risk) * factors[0]
-        return position._replace(levels_m=levels.tolist())
+        return position
 
 
 @dataclass(slots=True)
@@ -366,7 +368,7 @@ class Trackers:
     longest if there are more than ``MOST_USERS``. A policy's memory must be in its ``memory``.
 
     ```python
-    >>> trackers = Trackers("street", policy=policies.load("corrector"))
+    >>> trackers = Trackers(Tracker("street", policy=policies.load("corrector")))
     >>> rows = [{"ue": "a", "time_s": 0.0, "anchor": 1, "range_m": 71.2, "aoa_azimuth_deg": -45.1,
     ...          "aoa_elevation_deg": -6.9, "aod_azimuth_deg": 134.8, "snr_db": 22.0}]
     >>> trackers.update(rows)["a"].position_m  # doctest: +SKIP
@@ -374,15 +376,15 @@ class Trackers:
     ```
 
     Args:
-        arguments, options: the same as for a :class:`Tracker`, without ``lag``.
+        tracker: a tracker of a single user, still without a track; it begins the users' tracks.
 
     Attributes:
-        forgotten: users who were forgotten; the caller clears it.
+        forgotten: users who have been forgotten; the caller clears it.
     """
 
-    def __init__(self, *arguments: Any, **options: Any) -> None:
+    def __init__(self, tracker: Tracker) -> None:
         self.forgotten: list[str] = []
-        self._one = Tracker(*arguments, **options | {"lag": 0})  # begins tracks
+        self._one = tracker
         self._users: dict[str, _User] = {}  # in the order of their last epochs
         self._now_s = -inf
         self._engines: dict[int, Any] = {}  # by number of tracks
@@ -393,10 +395,8 @@ class Trackers:
         Arguments and errors are the same as for :meth:`Tracker.update`.
         """
         positions = dict(self.step(self._one._arrived(rows)))
-        for user in self.forgotten:
-            assert self._one._log
-            self._one._log.forget(user)
-        self.forgotten.clear()
+        if self._one._log:
+            self._one._log.forget(self.forgotten)
         return positions
 
     def step(self, epochs: Iterable[LiveEpoch]) -> list[tuple[str, Position]]:
@@ -424,6 +424,9 @@ class Trackers:
             user.last_s = one._last_s
             user.doubt = one._doubt
         return [*done, *self._filtered(ready)]
+
+    def smoothed(self) -> None:
+        """Return None: users have no smoothed positions."""
 
     def _arrived(self, epoch: LiveEpoch) -> _User:
         """Return the user of an epoch; forget users who have left."""
@@ -460,13 +463,14 @@ class Trackers:
         if localizer.levels and users[0].levels:
             localizer.levels.state = LevelState(*_joined([user.levels for user in users]))
         factors = localizer.level_factors(filtered, np.array(visible), times, False, tracks=True)
+        levels = one._levels_m(filtered.P, factors)
         done = []
         for i, (name, epoch) in enumerate(ready.items()):
             user = users[i]
             self._keep(user, epoch, engine, i)
             if one._measures(visible[i]):
                 user.last_s = epoch.time_s
-            done.append((name, one._reported(filtered, i, epoch.time_s, visible[i], factors)))
+            done.append((name, one._reported(filtered, i, epoch.time_s, visible[i], levels)))
         return done
 
     def _keep(self, user: _User, epoch: LiveEpoch, engine: Any, track: int) -> None:

@@ -7,6 +7,8 @@ checks of ``log_checks.py``, which are slower and also find out what is wrong.
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import groupby
 from math import inf, isnan, nan
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,7 +18,7 @@ import numpy as np
 from mmwave_env.logs.log import Log, layout_of, log_of, places
 from mmwave_env.logs.log_checks import first_damage, without_lost
 from mmwave_env.logs.log_columns import BODY, LOST, QUANTITIES, STATION
-from mmwave_env.logs.log_tables import LogError, Table, log_file, parse, words_of
+from mmwave_env.logs.log_tables import LogError, LogFile, Table, log_file, parse, words_of
 from mmwave_env.models.layout import Layout, wrapped
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import PI
@@ -33,11 +35,25 @@ class LiveEpoch(NamedTuple):
     user: str  # the cell ``ue`` of its rows; "" without such a column
     time_s: float
     layout: Layout
-    log: Callable[[], Log]  # returns the epoch as a log, T = 1
+    rows: list[list[float]]  # cells
+    make: Callable[[list[list[float]]], Log]  # turns rows with these columns into a log
     # None if some angles are not in the map's frame. Otherwise a pair: all values in the order of
     # :func:`~mmwave_env.logs.log.places` (NaN where not measured), and the index, from 0, of the
     # anchor with the Doppler shift
     placed: tuple[list[float], int] | None
+
+    def log(self) -> Log:
+        """Return the epoch as a log, T = 1."""
+        return self.make(self.rows)
+
+
+def log_from(epochs: Iterable[LiveEpoch]) -> Log:
+    """Return epochs of a user as a log."""
+    parts = []
+    for make, some in groupby(epochs, key=lambda epoch: epoch.make):
+        parts.append(make([row for epoch in some for row in epoch.rows]))
+    joined: Log = Log.joined(parts)
+    return joined
 
 
 @dataclass(slots=True)
@@ -104,6 +120,7 @@ class LiveLog:
         log = log_file(self._source, names, self._delimiter, scene.hz_per_mps, partial=True)
         self.layout = layout_of(log, scene, True, self._clock, self._snr_db)
         self._log = log
+        self._make = partial(_log, log, scene, self.layout, self._snr_db)
         self._names = [*names]
         columns = self._log.columns
         self._turned = STATION in columns or BODY in columns
@@ -152,13 +169,15 @@ class LiveLog:
             if not self._agree(cells, before):
                 if self._repeats(cells, [before], number):
                     return over
-                self._require_sound(self._table([*arrived.rows, cells], number))
+                self._require_sound(_table(self._log, [*arrived.rows, cells], number))
         arrived.rows.append(cells)
         return [*over, *(self._end(user) if len(arrived.rows) == self.layout.anchors else [])]
 
-    def forget(self, user: str) -> None:
-        """Forget a user, who has left."""
-        self._arrivals.pop(user, None)
+    def forget(self, users: list[str]) -> None:
+        """Forget users, who have left; clear the list."""
+        for user in users:
+            self._arrivals.pop(user, None)
+        users.clear()
 
     def _repeats(self, cells: list[float], rows: list[list[float]], number: int) -> bool:
         """Tell whether one of these rows has the same cells; count and report repeated rows."""
@@ -188,35 +207,27 @@ class LiveLog:
         try:
             over = [epoch for row in rows for epoch in self.add(row)]
         except LogError:
-            for user in users:
-                self.forget(user)
+            self.forget([*users])
             self._arrivals |= before
             raise
-        return [*over, *self.end_epoch()]
+        return [*over, *self.end_epoch(rows)]
 
-    def end_epoch(self) -> list[LiveEpoch]:
-        """End the users' current epochs; return those that have rows."""
-        return [epoch for user in list(self._arrivals) for epoch in self._end(user)]
+    def end_epoch(self, rows: Iterable[str | Mapping[str, Any]] = ()) -> list[LiveEpoch]:
+        """End the current epochs of the rows' users, or of all; return those that have rows."""
+        users = dict.fromkeys(map(self._user_of, rows)) or self._arrivals
+        return [epoch for user in list(users) for epoch in self._end(user)]
 
     def _end(self, user: str) -> list[LiveEpoch]:
         """End a user's epoch; return a list with this epoch, or [] if it has no rows yet."""
-        arrived = self._arrivals[user]
-        rows = arrived.rows
-        if not rows:
+        arrived = self._arrivals.get(user)
+        if arrived is None or not arrived.rows:
             return []
+        rows = arrived.rows
         arrived.last_s = self._time_s(rows[0])
         arrived.rows = []
         arrived.last = rows
-
-        def log() -> Log:
-            return log_of(self._table(rows), self._scene, self.layout, True, self._snr_db)
-
         placed = None if self._turned else self._placed(rows)
-        return [LiveEpoch(user, arrived.last_s, self.layout, log, placed)]
-
-    def _table(self, rows: list[list[float]], number: int = 0) -> Table:
-        """Return rows of cells as a table; ``number`` is the last row's number in the source."""
-        return Table(self._log, np.full(len(rows), number), np.array(rows, float))
+        return [LiveEpoch(user, arrived.last_s, self.layout, rows, self._make, placed)]
 
     def _placed(self, rows: list[list[float]]) -> tuple[list[float], int]:
         """Return ``placed`` of a :class:`LiveEpoch`, from the cells of its rows."""
@@ -319,6 +330,16 @@ class LiveLog:
         _, damage = first_damage(table, self.layout, limits=True)
         if damage:
             raise damage
+
+
+def _table(file: LogFile, rows: list[list[float]], number: int = 0) -> Table:
+    return Table(file, np.full(len(rows), number), np.array(rows, float))
+
+
+def _log(
+    file: LogFile, scene: Scene, layout: Layout, snr_db: float | None, rows: list[list[float]]
+) -> Log:
+    return log_of(_table(file, rows), scene, layout, True, snr_db)
 
 
 def _goes_on_at(arrived: _Arrivals, time_s: float) -> bool:

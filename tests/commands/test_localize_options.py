@@ -63,6 +63,16 @@ def test_json_lines_give_the_same_positions_as_csv(whole):
     assert late[:3] == [None] * 3 and late[3]["time_s"] == csv_lines[0]["time_s"]
 
 
+def test_rows_of_several_users_give_the_lines_of_each_alone():
+    alone, _, _ = live(first_rows(60), "--speed", "1")
+    header, *rows = lines_of()[:61]
+    both = [f"{row},{user}" for row in rows for user in "ab"]
+    lines, errors, code = live("\n".join([f"{header},ue", *both]).encode(), "--speed", "1")
+    assert code == 0 and len(errors) == 1
+    for user in "ab":
+        assert [line for line in lines if line["ue"] == user] == [{"ue": user} | p for p in alone]
+
+
 def test_location_data_of_3gpp_has_the_ellipse_in_which_the_user_is(tmp_path):
     origin = {"latitude_deg": 48.1, "longitude_deg": 11.5, "height_m": 500.0, "bearing_deg": 30.0}
     scene = tmp_path / "scene.json"
@@ -102,7 +112,8 @@ def test_damaged_and_late_rows_are_reported_and_left_out():
     positions, errors, code = live(content + b"\n" + tail, "--speed", "1")
     expected, _, _ = live(first_rows(60), "--speed", "1")
     assert code == 0 and positions == expected
-    assert [line.split(":")[1].strip() for line in errors[1:]] == [
+    warned = [line for line in errors if line.startswith("warning")]
+    assert [line.split(":")[1].strip() for line in warned] == [
         "standard input, line 32", "standard input, line 33, column 'time_s'",
         "standard input, line 34",
     ]  # fmt: skip

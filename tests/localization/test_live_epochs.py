@@ -210,7 +210,7 @@ def test_odometry_that_appears_later_begins_a_new_track():
 def test_users_who_come_and_go_have_the_positions_of_trackers_of_their_own(policy):
     epochs = walk(40)
     begins = {f"user {i}": 3 * i for i in range(12)}  # epoch in which a user comes
-    trackers = Trackers(SCENE, policy, RADIO, levels=Levels())
+    trackers = Trackers(Tracker(SCENE, policy, RADIO, levels=Levels()))
     alone = {name: Tracker(SCENE, policy, RADIO, levels=Levels()) for name in begins}
     for t in range(75):
         rows = []
