@@ -321,7 +321,7 @@ def _observed(
         w = w._replace(spread_averages_hz=averages)
     covariance = unpack(w.P, zero=asked.pipeline.known_axes)
     view = View(w.x, covariance, w.memory, results, epoch, w.site, shown, last)
-    return w._replace(observation=asked.table.values(view))
+    return w._replace(observation=standardized(asked.table.features, view))
 
 
 def _last_epoch(w: EpochState, asked: Asked, is_missing: Number) -> LastEpoch:

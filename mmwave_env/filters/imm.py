@@ -186,7 +186,7 @@ def reweighted(mixture: Mixture, log_factors: Vector, dt: Number) -> Mixture:
 def _normalized(weights: Sequence[Number]) -> list[Number]:
     """Return probabilities in proportion to the weights; no probability is zero."""
     held = [maximum(weight, _LEAST) for weight in weights]
-    total = dot(held, [1.0] * len(held))
+    total = sum(held[1:], held[0])
     return [weight / total for weight in held]
 
 

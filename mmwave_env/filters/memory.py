@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from mmwave_env.filters.update import ModeResult, capped_log_likelihood
-from mmwave_env.models.layout import Layout
+from mmwave_env.models.layout import STATE_SIZE, Layout
 from mmwave_env.models.measurement import Epoch
 from mmwave_env.models.motion import move
 from mmwave_env.numerics.linalg import dot
@@ -91,6 +91,24 @@ def memory_before(
     return memory._replace(snr_mean_db=snr, spread_average_hz=spread, preference=preference)
 
 
+def correction_of(
+    before: Vector, result: ModeResult, dt: Number, first: int
+) -> tuple[Number, Number]:
+    """Return what an update adds to position or velocity, along and across the predicted velocity.
+
+    Args:
+        before: (7,) mean from which the epoch was predicted.
+        result: result of a mode in the epoch.
+        dt: length of the step, s.
+        first: 0 for the position (m), 3 for the velocity (m/s).
+    """
+    predicted = move(before[:STATE_SIZE], dt)
+    step = [result.x[i] - predicted[i] for i in (first, first + 1)]
+    v = predicted[3:5]
+    speed = sqrt(dot(v, v) + 1e-6)
+    return dot(step, v) / speed, (step[1] * v[0] - step[0] * v[1]) / speed
+
+
 def memory_after(
     layout: Layout,
     mode: Number,
@@ -117,18 +135,12 @@ def memory_after(
         where(some, new, old)
         for new, old in zip([ratio, *memory.window[:-1]], memory.window, strict=True)
     ]
-    each_link = [1.0] * layout.anchors
-    links = dot(each_link, visible)
-    fixes = dot(each_link, chosen.accepted)
+    links = sum(visible[: layout.anchors], 0.0)
+    fixes = sum(chosen.accepted[: layout.anchors], 0.0)
     # A link that is accepted only because of a lock-out does not end the lock-out: the update
     # corrects the position, but the velocity may still be wrong. A link must pass its gate again.
     lockout = where(links > 0.5, memory.lockout + 1.0, memory.lockout)
-    predicted = move(before[:6], dt)
-    step = [chosen.x[i] - predicted[i] for i in range(2)]
-    v = predicted[3:5]
-    speed = sqrt(v[0] * v[0] + v[1] * v[1] + 1e-6)
-    ahead = [v[i] / speed for i in range(2)]
-    correction = (dot(step, ahead), step[1] * ahead[0] - step[0] * ahead[1])
+    correction = correction_of(before, chosen, dt, 0)
     return memory._replace(
         mode=mode,
         lockout=where(chosen.passed > 0.5, 0.0, lockout),

@@ -203,7 +203,7 @@ def limited_likelihood(candidate: ModeResult, limits: Vector) -> Number:
     of sight) would decide: the mode whose prediction is nearest to the outlier would seem right.
     """
     excess = [maximum(nis - limit, 0.0) for nis, limit in zip(candidate.nis, limits, strict=True)]
-    return candidate.log_likelihood + 0.5 * dot(excess, [1.0] * len(excess))
+    return candidate.log_likelihood + 0.5 * sum(excess, 0.0)
 
 
 def capped_log_likelihood(candidate: ModeResult, degrees: Sequence[Number]) -> Number:

@@ -10,7 +10,7 @@ from functools import cache, partial
 from importlib.resources import files
 from typing import Any, NamedTuple
 
-from mmwave_env.filters.memory import Memory
+from mmwave_env.filters.memory import Memory, correction_of
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.update import ModeResult, capped_log_likelihood
 from mmwave_env.models.layout import Layout
@@ -189,10 +189,9 @@ def _links(layout: Layout, distances: bool) -> list[Feature]:
             Feature(f"distance anchor {a + 1}", "distance of the predicted position to the anchor",
                     "m", 0, 1000, lambda v, a=a: _distance(v, a), "distance"),
         ][: 3 if distances else 2]  # fmt: skip
-    each = [1.0] * layout.anchors
 
     def visible(v: View) -> Number:
-        return dot(each, v.epoch.visible[: layout.anchors])
+        return sum(v.epoch.visible[: layout.anchors], 0.0)
 
     meaning = "number of visible links in the coming epoch"
     links = Feature("visible links", meaning, "links", 0, layout.anchors, visible)
@@ -293,35 +292,26 @@ def _mean_nis(layout: Layout, candidate: ModeResult, epoch: Epoch) -> Number:
     return total / where(rows > 0.5, rows, 1.0)
 
 
-def _correction(view: View, mode: int, first: int, across: bool) -> Number:
-    """Compute a mode's correction of position or velocity: along the velocity, or to its left."""
-    predicted = move(view.x[:7], view.epoch.dt)
-    candidate = view.candidates[mode]
-    step = [candidate.x[i] - predicted[i] for i in (first, first + 1)]
-    v = predicted[3:5]
-    speed = sqrt(dot(v, v) + 1e-6)
-    product = step[1] * v[0] - step[0] * v[1] if across else dot(step, v)
-    return product / speed
-
-
 def _candidate(layout: Layout, m: int, name: str) -> list[Feature]:
-    links = [1.0] * layout.anchors
+    links = slice(layout.anchors)
     return [
         Feature(f"coming NIS {name}", "ln(1 + NIS / dof) over the visible groups", "", 0, 10,
                 lambda v: log(1.0 + _mean_nis(layout, v.candidates[m], v.epoch)), "coming NIS"),
         Feature(f"coming rejected {name}", "number of links that the mode would reject", "links",
                 0, layout.anchors,
-                lambda v: dot(links, v.epoch.visible) - dot(links, v.candidates[m].accepted),
+                lambda v: (sum(v.epoch.visible[links], 0.0)
+                           - sum(v.candidates[m].accepted[links], 0.0)),
                 "coming rejected"),
         Feature(f"coming variance {name}",
                 "ln of the trace of the mode's P for the horizontal position", "ln m^2", -20, 20,
                 lambda v: log(v.candidates[m].P[0] + v.candidates[m].P[2] + 1e-12),
                 "coming variance"),
         *(Feature(f"coming {of} correction {way} {name}", meaning, unit, -10, 10,
-                  lambda v, first=first, way=way: _correction(v, m, first, way == "across"),
+                  lambda v, first=first, i=i: correction_of(
+                      v.x, v.candidates[m], v.epoch.dt, first)[i],
                   f"coming {of} correction {way}")
           for of, first, unit in (("position", 0, "m"), ("velocity", 3, "m/s"))
-          for way, meaning in _WAYS.items()),
+          for i, (way, meaning) in enumerate(_WAYS.items())),
     ]  # fmt: skip
 
 

@@ -6,7 +6,6 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from mmwave_env.metrics import INFO_KEYS
 from mmwave_env.numerics.numbers import Array, Mask
 
 STATE_KEYS = ("truth", "estimate")  # in the infos of resets and steps
@@ -27,7 +26,6 @@ PROBABILITIES = "mode_probabilities"  # in infos only if each mode has its own b
 FLAGS = ("accepted", "rejected")
 SMOOTHED_KEY = "smoothed_ate_m"
 NONFINITE_KEY = "nonfinite_beliefs"  # in the info of the last step if a belief was not finite
-LAST_KEYS = (*INFO_KEYS.values(), SMOOTHED_KEY)  # in the info of the last step
 INFOS = {
     "all": "everything that is known",
     "episode": "everything that is known, at each reset and at the last step of each episode",

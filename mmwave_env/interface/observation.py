@@ -112,10 +112,6 @@ class Observation:
         """Return the columns in their order."""
         return observation_columns(self.features)
 
-    def values(self, view: View) -> list[Number]:
-        """Return the standardized values of all features."""
-        return standardized(self.features, view)
-
     def read(self, observation: Array32, name: str) -> Array:
         """Return a feature in its own unit, from observations (..., features).
 

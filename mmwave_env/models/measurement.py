@@ -24,7 +24,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from mmwave_env.models.layout import STATE_SIZE, Layout
-from mmwave_env.numerics.linalg import dot
+from mmwave_env.numerics.linalg import dot, is_zero
 from mmwave_env.numerics.numbers import (
     PI,
     Matrix,
@@ -153,17 +153,12 @@ def exact_rows(
     return rows
 
 
-class _Bearing(NamedTuple):
-    """Both azimuths of a link, fused to one row; the last fields are as in :class:`Group`."""
-
-    innovation: Number
-    variance: Number
-    spare_nis: Number
-    spare_determinant: Number
-
-
-def _fused(arrival: Number, departure: Number, variance: Vector, measured: Vector) -> _Bearing:
+def _fused(
+    arrival: Number, departure: Number, variance: Vector, measured: Vector
+) -> tuple[Number, Number, Number, Number]:
     """Fuse the innovations of a link's azimuths; other arguments are as for :func:`link_group`.
+
+    Return innovation and variance of the bearing, and NIS and variance of the azimuths' difference.
 
     The azimuths of arrival and departure, which differ by pi (paper, Sec. II-B), measure the same
     bearing, with variances ra and rd. Their weighted mean is a row with variance ra rd / (ra + rd).
@@ -177,14 +172,14 @@ def _fused(arrival: Number, departure: Number, variance: Vector, measured: Vecto
     disagreement = arrival - departure
     spare_nis = disagreement * disagreement / total
     if not len(measured):
-        return _Bearing(bearing, fused, spare_nis, total)
+        return bearing, fused, spare_nis, total
     both = measured[1] * measured[3] > 0.5
     alone = measured[1] > 0.5
-    return _Bearing(
-        innovation=where(both, bearing, where(alone, arrival, departure)),
-        variance=where(both, fused, where(alone, arrival_variance, departure_variance)),
-        spare_nis=where(both, spare_nis, 0.0),
-        spare_determinant=where(both, total, 1.0),
+    return (
+        where(both, bearing, where(alone, arrival, departure)),
+        where(both, fused, where(alone, arrival_variance, departure_variance)),
+        where(both, spare_nis, 0.0),
+        where(both, total, 1.0),
     )
 
 
@@ -203,7 +198,7 @@ def link_group(
     apart = distance > NEAREST_M
     arrival = where(aside, wrap(z[1] - azimuth), 0.0)
     departure = where(aside, wrap(wrap(z[3] - azimuth + PI)), 0.0)
-    bearing = _fused(arrival, departure, variance, measured)
+    bearing, bearing_variance, *spare = _fused(arrival, departure, variance, measured)
     inverse = _inverse(distance)
     inverse_horizontal = _inverse(horizontal)
     slope = d[2] * inverse_horizontal * inverse * inverse
@@ -219,7 +214,7 @@ def link_group(
     def change(step: Vector) -> list[Number]:
         q = [d[i] + step[i] for i in range(3)]
         q_horizontal, q_distance = norms(q)
-        vertical = all(isinstance(s, float) and s == 0.0 for s in step[:2])
+        vertical = all(map(is_zero, step[:2]))
         turn = 0.0 if vertical else atan2(q[1] * east - q[0] * north, q[0] * east + q[1] * north)
         rise = atan2(q[2] * level - q_horizontal * up, q_horizontal * level + q[2] * up)
         return [sum(step[STATE_SIZE:], q_distance - distance), turn, rise]
@@ -227,10 +222,10 @@ def link_group(
     group = Group(
         innovation=[
             z[0] - sum(clock, distance),
-            bearing.innovation,
+            bearing,
             where(apart, wrap(z[2] - elevation), 0.0),
         ],
-        variance=[variance[0], bearing.variance, variance[2]],
+        variance=[variance[0], bearing_variance, variance[2]],
         jacobian=[
             [d[0] * inverse, d[1] * inverse, d[2] * inverse, *slow],
             [-d[1] * across, d[0] * across, 0.0, *still],
@@ -238,8 +233,8 @@ def link_group(
         ],
         change=change,
         curved=3,
-        spare_nis=bearing.spare_nis,
-        spare_determinant=bearing.spare_determinant,
+        spare_nis=spare[0],
+        spare_determinant=spare[1],
     )
     if not len(measured):
         return group

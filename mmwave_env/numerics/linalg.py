@@ -11,6 +11,11 @@ from collections.abc import Callable, Sequence
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, sqrt
 
 
+def is_zero(a: Number) -> bool:
+    """Tell whether a number is a structural zero."""
+    return isinstance(a, float) and a == 0.0
+
+
 def dot(a: Vector, b: Vector) -> Number:
     """Return the inner product of two vectors; surplus entries of the longer one are ignored."""
     total: Number = 0.0
@@ -47,7 +52,7 @@ def cholesky(a: Matrix) -> list[list[Number]]:
     factor: list[list[Number]] = [[0.0] * n for _ in range(n)]
     for j in range(n):
         pivot = a[j][j] - dot(factor[j][:j], factor[j][:j])
-        if isinstance(pivot, float) and pivot == 0.0:
+        if is_zero(pivot):
             continue
         factor[j][j] = sqrt(pivot)
         inverse = 1.0 / factor[j][j]
@@ -72,8 +77,7 @@ def forward(factor: Matrix, b: Vector) -> list[Number]:
     y: list[Number] = []
     for i in range(len(b)):
         pivot = factor[i][i]
-        zero = isinstance(pivot, float) and pivot == 0.0
-        y.append(0.0 if zero else (b[i] - dot(factor[i][:i], y)) * (1.0 / pivot))
+        y.append(0.0 if is_zero(pivot) else (b[i] - dot(factor[i][:i], y)) * (1.0 / pivot))
     return y
 
 
@@ -83,7 +87,7 @@ def backward(factor: Matrix, b: Vector) -> list[Number]:
     y: list[Number] = [0.0] * n
     for i in reversed(range(n)):
         pivot = factor[i][i]
-        if isinstance(pivot, float) and pivot == 0.0:
+        if is_zero(pivot):
             continue
         rest = dot([factor[k][i] for k in range(i + 1, n)], y[i + 1 :])
         y[i] = (b[i] - rest) * (1.0 / pivot)

@@ -108,7 +108,7 @@ class Episode:
         """Yield the name, the values and the bound of each quantity that has a bound."""
         mean = self.prior_mean
         deviation = np.sqrt(np.diag(self.prior_covariance))
-        sigma = np.where(self.used, self.sigma, np.nan)
+        used = self.used
         if self.truth_position_m is not None and self.truth_velocity_mps is not None:
             yield "truth_position_m", self.truth_position_m, FINITE
             yield "truth_velocity_mps", self.truth_velocity_mps, FINITE
@@ -125,8 +125,7 @@ class Episode:
         yield "prior_covariance, bias", deviation[6:7], envelope.BIAS_SIGMA_HZ
         yield "prior_covariance, clock", deviation[7:], envelope.POSITION_SIGMA_M
         for rows, bound in sigma_bounds(self.layout):
-            used = sigma[:, rows]
-            yield "sigma", used[~np.isnan(used)], bound
+            yield "sigma", self.sigma[:, rows][used[:, rows]], bound
 
     @classmethod
     def measured(
@@ -194,17 +193,13 @@ class Episode:
 
     @cached_property
     def usable(self) -> Mask:
-        """Return a mask (T, groups) of groups that are visible and finite; links also need an SNR.
+        """Return a mask (T, groups) of groups that are visible and whole, with finite values.
 
-        In a partial layout, one finite row is enough, and the SNR does not matter.
+        :func:`~mmwave_env.models.layout.whole_groups` says when a group is whole.
         """
-        finite = self._finite
-        starts = [rows.start for rows in self.layout.groups]
-        if self.layout.partial:
-            return self.visible & np.logical_or.reduceat(finite, starts, axis=1)  # type: ignore[no-any-return]
-        for link in range(self.layout.anchors):
-            finite[:, self.layout.link(link)] &= np.isfinite(self.snr_db[:, link, None])
-        return self.visible & np.logical_and.reduceat(finite, starts, axis=1)  # type: ignore[no-any-return]
+        finite = np.where(self._finite, 0.0, np.nan)
+        measured, _ = whole_groups(finite, np.isfinite(self.snr_db), self.layout)
+        return self.visible & measured
 
     @property
     def _finite(self) -> Mask:

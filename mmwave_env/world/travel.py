@@ -79,10 +79,7 @@ def blank_plan(phases: int, gaits: int) -> TravelPlan:
 
 def _draw_gait(dice: Dice, gaits: Sequence[TravelGait]) -> tuple[Number, Number]:
     """Draw a gait; return its target speed and the time for which it is kept."""
-    total = gaits[0].weight
-    for gait in gaits[1:]:
-        total = total + gait.weight
-    left = total * dice.uniform()
+    left = sum(gait.weight for gait in gaits) * dice.uniform()
     chosen = gaits[0]
     passed = gaits[0].weight
     for gait in gaits[1:]:
