@@ -270,7 +270,3 @@ class LazyJit:
             return self.plain
         self._left = 0
         return self.compiled
-
-    def __call__(self, work: int, *arguments: Any) -> Any:
-        """Do an amount of work, as plain Python or compiled."""
-        return self.choice(work, *arguments)(*arguments)

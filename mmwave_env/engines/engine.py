@@ -309,7 +309,6 @@ def run_imm(
     episodes: EpisodeBatch | Sequence[Episode],
     *names: str,
     planar: bool = False,
-    actions: Index | None = None,
 ) -> dict[str, Array]:
     """Filter complete episodes with an IMM, without an agent, starting from the episodes' priors.
 
@@ -319,14 +318,12 @@ def run_imm(
         episodes: n episodes with the same layout.
         names: parts of :class:`EpochState` to return, such as "reward" or "mixture.probability".
         planar: same as in :class:`~mmwave_env.filters.pipeline.Pipeline`.
-        actions: (n, epochs) numbers of the modes whose probability is raised, from 1; 0 for none.
 
     Returns:
         The parts, as :meth:`Engine.run` returns them.
     """
     packed = EpisodeBatch.of(episodes)
     pipeline = Pipeline(bank.modes, packed.layout, planar)
-    action = "" if actions is None else MODE
-    engine = tracks_of(pipeline, len(packed.length), bank, None, reward, action)
+    engine = tracks_of(pipeline, len(packed.length), bank, reward=reward, action="")
     engine.batch.load(packed)
-    return engine.run(*names, actions=actions)
+    return engine.run(*names)

@@ -123,6 +123,7 @@ class Environment:
         modes = len(task.pipeline.modes)
         self._limits = limits_of(task.action, modes)
         self._tally = Tally(n, len(task.pipeline.position_axes), smoothed, modes + 1)
+        self._keys = np.zeros(n, np.uint64)  # of the episodes, if they have keys
         self._begun = False
 
     def _start_engine(
@@ -145,7 +146,6 @@ class Environment:
         )
         if corrections:  # leave out the features that depend on the coming epoch
             self._engine.show(after_update(pipeline, per_mode=True))
-        self._keys = np.zeros(n, np.uint64)  # of the episodes, if they have keys
         self.modes = pipeline.modes
         self.bank = task.bank
         self.observation = self._engine.observation
@@ -262,15 +262,13 @@ class Environment:
     def __getstate__(self) -> dict[str, Any]:
         """Return the attributes that a copy cannot create itself."""
         kept = {key: value for key, value in vars(self).items() if key not in self._remade}
-        return kept | {"tracks": self._engine.batch.state, "keys": self._keys}
+        return kept | {"tracks": self._engine.batch.state}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Continue exactly like the copied environment."""
         vars(self).update(state)
         tracks = vars(self).pop("tracks")
-        keys = vars(self).pop("keys")
         self._set_up_noting()
-        self._keys = keys
         if len(tracks.feed.kept):  # the address of compiled code differs between processes
             feed = tracks.feed._replace(run=self._task.simulated.world.on_lanes())
             tracks = tracks._replace(feed=feed)

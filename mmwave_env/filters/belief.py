@@ -4,7 +4,7 @@ import math
 from typing import NamedTuple
 
 from mmwave_env.numerics.linalg import cholesky, dot, forward
-from mmwave_env.numerics.numbers import Matrix, Number, Vector, log, sqrt
+from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Vector, log, sqrt
 
 
 class Belief(NamedTuple):
@@ -16,11 +16,11 @@ class Belief(NamedTuple):
         axes: the estimated position components: (0, 1, 2), or (0, 1) on flat terrain.
     """
 
-    x: list[Number]
+    x: Numbers
     P: Matrix
     axes: tuple[int, ...] = (0, 1, 2)
 
-    def error(self, truth: Vector) -> list[Number]:
+    def error(self, truth: Vector) -> Numbers:
         """Return estimated minus true position (3,), meters; ``truth`` starts with the position."""
         return [self.x[i] - truth[i] for i in range(3)]
 

@@ -11,7 +11,17 @@ import numpy as np
 
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.numerics.numbers import Array, Matrix, Number, Vector, exp, maximum, sqrt, where
+from mmwave_env.numerics.numbers import (
+    Array,
+    Matrix,
+    Number,
+    Numbers,
+    Vector,
+    exp,
+    maximum,
+    sqrt,
+    where,
+)
 
 # largest shift (standard deviations) and log factor
 MOST_SHIFT = 4.0
@@ -62,7 +72,7 @@ class Frame(NamedTuple):
         )
 
 
-def deviations_of(belief: Belief) -> tuple[Frame, list[Number]]:
+def deviations_of(belief: Belief) -> tuple[Frame, Numbers]:
     """Return the frame of motion and the standard deviations (3,) of the position in it, m.
 
     On flat terrain, the standard deviation of the height is 0.
@@ -96,7 +106,7 @@ def corrected(belief: Belief, shift: Vector, log_factor: Vector) -> Belief:
     yy = s * s * a + c * c * b
     xy = c * s * (a - b)
 
-    def scaled(column: Vector) -> list[Number]:
+    def scaled(column: Vector) -> Numbers:
         return [xx * column[0] + xy * column[1], xy * column[0] + yy * column[1], up * column[2]]
 
     n = len(belief.P)
@@ -120,7 +130,7 @@ def corrected_all(
         pipeline: the filters' pipeline; it says whether the terrain is flat (``planar``).
     """
 
-    def components(batch: Array) -> list[Number]:
+    def components(batch: Array) -> Numbers:
         return list(np.moveaxis(batch.astype(np.float64), -1, 0))
 
     belief = pipeline.belief(components(x), components(P))

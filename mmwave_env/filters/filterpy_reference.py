@@ -212,33 +212,33 @@ def _update(
     ]
     nis = [0.0] * len(layout.groups)
     accepted = [0.0] * len(layout.groups)
-    if not visible:
-        return Posterior(x.tolist(), P.tolist(), nis, accepted, 0.0)
-    rows = np.concatenate([groups[g] for g in visible])
-    posterior = filter_.update(P, relative, rows, R[np.ix_(rows, rows)])
     log_likelihood = 0.0
+
+    def conditioned(chosen: list[int]) -> _Filtered:
+        rows = np.concatenate([groups[g] for g in chosen])
+        return filter_.update(P, relative, rows, R[np.ix_(rows, rows)])
+
+    posterior = conditioned(visible) if visible else None
     first = 0
     doubted = False
     for g in visible:
-        group = np.ix_(groups[g], groups[g])
+        assert posterior
         part = slice(first, first := first + len(groups[g]))
         y = posterior.y[part]
         S = posterior.S[part, part]
         nis[g] = float(y @ np.linalg.solve(S, y))
         lenient = g < layout.anchors and (gate.robust or gate.force > 0.5)
-        accepted[g] = float(lenient or nis[g] <= _threshold(gate.quantile, len(groups[g])))
+        accepted[g] = float(lenient or nis[g] <= _threshold(gate.quantile, len(y)))
         log_likelihood -= 0.5 * (nis[g] + float(np.linalg.slogdet(S)[1]))
         if gate.robust and g < layout.anchors and nis[g] > ROBUST_ONSET * len(y):
             doubted = True
-            R[group] *= (nis[g] / (ROBUST_ONSET * len(y))) ** 2
+            R[np.ix_(groups[g], groups[g])] *= (nis[g] / (ROBUST_ONSET * len(y))) ** 2
     kept = [g for g in visible if accepted[g]]
-    if not kept:
-        return Posterior(x.tolist(), P.tolist(), nis, accepted, log_likelihood)
-    if doubted or kept != visible:
-        rows = np.concatenate([groups[g] for g in kept])
-        posterior = filter_.update(P, relative, rows, R[np.ix_(rows, rows)])
-    x = x + posterior.step
-    P = _symmetric(posterior.P)
+    if kept and (doubted or kept != visible):
+        posterior = conditioned(kept)
+    if kept and posterior:
+        x = x + posterior.step
+        P = _symmetric(posterior.P)
     return Posterior(x.tolist(), P.tolist(), nis, accepted, log_likelihood)
 
 

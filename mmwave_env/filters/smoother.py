@@ -9,7 +9,7 @@ from typing import NamedTuple
 from mmwave_env.models.layout import STATE_SIZE
 from mmwave_env.models.motion import transition_times
 from mmwave_env.numerics.linalg import backward, cholesky, dot, forward, pack, symmetric, unpack
-from mmwave_env.numerics.numbers import Number, Vector
+from mmwave_env.numerics.numbers import Number, Numbers, Vector
 from mmwave_env.numerics.pytree import select
 
 SMOOTHING_WINDOW = 200  # epochs; N_w of the paper, Sec. III-F
@@ -20,11 +20,11 @@ class ForwardEpoch(NamedTuple):
 
     dt: Number  # seconds since the previous epoch
     # x, P: mean (7,) and packed covariance (28,), its lower triangle, after the epoch
-    x: list[Number]
-    P: list[Number]
+    x: Numbers
+    P: Numbers
     # x_predicted, P_predicted: mean and covariance before the epoch's update
-    x_predicted: list[Number]
-    P_predicted: list[Number]
+    x_predicted: Numbers
+    P_predicted: Numbers
     hz_per_mps: Vector = ()  # (1,) f_c / c if the state has a clock's range bias; else empty
 
 
@@ -34,11 +34,11 @@ class BackwardState(NamedTuple):
     is_last: Number  # 1 if there is no following epoch, because the track ends
     # dt, x_predicted, P_predicted: values of the following epoch, as in :class:`ForwardEpoch`
     dt: Number
-    x_predicted: list[Number]
-    P_predicted: list[Number]
+    x_predicted: Numbers
+    P_predicted: Numbers
     # x, P: smoothed mean (7,) and packed covariance (28,) of the following epoch
-    x: list[Number]
-    P: list[Number]
+    x: Numbers
+    P: Numbers
 
 
 def blank_epoch(size: int = STATE_SIZE) -> ForwardEpoch:

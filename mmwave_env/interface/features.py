@@ -17,7 +17,7 @@ from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Epoch, Site, doppler_anchor, norms, range_rate
 from mmwave_env.models.motion import move
 from mmwave_env.numerics.linalg import dot
-from mmwave_env.numerics.numbers import Matrix, Number, Vector, log, maximum, sqrt, where
+from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Vector, log, maximum, sqrt, where
 
 MISSING_SNR_DB = -20.0
 # kind of an anchor's feature -> the feature's value if the anchor is never visible
@@ -39,9 +39,9 @@ class MixtureView(NamedTuple):
     """The inputs of features that exist only if each mode has its own belief."""
 
     # predicted, posterior: (modes,) probabilities of modes before and after the coming measurement
-    predicted: list[Number]
-    posterior: list[Number]
-    spread_averages_hz: list[Number]  # moving averages of the Doppler spread, fast to slow
+    predicted: Numbers
+    posterior: Numbers
+    spread_averages_hz: Numbers  # moving averages of the Doppler spread, fast to slow
 
 
 class View(NamedTuple):

@@ -17,7 +17,7 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.features import Feature, View, coming, context
 from mmwave_env.interface.signed import signed
 from mmwave_env.io.lookup import choose
-from mmwave_env.numerics.numbers import Array, Array32, Number, clip
+from mmwave_env.numerics.numbers import Array, Array32, Number, Numbers, clip
 
 LIMIT = 10.0  # maximum distance of a feature from its mean, in standard deviations
 
@@ -143,7 +143,7 @@ def observation_columns(features: Sequence[Feature]) -> tuple[Column, ...]:
     return tuple(Column(f.name, f.unit, *map(float, f.scale)) for f in features)
 
 
-def standardized(features: Sequence[Feature], view: View) -> list[Number]:
+def standardized(features: Sequence[Feature], view: View) -> Numbers:
     """Return the standardized values of features."""
     return [_standardize(f.value(view), f) for f in features]
 

@@ -29,6 +29,7 @@ from mmwave_env.numerics.numbers import (
     PI,
     Matrix,
     Number,
+    Numbers,
     Vector,
     atan2,
     cos_sin,
@@ -88,7 +89,7 @@ class Group(NamedTuple):
     innovation: Vector
     variance: Vector
     jacobian: Matrix
-    change: Callable[[Vector], list[Number]]
+    change: Callable[[Vector], Numbers]
     curved: int
     spare_nis: Number = 0.0
     spare_determinant: Number = 1.0
@@ -135,12 +136,12 @@ def _inverse(length: Number) -> Number:
 
 def exact_rows(
     position: Vector, velocity: Vector, anchors: Matrix, hz_per_mps: Number, layout: Layout
-) -> list[Number]:
+) -> Numbers:
     """Compute a user's measurement (rows,) in m, rad, Hz, m/s, without noise and biases.
 
     Position and velocity are (3,), m and m/s; anchors (L, 3), m.
     """
-    rows: list[Number] = []
+    rows: Numbers = []
     for anchor in anchors:
         d = [position[i] - anchor[i] for i in range(3)]
         distance, azimuth, elevation = direction(d)
@@ -211,7 +212,7 @@ def link_group(
     clock = list(x[STATE_SIZE:])
     slow = [*[0.0] * 4, *[1.0] * len(clock)]  # the range contains a clock's bias as a summand
 
-    def change(step: Vector) -> list[Number]:
+    def change(step: Vector) -> Numbers:
         q = [d[i] + step[i] for i in range(3)]
         q_horizontal, q_distance = norms(q)
         vertical = all(map(is_zero, step[:2]))
@@ -248,7 +249,7 @@ def _only(group: Group, measured: Vector) -> Group:
     they add nothing to NIS, determinant and information.
     """
 
-    def change(step: Vector) -> list[Number]:
+    def change(step: Vector) -> Numbers:
         return [m * c for m, c in zip(measured, group.change(step), strict=True)]
 
     return group._replace(
@@ -271,7 +272,7 @@ def doppler_group(
     u = [d[i] * inverse for i in range(3)]
     rate = range_rate(d, v)
 
-    def change(step: Vector) -> list[Number]:
+    def change(step: Vector) -> Numbers:
         q = [d[i] + step[i] for i in range(3)]
         velocity = [v[i] + step[3 + i] for i in range(3)]
         return [defined * (hz_per_mps * (range_rate(q, velocity) - rate) + step[6])]
@@ -300,7 +301,7 @@ def odometry_group(x: Vector, z: Vector, variance: Vector) -> Group:
     horizontal_inverse = 1.0 / maximum(horizontal, _SLOWEST_ODOMETRY)
     across = horizontal_inverse * horizontal_inverse
 
-    def change(step: Vector) -> list[Number]:
+    def change(step: Vector) -> Numbers:
         q = [v[i] + step[3 + i] for i in range(3)]
         turn = atan2(q[1] * ahead[0] - q[0] * ahead[1], q[0] * ahead[0] + q[1] * ahead[1])
         return [norms(q)[1] - speed, turn]
@@ -346,10 +347,10 @@ class Epoch(NamedTuple):
     """The input of an estimator in an epoch; missing groups hold arbitrary finite numbers."""
 
     dt: Number  # seconds since the previous epoch; 0 in the first epoch, which the prior describes
-    z: list[Number]  # (rows,) measured values: m, rad, Hz, m/s
-    sigma: list[Number]  # (rows,) standard deviations of the values z, positive
-    visible: list[Number]  # (groups,) 1 where measured, else 0
-    snr_db: list[Number]  # (L,) signal-to-noise ratio per link, dB
+    z: Numbers  # (rows,) measured values: m, rad, Hz, m/s
+    sigma: Numbers  # (rows,) standard deviations of the values z, positive
+    visible: Numbers  # (groups,) 1 where measured, else 0
+    snr_db: Numbers  # (L,) signal-to-noise ratio per link, dB
     doppler_spread_hz: Number
     # measured, doppler_of: same as in :class:`Measurement`
     measured: Vector = ()
@@ -359,10 +360,10 @@ class Epoch(NamedTuple):
 class Site(NamedTuple):
     """Constants of an episode: anchors, carrier and prior."""
 
-    anchors: list[list[Number]]  # (L, 3) positions, m
+    anchors: list[Numbers]  # (L, 3) positions, m
     hz_per_mps: Number  # carrier frequency divided by the speed of light
-    prior_x: list[Number]  # (7,) mean at the first epoch; (8,) with a clock offset
-    prior_P: list[Number]  # (28,) packed covariance (lower triangle); (36,) with a clock offset
+    prior_x: Numbers  # (7,) mean at the first epoch; (8,) with a clock offset
+    prior_P: Numbers  # (28,) packed covariance (lower triangle); (36,) with a clock offset
 
 
 def blank_site(layout: Layout) -> Site:

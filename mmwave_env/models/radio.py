@@ -30,7 +30,7 @@ from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.motion import CLOCK_SIGMA_M
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.numbers import Array, Number, Vector, clip, exp, sqrt
+from mmwave_env.numerics.numbers import Array, Numbers, Vector, clip, exp, sqrt
 
 SHIPPED = ("handset", "standard", "high")
 DEGREE = math.pi / 180.0
@@ -323,7 +323,7 @@ def doppler_spread(
 
 def deviations(
     floor_variance: Vector, bound_variance: Vector, snr_db: Vector, layout: Layout
-) -> list[Number]:
+) -> Numbers:
     """Return standard deviations (rows,) at SNRs (L,): floor and Cramer-Rao bound in quadrature.
 
     Both variances (rows,) come from :meth:`Radio.variances`. The first link's SNR also applies to

@@ -8,7 +8,7 @@ multiplication by it takes no instruction. No function below divides by a struct
 
 from collections.abc import Callable, Sequence
 
-from mmwave_env.numerics.numbers import Matrix, Number, Vector, sqrt
+from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Vector, sqrt
 
 
 def is_zero(a: Number) -> bool:
@@ -24,21 +24,21 @@ def dot(a: Vector, b: Vector) -> Number:
     return total
 
 
-def symmetric(n: int, entry: Callable[[int, int], Number]) -> list[list[Number]]:
+def symmetric(n: int, entry: Callable[[int, int], Number]) -> list[Numbers]:
     """Return the symmetric (n, n) matrix with elements ``entry(i, j)`` for i >= j."""
-    m: list[list[Number]] = [[0.0] * n for _ in range(n)]
+    m: list[Numbers] = [[0.0] * n for _ in range(n)]
     for i in range(n):
         for j in range(i + 1):
             m[i][j] = m[j][i] = entry(i, j)
     return m
 
 
-def pack(m: Matrix) -> list[Number]:
+def pack(m: Matrix) -> Numbers:
     """Return the lower triangle of a symmetric matrix, row by row: n (n + 1) / 2 numbers."""
     return [m[i][j] for i in range(len(m)) for j in range(i + 1)]
 
 
-def unpack(packed: Vector, zero: Sequence[int] = ()) -> list[list[Number]]:
+def unpack(packed: Vector, zero: Sequence[int] = ()) -> list[Numbers]:
     """Unpack a symmetric matrix; its rows and columns ``zero`` become structural zeros."""
     n = round((2 * len(packed) + 0.25) ** 0.5 - 0.5)
     return symmetric(
@@ -46,10 +46,10 @@ def unpack(packed: Vector, zero: Sequence[int] = ()) -> list[list[Number]]:
     )
 
 
-def cholesky(a: Matrix) -> list[list[Number]]:
+def cholesky(a: Matrix) -> list[Numbers]:
     """Return the lower-triangular L with L L' = a; columns with a structurally zero pivot are 0."""
     n = len(a)
-    factor: list[list[Number]] = [[0.0] * n for _ in range(n)]
+    factor: list[Numbers] = [[0.0] * n for _ in range(n)]
     for j in range(n):
         pivot = a[j][j] - dot(factor[j][:j], factor[j][:j])
         if is_zero(pivot):
@@ -61,10 +61,10 @@ def cholesky(a: Matrix) -> list[list[Number]]:
     return factor
 
 
-def inverse(factor: Matrix) -> list[list[Number]]:
+def inverse(factor: Matrix) -> list[Numbers]:
     """Return the inverse of a factor from :func:`cholesky`; row and column i are 0 as column i."""
     n = len(factor)
-    result: list[list[Number]] = [[0.0] * n for _ in range(n)]
+    result: list[Numbers] = [[0.0] * n for _ in range(n)]
     for j in range(n):
         rest = [row[j:] for row in factor[j:]]
         for i, value in enumerate(forward(rest, [1.0] + [0.0] * (n - j - 1)), start=j):
@@ -72,19 +72,19 @@ def inverse(factor: Matrix) -> list[list[Number]]:
     return result
 
 
-def forward(factor: Matrix, b: Vector) -> list[Number]:
+def forward(factor: Matrix, b: Vector) -> Numbers:
     """Solve ``factor y = b`` for a factor from :func:`cholesky`; y_i is 0 where column i is 0."""
-    y: list[Number] = []
+    y: Numbers = []
     for i in range(len(b)):
         pivot = factor[i][i]
         y.append(0.0 if is_zero(pivot) else (b[i] - dot(factor[i][:i], y)) * (1.0 / pivot))
     return y
 
 
-def backward(factor: Matrix, b: Vector) -> list[Number]:
+def backward(factor: Matrix, b: Vector) -> Numbers:
     """Solve ``factor' y = b`` for a factor from :func:`cholesky`; y_i is 0 where column i is 0."""
     n = len(b)
-    y: list[Number] = [0.0] * n
+    y: Numbers = [0.0] * n
     for i in reversed(range(n)):
         pivot = factor[i][i]
         if is_zero(pivot):

@@ -22,6 +22,7 @@ Array32 = NDArray[np.float32]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Number: TypeAlias = Any  # float, numpy array or Lanes
+Numbers: TypeAlias = list[Any]  # a list of Number
 Vector: TypeAlias = Sequence[Any]  # a sequence of Number
 Matrix: TypeAlias = Sequence[Sequence[Any]]  # a sequence of rows
 

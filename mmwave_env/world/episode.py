@@ -17,7 +17,7 @@ from mmwave_env.models.layout import Layout, offered_rows, whole_groups
 from mmwave_env.models.measurement import Epoch, Site, blank_site
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.numbers import Array, Index, Mask, Number, Vector, where
+from mmwave_env.numerics.numbers import Array, Index, Mask, Number, Numbers, Vector, where
 from mmwave_env.numerics.pytree import flatten, indices
 from mmwave_env.world.checks import refuse, require_increasing
 
@@ -331,11 +331,11 @@ class Incoming(NamedTuple):
     """An epoch in :meth:`Episode.table`; fields without comments are the same as in ``Epoch``."""
 
     dt: Number
-    z: list[Number]
-    signed_sigma: list[Number]  # (rows,) standard deviations; negative if the row is missing
-    snr_db: list[Number]
+    z: Numbers
+    signed_sigma: Numbers  # (rows,) standard deviations; negative if the row is missing
+    snr_db: Numbers
     doppler_spread_hz: Number
-    truth: list[Number]  # (6,) true position (m) and velocity (m/s), to compute scores
+    truth: Numbers  # (6,) true position (m) and velocity (m/s), to compute scores
     doppler_of: Vector = ()
 
     def epoch(self, layout: Layout) -> Epoch:

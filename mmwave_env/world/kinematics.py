@@ -7,7 +7,16 @@ within limits of acceleration, braking and jerk. Each substep takes about 0.1 s.
 
 from typing import NamedTuple
 
-from mmwave_env.numerics.numbers import Number, clip, cos_sin, maximum, minimum, sqrt, where
+from mmwave_env.numerics.numbers import (
+    Number,
+    Numbers,
+    clip,
+    cos_sin,
+    maximum,
+    minimum,
+    sqrt,
+    where,
+)
 
 STANDING_MPS = 0.1  # a traveler at or below this speed may begin another phase
 FAR = 1e9  # m or s: a distance or time that is never reached
@@ -82,7 +91,7 @@ def around(heading: Number) -> Number:
     return where(heading < -0.5, heading + 4.0, heading)
 
 
-def state_of(t: Traveler) -> tuple[list[Number], list[Number]]:
+def state_of(t: Traveler) -> tuple[Numbers, Numbers]:
     """Return the position (2,), m, and the velocity (2,), m/s, of a traveler."""
     along = minimum(t.traveled, t.stretch)
     bent = clip(t.traveled - t.stretch, 0.0, t.arc)

@@ -12,7 +12,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from mmwave_env.numerics.numbers import Number, floor, maximum, where
+from mmwave_env.numerics.numbers import Number, Numbers, floor, maximum, where
 from mmwave_env.numerics.pytree import select, tree_at
 from mmwave_env.numerics.random import Dice
 from mmwave_env.world.kinematics import FAR, STANDING_MPS, Net, Traveler, around, unit
@@ -53,10 +53,10 @@ class TravelPhase(NamedTuple):
 class PhasePlan(NamedTuple):
     """The ranges (2,) from which the duration and the limits of a phase are drawn."""
 
-    length: list[Number]
-    acceleration: list[Number]
-    braking: list[Number]
-    lateral: list[Number]
+    length: Numbers
+    acceleration: Numbers
+    braking: Numbers
+    lateral: Numbers
     ends_early: Number  # 1 if the next phase is the last one and needs the rest of the time
     phase: TravelPhase  # the values that are not drawn
 
