@@ -3,7 +3,7 @@
 import math
 from typing import NamedTuple
 
-from mmwave_env.numerics.linalg import cholesky, dot, forward
+from mmwave_env.numerics.linalg import cholesky, dot, forward, minus
 from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Vector, log, sqrt
 
 
@@ -22,7 +22,7 @@ class Belief(NamedTuple):
 
     def error(self, truth: Vector) -> Numbers:
         """Return estimated minus true position (3,), meters; ``truth`` starts with the position."""
-        return [self.x[i] - truth[i] for i in range(3)]
+        return minus(self.x[:3], truth)
 
     def distance(self, truth: Vector) -> Number:
         """Return the length of the position error, meters."""

@@ -33,15 +33,14 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.update import Algorithm, Posterior
 from mmwave_env.io.lookup import choose
 from mmwave_env.models.measurement import Measurement
-from mmwave_env.models.motion import ProcessNoise
+from mmwave_env.models.motion import COUPLED, ProcessNoise
 from mmwave_env.numerics.numbers import Array, Index, Matrix, Vector
 
 
 def full_noise(noise: ProcessNoise) -> Array:
     """Return Q (7, 7), or (8, 8) with a clock's range bias, given its non-zero entries."""
     Q = np.diag(np.array(noise.diagonal, float))
-    pairs = [(0, 3), (1, 4), (2, 5), (7, 6)]
-    for (i, j), covariance in zip(pairs, noise.coupling, strict=False):
+    for (i, j), covariance in zip(COUPLED, noise.coupling, strict=False):
         Q[i, j] = Q[j, i] = covariance
     return Q
 

@@ -17,7 +17,7 @@ from mmwave_env.filters.pipeline import Pipeline, predict_update
 from mmwave_env.filters.update import ModeResult, limited_likelihood
 from mmwave_env.models.measurement import Epoch, Site
 from mmwave_env.models.motion import move
-from mmwave_env.numerics.linalg import dot, unpack
+from mmwave_env.numerics.linalg import dot, minus, plus, unpack
 from mmwave_env.numerics.numbers import (
     Matrix,
     Number,
@@ -88,7 +88,7 @@ def spread(weights: Sequence[Number], x: Sequence[Vector]) -> tuple[Numbers, Num
     """Return the mean (7,) and the packed covariance (28,) of weighted points."""
     n = len(x[0])
     mean = [dot(weights, [xi[i] for xi in x]) for i in range(n)]
-    offset = [[xi[i] - mean[i] for i in range(n)] for xi in x]
+    offset = [minus(xi, mean) for xi in x]
     return mean, [
         dot(weights, [d[i] * d[j] for d in offset]) for i in range(n) for j in range(i + 1)
     ]
@@ -230,12 +230,7 @@ def prediction(now: ImmEpoch, dt: Number, hz_per_mps: Number) -> tuple[Numbers, 
     Their correlation with x is ignored, because it could make smoothed variances negative.
     """
     moved = [move(x, dt, hz_per_mps) for x in now.mixed]
-    shifts = [
-        [a - b for a, b in zip(result.x_predicted, x, strict=True)]
-        for result, x in zip(now.results, moved, strict=True)
-    ]
+    shifts = [minus(r.x_predicted, x) for r, x in zip(now.results, moved, strict=True)]
     x, P = moments(now.predicted, moved, [result.P_predicted for result in now.results])
     shift, of_shifts = spread(now.predicted, shifts)
-    return [a + b for a, b in zip(x, shift, strict=True)], [
-        a + b for a, b in zip(P, of_shifts, strict=True)
-    ]
+    return plus(x, shift), plus(P, of_shifts)

@@ -14,7 +14,7 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.features import Feature, View, last_epoch
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Epoch, direction, norms
-from mmwave_env.numerics.linalg import dot
+from mmwave_env.numerics.linalg import dot, minus
 from mmwave_env.numerics.numbers import PI, Number, Vector, log, maximum, minimum, sqrt, where, wrap
 
 _LEAST_M = 0.05  # minimum standard deviation by which residuals are divided, m
@@ -100,7 +100,7 @@ def _row(view: View, layout: Layout, anchor: int, name: str) -> tuple[Number, Nu
     The residual, :func:`_squashed`, has components along and across the velocity; that of an
     elevation has only one, and the second is 0. All numbers are 0 if the row was not measured.
     """
-    step = [view.x[i] - view.site.anchors[anchor][i] for i in range(3)]
+    step = minus(view.x, view.site.anchors[anchor])
     flat = norms(step)[0]
     distance, azimuth, elevation = direction(step)
     row = 4 * anchor + _ROWS[name]

@@ -24,7 +24,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from mmwave_env.models.layout import STATE_SIZE, Layout
-from mmwave_env.numerics.linalg import dot, is_zero
+from mmwave_env.numerics.linalg import dot, is_zero, minus, plus
 from mmwave_env.numerics.numbers import (
     PI,
     Matrix,
@@ -115,7 +115,7 @@ def seen_from_image(
     ``image`` (3,) is the mirror image of ``station`` (3,) in a wall. The direction d becomes
     d - 2 (d.n) n, with the unit vector n along image - station. If image = station, d is unchanged.
     """
-    n = [image[i] - station[i] for i in range(3)]
+    n = minus(image, station)
     (cos_az, sin_az) = cos_sin(azimuth)
     (cos_el, sin_el) = cos_sin(elevation)
     d = [cos_el * cos_az, cos_el * sin_az, sin_el]
@@ -143,12 +143,10 @@ def exact_rows(
     """
     rows: Numbers = []
     for anchor in anchors:
-        d = [position[i] - anchor[i] for i in range(3)]
-        distance, azimuth, elevation = direction(d)
+        distance, azimuth, elevation = direction(minus(position, anchor))
         departure = where(azimuth > 0.0, azimuth - PI, azimuth + PI)
         rows += [distance, azimuth, elevation, departure]
-    d = [position[i] - anchors[0][i] for i in range(3)]
-    rows.append(hz_per_mps * range_rate(d, velocity))
+    rows.append(hz_per_mps * range_rate(minus(position, anchors[0]), velocity))
     if layout.odometry:
         rows += [norms(velocity)[1], atan2(velocity[1], velocity[0])]
     return rows
@@ -192,7 +190,7 @@ def link_group(
     ``x`` (7,) is the prior mean, and ``anchor`` (3,) the anchor's position, m. ``z`` and
     ``variance`` are (4,). ``measured`` (4,) is 1 where a row was measured, else 0; () means all.
     """
-    d = [x[i] - anchor[i] for i in range(3)]
+    d = minus(x, anchor)
     distance, azimuth, elevation = direction(d)
     horizontal = norms(d)[0]
     aside = horizontal > NEAREST_M
@@ -213,7 +211,7 @@ def link_group(
     slow = [*[0.0] * 4, *[1.0] * len(clock)]  # the range contains a clock's bias as a summand
 
     def change(step: Vector) -> Numbers:
-        q = [d[i] + step[i] for i in range(3)]
+        q = plus(d, step)
         q_horizontal, q_distance = norms(q)
         vertical = all(map(is_zero, step[:2]))
         turn = 0.0 if vertical else atan2(q[1] * east - q[0] * north, q[0] * east + q[1] * north)
@@ -264,7 +262,7 @@ def doppler_group(
     x: Vector, anchor: Vector, hz_per_mps: Number, z: Vector, variance: Vector
 ) -> Group:
     """Return the group of an anchor's Doppler shift (Hz), which is linear in v and the bias."""
-    d = [x[i] - anchor[i] for i in range(3)]
+    d = minus(x, anchor)
     v = x[3:6]
     distance = norms(d)[1]
     inverse = _inverse(distance)
@@ -273,8 +271,8 @@ def doppler_group(
     rate = range_rate(d, v)
 
     def change(step: Vector) -> Numbers:
-        q = [d[i] + step[i] for i in range(3)]
-        velocity = [v[i] + step[3 + i] for i in range(3)]
+        q = plus(d, step)
+        velocity = plus(v, step[3:])
         return [defined * (hz_per_mps * (range_rate(q, velocity) - rate) + step[6])]
 
     transverse = [hz_per_mps * inverse * (v[i] - u[i] * rate) for i in range(3)]
@@ -302,7 +300,7 @@ def odometry_group(x: Vector, z: Vector, variance: Vector) -> Group:
     across = horizontal_inverse * horizontal_inverse
 
     def change(step: Vector) -> Numbers:
-        q = [v[i] + step[3 + i] for i in range(3)]
+        q = plus(v, step[3:])
         turn = atan2(q[1] * ahead[0] - q[0] * ahead[1], q[0] * ahead[0] + q[1] * ahead[1])
         return [norms(q)[1] - speed, turn]
 

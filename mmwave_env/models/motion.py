@@ -19,6 +19,8 @@ STANDING_MPS = 0.2  # far below this speed, the direction is unclear, so acceler
 # White noise of a user's clock, m / sqrt(s), besides the drift due to the oscillator's bias. Its
 # square is 0.01 m^2/s, as for a temperature-compensated crystal (Groves 2013, Sec. 9.4.2).
 CLOCK_SIGMA_M = 0.1
+# pairs of state components that noise couples: velocities and positions, range bias and bias
+COUPLED = ((3, 0), (4, 1), (5, 2), (7, 6))
 _SHORTEST_S = 1e-9  # shortest step by which a speed is divided
 _LEAST_RAD = 1e-9  # an arc of a smaller angle differs from a straight line only by rounding
 
@@ -109,30 +111,17 @@ def turn(x: Vector, rate: Number, dt: Number) -> Numbers:
 
 
 def transition_times(P: Matrix, dt: Number, hz_per_mps: Number | None = None) -> list[Numbers]:
-    """Return F P, with the transition matrix F of :func:`move`."""
-    n = len(P)
-    FP = [[P[i][j] + dt * P[i + 3][j] if i < 3 else P[i][j] for j in range(n)] for i in range(n)]
-    FP[STATE_SIZE:] = [
-        [a + (dt / hz_per_mps) * b for a, b in zip(row, P[6], strict=True)]
-        for row in FP[STATE_SIZE:]
-    ]
-    return FP
+    """Return F P, with the transition matrix F of :func:`move` and a symmetric P."""
+    return [list(row) for row in zip(*[move(row, dt, hz_per_mps) for row in P], strict=True)]
 
 
 def predict_covariance(
     P: Matrix, noise: ProcessNoise, dt: Number, hz_per_mps: Number | None = None
 ) -> list[Numbers]:
     """Return F P F' + Q, the covariance one step later."""
-    FP = transition_times(P, dt, hz_per_mps)
-
-    def entry(i: int, j: int) -> Number:
-        value = FP[i][j] + FP[i][j + 3] * dt if j < 3 else FP[i][j]
-        if j == STATE_SIZE:
-            value = value + FP[i][6] * (dt / hz_per_mps)
-        if i == j:
-            return value + noise.diagonal[i]
-        if (i, j) == (STATE_SIZE, 6):
-            return value + noise.coupling[3]
-        return value + noise.coupling[j] if i == j + 3 and j < 3 else value
-
-    return symmetric(len(P), entry)
+    moved = [move(row, dt, hz_per_mps) for row in transition_times(P, dt, hz_per_mps)]
+    for i, variance in enumerate(noise.diagonal):
+        moved[i][i] = moved[i][i] + variance
+    for (i, j), covariance in zip(COUPLED, noise.coupling, strict=False):
+        moved[i][j] = moved[i][j] + covariance
+    return symmetric(len(P), lambda i, j: moved[i][j])

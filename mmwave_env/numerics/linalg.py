@@ -24,6 +24,16 @@ def dot(a: Vector, b: Vector) -> Number:
     return total
 
 
+def plus(a: Vector, b: Vector) -> Numbers:
+    """Return the sum of two vectors; surplus entries of the longer one are ignored."""
+    return [u + v for u, v in zip(a, b)]  # noqa: B905 - a position is the beginning of a state
+
+
+def minus(a: Vector, b: Vector) -> Numbers:
+    """Return the difference a - b of two vectors, as :func:`plus` does."""
+    return [u - v for u, v in zip(a, b)]  # noqa: B905
+
+
 def symmetric(n: int, entry: Callable[[int, int], Number]) -> list[Numbers]:
     """Return the symmetric (n, n) matrix with elements ``entry(i, j)`` for i >= j."""
     m: list[Numbers] = [[0.0] * n for _ in range(n)]
