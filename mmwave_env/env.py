@@ -18,6 +18,7 @@ from mmwave_env.interface.info import (
     INFOS,
     NONFINITE_KEY,
     STATE_KEYS,
+    Info,
     info_rows,
     reported,
     step_info,
@@ -320,7 +321,7 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Array32, dict[str, Any]]:
+    ) -> tuple[Array32, Info]:
         """Draw an episode; the same seed draws the same episode. See Gymnasium's `Env.reset`.
 
         ``options={"episode_key": k}`` plays an episode again; k is its key, from an earlier info.
@@ -346,7 +347,7 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         info |= {key: column[self._info_rows[key]] for key in STATE_KEYS}
         return column[self._observed].astype(np.float32), self._selected(info, at_end=True)
 
-    def _begin(self, key: int | None) -> dict[str, Any]:
+    def _begin(self, key: int | None) -> Info:
         """Begin the episode with this key (None: the next episode); return infos about it."""
         task = self._task
         engine = self._engine
@@ -360,7 +361,7 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         engine.advance(engine.io())
         return {"episode_name": name, "episode_key": np.uint64(key), "nonfinite": 0}
 
-    def step(self, action: Any) -> tuple[Array32, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Any) -> tuple[Array32, float, bool, bool, Info]:
         """Process an epoch: apply a mode, weights or a correction. See Gymnasium's `Env.step`."""
         if self._over:
             raise ResetNeeded("Call reset before step: there is no episode under way.")
@@ -426,14 +427,14 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         if self._gallery:
             self._gallery.close()
 
-    def _selected(self, info: dict[str, Any], at_end: bool) -> dict[str, Any]:
+    def _selected(self, info: Info, at_end: bool) -> Info:
         """Return the info if the argument ``infos`` asks for it, else {}."""
         wanted = self._infos == "all" or (self._infos == "episode" and at_end)
         return info if wanted else {}
 
-    def _episode_info(self) -> dict[str, Any]:
+    def _episode_info(self) -> Info:
         """Return the episode's metrics, and the number of nonfinite beliefs if it is not 0."""
-        metrics: dict[str, Any] = {k: float(v[0]) for k, v in self._metrics_of(_HERE).items()}
+        metrics: Info = {k: float(v[0]) for k, v in self._metrics_of(_HERE).items()}
         (lost,) = self._tally.nonfinite(_HERE).tolist()
         if lost:
             warn_of_nonfinite()

@@ -18,6 +18,7 @@ from mmwave_env.interface.info import (
     INFOS,
     NONFINITE_KEY,
     STATE_KEYS,
+    Info,
     mask_keys,
     masked,
     stepped,
@@ -32,7 +33,7 @@ from mmwave_env.rendering.theme import FRAMES_PER_SECOND, SMALLEST, Pixels, requ
 from mmwave_env.task import task_from
 from mmwave_env.world.keys import Keys, Streams, keys_from, option_of
 
-Step = tuple[Array32, Array, Mask, Mask, dict[str, Any]]
+Step = tuple[Array32, Array, Mask, Mask, Info]
 
 BEGUN = 512  # maximum number of episodes drawn in one call, to limit the memory that they need
 
@@ -168,7 +169,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         *,
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
-    ) -> tuple[Array32, dict[str, Any]]:
+    ) -> tuple[Array32, Info]:
         """Draw an episode for every environment, or only where ``options["reset_mask"]`` is True.
 
         Args:
@@ -224,11 +225,11 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         """Return the seed of each environment, as a `SyncVectorEnv` does."""
         return self._streams.seeds()
 
-    def _draw(self, places: Index, keys: Keys | None = None) -> dict[str, NDArray[Any]]:
+    def _draw(self, places: Index, keys: Keys | None = None) -> Info:
         """Begin episodes in the environments with indices ``places``; return infos, (N,) each."""
         task = self._task
         engine = self._engine
-        infos: dict[str, NDArray[Any]] = {"episode_name": np.full(self.num_envs, None, object)}
+        infos: Info = {"episode_name": np.full(self.num_envs, None, object)}
         infos["nonfinite"] = np.zeros(self.num_envs, np.int64)
         if task.has_keys:
             keys = self._streams.keys(places) if keys is None else keys
@@ -282,7 +283,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
             infos = self._end(observations, infos)
         return observations, rewards, terminated, truncated, infos
 
-    def _end(self, observations: Array32, infos: dict[str, Any]) -> dict[str, Any]:
+    def _end(self, observations: Array32, infos: Info) -> Info:
         """Add the infos of ended episodes; begin new episodes if the autoreset mode is SameStep."""
         ended = np.flatnonzero(self._over)
         lost = np.zeros(self.num_envs, np.int64)
@@ -326,7 +327,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
             f"actions: found {actions!r}, expected {n} integers in {self.single_action_space}"
         )
 
-    def _same_step(self, observations: Array32, infos: dict[str, Any]) -> dict[str, Any]:
+    def _same_step(self, observations: Array32, infos: Info) -> Info:
         """Reset environments whose episodes ended; put their old infos into ``final_info``."""
         over = self._over.copy()
         ended = np.flatnonzero(over)

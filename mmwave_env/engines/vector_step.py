@@ -4,7 +4,7 @@ With few environments, the Python code around that call takes a third of a step'
 the Python code neither assembles nor splits arrays.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba.extending import register_jitable
@@ -16,10 +16,16 @@ from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import PLAIN_BLOCK_EPOCHS, Repeated, StepIO, laid_out
 from mmwave_env.engines.engine import Engine
 from mmwave_env.engines.tally import Tally, count, exceeds
-from mmwave_env.interface.info import COST_KEY, FLAGS, STATE_KEYS, info_rows, mask_keys, reported
+from mmwave_env.interface.info import (
+    COST_KEY,
+    FLAGS,
+    STATE_KEYS,
+    Info,
+    info_rows,
+    mask_keys,
+    reported,
+)
 from mmwave_env.numerics.numbers import Array, Index, Mask
-
-Infos = dict[str, NDArray[Any]]
 
 
 class StepResult(NamedTuple):
@@ -78,7 +84,7 @@ class Stepper:
         self._tally = tally
         self._run = Repeated(_step)
 
-    def step(self, actions: Index, numbers: Array | None) -> tuple[StepResult, int, Infos]:
+    def step(self, actions: Index, numbers: Array | None) -> tuple[StepResult, int, Info]:
         """Apply all actions and run the modes on the next epoch, as :meth:`Engine.step` does.
 
         Args:
@@ -103,7 +109,7 @@ class Stepper:
         result = StepResult(
             observations[:, 0], np.empty(n), ends[0], ends[1], flags[0], flags[1], costs
         )
-        # Infos need new arrays of outputs, as earlier infos are views of the previous arrays.
+        # Info need new arrays of outputs, as earlier infos are views of the previous arrays.
         outputs = np.empty_like(io.outputs) if self._info_keys else io.outputs
         io = StepIO(io.input_rows, io.inputs, self._rows, outputs, io.obs_rows, observations)
         self._io = io
@@ -114,13 +120,13 @@ class Stepper:
         self._engine.trust(io)
         if not self._info_keys:
             return result, ended, {}
-        infos: Infos = {key: outputs[self._columns[key]] for key in self._info_keys}
+        infos: Info = {key: outputs[self._columns[key]] for key in self._info_keys}
         infos |= {"accepted": result.accepted, "rejected": result.rejected, "mode": actions}
         infos[COST_KEY] = result.cost
         infos |= dict.fromkeys(self._mask_keys, self._everywhere.copy())
         return result, ended, infos
 
-    def look(self, actions: Index) -> Infos:
+    def look(self, actions: Index) -> Info:
         """Return the infos about the last step, for steppers whose steps return no infos."""
         infos = {key: self._engine.read(part) for key, part in self._known.items()}
         infos |= {key: infos[key] > 0.5 for key in FLAGS if infos}
@@ -132,7 +138,7 @@ class Stepper:
         error = self._io.outputs[self._columns["error"]]
         return np.sqrt((error * error).sum(axis=1))  # type: ignore[no-any-return]
 
-    def start(self, places: Index) -> tuple[NDArray[np.float32], Infos]:
+    def start(self, places: Index) -> tuple[NDArray[np.float32], Info]:
         """Run the modes on the next epoch in environments just loaded; leave the others unchanged.
 
         Returns:

@@ -4,7 +4,7 @@ import math
 from typing import NamedTuple
 
 from mmwave_env.numerics.linalg import cholesky, dot, forward, minus
-from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Vector, log, sqrt
+from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Pair, Vector, log, sqrt
 
 
 class Belief(NamedTuple):
@@ -38,7 +38,7 @@ class Belief(NamedTuple):
         nees, determinant = self._whiten(truth)
         return -0.5 * (nees + log(determinant) + len(self.axes) * math.log(2.0 * math.pi))
 
-    def _whiten(self, truth: Vector) -> tuple[Number, Number]:
+    def _whiten(self, truth: Vector) -> Pair:
         """Return the value of :meth:`nees` and the determinant of the position covariance."""
         factor = cholesky([[self.P[i][j] for j in self.axes] for i in self.axes])
         error = self.error(truth)

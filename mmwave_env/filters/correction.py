@@ -16,6 +16,7 @@ from mmwave_env.numerics.numbers import (
     Matrix,
     Number,
     Numbers,
+    Pair,
     Vector,
     exp,
     maximum,
@@ -45,11 +46,11 @@ class Frame(NamedTuple):
         scale = 1.0 / maximum(speed, SLOWEST_MPS)
         return cls(where(moving, vx * scale, 1.0), where(moving, vy * scale, 0.0))
 
-    def into(self, x: Number, y: Number) -> tuple[Number, Number]:
+    def into(self, x: Number, y: Number) -> Pair:
         """Return the components of a horizontal vector (x, y) along and across the motion."""
         return self.cosine * x + self.sine * y, self.cosine * y - self.sine * x
 
-    def out(self, along: Number, across: Number) -> tuple[Number, Number]:
+    def out(self, along: Number, across: Number) -> Pair:
         """Return the horizontal vector (x, y), given its components along and across the motion."""
         return self.cosine * along - self.sine * across, self.sine * along + self.cosine * across
 

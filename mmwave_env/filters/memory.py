@@ -12,7 +12,7 @@ from mmwave_env.models.layout import STATE_SIZE, Layout
 from mmwave_env.models.measurement import Epoch
 from mmwave_env.models.motion import move
 from mmwave_env.numerics.linalg import dot
-from mmwave_env.numerics.numbers import Number, Numbers, Vector, clip, sqrt, where
+from mmwave_env.numerics.numbers import Number, Numbers, Pair, Vector, clip, sqrt, where
 
 WINDOW = 10  # number of epochs in the window for adaptive scaling
 GAMMA_LIMITS = (0.5, 2.0)  # limits of the adaptive scale; paper, Sec. III-E
@@ -91,9 +91,7 @@ def memory_before(
     return memory._replace(snr_mean_db=snr, spread_average_hz=spread, preference=preference)
 
 
-def correction_of(
-    before: Vector, result: ModeResult, dt: Number, first: int
-) -> tuple[Number, Number]:
+def correction_of(before: Vector, result: ModeResult, dt: Number, first: int) -> Pair:
     """Return what an update adds to position or velocity, along and across the predicted velocity.
 
     Args:

@@ -17,7 +17,7 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.features import Feature, View, coming, context
 from mmwave_env.interface.signed import signed
 from mmwave_env.io.lookup import choose
-from mmwave_env.numerics.numbers import Array, Array32, Number, Numbers, clip
+from mmwave_env.numerics.numbers import Array, Array32, Number, Numbers, Pair, clip
 
 LIMIT = 10.0  # maximum distance of a feature from its mean, in standard deviations
 
@@ -103,7 +103,7 @@ class Observation:
         """Return the space of one observation, float32."""
         return spaces.Box(*np.array(self._bounds(), np.float32).T, dtype=np.float32)
 
-    def _bounds(self) -> list[tuple[Number, Number]]:
+    def _bounds(self) -> list[Pair]:
         """Return the limits of every standardized feature."""
         return [(_standardize(f.low, f), _standardize(f.high, f)) for f in self.features]
 

@@ -15,7 +15,18 @@ from mmwave_env.interface.features import Feature, View, last_epoch
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Epoch, direction, norms
 from mmwave_env.numerics.linalg import dot, minus
-from mmwave_env.numerics.numbers import PI, Number, Vector, log, maximum, minimum, sqrt, where, wrap
+from mmwave_env.numerics.numbers import (
+    PI,
+    Number,
+    Pair,
+    Vector,
+    log,
+    maximum,
+    minimum,
+    sqrt,
+    where,
+    wrap,
+)
 
 _LEAST_M = 0.05  # minimum standard deviation by which residuals are divided, m
 _LEAST_RAD = 1e-3  # minimum standard deviation by which elevation residuals are divided, rad
@@ -70,7 +81,7 @@ def _present(view: View) -> Number:
     return 1.0 - view.last.is_missing
 
 
-def _turn(view: View) -> tuple[Number, Number]:
+def _turn(view: View) -> Pair:
     cosine, sine = Frame.of(view.last.velocity).into(*Frame.of(view.x[3:5]))
     present = _present(view)
     return 1.0 - present * (1.0 - cosine), present * sine

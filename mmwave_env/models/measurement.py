@@ -30,6 +30,7 @@ from mmwave_env.numerics.numbers import (
     Matrix,
     Number,
     Numbers,
+    Pair,
     Vector,
     atan2,
     cos_sin,
@@ -95,7 +96,7 @@ class Group(NamedTuple):
     spare_determinant: Number = 1.0
 
 
-def norms(d: Vector) -> tuple[Number, Number]:
+def norms(d: Vector) -> Pair:
     """Return the horizontal and the full length of a vector (3,)."""
     squared = d[0] * d[0] + d[1] * d[1]
     return sqrt(squared), sqrt(squared + d[2] * d[2])
@@ -107,9 +108,7 @@ def direction(d: Vector) -> tuple[Number, Number, Number]:
     return distance, atan2(d[1], d[0]), atan2(d[2], horizontal)
 
 
-def seen_from_image(
-    azimuth: Number, elevation: Number, station: Vector, image: Vector
-) -> tuple[Number, Number]:
+def seen_from_image(azimuth: Number, elevation: Number, station: Vector, image: Vector) -> Pair:
     """Convert a ray's direction (rad) at the base station to its direction at the mirror image.
 
     ``image`` (3,) is the mirror image of ``station`` (3,) in a wall. The direction d becomes

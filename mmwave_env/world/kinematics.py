@@ -10,6 +10,7 @@ from typing import NamedTuple
 from mmwave_env.numerics.numbers import (
     Number,
     Numbers,
+    Pair,
     clip,
     cos_sin,
     maximum,
@@ -77,7 +78,7 @@ class Traveler(NamedTuple):
     node_y: Number
 
 
-def unit(heading: Number) -> tuple[Number, Number]:
+def unit(heading: Number) -> Pair:
     """Return the unit vector (east, north) of a heading of 0 to 3 quarter turns."""
     odd = where(abs(heading - 2.0) > 0.5, 0.0, -1.0)
     east = where(heading < 0.5, 1.0, odd)

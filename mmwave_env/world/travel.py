@@ -12,7 +12,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from mmwave_env.numerics.numbers import Number, Numbers, floor, maximum, where
+from mmwave_env.numerics.numbers import Number, Numbers, Pair, floor, maximum, where
 from mmwave_env.numerics.pytree import select, tree_at
 from mmwave_env.numerics.random import Dice
 from mmwave_env.world.kinematics import FAR, STANDING_MPS, Net, Traveler, around, unit
@@ -77,7 +77,7 @@ def blank_plan(phases: int, gaits: int) -> TravelPlan:
     return TravelPlan(1.0, [PhasePlan(once, at_one, at_one, at_one, 0.0, phase)] * phases)
 
 
-def _draw_gait(dice: Dice, gaits: Sequence[TravelGait]) -> tuple[Number, Number]:
+def _draw_gait(dice: Dice, gaits: Sequence[TravelGait]) -> Pair:
     """Draw a gait; return its target speed and the time for which it is kept."""
     left = sum(gait.weight for gait in gaits) * dice.uniform()
     chosen = gaits[0]
