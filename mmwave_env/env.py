@@ -291,7 +291,7 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         self._start_engine(pipeline, on_floats=on_floats)
         at = self._engine.at
         span = self._engine.span
-        self._io = self._engine.io()
+        self._io = self._engine.step_io()
         self._counts = self._tally.in_python()
         self._observed = self._engine.obs_rows
         self._error = span(at.error)
@@ -336,7 +336,7 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         self._begun = True
         self._over = False
         self._steps = 0
-        self._length = int(self._engine.batch.state.length[0])
+        self._length = int(self._engine.state.length[0])
         self._counts = self._tally.in_python()
         column = self._engine.column(0)
         if self._gallery:
@@ -358,7 +358,7 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         if key is None:
             key = self._stream.next(self.np_random, self.np_random_seed)
         (name,) = self._begin_keys(np.array([key], np.uint64), _HERE)
-        engine.advance(engine.io())
+        engine.run_step(engine.step_io())
         return {"episode_name": name, "episode_key": np.uint64(key), "nonfinite": 0}
 
     def step(self, action: Any) -> tuple[Array32, float, bool, bool, Info]:
@@ -366,7 +366,7 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         if self._over:
             raise ResetNeeded("Call reset before step: there is no episode under way.")
         mode = self._take(action)
-        self._engine.advance(self._io)
+        self._engine.run_step(self._io)
         column = self._engine.column(0)
         info = step_info(column, self._info_rows, mode)
         rewards = np.array([column[self._engine.at.reward]])

@@ -144,7 +144,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         """Create everything that follows from the arguments, for a new environment or a copy."""
         self._start_engine(self._task.pipeline, self.num_envs, threads=self._threads)
         engine = self._engine
-        self.batch = engine.batch
+        self.batch = engine
         self._stepper = Stepper(engine, self._tally, self._infos)
 
     def render(self) -> tuple[Pixels, ...] | None:  # type: ignore[override]
@@ -240,7 +240,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
             infos["episode_key"] = self._keys.copy()
         else:
             drawn = [task.draw(self._streams.generator(int(place))) for place in places]
-            engine.batch.load(drawn, places)
+            engine.load(drawn, places)
             infos["episode_name"][places] = [episode.name for episode in drawn]
             infos["nonfinite"][places] = [episode.nonfinite for episode in drawn]
         self._begin_tracks(places)

@@ -94,6 +94,6 @@ def _stepped(task: Task, episodes: EpisodeBatch, on_floats: bool) -> Array:
     engine = Engine(
         task.pipeline, len(_KEYS), TrackingReward(), bank=task.bank, on_floats=on_floats
     )
-    engine.batch.load(episodes)
+    engine.load(episodes)
     rows = rows_of(engine.at.x)
     return play(engine, FixedMode(0), _EPOCHS, rows).outputs.swapaxes(0, 1)

@@ -133,7 +133,7 @@ def _run_policy(
         switching.bank,
         action=CORRECTION if policy.corrects else MODE,
     )
-    engine.batch.load(episodes)
+    engine.load(episodes)
     if isinstance(policy, Clairvoyant):
         policy.foresee(engine)
     policy.reset(np.ones(n, bool))

@@ -174,7 +174,7 @@ class CorrectorData:
         n, epochs, _ = batch.table.shape
         pipeline = Pipeline(bank.modes, batch.layout)
         engine = Engine(pipeline, n, TrackingReward(), "signed", bank, action=CORRECTION)
-        engine.batch.load(batch)
+        engine.load(batch)
         after = [feature.name for feature in after_update(pipeline, per_mode=True)]
         columns = np.array([engine.observation.names.index(name) for name in after])
         rows = rows_of([engine.at.x, engine.at.P, engine.at.error])

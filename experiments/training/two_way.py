@@ -57,7 +57,7 @@ def smoothed(batch: EpisodeBatch, bank: Bank, base: str) -> Smoothed:
     at = columns_of(batch.layout)
     n, epochs, _ = batch.table.shape
     engine = Engine(pipeline, n, TrackingReward(), "full", bank)
-    engine.batch.load(batch)
+    engine.load(batch)
     policy = base_policy(base, engine.observation)
     track = play(engine, policy, epochs, engine.program.rows(PARTS))
     of = engine.program.by_name(PARTS, track.outputs)

@@ -47,7 +47,7 @@ def play(
         columns: indices of the columns of observations to record.
         scored: whether to score the beliefs against the truth.
     """
-    n = engine.batch.n
+    n = engine.n
     actions = np.empty((n, epochs), np.int64)
     outputs = np.empty((n, epochs, len(output_rows)))
     features = np.empty((n, epochs, len(columns)), np.float32)

@@ -49,7 +49,7 @@ def smoothed_again(
     """
     n, T = actions.shape
     engine = tracks_of(pipeline, n, bank)
-    engine.batch.load(episodes._replace(table=episodes.table[:, :T], length=np.full(n, T)))
+    engine.load(episodes._replace(table=episodes.table[:, :T], length=np.full(n, T)))
     x, P, x_predicted, P_predicted, error, nees = engine.run(*_KEPT, actions=actions).values()
     dt = episodes.table[:, 1:T, columns_of(pipeline.layout).dt]
     hz_per_mps = float(engine.read(engine.at.site.hz_per_mps)[0])

@@ -65,7 +65,7 @@ class Stepper:
 
     def __init__(self, engine: Engine, tally: Tally, infos: str) -> None:
         at = engine.at
-        n = engine.batch.n
+        n = engine.n
         self._known = {} if infos == "none" else info_rows(at)
         shown = self._known if infos == "all" else {}
         parts = {"reward": at.reward, "nees": at.nees, "error": at.error}
@@ -78,7 +78,7 @@ class Stepper:
         self._engine = engine
         self._info_keys = tuple(key for key in shown if key not in FLAGS)
         self._groups = len(at.memory.accepted) if shown else 0
-        self._io = engine.io(self._rows)
+        self._io = engine.step_io(self._rows)
         self._mask_keys = mask_keys([*shown, "mode", COST_KEY])
         self._everywhere = np.ones(n, np.bool_)
         self._tally = tally
@@ -96,7 +96,7 @@ class Stepper:
             New results; the number of environments that have no epoch left; and new infos about all
             environments, with Gymnasium's masks, or {} if steps return no infos.
         """
-        batch = self._engine.batch
+        engine = self._engine
         io = self._io
         n = len(actions)
         features = len(io.obs_rows)
@@ -113,11 +113,11 @@ class Stepper:
         outputs = np.empty_like(io.outputs) if self._info_keys else io.outputs
         io = StepIO(io.input_rows, io.inputs, self._rows, outputs, io.obs_rows, observations)
         self._io = io
-        program = (batch.program.on_lanes(), batch.program.blank)
-        arguments = (*program, batch.state, io, self._read, actions, result, self._tally.counts)
-        jobs = [(begin, end, *arguments) for begin, end in batch.parts]
-        ended = sum(self._run(len(batch.state.rows), jobs, len(jobs)))
-        self._engine.trust(io)
+        program = (engine.program.on_lanes(), engine.program.blank)
+        arguments = (*program, engine.state, io, self._read, actions, result, self._tally.counts)
+        jobs = [(begin, end, *arguments) for begin, end in engine.parts]
+        ended = sum(self._run(len(engine.state.rows), jobs, len(jobs)))
+        engine.trust(io)
         if not self._info_keys:
             return result, ended, {}
         infos: Info = {key: outputs[self._columns[key]] for key in self._info_keys}

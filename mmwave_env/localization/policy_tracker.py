@@ -44,7 +44,7 @@ class PolicyTracker:
 
     def load(self, episodes: Sequence[Episode], go_on: bool = False) -> None:
         """Load one episode, in the same way as :meth:`Engine.load`."""
-        self._engine.load(episodes, go_on)
+        self._engine.load(episodes, go_on=go_on)
         self._starts = not go_on
 
     def load_epoch(self, incoming: Sequence[float], time_s: float) -> None:
@@ -63,7 +63,7 @@ class PolicyTracker:
         corrected = {"reported.x": "corrected_x", "reported.P": "corrected_P"}
         wanted = (*names, *corrected) if self._policy.corrects else names
         program = self._engine.program
-        epochs = int(self._engine.batch.state.length[0])
+        epochs = int(self._engine.state.length[0])
         played = play(self._engine, self._policy, epochs, program.rows(wanted), scored=False)
         parts = program.by_name(wanted, played.outputs)
         if self._policy.corrects:
