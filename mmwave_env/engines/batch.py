@@ -129,19 +129,15 @@ class Batch:
             starts: beginnings of the episodes, one for each of ``places``.
             places: indices of the environments that begin.
         """
-        self._attach(source)
+        if not self.state.feed.run:
+            blank = source.begin(np.zeros(1, np.uint64)).worlds
+            feed = source.feed(np.tile(blank, (self.n, 1)))
+            self.state = self.state._replace(feed=feed)
         block, lane = np.divmod(places, WIDTH)
         self.state.feed.kept[block, :, lane] = starts.worlds
         self.state.length[places] = source.epochs
         self.write(self.at.site, starts.sites, places)
         self.restart(places)
-
-    def _attach(self, source: SimulatedSource) -> None:
-        """Create the feed (compiled code that simulates epochs), unless there is one already."""
-        if not self.state.feed.run:
-            blank = source.begin(np.zeros(1, np.uint64)).worlds
-            feed = source.feed(np.tile(blank, (self.n, 1)))
-            self.state = self.state._replace(feed=feed)
 
     def make_room(self, epochs: int) -> None:
         """Make room for tables with this number of epochs; loaded tables are kept."""

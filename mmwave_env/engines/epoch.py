@@ -218,10 +218,8 @@ def refresh(w: EpochState, asked: Asked) -> EpochState:
     columns = {name: i for i, name in enumerate(asked.table.names)}
     after = after_update(asked.pipeline, asked.per_mode)
     features = [feature for feature in after if feature.name in columns]
-    covariance = unpack(w.P, zero=asked.pipeline.known_axes)
-    last = _last_epoch(w, asked, 0.0) if asked.signed else None
     epoch = w.incoming.epoch(asked.pipeline.layout)  # no feature here depends on it
-    view = View(w.x, covariance, w.memory, [], epoch, w.site, None, last)
+    view = _view(w, asked, epoch, [])
     observation = list(w.observation)
     for feature, value in zip(features, standardized(features, view), strict=True):
         observation[columns[feature.name]] = value
@@ -303,7 +301,6 @@ def _observed(
         results: one result per mode.
         predicted: (modes,) probabilities before the epoch, if every mode keeps its own belief.
     """
-    last = _last_epoch(w, asked, w.is_first) if asked.signed else None
     epoch = with_expected_spread(epoch, w.x[3:6], w.site)
     w = w._replace(memory=memory_before(w.memory, results, epoch, asked.pipeline.layout))
     shown = None
@@ -315,16 +312,26 @@ def _observed(
         ]
         shown = MixtureView(predicted, w.mixture.probability, averages)
         w = w._replace(spread_averages_hz=averages)
-    covariance = unpack(w.P, zero=asked.pipeline.known_axes)
-    view = View(w.x, covariance, w.memory, results, epoch, w.site, shown, last)
+    view = _view(w, asked, epoch, results, shown)
     return w._replace(observation=standardized(asked.table.features, view))
 
 
-def _last_epoch(w: EpochState, asked: Asked, is_missing: Number) -> LastEpoch:
-    """Return the last decided epoch, whose residuals are observed."""
-    epoch = w.pending.incoming.epoch(asked.pipeline.layout)
-    epoch = with_expected_spread(epoch, w.velocity, w.site)
-    return LastEpoch(epoch, is_missing, w.velocity, w.mode_probabilities)
+def _view(
+    w: EpochState,
+    asked: Asked,
+    epoch: Epoch,
+    results: list[ModeResult],
+    shown: MixtureView | None = None,
+) -> View:
+    """Return the inputs of features: the coming epoch, its results and, if asked, the last one."""
+    pipeline = asked.pipeline
+    last = None
+    if asked.signed:
+        decided = w.pending.incoming.epoch(pipeline.layout)
+        decided = with_expected_spread(decided, w.velocity, w.site)
+        last = LastEpoch(decided, w.is_first, w.velocity, w.mode_probabilities)
+    covariance = unpack(w.P, zero=pipeline.known_axes)
+    return View(w.x, covariance, w.memory, results, epoch, w.site, shown, last)
 
 
 def with_expected_spread(epoch: Epoch, velocity: Vector, site: Site) -> Epoch:

@@ -37,14 +37,6 @@ from mmwave_env.models.motion import COUPLED, ProcessNoise
 from mmwave_env.numerics.numbers import Array, Index, Matrix, Vector
 
 
-def full_noise(noise: ProcessNoise) -> Array:
-    """Return Q (7, 7), or (8, 8) with a clock's range bias, given its non-zero entries."""
-    Q = np.diag(np.array(noise.diagonal, float))
-    for (i, j), covariance in zip(COUPLED, noise.coupling, strict=False):
-        Q[i, j] = Q[j, i] = covariance
-    return Q
-
-
 class _Relative:
     """The differences z - h(m) and h(m + dx) - h(m) of a measurement z at the prior mean m."""
 
@@ -184,9 +176,12 @@ def filterpy_pipeline(pipeline: Pipeline) -> Pipeline:
     def predict(
         mode: Mode, x: Vector, P: Matrix, noise: ProcessNoise, dt: float, hz_per_mps: float
     ) -> tuple[list[float], list[list[float]]]:
-        belief = np.array(x, float), np.array(P, float)
+        Q = np.diag(np.array(noise.diagonal, float))
+        for (i, j), value in zip(COUPLED, noise.coupling, strict=False):
+            Q[i, j] = Q[j, i] = value
         F = textbook.F(float(dt), float(hz_per_mps) if clock else None)
-        mean, covariance = filters[mode.algorithm].predict(*belief, full_noise(noise), F)
+        belief = np.array(x, float), np.array(P, float)
+        mean, covariance = filters[mode.algorithm].predict(*belief, Q, F)
         return mean.tolist(), _symmetric(covariance).tolist()
 
     def update(mode: Mode) -> Algorithm:

@@ -312,7 +312,7 @@ class SimulatedSource:
     def _start_program(self) -> Program[StartState]:
         streets = None
         if isinstance(self.scene, RandomScene):  # share one program among all carriers
-            same = RandomScene()
+            same = RandomScene
             streets = replace(
                 self.scene, carrier_hz=same.carrier_hz, bandwidth_hz=same.bandwidth_hz
             )
