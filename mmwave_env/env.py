@@ -169,7 +169,7 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
 
     `copy.deepcopy` and `pickle` copy an environment in the middle of an episode, for planners; the
     copy continues identically, to the last bit. A deep copy shares its source of episodes with
-    the original. Vector environments can also be saved as plain arrays by `state` and `restore`.
+    the original.
 
     ## Arguments
 

@@ -128,8 +128,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         drawn = (*self._drawn, render_size, render_theme)
         self._gallery = Gallery(num_envs, *drawn) if render_mode else None
         self.single_observation_space = cast(Any, self.observation.space)
-        space = space_of(self._limits, len(self.observation.actions))
-        self.single_action_space = cast(Any, space)
+        self.single_action_space = cast(Any, space_of(self._limits, len(self.observation.actions)))
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._streams = Streams(num_envs)
@@ -161,8 +160,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         """Clear the pictures of the environments with indices ``places``, whose episodes begin."""
         if self._gallery:
             names = self._names.tolist()
-            engine = self._engine
-            self._gallery.begin(places, names, self._streets_of, engine.column)
+            self._gallery.begin(places, names, self._streets_of, self._engine.column)
 
     def reset(
         self,

@@ -169,7 +169,6 @@ class Program(Generic[Workspace]):
         self.template = template
         self.start = np.array(flatten(template), float)
         self.blank = np.array(flatten(template[0]), float)
-        self.size = len(self.start)
         self.index: Workspace = indices(template)
         self._compiled: Any = None
         self._columns: dict[Sequence[str], Columns] = {}

@@ -41,16 +41,13 @@ class StepResult(NamedTuple):
     cost: Array  # (n,) 1.0 where an error exceeds its protection level; (0,) if infos are "none"
 
 
-class StepColumns(NamedTuple):
-    """The output columns that a step reads: for each field, the index of its first column."""
-
-    reward: int
-    nees: int
-    error: int  # 3 columns: position error
-    covariance: int  # 3 columns: covariance of the horizontal position
-    # accepted, rejected: one column per group of measurements, if steps return infos
-    accepted: int
-    rejected: int
+# The first output columns: reward, NEES, three columns of position error, and three of the
+# covariance of the horizontal position; then, if steps return infos, the gates' verdicts.
+REWARD = 0
+NEES = 1
+ERROR = 2
+COVARIANCE = 5
+VERDICTS = 8
 
 
 class Stepper:
@@ -73,8 +70,6 @@ class Stepper:
         parts |= {key: [] for key in FLAGS} | shown
         self._rows, columns = laid_out(parts)
         self._columns = {name: (slice(None), 0, at) for name, at in columns.items()}
-        begins = {name: at if isinstance(at, int) else at.start for name, at in columns.items()}
-        self._read = StepColumns(*[begins[name] for name in StepColumns._fields])
         self._engine = engine
         self._info_keys = tuple(key for key in shown if key not in FLAGS)
         self._groups = len(at.memory.accepted) if shown else 0
@@ -114,7 +109,7 @@ class Stepper:
         io = StepIO(io.input_rows, io.inputs, self._rows, outputs, io.obs_rows, observations)
         self._io = io
         program = (engine.program.on_lanes(), engine.program.blank)
-        arguments = (*program, engine.state, io, self._read, actions, result, self._tally.counts)
+        arguments = (*program, engine.state, io, actions, result, self._tally.counts)
         jobs = [(begin, end, *arguments) for begin, end in engine.parts]
         ended = sum(self._run(len(engine.state.rows), jobs, len(jobs)))
         engine.trust(io)
@@ -154,7 +149,7 @@ class Stepper:
 
 @register_jitable  # type: ignore[untyped-decorator]
 def _step_blocks(  # type: ignore[no-untyped-def]
-    begin, end, run, blank, state, io, columns, actions, result, counts
+    begin, end, run, blank, state, io, actions, result, counts
 ):
     """Step the environments of blocks ``begin`` to ``end`` - 1; return how many episodes ended."""
     first = begin * WIDTH
@@ -169,25 +164,23 @@ def _step_blocks(  # type: ignore[no-untyped-def]
     _, rewards, _, truncated, accepted, rejected, costs = result
     ended = 0
     for e in range(first, last):
-        rewards[e] = outputs[e, 0, columns.reward]
-        i = columns.error
-        c = columns.covariance
-        x = outputs[e, 0, i]
-        y = outputs[e, 0, i + 1]
-        z = outputs[e, 0, i + 2]
+        rewards[e] = outputs[e, 0, REWARD]
+        x = outputs[e, 0, ERROR]
+        y = outputs[e, 0, ERROR + 1]
+        z = outputs[e, 0, ERROR + 2]
         k = epoch[e] - 2  # the epoch that the action completed
         if k >= 0:
-            count(counts, e, k, x, y, z, outputs[e, 0, columns.nees])
+            count(counts, e, k, x, y, z, outputs[e, 0, NEES])
             if k < len(counts.modes):
                 counts.modes[k, e] = actions[e]
         if len(costs):
-            xx = outputs[e, 0, c]
-            xy = outputs[e, 0, c + 1]
-            yy = outputs[e, 0, c + 2]
+            xx = outputs[e, 0, COVARIANCE]
+            xy = outputs[e, 0, COVARIANCE + 1]
+            yy = outputs[e, 0, COVARIANCE + 2]
             costs[e] = exceeds(x, y, xx, xy, yy)
         for g in range(accepted.shape[1]):
-            accepted[e, g] = outputs[e, 0, columns.accepted + g] > 0.5
-            rejected[e, g] = outputs[e, 0, columns.rejected + g] > 0.5
+            accepted[e, g] = outputs[e, 0, VERDICTS + g] > 0.5
+            rejected[e, g] = outputs[e, 0, VERDICTS + accepted.shape[1] + g] > 0.5
         truncated[e] = epoch[e] > length[e]
         ended += truncated[e]
     return ended

@@ -101,8 +101,7 @@ def smooth_modes(
 def _beliefs(mixtures: Array, pipeline: Pipeline) -> tuple[ModeBeliefs, Array]:
     """Return the modes' beliefs, and gamma (N, T, modes), the scale of Q in adaptive modes."""
     n = pipeline.layout.state_size
-    triangle = pipeline.layout.triangle
-    at = indices(begin(pipeline, [0.0] * n, [0.0] * triangle))
+    at = indices(begin(pipeline, [0.0] * n, [0.0] * pipeline.layout.triangle))
     packed = mixtures[..., np.array([track.P for track in at.tracks])]
     P = np.empty((*packed.shape[:-1], n, n))
     row, column = np.tril_indices(n)

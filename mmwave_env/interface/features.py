@@ -274,10 +274,8 @@ def _innovation(pipeline: Pipeline) -> list[Feature]:
 
 
 def _mean_nis(layout: Layout, candidate: ModeResult, epoch: Epoch) -> Number:
-    degrees = layout.degrees(epoch.measured)
-    rows = dot(epoch.visible, [1.0 * number for number in degrees])
-    total = dot(epoch.visible, candidate.nis)
-    return total / where(rows > 0.5, rows, 1.0)
+    rows = dot(epoch.visible, [1.0 * number for number in layout.degrees(epoch.measured)])
+    return dot(epoch.visible, candidate.nis) / where(rows > 0.5, rows, 1.0)
 
 
 def _candidate(layout: Layout, m: int, name: str) -> list[Feature]:
@@ -305,8 +303,7 @@ def _candidate(layout: Layout, m: int, name: str) -> list[Feature]:
 
 def _against(layout: Layout, m: int, name: str, last: str) -> list[Feature]:
     def likelihood(view: View, mode: int) -> Number:
-        degrees = layout.degrees(view.epoch.measured)
-        return capped_log_likelihood(view.candidates[mode], degrees)
+        return capped_log_likelihood(view.candidates[mode], layout.degrees(view.epoch.measured))
 
     return [
         Feature(f"coming log-likelihood {name}", "log-likelihood minus the log-likelihood of "

@@ -192,8 +192,7 @@ class Radio:
 
     def sigma(self, snr_db: Array, scene: Scene, layout: Layout) -> Array:
         """Return the standard deviations (T, rows) of every row at SNRs (T, L): m, rad, Hz."""
-        rows = deviations(*self.variances(scene, layout), list(snr_db.T), layout)
-        return np.stack(rows, axis=1)
+        return np.stack(deviations(*self.variances(scene, layout), list(snr_db.T), layout), axis=1)
 
     def prior_covariance(self, scene: Scene, clock: bool = False) -> Array:
         """Return the prior covariance P0 (7, 7) of the first epoch; (8, 8) with a clock offset."""

@@ -105,8 +105,7 @@ class SimulatedSource:
         """Return an example; refuse a radio and a scene whose episodes filters could refuse."""
         scene = self._example
         radio = self.radio
-        anchors = self.layout.anchors
-        snr_db = np.repeat(np.array(SNR_LIMITS_DB)[:, None], anchors, axis=1)
+        snr_db = np.repeat(np.array(SNR_LIMITS_DB)[:, None], self.layout.anchors, axis=1)
         rarely = math.exp(RARE * radio.spread_sigma)
         spread_mps = radio.spread_gain * FASTEST_MPS * rarely + RARE * radio.spread_floor_mps
         return Episode.measured(
@@ -204,8 +203,7 @@ class SimulatedSource:
         n = len(keys)
         starts = self.begin(keys)
         program, state = self._simulation(starts)
-        measured = rows_of(program.index.measured)
-        io = StepIO.of(n, self.epochs, output_rows=measured)
+        io = StepIO.of(n, self.epochs, output_rows=rows_of(program.index.measured))
         program.run_on_lanes(state, io, threads)
         return EpisodeBatch(
             names=[self.names[kind] for kind in starts.kinds],
@@ -248,8 +246,7 @@ class SimulatedSource:
         world = [at.receiver, at.user] if self.travels else [at.receiver]
         io = StepIO.of(n, 1, output_rows=rows_of([parts, world]))
         tables = keys.view(np.float64).reshape(n, 1, 1)
-        rows = blocks_of(self._before, n)
-        program.run_on_lanes(BatchState.of(tables, rows), io)
+        program.run_on_lanes(BatchState.of(tables, blocks_of(self._before, n)), io)
         ends = np.cumsum([len(flatten(part)) for part in parts])
         choice, first, noise, anchors, worlds = np.split(io.outputs[:, 0], ends, axis=1)
         kinds = choice[:, 0].astype(np.int64)
@@ -323,8 +320,7 @@ class SimulatedSource:
         """Return the input (size,) of the program that begins episodes, with 0 as the key."""
         scene = self._example
         radio = self.radio
-        template = self._start_program.template
-        filled = template._replace(
+        filled = self._start_program.template._replace(
             plans=self._plans,
             scene=scene.numbers,
             duration_s=self.epochs * self.dt,

@@ -106,6 +106,6 @@ def test_without_a_base_the_corrected_filters_are_an_imm(episodes):
     environment.reset(episodes)
     expected = run_imm(BANK, None, episodes, "x")["x"]
     for t in range(T):
-        io = environment.io(environment.program.rows(["reported.x"]))
+        io = environment.step_io(environment.program.rows(["reported.x"]))
         environment.run_step(io)
         np.testing.assert_allclose(io.outputs[:, 0], expected[:, t], rtol=1e-9, atol=1e-9)
