@@ -23,7 +23,7 @@ from mmwave_env.filters.update import Posterior
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Measurement
 from mmwave_env.numerics.linalg import unpack
-from mmwave_env.numerics.numbers import Numbers
+from mmwave_env.numerics.numbers import Matrix, Numbers
 from mmwave_env.numerics.pytree import flatten
 from mmwave_env.numerics.tape import taped
 from mmwave_env.numerics.tracer import NoValueError, Tracer, TracerCondition
@@ -168,7 +168,7 @@ def _numbers(layout: Layout, sigmas: float) -> list[Any]:
 
 def _arguments(
     mode: Mode, layout: Layout, known_axes: tuple[int, ...], numbers: list[Any]
-) -> tuple[Numbers, list[Numbers], Measurement, Gate]:
+) -> tuple[Numbers, Matrix, Measurement, Gate]:
     """Return arguments for the algorithm of a mode: x (7,), P (7, 7), a measurement, a gate."""
     x, P, force, measured = numbers
     measurement = Measurement._make([*measured[:5], layout, *measured[5:]])

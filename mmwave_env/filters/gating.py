@@ -83,7 +83,7 @@ class GateResult(NamedTuple):
     # nis, accepted, log_likelihood: same as in :class:`~mmwave_env.filters.update.Posterior`
     nis: Numbers
     accepted: Numbers
-    noise: list[Numbers]  # per group, (k,) noise variances, inflated for doubtful links
+    noise: Matrix  # per group, (k,) noise variances, inflated for doubtful links
     log_likelihood: Number
 
 

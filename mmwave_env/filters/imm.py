@@ -38,7 +38,7 @@ _LEAST = 1e-12  # minimum probability of a mode; a probability of zero could not
 class ImmSettings(NamedTuple):
     """The parameters of an IMM as numbers, so that one compiled IMM can run any tuning."""
 
-    transition: list[Numbers]  # (modes, modes) probabilities over one second, [from, to]
+    transition: Matrix  # (modes, modes) probabilities over one second, [from, to]
     tunings: list[Tuning]  # motion model of every mode
     # limits of the NIS in :func:`~mmwave_env.filters.update.limited_likelihood`: one per group of
     # measurements; if rows may be missing, four limits, for groups with 1, 2, 3 and 4 rows
@@ -106,7 +106,7 @@ def mix(mixture: Mixture, transition: Matrix) -> tuple[Numbers, list[tuple[Vecto
     return predicted, mixed
 
 
-def over_step(transition: Matrix, dt: Number) -> list[Numbers]:
+def over_step(transition: Matrix, dt: Number) -> Matrix:
     """Return transition probabilities [from, to] over dt seconds; ``transition`` covers one second.
 
     If p is the probability of staying in a mode over one second, the probability of leaving it
@@ -214,7 +214,7 @@ def most_probable_memory(mixture: Mixture) -> Memory:
     return memory._replace(mode=number)
 
 
-def estimate(mixture: Mixture) -> tuple[Numbers, list[Numbers]]:
+def estimate(mixture: Mixture) -> tuple[Numbers, Matrix]:
     """Return the mean (7,) and the covariance (7, 7) of a mixture."""
     means, covariances, _ = zip(*mixture.tracks, strict=True)
     x, P = moments(mixture.probability, means, covariances)

@@ -12,7 +12,7 @@ from mmwave_env.models.layout import STATE_SIZE, Layout
 from mmwave_env.models.measurement import Epoch
 from mmwave_env.models.motion import move
 from mmwave_env.numerics.linalg import dot
-from mmwave_env.numerics.numbers import Number, Numbers, Pair, Vector, clip, sqrt, where
+from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Pair, Vector, clip, sqrt, where
 
 WINDOW = 10  # number of epochs in the window for adaptive scaling
 GAMMA_LIMITS = (0.5, 2.0)  # limits of the adaptive scale; paper, Sec. III-E
@@ -44,7 +44,7 @@ class Memory(NamedTuple):
     spread_average_hz: Number  # slow average of the Doppler spread
     # (2, modes) fast and slow average of the log-likelihood of a mode minus the log-likelihood of
     # the pipeline's last mode, from :func:`~mmwave_env.filters.update.capped_log_likelihood`
-    preference: list[Numbers]
+    preference: Matrix
 
 
 def initial_memory(layout: Layout, modes: int) -> Memory:

@@ -35,7 +35,7 @@ class Posterior(NamedTuple):
     """
 
     x: Numbers
-    P: list[Numbers]
+    P: Matrix
     nis: Numbers
     accepted: Numbers
     log_likelihood: Number
@@ -83,7 +83,7 @@ def _condition(
     return _Row(white, free, shared, cross, e, accepted / s)
 
 
-def _information(latents: Latents, rows: Sequence[_Gated]) -> tuple[list[Numbers], Numbers]:
+def _information(latents: Latents, rows: Sequence[_Gated]) -> tuple[Matrix, Numbers]:
     """Return the information matrix and vector of the coupled latents, given the links' rows."""
     n = latents.coupled
     B: list[Numbers] = latents.precision
@@ -139,7 +139,7 @@ def update(
 
 def _recompose(
     x: Vector, L: Matrix, mean: Vector, covariance: Matrix, rows: list[_Row]
-) -> tuple[Numbers, list[Numbers]]:
+) -> tuple[Numbers, Matrix]:
     """Return the state's mean and covariance, given the moments of xi_0..2 and the scalar rows."""
     k = len(mean)
     n = len(x)

@@ -357,7 +357,7 @@ class Epoch(NamedTuple):
 class Site(NamedTuple):
     """Constants of an episode: anchors, carrier and prior."""
 
-    anchors: list[Numbers]  # (L, 3) positions, m
+    anchors: Matrix  # (L, 3) positions, m
     hz_per_mps: Number  # carrier frequency divided by the speed of light
     prior_x: Numbers  # (7,) mean at the first epoch; (8,) with a clock offset
     prior_P: Numbers  # (28,) packed covariance (lower triangle); (36,) with a clock offset

@@ -110,14 +110,14 @@ def turn(x: Vector, rate: Number, dt: Number) -> Numbers:
     return [x[0] + ahead * vx - aside * vy, x[1] + ahead * vy + aside * vx, x[2], *velocity, *x[5:]]
 
 
-def transition_times(P: Matrix, dt: Number, hz_per_mps: Number | None = None) -> list[Numbers]:
+def transition_times(P: Matrix, dt: Number, hz_per_mps: Number | None = None) -> Matrix:
     """Return F P, with the transition matrix F of :func:`move` and a symmetric P."""
     return [list(row) for row in zip(*[move(row, dt, hz_per_mps) for row in P], strict=True)]
 
 
 def predict_covariance(
     P: Matrix, noise: ProcessNoise, dt: Number, hz_per_mps: Number | None = None
-) -> list[Numbers]:
+) -> Matrix:
     """Return F P F' + Q, the covariance one step later."""
     moved = [move(row, dt, hz_per_mps) for row in transition_times(P, dt, hz_per_mps)]
     for i, variance in enumerate(noise.diagonal):

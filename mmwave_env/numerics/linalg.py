@@ -34,7 +34,7 @@ def minus(a: Vector, b: Vector) -> Numbers:
     return [u - v for u, v in zip(a, b)]  # noqa: B905
 
 
-def symmetric(n: int, entry: Callable[[int, int], Number]) -> list[Numbers]:
+def symmetric(n: int, entry: Callable[[int, int], Number]) -> Matrix:
     """Return the symmetric (n, n) matrix with elements ``entry(i, j)`` for i >= j."""
     m: list[Numbers] = [[0.0] * n for _ in range(n)]
     for i in range(n):
@@ -48,7 +48,7 @@ def pack(m: Matrix) -> Numbers:
     return [m[i][j] for i in range(len(m)) for j in range(i + 1)]
 
 
-def unpack(packed: Vector, zero: Sequence[int] = ()) -> list[Numbers]:
+def unpack(packed: Vector, zero: Sequence[int] = ()) -> Matrix:
     """Unpack a symmetric matrix; its rows and columns ``zero`` become structural zeros."""
     n = round((2 * len(packed) + 0.25) ** 0.5 - 0.5)
     return symmetric(
@@ -56,7 +56,7 @@ def unpack(packed: Vector, zero: Sequence[int] = ()) -> list[Numbers]:
     )
 
 
-def cholesky(a: Matrix) -> list[Numbers]:
+def cholesky(a: Matrix) -> Matrix:
     """Return the lower-triangular L with L L' = a; columns with a structurally zero pivot are 0."""
     n = len(a)
     factor: list[Numbers] = [[0.0] * n for _ in range(n)]
@@ -71,7 +71,7 @@ def cholesky(a: Matrix) -> list[Numbers]:
     return factor
 
 
-def inverse(factor: Matrix) -> list[Numbers]:
+def inverse(factor: Matrix) -> Matrix:
     """Return the inverse of a factor from :func:`cholesky`; row and column i are 0 as column i."""
     n = len(factor)
     result: list[Numbers] = [[0.0] * n for _ in range(n)]

@@ -27,7 +27,7 @@ from mmwave_env.models.radio import Radio, deviations
 from mmwave_env.models.random_scene import RandomScene
 from mmwave_env.models.scene import Scene, SceneNumbers
 from mmwave_env.numerics.linalg import dot
-from mmwave_env.numerics.numbers import Number, Numbers, Vector, floor, sqrt, where, wrap
+from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Vector, floor, sqrt, where, wrap
 from mmwave_env.numerics.pytree import flatten, indices, select, tree_at
 from mmwave_env.numerics.random import STATE_WORDS, Dice, seeded
 from mmwave_env.numerics.tape import fingerprint
@@ -70,7 +70,7 @@ class ReceiverState(NamedTuple):
     """The state of links and receiver between two epochs."""
 
     dice: Numbers  # (4,) state of the receiver's own random generator
-    anchors: list[Numbers]  # (L, 3) positions, m
+    anchors: Matrix  # (L, 3) positions, m
     is_first: Number  # 1 before the first epoch
     channel: ChannelState  # state of the links
     bias_hz: Number  # oscillator bias in the coming epoch
