@@ -139,9 +139,8 @@ def _run_policy(
     policy.reset(np.ones(n, bool))
     corrected = {"x": "reported.x", "P": "reported.P"} if policy.corrects else {}
     read = [corrected.get(name, name) for name in names]
-    track = play(engine, policy, T, engine.program.rows(read))
-    parts = engine.program.by_name(read, track.outputs)
-    results: EpochResults = dict(zip(names, parts.values(), strict=True))
+    track = play(engine, policy, T, read)
+    results: EpochResults = dict(zip(names, track.outputs.values(), strict=True))
     if policy.corrects:
         results["trusted"] = track.trusted
     return results | {"mode": track.actions}

@@ -62,10 +62,9 @@ class PolicyTracker:
             self._policy.reset(np.array([True]))
         corrected = {"reported.x": "corrected_x", "reported.P": "corrected_P"}
         wanted = (*names, *corrected) if self._policy.corrects else names
-        program = self._engine.program
         epochs = int(self._engine.state.length[0])
-        played = play(self._engine, self._policy, epochs, program.rows(wanted), scored=False)
-        parts = program.by_name(wanted, played.outputs)
+        played = play(self._engine, self._policy, epochs, wanted, scored=False)
+        parts = played.outputs
         if self._policy.corrects:
             parts |= {to: parts.pop(name) for name, to in corrected.items()}
             parts["trusted"] = played.trusted.astype(float)
