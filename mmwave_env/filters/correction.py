@@ -11,6 +11,7 @@ import numpy as np
 
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.numerics.linalg import dot, symmetric
 from mmwave_env.numerics.numbers import (
     Array,
     Matrix,
@@ -101,22 +102,22 @@ def corrected(belief: Belief, shift: Vector, log_factor: Vector) -> Belief:
     x = [belief.x[0] + dx, belief.x[1] + dy, belief.x[2] + step[2], *belief.x[3:]]
     a = exp(log_factor[0])
     b = exp(log_factor[1])
-    up = exp(log_factor[2])
     c, s = frame
-    xx = c * c * a + s * s * b
-    yy = s * s * a + c * c * b
     xy = c * s * (a - b)
+    M = [
+        [c * c * a + s * s * b, xy, 0.0],
+        [xy, s * s * a + c * c * b, 0.0],
+        [0.0, 0.0, exp(log_factor[2])],
+    ]
+    MP = [[dot(row, column) for column in zip(*belief.P, strict=True)] for row in M]
+    MPM = [[dot(row, column) for column in M] for row in MP]
 
-    def scaled(column: Vector) -> Numbers:
-        return [xx * column[0] + xy * column[1], xy * column[0] + yy * column[1], up * column[2]]
+    def entry(i: int, j: int) -> Number:
+        if i < 3:
+            return MPM[i][j]
+        return MP[j][i] if j < 3 else belief.P[i][j]
 
-    n = len(belief.P)
-    P = [list(row) for row in belief.P]
-    columns = [scaled([belief.P[i][j] for i in range(3)]) for j in range(n)]  # columns of M P
-    for i in range(3):
-        row = scaled([column[i] for column in columns[:3]])
-        for j in range(n):
-            P[i][j] = P[j][i] = row[j] if j < 3 else columns[j][i]
+    P = symmetric(len(belief.P), entry)
     return Belief(x, P, belief.axes)
 
 
