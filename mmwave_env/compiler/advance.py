@@ -13,33 +13,23 @@ from numba import types
 from numba.extending import intrinsic, overload, register_jitable
 
 from mmwave_env.compiler.lanes import WIDTH, address, gather, scatter, scatter_single
-from mmwave_env.numerics.numbers import Array
 
 NEAR = 2**16  # if all blocks together have up to this many numbers, a core's own caches hold them
 TOGETHER = 8  # a feed runs for this many blocks, and then the program runs for the same blocks
 
 
-def call(run: int, block: Array) -> None:
-    """Run the program at the address ``run``, from ``Program.on_lanes``, on a block (size, 8)."""
-    ctypes.CFUNCTYPE(None, ctypes.c_int64)(run)(block.ctypes.data)
+def call(run: int, places: tuple[int, ...]) -> None:
+    """Call the C function at the address ``run`` with the addresses of arrays.
 
-
-def call_feed(run: int, block: Array, kept: Array, settings: Array) -> None:
-    """Run a feed's function, whose address is ``run``; ``program.Feed`` describes the arguments."""
-    function = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 3)(run)
-    function(block.ctypes.data, settings.ctypes.data, kept.ctypes.data)
+    ``Program.on_lanes`` returns the address of a program, whose argument is a block (size, 8);
+    ``program.Feed`` describes the arguments of a feed.
+    """
+    ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * len(places))(run)(*places)
 
 
 @overload(call)  # type: ignore[untyped-decorator]
-def _compiled_call(run, block):  # type: ignore[no-untyped-def]
-    return lambda run, block: _jump(run, (block.ctypes.data,))
-
-
-@overload(call_feed)  # type: ignore[untyped-decorator]
-def _compiled_call_feed(run, block, kept, settings):  # type: ignore[no-untyped-def]
-    return lambda run, block, kept, settings: _jump(
-        run, (block.ctypes.data, settings.ctypes.data, kept.ctypes.data)
-    )
+def _compiled_call(run, places):  # type: ignore[no-untyped-def]
+    return lambda run, places: _jump(run, places)  # noqa: PLW0108 - numba compiles it
 
 
 @intrinsic  # type: ignore[untyped-decorator]
@@ -69,7 +59,7 @@ def _load(block, sources, first, here, step, blank, state):  # type: ignore[no-u
 def _make(block, b, here, step, blank, state):  # type: ignore[no-untyped-def]
     """Let the feed compute the incoming rows; past the end of a track, set them to ``blank``."""
     feed = state.feed
-    call_feed(feed.run, block, feed.kept[b], feed.settings)
+    call(feed.run, (block.ctypes.data, feed.settings.ctypes.data, feed.kept[b].ctypes.data))
     for lane in range(here):
         e = b * WIDTH + lane
         if state.epoch[e] + step >= state.length[e]:
@@ -145,7 +135,7 @@ def advance(begin, end, run, blank, state, io):  # type: ignore[no-untyped-def]
             for b in range(first, after):
                 touched += _take_in(b, step, blank, state, io, addresses)
             for b in range(first, after):
-                call(run, state.rows[b])
+                call(run, (state.rows[b].ctypes.data,))
                 _give_out(b, step, state, io, addresses, nowhere)
     for e in range(begin * WIDTH, min(end * WIDTH, len(state.epoch))):
         state.epoch[e] += epochs

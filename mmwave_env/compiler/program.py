@@ -25,6 +25,7 @@ from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.numerics.pytree import Tree, flatten, indices, unflatten
 from mmwave_env.numerics.tape import fingerprint
 
+Columns = tuple[Index, dict[str, int | slice]]  # rows, and the output columns of parts of them
 Workspace = TypeVar("Workspace", bound=tuple[Any, ...])
 
 NO_ROWS = np.empty(0, np.int64)
@@ -47,7 +48,7 @@ def rows_of(tree: Any) -> Index:
     return np.array(flatten(tree), np.int64)
 
 
-def laid_out(parts: Mapping[str, Any]) -> tuple[Index, dict[str, int | slice]]:
+def laid_out(parts: Mapping[str, Any]) -> Columns:
     """Return the row numbers of parts of a :attr:`Program.index`, and each part's output columns.
 
     Output arrays have one column for each of these rows, in order. A part's columns are a slice, or
@@ -168,10 +169,9 @@ class Program(Generic[Workspace]):
         self.template = template
         self.start = np.array(flatten(template), float)
         self.blank = np.array(flatten(template[0]), float)
-        self.size = len(self.start)
         self.index: Workspace = indices(template)
         self._compiled: Any = None
-        self._columns: dict[Sequence[str], tuple[Index, dict[str, int | slice]]] = {}
+        self._columns: dict[Sequence[str], Columns] = {}
 
     def rows(self, names: Sequence[str]) -> Index:
         """Return the row numbers of parts of ``index``, such as "x" or "memory.nis"."""
@@ -186,7 +186,7 @@ class Program(Generic[Workspace]):
             name: outputs[..., columns] for name, columns in self._found(tuple(names))[1].items()
         }
 
-    def _found(self, names: tuple[str, ...]) -> tuple[Index, dict[str, int | slice]]:
+    def _found(self, names: tuple[str, ...]) -> Columns:
         """Return :func:`laid_out` for the parts with these names."""
         if names not in self._columns:
             parts = {name: attrgetter(name)(self.index) for name in names}

@@ -69,6 +69,7 @@ class Batch:
         rows = blocks_of(program.start, n)
         self.state = BatchState.of(np.empty((n, 0, len(program.blank))), rows)
         self._input_rows = input_rows
+        self._end_s = 0.0  # time of the epoch that was loaded last
         self.on_floats = on_floats
         self._run = Repeated(run_blocks)
         self._over = np.zeros(n, np.int64)  # epochs and lengths of tracks that load no epoch
@@ -78,43 +79,47 @@ class Batch:
         self,
         episodes: EpisodeBatch | Sequence[Episode],
         places: Index | None = None,
-        gap_s: float | None = None,
+        go_on: bool = False,
     ) -> None:
-        """Load episodes, which start new tracks or continue the current tracks.
+        """Load episodes, to be filtered from their priors.
 
         Args:
             episodes: one episode for each environment in ``places``.
             places: indices of the environments to load; None for all.
-            gap_s: seconds from the last epoch that ran to the first epoch of the episodes, which
-                then continue the tracks; None to start over from the episodes' priors.
+            go_on: whether the episodes, which have the same times, continue the tracks that were
+                loaded last; priors are then ignored.
 
         Raises:
             ValueError: the layout of an episode differs from the batch's.
         """
+        gap_s = 0.0
+        if not isinstance(episodes, EpisodeBatch):
+            time_s = episodes[0].time_s
+            gap_s = float(time_s[0]) - self._end_s
+            self._end_s = float(time_s[-1])
         packed = EpisodeBatch.of(episodes, self.layout)
         places = np.arange(self.n) if places is None else places
         epochs = packed.table.shape[1]
         self.make_room(epochs)
         self.state.length[places] = packed.length
         self.state.table[places, :epochs] = packed.table
-        if gap_s is not None:
+        if go_on:
             self.state.table[places, 0, columns_of(self.layout).dt] = gap_s
             self.state.epoch[places] = 0
             return
         self.write(self.at.site, packed.site, places)
         self.restart(places)
 
-    def load_epoch(self, incoming: Sequence[float], gap_s: float) -> None:
-        """Load one more epoch of a single track that was loaded before.
+    def load_epoch(self, incoming: Sequence[float], time_s: float) -> None:
+        """Load one more epoch, at a time in seconds, of a single track that was loaded before.
 
-        Args:
-            incoming: (columns,) a row of :meth:`~mmwave_env.world.episode.Episode.table`.
-            gap_s: seconds since the previous epoch.
+        ``incoming`` (columns,) is a row of :meth:`~mmwave_env.world.episode.Episode.table`.
         """
         self.state.table[0, 0] = incoming
-        self.state.table[0, 0, columns_of(self.layout).dt] = gap_s
+        self.state.table[0, 0, columns_of(self.layout).dt] = time_s - self._end_s
         self.state.length[0] = 1
         self.state.epoch[0] = 0
+        self._end_s = time_s
 
     def resume(self, columns: Array, incoming: Array, gap_s: Array) -> None:
         """Go on with k tracks of other batches of the program, each with one more epoch.
@@ -141,19 +146,15 @@ class Batch:
             starts: beginnings of the episodes, one for each of ``places``.
             places: indices of the environments that begin.
         """
-        self._attach(source)
+        if not self.state.feed.run:
+            blank = source.begin(np.zeros(1, np.uint64)).worlds
+            feed = source.feed(np.tile(blank, (self.n, 1)))
+            self.state = self.state._replace(feed=feed)
         block, lane = np.divmod(places, WIDTH)
         self.state.feed.kept[block, :, lane] = starts.worlds
         self.state.length[places] = source.epochs
         self.write(self.at.site, starts.sites, places)
         self.restart(places)
-
-    def _attach(self, source: SimulatedSource) -> None:
-        """Create the feed (compiled code that simulates epochs), unless there is one already."""
-        if not self.state.feed.run:
-            blank = source.begin(np.zeros(1, np.uint64)).worlds
-            feed = source.feed(np.tile(blank, (self.n, 1)))
-            self.state = self.state._replace(feed=feed)
 
     def make_room(self, epochs: int) -> None:
         """Make room for tables with this number of epochs; loaded tables are kept."""

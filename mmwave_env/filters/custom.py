@@ -23,7 +23,7 @@ from mmwave_env.filters.update import Posterior
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Measurement
 from mmwave_env.numerics.linalg import unpack
-from mmwave_env.numerics.numbers import Number
+from mmwave_env.numerics.numbers import Matrix, Numbers
 from mmwave_env.numerics.pytree import flatten
 from mmwave_env.numerics.tape import taped
 from mmwave_env.numerics.tracer import NoValueError, Tracer, TracerCondition
@@ -39,42 +39,41 @@ _LIBRARIES = (
 )
 
 
+Function = Callable[..., Any]
+
+
 class AlgorithmError(TypeError):
     """An error in a user's algorithm; the message names the line, the reason and a remedy."""
 
 
-def name_of(function: Callable[..., Any]) -> str:
+def name_of(function: Function) -> str:
     """Return the name of a function, or of the class of an object that can be called."""
     while isinstance(function, partial):
         function = function.func
     return str(getattr(function, "__name__", type(function).__name__))
 
 
-def _begin_of(function: Callable[..., Any]) -> FrameSummary | None:
-    """Return the line on which a function begins; None if it was not written in Python."""
-    while isinstance(function, partial):
-        function = function.func
-    code = getattr(function, "__code__", getattr(type(function).__call__, "__code__", None))
-    return code and FrameSummary(code.co_filename, code.co_firstlineno, code.co_name)
-
-
-def _line_of(error: BaseException, begin: FrameSummary | None) -> FrameSummary | None:
+def _line_of(function: Function, error: BaseException | None) -> FrameSummary | None:
     """Return the innermost line of the user's code in an error's traceback.
 
     The line is in the file in which the user's function begins, or in a file that is not part of a
-    library. If the traceback has no such line, because the call itself failed, return ``begin``.
+    library. If there is no such line, return the line on which the function begins; None if it was
+    not written in Python.
     """
-    innermost = begin
-    for frame, number in walk_tb(error.__traceback__):
+    while isinstance(function, partial):
+        function = function.func
+    code = getattr(function, "__code__", getattr(type(function).__call__, "__code__", None))
+    line = code and FrameSummary(code.co_filename, code.co_firstlineno, code.co_name)
+    for frame, number in walk_tb(error.__traceback__ if error else None):
         file = frame.f_code.co_filename
-        if (begin and file == begin.filename) or not file.startswith(_LIBRARIES):
-            innermost = FrameSummary(file, number, frame.f_code.co_name)
-    return innermost
+        if (code and file == code.co_filename) or not file.startswith(_LIBRARIES):
+            line = FrameSummary(file, number, frame.f_code.co_name)
+    return line
 
 
 def complaint(
     subject: str,
-    function: Callable[..., Any],
+    function: Function,
     problem: str,
     error: BaseException | None = None,
     advice: str = "",
@@ -84,15 +83,14 @@ def complaint(
     The message begins with ``subject``. The line is the innermost line of the user's code in the
     traceback of ``error``; without an error, it is the line on which the function begins.
     """
-    begin = _begin_of(function)
-    line = _line_of(error, begin) if error else begin
+    line = _line_of(function, error)
     shown = [*format_list([line] if line else []), f"{advice}\n" if advice else ""]
     # The message ends with a line break because Gymnasium appends the environment's arguments.
     return f"{subject} {problem}\n" + "".join(shown)
 
 
 def try_out(
-    function: Callable[..., Any], arguments: tuple[Any, ...], subject: str, kind: type[Exception]
+    function: Function, arguments: tuple[Any, ...], subject: str, kind: type[Exception]
 ) -> Any:
     """Call a user's function with arguments whose numbers hide their values; return the result.
 
@@ -170,7 +168,7 @@ def _numbers(layout: Layout, sigmas: float) -> list[Any]:
 
 def _arguments(
     mode: Mode, layout: Layout, known_axes: tuple[int, ...], numbers: list[Any]
-) -> tuple[list[Number], list[list[Number]], Measurement, Gate]:
+) -> tuple[Numbers, Matrix, Measurement, Gate]:
     """Return arguments for the algorithm of a mode: x (7,), P (7, 7), a measurement, a gate."""
     x, P, force, measured = numbers
     measurement = Measurement._make([*measured[:5], layout, *measured[5:]])

@@ -41,7 +41,7 @@ class Tangent:
         """Return the moments of the latents; the tangent has no curvature latents."""
         return Latents(0, 0.0, 0.0, size)
 
-    def rows(self, group: Group, L: Matrix, latents: "Latents") -> list[list[Number]]:
+    def rows(self, group: Group, L: Matrix, latents: "Latents") -> Matrix:
         """Return V (k, 7): the derivatives of k rows along each column of L."""
         columns = list(zip(*L, strict=True))
         return [[dot(gradient, column) for column in columns] for gradient in group.jacobian]
@@ -68,7 +68,7 @@ class SigmaPoints:
         """Return the moments of the latents, with one curvature latent per curved column."""
         return Latents(curved, 0.5 / self.reach(size) ** 2, self.beta - self.alpha**2, size)
 
-    def rows(self, group: Group, L: Matrix, latents: "Latents") -> list[list[Number]]:
+    def rows(self, group: Group, L: Matrix, latents: "Latents") -> Matrix:
         """Return V (k, 7 + curvatures) from central and second differences along columns of L."""
         s = self.reach(len(L))
         columns = list(zip(*L, strict=True))
@@ -142,7 +142,7 @@ class Prior(NamedTuple):
     V: Sequence[Matrix]  # per group, (k, 7 + curvatures) coefficients of its rows on eta
 
 
-def factor_of(P: Matrix) -> list[list[Number]]:
+def factor_of(P: Matrix) -> Matrix:
     """Return L (n, n) with L L' = P; its rows have the order of the state.
 
     Without a clock, L is lower triangular. With a clock, P is factored in an order in which the

@@ -18,7 +18,7 @@ from mmwave_env.filters.linearization import (
 )
 from mmwave_env.models.measurement import ROWS_OF_LINK, Measurement
 from mmwave_env.numerics.linalg import cholesky, dot, forward, symmetric
-from mmwave_env.numerics.numbers import Matrix, Number, Vector, maximum
+from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Vector, maximum
 
 
 class Posterior(NamedTuple):
@@ -34,10 +34,10 @@ class Posterior(NamedTuple):
             -(rows / 2) log(2 pi) is left out.
     """
 
-    x: list[Number]
-    P: list[list[Number]]
-    nis: list[Number]
-    accepted: list[Number]
+    x: Numbers
+    P: Matrix
+    nis: Numbers
+    accepted: Numbers
     log_likelihood: Number
 
 
@@ -51,10 +51,10 @@ class _Row(NamedTuple):
     """A scalar row that depends on all latents, conditioned on the links and the rows before it."""
 
     # white: C^-1 times the row's coefficients on the coupled latents; C C' is B of :func:`update`
-    white: list[Number]
-    free: list[Number]  # coefficients on the free latents, xi_3..6
-    shared: list[Number]  # conditional covariance with each earlier row
-    cross: list[Number]  # conditional covariance with each latent in xi
+    white: Numbers
+    free: Numbers  # coefficients on the free latents, xi_3..6
+    shared: Numbers  # conditional covariance with each earlier row
+    cross: Numbers  # conditional covariance with each latent in xi
     innovation: Number
     gain: Number  # 1 / innovation variance; 0 if the row is not accepted
 
@@ -70,7 +70,7 @@ def _condition(
     cross = [dot(u, white) for u in unit] + free
     s = noise + dot(white, white) + dot(free, free)
     e = innovation - dot(white, information)
-    shared: list[Number] = []
+    shared: Numbers = []
     for j, earlier in enumerate(before):
         c = dot(white, earlier.white) + dot(free, earlier.free)
         for i in range(j):
@@ -83,13 +83,11 @@ def _condition(
     return _Row(white, free, shared, cross, e, accepted / s)
 
 
-def _information(
-    latents: Latents, rows: Sequence[_Gated]
-) -> tuple[list[list[Number]], list[Number]]:
+def _information(latents: Latents, rows: Sequence[_Gated]) -> tuple[Matrix, Numbers]:
     """Return the information matrix and vector of the coupled latents, given the links' rows."""
     n = latents.coupled
-    B: list[list[Number]] = latents.precision
-    b: list[Number] = [0.0] * n
+    B: list[Numbers] = latents.precision
+    b: Numbers = [0.0] * n
     for row, y, variance, accepted in rows:
         w = accepted / variance
         for i in range(n):
@@ -141,7 +139,7 @@ def update(
 
 def _recompose(
     x: Vector, L: Matrix, mean: Vector, covariance: Matrix, rows: list[_Row]
-) -> tuple[list[Number], list[list[Number]]]:
+) -> tuple[Numbers, Matrix]:
     """Return the state's mean and covariance, given the moments of xi_0..2 and the scalar rows."""
     k = len(mean)
     n = len(x)
@@ -184,14 +182,14 @@ CAP_QUANTILE = 0.999  # to compare modes, NIS is limited to this chi-square quan
 class ModeResult(NamedTuple):
     """The result of a mode in an epoch."""
 
-    x: list[Number]  # (7,) posterior mean
-    P: list[Number]  # (28,) packed posterior covariance (lower triangle); (36,) with a clock
+    x: Numbers  # (7,) posterior mean
+    P: Numbers  # (28,) packed posterior covariance (lower triangle); (36,) with a clock
     # x_predicted, P_predicted: mean and packed covariance before the update, for smoothing
-    x_predicted: list[Number]
-    P_predicted: list[Number]
+    x_predicted: Numbers
+    P_predicted: Numbers
     # nis, accepted: (groups,) as in :class:`Posterior`
-    nis: list[Number]
-    accepted: list[Number]
+    nis: Numbers
+    accepted: Numbers
     passed: Number  # number of links whose NIS passed the gate; recovery also accepts other links
     log_likelihood: Number  # log-likelihood of the visible groups
 
@@ -203,7 +201,7 @@ def limited_likelihood(candidate: ModeResult, limits: Vector) -> Number:
     of sight) would decide: the mode whose prediction is nearest to the outlier would seem right.
     """
     excess = [maximum(nis - limit, 0.0) for nis, limit in zip(candidate.nis, limits, strict=True)]
-    return candidate.log_likelihood + 0.5 * dot(excess, [1.0] * len(excess))
+    return candidate.log_likelihood + 0.5 * sum(excess, 0.0)
 
 
 def capped_log_likelihood(candidate: ModeResult, degrees: Sequence[Number]) -> Number:

@@ -14,8 +14,19 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.features import Feature, View, last_epoch
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Epoch, direction, norms
-from mmwave_env.numerics.linalg import dot
-from mmwave_env.numerics.numbers import PI, Number, Vector, log, maximum, minimum, sqrt, where, wrap
+from mmwave_env.numerics.linalg import dot, minus
+from mmwave_env.numerics.numbers import (
+    PI,
+    Number,
+    Pair,
+    Vector,
+    log,
+    maximum,
+    minimum,
+    sqrt,
+    where,
+    wrap,
+)
 
 _LEAST_M = 0.05  # minimum standard deviation by which residuals are divided, m
 _LEAST_RAD = 1e-3  # minimum standard deviation by which elevation residuals are divided, rad
@@ -70,7 +81,7 @@ def _present(view: View) -> Number:
     return 1.0 - view.last.is_missing
 
 
-def _turn(view: View) -> tuple[Number, Number]:
+def _turn(view: View) -> Pair:
     cosine, sine = Frame.of(view.last.velocity).into(*Frame.of(view.x[3:5]))
     present = _present(view)
     return 1.0 - present * (1.0 - cosine), present * sine
@@ -100,7 +111,7 @@ def _row(view: View, layout: Layout, anchor: int, name: str) -> tuple[Number, Nu
     The residual, :func:`_squashed`, has components along and across the velocity; that of an
     elevation has only one, and the second is 0. All numbers are 0 if the row was not measured.
     """
-    step = [view.x[i] - view.site.anchors[anchor][i] for i in range(3)]
+    step = minus(view.x, view.site.anchors[anchor])
     flat = norms(step)[0]
     distance, azimuth, elevation = direction(step)
     row = 4 * anchor + _ROWS[name]

@@ -112,11 +112,11 @@ class Localizer:
         return self.switching.pipeline(self.layout, self.planar)
 
     @cached_property
-    def engine(self) -> Engine | PolicyTracker:
+    def engine(self) -> Engine:
         """Return the engine that filters a single track."""
         return self.tracks(1)
 
-    def tracks(self, n: int) -> Engine | PolicyTracker:
+    def tracks(self, n: int) -> Engine:
         """Return an engine that filters n tracks."""
         if self.switching.policy:
             return PolicyTracker(self.pipeline, self.switching, n)
@@ -138,7 +138,7 @@ class Localizer:
         self.engine.load([episode], go_on=start is None)
         return episode.visible
 
-    def run(self, engine: Engine | PolicyTracker | None = None, count: int = 0) -> Filtered:
+    def run(self, engine: Engine | None = None, count: int = 0) -> Filtered:
         """Filter the loaded epochs, or an epoch of the first ``count`` tracks of another engine."""
         names = _MIXTURE if self.switching.bank else _PREDICTED
         outputs = (engine or self.engine).run(*_FILTERED, *names)

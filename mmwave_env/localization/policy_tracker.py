@@ -5,6 +5,7 @@ are the same as in an environment. A policy that corrects beliefs then reads the
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -14,21 +15,17 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import CORRECTION, MODE
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.policy import Switching
-from mmwave_env.numerics.numbers import Array, Array32
-from mmwave_env.world.episode import Episode
+from mmwave_env.numerics.numbers import Array, Array32, Index
+from mmwave_env.world.episode import Episode, EpisodeBatch
 
 
-class PolicyTracker:
+class PolicyTracker(Engine):
     """Tracks in which a policy chooses an action in every epoch, as in an environment.
 
     Args:
         pipeline: modes and layout.
         switching: the policy, and what it observes.
         n: number of tracks.
-
-    Attributes:
-        policy: the policy.
-        batch: states and episodes of the tracks.
 
     Raises:
         ValueError: the policy corrects beliefs that the modes share.
@@ -38,57 +35,44 @@ class PolicyTracker:
         assert switching.policy
         bank = switching.bank
         table = Observation(pipeline, switching.observation, switching.beliefs)
-        self.policy = switching.policy(table)
-        action = self.policy.action
+        self._policy = switching.policy(table)
+        action = self._policy.action
         if action != MODE and not bank:
             raise ValueError(f'policy: found {action} for a shared belief, expected "per-mode"')
-        self._engine = Engine(
+        super().__init__(
             pipeline, n, None, switching.observation, bank, action=action, predicted=bank is None
         )
-        self.batch = self._engine.batch
-        self._corrects = action == CORRECTION
-        self._starts = True
-
-    def load(self, episodes: Sequence[Episode], go_on: bool = False) -> None:
-        """Load one episode, in the same way as :meth:`Engine.load`."""
-        self._engine.load(episodes, go_on)
-        self._starts = not go_on
-
-    def load_epoch(self, incoming: Sequence[float], time_s: float) -> None:
-        """Load one more epoch of the track, as :meth:`Engine.load_epoch` does."""
-        self._engine.load_epoch(incoming, time_s)
-        self._starts = False
+        self._policy.reset(np.ones(n, np.bool_))
 
     @property
-    def memory(self) -> tuple[Array32, ...]:
-        """Return the policy's memory."""
-        return self.policy.memory
+    def memory(self) -> tuple[Array32, ...]:  # type: ignore[override]
+        """Return the policy's memory, in which tracks of another engine can be set."""
+        return self._policy.memory
 
-    def resume(
-        self, columns: Array, incoming: Array, gap_s: Array, memory: Sequence[Array32]
+    def load(
+        self,
+        episodes: EpisodeBatch | Sequence[Episode],
+        places: Index | None = None,
+        go_on: bool = False,
     ) -> None:
-        """Go on with k tracks, and with the policy's memory of each, arrays (k, ...)."""
-        self.batch.resume(columns, incoming, gap_s)
-        self.policy.reset(np.ones(self.batch.n, np.bool_))
-        for rows, part in zip(memory, self.policy.memory, strict=True):
-            part[: len(rows)] = rows
-        self._starts = False
+        """Load episodes of all tracks; where tracks begin, the policy forgets the past."""
+        super().load(episodes, places, go_on)
+        if not go_on:
+            self._policy.reset(np.ones(self.n, np.bool_))
 
-    def run(self, *names: str) -> dict[str, Array]:
-        """Filter the loaded episode once, in the same way as :meth:`Engine.run`.
+    def run(self, *names: str, actions: Any = None) -> dict[str, Array]:
+        """Filter the loaded episodes once, in the same way as :meth:`Engine.run`.
 
         If the policy corrects beliefs, the parts "corrected_x" and "corrected_P" are the corrected
         belief, and "trusted" is the factor by which the correction was scaled.
         """
-        if self._starts:
-            self.policy.reset(np.array([True]))
+        corrects = self._policy.action == CORRECTION
         corrected = {"reported.x": "corrected_x", "reported.P": "corrected_P"}
-        wanted = (*names, *corrected) if self._corrects else names
-        program = self._engine.program
-        epochs = int(self._engine.batch.state.length[0])
-        played = play(self._engine, self.policy, epochs, program.rows(wanted), scored=False)
-        parts = program.by_name(wanted, played.outputs)
-        if self._corrects:
+        wanted = (*names, *corrected) if corrects else names
+        epochs = int(self.state.length[0])
+        played = play(self, self._policy, epochs, wanted, scored=False)
+        parts = played.outputs
+        if corrects:
             parts |= {to: parts.pop(name) for name, to in corrected.items()}
             parts["trusted"] = played.trusted.astype(float)
         return parts

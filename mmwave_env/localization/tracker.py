@@ -458,7 +458,10 @@ class Trackers:
         times = np.array([epoch.time_s for epoch in ready.values()])
         gaps = times - np.array([user.end_s for user in users])
         states = np.array([user.state for user in users])
-        engine.resume(states, np.array(rows), gaps, _joined([user.memory for user in users]))
+        engine.resume(states, np.array(rows), gaps)
+        memory = _joined([user.memory for user in users])
+        for part, remembered in zip(engine.memory, memory, strict=True):
+            part[: len(users)] = remembered
         filtered = localizer.run(engine, len(users))
         if localizer.levels and users[0].levels:
             localizer.levels.state = LevelState(*_joined([user.levels for user in users]))
@@ -477,7 +480,7 @@ class Trackers:
         """Keep what a track's next epoch needs."""
         levels = self._one._localizer.levels
         user.end_s = epoch.time_s
-        user.state = engine.batch.column(track)
+        user.state = engine.column(track)
         user.memory = _row(engine.memory, track)
         user.levels = _row(levels.state, track) if levels and levels.state else ()
 

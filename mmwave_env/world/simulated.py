@@ -17,7 +17,7 @@ from mmwave_env.compiler.program import BatchState, Feed, Program, StepIO, block
 from mmwave_env.models.channel import channel_of
 from mmwave_env.models.envelope import STEP_S
 from mmwave_env.models.layout import Layout, offered_rows
-from mmwave_env.models.measurement import Site
+from mmwave_env.models.measurement import Site, blank_site
 from mmwave_env.models.motion import CLOCK_SIGMA_M
 from mmwave_env.models.radio import SNR_LIMITS_DB, Radio
 from mmwave_env.models.random_scene import RandomScene
@@ -96,19 +96,19 @@ class SimulatedSource:
             raise ValueError(f"dt: found {self.dt}, expected {STEP_S.expected}")
         if not 1 <= self.epochs <= MOST_EPOCHS:
             raise ValueError(f"epochs: found {self.epochs}, expected 1 to {MOST_EPOCHS}")
-        self._require_envelope()
+        assert self._extreme
         if not self._plans:
             object.__setattr__(self, "epochs", self.ways.epochs)
 
-    def _require_envelope(self) -> None:
-        """Refuse a radio and a scene whose episodes could contain values that filters refuse."""
+    @cached_property
+    def _extreme(self) -> Episode:
+        """Return an example; refuse a radio and a scene whose episodes filters could refuse."""
         scene = self._example
         radio = self.radio
-        anchors = self.layout.anchors
-        snr_db = np.repeat(np.array(SNR_LIMITS_DB)[:, None], anchors, axis=1)
+        snr_db = np.repeat(np.array(SNR_LIMITS_DB)[:, None], self.layout.anchors, axis=1)
         rarely = math.exp(RARE * radio.spread_sigma)
         spread_mps = radio.spread_gain * FASTEST_MPS * rarely + RARE * radio.spread_floor_mps
-        Episode.measured(
+        return Episode.measured(
             f"{radio.name} in {scene.name}",
             scene,
             radio,
@@ -164,7 +164,7 @@ class SimulatedSource:
     def episodes(self, keys: Keys) -> list[Episode]:
         """Return the episodes that the keys (n,) determine."""
         batch = self.sample_batch(keys)
-        index = self._site[1]
+        index = self._sites
         scene = self._example
         starts = [group.start for group in self.layout.groups]
         episodes = []
@@ -203,8 +203,7 @@ class SimulatedSource:
         n = len(keys)
         starts = self.begin(keys)
         program, state = self._simulation(starts)
-        measured = rows_of(program.index.measured)
-        io = StepIO.of(n, self.epochs, output_rows=measured)
+        io = StepIO.of(n, self.epochs, output_rows=rows_of(program.index.measured))
         program.run_on_lanes(state, io, threads)
         return EpisodeBatch(
             names=[self.names[kind] for kind in starts.kinds],
@@ -247,8 +246,7 @@ class SimulatedSource:
         world = [at.receiver, at.user] if self.travels else [at.receiver]
         io = StepIO.of(n, 1, output_rows=rows_of([parts, world]))
         tables = keys.view(np.float64).reshape(n, 1, 1)
-        rows = blocks_of(self._before, n)
-        program.run_on_lanes(BatchState.of(tables, rows), io)
+        program.run_on_lanes(BatchState.of(tables, blocks_of(self._before, n)), io)
         ends = np.cumsum([len(flatten(part)) for part in parts])
         choice, first, noise, anchors, worlds = np.split(io.outputs[:, 0], ends, axis=1)
         kinds = choice[:, 0].astype(np.int64)
@@ -256,8 +254,8 @@ class SimulatedSource:
         if not self.travels:
             kinds, truth = self.ways.draw(choice[:, 0])
             first[:, :6] = truth[:, 0]
-        site, index = self._site
-        sites = np.tile(site, (n, 1))
+        index = self._sites
+        sites = np.tile(self._extreme.site(), (n, 1))
         sites[:, index.prior_x] = first + noise
         sites[:, flatten(index.anchors)] = anchors
         return EpisodeStarts(kinds, worlds, truth, first, sites)
@@ -311,7 +309,7 @@ class SimulatedSource:
     def _start_program(self) -> Program[StartState]:
         streets = None
         if isinstance(self.scene, RandomScene):  # share one program among all carriers
-            same = RandomScene()
+            same = RandomScene
             streets = replace(
                 self.scene, carrier_hz=same.carrier_hz, bandwidth_hz=same.bandwidth_hz
             )
@@ -322,8 +320,7 @@ class SimulatedSource:
         """Return the input (size,) of the program that begins episodes, with 0 as the key."""
         scene = self._example
         radio = self.radio
-        template = self._start_program.template
-        filled = template._replace(
+        filled = self._start_program.template._replace(
             plans=self._plans,
             scene=scene.numbers,
             duration_s=self.epochs * self.dt,
@@ -354,11 +351,7 @@ class SimulatedSource:
         )
         return np.repeat(np.array(flatten(settings), float)[:, None], WIDTH, axis=1)
 
-    @cached_property
-    def _site(self) -> tuple[Array, Any]:
-        """Return :meth:`Episode.site` of the example scene, and the index of each number in it."""
-        scene = self._example
-        n = self.layout.state_size
-        covariance = self._prior_covariance[np.tril_indices(n)]
-        site = Site(scene.anchors_m.tolist(), scene.hz_per_mps, [0.0] * n, covariance.tolist())
-        return np.array(flatten(site)), indices(site)
+    @property
+    def _sites(self) -> Site:
+        """Return the index of each number in :meth:`Episode.site`."""
+        return indices(blank_site(self.layout))

@@ -35,7 +35,7 @@ def test_starting_some_environments_does_not_change_the_others(on_floats):
         engine.step(np.int64(0))
     before = everything(engine)
     started = np.array([1, 6, 10])
-    engine.batch.load(others, started)
+    engine.load(others, started)
     engine.start(started)
     expected = engine_of(others, on_floats)
     rest = np.setdiff1d(np.arange(N), started)
@@ -54,7 +54,7 @@ def test_loaded_episodes_start_at_the_next_step_without_a_call_of_start(on_float
     engine = engine_of(episodes, on_floats)
     started = np.array([0, 9])
     engine.step(np.int64(0))
-    engine.batch.load(others, started)
+    engine.load(others, started)
     engine.step(np.int64(0))
     np.testing.assert_array_equal(
         engine.observations()[started], engine_of(others, on_floats).observations()

@@ -94,9 +94,9 @@ def test_corrections_in_an_environment_are_those_of_a_track_with_the_same_choice
         track.filter()
         observations, _ = track.decide(actions)
         np.testing.assert_array_equal(environment.observations(), observations[:, after(track)])
-        io = environment.io(rows)
+        io = environment.step_io(rows)
         io.inputs[:, 0, 1:] = numbers
-        environment.advance(io)
+        environment.run_step(io)
         np.testing.assert_allclose(io.outputs[:, 0], track.correct(numbers, rows), rtol=1e-12)
 
 
@@ -106,6 +106,6 @@ def test_without_a_base_the_corrected_filters_are_an_imm(episodes):
     environment.reset(episodes)
     expected = run_imm(BANK, None, episodes, "x")["x"]
     for t in range(T):
-        io = environment.io(environment.program.rows(["reported.x"]))
-        environment.advance(io)
+        io = environment.step_io(environment.program.rows(["reported.x"]))
+        environment.run_step(io)
         np.testing.assert_allclose(io.outputs[:, 0], expected[:, t], rtol=1e-9, atol=1e-9)

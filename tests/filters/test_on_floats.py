@@ -137,7 +137,7 @@ def test_memory_follows_its_definition_over_many_epochs():
         candidates = [outcome([0.0] * 3, [0.0] * 3, log_likelihood=v) for v in likelihoods]
         kept = memory.memory_before(kept, candidates, epoch, layout)
         chosen = outcome(nis.tolist(), accepted.astype(float).tolist(), passed, x=x)
-        kept = memory.memory_after(layout, 2.0, before.tolist(), chosen, kept, dt, epoch.visible)
+        kept = memory.memory_after(layout, 2.0, before.tolist(), chosen, kept, epoch)
 
         grown = np.where(snr == -100.0, now_db, 0.95 * snr + 0.05 * now_db)
         snr = np.where(visible[:2], grown, snr)

@@ -188,8 +188,8 @@ def operations() -> Iterator[Row]:
     for name in ("ekf", "ukf", "ckf", "ekf-robust", "ukf-robust"):
         alone = untuned(Pipeline((modes[name],), source.layout))
         programs[f"track {name}"] = program_of(Asked(alone, predicted=True), whole)
-    programs["step, shared beliefs"] = Engine(both, 1, reward).batch.program
-    programs["step, per-mode beliefs"] = Engine(five, 1, reward, bank=bank).batch.program
+    programs["step, shared beliefs"] = Engine(both, 1, reward).program
+    programs["step, per-mode beliefs"] = Engine(five, 1, reward, bank=bank).program
     imm = Asked(untuned(five), True, reward=reward, action="", predicted=True)
     programs["IMM of five modes"] = program_of(imm, whole)
     kernels = {name: (program.function, program.template) for name, program in programs.items()}
