@@ -17,8 +17,6 @@ from hypothesis.extra import numpy as hnp
 from mmwave_env.compiler import disk_cache
 from mmwave_env.compiler.lanes import WIDTH, Lanes, Mask, kernel
 from mmwave_env.compiler.program import Program
-from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.numbers import (
     atan2,
     clip,
@@ -31,10 +29,7 @@ from mmwave_env.numerics.numbers import (
     where,
     wrap,
 )
-from mmwave_env.numerics.pytree import flatten, unflatten
 from mmwave_env.numerics.tape import taped
-from mmwave_env.world.mobility import MOBILITIES
-from mmwave_env.world.simulated import SimulatedSource
 from tests.filters.tracks import assert_same_beliefs, pipeline_of, simulated, track
 from tests.paths import representative
 
@@ -256,23 +251,3 @@ def test_the_stack_of_a_kernel_is_aligned(monkeypatch):
     program.on_lanes()
     code = program._compiled._library.get_asm_str()
     assert re.search(r"and[q]?\s+\$-64, %rsp", code)
-
-
-@pytest.mark.parametrize("scenario", representative(MOBILITIES, "walk-ride"))
-def test_a_simulated_world_on_lanes_equals_the_world_on_floats(scenario):
-    source = SimulatedSource(SCENES["street"], RADIOS["handset"], scenario, epochs=60)
-    episodes = source.sample_batch(np.arange(3, dtype=np.uint64))
-    starts = source.begin(np.arange(3, dtype=np.uint64))
-    world = source.world
-    settings = source.feed(starts.worlds).settings[:, 0]
-    blank = np.zeros(world.ends[0])
-    (observed, happened, moved) = world.parts
-    for kept, expected in zip(starts.worlds, episodes.table, strict=True):
-        w = unflatten(world.template, iter(np.concatenate([blank, settings, kept]).tolist()))
-        table = []
-        for dt in source.steps_s:
-            w = observed(w)
-            for _ in range(int(w.settings.stride)):
-                w = moved(happened(w))
-            table.append(flatten(w.measured._replace(dt=dt)))
-        np.testing.assert_allclose(table, expected, rtol=1e-9, atol=1e-9)

@@ -52,16 +52,6 @@ def smoothed_errors(pipeline, episodes, actions=None):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("planar", [False, True])
-def test_smoothed_errors_equal_the_errors_of_the_smoothed_track(planar):
-    episodes = flat(simulated(N, epochs=T)) if planar else simulated(N, epochs=T)
-    pipeline = Pipeline(default_modes(), STREET, planar)
-    _, _, smoothed = smoothed_again(pipeline, None, EpisodeBatch.of(episodes), ACTIONS)
-    expected = smoothed_errors(pipeline, episodes, ACTIONS)
-    np.testing.assert_allclose(smoothed, expected, rtol=1e-9, atol=1e-9)
-
-
-@pytest.mark.slow
 def test_two_equal_modes_with_their_own_beliefs_are_smoothed_as_a_single_filter():
     """Check that the smoothed track equals a single filter's track, whichever mode is favored."""
     mode = Mode("a", "ukf", sigma_v=1.2)
@@ -71,16 +61,6 @@ def test_two_equal_modes_with_their_own_beliefs_are_smoothed_as_a_single_filter(
     _, _, smoothed = smoothed_again(pipeline, twins, EpisodeBatch.of(episodes), FAVORED)
     expected = smoothed_errors(Pipeline((mode,), STREET), episodes)
     np.testing.assert_allclose(smoothed, expected, rtol=1e-7, atol=1e-7)
-
-
-def test_a_replay_does_not_depend_on_the_other_episodes_or_their_order():
-    episodes = simulated(N, epochs=T)
-    replay = partial(smoothed_again, Pipeline(default_modes(), STREET), None)
-    together = replay(EpisodeBatch.of(episodes), ACTIONS)
-    for some in ([4], [10, 0, 7], [8, 9, 10, 1, 2, 3, 4, 5, 6]):
-        apart = replay(EpisodeBatch.of([episodes[i] for i in some]), ACTIONS[some])
-        for a, b in zip(apart, together, strict=True):
-            np.testing.assert_array_equal(a, b[some])
 
 
 def test_an_episode_that_ends_early_is_smoothed_back_from_its_last_epoch():

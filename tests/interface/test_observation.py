@@ -70,7 +70,7 @@ def test_values_are_within_their_finite_bounds_even_in_absurd_episodes():
 
 
 class Rollout(NamedTuple):
-    """An episode of 200 epochs that was played with random actions.
+    """An episode of 200 epochs, a step ``dt`` apart, that was played with random actions.
 
     Observations and infos have 201 entries: one from ``reset`` and one from every step.
     """
@@ -79,6 +79,10 @@ class Rollout(NamedTuple):
     table: Observation
     observations: np.ndarray
     infos: list
+
+    @property
+    def dt(self):
+        return self.episode.time_s[1]
 
     def read(self, name):
         """Return a feature (201,) in its own unit."""
@@ -97,9 +101,9 @@ class Rollout(NamedTuple):
         return np.clip(np.clip(values, feature.low, feature.high), mean - reach, mean + reach)
 
 
-@pytest.fixture(scope="module", params=["as drawn", "with a gap"])
+@pytest.fixture(scope="module", params=["as drawn", "2 Hz, with a gap"])
 def rollout(request):
-    return roll(draw(0) if request.param == "as drawn" else blinded(draw(0), 60, 130))
+    return roll(draw(0) if request.param == "as drawn" else blinded(draw(0, dt=0.5), 60, 130))
 
 
 def roll(episode, **kwargs):
@@ -188,7 +192,8 @@ def predictions(rollout):
     """Yield each epoch and the state predicted for it."""
     for t, info in enumerate(rollout.infos[:-1]):
         x = info["estimate"].copy()
-        x[:3] += x[3:6] * float(t > 0)
+        if t:
+            x[:3] += x[3:6] * rollout.dt
         yield t, x
 
 
@@ -254,7 +259,7 @@ def test_lock_out_and_time_since_fix_grow_until_a_link_is_accepted(rollout):
         fixed = links.any()
         passed = (links & (info["nis"][:3] <= chi2.ppf(0.99, 4))).any()
         lockout.append(0.0 if passed else lockout[-1] + visible)
-        unfixed_s.append(0.0 if fixed else unfixed_s[-1] + (1.0 if t else 0.0))
+        unfixed_s.append(0.0 if fixed else unfixed_s[-1] + (rollout.dt if t else 0.0))
     assert_feature(rollout, "lock-out", lockout)
     assert_feature(rollout, "time since fix", unfixed_s)
 

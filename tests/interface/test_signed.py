@@ -12,7 +12,6 @@ from mmwave_env.engines.smoothed_features import GATES, smoothed_features
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.interface.actions import CORRECTION
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.interface.signed import after_update
@@ -56,22 +55,6 @@ def played(episodes, actions):
 
 def random_actions():
     return np.random.default_rng(0).integers(3, size=(N, EPOCHS))
-
-
-def test_a_decision_renews_the_features_that_the_next_observation_will_show(episodes):
-    actions = random_actions()
-    *others, last = episodes
-    unmeasured = np.zeros(EPOCHS)  # 0 means that the Doppler spread was not measured
-    episodes = [*others, replace(last, doppler_spread_hz=unmeasured)]
-    observed, _ = played(episodes, actions)
-    pipeline = Pipeline(BANK.modes, episodes[0].layout)
-    engine = Engine(pipeline, N, None, "signed", BANK, action=CORRECTION)
-    columns = [engine.observation.names.index(name) for name in names_of(pipeline)]
-    engine.load(episodes)
-    for t, now in enumerate(actions.T):
-        engine.filter()
-        signed, _ = engine.decide(now)
-        np.testing.assert_array_equal(signed[:, columns], observed[:, t])
 
 
 def test_features_of_a_track_that_smoothing_did_not_change_are_those_of_the_filter(episodes):

@@ -6,7 +6,6 @@ import re
 import sys
 from dataclasses import asdict, replace
 
-import numpy as np
 import pytest
 
 from tests.paths import json_in
@@ -27,7 +26,7 @@ from experiments.training.hyperparameters import (
     shipped_hyperparameters,
 )
 from experiments.training.job import Job
-from experiments.training.ppo import PpoTrainer, learner
+from experiments.training.ppo import learner
 from experiments.training.processes import train
 from experiments.training.run import hyperparameters, manifest_of
 from experiments.training.training_task import Place, TrainingTask
@@ -35,10 +34,9 @@ from experiments.training.vec_env import PlacesVecEnv
 from mmwave_env.filters.bank import Bank, default_modes
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.io.files import write_json
-from policies import LearnedSwitch
 from policies.policy_file import read_policy
 from tests.cli import command, succeed
-from tests.training.actors import MODES, card_of, write
+from tests.training.actors import MODES
 
 pytestmark = pytest.mark.torch
 
@@ -60,32 +58,6 @@ def job_of(folder, hyper=HYPER, **changes):
 def content(hyper=HYPER):
     """Return hyperparameters in the form that a file of hyperparameters has."""
     return asdict(hyper) | {"hidden": list(hyper.hidden)}
-
-
-def test_the_exported_actor_chooses_the_actions_of_the_trained_model(tmp_path):
-    """Compare on 2000 observations, which include ends of episodes."""
-    training = PpoTrainer(job_of(tmp_path), 0)
-    env = training.normal
-    model = training.model
-    now = env.reset()
-    rng = np.random.default_rng(0)
-    for _ in range(20):  # the normalization is measured on these observations
-        now, *_ = env.step(rng.integers(3, size=8))
-    env.training = False
-    with torch.no_grad():
-        model.policy.action_net.weight *= 100.0  # otherwise, all logits would be similar
-    table = training.table
-    path = write(tmp_path / "actor.safetensors", training.tensors(), card_of(table))
-    policy = LearnedSwitch(path, table)
-    now = env.reset()
-    taken = set()
-    alike = []
-    for _ in range(250):
-        actions, _ = model.predict(now, deterministic=True)
-        alike.append(actions == policy.act(env.get_original_obs()))
-        taken |= set(actions.tolist())
-        now, *_ = env.step(actions)
-    assert taken == {0, 1, 2} and np.mean(alike) == 1.0
 
 
 def test_a_training_reports_its_periodic_evaluations(tmp_path, monkeypatch):
