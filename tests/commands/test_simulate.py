@@ -12,10 +12,9 @@ from mmwave_env.datasets.samples import log_names
 from mmwave_env.logs.log import read_log
 from mmwave_env.logs.tum import read_tum
 from mmwave_env.models.layout import Layout
-from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import SCENES, read_scene
+from mmwave_env.models.scene import read_scene
 from mmwave_env.world.keys import keys_of
-from mmwave_env.world.simulated import SimulatedSource
+from tests.filters.tracks import street_source
 from tests.paths import LOGS
 
 FILES = ["log.csv", "scene.json", "truth.tum"]
@@ -30,8 +29,7 @@ def test_simulate_writes_the_episode_that_evaluate_draws_with_the_same_seed(tmp_
     simulate(out, "--scenario", "pedestrian", "--seed", 7)
     assert capsys.readouterr().out == f"written to {out}/: log.csv, scene.json, truth.tum\n"
     assert sorted(path.name for path in out.iterdir()) == FILES
-    source = SimulatedSource(SCENES["street"], RADIOS["handset"], "pedestrian")
-    episode = source.episode(int(keys_of([7])[0]))
+    episode = street_source("pedestrian").episode(int(keys_of([7])[0]))
     assert (out / "log.csv").read_text() == log_text(log_columns(episode))
 
 

@@ -11,11 +11,10 @@ from mmwave_env.datasets.measured import MeasuredTrack
 from mmwave_env.datasets.recorded import Recording
 from mmwave_env.datasets.samples import log_names, sample_folder, source_from
 from mmwave_env.logs.tum import tum_lines
-from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, read_scene
 from mmwave_env.world.keys import keys_of
-from mmwave_env.world.simulated import SimulatedSource
 from tests.cli import assert_one_clear_line, command, succeed
+from tests.filters.tracks import street_source
 from tests.localization.mistakes import read_columns, write_columns
 from tests.logs.by_hand import shown
 from tests.logs.writing import write_log
@@ -26,8 +25,7 @@ STREET = SCENES["street"]
 
 
 def simulated(seed=3, odometry=False):
-    source = SimulatedSource(STREET, RADIOS["handset"], "vehicle", odometry=odometry)
-    return source.episode(int(keys_of([seed])[0]))
+    return street_source("vehicle", odometry=odometry).episode(int(keys_of([seed])[0]))
 
 
 @pytest.fixture

@@ -14,22 +14,21 @@ from mmwave_env.logs.truth import stretches, velocity_of
 from mmwave_env.models.layout import LINK, Layout
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import SCENES, scene_of_anchors
-from mmwave_env.world.simulated import SimulatedSource
+from mmwave_env.models.scene import scene_of_anchors
+from tests.filters.tracks import street_source
 from tests.logs.by_hand import shown
 from tests.paths import representative
 from tests.refusals import refuses
 
-STREET = SCENES["street"]
-RADIO = RADIOS["handset"]
+RADIO = "handset"
 
 
 def generator(seed=0):
     return np.random.default_rng(seed)
 
 
-def simulated(seed=3, epochs=60, radio=RADIO, scenario="vehicle"):
-    return SimulatedSource(STREET, radio, scenario, epochs=epochs).sample(generator(seed))
+def simulated(seed=3, epochs=60, radio="handset", scenario="vehicle"):
+    return street_source(scenario, radio, epochs=epochs).sample(generator(seed))
 
 
 def links(record, visible):
@@ -93,7 +92,7 @@ MISTAKES = {  # name -> (function that returns the changed arrays, array that th
 @pytest.mark.parametrize("name", MISTAKES)
 def test_values_that_contradict_the_truth_cause_a_warning(name):
     change, column = MISTAKES[name]
-    episode = simulated(radio=RADIOS["standard"])
+    episode = simulated(radio="standard")
     with pytest.warns(UserWarning, match=f"track 'own': .*{column}"):
         track(episode, **change(arrays(episode)))
 
@@ -101,7 +100,7 @@ def test_values_that_contradict_the_truth_cause_a_warning(name):
 @pytest.mark.parametrize("seeds", representative([range(20), range(20, 354)], range(20)))
 def test_correct_tracks_cause_no_warning(seeds):
     for seed in seeds:
-        for radio in RADIOS.values():
+        for radio in RADIOS:
             track(simulated(seed, 200, radio, "mixed"))
 
 

@@ -11,12 +11,10 @@ from mmwave_env.filters.bank import Bank, best_bank, default_modes
 from mmwave_env.filters.belief import Belief
 from mmwave_env.interface.reward import TrackingReward, terms_of, total
 from mmwave_env.models.measurement import blank_site
-from mmwave_env.models.radio import RADIOS, TUNED_RADIOS
-from mmwave_env.models.scene import SCENES
+from mmwave_env.models.radio import TUNED_RADIOS
 from mmwave_env.numerics.pytree import indices
 from mmwave_env.world.episode import EpisodeBatch
-from mmwave_env.world.simulated import SimulatedSource
-from tests.filters.tracks import simulated, unpacked
+from tests.filters.tracks import simulated, street_source, unpacked
 from tests.refusals import refuses
 
 N = 11
@@ -77,15 +75,14 @@ def test_an_invalid_transition_or_quantile_is_refused(name, value):
 @pytest.mark.slow
 @pytest.mark.parametrize("radio", TUNED_RADIOS)
 def test_a_track_that_starts_100_m_off_recovers(radio):
-    source = SimulatedSource(SCENES["street"], RADIOS[radio])
-    bank = best_bank(radio)
-    batch = EpisodeBatch.of(draw_episodes(source, range(5_000_000, 5_000_040)))
+    seeds = range(5_000_000, 5_000_040)
+    batch = EpisodeBatch.of(draw_episodes(street_source(radio=radio), seeds))
     site = batch.site.copy()
     prior = indices(blank_site(batch.layout)).prior_x
     direction = np.random.default_rng(0).uniform(0.0, 2.0 * np.pi, len(site))
     site[:, prior[0]] += 100.0 * np.cos(direction)
     site[:, prior[1]] += 100.0 * np.sin(direction)
-    imm = partial(run_imm, bank, TrackingReward())
+    imm = partial(run_imm, best_bank(radio), TrackingReward())
     good = np.linalg.norm(imm(batch, "error")["error"], axis=2)
     bad = np.linalg.norm(imm(batch._replace(site=site), "error")["error"], axis=2)
     assert (bad[:, 0] > 50.0).mean() > 0.5

@@ -11,10 +11,7 @@ from mmwave_env.engines.smoothing import smooth
 from mmwave_env.filters import textbook
 from mmwave_env.filters.bank import best_bank
 from mmwave_env.interface.reward import TrackingReward
-from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import SCENES
-from mmwave_env.world.simulated import SimulatedSource
-from tests.filters.tracks import TRIANGLE, pipeline_of, simulated, unpacked
+from tests.filters.tracks import TRIANGLE, pipeline_of, simulated, street_source, unpacked
 
 TOLERANCE = 1e-9
 PARTS = ("x", "P", "x_predicted", "P_predicted")
@@ -89,7 +86,7 @@ def test_smoothed_tracks_equal_a_plain_numpy_smoother(planar):
 @pytest.fixture(scope="module", params=[1.0, 0.1], ids=["1 s", "0.1 s"])
 def mixture(request):
     """Return dt, true positions (9, T, 3), and an IMM's x, P, x_predicted and P_predicted."""
-    source = SimulatedSource(SCENES["street"], RADIOS["handset"], dt=request.param)
+    source = street_source(dt=request.param)
     episodes = [source.sample(np.random.default_rng(seed)) for seed in range(9)]
     truth = np.stack([episode.truth_position_m for episode in episodes])
     parts = run_imm(best_bank(), TrackingReward(), episodes, *PARTS)

@@ -25,9 +25,8 @@ from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.task import task_from
 from mmwave_env.world.keys import keys_of
-from mmwave_env.world.simulated import SimulatedSource
 from tests.cli import command, succeed
-from tests.filters.tracks import around_a_block, replay
+from tests.filters.tracks import around_a_block, replay, street_source
 from tests.paths import representative
 from tests.refusals import refuses
 
@@ -135,7 +134,7 @@ def test_the_offset_is_estimated_with_a_correct_standard_deviation():
 
 @pytest.mark.parametrize("planar", representative([False, True], False))
 def test_smoothed_tracks_equal_the_textbook(planar):
-    source = SimulatedSource(STREET, RADIOS["standard"], epochs=50, clock=True)
+    source = street_source(radio="standard", epochs=50, clock=True)
     bank = Bank(modes_from(["ukf"], "standard"))
     pipeline = Pipeline(bank.modes, source.layout, planar)
     batch = source.sample_batch(keys_of(range(3)))
@@ -168,7 +167,7 @@ def test_an_invalid_clock_and_a_clock_that_cannot_be_estimated_are_refused():
     for arguments in (
         {"clock": "late"},
         {"clock": "offset", "measurements": ["azimuth", "doppler"]},
-        {"clock": "offset", "episodes": replay(SimulatedSource(STREET, RADIOS["high"]).episode(1))},
+        {"clock": "offset", "episodes": replay(street_source().episode(1))},
     ):
         with refuses("clock"):
             task_from(**arguments)
@@ -196,7 +195,7 @@ def test_localize_estimates_the_offset(ride):
     smoothed = next(line for line in out.splitlines() if line.startswith("| smoothed |"))
     assert float(smoothed.split("|")[2]) < 1.0
     episodes = [
-        SimulatedSource(STREET, RADIOS["standard"], clock=clock).episode(int(keys_of([2])[0]))
+        street_source(radio="standard", clock=clock).episode(int(keys_of([2])[0]))
         for clock in (False, True)
     ]
     said = next(line for line in out.splitlines() if "clock is" in line)

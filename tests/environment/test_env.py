@@ -20,12 +20,10 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.textbook import rts
 from mmwave_env.metrics import INFO_KEYS, summary
 from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import SCENES
 from mmwave_env.task import TaskArguments
 from mmwave_env.world.keys import keys_of
-from mmwave_env.world.simulated import SimulatedSource
 from tests.environment.vector_checker import assert_own_memory, same
-from tests.filters.tracks import replay, unpacked
+from tests.filters.tracks import replay, street_source, unpacked
 from tests.refusals import refuses
 
 ID = "MmWaveLoc-v0"
@@ -38,8 +36,7 @@ SMOOTHED = "smoothed_ate_m"  # infos have this key if smoothed=True
 
 
 def draw(seed=0, **changes):
-    source = SimulatedSource(SCENES["street"], RADIOS["handset"], **changes)
-    return source.episode(int(keys_of([seed])[0]))
+    return street_source(**changes).episode(int(keys_of([seed])[0]))
 
 
 def adrift(drift_mps, epochs=200):

@@ -8,17 +8,12 @@ from mmwave_env.datasets.samples import recording_from, sample_folder, source_fr
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.update import ekf
 from mmwave_env.models.layout import MEASUREMENTS, Layout
-from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import SCENES
 from mmwave_env.task import task_from
-from mmwave_env.world.simulated import SimulatedSource
-from tests.filters.tracks import around_a_block, replay
+from tests.filters.tracks import around_a_block, replay, street_source
 from tests.paths import representative
 from tests.refusals import refuses
 
 SUBSETS = [("range", "azimuth"), ("azimuth", "elevation", "departure"), ("departure", "doppler")]
-STREET = SCENES["street"]
-RADIO = RADIOS["handset"]
 SOURCES = {
     "simulated": {"episode_steps": 40},
     "odometry": {"episode_steps": 40, "odometry": True},
@@ -93,7 +88,7 @@ def test_vector_and_single_environments_agree(name):
 
 
 def test_all_subsets_share_one_compiled_simulation():
-    sources = [SimulatedSource(STREET, RADIO, epochs=40, measurements=subset) for subset in SUBSETS]
+    sources = [street_source(epochs=40, measurements=subset) for subset in SUBSETS]
     worlds = {id(source.world) for source in sources}
     assert len(worlds) == 1
     assert not np.array_equal(*[source.episode(5).visible for source in sources[1:]])
@@ -133,7 +128,7 @@ def test_subsets_that_do_not_determine_a_position_and_unknown_names_are_refused(
 
 
 def test_a_custom_source_decides_what_is_measured():
-    episode = SimulatedSource(STREET, RADIO, epochs=5).episode(1)
+    episode = street_source(epochs=5).episode(1)
     with refuses("measurements"):
         task_from(episodes=replay(episode), measurements=["range"])
     some = replay(episode.only(["range"]))
@@ -144,4 +139,4 @@ def test_measurements_that_a_track_lacks_are_refused():
     track = recording_from("canyon28_vehicle")
     track.measurement[:, : track.layout.doppler : 4] = np.nan
     with refuses("measurements"):
-        source_from(track, RADIO, measurements=["range"])
+        source_from(track, "handset", measurements=["range"])

@@ -19,6 +19,7 @@ from mmwave_env.models.scene import SCENES
 from mmwave_env.vector_env import MmWaveLocVectorEnv
 from mmwave_env.world.simulated import SimulatedSource
 from tests.environment.vector_checker import check_vector_env, rollout, same
+from tests.filters.tracks import street_source
 from tests.paths import representative
 from tests.refusals import refuses
 
@@ -36,7 +37,7 @@ class Patchy:
     def sample(self, rng):
         rng, _ = rng.spawn(2)
         epochs = int(rng.integers(2, 8))
-        episode = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=epochs).sample(rng)
+        episode = street_source(epochs=epochs).sample(rng)
         measurement = episode.measurement.copy()
         measurement[rng.random(measurement.shape) < 0.05] = np.nan
         return replace(episode, measurement=measurement, visible=rng.random((epochs, 4)) < 0.6)

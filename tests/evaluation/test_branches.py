@@ -12,18 +12,14 @@ from mmwave_env.compiler.program import rows_of
 from mmwave_env.engines.engine import Engine
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import TrackingReward
-from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import SCENES
-from mmwave_env.world.simulated import SimulatedSource
+from tests.filters.tracks import street_source
 from tests.refusals import refuses
 from tests.training.actors import HANDSET
 
 # engines compute blocks of 8 environments; these 5 do not fill a block
 N = 5
 EPOCHS = 30
-EPISODES = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=EPOCHS).episodes(
-    np.arange(N, dtype=np.uint64)
-)
+EPISODES = street_source(epochs=EPOCHS).episodes(np.arange(N, dtype=np.uint64))
 LAYOUT = EPISODES[0].layout
 
 

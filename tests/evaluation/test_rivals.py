@@ -21,13 +21,12 @@ from mmwave_env.filters import Mode, Pipeline, ekf, ukf
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import exact_rows
 from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.linalg import unpack
-from mmwave_env.world.simulated import SimulatedSource
+from tests.filters.tracks import street_source
 from tests.refusals import refuses
 
 PLAIN = Mode("plain", "ekf", sigma_v=1.0, sigma_vz=0.5, gate=None, adaptive=False)
-SOURCE = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=20)
+SOURCE = street_source(epochs=20)
 MANY = 1e9  # degrees of freedom that make Student-t noise Gaussian
 
 

@@ -16,10 +16,9 @@ from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.filters.bank import bank_as_written, best_bank, modes_from
 from mmwave_env.interface.observation import BELIEFS
 from mmwave_env.metrics import BURN_IN, INFO_KEYS, METRICS
-from mmwave_env.models.radio import RADIOS, TUNED_RADIOS
-from mmwave_env.models.scene import SCENES
-from mmwave_env.world.simulated import SimulatedSource
+from mmwave_env.models.radio import TUNED_RADIOS
 from policies import learned
+from tests.filters.tracks import street_source
 from tests.policies.test_corrector import card, network
 from tests.refusals import refuses
 from tests.training.actors import HANDSET, MODES, STANDARD, actor, card_of, write, write_per_mode
@@ -27,7 +26,7 @@ from tests.training.actors import HANDSET, MODES, STANDARD, actor, card_of, writ
 # The speed rule warns if a lost track seems too fast; another test checks this warning.
 pytestmark = pytest.mark.filterwarnings("ignore:speed .* outside the design window")
 
-SOURCE = SimulatedSource(SCENES["street"], RADIOS["handset"])
+SOURCE = street_source()
 
 
 def assert_equal(scores, expected):

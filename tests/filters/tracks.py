@@ -30,6 +30,11 @@ def geometry(position, velocity, scene, layout):
     return np.stack(exact_rows(*tracks, scene.anchors_m, scene.hz_per_mps, layout), axis=1)
 
 
+def street_source(scenario="mixed", radio="handset", **options):
+    """Return a source of simulated episodes in the default street."""
+    return SimulatedSource(SCENES["street"], RADIOS[radio], scenario, **options)
+
+
 def simulated(n, epochs=200, odometry=False, seed=0, scene=SCENES["street"]):
     """Return n episodes of the noisiest radio, with more outliers and missing rows than usual."""
     source = SimulatedSource(scene, RADIOS["handset"], epochs=epochs, odometry=odometry)

@@ -20,9 +20,7 @@ from mmwave_env.models.envelope import DOPPLER_SPREAD_HZ
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Epoch, blank_site
 from mmwave_env.models.radio import RADIOS, doppler_spread
-from mmwave_env.models.scene import SCENES
-from mmwave_env.world.simulated import SimulatedSource
-from tests.filters.tracks import replay
+from tests.filters.tracks import replay, street_source
 
 # group of measurements -> degrees of freedom; the groups are in the order of the layout
 GROUPS = {"anchor 1": 4, "anchor 2": 4, "anchor 3": 4, "Doppler": 1}
@@ -30,8 +28,7 @@ DOF = np.array([*GROUPS.values()])
 
 
 def draw(seed, **changes):
-    source = SimulatedSource(SCENES["street"], RADIOS["handset"], **changes)
-    return source.sample(np.random.default_rng(seed))
+    return street_source(**changes).sample(np.random.default_rng(seed))
 
 
 def blinded(episode, first, last):

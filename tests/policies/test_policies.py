@@ -11,12 +11,11 @@ from mmwave_env.filters.bank import modes_from
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation
 from mmwave_env.models.layout import Layout
-from mmwave_env.models.radio import TUNED_RADIOS, radio_from
-from mmwave_env.models.scene import scene_from
+from mmwave_env.models.radio import TUNED_RADIOS
 from mmwave_env.world.episode import blank_incoming
-from mmwave_env.world.simulated import SimulatedSource
 from policies import FixedMode, LikelihoodRule, SpeedRule
 from policies.rules import by_odometry_speed, by_predicted_speed
+from tests.filters.tracks import street_source
 
 THREE = ("ekf", "ukf", "ckf")
 
@@ -103,7 +102,7 @@ def test_the_speed_rules_for_single_tracks_switch_at_the_threshold_of_the_paper(
 @pytest.mark.parametrize("radio", TUNED_RADIOS)
 def test_no_threshold_of_the_speed_rule_beats_zero(radio):
     """Compare thresholds (m/s) on tuning seeds; with zero, the rule acts like `fixed-ukf`."""
-    source = SimulatedSource(scene_from("street"), radio_from(radio))
+    source = street_source(radio=radio)
     episodes = draw_episodes(source, range(TUNING_SEED, TUNING_SEED + 500))
     rule = contender_from("speed-rule", radio)
     table = Observation(Pipeline(rule.modes, source.layout))

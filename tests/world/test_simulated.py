@@ -18,18 +18,16 @@ from mmwave_env.world.simulated import SimulatedSource
 from mmwave_env.world.simulation import RECEIVER, USER
 from mmwave_env.world.trajectory import Trajectory
 from mmwave_env.world.travel import attend, draw_phases, set_off, stride_of
-from tests.filters.tracks import around_a_block, geometry
+from tests.filters.tracks import around_a_block, geometry, street_source
 from tests.paths import representative
 
 SOURCES = {
-    "default": SimulatedSource(SCENES["street"], RADIOS["handset"]),
+    "default": street_source(),
     "odometry at 10 Hz": SimulatedSource(
         SCENES["o1"], RADIOS["high"], "walk-ride", dt=0.1, odometry=True
     ),
     "jam": SimulatedSource(SCENES["dynamic-doppler"], RADIOS["standard"], "jam", 0.5, epochs=77),
-    "windows of a trajectory": SimulatedSource(
-        SCENES["street"], RADIOS["handset"], around_a_block(), dt=0.7, epochs=30, odometry=True
-    ),
+    "windows of a trajectory": street_source(around_a_block(), dt=0.7, epochs=30, odometry=True),
     "random streets": SimulatedSource(RandomScene(), RADIOS["standard"], epochs=60),
 }
 KEYS = np.random.default_rng(0).integers(0, 2**64, 20, np.uint64)

@@ -6,13 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmwave_env.datasets.ways import read_trajectory, read_ways
-from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import SCENES
-from mmwave_env.world.simulated import SimulatedSource
 from mmwave_env.world.trajectory import Trajectory
+from tests.filters.tracks import street_source
 from tests.refusals import refuses
-
-STREET = SCENES["street"]
 
 
 def straight(n=5, dt=1.0, speed=2.0):
@@ -80,7 +76,7 @@ def test_constant_acceleration_is_resampled_exactly(dt, steps, a, v):
 def test_the_error_about_an_impossible_trajectory_names_the_place(tmp_path, rows, place):
     path = write(tmp_path, rows)
     with refuses(path, place):
-        SimulatedSource(STREET, RADIOS["handset"], read_ways(path))
+        street_source(read_ways(path))
 
 
 @pytest.mark.parametrize("header", ["time,x,y,z", "t,x,y,vx"])
@@ -109,4 +105,4 @@ def test_a_trajectory_of_a_user_who_never_moves_causes_a_warning():
 def test_a_trajectory_that_does_not_fit_the_scene_is_refused(ends, dt, place):
     with refuses("mine", place):
         way = Trajectory("mine", np.arange(11.0), np.linspace(*ends, 11))
-        SimulatedSource(STREET, RADIOS["handset"], way, dt=dt)
+        street_source(way, dt=dt)

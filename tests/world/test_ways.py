@@ -7,15 +7,13 @@ import numpy as np
 import pytest
 
 from mmwave_env.datasets.ways import read_trajectory, read_ways, scenario_from
-from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.mobility import MOBILITIES, Mobility
-from mmwave_env.world.simulated import SimulatedSource
 from mmwave_env.world.trajectory import PlacedWays, Trajectory, Ways, users_of
+from tests.filters.tracks import street_source
 from tests.refusals import refuses
 
 STREET = SCENES["street"]
-RADIO = RADIOS["handset"]
 
 
 def straight(seconds, y=-80.0, speed=2.0, name="way"):
@@ -48,7 +46,7 @@ def test_rows_with_the_same_id_are_the_way_of_one_user(tmp_path):
 
 def test_each_episode_is_a_window_of_one_of_the_ways(tmp_path):
     ways = {"a": straight(30, -80.0), "b": straight(40, -70.0), "c": straight(60, -60.0)}
-    source = SimulatedSource(STREET, RADIO, read_ways(write(tmp_path, ways)), epochs=25)
+    source = street_source(read_ways(write(tmp_path, ways)), epochs=25)
     names = set()
     for episode in source.episodes(np.arange(40, dtype=np.uint64)):
         way = ways[episode.name[0]]
