@@ -38,7 +38,7 @@ OTHERS = {"raytrace", "sumo", "minari_collect", "mo_front", "recurrent_localizer
 EXAMPLES = {path.stem: path for path in sorted(FOLDER.glob("*.py")) if path.stem not in OTHERS}
 
 
-def imported(source: str) -> set[str]:
+def imported(source):
     """Return the modules that a script imports."""
     nodes = list(ast.walk(ast.parse(source)))
     names = [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
@@ -46,7 +46,7 @@ def imported(source: str) -> set[str]:
     return set(names)
 
 
-def rewards(printed: str) -> dict[str, float]:
+def rewards(printed):
     """Return name -> reward, agent first, from a table of `compare` or lines "NAME: reward ..."."""
     row = r"\| ([\w-]+) \| (-\d+\.\d+) ±"
     line = r"([\w-]+): reward (-\d+\.\d+)"
@@ -54,7 +54,7 @@ def rewards(printed: str) -> dict[str, float]:
     return {a or c: float(b or d) for a, b, c, d in lines}
 
 
-def made_before(source: str) -> list[list[str]]:
+def made_before(source):
     """Return the commands in an example's docstring; they make the files that the example reads."""
     lines = re.findall(r"^python (examples/.*)$", ast.get_docstring(ast.parse(source)) or "", re.M)
     return [[str(ROOT / script), *words] for script, *words in map(shlex.split, lines)]

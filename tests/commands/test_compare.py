@@ -4,7 +4,6 @@ Policies may be given as files, or as *runs*, which are folders that ``mmwave-lo
 """
 
 import csv
-import json
 import re
 
 import gymnasium
@@ -13,7 +12,7 @@ import pytest
 
 from mmwave_env.metrics import BURN_IN, INFO_KEYS, METRICS, TERMS
 from tests.cli import assert_one_clear_line, command, succeed, with_json
-from tests.paths import ROOT, json_in
+from tests.paths import ROOT, json_in, write_json
 from tests.training.actors import actor, card_of, write
 
 
@@ -25,7 +24,7 @@ def run(tmp_path):
         (folder / f"seed-{seed}").mkdir(parents=True)
         write(folder / f"seed-{seed}" / "policy.safetensors", actor(seed=seed), card_of())
     summary = {"seeds": [{"seed": seed} for seed in (2, 0, 1)], "median": 0}
-    (folder / "summary.json").write_text(json.dumps(summary))
+    write_json(folder / "summary.json", summary)
     return folder
 
 

@@ -1,7 +1,6 @@
 """Tests of ``mmwave-loc localize``: its modes, its figures (errors and statistics), its options."""
 
 import csv
-import json
 import re
 import shlex
 
@@ -19,7 +18,7 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import read_scene
 from tests.cli import succeed
 from tests.commands.localizing import EPOCHS, RIDE, WALK, figures, lines_of, options, refused
-from tests.paths import json_in
+from tests.paths import json_in, write_json
 
 # --- the speed (Algorithm 1 of the paper)
 
@@ -59,11 +58,9 @@ def test_corrections_do_no_harm_if_the_log_has_no_doppler_spread(tmp_path, missi
     kept = [i for i, name in enumerate(header) if name not in missing]
     with (tmp_path / "log.csv").open("w") as file:
         csv.writer(file).writerows([row[i] for i in kept] for row in [header, *rows])
-    corrected = figures(RIDE, "--policy", "corrector", log=tmp_path / "log.csv")["truth"]["tracks"][
-        "filtered"
-    ]
-    plain = figures(RIDE, "--policy", "guided", log=tmp_path / "log.csv")["truth"]["tracks"][
-        "filtered"
+    corrected, plain = [
+        figures(RIDE, "--policy", policy, log=tmp_path / "log.csv")["truth"]["tracks"]["filtered"]
+        for policy in ("corrector", "guided")
     ]
     assert corrected["ate_m"] < 1.05 * plain["ate_m"]
 
@@ -205,10 +202,9 @@ MODES = [{"name": "calm"}, {"name": "wild", "algorithm": "ckf", "sigma_v": 2.0}]
 
 
 def test_modes_can_be_read_from_a_file(tmp_path):
-    file = tmp_path / "modes.json"
-    file.write_text(json.dumps({"modes": MODES}))
+    file = write_json(tmp_path / "modes.json", {"modes": MODES})
     assert figures(RIDE, "--speed", "10", "--modes", file)["modes"] == {"wild": 120}
-    file.write_text(json.dumps({"modes": MODES[:1]}))
+    write_json(file, {"modes": MODES[:1]})
     _, line = refused(options(RIDE / "log.csv", "--speed", "1", "--modes", file))
     assert "found 1 modes, expected 2, for low and for high mobility" in line
     _, line = refused(options(RIDE / "log.csv", "--speed", "1", "--modes", "ekf-robust"))
@@ -220,9 +216,8 @@ def test_an_imm_can_be_given_by_its_name_or_by_a_bank_file(tmp_path):
     named = figures(RIDE, "--radio", "standard", "--imm", "imm-best")
     assert list(named["modes"]) == [mode.name for mode in best_bank("standard").modes]
     assert 0.8 < named["groups"]["all"]["nis_per_dof"] < 1.2
-    file = tmp_path / "bank.json"
     bank = {"modes": MODES, "transition": [[0.9, 0.1], [0.2, 0.8]], "nis_quantile": 0.99}
-    file.write_text(json.dumps(bank))
+    file = write_json(tmp_path / "bank.json", bank)
     assert list(figures(RIDE, "--radio", "standard", "--imm", file)["modes"]) == ["calm", "wild"]
     robust = figures(RIDE, "--radio", "standard", "--imm", file, "--robust")
     assert list(robust["modes"]) == ["calm-robust", "wild-robust"]

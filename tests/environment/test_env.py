@@ -247,15 +247,6 @@ def test_the_height_is_constant_on_flat_terrain(odometry):
     assert info["nees"] < 1e3
 
 
-@pytest.mark.slow
-def test_odometry_reduces_the_error():
-    errors = {}
-    for odometry in (False, True):
-        env = gym.make(ID, odometry=odometry, scenario="vehicle", modes=["ukf"])
-        errors[odometry] = np.mean([roll(env, seed)[-1][-1]["ate_m"] for seed in range(8)])
-    assert errors[True] < errors[False]
-
-
 # --- the end of an episode
 
 
@@ -291,9 +282,9 @@ def test_divergence_in_the_last_epoch_does_not_change_the_reward():
 
 
 def test_the_smoothed_error_is_the_same_with_filterpy_as_backend():
-    lanes = roll(gym.make(ID, backend="lanes", smoothed=True, episode_steps=14))[-1][-1][SMOOTHED]
-    filterpy = roll(gym.make(ID, backend="filterpy", smoothed=True, episode_steps=14))[-1][-1][
-        SMOOTHED
+    lanes, filterpy = [
+        roll(gym.make(ID, backend=backend, smoothed=True, episode_steps=14))[-1][-1][SMOOTHED]
+        for backend in ("lanes", "filterpy")
     ]
     assert lanes == pytest.approx(filterpy, rel=1e-12)
 

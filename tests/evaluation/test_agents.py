@@ -1,6 +1,5 @@
 """Tests of `compare` with agents that a programmer wrote: objects, files or functions."""
 
-import json
 import sys
 
 import numpy as np
@@ -12,6 +11,7 @@ from mmwave_env.filters.bank import Bank, bank_as_written, modes_from
 from mmwave_env.models.layout import Layout
 from policies import Correction, LearnedSwitch
 from tests.cli import assert_one_clear_line, command
+from tests.paths import write_json
 from tests.refusals import refuses
 from tests.training.actors import HANDSET, actor, card_of, write
 
@@ -170,7 +170,7 @@ def test_compare_accepts_objects_modules_files_and_loaded_policies(tmp_path):
 
 @pytest.mark.slow
 def test_the_command_line_supports_beliefs_per_mode(folder):
-    (folder / "bank.json").write_text(json.dumps(bank_as_written(HANDSET)))
+    write_json(folder / "bank.json", bank_as_written(HANDSET))
     words = ("--beliefs", "per-mode", "--modes", "bank.json", "--episodes", 2)
     done = command("compare", "--policies", "my_agents:second", "imm", *words, cwd=folder)
     assert done.returncode == 0, done.stderr

@@ -3,8 +3,6 @@
 A *site* is a source of episodes; an *entry* holds the results of one policy at all sites.
 """
 
-import json
-
 import numpy as np
 import pytest
 
@@ -27,6 +25,7 @@ from experiments.evaluation.protocol import (
 )
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, scene_from
+from tests.paths import write_json
 
 
 def test_unseen_scenes_and_radios_are_not_shipped_and_the_scenes_differ():
@@ -112,7 +111,7 @@ def test_scores_are_dashes_if_an_entry_has_fewer_episodes_than_the_clairvoyant()
 def test_an_entry_in_the_folder_replaces_the_shipped_entry_of_the_same_policy(tmp_path):
     shipped = entries_in(tmp_path)
     assert [content["entry"] for content in shipped] == [*BESIDE]
-    (tmp_path / "mine.json").write_text(json.dumps(shipped[0] | {"command": "mine"}))
+    write_json(tmp_path / "mine.json", shipped[0] | {"command": "mine"})
     own = {content["entry"]: content["command"] for content in entries_in(tmp_path)}
     assert own.keys() == {*BESIDE} and own["clairvoyant"] == "mine"
 

@@ -1,6 +1,5 @@
 """Tests of running contenders (policies with their modes, or IMMs) on the same episodes."""
 
-import json
 from dataclasses import replace
 
 import gymnasium as gym
@@ -19,6 +18,7 @@ from mmwave_env.metrics import BURN_IN, INFO_KEYS, METRICS
 from mmwave_env.models.radio import TUNED_RADIOS
 from policies import learned
 from tests.filters.tracks import street_source
+from tests.paths import write_json
 from tests.policies.test_corrector import card, network
 from tests.refusals import refuses
 from tests.training.actors import HANDSET, MODES, STANDARD, actor, card_of, write, write_per_mode
@@ -157,8 +157,7 @@ def per_mode(tmp_path):
 
 
 def test_the_imm_always_uses_the_transition_matrix_of_a_bank_or_bank_file(tmp_path):
-    path = tmp_path / "bank.json"
-    path.write_text(json.dumps(bank_as_written(HANDSET)))
+    path = write_json(tmp_path / "bank.json", bank_as_written(HANDSET))
     for modes in (HANDSET, path, str(path), (str(path),)):
         for beliefs in BELIEFS:
             imm = contender_from("imm", "handset", modes, beliefs=beliefs)
@@ -195,13 +194,9 @@ def test_a_corrector_that_corrects_nothing_has_the_scores_of_its_imm(tmp_path, s
 
 @pytest.mark.slow
 def test_errors_and_nees_belong_to_the_corrected_beliefs(tmp_path, short):
-    results = run_contender(
-        corrector(tmp_path, network(limit=50.0)),
-        corrector(tmp_path, network(limit=50.0)).start(SOURCE.layout),
-        short,
-        after=("x", "P"),
-    )
-    plain = run_contender(IMM, IMM.start(SOURCE.layout), short, after=("x", "P"))
+    mine = corrector(tmp_path, network(limit=50.0))
+    results = run_contender(mine, mine.start(SOURCE.layout), short, after=("x", "P"))
+    plain = run_contender(IMM, IMM.start(SOURCE.layout), short)
     truth = np.stack([episode.truth_position_m for episode in short])
     error = results["x"][..., :3] - truth
     np.testing.assert_allclose(results["error"], error, atol=1e-9)

@@ -1,6 +1,5 @@
 """Tests of the training of policies: hyperparameters, evaluations, options, folders of runs."""
 
-import json
 import math
 import re
 import sys
@@ -8,7 +7,7 @@ from dataclasses import asdict, replace
 
 import pytest
 
-from tests.paths import json_in
+from tests.paths import json_in, write_json
 from tests.refusals import refuses
 
 pytest.importorskip("stable_baselines3")
@@ -33,7 +32,6 @@ from experiments.training.training_task import Place, TrainingTask
 from experiments.training.vec_env import PlacesVecEnv
 from mmwave_env.filters.bank import Bank, default_modes
 from mmwave_env.interface.reward import TrackingReward
-from mmwave_env.io.files import write_json
 from policies.policy_file import read_policy
 from tests.cli import command, succeed
 from tests.training.actors import MODES
@@ -94,7 +92,7 @@ def test_hyperparameters_that_have_a_default_may_be_left_out(tmp_path):
     assert read_hyperparameters(path, "ppo") == HYPER
     assert hyperparameters_as_written(HYPER) == json_in(path)
     biased = replace(HYPER, first_action_bias=1.5)
-    path.write_text(json.dumps(hyperparameters_as_written(biased)))
+    write_json(path, hyperparameters_as_written(biased))
     assert read_hyperparameters(path, "ppo") == biased
 
 
@@ -116,7 +114,7 @@ def written(path, change):
         path.write_text(change)
     else:
         changed = content() | change
-        path.write_text(json.dumps({k: v for k, v in changed.items() if v is not None}))
+        write_json(path, {k: v for k, v in changed.items() if v is not None})
     return path
 
 
@@ -161,9 +159,8 @@ def test_wrong_options_are_refused_before_a_folder_is_made(words, message, tmp_p
 @pytest.mark.parametrize(("algorithm", "count"), [*((kind, 1) for kind in KINDS), ("rollouts", 20)])
 def test_too_few_environments_are_refused_before_a_folder_is_made(algorithm, count, tmp_path):
     shipped = json_in(shipped_hyperparameters(algorithm))
-    path = tmp_path / "few.json"
+    path = write_json(tmp_path / "few.json", shipped | {"num_envs": count})
     out = tmp_path / "run"
-    path.write_text(json.dumps(shipped | {"num_envs": count}))
     with refuses(path, "num_envs"):
         main(Args(algo=algorithm, hyperparameters=path, places=PLACES, out=out))
     assert not out.exists()
@@ -183,6 +180,7 @@ def folder_of(path, modes=None, hyper=None, **options):
     args = Args(out=path, **options)
     banks = {"handset": Bank(modes or default_modes("handset"))}
     manifest = manifest_of(args, banks, hyper or hyperparameters(args, 1))
+    path.mkdir(exist_ok=True)
     write_json(path / "run.json", manifest)
     return path
 

@@ -1,7 +1,6 @@
 """Tests that a training that was interrupted goes on, and keeps the seeds that had finished."""
 
 import csv
-import json
 import multiprocessing
 import os
 import re
@@ -13,7 +12,7 @@ from dataclasses import replace
 import pytest
 
 from tests import cli
-from tests.paths import json_in
+from tests.paths import json_in, write_json
 from tests.refusals import refuses
 
 pytest.importorskip("stable_baselines3")
@@ -103,7 +102,7 @@ def outcome(seed):
 
 def finished(folder, seed):
     folder.mkdir(parents=True)
-    (folder / "outcome.json").write_text(json.dumps(outcome(seed)))
+    write_json(folder / "outcome.json", outcome(seed))
     return job_of(folder, seed=seed)
 
 
@@ -170,9 +169,8 @@ def until_replaced(path, process):
 
 def test_an_interrupted_command_ends_all_processes_and_continues_when_resumed(tmp_path, started):
     """Kill the command, kill its training process, press Ctrl-C, and send SIGTERM."""
-    hyperparameters = tmp_path / "mine.json"
+    hyperparameters = write_json(tmp_path / "mine.json", content(SMALL))
     out = tmp_path / "run"
-    hyperparameters.write_text(json.dumps(content(SMALL)))
     # The training must take seconds, so that it can be interrupted.
     length = ("--seeds", 1, "--total-timesteps", 10 * UPDATES * SMALL.num_envs * SMALL.n_steps)
     made_with = (*length, "--hyperparameters", hyperparameters)

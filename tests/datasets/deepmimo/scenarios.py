@@ -1,6 +1,5 @@
 """Scenario folders for tests: shortened or damaged copies of shipped folders, and a simple hall."""
 
-import json
 import shutil
 
 import numpy as np
@@ -9,7 +8,7 @@ from mmwave_env.models.layout import wrapped
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from tests.filters.tracks import geometry
 from tests.logs.by_hand import shown
-from tests.paths import RECORDINGS
+from tests.paths import RECORDINGS, json_in, write_json
 
 VEHICLE = RECORDINGS / "canyon28_vehicle"
 PEDESTRIAN = RECORDINGS / "canyon28_pedestrian"
@@ -52,9 +51,9 @@ def set_at(index, value):
 def edit_params(folder, change):
     """Change params.json; ``change`` changes its content in place."""
     file = folder / "params.json"
-    params = json.loads(file.read_text())
+    params = json_in(file)
     change(params)
-    file.write_text(json.dumps(params))
+    write_json(file, params)
 
 
 def set_counts(folder, receivers, scenes=1):
