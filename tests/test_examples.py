@@ -21,8 +21,8 @@ from experiments.evaluation.compare import compare
 from experiments.evaluation.protocol import sites
 from mmwave_env.datasets.deepmimo import read_deepmimo
 from mmwave_env.datasets.ways import read_ways
+from mmwave_env.filters import Pipeline
 from mmwave_env.filters.bank import default_modes
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.linalg import unpack

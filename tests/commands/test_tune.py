@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from experiments.training.tune_modes import objective_of, tune
+from mmwave_env.filters import Mode
 from mmwave_env.filters.bank import bank_from, read_bank
-from mmwave_env.filters.modes import Mode
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.world.keys import draw_key
 from tests.cli import assert_one_clear_line, command, succeed

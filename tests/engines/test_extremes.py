@@ -12,8 +12,8 @@ import pytest
 
 from mmwave_env.engines.engine import tracks_of
 from mmwave_env.env import MmWaveLocEnv
+from mmwave_env.filters import Pipeline
 from mmwave_env.filters.bank import named_modes
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.io.records import Bound, hints_of
 from mmwave_env.models import envelope
 from mmwave_env.models.radio import RADIOS

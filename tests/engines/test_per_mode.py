@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from mmwave_env.engines.engine import run_imm
+from mmwave_env.filters import Mode, Pipeline
 from mmwave_env.filters.bank import Bank, best_bank
-from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.radio import TUNED_RADIOS
 from tests.filters.gated_textbook import textbook_imm

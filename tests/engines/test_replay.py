@@ -8,9 +8,8 @@ import pytest
 
 from mmwave_env.engines.engine import tracks_of
 from mmwave_env.engines.smoothing import smooth, smoothed_again
+from mmwave_env.filters import Mode, Pipeline
 from mmwave_env.filters.bank import Bank, default_modes
-from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.world.episode import EpisodeBatch
 from tests.engines.test_per_mode import BANK
 from tests.filters.tracks import STREET, simulated, track

@@ -8,10 +8,8 @@ import pytest
 
 from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.engines.engine import Engine
+from mmwave_env.filters import Mode, Pipeline, ekf
 from mmwave_env.filters.bank import named_modes
-from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.filters.update import ekf
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.layout import Layout, wrap_angles
 from mmwave_env.models.radio import RADIOS

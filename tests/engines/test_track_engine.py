@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from mmwave_env.engines.engine import tracks_of
+from mmwave_env.filters import Mode, Pipeline
 from mmwave_env.filters.bank import default_modes
-from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.pipeline import Pipeline
 from tests.filters.tracks import STREET, simulated, track
 
 N = 11

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from mmwave_env.engines.engine import Engine
+from mmwave_env.filters import Mode, Pipeline
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.correction import corrected
-from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import CORRECTION
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.interface.signed import after_update

@@ -15,7 +15,7 @@ from gymnasium.vector import AutoresetMode
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.runner import run_contender
 from mmwave_env.engines.tally import exceeds
-from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.filters import Pipeline
 from mmwave_env.localization.position_errors import horizontal_level
 from mmwave_env.metrics import RISK
 from policies import Corrector, LearnedSwitch

@@ -10,10 +10,9 @@ import pytest
 from mmwave_env.datasets.samples import recording_from, sample_folder, source_from
 from mmwave_env.engines.engine import run_imm
 from mmwave_env.engines.smoothing import smooth
-from mmwave_env.filters import textbook
+from mmwave_env.filters import Pipeline, textbook
 from mmwave_env.filters.bank import Bank, best_bank, modes_from
 from mmwave_env.filters.mode_smoothing import smooth_modes
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.policy import Switching
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.localization.localizer import localize

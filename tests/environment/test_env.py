@@ -14,9 +14,8 @@ from gymnasium.utils.env_checker import check_env
 import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.engines.engine import tracks_of
 from mmwave_env.env import MmWaveLocEnv
+from mmwave_env.filters import Mode, Pipeline
 from mmwave_env.filters.bank import modes_from
-from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.textbook import rts
 from mmwave_env.metrics import INFO_KEYS, summary
 from mmwave_env.models.radio import RADIOS

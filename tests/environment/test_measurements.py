@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from mmwave_env.datasets.samples import recording_from, sample_folder, source_from
-from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.update import ekf
+from mmwave_env.filters import Mode, ekf
 from mmwave_env.models.layout import MEASUREMENTS, Layout
 from mmwave_env.task import task_from
 from tests.filters.tracks import around_a_block, replay, street_source

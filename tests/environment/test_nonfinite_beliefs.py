@@ -9,8 +9,7 @@ import pytest
 from experiments.evaluation.comparison import compare_scores
 from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.runner import score_contenders
-from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.update import ekf
+from mmwave_env.filters import Mode, ekf
 from mmwave_env.numerics.numbers import where
 from policies import FixedMode
 from tests.filters.tracks import street_source

@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 import mmwave_env.engines.batch as batch
-from mmwave_env.filters.modes import Mode
+from mmwave_env.filters import Mode
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES

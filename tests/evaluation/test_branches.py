@@ -10,7 +10,7 @@ from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.runner import run_contender, score
 from mmwave_env.compiler.program import rows_of
 from mmwave_env.engines.engine import Engine
-from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.filters import Pipeline
 from mmwave_env.interface.reward import TrackingReward
 from tests.filters.tracks import street_source
 from tests.refusals import refuses

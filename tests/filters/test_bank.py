@@ -7,6 +7,7 @@ import gymnasium as gym
 import pytest
 
 import mmwave_env  # noqa: F401  registers the environment
+from mmwave_env.filters import Mode, ekf
 from mmwave_env.filters.bank import (
     Bank,
     as_written,
@@ -19,8 +20,6 @@ from mmwave_env.filters.bank import (
     named_modes,
     shipped_modes,
 )
-from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.update import ekf
 from mmwave_env.models.radio import TUNED_RADIOS, Radio
 from tests.paths import write_json
 from tests.refusals import refuses

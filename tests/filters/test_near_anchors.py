@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from mmwave_env.filters import textbook
-from mmwave_env.filters.gating import Gate
+from mmwave_env.filters import Gate, textbook
 from mmwave_env.filters.modes import ALGORITHMS
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import NEAREST_M, exact_rows

@@ -10,10 +10,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from mmwave_env.filters import imm, memory, textbook
-from mmwave_env.filters.gating import Gate
-from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.pipeline import Pipeline, measurement_of, predict_update
+from mmwave_env.filters import Gate, Mode, Pipeline, imm, memory, predict_update, textbook
+from mmwave_env.filters.pipeline import measurement_of
 from mmwave_env.filters.update import ModeResult, capped_log_likelihood
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Epoch, Site

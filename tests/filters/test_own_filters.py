@@ -13,10 +13,8 @@ from scipy.stats import chi2
 
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.runner import score_contenders
+from mmwave_env.filters import Gate, Mode, Pipeline
 from mmwave_env.filters.custom import AlgorithmError
-from mmwave_env.filters.gating import Gate
-from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.policy import Switching
 from mmwave_env.localization.localizer import localize
 from mmwave_env.logs.log import read_log

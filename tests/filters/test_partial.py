@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.filters import Mode, Pipeline
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import exact_rows
 from tests.filters.tracks import (

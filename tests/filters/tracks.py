@@ -7,9 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from mmwave_env.engines.engine import Engine, tracks_of
-from mmwave_env.filters import textbook
-from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.filters import Mode, Pipeline, textbook
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.layout import MEASUREMENTS, Layout
 from mmwave_env.models.measurement import exact_rows

@@ -17,8 +17,8 @@ from mmwave_env.datasets.samples import recording_from
 from mmwave_env.datasets.tracks import TrackSource
 from mmwave_env.engines.engine import Engine
 from mmwave_env.engines.epoch import Asked, program_of, untuned
+from mmwave_env.filters import Pipeline
 from mmwave_env.filters.bank import Bank, best_bank, default_modes, named_modes
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import SMOOTHING_WINDOW
 from mmwave_env.interface.policy import Switching
 from mmwave_env.interface.reward import TrackingReward

@@ -12,8 +12,8 @@ from scipy.stats import chi2
 import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.engines.engine import Engine
 from mmwave_env.engines.epoch import with_expected_spread
+from mmwave_env.filters import Pipeline
 from mmwave_env.filters.bank import modes_from
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.envelope import DOPPLER_SPREAD_HZ

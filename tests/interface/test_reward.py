@@ -13,9 +13,9 @@ from scipy.stats import multivariate_normal
 
 import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.engines.engine import run_imm
+from mmwave_env.filters import Mode
 from mmwave_env.filters.bank import Bank, default_modes
 from mmwave_env.filters.belief import Belief
-from mmwave_env.filters.modes import Mode
 from mmwave_env.interface.reward import (
     REWARDS,
     LogScore,

@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 
 from mmwave_env.engines.engine import Engine, run_imm
 from mmwave_env.engines.smoothed_features import GATES, smoothed_features
+from mmwave_env.filters import Mode, Pipeline
 from mmwave_env.filters.bank import Bank
-from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.interface.signed import after_update

@@ -14,8 +14,8 @@ from experiments.paper.claims import contradictions, resolution
 from experiments.tables import FIELDS
 from mmwave_env.engines.engine import tracks_of
 from mmwave_env.engines.smoothing import smooth
+from mmwave_env.filters import Pipeline
 from mmwave_env.filters.bank import default_modes
-from mmwave_env.filters.pipeline import Pipeline
 from tests.cli import succeed
 from tests.filters.tracks import unpacked
 from tests.pages import blocks_of, made

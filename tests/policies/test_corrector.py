@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from mmwave_env.filters import Pipeline
 from mmwave_env.filters.correction import MOST_LOG_FACTOR, MOST_SHIFT
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.signed import after_update
 from mmwave_env.models.layout import Layout

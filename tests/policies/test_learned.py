@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mmwave_env.env import MmWaveLocEnv
-from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.filters import Pipeline
 from mmwave_env.interface.observation import Observation
 from mmwave_env.models.layout import Layout
 from policies import LearnedSwitch, learned_policy, shipped_policies

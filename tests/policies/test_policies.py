@@ -7,8 +7,8 @@ from experiments.console.options import TUNING_SEED
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.runner import score
 from experiments.evaluation.seeds import draw_episodes
+from mmwave_env.filters import Pipeline
 from mmwave_env.filters.bank import modes_from
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import TUNED_RADIOS

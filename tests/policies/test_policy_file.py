@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from safetensors.numpy import save
 
-from mmwave_env.filters.modes import Mode
+from mmwave_env.filters import Mode
 from policies import shipped_policies
 from policies.policy_file import (
     FORMAT,
