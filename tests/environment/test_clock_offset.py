@@ -21,11 +21,10 @@ from mmwave_env.logs.log import read_log
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from mmwave_env.numerics.linalg import unpack
 from mmwave_env.task import task_from
 from mmwave_env.world.keys import keys_of
 from tests.cli import command, succeed
-from tests.filters.tracks import around_a_block, replay, street_source
+from tests.filters.tracks import around_a_block, replay, street_source, unpacked
 from tests.paths import representative
 from tests.refusals import refuses
 
@@ -155,11 +154,6 @@ def test_smoothed_tracks_equal_the_textbook(planar):
         for smoothed_x, smoothed_P in (smoothed, by_modes):
             np.testing.assert_allclose(smoothed_x[e], expected_x, rtol=1e-7, atol=1e-7)
             np.testing.assert_allclose(unpacked(smoothed_P[e]), expected_P, rtol=1e-6, atol=1e-7)
-
-
-def unpacked(P):
-    """Return symmetric matrices (T, 8, 8) from packed triangles (T, 36)."""
-    return np.transpose(unpack([*P.T]), (2, 0, 1))
 
 
 def test_an_invalid_clock_and_a_clock_that_cannot_be_estimated_are_refused():

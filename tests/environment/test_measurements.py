@@ -59,33 +59,6 @@ def played(seed=3, **arguments):
     return np.array(rewards), info
 
 
-SOME = {"measurements": ["range", "azimuth"], "beliefs": "per-mode", "modes": ["ekf", "ukf"]}
-CLOCK = {"clock": "offset", "episode_steps": 30, "smoothed": True}
-RECEIVERS = {
-    "simulated": SOURCES["simulated"] | SOME,
-    "clock": CLOCK | {"modes": ["ekf"]},
-    "odometry": SOURCES["odometry"] | SOME,
-    "recorded": SOURCES["recorded"] | SOME,
-    "log": SOURCES["log"] | SOME,
-    "clock per mode": CLOCK | {"beliefs": "per-mode"},
-}
-
-
-@pytest.mark.parametrize("name", representative(RECEIVERS, "simulated", "clock"))
-def test_vector_and_single_environments_agree(name):
-    arguments = RECEIVERS[name]
-    envs = gym.make_vec("mmwave_env:MmWaveLoc-v0", num_envs=3, **arguments)
-    envs.reset(seed=7)
-    actions = np.zeros(3, np.int64)
-    steps = [envs.step(actions) for _ in range(arguments["episode_steps"])]
-    infos = steps[-1][4]
-    for i in range(3):
-        rewards, info = played(7 + i, **arguments)
-        np.testing.assert_array_equal([step[1][i] for step in steps], rewards)
-        np.testing.assert_array_equal(infos["estimate"][i], info["estimate"])
-        assert "smoothed" not in arguments or infos["smoothed_ate_m"][i] == info["smoothed_ate_m"]
-
-
 def test_all_subsets_share_one_compiled_simulation():
     sources = [street_source(epochs=40, measurements=subset) for subset in SUBSETS]
     worlds = {id(source.world) for source in sources}

@@ -12,6 +12,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 import mmwave_env.engines.batch as batch
+from mmwave_env.datasets.samples import sample_folder
 from mmwave_env.filters import Mode
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import RADIOS
@@ -53,6 +54,7 @@ class Twice(SimulatedSource):
 
 # This filter assumes that users never change their speed, and so it loses track of most cars.
 STUBBORN = Mode("ekf", sigma_v=1e-3, sigma_p=1e-3, adaptive=False, recovery=None)
+PER_MODE = {"beliefs": "per-mode", "modes": ["ekf", "ukf"]}
 LOSING = {"scenario": "vehicle", "modes": [STUBBORN]}
 OWN = {"modes": ["ckf", Mode("robust", robust=True, cost=0.1), "ekf"]}
 CONFIGURATIONS = {
@@ -61,8 +63,12 @@ CONFIGURATIONS = {
     "flat": {"episode_steps": 7, "planar": True, "odometry": True, "dt": 0.5} | EKF,
     "own modes": {"episode_steps": 5, "scenario": "jam", "radio": "high", "scene": "o1"} | OWN,
     "prior": {"episode_steps": 12, "observation": "prior", "reward": "log-score"} | EKF,
-    "per mode": {"episode_steps": 6, "beliefs": "per-mode", "modes": ["ekf", "ukf"]},
+    "per mode": {"episode_steps": 6} | PER_MODE,
+    "some rows": {"episode_steps": 6, "measurements": ["range", "azimuth"]} | PER_MODE,
+    "clock": {"episode_steps": 7, "clock": "offset", "smoothed": True} | EKF,
+    "clock per mode": {"episode_steps": 7, "clock": "offset", "smoothed": True} | PER_MODE,
     "recorded": {"episodes": "canyon28_pedestrian", "episode_steps": 11} | EKF,
+    "log": {"episodes": sample_folder("canyon28_vehicle"), "episode_steps": 11} | EKF,
     "patchy": {"episodes": Patchy()},
     "twice": {"episodes": Twice(SCENES["street"], RADIOS["handset"], epochs=4)} | EKF,
     "ends early": {"episode_steps": 14, "terminate_on_divergence": True} | LOSING,
@@ -72,6 +78,7 @@ for infos in ("episode", "none"):
     less = {"smoothed": True, "infos": infos}
     CONFIGURATIONS[f"infos {infos}"] = CONFIGURATIONS["ends early"] | less
 QUICK = ("default", "flat", "per mode", "recorded", "paired", "infos episode", "infos none")
+QUICK += ("some rows", "clock")
 
 
 def native(n=9, mode="NextStep", **arguments):

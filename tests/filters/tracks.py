@@ -177,10 +177,11 @@ def track(pipeline, episodes, actions, epochs, parts, on_floats=False, bank=None
 
 
 def unpacked(P):
-    """Return symmetric matrices (..., 7, 7) from packed triangles (..., 28)."""
-    full = np.zeros((*P.shape[:-1], 7, 7))
-    full[..., TRIANGLE[0], TRIANGLE[1]] = P
-    full[..., TRIANGLE[1], TRIANGLE[0]] = P
+    """Return symmetric matrices (..., n, n) from packed triangles, such as (..., 28) for n = 7."""
+    n = int(np.sqrt(2 * P.shape[-1]))
+    i, j = np.tril_indices(n)
+    full = np.zeros((*P.shape[:-1], n, n))
+    full[..., i, j] = full[..., j, i] = P
     return full
 
 
