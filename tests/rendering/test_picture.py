@@ -97,13 +97,6 @@ def test_accepted_links_are_solid_rejected_links_dashed_and_missing_links_faint(
     assert 5 < contrast["missing"].min() and contrast["missing"].max() < 40
 
 
-def test_the_header_counts_links_but_not_the_doppler_shift_or_odometry():
-    anchors = [(200.0, 150.0, 10.0), (200.0, -150.0, 10.0)]
-    without = drawn(anchors=anchors, accepted=np.ones(3, bool), rejected=np.zeros(3, bool))
-    with_odometry = drawn(anchors=anchors, accepted=np.ones(4, bool), rejected=np.zeros(4, bool))
-    np.testing.assert_array_equal(without, with_odometry)
-
-
 def test_the_trail_has_the_color_of_the_mode_that_ran():
     route = [(2.0 * k, 0.0) for k in range(10)]
     beside = [(x, 4.0) for x, _ in route]
@@ -171,22 +164,6 @@ def test_a_picture_does_not_depend_on_later_epochs():
     short = played(20, seed=3, episode_steps=21)
     long = played(20, seed=3, episode_steps=60)
     np.testing.assert_array_equal(short.render(), long.render())
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        {"scene": "o1", "scenario": "vehicle"},
-        {"backend": "filterpy"},
-        pytest.param({"beliefs": "per-mode", "odometry": True}, marks=pytest.mark.slow),
-    ],
-    ids=str,
-)
-def test_every_kind_of_episode_can_be_drawn(arguments):
-    if "backend" in arguments:
-        pytest.importorskip("filterpy")
-    env = played(5, seed=1, **arguments)
-    assert near(env.render()[20:280], LIGHT.truth).sum() > 20
 
 
 def test_an_estimate_that_is_not_finite_can_be_drawn():

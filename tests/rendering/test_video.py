@@ -112,18 +112,3 @@ def test_errors_side_by_side_have_the_same_scale():
     np.testing.assert_array_equal(of_near, of_far)
     alone = Picture(["ekf"], 480, "light", "near").draw(near)
     assert (alone[ticks] != of_near).any()
-
-
-def test_strips_side_by_side_are_at_the_same_height_for_any_number_of_modes():
-    many = [f"mode {number}" for number in range(9)]
-    whole = Playback([leaving(1.0)] * 2, [["ekf"], many], ["one", "two"], 480, "light").draw(5)
-    few = whole[240:420, 20:480]
-    more = whole[240:420, 500:]
-    np.testing.assert_array_equal(few, more)
-
-
-def test_a_title_changes_only_the_top_line_of_a_picture():
-    rule = Picture(["ekf"], title="rule").draw(leaving(1.0))
-    ppo = Picture(["ekf"], title="ppo").draw(leaving(1.0))
-    differs = (rule != ppo).any(axis=(1, 2))
-    assert differs[:24].any() and not differs[24:].any()
