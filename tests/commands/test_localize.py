@@ -6,7 +6,6 @@ import shlex
 
 import numpy as np
 import pytest
-from scipy.interpolate import CubicSpline
 
 from experiments.console.main import run
 from mmwave_env.filters.bank import best_bank, default_modes, robust
@@ -100,23 +99,6 @@ def test_the_figures_equal_those_of_evo(tmp_path, track, known):
     expected = evo_figures(part, out, 10)
     assert [row["ate_m"], row["rmse_m"], row["rpe_m"]] == pytest.approx(expected, abs=1e-6)
     assert list(results["tracks"]) == (["filtered", "smoothed"] if not switch else ["filtered"])
-
-
-def at_another_rate(folder, path, rate_hz):
-    """Write a shipped true track at another rate."""
-    truth = read_tum(folder / "truth.tum")
-    time = np.arange(truth.time_s[0] + 0.003, truth.time_s[-1], 1.0 / rate_hz)
-    position = CubicSpline(truth.time_s, truth.position_m)(time)
-    path.write_text(tum_lines(time, position))
-    return path
-
-
-@pytest.mark.parametrize("rate_hz", [1.0, 100.0])
-def test_the_error_does_not_depend_on_the_rate_of_the_truth(capsys, tmp_path, rate_hz):
-    truth = at_another_rate(RIDE, tmp_path / "truth.tum", rate_hz)
-    results = figures(RIDE, "--speed", "10", "--radio", "standard", "--truth", truth, truth=False)
-    assert results["truth"]["tracks"]["smoothed"]["ate_m"] == pytest.approx(0.0625, abs=0.0025)
-    assert capsys.readouterr().err == ""
 
 
 def test_the_printed_figures_equal_those_in_the_json_file(capsys, tmp_path):

@@ -24,7 +24,6 @@ def packed(P):
 @pytest.mark.parametrize("dt", [0.1, 1.0, 3.0])
 def test_smoothing_a_linear_model_equals_filterpy(dt):
     rng = np.random.default_rng(0)
-    epochs = 60
     root = rng.normal(size=(7, 7))
     kf = KalmanFilter(7, 4)
     kf.F = textbook.F(dt)
@@ -33,27 +32,11 @@ def test_smoothing_a_linear_model_equals_filterpy(dt):
     kf.R = np.diag([0.5, 1.0, 2.0, 4.0])
     kf.x = rng.normal(size=(7, 1))
     kf.P = 10.0 * np.eye(7)
-    x = []
-    P = []
-    x_predicted = []
-    P_predicted = []
-    for t in range(epochs):
-        if t:
-            kf.predict()
-        x_predicted.append(kf.x.copy())
-        P_predicted.append(kf.P.copy())
-        kf.update(rng.normal(0.0, 5.0, (4, 1)))
-        x.append(kf.x.copy())
-        P.append(kf.P.copy())
-    expected_x, expected_P, *_ = kf.rts_smoother(np.array(x), np.array(P))
-
-    found_x, found_P = smooth(
-        np.array(x)[None, ..., 0],
-        packed(np.array(P))[None],
-        np.array(x_predicted)[None, ..., 0],
-        packed(np.array(P_predicted))[None],
-        np.full(epochs - 1, dt),
-    )
+    x, P, x_predicted, P_predicted = kf.batch_filter(rng.normal(0.0, 5.0, (60, 4, 1)))
+    expected_x, expected_P, *_ = kf.rts_smoother(x, P)
+    filtered = x[None, ..., 0], packed(P)[None]
+    predicted = x_predicted[None, ..., 0], packed(P_predicted)[None]
+    found_x, found_P = smooth(*filtered, *predicted, np.full(59, dt))
     np.testing.assert_allclose(found_x[0], expected_x[..., 0], rtol=TOLERANCE, atol=TOLERANCE)
     np.testing.assert_allclose(unpacked(found_P[0]), expected_P, rtol=TOLERANCE, atol=TOLERANCE)
 

@@ -13,7 +13,7 @@ from mmwave_env.interface.observation import Observation
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import TUNED_RADIOS
 from mmwave_env.world.episode import blank_incoming
-from policies import FixedMode, LikelihoodRule, SpeedRule
+from policies import LikelihoodRule, SpeedRule
 from policies.rules import by_odometry_speed, by_predicted_speed
 from tests.filters.tracks import street_source
 
@@ -36,15 +36,6 @@ def observe(table, **features):
         (mean, deviation) = feature.scale
         observation[:, i] = (np.clip(values, feature.low, feature.high) - mean) / deviation
     return observation.astype(np.float32)
-
-
-@pytest.mark.parametrize("n", [1, 5])
-def test_a_policy_maps_a_batch_of_observations_to_a_batch_of_actions(table, n):
-    for policy in (FixedMode(1), SpeedRule(table), LikelihoodRule(table, list(THREE))):
-        policy.reset(np.ones(n, bool))
-        actions = policy.act(np.zeros((n, len(table)), np.float32))
-        assert actions.shape == (n,) and actions.dtype == np.int64
-        assert ((actions >= 0) & (actions < 3)).all()
 
 
 @pytest.mark.parametrize("threshold", [0.0, 0.5, 7.3])
