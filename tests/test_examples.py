@@ -30,6 +30,7 @@ from mmwave_env.task import task_from
 from mmwave_env.world.episode import columns_of
 from mmwave_env.world.keys import keys_of
 from tests.cli import environment
+from tests.datasets.deepmimo.scenarios import rays
 from tests.paths import RECORDINGS, ROOT, json_in, loaded
 
 FOLDER = ROOT / "examples"
@@ -265,7 +266,7 @@ def test_sumo_makes_traffic(tmp_path):
 # --- ray tracing
 
 STATION = np.array([-5.0, 4.0, 6.0])
-WALL_Y = 10.0
+WALL = (np.array([0.0, 1.0, 0.0]), 10.0)  # normal and offset of the plane y = 10
 USERS = np.column_stack([np.linspace(0.0, 20.0, 21), np.full(21, -2.0), np.full(21, 1.5)])
 
 
@@ -275,25 +276,24 @@ def sionna_paths(users_m, hidden=()):
     Axes are [receiver, transmitter, path]; arrays of interactions have a depth axis before these.
     The line of sight is the second path; hidden receivers lack it.
     """
-    image = STATION * [1, -1, 1] + [0, 2 * WALL_Y, 0]
-    share = (WALL_Y - users_m[:, 1]) / (image[1] - users_m[:, 1])
-    bounce = users_m + share[:, None] * (image - users_m)
-    station = np.broadcast_to(STATION, users_m.shape)
-    aim_r = np.stack([bounce, station], axis=1) - users_m[:, None]
-    aim_t = np.stack([bounce, users_m], axis=1) - STATION
-    length = np.linalg.norm(np.stack([image - users_m, STATION - users_m], axis=1), axis=-1)
+    aim, length, bounce = rays(STATION, users_m, [WALL])
+    length = length[:, ::-1]
     valid = np.ones((len(users_m), 1, 2), bool)
     valid[list(hidden), 0, 1] = False
     angles = {}
-    for end, aim in (("r", aim_r), ("t", aim_t)):
-        x, y, z = np.moveaxis(aim, -1, 0)
+    for end, unit in zip("rt", aim[:, :, ::-1], strict=True):
+        x, y, z = np.moveaxis(unit, -1, 0)
         angles[f"phi_{end}"] = np.arctan2(y, x)[:, None]
         angles[f"theta_{end}"] = np.arctan2(np.hypot(x, y), z)[:, None]
     gain = (1e-3 / length)[:, None, None, None]
-    vertices = np.stack([bounce, np.zeros_like(bounce)], axis=1)[:, None]
     kinds = np.broadcast_to([1, 0], (1, len(users_m), 1, 2))
     tau = (length / SPEED_OF_LIGHT)[:, None]
-    paths = {"a": (gain, 0.0 * gain), "tau": tau, "valid": valid, "vertices": vertices[None]}
+    paths = {
+        "a": (gain, 0.0 * gain),
+        "tau": tau,
+        "valid": valid,
+        "vertices": bounce[None, :, None, ::-1],
+    }
     return SimpleNamespace(interactions=kinds, **paths, **angles)
 
 

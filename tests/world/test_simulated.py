@@ -19,6 +19,7 @@ from mmwave_env.world.simulation import RECEIVER, USER
 from mmwave_env.world.trajectory import Trajectory
 from mmwave_env.world.travel import attend, draw_phases, set_off, stride_of
 from tests.filters.tracks import around_a_block, geometry, street_source
+from tests.numerics.test_random import theirs
 from tests.paths import representative
 
 SOURCES = {
@@ -40,13 +41,8 @@ class PlainDice:
     """Random numbers from NumPy's SFC64. Normal numbers come in pairs; ``spare`` has the second."""
 
     def __init__(self, key, stream):
-        bits = np.random.SFC64(0)
-        state = bits.state
-        state["state"]["state"] = np.array([key, key, stream, 1], np.uint64)
-        bits.state = state
-        self.rng = np.random.Generator(bits)
+        self.rng = np.random.Generator(theirs(key, stream))
         self.spare = []
-        bits.random_raw(18)
 
     def uniform(self, low=0.0, high=1.0):
         return low + (high - low) * self.rng.random()
@@ -144,8 +140,8 @@ def moving_user(source, scene, dice):
     kind = int(len(choices) * dice.uniform())
     plan = plans_of(choices, streets.block_m)[kind]
     block = streets.block_m / plan.closer
-    (west, east) = streets.x_m
-    (south, north) = streets.y_m
+    west, east = streets.x_m
+    south, north = streets.y_m
     blocks = round((east - west) / block), round((north - south) / block)
     net = Net(block, *blocks, west, south, streets.height_m)
     phases = draw_phases(dice, plan.phases, T * source.dt)
