@@ -161,18 +161,10 @@ def test_a_table_that_cannot_be_written_is_refused_before_episodes_are_played(tm
     assert_one_clear_line(done, "a.csv: found a folder")
 
 
-OPTIONS = {  # name -> option of the command, equivalent argument of the environment
-    "planar": (("--planar",), {"planar": True}),
-    "odometry": (("--odometry",), {"odometry": True}),
-    "time step": (("--dt", "0.5"), {"dt": 0.5}),
-    "reward": (("--reward", "log-score"), {"reward": "log-score"}),
-}
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("option", OPTIONS)
-def test_an_option_means_the_same_as_the_argument_of_the_environment(option):
-    words, arguments = OPTIONS[option]
+def test_options_mean_the_same_as_the_arguments_of_the_environment():
+    words = ("--planar", "--odometry", "--dt", "0.5", "--reward", "log-score")
+    arguments = {"planar": True, "odometry": True, "dt": 0.5, "reward": "log-score"}
     steps = ("--policy", "fixed-ukf", "--episodes", 1, "--seed", 3, "--episode-steps", 30)
     _, content = with_json("compare", *steps, *words)
     env = gymnasium.make("MmWaveLoc-v0", episode_steps=30, **arguments)

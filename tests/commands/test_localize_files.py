@@ -147,7 +147,7 @@ def test_results_and_errors_are_reported_if_standard_output_is_closed(
     monkeypatch.setenv("PYTHONUNBUFFERED", unbuffered)
     log = tmp_path / "log.csv"
     file = tmp_path / "figures.json"
-    (ours, theirs) = os.pipe()
+    ours, theirs = os.pipe()
     os.close(ours)
     log.write_text(with_line(602, lambda l: cell(l, 2, "far") if damaged else l))
     done = started("localize", *options(log, "--speed", "1", "--json", file), stdout=theirs)

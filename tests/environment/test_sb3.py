@@ -63,8 +63,8 @@ def test_the_adapter_gives_the_same_results_as_a_dummy_vec_env(configuration):
     np.testing.assert_array_equal(ours.reset(), theirs.reset())
     for _ in range(100):
         actions = rng.integers(ours.action_space.n, size=4)
-        (*results, infos) = ours.step(actions)
-        (*expected, their_infos) = theirs.step(actions)
+        *results, infos = ours.step(actions)
+        *expected, their_infos = theirs.step(actions)
         for a, b in zip(results, expected, strict=True):
             np.testing.assert_array_equal(a, b)
             assert a.dtype == b.dtype

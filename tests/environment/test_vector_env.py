@@ -1,6 +1,5 @@
 """Tests that the vector environment obeys Gymnasium's rules and equals single environments."""
 
-import tracemalloc
 from dataclasses import replace
 
 import gymnasium as gym
@@ -264,34 +263,6 @@ def test_the_error_about_a_step_after_the_end_names_the_environments():
 def test_wrong_seeds_are_refused(seed):
     with pytest.raises((ValueError, gym.error.Error), match=r"[Ss]eed"):
         native(3, **EKF).reset(seed=seed)
-
-
-def peak_bytes(n):
-    """Return the peak memory (bytes) of Python and NumPy while n environments are stepped.
-
-    Every episode ends within these 202 steps. Resident memory is not measured: it varies by
-    megabytes, because the operating system hands out huge pages. With more than one thread, the
-    peak would depend on which jobs run at the same time.
-    """
-    tracemalloc.start()
-    try:
-        env = native(n, "NextStep", threads=1)
-        env.reset(seed=0)
-        for _ in range(202):
-            held = env.step(np.zeros(n, int))
-        del held
-        return tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
-
-
-@pytest.mark.slow
-def test_each_environment_needs_at_most_64_kb():
-    peak_bytes(512)  # compile first
-    peaks = [peak_bytes(n) for n in (512, 1024, 2048)]
-    slopes = np.diff(peaks) / (512, 1024)
-    assert slopes.max() <= 64_000
-    assert slopes[1] == pytest.approx(slopes[0], rel=0.01)
 
 
 @pytest.mark.parametrize("keys", [[1, 2], 7, [[1, 2, 3]]])

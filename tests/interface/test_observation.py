@@ -93,7 +93,7 @@ class Rollout(NamedTuple):
         """Clip values to the feature's limits and to ten standard deviations from its mean."""
         i = self.table.names.index(name)
         feature = self.table.features[i]
-        (mean, deviation) = feature.scale
+        mean, deviation = feature.scale
         reach = 10.0 * deviation
         return np.clip(np.clip(values, feature.low, feature.high), mean - reach, mean + reach)
 

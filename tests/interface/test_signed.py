@@ -96,8 +96,8 @@ def turned(episode, angle, offset):
 def test_features_do_not_depend_on_place_or_direction(episodes, angle, offset):
     actions = random_actions()
     moved = [turned(episode, angle, np.array([*offset, 5.0])) for episode in episodes]
-    (before, _) = played(episodes, actions)
-    (after, _) = played(moved, actions)
+    before, _ = played(episodes, actions)
+    after, _ = played(moved, actions)
     np.testing.assert_allclose(after, before, atol=2e-4)
 
 

@@ -33,7 +33,7 @@ def observe(table, **features):
     for name, values in columns.items():
         i = table.names.index(name)
         feature = table.features[i]
-        (mean, deviation) = feature.scale
+        mean, deviation = feature.scale
         observation[:, i] = (np.clip(values, feature.low, feature.high) - mean) / deviation
     return observation.astype(np.float32)
 

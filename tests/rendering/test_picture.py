@@ -181,12 +181,6 @@ def test_any_name_and_any_title_can_be_drawn(name):
     assert picture.shape == (480, 480, 3)
 
 
-def test_a_legend_of_eight_modes_shows_every_color():
-    shown = drawn([f"mode {i}" for i in range(8)])[-40:]
-    for color in LIGHT.modes[:8]:
-        assert near(shown, color).sum() >= 80
-
-
 @pytest.mark.parametrize(
     ("name", "value"),
     [("render_mode", "ansi"), ("render_size", 479), ("render_size", 481), ("render_theme", "blue")],

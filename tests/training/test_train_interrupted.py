@@ -82,15 +82,6 @@ def test_an_interrupted_training_goes_on(tmp_path):
     assert_goes_on(job_of(tmp_path))
 
 
-def test_training_runs_with_different_seeds_differ(tmp_path):
-    contents = set()
-    for seed in range(2):
-        job = job_of(tmp_path / str(seed), seed=seed)
-        train(job, silent)
-        contents.add((job.folder / "latest.safetensors").read_bytes())
-    assert len(contents) == 2
-
-
 # --- processes
 
 
