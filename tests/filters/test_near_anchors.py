@@ -55,7 +55,7 @@ def test_an_update_near_an_anchor_equals_the_textbook(algorithm, where, odometry
 @everywhere
 def test_jacobian_rows_of_undefined_angles_are_zero_and_other_rows_are_derivatives(where):
     problem = near(where)
-    (_, lost) = OFFSETS[where]
+    _, lost = OFFSETS[where]
     s = problem.sensor
     x = problem.x
     silent = SILENT.get(lost, [])
