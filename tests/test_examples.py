@@ -16,6 +16,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from experiments.evaluation.compare import compare
 from experiments.evaluation.protocol import sites
@@ -238,8 +239,8 @@ def test_trips_are_written_as_trajectories_from_which_episodes_are_drawn(tmp_pat
     ):
         assert part in text
     car, walker = read_ways(tmp_path / "ways.csv").trajectories
-    np.testing.assert_array_equal(car.time_s, np.arange(91.0))
-    np.testing.assert_array_equal(car.position_m[[0, -1]], [[60, -40, 1.5], [150, -40, 1.5]])
+    assert_array_equal(car.time_s, np.arange(91.0))
+    assert_array_equal(car.position_m[[0, -1]], [[60, -40, 1.5], [150, -40, 1.5]])
     source = task_from(scenario=tmp_path / "ways.csv", episode_steps=60).source
     names = {source.sample(np.random.default_rng(seed)).name for seed in range(9)}
     assert names == {car.name, walker.name}
@@ -307,15 +308,15 @@ def test_traced_paths_are_written_to_a_folder_and_read_back(tmp_path):
     track = np.hstack([USERS, velocity])
     raytrace.write_folder(tmp_path / "way", arrays, 28e9, STATION, 0.1 * np.arange(21), track)
     recording = read_deepmimo(tmp_path / "way")
-    np.testing.assert_allclose(recording.anchors_m, [STATION, [-5.0, 16.0, 6.0]], atol=1e-4)
+    assert_allclose(recording.anchors_m, [STATION, [-5.0, 16.0, 6.0]], atol=1e-4)
     assert recording.visible[:, 0].tolist() == [row != 3 for row in range(21)]
     assert recording.visible[:, 1].all()
-    np.testing.assert_array_equal(recording.velocity_mps, velocity)
+    assert_array_equal(recording.velocity_mps, velocity)
     direct = np.linalg.norm(USERS - STATION, axis=1)
     sight = recording.visible[:, 0]
-    np.testing.assert_allclose(recording.measurement[sight, 0], direct[sight], atol=1e-4)
+    assert_allclose(recording.measurement[sight, 0], direct[sight], atol=1e-4)
     loss = 20.0 * np.log10(1e-3 / direct[sight])
-    np.testing.assert_allclose(recording.path_gain_db[sight, 0], loss, atol=1e-4)
+    assert_allclose(recording.path_gain_db[sight, 0], loss, atol=1e-4)
     assert len(task_from(episodes=tmp_path / "way").source.sample(np.random.default_rng(0))) == 21
 
 
@@ -326,6 +327,6 @@ def test_tracing_a_shipped_recording_again_gives_the_same_measurements(tmp_path)
     run(FOLDER / "raytrace.py", shipped / "trajectory.csv", tmp_path / "again", cwd=tmp_path)
     again = read_deepmimo(tmp_path / "again")
     expected = read_deepmimo(shipped)
-    np.testing.assert_array_equal(again.visible, expected.visible)
+    assert_array_equal(again.visible, expected.visible)
     rows = np.repeat(expected.visible, [4, 4, 4, 1], axis=1)
-    np.testing.assert_allclose(again.measurement[rows], expected.measurement[rows], atol=1e-4)
+    assert_allclose(again.measurement[rows], expected.measurement[rows], atol=1e-4)

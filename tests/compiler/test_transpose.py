@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
 
 from mmwave_env.compiler import lanes as tiles
 from mmwave_env.compiler.lanes import WIDTH
@@ -43,7 +44,7 @@ def test_gather_reads_every_lane_from_its_own_address(gather, count, seed):
     expected = block.copy()
     expected[:count] = table[::-1, :count].T
     gather(block, addresses(table), count)
-    np.testing.assert_array_equal(block, expected)
+    assert_array_equal(block, expected)
 
 
 @pytest.mark.parametrize(
@@ -63,7 +64,7 @@ def test_scatter_writes_the_rows_and_nothing_else(scatter, dtype, rows, seed):
     expected = room.copy()
     expected[::-1, : len(rows)] = block[rows].T
     scatter(block, np.array(rows, np.int64), addresses(room))
-    np.testing.assert_array_equal(room, expected)
+    assert_array_equal(room, expected)
 
 
 USERS = """

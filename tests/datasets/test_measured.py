@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.datasets.measured import MeasuredTrack
 from mmwave_env.datasets.recorded import Recording
@@ -112,8 +113,8 @@ def test_seeds_change_the_prior_and_nothing_else():
     first = source.sample(generator(5))
     same = source.sample(generator(5))
     other = source.sample(generator(6))
-    np.testing.assert_array_equal(first.table(), other.table())
-    np.testing.assert_array_equal(first.prior_mean, same.prior_mean)
+    assert_array_equal(first.table(), other.table())
+    assert_array_equal(first.prior_mean, same.prior_mean)
     assert (first.prior_mean[:6] != other.prior_mean[:6]).all() and first.prior_mean[6] == 0.0
     truth = [*first.truth_position_m[0], *first.truth_velocity_mps[0]]
     deviation = np.sqrt(np.diag(first.prior_covariance))[:6]
@@ -140,7 +141,7 @@ def test_stretches_are_runs_of_epochs_with_known_truth_and_without_a_gap(known, 
         assert together == (inside[i] and inside[i + 1] and not any(r.stop == i + 1 for r in runs))
     velocity = velocity_of(time, position, GAP_S)
     assert (np.isfinite(velocity).all(axis=1) == inside).all()
-    np.testing.assert_allclose(velocity[inside] - [1.0, -2.0, 0.5], 0.0, atol=1e-9)
+    assert_allclose(velocity[inside] - [1.0, -2.0, 0.5], 0.0, atol=1e-9)
 
 
 def broken():
@@ -196,9 +197,9 @@ def test_a_recording_can_be_made_from_arrays():
     gain = {"path_gain_db": np.where(visible, true.path_gain_db, np.nan)}
     own = same | gain | links(true, visible)
     recording = Recording.from_arrays(**own, velocity_mps=true.velocity_mps)
-    np.testing.assert_array_equal(recording.visible, true.visible)
+    assert_array_equal(recording.visible, true.visible)
     at = shown(true)
-    np.testing.assert_allclose(recording.measurement[at], true.measurement[at], rtol=1e-12)
+    assert_allclose(recording.measurement[at], true.measurement[at], rtol=1e-12)
     assert recording.scene == true.scene
     by_differences = Recording.from_arrays(**own)
     assert abs(by_differences.velocity_mps - true.velocity_mps).max() < 0.5

@@ -4,6 +4,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.engines.engine import run_imm
@@ -35,8 +36,8 @@ def test_rewards_errors_and_nees_follow_from_the_belief(episodes):
         x, P, earned, error, nees = (parts[name][e, t] for name in names)
         truth = episodes[e].truth_position_m[t]
         P = unpacked(P)
-        np.testing.assert_allclose(error, x[:3] - truth, atol=1e-12)
-        np.testing.assert_allclose(nees, error @ np.linalg.solve(P[:3, :3], error))
+        assert_allclose(error, x[:3] - truth, atol=1e-12)
+        assert_allclose(nees, error @ np.linalg.solve(P[:3, :3], error))
         belief = Belief(x.tolist(), P.tolist())
         paid = total(terms_of(reward, belief, [*truth, 0.0, 0.0, 0.0]))
         assert earned == pytest.approx(paid)
@@ -51,7 +52,7 @@ def test_an_episode_gives_the_same_results_alone_as_in_a_batch(episodes):
     for e, length in enumerate(lengths):
         alone = imm([episodes[e]], "x", "nees")
         for name, values in alone.items():
-            np.testing.assert_array_equal(together[name][e, :length], values[0, :length])
+            assert_array_equal(together[name][e, :length], values[0, :length])
 
 
 @pytest.mark.parametrize(

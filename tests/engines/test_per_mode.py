@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.engines.engine import run_imm
 from mmwave_env.filters import Mode, Pipeline
@@ -41,7 +42,7 @@ def test_trusting_no_mode_equals_the_imm(radio, dt):
     ours = played(bank, episodes, np.zeros((9, 200), int), "x", "P", "reward", "nees")
     expected = run_imm(bank, TrackingReward(), episodes, *ours)
     for name, values in ours.items():
-        np.testing.assert_allclose(values, expected[name], rtol=1e-10, atol=1e-10, err_msg=name)
+        assert_allclose(values, expected[name], rtol=1e-10, atol=1e-10, err_msg=name)
 
 
 @pytest.mark.parametrize(("dt", "nis_quantile", "off_m"), [(1.0, 1.0, 90.0), (0.25, 0.99, 0.0)])
@@ -74,11 +75,11 @@ def test_a_mixture_and_trust_in_its_modes_equal_the_textbook(dt, nis_quantile, o
         transitions = [np.eye(2) + s * (T_ij - np.eye(2)) for s in step]
         x, P, probability = textbook_imm(episode, modes, transitions, nis_quantile, change)
         sigma = np.sqrt(np.einsum("...ii->...i", P))
-        np.testing.assert_allclose((ours["x"][e] - x) / sigma, 0.0, atol=1e-8)
+        assert_allclose((ours["x"][e] - x) / sigma, 0.0, atol=1e-8)
         scale = sigma[..., :, None] * sigma[..., None, :]
-        np.testing.assert_allclose((unpacked(ours["P"][e]) - P) / scale, 0.0, atol=1e-8)
-        np.testing.assert_allclose(ours["mode_probabilities"][e], probability, rtol=1e-7, atol=1e-9)
-        np.testing.assert_array_equal(ours["memory.mode"][e], probability.argmax(axis=1))
+        assert_allclose((unpacked(ours["P"][e]) - P) / scale, 0.0, atol=1e-8)
+        assert_allclose(ours["mode_probabilities"][e], probability, rtol=1e-7, atol=1e-9)
+        assert_array_equal(ours["memory.mode"][e], probability.argmax(axis=1))
 
 
 def test_simd_kernels_and_plain_python_agree():
@@ -88,4 +89,4 @@ def test_simd_kernels_and_plain_python_agree():
     lanes = played(BANK, episodes, actions, *names, on_floats=False)
     floats = played(BANK, episodes, actions, *names, on_floats=True)
     for name in names:
-        np.testing.assert_allclose(floats[name], lanes[name], rtol=1e-9, atol=1e-9, err_msg=name)
+        assert_allclose(floats[name], lanes[name], rtol=1e-9, atol=1e-9, err_msg=name)

@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.engines.engine import tracks_of
 from mmwave_env.engines.smoothing import smooth, smoothed_again
@@ -33,9 +34,9 @@ def test_a_replay_repeats_the_results_of_the_engine(planar, bank):
     actions = FAVORED if bank else ACTIONS
     played = track(pipeline, episodes, actions.T, T, ("error", "nees"), bank=bank)
     error, nees, smoothed = smoothed_again(pipeline, bank, EpisodeBatch.of(episodes), actions)
-    np.testing.assert_allclose(error, played["error"].swapaxes(0, 1), rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(nees, played["nees"].swapaxes(0, 1), rtol=1e-9, atol=1e-9)
-    np.testing.assert_array_equal(smoothed[:, -1], error[:, -1])
+    assert_allclose(error, played["error"].swapaxes(0, 1), rtol=1e-9, atol=1e-9)
+    assert_allclose(nees, played["nees"].swapaxes(0, 1), rtol=1e-9, atol=1e-9)
+    assert_array_equal(smoothed[:, -1], error[:, -1])
     away = [np.linalg.norm(e, axis=-1)[:, 10:].mean() for e in (smoothed, error)]
     assert away[0] < 0.9 * away[1]
 
@@ -59,7 +60,7 @@ def test_two_equal_modes_with_their_own_beliefs_are_smoothed_as_a_single_filter(
     pipeline = Pipeline(twins.modes, STREET)
     _, _, smoothed = smoothed_again(pipeline, twins, EpisodeBatch.of(episodes), FAVORED)
     expected = smoothed_errors(Pipeline((mode,), STREET), episodes)
-    np.testing.assert_allclose(smoothed, expected, rtol=1e-7, atol=1e-7)
+    assert_allclose(smoothed, expected, rtol=1e-7, atol=1e-7)
 
 
 def test_an_episode_that_ends_early_is_smoothed_back_from_its_last_epoch():
@@ -68,5 +69,5 @@ def test_an_episode_that_ends_early_is_smoothed_back_from_its_last_epoch():
     whole, *_ = replay(EpisodeBatch.of(episodes), ACTIONS[:2])
     error, nees, smoothed = replay(EpisodeBatch.of(episodes), ACTIONS[:2, :9])
     assert error.shape == smoothed.shape == (2, 9, 3) and nees.shape == (2, 9)
-    np.testing.assert_array_equal(error, whole[:, :9])
-    np.testing.assert_array_equal(smoothed[:, -1], error[:, -1])
+    assert_array_equal(error, whole[:, :9])
+    assert_array_equal(smoothed[:, -1], error[:, -1])

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.engines.engine import run_imm, tracks_of
 from mmwave_env.engines.smoothing import smooth
@@ -37,8 +38,8 @@ def test_smoothing_a_linear_model_equals_filterpy(dt):
     filtered = x[None, ..., 0], packed(P)[None]
     predicted = x_predicted[None, ..., 0], packed(P_predicted)[None]
     found_x, found_P = smooth(*filtered, *predicted, np.full(59, dt))
-    np.testing.assert_allclose(found_x[0], expected_x[..., 0], rtol=TOLERANCE, atol=TOLERANCE)
-    np.testing.assert_allclose(unpacked(found_P[0]), expected_P, rtol=TOLERANCE, atol=TOLERANCE)
+    assert_allclose(found_x[0], expected_x[..., 0], rtol=TOLERANCE, atol=TOLERANCE)
+    assert_allclose(unpacked(found_P[0]), expected_P, rtol=TOLERANCE, atol=TOLERANCE)
 
 
 def tracks(planar, n=9, epochs=120):
@@ -59,11 +60,9 @@ def test_smoothed_tracks_equal_a_plain_numpy_smoother(planar):
         expected_x, expected_P = textbook.rts(
             x[e], unpacked(P[e]), unpacked(P_predicted[e]), time_s[e], free
         )
-        np.testing.assert_allclose(found_x[e], expected_x, rtol=TOLERANCE, atol=TOLERANCE)
+        assert_allclose(found_x[e], expected_x, rtol=TOLERANCE, atol=TOLERANCE)
         block = np.ix_(range(len(x[e])), free, free)
-        np.testing.assert_allclose(
-            unpacked(found_P[e])[block], expected_P[block], rtol=1e-8, atol=TOLERANCE
-        )
+        assert_allclose(unpacked(found_P[e])[block], expected_P[block], rtol=1e-8, atol=TOLERANCE)
 
 
 @pytest.fixture(scope="module", params=[1.0, 0.1], ids=["1 s", "0.1 s"])
@@ -83,8 +82,8 @@ def test_smoothing_a_mixture_equals_plain_numpy(mixture):
     for e in range(len(x)):
         track = x[e], unpacked(P[e]), unpacked(P_predicted[e]), time_s
         expected = textbook.rts(*track, x_predicted=x_predicted[e])
-        np.testing.assert_allclose(found_x[e], expected[0], rtol=1e-7, atol=1e-7)
-        np.testing.assert_allclose(unpacked(found_P[e]), expected[1], rtol=1e-6, atol=1e-6)
+        assert_allclose(found_x[e], expected[0], rtol=1e-7, atol=1e-7)
+        assert_allclose(unpacked(found_P[e]), expected[1], rtol=1e-6, atol=1e-6)
 
 
 def test_smoothing_a_mixture_reduces_its_errors_and_its_covariances(mixture):
@@ -105,5 +104,5 @@ def test_smoothing_does_not_change_a_single_epoch():
     _, parts = tracks(planar=False)
     x, P, x_predicted, P_predicted = (part[:1, :1] for part in parts)
     smoothed_x, smoothed_P = smooth(x, P, x_predicted, P_predicted, np.empty(0))
-    np.testing.assert_array_equal(smoothed_x, x)
-    np.testing.assert_array_equal(smoothed_P, P)
+    assert_array_equal(smoothed_x, x)
+    assert_array_equal(smoothed_P, P)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.engines.engine import Engine
 from mmwave_env.filters import Mode, Pipeline
@@ -53,11 +54,11 @@ def test_filter_and_decide_are_an_environments_step_in_two_parts(episodes):
     rows = engine.program.rows(BELIEF)
     columns = after(engine)
     for actions in ACTIONS:
-        np.testing.assert_array_equal(engine.filter(), stepped.observations())
+        assert_array_equal(engine.filter(), stepped.observations())
         observations, outputs = engine.decide(actions, rows, scored=True)
         coming, expected = stepped.step(actions, stepped.program.rows(BELIEF))
-        np.testing.assert_array_equal(observations[:, columns], coming[:, columns])
-        np.testing.assert_allclose(outputs, expected, rtol=1e-12)
+        assert_array_equal(observations[:, columns], coming[:, columns])
+        assert_allclose(outputs, expected, rtol=1e-12)
 
 
 def test_a_correction_changes_the_reported_belief_and_not_the_filters(episodes):
@@ -67,12 +68,12 @@ def test_a_correction_changes_the_reported_belief_and_not_the_filters(episodes):
         engine.filter()
         _, decided = engine.decide(actions, engine.program.rows(BELIEF), scored=True)
         outputs = engine.correct(numbers, engine.program.rows(REPORTED))
-        np.testing.assert_array_equal(engine.read(engine.at.x), decided[:, :7])
-        np.testing.assert_array_equal(outputs[:, -1], decided[:, -1])
+        assert_array_equal(engine.read(engine.at.x), decided[:, :7])
+        assert_array_equal(outputs[:, -1], decided[:, -1])
         for before, number, output in zip(decided.tolist(), numbers.tolist(), outputs, strict=True):
             expected = corrected(Belief(before[:7], unpack(before[7:35])), number[:3], number[3:])
-            np.testing.assert_allclose(output[:7], expected.x, rtol=1e-12)
-            np.testing.assert_allclose(output[7:35], pack(expected.P), rtol=1e-12)
+            assert_allclose(output[:7], expected.x, rtol=1e-12)
+            assert_allclose(output[7:35], pack(expected.P), rtol=1e-12)
 
 
 class Given:
@@ -96,8 +97,8 @@ def test_corrections_in_an_environment_are_those_of_a_track_with_the_same_choice
     for actions, numbers in zip(ACTIONS, NUMBERS, strict=True):
         track.filter()
         observations, _ = track.decide(actions)
-        np.testing.assert_array_equal(environment.observations(), observations[:, after(track)])
+        assert_array_equal(environment.observations(), observations[:, after(track)])
         io = environment.io(rows)
         io.inputs[:, 0, 1:] = numbers
         environment.advance(io)
-        np.testing.assert_allclose(io.outputs[:, 0], track.correct(numbers, rows), rtol=1e-12)
+        assert_allclose(io.outputs[:, 0], track.correct(numbers, rows), rtol=1e-12)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from gymnasium.error import InvalidAction
 from gymnasium.utils.env_checker import check_env
+from numpy.testing import assert_allclose
 
 from mmwave_env.engines.tally import exceeds
 from mmwave_env.localization.position_errors import horizontal_level
@@ -109,8 +110,8 @@ def test_a_weight_of_three_has_the_effect_of_the_discrete_action_of_its_mode(dt)
     discrete = played(gym.make(ID, **options), modes)
     weights = np.vstack([np.zeros(2), 3.0 * np.eye(2)])[modes]
     weighted = played(gym.make(ID, action="weights", **options), weights)
-    np.testing.assert_allclose(rewards(weighted), rewards(discrete), atol=1e-9)
-    np.testing.assert_allclose(weighted[-1][0], discrete[-1][0], atol=1e-5)
+    assert_allclose(rewards(weighted), rewards(discrete), atol=1e-9)
+    assert_allclose(weighted[-1][0], discrete[-1][0], atol=1e-5)
 
 
 def test_corrections_change_the_reported_belief_but_not_the_filters():
@@ -125,7 +126,7 @@ def test_corrections_change_the_reported_belief_but_not_the_filters():
     assert corrected[0][1]["truth"].tolist() == imm[0][1]["truth"].tolist()
     assert env.belief().x == corrected[-1][4]["estimate"].tolist()
     for key in ("truth", "nis", "accepted", "gamma", "mode_probabilities"):
-        np.testing.assert_allclose(corrected[9][4][key], imm[9][4][key], rtol=1e-9)
+        assert_allclose(corrected[9][4][key], imm[9][4][key], rtol=1e-9)
 
 
 def test_a_paired_reward_subtracts_the_reward_of_the_uncorrected_belief():
@@ -134,7 +135,7 @@ def test_a_paired_reward_subtracts_the_reward_of_the_uncorrected_belief():
     actions = drawn(envs[0].single_action_space, 20, (3,))
     plain, paired = (rewards(played(env, actions)) for env in envs)
     before = rewards(played(envs[0], np.zeros_like(actions)))
-    np.testing.assert_allclose(paired, plain - before, atol=1e-5)
+    assert_allclose(paired, plain - before, atol=1e-5)
 
 
 @pytest.mark.torch

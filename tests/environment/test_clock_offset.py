@@ -6,6 +6,7 @@ from itertools import groupby
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.datasets.samples import recording_from, sample_folder, source_from
 from mmwave_env.engines.engine import run_imm
@@ -61,9 +62,7 @@ def bias_of(synchronized, offset):
     change = (offset.measurement - synchronized.measurement)[:, ranges]
     measured = synchronized.usable[:, : offset.layout.anchors] & np.isfinite(change)
     largest = np.where(measured, change, -np.inf).max(axis=1)
-    np.testing.assert_allclose(
-        change[measured], np.broadcast_to(largest[:, None], measured.shape)[measured]
-    )
+    assert_allclose(change[measured], np.broadcast_to(largest[:, None], measured.shape)[measured])
     return np.where(measured.any(axis=1), largest, np.nan)
 
 
@@ -76,18 +75,18 @@ def test_all_ranges_get_the_same_bias_and_nothing_else_changes(arguments):
     others = np.setdiff1d(np.arange(layout.size), np.arange(0, layout.doppler, 4))
     for field in ("measurement", "sigma"):
         pairs = (getattr(episode, field)[:, others] for episode in (offset, synchronized))
-        np.testing.assert_array_equal(*pairs)
+        assert_array_equal(*pairs)
     for field in ("visible", "snr_db", "truth_position_m", "doppler_spread_hz"):
-        np.testing.assert_array_equal(getattr(offset, field), getattr(synchronized, field))
-    np.testing.assert_array_equal(offset.prior_mean, [*synchronized.prior_mean, 0.0])
+        assert_array_equal(getattr(offset, field), getattr(synchronized, field))
+    assert_array_equal(offset.prior_mean, [*synchronized.prior_mean, 0.0])
     P = np.diag([*np.diag(synchronized.prior_covariance), SIGMA_M**2])
-    np.testing.assert_allclose(offset.prior_covariance, P)
+    assert_allclose(offset.prior_covariance, P)
 
 
 def test_no_offset_is_added_to_the_ranges_of_a_log():
     synchronized, offset = pair(episodes=sample_folder("canyon28_vehicle"))
-    np.testing.assert_array_equal(offset.measurement, synchronized.measurement)
-    np.testing.assert_array_equal(offset.prior_mean, [*synchronized.prior_mean, 0.0])
+    assert_array_equal(offset.measurement, synchronized.measurement)
+    assert_array_equal(offset.prior_mean, [*synchronized.prior_mean, 0.0])
 
 
 def biases(n, **arguments):
@@ -152,8 +151,8 @@ def test_smoothed_tracks_equal_the_textbook(planar):
             x[e], unpacked(P[e]), unpacked(P_predicted[e]), time_s, free, None, hz_per_mps
         )
         for smoothed_x, smoothed_P in (smoothed, by_modes):
-            np.testing.assert_allclose(smoothed_x[e], expected_x, rtol=1e-7, atol=1e-7)
-            np.testing.assert_allclose(unpacked(smoothed_P[e]), expected_P, rtol=1e-6, atol=1e-7)
+            assert_allclose(smoothed_x[e], expected_x, rtol=1e-7, atol=1e-7)
+            assert_allclose(unpacked(smoothed_P[e]), expected_P, rtol=1e-6, atol=1e-7)
 
 
 def test_an_invalid_clock_and_a_clock_that_cannot_be_estimated_are_refused():
@@ -209,7 +208,7 @@ def test_a_live_track_equals_the_track_of_the_whole_log(ride):
         ]
     live = [tracker.update(epoch) for _, epoch in groupby(rows, key=lambda row: row["time_s"])]
     positions = [[*p.position_m, *p.velocity_mps, p.clock_m] for p in live if p]
-    np.testing.assert_array_equal(positions, x[:, [0, 1, 2, 3, 4, 5, 7]])
+    assert_array_equal(positions, x[:, [0, 1, 2, 3, 4, 5, 7]])
     assert tracker.smoothed().clock_sigma_m < live[-1].clock_sigma_m
 
 

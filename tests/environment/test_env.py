@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from gymnasium.error import InvalidAction, ResetNeeded
 from gymnasium.utils.env_checker import check_env
+from numpy.testing import assert_allclose, assert_array_equal
 
 import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.engines.engine import tracks_of
@@ -196,10 +197,10 @@ def test_infos_contain_the_truth_and_the_prior_of_the_episode():
     env = gym.make(ID, **EKF)
     _, info = env.reset(seed=9)
     assert info["episode_name"] == episode.name
-    np.testing.assert_array_equal(info["estimate"], episode.prior_mean)
+    assert_array_equal(info["estimate"], episode.prior_mean)
     states = np.hstack([episode.truth_position_m, episode.truth_velocity_mps])
-    np.testing.assert_array_equal(info["truth"], states[0])
-    np.testing.assert_array_equal([i["truth"] for *_, i in roll(env, seed=9)], states)
+    assert_array_equal(info["truth"], states[0])
+    assert_array_equal([i["truth"] for *_, i in roll(env, seed=9)], states)
 
 
 @pytest.mark.parametrize("planar", [False, True])
@@ -242,7 +243,7 @@ def test_the_height_is_constant_on_flat_terrain(odometry):
     for seed in range(5):
         env.reset(seed=seed)
         for *_, info in roll(env, seed=seed):
-            np.testing.assert_allclose(info["estimate"][[2, 5]], [1.5, 0.0], atol=1e-12)
+            assert_allclose(info["estimate"][[2, 5]], [1.5, 0.0], atol=1e-12)
     assert info["nees"] < 1e3
 
 

@@ -3,6 +3,7 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.datasets.samples import recording_from, sample_folder, source_from
 from mmwave_env.filters import Mode, ekf
@@ -37,13 +38,13 @@ def test_the_measured_rows_equal_the_rows_of_the_complete_episode(arguments, sub
     layout = some.layout
     assert layout == Layout(whole.layout.anchors, whole.layout.odometry, partial=True)
     seen = np.repeat(whole.usable, whole.layout.widths, axis=1) & rows_of(subset, layout)
-    np.testing.assert_array_equal(np.isfinite(some.measurement), seen)
-    np.testing.assert_array_equal(some.measurement[seen], whole.measurement[seen])
-    np.testing.assert_allclose(some.sigma[seen], whole.sigma[seen], rtol=1e-12)
+    assert_array_equal(np.isfinite(some.measurement), seen)
+    assert_array_equal(some.measurement[seen], whole.measurement[seen])
+    assert_allclose(some.sigma[seen], whole.sigma[seen], rtol=1e-12)
     starts = [group.start for group in layout.groups]
-    np.testing.assert_array_equal(some.usable, np.logical_or.reduceat(seen, starts, axis=1))
+    assert_array_equal(some.usable, np.logical_or.reduceat(seen, starts, axis=1))
     for field in ("truth_position_m", "truth_velocity_mps", "prior_mean", "doppler_spread_hz"):
-        np.testing.assert_array_equal(getattr(some, field), getattr(whole, field))
+        assert_array_equal(getattr(some, field), getattr(whole, field))
     assert some.nonfinite == 0
 
 
@@ -81,10 +82,10 @@ def test_every_receiver_works_with_own_algorithms_filterpy_and_paired_rewards(na
     asked = {"episode_steps": 20} | TASKS[name]
     lanes = played(**asked, modes=["ekf"], backend="lanes")[0]
     twin = played(**asked, modes=["ekf"], backend="filterpy")[0]
-    np.testing.assert_allclose(twin, lanes, rtol=1e-6, atol=1e-6)
+    assert_allclose(twin, lanes, rtol=1e-6, atol=1e-6)
     own = played(**asked, modes=[Mode("mine", mine)])[0]
     ours = played(**asked, modes=[Mode("mine", "ekf")])[0]
-    np.testing.assert_array_equal(own, ours)
+    assert_array_equal(own, ours)
     assert np.isfinite(played(**asked, reward="paired")[0]).all()
 
 

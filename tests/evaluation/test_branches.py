@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from experiments.evaluation import branches
 from experiments.evaluation.contenders import contender_from
@@ -51,7 +52,7 @@ def test_a_clairvoyant_with_a_long_enough_horizon_takes_the_best_action(done, mo
         engine.step(np.int64(0))
     best = rest(done, policy.act(engine.observations()))
     every = [rest(done, np.int64(action)) for action in range(len(HANDSET.modes) + 1)]
-    np.testing.assert_allclose(best, np.max(every, axis=0), rtol=1e-9)
+    assert_allclose(best, np.max(every, axis=0), rtol=1e-9)
     assert (best > every[0]).any()
 
 
@@ -64,7 +65,7 @@ def test_the_clairvoyant_earns_more_than_the_imm_and_leaves_episodes_unchanged()
     actions = run_contender(policy, policy.start(LAYOUT), EPISODES)["mode"]
     engine = begun(0)
     rewards = [engine.step(now, rows_of(engine.at.reward))[1][:, 0] for now in actions.T]
-    np.testing.assert_allclose(np.mean(rewards[10:], axis=0), knows, rtol=1e-9)
+    assert_allclose(np.mean(rewards[10:], axis=0), knows, rtol=1e-9)
 
 
 def test_the_clairvoyant_is_refused_for_episodes_without_truth():

@@ -5,6 +5,7 @@ from dataclasses import replace
 import gymnasium as gym
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 import mmwave_env  # noqa: F401  registers the environment
 from experiments.evaluation import contenders as contenders_module
@@ -33,7 +34,7 @@ def assert_equal(scores, expected):
     assert scores.keys() == expected.keys()
     for name, rows in scores.items():
         for metric in METRICS:
-            np.testing.assert_array_equal(rows[metric], expected[name][metric])
+            assert_array_equal(rows[metric], expected[name][metric])
 
 
 @pytest.mark.parametrize("beliefs", BELIEFS)
@@ -189,7 +190,7 @@ def test_a_corrector_that_corrects_nothing_has_the_scores_of_its_imm(tmp_path, s
     ours = score(mine, mine.start(SOURCE.layout), short)
     theirs = score(IMM, IMM.start(SOURCE.layout), short)
     for metric, values in theirs.items():
-        np.testing.assert_allclose(ours[metric], values, rtol=1e-9, atol=1e-9)
+        assert_allclose(ours[metric], values, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.slow
@@ -199,13 +200,13 @@ def test_errors_and_nees_belong_to_the_corrected_beliefs(tmp_path, short):
     plain = run_contender(IMM, IMM.start(SOURCE.layout), short)
     truth = np.stack([episode.truth_position_m for episode in short])
     error = results["x"][..., :3] - truth
-    np.testing.assert_allclose(results["error"], error, atol=1e-9)
+    assert_allclose(results["error"], error, atol=1e-9)
     P = np.zeros((*error.shape, 3))
     i, j = np.tril_indices(3)
     P[..., i, j] = P[..., j, i] = results["P"][..., :6]
     nees = np.einsum("nti,ntij,ntj->nt", error, np.linalg.inv(P), error)
-    np.testing.assert_allclose(results["nees"], nees, rtol=1e-6)
+    assert_allclose(results["nees"], nees, rtol=1e-6)
     length = np.minimum(np.linalg.norm(error, axis=-1), 10.0)
     odd = np.minimum(np.abs(np.log(np.maximum(nees, 1e-12) / 3.0)), 3.0)
-    np.testing.assert_allclose(results["reward"], -length - 0.2 * odd, atol=1e-6)
+    assert_allclose(results["reward"], -length - 0.2 * odd, atol=1e-6)
     assert (results["error"] != plain["error"]).any(axis=-1).mean() > 0.9

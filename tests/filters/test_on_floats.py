@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 from scipy.stats import chi2
 
 from mmwave_env.filters import Gate, Mode, Pipeline, imm, memory, predict_update, textbook
@@ -80,8 +81,8 @@ def test_an_epoch_of_a_mode_equals_the_textbook(mode, lockout, data):
     belief = problem.x.tolist(), pack(problem.P.tolist())
     result = predict_update(Pipeline((mode,), layout), mode, *belief, before, epoch, site)
     assert_same(result._replace(P=unpacked(np.array(result.P))), expected)
-    np.testing.assert_allclose(result.x_predicted, x, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(unpacked(np.array(result.P_predicted)), P, rtol=1e-9, atol=1e-9)
+    assert_allclose(result.x_predicted, x, rtol=1e-12, atol=1e-12)
+    assert_allclose(unpacked(np.array(result.P_predicted)), P, rtol=1e-9, atol=1e-9)
     within = expected.nis[:2] <= (np.inf if mode.gate is None else chi2.ppf(mode.gate, 4))
     passed = problem.visible[:2] & (within | mode.robust)
     assert result.passed == passed.sum()
@@ -95,7 +96,7 @@ def test_a_blockage_aware_mode_inflates_the_noise_of_a_link_with_low_snr(now_db,
     epoch = Epoch(1.0, [0.0] * 5, [2.0] * 5, [1.0, 1.0], [now_db], 0.0)
     site = Site([[0.0, 0.0, 6.0]], HZ_PER_MPS, [0.0] * 7, [])
     variance = measurement_of(mode, before, epoch, site, layout).variance
-    np.testing.assert_allclose(variance, [4.0 * factor] * 4 + [4.0])
+    assert_allclose(variance, [4.0 * factor] * 4 + [4.0])
 
 
 def outcome(nis, accepted, passed=0.0, log_likelihood=0.0, x=(0.0,) * 7):
@@ -141,8 +142,8 @@ def test_the_prediction_of_a_mixture_has_the_moments_of_its_modes_and_their_mane
         shifts = np.array([result.x_predicted for result in now.results]) - moved
         each = unpacked(np.array([result.P_predicted for result in now.results]))
         covariance = np.einsum("m,mij->ij", weights, each) + spread(weights, moved)
-        np.testing.assert_allclose(x, weights @ (moved + shifts), rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(
+        assert_allclose(x, weights @ (moved + shifts), rtol=1e-9, atol=1e-9)
+        assert_allclose(
             unpacked(np.array(P)), covariance + spread(weights, shifts), rtol=1e-9, atol=1e-9
         )
 
@@ -153,15 +154,15 @@ def spread(weights, points):
 
 
 def test_the_stay_matrix_gives_all_changes_of_the_mode_the_same_probability():
-    np.testing.assert_allclose(imm.stay_matrix(3), 0.025 + 0.925 * np.eye(3))
+    assert_allclose(imm.stay_matrix(3), 0.025 + 0.925 * np.eye(3))
     assert imm.stay_matrix(1) == [[1.0]]
 
 
 def test_transition_probabilities_per_second_are_scaled_to_shorter_steps():
     matrix = [[0.9, 0.1], [0.4, 0.6]]
-    np.testing.assert_allclose(imm.over_step(matrix, 0.25), [[0.975, 0.025], [0.1, 0.9]])
+    assert_allclose(imm.over_step(matrix, 0.25), [[0.975, 0.025], [0.1, 0.9]])
     for dt in (0.0, 1.0, 7.0):
-        np.testing.assert_allclose(imm.over_step(matrix, dt), matrix)
+        assert_allclose(imm.over_step(matrix, dt), matrix)
 
 
 def test_the_probability_of_a_mode_can_be_raised_even_from_zero():

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 from scipy.stats import chi2
 
 from experiments.evaluation.contenders import contender_from
@@ -74,7 +75,7 @@ def test_a_custom_filter_can_localize_the_user_of_a_log(iekf, tmp_path):
         log = read_log(tmp_path / "log.csv", scene)
         tracks.append(localize(log, scene, RADIOS["handset"], switching))
     own, ours = tracks
-    np.testing.assert_allclose(own.smooth_x, ours.smooth_x, rtol=1e-6, atol=1e-6)
+    assert_allclose(own.smooth_x, ours.smooth_x, rtol=1e-6, atol=1e-6)
 
 
 def test_a_custom_filter_is_evaluated_like_a_shipped_mode(iekf):
@@ -83,7 +84,7 @@ def test_a_custom_filter_is_evaluated_like_a_shipped_mode(iekf):
     both = [contender_from(name, "handset", (mine,)) for name in ("fixed-iekf", "imm")]
     scores = score_contenders(both, source, range(2))
     assert np.isfinite(scores["fixed-iekf"]["ate_m"]).all()
-    np.testing.assert_allclose(scores["imm"]["ate_m"], scores["fixed-iekf"]["ate_m"], rtol=1e-6)
+    assert_allclose(scores["imm"]["ate_m"], scores["fixed-iekf"]["ate_m"], rtol=1e-6)
 
 
 def test_the_hasty_filter_is_refused_with_the_message_that_the_page_shows(files):

@@ -5,6 +5,7 @@ from operator import attrgetter
 from types import SimpleNamespace
 
 import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.engines.engine import Engine, tracks_of
 from mmwave_env.filters import Mode, Pipeline, textbook
@@ -191,8 +192,8 @@ def assert_same_beliefs(a, b, rtol):
     Q = unpacked(b["P"])
     sigma = np.sqrt(np.einsum("...ii->...i", Q))
     known = sigma == 0.0
-    np.testing.assert_array_equal(np.where(known, a["x"] - b["x"], 0.0), 0.0)
+    assert_array_equal(np.where(known, a["x"] - b["x"], 0.0), 0.0)
     unit = np.where(known, 1.0, sigma)
-    np.testing.assert_allclose((a["x"] - b["x"]) / unit, 0.0, atol=rtol)
+    assert_allclose((a["x"] - b["x"]) / unit, 0.0, atol=rtol)
     scale = unit[..., :, None] * unit[..., None, :]
-    np.testing.assert_allclose((P - Q) / scale, 0.0, atol=rtol)
+    assert_allclose((P - Q) / scale, 0.0, atol=rtol)

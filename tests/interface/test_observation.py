@@ -7,6 +7,7 @@ from typing import NamedTuple
 import gymnasium as gym
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import chi2
 
 import mmwave_env  # noqa: F401  registers the environment
@@ -118,7 +119,7 @@ def roll(episode, **kwargs):
 
 def close(values, expected, tolerance=1e-5):
     """Assert equality up to the rounding of float32."""
-    np.testing.assert_allclose(values, expected, rtol=tolerance, atol=tolerance)
+    assert_allclose(values, expected, rtol=tolerance, atol=tolerance)
 
 
 def assert_feature(rollout, name, values, tolerance=1e-5):
@@ -133,11 +134,11 @@ def test_predicted_speed_is_the_speed_of_the_estimate(rollout):
 
 def test_nis_and_verdicts_describe_the_last_epoch(rollout):
     verdicts = rollout.info("accepted").astype(int) - rollout.info("rejected")
-    np.testing.assert_array_equal(verdicts != 0, rollout.episode.usable)
+    assert_array_equal(verdicts != 0, rollout.episode.usable)
     for g, name in enumerate(GROUPS):
         nis = np.minimum(np.log1p(rollout.info("nis")[:, g]), 10.0)
         close(rollout.read(f"NIS {name}")[1:], rollout.limited(f"NIS {name}", nis))
-        np.testing.assert_array_equal(rollout.read(f"verdict {name}")[1:], verdicts[:, g])
+        assert_array_equal(rollout.read(f"verdict {name}")[1:], verdicts[:, g])
     assert rollout.read("NIS Doppler")[0] == 0.0 == rollout.read("verdict Doppler")[0]
 
 
@@ -244,7 +245,7 @@ def test_nis_averages_forget_exponentially(rollout):
 def test_the_previous_mode_is_marked(rollout):
     ran = rollout.info("mode")
     for mode, name in enumerate(("ekf", "ukf")):
-        np.testing.assert_array_equal(rollout.read(f"previous mode {name}")[1:], ran == mode)
+        assert_array_equal(rollout.read(f"previous mode {name}")[1:], ran == mode)
 
 
 def test_lock_out_and_time_since_fix_grow_until_a_link_is_accepted(rollout):

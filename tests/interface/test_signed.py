@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.engines.engine import Engine, run_imm
 from mmwave_env.engines.smoothed_features import GATES, smoothed_features
@@ -65,7 +66,7 @@ def test_features_of_a_track_that_smoothing_did_not_change_are_those_of_the_filt
     x, P, mixtures, *gates = parts.values()
     features = smoothed_features(pipeline, EpisodeBatch.of(episodes), x, P, mixtures, gates)
     # A feature compares the heading with the previous epoch's heading; the first epoch has none.
-    np.testing.assert_allclose(features[:, 1:], observed[:, 1:], atol=1e-5)
+    assert_allclose(features[:, 1:], observed[:, 1:], atol=1e-5)
 
 
 def turned(episode, angle, offset):
@@ -98,7 +99,7 @@ def test_features_do_not_depend_on_place_or_direction(episodes, angle, offset):
     moved = [turned(episode, angle, np.array([*offset, 5.0])) for episode in episodes]
     before, _ = played(episodes, actions)
     after, _ = played(moved, actions)
-    np.testing.assert_allclose(after, before, atol=2e-4)
+    assert_allclose(after, before, atol=2e-4)
 
 
 def test_residuals_equal_the_formula_in_numpy(episodes):
@@ -123,9 +124,7 @@ def test_residuals_equal_the_formula_in_numpy(episodes):
         # A positive residual points to the left of the ray from the anchor to the user; the cosine
         # projects it onto the direction to the left of the motion.
         expected = q * np.cos(bearing - heading)
-        np.testing.assert_allclose(
-            value("azimuth residual across anchor 2", i), expected, atol=1e-4
-        )
+        assert_allclose(value("azimuth residual across anchor 2", i), expected, atol=1e-4)
 
 
 def test_features_do_not_depend_on_the_coming_epoch(episodes):
@@ -139,7 +138,7 @@ def test_features_do_not_depend_on_the_coming_epoch(episodes):
         spoiled.append(replace(episode, measurement=z))
     before = played(episodes, actions)[0]
     after = played(spoiled, actions)[0]
-    np.testing.assert_array_equal(before[:, :changed], after[:, :changed])
+    assert_array_equal(before[:, :changed], after[:, :changed])
     assert (before[:, changed] != after[:, changed]).any()
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from experiments.console.options import TUNING_SEED
 from experiments.evaluation.contenders import contender_from
@@ -42,12 +43,12 @@ def observe(table, **features):
 def test_the_speed_rule_switches_above_its_threshold(table, threshold):
     speeds = [0.0, threshold * (1.0 - 1e-6), threshold, threshold * (1.0 + 1e-6) + 1e-6, 19.9]
     actions = SpeedRule(table, threshold).act(observe(table, predicted_speed=speeds))
-    np.testing.assert_array_equal(actions, [0, 0, 0, 1, 1])
+    assert_array_equal(actions, [0, 0, 0, 1, 1])
 
 
 def test_the_threshold_of_the_paper_is_the_default(table):
     actions = SpeedRule(table).act(observe(table, predicted_speed=[1.999, 2.001]))
-    np.testing.assert_array_equal(actions, [0, 1])
+    assert_array_equal(actions, [0, 1])
 
 
 def test_the_speed_rule_warns_once_above_its_range_of_speeds_but_chooses_the_fast_mode(table):
@@ -55,9 +56,9 @@ def test_the_speed_rule_warns_once_above_its_range_of_speeds_but_chooses_the_fas
     fast = observe(table, predicted_speed=[1.0, 20.5, 35.0])
     rule.act(observe(table, predicted_speed=[19.99]))  # must not warn: a warning fails the test
     with pytest.warns(UserWarning, match="20 m/s") as caught:
-        np.testing.assert_array_equal(rule.act(fast), [0, 1, 1])
+        assert_array_equal(rule.act(fast), [0, 1, 1])
     assert len(caught) == 1
-    np.testing.assert_array_equal(rule.act(fast), [0, 1, 1])
+    assert_array_equal(rule.act(fast), [0, 1, 1])
 
 
 def test_the_likelihood_rule_chooses_the_mode_with_the_highest_preference(table):
@@ -66,7 +67,7 @@ def test_the_likelihood_rule_chooses_the_mode_with_the_highest_preference(table)
     features = {"preference_fast_ekf": scores[:, 0], "preference_fast_ukf": scores[:, 1]}
     actions = LikelihoodRule(table, list(THREE)).act(observe(table, **features))
     expected = np.column_stack([scores, np.zeros(100)]).argmax(axis=1)
-    np.testing.assert_array_equal(actions, expected)
+    assert_array_equal(actions, expected)
     assert set(actions) == {0, 1, 2}
 
 

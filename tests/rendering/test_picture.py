@@ -8,6 +8,7 @@ import gymnasium as gym
 import numpy as np
 import pygame
 import pytest
+from numpy.testing import assert_array_equal
 
 from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.models.scene import Streets
@@ -151,19 +152,19 @@ def test_an_anchor_outside_the_frame_is_shown_by_an_arrow_at_its_edge(anchor, si
 def test_the_same_history_makes_the_same_picture():
     env = played(30, scene="random")
     first = env.render()
-    np.testing.assert_array_equal(env.render(), first)
+    assert_array_equal(env.render(), first)
     twins = copy.deepcopy(env), pickle.loads(pickle.dumps(env))
     env.step(0)
     for twin in twins:
-        np.testing.assert_array_equal(twin.render(), first)
+        assert_array_equal(twin.render(), first)
         twin.step(0)
-        np.testing.assert_array_equal(twin.render(), env.render())
+        assert_array_equal(twin.render(), env.render())
 
 
 def test_a_picture_does_not_depend_on_later_epochs():
     short = played(20, seed=3, episode_steps=21)
     long = played(20, seed=3, episode_steps=60)
-    np.testing.assert_array_equal(short.render(), long.render())
+    assert_array_equal(short.render(), long.render())
 
 
 def test_an_estimate_that_is_not_finite_can_be_drawn():
@@ -255,4 +256,4 @@ def test_pictures_survive_the_end_of_pygame(end):
     env.reset(seed=0)
     before = env.render()
     {"pygame.quit": pygame.quit, "pygame.font.quit": pygame.font.quit}[end]()
-    np.testing.assert_array_equal(env.render(), before)
+    assert_array_equal(env.render(), before)

@@ -4,6 +4,7 @@ import sys
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from mmwave_env.rendering.picture import Picture, Playback
 from mmwave_env.rendering.video import require_video, write_video
@@ -57,7 +58,7 @@ def written(path, draw=square):
 def test_a_gif_has_every_picture(tmp_path):
     pytest.importorskip("PIL")
     pictures, lasts = gif(written(tmp_path / "square.gif"))
-    np.testing.assert_array_equal(pictures, [square(number) for number in range(COUNT)])
+    assert_array_equal(pictures, [square(number) for number in range(COUNT)])
     assert lasts[:-1] == [200] * (COUNT - 1) and lasts[-1] > 1000
 
 
@@ -99,7 +100,7 @@ def test_pictures_side_by_side_equal_the_single_pictures():
         for number, title in enumerate(titles):
             part = whole[:, number * 480 : (number + 1) * 480]
             alone = Picture(["ekf"], 480, "dark", title).draw(known[number], known)
-            np.testing.assert_array_equal(part[:, 4:], alone[:, 4:])  # without the gap at the left
+            assert_array_equal(part[:, 4:], alone[:, 4:])  # without the gap at the left
 
 
 def test_errors_side_by_side_have_the_same_scale():
@@ -109,6 +110,6 @@ def test_errors_side_by_side_have_the_same_scale():
     whole = Playback([near, far], [["ekf"]] * 2, ["near", "far"], 480, "light").draw(5)
     of_near = whole[:, :480][ticks]
     of_far = whole[:, 480:][ticks]
-    np.testing.assert_array_equal(of_near, of_far)
+    assert_array_equal(of_near, of_far)
     alone = Picture(["ekf"], 480, "light", "near").draw(near)
     assert (alone[ticks] != of_near).any()

@@ -7,6 +7,7 @@ separate random generators.
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.random_scene import RandomScene
@@ -208,10 +209,10 @@ def test_a_key_gives_the_episode_of_the_plain_simulation(name):
     for key, episode in zip(KEYS, source.episodes(KEYS), strict=True):
         expected = plain(source, key)
         assert episode.name == expected.name
-        np.testing.assert_allclose(episode.time_s, expected.time_s)
-        np.testing.assert_allclose(episode.site(), expected.site(), rtol=1e-12, atol=1e-9)
+        assert_allclose(episode.time_s, expected.time_s)
+        assert_allclose(episode.site(), expected.site(), rtol=1e-12, atol=1e-9)
         tables = [wrapped(e.table(), source.layout) for e in (episode, expected)]
-        np.testing.assert_allclose(*tables, rtol=1e-8, atol=1e-8)
+        assert_allclose(*tables, rtol=1e-8, atol=1e-8)
 
 
 @pytest.mark.parametrize("name", SOURCES)
@@ -222,13 +223,13 @@ def test_a_batch_equals_single_episodes_to_the_last_bit(name, threads):
     expected = EpisodeBatch.of([source.episode(int(key)) for key in KEYS])
     assert (batch.names, batch.layout) == (expected.names, expected.layout)
     for field in ("nonfinite", "length", "table", "site"):
-        np.testing.assert_array_equal(getattr(batch, field), getattr(expected, field))
+        assert_array_equal(getattr(batch, field), getattr(expected, field))
 
 
 def test_a_random_generator_draws_the_key_of_a_sample():
     source = SOURCES["jam"]
     key = np.random.default_rng(7).integers(0, 2**64, dtype=np.uint64)
-    np.testing.assert_array_equal(
+    assert_array_equal(
         source.sample(np.random.default_rng(7)).table(), source.episode(int(key)).table()
     )
 
@@ -237,5 +238,5 @@ def test_the_scene_of_a_key_equals_the_scene_of_its_episode():
     source = SOURCES["random streets"]
     for key, episode in zip(KEYS, source.episodes(KEYS), strict=True):
         scene = source.scene_of(int(key))
-        np.testing.assert_allclose(scene.anchors_m, episode.scene_anchors_m, rtol=1e-12)
+        assert_allclose(scene.anchors_m, episode.scene_anchors_m, rtol=1e-12)
     assert SOURCES["jam"].scene_of(1) is SCENES["dynamic-doppler"]

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.datasets.ways import read_trajectory, read_ways
 from mmwave_env.world.trajectory import Trajectory
@@ -34,9 +35,9 @@ def changed(row, column, value):
 def test_columns_may_be_in_any_order_and_other_columns_are_ignored(tmp_path):
     rows = [[x, "car 7", 0.1, t, 2.5, z, y, 0.0] for t, x, y, z in straight()]
     read = read_trajectory(write(tmp_path, rows, "x,id,vy,t,vx,z,y,vz"))
-    np.testing.assert_array_equal(read.time_s, np.array(straight())[:, 0])
-    np.testing.assert_array_equal(read.position_m, np.array(straight())[:, 1:])
-    np.testing.assert_array_equal(read.velocity_mps, np.tile([2.5, 0.1, 0.0], (5, 1)))
+    assert_array_equal(read.time_s, np.array(straight())[:, 0])
+    assert_array_equal(read.position_m, np.array(straight())[:, 1:])
+    assert_array_equal(read.velocity_mps, np.tile([2.5, 0.1, 0.0], (5, 1)))
 
 
 @settings(deadline=None)  # the first example imports SciPy
@@ -52,12 +53,12 @@ def test_constant_acceleration_is_resampled_exactly(dt, steps, a, v):
     position = np.outer(t, v) + 0.5 * np.outer(t * t, a)
     velocity = v + np.outer(t, a)
     differences = Trajectory("drawn", t, position).velocity_mps
-    np.testing.assert_allclose(differences[1:-1], velocity[1:-1], atol=1e-6)
+    assert_allclose(differences[1:-1], velocity[1:-1], atol=1e-6)
     way = Trajectory("drawn", t, position, velocity).resampled(dt)
     at = t[0] + dt * np.arange(len(way))
     assert at[-1] <= t[-1] + 1e-9 < at[-1] + dt + 2e-9
-    np.testing.assert_allclose(way[:, :3], np.outer(at, v) + 0.5 * np.outer(at * at, a), atol=1e-6)
-    np.testing.assert_allclose(way[:, 3:], v + np.outer(at, a), atol=1e-5)
+    assert_allclose(way[:, :3], np.outer(at, v) + 0.5 * np.outer(at * at, a), atol=1e-6)
+    assert_allclose(way[:, 3:], v + np.outer(at, a), atol=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import shutil
 
 import numpy as np
+from numpy.testing import assert_allclose
 
 from mmwave_env.models.layout import wrapped
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
@@ -120,9 +121,9 @@ def assert_fits(recording, scene, near_m=1e-6, near_rad=1e-5):
     layout = recording.layout
     exact = geometry(recording.position_m, recording.velocity_mps, scene, layout)
     difference = np.where(shown(recording), recording.measurement - exact, 0.0)
-    np.testing.assert_allclose(wrapped(difference[:, layout.angles]), 0.0, atol=near_rad)
-    np.testing.assert_allclose(difference[:, : layout.doppler : 4], 0.0, atol=near_m)
-    np.testing.assert_allclose(difference[:, layout.doppler], 0.0, atol=1e-9)
+    assert_allclose(wrapped(difference[:, layout.angles]), 0.0, atol=near_rad)
+    assert_allclose(difference[:, : layout.doppler : 4], 0.0, atol=near_m)
+    assert_allclose(difference[:, layout.doppler], 0.0, atol=1e-9)
 
 
 def rays(gnb, receivers, walls):

@@ -9,6 +9,7 @@ import shutil
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.datasets.deepmimo import arrays, read_deepmimo
 from tests.datasets.deepmimo.scenarios import (
@@ -30,7 +31,7 @@ FIELDS = ("time_s", "measurement", "visible", "path_gain_db", "position_m", "vel
 
 def require_same(recording, expected):
     for field in (*FIELDS, "anchors_m"):
-        np.testing.assert_array_equal(getattr(recording, field), getattr(expected, field), field)
+        assert_array_equal(getattr(recording, field), getattr(expected, field), field)
 
 
 @pytest.fixture
@@ -63,8 +64,8 @@ def test_one_of_several_users_in_a_dynamic_scenario_can_be_chosen(tmp_path, stat
     require_same(read_deepmimo(busy, users=2), expected)
     require_same(read_deepmimo(busy, users=[2] * 12), expected)
     still = read_deepmimo(busy, users=[1] * 12, dt_s=0.1)
-    np.testing.assert_array_equal(still.position_m, np.tile(load(static, "rx_pos")[0], (12, 1)))
-    np.testing.assert_allclose(still.velocity_mps, 0.0, atol=1e-12)
+    assert_array_equal(still.position_m, np.tile(load(static, "rx_pos")[0], (12, 1)))
+    assert_allclose(still.velocity_mps, 0.0, atol=1e-12)
     with refuses("users"):
         read_deepmimo(busy)
 
@@ -75,9 +76,9 @@ def test_users_can_be_chosen_in_any_order_and_repeatedly(tmp_path, suffix):
     rows = [5, 5, 6, 4, 4, 11, 0]
     whole = read_deepmimo(folder, dt_s=10.0)
     part = read_deepmimo(folder, users=rows, dt_s=10.0)
-    np.testing.assert_allclose(part.measurement[:, :12], whole.measurement[rows, :12], atol=1e-6)
-    np.testing.assert_array_equal(part.time_s, 10.0 * np.arange(7))
-    np.testing.assert_allclose(part.velocity_mps, np.gradient(part.position_m, 10.0, axis=0))
+    assert_allclose(part.measurement[:, :12], whole.measurement[rows, :12], atol=1e-6)
+    assert_array_equal(part.time_s, 10.0 * np.arange(7))
+    assert_allclose(part.velocity_mps, np.gradient(part.position_m, 10.0, axis=0))
 
 
 @pytest.mark.parametrize("users", [[0, 12], [-1], [], [0.5]])
