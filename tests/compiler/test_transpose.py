@@ -1,9 +1,5 @@
 """Tests that plain and compiled functions copy numbers between tables and lanes correctly."""
 
-import os
-import subprocess
-import sys
-
 import numba
 import numpy as np
 import pytest
@@ -13,6 +9,7 @@ from numpy.testing import assert_array_equal
 
 from mmwave_env.compiler import lanes as tiles
 from mmwave_env.compiler.lanes import WIDTH
+from tests.cli import printed
 
 SIZE = 50
 COUNTS = st.integers(0, SIZE)
@@ -89,13 +86,11 @@ def out_of(function, kind):
 
 
 @pytest.mark.slow
-def test_functions_stored_by_two_processes_work_in_a_third(tmp_path):
+def test_functions_stored_by_two_processes_work_in_a_third(tmp_path, monkeypatch):
     """Check that symbols do not collide although each process numbers its functions anew."""
     (tmp_path / "users.py").write_text(USERS)
-    site = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
-    variables = os.environ | {"PYTHONPATH": site, "NUMBA_CACHE_DIR": str(tmp_path)}
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     wide = "out_of(wide, np.float64)"
     narrow = "out_of(narrow, np.float32)"
     for calls in (wide, narrow, f"{wide}; {narrow}"):
-        script = f"from users import *; {calls}"
-        subprocess.run([sys.executable, "-c", script], env=variables, check=True, timeout=120)
+        printed(f"from users import *; {calls}", cwd=tmp_path)

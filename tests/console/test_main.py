@@ -11,7 +11,7 @@ import pytest
 import mmwave_env
 from experiments.console.main import COMMANDS, read_arguments
 from experiments.console.options import IntegrityArgs, TaskArgs
-from tests.cli import assert_one_clear_line, command, environment, python, started, succeed
+from tests.cli import assert_one_clear_line, command, environment, printed, python, started, succeed
 from tests.paths import ROOT, json_in
 
 # These packages take long to import.
@@ -61,9 +61,7 @@ def test_help_loads_no_heavy_packages():
         "        pass\n"
         f"print('loaded:', *{HEAVY} & {{m.split('.')[0] for m in sys.modules}})"
     )
-    done = python(code)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines()[-1] == "loaded:"
+    assert printed(code).splitlines()[-1] == "loaded:"
 
 
 RECORDED = ("simulate", "--out", "never", "--data", "canyon28_vehicle")
