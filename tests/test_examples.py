@@ -201,14 +201,6 @@ def test_the_agent_of_the_first_notebook_beats_the_speed_rule_and_the_ukf():
         assert float(re.findall(r"\[(.*?),", mine[header.index(f"minus {other}")])[0]) > 0.0
 
 
-# --- examples that make data
-
-
-@pytest.mark.parametrize("name", ["raytrace", "sumo"])
-def test_an_example_that_makes_data_is_short(name):
-    assert len((FOLDER / f"{name}.py").read_text("utf-8").splitlines()) <= 130
-
-
 # --- SUMO
 
 

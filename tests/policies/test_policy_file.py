@@ -199,7 +199,7 @@ def test_a_file_that_is_not_a_policy_file_is_refused(path, content, fields):
     refused(path, content, *fields)
 
 
-@pytest.mark.parametrize(("dtype", "size"), [("F64", 8), ("BF16", 2), ("F8_E4M3", 1), ("I32", 4)])
+@pytest.mark.parametrize(("dtype", "size"), [("F64", 8), ("I32", 4)])
 def test_tensors_that_are_not_float32_are_refused(path, dtype, size):
     low = {"dtype": dtype, "shape": [3], "data_offsets": [0, 3 * size]}
     content = raw({"__metadata__": document(), "low": low}, bytes(3 * size))

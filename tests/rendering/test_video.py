@@ -70,12 +70,6 @@ def test_an_mp4_has_every_picture(tmp_path):
     assert blue.argmax(axis=1).tolist() == pytest.approx([10 * n for n in range(COUNT)], abs=2)
 
 
-@pytest.mark.parametrize("name", ["square", "square.avi", "gif"])
-def test_files_without_the_suffix_gif_or_mp4_are_refused(name, tmp_path):
-    with refuses("out"):
-        require_video("out", tmp_path / name)
-
-
 @pytest.mark.parametrize(("package", "ending"), [("PIL", "gif"), ("imageio_ffmpeg", "mp4")])
 def test_a_video_is_refused_if_its_package_is_not_installed(package, ending, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)  # as if it were not installed
