@@ -64,6 +64,12 @@ def test_help_loads_no_heavy_packages():
     assert printed(code).splitlines()[-1] == "loaded:"
 
 
+def test_shells_complete_commands_and_options():
+    for shell in ("bash", "zsh", "fish"):
+        script = succeed("--tyro-print-completion", shell)
+        assert "localize" in script and "policies" in script
+
+
 RECORDED = ("simulate", "--out", "never", "--data", "canyon28_vehicle")
 MISTAKES = {  # name -> words typed, expected message
     "missing scene": (("compare", "--scene", "plaza.json"), "plaza.json"),

@@ -9,20 +9,17 @@ from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.metrics import INFO_KEYS, summary
 from tests.filters.tracks import pipeline_of, simulated
 
-N = 11
 T = 12
-ENGINES = pytest.mark.parametrize("on_floats", [False, True], ids=["SIMD", "plain Python"])
 
 
-def engine_of(episodes, on_floats=False):
-    n = len(episodes)
+def engine_of(episodes, on_floats):
     pipeline = pipeline_of(episodes[0].layout, ("ekf",))
-    engine = Engine(pipeline, n, TrackingReward(), on_floats=on_floats)
+    engine = Engine(pipeline, len(episodes), TrackingReward(), on_floats=on_floats)
     engine.reset(episodes)
     return engine
 
 
-@ENGINES
+@pytest.mark.parametrize("on_floats", [False, True], ids=["SIMD", "plain Python"])
 def test_epochs_after_the_end_of_an_episode_are_blank(on_floats):
     long = simulated(1, epochs=T)[0]
     short = simulated(1, epochs=3)[0]
