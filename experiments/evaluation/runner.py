@@ -133,16 +133,15 @@ def _run_policy(
         switching.bank,
         action=policy.action,
     )
-    engine.batch.load(episodes)
+    engine.load(episodes)
     if isinstance(policy, Clairvoyant):
         policy.foresee(engine)
     policy.reset(np.ones(n, bool))
     corrects = policy.action == CORRECTION
     corrected = {"x": "reported.x", "P": "reported.P"} if corrects else {}
     read = [corrected.get(name, name) for name in names]
-    track = play(engine, policy, T, engine.program.rows(read))
-    parts = engine.program.by_name(read, track.outputs)
-    results: EpochResults = dict(zip(names, parts.values(), strict=True))
+    track = play(engine, policy, T, read)
+    results: EpochResults = dict(zip(names, track.outputs.values(), strict=True))
     if corrects:
         results["trusted"] = track.trusted
     return results | {"mode": track.actions}

@@ -17,7 +17,7 @@ from experiments.timing.operations import Operations, count
 from experiments.timing.roofline import limit_s
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.engines.engine import Engine
-from mmwave_env.engines.epoch import Asked, program_of, untuned
+from mmwave_env.engines.epoch import Asked, decide, filter_epoch, program_of, untuned
 from mmwave_env.filters.bank import named_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import TrackingReward
@@ -160,7 +160,7 @@ def kernels() -> dict[str, Operations]:
     programs: dict[str, Any] = {STEP: Engine(pipeline, 1, TrackingReward()).program}
     for name in workloads.FILTERS:
         alone = untuned(Pipeline((modes[name],), layout))
-        programs[name] = program_of(Asked(alone, predicted=True), ("filter", "decide"))
+        programs[name] = program_of(Asked(alone, predicted=True), (filter_epoch, decide))
     counted = {name: count(made.function, made.template) for name, made in programs.items()}
     world = drawn.world
     observe, _, move = world.parts

@@ -57,10 +57,9 @@ def smoothed(batch: EpisodeBatch, bank: Bank, base: str) -> Smoothed:
     at = columns_of(batch.layout)
     n, epochs, _ = batch.table.shape
     engine = Engine(pipeline, n, TrackingReward(), "full", bank)
-    engine.batch.load(batch)
+    engine.load(batch)
     policy = base_policy(base, engine.observation)
-    track = play(engine, policy, epochs, engine.program.rows(PARTS))
-    of = engine.program.by_name(PARTS, track.outputs)
+    of = play(engine, policy, epochs, PARTS).outputs
     hz_per_mps = float(unflatten(blank_site(batch.layout), iter(batch.site[0])).hz_per_mps)
     dt = batch.table[:, :, at.dt]
     spread_hz = batch.table[:, :, at.doppler_spread_hz]
