@@ -60,6 +60,13 @@ def python(code, *options, cwd=ROOT):
     return subprocess.run(words, cwd=cwd, env=environment(), capture_output=True, text=True)
 
 
+def printed(code, cwd=ROOT):
+    """Run Python code in another process, check that it succeeds, and return what it prints."""
+    done = python(code, cwd=cwd)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
 def started(*words, **options):
     """Start ``mmwave-loc <words>`` with pipes for output; return the new process.
 

@@ -22,7 +22,6 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Iterator
 from contextlib import chdir, contextmanager, redirect_stdout
 from dataclasses import dataclass, replace
 from io import StringIO
@@ -60,22 +59,22 @@ class Block:
     tables: list[re.Match[str]]
 
     @property
-    def words(self) -> list[str]:
+    def words(self):
         """Return the words after the colon of the mark."""
         return self.mark.partition(":")[2].split()
 
     @property
-    def file(self) -> str:
+    def file(self):
         """Return the name of the file to which the block is written; "" if the block is run."""
         return next((word for word in self.words if "." in word), "")
 
     @property
-    def commands(self) -> list[str]:
+    def commands(self):
         """Return the text after ``mmwave-loc`` of every line that begins with it."""
         return re.findall(r"^mmwave-loc (.*)$", self.text.replace("\\\n", " "), re.MULTILINE)
 
 
-def blocks_of(page: Path) -> list[Block]:
+def blocks_of(page):
     """Return all blocks of a page, in order."""
     text = page.read_text(encoding="utf-8")
     matches = list(BLOCK.finditer(text))
@@ -96,14 +95,14 @@ class Session:
         folder: empty folder, to which the session adds links to docs/ and experiments/.
     """
 
-    def __init__(self, page: Path, folder: Path) -> None:
+    def __init__(self, page, folder):
         self.folder = folder
-        self._done = set[int]()
-        self._names: dict[str, Any] = {"__name__": page.stem}
+        self._done = set()
+        self._names = {"__name__": page.stem}
         for name in ("docs", "experiments"):
             (folder / name).symlink_to(ROOT / name)
 
-    def printed(self, block: Block) -> str:
+    def printed(self, block):
         """Run a block and return its output; "" if the session has run it before."""
         if block.line in self._done:
             return ""
@@ -129,7 +128,7 @@ class Session:
         return out.getvalue()
 
     @contextmanager
-    def _inside(self) -> Iterator[None]:
+    def _inside(self):
         """Let a block import modules from the folder, and unload these modules afterwards."""
         before = list(sys.path)  # loading an agent by name adds the current folder to sys.path
         sys.path.insert(0, str(self.folder))
@@ -143,7 +142,7 @@ class Session:
                     del sys.modules[name]
 
 
-def made(table: re.Match[str], printed: str, folder: Path) -> str:
+def made(table, printed, folder):
     """Return the lines to show between the marks of a table, from the output of its block."""
     text = (folder / table["file"].strip()).read_text() if table["file"] else printed
     if not table["begin"]:
@@ -159,7 +158,7 @@ def made(table: re.Match[str], printed: str, folder: Path) -> str:
     return "\n".join(kept) + "\n"
 
 
-def cut(lines: list[str], rows: str | None, columns: str | None) -> list[str]:
+def cut(lines, rows, columns):
     """Return the lines of a table with only some rows (by their first cells) and columns."""
     cells = [[cell.strip() for cell in line[1:-1].split("|")] for line in lines]
     header = cells[0]
@@ -173,7 +172,7 @@ def cut(lines: list[str], rows: str | None, columns: str | None) -> list[str]:
     return [rest[0], "|" + "---|" * len(places), *rest[1:]]
 
 
-def renewed(page: Path) -> str:
+def renewed(page):
     """Return the text of the page with all tables renewed by running its blocks."""
     text = page.read_text(encoding="utf-8")
     changes = []

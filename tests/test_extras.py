@@ -21,7 +21,6 @@ LOG = LOGS / "canyon28_vehicle"
         ("filterpy", ["speed", "--json"]),
         ("pygame", ["watch", "--out"]),
     ],
-    ids=lambda value: value if isinstance(value, str) else " ".join(map(str, value[::-3])),
 )
 def test_a_command_names_the_missing_extra_and_writes_nothing(
     package, words, tmp_path, monkeypatch

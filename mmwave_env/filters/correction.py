@@ -11,7 +11,7 @@ import numpy as np
 
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.numerics.linalg import dot, symmetric
+from mmwave_env.numerics.linalg import product, symmetric
 from mmwave_env.numerics.numbers import (
     Array,
     Matrix,
@@ -109,8 +109,8 @@ def corrected(belief: Belief, shift: Vector, log_factor: Vector) -> Belief:
         [xy, s * s * a + c * c * b, 0.0],
         [0.0, 0.0, exp(log_factor[2])],
     ]
-    MP = [[dot(row, column) for column in zip(*belief.P, strict=True)] for row in M]
-    MPM = [[dot(row, column) for column in M] for row in MP]
+    MP = product(M, belief.P[:3])
+    MPM = product(MP, M)
 
     def entry(i: int, j: int) -> Number:
         if i < 3:

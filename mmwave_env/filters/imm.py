@@ -17,7 +17,7 @@ from mmwave_env.filters.pipeline import Pipeline, predict_update
 from mmwave_env.filters.update import ModeResult, limited_likelihood
 from mmwave_env.models.measurement import Epoch, Site
 from mmwave_env.models.motion import move
-from mmwave_env.numerics.linalg import dot, minus, plus, unpack
+from mmwave_env.numerics.linalg import dot, minus, plus, product, unpack
 from mmwave_env.numerics.numbers import (
     Matrix,
     Number,
@@ -81,13 +81,13 @@ def moments(
 ) -> tuple[Numbers, Numbers]:
     """Return the mean (7,) and the packed covariance (28,) of a Gaussian mixture."""
     mean, between = spread(weights, x)
-    return mean, [dot(weights, [Pi[k] for Pi in P]) + value for k, value in enumerate(between)]
+    return mean, plus(product([weights], P)[0], between)
 
 
 def spread(weights: Sequence[Number], x: Sequence[Vector]) -> tuple[Numbers, Numbers]:
     """Return the mean (7,) and the packed covariance (28,) of weighted points."""
     n = len(x[0])
-    mean = [dot(weights, [xi[i] for xi in x]) for i in range(n)]
+    (mean,) = product([weights], x)
     offset = [minus(xi, mean) for xi in x]
     return mean, [
         dot(weights, [d[i] * d[j] for d in offset]) for i in range(n) for j in range(i + 1)
@@ -97,7 +97,7 @@ def spread(weights: Sequence[Number], x: Sequence[Vector]) -> tuple[Numbers, Num
 def mix(mixture: Mixture, transition: Matrix) -> tuple[Numbers, list[tuple[Vector, Vector]]]:
     """Return the predicted mode probabilities and each mode's mixed initial belief."""
     modes = range(len(mixture.tracks))
-    predicted = [dot([row[j] for row in transition], mixture.probability) for j in modes]
+    (predicted,) = product([mixture.probability], transition)
     x, P, _ = zip(*mixture.tracks, strict=True)
     mixed: list[tuple[Vector, Vector]] = []
     for j in modes:

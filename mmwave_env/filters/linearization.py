@@ -29,7 +29,7 @@ from typing import NamedTuple
 
 from mmwave_env.models.layout import STATE_SIZE
 from mmwave_env.models.measurement import Group, Measurement, groups_of
-from mmwave_env.numerics.linalg import cholesky, dot
+from mmwave_env.numerics.linalg import cholesky, dot, product
 from mmwave_env.numerics.numbers import Matrix, Number, Vector
 
 
@@ -43,8 +43,7 @@ class Tangent:
 
     def rows(self, group: Group, L: Matrix, latents: "Latents") -> Matrix:
         """Return V (k, 7): the derivatives of k rows along each column of L."""
-        columns = list(zip(*L, strict=True))
-        return [[dot(gradient, column) for column in columns] for gradient in group.jacobian]
+        return product(group.jacobian, L)
 
 
 @dataclass(frozen=True)

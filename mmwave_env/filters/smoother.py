@@ -15,6 +15,8 @@ from mmwave_env.numerics.linalg import (
     forward,
     minus,
     pack,
+    plus,
+    product,
     symmetric,
     unpack,
 )
@@ -78,11 +80,11 @@ def smooth_epoch(
     FP = transition_times(P, after.dt, *now.hz_per_mps)
     n = len(P)
     # Row i of the gain is P_predicted^-1 times column i of F P.
-    gain = [backward(factor, forward(factor, [FP[k][i] for k in range(n)])) for i in range(n)]
+    gain = [backward(factor, forward(factor, column)) for column in zip(*FP, strict=True)]
     change = list(map(minus, unpack(after.P, zero=known_axes), P_predicted))
-    half = [[dot(row, column) for column in zip(*change, strict=True)] for row in gain]
+    half = product(gain, change)
     smoothed = symmetric(n, lambda i, j: P[i][j] + dot(half[i], gain[j]))
     y = backward(factor, forward(factor, minus(after.x, after.x_predicted)))
-    mean = [a + dot([row[i] for row in FP], y) for i, a in enumerate(now.x)]
+    mean = plus(now.x, product([y], FP)[0])
     x, packed = select(after.is_last > 0.5, [now.x, now.P], [mean, pack(smoothed)])
     return BackwardState(0.0, now.dt, now.x_predicted, now.P_predicted, x, packed)

@@ -17,7 +17,7 @@ from mmwave_env.filters.linearization import (
     linearize,
 )
 from mmwave_env.models.measurement import ROWS_OF_LINK, Measurement
-from mmwave_env.numerics.linalg import cholesky, dot, forward, symmetric
+from mmwave_env.numerics.linalg import cholesky, dot, forward, plus, product, symmetric
 from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Vector, maximum
 
 
@@ -143,14 +143,12 @@ def _recompose(
     """Return the state's mean and covariance, given the moments of xi_0..2 and the scalar rows."""
     k = len(mean)
     n = len(x)
-    spread = [[dot(row[:k], column) for column in covariance] for row in L]
+    spread = product(L, covariance)
     moves = [[dot(line, row.cross) for line in L] for row in rows]
-    new_x = []
-    for i in range(n):
-        value = x[i] + dot(L[i][:k], mean)
-        for row, step in zip(rows, moves, strict=True):
-            value = value + step[i] * (row.gain * row.innovation)
-        new_x.append(value)
+    new_x = plus(x, [dot(line, mean) for line in L])
+    for row, step in zip(rows, moves, strict=True):
+        gain = row.gain * row.innovation
+        new_x = [value + gain * moved for value, moved in zip(new_x, step, strict=True)]
 
     def entry(i: int, j: int) -> Number:
         value = dot(spread[i], L[j][:k]) + dot(L[i][k:], L[j][k:])

@@ -24,7 +24,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from mmwave_env.models.layout import STATE_SIZE, Layout
-from mmwave_env.numerics.linalg import dot, is_zero, minus, plus
+from mmwave_env.numerics.linalg import dot, is_zero, minus, plus, product
 from mmwave_env.numerics.numbers import (
     PI,
     Matrix,
@@ -321,7 +321,7 @@ def doppler_anchor(anchors: Matrix, doppler_of: Vector) -> Vector:
     """Return the position (3,) of the anchor whose Doppler shift was measured."""
     if not len(doppler_of):
         return anchors[0]
-    return [dot(doppler_of, list(column)) for column in zip(*anchors, strict=True)]
+    return product([doppler_of], anchors)[0]
 
 
 def groups_of(x: Vector, m: Measurement) -> list[Group]:

@@ -34,6 +34,11 @@ def minus(a: Vector, b: Vector) -> Numbers:
     return [u - v for u, v in zip(a, b)]  # noqa: B905
 
 
+def product(a: Matrix, b: Matrix) -> list[Numbers]:
+    """Return the product of two matrices; surplus columns of ``a`` are ignored."""
+    return [[dot(row, column) for column in zip(*b, strict=True)] for row in a]
+
+
 def symmetric(n: int, entry: Callable[[int, int], Number]) -> Matrix:
     """Return the symmetric (n, n) matrix with elements ``entry(i, j)`` for i >= j."""
     m: list[Numbers] = [[0.0] * n for _ in range(n)]

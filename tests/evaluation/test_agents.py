@@ -1,6 +1,5 @@
 """Tests of `compare` with agents that a programmer wrote: objects, files or functions."""
 
-import json
 import sys
 
 import gymnasium as gym
@@ -15,7 +14,8 @@ from mmwave_env.filters.bank import Bank, bank_as_written, modes_from
 from mmwave_env.models.layout import Layout
 from mmwave_env.task import task_from
 from policies import Correction, LearnedSwitch
-from tests.cli import assert_one_clear_line, command
+from tests.cli import assert_one_clear_line, command, succeed
+from tests.paths import write_json
 from tests.refusals import refuses
 from tests.training.actors import HANDSET, actor, card_of, write
 
@@ -125,11 +125,10 @@ def test_an_agent_that_returns_weights_earns_what_it_earns_in_the_environment(mo
 
 def test_an_agent_from_a_module_is_compared_like_any_policy(folder):
     names = ("fixed-ukf", "my_agents:second", "my_agents:first")
-    done = command("compare", "--policies", *names, "--episodes", 2, cwd=folder)
-    assert done.returncode == 0, done.stderr
-    ours, theirs, _ = (row for row in done.stdout.splitlines() if row.count("±") > 2)
+    shown = succeed("compare", "--policies", *names, "--episodes", 2, cwd=folder)
+    ours, theirs, _ = (row for row in shown.splitlines() if row.count("±") > 2)
     assert ours.split("|")[2:] == theirs.split("|")[2:]
-    assert "| my_agents:second | 0.000 [0.000, 0.000] |" in done.stdout
+    assert "| my_agents:second | 0.000 [0.000, 0.000] |" in shown
 
 
 MISTAKES = {  # name of an agent -> expected message
@@ -204,14 +203,13 @@ def test_compare_accepts_objects_modules_files_and_loaded_policies(tmp_path):
 
 @pytest.mark.slow
 def test_the_command_line_supports_beliefs_per_mode(folder):
-    (folder / "bank.json").write_text(json.dumps(bank_as_written(HANDSET)))
+    write_json(folder / "bank.json", bank_as_written(HANDSET))
     words = ("--beliefs", "per-mode", "--modes", "bank.json", "--episodes", 2)
-    done = command("compare", "--policies", "my_agents:second", "imm", *words, cwd=folder)
-    assert done.returncode == 0, done.stderr
-    assert "| my_agents:second | -" in done.stdout and "minus imm" in done.stdout
+    shown = succeed("compare", "--policies", "my_agents:second", "imm", *words, cwd=folder)
+    assert "| my_agents:second | -" in shown and "minus imm" in shown
     rows = compare({"mine": "my_agents:second"}, (), beliefs="per-mode", modes=HANDSET, episodes=2)
     mine = str(rows).split("| mine |")[1].partition("\n")[0]
-    assert f"| my_agents:second |{mine}" in done.stdout
+    assert f"| my_agents:second |{mine}" in shown
 
 
 def test_agents_are_names_or_functions_and_need_no_rivals():

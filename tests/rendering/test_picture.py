@@ -8,6 +8,7 @@ import gymnasium as gym
 import numpy as np
 import pygame
 import pytest
+from numpy.testing import assert_array_equal
 
 from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.models.scene import Scene, Streets, Wall
@@ -97,13 +98,6 @@ def test_accepted_links_are_solid_rejected_links_dashed_and_missing_links_faint(
     assert 5 < contrast["missing"].min() and contrast["missing"].max() < 40
 
 
-def test_the_header_counts_links_but_not_the_doppler_shift_or_odometry():
-    anchors = [(200.0, 150.0, 10.0), (200.0, -150.0, 10.0)]
-    without = drawn(anchors=anchors, accepted=np.ones(3, bool), rejected=np.zeros(3, bool))
-    with_odometry = drawn(anchors=anchors, accepted=np.ones(4, bool), rejected=np.zeros(4, bool))
-    np.testing.assert_array_equal(without, with_odometry)
-
-
 def test_the_trail_has_the_color_of_the_mode_that_ran():
     route = [(2.0 * k, 0.0) for k in range(10)]
     beside = [(x, 4.0) for x, _ in route]
@@ -158,35 +152,19 @@ def test_an_anchor_outside_the_frame_is_shown_by_an_arrow_at_its_edge(anchor, si
 def test_the_same_history_makes_the_same_picture():
     env = played(30, scene="random")
     first = env.render()
-    np.testing.assert_array_equal(env.render(), first)
+    assert_array_equal(env.render(), first)
     twins = copy.deepcopy(env), pickle.loads(pickle.dumps(env))
     env.step(0)
     for twin in twins:
-        np.testing.assert_array_equal(twin.render(), first)
+        assert_array_equal(twin.render(), first)
         twin.step(0)
-        np.testing.assert_array_equal(twin.render(), env.render())
+        assert_array_equal(twin.render(), env.render())
 
 
 def test_a_picture_does_not_depend_on_later_epochs():
     short = played(20, seed=3, episode_steps=21)
     long = played(20, seed=3, episode_steps=60)
-    np.testing.assert_array_equal(short.render(), long.render())
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        {"scene": "o1", "scenario": "vehicle"},
-        {"backend": "filterpy"},
-        pytest.param({"beliefs": "per-mode", "odometry": True}, marks=pytest.mark.slow),
-    ],
-    ids=str,
-)
-def test_every_kind_of_episode_can_be_drawn(arguments):
-    if "backend" in arguments:
-        pytest.importorskip("filterpy")
-    env = played(5, seed=1, **arguments)
-    assert near(env.render()[20:280], LIGHT.truth).sum() > 20
+    assert_array_equal(short.render(), long.render())
 
 
 def test_an_estimate_that_is_not_finite_can_be_drawn():
@@ -202,12 +180,6 @@ def test_an_estimate_that_is_not_finite_can_be_drawn():
 def test_any_name_and_any_title_can_be_drawn(name):
     picture = Picture([name, "x" * 500], title=name * 50).draw(history(name=name * 50))
     assert picture.shape == (480, 480, 3)
-
-
-def test_a_legend_of_eight_modes_shows_every_color():
-    shown = drawn([f"mode {i}" for i in range(8)])[-40:]
-    for color in LIGHT.modes[:8]:
-        assert near(shown, color).sum() >= 80
 
 
 @pytest.mark.parametrize(
@@ -284,4 +256,4 @@ def test_pictures_survive_the_end_of_pygame(end):
     env.reset(seed=0)
     before = env.render()
     {"pygame.quit": pygame.quit, "pygame.font.quit": pygame.font.quit}[end]()
-    np.testing.assert_array_equal(env.render(), before)
+    assert_array_equal(env.render(), before)
