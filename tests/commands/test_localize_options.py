@@ -178,6 +178,16 @@ def test_a_log_that_is_refused_can_be_diagnosed(tmp_path):
     assert "\nThe log is consistent if angles are in degrees." in done.stdout
 
 
+def test_a_log_whose_track_does_not_fit_is_not_called_consistent(tmp_path):
+    columns = read_columns(WALK / "log.csv")
+    columns["toa_s"][columns["time_s"] > columns["time_s"][-1] / 2.0] += 1e-6
+    write_columns(tmp_path / "log.csv", columns)
+    words = options(tmp_path / "log.csv", "--radio", "standard", "--diagnose", folder=WALK)
+    done = command("localize", *words)
+    assert "\nNo hypothesis makes the log consistent." in done.stdout
+    assert "anchor 1: found NIS" in done.stdout
+
+
 def test_a_diagnosis_reports_facts_about_the_log():
     words = options(RIDE / "log.csv", "--radio", "standard", "--diagnose", folder=RIDE)
     shown, results = with_json("localize", *words)
