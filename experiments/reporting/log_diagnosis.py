@@ -102,7 +102,7 @@ def facts_markdown(facts: Json) -> str:
     """Return the facts about a log as Markdown."""
     step_s = facts["step_s"]
     rate = f", {1.0 / step_s:.4g} Hz" if step_s else ""
-    times = f"{facts['first_s']:.12g} to {facts['last_s']:.12g} s{rate}"
+    times = f"{facts['first_s']:.13g} to {facts['last_s']:.13g} s{rate}"
     rows = [
         [
             f"{number}{', base station' if number == 1 else ''}",

@@ -5,9 +5,11 @@ origin that the scene states.
 """
 
 import json
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime
 from functools import reduce
+from itertools import pairwise
 from operator import xor
 from pathlib import Path
 from typing import NamedTuple
@@ -69,7 +71,7 @@ def _features(track: Track, origin: Origin, name: str) -> Iterator[dict[str, obj
     if len(time_s) > 1:
         points = geodetic(origin, track.smooth_x[:, :3]).round(9)[:, [1, 0, 2]].tolist()
         span = {"segment": int(track.segment[0]), "from_s": time_s[0], "to_s": time_s[-1]}
-        yield _feature("LineString", points, name=name, **span)
+        yield _feature("LineString", _cut(points), name=name, **span)
     shown = []
     last_s = -np.inf
     for number, moment in enumerate(time_s):
@@ -78,11 +80,34 @@ def _features(track: Track, origin: Origin, name: str) -> Iterator[dict[str, obj
             last_s = moment
     rings = _ellipses(origin, track.smooth_x[shown], track.smooth_P[shown]).round(9).tolist()
     for number, ring in zip(shown, rings, strict=True):
-        yield _feature("Polygon", [ring], time_s=time_s[number], share=ELLIPSE_SHARE)
+        parts = _cut(ring)
+        if len(parts) > 1:  # the ring begins and ends on the same side
+            parts[0] = parts.pop() + parts[0][1:]
+            parts = [[*part, part[0]] for part in parts]
+        yield _feature(
+            "Polygon", [[part] for part in parts], time_s=time_s[number], share=ELLIPSE_SHARE
+        )
 
 
-def _feature(kind: str, coordinates: object, **properties: object) -> dict[str, object]:
-    geometry = {"type": kind, "coordinates": coordinates}
+def _cut(points: list[list[float]]) -> list[list[list[float]]]:
+    """Cut a line of longitudes, latitudes, ... at the 180th meridian (RFC 7946, 3.1.9)."""
+    parts = [points[:1]]
+    for before, after in pairwise(points):
+        if abs(after[0] - before[0]) > 180.0:
+            side = math.copysign(180.0, before[0])
+            east = after[0] + 2.0 * side - before[0]
+            share = (side - before[0]) / east if east else 1.0
+            middle = [a + share * (b - a) for a, b in zip(before[1:], after[1:], strict=True)]
+            parts[-1].append([side, *middle])
+            parts.append([[-side, *middle]])
+        parts[-1].append(after)
+    return parts
+
+
+def _feature(kind: str, parts: Sequence[object], **properties: object) -> dict[str, object]:
+    geometry = {"type": kind, "coordinates": parts[0]}
+    if len(parts) > 1:
+        geometry = {"type": f"Multi{kind}", "coordinates": parts}
     return {"type": "Feature", "properties": properties, "geometry": geometry}
 
 
@@ -105,7 +130,10 @@ def _iso(moment: float) -> str:
     try:
         date = datetime.fromtimestamp(moment, UTC)
     except (OSError, OverflowError, ValueError) as error:
-        raise ValueError(f"time: found {moment:g} s, expected seconds since 1970") from error
+        raise ValueError(
+            f"out: GPX files can't have the time {moment!r} s, expected seconds since 1970, before "
+            "the year 10000: is the column of times named after its unit?"
+        ) from error
     return date.isoformat(timespec="milliseconds")[:-6] + "Z"
 
 
@@ -122,10 +150,11 @@ def nmea(track: Track, origin: Origin, name: str) -> str:
     numbers = np.column_stack([major, minor, along, north, east, up]).tolist()
     places = geodetic(origin, track.smooth_x[:, :3]).tolist()
     lines = []
+    fine = abs(track.time_s * 100.0 - np.round(track.time_s * 100.0)).max(initial=0.0) > 1e-3
     for moment, (latitude, longitude, height), of in zip(
         track.time_s.tolist(), places, numbers, strict=True
     ):
-        clock = _time_of_day(moment)
+        clock = _time_of_day(moment, 3 if fine else 2)
         where = f"{_degrees(latitude, 2, 'NS')},{_degrees(longitude, 3, 'EW')}"
         lines.append(_sentence(f"GPGGA,{clock},{where},1,,,{height:.3f},M,,M,,"))
         spread = "{:.3f},{:.3f},{:.1f},{:.3f},{:.3f},{:.3f}".format(*of)
@@ -133,10 +162,11 @@ def nmea(track: Track, origin: Origin, name: str) -> str:
     return "".join(lines)
 
 
-def _time_of_day(moment: float) -> str:
-    hundredths = round(moment % 86400.0 * 100.0) % 8_640_000
-    minutes = hundredths // 6000
-    return f"{minutes // 60:02d}{minutes % 60:02d}{hundredths / 100.0 % 60.0:05.2f}"
+def _time_of_day(moment: float, digits: int) -> str:
+    second = 10**digits
+    ticks = round(moment % 86400.0 * second) % (86400 * second)
+    minutes, rest = divmod(ticks, 60 * second)
+    return f"{minutes // 60:02d}{minutes % 60:02d}{rest / second:0{3 + digits}.{digits}f}"
 
 
 def _degrees(angle: float, digits: int, sides: str) -> str:

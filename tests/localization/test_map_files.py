@@ -86,11 +86,47 @@ def test_nmea_has_positions_and_standard_deviations(tmp_path):
 
 
 def area(ring):
-    """Return the area in m^2 of a ring of points (longitude, latitude) near the map's origin."""
+    """Return the area in m^2 of a counterclockwise ring of points (longitude, latitude)."""
     longitude, latitude = np.array(ring).T
-    where = ORIGIN.latitude_deg, ORIGIN.longitude_deg, ORIGIN.height_m
+    where = ORIGIN.latitude_deg, longitude[0], ORIGIN.height_m
     east, north, _ = pymap3d.geodetic2enu(latitude, longitude, ORIGIN.height_m, *where)
-    return 0.5 * abs(np.dot(east[:-1], north[1:]) - np.dot(east[1:], north[:-1]))
+    return 0.5 * (np.dot(east[:-1], north[1:]) - np.dot(east[1:], north[:-1]))
+
+
+@pytest.mark.parametrize("longitude", [179.99995, 180.0, -179.9999, 180.0 - 1e-9])
+def test_geojson_is_cut_at_the_180th_meridian(tmp_path, longitude):
+    sea = replace(ORIGIN, longitude_deg=longitude)
+    path = tmp_path / "walk.geojson"
+    track = Track.joined(tracks())
+    write_track(track, [path], replace(SCENE, origin=sea), "walk")
+    features = json.loads(path.read_text())["features"]
+    write_track(track, [path], SCENE, "walk")
+    cut = 0
+    for feature, whole in zip(features, json.loads(path.read_text())["features"], strict=True):
+        geometry = feature["geometry"]
+        kind = geometry["type"].removeprefix("Multi")
+        parts = geometry["coordinates"]
+        parts = parts if kind != geometry["type"] else [parts]
+        cut += len(parts) - 1
+        assert all(
+            np.ptp(np.array(part).reshape(-1, 3 - (kind == "Polygon"))[:, 0]) < 0.1
+            for part in parts
+        )
+        if kind == "Polygon":
+            sizes = [area(ring) for (ring,) in parts]
+            assert min(sizes) >= 0.0
+            assert sum(sizes) == pytest.approx(area(*whole["geometry"]["coordinates"]), rel=1e-3)
+    assert cut
+
+
+def test_times_have_milliseconds_if_epochs_need_them_and_must_be_before_the_year_10000(tmp_path):
+    track = Track.joined(tracks())
+    track = replace(track, time_s=NOON_S + 0.001 * np.arange(len(track)))
+    path = tmp_path / "t.nmea"
+    write_track(track, [path], SCENE)
+    assert path.read_text().splitlines()[2].startswith("$GPGGA,120000.001,")
+    with refuses("out"):
+        write_track(replace(track, time_s=1e3 * track.time_s), [tmp_path / "t.gpx"], SCENE)
 
 
 def test_geojson_has_lines_within_segments_and_95_percent_error_ellipses(tmp_path):
