@@ -5,7 +5,10 @@ import sys
 from collections.abc import Iterator
 from io import TextIOWrapper
 from itertools import chain
+from math import inf
 from typing import Any
+
+import numpy as np
 
 from experiments.console.options import AUTO, LogArgs, require_alone, require_at_least
 from experiments.console.progress import note
@@ -16,11 +19,13 @@ from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.radio_choice import nearest_radio
 from mmwave_env.localization.tracker import Position, Tracker
 from mmwave_env.logs.live_log import LiveEpoch, LiveLog
+from mmwave_env.logs.log import Log
 from mmwave_env.logs.log_tables import LogError, header_of
-from mmwave_env.models.layout import clock_from
+from mmwave_env.models.layout import LINK, clock_from
 from mmwave_env.models.scene import Scene, scene_from
 
 SOURCE = "standard input"
+_PATIENCE_S = 10.0  # time without a first position after which a warning says so
 
 
 def run_live(args: LogArgs) -> None:
@@ -42,19 +47,22 @@ def run_live(args: LogArgs) -> None:
     scene = scene_from(args.scene)
     tracker: Tracker | None = None
     began = False
+    patience_s = _PATIENCE_S
+    first_s = inf
+    seen: set[str] = set()
     for epoch in _epochs(scene, args.snr, clock):
-        if tracker is None:
+        if not began:
             log = epoch.log()
-            if not log.visible[:, : log.layout.anchors].any():
-                continue
+            seen |= _measured(log)
+        if tracker is None and seen:
             radio = nearest_radio(log, scene) if args.radio == AUTO else args.radio
             choice = choice_of(args, radio, log)
             tracker = Tracker(
                 scene, choice.switching, radio, height_m=args.height, lag=max(args.lag, 1),
                 levels=levels,
             )  # fmt: skip
-        position = tracker.step(epoch)
-        if position:
+        position = tracker and tracker.step(epoch)
+        if tracker and position:
             if not began:
                 note(f"a new track begins: modes {choice.why}, radio {radio}")
             elif position.begins:
@@ -63,8 +71,24 @@ def run_live(args: LogArgs) -> None:
             content = _content(position) | ({"smoothed": _content(late)} if late else {})
             print(json.dumps(content), flush=True)
             began = True
+        first_s = min(first_s, epoch.time_s)
+        if not began and epoch.time_s - first_s > patience_s:
+            _warn(
+                f"{SOURCE}: found no position in {patience_s:g} s, only "
+                f"{', '.join(sorted(seen)) or 'no link'}; docs/data.md says what a track needs"
+            )
+            patience_s = inf
     if not began:
         _warn(f"{SOURCE}: found no epoch that determines a position")
+
+
+def _measured(log: Log) -> set[str]:
+    """Return the names of the values that an epoch (T = 1) has."""
+    links = np.argwhere(
+        np.isfinite(log.measurement[0, : log.layout.doppler].reshape(-1, 4))
+        & log.visible[0, : log.layout.anchors, None]
+    )
+    return {f"{LINK[value]} of anchor {anchor + 1}" for anchor, value in links.tolist()}
 
 
 def _content(position: Position) -> Json:
@@ -80,8 +104,9 @@ def _epochs(scene: Scene, snr_db: float | None, clock: bool) -> Iterator[LiveEpo
     assert isinstance(sys.stdin, TextIOWrapper)
     # Bytes that are no text become escape codes, which a row's checks refuse.
     sys.stdin.reconfigure(encoding="utf-8-sig", errors="backslashreplace")
-    lines: Iterator[tuple[int, str]] = enumerate(map(str.rstrip, sys.stdin), start=1)
-    number, first = next(((number, line) for number, line in lines if line), (0, ""))
+    numbered = enumerate(map(str.rstrip, sys.stdin), start=1)
+    lines: Iterator[tuple[int, str]] = ((number, line) for number, line in numbered if line)
+    number, first = next(lines, (0, ""))
     if not first:
         raise ValueError(f"log: found nothing on {SOURCE}, expected a header or JSON lines")
     as_json = first.lstrip().startswith("{")

@@ -16,12 +16,14 @@ from mmwave_env.logs.log import Log, layout_of, log_of, places
 from mmwave_env.logs.log_checks import first_damage, without_lost
 from mmwave_env.logs.log_columns import BODY, LOST, QUANTITIES, STATION
 from mmwave_env.logs.log_tables import LogError, Table, log_file, parse
+from mmwave_env.models import envelope
 from mmwave_env.models.layout import Layout, wrapped
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import PI
 
 _NUMBERS = {float, int, np.float64}  # types that need no parsing; others are parsed as text
 _LOST = {-1.0, *LOST, *(-code for code in LOST)}  # numbers that need the full checks
+_SHORTEST_S = envelope.STEP_S.least or 0.0
 _LATE = 3  # number of late epochs, one after the other, with which a log goes on
 
 
@@ -40,8 +42,8 @@ class LiveEpoch(NamedTuple):
 class LiveLog:
     """A collector that groups the rows of a log into epochs as the rows arrive.
 
-    An epoch is over when every anchor has a row, when a row with a later time or a blank line
-    arrives, or when :meth:`end_epoch` is called. Only the rows of one epoch are kept in memory.
+    An epoch is over when every anchor has a row, when a row with a later time arrives, or when
+    :meth:`end_epoch` is called. Only the rows of two epochs are kept in memory.
 
     Rows that are late are refused; but if they keep coming, with increasing times, a clock was set
     back, or one row had a time in the future: then the log goes on at the earlier time. A row of
@@ -123,16 +125,18 @@ class LiveLog:
         """
         cells = self._cells(row, number)
         if not cells:
-            return self.end_epoch()
+            return []
         over = []
         if not self._rows or cells[self._time] != self._rows[0][self._time]:
             time_s = self._time_s(cells)
             latest_s = self._time_s(self._rows[0]) if self._rows else self._last_s
-            if time_s <= latest_s and self._repeats(cells, self._last, number):
+            is_late = time_s - latest_s < _SHORTEST_S
+            if is_late and self._repeats(cells, self._last, number):
                 return []
-            if time_s <= latest_s and not self._goes_on_at(time_s):
+            if is_late and not self._goes_on_at(time_s):
                 problem = f"time {time_s!r} s in a row that follows the epoch at {latest_s!r} s"
-                raise self._log.error(number, "time", problem, "times that increase")
+                expected = f"times that increase by at least {_SHORTEST_S:g} s"
+                raise self._log.error(number, "time", problem, expected)
             over = self.end_epoch()
         self._late_s.clear()
         for before in self._rows:

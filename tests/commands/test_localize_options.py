@@ -82,6 +82,14 @@ def test_a_damaged_row_of_an_epoch_loses_no_other_row_and_csv_may_have_semicolon
     assert code == 0 and len(errors) > 9 and positions == live(marked, "--speed", "1")[0]
 
 
+def test_a_live_log_that_determines_no_position_says_so_after_some_seconds():
+    rows = [f"{t},1,{50 + t},20" for t in range(30)]
+    content = "\n".join(["time_s,anchor,range_m,snr_db", *rows, ""]).encode()
+    positions, errors, code = live(content, "--speed", "1")
+    assert code == 0 and not positions and len(errors) == 2
+    assert "found no position in 10 s, only range_m of anchor 1;" in errors[0]
+
+
 @pytest.mark.parametrize("content", [b"", b"\n", b"time,mood\n1,2\n", b'{"rows": 5}\n', b"[1]\n"])
 def test_input_that_is_not_a_log_is_refused_in_one_line(content):
     positions, errors, code = live(content)
