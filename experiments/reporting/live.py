@@ -8,8 +8,6 @@ from itertools import chain
 from math import inf
 from typing import Any
 
-import numpy as np
-
 from experiments.console.options import AUTO, LogArgs, require_alone, require_at_least
 from experiments.console.progress import note
 from experiments.reporting.log_choice import choice_of, require_one_choice
@@ -19,9 +17,8 @@ from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.radio_choice import nearest_radio
 from mmwave_env.localization.tracker import Position, Tracker
 from mmwave_env.logs.live_log import LiveEpoch, LiveLog
-from mmwave_env.logs.log import Log
 from mmwave_env.logs.log_tables import LogError, header_of
-from mmwave_env.models.layout import LINK, clock_from
+from mmwave_env.models.layout import clock_from
 from mmwave_env.models.scene import Scene, scene_from
 
 SOURCE = "standard input"
@@ -53,8 +50,9 @@ def run_live(args: LogArgs) -> None:
     for epoch in _epochs(scene, args.snr, clock):
         if not began:
             log = epoch.log()
-            seen |= _measured(log)
-        if tracker is None and seen:
+            names = log.layout.group_names
+            seen |= {name for name, visible in zip(names, log.visible[0], strict=True) if visible}
+        if tracker is None and log.visible[:, : log.layout.anchors].any():
             radio = nearest_radio(log, scene) if args.radio == AUTO else args.radio
             choice = choice_of(args, radio, log)
             tracker = Tracker(
@@ -74,21 +72,13 @@ def run_live(args: LogArgs) -> None:
         first_s = min(first_s, epoch.time_s)
         if not began and epoch.time_s - first_s > patience_s:
             _warn(
-                f"{SOURCE}: found no position in {patience_s:g} s, only "
-                f"{', '.join(sorted(seen)) or 'no link'}; docs/data.md says what a track needs"
+                f"{SOURCE}: found no position in {patience_s:g} s, only the columns "
+                f"{', '.join(sorted(log.columns))} of {', '.join(sorted(seen)) or 'no anchor'}; "
+                "docs/data.md says what a track needs"
             )
             patience_s = inf
     if not began:
         _warn(f"{SOURCE}: found no epoch that determines a position")
-
-
-def _measured(log: Log) -> set[str]:
-    """Return the names of the values that an epoch (T = 1) has."""
-    links = np.argwhere(
-        np.isfinite(log.measurement[0, : log.layout.doppler].reshape(-1, 4))
-        & log.visible[0, : log.layout.anchors, None]
-    )
-    return {f"{LINK[value]} of anchor {anchor + 1}" for anchor, value in links.tolist()}
 
 
 def _content(position: Position) -> Json:

@@ -163,11 +163,10 @@ def _track(args: LogArgs, work: Work, window: int | None, report: Callable[[floa
     )
 
 
-def _doubts(args: LogArgs, files: Inputs, scene: Scene) -> list[Contradiction]:
-    """Localize a whole log; return the contradictions between the log and its track."""
-    work = _work(args, files, scene)
+def _doubts(args: LogArgs, work: Work) -> list[Contradiction]:
+    """Return the contradictions between a log and its track."""
     groups = group_statistics(_track(args, work, None, lambda share: None))
-    return contradictions(work.log.whole(), scene, work.radio, groups)
+    return contradictions(work.log.whole(), work.scene, work.radio, groups)
 
 
 def beginning(args: LogArgs, epochs: int) -> tuple[Track, Work]:
@@ -237,7 +236,7 @@ def localized(args: LogArgs) -> None:
     _check(args, files)
     scene = scene_from(files.scene)
     if args.diagnose:
-        return diagnosed(args, files.log, scene, lambda: _doubts(args, files, scene))
+        return diagnosed(args, files.log, scene, lambda: _doubts(args, _work(args, files, scene)))
     for out in args.out:
         if out.suffix in MAP_FILES:
             origin_of(scene, out)

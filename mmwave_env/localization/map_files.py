@@ -150,11 +150,10 @@ def nmea(track: Track, origin: Origin, name: str) -> str:
     numbers = np.column_stack([major, minor, along, north, east, up]).tolist()
     places = geodetic(origin, track.smooth_x[:, :3]).tolist()
     lines = []
-    fine = abs(track.time_s * 100.0 - np.round(track.time_s * 100.0)).max(initial=0.0) > 1e-3
     for moment, (latitude, longitude, height), of in zip(
         track.time_s.tolist(), places, numbers, strict=True
     ):
-        clock = _time_of_day(moment, 3 if fine else 2)
+        clock = _time_of_day(moment)
         where = f"{_degrees(latitude, 2, 'NS')},{_degrees(longitude, 3, 'EW')}"
         lines.append(_sentence(f"GPGGA,{clock},{where},1,,,{height:.3f},M,,M,,"))
         spread = "{:.3f},{:.3f},{:.1f},{:.3f},{:.3f},{:.3f}".format(*of)
@@ -162,11 +161,10 @@ def nmea(track: Track, origin: Origin, name: str) -> str:
     return "".join(lines)
 
 
-def _time_of_day(moment: float, digits: int) -> str:
-    second = 10**digits
-    ticks = round(moment % 86400.0 * second) % (86400 * second)
-    minutes, rest = divmod(ticks, 60 * second)
-    return f"{minutes // 60:02d}{minutes % 60:02d}{rest / second:0{3 + digits}.{digits}f}"
+def _time_of_day(moment: float) -> str:
+    milliseconds = round(moment % 86400.0 * 1000.0) % 86_400_000
+    minutes = milliseconds // 60_000
+    return f"{minutes // 60:02d}{minutes % 60:02d}{milliseconds / 1000.0 % 60.0:06.3f}"
 
 
 def _degrees(angle: float, digits: int, sides: str) -> str:

@@ -248,7 +248,7 @@ class LiveLog:
         table = parse(self._log, [row if isinstance(row, str) else words], number)
         cells = table.cells.ravel().tolist()
         if cells and (table.damage or not self._plain(cells)):
-            table, notes = without_lost(table, self._clock)
+            table, notes = without_lost(table, self.layout)
             self._require_sound(table)
             for name, note in notes.items():
                 self._report(name, note)

@@ -21,7 +21,7 @@ import numpy as np
 from mmwave_env.io.files import open_regular
 from mmwave_env.io.lookup import quoted, require_extra
 from mmwave_env.logs.lines import number, read_lines, require_memory
-from mmwave_env.logs.log_columns import BODY, QUANTITY_OF, STATION, Column, columns_of
+from mmwave_env.logs.log_columns import BODY, QUANTITY_OF, STATION, Column, Unit, columns_of
 from mmwave_env.models.measurement import seen_from_image
 from mmwave_env.numerics.numbers import Array, Index, Mask
 
@@ -76,11 +76,6 @@ class LogFile:
     columns: dict[str, Column]  # the columns that are used, by quantity
     names: Sequence[str]  # names of all columns in the file; "" if a column has none
     delimiter: str = ","  # character between the cells of a CSV file
-
-    @cached_property
-    def unnamed(self) -> list[int]:
-        """Return the indices of the columns without a name, which may hold numbers of rows."""
-        return [number for number, name in enumerate(self.names) if not name]
 
     def place(self, row: int) -> str:
         """Return the place of a row; in a CSV file, the row number is the line number."""
@@ -237,7 +232,7 @@ def _words(line: str, delimiter: str) -> list[str]:
 
 
 def parse(file: LogFile, lines: Sequence[str | list[str]], first: int) -> Table:
-    """Parse lines (or their cells) up to the first damage; skip blank lines.
+    """Parse lines (or their cells) up to the first damage; skip lines without content.
 
     Blank cells are read as NaN. ``first`` is the number of the first line.
     """
@@ -245,9 +240,11 @@ def parse(file: LogFile, lines: Sequence[str | list[str]], first: int) -> Table:
     rows = array("q")
     damage = None
     width = len(file.names)
-    unnamed = file.unnamed
+    unnamed = [i for i, name in enumerate(file.names) if not name]
     for row, line in enumerate(lines, start=first):
         words = _words(line, file.delimiter) if isinstance(line, str) else line
+        if not any(map(str.strip, words)):
+            continue
         values = []
         if len(words) > width and not "".join(words[width:]).strip():
             words = words[:width]  # some programs write delimiters without cells
@@ -265,8 +262,6 @@ def parse(file: LogFile, lines: Sequence[str | list[str]], first: int) -> Table:
                 if not (damage or spare.strip().isdigit() or _says_nothing(spare)):
                     problem = f"{quoted(spare)} in a column without a name"
                     damage = file.error(row, "", problem, "a name, or only numbers of rows")
-        elif isinstance(line, str) and not line.strip():
-            continue
         else:
             values = [math.nan] * len(file.columns)
             count = f"{len(words)} cells" if len(words) > 1 else f"one cell, {line[:40]!r}"
@@ -325,10 +320,13 @@ def _read_parquet(path: Path, hz_per_mps: float, **options: bool) -> Table:
         file = log_file(path, known, "", hz_per_mps, **options)
         names = [column.name for column in file.columns.values()]
         types = pyarrow.types
-        numeric = types.is_floating, types.is_integer, types.is_decimal, types.is_null
+        numeric = [types.is_floating, types.is_integer, types.is_decimal, types.is_null]
+        time = file.columns["time"]
+        if types.is_timestamp(kinds[time.name]):
+            numeric.append(types.is_timestamp)
+            file.columns["time"] = time._replace(unit=Unit(divide=1e6))  # they are read in us
         for name in names:
-            dated = types.is_timestamp(kinds[name]) and QUANTITY_OF[name] == "time"
-            if not (dated or any(is_kind(kinds[name]) for is_kind in numeric)):
+            if not any(is_kind(kinds[name]) for is_kind in numeric):
                 place = f"{path}, column {name!r}"
                 raise LogError(f"{place}: found type {kinds[name]}, expected numbers")
         require_memory(path, _ROW_BYTES * source.metadata.num_rows)
@@ -346,8 +344,5 @@ def _read_parquet(path: Path, hz_per_mps: float, **options: bool) -> Table:
         except (OSError, pyarrow.ArrowException) as error:
             problem = f"broken Parquet data ({error})"
     cells = np.concatenate(batches)
-    time = file.columns["time"]
-    if types.is_timestamp(kinds[time.name]):
-        cells[:, names.index(time.name)] *= time.unit.divide / 1e6  # they were read in us
     table = Table(file, np.arange(len(cells)) + 1, cells)
     return _ending(table, len(cells) + 1, problem) if problem else table

@@ -87,7 +87,10 @@ def test_a_live_log_that_determines_no_position_says_so_after_some_seconds():
     content = "\n".join(["time_s,anchor,range_m,snr_db", *rows, ""]).encode()
     positions, errors, code = live(content, "--speed", "1")
     assert code == 0 and not positions and len(errors) == 2
-    assert "found no position in 10 s, only range_m of anchor 1;" in errors[0]
+    assert (
+        "found no position in 10 s, only the columns anchor, range_m, snr_db, time_s of anchor 1;"
+        in errors[0]
+    )
 
 
 @pytest.mark.parametrize("content", [b"", b"\n", b"time,mood\n1,2\n", b'{"rows": 5}\n', b"[1]\n"])

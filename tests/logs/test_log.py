@@ -227,6 +227,7 @@ VARIANTS = {
     "Unnamed: 0": lambda s: numbered(s, "Unnamed: 0"),
     "delimiters without cells": lambda s: s.replace("\n", ",,\n"),
     "delimiters in rows": lambda s: HEADER + s.replace("\n", ",\n")[len(HEADER) + 1 :],
+    "rows without cells": lambda s: s.replace("\n1,", "\n,,,,,,,\n1,"),
     "NA": lambda s: s.replace(",,", ",NA,"),
     "anchor 1.0": lambda s: s.replace("\n0,1,", "\n0.0,1.0,"),
     "other order": lambda s: "".join(",".join(line.split(",")[::-1]) + "\n" for line in s.split()),

@@ -161,7 +161,7 @@ def test_numbers_beyond_the_limits_are_kept_if_limits_are_off(tmp_path):
     ("column", "cells", "line"),
     [
         ("doppler_spread_hz", ["1", "2", ""], 3),
-        ("doppler_spread_hz", ["", "-1", ""], 3),
+        ("doppler_spread_hz", ["", "-2", ""], 3),
         ("doppler_spread_hz", ["", "1e6", ""], 3),
         ("speed_mps", ["", "1.5", "1.6"], 4),
         ("heading_rad", ["", "x", ""], 3),
