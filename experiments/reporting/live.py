@@ -46,12 +46,12 @@ def run_live(args: LogArgs) -> None:
     began = False
     patience_s = _PATIENCE_S
     first_s = inf
-    seen: set[str] = set()
+    groups: set[str] = set()
     for epoch in _epochs(scene, args.snr, clock):
         if not began:
             log = epoch.log()
             names = log.layout.group_names
-            seen |= {name for name, visible in zip(names, log.visible[0], strict=True) if visible}
+            groups |= {name for name, visible in zip(names, log.visible[0], strict=True) if visible}
         if tracker is None and log.visible[:, : log.layout.anchors].any():
             radio = nearest_radio(log, scene) if args.radio == AUTO else args.radio
             choice = choice_of(args, radio, log)
@@ -73,7 +73,7 @@ def run_live(args: LogArgs) -> None:
         if not began and epoch.time_s - first_s > patience_s:
             _warn(
                 f"{SOURCE}: found no position in {patience_s:g} s, only the columns "
-                f"{', '.join(sorted(log.columns))} of {', '.join(sorted(seen)) or 'no anchor'}; "
+                f"{', '.join(sorted(log.columns))} of {', '.join(sorted(groups)) or 'no anchor'}; "
                 "docs/data.md says what a track needs"
             )
             patience_s = inf

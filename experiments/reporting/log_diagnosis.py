@@ -1,6 +1,7 @@
 """Report of ``mmwave-loc localize --diagnose``: facts about a log, and its likely mistakes."""
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -58,10 +59,11 @@ def diagnosed(
 
 def _read(path: Path, scene: Scene, snr_db: float | None) -> Log:
     read = partial(read_log, odometry=False, limits=False)
-    try:
-        return read(path, scene)
-    except LogError:  # columns may be missing
-        return read(path, scene, partial=True, snr_db=snr_db)
+    with suppress(LogError):  # columns may be missing
+        log = read(path, scene)
+        if log.visible[:, 0].any():
+            return log
+    return read(path, scene, partial=True, snr_db=snr_db)
 
 
 def log_facts(log: Log, scene: Scene) -> Json:

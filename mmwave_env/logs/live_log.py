@@ -151,7 +151,7 @@ class LiveLog:
         """Tell whether one of these rows has the same cells; count and report repeated rows."""
         if repr(cells) not in map(repr, rows):
             return False
-        self._report("repeated rows", f"repeated rows (row {number})")
+        self._report("repeated rows", f"repeated rows ({self._log.place(number)})")
         return True
 
     def _report(self, name: str, note: str) -> None:
@@ -244,8 +244,11 @@ class LiveLog:
             cells = [nan if (cell := row.get(name)) is None else cell for name in self._limits]
             if self._plain(cells):
                 return cells
-            words = ["" if (cell := row.get(name)) is None else str(cell) for name in self._names]
-        table = parse(self._log, [row if isinstance(row, str) else words], number)
+            words = [
+                "" if (cell := row.get(name)) is None else f'"{cell!s}"' for name in self._names
+            ]
+            row = self._delimiter.join(words)
+        table = parse(self._log, [row], number)
         cells = table.cells.ravel().tolist()
         if cells and (table.damage or not self._plain(cells)):
             table, notes = without_lost(table, self.layout)

@@ -15,6 +15,7 @@ from mmwave_env.models.layout import Layout
 from mmwave_env.numerics.numbers import Array, Mask
 
 MOST_PATHS = 1000  # maximum number of paths in an epoch of a log without anchor numbers
+_UNKNOWN = 1e9  # deviations of this size, in any unit, say that the noise is not known
 _WRONG_UNIT = 0.5  # with a larger share of values beyond its limits, a column has a wrong unit
 
 
@@ -36,8 +37,8 @@ def sound_epochs(
         notes["repeated rows"] = f"{repeated.sum()} repeated rows ({first})"
         table = table.part(~repeated)
     if notes:
-        what = "; ".join(notes.values())
-        warnings.warn(f"{table.file.path}: left out: {what}", stacklevel=3)
+        listed = "; ".join(notes.values())
+        warnings.warn(f"{table.file.path}: left out: {listed}", stacklevel=3)
     damaged, error = first_damage(table, layout, limits)
     anchors = layout.anchors if layout else None
     return table.part(slice(_end_of_epochs(table.raw("time"), damaged, anchors))), error
@@ -49,7 +50,7 @@ def without_lost(
     """Empty the cells that mean "lost", are infinite, or are beyond physical limits.
 
     If a standard deviation is emptied, its value is, too. If more than a share ``most`` of a column
-    is beyond the limits, these cells are kept; of standard deviations, at least half are needed.
+    is beyond the limits, these cells are kept.
 
     Returns:
         The table, and a note on what was emptied in each column, by the column's name.
@@ -65,9 +66,10 @@ def without_lost(
             continue
         raw = table.raw(quantity)
         lost = np.isinf(raw) | np.isin(abs(raw), LOST) | (minus_one & (raw == -1.0))
+        if quantity in DEVIATIONS:  # many drivers write such numbers if they don't know it
+            lost |= (raw <= 0.0) | (raw >= _UNKNOWN)
         beyond = _beyond(table, quantity, layout) & ~lost
-        share = max(most, _WRONG_UNIT) if quantity in DEVIATIONS else most
-        if beyond.sum() <= share * (~np.isnan(raw) & ~lost).sum():
+        if beyond.sum() <= most * (~np.isnan(raw) & ~lost).sum():
             lost |= beyond
         if lost.any():
             notes[column.name] = _note(table, quantity, lost)

@@ -75,6 +75,7 @@ class LogFile:
     path: Path  # path of the file
     columns: dict[str, Column]  # the columns that are used, by quantity
     names: Sequence[str]  # names of all columns in the file; "" if a column has none
+    unnamed: list[int]  # indices of the columns without a name, which may number the rows
     delimiter: str = ","  # character between the cells of a CSV file
 
     def place(self, row: int) -> str:
@@ -168,7 +169,8 @@ def log_file(
         columns = columns_of(names, hz_per_mps, **options)
     except ValueError as error:
         raise LogError(f"{path}: {error}") from error
-    return LogFile(path, columns, names, delimiter)
+    unnamed = [i for i, name in enumerate(names) if not name]
+    return LogFile(path, columns, names, unnamed, delimiter)
 
 
 def read_table(path: Path, hz_per_mps: float, **options: bool) -> Table:
@@ -231,24 +233,22 @@ def _words(line: str, delimiter: str) -> list[str]:
     return line.split(delimiter)
 
 
-def parse(file: LogFile, lines: Sequence[str | list[str]], first: int) -> Table:
-    """Parse lines (or their cells) up to the first damage; skip lines without content.
+def parse(file: LogFile, lines: Sequence[str], first: int) -> Table:
+    """Parse lines up to the first damage; skip lines without content, and read blank cells as NaN.
 
-    Blank cells are read as NaN. ``first`` is the number of the first line.
+    ``first`` is the number of the first line.
     """
     cells = array("d")
     rows = array("q")
     damage = None
     width = len(file.names)
-    unnamed = [i for i, name in enumerate(file.names) if not name]
     for row, line in enumerate(lines, start=first):
-        words = _words(line, file.delimiter) if isinstance(line, str) else line
-        if not any(map(str.strip, words)):
+        words = _words(line, file.delimiter)
+        if not (words[0].strip() or any(map(str.strip, words))):
             continue
         values = []
-        if len(words) > width and not "".join(words[width:]).strip():
-            words = words[:width]  # some programs write delimiters without cells
-        if len(words) == width:
+        # Some programs write more delimiters than cells.
+        if len(words) == width or (len(words) > width and not "".join(words[width:]).strip()):
             for quantity, column in file.columns.items():
                 word = words[column.number]
                 value = number(word)
@@ -258,9 +258,9 @@ def parse(file: LogFile, lines: Sequence[str | list[str]], first: int) -> Table:
                         expected = _EXPECTED.get(quantity, _NUMBER)
                         damage = file.error(row, quantity, quoted(word.strip()), expected)
                 values.append(value)
-            for spare in (words[i] for i in unnamed):
-                if not (damage or spare.strip().isdigit() or _says_nothing(spare)):
-                    problem = f"{quoted(spare)} in a column without a name"
+            for i in file.unnamed:
+                if not (damage or words[i].strip().isdigit() or _says_nothing(words[i])):
+                    problem = f"{quoted(words[i])} in a column without a name"
                     damage = file.error(row, "", problem, "a name, or only numbers of rows")
         else:
             values = [math.nan] * len(file.columns)
