@@ -132,15 +132,9 @@ def log():
             kind = "number" if needed else ["number", "null"]  # null: not measured
             part = {"type": kind, "description": quantity.meaning}
             by_carrier = name.startswith("doppler") and name.endswith("_mps")
-            if quantity.limits and not by_carrier:
-                bound, of = quantity.limits
-                scale = (
-                    (math.radians(1.0) if of == "degrees" else 1.0) * unit.divide / unit.multiply
-                )
-                part |= {
-                    "minimum": float(f"{scale * bound.least:.12g}"),
-                    "maximum": float(f"{scale * bound.most:.12g}"),
-                }
+            if quantity.limits[1] and not by_carrier:
+                low, high = (float(f"{end:.12g}") for end in quantity.range_in(name, unit))
+                part |= {"minimum": low, "maximum": high}
             properties[name] = part
     properties["anchor"] = {"type": "integer", "minimum": 1, "description": "number in the scene"}
 

@@ -4,6 +4,7 @@ import json
 import sys
 from collections.abc import Iterator, Sequence
 from itertools import chain
+from math import inf
 from typing import Any
 
 from experiments.console.options import AUTO, LogArgs, require_alone, require_at_least
@@ -23,6 +24,7 @@ from mmwave_env.models.layout import clock_from
 from mmwave_env.models.scene import Origin, Scene
 
 SOURCE = "standard input"
+_PATIENCE_S = 10.0  # time without a first position after which a warning says so
 
 
 def run_live(args: LogArgs) -> None:
@@ -46,16 +48,13 @@ def run_live(args: LogArgs) -> None:
     origin = _origin(args, scene)
     tracker: Tracker | Trackers | None = None
     began = False
+    patience = _Patience()
     for live, epochs in _epochs(scene, args.snr, clock):
         users = any(epoch.user for epoch in epochs)
         if tracker is None or (users and isinstance(tracker, Tracker)):
             log = next(filter(_has_links, (epoch.log() for epoch in epochs)), None)
-            if log is None:
-                continue
-            tracker, why = _tracker(args, scene, log, levels)
-            if users:
-                require_alone(args, "lag", "live")
-                tracker = Trackers(tracker)
+            if log:
+                tracker, why = _tracker(args, scene, log, levels, users)
         for user, position in _positions(tracker, epochs):
             if not began or (position.begins and not user):
                 note(f"a new track begins at {position.time_s!r} s: {why}")
@@ -64,7 +63,7 @@ def run_live(args: LogArgs) -> None:
                 content |= location_data(position, origin, args.confidence, args.accuracy)
             else:
                 content |= _content(position)
-            late = tracker.smoothed() if args.lag else None
+            late = tracker.smoothed() if tracker and args.lag else None
             if late:
                 content["smoothed"] = _content(late)
             print(json.dumps(content), flush=not user)
@@ -72,17 +71,48 @@ def run_live(args: LogArgs) -> None:
         if isinstance(tracker, Trackers):
             sys.stdout.flush()
             live.forget(tracker.forgotten)
+        patience.wait(() if began else epochs)
     if not began:
         _warn(f"{SOURCE}: found no epoch that determines a position")
 
 
-def _tracker(args: LogArgs, scene: Scene, log: Log, levels: Levels) -> tuple[Tracker, str]:
+class _Patience:
+    """What has arrived before a first position; after some seconds, a warning says so."""
+
+    def __init__(self) -> None:
+        self._first_s = inf
+        self._groups: set[str] = set()
+        self._warned = False
+
+    def wait(self, epochs: Sequence[LiveEpoch]) -> None:
+        """Note epochs without a position; warn once if there is still none."""
+        for log in (epoch.log() for epoch in epochs if not self._warned):
+            names = zip(log.layout.group_names, log.visible[0], strict=True)
+            self._groups |= {name for name, visible in names if visible}
+            self._first_s = min(self._first_s, float(log.time_s[0]))
+            if log.time_s[0] - self._first_s > _PATIENCE_S:
+                self._warned = True
+                _warn(
+                    f"{SOURCE}: found no position in {_PATIENCE_S:g} s, only the columns "
+                    f"{', '.join(sorted(log.columns))} of "
+                    f"{', '.join(sorted(self._groups)) or 'no anchor'}; docs/data.md says what a "
+                    "track needs"
+                )
+
+
+def _tracker(
+    args: LogArgs, scene: Scene, log: Log, levels: Levels, users: bool
+) -> tuple[Tracker | Trackers, str]:
     """Return a tracker for a log that begins like this, and its modes and radio in words."""
     radio = nearest_radio(log, scene) if args.radio == AUTO else args.radio
     choice = choice_of(args, radio, log)
     lag = max(args.lag, 1)
     tracker = Tracker(scene, choice.switching, radio, height_m=args.height, lag=lag, levels=levels)
-    return tracker, f"modes {choice.why}, radio {radio}"
+    why = f"modes {choice.why}, radio {radio}"
+    if not users:
+        return tracker, why
+    require_alone(args, "lag", "live")
+    return Trackers(tracker), why
 
 
 def _origin(args: LogArgs, scene: Scene) -> Origin | None:
@@ -97,14 +127,14 @@ def _has_links(log: Log) -> bool:
 
 
 def _positions(
-    tracker: Tracker | Trackers, epochs: Sequence[LiveEpoch]
+    tracker: Tracker | Trackers | None, epochs: Sequence[LiveEpoch]
 ) -> Iterator[tuple[str, Position]]:
     """Yield users ("" if there is only one), and the beliefs after their epochs."""
     if isinstance(tracker, Trackers):
         yield from tracker.step(epochs)
         return
     for epoch in epochs:
-        position = tracker.step(epoch)
+        position = tracker.step(epoch) if tracker else None
         if position:
             yield "", position
 
@@ -142,8 +172,9 @@ def _epochs(
     A JSON object is one row, or a whole epoch: {"rows": [...]}. Epochs that arrive together are
     yielded together, with the log to which they belong.
     """
-    lines = _lines()
-    number, first = next((line for line in lines if line and line[1]), (0, ""))
+    lines: Iterator[tuple[int, str] | None]
+    lines = (line for line in _lines() if line is None or line[1])
+    number, first = next(filter(None, lines), (0, ""))
     if not first:
         raise ValueError(f"log: found nothing on {SOURCE}, expected a header or JSON lines")
     as_json = first.lstrip().startswith("{")
@@ -169,9 +200,6 @@ def _epochs(
 
 def _added(log: LiveLog, number: int, line: str, as_json: bool) -> Iterator[LiveEpoch]:
     """Add a line to a log; yield the epochs that are now over. Warn of what is left out."""
-    if not line:
-        yield from log.end_epoch()
-        return
     try:
         rows, whole = _objects(line, number) if as_json else ([line], False)
     except LogError as error:

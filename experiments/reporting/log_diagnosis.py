@@ -1,6 +1,7 @@
 """Report of ``mmwave-loc localize --diagnose``: facts about a log, and its likely mistakes."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from experiments.console.provenance import provenance
 from experiments.console.tables import grid, show
 from experiments.reporting.log_choice import modes_of
 from mmwave_env.io.files import Json, write_json
+from mmwave_env.localization.contradictions import Contradiction
 from mmwave_env.localization.diagnosis import AS_IT_IS, Finding, diagnose
 from mmwave_env.localization.radio_choice import nearest_radio
 from mmwave_env.logs.log import Log, read_log
@@ -24,8 +26,12 @@ from mmwave_env.models.scene import Scene
 _UNEVEN = 0.1  # tolerated difference between a time step and the usual step, as a fraction
 
 
-def diagnosed(args: LogArgs, path: Path, scene: Scene) -> None:
+def diagnosed(
+    args: LogArgs, path: Path, scene: Scene, doubts: Callable[[], list[Contradiction]]
+) -> None:
     """Show facts about a log, and whether undoing a likely mistake makes the log consistent.
+
+    If its first epochs are consistent as they are, ``doubts`` returns what contradicts its track.
 
     Raises:
         LogError: the log is damaged.
@@ -35,6 +41,9 @@ def diagnosed(args: LogArgs, path: Path, scene: Scene) -> None:
     radio = nearest_radio(log, scene) if args.radio == AUTO else args.radio
     with progress("looking for likely mistakes"):
         findings = diagnose(log, scene, radio_from(radio), modes_of(args, radio)[-1])
+        best = findings[0]
+        if best.hypothesis == AS_IT_IS and not best.contradictions:
+            findings[0] = best._replace(contradictions=doubts())
         facts = log_facts(log, scene)
     if args.json:
         hypotheses = [
@@ -50,10 +59,11 @@ def diagnosed(args: LogArgs, path: Path, scene: Scene) -> None:
 
 def _read(path: Path, scene: Scene, snr_db: float | None) -> Log:
     read = partial(read_log, odometry=False, limits=False)
-    try:
-        return read(path, scene)
-    except LogError:  # columns may be missing
-        return read(path, scene, partial=True, snr_db=snr_db)
+    with suppress(LogError):  # columns may be missing
+        log = read(path, scene)
+        if log.visible[:, 0].any():
+            return log
+    return read(path, scene, partial=True, snr_db=snr_db)
 
 
 def log_facts(log: Log, scene: Scene) -> Json:
@@ -94,7 +104,7 @@ def facts_markdown(facts: Json) -> str:
     """Return the facts about a log as Markdown."""
     step_s = facts["step_s"]
     rate = f", {1.0 / step_s:.4g} Hz" if step_s else ""
-    times = f"{facts['first_s']:.12g} to {facts['last_s']:.12g} s{rate}"
+    times = f"{facts['first_s']:.13g} to {facts['last_s']:.13g} s{rate}"
     rows = [
         [
             f"{number}{', base station' if number == 1 else ''}",
@@ -120,8 +130,8 @@ def _verdict(findings: Sequence[Finding]) -> str:
         as_it_is = next(f.contradictions for f in findings if f.hypothesis == AS_IT_IS)
         return (
             f"No hypothesis makes the log consistent. {'; '.join(map(str, as_it_is))}. Check the "
-            "scene, the radio, and whether the angles are in the antenna's frame instead of the "
-            "map's (docs/data.md, Angles)."
+            "scene, the radio, the receiver's clock (--clock offset if it is its own), and whether "
+            "the angles are in the antenna's frame instead of the map's (docs/data.md, Angles)."
         )
     if best.hypothesis == AS_IT_IS:
         return "The log is consistent as it is."

@@ -28,7 +28,7 @@ from mmwave_env.filters.bank import modes_from
 from mmwave_env.io.files import Json, require_writable, write_json
 from mmwave_env.io.lookup import as_name
 from mmwave_env.localization.association import associate
-from mmwave_env.localization.contradictions import contradictions
+from mmwave_env.localization.contradictions import Contradiction, contradictions
 from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.localizer import Track, localize
 from mmwave_env.localization.map_files import MAP_FILES, origin_of
@@ -164,6 +164,12 @@ def _track(args: LogArgs, work: Work, window: int | None, report: Callable[[floa
     )
 
 
+def _doubts(args: LogArgs, work: Work) -> list[Contradiction]:
+    """Return the contradictions between a log and its track."""
+    groups = group_statistics(_track(args, work, None, lambda share: None))
+    return contradictions(work.log.whole(), work.scene, work.radio, groups)
+
+
 def beginning(args: LogArgs, epochs: int) -> tuple[Track, Work]:
     """Filter the first epochs of a log; return their track and the log's :class:`Work`."""
     files = inputs(args)
@@ -231,7 +237,7 @@ def localized(args: LogArgs) -> None:
     _check(args, files)
     scene = scene_of(args, files.scene)
     if args.diagnose:
-        return diagnosed(args, files.log, scene)
+        return diagnosed(args, files.log, scene, lambda: _doubts(args, _work(args, files, scene)))
     for out in args.out:
         if out.suffix in MAP_FILES:
             origin_of(scene, f"out: {out}")

@@ -26,7 +26,7 @@ def _course(figures: Json) -> list[str]:
     speed = figures["speed_mps"]
     epochs = f["epochs"]
     lines = [
-        f"{epochs} epochs, {f['first_s']:.12g} to {f['last_s']:.12g} s; estimated speed "
+        f"{epochs} epochs, {f['first_s']:.13g} to {f['last_s']:.13g} s; estimated speed "
         f"{speed['mean']:.2f} m/s on average, {speed['max']:.2f} m/s at most"
     ]
     if f["skipped"]:

@@ -231,7 +231,7 @@ class TrackSource:
             warnings.warn(
                 f"{track.record}: found {len(track)} epochs, some without a true position or "
                 f"after a gap of more than {GAP_S:g} s; episodes use the longest stretch without "
-                f"these, {most} epochs from {track.time_s[longest.start]:g} s on",
+                f"these, {most} epochs from {track.time_s[longest.start]:.13g} s on",
                 stacklevel=2,
             )
         self.epochs = most if epochs is None else epochs

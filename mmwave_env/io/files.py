@@ -115,11 +115,11 @@ def parse_json(text: str) -> Any:
 
 
 def _object(pairs: list[tuple[str, Any]]) -> Json:
-    content = dict(pairs)
-    if len(content) < len(pairs):
-        keys = [key for key, _ in pairs]
-        twice = next(key for key in keys if keys.count(key) > 1)
-        raise ValueError(f"{twice}: found this key twice, expected it once")
+    content: Json = {}
+    for key, value in pairs:
+        if key in content:
+            raise ValueError(f"{key}: found this key twice, expected it once")
+        content[key] = value
     return content
 
 

@@ -33,6 +33,7 @@ _SLOPE_LIMITS = (0.5, 1.5)  # limits of the slope: measured / predicted growth o
 # A slope is reported only if it differs from 1 by more than this many standard errors. The number
 # is large: standard errors assume independent range errors, but a blockage correlates the errors.
 _SURE = 10.0
+_SURE_SIGN = 5.0  # number of standard errors by which a slope must differ from 0 to count
 
 
 class Contradiction(NamedTuple):
@@ -162,6 +163,9 @@ def _range_per_doppler(log: Log, scene: Scene, radio: Radio) -> tuple[float, flo
     epochs are too few or the user stands still. Ranges are regressed on a constant, time and the
     integrated shift. An offset of the oscillator makes ranges appear to grow with time; its prior,
     in ``radio``, limits the coefficient of time. Each window of 30 s has its own coefficients.
+
+    Noise of the shift makes this slope too small, noise of the range makes the slope of the reverse
+    regression too large. Of the slopes between both, the result is the one nearest to 1.
     """
     direct = log.visible[:, 0] & log.visible[:, log.layout.anchors]
     direct &= log.doppler_anchor == 0
@@ -184,7 +188,12 @@ def _range_per_doppler(log: Log, scene: Scene, radio: Radio) -> tuple[float, flo
         return 1.0, inf
     slope = product / moved
     misfit = max((square - slope * product) / dof, 1.0)
-    return slope, float(np.sqrt(misfit / moved))
+    error = float(np.sqrt(misfit / moved))
+    if abs(slope) < _SURE_SIGN * error:
+        return 1.0, inf
+    if 0.0 < slope < 1.0:
+        slope = min(square / product, 1.0)
+    return slope, error
 
 
 def _products(time_s: Array, range_m: Array, rate: Array, sigma: float, radio: Radio) -> Array:

@@ -8,7 +8,7 @@ values in the file, not of the converted values, because likelihoods in differen
 compared. If no single mistake explains the log, pairs of mistakes are tried.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import replace
 from itertools import combinations, permutations
 from typing import NamedTuple
@@ -54,7 +54,7 @@ _FACTORS = {  # mistake -> the factor that undoes it, and the unit that the colu
     "1e9 times too small (s?)": (1e9, "s"),
 }
 _SEARCHED_EPOCHS = 50  # number of epochs among which the track's first epoch is chosen
-_ADVANTAGE = 0.01  # bonus for the log as it is, added to its log-likelihood per epoch
+_ADVANTAGE = 10.0  # bonus for the log as it is, added to its log-likelihood
 _OUTLIER_QUANTILE = 1e-6  # NIS is capped at the value that chi-square exceeds with this probability
 
 Fits = dict[str, float | None]
@@ -169,10 +169,10 @@ def _orders(anchors: int) -> list[list[int]]:
     return [order for n, order in enumerate(orders) if order not in (right, *orders[:n])]
 
 
-def mistakes(scene: Scene, radio: Radio) -> Iterator[Mistake]:
-    """Yield likely mistakes in the log of a scene and of a radio."""
+def mistakes(scene: Scene, radio: Radio, columns: Set[str]) -> Iterator[Mistake]:
+    """Yield likely mistakes in the log of a scene and of a radio that has these columns."""
     yield from _conventions(scene)
-    yield from _units(scene)
+    yield from _units(scene, columns)
     for order in _orders(len(scene.anchors_m)):
         numbers = ", ".join(str(i + 1) for i in order)
         cure = f"list the anchors of the scene in the order {numbers}"
@@ -229,24 +229,34 @@ def _conventions(scene: Scene) -> Iterator[Mistake]:
         )
 
 
-def _units(scene: Scene) -> Iterator[Mistake]:
-    """Yield mistakes about the units of columns."""
+def _units(scene: Scene, columns: Set[str]) -> Iterator[Mistake]:
+    """Yield mistakes about the units of columns; only those that the log has can be renamed."""
     for name, (column, rows) in _COLUMNS.items():
-        cure = f"rename {column}_rad to {column}_deg"
-        yield Mistake(f"{name} is in degrees", cure, _scaled([rows], PI / 180.0))
-    for unit, suffix, factor in (("degrees", "deg", PI / 180.0), ("radians", "rad", 180.0 / PI)):
-        cure = f"name the columns of angles after their unit, such as aoa_azimuth_{suffix}"
-        yield Mistake(f"angles are in {unit}", cure, _scaled(_ANGLES, factor))
+        if f"{column}_rad" in columns:
+            cure = f"rename {column}_rad to {column}_deg"
+            yield Mistake(f"{name} is in degrees", cure, _scaled([rows], PI / 180.0))
+    for unit, suffix, factor, other in (
+        ("degrees", "deg", PI / 180.0, "rad"),
+        ("radians", "rad", 180.0 / PI, "deg"),
+    ):
+        if any(f"{column}_{other}" in columns for column, _ in _COLUMNS.values()):
+            cure = f"name the columns of angles after their unit, such as aoa_azimuth_{suffix}"
+            yield Mistake(f"angles are in {unit}", cure, _scaled(_ANGLES, factor))
+    timed = any(name.startswith(("toa", "rtt")) for name in columns)
     for error, (factor, unit) in _FACTORS.items():
-        cure = f"multiply values by {factor:g}, or name the column after its true unit, such as"
-        yield Mistake(f"time of flight is {error}", f"{cure} toa_{unit}", _scaled([_RANGE], factor))
-        yield Mistake(f"time is {error}", f"{cure} time_{unit}", time_factor=factor)
+        cure = f"multiply values by {factor:g}"
+        rename = ", or name the column after its true unit, such as"
+        flight = f"{cure}{rename} toa_{unit}" if timed else cure
+        yield Mistake(f"time of flight is {error}", flight, _scaled([_RANGE], factor))
+        yield Mistake(f"time is {error}", f"{cure}{rename} time_{unit}", time_factor=factor)
     for unit, suffix, factor in (("m/s", "mps", scene.hz_per_mps), ("kHz", "khz", 1e3)):
         other = f"doppler_{suffix}"
-        words = f"Doppler shift is in {unit}, not in Hz"
-        yield Mistake(words, f"rename doppler_hz to {other}", _scaled([_DOPPLER], factor))
-        words = f"Doppler shift is in Hz, not in {unit}"
-        yield Mistake(words, f"rename {other} to doppler_hz", _scaled([_DOPPLER], 1.0 / factor))
+        if "doppler_hz" in columns:
+            words = f"Doppler shift is in {unit}, not in Hz"
+            yield Mistake(words, f"rename doppler_hz to {other}", _scaled([_DOPPLER], factor))
+        if other in columns:
+            words = f"Doppler shift is in Hz, not in {unit}"
+            yield Mistake(words, f"rename {other} to doppler_hz", _scaled([_DOPPLER], 1.0 / factor))
 
 
 def _has_effect(reading: Reading, original: Reading) -> bool:
@@ -299,7 +309,7 @@ def diagnose(log: Log, scene: Scene, radio: Radio, mode: Mode) -> list[Finding]:
     """
     start = _start(log)
     as_it_is = Reading(log.part(slice(start, start + DIAGNOSED_EPOCHS)), scene, radio)
-    single = [as_it_is.without(mistake) for mistake in mistakes(scene, radio)]
+    single = [as_it_is.without(mistake) for mistake in mistakes(scene, radio, log.columns)]
     single = [reading for reading in single if _has_effect(reading, as_it_is)]
     findings = _findings([as_it_is, *single], mode)
     if findings[0].contradictions:
@@ -343,13 +353,13 @@ def _findings(readings: Sequence[Reading], mode: Mode) -> list[Finding]:
         tracker.load(episodes)
         results = tracker.run("memory.nis", "log_likelihood").values()
         findings += map(_finding, tracked, episodes, *results)
-    return sorted(findings, key=_rank)
+    return sorted(findings, key=lambda finding: _rank(finding, len(readings[0].log)))
 
 
-def _rank(finding: Finding) -> tuple[bool, float]:
+def _rank(finding: Finding, epochs: int) -> tuple[bool, float]:
     """Return a sort key: consistent findings by likelihood, then inconsistent ones by fit."""
     if not finding.contradictions and finding.log_likelihood is not None:
-        advantage = _ADVANTAGE if finding.hypothesis == AS_IT_IS else 0.0
+        advantage = _ADVANTAGE / epochs if finding.hypothesis == AS_IT_IS else 0.0
         return False, -finding.log_likelihood - advantage
     worst = finding.worst_anchor
     return True, np.inf if worst is None else abs(np.log(worst))

@@ -5,9 +5,11 @@ origin that the scene states.
 """
 
 import json
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime
 from functools import reduce
+from itertools import pairwise
 from operator import xor
 from typing import NamedTuple
 from xml.sax.saxutils import escape
@@ -83,7 +85,7 @@ def _features(track: Track, origin: Origin, name: str) -> Iterator[dict[str, obj
     if len(time_s) > 1:
         points = geodetic(origin, track.smooth_x[:, :3]).round(9)[:, [1, 0, 2]].tolist()
         span = {"segment": int(track.segment[0]), "from_s": time_s[0], "to_s": time_s[-1]}
-        yield _feature("LineString", points, name=name, **span)
+        yield _feature("LineString", _cut(points), name=name, **span)
     shown = []
     last_s = -np.inf
     for number, moment in enumerate(time_s):
@@ -92,11 +94,34 @@ def _features(track: Track, origin: Origin, name: str) -> Iterator[dict[str, obj
             last_s = moment
     rings = _ellipses(origin, track.smooth_x[shown], track.smooth_P[shown]).round(9).tolist()
     for number, ring in zip(shown, rings, strict=True):
-        yield _feature("Polygon", [ring], time_s=time_s[number], share=ELLIPSE_SHARE)
+        parts = _cut(ring)
+        if len(parts) > 1:  # the ring begins and ends on the same side
+            parts[0] = parts.pop() + parts[0][1:]
+            parts = [[*part, part[0]] for part in parts]
+        yield _feature(
+            "Polygon", [[part] for part in parts], time_s=time_s[number], share=ELLIPSE_SHARE
+        )
 
 
-def _feature(kind: str, coordinates: object, **properties: object) -> dict[str, object]:
-    geometry = {"type": kind, "coordinates": coordinates}
+def _cut(points: list[list[float]]) -> list[list[list[float]]]:
+    """Cut a line of longitudes, latitudes, ... at the 180th meridian (RFC 7946, 3.1.9)."""
+    parts = [points[:1]]
+    for before, after in pairwise(points):
+        if abs(after[0] - before[0]) > 180.0:
+            side = math.copysign(180.0, before[0])
+            east = after[0] + 2.0 * side - before[0]
+            share = (side - before[0]) / east if east else 1.0
+            middle = [a + share * (b - a) for a, b in zip(before[1:], after[1:], strict=True)]
+            parts[-1].append([side, *middle])
+            parts.append([[-side, *middle]])
+        parts[-1].append(after)
+    return parts
+
+
+def _feature(kind: str, parts: Sequence[object], **properties: object) -> dict[str, object]:
+    geometry = {"type": kind, "coordinates": parts[0]}
+    if len(parts) > 1:
+        geometry = {"type": f"Multi{kind}", "coordinates": parts}
     return {"type": "Feature", "properties": properties, "geometry": geometry}
 
 
@@ -120,7 +145,10 @@ def iso_time(moment: float) -> str:
     try:
         date = datetime.fromtimestamp(moment, UTC)
     except (OSError, OverflowError, ValueError) as error:
-        raise ValueError(f"time: found {moment:g} s, expected seconds since 1970") from error
+        raise ValueError(
+            f"out: GPX files can't have the time {moment!r} s, expected seconds since 1970, before "
+            "the year 10000: is the column of times named after its unit?"
+        ) from error
     return date.isoformat(timespec="milliseconds")[:-6] + "Z"
 
 
@@ -145,9 +173,9 @@ def nmea(track: Track, origin: Origin, name: str) -> str:
 
 
 def _time_of_day(moment: float) -> str:
-    hundredths = round(moment % 86400.0 * 100.0) % 8_640_000
-    minutes = hundredths // 6000
-    return f"{minutes // 60:02d}{minutes % 60:02d}{hundredths / 100.0 % 60.0:05.2f}"
+    milliseconds = round(moment % 86400.0 * 1000.0) % 86_400_000
+    minutes = milliseconds // 60_000
+    return f"{minutes // 60:02d}{minutes % 60:02d}{milliseconds / 1000.0 % 60.0:06.3f}"
 
 
 def _degrees(angle: float, digits: int, sides: str) -> str:

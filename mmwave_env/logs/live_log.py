@@ -19,6 +19,7 @@ from mmwave_env.logs.log import Log, layout_of, log_of, places
 from mmwave_env.logs.log_checks import first_damage, without_lost
 from mmwave_env.logs.log_columns import BODY, LOST, QUANTITIES, STATION
 from mmwave_env.logs.log_tables import LogError, LogFile, Table, log_file, parse, words_of
+from mmwave_env.models import envelope
 from mmwave_env.models.layout import Layout, wrapped
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import PI
@@ -26,6 +27,7 @@ from mmwave_env.numerics.numbers import PI
 _NUMBERS = {float, int, np.float64}  # types that need no parsing; others are parsed as text
 _LOST = {-1.0, *LOST, *(-code for code in LOST)}  # numbers that need the full checks
 USER = "ue"  # name of the column that names users
+_SHORTEST_S = envelope.STEP_S.least or 0.0
 _LATE = 3  # number of late epochs, one after the other, with which a log goes on
 
 
@@ -69,9 +71,9 @@ class _Arrivals:
 class LiveLog:
     """A collector that groups the rows of a log into epochs as the rows arrive.
 
-    An epoch is over when every anchor has a row, when a row with a later time or a blank line
-    arrives, or when :meth:`end_epoch` is called. Only the rows of one epoch are kept in memory.
-    Rows may have a column ``ue``, any text, which names the user; each user has epochs of its own.
+    An epoch is over when every anchor has a row, when a row with a later time arrives, or when
+    :meth:`end_epoch` is called. Only the rows of two epochs are kept in memory. Rows may have a
+    column ``ue``, any text, which names the user; each user has epochs of its own.
 
     Rows that are late are refused; but if they keep coming, with increasing times, a clock was set
     back, or one row had a time in the future: then the log goes on at the earlier time. A row of
@@ -152,17 +154,19 @@ class LiveLog:
         """
         user, cells = self._cells(row, number)
         if not cells:
-            return self.end_epoch()
+            return []
         arrived = self._arrivals.setdefault(user, _Arrivals())
         over = []
         if not arrived.rows or cells[self._time] != arrived.rows[0][self._time]:
             time_s = self._time_s(cells)
             latest_s = self._time_s(arrived.rows[0]) if arrived.rows else arrived.last_s
-            if time_s <= latest_s and self._repeats(cells, arrived.last, number):
+            is_late = time_s - latest_s < _SHORTEST_S
+            if is_late and self._repeats(cells, arrived.last, number):
                 return []
-            if time_s <= latest_s and not _goes_on_at(arrived, time_s):
+            if is_late and not _goes_on_at(arrived, time_s):
                 problem = f"time {time_s!r} s in a row that follows the epoch at {latest_s!r} s"
-                raise self._log.error(number, "time", problem, "times that increase")
+                expected = f"times that increase by at least {_SHORTEST_S:g} s"
+                raise self._log.error(number, "time", problem, expected)
             over = self._end(user)
         arrived.late_s.clear()
         for before in arrived.rows:
@@ -183,7 +187,7 @@ class LiveLog:
         """Tell whether one of these rows has the same cells; count and report repeated rows."""
         if repr(cells) not in map(repr, rows):
             return False
-        self._report("repeated rows", f"repeated rows (row {number})")
+        self._report("repeated rows", f"repeated rows ({self._log.place(number)})")
         return True
 
     def _report(self, name: str, note: str) -> None:
@@ -272,20 +276,23 @@ class LiveLog:
         """Return the user and cells of a row; no cells for a blank line; refuse a damaged row."""
         user = self._user_of(row)
         if isinstance(row, str):
-            words = words_of(row, self._delimiter) if row.strip() else []
+            words = words_of(row, self._delimiter)
             if self._user is not None and len(words) > self._user:
                 words.pop(self._user)
+                row = self._delimiter.join(f'"{word}"' for word in words)
             cells = self._log.quick_numbers(row, words) or []
         else:
             self._learn_from(row, number)
             cells = [nan if (cell := row.get(name)) is None else cell for name in self._limits]
-            words = ["" if (cell := row.get(name)) is None else str(cell) for name in self._names]
         if cells and self._plain(cells):
             return user, cells
-        table = parse(self._log, [words] if words else [], number)
+        if not isinstance(row, str):
+            words = ["" if (cell := row.get(name)) is None else str(cell) for name in self._names]
+            row = self._delimiter.join(f'"{word}"' for word in words)
+        table = parse(self._log, [row], number)
         cells = table.cells.ravel().tolist()
         if cells and (table.damage or not self._plain(cells)):
-            table, notes = without_lost(table, self._clock)
+            table, notes = without_lost(table, self.layout)
             self._require_sound(table)
             for name, note in notes.items():
                 self._report(name, note)

@@ -56,7 +56,7 @@ class Log(Arrays):
     # (T,) whether the association of paths with anchors began a new track here, so that the filters
     # must begin one, too. Always False in a log with anchor numbers
     restarts: Mask
-    whole_columns: bool = True  # whether the log has a column for each value of a link
+    columns: frozenset[str] = frozenset()  # names of the columns that were read
     # what is damaged after these epochs; None if the whole log is sound
     damage: LogError | None = None
 
@@ -208,10 +208,7 @@ def log_of(table: Table, scene: Scene, layout: Layout, wrap: bool, snr_db: float
         doppler_spread_hz=np.nan_to_num(spread[:, 0]),
         line=table.rows[starts],
         restarts=np.zeros(T, bool),
-        whole_columns=all(
-            not {quantity, other}.isdisjoint(table.columns)
-            for quantity, other in zip(LINK_QUANTITIES, ("", STATION, "", BODY), strict=True)
-        ),
+        columns=frozenset(column.name for column in table.columns.values()),
     )
 
 

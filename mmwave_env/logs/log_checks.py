@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mmwave_env.io.records import Bound
 from mmwave_env.logs.log_columns import DEVIATIONS, LOST, QUANTITIES, SIGMA_OF, STATION
 from mmwave_env.logs.log_tables import LogError, Table
 from mmwave_env.models import envelope
@@ -16,6 +15,7 @@ from mmwave_env.models.layout import Layout
 from mmwave_env.numerics.numbers import Array, Mask
 
 MOST_PATHS = 1000  # maximum number of paths in an epoch of a log without anchor numbers
+_UNKNOWN = 1e9  # deviations of this size, in any unit, say that the noise is not known
 _WRONG_UNIT = 0.5  # with a larger share of values beyond its limits, a column has a wrong unit
 
 
@@ -31,55 +31,52 @@ def sound_epochs(
         layout: layout of the log; None if rows are paths without anchor numbers.
         limits: whether to refuse columns that are mostly beyond physical limits.
     """
-    clock = layout is not None and layout.clock
-    table, notes = without_lost(table, clock, _WRONG_UNIT if limits else 0.0)
+    table, notes = without_lost(table, layout, _WRONG_UNIT if limits else 0.0)
     if layout and (repeated := _repeated(table)).any():
         first = table.file.place(table.rows[np.argmax(repeated)])
         notes["repeated rows"] = f"{repeated.sum()} repeated rows ({first})"
         table = table.part(~repeated)
     if notes:
-        what = "; ".join(notes.values())
-        warnings.warn(f"{table.file.path}: left out: {what}", stacklevel=3)
+        listed = "; ".join(notes.values())
+        warnings.warn(f"{table.file.path}: left out: {listed}", stacklevel=3)
     damaged, error = first_damage(table, layout, limits)
     anchors = layout.anchors if layout else None
     return table.part(slice(_end_of_epochs(table.raw("time"), damaged, anchors))), error
 
 
-def without_lost(table: Table, clock: bool, most: float = 1.0) -> tuple[Table, dict[str, str]]:
+def without_lost(
+    table: Table, layout: Layout | None, most: float = 1.0
+) -> tuple[Table, dict[str, str]]:
     """Empty the cells that mean "lost", are infinite, or are beyond physical limits.
 
     If a standard deviation is emptied, its value is, too. If more than a share ``most`` of a column
-    is beyond the limits, these cells are kept; of standard deviations, at least half are needed.
-    ``clock``: whether ranges may be negative, because the user's clock has an unknown offset.
+    is beyond the limits, these cells are kept.
 
     Returns:
         The table, and a note on what was emptied in each column, by the column's name.
     """
-    lost = {}
-    minus_one = np.zeros(len(table), bool)  # rows in which -1 means "lost"
-    for quantity in table.columns:
-        if not QUANTITIES[quantity].limits:
-            continue
-        raw = table.raw(quantity)
-        wrong = np.isinf(raw) | np.isin(abs(raw), LOST)
-        if quantity == "toa":
-            wrong |= raw == -1.0
-        beyond = _beyond(table, quantity, clock) & ~wrong
-        share = max(most, _WRONG_UNIT) if quantity in DEVIATIONS else most
-        if beyond.sum() <= share * (~np.isnan(raw) & ~wrong).sum():
-            wrong |= beyond
-        minus_one |= wrong & (raw == -1.0)
-        lost[quantity] = wrong
+    columns = table.columns
     cells = table.cells.copy()
     notes = {}
-    for i, (quantity, column) in enumerate(table.columns.items()):
-        if quantity not in lost:
+    # if one -1 in a row means "lost", all do
+    never = [of for of, column in columns.items() if of == "toa" or column.low > -1.0]
+    minus_one = np.any([table.raw(quantity) == -1.0 for quantity in never], axis=0)
+    for quantity, column in columns.items():
+        if quantity in ("time", "anchor"):
             continue
-        wrong = lost[quantity] | (minus_one & (cells[:, i] == -1.0))
-        if wrong.any():
-            notes[column.name] = _note(table, quantity, wrong)
-        cells[wrong | lost.get(SIGMA_OF.get(quantity, ""), False), i] = np.nan
-    return (replace(table, cells=cells) if notes else table), notes
+        raw = table.raw(quantity)
+        lost = np.isinf(raw) | np.isin(abs(raw), LOST) | (minus_one & (raw == -1.0))
+        if quantity in DEVIATIONS:  # many drivers write such numbers if they don't know it
+            lost |= (raw <= 0.0) | (raw >= _UNKNOWN)
+        beyond = _beyond(table, quantity, layout) & ~lost
+        if beyond.sum() <= most * (~np.isnan(raw) & ~lost).sum():
+            lost |= beyond
+        if lost.any():
+            notes[column.name] = _note(table, quantity, lost)
+            for i, of in enumerate(columns):
+                if quantity in (of, SIGMA_OF.get(of)):
+                    cells[lost, i] = np.nan
+    return replace(table, cells=cells), notes
 
 
 def _repeated(table: Table) -> Mask:
@@ -99,10 +96,9 @@ def _note(table: Table, quantity: str, wrong: Mask) -> str:
     column = table.columns[quantity]
     row = int(np.argmax(wrong))
     value = table.raw(quantity)[row]
-    limits = QUANTITIES[quantity].limits
     why = "which means lost"
-    if limits and not column.low <= value <= column.high:
-        why = f"expected {_limit(table, quantity, *limits, wrong).expected}"
+    if not column.low <= value <= column.high:
+        why = f"expected {_limit(table, quantity, wrong).expected}"
     place = table.file.place(table.rows[row])
     values = ", with their values" if quantity in DEVIATIONS else ""
     return f"{wrong.sum()} of {column.name!r}{values} ({_show(value)} in {place}, {why})"
@@ -138,7 +134,7 @@ def _checks(table: Table, layout: Layout | None) -> Iterator[_Check]:
     """Yield the checks that every log must pass."""
     time = table.raw("time")
     epoch = table.epoch
-    yield _Check("time", np.isnan(time), "a time in every row")
+    yield _Check("time", ~np.isfinite(time), "a finite time in every row")
     yield _Check(
         "time",
         np.diff(time, prepend=time[0]) < 0.0,
@@ -155,7 +151,6 @@ def _checks(table: Table, layout: Layout | None) -> Iterator[_Check]:
         )
     else:
         yield from _anchor_checks(table, layout.anchors)
-    yield _Check("time", np.isinf(time), "a finite number")
     for quantity in table.columns:
         if QUANTITIES[quantity].per_epoch:
             yield _one_value(table, quantity)
@@ -194,21 +189,18 @@ def _one_value(table: Table, quantity: str) -> _Check:
     )
 
 
-def _beyond(table: Table, quantity: str, clock: bool) -> Mask:
+def _beyond(table: Table, quantity: str, layout: Layout | None) -> Mask:
     """Tell which values (n,) are beyond the limits of their quantity."""
     column = table.columns[quantity]
     raw = table.raw(quantity)
-    low = -column.high if clock and quantity == "toa" else column.low
-    return (raw < low) | (raw > column.high)
+    negative = quantity == "toa" and layout and layout.clock  # the user's clock may be behind
+    return (raw < (-column.high if negative else column.low)) | (raw > column.high)
 
 
 def _limits(table: Table, layout: Layout | None) -> Iterator[_Check]:
     """Yield the checks that values are within physical limits."""
     for quantity in table.columns:
-        limits = QUANTITIES[quantity].limits
-        if limits:
-            wrong = _beyond(table, quantity, layout is not None and layout.clock)
-            yield _limit(table, quantity, *limits, wrong)
+        yield _limit(table, quantity, _beyond(table, quantity, layout))
     step_s = np.diff(table["time"], prepend=np.nan)
     shortest = envelope.STEP_S.least or 0.0
     yield _Check(
@@ -219,8 +211,9 @@ def _limits(table: Table, layout: Layout | None) -> Iterator[_Check]:
     )
 
 
-def _limit(table: Table, quantity: str, bound: Bound, unit: str, wrong: Mask) -> _Check:
+def _limit(table: Table, quantity: str, wrong: Mask) -> _Check:
     """Return the check that the values of a column are within the limits of their quantity."""
+    bound, unit = QUANTITIES[quantity].limits
     values = table[quantity]
     if unit == "degrees":
         values = np.degrees(values)

@@ -32,16 +32,13 @@ class Quantity(NamedTuple):
 
     columns: dict[str, Unit]  # names of the columns that may hold the quantity, with their units
     meaning: str  # the quantity in words, for messages
-    # limits of what a receiver can measure, and their unit; None for times and numbers of anchors
-    limits: tuple[Bound, str] | None = None
+    # limits of what a receiver can measure, and their unit; "" for times and numbers of anchors
+    limits: tuple[Bound, str] = (between(-1e300, 1e300), "")
     per_epoch: bool = False  # whether the quantity belongs to the epoch instead of an anchor
 
     def range_in(self, name: str, unit: Unit) -> tuple[float, float]:
         """Return the least and the most plausible value of a column, in the column's unit."""
-        if self.limits is None:
-            return -1e300, 1e300
         bound, of = self.limits
-        assert bound.least is not None and bound.most is not None
         scale = unit.divide / unit.multiply
         spare = 0.0
         if of == "degrees":
@@ -49,7 +46,7 @@ class Quantity(NamedTuple):
             spare = _ROUNDING_DEG
         if self.limits is _TURN and name.endswith("_deg"):
             spare = _UNWRAPPED_DEG
-        return scale * (bound.least - spare), scale * (bound.most + spare)
+        return scale * ((bound.least or 0.0) - spare), scale * ((bound.most or 0.0) + spare)
 
 
 def _in(name: str, units: dict[str, Unit]) -> dict[str, Unit]:
@@ -153,7 +150,7 @@ LINK_QUANTITIES = ("toa", "aoa_azimuth", "aoa_elevation", "aod_azimuth")
 ODOMETRY_QUANTITIES = ("speed", "heading")
 SIGMA_OF = {quantity: f"{quantity}_sigma" for quantity in (*LINK_QUANTITIES, "doppler")}
 SIGMA_OF |= {STATION: "aoa_azimuth_sigma", BODY: "aod_azimuth_sigma"}
-DEVIATIONS = frozenset(SIGMA_OF.values())
+DEVIATIONS = list(SIGMA_OF.values())
 # numbers that mean "lost" in the files of some receivers, with either sign, in any unit
 LOST = (999.0, 9999.0, 99999.0, 999999.0, 32767.0, 32768.0, 65535.0)
 ROW_QUANTITIES = (*LINK_QUANTITIES, "doppler")  # quantities that belong to an anchor

@@ -21,7 +21,7 @@ import numpy as np
 from mmwave_env.io.files import open_regular
 from mmwave_env.io.lookup import quoted, require_extra
 from mmwave_env.logs.lines import number, read_lines, require_memory
-from mmwave_env.logs.log_columns import BODY, QUANTITY_OF, STATION, Column, columns_of
+from mmwave_env.logs.log_columns import BODY, QUANTITY_OF, STATION, Column, Unit, columns_of
 from mmwave_env.models.measurement import seen_from_image
 from mmwave_env.numerics.numbers import Array, Index, Mask
 
@@ -75,12 +75,8 @@ class LogFile:
     path: Path  # path of the file
     columns: dict[str, Column]  # the columns that are used, by quantity
     names: Sequence[str]  # names of all columns in the file; "" if a column has none
+    unnamed: list[int]  # indices of the columns without a name, which may number the rows
     delimiter: str = ","  # character between the cells of a CSV file
-
-    @cached_property
-    def unnamed(self) -> list[int]:
-        """Return the indices of the columns without a name, which may hold numbers of rows."""
-        return [number for number, name in enumerate(self.names) if not name]
 
     @cached_property
     def numbers(self) -> list[int]:
@@ -92,9 +88,10 @@ class LogFile:
         if len(words) != len(self.names) or self.unnamed or "_" in line or not line.isascii():
             return None
         try:
-            return [float(words[i]) if words[i] else math.nan for i in self.numbers]
+            numbers = [float(words[i]) if words[i] else math.nan for i in self.numbers]
         except ValueError:
             return None
+        return numbers if words[0] else None
 
     def place(self, row: int) -> str:
         """Return the place of a row; in a CSV file, the row number is the line number."""
@@ -187,7 +184,8 @@ def log_file(
         columns = columns_of(names, hz_per_mps, **options)
     except ValueError as error:
         raise LogError(f"{path}: {error}") from error
-    return LogFile(path, columns, names, delimiter)
+    unnamed = [i for i, name in enumerate(names) if not name]
+    return LogFile(path, columns, names, unnamed, delimiter)
 
 
 def read_table(path: Path, hz_per_mps: float, **options: bool) -> Table:
@@ -250,17 +248,17 @@ def words_of(line: str, delimiter: str) -> list[str]:
     return line.split(delimiter)
 
 
-def parse(file: LogFile, lines: Sequence[str | list[str]], first: int) -> Table:
-    """Parse lines (or their cells) up to the first damage; skip blank lines.
+def parse(file: LogFile, lines: Sequence[str], first: int) -> Table:
+    """Parse lines up to the first damage; skip lines without content, and read blank cells as NaN.
 
-    Blank cells are read as NaN. ``first`` is the number of the first line.
+    ``first`` is the number of the first line.
     """
     cells = array("d")
     rows = array("q")
     damage = None
     for row, line in enumerate(lines, start=first):
-        words = words_of(line, file.delimiter) if isinstance(line, str) else line
-        values = file.quick_numbers(line, words) if isinstance(line, str) else None
+        words = words_of(line, file.delimiter)
+        values = file.quick_numbers(line, words)
         if values is None:
             values, damage = _careful(file, row, line, words)
         if values:
@@ -273,15 +271,16 @@ def parse(file: LogFile, lines: Sequence[str | list[str]], first: int) -> Table:
 
 
 def _careful(
-    file: LogFile, row: int, line: str | list[str], words: list[str]
+    file: LogFile, row: int, line: str, words: list[str]
 ) -> tuple[list[float], LogError | None]:
-    """Return the numbers of a line, none if it is blank, and its first damage, if any."""
+    """Return the numbers of a line, none if it has no content, and its first damage, if any."""
     width = len(file.names)
     damage = None
     values = []
-    if len(words) > width and not "".join(words[width:]).strip():
-        words = words[:width]  # some programs write delimiters without cells
-    if len(words) == width:
+    if not any(map(str.strip, words)):
+        return [], None
+    # Some programs write more delimiters than cells.
+    if len(words) == width or (len(words) > width and not "".join(words[width:]).strip()):
         for quantity, column in file.columns.items():
             word = words[column.number]
             value = number(word)
@@ -291,13 +290,13 @@ def _careful(
                     expected = _EXPECTED.get(quantity, _NUMBER)
                     damage = file.error(row, quantity, quoted(word.strip()), expected)
             values.append(value)
-        for spare in (words[i] for i in file.unnamed):
-            if not (damage or spare.strip().isdigit() or _says_nothing(spare)):
-                problem = f"{quoted(spare)} in a column without a name"
+        for i in file.unnamed:
+            if not (damage or words[i].strip().isdigit() or _says_nothing(words[i])):
+                problem = f"{quoted(words[i])} in a column without a name"
                 damage = file.error(row, "", problem, "a name, or only numbers of rows")
-    elif line.strip() if isinstance(line, str) else line:
+    else:
         values = [math.nan] * len(file.columns)
-        count = f"{len(words)} cells" if len(words) > 1 else f"one cell, {words[0][:40]!r}"
+        count = f"{len(words)} cells" if len(words) > 1 else f"one cell, {line[:40]!r}"
         damage = file.error(row, "", count, f"{width}, as in the header")
     return values, damage
 
@@ -348,10 +347,13 @@ def _read_parquet(path: Path, hz_per_mps: float, **options: bool) -> Table:
         file = log_file(path, known, "", hz_per_mps, **options)
         names = [column.name for column in file.columns.values()]
         types = pyarrow.types
-        numeric = types.is_floating, types.is_integer, types.is_decimal, types.is_null
+        numeric = [types.is_floating, types.is_integer, types.is_decimal, types.is_null]
+        time = file.columns["time"]
+        if types.is_timestamp(kinds[time.name]):
+            numeric.append(types.is_timestamp)
+            file.columns["time"] = time._replace(unit=Unit(divide=1e6))  # they are read in us
         for name in names:
-            dated = types.is_timestamp(kinds[name]) and QUANTITY_OF[name] == "time"
-            if not (dated or any(is_kind(kinds[name]) for is_kind in numeric)):
+            if not any(is_kind(kinds[name]) for is_kind in numeric):
                 place = f"{path}, column {name!r}"
                 raise LogError(f"{place}: found type {kinds[name]}, expected numbers")
         require_memory(path, _ROW_BYTES * source.metadata.num_rows)
@@ -369,8 +371,5 @@ def _read_parquet(path: Path, hz_per_mps: float, **options: bool) -> Table:
         except (OSError, pyarrow.ArrowException) as error:
             problem = f"broken Parquet data ({error})"
     cells = np.concatenate(batches)
-    time = file.columns["time"]
-    if types.is_timestamp(kinds[time.name]):
-        cells[:, names.index(time.name)] *= time.unit.divide / 1e6  # they were read in us
     table = Table(file, np.arange(len(cells)) + 1, cells)
     return _ending(table, len(cells) + 1, problem) if problem else table

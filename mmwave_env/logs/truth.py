@@ -67,8 +67,8 @@ class Truth:
             return
         problem = (
             f"{self.path}: found a true position for {matched} of the log's {len(time_s)} epochs, "
-            f"expected at least half; the log's times are {time_s[0]:.10g} to {time_s[-1]:.10g} s, "
-            f"those of this file {self.first_s:.10g} to {self.last_s:.10g} s: are both in seconds "
+            f"expected at least half; the log's times are {time_s[0]:.13g} to {time_s[-1]:.13g} s, "
+            f"those of this file {self.first_s:.13g} to {self.last_s:.13g} s: are both in seconds "
             f"and by the same clock, and are there gaps of more than {BRIDGED_S:g} s in this file?"
         )
         if not matched:

@@ -1,6 +1,7 @@
 """Trajectories in TUM format, as the tool evo reads them: lines ``t x y z qx qy qz qw``."""
 
 import math
+import warnings
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,12 +30,15 @@ def tum_lines(time_s: Array, position_m: Array) -> str:
 def read_tum(path: Path) -> Poses:
     """Read a trajectory. Orientations must be numbers, but are not returned.
 
+    Of several poses at one time, the first is returned; a warning counts the others.
+
     Raises:
         ValueError: a line is damaged; the message names file and line, and what was expected.
         OSError: the file can't be read, or needs more memory than there is.
     """
     lines, damage = read_lines(path)
     rows: list[list[float]] = []
+    repeated: list[str] = []
     for n, line in enumerate(lines, start=1):
         words = line.split("#")[0].split()
         place = f"{path}, line {n}"
@@ -47,11 +51,20 @@ def read_tum(path: Path) -> Poses:
         for name, word, value in zip(COLUMNS, words, row, strict=True):
             if not math.isfinite(value):
                 raise ValueError(f"{place}, {name}: found {quoted(word)}, expected a finite number")
-        if rows and row[0] <= rows[-1][0]:
+        if rows and row[0] == rows[-1][0]:
+            repeated.append(place)
+            continue
+        if rows and row[0] < rows[-1][0]:
             raise ValueError(f"{place}, t: found {words[0]}, expected more than {rows[-1][0]}")
         rows.append(row)
     if damage or not rows:
         problem = damage or "no line with a pose"
         raise ValueError(f"{path}: found {problem}, expected lines {' '.join(COLUMNS)}")
+    if repeated:
+        warnings.warn(
+            f"{repeated[0]}: found the time of the pose before; {len(repeated)} such poses are "
+            "left out",
+            stacklevel=2,
+        )
     poses = np.array(rows)
     return Poses(poses[:, 0].copy(), poses[:, 1:4].copy())

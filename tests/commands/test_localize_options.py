@@ -126,6 +126,17 @@ def test_a_damaged_row_of_an_epoch_loses_no_other_row_and_csv_may_have_semicolon
     assert code == 0 and len(errors) > 9 and positions == live(marked, "--speed", "1")[0]
 
 
+def test_a_live_log_that_determines_no_position_says_so_after_some_seconds():
+    rows = [f"{t},1,{50 + t},20" for t in range(30)]
+    content = "\n".join(["time_s,anchor,range_m,snr_db", *rows, ""]).encode()
+    positions, errors, code = live(content, "--speed", "1")
+    assert code == 0 and not positions and len(errors) == 2
+    assert (
+        "found no position in 10 s, only the columns anchor, range_m, snr_db, time_s of anchor 1;"
+        in errors[0]
+    )
+
+
 @pytest.mark.parametrize("content", [b"", b"\n", b"time,mood\n1,2\n", b'{"rows": 5}\n', b"[1]\n"])
 def test_input_that_is_not_a_log_is_refused_in_one_line(content):
     positions, errors, code = live(content)
@@ -220,6 +231,16 @@ def test_a_log_that_is_refused_can_be_diagnosed(tmp_path):
     assert "if the value is in degrees, name the column aoa_azimuth_deg; mmwave" in refusal.stderr
     done = command("localize", *words, "--diagnose")
     assert "\nThe log is consistent if angles are in degrees." in done.stdout
+
+
+def test_a_log_whose_track_does_not_fit_is_not_called_consistent(tmp_path):
+    columns = read_columns(WALK / "log.csv")
+    columns["toa_s"][columns["time_s"] > columns["time_s"][-1] / 2.0] += 1e-6
+    write_columns(tmp_path / "log.csv", columns)
+    words = options(tmp_path / "log.csv", "--radio", "standard", "--diagnose", folder=WALK)
+    done = command("localize", *words)
+    assert "\nNo hypothesis makes the log consistent." in done.stdout
+    assert "anchor 1: found NIS" in done.stdout
 
 
 def test_a_diagnosis_reports_facts_about_the_log():

@@ -40,6 +40,11 @@ def exchange(column, other):
     return lambda c: {**c, column: c[other], other: c[column]}
 
 
+def renamed(names):
+    """Return a mistake that gives columns other names."""
+    return lambda c: {names.get(name, name): values for name, values in c.items()}
+
+
 exchanged = exchange(*AZIMUTHS)  # azimuths of arrival and departure
 upside_down = linear(-1.0, "aoa_elevation_rad")
 FACTORS = {  # how the text of a hypothesis about times ends -> factor by which times are wrong
@@ -55,7 +60,7 @@ MISTAKES = {  # text of a hypothesis of the diagnosis -> the mistake that it exp
     "elevation is a nadir angle": linear(1.0, "aoa_elevation_rad", offset=np.pi / 2),
     "azimuths are clockwise from north": linear(-1.0, *AZIMUTHS, offset=np.pi / 2),
     "angles are in degrees": linear(180.0 / np.pi, *ANGLES),
-    "angles are in radians": linear(np.pi / 180.0, *ANGLES),
+    "angles are in radians": renamed({name: f"{name[:-3]}deg" for name in ANGLES}),
     "azimuth of arrival is in degrees": linear(180.0 / np.pi, AZIMUTHS[0]),
     "azimuth of departure is in degrees": linear(180.0 / np.pi, AZIMUTHS[1]),
     "elevation is in degrees": linear(180.0 / np.pi, "aoa_elevation_rad"),
@@ -67,8 +72,8 @@ MISTAKES = {  # text of a hypothesis of the diagnosis -> the mistake that it exp
     },
     "Doppler shift has the other sign": linear(-1.0, "doppler_hz"),
     "Doppler shift is in m/s, not in Hz": linear(1.0 / HZ_PER_MPS, "doppler_hz"),
-    "Doppler shift is in Hz, not in m/s": linear(HZ_PER_MPS, "doppler_hz"),
+    "Doppler shift is in Hz, not in m/s": renamed({"doppler_hz": "doppler_mps"}),
     "Doppler shift is in kHz, not in Hz": linear(1e-3, "doppler_hz"),
-    "Doppler shift is in Hz, not in kHz": linear(1e3, "doppler_hz"),
+    "Doppler shift is in Hz, not in kHz": renamed({"doppler_hz": "doppler_khz"}),
 }
 ORDERS = list(permutations((1, 2, 3)))[1:]  # all wrong orders of three anchors

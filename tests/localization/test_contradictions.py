@@ -103,7 +103,23 @@ def test_a_doppler_shift_that_contradicts_the_range_causes_a_warning(block, fact
     assert grows == pytest.approx(1.0 / factor, rel=0.1)
 
 
-@pytest.mark.parametrize("factor", [-1.0, 1e-3])
+@pytest.mark.parametrize(
+    ("factor", "noise_hz"), [(1.0, 5.0), (1.0, 20.0), (1.0, 40.0), (-1.0, 10.0)]
+)
+def test_the_doppler_shift_of_a_steady_walk_causes_a_warning_only_if_it_is_wrong(
+    block, factor, noise_hz
+):
+    rng = np.random.default_rng(0)
+    walk = block.part(slice(180))
+    measurement = walk.measurement.copy()
+    x = 0.9 * walk.time_s - 10.0
+    measurement[:, 0] = np.hypot(x, 20.0) + 0.3 * rng.standard_normal(180)
+    shift = factor * SCENE.hz_per_mps * 0.9 * x / np.hypot(x, 20.0)
+    measurement[:, block.layout.doppler] = shift + noise_hz * rng.standard_normal(180)
+    assert bool(doubts_of(replace(walk, measurement=measurement))) == (factor < 0.0)
+
+
+@pytest.mark.parametrize("factor", [-1.0, 1e-3, 1.0])
 def test_the_doppler_shift_of_a_user_at_rest_causes_no_warning(block, factor):
     rng = np.random.default_rng(0)
     measurement = block.measurement.copy()

@@ -27,6 +27,7 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import read_scene
 from policies import load
 from tests.paths import LOGS
+from tests.refusals import refuses
 
 WALK = LOGS / "canyon28_pedestrian"
 SCENE = read_scene(WALK / "scene.json")
@@ -170,6 +171,14 @@ def test_live_goes_on_after_wrong_times(stream):
     assert refused <= lost and len([p for p in positions if p]) >= len(epochs) - lost
     assert positions[-1].time_s == change(len(epochs) - 1, epochs[-1][0]["time_s"])
     assert sum(p.begins for p in positions if p) <= 3
+
+
+def test_steps_that_are_too_short_are_refused_as_in_a_file():
+    rows = walk(1)[0]
+    tracker = Tracker(SCENE, Switching((EKF,)), RADIO)
+    tracker.update(rows)
+    with refuses("time_s", error=LogError):
+        tracker.update([row | {"time_s": row["time_s"] + 1e-9} for row in rows])
 
 
 def test_rows_may_have_other_keys_than_the_first_row():

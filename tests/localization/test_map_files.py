@@ -86,11 +86,40 @@ def test_nmea_has_positions_and_standard_deviations(tmp_path):
 
 
 def area(ring):
-    """Return the area in m^2 of a ring of points (longitude, latitude) near the map's origin."""
+    """Return the area in m^2 of a counterclockwise ring of points (longitude, latitude)."""
     longitude, latitude = np.array(ring).T
-    where = ORIGIN.latitude_deg, ORIGIN.longitude_deg, ORIGIN.height_m
+    where = ORIGIN.latitude_deg, longitude[0], ORIGIN.height_m
     east, north, _ = pymap3d.geodetic2enu(latitude, longitude, ORIGIN.height_m, *where)
-    return 0.5 * abs(np.dot(east[:-1], north[1:]) - np.dot(east[1:], north[:-1]))
+    return 0.5 * (np.dot(east[:-1], north[1:]) - np.dot(east[1:], north[:-1]))
+
+
+@pytest.mark.parametrize("longitude", [179.99995, 180.0, -179.9999, 180.0 - 1e-9])
+def test_geojson_is_cut_at_the_180th_meridian(tmp_path, longitude):
+    scene = replace(SCENE, origin=replace(ORIGIN, longitude_deg=longitude))
+    path = tmp_path / "walk.geojson"
+    write_track(Track.joined(tracks()), [path], scene)
+    shapes = [feature["geometry"] for feature in json.loads(path.read_text())["features"]]
+    whole = json.loads(written(tmp_path, ".geojson", tracks()).read_text())["features"]
+    assert any(shape["type"].startswith("Multi") for shape in shapes)
+    for shape, feature in zip(shapes, whole, strict=True):
+        parts = (
+            shape["coordinates"] if shape["type"].startswith("Multi") else [shape["coordinates"]]
+        )
+        if shape["type"].endswith("Polygon"):
+            parts = [ring for (ring,) in parts]
+            sizes = [area(ring) for ring in parts]
+            assert min(sizes) >= 0.0
+            assert sum(sizes) == pytest.approx(area(*feature["geometry"]["coordinates"]), rel=1e-3)
+        assert all(np.ptp([point[0] for point in part]) < 0.1 for part in parts)
+
+
+def test_times_have_milliseconds_and_must_be_before_the_year_10000(tmp_path):
+    track = some_track(2)
+    track = replace(track, time_s=NOON_S + np.array([0.0, 0.001]))
+    write_track(track, [tmp_path / "t.nmea"], SCENE)
+    assert "$GPGGA,120000.001," in (tmp_path / "t.nmea").read_text()
+    with refuses("out"):
+        write_track(replace(track, time_s=1e3 * track.time_s), [tmp_path / "t.gpx"], SCENE)
 
 
 def test_geojson_has_lines_within_segments_and_95_percent_error_ellipses(tmp_path):

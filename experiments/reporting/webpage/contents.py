@@ -80,7 +80,7 @@ def _verdict(comparison: Comparison) -> Verdict:
 
 
 def _track_verdict(c: Json) -> Verdict:
-    title = f"{c['epochs']} epochs of {c['log']}, {c['first_s']:.10g} to {c['last_s']:.10g} s"
+    title = f"{c['epochs']} epochs of {c['log']}, {c['first_s']:.13g} to {c['last_s']:.13g} s"
     tracks = c["truth"]["tracks"] if "truth" in c else {}
     ates = [f"the {name} track has an ATE of {row['ate_m']:.3f} m" for name, row in tracks.items()]
     broken = [f"only part of the log was used: {c['error']}"] if c.get("error") else []
