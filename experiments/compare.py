@@ -47,7 +47,7 @@ def main(args: Args) -> None:
     """Run the command."""
     from experiments.console.provenance import provenance
     from experiments.console.tables import booktabs, show
-    from experiments.evaluation.asked import all_contenders
+    from experiments.evaluation.contenders import all_contenders
     from experiments.reporting.comparison_results import results
     from experiments.reporting.figures.canvas import require_picture
     from experiments.reporting.figures.curves import draw_consistency, draw_error_cdf

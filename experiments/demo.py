@@ -33,7 +33,7 @@ def main(args: Args) -> None:
     from experiments.console.progress import note, say
     from experiments.console.provenance import options_of, provenance
     from experiments.console.tables import show
-    from experiments.evaluation.asked import all_contenders
+    from experiments.evaluation.contenders import all_contenders
     from experiments.reporting.comparison_results import results
     from experiments.reporting.webpage.page import page_of
     from mmwave_env.io.files import write_json, write_text

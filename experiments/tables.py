@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from experiments.paper.bench import Bench, Section
+    from experiments.paper.printed import Bench, Section
 
 
 @dataclass(kw_only=True)
@@ -44,9 +44,8 @@ def main(args: Args) -> None:
     """Run the command."""
     from experiments.console.progress import say, tracked
     from experiments.console.tables import show
-    from experiments.paper.bench import Bench
     from experiments.paper.figure import draw
-    from experiments.paper.printed import summaries
+    from experiments.paper.printed import Bench, summaries
     from experiments.reporting.figures.canvas import require_picture
     from mmwave_env.io.files import require_writable, write_text
 

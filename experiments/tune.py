@@ -91,7 +91,7 @@ def _train_levels(args: Args) -> None:
 def _tuned_modes(args: Args) -> tuple[Content, Content]:
     """Tune and print modes one by one; return the mode file's content, and results for --json."""
     from experiments.console.progress import say
-    from experiments.evaluation.asked import source_of
+    from experiments.evaluation.contenders import source_of
     from experiments.evaluation.intervals import bootstrap
     from experiments.evaluation.seeds import draw_episodes
     from experiments.training.tune_modes import RANGES, objective_of, tune

@@ -8,8 +8,19 @@ import numpy as np
 from scipy.stats import chi2
 
 from experiments.evaluation.intervals import Interval, bootstrap, bootstrap_ratio
-from experiments.paper.bench import TUNED_ON, Bench, Errors, Row, Section, Setting, section, track
-from experiments.paper.printed import HIGH_MOBILITY, LOW_MOBILITY, untuned
+from experiments.paper.printed import (
+    HIGH_MOBILITY,
+    LOW_MOBILITY,
+    TUNED_ON,
+    Bench,
+    Errors,
+    Row,
+    Section,
+    Setting,
+    section,
+    track,
+    untuned,
+)
 from mmwave_env.filters.modes import Mode, robust
 from mmwave_env.metrics import nees_interval
 from mmwave_env.models.layout import Layout

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments.evaluation.intervals import Interval
-from experiments.paper.bench import Cell, Section
+from experiments.paper.printed import Cell, Section
 from experiments.reporting.figures.canvas import picture, plain_numbers
 from mmwave_env.models.radio import TUNED_RADIOS
 

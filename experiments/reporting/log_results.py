@@ -12,7 +12,7 @@ from experiments.console.progress import progress
 from experiments.console.provenance import provenance
 from experiments.console.tables import show
 from experiments.reporting.figures.canvas import require_picture
-from experiments.reporting.figures.trajectory import draw_trajectory
+from experiments.reporting.figures.timeline import draw_trajectory
 from experiments.reporting.log_choice import (
     Choice,
     choice_of,

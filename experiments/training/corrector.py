@@ -19,8 +19,7 @@ from torch import Tensor, nn
 
 from experiments.training.corrector_data import CorrectorData, Lot
 from experiments.training.hyperparameters import CorrectorHyperparameters, falling
-from experiments.training.job import Job
-from experiments.training.trainer import Trainer
+from experiments.training.trainer import Job, Trainer
 from experiments.training.training_task import places_from
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation

@@ -10,10 +10,9 @@ from typing import Any
 
 from experiments.console.signals import answered, ended_by_signals
 from experiments.training.corrector import CorrectorTrainer
-from experiments.training.job import Job, Tell
 from experiments.training.ppo import PpoTrainer
 from experiments.training.rollouts import RolloutTrainer
-from experiments.training.trainer import Trainer, Training
+from experiments.training.trainer import Job, Tell, Trainer, Training
 from experiments.training.two_way import TwoWayTrainer
 from mmwave_env.io.files import Json, read_json
 

@@ -152,8 +152,8 @@ def _require_same(path: Path, manifest: Json) -> None:
 def train(args: TrainArgs) -> None:
     """Run the command."""
     try:
-        from experiments.training.job import Job
         from experiments.training.processes import side_by_side
+        from experiments.training.trainer import Job
     except ImportError as error:
         raise ValueError(
             f"train needs more than the base install: {error}; pip install 'mmwave-loc[train]'"

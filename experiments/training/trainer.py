@@ -3,8 +3,9 @@
 import csv
 import io
 import time
+import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -14,14 +15,105 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 
+from experiments.console.options import TUNING_SEED
 from experiments.console.provenance import versions_of
-from experiments.evaluation.seeds import SEEDS_EACH, TRAINING_SEED
-from experiments.training.evaluator import examiner
-from experiments.training.job import Job, Tell
-from experiments.training.training_task import TrainingTask
+from experiments.evaluation.contenders import contender_from
+from experiments.evaluation.intervals import bootstrap
+from experiments.evaluation.runner import Scores, score
+from experiments.evaluation.seeds import SEEDS_EACH, TRAINING_SEED, draw_episodes
+from experiments.training.training_task import Place, TrainingTask
 from mmwave_env.interface.observation import Observation
 from mmwave_env.io.files import Json, atomic_path, first_line, write_bytes, write_json, write_text
+from mmwave_env.world.episode import Episode
 from policies.policy_file import Card, Tensors, to_bytes
+
+TRAINING_RIVALS = ("speed-rule", "imm")  # rivals in every training
+PER_MODE_RIVALS = (*TRAINING_RIVALS, "imm-best")  # rivals if every mode keeps its own belief
+EPISODES = 500  # number of episodes to evaluate a policy on
+
+
+def examiner(task: TrainingTask, episodes: int = EPISODES) -> Callable[[Path], Json]:
+    """Return a function that scores policy files on the same episodes, by the default reward.
+
+    Its results are the first seed, the number of episodes, the mean of every metric and, as "minus
+    NAME", the mean gain in reward over each rival, with a 95 % interval.
+
+    Args:
+        task: task of the training; episodes are split evenly among its places (scene and radio).
+        episodes: number of episodes; every place gets at least one.
+    """
+    places = task.places
+    numbers = np.arange(max(episodes, len(places)))
+    episodes_at: list[tuple[Place, Sequence[Episode]]] = []
+    for place, here in zip(places, np.array_split(numbers, len(places)), strict=True):
+        seeds = (TUNING_SEED + here).tolist()
+        episodes_at.append((place, draw_episodes(place.source(task.scenario), seeds)))
+
+    def scores_of(name: str) -> Scores:
+        """Score a contender, given its name or file, on all episodes."""
+        parts = []
+        for place, some in episodes_at:
+            contender = contender_from(name, place.radio)
+            parts.append(score(contender, contender.start(some[0].layout), some))
+        return {metric: np.concatenate([part[metric] for part in parts]) for metric in parts[0]}
+
+    rivals = PER_MODE_RIVALS if task.beliefs == "per-mode" else TRAINING_RIVALS
+    # The rule warns at speeds outside its design window, which occur here on purpose.
+    with warnings.catch_warnings(action="ignore"):
+        rewards = {name: scores_of(name)["reward"] for name in rivals}
+
+    def examine(path: Path) -> Json:
+        scores = scores_of(str(path))
+        differences = {name: scores["reward"] - reward for name, reward in rewards.items()}
+        intervals = bootstrap(np.stack(list(differences.values()), axis=1))
+        return {
+            "seed": TUNING_SEED,
+            "episodes": len(scores["reward"]),
+            **{metric: float(values.mean()) for metric, values in scores.items()},
+            **{
+                f"minus {name}": gain.json
+                for name, gain in zip(differences, intervals, strict=True)
+            },
+        }
+
+    return examine
+
+
+# a function that hears of a training's progress: its number of timesteps so far, and a text to
+# print, which is mostly empty
+Tell = Callable[[int, str], None]
+
+
+@dataclass(frozen=True)
+class Job:
+    """A training to run."""
+
+    task: TrainingTask
+    hyperparameters: Any  # hyperparameters of the algorithm
+    seed: int  # training seed; a run numbers its trainings from 0
+    # length of the training: number of environment steps, summed over all environments; for the
+    # algorithm "rollouts", number of states in which all actions are tried
+    timesteps: int
+    folder: Path  # folder for all files of the training
+    command: str  # command that the policy file records as its origin
+    checkpoint_every: int  # number of updates between two checkpoints
+    episodes: int = EPISODES  # number of episodes to judge policies on
+
+    @property
+    def outcome(self) -> Path:
+        """Return the file of the outcome, which exists once the training is finished."""
+        return self.folder / "outcome.json"
+
+    @property
+    def policy(self) -> Path:
+        """Return the file of the best policy so far."""
+        return self.folder / "policy.safetensors"
+
+    @property
+    def checkpoint(self) -> Path:
+        """Return the file of the latest checkpoint, which is deleted when the training finishes."""
+        return self.folder / "checkpoint.pt"
+
 
 State = dict[str, Any]  # numbers, strings and tensors in nested lists and dicts
 

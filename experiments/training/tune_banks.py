@@ -15,7 +15,7 @@ from scipy.special import softmax
 
 from experiments.console.options import WorldArgs
 from experiments.console.progress import progress
-from experiments.evaluation.asked import source_of
+from experiments.evaluation.contenders import source_of
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.engines.engine import run_imm

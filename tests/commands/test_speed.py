@@ -5,7 +5,7 @@ import re
 import pytest
 
 from experiments.timing import latency
-from experiments.timing.report import TABLES
+from experiments.timing.measured import TABLES
 from tests.cli import assert_one_clear_line, command, succeed
 from tests.pages import blocks_of, made
 from tests.paths import ROOT, json_in

@@ -8,9 +8,9 @@ import json
 import numpy as np
 import pytest
 
-from experiments.evaluation.hard import HARD_SOURCES
 from experiments.evaluation.protocol import (
     BESIDE,
+    HARD_SOURCES,
     KINDS,
     RECORDED,
     TRAINED,

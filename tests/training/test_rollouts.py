@@ -9,11 +9,9 @@ pytest.importorskip("stable_baselines3")
 import torch
 
 from experiments.training.hyperparameters import RolloutHyperparameters
-from experiments.training.job import Job
 from experiments.training.processes import train
-from experiments.training.rollout_env import Tried
-from experiments.training.rollouts import RolloutLearner, RolloutTrainer
-from experiments.training.trainer import Training
+from experiments.training.rollouts import RolloutLearner, RolloutTrainer, Tried
+from experiments.training.trainer import Job, Training
 from experiments.training.training_task import TrainingTask
 from mmwave_env.filters.bank import Bank, default_modes
 from mmwave_env.interface.reward import TrackingReward

@@ -1,24 +1,51 @@
-"""Contents of the web page: verdicts, tables and pictures of results."""
+"""Contents of the web page: results of commands, as verdicts, tables and learning curves."""
 
 from collections.abc import Iterator
 from functools import partial
+from pathlib import Path
 from typing import NamedTuple
 
-from experiments.evaluation.comparison import Comparison
+from experiments.evaluation.compare import Comparison
 from experiments.evaluation.positions import positions_markdown
-from experiments.evaluation.runs import outcomes_markdown
+from experiments.evaluation.runs import curves_of, outcomes_markdown
 from experiments.evaluation.seeds import named
-from experiments.reporting.figures.canvas import PHONE_MM
-from experiments.reporting.figures.curves import (
-    draw_consistency,
-    draw_error_cdf,
-    draw_learning_curves,
-)
+from experiments.reporting.figures.curves import draw_learning_curves
 from experiments.reporting.track_report import track_markdown
 from experiments.reporting.webpage.markup import drawn, element, html_of, table
-from experiments.reporting.webpage.played import Played, watched_names
-from experiments.reporting.webpage.sources import Source
-from mmwave_env.io.files import Json
+from mmwave_env.io.files import Json, read_json
+
+READ = "results (--json) of compare, demo or localize, or a folder that train wrote"
+
+
+class Source(NamedTuple):
+    """Results of one command."""
+
+    path: str  # path as the user typed it
+    kind: str  # "comparison", "track" or "run"
+    content: Json  # content of a file; or a run's summary, with learning curves as "curves"
+
+
+def read_source(path: Path) -> Source:
+    """Read a file of results, or the folder of a finished or unfinished run.
+
+    Raises:
+        ValueError: the file does not hold results; the message names the file and what it lacks.
+        FileNotFoundError: there is no such file.
+    """
+    over = path / "summary.json"
+    begun = path / "run.json"
+    if over.is_file():
+        run = read_json(over, "the summary of a run", dict)
+    elif begun.is_file():
+        run = read_json(begun, "the manifest of a run", dict)
+        outcomes = sorted(path.glob("seed-*/outcome.json"))
+        run["seeds"] = [read_json(file, "the outcome of a training", dict) for file in outcomes]
+    else:
+        content = read_json(path, "results", dict)
+        return Source(str(path), "track" if "groups" in content else "comparison", content)
+    logs = sorted(path.glob("seed-*/progress.csv"))
+    run["curves"] = {file.parent.name: curves_of(file) for file in logs}
+    return Source(str(path), "run", run)
 
 
 class Verdict(NamedTuple):
@@ -45,7 +72,8 @@ def results_of(source: Source) -> tuple[Verdict, str]:
         more = "" if over == begun else "; mmwave-loc train --resume continues the other seeds"
         return Verdict(source.path, title, f"{title}{more}."), "".join(_trainings(source))
     comparison = Comparison.from_json(content)
-    return _verdict(comparison), "".join(_compared(comparison))
+    positions = content.get("position_errors")  # from --percentiles
+    return _verdict(comparison), "".join(_compared(comparison, positions))
 
 
 def _verdict(comparison: Comparison) -> Verdict:
@@ -78,7 +106,7 @@ def _track_verdict(c: Json) -> Verdict:
     return Verdict(f"{c['log']}, {c['scene']}", title, f"{'; '.join([title, *ates, *broken])}.")
 
 
-def _compared(comparison: Comparison) -> Iterator[str]:
+def _compared(comparison: Comparison, positions: Json | None) -> Iterator[str]:
     header, rows = comparison.table()
     yield table("Means ± half the widths of 95 % intervals, best reward first", header, rows)
     pairs = [
@@ -89,6 +117,13 @@ def _compared(comparison: Comparison) -> Iterator[str]:
     ]
     caption = "Differences, paired by episode, with 95 % intervals"
     yield table(caption, ["contender", "minus", "reward", "ATE m"], pairs) if pairs else ""
+    if positions:
+        rows = positions["policies"]
+        ranked = {name: rows[name] for name in comparison.policies if name in rows}
+        about = "Errors in all episodes, without the first 10 epochs of each"
+        yield element("p", about, "caption")
+        kind = positions.get("levels", "gaussian")
+        yield html_of(positions_markdown("contender", ranked, positions["risk"], kind))
 
 
 def _trainings(source: Source) -> Iterator[str]:
@@ -102,30 +137,6 @@ def _trainings(source: Source) -> Iterator[str]:
         lines = [curve[rival] for curve in curves if rival in curve]
         draw = partial(draw_learning_curves, f"reward minus reward of {rival}", lines)
         yield drawn(f"Gain in reward over {rival} on tuning seeds, a line per training seed", draw)
-
-
-def errors_of(source: Source, played: Played) -> Iterator[str]:
-    """Yield HTML tables and pictures of the errors of a comparison; nothing for other sources."""
-    if source.kind != "comparison":
-        return
-    ranked = [*Comparison.from_json(source.content).policies]
-    if figures := source.content.get("position_errors"):  # from --percentiles
-        policies = figures["policies"]
-        rows = {name: policies[name] for name in ranked if name in policies}
-        about = "Errors in all episodes, without the first 10 epochs of each"
-        yield element("p", about, "caption")
-        kind = figures.get("levels", "gaussian")
-        yield html_of(positions_markdown("contender", rows, figures["risk"], kind))
-    errors_m = played.epochs.errors_m
-    nees = played.epochs.nees
-    if shown := [name for name in watched_names(ranked) if name in errors_m]:
-        draw = partial(draw_error_cdf, {name: errors_m[name] for name in shown}, width_mm=PHONE_MM)
-        yield drawn(f"Distribution of errors (CDF), {played.which}", draw)
-        chosen = {name: nees[name] for name in shown}
-        draw = partial(
-            draw_consistency, played.epochs.time_s, chosen, played.axes, width_mm=PHONE_MM
-        )
-        yield drawn(f"NEES and its chi-square bounds, {played.which}", draw)
 
 
 def origin_of(title: str, command: str, versions: Json) -> str:

@@ -8,10 +8,15 @@ from typing import Any
 
 from experiments.console.options import PageArgs
 from experiments.console.provenance import command_line
-from experiments.reporting.webpage.contents import Verdict, errors_of, origin_of, results_of
+from experiments.reporting.webpage.contents import (
+    READ,
+    Verdict,
+    origin_of,
+    read_source,
+    results_of,
+)
 from experiments.reporting.webpage.markup import element, text
-from experiments.reporting.webpage.played import LONGEST, Played, play
-from experiments.reporting.webpage.sources import READ, read_source
+from experiments.reporting.webpage.played import LONGEST, Played, errors_of, play
 from mmwave_env.io.files import first_line
 from mmwave_env.rendering.theme import THEMES, hex_of
 
@@ -30,14 +35,13 @@ def page_of(args: PageArgs) -> str:
             command = source.content["command"]
             versions = source.content.get("versions", {})
             origins.append(origin_of(source.path, command, versions))
-            list(errors_of(source, Played()))  # fails early, before episodes are run
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise ValueError(f"{source.path}: {first_line(error)}, expected {READ}") from error
         verdicts.append(verdict)
         results.append(tables)
     origins.append(origin_of("This page", command_line("report", args), {}))
     played = [play(source, args.episodes, args.watch) for source in sources]
-    errors = ["".join(errors_of(*pair)) for pair in zip(sources, played, strict=True)]
+    errors = ["".join(errors_of(part)) for part in played]
     sections = {
         "Results": _folded(verdicts, results),
         "Errors": _folded(verdicts, errors),

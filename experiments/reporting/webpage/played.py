@@ -1,21 +1,24 @@
 """Replay of a comparison's episodes, or of a log, for details that results files do not store."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from experiments.console.options import EpisodeArgs, LogArgs
 from experiments.console.provenance import options_from
 from experiments.evaluation.agents import is_agent
-from experiments.evaluation.asked import contender_of, task_of
-from experiments.evaluation.comparison import Comparison
-from experiments.evaluation.contenders import Contender
+from experiments.evaluation.compare import Comparison
+from experiments.evaluation.contenders import Contender, contender_of, task_of
 from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.evaluation.seeds import draw_episodes, keys_for, named, seeds_from
+from experiments.reporting.figures.canvas import PHONE_MM
+from experiments.reporting.figures.curves import draw_consistency, draw_error_cdf
 from experiments.reporting.histories import EpochErrors, history_of
 from experiments.reporting.log_results import beginning
-from experiments.reporting.webpage.sources import Source
+from experiments.reporting.webpage.contents import Source
+from experiments.reporting.webpage.markup import drawn
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import VERTICAL
 from mmwave_env.io.files import Json
@@ -133,6 +136,19 @@ def _contenders(args: EpisodeArgs, names: list[str], missing: dict[str, str]) ->
         except (ValueError, OSError) as error:
             missing[name] = str(error)
     return available
+
+
+def errors_of(played: Played) -> Iterator[str]:
+    """Yield HTML pictures of the errors in a comparison's episodes; nothing for other sources."""
+    epochs = played.epochs
+    shown = watched_names([*epochs.errors_m])
+    if shown:
+        errors_m = {name: epochs.errors_m[name] for name in shown}
+        draw = partial(draw_error_cdf, errors_m, width_mm=PHONE_MM)
+        yield drawn(f"Distribution of errors (CDF), {played.which}", draw)
+        nees = {name: epochs.nees[name] for name in shown}
+        draw = partial(draw_consistency, epochs.time_s, nees, played.axes, width_mm=PHONE_MM)
+        yield drawn(f"NEES and its chi-square bounds, {played.which}", draw)
 
 
 def watched_names(ranked: Sequence[str]) -> list[str]:
