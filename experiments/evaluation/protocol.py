@@ -18,7 +18,7 @@ import numpy as np
 from experiments.console.options import WorldArgs
 from experiments.console.tables import grid
 from experiments.evaluation.branches import CLAIRVOYANT
-from experiments.evaluation.compare import MISSING, score_cell, score_of
+from experiments.evaluation.compare import score_cell, score_of
 from experiments.evaluation.contenders import BEST_IMM, RULE, contender_from, source_of
 from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.runner import Scores, score_contenders
@@ -207,8 +207,7 @@ def read_entry(path: Path) -> Json:
     def checked(content: Json) -> Json:
         if missing := [site.name for site in sites() if site.name not in content["sites"]]:
             raise ValueError(f"sites: missing {', '.join(missing)}")
-        add_scores([content], content)  # raises if tables can't show the entry
-        tables_of([content], content)
+        tables_of([content], content)  # raises if tables can't show the entry
         return content
 
     return read_json(path, "an entry", checked)
@@ -222,28 +221,36 @@ def entries_in(folder: Path) -> list[Json]:
     return [*shipped, *own]
 
 
-def add_scores(entries: Iterable[Json], ceiling: Json) -> None:
+def ceiling_of(entries: Iterable[Json]) -> Json:
+    """Return the entry of the clairvoyant."""
+    return next(entry for entry in entries if entry["entry"] == CLAIRVOYANT)
+
+
+def add_scores(entries: Sequence[Json], ceiling: Json) -> None:
     """Set the scores of entries at their sites; ``ceiling`` is the entry of the clairvoyant.
 
     A score is None unless entry and ceiling were compared with the rule on the same episodes.
     """
-    for content in entries:
-        for name, at in content["sites"].items():
-            top = ceiling["sites"].get(name, {})
-            at["score"] = None
-            if top and scored_over(at) == scored_over(top):
-                at["score"] = score_of(at["over_rule"]["mean"], top["over_rule"]["mean"])
+    for site, content in product(sites(), entries):
+        at = content["sites"][site.name]
+        top = ceiling["sites"][site.name]
+        at["score"] = None
+        if scored_over(at) == scored_over(top):
+            at["score"] = score_of(at["over_rule"]["mean"], top["over_rule"]["mean"])
 
 
 def tables_of(entries: Sequence[Json], ceiling: Json) -> str:
-    """Return all tables of entries in which :func:`add_scores` has set the scores."""
+    """Return all tables of entries; ``ceiling`` is the entry of the clairvoyant."""
+    add_scores(entries, ceiling)
     ranked = ranking(entries)
+    gains = [[name, *(gain_at(content, kind) for kind in KINDS)] for name, content in ranked]
+    scores = [[name, *(score_at(content, kind) for kind in KINDS)] for name, content in ranked]
     return (
         f"Score at each site:\n\n{by_score(entries, ceiling)}\n\n"
         "Mean gain over imm-best, and numbers of sites: above every IMM / level / below one:\n\n"
-        f"{gains_by_kind(ranked)}\n\n"
+        f"{grid(['entry', *KINDS], gains)}\n\n"
         "Mean score (100: the clairvoyant, 0: the paper's rule):\n\n"
-        f"{scores_by_kind(ranked)}"
+        f"{grid(['entry', *(f'score {kind}' for kind in KINDS)], scores)}"
     )
 
 
@@ -285,27 +292,17 @@ def at_kind(content: Json, kind: str) -> list[Json]:
     return [site for site in content["sites"].values() if site["kind"] == kind]
 
 
-def scores_by_kind(ranked: Sequence[tuple[str, Json]]) -> str:
-    """Return a Markdown table of mean scores at each kind of site."""
-    rows = []
-    for name, content in ranked:
-        scores = [[site["score"] for site in at_kind(content, kind)] for kind in KINDS]
-        means = [None if None in kind else np.mean(kind) for kind in scores]
-        rows.append([name, *map(score_cell, means)])
-    return grid(["entry", *(f"score {kind}" for kind in KINDS)], rows)
+def score_at(content: Json, kind: str) -> str:
+    """Return an entry's mean score at the sites of a kind, as tables show it."""
+    scores = [site["score"] for site in at_kind(content, kind)]
+    return score_cell(None if None in scores else np.mean(scores))
 
 
-def gains_by_kind(ranked: Sequence[tuple[str, Json]]) -> str:
-    """Return a Markdown table: gains over imm-best, and counts of :func:`standing`."""
-    rows = []
-    for name, content in ranked:
-        cells = [name]
-        for kind in KINDS:
-            stands = [standing(site) for site in at_kind(content, kind)]
-            counts = " / ".join(str(stands.count(at)) for at in ("above", "level", "below"))
-            cells.append(f"{Interval.of(content['mean_gain'][kind])}, {counts}")
-        rows.append(cells)
-    return grid(["entry", *KINDS], rows)
+def gain_at(content: Json, kind: str) -> str:
+    """Return an entry's gain over imm-best at a kind of sites, and counts of :func:`standing`."""
+    stands = [standing(site) for site in at_kind(content, kind)]
+    counts = " / ".join(str(stands.count(at)) for at in ("above", "level", "below"))
+    return f"{Interval.of(content['mean_gain'][kind])}, {counts}"
 
 
 def by_score(entries: Sequence[Json], ceiling: Json) -> str:
@@ -316,7 +313,7 @@ def by_score(entries: Sequence[Json], ceiling: Json) -> str:
     shown = {c["entry"]: c["sites"] for c in entries if c["entry"] != CLAIRVOYANT}
     rows = []
     for site in sites():
-        top = ceiling["sites"].get(site.name, {}).get("over_rule")
+        top = ceiling["sites"][site.name]["over_rule"]
         cells = (score_cell(at[site.name]["score"]) for at in shown.values())
-        rows.append([site.name, Interval.of(top) if top else MISSING, *cells])
+        rows.append([site.name, Interval.of(top), *cells])
     return grid(["site", f"{CLAIRVOYANT} minus {RULE}", *shown], rows)
