@@ -8,6 +8,7 @@ teaches the network to scale the standard deviations. The base does not depend o
 plays each episode only once. Every update has new *lots* (batches of equally long episodes).
 """
 
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -140,26 +141,19 @@ class CorrectorTrainer(Trainer):
             yield list(self.data.lots())
 
     def update(self, left: float) -> tuple[int, dict[str, float]]:
-        """Learn from the next lots."""
+        """Mix the episodes of the next lots, and take a gradient step for each new lot."""
         number, lots = next(self._updates)
         rng = np.random.default_rng((self.seed, number))
-        loss = self.learn(lots, left, rng)
-        return sum(lot.features[..., 0].size for lot in lots), {"loss": loss}
+        rate = self.hyper.learning_rate * falling(self.hyper.final_fraction, left)
+        self.optimizer.param_groups[0]["lr"] = rate
+        losses = [self._step(lot) for lot in mixed(lots, self.hyper.batch_size, rng)]
+        epochs = sum(lot.features[..., 0].size for lot in lots)
+        return epochs, {"loss": float(np.mean(losses))}
 
     def measure(self, lots: list[Lot]) -> None:
         """Set the scales from the features in some lots: limits, mean and standard deviation."""
         rows = np.concatenate([lot.features.reshape(-1, lot.features.shape[2]) for lot in lots])
         self.scales.update(normalization_of(rows)._asdict())
-
-    def learn(self, lots: list[Lot], left: float, rng: np.random.Generator) -> float:
-        """Mix the episodes anew, take a gradient step for each new lot; return the mean loss.
-
-        ``left``, from 1 to 0, is the share of the training that is left.
-        """
-        rate = self.hyper.learning_rate * falling(self.hyper.final_fraction, left)
-        for group in self.optimizer.param_groups:
-            group["lr"] = rate
-        return float(np.mean([self._step(lot) for lot in mixed(lots, self.hyper.batch_size, rng)]))
 
     def _step(self, lot: Lot) -> float:
         """Take a gradient step; each member of an ensemble learns from about half of the lot."""
@@ -173,7 +167,7 @@ class CorrectorTrainer(Trainer):
         loss.backward()  # type: ignore[no-untyped-call]
         nn.utils.clip_grad_norm_(self.network.parameters(), hyper.max_grad_norm)
         self.optimizer.step()
-        return float(loss.item())
+        return loss.item()
 
     def answer(self, lot: Lot) -> tuple[Tensor, Tensor]:
         """Return the network's outputs for a lot; see :meth:`CorrectorNetwork.forward`."""
@@ -184,19 +178,13 @@ class CorrectorTrainer(Trainer):
 
     def tensors(self) -> Tensors:
         """Return the network in the form that a policy file stores."""
-        state = {
-            name: value.numpy().astype(float) for name, value in self.network.state_dict().items()
-        }
-        tensors = {
-            f"back{name.removeprefix('gru').removesuffix('_l0_reverse')}"
-            if name.endswith("_reverse")
-            else name.removesuffix("_l0"): value
-            for name, value in state.items()
-        }
-        tensors["front.weight"] = state["front.weight"] / self.scales["sigma"]
-        shift = tensors["front.weight"] @ self.scales["mean"]
-        tensors["front.bias"] = state["front.bias"] - shift
-        tensors |= {name: self.scales[name] for name in ("low", "high")}
+        normal = Normalization(**self.scales)
+        tensors = {"low": normal.low, "high": normal.high}
+        for name, value in self.network.state_dict().items():
+            stored = re.sub(r"gru(.*)_l0_reverse", r"back\1", name).removesuffix("_l0")
+            tensors[stored] = value.numpy().astype(float)
+        front = tensors["front.weight"], tensors["front.bias"]
+        tensors["front.weight"], tensors["front.bias"] = normal.folded(*front)
         return {name: value.astype(np.float32) for name, value in tensors.items()}
 
 
@@ -209,13 +197,13 @@ def mixed(lots: list[Lot], size: int, rng: np.random.Generator) -> Iterator[Lot]
             episodes have fewer episodes, so that all lots have about the same number of epochs.
         rng: random generator of the order.
     """
-    shortest = min(len(lot.features) for lot in lots)
+    lengths = sorted({len(lot.features) for lot in lots})
     parts: list[tuple[Lot, Index]] = []
-    for length in sorted({len(lot.features) for lot in lots}):
+    for length in lengths:
         alike = [lot for lot in lots if len(lot.features) == length]
         together = Lot(*(np.concatenate(part, axis=1) for part in zip(*alike, strict=True)))
         order = rng.permutation(together.features.shape[1])
-        count = max(1, round(len(order) * length / (size * shortest)))
+        count = max(1, round(len(order) * length / (size * lengths[0])))
         parts += [(together, some) for some in np.array_split(order, count)]
     for i in rng.permutation(len(parts)):
         together, some = parts[i]

@@ -99,9 +99,9 @@ def _trained(features: Array, logs: Array, steps: int) -> Network:
     """Train a network to predict quantiles of ``logs`` (n, risks, 2); leave its constants at 0."""
     torch.set_num_threads(1)
     torch.manual_seed(0)
-    low, high, mean, sigma = normalization_of(features[::16].astype(float))
-    inside = np.clip(features, low.astype(np.float32), high.astype(np.float32))
-    x = torch.from_numpy((inside - mean.astype(np.float32)) / sigma.astype(np.float32))
+    normal = normalization_of(features[::16].astype(float))
+    low, high, mean, sigma = [part.astype(np.float32) for part in normal]
+    x = torch.from_numpy((np.clip(features, low, high) - mean) / sigma)
     y = torch.from_numpy(logs)
     risk = torch.tensor(RISKS)[:, None]
     linear = [nn.Linear(*ends) for ends in pairwise([x.shape[1], HIDDEN, HIDDEN, 2 * len(RISKS)])]
@@ -117,10 +117,9 @@ def _trained(features: Array, logs: Array, steps: int) -> Network:
         loss.backward()  # type: ignore[no-untyped-call]
         optimizer.step()
     layers = [tuple(part.detach().double().numpy() for part in f.parameters()) for f in linear]
-    weight, bias = layers[0]
-    layers[0] = weight / sigma, bias - weight / sigma @ mean
+    layers[0] = normal.folded(*layers[0])
     constants = np.zeros((len(KINDS), len(RISKS), 2))
-    return Network([*RISKS], constants, low, high, layers)
+    return Network([*RISKS], constants, normal.low, normal.high, layers)
 
 
 def _constants(network: Network, seed: int, rounds: int) -> Array:
