@@ -7,6 +7,7 @@ first; then the network learns from each of them several times.
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,16 +16,15 @@ import torch
 from numpy.typing import NDArray
 
 from experiments.console.options import TUNING_SEED
+from experiments.evaluation.contenders import Contender
+from experiments.evaluation.runner import run_contender
 from experiments.training.corrector import CorrectorTrainer
 from experiments.training.corrector_data import CorrectorData, Lot, base_policy, lot_of
 from experiments.training.hyperparameters import TwoWayHyperparameters
-from mmwave_env.engines.engine import Engine
-from mmwave_env.engines.play import play
 from mmwave_env.engines.smoothed_features import GATES, smoothed_features
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.mode_smoothing import smooth_modes
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.io.files import Json
 from mmwave_env.metrics import BURN_IN
 from mmwave_env.models.measurement import blank_site
@@ -33,7 +33,7 @@ from mmwave_env.numerics.pytree import unflatten
 from mmwave_env.world.episode import EpisodeBatch, columns_of
 
 TOGETHER = 18  # number of lots whose episodes are mixed
-PARTS = ("x", "error", "mixture", *(f"memory.{gate}" for gate in GATES))
+PARTS = ("x", "mixture", *(f"memory.{gate}" for gate in GATES))
 
 
 class Smoothed(NamedTuple):
@@ -55,12 +55,8 @@ def smoothed(batch: EpisodeBatch, bank: Bank, base: str) -> Smoothed:
     """Filter episodes with the policy ``base`` and a bank, and smooth the tracks."""
     pipeline = Pipeline(bank.modes, batch.layout)
     at = columns_of(batch.layout)
-    n, epochs, _ = batch.table.shape
-    engine = Engine(pipeline, n, TrackingReward(), "full", bank)
-    engine.batch.load(batch)
-    policy = base_policy(base, engine.observation)
-    track = play(engine, policy, epochs, engine.program.rows(PARTS))
-    of = engine.program.by_name(PARTS, track.outputs)
+    contender = Contender(bank, policy=partial(base_policy, base), name=base)
+    of = run_contender(contender, contender.start(batch.layout), batch, after=PARTS)
     hz_per_mps = float(unflatten(blank_site(batch.layout), iter(batch.site[0])).hz_per_mps)
     dt = batch.table[:, :, at.dt]
     spread_hz = batch.table[:, :, at.doppler_spread_hz]
