@@ -14,14 +14,12 @@ from experiments.evaluation.contenders import Contender
 from experiments.evaluation.seeds import draw_episodes, keys_for
 from mmwave_env.engines.engine import Engine, run_imm
 from mmwave_env.engines.play import play
-from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import CORRECTION, MODE
 from mmwave_env.interface.policy import Policy, Switching
 from mmwave_env.interface.reward import Reward, TrackingReward, terms_of, total
 from mmwave_env.io.lookup import printable
 from mmwave_env.metrics import BURN_IN, METRICS, TERMS, scored, summary
-from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.task import Task
 from mmwave_env.world.episode import Episode, EpisodeBatch, EpisodeSource, columns_of
@@ -160,8 +158,7 @@ def _run_estimator(
         ValueError: a name is neither a score nor a part of the belief.
     """
     x, P = estimator.estimate(pipeline, episodes)
-    covariance = unpack(list(np.moveaxis(P, -1, 0)), pipeline.known_axes)
-    belief = Belief(list(np.moveaxis(x, -1, 0)), covariance, pipeline.position_axes)
+    belief = pipeline.belief(list(np.moveaxis(x, -1, 0)), list(np.moveaxis(P, -1, 0)))
     truth = list(np.moveaxis(episodes.table[:, :, columns_of(episodes.layout).truth], -1, 0))
     results = {
         "x": x,

@@ -20,13 +20,11 @@ from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.engines.engine import tracks_of
 from mmwave_env.engines.smoothing import smooth
 from mmwave_env.filters.bank import shipped_modes
-from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.modes import Mode, robust
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.metrics import scored, summary
 from mmwave_env.models.radio import TUNED_RADIOS, Radio, radio_from
 from mmwave_env.models.scene import SCENES
-from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource
@@ -108,9 +106,8 @@ def track(mode: Mode, episodes: Sequence[Episode], planar: bool = False) -> Trac
     x, P, x_predicted, P_predicted, error, nees = run.values()
     better_x, better_P = smooth(x, P, x_predicted, P_predicted, np.diff(episodes[0].time_s), planar)
     better = error + better_x[..., :3] - x[..., :3]
-    covariance = unpack(list(np.moveaxis(better_P, -1, 0)), zero=pipeline.known_axes)
     # NEES depends only on state minus truth: pass the error as the state, and 0 as the truth.
-    offset = Belief(list(np.moveaxis(better, -1, 0)), covariance, pipeline.position_axes)
+    offset = pipeline.belief(list(np.moveaxis(better, -1, 0)), list(np.moveaxis(better_P, -1, 0)))
     axes = len(pipeline.position_axes)
     smoothed = _errors(better, offset.nees([0.0] * 3), axes)
     return TrackRun(_errors(error, nees, axes), smoothed)

@@ -40,7 +40,27 @@ class History(NamedTuple):
         with np.errstate(over="ignore"):  # the error of a lost track may be arbitrarily large
             return np.linalg.norm(self.estimate[:, :3] - self.truth[:, :3], axis=1)  # type: ignore[no-any-return]
 
+    @property
+    def true_mps(self) -> Array:
+        """Return the true speed (k + 1,), m/s."""
+        return np.linalg.norm(self.truth[:, 3:], axis=1)  # type: ignore[no-any-return]
+
+    @property
+    def speed_mps(self) -> Array:
+        """Return the estimated speed (k + 1,), m/s."""
+        with np.errstate(over="ignore"):  # the speed of a lost track may be arbitrarily large
+            return np.linalg.norm(self.estimate[:, 3:6], axis=1)  # type: ignore[no-any-return]
+
     def part(self, rows: slice) -> "History":
         """Return a history with only these rows."""
         arrays: Any = self[4:]
         return History(*self[:4], *(array[rows] for array in arrays))
+
+
+def ellipse(center: Array, P: Array, deviations: float) -> Array:
+    """Return the ellipse (n, 2) at ``deviations`` times the standard deviations of covariance P."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
+    variances, axes = np.linalg.eigh(P)
+    lengths = np.sqrt(np.maximum(variances, 0.0))
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return center + deviations * (circle * lengths) @ axes.T  # type: ignore[no-any-return]

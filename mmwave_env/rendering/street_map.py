@@ -11,8 +11,8 @@ import numpy as np
 
 from mmwave_env.models.scene import Streets
 from mmwave_env.numerics.numbers import Array, Index
-from mmwave_env.rendering.canvas import Canvas, Paint, Point, Rect, ellipse
-from mmwave_env.rendering.history import History
+from mmwave_env.rendering.canvas import Canvas, Paint, Point, Rect
+from mmwave_env.rendering.history import History, ellipse
 
 # length of moving averages, and time constant of their weights
 _MEMORY_S = 20.0
@@ -55,9 +55,8 @@ def follow(history: History, frame: Rect) -> View:
     recent = history.time_s >= history.time_s[-1] - _MEMORY_S
     weights = np.exp((history.time_s[recent] - history.time_s[-1]) / _LAG_S)
     weights /= weights.sum()
-    user = history.truth[recent]
-    truth = user[:, :2]
-    speed = np.linalg.norm(user[:, 3:6], axis=1)
+    truth = history.truth[recent, :2]
+    speed = history.true_mps[recent]
     estimate = history.estimate[recent, :2]
     estimate = np.where(np.isfinite(estimate), estimate, truth)
     gap = abs(truth - estimate).max(axis=1)
@@ -114,18 +113,13 @@ def _draw_streets(canvas: Canvas, view: View, streets: Streets) -> None:
 
 def _blocks(extent_m: tuple[float, float], block_m: float, low: float, high: float) -> Array:
     """Return the start (n,), m, of each block that is visible between ``low`` and ``high``."""
-    begins = extent_m[0] + block_m * np.arange(
-        round((extent_m[1] - extent_m[0]) / block_m), dtype=float
-    )
+    begins = np.arange(extent_m[0], extent_m[1] - 1e-6, block_m)
     return begins[(begins > low - block_m) & (begins < high)]  # type: ignore[no-any-return]
 
 
 def _box(view: View, corners_m: Array) -> Rect:
-    """Return the visible part of a rectangle with corners (2, 2), m: south-west, north-east."""
-    frame = view.frame.inflate(4.0, 4.0)
-    (left, bottom), (right, top) = np.clip(
-        view.pixels(corners_m), (frame.left, frame.top), (frame.right, frame.bottom)
-    )
+    """Return a rectangle in the picture, given its south-west and north-east corners (2, 2), m."""
+    (left, bottom), (right, top) = view.pixels(corners_m)
     return Rect(left, top, right - left, bottom - top)
 
 

@@ -18,7 +18,7 @@ from experiments.reporting.figures.canvas import (
 )
 from mmwave_env.localization.localizer import Track
 from mmwave_env.numerics.numbers import Array, Index
-from mmwave_env.rendering.history import History
+from mmwave_env.rendering.history import History, ellipse
 
 _LINES_IN = 2.0  # height of a panel with lines, inches
 _LOOKS = [  # line colors (other than those of modes) and styles of contenders
@@ -28,18 +28,16 @@ _LOOKS = [  # line colors (other than those of modes) and styles of contenders
 _TRUE = {"color": "0.55", "lw": 3.5, "alpha": 0.6}  # style of the line of the true speed
 
 
-def mode_ribbon(axes: Any, time: Array, mode: Index, modes: int, low: float = 0.0) -> None:
+def mode_ribbon(axes: Any, time: Array, mode: Index, low: float = 0.0) -> None:
     """Draw a band of height 1 above ``low``, in the colors of the modes that ran.
 
     ``mode`` (T,) has the number of the mode that ran at each ``time`` (T,), or -1 if no mode ran.
     """
     begins = np.flatnonzero(np.diff(mode, prepend=-2))
     ends = np.append(begins[1:], len(mode) - 1)
-    for number in range(-1, modes):
-        chosen = mode[begins] == number
-        spans = list(zip(time[begins[chosen]], (time[ends] - time[begins])[chosen], strict=True))
-        color = NO_MODE if number < 0 else f"C{number}"
-        axes.broken_barh(spans, (low, 1.0), facecolors=color, lw=0.0)
+    spans = np.stack([time[begins], time[ends] - time[begins]], axis=1)
+    colors = [_color(number) for number in mode[begins]]
+    axes.broken_barh(spans, (low, 1.0), facecolors=colors, lw=0.0)
     axes.grid(visible=False)
     axes.spines[:].set_visible(False)
     axes.tick_params(axis="y", length=0)
@@ -59,9 +57,9 @@ def draw_histories(
     heights = (_LINES_IN, _LINES_IN, ribbons)
     with picture(path, 9.0, 1.0 + sum(heights)) as figure:
         speeds, errors, axes = figure.subplots(3, sharex=True, height_ratios=heights)
-        speeds.plot(time_s, _speed_mps(first.truth[rows]), label="true speed", **_TRUE)
+        speeds.plot(time_s, first.true_mps[rows], label="true speed", **_TRUE)
         for look, (name, history) in zip(itertools.cycle(_LOOKS), histories.items(), strict=False):
-            speeds.plot(time_s, _speed_mps(history.estimate[rows]), label=names[name], **look)
+            speeds.plot(time_s, history.speed_mps[rows], label=names[name], **look)
             errors.plot(time_s, history.error_m[rows], label=names[name], **look)
         labels = ((speeds, "estimated speed (m/s)"), (errors, "position error (m)"))
         for panel, label in labels:
@@ -69,19 +67,18 @@ def draw_histories(
             legend_beside(panel)
         chosen = [history.modes[rows] for history in histories.values()]
         for row, mode in enumerate(chosen):
-            mode_ribbon(axes, time_s, mode, len(modes), low=-1.3 * row)
+            mode_ribbon(axes, time_s, mode, low=-1.3 * row)
         axes.set_yticks([0.5 - 1.3 * row for row in range(len(chosen))], [*names.values()])
         axes.set_xlabel("time (s)")
         for number in np.unique(np.concatenate(chosen)).tolist():
-            color = NO_MODE if number < 0 else f"C{number}"
             label = caption(modes[number]) if number >= 0 else "none"
-            axes.plot([], [], "s", color=color, label=label)
+            axes.plot([], [], "s", color=_color(number), label=label)
         legend_beside(axes)
 
 
-def _speed_mps(states: Array) -> Array:
-    """Return the speeds (T,) of states (T, 6 or more) that begin with position and velocity."""
-    return np.linalg.norm(states[:, 3:6], axis=1)  # type: ignore[no-any-return]
+def _color(mode: int) -> str:
+    """Return the color of a mode, given its number; -1 if no mode ran."""
+    return NO_MODE if mode < 0 else f"C{mode}"
 
 
 POINTS = 6000  # maximum number of epochs in a picture; a longer track is thinned
@@ -112,7 +109,7 @@ def draw_trajectory(track: Track, truth_m: Array, anchors_m: Array, path: Path, 
         if several:
             panels[1].tick_params(labelbottom=False)
             panels[1].sharex(panels[2])
-            mode_ribbon(panels[2], time, track.mode, len(track.modes))
+            mode_ribbon(panels[2], time, track.mode)
             panels[2].set_yticks([0.5], ["mode"])
         panels[-1].set_xlabel(f"time since the first epoch ({unit})")
         lines = textwrap.wrap(caption(title), TITLE_LETTERS, break_on_hyphens=False)
@@ -120,14 +117,19 @@ def draw_trajectory(track: Track, truth_m: Array, anchors_m: Array, path: Path, 
 
 
 def _draw_above(axes: Any, track: Track, truth_m: Array, anchors_m: Array) -> None:
+    from matplotlib.collections import LineCollection
+
     position = track.smooth_x[:, :2]
     mode = track.mode
+    steps = np.stack([position[:-1], position[1:]], axis=1)
+    whole = np.diff(track.segment) == 0  # other steps join two segments
     if np.isfinite(truth_m).any():
         axes.plot(*truth_m[:, :2].T, color="black", alpha=0.25, label="truth", lw=4.0)
     for number in np.unique(mode):
-        look: dict[str, Any] = {"color": f"C{number}", "lw": 1.4}
-        _add_steps(axes, track, mode[1:] == number, look)
-        axes.plot([], [], label=f"estimate, {caption(track.modes[number])}", **look)
+        label = f"estimate, {caption(track.modes[number])}"
+        chosen = steps[whole & (mode[1:] == number)]
+        lines = LineCollection(chosen, color=_color(number), lw=1.4, label=label)
+        axes.add_collection(lines)
     _draw_ellipses(axes, track)
     axes.plot(*position[0], "o", color="black", ms=5, label="start")
     draw_anchors(axes, position, anchors_m)
@@ -136,33 +138,17 @@ def _draw_above(axes: Any, track: Track, truth_m: Array, anchors_m: Array) -> No
     legend_beside(axes)
 
 
-def _add_steps(axes: Any, track: Track, chosen: Array, look: dict[str, Any]) -> None:
-    """Draw the ``chosen`` (T - 1,) steps between epochs, except steps that join two segments."""
-    from matplotlib.collections import LineCollection
-
-    position = track.smooth_x[:, :2]
-    steps = np.stack([position[:-1], position[1:]], axis=1)
-    whole = np.diff(track.segment) == 0
-    axes.add_collection(LineCollection(steps[whole & chosen], **look))
-
-
 def _draw_ellipses(axes: Any, track: Track) -> None:
     """Draw 95 % ellipses at a few epochs, enlarged if they are too small to be visible."""
-    from matplotlib.patches import Ellipse
-
     at = np.unique(np.linspace(0, len(track.time_s) - 1, ELLIPSES).astype(int))
     covariance_m2 = track.smooth_P[at][:, [0, 1, 1, 2]].reshape(-1, 2, 2)  # of x and y
-    variances, directions = np.linalg.eigh(covariance_m2)
-    axes_m = np.sqrt(chdtri(2, 0.05) * np.maximum(variances, 0.0))  # semi-axes, the shorter first
+    deviations = np.sqrt(chdtri(2, 0.05))
+    longest = deviations * np.sqrt(np.linalg.eigvalsh(covariance_m2)[:, 1])  # semi-axes
     extent = float(np.ptp(track.smooth_x[:, :2], axis=0).max())
-    wanted = _VISIBLE * extent / max(float(np.median(axes_m[:, 1])), 1e-9)
+    wanted = _VISIBLE * extent / max(float(np.median(longest)), 1e-9)
     enlarged = next((n for n in _ENLARGED if n >= wanted), _ENLARGED[-1])
-    for place, (short, long), turn in zip(at, axes_m, directions, strict=True):
-        angle = np.degrees(np.arctan2(turn[1, 1], turn[0, 1]))
-        width = 2.0 * enlarged * long
-        height = 2.0 * enlarged * short
-        center = track.smooth_x[place, :2].tolist()
-        axes.add_patch(Ellipse(center, width, height, angle=angle, fc="none", ec="black", lw=0.8))
+    for center, P in zip(track.smooth_x[at, :2], covariance_m2, strict=True):
+        axes.fill(*ellipse(center, P, enlarged * deviations).T, fc="none", ec="black", lw=0.8)
     label = "95 % ellipses" + (f",\nenlarged {enlarged} times" if enlarged > 1 else "")
     axes.plot([], [], "o", mfc="none", mec="black", mew=0.8, ms=8, label=label)
 

@@ -19,14 +19,11 @@ from experiments.reporting.histories import EpochErrors, history_of
 from experiments.reporting.log_results import beginning
 from experiments.reporting.webpage.contents import Source
 from experiments.reporting.webpage.markup import drawn
-from mmwave_env.filters.belief import Belief
-from mmwave_env.filters.pipeline import VERTICAL
 from mmwave_env.io.files import Json
 from mmwave_env.io.lookup import printable
 from mmwave_env.logs.truth import velocity_of
 from mmwave_env.metrics import nees_interval
 from mmwave_env.models.prior import GAP_S
-from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.rendering.history import POSITION_NUMBERS, History
 from mmwave_env.rendering.theme import THEMES, hex_of
@@ -96,20 +93,20 @@ def _play_episodes(source: Source, most: int, watched: int) -> Played:
 def _play_log(source: Source) -> Played:
     """Localize the first epochs of a log again."""
     block, work = beginning(options_from(LogArgs, source.content), LONGEST)
-    axes = (0, 1) if block.planar else (0, 1, 2)
     known = np.full((len(block), 3), np.nan)
     if work.truth:
         known = work.truth.at(block.time_s)
     velocity = velocity_of(block.time_s, known, GAP_S)
-    belief = Belief([*block.x.T], unpack([*block.P.T], VERTICAL if block.planar else ()), axes)
     log = source.content["log"]
     scene = work.scene
     switching = work.choice.switching
+    pipeline = switching.pipeline(block.layout, block.planar)
+    belief = pipeline.belief([*block.x.T], [*block.P.T])
     history = History(
         log,
         scene.anchors_m,
         scene.streets if scene.streets_known else None,
-        len(axes),
+        len(belief.axes),
         time_s=block.time_s - block.time_s[0],
         modes=block.mode,
         truth=np.hstack([known, velocity]),
@@ -170,7 +167,7 @@ def _episode(name: str, history: History, groups: Sequence[str]) -> Json:
         "time_s": _numbers(history.time_s),
         "x": _numbers(truth[:, 0]),
         "y": _numbers(truth[:, 1]),
-        "speed_mps": _numbers(np.linalg.norm(truth[:, 3:], axis=1)),
+        "speed_mps": _numbers(history.true_mps),
         "anchors": [_numbers(anchor) for anchor in history.anchors_m],
         "streets": streets and {"x": [*streets.x_m], "y": [*streets.y_m], "block": streets.block_m},
         "groups": ["gNB", *groups[1:]],
@@ -198,7 +195,7 @@ def _course(history: History, modes: Sequence[str], weighed: bool) -> Json:
         "y": _numbers(estimate[:, 1]),
         # ellipse of two standard deviations
         "ellipse": [_numbers(values, ".4g") for values in (*axes, turn)],
-        "speed_mps": _numbers(np.linalg.norm(estimate[:, 3:6], axis=1)),
+        "speed_mps": _numbers(history.speed_mps),
         "error_m": _numbers(history.error_m),
         "nees": _numbers(history.nees, ".4g"),
         "modes": [printable(name) for name in modes],
