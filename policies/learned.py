@@ -216,8 +216,7 @@ class LearnedSwitch(LearnedPolicy, Policy):
         *hidden, (weight, bias) = self._layers
         for w, b in hidden:
             x = np.tanh(x @ w + b)
-        logits: Array32 = x @ weight + bias
-        return logits
+        return x @ weight + bias
 
 
 def taken(observation: Array32, columns: Index | None, unseen: Array32 | None) -> Array32:

@@ -161,8 +161,7 @@ def to_bytes(tensors: Tensors, card: Card) -> bytes:
     tensors = {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}
     content = json.loads(json.dumps(card.as_json()))  # as it will be read: tuples become lists
     document = {"format": FORMAT, "sha256": _checksum(tensors, content), "card": content}
-    written: bytes = save(tensors, {_KEY: json.dumps(document)})
-    return written
+    return save(tensors, {_KEY: json.dumps(document)})
 
 
 def read_policy(path: AnyPath) -> tuple[Tensors, Card]:
@@ -240,7 +239,7 @@ def _corrector_shapes(size: Counter[str], features: int) -> Shapes:
     units = size["gru.bias_ih"] // 3
     out = size["out.bias"] // CORRECTIONS * CORRECTIONS
     recurrent = ("gru", "back") if size["back.bias_ih"] else ("gru",)
-    shapes: Shapes = {
+    shapes = {
         "front.weight": (front, features),
         "front.bias": (front,),
         "head.weight": (head, front + len(recurrent) * units),

@@ -9,7 +9,6 @@ from contextlib import contextmanager
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation
@@ -169,7 +168,7 @@ def require_actions(name: str, returned: Any, n: int, count: int) -> Index:
         ValueError: ``returned`` does not hold n integers from 0 to ``count`` - 1, one for each
             observation.
     """
-    actions: NDArray[Any] = np.asarray(returned)
+    actions = np.asarray(returned)
     if actions.shape != (n,) or actions.dtype.kind not in "iu":
         raise ValueError(
             f"actions of {name}: found shape {actions.shape} of {actions.dtype}, expected ({n},) "

@@ -122,7 +122,7 @@ class Comparison:
             intervals = ", 95 % intervals" if len(self.seeds) > 1 else ""
             pairs = {f"{a} - {b}": b for a, b in product(self.policies, repeat=2)}
             subtracted = list(dict.fromkeys(pairs[pair] for pair in self.paired))
-            rows: list[list[object]] = []
+            rows = []
             for name in self.policies:
                 gains = (self.paired.get(f"{name} - {reference}") for reference in subtracted)
                 rows.append([name, *(gain["reward"] if gain else "" for gain in gains)])

@@ -177,7 +177,7 @@ def _program(layout: Layout, dof: float) -> Program[Weighed]:
     """Return the compiled program that computes the log likelihoods of particles."""
 
     def function(w: Weighed) -> Weighed:
-        total: Number = 0.0
+        total = 0.0
         groups = groups_of(w.x, stated(w.incoming, w.site, layout))
         degrees = layout.degrees(w.incoming.measured)
         for group, k, visible in zip(groups, degrees, w.incoming.visible, strict=True):

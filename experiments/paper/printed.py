@@ -23,7 +23,7 @@ from mmwave_env.filters.bank import shipped_modes
 from mmwave_env.filters.modes import Mode, robust
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.metrics import scored, summary
-from mmwave_env.models.radio import TUNED_RADIOS, Radio, radio_from
+from mmwave_env.models.radio import TUNED_RADIOS, radio_from
 from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode
@@ -48,7 +48,7 @@ class Setting:
         changes = dict(self.changes)
         if self.clean:
             changes |= {"blockage_scale": 0.0, "multipath_rate_hz": 0.0}
-        radio: Radio = replace(radio_from(self.radio), **changes)  # type: ignore[arg-type]
+        radio = replace(radio_from(self.radio), **changes)  # type: ignore[arg-type]
         scene = SCENES["street"] if self.walls else replace(SCENES["street"], walls=())
         return SimulatedSource(scene, radio, self.scenario, odometry=self.odometry)
 
@@ -145,7 +145,7 @@ class Section:
 
     def records(self) -> list[Row]:
         """Return a row [section, row, column, mean, low, high] for every number."""
-        out: list[Row] = []
+        out = []
         for row in self.rows:
             name = ", ".join(str(cell) for cell in row[: self.labels])
             for column, cell in zip(self.columns[self.labels :], row[self.labels :], strict=True):

@@ -41,7 +41,7 @@ def run_live(args: LogArgs) -> None:
     clock = clock_from(args.clock)
     levels = Levels(args.risk, args.levels)
     scene = scene_from(args.scene)
-    tracker: Tracker | None = None
+    tracker = None
     began = False
     for epoch in _epochs(scene, args.snr, clock):
         if tracker is None:

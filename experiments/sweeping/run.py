@@ -45,7 +45,7 @@ def evaluated(values: Values) -> Row:
         (scores,) = score_contenders(
             [contender], task.source, seeds, scoring=Scoring.of(task)
         ).values()
-    row: Row = {"warnings": "; ".join(sorted({str(warning.message) for warning in warned}))}
+    row = {"warnings": "; ".join(sorted({str(warning.message) for warning in warned}))}
     intervals = bootstrap(np.stack([*scores.values()], axis=1))
     for (metric, each), interval in zip(scores.items(), intervals, strict=True):
         row |= {f"{metric}_{part}": number for part, number in vars(interval).items()}
@@ -81,7 +81,7 @@ def trained(values: Values) -> Row:
             episodes=args.episodes,
         )
         best = train(job, lambda *_: None)["best"]
-        row: Row = {"timesteps": best["timesteps"]}
+        row = {"timesteps": best["timesteps"]}
         row |= {f"{metric}_mean": best[metric] for metric in METRICS if metric in best}
         return row | {"policy_file": job.policy.read_bytes()}
 

@@ -46,8 +46,8 @@ def _step(name: str, n: int) -> None:
     import gymnasium as gym
     import numpy as np
 
-    env: Any = gym.make_vec(name, num_envs=n) if n else gym.make(name)
-    actions: Any = np.ones(n, np.int64) if n else np.int64(1)
+    env = gym.make_vec(name, num_envs=n) if n else gym.make(name)
+    actions = np.ones(n, np.int64) if n else np.int64(1)
     env.reset(seed=0)
     env.step(actions)
     print("stepped", flush=True)

@@ -88,7 +88,7 @@ class Measured:
             first_step_s, peak_mb = fresh(workloads.ENVIRONMENT, n)
             self.cold_start_s[name].append(first_step_s)
             self.peak_mb[name].append(peak_mb)
-        running: dict[str, workloads.Laps] = {}
+        running = {}
         makes = workloads.environments(self.sizes) | workloads.filters()
         for name in tracked(makes, "compilation"):
             running[name] = makes[name]()
@@ -132,7 +132,7 @@ class Measured:
 
     def json(self) -> Json:
         """Return medians over the rounds and, under "spread", minima and maxima."""
-        tables: dict[str, Rounds] = {
+        tables = {
             "ratios": self.ratios(),
             "limit_fraction": self.fractions(),
             "steps_per_s": self.steps_per_s,
@@ -165,7 +165,7 @@ def kernels() -> dict[str, Operations]:
     drawn = workloads.source()
     layout = pipeline.layout
     modes = named_modes(workloads.RADIO)
-    programs: dict[str, Any] = {STEP: Engine(pipeline, 1, TrackingReward()).program}
+    programs = {STEP: Engine(pipeline, 1, TrackingReward()).program}
     for name in workloads.FILTERS:
         alone = untuned(Pipeline((modes[name],), layout))
         programs[name] = program_of(Asked(alone, predicted=True), ("filter", "decide"))

@@ -85,7 +85,7 @@ def count(function: Callable[[Any], Any], template: Any) -> Operations:
     before = [Lanes(recorder, recorder.load(row)) for row in range(len(flatten(template)))]
     after = flatten(function(unflatten(template, iter(before))))
     stored = [new for old, new in zip(before, after, strict=True) if new is not old]
-    results: list[_Instruction] = [new.value for new in stored if isinstance(new, Lanes)]
+    results = [new.value for new in stored if isinstance(new, Lanes)]
     needed = list(_needed(results))
     kinds = Counter(step.kind for step in needed)
     uses = Counter(source for step in needed for source in step.sources()) + Counter(results)

@@ -121,10 +121,10 @@ def stepped(n: int = 0, **options: Any) -> Laps:
 
     All episodes end at the same time.
     """
-    make: Any = partial(gym.make_vec, num_envs=n) if n else gym.make
+    make = partial(gym.make_vec, num_envs=n) if n else gym.make
     env = make(ENVIRONMENT, episode_steps=EPISODE, **options)
     env.reset(seed=0)
-    actions: Any = np.ones(n, np.int64) if n else np.int64(1)
+    actions = np.ones(n, np.int64) if n else np.int64(1)
     while True:
         for _ in range(EPISODE):
             over = env.step(actions)[3]

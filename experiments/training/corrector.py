@@ -27,7 +27,6 @@ from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.signed import after_update
 from mmwave_env.metrics import BURN_IN
 from mmwave_env.models.layout import Layout
-from mmwave_env.numerics.numbers import Index
 from policies.policy_file import CORRECTIONS, Tensors
 from policies.sb3 import Normalization
 
@@ -198,7 +197,7 @@ def mixed(lots: list[Lot], size: int, rng: np.random.Generator) -> Iterator[Lot]
         rng: random generator of the order.
     """
     lengths = sorted({len(lot.features) for lot in lots})
-    parts: list[tuple[Lot, Index]] = []
+    parts = []
     for length in lengths:
         alike = [lot for lot in lots if len(lot.features) == length]
         together = Lot(*(np.concatenate(part, axis=1) for part in zip(*alike, strict=True)))

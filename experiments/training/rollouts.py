@@ -169,7 +169,7 @@ class RolloutLearner:
     ) -> None:
         self._hyper = hyper
         self.scales = normal._asdict()
-        layers: list[nn.Module] = []
+        layers = []
         for width, neurons in pairwise((features, *hyper.hidden)):
             layers += [nn.Linear(width, neurons), nn.Tanh()]
         last = nn.Linear(hyper.hidden[-1], actions)
@@ -195,15 +195,13 @@ class RolloutLearner:
     @torch.no_grad()
     def greedy(self, observations: Array32) -> Index:
         """Return the most probable actions (n,) for observations (n, features)."""
-        actions: Index = self._logits(observations).argmax(1).numpy()
-        return actions
+        return self._logits(observations).argmax(1).numpy()
 
     @torch.no_grad()
     def sampled(self, observations: Array32) -> Index:
         """Draw actions (n,) with the network's probabilities, for observations (n, features)."""
         probabilities = torch.softmax(self._logits(observations), 1)
-        actions: Index = torch.multinomial(probabilities, 1)[:, 0].numpy()
-        return actions
+        return torch.multinomial(probabilities, 1)[:, 0].numpy()
 
     def remember(self, tried: Tried) -> None:
         """Add states to the memory; they replace the oldest states."""

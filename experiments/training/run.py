@@ -102,7 +102,7 @@ def manifest_of(args: TrainArgs, banks: Mapping[str, Bank], hyper: Hyperparamete
     written = {radio: bank_as_written(bank) for radio, bank in banks.items()}
     first, *_ = written.values()
     choices = {"banks": written} if args.beliefs == "per-mode" else {"modes": first["modes"]}
-    defaults: dict[str, Any] = {name: getattr(type(args), name) for name in ASIDE}
+    defaults = {name: getattr(type(args), name) for name in ASIDE}
     command = command_line("train", replace(args, **defaults))
     hyperparameters = hyperparameters_as_written(hyper)
     return {"command": command, "hyperparameters": hyperparameters, **choices}

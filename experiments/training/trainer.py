@@ -5,7 +5,7 @@ import io
 import time
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -21,10 +21,9 @@ from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.runner import Scores, score
 from experiments.evaluation.seeds import SEEDS_EACH, TRAINING_SEED, draw_episodes
-from experiments.training.training_task import Place, TrainingTask
+from experiments.training.training_task import TrainingTask
 from mmwave_env.interface.observation import Observation
 from mmwave_env.io.files import Json, atomic_path, first_line, write_bytes, write_json, write_text
-from mmwave_env.world.episode import Episode
 from policies.policy_file import Card, Tensors, to_bytes
 
 TRAINING_RIVALS = ("speed-rule", "imm")  # rivals in every training
@@ -44,7 +43,7 @@ def examiner(task: TrainingTask, episodes: int = EPISODES) -> Callable[[Path], J
     """
     places = task.places
     numbers = np.arange(max(episodes, len(places)))
-    episodes_at: list[tuple[Place, Sequence[Episode]]] = []
+    episodes_at = []
     for place, here in zip(places, np.array_split(numbers, len(places)), strict=True):
         seeds = (TUNING_SEED + here).tolist()
         episodes_at.append((place, draw_episodes(place.source(task.scenario), seeds)))
@@ -213,7 +212,7 @@ class Training:
         self._job = job
         self._tell = tell
         self.progress = Progress()
-        state: State | None = None
+        state = None
         if job.checkpoint.exists():
             self.progress, state = read_checkpoint(job.checkpoint)
         self._begun_s = time.monotonic() - self.progress.seconds

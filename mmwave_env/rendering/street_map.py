@@ -211,7 +211,7 @@ def _draw_anchors(canvas: Canvas, view: View, history: History) -> None:
     user = _point(view, history.truth[-1])
     here = history.truth[-1, :3]
     around = 9.0
-    names: list[tuple[str, Point]] = []
+    names = []
     for number, anchor in enumerate(history.anchors_m):
         at = _point(view, anchor)
         name = f"anchor {number + 1}" if number else "gNB"
