@@ -54,7 +54,7 @@ class Estimator(Policy):
             ValueError: a belief has a wrong shape, or an epoch has no belief.
         """
         layout = pipeline.layout
-        (n, T, _) = episodes.table.shape
+        n, T, _ = episodes.table.shape
         size = layout.state_size
         blank = blank_incoming(layout)
         tracks = []

@@ -8,14 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from experiments.console.options import EpisodeArgs, ModeArgs, WorldArgs
-from experiments.evaluation.agents import (
-    GUIDE,
-    Act,
-    Estimator,
-    agent_from,
-    is_agent,
-    tried,
-)
+from experiments.evaluation.agents import GUIDE, Act, Estimator, agent_from, is_agent, tried
 from experiments.evaluation.branches import CLAIRVOYANT, Clairvoyant
 from experiments.evaluation.runs import Run
 from mmwave_env.filters.bank import (

@@ -122,7 +122,7 @@ def _run_policy(
         scoring: reward and terrain.
         names: parts of the state to return for every epoch: arrays (n, T, values) by name.
     """
-    (n, T, _) = episodes.table.shape
+    n, T, _ = episodes.table.shape
     engine = Engine(
         switching.pipeline(episodes.layout, scoring.planar),
         n,

@@ -11,12 +11,7 @@ import numpy as np
 from experiments.console.options import EpisodeArgs
 from experiments.console.tables import escaped, grid
 from experiments.evaluation.compare import Comparison, compare_scores, episodes_csv, references
-from experiments.evaluation.contenders import (
-    all_contenders,
-    contender_of,
-    runs_of,
-    task_of,
-)
+from experiments.evaluation.contenders import all_contenders, contender_of, runs_of, task_of
 from experiments.evaluation.intervals import Interval, bootstrap, crossed_bootstrap
 from experiments.evaluation.positions import Positions, positions_markdown
 from experiments.evaluation.runner import Scores, Scoring, score_contenders

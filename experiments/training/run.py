@@ -20,12 +20,7 @@ from experiments.training.hyperparameters import (
     read_hyperparameters,
     shipped_hyperparameters,
 )
-from experiments.training.training_task import (
-    Place,
-    TrainingTask,
-    banks_of,
-    places_from,
-)
+from experiments.training.training_task import Place, TrainingTask, banks_of, places_from
 from mmwave_env.filters.bank import Bank, bank_as_written
 from mmwave_env.interface.reward import REWARDS, PairedReward, Reward, TrackingReward
 from mmwave_env.io.files import Json, read_json, write_bytes, write_json

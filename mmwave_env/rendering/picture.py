@@ -199,7 +199,7 @@ def draw_strips(canvas: Canvas, top: float, history: History, beside: Sequence[H
     """Draw all strips below ``top``, with scales that also fit the histories ``beside``."""
     rows = slice(max(1, history.epochs - _WINDOW + 1), None)
     modes = history.modes[rows]
-    (first, last) = _times(history, rows)
+    first, last = _times(history, rows)
     x = _LEFT + (history.time_s[rows] - first) / (last - first) * _WIDTH
     for i, make in enumerate((_speed, _error, _nees)):
         strips = [make(drawn, rows) for drawn in (history, *beside)]

@@ -96,8 +96,8 @@ def draw_map(canvas: Canvas, view: View, history: History) -> None:
 def _draw_streets(canvas: Canvas, view: View, streets: Streets) -> None:
     """Draw streets with an assumed width, and the blocks of houses between them."""
     half = min(_STREET_M, streets.block_m / 4.0) / 2.0
-    (west, east) = streets.x_m
-    (south, north) = streets.y_m
+    west, east = streets.x_m
+    south, north = streets.y_m
     net = np.array([[west - half, south - half], [east + half, north + half]])
     canvas.fill("street", _box(view, net))
     low, high = view.extent_m

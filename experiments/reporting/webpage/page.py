@@ -8,13 +8,7 @@ from typing import Any
 
 from experiments.console.options import PageArgs
 from experiments.console.provenance import command_line
-from experiments.reporting.webpage.contents import (
-    READ,
-    Verdict,
-    origin_of,
-    read_source,
-    results_of,
-)
+from experiments.reporting.webpage.contents import READ, Verdict, origin_of, read_source, results_of
 from experiments.reporting.webpage.markup import element, text
 from experiments.reporting.webpage.played import LONGEST, Played, errors_of, play
 from mmwave_env.io.files import first_line
