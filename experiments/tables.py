@@ -1,7 +1,5 @@
 """mmwave-loc tables: the paper's tables and claims, compared with measurements in simulations."""
 
-import csv
-import io
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,7 +41,7 @@ def sections(bench: "Bench") -> "Iterator[Section]":
 def main(args: Args) -> None:
     """Run the command."""
     from experiments.console.progress import say, tracked
-    from experiments.console.tables import show
+    from experiments.console.tables import csv_text, show
     from experiments.paper.figure import draw
     from experiments.paper.printed import Bench, summaries
     from experiments.reporting.figures.canvas import require_picture
@@ -56,10 +54,8 @@ def main(args: Args) -> None:
     results = {section.title: section for section in tracked(sections(bench), "tables", SECTIONS)}
     text = "\n".join([summaries(results), *(section.markdown() for section in results.values())])
     records = [record for section in results.values() for record in section.records()]
-    table = io.StringIO()
-    csv.writer(table, lineterminator="\n").writerows([FIELDS, *records])
     write_text(args.out / "tables.md", text)
-    write_text(args.out / "tables.csv", table.getvalue())
+    write_text(args.out / "tables.csv", csv_text([FIELDS, *records]))
     try:
         draw(results, figure)
     finally:  # the tables are shown even if a picture fails

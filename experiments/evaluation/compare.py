@@ -3,8 +3,6 @@
 :func:`compare` compares a user's agents with known contenders in one call.
 """
 
-import csv
-import io
 import os
 import sys
 import warnings
@@ -17,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.console.tables import escaped, grid
+from experiments.console.tables import csv_text, escaped, grid
 from experiments.evaluation.agents import Act
 from experiments.evaluation.branches import CLAIRVOYANT
 from experiments.evaluation.contenders import BEST_IMM, RULE, Contender, contender_from
@@ -150,16 +148,14 @@ def episodes_csv(scores: dict[str, Scores], seeds: Sequence[int], source: Episod
     A row also has the key of its episode, if the episode is simulated. ``seeds`` and ``source`` say
     which episodes were scored.
     """
-    table = io.StringIO()
-    rows = csv.writer(table, lineterminator="\n")
     columns = (*METRICS, *TERMS)
-    rows.writerow(["policy", "seed", "key", *columns])
+    rows: list[Sequence[object]] = [["policy", "seed", "key", *columns]]
     keys = keys_for(source, seeds)
     written = [None] * len(seeds) if keys is None else keys.tolist()
     for name, metrics in scores.items():
         values = (metrics[metric].tolist() for metric in columns)
-        rows.writerows(zip([as_cell(name)] * len(seeds), seeds, written, *values, strict=True))
-    return table.getvalue()
+        rows += zip([as_cell(name)] * len(seeds), seeds, written, *values, strict=True)
+    return csv_text(rows)
 
 
 def references(scores: Mapping[str, Scores]) -> list[str]:

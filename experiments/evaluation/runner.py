@@ -16,7 +16,7 @@ from mmwave_env.engines.engine import Engine, run_imm
 from mmwave_env.engines.play import play
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import CORRECTION, MODE
-from mmwave_env.interface.policy import Policy, Switching
+from mmwave_env.interface.policy import Policy
 from mmwave_env.interface.reward import Reward, TrackingReward, terms_of, total
 from mmwave_env.io.lookup import printable
 from mmwave_env.metrics import BURN_IN, METRICS, TERMS, scored, summary
@@ -86,7 +86,8 @@ def run_contender(
     Returns:
         "reward" and "nees" (n, T); "error" (n, T, 3) in m; for a policy also "mode" (n, T), its
         actions; and an array (n, T, values) for each part in ``after``. Without ground truth,
-        "reward", "nees" and "error" are NaN.
+        "reward", "nees" and "error" are NaN. If the policy corrects beliefs, results are those of
+        the corrected beliefs, and "trusted" (n, T) has the factors that scaled the corrections.
     """
     if scoring.planar and not isinstance(episodes, EpisodeBatch):
         _scorable(episodes)
@@ -97,52 +98,23 @@ def run_contender(
     if contender.policy is None:
         assert contender.bank  # an IMM: no policy acts, so one call runs all epochs
         return run_imm(contender.bank, scoring.reward, batch, *names, planar=scoring.planar)
+    pipeline = contender.pipeline(batch.layout, scoring.planar)
     if isinstance(policy, Estimator):
-        pipeline = contender.pipeline(batch.layout, scoring.planar)
         return _run_estimator(pipeline, policy, batch, scoring.reward, names)
-    return _run_policy(contender, policy, batch, scoring, names)
-
-
-def _run_policy(
-    switching: Switching,
-    policy: Policy,
-    episodes: EpisodeBatch,
-    scoring: Scoring,
-    names: Sequence[str],
-) -> EpochResults:
-    """Play a policy on n episodes of T epochs; return also its actions, "mode" (n, T).
-
-    If the policy corrects beliefs, results are those of the corrected beliefs, and "trusted" (n, T)
-    has the factors that scaled the corrections.
-
-    Args:
-        switching: the modes, and what the policy observes.
-        policy: policy to play; the clairvoyant sees the whole episodes first.
-        episodes: the episodes.
-        scoring: reward and terrain.
-        names: parts of the state to return for every epoch: arrays (n, T, values) by name.
-    """
-    n, T, _ = episodes.table.shape
-    engine = Engine(
-        switching.pipeline(episodes.layout, scoring.planar),
-        n,
-        scoring.reward,
-        switching.observation,
-        switching.bank,
-        action=CORRECTION if policy.corrects else MODE,
-    )
-    engine.batch.load(episodes)
-    if isinstance(policy, Clairvoyant):
+    n, T, _ = batch.table.shape
+    action = CORRECTION if policy.corrects else MODE
+    bank = contender.bank
+    engine = Engine(pipeline, n, scoring.reward, contender.observation, bank, action=action)
+    engine.batch.load(batch)
+    if isinstance(policy, Clairvoyant):  # it sees the whole episodes first
         policy.foresee(engine)
     policy.reset(np.ones(n, bool))
     corrected = {"x": "reported.x", "P": "reported.P"} if policy.corrects else {}
     read = [corrected.get(name, name) for name in names]
     track = play(engine, policy, T, engine.program.rows(read))
     parts = engine.program.by_name(read, track.outputs)
-    results: EpochResults = dict(zip(names, parts.values(), strict=True))
-    if policy.corrects:
-        results["trusted"] = track.trusted
-    return results | {"mode": track.actions}
+    results = dict(zip(names, parts.values(), strict=True)) | {"mode": track.actions}
+    return results | {"trusted": track.trusted} if policy.corrects else results
 
 
 def _run_estimator(
@@ -152,7 +124,7 @@ def _run_estimator(
     reward: Reward,
     names: Sequence[str],
 ) -> EpochResults:
-    """Run an estimator, which uses no filters; arguments are as in :func:`_run_policy`.
+    """Run an estimator, which uses no filters; ``names`` are the results to return.
 
     Raises:
         ValueError: a name is neither a score nor a part of the belief.

@@ -111,11 +111,12 @@ def keep(folder: Path, name: str, values: Values, result: Values) -> None:
 
 
 def read(folder: Path, spec: Spec) -> dict[str, Values]:
-    """Read the rows of a sweep, by the names of their cells; an error names the damaged file."""
+    """Read the rows of a sweep, by name, in the order of its file; errors name a damaged row."""
     from pyarrow import ArrowException, parquet
 
     rows = {}
-    for name in sorted(kept(folder, spec)):
+    names = kept(folder, spec)
+    for name in filter(names.__contains__, spec.cells):
         path = folder / f"{name}.parquet"
         try:
             (rows[name],) = parquet.read_table(path).to_pylist()
@@ -169,14 +170,14 @@ def _computed(spec: Spec, folder: Path, todo: Mapping[str, Values]) -> int:
 
 
 def _table(spec: Spec, rows: Mapping[str, Values]) -> str:
-    """Return a table of computed cells in the order of the file.
+    """Return a table of computed cells.
 
     Its columns are the axes that have several values, and metrics.
     """
     axes = [axis for axis, values in spec.axes.items() if len(values) > 1]
     header = [axis.removeprefix(HYPERPARAMETER) for axis in axes] + [HEADERS[m] for m in SHOWN]
     table = []
-    for row in (rows[name] for name in spec.cells if name in rows):
+    for row in rows.values():
         cells = [str(row[axis]) for axis in axes]
         for metric in SHOWN:
             ends = (row.get(f"{metric}_{part}", np.nan) for part in ("mean", "low", "high"))

@@ -16,6 +16,7 @@ import gymnasium as gym
 import numpy as np
 
 from experiments.evaluation.seeds import draw_episodes
+from experiments.timing.fresh import ENVIRONMENT
 from mmwave_env.engines.engine import tracks_of
 from mmwave_env.filters.bank import default_modes, named_modes
 from mmwave_env.filters.belief import Belief
@@ -41,7 +42,6 @@ TRACKS = 1024  # number of tracks that a filter without an environment computes 
 BOTH = 2  # number of threads that `gymnasium.make_vec` uses by default on two cores
 THREADS = (BOTH, 1)
 FILTERS = ("ekf", "ukf", "ckf")
-ENVIRONMENT = "mmwave_env:MmWaveLoc-v0"
 
 
 Laps = Iterator[int]  # yields, after each episode, its number of steps, summed over environments

@@ -1,7 +1,5 @@
 """The frame of every training: update, evaluate, log, save; an algorithm is a :class:`Trainer`."""
 
-import csv
-import io
 import time
 import warnings
 from abc import ABC, abstractmethod
@@ -17,6 +15,7 @@ import torch
 
 from experiments.console.options import TUNING_SEED
 from experiments.console.provenance import versions_of
+from experiments.console.tables import csv_text
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.runner import Scores, score
@@ -26,56 +25,8 @@ from mmwave_env.interface.observation import Observation
 from mmwave_env.io.files import Json, atomic_path, first_line, write_bytes, write_json, write_text
 from policies.policy_file import Card, Tensors, to_bytes
 
-TRAINING_RIVALS = ("speed-rule", "imm")  # rivals in every training
-PER_MODE_RIVALS = (*TRAINING_RIVALS, "imm-best")  # rivals if every mode keeps its own belief
+RIVALS = ("speed-rule", "imm")  # rivals in every training
 EPISODES = 500  # number of episodes to evaluate a policy on
-
-
-def examiner(task: TrainingTask, episodes: int = EPISODES) -> Callable[[Path], Json]:
-    """Return a function that scores policy files on the same episodes, by the default reward.
-
-    Its results are the first seed, the number of episodes, the mean of every metric and, as "minus
-    NAME", the mean gain in reward over each rival, with a 95 % interval.
-
-    Args:
-        task: task of the training; episodes are split evenly among its places (scene and radio).
-        episodes: number of episodes; every place gets at least one.
-    """
-    places = task.places
-    numbers = np.arange(max(episodes, len(places)))
-    episodes_at = []
-    for place, here in zip(places, np.array_split(numbers, len(places)), strict=True):
-        seeds = (TUNING_SEED + here).tolist()
-        episodes_at.append((place, draw_episodes(place.source(task.scenario), seeds)))
-
-    def scores_of(name: str) -> Scores:
-        """Score a contender, given its name or file, on all episodes."""
-        parts = []
-        for place, some in episodes_at:
-            contender = contender_from(name, place.radio)
-            parts.append(score(contender, contender.start(some[0].layout), some))
-        return {metric: np.concatenate([part[metric] for part in parts]) for metric in parts[0]}
-
-    rivals = PER_MODE_RIVALS if task.beliefs == "per-mode" else TRAINING_RIVALS
-    # The rule warns at speeds outside its design window, which occur here on purpose.
-    with warnings.catch_warnings(action="ignore"):
-        rewards = {name: scores_of(name)["reward"] for name in rivals}
-
-    def examine(path: Path) -> Json:
-        scores = scores_of(str(path))
-        differences = {name: scores["reward"] - reward for name, reward in rewards.items()}
-        intervals = bootstrap(np.stack(list(differences.values()), axis=1))
-        return {
-            "seed": TUNING_SEED,
-            "episodes": len(scores["reward"]),
-            **{metric: float(values.mean()) for metric, values in scores.items()},
-            **{
-                f"minus {name}": gain.json
-                for name, gain in zip(differences, intervals, strict=True)
-            },
-        }
-
-    return examine
 
 
 # a function that hears of a training's progress: its number of timesteps so far, and a text to
@@ -155,9 +106,48 @@ class Trainer(ABC):
     def examiner(self, episodes: int) -> Callable[[Path], Json]:
         """Return the function that evaluates the latest policy, given its file.
 
-        Results by name include "reward"; ``episodes`` is their number of episodes.
+        It scores policies on the same episodes, by the default reward. Its results are the first
+        seed, the number of episodes, the mean of every metric and, as "minus NAME", the mean gain
+        in reward over each rival, with a 95 % interval.
+
+        Args:
+            episodes: number of episodes, split evenly among the places (scene and radio) of
+                ``judged``; every place gets at least one.
         """
-        return examiner(self.judged, episodes)
+        task = self.judged
+        places = task.places
+        drawn = []
+        shares = np.array_split(np.arange(max(episodes, len(places))), len(places))
+        for place, here in zip(places, shares, strict=True):
+            seeds = (TUNING_SEED + here).tolist()
+            drawn.append((place.radio, draw_episodes(place.source(task.scenario), seeds)))
+
+        def scores_of(name: str) -> Scores:
+            """Score a contender, given its name or file, on all episodes."""
+            parts = []
+            for radio, some in drawn:
+                contender = contender_from(name, radio)
+                parts.append(score(contender, contender.start(some[0].layout), some))
+            return {metric: np.concatenate([part[metric] for part in parts]) for metric in parts[0]}
+
+        # if every mode keeps its own belief, the IMM over the same modes is a rival, too
+        rivals = (*RIVALS, "imm-best") if task.beliefs == "per-mode" else RIVALS
+        # The rule warns at speeds outside its design window, which occur here on purpose.
+        with warnings.catch_warnings(action="ignore"):
+            rewards = {name: scores_of(name)["reward"] for name in rivals}
+
+        def examine(path: Path) -> Json:
+            scores = scores_of(str(path))
+            reward = scores["reward"]
+            gains = bootstrap(np.stack([reward - other for other in rewards.values()], axis=1))
+            return {
+                "seed": TUNING_SEED,
+                "episodes": len(reward),
+                **{metric: float(values.mean()) for metric, values in scores.items()},
+                **{f"minus {name}": gain.json for name, gain in zip(rewards, gains, strict=True)},
+            }
+
+        return examine
 
     def state(self) -> State:
         """Return the weights, the optimizer and the normalization, for :meth:`restore`."""
@@ -314,14 +304,10 @@ class Training:
 
 def as_csv(rows: list[dict[str, float]]) -> str:
     """Return the rows of a log as CSV; the cell of a missing value is empty."""
-    names = dict.fromkeys(name for row in rows for name in row)
-    text = io.StringIO()
-    table = csv.DictWriter(text, list(names), lineterminator="\n")
-    table.writeheader()
-    for row in rows:
-        cells = {name: f"{value:.6g}" for name, value in row.items()}
-        table.writerow(cells | {"timesteps": str(int(row["timesteps"]))})
-    return text.getvalue()
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    cells = [[row.get(name) for name in names] for row in rows]
+    texts = [[f"{v:.6g}" if isinstance(v, float) else v for v in row] for row in cells]
+    return csv_text([names, *texts])
 
 
 def read_checkpoint(path: Path) -> tuple[Progress, State]:

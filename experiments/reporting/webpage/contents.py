@@ -49,34 +49,35 @@ def read_source(path: Path) -> Source:
 
 
 class Verdict(NamedTuple):
-    """A name for results, and their outcome as a title and as a sentence."""
+    """A name for results, their outcome as a title and as a sentence, and HTML of their tables."""
 
     name: str
     title: str
     sentence: str
+    tables: str
 
 
-def results_of(source: Source) -> tuple[Verdict, str]:
-    """Return the verdict on the results of a source, and HTML of its tables and pictures.
+def verdict_on(source: Source) -> Verdict:
+    """Return the verdict on the results of a source.
 
     Raises:
         KeyError, TypeError, ValueError, AttributeError: the content is not complete.
     """
     content = source.content
     if source.kind == "track":
-        return _track_verdict(content), html_of(track_markdown(dict(content)))
+        return _track_verdict(content)
     if source.kind == "run":
         over = len(content["seeds"])
         begun = len(content["curves"])
         title = f"{over} of {begun} training seeds of {source.path} are finished"
         more = "" if over == begun else "; mmwave-loc train --resume continues the other seeds"
-        return Verdict(source.path, title, f"{title}{more}."), "".join(_trainings(source))
+        return Verdict(source.path, title, f"{title}{more}.", "".join(_trainings(source)))
     comparison = Comparison.from_json(content)
     positions = content.get("position_errors")  # from --percentiles
-    return _verdict(comparison), "".join(_compared(comparison, positions))
+    return _verdict(comparison, "".join(_compared(comparison, positions)))
 
 
-def _verdict(comparison: Comparison) -> Verdict:
+def _verdict(comparison: Comparison, tables: str) -> Verdict:
     """Return the verdict on the best contender and the next contender that is paired with it."""
     best, *others = comparison.policies
     name = f"{comparison.scenario}, {comparison.radio}, {named(comparison.seeds)}"
@@ -85,7 +86,8 @@ def _verdict(comparison: Comparison) -> Verdict:
     other, by = next(((other, margin) for other, margin in paired if margin), ("", None))
     if by is None:
         reward = comparison.policies[best]["reward"]
-        return Verdict(name, f"{best} has a reward of {reward}", f"{about} Best reward: {reward}.")
+        title = f"{best} has a reward of {reward}"
+        return Verdict(name, title, f"{about} Best reward: {reward}.", tables)
     interval = ", a 95 % interval over episodes" if by.known else ""
     title = f"{best} beats {other} by {by}"
     if by.low <= 0.0:
@@ -95,7 +97,7 @@ def _verdict(comparison: Comparison) -> Verdict:
         about += f" {best} won: its reward is {by} above the reward of {other}{interval}."
     if unpaired := others[: others.index(other)]:
         about += f" Ranked between these two, but not paired with {best}: {', '.join(unpaired)}."
-    return Verdict(name, title, about)
+    return Verdict(name, title, about, tables)
 
 
 def _track_verdict(c: Json) -> Verdict:
@@ -103,7 +105,8 @@ def _track_verdict(c: Json) -> Verdict:
     tracks = c["truth"]["tracks"] if "truth" in c else {}
     ates = [f"the {name} track has an ATE of {row['ate_m']:.3f} m" for name, row in tracks.items()]
     broken = [f"only part of the log was used: {c['error']}"] if c.get("error") else []
-    return Verdict(f"{c['log']}, {c['scene']}", title, f"{'; '.join([title, *ates, *broken])}.")
+    sentence = f"{'; '.join([title, *ates, *broken])}."
+    return Verdict(f"{c['log']}, {c['scene']}", title, sentence, html_of(track_markdown(c)))
 
 
 def _compared(comparison: Comparison, positions: Json | None) -> Iterator[str]:

@@ -8,7 +8,7 @@ from typing import Any
 
 from experiments.console.options import PageArgs
 from experiments.console.provenance import command_line
-from experiments.reporting.webpage.contents import READ, Verdict, origin_of, read_source, results_of
+from experiments.reporting.webpage.contents import READ, Verdict, origin_of, read_source, verdict_on
 from experiments.reporting.webpage.markup import element, text
 from experiments.reporting.webpage.played import LONGEST, Played, errors_of, play
 from mmwave_env.io.files import first_line
@@ -21,23 +21,20 @@ def page_of(args: PageArgs) -> str:
     """Return the web page of results; refuse results that can't be read."""
     sources = [read_source(path) for path in args.results]
     verdicts = []
-    results = []
     origins = []
     for source in sources:
+        content = source.content
         try:
-            verdict, tables = results_of(source)
-            command = source.content["command"]
-            versions = source.content.get("versions", {})
-            origins.append(origin_of(source.path, command, versions))
+            verdicts.append(verdict_on(source))
+            versions = content.get("versions", {})
+            origins.append(origin_of(source.path, content["command"], versions))
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise ValueError(f"{source.path}: {first_line(error)}, expected {READ}") from error
-        verdicts.append(verdict)
-        results.append(tables)
     origins.append(origin_of("This page", command_line("report", args), {}))
     played = [play(source, args.episodes, args.watch) for source in sources]
     errors = ["".join(errors_of(part)) for part in played]
     sections = {
-        "Results": _folded(verdicts, results),
+        "Results": _folded(verdicts, [verdict.tables for verdict in verdicts]),
         "Errors": _folded(verdicts, errors),
         "Episodes": _player(verdicts, played),
         "How it was made": "".join(origins),
