@@ -42,8 +42,7 @@ def main(args: Args) -> None:
     """Run the command."""
     from experiments.console.progress import say, tracked
     from experiments.console.tables import csv_text, show
-    from experiments.paper.figure import draw
-    from experiments.paper.printed import Bench, summaries
+    from experiments.paper.printed import Bench, draw, summaries
     from experiments.reporting.figures.canvas import require_picture
     from mmwave_env.io.files import require_writable, write_text
 

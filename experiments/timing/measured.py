@@ -19,10 +19,15 @@ from experiments.console.progress import tracked
 from experiments.console.tables import grid
 from experiments.timing import workloads
 from experiments.timing.fresh import fresh
-from experiments.timing.latency import LATENCIES, PERCENTILES, latency_us
-from experiments.timing.operations import Operations, count
-from experiments.timing.roofline import limit_s
-from experiments.timing.workloads import FILTERS, SYNC, SYNC_NAME
+from experiments.timing.roofline import Operations, count, limit_s
+from experiments.timing.workloads import (
+    FILTERS,
+    LATENCIES,
+    PERCENTILES,
+    SYNC,
+    SYNC_NAME,
+    latency_us,
+)
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.engines.engine import Engine
 from mmwave_env.engines.epoch import Asked, program_of, untuned

@@ -100,7 +100,7 @@ class CorrectorHyperparameters(Hyperparameters):
 
 @dataclass(frozen=True, kw_only=True)
 class TwoWayHyperparameters(CorrectorHyperparameters):
-    """Hyperparameters of two-way correctors (:mod:`experiments.training.two_way`)."""
+    """Hyperparameters of two-way correctors (:mod:`experiments.training.corrector`)."""
 
     rounds: (
         Count  # number of rounds of episodes to play before learning, half a million epochs each

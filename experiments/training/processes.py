@@ -9,11 +9,10 @@ from multiprocessing.process import BaseProcess
 from typing import Any
 
 from experiments.console.signals import answered, ended_by_signals
-from experiments.training.corrector import CorrectorTrainer
+from experiments.training.corrector import CorrectorTrainer, TwoWayTrainer
 from experiments.training.ppo import PpoTrainer
 from experiments.training.rollouts import RolloutTrainer
 from experiments.training.trainer import Job, Tell, Trainer, Training
-from experiments.training.two_way import TwoWayTrainer
 from mmwave_env.io.files import Json, read_json
 
 TRAINERS: dict[str, Callable[[Job, int], Trainer]] = {

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from experiments.timing.measured import Measured
-from experiments.timing.operations import Operations, count
+from experiments.timing.roofline import Operations, count
 from experiments.timing.workloads import EPISODE, FILTERS, filterpy_episode, pipeline, source
 from mmwave_env.filters.filterpy_reference import filterpy_pipeline
 from mmwave_env.numerics.numbers import atan2, maximum, sqrt, where
