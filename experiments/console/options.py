@@ -213,6 +213,40 @@ class TrainArgs(TaskArgs):
 
 
 @dataclass(kw_only=True)
+class TuneArgs(JsonArgs):
+    """Options of `tune`."""
+
+    radio: str = "handset"
+    """radio profile: handset, standard, high or a JSON file"""
+    modes: tuple[str, ...] = ("ekf", "ukf")
+    """modes to tune: ekf, ukf, ckf, ekf-robust, ukf-robust, mode files"""
+    scenarios: tuple[str, ...] = ("pedestrian", "vehicle")
+    """kinds of users to tune on, one for each mode, in the
+    same order: names, JSON or CSV files"""
+    free: tuple[str, ...] = ("sigma_v", "sigma_p")
+    """parameters to tune: sigma_p, sigma_v, sigma_pz, sigma_vz, sigma_b_mps, spread_gain"""
+    diagonal: bool = False
+    """use the paper's printed process noise, a diagonal matrix without coupling"""
+    episodes: int = 300
+    """number of episodes to tune on"""
+    seed: int = TUNING_SEED
+    """seed of the first episode; never a test seed"""
+    bank: bool = False
+    """tune a bank instead of single modes"""
+    evaluations: int = 1000
+    """with --bank, maximum number of banks to try"""
+    levels: bool = False
+    """train the network of the protection levels on training
+    seeds, and calibrate it on tuning seeds, with the
+    shipped policies; the only other options are --seed
+    and --out, which is required"""
+    out: Path | None = None
+    """mode file to write, which `--modes` and the
+    environment's `modes` accept; with --levels, file
+    (.safetensors) of the network to write"""
+
+
+@dataclass(kw_only=True)
 class LogArgs(IntegrityArgs, JsonArgs):
     """Options for a log: its track, the filters, and the paper's Algorithm 1.
 

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from experiments.console.progress import say
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.runner import run_contender
 from experiments.evaluation.seeds import SEEDS_EACH, TRAINING_SEED
@@ -160,7 +161,9 @@ def _least(parts: list[Array], infinite: int) -> Array:
 def trained_levels(
     seed: int, rounds: int = ROUNDS, calibration: int = CALIBRATION, steps: int = STEPS
 ) -> Network:
-    """Train and calibrate a network; ``seed`` determines only the calibration's episodes.
+    """Train and calibrate a network; print its constants, as factors.
+
+    ``seed`` determines only the calibration's episodes.
 
     The network learns from ``rounds`` rounds of episodes in ``steps`` gradient steps, and is
     calibrated on ``calibration`` rounds.
@@ -169,4 +172,8 @@ def trained_levels(
     features = np.concatenate([features for features, _ in lots])
     logs = np.concatenate([logs for _, logs in lots])
     network = _trained(features, logs, steps)
-    return network._replace(constants=_constants(network, seed, calibration))
+    network = network._replace(constants=_constants(network, seed, calibration))
+    for kind, constants in zip(("filter", "bank", "corrector"), network.constants, strict=True):
+        for risk, (h, v) in zip(RISKS, np.exp(constants), strict=True):
+            say(f"{kind}, risk {risk:g}: horizontal factor {h:.3f}, vertical factor {v:.3f}")
+    return network
