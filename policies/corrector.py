@@ -17,7 +17,7 @@ import numpy as np
 from mmwave_env.filters.correction import MOST_LOG_FACTOR, MOST_SHIFT
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation, observation_columns
-from mmwave_env.interface.policy import Correction, Policy, Switching
+from mmwave_env.interface.policy import Correction, FixedMode, Policy, Switching
 from mmwave_env.interface.signed import after_update
 from mmwave_env.io.files import AnyPath
 from mmwave_env.numerics.numbers import Array32, Index, Mask
@@ -98,7 +98,7 @@ class Corrector(CorrectionNetwork, Policy):
     def __init__(self, path: AnyPath | PolicyFile, observation: Observation | None = None) -> None:
         super().__init__(path)
         base = self.card.base
-        self._base = None if base == BASE_IMM else LearnedSwitch(base)
+        self._base = FixedMode() if base == BASE_IMM else LearnedSwitch(base)
         self._hidden = np.zeros((0, len(self._network.units[0].of_state.weight)), np.float32)
         self._trust = np.zeros(0, np.float32)
         if observation is not None:
@@ -107,7 +107,7 @@ class Corrector(CorrectionNetwork, Policy):
     def read_from(self, observation: Observation) -> None:
         """Find the features of the corrector and of its base in the observations."""
         super().read_from(observation)
-        if self._base:
+        if isinstance(self._base, LearnedSwitch):
             self._base.read_from(observation)
 
     def reset(self, mask: Mask) -> None:
@@ -117,13 +117,10 @@ class Corrector(CorrectionNetwork, Policy):
             self._trust = np.ones(len(mask), np.float32)
         self._hidden[mask] = 0.0
         self._trust[mask] = 1.0
-        if self._base:
-            self._base.reset(mask)
+        self._base.reset(mask)
 
     def act(self, observation: Array32) -> Index:
         """Return the base's actions (n,) for observations (n, features)."""
-        if self._base is None:
-            return np.zeros(len(observation), np.int64)
         return self._base.act(observation)
 
     def correct(self, observation: Array32) -> Correction:

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation
@@ -124,12 +125,10 @@ def tried(name: str, policy: Policy, table: Observation) -> Policy:
     space = table.space
     rng = np.random.default_rng(0)
     shown = rng.uniform(space.low, space.high, (TRIED, len(table))).astype(np.float32)
-    about = f"observations {shown.shape}, float32, made with {table.made_with}"
-    with blaming(name, f"; it was given {about}; {OF_A_MODEL} ({GUIDE})"):
-        policy.reset(np.ones(TRIED, np.bool_))
-        actions = np.asarray(policy.act(shown))
-    require_actions(name, actions, TRIED, len(table.actions))
-    return _Checked(name, policy, len(table.actions))
+    checked = _Checked(name, policy, table)
+    checked.reset(np.ones(TRIED, np.bool_))
+    checked.act(shown)
+    return checked
 
 
 class _Checked(Policy):
@@ -139,36 +138,38 @@ class _Checked(Policy):
         ValueError: the agent raises an exception, or returns invalid actions.
     """
 
-    def __init__(self, name: str, policy: Policy, actions: int) -> None:
+    def __init__(self, name: str, policy: Policy, table: Observation) -> None:
         self.corrects = policy.corrects
         self._name = name
         self._policy = policy
-        self._actions = actions
+        self._table = table
         self._epoch = 0
 
     def reset(self, mask: Mask) -> None:
         self._epoch = 0
-        self._policy.reset(mask)
+        with blaming(self._name, f"; it was told that episodes begin ({GUIDE})"):
+            self._policy.reset(mask)
 
     def act(self, observation: Array32) -> Index:
         self._epoch += 1
-        with blaming(self._name, f", in epoch {self._epoch}"):
-            returned = self._policy.act(observation)
-        return require_actions(self._name, returned, len(observation), self._actions)
+        about = f"observations {observation.shape}, float32, of epoch {self._epoch}"
+        made = f"made with {self._table.made_with}; {OF_A_MODEL} ({GUIDE})"
+        with blaming(self._name, f"; it was given {about}, {made}"):
+            returned = np.asarray(self._policy.act(observation))
+        return require_actions(self._name, returned, len(observation), len(self._table.actions))
 
     def correct(self, observation: Array32) -> Correction | None:
         with blaming(self._name, f", in epoch {self._epoch}"):
             return self._policy.correct(observation)
 
 
-def require_actions(name: str, returned: Any, n: int, count: int) -> Index:
-    """Return actions (n,) as an array; refuse anything else.
+def require_actions(name: str, actions: NDArray[Any], n: int, count: int) -> Index:
+    """Return actions (n,) as integers; refuse anything else.
 
     Raises:
-        ValueError: ``returned`` does not hold n integers from 0 to ``count`` - 1, one for each
+        ValueError: ``actions`` are not n integers from 0 to ``count`` - 1, one for each
             observation.
     """
-    actions = np.asarray(returned)
     if actions.shape != (n,) or actions.dtype.kind not in "iu":
         raise ValueError(
             f"actions of {name}: found shape {actions.shape} of {actions.dtype}, expected ({n},) "

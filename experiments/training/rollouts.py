@@ -177,8 +177,9 @@ class RolloutLearner:
             last.weight *= 0.1
             last.bias.zero_()
             last.bias[0] = hyper.first_action_bias
-        self.network = nn.Sequential(*layers, last)
-        self.optimizer = torch.optim.Adam(self.network.parameters(), lr=hyper.learning_rate)
+        self.network: nn.Module = nn.Sequential(*layers, last)
+        parameters = self.network.parameters()
+        self.optimizer: torch.optim.Optimizer = torch.optim.Adam(parameters, hyper.learning_rate)
         self._observations = torch.empty((hyper.memory, features))
         self._gains = torch.empty((hyper.memory, actions))
         self._seen = 0
@@ -224,8 +225,7 @@ class RolloutLearner:
         """
         hyper = self._hyper
         filled = min(self._seen, len(self._gains))
-        for group in self.optimizer.param_groups:
-            group["lr"] = hyper.learning_rate * left
+        self.optimizer.param_groups[0]["lr"] = hyper.learning_rate * left
         sums = np.zeros(3)
         for _ in range(hyper.gradient_steps):
             some = torch.randint(filled, (hyper.batch_size,))
@@ -243,7 +243,7 @@ class RolloutLearner:
         return dict(zip(names, (sums / hyper.gradient_steps).tolist(), strict=True))
 
 
-class RolloutTrainer(Trainer):
+class RolloutTrainer(RolloutLearner, Trainer):
     """The updates of rollout policy iteration; timesteps are states in which actions were tried.
 
     Args:
@@ -252,7 +252,6 @@ class RolloutTrainer(Trainer):
 
     Attributes:
         env: environments in which actions are tried.
-        learner: network that learns from the tried actions.
     """
 
     EVERY = 8
@@ -260,29 +259,24 @@ class RolloutTrainer(Trainer):
     def __init__(self, job: Job, seed: int) -> None:
         torch.manual_seed(seed)
         hyper: RolloutHyperparameters = job.hyperparameters
-        self._hyper = hyper
         self.judged = job.task
         self.env = RolloutEnv(job.task, hyper.num_envs, hyper.horizon, hyper.gamma, seed)
         self.table = self.env.observation
         normal = self.env.measured_normalization(hyper.clip_observation)
-        self.learner = RolloutLearner(len(self.table), len(self.table.actions), hyper, normal)
-        self.network = self.learner.network
-        self.optimizer = self.learner.optimizer
-        self.scales = self.learner.scales
+        super().__init__(len(self.table), len(self.table.actions), hyper, normal)
 
     def update(self, left: float) -> tuple[int, dict[str, float]]:
         """Try all actions in some states and learn; return the number of states, and statistics."""
         env = self.env
-        learner = self.learner
         new = 0
         while new < self._hyper.states:
-            tried = env.try_all(learner.greedy)
-            learner.remember(tried)
+            tried = env.try_all(self.greedy)
+            self.remember(tried)
             new += len(tried.values)
             for _ in range(self._hyper.stride):
-                env.step(learner.sampled(env.observations))
-        return new, learner.improve(falling(self._hyper.final_fraction, left))
+                env.step(self.sampled(env.observations))
+        return new, self.improve(falling(self._hyper.final_fraction, left))
 
     def tensors(self) -> Tensors:
         """Return the network in the form that a policy file stores."""
-        return actor_tensors(self.learner.network, Normalization(**self.scales))
+        return actor_tensors(self.network.children(), Normalization(**self.scales))

@@ -44,7 +44,7 @@ def test_the_policy_file_chooses_the_actions_of_the_network(tmp_path):
     training = Training(job_of(tmp_path), RolloutTrainer, silent)
     training.run()
     env = training.trainer.env
-    learner = training.trainer.learner
+    learner = training.trainer
     policy = LearnedSwitch(tmp_path / "latest.safetensors", env.observation)
     assert policy.card.timesteps >= UPDATES * HYPER.states and policy.card.algorithm == "rollouts"
     assert set(policy.card.banks) == {place.radio for place in PLACES}

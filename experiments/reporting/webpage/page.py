@@ -303,8 +303,8 @@ def _html(verdicts: Sequence[Verdict], sections: Mapping[str, str], data: Any) -
 
 def _colors() -> str:
     """Return the page's colors, which videos also have, as CSS variables."""
-    light = THEMES["light"]._asdict()
-    dark = THEMES["dark"]._asdict()
+    light = vars(THEMES["light"])
+    dark = vars(THEMES["dark"])
     lines = (
         f"--{name}: light-dark({hex_of(light[name])}, {hex_of(dark[name])});"
         for name in light.keys() - {"modes"}
