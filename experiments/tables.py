@@ -1,12 +1,7 @@
 """mmwave-loc tables: the paper's tables and claims, compared with measurements in simulations."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from experiments.paper.printed import Bench, Section
 
 
 @dataclass(kw_only=True)
@@ -28,20 +23,11 @@ SECTIONS = 19  # number of sections, for the progress bar
 FIELDS = ("section", "row", "column", "mean", "low", "high")
 
 
-def sections(bench: "Bench") -> "Iterator[Section]":
-    """Compute and yield all sections, in order."""
-    from experiments.paper.claims import CLAIMS
-    from experiments.paper.printed import table_three, tables_one_and_two
-
-    yield from tables_one_and_two(bench)
-    yield table_three(bench)
-    yield from (claim(bench) for claim in CLAIMS)
-
-
 def main(args: Args) -> None:
     """Run the command."""
     from experiments.console.progress import say, tracked
     from experiments.console.tables import csv_text, show
+    from experiments.paper.claims import sections
     from experiments.paper.printed import Bench, draw, summaries
     from experiments.reporting.figures.canvas import require_picture
     from mmwave_env.io.files import require_writable, write_text

@@ -1,4 +1,4 @@
-"""Checks of the paper's claims by experiments, one section for each claim."""
+"""Checks of the paper's claims by experiments, one section for each claim; and all sections."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -18,6 +18,8 @@ from experiments.paper.printed import (
     Section,
     Setting,
     section,
+    table_three,
+    tables_one_and_two,
     track,
     untuned,
 )
@@ -337,3 +339,10 @@ CLAIMS = (  # in the order of docs/paper.md
     algorithms, steps, adaptation, smoothing, improvement, process_noise, units, resolution,
     consistency_gate, contradictions, headline, error_budget,
 )  # fmt: skip
+
+
+def sections(bench: Bench) -> Iterator[Section]:
+    """Compute and yield the sections of all tables and claims, in order."""
+    yield from tables_one_and_two(bench)
+    yield table_three(bench)
+    yield from (claim(bench) for claim in CLAIMS)

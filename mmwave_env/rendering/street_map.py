@@ -197,10 +197,9 @@ def _draw_scale(canvas: Canvas, view: View) -> Rect:
     place.bottomright = view.frame.right - 4.0, view.frame.bottom - 2.0
     _draw_plate(canvas, place)
     bar = place.inflate(-12.0, -12.0)
-    tick = np.array([0.0, 3.0])
     ends = np.array([bar.bottomleft, bar.bottomright])
-    for line in (ends, ends[:1] + [-tick, tick], ends[1:] + [-tick, tick]):
-        canvas.line(line, "ink", 1.2)
+    above = ends - (0.0, 5.0)
+    canvas.line(np.vstack([above[:1], ends, above[1:]]), "ink", 1.2)
     canvas.words(f"{length:g} m", (bar.centerx, bar.bottom - 10.0), "ink", 14, 0.5)
     return place
 
