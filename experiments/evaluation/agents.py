@@ -9,7 +9,6 @@ from contextlib import contextmanager
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation
@@ -155,29 +154,22 @@ class _Checked(Policy):
         about = f"observations {observation.shape}, float32, of epoch {self._epoch}"
         made = f"made with {self._table.made_with}; {OF_A_MODEL} ({GUIDE})"
         with blaming(self._name, f"; it was given {about}, {made}"):
-            returned = np.asarray(self._policy.act(observation))
-        return require_actions(self._name, returned, len(observation), len(self._table.actions))
+            actions = np.asarray(self._policy.act(observation))
+        n = len(observation)
+        if actions.shape != (n,) or actions.dtype.kind not in "iu":
+            raise ValueError(
+                f"actions of {self._name}: found shape {actions.shape} of {actions.dtype}, "
+                f"expected ({n},) of integers, one for each row of the observations; "
+                f"{OF_A_MODEL} ({GUIDE})"
+            )
+        most = len(self._table.actions) - 1
+        if actions.min() < 0 or actions.max() > most:
+            raise ValueError(
+                f"actions of {self._name}: found {actions.min()} (smallest) and {actions.max()} "
+                f"(largest), expected 0 to {most}"
+            )
+        return actions.astype(np.int64)
 
     def correct(self, observation: Array32) -> Correction | None:
         with blaming(self._name, f", in epoch {self._epoch}"):
             return self._policy.correct(observation)
-
-
-def require_actions(name: str, actions: NDArray[Any], n: int, count: int) -> Index:
-    """Return actions (n,) as integers; refuse anything else.
-
-    Raises:
-        ValueError: ``actions`` are not n integers from 0 to ``count`` - 1, one for each
-            observation.
-    """
-    if actions.shape != (n,) or actions.dtype.kind not in "iu":
-        raise ValueError(
-            f"actions of {name}: found shape {actions.shape} of {actions.dtype}, expected ({n},) "
-            f"of integers, one for each row of the observations; {OF_A_MODEL} ({GUIDE})"
-        )
-    if actions.min() < 0 or actions.max() >= count:
-        raise ValueError(
-            f"actions of {name}: found {actions.min()} (smallest) and {actions.max()} (largest), "
-            f"expected 0 to {count - 1}"
-        )
-    return actions.astype(np.int64)

@@ -10,7 +10,7 @@ import os
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, nullcontext, redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -211,10 +211,16 @@ def sweep(file: Path, folder: Path, address: str | None, workers: int | None) ->
     done = kept(folder, spec)
     note(f"{len(spec)} cells, {len(done)} of them already in {folder}")
     todo = {name: values for name, values in spec.cells.items() if name not in done}
+    compute = evaluated if spec.kind == "evaluate" else trained
     failed = 0
-    if todo:
-        with connected(address, workers):
-            failed = _computed(spec, folder, todo)
+    with connected(address, workers) if todo else nullcontext():
+        for name, row, error in tracked(computed(compute, todo), "cells", len(todo)):
+            if row is not None:
+                keep(folder, name, todo[name], row)
+                continue
+            failed += 1
+            cell = ", ".join(f"{axis} {value}" for axis, value in todo[name].items())
+            note(f"failed: {cell}: {error}")
     if rows := read(folder, spec):
         show(_table(spec, rows))
         if spec.kind == "train":
@@ -222,20 +228,6 @@ def sweep(file: Path, folder: Path, address: str | None, workers: int | None) ->
             say(f"The best of the trainings is {folder / best}.safetensors")
     if failed:
         raise ValueError(f"{failed} of {len(spec)} cells failed, the others are in {folder}")
-
-
-def _computed(spec: Spec, folder: Path, todo: Mapping[str, Values]) -> int:
-    """Compute missing cells, write their rows, and return the number of cells that failed."""
-    failed = 0
-    compute = evaluated if spec.kind == "evaluate" else trained
-    for name, row, error in tracked(computed(compute, todo), "cells", len(todo)):
-        if row is not None:
-            keep(folder, name, todo[name], row)
-        else:
-            failed += 1
-            cell = ", ".join(f"{axis} {value}" for axis, value in todo[name].items())
-            note(f"failed: {cell}: {error}")
-    return failed
 
 
 def _table(spec: Spec, rows: Mapping[str, Values]) -> str:

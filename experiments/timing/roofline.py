@@ -11,7 +11,7 @@ instructions through an LLVM builder. The builder here only records them; nothin
 
 import timeit
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple
@@ -96,7 +96,12 @@ def count(function: Callable[[Any], Any], template: Any) -> Operations:
     after = flatten(function(unflatten(template, iter(before))))
     stored = [new for old, new in zip(before, after, strict=True) if new is not old]
     results = [new.value for new in stored if isinstance(new, Lanes)]
-    needed = list(_needed(results))
+    needed = dict.fromkeys(results)  # every instruction on which the results depend
+    waiting = list(needed)
+    while waiting:
+        new = [source for source in waiting.pop().sources() if source not in needed]
+        needed |= dict.fromkeys(new)
+        waiting += new
     kinds = Counter(step.kind for step in needed)
     uses = Counter(source for step in needed for source in step.sources()) + Counter(results)
     fused = sum(
@@ -110,18 +115,6 @@ def count(function: Callable[[Any], Any], template: Any) -> Operations:
     kinds.update(fused=fused, store=len(stored), multiply=products - fused, add=-fused)
     kinds["divide"] = len(divisors)
     return Operations(**{kind: kinds[kind] for kind in Operations._fields})
-
-
-def _needed(results: Iterable[_Instruction]) -> Iterator[_Instruction]:
-    """Yield every instruction on which the results depend, once."""
-    waiting = list(results)
-    yielded = set()
-    while waiting:
-        step = waiting.pop()
-        if step not in yielded:
-            yielded.add(step)
-            waiting += step.sources()
-            yield step
 
 
 CHAINS = (8, 16, 24)  # numbers of chains to try: the best number depends on the processor

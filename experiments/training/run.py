@@ -104,7 +104,7 @@ def manifest_of(args: TrainArgs, banks: Mapping[str, Bank], hyper: Hyperparamete
 
 
 def begin(args: TrainArgs, manifest: Json) -> None:
-    """Make the folder of a run, or check that the folder holds the run to resume.
+    """Make the folder of a run, or check that it holds the run to resume, with the same manifest.
 
     Raises:
         ValueError: a new run's folder holds files, or there is no such run to resume.
@@ -113,7 +113,14 @@ def begin(args: TrainArgs, manifest: Json) -> None:
     if args.resume:
         if not path.is_file():
             raise ValueError(f"out: found no run in {args.out} to resume")
-        _require_same(path, manifest)
+        begun = read_json(path, "the manifest of a run", _flat)
+        expected = _flat(manifest)
+        for key in expected | begun:
+            if begun.get(key) != expected.get(key):
+                raise ValueError(
+                    f"{path}: {key}: found {begun.get(key)}, expected {expected.get(key)}; resume "
+                    "a run with the same options as at its start"
+                )
         return
     if args.out.exists() and any(args.out.iterdir()):
         if not args.overwrite:
@@ -127,21 +134,9 @@ def begin(args: TrainArgs, manifest: Json) -> None:
     write_json(path, manifest)
 
 
-def _require_same(path: Path, manifest: Json) -> None:
-    """Refuse to resume a run that was begun with a different manifest."""
-
-    def flat(run: Json) -> Json:
-        """Return the manifest with one entry per hyperparameter, for a precise message."""
-        return {**run, **run["hyperparameters"], "hyperparameters": None}
-
-    begun = read_json(path, "the manifest of a run", flat)
-    expected = flat(manifest)
-    for key in expected | begun:
-        if begun.get(key) != expected.get(key):
-            raise ValueError(
-                f"{path}: {key}: found {begun.get(key)}, expected {expected.get(key)}; resume a "
-                "run with the same options as at its start"
-            )
+def _flat(run: Json) -> Json:
+    """Return a manifest with one entry per hyperparameter, for a precise message."""
+    return {**run, **run["hyperparameters"], "hyperparameters": None}
 
 
 def train(args: TrainArgs) -> None:

@@ -17,7 +17,7 @@ from experiments.console.options import EpisodeArgs, LogArgs, PageArgs
 from experiments.console.provenance import command_line, options_from
 from experiments.evaluation.agents import is_agent
 from experiments.evaluation.compare import Comparison
-from experiments.evaluation.contenders import Contender, contender_of, task_of
+from experiments.evaluation.contenders import contender_of, task_of
 from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.evaluation.seeds import draw_episodes, keys_for, named, seeds_from
 from experiments.reporting.figures.canvas import PHONE_MM
@@ -85,9 +85,16 @@ def _play_episodes(source: Source, most: int, watched: int) -> Played:
     args = replace(args, episodes=min(most, source.content["episodes"]))
     task = task_of(args)
     seeds = seeds_from(args.episodes, args.seed)
-    missing = dict[str, str]()
     scoring = Scoring.of(task)
-    chosen = _contenders(args, names, missing)
+    chosen = []
+    missing = {}
+    for name in names:
+        try:
+            if is_agent(name):
+                raise ValueError("it is a user's code, which is not run for a report")
+            chosen.append(contender_of(args, name))
+        except (ValueError, OSError) as error:
+            missing[name] = str(error)
     axes = 2 if scoring.planar else 3
     played = Played(named(seeds), EpochErrors(names), axes, missing=missing)
     score_contenders(chosen, task.source, seeds, watch=[played.epochs.add], scoring=scoring)
@@ -136,19 +143,6 @@ def _play_log(source: Source) -> Played:
     weighed = switching.bank is not None
     shown["contenders"]["track"] = _course(history, switching.names, weighed)
     return Played(shown=[shown])
-
-
-def _contenders(args: EpisodeArgs, names: list[str], missing: dict[str, str]) -> list[Contender]:
-    """Return the available contenders; put the reasons why others are missing into ``missing``."""
-    available = []
-    for name in names:
-        try:
-            if is_agent(name):
-                raise ValueError("it is a user's code, which is not run for a report")
-            available.append(contender_of(args, name))
-        except (ValueError, OSError) as error:
-            missing[name] = str(error)
-    return available
 
 
 def errors_of(played: Played) -> Iterator[str]:
