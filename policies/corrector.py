@@ -71,11 +71,6 @@ class CorrectionNetwork(LearnedPolicy):
             most=np.array([MOST_SHIFT] * 3 + [MOST_LOG_FACTOR] * 3, np.float32),
         )
 
-    def read_from_track(self, pipeline: Pipeline) -> None:
-        """Find the policy's features among the features that tracks of a pipeline compute."""
-        columns = observation_columns(after_update(pipeline, per_mode=True))
-        self._of_track = self._found_in(columns)
-
 
 class Corrector(CorrectionNetwork, Policy):
     """A policy that chooses the same actions as its base, and corrects the base's beliefs.
@@ -128,13 +123,7 @@ class Corrector(CorrectionNetwork, Policy):
 
         Call this once after every step, with the observations (n, features) of the step.
         """
-        return self._correct(self.features_in(observation))
-
-    def correct_track(self, signed: Array32) -> Correction:
-        """Return corrections of n tracks after an epoch, given their features (n, features)."""
-        return self._correct(taken(signed.astype(np.float32), *self._of_track))
-
-    def _correct(self, features: Array32) -> Correction:
+        features = self.features_in(observation)
         n = len(features)
         answers = np.empty((n, CORRECTIONS), np.float32)
         trusted = np.empty(n, np.float32)
@@ -146,6 +135,11 @@ class TwoWayCorrector(CorrectionNetwork):
     """A corrector of smoothed tracks, which reads each track forwards and backwards."""
 
     recurrent = ("gru", "back")
+
+    def read_from_track(self, pipeline: Pipeline) -> None:
+        """Find the policy's features among the features that tracks of a pipeline compute."""
+        columns = observation_columns(after_update(pipeline, per_mode=True))
+        self._of_track = self._found_in(columns)
 
     def correct_tracks(self, features: Array32) -> Correction:
         """Return corrections (n, T, 3) of n smoothed tracks, given all their features.

@@ -6,7 +6,7 @@
 import os
 import sys
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import product
@@ -65,13 +65,14 @@ class Comparison:
     @property
     def json(self) -> Json:
         """Return the comparison in the form that results files store."""
-
-        def table(rows: dict[str, dict[str, Interval]]) -> Json:
-            return {k: {m: i.json for m, i in row.items()} for k, row in rows.items()}
-
-        tables = {"policies": table(self.policies), "paired": table(self.paired)}
-        run = {"episodes": len(self.seeds), "seed": self.seeds[0]}
-        return {"scenario": self.scenario, "radio": self.radio, **run, **tables}
+        return {
+            "scenario": self.scenario,
+            "radio": self.radio,
+            "episodes": len(self.seeds),
+            "seed": self.seeds[0],
+            "policies": _each(self.policies, lambda interval: interval.json),
+            "paired": _each(self.paired, lambda interval: interval.json),
+        }
 
     @classmethod
     def from_json(cls, content: Json) -> "Comparison":
@@ -80,15 +81,11 @@ class Comparison:
         Raises:
             KeyError, TypeError, ValueError, AttributeError: the content is not a comparison.
         """
-
-        def table(key: str) -> dict[str, dict[str, Interval]]:
-            rows = content[key].items()
-            return {k: {m: Interval.of(i) for m, i in row.items()} for k, row in rows}
-
-        policies = sorted(table("policies").items(), key=lambda row: -row[1]["reward"].mean)
+        rows = _each(content["policies"], Interval.of)
+        policies = dict(sorted(rows.items(), key=lambda row: -row[1]["reward"].mean))
         seeds = seeds_from(content["episodes"], content["seed"], 0)
         names = content["scenario"], content["radio"]
-        return cls(*names, seeds, dict(policies), table("paired"))
+        return cls(*names, seeds, policies, _each(content["paired"], Interval.of))
 
     @property
     def scores(self) -> dict[str, float | None]:
@@ -140,6 +137,11 @@ class Comparison:
             header.append("score")
             rows = [[*row, score_cell(scores[row[0]])] for row in rows]
         return header, rows
+
+
+def _each(table: Json, convert: Callable[[Any], Any]) -> Json:
+    """Return a table, by contender or pair and metric, with its values converted."""
+    return {name: {m: convert(v) for m, v in row.items()} for name, row in table.items()}
 
 
 def episodes_csv(scores: dict[str, Scores], seeds: Sequence[int], source: EpisodeSource) -> str:

@@ -64,7 +64,11 @@ def diagnosed(args: LogArgs, path: Path, scene: Scene) -> None:
         LogError: the log is damaged.
         ValueError: no epoch determines a position with which a track could begin.
     """
-    log = _read(path, scene, args.snr)
+    read = partial(read_log, path, scene, odometry=False, limits=False)
+    try:
+        log = read()
+    except LogError:  # columns may be missing
+        log = read(partial=True, snr_db=args.snr)
     radio = nearest_radio(log, scene) if args.radio == AUTO else args.radio
     with progress("looking for likely mistakes"):
         findings = diagnose(log, scene, radio_from(radio), modes_of(args, radio)[-1])
@@ -79,14 +83,6 @@ def diagnosed(args: LogArgs, path: Path, scene: Scene) -> None:
     show(f"{facts_markdown(facts)}\n{diagnosis_markdown(findings)}")
     if log.damage:
         raise log.damage
-
-
-def _read(path: Path, scene: Scene, snr_db: float | None) -> Log:
-    read = partial(read_log, odometry=False, limits=False)
-    try:
-        return read(path, scene)
-    except LogError:  # columns may be missing
-        return read(path, scene, partial=True, snr_db=snr_db)
 
 
 def log_facts(log: Log, scene: Scene) -> Json:

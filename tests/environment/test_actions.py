@@ -15,10 +15,10 @@ from gymnasium.vector import AutoresetMode
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.runner import run_contender
 from mmwave_env.engines.tally import exceeds
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.localization.position_errors import horizontal_level
 from mmwave_env.metrics import RISK
 from policies import Corrector, LearnedSwitch
+from policies.learned import LearnedPolicy
 from tests.environment.vector_checker import forward, same
 from tests.refusals import refuses
 
@@ -143,13 +143,13 @@ def test_the_shipped_corrector_earns_the_same_rewards_as_in_its_evaluation():
         ID, num_envs=n, beliefs=policy.beliefs, modes=policy.bank("handset"), action="correction",
         base=partial(LearnedSwitch, policy.card.base),
     ).unwrapped  # fmt: skip
-    policy.read_from_track(Pipeline(env.modes, env.source.layout))
+    LearnedPolicy.read_from(policy, env.observation)  # the environment asks the base itself
     policy.reset(np.ones(n, bool))
     observations, infos = env.reset(seed=5_000_000)
     episodes = env.source.episodes(infos["episode_key"])
     earned = []
     for _ in range(200):
-        shift, log_factor, _ = policy.correct_track(observations)
+        shift, log_factor, _ = policy.correct(observations)
         observations, reward, *_ = env.step(np.hstack([shift, log_factor]))
         earned.append(reward)
     contender = contender_from("corrector", "handset")
