@@ -56,17 +56,14 @@ def _step(n: int) -> None:
         _, _, terminated, truncated, _ = env.step(actions)
         if n == 0 and (terminated or truncated):
             env.reset()
-    print(_peak_mb())
-
-
-def _peak_mb() -> float:
     status = Path("/proc/self/status")
     if status.exists():  # on Linux ru_maxrss would include the memory of the parent
-        return int(status.read_text().split("VmHWM:")[1].split()[0]) / 1024
+        print(int(status.read_text().split("VmHWM:")[1].split()[0]) / 1024)
+        return
     import resource
 
     unit = 1024**2 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
+    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit)
 
 
 if __name__ == "__main__":

@@ -227,7 +227,11 @@ class Training:
         while progress.timesteps < job.timesteps:
             self._update()
             if progress.updates % job.checkpoint_every == 0:
-                self._save()
+                self._write_log()
+                progress.seconds = self.seconds
+                saved = {"progress": asdict(progress), "trainer": self.trainer.state()}
+                with atomic_path(job.checkpoint) as temporary:
+                    torch.save(saved, temporary)
             self._tell(progress.timesteps, "")
         self._write_log()
         outcome = {
@@ -289,14 +293,6 @@ class Training:
             banks=dict(task.banks) if table.beliefs == "per-mode" else {},
             base=self.trainer.base,
         )
-
-    def _save(self) -> None:
-        """Write the log and a checkpoint."""
-        self._write_log()
-        self.progress.seconds = self.seconds
-        saved = {"progress": asdict(self.progress), "trainer": self.trainer.state()}
-        with atomic_path(self._job.checkpoint) as temporary:
-            torch.save(saved, temporary)
 
     def _write_log(self) -> None:
         write_text(self._job.folder / "progress.csv", as_csv(self.progress.rows))
