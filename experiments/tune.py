@@ -1,25 +1,9 @@
 """mmwave-loc tune: modes, a complete bank, or protection levels."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
-from experiments.console.options import TUNING_SEED, TuneArgs, require_alone
-
-
-@dataclass(kw_only=True)
-class Args(TuneArgs):
-    """Tune the process noise of modes by the likelihood of measurements.
-
-    With --bank, tune a bank: the five modes of imm-best and the probabilities of
-    changes between them. The reward of the bank's IMM in all scenes, at 1 and 10
-    Hz, is maximized. With --levels, train and calibrate the protection levels
-    anew. --bank needs the extra "tune"; --levels needs "train".
-
-        mmwave-loc tune --radio handset --out modes.json
-        mmwave-loc tune --bank --radio phone.json --episodes 900 --out bank.json
-        mmwave-loc tune --levels --out mmwave_env/data/levels.safetensors
-    """
-
+from experiments.console.options import TUNING_SEED, require_alone
+from experiments.console.options import TuneArgs as Args
 
 OF_MODES = ("modes", "scenarios", "free", "diagonal")  # options that tune single modes
 
