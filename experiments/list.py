@@ -25,19 +25,6 @@ class Args:
     """radio profile whose policies and modes are listed"""
 
 
-POLICIES = {
-    "speed-rule": "the paper's rule: EKF up to 2 m/s, UKF above",
-    "likelihood-rule": "chooses the mode that explains the coming measurement best",
-    "imm": "interacting multiple models: mixes all modes instead of choosing one",
-    "imm-best": "tuned IMM of modes for users who stand, cruise, turn, accelerate or brake",
-    "ppo": "learned policy that chooses between the profile's two modes",
-    "guided": "learned policy that raises the probability of one mode of `imm-best`, or of none",
-    "corrector": "the policy `guided`, with a recurrent network that corrects the positions",
-    "guided-ppo": "same as `guided`, but trained only with PPO",
-    "clairvoyant": "knows the truth: a ceiling for policies that choose modes; runs only if named",
-}
-
-
 def main(args: Args) -> None:
     """Run the command."""
     from experiments.console.progress import say
@@ -52,7 +39,7 @@ def main(args: Args) -> None:
 def _kinds(radio: str) -> dict[str, dict[str, str]]:
     """Return the descriptions of all names, by kind and name; ``radio`` is a radio profile."""
     from experiments.evaluation.branches import CLAIRVOYANT
-    from experiments.evaluation.contenders import contenders
+    from experiments.evaluation.contenders import DESCRIPTIONS, contenders
     from mmwave_env.datasets.samples import log_names, recording_from, sample_names
     from mmwave_env.filters.bank import as_written, named_modes
     from mmwave_env.interface.reward import REWARDS
@@ -70,7 +57,7 @@ def _kinds(radio: str) -> dict[str, dict[str, str]]:
     scenes = {name: _description(scene) for name, scene in SCENES.items()}
     return {
         "policies": {
-            name: POLICIES.get(name, f"mode {name.removeprefix('fixed-')} in every epoch")
+            name: DESCRIPTIONS.get(name, f"mode {name.removeprefix('fixed-')} in every epoch")
             for name in (*contenders(radio), CLAIRVOYANT)
         },
         "scenarios": SCENARIOS,

@@ -55,9 +55,9 @@ def main(args: Args) -> None:
     seeds = seeds_from(1, args.seed)
     keys = keys_for(task.source, seeds)
     (episode,) = draw_episodes(task.source, seeds)
-    streets = task.streets_of(0 if keys is None else int(keys[0]))
+    scene = task.scene_of(0 if keys is None else int(keys[0]))
     with progress("filtering"):
-        histories = [history_of(c, episode, scoring, streets) for c in contenders]
+        histories = [history_of(c, episode, scoring, scene) for c in contenders]
     time_s = histories[0].time_s.tolist()  # row 0, the prior, is at the episode's start
     rows = [row for row, time in enumerate(time_s) if args.begin <= time <= args.end]
     if not rows:

@@ -29,7 +29,7 @@ from mmwave_env.numerics.numbers import Array32
 from mmwave_env.rendering.gallery import Gallery
 from mmwave_env.rendering.theme import FRAMES_PER_SECOND, SMALLEST, Pixels, require_drawable
 from mmwave_env.task import task_from
-from mmwave_env.world.keys import Stream, key_from, option_of
+from mmwave_env.world.keys import Stream, key_from, options_of
 
 _INTEGERS = (int, np.int64)  # usual types of actions
 _HERE = np.zeros(1, np.int64)  # index of the environment in a batch of one
@@ -325,7 +325,7 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
 
         ``options={"episode_key": k}`` plays an episode again; k is its key, from an earlier info.
         """
-        key = option_of(options, "episode_key")
+        (key,) = options_of(options, "episode_key")
         if key is not None:
             self._task.require_keys(seed)
             key = key_from(key)
@@ -340,7 +340,7 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         column = self._engine.column(0)
         if self._gallery:
             names = [info["episode_name"]]
-            self._gallery.begin(_HERE, names, self._streets_of, self._engine.column)
+            self._gallery.begin(_HERE, names, self._scene_of, self._engine.column)
             if self.render_mode == "human":
                 self.render()
         info |= {key: column[self._info_rows[key]] for key in STATE_KEYS}

@@ -14,8 +14,12 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
-from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import VecEnv
+
+from mmwave_env.io.lookup import require_extra
+
+require_extra("stable_baselines3", "train", "mmwave_env.sb3")
+from stable_baselines3.common.monitor import Monitor  # noqa: E402
+from stable_baselines3.common.vec_env import VecEnv  # noqa: E402
 
 Indices = None | int | Iterable[int]
 Infos = list[dict[str, Any]]

@@ -24,7 +24,7 @@ from mmwave_env.io.records import require
 from mmwave_env.models.layout import clock_from, measurements_from
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.random_scene import RandomScene, scenes_from
-from mmwave_env.models.scene import Scene, Streets
+from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array32
 from mmwave_env.world.episode import Episode, EpisodeBatch, EpisodeSource
 from mmwave_env.world.keys import Keys
@@ -71,15 +71,15 @@ class Task:
         """Return whether every episode is a function of a key, which is a 64-bit number."""
         return type(self.source) is SimulatedSource  # a subclass may draw episodes without keys
 
-    def streets_of(self, key: int) -> Streets | None:
-        """Return the streets that pictures of a key's episode show; None if they are unknown."""
+    def scene_of(self, key: int) -> Scene | None:
+        """Return the scene that pictures of a key's episode show; None if streets are unknown."""
         if isinstance(self.source, TrackSource):
             scene = self.source.scene
-            return scene.streets if scene.streets_known else None
+            return scene if scene.streets_known else None
         if not self.has_keys:
             return None
         scene = self.simulated.scene_of(key)
-        return scene.streets if self.simulated.travels or scene.streets_known else None
+        return scene if self.simulated.travels or scene.streets_known else None
 
     def require_keys(self, seed: Any) -> None:
         """Refuse a key if episodes have no keys, or if a seed (which determines a key) is given."""

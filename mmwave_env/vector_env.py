@@ -30,7 +30,7 @@ from mmwave_env.numerics.numbers import Array, Array32, Index, Mask
 from mmwave_env.rendering.gallery import Gallery
 from mmwave_env.rendering.theme import FRAMES_PER_SECOND, SMALLEST, Pixels, require_drawable
 from mmwave_env.task import task_from
-from mmwave_env.world.keys import Keys, Streams, keys_from, option_of
+from mmwave_env.world.keys import Keys, Streams, keys_from, options_of
 
 Step = tuple[Array32, Array, Mask, Mask, dict[str, Any]]
 
@@ -161,7 +161,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         if self._gallery:
             names = self._names.tolist()
             engine = self._engine
-            self._gallery.begin(places, names, self._streets_of, engine.column)
+            self._gallery.begin(places, names, self._scene_of, engine.column)
 
     def reset(
         self,
@@ -180,9 +180,9 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         Returns:
             All observations (N, features), and the infos of the environments that were reset.
         """
-        chosen = self._reset_mask(options)
+        mask, keys = options_of(options, "reset_mask", "episode_key")
+        chosen = self._reset_mask(mask)
         places = np.flatnonzero(chosen)
-        keys = option_of(options, "episode_key")
         if keys is not None:
             self._task.require_keys(seed)
             keys = keys_from(keys, self.num_envs)[places]
@@ -194,8 +194,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         self._begin_pictures(places)
         return self._engine.observations(), masked(drawn | state, chosen)
 
-    def _reset_mask(self, options: dict[str, Any] | None) -> Mask:
-        mask = option_of(options, "reset_mask")
+    def _reset_mask(self, mask: Any) -> Mask:
         if mask is None:
             return np.ones(self.num_envs, np.bool_)
         if not (

@@ -16,6 +16,7 @@ import numpy as np
 
 from mmwave_env.filters.correction import MOST_LOG_FACTOR, MOST_SHIFT
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.actions import CORRECTION
 from mmwave_env.interface.observation import Observation, observation_columns
 from mmwave_env.interface.policy import Correction, FixedMode, Policy, Switching
 from mmwave_env.interface.signed import after_update
@@ -88,7 +89,7 @@ class Corrector(CorrectionNetwork, Policy):
     Arguments, attributes and errors: same as for :class:`~policies.learned.LearnedPolicy`.
     """
 
-    corrects = True
+    action = CORRECTION
 
     def __init__(self, path: AnyPath | PolicyFile, observation: Observation | None = None) -> None:
         super().__init__(path)
@@ -174,4 +175,4 @@ def load(path: AnyPath, radio: str = "handset") -> Switching:
     policy = learned_policy(file)
     filters = policy.bank(radio) if policy.beliefs == "per-mode" else policy.modes
     make = partial(type(policy), file)
-    return Switching(filters, None, make, file.card.observation, corrects=policy.corrects)
+    return Switching(filters, None, make, file.card.observation)

@@ -21,7 +21,7 @@ def command(*words, cwd=ROOT, columns=200, stdin=b""):
     User warnings are shown as the program shows them; other warnings are errors, as in all tests.
     An exception that the program does not expect ends the command with code 1.
     """
-    out = StringIO()
+    out = TextIOWrapper(BytesIO(), "utf-8", write_through=True)  # like most terminals
     err = StringIO()
     before = os.getcwd()
     typed = ["mmwave-loc", *map(str, words)]
@@ -43,7 +43,9 @@ def command(*words, cwd=ROOT, columns=200, stdin=b""):
             code = end.code
         finally:
             os.chdir(before)
-    return subprocess.CompletedProcess(typed, code or 0, out.getvalue(), err.getvalue())
+    return subprocess.CompletedProcess(
+        typed, code or 0, out.buffer.getvalue().decode(), err.getvalue()
+    )
 
 
 def environment():
@@ -56,6 +58,13 @@ def python(code, *options, cwd=ROOT):
     """Run Python code in another process, which imports this checkout; return the process."""
     words = [sys.executable, *options, "-c", code]
     return subprocess.run(words, cwd=cwd, env=environment(), capture_output=True, text=True)
+
+
+def printed(code, cwd=ROOT):
+    """Run Python code in another process, check that it succeeds, and return what it prints."""
+    done = python(code, cwd=cwd)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
 def started(*words, **options):

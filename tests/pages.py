@@ -1,5 +1,7 @@
 """Helpers that run code blocks of the docs; ``python -m tests.pages PAGE`` renews a page's tables.
 
+For a notebook (``docs/notebooks/corrector.ipynb``), it renews the stored outputs.
+
 A comment above a block says what is done with the block:
 
 - ``<!-- example -->``: the block is run. All Python blocks of a page share one session, lines that
@@ -16,10 +18,10 @@ shown. If a file name precedes ``printed``, the file (written by the block) repl
 After the text, ``; rows: A + B`` and ``; columns: C + D`` keep only some rows and columns.
 """
 
+import os
 import re
 import shlex
 import sys
-from collections.abc import Iterator
 from contextlib import chdir, contextmanager, redirect_stdout
 from dataclasses import dataclass, replace
 from io import StringIO
@@ -27,8 +29,9 @@ from itertools import dropwhile, takewhile
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+from unittest.mock import patch
 
-from tests.cli import succeed
+from tests.cli import environment, succeed
 from tests.paths import ROOT
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -56,22 +59,22 @@ class Block:
     tables: list[re.Match[str]]
 
     @property
-    def words(self) -> list[str]:
+    def words(self):
         """Return the words after the colon of the mark."""
         return self.mark.partition(":")[2].split()
 
     @property
-    def file(self) -> str:
+    def file(self):
         """Return the name of the file to which the block is written; "" if the block is run."""
         return next((word for word in self.words if "." in word), "")
 
     @property
-    def commands(self) -> list[str]:
+    def commands(self):
         """Return the text after ``mmwave-loc`` of every line that begins with it."""
         return re.findall(r"^mmwave-loc (.*)$", self.text.replace("\\\n", " "), re.MULTILINE)
 
 
-def blocks_of(page: Path) -> list[Block]:
+def blocks_of(page):
     """Return all blocks of a page, in order."""
     text = page.read_text(encoding="utf-8")
     matches = list(BLOCK.finditer(text))
@@ -92,14 +95,14 @@ class Session:
         folder: empty folder, to which the session adds links to docs/ and experiments/.
     """
 
-    def __init__(self, page: Path, folder: Path) -> None:
+    def __init__(self, page, folder):
         self.folder = folder
-        self._done = set[int]()
-        self._names: dict[str, Any] = {"__name__": page.stem}
+        self._done = set()
+        self._names = {"__name__": page.stem}
         for name in ("docs", "experiments"):
             (folder / name).symlink_to(ROOT / name)
 
-    def printed(self, block: Block) -> str:
+    def printed(self, block):
         """Run a block and return its output; "" if the session has run it before."""
         if block.line in self._done:
             return ""
@@ -125,7 +128,7 @@ class Session:
         return out.getvalue()
 
     @contextmanager
-    def _inside(self) -> Iterator[None]:
+    def _inside(self):
         """Let a block import modules from the folder, and unload these modules afterwards."""
         before = list(sys.path)  # loading an agent by name adds the current folder to sys.path
         sys.path.insert(0, str(self.folder))
@@ -139,7 +142,7 @@ class Session:
                     del sys.modules[name]
 
 
-def made(table: re.Match[str], printed: str, folder: Path) -> str:
+def made(table, printed, folder):
     """Return the lines to show between the marks of a table, from the output of its block."""
     text = (folder / table["file"].strip()).read_text() if table["file"] else printed
     if not table["begin"]:
@@ -155,7 +158,7 @@ def made(table: re.Match[str], printed: str, folder: Path) -> str:
     return "\n".join(kept) + "\n"
 
 
-def cut(lines: list[str], rows: str | None, columns: str | None) -> list[str]:
+def cut(lines, rows, columns):
     """Return the lines of a table with only some rows (by their first cells) and columns."""
     cells = [[cell.strip() for cell in line[1:-1].split("|")] for line in lines]
     header = cells[0]
@@ -169,7 +172,7 @@ def cut(lines: list[str], rows: str | None, columns: str | None) -> list[str]:
     return [rest[0], "|" + "---|" * len(places), *rest[1:]]
 
 
-def renewed(page: Path) -> str:
+def renewed(page):
     """Return the text of the page with all tables renewed by running its blocks."""
     text = page.read_text(encoding="utf-8")
     changes = []
@@ -186,6 +189,45 @@ def renewed(page: Path) -> str:
     return text
 
 
-if __name__ == "__main__":
-    for path in map(Path, sys.argv[1:]):
+def run_notebook(path: Path) -> Any:
+    """Run a notebook in its folder, as Jupyter does; return it with the new outputs.
+
+    Details of the run, such as counts, are left out, and so are progress bars.
+    """
+    import nbclient
+    import nbformat
+
+    notebook = nbformat.read(path, as_version=4)
+    nbformat.validate(notebook)
+    folder = {"metadata": {"path": path.parent}}
+    with patch.dict(os.environ, PYTHONPATH=environment()["PYTHONPATH"]):
+        nbclient.NotebookClient(notebook, resources=folder, timeout=600).execute()
+    notebook.metadata.language_info = {"name": "python"}
+    for cell in notebook.cells:
+        cell.metadata = {}
+        if cell.cell_type == "code":
+            cell.execution_count = None
+            cell.outputs = [_stored(o) for o in cell.outputs if o.get("name") != "stderr"]
+    return notebook
+
+
+def _stored(output: Any) -> Any:
+    if "data" in output:
+        output.data.pop("image/jpeg", None)
+        output.execution_count = None
+    return output
+
+
+def renew(path: Path) -> None:
+    """Renew the tables of a page, or the stored outputs of a notebook."""
+    if path.suffix == ".md":
         path.write_text(renewed(path), encoding="utf-8")
+        return
+    import nbformat
+
+    nbformat.write(run_notebook(path), path)
+
+
+if __name__ == "__main__":
+    for word in sys.argv[1:]:
+        renew(Path(word))

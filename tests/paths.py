@@ -13,23 +13,23 @@ LOGS = ROOT / "mmwave_env" / "data" / "logs"
 RECORDINGS = ROOT / "mmwave_env" / "data" / "deepmimo_canyon28"
 
 
-def json_in(path: Path):
+def json_in(path):
     """Return the content of a JSON file."""
     return json.loads(path.read_text("utf-8"))
 
 
-def write_json(path: Path, content) -> Path:
+def write_json(path, content):
     """Write a JSON file; return its path."""
     path.write_text(json.dumps(content), encoding="utf-8")
     return path
 
 
-def loaded(path: str):
+def loaded(path):
     """Run a Python file of the checkout that is not in a package; return its global variables."""
     return SimpleNamespace(**run_path(str(ROOT / path)))
 
 
-def numbers(text: str) -> list[float]:
+def numbers(text):
     """Return all numbers in the tables of a page or of printed text, in order."""
     rows = [line for line in text.splitlines() if line.startswith("| ")]
     return [float(n) for row in rows for n in re.findall(r"-?\d+(?:\.\d+)?", row)]

@@ -3,20 +3,19 @@
 The check ignores all other words, so that messages can be improved without changing tests.
 """
 
-from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
 
 
-def fields_named(message: str) -> str:
+def fields_named(message):
     """Return the field that a message names: the text before " found " or else before a colon."""
     named, separator, _ = message.partition(" found ")
     return named if separator else message.partition(": ")[0]
 
 
 @contextmanager
-def refuses(*fields: object, error: type[Exception] = ValueError) -> Iterator[None]:
+def refuses(*fields, error=ValueError):
     """Check that the block raises an error of this type whose message names the fields.
 
     Args:

@@ -12,8 +12,9 @@ from dataclasses import MISSING, fields, is_dataclass
 from types import NoneType
 from typing import Annotated, get_args, get_origin
 
+from mmwave_env.filters import Mode
 from mmwave_env.filters.bank import MOST_MODES, NOTES, Bank
-from mmwave_env.filters.modes import ALGORITHMS, Mode
+from mmwave_env.filters.modes import ALGORITHMS
 from mmwave_env.io.lookup import LONGEST
 from mmwave_env.io.records import Bound, Printable, Size, hints_of
 from mmwave_env.logs.log_columns import HORIZONTAL, QUANTITIES

@@ -1,5 +1,6 @@
 """Tests that commands and environments name a missing extra (a group of optional packages)."""
 
+import importlib
 import sys
 
 import gymnasium as gym
@@ -20,7 +21,6 @@ LOG = LOGS / "canyon28_vehicle"
         ("filterpy", ["speed", "--json"]),
         ("pygame", ["watch", "--out"]),
     ],
-    ids=lambda value: value if isinstance(value, str) else " ".join(map(str, value[::-3])),
 )
 def test_a_command_names_the_missing_extra_and_writes_nothing(
     package, words, tmp_path, monkeypatch
@@ -45,3 +45,10 @@ def test_an_environment_names_the_missing_extra(package, extra, arguments, monke
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(ImportError, match=rf"needs {package}.*mmwave-loc\[{extra}\]"):
         gym.make("MmWaveLoc-v0", **arguments)
+
+
+def test_the_vector_environment_for_stable_baselines3_names_the_missing_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "stable_baselines3", None)
+    monkeypatch.delitem(sys.modules, "mmwave_env.sb3", raising=False)
+    with pytest.raises(ImportError, match=r"needs stable_baselines3.*mmwave-loc\[train\]"):
+        importlib.import_module("mmwave_env.sb3")

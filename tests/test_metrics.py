@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import chi2
 
 from mmwave_env.metrics import BURN_IN, METRICS, ate, nees_interval, rmse, scored, summary
@@ -64,16 +65,16 @@ def test_metrics_accept_leading_axes(tracks):
     error = tracks[1] - tracks[0]
     batch = np.stack([error, 2.0 * error])
     for metric in (ate, rmse, rpe):
-        np.testing.assert_allclose(metric(batch), [metric(error), 2.0 * metric(error)])
+        assert_allclose(metric(batch), [metric(error), 2.0 * metric(error)])
 
 
 def test_the_rpe_is_zero_if_the_track_is_not_longer_than_the_interval():
-    np.testing.assert_array_equal(rpe(np.ones((2, 10, 3)), 10), [0.0, 0.0])
+    assert_array_equal(rpe(np.ones((2, 10, 3)), 10), [0.0, 0.0])
 
 
 def test_default_nees_interval_is_95_percent_of_three_axes():
-    np.testing.assert_allclose(nees_interval(), chi2.ppf([0.025, 0.975], 3), rtol=1e-12)
-    np.testing.assert_allclose(nees_interval(2), chi2.ppf([0.025, 0.975], 2), rtol=1e-12)
+    assert_allclose(nees_interval(), chi2.ppf([0.025, 0.975], 3), rtol=1e-12)
+    assert_allclose(nees_interval(2), chi2.ppf([0.025, 0.975], 2), rtol=1e-12)
 
 
 @pytest.mark.parametrize(("epochs", "counted"), [(200, 190), (11, 1), (10, 1), (1, 1)])
@@ -96,21 +97,21 @@ def test_the_summary_averages_over_all_but_the_first_ten_epochs(axes):
     reward, error, nees = columns()
     metrics = summary(error, nees, axes=axes, reward=reward)
     assert set(metrics) == set(METRICS)
-    np.testing.assert_allclose(metrics["reward"], reward[:, 10:].mean(axis=1))
-    np.testing.assert_allclose(metrics["ate_m"], ate(error[:, 10:]))
-    np.testing.assert_allclose(metrics["rmse_m"], rmse(error[:, 10:]))
-    np.testing.assert_allclose(metrics["rpe_m"], rpe(error[:, 10:]))
-    np.testing.assert_allclose(metrics["nees"], nees[:, 10:].mean(axis=1))
+    assert_allclose(metrics["reward"], reward[:, 10:].mean(axis=1))
+    assert_allclose(metrics["ate_m"], ate(error[:, 10:]))
+    assert_allclose(metrics["rmse_m"], rmse(error[:, 10:]))
+    assert_allclose(metrics["rpe_m"], rpe(error[:, 10:]))
+    assert_allclose(metrics["nees"], nees[:, 10:].mean(axis=1))
     low, high = chi2.ppf([0.025, 0.975], axes)
     inside = (nees[:, 10:] > low) & (nees[:, 10:] < high)
-    np.testing.assert_allclose(metrics["in_bounds"], inside.mean(axis=1))
+    assert_allclose(metrics["in_bounds"], inside.mean(axis=1))
 
 
 @pytest.mark.parametrize(("rate", "delta"), [(0.5, 1), (1.0, 1), (2.0, 2), (10.0, 10)])
 def test_the_rpe_of_the_summary_spans_one_second(rate, delta):
     _, error, nees = columns()
     metrics = summary(error, nees, epochs_per_s=rate)["rpe_m"]
-    np.testing.assert_allclose(metrics, rpe(error[:, 10:], delta))
+    assert_allclose(metrics, rpe(error[:, 10:], delta))
 
 
 @pytest.mark.parametrize(("error_m", "diverged"), [(49.9, 0.0), (50.1, 1.0), (np.nan, 1.0)])

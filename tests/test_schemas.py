@@ -16,7 +16,7 @@ from mmwave_env.models.radio import read_radio
 from mmwave_env.models.scene import read_scene
 from mmwave_env.world.mobility import MOBILITIES, read_mobility
 from tests.damage import changed
-from tests.paths import LOGS, ROOT, json_in
+from tests.paths import LOGS, ROOT, json_in, write_json
 from tests.schemas import path_of, schemas
 
 READERS = {"scene": read_scene, "radio": read_radio, "modes": read_bank, "mobility": read_mobility}
@@ -43,8 +43,7 @@ EXAMPLES = {  # contents of files
 
 def refusal(name, content, folder):
     """Return the error's text ("" unless it names file and schema), or None if the file is read."""
-    path = folder / f"{name}.json"
-    path.write_text(json.dumps(content), encoding="utf-8")
+    path = write_json(folder / f"{name}.json", content)
     try:
         READERS[name](path)
     except ValueError as error:

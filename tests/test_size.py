@@ -28,11 +28,11 @@ BUDGET = {
     "lines that ruff may not format": 60,
 }
 ROOMS = {  # maximum tokens of a room; lines are free
-    "experiments": 3_910,
-    "experiments/console": 5_110,
-    "experiments/evaluation": 13_410,
+    "experiments": 3_820,
+    "experiments/console": 5_140,
+    "experiments/evaluation": 13_540,
     "experiments/paper": 5_540,
-    "experiments/reporting": 14_530,
+    "experiments/reporting": 14_790,
     "experiments/sweeping": 2_720,
     "experiments/timing": 5_430,
     "experiments/training": 16_890,
@@ -47,10 +47,10 @@ ROOMS = {  # maximum tokens of a room; lines are free
     "mmwave_env/logs": 9_890,
     "mmwave_env/models": 11_580,
     "mmwave_env/numerics": 3_780,
-    "mmwave_env/rendering": 9_060,
+    "mmwave_env/rendering": 9_050,
     "mmwave_env/world": 15_010,
-    "policies": 7_060,
-    "tests": 208_680,
+    "policies": 7_070,
+    "tests": 200_870,
 }
 PACKINGS = 3.0  # maximum per 1,000 lines: statements that say several things at once
 SOURCE = ("mmwave_env", "experiments", "policies")

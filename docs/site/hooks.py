@@ -161,12 +161,13 @@ def notebook_page(path: Path) -> str:
     for cell in others:
         source = "".join(cell["source"])
         parts.append(source if cell["cell_type"] == "markdown" else f"```python\n{source}\n```")
-        parts += [_shown(output["data"]) for output in cell.get("outputs", ())]
+        parts += [_shown(output) for output in cell.get("outputs", ())]
     return "\n\n".join(parts) + "\n"
 
 
-def _shown(data: dict[str, Any]) -> str:
+def _shown(output: dict[str, Any]) -> str:
     """Return an output of a cell as Markdown: a picture, a table or text."""
+    data = output.get("data") or {"text/plain": output["text"]}
     if "image/png" in data:
         image = "".join("".join(data["image/png"]).split())
         return f'<img alt="output of the cell above" src="data:image/png;base64,{image}">'

@@ -42,7 +42,8 @@ GROUPS = {
     },
     "measure": {"speed": "measure steps per second, memory and latency"},
 }
-RULE = re.compile(r"^ +-+ *$", re.MULTILINE)  # line between the parts of tyro's messages
+# line between the parts of tyro's messages, which have frames where the terminal shows UTF-8
+RULE = re.compile("^(?: +-+ *|│ ─+ │|[╭╰].*)$", re.MULTILINE)
 COMMANDS = {name: about for group in GROUPS.values() for name, about in group.items()}
 EVERYWHERE = {  # options of every command
     "--quiet": "show neither tables nor progress, only warnings and errors",
@@ -84,10 +85,10 @@ def read_arguments(name: str, words: Sequence[str]) -> Any:
 
 def _message(box: str) -> str:
     """Return, in one line, tyro's message about a mistake and the option that tyro suggests."""
-    parts = [" ".join(part.split()) for part in RULE.split(box)]
+    parts = [" ".join(part.replace("│", "").split()) for part in RULE.split(box)]
     message = parts[1].partition(" Got errors")[0]
     message = re.sub(r"^Missing from .*?: ", "required: ", message).rstrip(".")
-    close = re.match(r"Perhaps you meant: (\S+)", parts[2])
+    close = re.match(r"Perhaps you meant: (--[\w-]+)", parts[2])
     if close:
         return f"{message}; did you mean {close[1]}?"
     return f"{message}; --help lists all options"

@@ -315,6 +315,11 @@ class LogArgs(IntegrityArgs, JsonArgs):
     """use speed and heading if the log has them"""
     height: float | None = None
     """known height of a user on flat terrain, m"""
+    start: str | None = None
+    """X,Y of a place near the user at first, m: needed if
+    anchors on a line measure ranges alone, because a
+    mirrored position fits as well; replaces side in the
+    scene"""
     clock: str = "synchronized"
     """synchronized, or offset: estimate the offset of the
     user's clock, which shifts all ranges"""
@@ -348,6 +353,16 @@ class LogArgs(IntegrityArgs, JsonArgs):
     lag: int = 0
     """with --live, also print the position this many epochs
     ago, smoothed with all later epochs"""
+    format: Literal["lines", "3gpp"] = "lines"
+    """with --live, what to print: positions in the scene's
+    frame, or LocationData of 3GPP TS 29.572, which needs an
+    origin in the scene"""
+    confidence: float = 0.95
+    """with --format 3gpp, probability that the user is in the
+    ellipse that is printed"""
+    accuracy: float | None = None
+    """with --format 3gpp, also tell whether the longer half
+    axis of the ellipse is at most this many meters"""
     associate: bool = False
     """the log's rows are paths without anchor numbers: assign
     each path to an anchor, or reject it as false"""

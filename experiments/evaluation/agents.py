@@ -9,8 +9,10 @@ from contextlib import contextmanager
 from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.actions import WEIGHTS, limits_of, numbers_in
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.policy import OF_A_MODEL, Correction, Policy
 from mmwave_env.models.measurement import Epoch, Site, blank_site
@@ -138,7 +140,7 @@ class _Checked(Policy):
     """
 
     def __init__(self, name: str, policy: Policy, table: Observation) -> None:
-        self.corrects = policy.corrects
+        self.action = policy.action
         self._name = name
         self._policy = policy
         self._table = table
@@ -149,24 +151,28 @@ class _Checked(Policy):
         with blaming(self._name, f"; it was told that episodes begin ({GUIDE})"):
             self._policy.reset(mask)
 
-    def act(self, observation: Array32) -> Index:
+    def act(self, observation: Array32) -> NDArray[Any]:
         self._epoch += 1
+        n = len(observation)
+        count = len(self._table.actions)
         about = f"observations {observation.shape}, float32, of epoch {self._epoch}"
         made = f"made with {self._table.made_with}; {OF_A_MODEL} ({GUIDE})"
         with blaming(self._name, f"; it was given {about}, {made}"):
             actions = np.asarray(self._policy.act(observation))
-        n = len(observation)
+        if self.action == WEIGHTS:
+            with blaming(self._name, f" ({GUIDE})"):
+                return numbers_in("weights", actions, limits_of(WEIGHTS, count - 1), n)
         if actions.shape != (n,) or actions.dtype.kind not in "iu":
             raise ValueError(
                 f"actions of {self._name}: found shape {actions.shape} of {actions.dtype}, "
                 f"expected ({n},) of integers, one for each row of the observations; "
-                f"{OF_A_MODEL} ({GUIDE})"
+                f"{OF_A_MODEL}; an agent that returns weights has the attribute "
+                f'action = "weights" ({GUIDE})'
             )
-        most = len(self._table.actions) - 1
-        if actions.min() < 0 or actions.max() > most:
+        if actions.min() < 0 or actions.max() >= count:
             raise ValueError(
                 f"actions of {self._name}: found {actions.min()} (smallest) and {actions.max()} "
-                f"(largest), expected 0 to {most}"
+                f"(largest), expected 0 to {count - 1}"
             )
         return actions.astype(np.int64)
 

@@ -252,7 +252,7 @@ def compare(
             actions. Only agents that fail in an episode raise errors after episodes have run.
         FileNotFoundError: a file that an argument names does not exist.
     """
-    _require_valid(policies, episodes, world)
+    _require_valid(policies, episodes, beside, world)
     task = task_from(scenario=scenario, radio=radio, episodes=data, **world)
     scoring = Scoring.of(task)
     seeds = seeds_from(episodes, seed, USUAL_EPISODES)
@@ -270,12 +270,18 @@ def compare(
     )
 
 
-def _require_valid(policies: object, episodes: object, world: Mapping[str, Any]) -> None:
+def _require_valid(
+    policies: object, episodes: object, beside: object, world: Mapping[str, Any]
+) -> None:
     """Refuse arguments of :func:`compare` of a wrong type or name."""
     if not isinstance(policies, Mapping):
         raise ValueError(
             f"policies: found a {type(policies).__name__}, expected a dict of agents by name, such "
             "as {'mine': act}"
+        )
+    if isinstance(beside, str):
+        raise ValueError(
+            f"beside: found {beside!r}, expected a list of names, such as ['{beside}']"
         )
     if not isinstance(episodes, Integral | None):
         raise ValueError(

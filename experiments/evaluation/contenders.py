@@ -21,6 +21,7 @@ from mmwave_env.filters.bank import (
     named_modes,
 )
 from mmwave_env.filters.modes import Mode
+from mmwave_env.interface.actions import MODE
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.policy import FixedMode, Policy, Switching, policy_from
 from mmwave_env.io.files import AnyPath
@@ -35,6 +36,18 @@ RULE = "speed-rule"  # the paper's rule
 OTHERS = ("a .safetensors file", "the folder of a run", "module:function, without folder and .py")
 # Learned contenders; their shipped policy files are for one radio (NAME-RADIO) or for all (NAME).
 SHIPPED = ("ppo", "guided", "guided-ppo", "corrector")
+
+DESCRIPTIONS = {
+    "speed-rule": "the paper's rule: EKF up to 2 m/s, UKF above",
+    "likelihood-rule": "chooses the mode that explains the coming measurement best",
+    "imm": "interacting multiple models: mixes all modes instead of choosing one",
+    "imm-best": "tuned IMM of modes for users who stand, cruise, turn, accelerate or brake",
+    "ppo": "learned policy that chooses between the profile's two modes",
+    "guided": "learned policy that raises the probability of one mode of `imm-best`, or of none",
+    "corrector": "the policy `guided`, with a recurrent network that corrects the positions",
+    "guided-ppo": "same as `guided`, but trained only with PPO",
+    "clairvoyant": "knows the truth: a ceiling for policies that choose modes; runs only if named",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,12 +93,14 @@ class Contender(Switching):
         modes = getattr(agent, "modes", modes)
         bank_of = getattr(agent, "bank", None) if beliefs == "per-mode" else None
         bank, chosen = bank_and_modes(bank_of(radio) if bank_of else modes, beliefs, radio)
+        if policy.action != MODE and not bank:
+            unusable = f"policy {name}: found actions of the kind {policy.action}"
+            raise ValueError(f'{unusable}, which need beliefs="per-mode"')
         estimates = isinstance(policy, Estimator)
         return cls(
             bank or chosen,
             policy=(lambda table: policy) if estimates else partial(tried, name, policy),
             observation=getattr(agent, "observation", observation),
-            corrects=policy.corrects,
             name=name,
         )
 

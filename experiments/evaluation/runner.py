@@ -15,7 +15,7 @@ from experiments.evaluation.seeds import draw_episodes, keys_for
 from mmwave_env.engines.engine import Engine, run_imm
 from mmwave_env.engines.play import play
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.interface.actions import CORRECTION, MODE
+from mmwave_env.interface.actions import CORRECTION
 from mmwave_env.interface.policy import Policy
 from mmwave_env.interface.reward import Reward, TrackingReward, terms_of, total
 from mmwave_env.io.lookup import printable
@@ -102,19 +102,20 @@ def run_contender(
     if isinstance(policy, Estimator):
         return _run_estimator(pipeline, policy, batch, scoring.reward, names)
     n, T, _ = batch.table.shape
-    action = CORRECTION if policy.corrects else MODE
     bank = contender.bank
+    action = policy.action
     engine = Engine(pipeline, n, scoring.reward, contender.observation, bank, action=action)
     engine.batch.load(batch)
     if isinstance(policy, Clairvoyant):  # it sees the whole episodes first
         policy.foresee(engine)
     policy.reset(np.ones(n, bool))
-    corrected = {"x": "reported.x", "P": "reported.P"} if policy.corrects else {}
+    corrects = policy.action == CORRECTION
+    corrected = {"x": "reported.x", "P": "reported.P"} if corrects else {}
     read = [corrected.get(name, name) for name in names]
     track = play(engine, policy, T, engine.program.rows(read))
     parts = engine.program.by_name(read, track.outputs)
     results = dict(zip(names, parts.values(), strict=True)) | {"mode": track.actions}
-    return results | {"trusted": track.trusted} if policy.corrects else results
+    return results | {"trusted": track.trusted} if corrects else results
 
 
 def _run_estimator(

@@ -8,7 +8,7 @@ import numpy as np
 from experiments.evaluation.contenders import Contender
 from experiments.evaluation.runner import PLAIN, EpochResults, Scoring, run_contender
 from mmwave_env.metrics import scored
-from mmwave_env.models.scene import Streets
+from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.rendering.history import NO_MODE, POSITION_NUMBERS, History
 from mmwave_env.world.episode import Episode
@@ -17,7 +17,7 @@ _KEPT = ("x", "P", "memory.accepted", "memory.rejected", "memory.mode")
 
 
 def history_of(
-    contender: Contender, episode: Episode, scoring: Scoring = PLAIN, streets: Streets | None = None
+    contender: Contender, episode: Episode, scoring: Scoring = PLAIN, scene: Scene | None = None
 ) -> History:
     """Run a contender on an episode with a true track; return its history, from the prior on.
 
@@ -38,7 +38,7 @@ def history_of(
     return History(
         episode.name,
         episode.scene_anchors_m,
-        streets,
+        scene,
         2 if scoring.planar else 3,
         time_s=_after(0.0, episode.time_s - episode.time_s[0]),
         modes=_after(NO_MODE, made.get("mode", made["memory.mode"])).astype(np.int64),

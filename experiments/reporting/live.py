@@ -10,16 +10,18 @@ from typing import Any
 
 from experiments.console.options import AUTO, LogArgs, require_alone, require_at_least
 from experiments.console.progress import note
-from experiments.reporting.log_choice import choice_of, require_one_choice
+from experiments.reporting.log_choice import choice_of, require_one_choice, scene_of
 from mmwave_env.io.files import Json, parse_json
 from mmwave_env.io.lookup import printable, quoted
 from mmwave_env.localization.levels import Levels
+from mmwave_env.localization.location_data import location_data
+from mmwave_env.localization.map_files import origin_of
 from mmwave_env.localization.radio_choice import nearest_radio
 from mmwave_env.localization.tracker import Position, Tracker
 from mmwave_env.logs.live_log import LiveEpoch, LiveLog
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.layout import clock_from
-from mmwave_env.models.scene import Scene, scene_from
+from mmwave_env.models.scene import Scene
 
 SOURCE = "standard input"
 
@@ -36,11 +38,15 @@ def run_live(args: LogArgs) -> None:
         raise ValueError('live: needs "-" (standard input) as the log, and --scene')
     files = ("sample", "truth", "out", "plot", "json")
     require_alone(args, "live", *files, "two_way", "associate", "diagnose", "odometry")
+    require_alone(args, "format", "lag")
     require_at_least(0, args, "lag")
     require_one_choice(args)
     clock = clock_from(args.clock)
+    if not 0.0 < args.confidence < 1.0:
+        raise ValueError(f"confidence: found {args.confidence}, expected between 0 and 1")
     levels = Levels(args.risk, args.levels)
-    scene = scene_from(args.scene)
+    scene = scene_of(args, args.scene)
+    origin = origin_of(scene, "format: 3gpp") if args.format == "3gpp" else None
     tracker = None
     began = False
     for epoch in _epochs(scene, args.snr, clock):
@@ -62,6 +68,8 @@ def run_live(args: LogArgs) -> None:
                 note(f"a new track begins at {position.time_s!r} s")
             late = tracker.smoothed() if args.lag else None
             content = _content(position) | ({"smoothed": _content(late)} if late else {})
+            if origin:
+                content = location_data(position, origin, args.confidence, args.accuracy)
             print(json.dumps(content), flush=True)
             began = True
     if not began:

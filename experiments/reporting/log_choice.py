@@ -14,6 +14,7 @@ from mmwave_env.interface.policy import Rule, Switching
 from mmwave_env.io.lookup import choose
 from mmwave_env.logs.lines import number
 from mmwave_env.logs.log import Log
+from mmwave_env.models.scene import Scene, scene_from
 from policies.rules import SLOW_MPS, by_odometry_speed, by_predicted_speed, mode_at
 
 # "corrector" corrects the beliefs of "guided". Without elevations, "guided" chooses wrong modes so
@@ -47,6 +48,17 @@ def require_one_choice(args: LogArgs) -> None:
         raise ValueError("outside: abort needs a number for --speed (in m/s)")
     if args.follow == "odometry" and by_speed:
         raise ValueError("follow: odometry needs --speed auto")
+
+
+def scene_of(args: LogArgs, name: str) -> Scene:
+    """Return the scene of a log, with the place near the user that --start gives."""
+    scene = scene_from(name)
+    if args.start is None:
+        return scene
+    place = [number(word) for word in args.start.split(",")]
+    if not (len(place) in (2, 3) and np.isfinite(place).all()):
+        raise ValueError(f"start: found {args.start!r}, expected X,Y in meters, such as 10.5,-20")
+    return replace(scene, side=(place[0], place[1]))
 
 
 def choice_of(args: LogArgs, radio: str, log: Log) -> Choice:

@@ -23,6 +23,7 @@ from experiments.reporting.log_choice import (
     is_algorithm_1,
     modes_of,
     require_one_choice,
+    scene_of,
 )
 from experiments.reporting.track_report import track_markdown
 from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH
@@ -50,7 +51,7 @@ from mmwave_env.logs.truth import Truth
 from mmwave_env.models.layout import clock_from
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import Radio, radio_from
-from mmwave_env.models.scene import Scene, scene_from
+from mmwave_env.models.scene import Scene
 from mmwave_env.world.episode import NEUTRAL_SNR_DB
 from policies.corrector import TWO_WAY, TwoWayCorrector
 
@@ -303,7 +304,7 @@ def _track(args: LogArgs, work: Work, window: int | None, report: Callable[[floa
 def beginning(args: LogArgs, epochs: int) -> tuple[Track, Work]:
     """Filter the first epochs of a log; return their track and the log's :class:`Work`."""
     files = inputs(args)
-    work = _work(args, files, scene_from(files.scene))
+    work = _work(args, files, scene_of(args, files.scene))
     work = work._replace(log=work.log.part(slice(epochs)))
     track = _track(args, work, None, lambda share: None)
     return track.by_segment()[0], work
@@ -363,12 +364,12 @@ def localized(args: LogArgs) -> None:
     """Run ``mmwave-loc localize`` on a recorded log."""
     files = inputs(args)
     _check(args, files)
-    scene = scene_from(files.scene)
+    scene = scene_of(args, files.scene)
     if args.diagnose:
         return diagnosed(args, files.log, scene)
     for out in args.out:
         if out.suffix in MAP_FILES:
-            origin_of(scene, out)
+            origin_of(scene, f"out: {out}")
     work = _work(args, files, scene)
     for _, path in _outputs(args):
         if path:

@@ -18,7 +18,7 @@ from mmwave_env.engines.epoch import Asked, EpochState, program_of, untuned
 from mmwave_env.filters.bank import Bank, settings_of
 from mmwave_env.filters.modes import Tuning
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.interface.actions import CORRECTION, MODE
+from mmwave_env.interface.actions import CORRECTION, MODE, WEIGHTS
 from mmwave_env.interface.features import Feature
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.policy import Rule, policy_from
@@ -175,12 +175,12 @@ class Engine:
         return io.observations[:, 0]
 
     def decide(
-        self, actions: Index, output_rows: Index = NO_ROWS, scored: bool = False
+        self, actions: NDArray[Any], output_rows: Index = NO_ROWS, scored: bool = False
     ) -> tuple[Array32, Array]:
         """Turn the results of the modes into beliefs, by actions (n,).
 
         Args:
-            actions: same as in :meth:`step`.
+            actions: same as in :meth:`step`; or weights of the modes (n, modes).
             output_rows: (k,) indices of the rows to return.
             scored: whether to score the beliefs.
 
@@ -194,7 +194,10 @@ class Engine:
         if self._asked.action == CORRECTION:
             verbs.append("refresh")
         io = self.io(output_rows)
-        io.inputs[:, 0, 0] = actions
+        if self._asked.action == WEIGHTS:
+            io.inputs[:, 0, 1:] = actions
+        else:
+            io.inputs[:, 0, 0] = actions
         self.batch.advance(io, program=self._program(*verbs), again=True)
         return io.observations[:, 0], io.outputs[:, 0]
 

@@ -24,7 +24,7 @@ from mmwave_env.interface.reward import term_names
 from mmwave_env.interface.signed import after_update
 from mmwave_env.io.lookup import choose
 from mmwave_env.metrics import INFO_KEYS, ate, scored
-from mmwave_env.models.scene import Streets
+from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.task import Task
 from mmwave_env.world.episode import EpisodeBatch
@@ -172,8 +172,8 @@ class Environment:
         P = self._engine.read(at.P)[environment].tolist()
         return self._engine.pipeline.belief(x, P)
 
-    def _streets_of(self, place: int) -> Streets | None:
-        return self._task.streets_of(int(self._keys[place]))
+    def _scene_of(self, place: int) -> Scene | None:
+        return self._task.scene_of(int(self._keys[place]))
 
     def _require_begun(self, call: str) -> None:
         if not self._begun:

@@ -6,6 +6,7 @@ import numpy as np
 
 from mmwave_env.compiler.program import NO_ROWS
 from mmwave_env.engines.engine import Engine
+from mmwave_env.interface.actions import CORRECTION, WEIGHTS
 from mmwave_env.interface.policy import Policy
 from mmwave_env.numerics.numbers import Array, Array32, Index
 
@@ -14,7 +15,7 @@ class Played(NamedTuple):
     """The record of T epochs of n tracks.
 
     Attributes:
-        actions: (n, T) the policy's actions.
+        actions: (n, T) the policy's actions; of weights, the mode that is trusted most.
         outputs: (n, T, k) the rows that the caller asked for, after every epoch.
         features: (n, T, c) the columns of observations that the caller asked for, after every
             epoch's update.
@@ -38,8 +39,8 @@ def play(
     """Play the next epochs of an engine's tracks; each epoch is filtered once.
 
     Args:
-        engine: engine that has loaded the tracks. If the policy corrects beliefs, or if columns
-            that describe the belief after its update are recorded, its actions are corrections.
+        engine: engine that has loaded the tracks. Its actions are of the policy's kind; if columns
+            that describe the belief after its update are recorded, they are corrections.
         policy: policy whose features have been looked up in ``engine.observation``, and that has
             been reset where tracks begin.
         epochs: number of epochs.
@@ -53,12 +54,13 @@ def play(
     features = np.empty((n, epochs, len(columns)), np.float32)
     trusted = np.full((n, epochs), np.nan, np.float32)
     for t in range(epochs):
-        actions[:, t] = policy.act(engine.filter())
-        if not policy.corrects:
-            observations, outputs[:, t] = engine.decide(actions[:, t], output_rows, scored)
+        acted = policy.act(engine.filter())
+        actions[:, t] = 1 + acted.argmax(axis=1) if policy.action == WEIGHTS else acted
+        if policy.action != CORRECTION:
+            observations, outputs[:, t] = engine.decide(acted, output_rows, scored)
             features[:, t] = observations[:, columns]
             continue
-        observations, _ = engine.decide(actions[:, t])  # the corrected belief is scored instead
+        observations, _ = engine.decide(acted)  # the corrected belief is scored instead
         features[:, t] = observations[:, columns]
         correction = policy.correct(observations)
         assert correction is not None

@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.actions import ACTIONS, CORRECTION, MODE
 from mmwave_env.interface.observation import Observation, action_names
+from mmwave_env.io.lookup import choose
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Epoch
 from mmwave_env.numerics.numbers import Array32, Index, Mask, Number, Vector
@@ -46,24 +48,25 @@ class Policy(Protocol):
     """A map from observations of n tracks to actions and, perhaps, corrections of the beliefs.
 
     Attributes:
-        corrects: whether :meth:`correct` returns corrections.
+        action: kind of its actions (:mod:`mmwave_env.interface.actions`). If it is "correction",
+            :meth:`act` returns modes, and :meth:`correct` returns corrections.
     """
 
-    corrects: bool = False
+    action: str = MODE
 
     def reset(self, mask: Mask) -> None:
         """Forget the past of tracks where ``mask`` (n,) is True: new tracks begin there."""
         return  # a policy without a memory has no past to forget
 
     def act(self, observation: Array32) -> Index:
-        """Return actions (n,) for observations (n, features)."""
+        """Return actions (n,), or weights (n, modes), for observations (n, features)."""
         ...
 
     def correct(self, observation: Array32) -> Correction | None:
         """Return corrections of the beliefs after the latest epoch; None without corrections.
 
-        If the policy ``corrects``, this is called once after every epoch. Of the observations
-        (n, features), only the features of the latest epoch
+        If the kind of actions is "correction", this is called once after every epoch. Of the
+        observations (n, features), only the features of the latest epoch
         (:func:`~mmwave_env.interface.signed.after_update`) are always known.
         """
         return None
@@ -86,11 +89,12 @@ def policy_from(agent: Any, name: str) -> Policy:
 
     Args:
         agent: a policy; or a function from observations (n, features) to actions (n,), which may
-            have the methods ``reset`` and ``correct``.
+            have the methods ``reset`` and ``correct``; or to weights (n, modes), if its attribute
+            ``action`` is "weights".
         name: name for the message of an error.
 
     Raises:
-        ValueError: the agent is neither.
+        ValueError: the agent is neither, or its kind of actions is unknown.
     """
     if isinstance(agent, Policy):
         return agent
@@ -102,19 +106,20 @@ def policy_from(agent: Any, name: str) -> Policy:
         )
     reset = getattr(agent, "reset", lambda mask: None)
     correct = getattr(agent, "correct", lambda observation: None)
-    corrects = hasattr(agent, "correct")
-    return cast(Policy, SimpleNamespace(act=act, reset=reset, correct=correct, corrects=corrects))
+    action = getattr(agent, "action", CORRECTION if hasattr(agent, "correct") else MODE)
+    choose(ACTIONS, action, f"action of {name}")
+    return cast(Policy, SimpleNamespace(act=act, reset=reset, correct=correct, action=action))
 
 
 class FixedMode(Policy):
     """A policy that always takes the same action; 0 leaves an IMM as it is."""
 
-    def __init__(self, action: int = 0) -> None:
-        self.action = action
+    def __init__(self, number: int = 0) -> None:
+        self._number = number
 
     def act(self, observation: Array32) -> Index:
         """Return actions (n,)."""
-        return np.full(len(observation), self.action, np.int64)
+        return np.full(len(observation), self._number, np.int64)
 
 
 @dataclass(frozen=True)
@@ -128,7 +133,6 @@ class Switching:
             The policy chooses the mode to run or, in a bank, the mode whose probability is raised.
             None for a rule, for a single mode, and for an IMM.
         observation: kind of observation that the policy reads: "full", "prior" or "signed".
-        corrects: whether the policy corrects beliefs.
 
     Raises:
         ValueError: a rule is combined with a bank or a policy.
@@ -138,7 +142,6 @@ class Switching:
     rule: Rule | None = None
     policy: Callable[[Observation], Policy] | None = None
     observation: str = "full"
-    corrects: bool = False
 
     def __post_init__(self) -> None:
         if self.rule and (self.bank or self.policy):

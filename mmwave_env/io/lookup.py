@@ -43,14 +43,14 @@ def quoted(value: object) -> str:
     return shown if len(shown) <= LONGEST else f"{shown[: LONGEST - 3]}..."
 
 
-def choose(options: Mapping[str, T], name: str, field: str) -> T:
+def choose(options: Mapping[str, T], name: str, field: str, other: str = "") -> T:
     """Return ``options[name]``.
 
     Raises:
-        ValueError: the name is unknown; the message lists the valid names.
+        ValueError: the name is unknown; the message lists the valid names, and ends with ``other``.
     """
     if not isinstance(name, str) or name not in options:
-        raise ValueError(unknown(field, name, options))
+        raise ValueError(unknown(field, name, options) + other)
     return options[name]
 
 

@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from functools import reduce
 from operator import xor
-from pathlib import Path
 from typing import NamedTuple
 from xml.sax.saxutils import escape
 
@@ -29,15 +28,30 @@ _GPX = (
     '<?xml version="1.0" encoding="UTF-8"?>\n'
     '<gpx version="1.1" creator="mmwave-loc" xmlns="http://www.topografix.com/GPX/1/1">'
 )
-_UNIX_S = 1e8  # larger times are Unix times (1973 or later) and are written to GPX files
+UNIX_S = 1e8  # larger times are Unix times (1973 or later) and are written to GPX files
+
+
+def east_north(origin: Origin) -> Array:
+    """Return the matrix (2, 2) that turns x and y into east and north."""
+    bearing = np.radians(origin.bearing_deg)
+    return np.array([[np.sin(bearing), -np.cos(bearing)], [np.cos(bearing), np.sin(bearing)]])
+
+
+def ellipses_of(variance: Array) -> Array:
+    """Return the half axes of error ellipses, major and minor, and azimuths of the major axes.
+
+    The variances (n, 2, 2) are in east and north; the result is (3, n), in m, m and degrees
+    clockwise from north (0 to 180).
+    """
+    size, axes = np.linalg.eigh(variance)
+    minor, major = np.sqrt(np.maximum(size, 0.0)).T
+    return np.array([major, minor, np.degrees(np.arctan2(axes[:, 0, 1], axes[:, 1, 1])) % 180.0])
 
 
 def geodetic(origin: Origin, points_m: Array) -> Array:
     """Return latitude, longitude (degrees) and height (m) of points (n, 3) of the scene."""
-    bearing = np.radians(origin.bearing_deg)
-    x, y, up = points_m.T
-    east = x * np.sin(bearing) - y * np.cos(bearing)
-    north = x * np.cos(bearing) + y * np.sin(bearing)
+    east, north = east_north(origin) @ points_m[:, :2].T
+    up = points_m[:, 2]
     place = origin.latitude_deg, origin.longitude_deg, origin.height_m
     return np.column_stack(pymap3d.enu2geodetic(east, north, up, *place))
 
@@ -94,14 +108,15 @@ def gpx(track: Track, origin: Origin, name: str) -> str:
         lines.append("<trkseg>\n")
         points = geodetic(origin, part.smooth_x[:, :3]).tolist()
         for moment, (latitude, longitude, height) in zip(part.time_s.tolist(), points, strict=True):
-            time = f"<time>{_iso(moment)}</time>" if moment > _UNIX_S else ""
+            time = f"<time>{iso_time(moment)}</time>" if moment > UNIX_S else ""
             place = f'<trkpt lat="{latitude:.9f}" lon="{longitude:.9f}">'
             lines.append(f"{place}<ele>{height:.3f}</ele>{time}</trkpt>\n")
         lines.append("</trkseg>")
     return "".join(lines) + "</trk></gpx>\n"
 
 
-def _iso(moment: float) -> str:
+def iso_time(moment: float) -> str:
+    """Return a Unix time as a date and time (ISO 8601, UTC)."""
     try:
         date = datetime.fromtimestamp(moment, UTC)
     except (OSError, OverflowError, ValueError) as error:
@@ -112,14 +127,10 @@ def _iso(moment: float) -> str:
 def nmea(track: Track, origin: Origin, name: str) -> str:
     """Return NMEA 0183: the sentences GGA (position) and GST (error statistics) of every epoch."""
     P = track.smooth_P
-    bearing = np.radians(origin.bearing_deg)
-    turn = np.array([[np.sin(bearing), -np.cos(bearing)], [np.cos(bearing), np.sin(bearing)]])
-    east_north = turn @ P[:, [0, 1, 1, 2]].reshape(-1, 2, 2) @ turn.T
-    size, axes = np.linalg.eigh(east_north)
-    along = np.degrees(np.arctan2(axes[:, 0, 1], axes[:, 1, 1])) % 180.0  # clockwise from north
-    variances = [size[:, 1], size[:, 0], east_north[:, 1, 1], east_north[:, 0, 0], P[:, 5]]
-    major, minor, north, east, up = np.sqrt(np.maximum(variances, 0.0))
-    numbers = np.column_stack([major, minor, along, north, east, up]).tolist()
+    turn = east_north(origin)
+    variance = turn @ P[:, [0, 1, 1, 2]].reshape(-1, 2, 2) @ turn.T
+    axes = np.sqrt(np.maximum([variance[:, 1, 1], variance[:, 0, 0], P[:, 5]], 0.0))
+    numbers = np.vstack([ellipses_of(variance), axes]).T.tolist()
     places = geodetic(origin, track.smooth_x[:, :3]).tolist()
     lines = []
     for moment, (latitude, longitude, height), of in zip(
@@ -165,11 +176,11 @@ MAP_FILES = {  # formats by the ending of the file's name
 }
 
 
-def origin_of(scene: Scene, path: Path) -> Origin:
-    """Return the origin of a scene; refuse to write a file for maps if the scene has none."""
+def origin_of(scene: Scene, option: str) -> Origin:
+    """Return the origin of a scene; if the scene has none, refuse the option that needs it."""
     if scene.origin is None:
         raise ValueError(
-            f"out: {path} needs the origin of scene {scene.name!r}, which has none; add "
+            f"{option} needs the origin of scene {scene.name!r}, which has none; add "
             '"origin": {"latitude_deg": ..., "longitude_deg": ...} to its file (docs/data.md)'
         )
     return scene.origin

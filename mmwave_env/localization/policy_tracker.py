@@ -34,12 +34,13 @@ class PolicyTracker:
         bank = switching.bank
         table = Observation(pipeline, switching.observation, switching.beliefs)
         self._policy = switching.policy(table)
-        if self._policy.corrects and not bank:
-            raise ValueError('policy: found corrections of a shared belief, expected "per-mode"')
-        action = CORRECTION if self._policy.corrects else MODE
+        action = self._policy.action
+        if action != MODE and not bank:
+            raise ValueError(f'policy: found {action} for a shared belief, expected "per-mode"')
         self._engine = Engine(
             pipeline, 1, None, switching.observation, bank, action=action, predicted=bank is None
         )
+        self._corrects = action == CORRECTION
         self._starts = True
 
     def load(self, episodes: Sequence[Episode], go_on: bool = False) -> None:
@@ -61,12 +62,12 @@ class PolicyTracker:
         if self._starts:
             self._policy.reset(np.array([True]))
         corrected = {"reported.x": "corrected_x", "reported.P": "corrected_P"}
-        wanted = (*names, *corrected) if self._policy.corrects else names
+        wanted = (*names, *corrected) if self._corrects else names
         program = self._engine.program
         epochs = int(self._engine.batch.state.length[0])
         played = play(self._engine, self._policy, epochs, program.rows(wanted), scored=False)
         parts = program.by_name(wanted, played.outputs)
-        if self._policy.corrects:
+        if self._corrects:
             parts |= {to: parts.pop(name) for name, to in corrected.items()}
             parts["trusted"] = played.trusted.astype(float)
         return parts

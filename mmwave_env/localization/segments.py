@@ -53,7 +53,8 @@ def segments(log: Log, scene: Scene, radio: Radio) -> list[Segment]:
         raise log.damage or ValueError(
             f"log: found {len(log)} epochs, none of which determines a position, expected links "
             "that together determine a single position, with ranges, azimuths or both; without "
-            "azimuths, anchors on a line leave two positions"
+            "azimuths, anchors on a line leave two positions, between which side in the scene, or "
+            "--start, decides"
         )
     return parts
 

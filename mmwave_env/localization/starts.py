@@ -178,7 +178,9 @@ def _solved(
     azimuths = measured[[1, 3]].any(axis=0)
     if measured[0].sum() + azimuths.sum() < 2 + clock:
         return None  # the height of the streets is known only roughly
-    if not azimuths.any() and _on_a_line(every[visible_links[measured[0]], :2]):
+    points = every[visible_links[measured[0]], :2]
+    mirrored = not azimuths.any() and _on_a_line(points)
+    if mirrored and scene.side is None:
         return None  # without azimuths, a mirrored position fits as well
     n = 3 + clock
     deviation = [_FARTHEST_M, _FARTHEST_M, HEIGHT_SIGMA_M, SPEED_OF_LIGHT * CLOCK_OFFSET_S]
@@ -194,6 +196,11 @@ def _solved(
         weight=1.0 / np.array(deviation[:n]) ** 2,
     )
     cost, position, information = _descended(links, np.array(list(_starts(links))))
+    if mirrored:
+        sides = _across(points, position) * _across(points, np.array([scene.side]))
+        if not (sides > 0.0).any():
+            return None
+        cost = np.where(sides > 0.0, cost, np.inf)
     best = int(np.argmin(cost))
     covariance = np.linalg.inv(information[best])
     if not np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]) <= _WORST_FIX_M:
@@ -211,6 +218,13 @@ def _on_a_line(points: Array) -> bool:
         return True
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(spread[1] <= 0.01 * spread[0])
+
+
+def _across(line: Array, points: Array) -> Array:
+    """Return values (n,) whose signs say on which side of a line points (n, 2 or more) are."""
+    dx, dy = line[-1] - line[0]
+    x, y = (points[:, :2] - line[0]).T
+    return x * dy - y * dx  # type: ignore[no-any-return]
 
 
 def _starts(links: _Links) -> Iterator[Array]:

@@ -94,7 +94,7 @@ def write_track(
     for path in files:
         table = table_beside(path)
         if path.suffix in MAP_FILES:
-            texts[path] = MAP_FILES[path.suffix].text(track, origin_of(scene, path), name)
+            texts[path] = MAP_FILES[path.suffix].text(track, origin_of(scene, f"out: {path}"), name)
         elif table is None:
             texts[path] = table_text(track, risk)
         else:

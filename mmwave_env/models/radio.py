@@ -255,7 +255,7 @@ def radio_from(radio: AnyPath | Radio) -> Radio:
         return radio
     if str(radio).endswith(".json"):
         return read_radio(radio)
-    return choose(RADIOS, str(radio), "radio")
+    return choose(RADIOS, str(radio), "radio", ", or a .json file")
 
 
 def read_radio(path: AnyPath) -> Radio:

@@ -31,6 +31,7 @@ MOST_ANCHORS = 32  # with this many anchors, compiling takes a minute and a half
 Coordinate = Annotated[float, POSITION_M]
 _EACH = f"each {POSITION_M.expected}"
 Point = Annotated[tuple[Coordinate, Coordinate, Coordinate], f"[x, y, z], {_EACH}"]
+Place = Annotated[tuple[Coordinate, Coordinate], f"[x, y], {_EACH}"]
 Extent = Annotated[tuple[Coordinate, Coordinate], f"[low, high], {_EACH}"]
 Carrier = Annotated[float, Bound("hertz, 1e6 to 2.9e12", least=1e6, most=2.9e12)]
 Bandwidth = Annotated[float, Bound("hertz, 1e5 to 1e12", least=1e5, most=1e12)]
@@ -149,6 +150,8 @@ class Scene:
         bandwidth_hz: signal bandwidth B.
         virtual_anchors_m: positions of more virtual anchors, from a survey or from ray tracing.
         origin: location on the earth; None if it is not known.
+        side: a place [x, y] on the side of the users, if anchors on a line measure ranges alone,
+            which fit a mirrored position as well; None if it is not known.
     """
 
     name: Name
@@ -159,6 +162,7 @@ class Scene:
     bandwidth_hz: Bandwidth = 100e6
     virtual_anchors_m: Annotated[tuple[Point, ...], Size(0, MOST_ANCHORS - 1)] = ()
     origin: Origin | None = None
+    side: Place | None = None
 
     def __post_init__(self) -> None:
         require_fields(self)
@@ -255,7 +259,7 @@ def scene_from(scene: "str | Path | Scene") -> Scene:
         return scene
     if str(scene).endswith(".json"):
         return read_scene(Path(scene))
-    return choose(SCENES, str(scene), "scene")
+    return choose(SCENES, str(scene), "scene", ", or a .json file")
 
 
 def read_scene(path: Path) -> Scene:
@@ -263,10 +267,10 @@ def read_scene(path: Path) -> Scene:
 
     A scene with walls contains base_station_m [x, y, z]; and, if they differ from the defaults,
     name, walls (a list of {"normal": [x, y], "offset_m": d}), streets, carrier_hz, bandwidth_hz,
-    virtual_anchors_m (a list of [x, y, z]) and origin.
+    virtual_anchors_m (a list of [x, y, z]), origin and side.
 
     A scene of anchors contains anchors (a list of [x, y, z], the physical gNB first), carrier_hz
-    and bandwidth_hz; and, if they differ from the defaults, name, streets and origin.
+    and bandwidth_hz; and, if they differ from the defaults, name, streets, origin and side.
 
     Raises:
         ValueError: the file is wrong; the message names the file and the error.
@@ -279,13 +283,14 @@ def read_scene(path: Path) -> Scene:
 
 def scene_json(scene: Scene) -> dict[str, Any]:
     """Return the content of a scene file: with walls if the scene has any, else with anchors."""
-    origin = {"origin": asdict(scene.origin)} if scene.origin else {}
+    content = {key: value for key, value in asdict(scene).items() if value is not None}
     if scene.walls:
-        return {key: value for key, value in asdict(scene).items() if key != "origin"} | origin
-    streets = {"streets": asdict(scene.streets)} if scene.streets_known else {}
+        return content
+    known = {key: content[key] for key in ("origin", "side") if key in content}
+    streets = {"streets": content["streets"]} if scene.streets_known else {}
     signal = {"carrier_hz": scene.carrier_hz, "bandwidth_hz": scene.bandwidth_hz}
     anchors = {"name": scene.name, "anchors": scene.anchors_m.tolist()}
-    return anchors | signal | streets | origin
+    return anchors | signal | streets | known
 
 
 @dataclass(frozen=True)
@@ -298,7 +303,7 @@ class AnchorScene(Record):
         carrier_hz: carrier frequency f_c.
         bandwidth_hz: signal bandwidth B.
         streets: streets on which simulated users move.
-        origin: location on the earth; None if it is not known.
+        origin, side: as in a :class:`Scene`.
     """
 
     name: Name
@@ -307,6 +312,7 @@ class AnchorScene(Record):
     bandwidth_hz: Bandwidth
     streets: Streets = field(default_factory=Streets)
     origin: Origin | None = None
+    side: Place | None = None
 
 
 def _scene(content: dict[str, Any]) -> Scene:
@@ -321,4 +327,6 @@ def _scene(content: dict[str, Any]) -> Scene:
         return object_from(Scene, content)
     s = object_from(AnchorScene, content)
     gnb, *virtual = s.anchors
-    return Scene(s.name, gnb, (), s.streets, s.carrier_hz, s.bandwidth_hz, tuple(virtual), s.origin)
+    return Scene(
+        s.name, gnb, (), s.streets, s.carrier_hz, s.bandwidth_hz, tuple(virtual), s.origin, s.side
+    )

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mmwave_env.io.lookup import MissingExtraError
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.rendering.theme import SMALLEST, Color, Pixels, Theme
 
@@ -16,6 +17,11 @@ import pygame
 
 Point = tuple[float, float]
 Paint = str | int | Color  # a color's name in the theme, a mode's number, or a color
+if not hasattr(pygame, "FRect"):
+    raise MissingExtraError(
+        "pictures need pygame-ce, whose files pygame has overwritten: pip uninstall pygame "
+        "pygame-ce, then pip install pygame-ce"
+    )
 Rect = pygame.FRect  # a part of a picture, in units (see Canvas) from the upper left
 UNITS = float(SMALLEST)  # height and width of a picture, in units
 _TIMES = 2  # factor of supersampling, for smooth edges

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.models.scene import Streets
+from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.rendering.history import NO_MODE, POSITION_NUMBERS, History
 from mmwave_env.rendering.theme import Pixels
@@ -25,7 +25,7 @@ class Recorder:
             and ``dt`` (seconds until the next epoch).
         axes: number of position axes that NEES covers.
         name: name of the episode.
-        streets: streets of the map; None if unknown.
+        scene: scene whose streets and walls the map shows; None if unknown.
         workspace: (size,) workspace with the prior.
     """
 
@@ -34,13 +34,13 @@ class Recorder:
         rows: Mapping[str, Any],
         axes: int,
         name: str,
-        streets: Streets | None,
+        scene: Scene | None,
         workspace: Array,
     ) -> None:
         P = slice(rows["P"].start, rows["P"].start + POSITION_NUMBERS)
         self._rows = {**rows, "P": P}
         anchors_m = workspace[rows["anchors"]].reshape(-1, 3).copy()
-        self._episode = (name, anchors_m, streets, axes)
+        self._episode = (name, anchors_m, scene, axes)
         self._modes: list[int] = []
         self._epochs: list[dict[str, Array]] = []
         self.add(workspace, NO_MODE)
@@ -94,17 +94,17 @@ class Gallery:
         self,
         indices: Index,
         names: Sequence[str],
-        streets: Callable[[int], Streets | None],
+        scene: Callable[[int], Scene | None],
         workspace: Callable[[int], Array],
     ) -> None:
         """Begin new recordings of some environments, whose workspaces contain the prior.
 
-        ``names`` (n,) are the names of the episodes. Given an environment's index, ``streets``
-        returns the streets of its episode; ``workspace`` returns its state, an array (size,).
+        ``names`` (n,) are the names of the episodes. Given an environment's index, ``scene``
+        returns the scene of its episode; ``workspace`` returns its state, an array (size,).
         """
         for index in indices[indices < DRAWN].tolist():
             self.recorders[index] = Recorder(
-                *self._recorded, names[index], streets(index), workspace(index)
+                *self._recorded, names[index], scene(index), workspace(index)
             )
 
     def add(self, indices: Index, actions: NDArray[Any], workspace: Callable[[int], Array]) -> None:

@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mmwave_env.models.scene import Streets
+from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Index, Mask
 
 NO_MODE = -1  # mode number of the prior, which no mode computed
@@ -16,7 +16,7 @@ class History(NamedTuple):
 
     name: str  # name of the episode
     anchors_m: Array  # (L, 3) positions, the base station first
-    streets: Streets | None  # streets of the map; None if unknown
+    scene: Scene | None  # scene whose streets and walls the map shows; None if unknown
     axes: int  # number of position axes that NEES covers
     time_s: Array  # (k + 1,) time since the first epoch
     modes: Index  # (k + 1,) number of the mode that ran; ``NO_MODE`` in the first row

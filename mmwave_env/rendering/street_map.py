@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mmwave_env.models.scene import Streets
+from mmwave_env.models.scene import Scene, Streets
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.rendering.canvas import Canvas, Paint, Point, Rect
 from mmwave_env.rendering.history import History, ellipse
@@ -22,7 +22,6 @@ _LEAST_M = 25.0  # minimum distance from the center to the upper edge
 _INNER = 0.5  # user and estimate stay within this central fraction of the map's height and width
 _STREET_M = 14.0  # width of streets in the picture, if blocks leave enough room
 _FACADE_M = 4.0  # depth of a wall in the picture
-_SAME_HEIGHT_M = 0.1  # mirror images get a wall if their height is so close to the station's
 _TRAIL = 1500  # maximum number of epochs of a trajectory that are drawn
 
 
@@ -84,9 +83,9 @@ def draw_map(canvas: Canvas, view: View, history: History) -> None:
     """Draw the complete map in the frame of the view."""
     canvas.clip(view.frame)
     canvas.fill("ground", view.frame)
-    if history.streets:
-        _draw_streets(canvas, view, history.streets)
-    _draw_walls(canvas, view, history.anchors_m)
+    if history.scene:
+        _draw_streets(canvas, view, history.scene.streets)
+        _draw_walls(canvas, view, history.scene)
     _draw_links(canvas, view, history)
     _draw_tracks(canvas, view, history)
     _draw_anchors(canvas, view, history)
@@ -123,18 +122,14 @@ def _box(view: View, corners_m: Array) -> Rect:
     return Rect(left, top, right - left, bottom - top)
 
 
-def _draw_walls(canvas: Canvas, view: View, anchors_m: Array) -> None:
-    """Draw the vertical walls halfway between the base station and its mirror images."""
+def _draw_walls(canvas: Canvas, view: View, scene: Scene) -> None:
+    """Draw the vertical walls of a scene; the base station is in front of them."""
     reach = 2.0 * float(np.hypot(view.frame.width, view.frame.height)) / view.scale
-    for image in anchors_m[1:]:
-        way = image[:2] - anchors_m[0, :2]
-        distance = float(np.hypot(*way))
-        if distance == 0.0 or abs(image[2] - anchors_m[0, 2]) > _SAME_HEIGHT_M:
-            continue
-        normal = way / distance
+    for wall in scene.walls:
+        outward = -np.sign(wall.signed_distance(scene.base_station_m))
+        normal = outward * np.array(wall.unit_normal)
         along = np.array([-normal[1], normal[0]])
-        middle = (anchors_m[0, :2] + image[:2]) / 2.0
-        foot = middle + along * ((view.center_m - middle) @ along)
+        foot = view.center_m - wall.signed_distance(view.center_m) * np.array(wall.unit_normal)
         front = view.pixels(np.array([foot - reach * along, foot + reach * along]))
         deep = max(_FACADE_M * view.scale, 3.0) * normal * (1.0, -1.0)
         canvas.polygon(np.vstack([front, front[::-1] + deep]), "building")

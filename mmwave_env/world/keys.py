@@ -13,6 +13,7 @@ import numpy as np
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
+from mmwave_env.io.lookup import unknown
 from mmwave_env.numerics.numbers import Index
 
 Keys = NDArray[np.uint64]
@@ -67,11 +68,14 @@ def keys_from(keys: Any, n: int) -> Keys:
     return np.array([key_from(key) for key in numbers], np.uint64)
 
 
-def option_of(options: Any, name: str) -> Any:
-    """Return the entry ``name`` of the dict in ``reset(options=...)``; None if it is missing."""
+def options_of(options: Any, *known: str) -> list[Any]:
+    """Return the known entries of the dict in ``reset(options=...)``; None where one is missing."""
     if options is not None and not isinstance(options, dict):
         raise ValueError(f"options: found {options!r}, expected a dict or None")
-    return (options or {}).get(name)
+    for name in options or {}:
+        if name not in known:
+            raise ValueError(unknown("options", name, known))
+    return [(options or {}).get(name) for name in known]
 
 
 class Stream:

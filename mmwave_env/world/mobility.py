@@ -171,7 +171,7 @@ def mobilities_of(scenario: AnyPath) -> tuple[Mobility, ...]:
         return (read_mobility(scenario),)
     kinds = {name: (mobility,) for name, mobility in MOBILITIES.items()}
     mixed: dict[str, tuple[Mobility, ...]] = {MIXED: tuple(MOBILITIES.values())}
-    return choose(kinds | mixed, str(scenario), "scenario")
+    return choose(kinds | mixed, str(scenario), "scenario", ", or a .json or .csv file")
 
 
 def read_mobility(path: AnyPath) -> Mobility:

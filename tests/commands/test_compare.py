@@ -4,7 +4,6 @@ Policies may be given as files, or as *runs*, which are folders that ``mmwave-lo
 """
 
 import csv
-import json
 import re
 
 import gymnasium
@@ -13,7 +12,7 @@ import pytest
 
 from mmwave_env.metrics import BURN_IN, INFO_KEYS, METRICS, TERMS
 from tests.cli import assert_one_clear_line, command, succeed, with_json
-from tests.paths import ROOT, json_in
+from tests.paths import ROOT, json_in, write_json
 from tests.training.actors import actor, card_of, write
 
 
@@ -25,7 +24,7 @@ def run(tmp_path):
         (folder / f"seed-{seed}").mkdir(parents=True)
         write(folder / f"seed-{seed}" / "policy.safetensors", actor(seed=seed), card_of())
     summary = {"seeds": [{"seed": seed} for seed in (2, 0, 1)], "median": 0}
-    (folder / "summary.json").write_text(json.dumps(summary))
+    write_json(folder / "summary.json", summary)
     return folder
 
 
@@ -162,18 +161,10 @@ def test_a_table_that_cannot_be_written_is_refused_before_episodes_are_played(tm
     assert_one_clear_line(done, "a.csv: found a folder")
 
 
-OPTIONS = {  # name -> option of the command, equivalent argument of the environment
-    "planar": (("--planar",), {"planar": True}),
-    "odometry": (("--odometry",), {"odometry": True}),
-    "time step": (("--dt", "0.5"), {"dt": 0.5}),
-    "reward": (("--reward", "log-score"), {"reward": "log-score"}),
-}
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("option", OPTIONS)
-def test_an_option_means_the_same_as_the_argument_of_the_environment(option):
-    words, arguments = OPTIONS[option]
+def test_options_mean_the_same_as_the_arguments_of_the_environment():
+    words = ("--planar", "--odometry", "--dt", "0.5", "--reward", "log-score")
+    arguments = {"planar": True, "odometry": True, "dt": 0.5, "reward": "log-score"}
     steps = ("--policy", "fixed-ukf", "--episodes", 1, "--seed", 3, "--episode-steps", 30)
     _, content = with_json("compare", *steps, *words)
     env = gymnasium.make("MmWaveLoc-v0", episode_steps=30, **arguments)

@@ -29,12 +29,11 @@ def test_results_for_every_data_set_are_printed_and_written(tmp_path, monkeypatc
     monkeypatch.setattr("experiments.reporting.webpage.page.page_of", page_of)
     demo.main(demo.Args(out=tmp_path, percentiles=True))
     shown = capsys.readouterr().out
-    rows = [line.split(" | ")[0][2:] for line in shown.splitlines() if "±" in line]
     everyone = all_contenders(EpisodeArgs())
-    assert rows == [*everyone] * len(data_sets)
     assert "Paired" not in shown and str(tmp_path / "tables.md") in shown
     written = (tmp_path / "tables.md").read_text()
     assert all(written.count(f"\n| {name} |") == 2 * len(data_sets) for name in everyone)
+    assert all(shown.count(f"\n| {name} |") == len(data_sets) for name in everyone)
     (page,) = tmp_path.glob("*.html")
     assert str(page) in shown and page.read_text() == "a page"
     for data in data_sets:

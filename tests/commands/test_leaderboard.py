@@ -1,6 +1,5 @@
 """Tests of ``mmwave-loc leaderboard``, which ranks policies by their results in JSON files."""
 
-import json
 import shutil
 
 import pytest
@@ -9,7 +8,7 @@ from experiments.evaluation import protocol
 from experiments.evaluation.protocol import entry, judge, sites
 from experiments.leaderboard import Args, main
 from tests.cli import assert_one_clear_line, command, succeed
-from tests.paths import ROOT, json_in
+from tests.paths import ROOT, json_in, write_json
 
 FOLDER = ROOT / "experiments" / "evaluation" / "entries"
 # two policies with files in this folder, the better policy first
@@ -24,7 +23,7 @@ def entries(tmp_path_factory):
     names = ["imm-best", "speed-rule"]
     judged = [judge(names, site, 2, 0) for site in sites()]
     for name in names:
-        (folder / f"{name}.json").write_text(json.dumps(entry(name, judged)))
+        write_json(folder / f"{name}.json", entry(name, judged))
     return folder
 
 
@@ -56,7 +55,7 @@ def test_a_file_that_is_not_an_entry_is_refused(tmp_path):
         ({"sites": {}}, "sites: missing street:handset, "),
         ({"mean_gain": {}}, "not an entry: "),
     ):
-        (tmp_path / "bad.json").write_text(json.dumps(good | damage))
+        write_json(tmp_path / "bad.json", good | damage)
         assert_one_clear_line(command("leaderboard", "--out", tmp_path), f"bad.json: .*{message}")
 
 
@@ -79,10 +78,10 @@ def test_a_mistake_is_refused_before_episodes_are_played(options, message, tmp_p
 def test_an_entry_with_too_few_episodes_comes_last_and_is_marked(episodes, draws, tmp_path):
     good = json_in(FOLDER / f"{GOOD}.json")
     poor = json_in(FOLDER / f"{POOR}.json")
-    (tmp_path / "full.json").write_text(json.dumps(poor))
+    write_json(tmp_path / "full.json", poor)
     for site in good["sites"].values():
         site["episodes"] = draws if site["kind"] == "recorded" else episodes
-    (tmp_path / "a-short.json").write_text(json.dumps(good | {"entry": "short"}))
+    write_json(tmp_path / "a-short.json", good | {"entry": "short"})
     shown = succeed("leaderboard", "--out", tmp_path)
     short = f"| short (too few: {episodes} / {draws}) | "
     assert shown.index(f"| {POOR} | ") < shown.index(short)

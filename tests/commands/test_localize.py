@@ -1,13 +1,11 @@
 """Tests of ``mmwave-loc localize``: its modes, its figures (errors and statistics), its options."""
 
 import csv
-import json
 import re
 import shlex
 
 import numpy as np
 import pytest
-from scipy.interpolate import CubicSpline
 
 from experiments.console.main import run
 from mmwave_env.filters.bank import best_bank, default_modes, robust
@@ -19,7 +17,7 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import read_scene
 from tests.cli import succeed
 from tests.commands.localizing import EPOCHS, RIDE, WALK, figures, lines_of, options, refused
-from tests.paths import json_in
+from tests.paths import json_in, write_json
 
 # --- the speed (Algorithm 1 of the paper)
 
@@ -59,11 +57,9 @@ def test_corrections_do_no_harm_if_the_log_has_no_doppler_spread(tmp_path, missi
     kept = [i for i, name in enumerate(header) if name not in missing]
     with (tmp_path / "log.csv").open("w") as file:
         csv.writer(file).writerows([row[i] for i in kept] for row in [header, *rows])
-    corrected = figures(RIDE, "--policy", "corrector", log=tmp_path / "log.csv")["truth"]["tracks"][
-        "filtered"
-    ]
-    plain = figures(RIDE, "--policy", "guided", log=tmp_path / "log.csv")["truth"]["tracks"][
-        "filtered"
+    corrected, plain = [
+        figures(RIDE, "--policy", policy, log=tmp_path / "log.csv")["truth"]["tracks"]["filtered"]
+        for policy in ("corrector", "guided")
     ]
     assert corrected["ate_m"] < 1.05 * plain["ate_m"]
 
@@ -103,23 +99,6 @@ def test_the_figures_equal_those_of_evo(tmp_path, track, known):
     expected = evo_figures(part, out, 10)
     assert [row["ate_m"], row["rmse_m"], row["rpe_m"]] == pytest.approx(expected, abs=1e-6)
     assert list(results["tracks"]) == (["filtered", "smoothed"] if not switch else ["filtered"])
-
-
-def at_another_rate(folder, path, rate_hz):
-    """Write a shipped true track at another rate."""
-    truth = read_tum(folder / "truth.tum")
-    time = np.arange(truth.time_s[0] + 0.003, truth.time_s[-1], 1.0 / rate_hz)
-    position = CubicSpline(truth.time_s, truth.position_m)(time)
-    path.write_text(tum_lines(time, position))
-    return path
-
-
-@pytest.mark.parametrize("rate_hz", [1.0, 100.0])
-def test_the_error_does_not_depend_on_the_rate_of_the_truth(capsys, tmp_path, rate_hz):
-    truth = at_another_rate(RIDE, tmp_path / "truth.tum", rate_hz)
-    results = figures(RIDE, "--speed", "10", "--radio", "standard", "--truth", truth, truth=False)
-    assert results["truth"]["tracks"]["smoothed"]["ate_m"] == pytest.approx(0.0625, abs=0.0025)
-    assert capsys.readouterr().err == ""
 
 
 def test_the_printed_figures_equal_those_in_the_json_file(capsys, tmp_path):
@@ -205,10 +184,9 @@ MODES = [{"name": "calm"}, {"name": "wild", "algorithm": "ckf", "sigma_v": 2.0}]
 
 
 def test_modes_can_be_read_from_a_file(tmp_path):
-    file = tmp_path / "modes.json"
-    file.write_text(json.dumps({"modes": MODES}))
+    file = write_json(tmp_path / "modes.json", {"modes": MODES})
     assert figures(RIDE, "--speed", "10", "--modes", file)["modes"] == {"wild": 120}
-    file.write_text(json.dumps({"modes": MODES[:1]}))
+    write_json(file, {"modes": MODES[:1]})
     _, line = refused(options(RIDE / "log.csv", "--speed", "1", "--modes", file))
     assert "found 1 modes, expected 2, for low and for high mobility" in line
     _, line = refused(options(RIDE / "log.csv", "--speed", "1", "--modes", "ekf-robust"))
@@ -220,9 +198,8 @@ def test_an_imm_can_be_given_by_its_name_or_by_a_bank_file(tmp_path):
     named = figures(RIDE, "--radio", "standard", "--imm", "imm-best")
     assert list(named["modes"]) == [mode.name for mode in best_bank("standard").modes]
     assert 0.8 < named["groups"]["all"]["nis_per_dof"] < 1.2
-    file = tmp_path / "bank.json"
     bank = {"modes": MODES, "transition": [[0.9, 0.1], [0.2, 0.8]], "nis_quantile": 0.99}
-    file.write_text(json.dumps(bank))
+    file = write_json(tmp_path / "bank.json", bank)
     assert list(figures(RIDE, "--radio", "standard", "--imm", file)["modes"]) == ["calm", "wild"]
     robust = figures(RIDE, "--radio", "standard", "--imm", file, "--robust")
     assert list(robust["modes"]) == ["calm-robust", "wild-robust"]

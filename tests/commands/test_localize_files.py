@@ -2,7 +2,6 @@
 
 import errno
 import gzip
-import json
 import os
 import shutil
 from itertools import chain
@@ -15,7 +14,7 @@ import pytest
 from mmwave_env.logs.tum import COLUMNS, read_tum, tum_lines
 from tests.cli import assert_one_clear_line, command, started, succeed
 from tests.commands.localizing import RIDE, WALK, figures, lines_of, options, refused
-from tests.paths import json_in
+from tests.paths import json_in, write_json
 
 SAMPLE = ("localize", "--sample", RIDE.name, "--speed", "9")
 
@@ -62,7 +61,7 @@ def mapped(tmp_path):
     """Return a folder with the ride's log and a scene whose latitude and longitude are known."""
     scene = json_in(RIDE / "scene.json")
     scene["origin"] = {"latitude_deg": 48.0, "longitude_deg": 11.0}
-    (tmp_path / "scene.json").write_text(json.dumps(scene))
+    write_json(tmp_path / "scene.json", scene)
     (tmp_path / "my_ride.csv.gz").write_bytes(gzip.compress((RIDE / "log.csv").read_bytes()))
     return tmp_path
 
@@ -148,7 +147,7 @@ def test_results_and_errors_are_reported_if_standard_output_is_closed(
     monkeypatch.setenv("PYTHONUNBUFFERED", unbuffered)
     log = tmp_path / "log.csv"
     file = tmp_path / "figures.json"
-    (ours, theirs) = os.pipe()
+    ours, theirs = os.pipe()
     os.close(ours)
     log.write_text(with_line(602, lambda l: cell(l, 2, "far") if damaged else l))
     done = started("localize", *options(log, "--speed", "1", "--json", file), stdout=theirs)

@@ -63,6 +63,39 @@ def test_json_lines_give_the_same_positions_as_csv(whole):
     assert late[:3] == [None] * 3 and late[3]["time_s"] == csv_lines[0]["time_s"]
 
 
+def test_location_data_of_3gpp_has_the_ellipse_in_which_the_user_is(tmp_path):
+    origin = {"latitude_deg": 48.1, "longitude_deg": 11.5, "height_m": 500.0, "bearing_deg": 30.0}
+    scene = tmp_path / "scene.json"
+    scene.write_text(json.dumps(json_in(WALK / "scene.json") | {"origin": origin}))
+    words = ("--scene", scene, "--speed", "1", "--confidence", "0.9")
+    plain, _, _ = live(first_rows(60), *words)
+    found, _, code = live(first_rows(60), *words, "--format", "3gpp", "--accuracy", "0.5")
+    assert code == 0 and len(found) == len(plain)
+    position, content = plain[-1], found[-1]
+    area = content["locationEstimate"]
+    ellipse = area["uncertaintyEllipse"]
+    rng = np.random.default_rng(0)
+    users = rng.multivariate_normal(position["position_m"], position["covariance_m2"], 20_000)
+    place = area["point"]["lat"], area["point"]["lon"], area["altitude"]
+    turned = np.radians(origin["bearing_deg"]) - np.radians(ellipse["orientationMajor"])
+    x, y, z = (users - position["position_m"]).T  # x is in the direction of the bearing
+    along = x * np.cos(turned) + y * np.sin(turned)
+    across = x * np.sin(turned) - y * np.cos(turned)
+    inside = np.hypot(along / ellipse["semiMajor"], across / ellipse["semiMinor"]) < 1.0
+    assert inside.mean() == pytest.approx(0.9, abs=0.01) and area["confidence"] == 90
+    assert (abs(z) < area["uncertaintyAltitude"]).mean() == pytest.approx(0.9, abs=0.01)
+    assert place == pytest.approx(position["geodetic"], abs=1e-12)
+    velocity = content["velocityEstimate"]
+    vx, vy, vz = position["velocity_mps"]
+    bearing = origin["bearing_deg"] - np.degrees(np.arctan2(vy, vx))
+    assert (velocity["bearing"] - bearing + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=0.51)
+    assert velocity["hSpeed"] == pytest.approx(3.6 * np.hypot(vx, vy))
+    assert velocity["vDirection"] == ("UPWARD" if vz >= 0.0 else "DOWNWARD")
+    for line in found:
+        met = line["locationEstimate"]["uncertaintyEllipse"]["semiMajor"] <= 0.5
+        assert line["accuracyFulfilmentIndicator"].endswith("NOT_FULFILLED") != met
+
+
 def test_damaged_and_late_rows_are_reported_and_left_out():
     content = first_rows(30) + b"\x00\xff noise\n" + b"0.0,1,1e-7,0,0,0,0,20,0\n" + b"x" * 70_000
     tail = "\n".join(lines_of()[31:61]).encode()

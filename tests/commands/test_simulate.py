@@ -3,8 +3,8 @@
 import re
 import shlex
 
-import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from experiments.console.main import run
 from mmwave_env.datasets.log_folder import log_columns, log_text
@@ -12,10 +12,9 @@ from mmwave_env.datasets.samples import log_names
 from mmwave_env.logs.log import read_log
 from mmwave_env.logs.tum import read_tum
 from mmwave_env.models.layout import Layout
-from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import SCENES, read_scene
+from mmwave_env.models.scene import read_scene
 from mmwave_env.world.keys import keys_of
-from mmwave_env.world.simulated import SimulatedSource
+from tests.filters.tracks import street_source
 from tests.paths import LOGS
 
 FILES = ["log.csv", "scene.json", "truth.tum"]
@@ -30,8 +29,7 @@ def test_simulate_writes_the_episode_that_evaluate_draws_with_the_same_seed(tmp_
     simulate(out, "--scenario", "pedestrian", "--seed", 7)
     assert capsys.readouterr().out == f"written to {out}/: log.csv, scene.json, truth.tum\n"
     assert sorted(path.name for path in out.iterdir()) == FILES
-    source = SimulatedSource(SCENES["street"], RADIOS["handset"], "pedestrian")
-    episode = source.episode(int(keys_of([7])[0]))
+    episode = street_source("pedestrian").episode(int(keys_of([7])[0]))
     assert (out / "log.csv").read_text() == log_text(log_columns(episode))
 
 
@@ -56,17 +54,15 @@ def test_the_command_reproduces_the_shipped_sample_logs(tmp_path, name):
     theirs = tmp_path
     scene = read_scene(ours / "scene.json")
     again = read_scene(theirs / "scene.json")
-    np.testing.assert_allclose(again.anchors_m, scene.anchors_m, atol=1e-9)
+    assert_allclose(again.anchors_m, scene.anchors_m, atol=1e-9)
     for a, b in zip(*(read_tum(folder / "truth.tum") for folder in (ours, theirs)), strict=True):
-        np.testing.assert_array_equal(a, b)
+        assert_array_equal(a, b)
     # Bytes are not compared, because another libm may round the last digit differently.
     a = read_log(ours / "log.csv", scene)
     b = read_log(theirs / "log.csv", scene)
-    np.testing.assert_array_equal(a.visible, b.visible)
+    assert_array_equal(a.visible, b.visible)
     for field in ("time_s", "measurement", "snr_db", "doppler_spread_hz"):
-        np.testing.assert_allclose(
-            getattr(a, field), getattr(b, field), rtol=1e-9, atol=1e-9, equal_nan=True
-        )
+        assert_allclose(getattr(a, field), getattr(b, field), rtol=1e-9, atol=1e-9, equal_nan=True)
 
 
 def test_the_chosen_user_is_named_if_a_file_has_several_users(tmp_path, capsys):
@@ -77,7 +73,7 @@ def test_the_chosen_user_is_named_if_a_file_has_several_users(tmp_path, capsys):
     _, line = capsys.readouterr().out.splitlines()
     user = line.removeprefix("the user is ").removesuffix(f" of {users}")
     y = read_tum(tmp_path / "out" / "truth.tum").position_m[:, 1]
-    np.testing.assert_allclose(y, {"a": -80.0, "b": -70.0}[user])
+    assert_allclose(y, {"a": -80.0, "b": -70.0}[user])
 
 
 @pytest.mark.parametrize("name", FILES)

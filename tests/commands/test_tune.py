@@ -8,14 +8,12 @@ import numpy as np
 import pytest
 
 from experiments.training.tune_modes import objective_of, tune
+from mmwave_env.filters import Mode
 from mmwave_env.filters.bank import bank_from, read_bank
-from mmwave_env.filters.modes import Mode
 from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import SCENES
 from mmwave_env.world.keys import draw_key
-from mmwave_env.world.simulated import SimulatedSource
 from tests.cli import assert_one_clear_line, command, succeed
-from tests.filters.tracks import far_from_the_anchors, process_noise
+from tests.filters.tracks import far_from_the_anchors, process_noise, street_source
 from tests.paths import ROOT, json_in
 
 MODES = ROOT / "mmwave_env" / "data" / "modes"
@@ -92,7 +90,7 @@ def test_tuning_on_the_original_episodes_finds_the_shipped_modes(file):
     keys = np.array([draw_key(np.random.default_rng(seed)) for seed in seeds], np.uint64)
     radio = file.stem.removesuffix("-diagonal")
     for scenario, shipped in zip(("pedestrian", "vehicle"), read_bank(file).modes, strict=True):
-        source = SimulatedSource(SCENES["street"], RADIOS[radio], scenario)
+        source = street_source(scenario, radio)
         objective = objective_of(shipped, source.episodes(keys))
         made = tune(shipped, ["sigma_v", "sigma_p"], objective)
         # The optimum is flat: modes with slightly different sigma_v fit the episodes equally well.

@@ -7,7 +7,7 @@ import pytest
 
 from mmwave_env.numerics.numbers import atan2, cos_sin, log, sqrt, where
 from mmwave_env.numerics.tape import fingerprint
-from tests.cli import python
+from tests.cli import printed
 
 
 class Pair(NamedTuple):
@@ -76,9 +76,7 @@ def started(tmp_path, monkeypatch):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kept"))
 
     def run(code):
-        done = python(textwrap.dedent(code))
-        assert done.returncode == 0, done.stderr
-        return done.stdout.split()
+        return printed(textwrap.dedent(code)).split()
 
     run.kernels = lambda: sorted((tmp_path / "kept").glob("*/*.Program.*"))
     return run

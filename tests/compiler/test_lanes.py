@@ -13,12 +13,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.compiler import disk_cache
 from mmwave_env.compiler.lanes import WIDTH, Lanes, Mask, kernel
 from mmwave_env.compiler.program import Program
-from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.numbers import (
     atan2,
     clip,
@@ -31,10 +30,7 @@ from mmwave_env.numerics.numbers import (
     where,
     wrap,
 )
-from mmwave_env.numerics.pytree import flatten, unflatten
 from mmwave_env.numerics.tape import taped
-from mmwave_env.world.mobility import MOBILITIES
-from mmwave_env.world.simulated import SimulatedSource
 from tests.filters.tracks import assert_same_beliefs, pipeline_of, simulated, track
 from tests.paths import representative
 
@@ -125,7 +121,7 @@ def test_functions_on_lanes_agree_with_numpy(function, data):
     expected, limits, rtol, atol = FUNCTIONS[function]
     columns = [data.draw(floats(*limit)) for limit in limits]
     results = on_lanes(function, *columns)
-    np.testing.assert_allclose(results, expected(*columns), rtol=rtol, atol=atol)
+    assert_allclose(results, expected(*columns), rtol=rtol, atol=atol)
     assert function is not wrap or np.all(np.abs(results) <= math.pi)
 
 
@@ -153,7 +149,7 @@ SPECIAL = {  # name -> function, arguments, expected, rtol, atol
 @pytest.mark.parametrize("name", SPECIAL)
 def test_functions_on_lanes_are_accurate_at_special_arguments(name):
     function, arguments, expected, rtol, atol = SPECIAL[name]
-    np.testing.assert_allclose(on_lanes(function, *arguments), expected, rtol=rtol, atol=atol)
+    assert_allclose(on_lanes(function, *arguments), expected, rtol=rtol, atol=atol)
 
 
 COMPARISONS = {
@@ -171,12 +167,12 @@ def test_comparisons_of_lanes_equal_comparisons_of_floats_even_with_nan(compare)
     values = [-INF, -1.0, 0.0, 1.0, INF, NAN]
     a, b = (grid.ravel() for grid in np.meshgrid(values, values))
     expected = [compare(float(u), float(v)) for u, v in zip(a, b, strict=True)]
-    np.testing.assert_array_equal(on_lanes(compare, a, b), expected)
+    assert_array_equal(on_lanes(compare, a, b), expected)
 
 
 def test_where_ignores_nan_in_the_other_branch():
     guarded = on_lanes(lambda a: where(a >= 0.0, sqrt(a), -1.0), [-1.0, 4.0, NAN, 0.0])
-    np.testing.assert_array_equal(guarded, [-1.0, 2.0, -1.0, 0.0])
+    assert_array_equal(guarded, [-1.0, 2.0, -1.0, 0.0])
 
 
 def test_lanes_and_numbers_on_a_tape_have_the_same_operations():
@@ -209,8 +205,8 @@ def assert_floats_equal_lanes(pipeline, episodes, actions):
     assert_same_beliefs(a, b, rtol=1e-12)
     assert_same_beliefs(*[{"x": t["x"], "P": t["P_predicted"]} for t in (a, b)], rtol=1e-12)
     for name in KEPT[3:]:
-        np.testing.assert_allclose(a[name], b[name], rtol=1e-9, atol=1e-9, err_msg=name)
-    np.testing.assert_array_equal(a["memory.accepted"], b["memory.accepted"])
+        assert_allclose(a[name], b[name], rtol=1e-9, atol=1e-9, err_msg=name)
+    assert_array_equal(a["memory.accepted"], b["memory.accepted"])
     return a
 
 
@@ -246,7 +242,7 @@ def test_results_do_not_depend_on_other_episodes_or_on_their_order(n):
     everyone = track(pipeline, episodes, actions, 60, KEPT)
     some = track(pipeline, [episodes[i] for i in order], actions[:, order], 60, KEPT)
     for name in KEPT:
-        np.testing.assert_array_equal(some[name], everyone[name][:, order], err_msg=name)
+        assert_array_equal(some[name], everyone[name][:, order], err_msg=name)
 
 
 @pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="reads x86 assembly")
@@ -256,23 +252,3 @@ def test_the_stack_of_a_kernel_is_aligned(monkeypatch):
     program.on_lanes()
     code = program._compiled._library.get_asm_str()
     assert re.search(r"and[q]?\s+\$-64, %rsp", code)
-
-
-@pytest.mark.parametrize("scenario", representative(MOBILITIES, "walk-ride"))
-def test_a_simulated_world_on_lanes_equals_the_world_on_floats(scenario):
-    source = SimulatedSource(SCENES["street"], RADIOS["handset"], scenario, epochs=60)
-    episodes = source.sample_batch(np.arange(3, dtype=np.uint64))
-    starts = source.begin(np.arange(3, dtype=np.uint64))
-    world = source.world
-    settings = source.feed(starts.worlds).settings[:, 0]
-    blank = np.zeros(world.ends[0])
-    (observed, happened, moved) = world.parts
-    for kept, expected in zip(starts.worlds, episodes.table, strict=True):
-        w = unflatten(world.template, iter(np.concatenate([blank, settings, kept]).tolist()))
-        table = []
-        for dt in source.steps_s:
-            w = observed(w)
-            for _ in range(int(w.settings.stride)):
-                w = moved(happened(w))
-            table.append(flatten(w.measured._replace(dt=dt)))
-        np.testing.assert_allclose(table, expected, rtol=1e-9, atol=1e-9)

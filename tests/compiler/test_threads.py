@@ -5,12 +5,11 @@ import subprocess
 import sys
 import textwrap
 import threading
-from pathlib import Path
 
 import pytest
 
-import mmwave_env
 from mmwave_env.compiler.threads import share
+from tests.cli import environment
 
 
 @pytest.mark.parametrize(("jobs", "threads"), [(0, 2), (1, 2), (2, 50), (20, 1), (20, 3)])
@@ -76,9 +75,8 @@ def process(code, tmp_path):
     """Run a program that steps an environment and then runs ``code``; return the printed words."""
     program = tmp_path / "program.py"  # spawned processes need a file
     program.write_text(STEPPED + textwrap.indent(textwrap.dedent(code), "    "))
-    path = os.pathsep.join([str(Path(mmwave_env.__file__).parents[1]), *sys.path])
     run = {"capture_output": True, "text": True, "timeout": 120}
-    done = subprocess.run([sys.executable, program], env=os.environ | {"PYTHONPATH": path}, **run)
+    done = subprocess.run([sys.executable, program], env=environment(), **run)
     assert done.returncode == 0, done.stderr
     return done.stdout.split()
 

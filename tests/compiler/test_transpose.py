@@ -1,17 +1,15 @@
 """Tests that plain and compiled functions copy numbers between tables and lanes correctly."""
 
-import os
-import subprocess
-import sys
-
 import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
 
 from mmwave_env.compiler import lanes as tiles
 from mmwave_env.compiler.lanes import WIDTH
+from tests.cli import printed
 
 SIZE = 50
 COUNTS = st.integers(0, SIZE)
@@ -43,7 +41,7 @@ def test_gather_reads_every_lane_from_its_own_address(gather, count, seed):
     expected = block.copy()
     expected[:count] = table[::-1, :count].T
     gather(block, addresses(table), count)
-    np.testing.assert_array_equal(block, expected)
+    assert_array_equal(block, expected)
 
 
 @pytest.mark.parametrize(
@@ -63,7 +61,7 @@ def test_scatter_writes_the_rows_and_nothing_else(scatter, dtype, rows, seed):
     expected = room.copy()
     expected[::-1, : len(rows)] = block[rows].T
     scatter(block, np.array(rows, np.int64), addresses(room))
-    np.testing.assert_array_equal(room, expected)
+    assert_array_equal(room, expected)
 
 
 USERS = """
@@ -88,13 +86,11 @@ def out_of(function, kind):
 
 
 @pytest.mark.slow
-def test_functions_stored_by_two_processes_work_in_a_third(tmp_path):
+def test_functions_stored_by_two_processes_work_in_a_third(tmp_path, monkeypatch):
     """Check that symbols do not collide although each process numbers its functions anew."""
     (tmp_path / "users.py").write_text(USERS)
-    site = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
-    variables = os.environ | {"PYTHONPATH": site, "NUMBA_CACHE_DIR": str(tmp_path)}
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     wide = "out_of(wide, np.float64)"
     narrow = "out_of(narrow, np.float32)"
     for calls in (wide, narrow, f"{wide}; {narrow}"):
-        script = f"from users import *; {calls}"
-        subprocess.run([sys.executable, "-c", script], env=variables, check=True, timeout=120)
+        printed(f"from users import *; {calls}", cwd=tmp_path)

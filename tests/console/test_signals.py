@@ -13,8 +13,6 @@ from experiments.console.signals import ENDING, Ended, ended_by_signals
 from tests.cli import environment
 from tests.paths import ROOT
 
-pty = pytest.importorskip("pty")
-
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 
 # A command that pauses in the middle of writing its result, after it printed "writing".
@@ -101,18 +99,3 @@ def test_a_signal_ends_the_with_block_and_the_earlier_handlers_are_restored():
         signal.raise_signal(signal.SIGTERM)
     assert (end.value.code, end.value.message) == (143, "ended by SIGTERM")
     assert signal.getsignal(signal.SIGTERM) is before
-
-
-@pytest.mark.slow
-def test_closing_the_terminal_ends_a_command_with_the_code_of_sighup():
-    child, terminal = pty.fork()
-    if not child:
-        heed()
-        words = ["-m", "experiments.console", "compare", "--episodes", "100000"]
-        os.execve(sys.executable, [sys.executable, *words], environment())
-    output = b""
-    while b"%" not in (output := output + os.read(terminal, 1000)):
-        pass  # wait until there is a progress bar
-    os.close(terminal)
-    _, status = os.waitpid(child, 0)
-    assert os.waitstatus_to_exitcode(status) == 128 + signal.SIGHUP

@@ -136,12 +136,6 @@ def test_no_cell_of_a_table_is_cut_and_no_line_is_too_long(shown, names, cells, 
         assert [cell for table in tables for cell in table[i].split()[1:]] == cells
 
 
-def test_headers_wrap_between_words(shown):
-    _, *header = shown(grid(["track", "NEES in 95 % bounds"], [["filtered", "0.9"]]), 60)
-    words = [line.strip() for line in header if line][:4]
-    assert words == ["NEES", "in 95", "%", "track     bounds"]
-
-
 def test_a_name_wider_than_the_terminal_is_not_cut(shown):
     name = "runs/" + "long" * 20
     lines = shown(grid(["policy", "reward"], [[name, "-1.5"]]), 60)

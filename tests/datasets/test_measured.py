@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.datasets.measured import MeasuredTrack
 from mmwave_env.datasets.recorded import Recording
@@ -14,22 +15,21 @@ from mmwave_env.logs.truth import stretches, velocity_of
 from mmwave_env.models.layout import LINK, Layout
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import SCENES, scene_of_anchors
-from mmwave_env.world.simulated import SimulatedSource
+from mmwave_env.models.scene import scene_of_anchors
+from tests.filters.tracks import street_source
 from tests.logs.by_hand import shown
 from tests.paths import representative
 from tests.refusals import refuses
 
-STREET = SCENES["street"]
-RADIO = RADIOS["handset"]
+RADIO = "handset"
 
 
 def generator(seed=0):
     return np.random.default_rng(seed)
 
 
-def simulated(seed=3, epochs=60, radio=RADIO, scenario="vehicle"):
-    return SimulatedSource(STREET, radio, scenario, epochs=epochs).sample(generator(seed))
+def simulated(seed=3, epochs=60, radio="handset", scenario="vehicle"):
+    return street_source(scenario, radio, epochs=epochs).sample(generator(seed))
 
 
 def links(record, visible):
@@ -93,7 +93,7 @@ MISTAKES = {  # name -> (function that returns the changed arrays, array that th
 @pytest.mark.parametrize("name", MISTAKES)
 def test_values_that_contradict_the_truth_cause_a_warning(name):
     change, column = MISTAKES[name]
-    episode = simulated(radio=RADIOS["standard"])
+    episode = simulated(radio="standard")
     with pytest.warns(UserWarning, match=f"track 'own': .*{column}"):
         track(episode, **change(arrays(episode)))
 
@@ -101,7 +101,7 @@ def test_values_that_contradict_the_truth_cause_a_warning(name):
 @pytest.mark.parametrize("seeds", representative([range(20), range(20, 354)], range(20)))
 def test_correct_tracks_cause_no_warning(seeds):
     for seed in seeds:
-        for radio in RADIOS.values():
+        for radio in RADIOS:
             track(simulated(seed, 200, radio, "mixed"))
 
 
@@ -113,8 +113,8 @@ def test_seeds_change_the_prior_and_nothing_else():
     first = source.sample(generator(5))
     same = source.sample(generator(5))
     other = source.sample(generator(6))
-    np.testing.assert_array_equal(first.table(), other.table())
-    np.testing.assert_array_equal(first.prior_mean, same.prior_mean)
+    assert_array_equal(first.table(), other.table())
+    assert_array_equal(first.prior_mean, same.prior_mean)
     assert (first.prior_mean[:6] != other.prior_mean[:6]).all() and first.prior_mean[6] == 0.0
     truth = [*first.truth_position_m[0], *first.truth_velocity_mps[0]]
     deviation = np.sqrt(np.diag(first.prior_covariance))[:6]
@@ -141,7 +141,7 @@ def test_stretches_are_runs_of_epochs_with_known_truth_and_without_a_gap(known, 
         assert together == (inside[i] and inside[i + 1] and not any(r.stop == i + 1 for r in runs))
     velocity = velocity_of(time, position, GAP_S)
     assert (np.isfinite(velocity).all(axis=1) == inside).all()
-    np.testing.assert_allclose(velocity[inside] - [1.0, -2.0, 0.5], 0.0, atol=1e-9)
+    assert_allclose(velocity[inside] - [1.0, -2.0, 0.5], 0.0, atol=1e-9)
 
 
 def broken():
@@ -197,9 +197,9 @@ def test_a_recording_can_be_made_from_arrays():
     gain = {"path_gain_db": np.where(visible, true.path_gain_db, np.nan)}
     own = same | gain | links(true, visible)
     recording = Recording.from_arrays(**own, velocity_mps=true.velocity_mps)
-    np.testing.assert_array_equal(recording.visible, true.visible)
+    assert_array_equal(recording.visible, true.visible)
     at = shown(true)
-    np.testing.assert_allclose(recording.measurement[at], true.measurement[at], rtol=1e-12)
+    assert_allclose(recording.measurement[at], true.measurement[at], rtol=1e-12)
     assert recording.scene == true.scene
     by_differences = Recording.from_arrays(**own)
     assert abs(by_differences.velocity_mps - true.velocity_mps).max() < 0.5

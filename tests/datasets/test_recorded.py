@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.datasets.recorded import Recording
 from mmwave_env.datasets.samples import recording_from, sample_names, source_from
@@ -77,10 +78,10 @@ def test_a_track_source_gives_the_episode_of_a_recording():
     assert source.name == episode.name == "canyon28_vehicle"
     assert episode.nonfinite == 0
     assert np.isfinite(episode.table()).all()
-    np.testing.assert_array_equal(episode.usable, VEHICLE.visible)
-    np.testing.assert_array_equal(episode.truth_position_m, VEHICLE.position_m)
-    np.testing.assert_array_equal(episode.truth_velocity_mps, VEHICLE.velocity_mps)
-    np.testing.assert_array_equal(episode.scene_anchors_m, VEHICLE.anchors_m)
+    assert_array_equal(episode.usable, VEHICLE.visible)
+    assert_array_equal(episode.truth_position_m, VEHICLE.position_m)
+    assert_array_equal(episode.truth_velocity_mps, VEHICLE.velocity_mps)
+    assert_array_equal(episode.scene_anchors_m, VEHICLE.anchors_m)
     assert episode.hz_per_mps == pytest.approx(28e9 / 299_792_458.0)
 
 
@@ -88,10 +89,8 @@ def test_sigmas_follow_from_the_radio_profile_and_the_recorded_gain():
     episode = TrackSource(VEHICLE, RADIO).sample(generator())
     visible = VEHICLE.visible[:, :3]
     snr_db = RADIO.snr_db(VEHICLE.path_gain_db, 100e6)
-    np.testing.assert_allclose(episode.snr_db[visible], snr_db[visible])
-    np.testing.assert_array_equal(
-        episode.sigma, RADIO.sigma(episode.snr_db, VEHICLE.scene, VEHICLE.layout)
-    )
+    assert_allclose(episode.snr_db[visible], snr_db[visible])
+    assert_array_equal(episode.sigma, RADIO.sigma(episode.snr_db, VEHICLE.scene, VEHICLE.layout))
     assert (episode.snr_db[~visible] < -50.0).all()
 
 
@@ -137,11 +136,11 @@ def test_an_episode_is_a_contiguous_part_of_the_recording(epochs, seed):
     first = int(np.flatnonzero(VEHICLE.time_s == episode.time_s[0])[0])
     cut = slice(first, first + epochs)
     assert len(episode) == epochs
-    np.testing.assert_array_equal(episode.time_s, VEHICLE.time_s[cut])
+    assert_array_equal(episode.time_s, VEHICLE.time_s[cut])
     noise = residuals(episode, VEHICLE, cut)[:, :-1] / episode.sigma[:, :-1]
     assert np.nanmax(np.abs(noise)) < 6.0
-    np.testing.assert_array_equal(episode.visible, VEHICLE.visible[cut])
-    np.testing.assert_array_equal(episode.truth_position_m, VEHICLE.position_m[cut])
+    assert_array_equal(episode.visible, VEHICLE.visible[cut])
+    assert_array_equal(episode.truth_position_m, VEHICLE.position_m[cut])
 
 
 def test_odometry_is_kept_and_its_noise_has_the_standard_deviation_sigma():

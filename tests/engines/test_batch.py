@@ -1,4 +1,4 @@
-"""Tests of batches of environments: starting some of them, ends of episodes, and metrics."""
+"""Tests of batches of environments: epochs after the end of an episode, and metrics."""
 
 import numpy as np
 import pytest
@@ -9,61 +9,17 @@ from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.metrics import INFO_KEYS, summary
 from tests.filters.tracks import pipeline_of, simulated
 
-N = 11
 T = 12
-ENGINES = pytest.mark.parametrize("on_floats", [False, True], ids=["SIMD", "plain Python"])
 
 
-def engine_of(episodes, on_floats=False):
-    n = len(episodes)
+def engine_of(episodes, on_floats):
     pipeline = pipeline_of(episodes[0].layout, ("ekf",))
-    engine = Engine(pipeline, n, TrackingReward(), on_floats=on_floats)
+    engine = Engine(pipeline, len(episodes), TrackingReward(), on_floats=on_floats)
     engine.reset(episodes)
     return engine
 
 
-def everything(engine):
-    return np.array([engine.column(i) for i in range(engine.read(engine.at.reward).size)])
-
-
-@ENGINES
-def test_starting_some_environments_does_not_change_the_others(on_floats):
-    episodes = simulated(N, epochs=T)
-    others = simulated(3, epochs=T + 5)
-    engine = engine_of(episodes, on_floats)
-    for _ in range(4):
-        engine.step(np.int64(0))
-    before = everything(engine)
-    started = np.array([1, 6, 10])
-    engine.batch.load(others, started)
-    engine.start(started)
-    expected = engine_of(others, on_floats)
-    rest = np.setdiff1d(np.arange(N), started)
-    np.testing.assert_array_equal(everything(engine)[rest], before[rest])
-    for _ in range(3):
-        observations = engine.observations()
-        np.testing.assert_array_equal(observations[started], expected.observations())
-        for each in (engine, expected):
-            each.step(np.int64(0))
-
-
-@ENGINES
-def test_loaded_episodes_start_at_the_next_step_without_a_call_of_start(on_floats):
-    episodes = simulated(N, epochs=T)
-    others = simulated(2, epochs=T)
-    engine = engine_of(episodes, on_floats)
-    started = np.array([0, 9])
-    engine.step(np.int64(0))
-    engine.batch.load(others, started)
-    engine.step(np.int64(0))
-    np.testing.assert_array_equal(
-        engine.observations()[started], engine_of(others, on_floats).observations()
-    )
-    truth = np.array([[*e.truth_position_m[0], *e.truth_velocity_mps[0]] for e in others])
-    np.testing.assert_array_equal(engine.read(engine.at.truth)[started], truth)
-
-
-@ENGINES
+@pytest.mark.parametrize("on_floats", [False, True], ids=["SIMD", "plain Python"])
 def test_epochs_after_the_end_of_an_episode_are_blank(on_floats):
     long = simulated(1, epochs=T)[0]
     short = simulated(1, epochs=3)[0]

@@ -12,8 +12,8 @@ import pytest
 
 from mmwave_env.engines.engine import tracks_of
 from mmwave_env.env import MmWaveLocEnv
+from mmwave_env.filters import Pipeline
 from mmwave_env.filters.bank import named_modes
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.io.records import Bound, hints_of
 from mmwave_env.models import envelope
 from mmwave_env.models.radio import RADIOS
@@ -22,7 +22,7 @@ from mmwave_env.models.scene import SCENES, Wall
 from mmwave_env.world.episode import Episode
 from mmwave_env.world.mobility import MOBILITIES
 from mmwave_env.world.simulated import SimulatedSource
-from tests.filters.tracks import TRIANGLE, unpacked
+from tests.filters.tracks import TRIANGLE, street_source, unpacked
 from tests.refusals import refuses
 
 ASIDE = 0.01  # tested values differ from a limit of their bound by this share of the limit
@@ -121,8 +121,7 @@ CHANGES = (  # sets of changes that are made to each mode
 
 
 def drawn(seed, epochs):
-    source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=epochs)
-    return source.sample(np.random.default_rng(seed))
+    return street_source(epochs=epochs).sample(np.random.default_rng(seed))
 
 
 @pytest.fixture(scope="module")
@@ -262,4 +261,4 @@ def test_a_setting_at_its_bounds_gives_sound_beliefs_or_is_refused(record, name,
 @pytest.mark.parametrize("dt", [0.0, 1e-9, 61.0, 1e12, np.inf, np.nan])
 def test_a_time_step_beyond_its_bounds_is_refused_before_anything_is_drawn(dt):
     with refuses("dt"):
-        SimulatedSource(SCENES["street"], RADIOS["handset"], dt=dt)
+        street_source(dt=dt)

@@ -4,6 +4,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.engines.engine import run_imm
@@ -11,12 +12,10 @@ from mmwave_env.filters.bank import Bank, best_bank, default_modes
 from mmwave_env.filters.belief import Belief
 from mmwave_env.interface.reward import TrackingReward, terms_of, total
 from mmwave_env.models.measurement import blank_site
-from mmwave_env.models.radio import RADIOS, TUNED_RADIOS
-from mmwave_env.models.scene import SCENES
+from mmwave_env.models.radio import TUNED_RADIOS
 from mmwave_env.numerics.pytree import indices
 from mmwave_env.world.episode import EpisodeBatch
-from mmwave_env.world.simulated import SimulatedSource
-from tests.filters.tracks import simulated, unpacked
+from tests.filters.tracks import simulated, street_source, unpacked
 from tests.refusals import refuses
 
 N = 11
@@ -37,8 +36,8 @@ def test_rewards_errors_and_nees_follow_from_the_belief(episodes):
         x, P, earned, error, nees = (parts[name][e, t] for name in names)
         truth = episodes[e].truth_position_m[t]
         P = unpacked(P)
-        np.testing.assert_allclose(error, x[:3] - truth, atol=1e-12)
-        np.testing.assert_allclose(nees, error @ np.linalg.solve(P[:3, :3], error))
+        assert_allclose(error, x[:3] - truth, atol=1e-12)
+        assert_allclose(nees, error @ np.linalg.solve(P[:3, :3], error))
         belief = Belief(x.tolist(), P.tolist())
         paid = total(terms_of(reward, belief, [*truth, 0.0, 0.0, 0.0]))
         assert earned == pytest.approx(paid)
@@ -53,7 +52,7 @@ def test_an_episode_gives_the_same_results_alone_as_in_a_batch(episodes):
     for e, length in enumerate(lengths):
         alone = imm([episodes[e]], "x", "nees")
         for name, values in alone.items():
-            np.testing.assert_array_equal(together[name][e, :length], values[0, :length])
+            assert_array_equal(together[name][e, :length], values[0, :length])
 
 
 @pytest.mark.parametrize(
@@ -77,15 +76,14 @@ def test_an_invalid_transition_or_quantile_is_refused(name, value):
 @pytest.mark.slow
 @pytest.mark.parametrize("radio", TUNED_RADIOS)
 def test_a_track_that_starts_100_m_off_recovers(radio):
-    source = SimulatedSource(SCENES["street"], RADIOS[radio])
-    bank = best_bank(radio)
-    batch = EpisodeBatch.of(draw_episodes(source, range(5_000_000, 5_000_040)))
+    seeds = range(5_000_000, 5_000_040)
+    batch = EpisodeBatch.of(draw_episodes(street_source(radio=radio), seeds))
     site = batch.site.copy()
     prior = indices(blank_site(batch.layout)).prior_x
     direction = np.random.default_rng(0).uniform(0.0, 2.0 * np.pi, len(site))
     site[:, prior[0]] += 100.0 * np.cos(direction)
     site[:, prior[1]] += 100.0 * np.sin(direction)
-    imm = partial(run_imm, bank, TrackingReward())
+    imm = partial(run_imm, best_bank(radio), TrackingReward())
     good = np.linalg.norm(imm(batch, "error")["error"], axis=2)
     bad = np.linalg.norm(imm(batch._replace(site=site), "error")["error"], axis=2)
     assert (bad[:, 0] > 50.0).mean() > 0.5

@@ -5,16 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.engines.engine import run_imm, tracks_of
 from mmwave_env.engines.smoothing import smooth
 from mmwave_env.filters import textbook
 from mmwave_env.filters.bank import best_bank
 from mmwave_env.interface.reward import TrackingReward
-from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import SCENES
-from mmwave_env.world.simulated import SimulatedSource
-from tests.filters.tracks import TRIANGLE, pipeline_of, simulated, unpacked
+from tests.filters.tracks import TRIANGLE, pipeline_of, simulated, street_source, unpacked
 
 TOLERANCE = 1e-9
 PARTS = ("x", "P", "x_predicted", "P_predicted")
@@ -27,7 +25,6 @@ def packed(P):
 @pytest.mark.parametrize("dt", [0.1, 1.0, 3.0])
 def test_smoothing_a_linear_model_equals_filterpy(dt):
     rng = np.random.default_rng(0)
-    epochs = 60
     root = rng.normal(size=(7, 7))
     kf = KalmanFilter(7, 4)
     kf.F = textbook.F(dt)
@@ -36,29 +33,13 @@ def test_smoothing_a_linear_model_equals_filterpy(dt):
     kf.R = np.diag([0.5, 1.0, 2.0, 4.0])
     kf.x = rng.normal(size=(7, 1))
     kf.P = 10.0 * np.eye(7)
-    x = []
-    P = []
-    x_predicted = []
-    P_predicted = []
-    for t in range(epochs):
-        if t:
-            kf.predict()
-        x_predicted.append(kf.x.copy())
-        P_predicted.append(kf.P.copy())
-        kf.update(rng.normal(0.0, 5.0, (4, 1)))
-        x.append(kf.x.copy())
-        P.append(kf.P.copy())
-    expected_x, expected_P, *_ = kf.rts_smoother(np.array(x), np.array(P))
-
-    found_x, found_P = smooth(
-        np.array(x)[None, ..., 0],
-        packed(np.array(P))[None],
-        np.array(x_predicted)[None, ..., 0],
-        packed(np.array(P_predicted))[None],
-        np.full(epochs - 1, dt),
-    )
-    np.testing.assert_allclose(found_x[0], expected_x[..., 0], rtol=TOLERANCE, atol=TOLERANCE)
-    np.testing.assert_allclose(unpacked(found_P[0]), expected_P, rtol=TOLERANCE, atol=TOLERANCE)
+    x, P, x_predicted, P_predicted = kf.batch_filter(rng.normal(0.0, 5.0, (60, 4, 1)))
+    expected_x, expected_P, *_ = kf.rts_smoother(x, P)
+    filtered = x[None, ..., 0], packed(P)[None]
+    predicted = x_predicted[None, ..., 0], packed(P_predicted)[None]
+    found_x, found_P = smooth(*filtered, *predicted, np.full(59, dt))
+    assert_allclose(found_x[0], expected_x[..., 0], rtol=TOLERANCE, atol=TOLERANCE)
+    assert_allclose(unpacked(found_P[0]), expected_P, rtol=TOLERANCE, atol=TOLERANCE)
 
 
 def tracks(planar, n=9, epochs=120):
@@ -79,17 +60,15 @@ def test_smoothed_tracks_equal_a_plain_numpy_smoother(planar):
         expected_x, expected_P = textbook.rts(
             x[e], unpacked(P[e]), unpacked(P_predicted[e]), time_s[e], free
         )
-        np.testing.assert_allclose(found_x[e], expected_x, rtol=TOLERANCE, atol=TOLERANCE)
+        assert_allclose(found_x[e], expected_x, rtol=TOLERANCE, atol=TOLERANCE)
         block = np.ix_(range(len(x[e])), free, free)
-        np.testing.assert_allclose(
-            unpacked(found_P[e])[block], expected_P[block], rtol=1e-8, atol=TOLERANCE
-        )
+        assert_allclose(unpacked(found_P[e])[block], expected_P[block], rtol=1e-8, atol=TOLERANCE)
 
 
 @pytest.fixture(scope="module", params=[1.0, 0.1], ids=["1 s", "0.1 s"])
 def mixture(request):
     """Return dt, true positions (9, T, 3), and an IMM's x, P, x_predicted and P_predicted."""
-    source = SimulatedSource(SCENES["street"], RADIOS["handset"], dt=request.param)
+    source = street_source(dt=request.param)
     episodes = [source.sample(np.random.default_rng(seed)) for seed in range(9)]
     truth = np.stack([episode.truth_position_m for episode in episodes])
     parts = run_imm(best_bank(), TrackingReward(), episodes, *PARTS)
@@ -103,8 +82,8 @@ def test_smoothing_a_mixture_equals_plain_numpy(mixture):
     for e in range(len(x)):
         track = x[e], unpacked(P[e]), unpacked(P_predicted[e]), time_s
         expected = textbook.rts(*track, x_predicted=x_predicted[e])
-        np.testing.assert_allclose(found_x[e], expected[0], rtol=1e-7, atol=1e-7)
-        np.testing.assert_allclose(unpacked(found_P[e]), expected[1], rtol=1e-6, atol=1e-6)
+        assert_allclose(found_x[e], expected[0], rtol=1e-7, atol=1e-7)
+        assert_allclose(unpacked(found_P[e]), expected[1], rtol=1e-6, atol=1e-6)
 
 
 def test_smoothing_a_mixture_reduces_its_errors_and_its_covariances(mixture):
@@ -125,5 +104,5 @@ def test_smoothing_does_not_change_a_single_epoch():
     _, parts = tracks(planar=False)
     x, P, x_predicted, P_predicted = (part[:1, :1] for part in parts)
     smoothed_x, smoothed_P = smooth(x, P, x_predicted, P_predicted, np.empty(0))
-    np.testing.assert_array_equal(smoothed_x, x)
-    np.testing.assert_array_equal(smoothed_P, P)
+    assert_array_equal(smoothed_x, x)
+    assert_array_equal(smoothed_P, P)

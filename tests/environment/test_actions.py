@@ -3,22 +3,18 @@
 import copy
 import math
 import warnings
-from functools import partial
 
 import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.error import InvalidAction
 from gymnasium.utils.env_checker import check_env
-from gymnasium.vector import AutoresetMode
+from numpy.testing import assert_allclose
 
-from experiments.evaluation.contenders import contender_from
-from experiments.evaluation.runner import run_contender
 from mmwave_env.engines.tally import exceeds
 from mmwave_env.localization.position_errors import horizontal_level
 from mmwave_env.metrics import RISK
-from policies import Corrector, LearnedSwitch
-from policies.learned import LearnedPolicy
+from tests.environment.test_vector_env import native, sync
 from tests.environment.vector_checker import forward, same
 from tests.refusals import refuses
 
@@ -89,19 +85,17 @@ PAIRED = {"reward": "paired", "terminate_on_divergence": True, "scenario": "vehi
     ],
 )
 def test_the_native_vector_environment_equals_the_synchronous_environment(name, mode, more):
-    options = {"num_envs": 9, "episode_steps": 9} | KINDS[name] | more
-    n = (9,)
-    native = gym.make_vec(ID, autoreset_mode=mode, **options)
-    kwargs = {"autoreset_mode": AutoresetMode(mode)}
-    sync = gym.make_vec(ID, vectorization_mode="sync", vector_kwargs=kwargs, **options)
-    assert native.action_space == sync.action_space
-    assert same(native.reset(seed=3), sync.reset(seed=3))
-    for actions in drawn(native.single_action_space, 25, n):
-        assert same(forward(native, actions), forward(sync, actions))
+    options = {"episode_steps": 9} | KINDS[name] | more
+    ours = native(9, mode, **options)
+    theirs = sync(9, mode, **options)
+    assert ours.action_space == theirs.action_space
+    assert same(ours.reset(seed=3), theirs.reset(seed=3))
+    for actions in drawn(ours.single_action_space, 25, (9,)):
+        assert same(forward(ours, actions), forward(theirs, actions))
 
 
 def test_copies_continue_identically(kind):
-    env = gym.make_vec(ID, num_envs=9, autoreset_mode="SameStep", episode_steps=7, **kind)
+    env = native(9, "SameStep", episode_steps=7, **kind)
     first, second = np.split(drawn(env.single_action_space, 20, (9,)), 2)
     played(env, first)
     twin = copy.deepcopy(env)
@@ -116,8 +110,8 @@ def test_a_weight_of_three_has_the_effect_of_the_discrete_action_of_its_mode(dt)
     discrete = played(gym.make(ID, **options), modes)
     weights = np.vstack([np.zeros(2), 3.0 * np.eye(2)])[modes]
     weighted = played(gym.make(ID, action="weights", **options), weights)
-    np.testing.assert_allclose(rewards(weighted), rewards(discrete), atol=1e-9)
-    np.testing.assert_allclose(weighted[-1][0], discrete[-1][0], atol=1e-5)
+    assert_allclose(rewards(weighted), rewards(discrete), atol=1e-9)
+    assert_allclose(weighted[-1][0], discrete[-1][0], atol=1e-5)
 
 
 def test_corrections_change_the_reported_belief_but_not_the_filters():
@@ -132,29 +126,7 @@ def test_corrections_change_the_reported_belief_but_not_the_filters():
     assert corrected[0][1]["truth"].tolist() == imm[0][1]["truth"].tolist()
     assert env.belief().x == corrected[-1][4]["estimate"].tolist()
     for key in ("truth", "nis", "accepted", "gamma", "mode_probabilities"):
-        np.testing.assert_allclose(corrected[9][4][key], imm[9][4][key], rtol=1e-9)
-
-
-@pytest.mark.slow  # compiles several programs
-def test_the_shipped_corrector_earns_the_same_rewards_as_in_its_evaluation():
-    policy = Corrector("corrector")
-    n = 20
-    env = gym.make_vec(
-        ID, num_envs=n, beliefs=policy.beliefs, modes=policy.bank("handset"), action="correction",
-        base=partial(LearnedSwitch, policy.card.base),
-    ).unwrapped  # fmt: skip
-    LearnedPolicy.read_from(policy, env.observation)  # the environment asks the base itself
-    policy.reset(np.ones(n, bool))
-    observations, infos = env.reset(seed=5_000_000)
-    episodes = env.source.episodes(infos["episode_key"])
-    earned = []
-    for _ in range(200):
-        shift, log_factor, _ = policy.correct(observations)
-        observations, reward, *_ = env.step(np.hstack([shift, log_factor]))
-        earned.append(reward)
-    contender = contender_from("corrector", "handset")
-    expected = run_contender(contender, contender.start(env.source.layout), episodes)["reward"]
-    np.testing.assert_allclose(np.transpose(earned), expected, atol=1e-5)
+        assert_allclose(corrected[9][4][key], imm[9][4][key], rtol=1e-9)
 
 
 def test_a_paired_reward_subtracts_the_reward_of_the_uncorrected_belief():
@@ -163,7 +135,7 @@ def test_a_paired_reward_subtracts_the_reward_of_the_uncorrected_belief():
     actions = drawn(envs[0].single_action_space, 20, (3,))
     plain, paired = (rewards(played(env, actions)) for env in envs)
     before = rewards(played(envs[0], np.zeros_like(actions)))
-    np.testing.assert_allclose(paired, plain - before, atol=1e-5)
+    assert_allclose(paired, plain - before, atol=1e-5)
 
 
 @pytest.mark.torch

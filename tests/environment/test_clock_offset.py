@@ -6,14 +6,14 @@ from itertools import groupby
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.datasets.samples import recording_from, sample_folder, source_from
 from mmwave_env.engines.engine import run_imm
 from mmwave_env.engines.smoothing import smooth
-from mmwave_env.filters import textbook
+from mmwave_env.filters import Pipeline, textbook
 from mmwave_env.filters.bank import Bank, best_bank, modes_from
 from mmwave_env.filters.mode_smoothing import smooth_modes
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.policy import Switching
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.localization.localizer import localize
@@ -22,12 +22,10 @@ from mmwave_env.logs.log import read_log
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from mmwave_env.numerics.linalg import unpack
 from mmwave_env.task import task_from
 from mmwave_env.world.keys import keys_of
-from mmwave_env.world.simulated import SimulatedSource
 from tests.cli import command, succeed
-from tests.filters.tracks import around_a_block, replay
+from tests.filters.tracks import around_a_block, replay, street_source, unpacked
 from tests.paths import representative
 from tests.refusals import refuses
 
@@ -64,9 +62,7 @@ def bias_of(synchronized, offset):
     change = (offset.measurement - synchronized.measurement)[:, ranges]
     measured = synchronized.usable[:, : offset.layout.anchors] & np.isfinite(change)
     largest = np.where(measured, change, -np.inf).max(axis=1)
-    np.testing.assert_allclose(
-        change[measured], np.broadcast_to(largest[:, None], measured.shape)[measured]
-    )
+    assert_allclose(change[measured], np.broadcast_to(largest[:, None], measured.shape)[measured])
     return np.where(measured.any(axis=1), largest, np.nan)
 
 
@@ -79,18 +75,18 @@ def test_all_ranges_get_the_same_bias_and_nothing_else_changes(arguments):
     others = np.setdiff1d(np.arange(layout.size), np.arange(0, layout.doppler, 4))
     for field in ("measurement", "sigma"):
         pairs = (getattr(episode, field)[:, others] for episode in (offset, synchronized))
-        np.testing.assert_array_equal(*pairs)
+        assert_array_equal(*pairs)
     for field in ("visible", "snr_db", "truth_position_m", "doppler_spread_hz"):
-        np.testing.assert_array_equal(getattr(offset, field), getattr(synchronized, field))
-    np.testing.assert_array_equal(offset.prior_mean, [*synchronized.prior_mean, 0.0])
+        assert_array_equal(getattr(offset, field), getattr(synchronized, field))
+    assert_array_equal(offset.prior_mean, [*synchronized.prior_mean, 0.0])
     P = np.diag([*np.diag(synchronized.prior_covariance), SIGMA_M**2])
-    np.testing.assert_allclose(offset.prior_covariance, P)
+    assert_allclose(offset.prior_covariance, P)
 
 
 def test_no_offset_is_added_to_the_ranges_of_a_log():
     synchronized, offset = pair(episodes=sample_folder("canyon28_vehicle"))
-    np.testing.assert_array_equal(offset.measurement, synchronized.measurement)
-    np.testing.assert_array_equal(offset.prior_mean, [*synchronized.prior_mean, 0.0])
+    assert_array_equal(offset.measurement, synchronized.measurement)
+    assert_array_equal(offset.prior_mean, [*synchronized.prior_mean, 0.0])
 
 
 def biases(n, **arguments):
@@ -135,7 +131,7 @@ def test_the_offset_is_estimated_with_a_correct_standard_deviation():
 
 @pytest.mark.parametrize("planar", representative([False, True], False))
 def test_smoothed_tracks_equal_the_textbook(planar):
-    source = SimulatedSource(STREET, RADIOS["standard"], epochs=50, clock=True)
+    source = street_source(radio="standard", epochs=50, clock=True)
     bank = Bank(modes_from(["ukf"], "standard"))
     pipeline = Pipeline(bank.modes, source.layout, planar)
     batch = source.sample_batch(keys_of(range(3)))
@@ -155,20 +151,15 @@ def test_smoothed_tracks_equal_the_textbook(planar):
             x[e], unpacked(P[e]), unpacked(P_predicted[e]), time_s, free, None, hz_per_mps
         )
         for smoothed_x, smoothed_P in (smoothed, by_modes):
-            np.testing.assert_allclose(smoothed_x[e], expected_x, rtol=1e-7, atol=1e-7)
-            np.testing.assert_allclose(unpacked(smoothed_P[e]), expected_P, rtol=1e-6, atol=1e-7)
-
-
-def unpacked(P):
-    """Return symmetric matrices (T, 8, 8) from packed triangles (T, 36)."""
-    return np.transpose(unpack([*P.T]), (2, 0, 1))
+            assert_allclose(smoothed_x[e], expected_x, rtol=1e-7, atol=1e-7)
+            assert_allclose(unpacked(smoothed_P[e]), expected_P, rtol=1e-6, atol=1e-7)
 
 
 def test_an_invalid_clock_and_a_clock_that_cannot_be_estimated_are_refused():
     for arguments in (
         {"clock": "late"},
         {"clock": "offset", "measurements": ["azimuth", "doppler"]},
-        {"clock": "offset", "episodes": replay(SimulatedSource(STREET, RADIOS["high"]).episode(1))},
+        {"clock": "offset", "episodes": replay(street_source().episode(1))},
     ):
         with refuses("clock"):
             task_from(**arguments)
@@ -196,7 +187,7 @@ def test_localize_estimates_the_offset(ride):
     smoothed = next(line for line in out.splitlines() if line.startswith("| smoothed |"))
     assert float(smoothed.split("|")[2]) < 1.0
     episodes = [
-        SimulatedSource(STREET, RADIOS["standard"], clock=clock).episode(int(keys_of([2])[0]))
+        street_source(radio="standard", clock=clock).episode(int(keys_of([2])[0]))
         for clock in (False, True)
     ]
     said = next(line for line in out.splitlines() if "clock is" in line)
@@ -217,7 +208,7 @@ def test_a_live_track_equals_the_track_of_the_whole_log(ride):
         ]
     live = [tracker.update(epoch) for _, epoch in groupby(rows, key=lambda row: row["time_s"])]
     positions = [[*p.position_m, *p.velocity_mps, p.clock_m] for p in live if p]
-    np.testing.assert_array_equal(positions, x[:, [0, 1, 2, 3, 4, 5, 7]])
+    assert_array_equal(positions, x[:, [0, 1, 2, 3, 4, 5, 7]])
     assert tracker.smoothed().clock_sigma_m < live[-1].clock_sigma_m
 
 

@@ -10,22 +10,20 @@ import numpy as np
 import pytest
 from gymnasium.error import InvalidAction, ResetNeeded
 from gymnasium.utils.env_checker import check_env
+from numpy.testing import assert_allclose, assert_array_equal
 
 import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.engines.engine import tracks_of
 from mmwave_env.env import MmWaveLocEnv
+from mmwave_env.filters import Mode, Pipeline
 from mmwave_env.filters.bank import modes_from
-from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.textbook import rts
 from mmwave_env.metrics import INFO_KEYS, summary
 from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import SCENES
 from mmwave_env.task import TaskArguments
 from mmwave_env.world.keys import keys_of
-from mmwave_env.world.simulated import SimulatedSource
 from tests.environment.vector_checker import assert_own_memory, same
-from tests.filters.tracks import replay, unpacked
+from tests.filters.tracks import replay, street_source, unpacked
 from tests.refusals import refuses
 
 ID = "MmWaveLoc-v0"
@@ -38,8 +36,7 @@ SMOOTHED = "smoothed_ate_m"  # infos have this key if smoothed=True
 
 
 def draw(seed=0, **changes):
-    source = SimulatedSource(SCENES["street"], RADIOS["handset"], **changes)
-    return source.episode(int(keys_of([seed])[0]))
+    return street_source(**changes).episode(int(keys_of([seed])[0]))
 
 
 def adrift(drift_mps, epochs=200):
@@ -200,10 +197,10 @@ def test_infos_contain_the_truth_and_the_prior_of_the_episode():
     env = gym.make(ID, **EKF)
     _, info = env.reset(seed=9)
     assert info["episode_name"] == episode.name
-    np.testing.assert_array_equal(info["estimate"], episode.prior_mean)
+    assert_array_equal(info["estimate"], episode.prior_mean)
     states = np.hstack([episode.truth_position_m, episode.truth_velocity_mps])
-    np.testing.assert_array_equal(info["truth"], states[0])
-    np.testing.assert_array_equal([i["truth"] for *_, i in roll(env, seed=9)], states)
+    assert_array_equal(info["truth"], states[0])
+    assert_array_equal([i["truth"] for *_, i in roll(env, seed=9)], states)
 
 
 @pytest.mark.parametrize("planar", [False, True])
@@ -246,17 +243,8 @@ def test_the_height_is_constant_on_flat_terrain(odometry):
     for seed in range(5):
         env.reset(seed=seed)
         for *_, info in roll(env, seed=seed):
-            np.testing.assert_allclose(info["estimate"][[2, 5]], [1.5, 0.0], atol=1e-12)
+            assert_allclose(info["estimate"][[2, 5]], [1.5, 0.0], atol=1e-12)
     assert info["nees"] < 1e3
-
-
-@pytest.mark.slow
-def test_odometry_reduces_the_error():
-    errors = {}
-    for odometry in (False, True):
-        env = gym.make(ID, odometry=odometry, scenario="vehicle", modes=["ukf"])
-        errors[odometry] = np.mean([roll(env, seed)[-1][-1]["ate_m"] for seed in range(8)])
-    assert errors[True] < errors[False]
 
 
 # --- the end of an episode
@@ -294,9 +282,9 @@ def test_divergence_in_the_last_epoch_does_not_change_the_reward():
 
 
 def test_the_smoothed_error_is_the_same_with_filterpy_as_backend():
-    lanes = roll(gym.make(ID, backend="lanes", smoothed=True, episode_steps=14))[-1][-1][SMOOTHED]
-    filterpy = roll(gym.make(ID, backend="filterpy", smoothed=True, episode_steps=14))[-1][-1][
-        SMOOTHED
+    lanes, filterpy = [
+        roll(gym.make(ID, backend=backend, smoothed=True, episode_steps=14))[-1][-1][SMOOTHED]
+        for backend in ("lanes", "filterpy")
     ]
     assert lanes == pytest.approx(filterpy, rel=1e-12)
 

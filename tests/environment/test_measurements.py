@@ -3,22 +3,17 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.datasets.samples import recording_from, sample_folder, source_from
-from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.update import ekf
+from mmwave_env.filters import Mode, ekf
 from mmwave_env.models.layout import MEASUREMENTS, Layout
-from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import SCENES
 from mmwave_env.task import task_from
-from mmwave_env.world.simulated import SimulatedSource
-from tests.filters.tracks import around_a_block, replay
+from tests.filters.tracks import around_a_block, replay, street_source
 from tests.paths import representative
 from tests.refusals import refuses
 
 SUBSETS = [("range", "azimuth"), ("azimuth", "elevation", "departure"), ("departure", "doppler")]
-STREET = SCENES["street"]
-RADIO = RADIOS["handset"]
 SOURCES = {
     "simulated": {"episode_steps": 40},
     "odometry": {"episode_steps": 40, "odometry": True},
@@ -43,57 +38,25 @@ def test_the_measured_rows_equal_the_rows_of_the_complete_episode(arguments, sub
     layout = some.layout
     assert layout == Layout(whole.layout.anchors, whole.layout.odometry, partial=True)
     seen = np.repeat(whole.usable, whole.layout.widths, axis=1) & rows_of(subset, layout)
-    np.testing.assert_array_equal(np.isfinite(some.measurement), seen)
-    np.testing.assert_array_equal(some.measurement[seen], whole.measurement[seen])
-    np.testing.assert_allclose(some.sigma[seen], whole.sigma[seen], rtol=1e-12)
+    assert_array_equal(np.isfinite(some.measurement), seen)
+    assert_array_equal(some.measurement[seen], whole.measurement[seen])
+    assert_allclose(some.sigma[seen], whole.sigma[seen], rtol=1e-12)
     starts = [group.start for group in layout.groups]
-    np.testing.assert_array_equal(some.usable, np.logical_or.reduceat(seen, starts, axis=1))
+    assert_array_equal(some.usable, np.logical_or.reduceat(seen, starts, axis=1))
     for field in ("truth_position_m", "truth_velocity_mps", "prior_mean", "doppler_spread_hz"):
-        np.testing.assert_array_equal(getattr(some, field), getattr(whole, field))
+        assert_array_equal(getattr(some, field), getattr(whole, field))
     assert some.nonfinite == 0
 
 
-def played(seed=3, **arguments):
-    """Return the rewards of an episode in which every action is 0, and its last info."""
-    env = gym.make("mmwave_env:MmWaveLoc-v0", **arguments)
-    env.reset(seed=seed)
-    over = False
-    rewards = []
-    while not over:
-        _, reward, _, over, info = env.step(0)
-        rewards.append(reward)
-    return np.array(rewards), info
-
-
-SOME = {"measurements": ["range", "azimuth"], "beliefs": "per-mode", "modes": ["ekf", "ukf"]}
-CLOCK = {"clock": "offset", "episode_steps": 30, "smoothed": True}
-RECEIVERS = {
-    "simulated": SOURCES["simulated"] | SOME,
-    "clock": CLOCK | {"modes": ["ekf"]},
-    "odometry": SOURCES["odometry"] | SOME,
-    "recorded": SOURCES["recorded"] | SOME,
-    "log": SOURCES["log"] | SOME,
-    "clock per mode": CLOCK | {"beliefs": "per-mode"},
-}
-
-
-@pytest.mark.parametrize("name", representative(RECEIVERS, "simulated", "clock"))
-def test_vector_and_single_environments_agree(name):
-    arguments = RECEIVERS[name]
-    envs = gym.make_vec("mmwave_env:MmWaveLoc-v0", num_envs=3, **arguments)
-    envs.reset(seed=7)
-    actions = np.zeros(3, np.int64)
-    steps = [envs.step(actions) for _ in range(arguments["episode_steps"])]
-    infos = steps[-1][4]
-    for i in range(3):
-        rewards, info = played(7 + i, **arguments)
-        np.testing.assert_array_equal([step[1][i] for step in steps], rewards)
-        np.testing.assert_array_equal(infos["estimate"][i], info["estimate"])
-        assert "smoothed" not in arguments or infos["smoothed_ate_m"][i] == info["smoothed_ate_m"]
+def rewards(**arguments):
+    """Return the rewards of an episode of 20 epochs in which every action is 0."""
+    env = gym.make("mmwave_env:MmWaveLoc-v0", episode_steps=20, **arguments)
+    env.reset(seed=3)
+    return [env.step(0)[1] for _ in range(20)]
 
 
 def test_all_subsets_share_one_compiled_simulation():
-    sources = [SimulatedSource(STREET, RADIO, epochs=40, measurements=subset) for subset in SUBSETS]
+    sources = [street_source(epochs=40, measurements=subset) for subset in SUBSETS]
     worlds = {id(source.world) for source in sources}
     assert len(worlds) == 1
     assert not np.array_equal(*[source.episode(5).visible for source in sources[1:]])
@@ -111,14 +74,14 @@ def test_every_receiver_works_with_own_algorithms_filterpy_and_paired_rewards(na
     def mine(x, P, measurement, gate):
         return ekf(x, P, measurement, gate)
 
-    asked = {"episode_steps": 20} | TASKS[name]
-    lanes = played(**asked, modes=["ekf"], backend="lanes")[0]
-    twin = played(**asked, modes=["ekf"], backend="filterpy")[0]
-    np.testing.assert_allclose(twin, lanes, rtol=1e-6, atol=1e-6)
-    own = played(**asked, modes=[Mode("mine", mine)])[0]
-    ours = played(**asked, modes=[Mode("mine", "ekf")])[0]
-    np.testing.assert_array_equal(own, ours)
-    assert np.isfinite(played(**asked, reward="paired")[0]).all()
+    asked = TASKS[name]
+    lanes = rewards(**asked, modes=["ekf"], backend="lanes")
+    twin = rewards(**asked, modes=["ekf"], backend="filterpy")
+    assert_allclose(twin, lanes, rtol=1e-6, atol=1e-6)
+    own = rewards(**asked, modes=[Mode("mine", mine)])
+    ours = rewards(**asked, modes=[Mode("mine", "ekf")])
+    assert_array_equal(own, ours)
+    assert np.isfinite(rewards(**asked, reward="paired")).all()
 
 
 @pytest.mark.parametrize(
@@ -133,7 +96,7 @@ def test_subsets_that_do_not_determine_a_position_and_unknown_names_are_refused(
 
 
 def test_a_custom_source_decides_what_is_measured():
-    episode = SimulatedSource(STREET, RADIO, epochs=5).episode(1)
+    episode = street_source(epochs=5).episode(1)
     with refuses("measurements"):
         task_from(episodes=replay(episode), measurements=["range"])
     some = replay(episode.only(["range"]))
@@ -144,4 +107,4 @@ def test_measurements_that_a_track_lacks_are_refused():
     track = recording_from("canyon28_vehicle")
     track.measurement[:, : track.layout.doppler : 4] = np.nan
     with refuses("measurements"):
-        source_from(track, RADIO, measurements=["range"])
+        source_from(track, "handset", measurements=["range"])

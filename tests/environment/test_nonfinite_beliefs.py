@@ -9,13 +9,10 @@ import pytest
 from experiments.evaluation.compare import compare_scores
 from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.runner import score_contenders
-from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.update import ekf
-from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import SCENES
+from mmwave_env.filters import Mode, ekf
 from mmwave_env.numerics.numbers import where
-from mmwave_env.world.simulated import SimulatedSource
 from policies import FixedMode
+from tests.filters.tracks import street_source
 
 ID = "mmwave_env:MmWaveLoc-v0"
 STEPS = 15
@@ -80,7 +77,7 @@ def test_a_vector_environment_without_infos_warns_too():
 
 @pytest.mark.slow
 def test_a_comparison_includes_episodes_with_nan_beliefs_and_names_the_policy():
-    source = SimulatedSource(SCENES["street"], RADIOS["standard"], epochs=STEPS)
+    source = street_source(radio="standard", epochs=STEPS)
     chosen = Contender(tuple(TASK["modes"]), policy=lambda table: FixedMode(0), name="mine")
     ekf = contender_from("fixed-ekf", "standard")
     seeds = range(6)

@@ -5,6 +5,7 @@ import warnings
 import gymnasium as gym
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 import mmwave_env  # noqa: F401  registers the environment
 
@@ -43,7 +44,7 @@ def assert_same(info, expected):
     """Check that the infos of an episode's end are equal, except for wall times and rounding."""
     assert info.keys() == expected.keys()
     for key in info.keys() - {"episode"}:
-        np.testing.assert_array_equal(info[key], expected[key], err_msg=key)
+        assert_array_equal(info[key], expected[key], err_msg=key)
     ours = info["episode"]
     theirs = expected["episode"]
     assert ours.keys() == theirs.keys() and ours["l"] == theirs["l"] and ours["t"] >= 0.0
@@ -60,13 +61,13 @@ def test_the_adapter_gives_the_same_results_as_a_dummy_vec_env(configuration):
     truncated = set()
     for venv in (ours, theirs):
         venv.seed(7)
-    np.testing.assert_array_equal(ours.reset(), theirs.reset())
+    assert_array_equal(ours.reset(), theirs.reset())
     for _ in range(100):
         actions = rng.integers(ours.action_space.n, size=4)
-        (*results, infos) = ours.step(actions)
-        (*expected, their_infos) = theirs.step(actions)
+        *results, infos = ours.step(actions)
+        *expected, their_infos = theirs.step(actions)
         for a, b in zip(results, expected, strict=True):
-            np.testing.assert_array_equal(a, b)
+            assert_array_equal(a, b)
             assert a.dtype == b.dtype
         for i, over in enumerate(results[2]):
             if over:
@@ -84,10 +85,10 @@ def test_seeds_and_options_affect_only_the_next_reset():
     env = native()
     venv.seed(3)
     venv.set_options({"reset_mask": np.ones(4, bool)})
-    np.testing.assert_array_equal(venv.reset(), env.reset(seed=3)[0])
-    np.testing.assert_array_equal(venv.reset(), env.reset()[0])
+    assert_array_equal(venv.reset(), env.reset(seed=3)[0])
+    assert_array_equal(venv.reset(), env.reset()[0])
     venv.seed(3)
-    np.testing.assert_array_equal(venv.reset(), env.reset(seed=[3, 4, 5, 6])[0])
+    assert_array_equal(venv.reset(), env.reset(seed=[3, 4, 5, 6])[0])
 
 
 def test_options_that_differ_between_environments_are_refused():
@@ -147,5 +148,5 @@ def test_the_adapter_has_the_pictures_of_its_environments():
     venv = SB3VecEnv(native(render_mode="rgb_array"))
     venv.reset()
     pictures = venv.get_images()
-    np.testing.assert_array_equal(pictures, venv.env.render())
+    assert_array_equal(pictures, venv.env.render())
     assert venv.render("rgb_array").ndim == 3

@@ -1,17 +1,21 @@
 """Tests of `compare` with agents that a programmer wrote: objects, files or functions."""
 
-import json
 import sys
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
 from experiments.evaluation.compare import compare
-from experiments.evaluation.contenders import contender_from
+from experiments.evaluation.contenders import Contender, contender_from
+from experiments.evaluation.runner import run_contender
+from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.filters.bank import Bank, bank_as_written, modes_from
 from mmwave_env.models.layout import Layout
+from mmwave_env.task import task_from
 from policies import Correction, LearnedSwitch
-from tests.cli import assert_one_clear_line, command
+from tests.cli import assert_one_clear_line, command, succeed
+from tests.paths import write_json
 from tests.refusals import refuses
 from tests.training.actors import HANDSET, actor, card_of, write
 
@@ -89,13 +93,42 @@ def test_an_agent_without_reset_may_correct_beliefs():
     assert mine > base + 0.1
 
 
+class Weighing:
+    """An agent that returns weights of the modes."""
+
+    beliefs = "per-mode"
+    action = "weights"
+
+    def __call__(self, observations):
+        return np.sin(7.0 * observations[:, :5])
+
+
+def test_an_agent_that_returns_weights_earns_what_it_earns_in_the_environment(monkeypatch):
+    env = gym.make("MmWaveLoc-v0", beliefs="per-mode", action="weights", episode_steps=50)
+    observation, _ = env.reset(seed=3)
+    earned = []
+    for _ in range(50):
+        observation, reward, *_ = env.step(Weighing()(observation[None])[0])
+        earned.append(reward)
+    contender = Contender.own("mine", Weighing(), "handset")
+    episodes = draw_episodes(task_from(episode_steps=50).source, [3])
+    policy = contender.start(episodes[0].layout)
+    (rewards,) = run_contender(contender, policy, episodes)["reward"]
+    np.testing.assert_allclose(rewards, earned, rtol=1e-9)
+    with refuses("mine"):
+        wrong = Contender.own("mine", Weighing(), "handset", ["ekf", "ukf"])
+        wrong.start(episodes[0].layout)
+    monkeypatch.setattr(Weighing, "beliefs", "shared")
+    with refuses("mine"):
+        compare({"mine": Weighing()}, episodes=1)
+
+
 def test_an_agent_from_a_module_is_compared_like_any_policy(folder):
     names = ("fixed-ukf", "my_agents:second", "my_agents:first")
-    done = command("compare", "--policies", *names, "--episodes", 2, cwd=folder)
-    assert done.returncode == 0, done.stderr
-    ours, theirs, _ = (row for row in done.stdout.splitlines() if row.count("±") > 2)
+    shown = succeed("compare", "--policies", *names, "--episodes", 2, cwd=folder)
+    ours, theirs, _ = (row for row in shown.splitlines() if row.count("±") > 2)
     assert ours.split("|")[2:] == theirs.split("|")[2:]
-    assert "| my_agents:second | 0.000 [0.000, 0.000] |" in done.stdout
+    assert "| my_agents:second | 0.000 [0.000, 0.000] |" in shown
 
 
 MISTAKES = {  # name of an agent -> expected message
@@ -170,14 +203,13 @@ def test_compare_accepts_objects_modules_files_and_loaded_policies(tmp_path):
 
 @pytest.mark.slow
 def test_the_command_line_supports_beliefs_per_mode(folder):
-    (folder / "bank.json").write_text(json.dumps(bank_as_written(HANDSET)))
+    write_json(folder / "bank.json", bank_as_written(HANDSET))
     words = ("--beliefs", "per-mode", "--modes", "bank.json", "--episodes", 2)
-    done = command("compare", "--policies", "my_agents:second", "imm", *words, cwd=folder)
-    assert done.returncode == 0, done.stderr
-    assert "| my_agents:second | -" in done.stdout and "minus imm" in done.stdout
+    shown = succeed("compare", "--policies", "my_agents:second", "imm", *words, cwd=folder)
+    assert "| my_agents:second | -" in shown and "minus imm" in shown
     rows = compare({"mine": "my_agents:second"}, (), beliefs="per-mode", modes=HANDSET, episodes=2)
     mine = str(rows).split("| mine |")[1].partition("\n")[0]
-    assert f"| my_agents:second |{mine}" in done.stdout
+    assert f"| my_agents:second |{mine}" in shown
 
 
 def test_agents_are_names_or_functions_and_need_no_rivals():

@@ -4,26 +4,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from experiments.evaluation import branches
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.runner import run_contender, score
 from mmwave_env.compiler.program import rows_of
 from mmwave_env.engines.engine import Engine
-from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.filters import Pipeline
 from mmwave_env.interface.reward import TrackingReward
-from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import SCENES
-from mmwave_env.world.simulated import SimulatedSource
+from tests.filters.tracks import street_source
 from tests.refusals import refuses
 from tests.training.actors import HANDSET
 
 # engines compute blocks of 8 environments; these 5 do not fill a block
 N = 5
 EPOCHS = 30
-EPISODES = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=EPOCHS).episodes(
-    np.arange(N, dtype=np.uint64)
-)
+EPISODES = street_source(epochs=EPOCHS).episodes(np.arange(N, dtype=np.uint64))
 LAYOUT = EPISODES[0].layout
 
 
@@ -55,7 +52,7 @@ def test_a_clairvoyant_with_a_long_enough_horizon_takes_the_best_action(done, mo
         engine.step(np.int64(0))
     best = rest(done, policy.act(engine.observations()))
     every = [rest(done, np.int64(action)) for action in range(len(HANDSET.modes) + 1)]
-    np.testing.assert_allclose(best, np.max(every, axis=0), rtol=1e-9)
+    assert_allclose(best, np.max(every, axis=0), rtol=1e-9)
     assert (best > every[0]).any()
 
 
@@ -68,7 +65,7 @@ def test_the_clairvoyant_earns_more_than_the_imm_and_leaves_episodes_unchanged()
     actions = run_contender(policy, policy.start(LAYOUT), EPISODES)["mode"]
     engine = begun(0)
     rewards = [engine.step(now, rows_of(engine.at.reward))[1][:, 0] for now in actions.T]
-    np.testing.assert_allclose(np.mean(rewards[10:], axis=0), knows, rtol=1e-9)
+    assert_allclose(np.mean(rewards[10:], axis=0), knows, rtol=1e-9)
 
 
 def test_the_clairvoyant_is_refused_for_episodes_without_truth():

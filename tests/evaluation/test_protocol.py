@@ -3,10 +3,9 @@
 A *site* is a source of episodes; an *entry* holds the results of one policy at all sites.
 """
 
-import json
-
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from experiments.evaluation.protocol import (
     BESIDE,
@@ -27,6 +26,7 @@ from experiments.evaluation.protocol import (
 )
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, scene_from
+from tests.paths import write_json
 
 
 def test_unseen_scenes_and_radios_are_not_shipped_and_the_scenes_differ():
@@ -112,7 +112,7 @@ def test_scores_are_dashes_if_an_entry_has_fewer_episodes_than_the_clairvoyant()
 def test_an_entry_in_the_folder_replaces_the_shipped_entry_of_the_same_policy(tmp_path):
     shipped = entries_in(tmp_path)
     assert [content["entry"] for content in shipped] == [*BESIDE]
-    (tmp_path / "mine.json").write_text(json.dumps(shipped[0] | {"command": "mine"}))
+    write_json(tmp_path / "mine.json", shipped[0] | {"command": "mine"})
     own = {content["entry"]: content["command"] for content in entries_in(tmp_path)}
     assert own.keys() == {*BESIDE} and own["clairvoyant"] == "mine"
 
@@ -127,7 +127,7 @@ def hard():
 def test_a_car_turns_at_square_corners_at_10_mps(hard):
     for episode in hard["corners"]:
         moved = np.diff(episode.truth_position_m[:, :2], axis=0)
-        np.testing.assert_allclose(np.linalg.norm(moved, axis=1), 10.0)
+        assert_allclose(np.linalg.norm(moved, axis=1), 10.0)
         straight = (moved[:-1] * moved[1:]).sum(axis=1) / 100.0  # cosine of the change of heading
         assert set(np.round(straight, 9)) == {0.0, 1.0}
         assert (np.diff(np.flatnonzero(straight < 0.5)) == 8).all()
@@ -145,8 +145,8 @@ def test_hard_sites_have_the_receiver_faults_in_their_names(hard):
     ordinary = next(s for s in sites() if s.name == "street:handset").source()
     keys = np.arange(4, dtype=np.uint64)
     for stated, true in zip(hard["noise-twice"], ordinary.episodes(keys), strict=True):
-        np.testing.assert_array_equal(stated.measurement, true.measurement)
-        np.testing.assert_allclose(stated.sigma, 0.5 * true.sigma)
+        assert_array_equal(stated.measurement, true.measurement)
+        assert_allclose(stated.sigma, 0.5 * true.sigma)
     assert all(episode.layout.clock for episode in hard["clock-offset"])
     for episode in hard["range-azimuth"]:
         links = np.isfinite(episode.measurement[:, :12]).reshape(-1, 3, 4).any(axis=(0, 1))

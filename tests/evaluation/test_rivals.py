@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from experiments.evaluation.agents import Estimator
 from experiments.evaluation.contenders import Contender, contender_from
@@ -22,13 +23,12 @@ from mmwave_env.filters import Mode, Pipeline, ekf, ukf
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import exact_rows
 from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.linalg import unpack
-from mmwave_env.world.simulated import SimulatedSource
+from tests.filters.tracks import street_source
 from tests.refusals import refuses
 
 PLAIN = Mode("plain", "ekf", sigma_v=1.0, sigma_vz=0.5, gate=None, adaptive=False)
-SOURCE = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=20)
+SOURCE = street_source(epochs=20)
 MANY = 1e9  # degrees of freedom that make Student-t noise Gaussian
 
 
@@ -81,7 +81,7 @@ def test_particles_agree_with_the_ekf_in_a_nearly_linear_problem():
     away = np.abs(cloud["x"] - kalman["x"])[..., :6] / deviation
     assert away.mean(axis=(0, 1)).max() < 0.15
     ratio = np.sqrt(cloud["P"][..., diagonal]) / deviation
-    np.testing.assert_allclose(ratio.mean(axis=(0, 1)), 1.0, atol=0.08)
+    assert_allclose(ratio.mean(axis=(0, 1)), 1.0, atol=0.08)
 
 
 def test_resampling_is_in_proportion_to_the_weights():
@@ -96,7 +96,7 @@ def test_student_t_noise_with_many_degrees_of_freedom_is_gaussian(base):
         ours = student_t(*prior, EVERYTHING, base=base, dof=MANY)
         theirs = base(*prior, EVERYTHING)
         for part, expected in zip(ours, theirs, strict=True):
-            np.testing.assert_allclose(part, expected, rtol=1e-6, atol=1e-6)
+            assert_allclose(part, expected, rtol=1e-6, atol=1e-6)
 
 
 def test_an_outlier_hardly_moves_a_belief_with_student_t_noise():
@@ -130,7 +130,7 @@ def test_adaptive_noise_converges_to_the_true_noise():
         *_, shape, rate = adapted(x, P, everywhere, shape, rate, ekf)
     # The factor 0.99 gives a memory of about 100 epochs, so estimates rest on few values: 400 for a
     # link, 100 for the Doppler shift.
-    np.testing.assert_allclose(np.divide(rate, shape), 4.0, rtol=0.3)
+    assert_allclose(np.divide(rate, shape), 4.0, rtol=0.3)
 
 
 def test_beliefs_of_a_wrong_size_and_missing_epochs_are_refused():

@@ -1,11 +1,11 @@
 """Tests of running contenders (policies with their modes, or IMMs) on the same episodes."""
 
-import json
 from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 import mmwave_env  # noqa: F401  registers the environment
 from experiments.evaluation import contenders as contenders_module
@@ -16,10 +16,10 @@ from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.filters.bank import bank_as_written, best_bank, modes_from
 from mmwave_env.interface.observation import BELIEFS
 from mmwave_env.metrics import BURN_IN, INFO_KEYS, METRICS
-from mmwave_env.models.radio import RADIOS, TUNED_RADIOS
-from mmwave_env.models.scene import SCENES
-from mmwave_env.world.simulated import SimulatedSource
+from mmwave_env.models.radio import TUNED_RADIOS
 from policies import learned
+from tests.filters.tracks import street_source
+from tests.paths import write_json
 from tests.policies.test_corrector import card, network
 from tests.refusals import refuses
 from tests.training.actors import HANDSET, MODES, STANDARD, actor, card_of, write, write_per_mode
@@ -27,14 +27,14 @@ from tests.training.actors import HANDSET, MODES, STANDARD, actor, card_of, writ
 # The speed rule warns if a lost track seems too fast; another test checks this warning.
 pytestmark = pytest.mark.filterwarnings("ignore:speed .* outside the design window")
 
-SOURCE = SimulatedSource(SCENES["street"], RADIOS["handset"])
+SOURCE = street_source()
 
 
 def assert_equal(scores, expected):
     assert scores.keys() == expected.keys()
     for name, rows in scores.items():
         for metric in METRICS:
-            np.testing.assert_array_equal(rows[metric], expected[name][metric])
+            assert_array_equal(rows[metric], expected[name][metric])
 
 
 @pytest.mark.parametrize("beliefs", BELIEFS)
@@ -158,8 +158,7 @@ def per_mode(tmp_path):
 
 
 def test_the_imm_always_uses_the_transition_matrix_of_a_bank_or_bank_file(tmp_path):
-    path = tmp_path / "bank.json"
-    path.write_text(json.dumps(bank_as_written(HANDSET)))
+    path = write_json(tmp_path / "bank.json", bank_as_written(HANDSET))
     for modes in (HANDSET, path, str(path), (str(path),)):
         for beliefs in BELIEFS:
             imm = contender_from("imm", "handset", modes, beliefs=beliefs)
@@ -191,27 +190,23 @@ def test_a_corrector_that_corrects_nothing_has_the_scores_of_its_imm(tmp_path, s
     ours = score(mine, mine.start(SOURCE.layout), short)
     theirs = score(IMM, IMM.start(SOURCE.layout), short)
     for metric, values in theirs.items():
-        np.testing.assert_allclose(ours[metric], values, rtol=1e-9, atol=1e-9)
+        assert_allclose(ours[metric], values, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.slow
 def test_errors_and_nees_belong_to_the_corrected_beliefs(tmp_path, short):
-    results = run_contender(
-        corrector(tmp_path, network(limit=50.0)),
-        corrector(tmp_path, network(limit=50.0)).start(SOURCE.layout),
-        short,
-        after=("x", "P"),
-    )
-    plain = run_contender(IMM, IMM.start(SOURCE.layout), short, after=("x", "P"))
+    mine = corrector(tmp_path, network(limit=50.0))
+    results = run_contender(mine, mine.start(SOURCE.layout), short, after=("x", "P"))
+    plain = run_contender(IMM, IMM.start(SOURCE.layout), short)
     truth = np.stack([episode.truth_position_m for episode in short])
     error = results["x"][..., :3] - truth
-    np.testing.assert_allclose(results["error"], error, atol=1e-9)
+    assert_allclose(results["error"], error, atol=1e-9)
     P = np.zeros((*error.shape, 3))
     i, j = np.tril_indices(3)
     P[..., i, j] = P[..., j, i] = results["P"][..., :6]
     nees = np.einsum("nti,ntij,ntj->nt", error, np.linalg.inv(P), error)
-    np.testing.assert_allclose(results["nees"], nees, rtol=1e-6)
+    assert_allclose(results["nees"], nees, rtol=1e-6)
     length = np.minimum(np.linalg.norm(error, axis=-1), 10.0)
     odd = np.minimum(np.abs(np.log(np.maximum(nees, 1e-12) / 3.0)), 3.0)
-    np.testing.assert_allclose(results["reward"], -length - 0.2 * odd, atol=1e-6)
+    assert_allclose(results["reward"], -length - 0.2 * odd, atol=1e-6)
     assert (results["error"] != plain["error"]).any(axis=-1).mean() > 0.9

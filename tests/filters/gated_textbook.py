@@ -109,19 +109,14 @@ def gate_groups(
 
 def update(moments, sensor, groups, links, x, P, z, R, *gate):
     """Gate each group at the prior, then condition on all rows of the groups that passed."""
-    nis, accepted, R, log_likelihood = gate_groups(
-        moments, sensor, groups, links, x, P, z, R, *gate
-    )
+    nis, accepted, R, *rest = gate_groups(moments, sensor, groups, links, x, P, z, R, *gate)
     keep = np.repeat(accepted, [g.stop - g.start for g in groups])
-    new_x, new_P = textbook.update(moments, sensor, x, P, z, R, keep)
-    return Update(new_x, new_P, nis, accepted, log_likelihood)
+    return Update(*textbook.update(moments, sensor, x, P, z, R, keep), nis, accepted, *rest)
 
 
 def iterated(iterations, sensor, groups, links, x, P, z, R, *gate):
     """Run an iterated EKF update (Bell and Cathey 1993, eq. for x_i+1), gated at the prior."""
-    nis, accepted, R, log_likelihood = gate_groups(
-        tangent, sensor, groups, links, x, P, z, R, *gate
-    )
+    nis, accepted, R, *rest = gate_groups(tangent, sensor, groups, links, x, P, z, R, *gate)
     keep = np.repeat(accepted, [g.stop - g.start for g in groups])
     R = np.diag(R[keep])
     iterate = x
@@ -131,7 +126,7 @@ def iterated(iterations, sensor, groups, links, x, P, z, R, *gate):
         residual = sensor.residual(z, sensor.h(iterate), iterate)[keep]
         iterate = x + K @ (residual - H @ (x - iterate))
     A = np.eye(len(x)) - K @ H
-    return Update(iterate, A @ P @ A.T + K @ R @ K.T, nis, accepted, log_likelihood)
+    return Update(iterate, A @ P @ A.T + K @ R @ K.T, nis, accepted, *rest)
 
 
 def textbook_imm(episode, modes, transitions, nis_quantile=1.0, change=None):

@@ -6,6 +6,7 @@ import numpy as np
 from hypothesis import assume
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.filters import textbook
 from mmwave_env.models.layout import Layout
@@ -141,11 +142,11 @@ def assert_same(ours, expected, rtol=RTOL, visible=None):
     P = np.array(ours.P)
     sigma = np.sqrt(np.diag(expected.P))
     assert ours.accepted == expected.accepted.tolist()
-    np.testing.assert_allclose((ours.x - expected.x) / sigma, 0.0, atol=rtol)
-    np.testing.assert_allclose((P - expected.P) / np.outer(sigma, sigma), 0.0, atol=rtol)
-    np.testing.assert_allclose(ours.nis, expected.nis, rtol=rtol, atol=rtol)
-    np.testing.assert_allclose(ours.log_likelihood, expected.log_likelihood, rtol=rtol, atol=rtol)
-    np.testing.assert_array_equal(P, P.T)
+    assert_allclose((ours.x - expected.x) / sigma, 0.0, atol=rtol)
+    assert_allclose((P - expected.P) / np.outer(sigma, sigma), 0.0, atol=rtol)
+    assert_allclose(ours.nis, expected.nis, rtol=rtol, atol=rtol)
+    assert_allclose(ours.log_likelihood, expected.log_likelihood, rtol=rtol, atol=rtol)
+    assert_array_equal(P, P.T)
 
 
 def assume_clear_of(nis, sensor, thresholds):

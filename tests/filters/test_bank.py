@@ -7,6 +7,7 @@ import gymnasium as gym
 import pytest
 
 import mmwave_env  # noqa: F401  registers the environment
+from mmwave_env.filters import Mode, ekf
 from mmwave_env.filters.bank import (
     Bank,
     as_written,
@@ -19,9 +20,8 @@ from mmwave_env.filters.bank import (
     named_modes,
     shipped_modes,
 )
-from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.update import ekf
 from mmwave_env.models.radio import TUNED_RADIOS, Radio
+from tests.paths import write_json
 from tests.refusals import refuses
 
 THREE = [
@@ -32,9 +32,9 @@ THREE = [
 
 
 def test_names_files_and_mode_objects_can_be_mixed_in_a_list(tmp_path):
-    path = tmp_path / "three.json"
     own = Mode("own", "ckf")
-    path.write_text(json.dumps({"command": "by hand", "modes": [as_written(m) for m in THREE]}))
+    content = {"command": "by hand", "modes": [as_written(m) for m in THREE]}
+    path = write_json(tmp_path / "three.json", content)
     assert modes_from(["ukf", str(path), own]) == (named_modes()["ukf"], *THREE, own)
     untuned = Radio("unheard-of")  # the list names no tuned mode, so there is no warning
     assert modes_from([str(path)], untuned) == tuple(THREE)
@@ -57,8 +57,7 @@ def test_modes_of_a_radio_that_was_not_tuned_come_from_its_base_with_one_warning
 
 
 def test_a_radio_file_gets_the_modes_and_the_bank_of_its_base(tmp_path, recwarn):
-    file = tmp_path / "phone.json"
-    file.write_text('{"base": "handset", "ue_elements": 4}')
+    file = write_json(tmp_path / "phone.json", {"base": "handset", "ue_elements": 4})
     assert default_modes(str(file)) == default_modes("handset") != default_modes("standard")
     assert gym.make("MmWaveLoc-v0", radio=str(file)).unwrapped.modes == default_modes("handset")
     env = gym.make("MmWaveLoc-v0", radio=str(file), beliefs="per-mode").unwrapped
@@ -93,8 +92,7 @@ def test_arguments_that_do_not_name_modes_are_refused(modes):
     ],
 )
 def test_a_wrong_mode_file_is_refused_with_the_name_of_the_field(tmp_path, content, fields):
-    path = tmp_path / "bad.json"
-    path.write_text(json.dumps(content))
+    path = write_json(tmp_path / "bad.json", content)
     for read in (bank_from, modes_from):
         with refuses("bad.json", *fields):
             read(path)
@@ -116,8 +114,7 @@ def test_a_bank_read_from_json_equals_the_bank_that_was_written(bank):
 
 
 def test_the_transition_in_a_mode_file_is_used_if_no_other_modes_are_given(tmp_path):
-    path = tmp_path / "bank.json"
-    path.write_text(json.dumps(bank_as_written(BANK)))
+    path = write_json(tmp_path / "bank.json", bank_as_written(BANK))
     assert bank_from(path) == bank_from(str(path)) == bank_from([path]) == bank_from((str(path),))
     assert bank_from([path]) == BANK
     assert bank_from([path, "ekf"]).transition is None  # the file's matrix is for two modes

@@ -12,8 +12,7 @@ import pytest
 from scipy.stats import binom, chi2
 
 from mmwave_env.engines.engine import Engine
-from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.filters import Mode, Pipeline
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.localization.position_errors import PositionErrors
 from tests.filters.tracks import STREET, far_from_the_anchors, process_noise

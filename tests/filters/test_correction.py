@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.correction import Frame, corrected, deviations_of
@@ -38,10 +39,10 @@ def test_a_correction_is_a_shift_and_a_scaling_in_the_frame_of_motion(angle, shi
     M = np.eye(7)
     M[:3, :3] = R @ np.diag(np.exp(factors)) @ R.T
     after = corrected(belief, shift, factors)
-    np.testing.assert_allclose(deviations_of(belief)[1], deviations, rtol=1e-9)
+    assert_allclose(deviations_of(belief)[1], deviations, rtol=1e-9)
     moved = np.array(belief.x[:3]) + R @ (deviations * shift)
-    np.testing.assert_allclose(after.x, [*moved, *belief.x[3:]], atol=1e-9)
-    np.testing.assert_allclose(after.P, M @ P @ M.T, rtol=1e-7, atol=1e-9)
+    assert_allclose(after.x, [*moved, *belief.x[3:]], atol=1e-9)
+    assert_allclose(after.P, M @ P @ M.T, rtol=1e-7, atol=1e-9)
     assert np.linalg.eigvalsh(np.array(after.P))[0] > 0.0
 
 

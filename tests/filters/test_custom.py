@@ -9,11 +9,8 @@ import gymnasium as gym
 import pytest
 
 from mmwave_env.engines.engine import Engine
+from mmwave_env.filters import Mode, Pipeline, Posterior, SigmaPoints, ckf, ekf, ukf, update
 from mmwave_env.filters.custom import AlgorithmError
-from mmwave_env.filters.linearization import SigmaPoints
-from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.filters.update import Posterior, ckf, ekf, ukf, update
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.layout import Layout
 from tests.filters.tracks import STREET
@@ -22,7 +19,7 @@ BEFORE = """import math
 from math import sqrt
 import numpy as np
 from mmwave_env.numerics.numbers import where
-from mmwave_env.filters.update import ekf
+from mmwave_env.filters import ekf
 TABLE = [1.0, 2.0]
 def mine(x, P, measurement, gate):
     a, b = x[0], P[0][0]

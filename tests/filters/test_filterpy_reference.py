@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mmwave_env.filters import Mode, Pipeline, ekf
 from mmwave_env.filters.filterpy_reference import filterpy_pipeline
-from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.filters.update import ekf
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.scene import SCENES
 from tests.filters.tracks import assert_same_beliefs, pipeline_of, simulated, some_rows, track

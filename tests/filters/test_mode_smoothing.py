@@ -5,9 +5,9 @@ import pytest
 
 from mmwave_env.engines.engine import run_imm
 from mmwave_env.engines.smoothing import smooth
+from mmwave_env.filters import Pipeline
 from mmwave_env.filters.bank import Bank, default_modes
 from mmwave_env.filters.mode_smoothing import smooth_modes
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.metrics import BURN_IN, nees_interval
 from mmwave_env.task import task_from

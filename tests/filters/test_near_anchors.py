@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from mmwave_env.filters import textbook
-from mmwave_env.filters.gating import Gate
+from mmwave_env.filters import Gate, textbook
 from mmwave_env.filters.modes import ALGORITHMS
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import NEAREST_M, exact_rows
@@ -56,7 +55,7 @@ def test_an_update_near_an_anchor_equals_the_textbook(algorithm, where, odometry
 @everywhere
 def test_jacobian_rows_of_undefined_angles_are_zero_and_other_rows_are_derivatives(where):
     problem = near(where)
-    (_, lost) = OFFSETS[where]
+    _, lost = OFFSETS[where]
     s = problem.sensor
     x = problem.x
     silent = SILENT.get(lost, [])

@@ -9,23 +9,21 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 from scipy.stats import chi2
 
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.runner import score_contenders
+from mmwave_env.filters import Gate, Mode, Pipeline
 from mmwave_env.filters.custom import AlgorithmError
-from mmwave_env.filters.gating import Gate
-from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.policy import Switching
 from mmwave_env.localization.localizer import localize
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from mmwave_env.world.simulated import SimulatedSource
 from tests.filters import gated_textbook
 from tests.filters.problems import assert_same, assume_clear_of, problems
-from tests.filters.tracks import STREET
+from tests.filters.tracks import STREET, street_source
 from tests.logs.writing import write_log
 from tests.paths import ROOT
 
@@ -69,25 +67,24 @@ def test_the_iekf_equals_the_textbook(iekf, iterations, gate, odometry, data):
 
 def test_a_custom_filter_can_localize_the_user_of_a_log(iekf, tmp_path):
     scene = SCENES["street"]
-    radio = RADIOS["handset"]
-    source = SimulatedSource(scene, radio, epochs=30)
-    write_log(tmp_path / "log.csv", source.sample(np.random.default_rng(0)))
+    episode = street_source(epochs=30).sample(np.random.default_rng(0))
+    write_log(tmp_path / "log.csv", episode)
     tracks = []
     for algorithm in (partial(iekf, iterations=1), "ekf"):
         switching = Switching((Mode("m", algorithm),))
         log = read_log(tmp_path / "log.csv", scene)
-        tracks.append(localize(log, scene, radio, switching))
+        tracks.append(localize(log, scene, RADIOS["handset"], switching))
     own, ours = tracks
-    np.testing.assert_allclose(own.smooth_x, ours.smooth_x, rtol=1e-6, atol=1e-6)
+    assert_allclose(own.smooth_x, ours.smooth_x, rtol=1e-6, atol=1e-6)
 
 
 def test_a_custom_filter_is_evaluated_like_a_shipped_mode(iekf):
     mine = Mode("iekf", iekf, sigma_v=1.8)
-    source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=30)
+    source = street_source(epochs=30)
     both = [contender_from(name, "handset", (mine,)) for name in ("fixed-iekf", "imm")]
     scores = score_contenders(both, source, range(2))
     assert np.isfinite(scores["fixed-iekf"]["ate_m"]).all()
-    np.testing.assert_allclose(scores["imm"]["ate_m"], scores["fixed-iekf"]["ate_m"], rtol=1e-6)
+    assert_allclose(scores["imm"]["ate_m"], scores["fixed-iekf"]["ate_m"], rtol=1e-6)
 
 
 def test_the_hasty_filter_is_refused_with_the_message_that_the_page_shows(files):

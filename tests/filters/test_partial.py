@@ -1,6 +1,6 @@
 """Tests of partial layouts, in which any row of a measurement may be missing.
 
-With missing rows, NEES and NIS are chi-square. If no row is missing, the layout has no effect.
+With missing rows, NEES and NIS are chi-square.
 """
 
 from dataclasses import replace
@@ -9,19 +9,13 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from mmwave_env.engines.engine import run_imm
-from mmwave_env.filters.bank import best_bank
-from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.interface.reward import TrackingReward
-from mmwave_env.models.layout import MEASUREMENTS, Layout
+from mmwave_env.filters import Mode, Pipeline
+from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import exact_rows
 from tests.filters.tracks import (
     HZ_PER_MPS,
-    assert_same_beliefs,
     far_from_the_anchors,
     process_noise,
-    simulated,
     some_rows,
     track,
 )
@@ -30,23 +24,6 @@ RUNS = 600
 EPOCHS = 25
 LEVEL = 0.01
 QUIET = {"gate": None, "adaptive": False, "sigma_v": 0.3}
-
-
-@pytest.mark.slow
-def test_an_imm_in_a_partial_layout_without_missing_rows_equals_the_plain_imm():
-    plain = simulated(2, 100)
-    probability = "mixture.probability"
-    ours = run_imm(
-        best_bank("handset"),
-        TrackingReward(),
-        [episode.only(MEASUREMENTS) for episode in plain],
-        "x",
-        "P",
-        probability,
-    )
-    expected = run_imm(best_bank("handset"), TrackingReward(), plain, "x", "P", probability)
-    assert_same_beliefs(ours, expected, rtol=1e-9)
-    np.testing.assert_allclose(ours[probability], expected[probability], rtol=1e-7, atol=1e-12)
 
 
 @pytest.fixture(scope="module")

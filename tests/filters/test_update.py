@@ -6,11 +6,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from mmwave_env.filters import textbook
-from mmwave_env.filters.gating import Gate
-from mmwave_env.filters.linearization import SigmaPoints
+from mmwave_env.filters import Gate, SigmaPoints, textbook, update
 from mmwave_env.filters.modes import ALGORITHMS
-from mmwave_env.filters.update import update
 from tests.filters.problems import HZ_PER_MPS, Problem, assert_same, assume_clear_of, problems
 
 GATES = [Gate(None), Gate(0.99), Gate(0.5), Gate(0.5, force=1.0), Gate(0.99, robust=True)]

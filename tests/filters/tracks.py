@@ -5,11 +5,10 @@ from operator import attrgetter
 from types import SimpleNamespace
 
 import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.engines.engine import Engine, tracks_of
-from mmwave_env.filters import textbook
-from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.filters import Mode, Pipeline, textbook
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.layout import MEASUREMENTS, Layout
 from mmwave_env.models.measurement import exact_rows
@@ -28,6 +27,11 @@ def geometry(position, velocity, scene, layout):
     """Return the exact measurements (T, rows) at positions (T, 3) with velocities (T, 3)."""
     tracks = list(position.T), list(velocity.T)
     return np.stack(exact_rows(*tracks, scene.anchors_m, scene.hz_per_mps, layout), axis=1)
+
+
+def street_source(scenario="mixed", radio="handset", **options):
+    """Return a source of simulated episodes in the default street."""
+    return SimulatedSource(SCENES["street"], RADIOS[radio], scenario, **options)
 
 
 def simulated(n, epochs=200, odometry=False, seed=0, scene=SCENES["street"]):
@@ -174,10 +178,11 @@ def track(pipeline, episodes, actions, epochs, parts, on_floats=False, bank=None
 
 
 def unpacked(P):
-    """Return symmetric matrices (..., 7, 7) from packed triangles (..., 28)."""
-    full = np.zeros((*P.shape[:-1], 7, 7))
-    full[..., TRIANGLE[0], TRIANGLE[1]] = P
-    full[..., TRIANGLE[1], TRIANGLE[0]] = P
+    """Return symmetric matrices (..., n, n) from packed triangles, such as (..., 28) for n = 7."""
+    n = int(np.sqrt(2 * P.shape[-1]))
+    i, j = np.tril_indices(n)
+    full = np.zeros((*P.shape[:-1], n, n))
+    full[..., i, j] = full[..., j, i] = P
     return full
 
 
@@ -187,8 +192,8 @@ def assert_same_beliefs(a, b, rtol):
     Q = unpacked(b["P"])
     sigma = np.sqrt(np.einsum("...ii->...i", Q))
     known = sigma == 0.0
-    np.testing.assert_array_equal(np.where(known, a["x"] - b["x"], 0.0), 0.0)
+    assert_array_equal(np.where(known, a["x"] - b["x"], 0.0), 0.0)
     unit = np.where(known, 1.0, sigma)
-    np.testing.assert_allclose((a["x"] - b["x"]) / unit, 0.0, atol=rtol)
+    assert_allclose((a["x"] - b["x"]) / unit, 0.0, atol=rtol)
     scale = unit[..., :, None] * unit[..., None, :]
-    np.testing.assert_allclose((P - Q) / scale, 0.0, atol=rtol)
+    assert_allclose((P - Q) / scale, 0.0, atol=rtol)

@@ -5,10 +5,8 @@ Episodes are given by their keys (64-bit numbers) instead of seeds: a new versio
 draw another key from the same seed, but a key always gives the same episode.
 """
 
-from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -19,20 +17,17 @@ from mmwave_env.datasets.samples import recording_from
 from mmwave_env.datasets.tracks import TrackSource
 from mmwave_env.engines.engine import Engine
 from mmwave_env.engines.epoch import Asked, program_of, untuned
+from mmwave_env.filters import Pipeline
 from mmwave_env.filters.bank import Bank, best_bank, default_modes, named_modes
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import SMOOTHING_WINDOW
 from mmwave_env.interface.policy import Switching
 from mmwave_env.interface.reward import TrackingReward
-from mmwave_env.localization.localizer import Track, localize
+from mmwave_env.localization.localizer import localize
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import read_scene, scene_from
 from mmwave_env.vector_env import MmWaveLocVectorEnv
-from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource
-
-Row = dict[str, Any]
 
 ID = "mmwave_env:MmWaveLoc-v0"
 LOGS = Path(mmwave_env.__file__).parent / "data" / "logs"
@@ -44,7 +39,7 @@ DIAGONAL = [i * (i + 3) // 2 for i in range(7)]  # indices of the variances in a
 # --- tracks of the measurement logs
 
 
-def track(log: str, mode: str) -> Iterator[Row]:
+def track(log, mode):
     """Filter a log with a mode, or with the IMM of the default modes ("imm"); yield some epochs."""
     block = _localized(log, mode)
     for k in _shown(block.x):
@@ -55,38 +50,38 @@ def track(log: str, mode: str) -> Iterator[Row]:
         )
 
 
-def smoother(log: str, mode: str) -> Iterator[Row]:
+def smoother(log, mode):
     """Smooth a log's track, filtered with a mode; yield means and variances of some epochs."""
     block = _localized(log, mode, window=SMOOTHING_WINDOW)
     for k in _shown(block.smooth_x):
         yield _belief(k, block.smooth_x, block.smooth_P)
 
 
-def _localized(log: str, mode: str, window: int | None = None) -> Track:
+def _localized(log, mode, window=None):
     scene = read_scene(LOGS / log / "scene.json")
     modes = Bank(default_modes(RADIO)) if mode == "imm" else (named_modes(RADIO)[mode],)
     rows = read_log(LOGS / log / "log.csv", scene)
     return localize(rows, scene, radio_from(RADIO), Switching(modes), window=window)
 
 
-def _shown(states: Any) -> list[int]:
+def _shown(states):
     """Return the epochs to show: the first eight, then sixteen spread over the track."""
     return [*range(8), *np.linspace(8, len(states) - 1, 16).astype(int).tolist()]
 
 
-def _belief(k: int, x: Any, P: Any) -> Row:
+def _belief(k, x, P):
     """Return the state (7,) of an epoch and the variances of its packed covariance (28,)."""
     variances = zip(STATE, P[k, DIAGONAL], strict=True)
     state = dict(zip(STATE, x[k], strict=True))
     return {"epoch": k} | state | {f"var {name}": variance for name, variance in variances}
 
 
-def _gates(visible: Any, accepted: Any) -> str:
+def _gates(visible, accepted):
     """Return a letter per group of measurements: a (accepted), r (rejected) or - (missing)."""
     return "".join("-ra"[int(v) + int(v and a)] for v, a in zip(visible, accepted, strict=True))
 
 
-def _parts(name: str, values: Any) -> Row:
+def _parts(name, values):
     """Return one cell for a scalar or for flags, but one per element for an array of numbers."""
     if isinstance(values, np.ndarray) and values.dtype != np.bool_:
         return {f"{name} {i}": value for i, value in enumerate(values)}
@@ -99,12 +94,12 @@ def _parts(name: str, values: Any) -> Row:
 class Recorded(TrackSource):
     """Source of one episode of a recording: the same epochs with the same noise for every seed."""
 
-    def sample(self, rng: np.random.Generator) -> Episode:
+    def sample(self, rng):
         """Return the episode."""
         return super().sample(np.random.Generator(np.random.PCG64(7)))
 
 
-def rollout(keys: Sequence[int | None], **arguments: Any) -> Iterator[Row]:
+def rollout(keys, **arguments):
     """Play the episode of each key to its end; use the key None if the environment has no keys."""
     env = gym.make(ID, **arguments)
     for key in keys:
@@ -120,7 +115,7 @@ def rollout(keys: Sequence[int | None], **arguments: Any) -> Iterator[Row]:
             yield _scored(f"{key} step {step}", action, *scores) | _cells(observation, info)
 
 
-def vector_rollout(keys: Sequence[int], later: Sequence[int], **arguments: Any) -> Iterator[Row]:
+def vector_rollout(keys, later, **arguments):
     """Play ``keys[i]`` in environment i; if this episode ends early, then play ``later[i]``.
 
     Between these episodes, autoreset begins another episode, which is not part of the trace.
@@ -148,25 +143,25 @@ def vector_rollout(keys: Sequence[int], later: Sequence[int], **arguments: Any) 
                 yield {"row": f"{i} reset {step}"} | _cells(observations[i], _of(i, infos))
 
 
-def _action(step: int, env: Any) -> int:
+def _action(step, env):
     """Return an action that depends only on the step and on the number of actions."""
     space = env.single_action_space if isinstance(env, gym.vector.VectorEnv) else env.action_space
     return step * (step + 1) // 2 % int(space.n)
 
 
-def _scored(row: str, action: Any, reward: Any, terminated: Any, truncated: Any) -> Row:
+def _scored(row, action, reward, terminated, truncated):
     ends = {"terminated": terminated, "truncated": truncated}
     return {"row": row, "action": action, "reward": reward} | ends
 
 
-def _of(i: int, infos: Row) -> Row:
+def _of(i, infos):
     """Return the part of a vector environment's infos that belongs to environment i."""
     keys = [key for key in infos if key[0] != "_" and not key.startswith("final")]
     return {key: infos[key][i] for key in keys if infos[f"_{key}"][i]}
 
 
-def _cells(observation: Any, info: Row) -> Row:
-    cells: Row = {}
+def _cells(observation, info):
+    cells = {}
     for key in sorted(info):
         cells |= _parts(key, info[key])
     return cells | _parts("observation", observation)
@@ -175,7 +170,7 @@ def _cells(observation: Any, info: Row) -> Row:
 # --- costs, in units that do not depend on a clock
 
 
-def operations() -> Iterator[Row]:
+def operations():
     """Count every kernel's SIMD instructions, which work on eight environments at a time."""
     source = SimulatedSource(scene_from("street"), radio_from("handset"))
     modes = named_modes("handset")
@@ -184,7 +179,7 @@ def operations() -> Iterator[Row]:
     both = Pipeline(default_modes(), source.layout)
     five = Pipeline(bank.modes, source.layout)
     whole = ("filter", "decide", "score")
-    programs: dict[str, Any] = {}
+    programs = {}
     for name in ("ekf", "ukf", "ckf", "ekf-robust", "ukf-robust"):
         alone = untuned(Pipeline((modes[name],), source.layout))
         programs[f"track {name}"] = program_of(Asked(alone, predicted=True), whole)
@@ -199,7 +194,7 @@ def operations() -> Iterator[Row]:
         yield {"kernel": name} | count(*kernel)._asdict()
 
 
-def memory() -> Iterator[Row]:
+def memory():
     """Count the bytes that one of 64 environments keeps from step to step."""
     for beliefs in ("shared", "per-mode"):
         env = MmWaveLocVectorEnv(64, beliefs=beliefs)
@@ -208,7 +203,7 @@ def memory() -> Iterator[Row]:
             yield {"array": f"{beliefs}: {name}", "bytes": array.nbytes // 64}
 
 
-def _arrays(env: MmWaveLocVectorEnv) -> dict[str, Any]:
+def _arrays(env):
     """Return the arrays that later steps of environments depend on."""
     tracks = env.batch.state
     counts = env._tally.counts
@@ -229,7 +224,7 @@ def _arrays(env: MmWaveLocVectorEnv) -> dict[str, Any]:
 
 
 # Estimates diverge in the episodes of keys 3656569636567469460 and 9573841816382471088.
-TRACES: dict[str, Callable[[], Iterator[Row]]] = {
+TRACES = {
     "track-ekf": partial(track, "canyon28_pedestrian", "ekf"),
     "track-ukf": partial(track, "canyon28_vehicle", "ukf"),
     "track-imm": partial(track, "canyon28_vehicle", "imm"),

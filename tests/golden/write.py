@@ -8,7 +8,6 @@ must agree. ``--check`` compares text, to see on one machine whether a refactori
 
 import math
 import sys
-from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,7 @@ HEADER = "# Written by `make golden` (tests/golden/write.py).\n"
 SHOWN = 5  # maximum number of differences printed per file
 
 
-def text_of(rows: Iterable[Mapping[str, object]]) -> str:
+def text_of(rows):
     """Return rows as CSV: numbers can be restored exactly, and missing cells are empty."""
     rows = list(rows)
     columns = list(dict.fromkeys(name for row in rows[::-1] for name in row))
@@ -28,13 +27,13 @@ def text_of(rows: Iterable[Mapping[str, object]]) -> str:
     return HEADER + "".join(";".join(line) + "\n" for line in lines)
 
 
-def _word(value: object) -> str:
+def _word(value):
     if isinstance(value, np.ndarray):  # array of flags
         return "".join("FT"[int(flag)] for flag in value)
     return repr(float(value)) if isinstance(value, np.float64) else str(value)
 
 
-def differences(name: str, old: str, new: str) -> list[str]:
+def differences(name, old, new):
     """Return a line for each cell in which two texts of a trace differ by more than rounding."""
     before = [line.split(";") for line in old.splitlines()[1:]]
     after = [line.split(";") for line in new.splitlines()[1:]]
@@ -48,7 +47,7 @@ def differences(name: str, old: str, new: str) -> list[str]:
     ]
 
 
-def _same(a: str, b: str, tolerance: float) -> bool:
+def _same(a, b, tolerance):
     try:
         number = float(a)
         other = float(b)
@@ -60,7 +59,7 @@ def _same(a: str, b: str, tolerance: float) -> bool:
     )
 
 
-def main(check: bool) -> None:
+def main(check):
     """Write traces that differ by more than rounding; with ``check``, fail if any bit differs."""
     differ = 0
     for name, trace in TRACES.items():

@@ -7,22 +7,21 @@ from typing import NamedTuple
 import gymnasium as gym
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import chi2
 
 import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.engines.engine import Engine
 from mmwave_env.engines.epoch import with_expected_spread
+from mmwave_env.filters import Pipeline
 from mmwave_env.filters.bank import modes_from
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.envelope import DOPPLER_SPREAD_HZ
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Epoch, blank_site
 from mmwave_env.models.radio import RADIOS, doppler_spread
-from mmwave_env.models.scene import SCENES
-from mmwave_env.world.simulated import SimulatedSource
-from tests.filters.tracks import replay
+from tests.filters.tracks import replay, street_source
 
 # group of measurements -> degrees of freedom; the groups are in the order of the layout
 GROUPS = {"anchor 1": 4, "anchor 2": 4, "anchor 3": 4, "Doppler": 1}
@@ -30,8 +29,7 @@ DOF = np.array([*GROUPS.values()])
 
 
 def draw(seed, **changes):
-    source = SimulatedSource(SCENES["street"], RADIOS["handset"], **changes)
-    return source.sample(np.random.default_rng(seed))
+    return street_source(**changes).sample(np.random.default_rng(seed))
 
 
 def blinded(episode, first, last):
@@ -70,7 +68,7 @@ def test_values_are_within_their_finite_bounds_even_in_absurd_episodes():
 
 
 class Rollout(NamedTuple):
-    """An episode of 200 epochs that was played with random actions.
+    """An episode of 200 epochs, a step ``dt`` apart, that was played with random actions.
 
     Observations and infos have 201 entries: one from ``reset`` and one from every step.
     """
@@ -79,6 +77,10 @@ class Rollout(NamedTuple):
     table: Observation
     observations: np.ndarray
     infos: list
+
+    @property
+    def dt(self):
+        return self.episode.time_s[1]
 
     def read(self, name):
         """Return a feature (201,) in its own unit."""
@@ -92,14 +94,14 @@ class Rollout(NamedTuple):
         """Clip values to the feature's limits and to ten standard deviations from its mean."""
         i = self.table.names.index(name)
         feature = self.table.features[i]
-        (mean, deviation) = feature.scale
+        mean, deviation = feature.scale
         reach = 10.0 * deviation
         return np.clip(np.clip(values, feature.low, feature.high), mean - reach, mean + reach)
 
 
-@pytest.fixture(scope="module", params=["as drawn", "with a gap"])
+@pytest.fixture(scope="module", params=["as drawn", "2 Hz, with a gap"])
 def rollout(request):
-    return roll(draw(0) if request.param == "as drawn" else blinded(draw(0), 60, 130))
+    return roll(draw(0) if request.param == "as drawn" else blinded(draw(0, dt=0.5), 60, 130))
 
 
 def roll(episode, **kwargs):
@@ -117,7 +119,7 @@ def roll(episode, **kwargs):
 
 def close(values, expected, tolerance=1e-5):
     """Assert equality up to the rounding of float32."""
-    np.testing.assert_allclose(values, expected, rtol=tolerance, atol=tolerance)
+    assert_allclose(values, expected, rtol=tolerance, atol=tolerance)
 
 
 def assert_feature(rollout, name, values, tolerance=1e-5):
@@ -132,11 +134,11 @@ def test_predicted_speed_is_the_speed_of_the_estimate(rollout):
 
 def test_nis_and_verdicts_describe_the_last_epoch(rollout):
     verdicts = rollout.info("accepted").astype(int) - rollout.info("rejected")
-    np.testing.assert_array_equal(verdicts != 0, rollout.episode.usable)
+    assert_array_equal(verdicts != 0, rollout.episode.usable)
     for g, name in enumerate(GROUPS):
         nis = np.minimum(np.log1p(rollout.info("nis")[:, g]), 10.0)
         close(rollout.read(f"NIS {name}")[1:], rollout.limited(f"NIS {name}", nis))
-        np.testing.assert_array_equal(rollout.read(f"verdict {name}")[1:], verdicts[:, g])
+        assert_array_equal(rollout.read(f"verdict {name}")[1:], verdicts[:, g])
     assert rollout.read("NIS Doppler")[0] == 0.0 == rollout.read("verdict Doppler")[0]
 
 
@@ -188,7 +190,8 @@ def predictions(rollout):
     """Yield each epoch and the state predicted for it."""
     for t, info in enumerate(rollout.infos[:-1]):
         x = info["estimate"].copy()
-        x[:3] += x[3:6] * float(t > 0)
+        if t:
+            x[:3] += x[3:6] * rollout.dt
         yield t, x
 
 
@@ -242,7 +245,7 @@ def test_nis_averages_forget_exponentially(rollout):
 def test_the_previous_mode_is_marked(rollout):
     ran = rollout.info("mode")
     for mode, name in enumerate(("ekf", "ukf")):
-        np.testing.assert_array_equal(rollout.read(f"previous mode {name}")[1:], ran == mode)
+        assert_array_equal(rollout.read(f"previous mode {name}")[1:], ran == mode)
 
 
 def test_lock_out_and_time_since_fix_grow_until_a_link_is_accepted(rollout):
@@ -254,7 +257,7 @@ def test_lock_out_and_time_since_fix_grow_until_a_link_is_accepted(rollout):
         fixed = links.any()
         passed = (links & (info["nis"][:3] <= chi2.ppf(0.99, 4))).any()
         lockout.append(0.0 if passed else lockout[-1] + visible)
-        unfixed_s.append(0.0 if fixed else unfixed_s[-1] + (1.0 if t else 0.0))
+        unfixed_s.append(0.0 if fixed else unfixed_s[-1] + (rollout.dt if t else 0.0))
     assert_feature(rollout, "lock-out", lockout)
     assert_feature(rollout, "time since fix", unfixed_s)
 

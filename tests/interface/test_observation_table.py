@@ -5,8 +5,8 @@ import pytest
 from gymnasium import spaces
 
 import mmwave_env  # noqa: F401  registers the environment
+from mmwave_env.filters import Pipeline
 from mmwave_env.filters.bank import modes_from
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.features import feature_scales
 from mmwave_env.interface.observation import BELIEFS, Observation
 from mmwave_env.models.layout import Layout

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.engines.engine import Engine, run_imm
 from mmwave_env.engines.smoothed_features import GATES, smoothed_features
+from mmwave_env.filters import Mode, Pipeline
 from mmwave_env.filters.bank import Bank
-from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.interface.actions import CORRECTION
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.interface.signed import after_update
@@ -58,22 +57,6 @@ def random_actions():
     return np.random.default_rng(0).integers(3, size=(N, EPOCHS))
 
 
-def test_a_decision_renews_the_features_that_the_next_observation_will_show(episodes):
-    actions = random_actions()
-    *others, last = episodes
-    unmeasured = np.zeros(EPOCHS)  # 0 means that the Doppler spread was not measured
-    episodes = [*others, replace(last, doppler_spread_hz=unmeasured)]
-    observed, _ = played(episodes, actions)
-    pipeline = Pipeline(BANK.modes, episodes[0].layout)
-    engine = Engine(pipeline, N, None, "signed", BANK, action=CORRECTION)
-    columns = [engine.observation.names.index(name) for name in names_of(pipeline)]
-    engine.load(episodes)
-    for t, now in enumerate(actions.T):
-        engine.filter()
-        signed, _ = engine.decide(now)
-        np.testing.assert_array_equal(signed[:, columns], observed[:, t])
-
-
 def test_features_of_a_track_that_smoothing_did_not_change_are_those_of_the_filter(episodes):
     actions = random_actions()
     pipeline = Pipeline(BANK.modes, episodes[0].layout)
@@ -83,7 +66,7 @@ def test_features_of_a_track_that_smoothing_did_not_change_are_those_of_the_filt
     x, P, mixtures, *gates = parts.values()
     features = smoothed_features(pipeline, EpisodeBatch.of(episodes), x, P, mixtures, gates)
     # A feature compares the heading with the previous epoch's heading; the first epoch has none.
-    np.testing.assert_allclose(features[:, 1:], observed[:, 1:], atol=1e-5)
+    assert_allclose(features[:, 1:], observed[:, 1:], atol=1e-5)
 
 
 def turned(episode, angle, offset):
@@ -114,9 +97,9 @@ def turned(episode, angle, offset):
 def test_features_do_not_depend_on_place_or_direction(episodes, angle, offset):
     actions = random_actions()
     moved = [turned(episode, angle, np.array([*offset, 5.0])) for episode in episodes]
-    (before, _) = played(episodes, actions)
-    (after, _) = played(moved, actions)
-    np.testing.assert_allclose(after, before, atol=2e-4)
+    before, _ = played(episodes, actions)
+    after, _ = played(moved, actions)
+    assert_allclose(after, before, atol=2e-4)
 
 
 def test_residuals_equal_the_formula_in_numpy(episodes):
@@ -141,9 +124,7 @@ def test_residuals_equal_the_formula_in_numpy(episodes):
         # A positive residual points to the left of the ray from the anchor to the user; the cosine
         # projects it onto the direction to the left of the motion.
         expected = q * np.cos(bearing - heading)
-        np.testing.assert_allclose(
-            value("azimuth residual across anchor 2", i), expected, atol=1e-4
-        )
+        assert_allclose(value("azimuth residual across anchor 2", i), expected, atol=1e-4)
 
 
 def test_features_do_not_depend_on_the_coming_epoch(episodes):
@@ -157,7 +138,7 @@ def test_features_do_not_depend_on_the_coming_epoch(episodes):
         spoiled.append(replace(episode, measurement=z))
     before = played(episodes, actions)[0]
     after = played(spoiled, actions)[0]
-    np.testing.assert_array_equal(before[:, :changed], after[:, :changed])
+    assert_array_equal(before[:, :changed], after[:, :changed])
     assert (before[:, changed] != after[:, changed]).any()
 
 

@@ -7,9 +7,11 @@ from mmwave_env.localization.radio_choice import nearest_radio
 from mmwave_env.localization.starts import start_at
 from mmwave_env.logs.log import read_log
 from mmwave_env.logs.log_tables import LogError
+from mmwave_env.logs.truth import Truth
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import read_scene
+from tests.cli import command
 from tests.localization.mistakes import read_columns, write_columns
 from tests.paths import LOGS
 from tests.refusals import refuses
@@ -71,6 +73,21 @@ def test_ranges_to_anchors_on_a_line_begin_no_track_because_a_mirrored_one_fits_
         block = read(written(tmp_path, columns))
         rows = [block.part(slice(n, n + 1)) for n in range(0, 400, 20)]
         assert any(start_at(row, 0, SCENE, RADIOS["standard"]) for row in rows) == begins
+
+
+@pytest.mark.parametrize("x", [-30.0, 20.0])
+def test_the_side_of_the_user_decides_between_mirrored_positions(tmp_path, x):
+    path = written(tmp_path, ("time_s", "anchor", "toa_s", "aoa_elevation_rad", "snr_db"))
+    out = tmp_path / "track.tum"
+    scene = ("--scene", WALK / "scene.json", "--radio", "standard", "--start", f"{x},0")
+    done = command("localize", path, *scene, "--no-smoothing", "--speed", "1", "--out", out)
+    assert done.returncode == 0, done.stderr
+    times, *track = np.loadtxt(out).T[:3]
+    early = times < times[0] + 12.0  # later, the walk crosses the line of the anchors
+    truth_x, truth_y, _ = Truth(WALK / "truth.tum").at(times).T
+    mirrored = truth_x if x < -5.0 else -10.0 - truth_x
+    error_m = np.hypot(track[0] - mirrored, track[1] - truth_y)[early]
+    assert error_m.mean() < 1.0
 
 
 @pytest.mark.parametrize(

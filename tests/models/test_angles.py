@@ -24,8 +24,8 @@ def between(p, q):
 
 def reported(anchor, user):
     """Return a dict for each row: the angles (deg) that a receiver of this convention reports."""
-    (out, elevation) = between(anchor, user)
-    (back, at_user) = between(user, anchor)
+    out, elevation = between(anchor, user)
+    back, at_user = between(user, anchor)
     return [
         {"arrival": back, "elevation": at_user, "departure": out},
         {"zenith": 90.0 - elevation},

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.filters import textbook
 from mmwave_env.models.motion import (
@@ -49,7 +50,7 @@ def test_process_noise_equals_the_textbook_and_is_semidefinite(
 ):
     Q = matrix(white_noise_acceleration(position, velocity, bias, dt, coupled))
     expected = written_out(position, velocity, bias, dt, coupled)
-    np.testing.assert_allclose(Q, expected, rtol=1e-13, atol=1e-13)
+    assert_allclose(Q, expected, rtol=1e-13, atol=1e-13)
     assert np.linalg.eigvalsh(Q)[0] >= -1e-12 * max(1.0, Q.max())
 
 
@@ -65,9 +66,9 @@ def test_prediction_equals_the_textbook_kalman_prediction(x, factor, diagonal, c
     P = factor @ factor.T
     expected_x, expected_P = textbook.predict(x, P, matrix(noise), dt)
     predicted = np.array(predict_covariance(P.tolist(), noise, dt))
-    np.testing.assert_allclose(move(x.tolist(), dt), expected_x, rtol=1e-13, atol=1e-12)
-    np.testing.assert_allclose(predicted, expected_P, rtol=1e-12, atol=1e-11)
-    np.testing.assert_array_equal(predicted, predicted.T)
+    assert_allclose(move(x.tolist(), dt), expected_x, rtol=1e-13, atol=1e-12)
+    assert_allclose(predicted, expected_P, rtol=1e-12, atol=1e-11)
+    assert_array_equal(predicted, predicted.T)
 
 
 states = hnp.arrays(float, 7, elements=st.floats(-300.0, 300.0))
@@ -84,17 +85,17 @@ def test_a_fast_user_accelerates_along_the_velocity(x, heading, speed, a, dt):
     expected[:2] += 0.5 * a * dt**2 * ahead
     expected[3:5] += a * dt * ahead
     # The code smooths the direction at speeds near 0.2 m/s; at 5 m/s, a small effect remains.
-    np.testing.assert_allclose(moved, expected, atol=2e-3 * (1.0 + abs(a) * dt) * (1.0 + dt))
+    assert_allclose(moved, expected, atol=2e-3 * (1.0 + abs(a) * dt) * (1.0 + dt))
 
 
 @given(heading=headings, speed=st.floats(0.0, 3.0), dt=st.floats(0.05, 5.0))
 def test_braking_ends_at_a_standstill(heading, speed, dt):
     v = speed * np.array([np.cos(heading), np.sin(heading)])
     moved = np.array(accelerate([0.0, 0.0, 1.5, *v, 0.1, 7.0], -100.0, dt))
-    np.testing.assert_allclose(moved[3:5], 0.0, atol=1e-12)
+    assert_allclose(moved[3:5], 0.0, atol=1e-12)
     # Position 0, the input, already includes the unbraked movement dt v; braking undoes half of it.
-    np.testing.assert_allclose(moved[:2], -0.5 * dt * v, atol=1e-12)
-    np.testing.assert_array_equal(moved[[2, 5, 6]], [1.5, 0.1, 7.0])
+    assert_allclose(moved[:2], -0.5 * dt * v, atol=1e-12)
+    assert_array_equal(moved[[2, 5, 6]], [1.5, 0.1, 7.0])
 
 
 @given(a=st.floats(-4.0, 4.0), dt=steps)
@@ -114,4 +115,4 @@ def test_a_turn_is_the_coordinated_turn_of_the_textbook(x, rate, dt):
     F[3:5, 3:5] = [[c, -s], [s, c]]
     F[2, 5] = dt
     straight = np.array(textbook.F(dt)) @ x
-    np.testing.assert_allclose(turn(straight.tolist(), rate, dt), F @ x, rtol=1e-9, atol=1e-5)
+    assert_allclose(turn(straight.tolist(), rate, dt), F @ x, rtol=1e-9, atol=1e-5)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.prior import UNKNOWN_VELOCITY_MPS, draw_prior, prior_from_fix
@@ -33,7 +34,7 @@ def test_the_covariance_of_a_drawn_prior_is_right(radio):
         mean, covariance = draw_prior(truth, RADIOS[radio], SCENE, rng)
         scores.append((mean - truth) @ np.linalg.solve(covariance, mean - truth))
     assert np.mean(scores) == pytest.approx(7.0, rel=0.05)
-    np.testing.assert_array_equal(covariance, RADIOS[radio].prior_covariance(SCENE))
+    assert_array_equal(covariance, RADIOS[radio].prior_covariance(SCENE))
 
 
 @settings(deadline=None)
@@ -43,14 +44,14 @@ def test_a_fix_without_noise_is_the_true_position_and_leaves_the_velocity_unknow
         return  # directly below the anchor, azimuths are undefined
     radio = RADIOS["handset"]
     mean, covariance = prior_from_fix(GNB, link_from(position), SIGMA, radio, SCENE)
-    np.testing.assert_allclose(mean[:3], position, atol=1e-9)
-    np.testing.assert_array_equal(mean[3:], 0.0)
-    np.testing.assert_allclose(covariance, covariance.T)
+    assert_allclose(mean[:3], position, atol=1e-9)
+    assert_array_equal(mean[3:], 0.0)
+    assert_allclose(covariance, covariance.T)
     assert np.linalg.eigvalsh(covariance)[0] > 0.0
     rest = radio.prior_covariance(SCENE)
     rest[3, 3] = rest[4, 4] = UNKNOWN_VELOCITY_MPS**2
-    np.testing.assert_array_equal(covariance[3:, 3:], rest[3:, 3:])
-    np.testing.assert_array_equal(covariance[:3, 3:], 0.0)
+    assert_array_equal(covariance[3:, 3:], rest[3:, 3:])
+    assert_array_equal(covariance[:3, 3:], 0.0)
 
 
 @pytest.mark.parametrize("position", [(80.0, -20.0, 1.5), (-60.0, 10.2, 1.5), (10.5, -90.0, 1.5)])

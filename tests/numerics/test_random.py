@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
 from mmwave_env.compiler.program import BatchState, Program, StepIO, rows_of
@@ -78,17 +79,17 @@ def test_lanes_draw_the_same_numbers_as_floats_and_numpy():
         for run in range(3):
             now = slice(run * EACH, (run + 1) * EACH)
             for expected in ([dice.uniform() for _ in range(EACH)], rng.random(EACH)):
-                np.testing.assert_array_equal(uniform[now], expected)
+                assert_array_equal(uniform[now], expected)
             exponentials = [dice.exponential() for _ in range(EACH)]
             for expected in (exponentials, -np.log1p(-rng.random(EACH))):
-                np.testing.assert_allclose(exponential[now], expected, rtol=1e-14)
+                assert_allclose(exponential[now], expected, rtol=1e-14)
             # Box and Muller: two uniform numbers give two normal numbers.
             lengths, turns = rng.random((EACH // 2, 2)).T
             lengths = np.sqrt(-2.0 * np.log1p(-lengths))
             angles = 2.0 * np.pi * turns
             pairs = np.stack([lengths * np.cos(angles), lengths * np.sin(angles)], 1)
             for expected in ([dice.normal() for _ in range(EACH)], pairs.ravel()):
-                np.testing.assert_allclose(normal[now], expected, rtol=1e-12, atol=1e-14)
+                assert_allclose(normal[now], expected, rtol=1e-12, atol=1e-14)
 
 
 KINDS = {"uniform": stats.uniform(), "exponential": stats.expon(), "normal": stats.norm()}

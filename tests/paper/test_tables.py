@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.runner import score
@@ -14,8 +15,8 @@ from experiments.paper.printed import Bench, Setting, track
 from experiments.tables import FIELDS
 from mmwave_env.engines.engine import tracks_of
 from mmwave_env.engines.smoothing import smooth
+from mmwave_env.filters import Pipeline
 from mmwave_env.filters.bank import default_modes
-from mmwave_env.filters.pipeline import Pipeline
 from tests.cli import succeed
 from tests.filters.tracks import unpacked
 from tests.pages import blocks_of, made
@@ -35,7 +36,7 @@ def test_filtered_scores_equal_the_scores_of_an_evaluation(bench):
     episodes = bench.episodes(PEDESTRIAN)
     expected = score(contender, contender.start(episodes[0].layout), episodes)
     for metric, values in scores.items():
-        np.testing.assert_allclose(values, expected[metric], rtol=1e-9)
+        assert_allclose(values, expected[metric], rtol=1e-9)
 
 
 @pytest.mark.parametrize("planar", [False, True])
@@ -54,11 +55,11 @@ def test_smoothed_scores_equal_scores_computed_from_the_smoothed_track(bench, pl
     part = error[..., :axes]
     block = unpacked(P)[:, 10:, :axes, :axes]
     nees = np.einsum("nti,ntij,ntj->nt", part, np.linalg.inv(block), part)
-    np.testing.assert_allclose(smoothed.nees, nees, rtol=1e-6)
+    assert_allclose(smoothed.nees, nees, rtol=1e-6)
     ate = np.linalg.norm(error, axis=-1).mean(axis=1)
-    np.testing.assert_allclose(smoothed.scores["ate_m"], ate, rtol=1e-9)
+    assert_allclose(smoothed.scores["ate_m"], ate, rtol=1e-9)
     rms = np.sqrt((error**2).mean(axis=(0, 1)))
-    np.testing.assert_allclose(smoothed.axis_rms_m, rms, rtol=1e-9, atol=1e-12)
+    assert_allclose(smoothed.axis_rms_m, rms, rtol=1e-9, atol=1e-12)
 
 
 def test_a_clean_channel_has_no_biases():
@@ -75,7 +76,7 @@ def test_sections_that_need_no_tracks_have_the_expected_rows(bench):
     assert len(rows) == 6 and rows["Table II, UKF"][-1] == "RPE > 2 ATE"
     section = resolution(bench)
     bounds = [row[1] for row in section.rows]
-    np.testing.assert_allclose(np.array(bounds[:-1]) / bounds[1:], 10**0.5, rtol=1e-6)
+    assert_allclose(np.array(bounds[:-1]) / bounds[1:], 10**0.5, rtol=1e-6)
     # With the bandwidth B = 100 MHz, the bound at 0 dB is c / (2 pi (B / sqrt(12)) sqrt(2)).
     assert bounds[0] == pytest.approx(299792458.0 / (2e8 * np.pi / 12**0.5 * 2**0.5))
     assert "c / B is 3.00 m" in section.note

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
+from mmwave_env.filters import Pipeline
 from mmwave_env.filters.correction import MOST_LOG_FACTOR, MOST_SHIFT
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.signed import after_update
 from mmwave_env.models.layout import Layout
@@ -101,8 +102,8 @@ def test_the_network_equals_pytorch(path):
     corrector = started(path)
     for epoch, expected in zip(shown, by_pytorch(shown, ONE_WAY), strict=True):
         shift, log_factor, trusted = corrector.correct(epoch)
-        np.testing.assert_allclose(shift, expected[:, :3] * trusted[:, None], atol=1e-5)
-        np.testing.assert_allclose(log_factor, expected[:, 3:] * trusted[:, None], atol=1e-5)
+        assert_allclose(shift, expected[:, :3] * trusted[:, None], atol=1e-5)
+        assert_allclose(log_factor, expected[:, 3:] * trusted[:, None], atol=1e-5)
 
 
 def two_way(path):
@@ -118,7 +119,7 @@ def test_the_two_way_network_equals_pytorch(two_way_path):
     answer = two_way(two_way_path).correct_tracks(np.swapaxes(shown, 0, 1))
     expected = np.swapaxes(by_pytorch(shown, TWO_WAY), 0, 1) * answer.trusted[..., None]
     both = np.concatenate([answer.shift, answer.log_factor], axis=-1)
-    np.testing.assert_allclose(both, expected, atol=1e-5)
+    assert_allclose(both, expected, atol=1e-5)
 
 
 def test_two_way_corrections_fade_around_strange_epochs_and_are_never_nan(two_way_path):
@@ -145,7 +146,7 @@ def test_a_corrector_remembers_until_an_episode_begins(path):
     assert (corrector.correct(shown[0]).shift != first).any(axis=1).all()
     corrector.reset(np.array([True, False, True, False]))
     again = corrector.correct(shown[0]).shift
-    np.testing.assert_array_equal(again[[0, 2]], first[[0, 2]])
+    assert_array_equal(again[[0, 2]], first[[0, 2]])
     assert (again[[1, 3]] != first[[1, 3]]).any(axis=1).all()
 
 
@@ -185,7 +186,7 @@ def test_features_are_found_by_name_and_anchors_may_be_missing(path):
     everything = np.random.default_rng(0).normal(size=(4, len(TABLE))).astype(np.float32)
     chosen = everything[:, [TABLE.names.index(name) for name in NAMES]]
     expected = started(path).correct(chosen).shift
-    np.testing.assert_allclose(started(path, TABLE).correct(everything).shift, expected, atol=1e-6)
+    assert_allclose(started(path, TABLE).correct(everything).shift, expected, atol=1e-6)
     alone = Observation(Pipeline(MODES, Layout(1)), "signed", "per-mode")
     shift = started(path, alone).correct(np.zeros((4, len(alone)), np.float32)).shift
     assert np.isfinite(shift).all()

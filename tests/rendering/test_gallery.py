@@ -3,6 +3,7 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from mmwave_env.rendering.gallery import DRAWN
 
@@ -36,7 +37,7 @@ def test_pictures_equal_the_pictures_of_single_environments(arguments):
         pictures = envs.render()
         assert isinstance(pictures, tuple) and len(pictures) == 3
         for i, picture in enumerate(pictures):
-            np.testing.assert_array_equal(picture, single(5 + i, steps, **arguments))
+            assert_array_equal(picture, single(5 + i, steps, **arguments))
         envs.step(np.ones(3, np.int64))
 
 
@@ -47,7 +48,7 @@ def test_the_next_episode_is_drawn_after_an_autoreset():
         for _ in range(steps):
             envs.step(np.ones(3, np.int64))
         for i, picture in enumerate(envs.render()):
-            np.testing.assert_array_equal(picture, single(5 + i, 0, 1))
+            assert_array_equal(picture, single(5 + i, 0, 1))
 
 
 def test_a_reset_of_one_environment_does_not_change_the_pictures_of_others():
@@ -57,8 +58,8 @@ def test_a_reset_of_one_environment_does_not_change_the_pictures_of_others():
     before = envs.render()
     envs.reset(options={"reset_mask": np.array([False, True, False])})
     after = envs.render()
-    np.testing.assert_array_equal(after[0], before[0])
-    np.testing.assert_array_equal(after[1], single(6, 0, 1))
+    assert_array_equal(after[0], before[0])
+    assert_array_equal(after[1], single(6, 0, 1))
 
 
 def test_of_many_environments_only_the_first_few_are_drawn():

@@ -8,9 +8,10 @@ import gymnasium as gym
 import numpy as np
 import pygame
 import pytest
+from numpy.testing import assert_array_equal
 
 from mmwave_env.env import MmWaveLocEnv
-from mmwave_env.models.scene import Streets
+from mmwave_env.models.scene import Scene, Streets, Wall
 from mmwave_env.rendering.canvas import Rect
 from mmwave_env.rendering.history import NO_MODE, History
 from mmwave_env.rendering.picture import Picture
@@ -34,7 +35,7 @@ HERE = ((0.0, 0.0),)
 
 def history(truth=HERE, estimate=HERE, modes=(0,), accepted=NOTHING, rejected=NOTHING, **scenery):
     """Return a history: the prior, then an epoch for each point of ``truth``, a second apart."""
-    scenery = {"name": "test", "anchors": [(200.0, 150.0, 10.0)], "streets": None} | scenery
+    scenery = {"name": "test", "anchors": [(200.0, 150.0, 10.0)], "scene": None} | scenery
 
     def states(points, size):
         filled = np.zeros((len(points) + 1, size))
@@ -44,7 +45,7 @@ def history(truth=HERE, estimate=HERE, modes=(0,), accepted=NOTHING, rejected=NO
 
     rows = len(truth) + 1
     P = np.tile([0.01, 0.0, 0.01, 0.0, 0.0, 0.01], (rows, 1))
-    place = scenery["name"], np.array(scenery["anchors"]), scenery["streets"]
+    place = scenery["name"], np.array(scenery["anchors"]), scenery["scene"]
     time = np.maximum(0.0, np.arange(rows) - 1.0)
     ran = np.array([NO_MODE, *modes])
     gates = (np.tile(groups, (rows, 1)) for groups in (accepted, rejected))
@@ -97,13 +98,6 @@ def test_accepted_links_are_solid_rejected_links_dashed_and_missing_links_faint(
     assert 5 < contrast["missing"].min() and contrast["missing"].max() < 40
 
 
-def test_the_header_counts_links_but_not_the_doppler_shift_or_odometry():
-    anchors = [(200.0, 150.0, 10.0), (200.0, -150.0, 10.0)]
-    without = drawn(anchors=anchors, accepted=np.ones(3, bool), rejected=np.zeros(3, bool))
-    with_odometry = drawn(anchors=anchors, accepted=np.ones(4, bool), rejected=np.zeros(4, bool))
-    np.testing.assert_array_equal(without, with_odometry)
-
-
 def test_the_trail_has_the_color_of_the_mode_that_ran():
     route = [(2.0 * k, 0.0) for k in range(10)]
     beside = [(x, 4.0) for x, _ in route]
@@ -123,21 +117,21 @@ def test_the_estimate_is_drawn_at_its_position():
     assert rows.mean() < user[0] and columns.mean() > user[1]  # north-east of the user
 
 
-def test_a_wall_is_drawn_halfway_between_the_base_station_and_its_image():
+def test_walls_are_drawn_only_where_the_scene_has_some():
     gnb = (0.0, 10.0, 10.0)
-    image = (20.0, 10.0, 10.0)
-    picture = drawn(anchors=[gnb, image])[20:280]
-    wall = near(picture, LIGHT.wall)
+    anchors = [gnb, (20.0, 10.0, 10.0)]  # of the same height, so the second may be an image
+    walled = drawn(anchors=anchors, scene=Scene("test", gnb, (Wall((-2.0, 0.0), -10.0),)))
+    wall = near(walled[20:280], LIGHT.wall)
     column = int(np.argmax(wall.sum(axis=0)))
     assert wall[:, column].sum() > 200  # from top to bottom
     assert 250 < column < 400  # 10 m east of the user
-    # An anchor at another height is not a mirror image in a vertical wall.
-    lower = near(drawn(anchors=[gnb, (20.0, 10.0, 4.0)])[20:280], LIGHT.wall)
-    assert lower.sum(axis=0).max() < 100
+    masts = near(drawn(anchors=anchors, scene=Scene("test", gnb))[20:280], LIGHT.wall)
+    assert masts.sum(axis=0).max() < 100
 
 
 def test_streets_are_drawn_if_they_are_known():
-    with_streets = drawn(streets=Streets((-80.0, 80.0), (-80.0, 80.0), 80.0))[20:280]
+    streets = Streets((-80.0, 80.0), (-80.0, 80.0), 80.0)
+    with_streets = drawn(scene=Scene("test", (200.0, 150.0, 10.0), streets=streets))[20:280]
     without = drawn()[20:280]
     assert near(with_streets, LIGHT.building).mean() > 0.3
     assert near(without, LIGHT.building).mean() < 0.02  # smoothed edges of other shapes
@@ -158,35 +152,19 @@ def test_an_anchor_outside_the_frame_is_shown_by_an_arrow_at_its_edge(anchor, si
 def test_the_same_history_makes_the_same_picture():
     env = played(30, scene="random")
     first = env.render()
-    np.testing.assert_array_equal(env.render(), first)
+    assert_array_equal(env.render(), first)
     twins = copy.deepcopy(env), pickle.loads(pickle.dumps(env))
     env.step(0)
     for twin in twins:
-        np.testing.assert_array_equal(twin.render(), first)
+        assert_array_equal(twin.render(), first)
         twin.step(0)
-        np.testing.assert_array_equal(twin.render(), env.render())
+        assert_array_equal(twin.render(), env.render())
 
 
 def test_a_picture_does_not_depend_on_later_epochs():
     short = played(20, seed=3, episode_steps=21)
     long = played(20, seed=3, episode_steps=60)
-    np.testing.assert_array_equal(short.render(), long.render())
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        {"scene": "o1", "scenario": "vehicle"},
-        {"backend": "filterpy"},
-        pytest.param({"beliefs": "per-mode", "odometry": True}, marks=pytest.mark.slow),
-    ],
-    ids=str,
-)
-def test_every_kind_of_episode_can_be_drawn(arguments):
-    if "backend" in arguments:
-        pytest.importorskip("filterpy")
-    env = played(5, seed=1, **arguments)
-    assert near(env.render()[20:280], LIGHT.truth).sum() > 20
+    assert_array_equal(short.render(), long.render())
 
 
 def test_an_estimate_that_is_not_finite_can_be_drawn():
@@ -202,12 +180,6 @@ def test_an_estimate_that_is_not_finite_can_be_drawn():
 def test_any_name_and_any_title_can_be_drawn(name):
     picture = Picture([name, "x" * 500], title=name * 50).draw(history(name=name * 50))
     assert picture.shape == (480, 480, 3)
-
-
-def test_a_legend_of_eight_modes_shows_every_color():
-    shown = drawn([f"mode {i}" for i in range(8)])[-40:]
-    for color in LIGHT.modes[:8]:
-        assert near(shown, color).sum() >= 80
 
 
 @pytest.mark.parametrize(
@@ -284,4 +256,4 @@ def test_pictures_survive_the_end_of_pygame(end):
     env.reset(seed=0)
     before = env.render()
     {"pygame.quit": pygame.quit, "pygame.font.quit": pygame.font.quit}[end]()
-    np.testing.assert_array_equal(env.render(), before)
+    assert_array_equal(env.render(), before)

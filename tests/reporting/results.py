@@ -1,13 +1,12 @@
 """Data for tests of reports: small results files, a name that attacks web pages, a page parser."""
 
-import json
 import re
 from html import unescape
 from html.parser import HTMLParser
-from pathlib import Path
 
 from mmwave_env import __version__
 from mmwave_env.metrics import METRICS
+from tests.paths import write_json
 
 HOSTILE = "</script><img src=x onerror=alert(1)>$|`\n\x1b[31m\u202eΩ日本\"'&"
 
@@ -36,7 +35,7 @@ def comparison(names=("imm", "speed-rule"), **more):
     return content | more
 
 
-def run(folder: Path, over=2):
+def run(folder, over=2):
     """Make the folder of a run with two training seeds; the first ``over`` seeds are finished."""
     log = "timesteps,tuning/reward,tuning/minus imm\n1000,,\n2000,-1.5,0.25\n4000,-1.4,0.3\n"
     for seed in range(2):
@@ -46,15 +45,9 @@ def run(folder: Path, over=2):
         if seed < over:
             best = {"timesteps": 2000, "reward": -1.5, "minus imm": interval(0.25)}
             outcome = {"seed": seed, "best": best, "seconds": 9.5}
-            write(training / "outcome.json", outcome)
-    write(folder / "run.json", {"command": "mmwave-loc train --seeds 2", "recipe": {}})
+            write_json(training / "outcome.json", outcome)
+    write_json(folder / "run.json", {"command": "mmwave-loc train --seeds 2", "recipe": {}})
     return folder
-
-
-def write(path: Path, content):
-    """Write a JSON file; return its path."""
-    path.write_text(json.dumps(content), encoding="utf-8")
-    return path
 
 
 class Read(HTMLParser):

@@ -5,8 +5,9 @@ import json
 import pytest
 
 from tests.cli import succeed
+from tests.paths import write_json
 from tests.reporting import results
-from tests.reporting.results import HOSTILE, write
+from tests.reporting.results import HOSTILE
 
 playwright = pytest.importorskip("playwright.sync_api")
 pytestmark = pytest.mark.slow
@@ -19,8 +20,8 @@ def address(tmp_path_factory):
     folder = tmp_path_factory.mktemp("report")
     names = (HOSTILE, "imm", "speed-rule", "fixed-ekf", "fixed-ukf", "random")
     content = results.comparison(names)
-    files = [write(folder / "r.json", content), results.run(folder / "run")]
-    again = write(folder / "again.json", content)
+    files = [write_json(folder / "r.json", content), results.run(folder / "run")]
+    again = write_json(folder / "again.json", content)
     succeed("report", *files, again, "--out", folder / "report.html")
     return (folder / "report.html").as_uri()
 

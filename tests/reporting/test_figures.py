@@ -29,7 +29,7 @@ T = 50
 
 def draw_track(name, path, position_m):
     """Draw a track in which a mode of this name and another one take turns."""
-    (block, _) = beginning(LogArgs(sample="canyon28_pedestrian", imm="imm"), T)
+    block, _ = beginning(LogArgs(sample="canyon28_pedestrian", imm="imm"), T)
     P = np.tile(pack(0.01 * np.eye(7)), (T, 1))
     mode = np.arange(T) // 20 % 2
     states = {"smooth_x": position_m, "smooth_P": P, "mode": mode, "segment": np.zeros(T, int)}

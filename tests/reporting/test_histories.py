@@ -1,8 +1,8 @@
 """Tests of a policy's history (the data of its pictures) against an environment's history."""
 
 import gymnasium as gym
-import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.runner import Scoring
@@ -17,7 +17,7 @@ from mmwave_env.world.keys import keys_of
 SEED = 5
 TASK = task_from()
 (EPISODE,) = draw_episodes(TASK.source, [SEED])
-STREETS = TASK.streets_of(int(keys_of([SEED])[0]))
+SCENE = TASK.scene_of(int(keys_of([SEED])[0]))
 
 
 @pytest.mark.parametrize(
@@ -33,7 +33,7 @@ def test_a_history_equals_what_an_environment_records(name, arguments):
     pytest.importorskip("pygame")
     scoring = Scoring(TrackingReward(), arguments.get("planar", False))
     contender = contender_from(name, "handset")
-    history = history_of(contender, EPISODE, scoring, STREETS)
+    history = history_of(contender, EPISODE, scoring, SCENE)
     arguments |= {"modes": contender.filters, "render_mode": "rgb_array"}
     env = gym.make("MmWaveLoc-v0", **arguments).unwrapped
     env.reset(seed=SEED)
@@ -42,10 +42,10 @@ def test_a_history_equals_what_an_environment_records(name, arguments):
     recorded = env._gallery.recorders[0].history
     assert history.axes == recorded.axes and history.epochs == recorded.epochs == len(EPISODE)
     assert history.name == recorded.name
-    assert history.streets == recorded.streets is not None
-    np.testing.assert_array_equal(history.anchors_m, recorded.anchors_m)
+    assert history.scene == recorded.scene is not None
+    assert_array_equal(history.anchors_m, recorded.anchors_m)
     for field in ("time_s", "modes", "truth", "estimate", "P", "nees", "accepted", "rejected"):
-        np.testing.assert_allclose(
+        assert_allclose(
             getattr(history, field), getattr(recorded, field), err_msg=field, rtol=1e-9, atol=1e-9
         )
 
@@ -61,6 +61,6 @@ def test_the_history_of_an_imm_shows_the_most_probable_modes():
 def test_the_history_of_a_recording_begins_at_its_prior():
     (episode,) = draw_episodes(source_from("canyon28_pedestrian", "handset"), [0])
     history = history_of(contender_from("fixed-ukf", "handset"), episode)
-    np.testing.assert_array_equal(history.estimate[0], episode.prior_mean)
-    assert history.streets is None and history.time_s[0] == history.time_s[1] == 0.0
+    assert_array_equal(history.estimate[0], episode.prior_mean)
+    assert history.scene is None and history.time_s[0] == history.time_s[1] == 0.0
     assert history.time_s[-1] == episode.time_s[-1] - episode.time_s[0]

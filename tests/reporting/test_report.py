@@ -11,9 +11,9 @@ from experiments.reporting.webpage.contents import read_source
 from experiments.reporting.webpage.page import play
 from mmwave_env.io.lookup import printable
 from tests.cli import assert_one_clear_line, command, succeed, with_json
-from tests.paths import ROOT
+from tests.paths import ROOT, write_json
 from tests.reporting import results
-from tests.reporting.results import HOSTILE, Read, write
+from tests.reporting.results import HOSTILE, Read
 
 NONE = ("--episodes", 0)  # options that replay no episodes
 
@@ -33,7 +33,7 @@ def report(tmp_path, *words):
 
 def compared(tmp_path, content):
     """Return the parsed page of a comparison, without replayed episodes."""
-    return report(tmp_path, write(tmp_path / "r.json", content), *NONE)
+    return report(tmp_path, write_json(tmp_path / "r.json", content), *NONE)
 
 
 @pytest.mark.parametrize(
@@ -55,7 +55,10 @@ def test_tables_show_the_numbers_of_the_file_and_the_best_policy_first(tmp_path)
     content = results.comparison(("worse", "better"))
     rows = content["policies"]
     rows["worse"], rows["better"] = rows["better"], rows["worse"]
-    files = [write(tmp_path / "a.json", content), write(tmp_path / "b.json", results.comparison())]
+    files = [
+        write_json(tmp_path / "a.json", content),
+        write_json(tmp_path / "b.json", results.comparison()),
+    ]
     page = report(tmp_path, *files, *NONE)
     assert [known for tag, known in page.tags if tag == "details"] == [{"open": None}, {}]
     assert content["command"] in page.text and "python 3.12.0" in page.text
@@ -68,7 +71,7 @@ def test_tables_show_the_numbers_of_the_file_and_the_best_policy_first(tmp_path)
 
 
 def test_pages_of_tracks_and_training_runs_have_tables_and_a_title(tmp_path, track):
-    broken = write(tmp_path / "t.json", track | {"error": "log.csv: line 41: found 'x'"})
+    broken = write_json(tmp_path / "t.json", track | {"error": "log.csv: line 41: found 'x'"})
     page = report(tmp_path, broken, results.run(tmp_path / "run", over=1))
     assert "log.csv: line 41: found 'x'" in page.text
     assert page.title.startswith(f"{track['epochs']} epochs of ")
@@ -103,7 +106,7 @@ def test_the_report_plays_the_compared_episodes_again(tmp_path):
 
 
 def test_a_track_can_be_played_with_its_gate_decisions(tmp_path, track):
-    page = report(tmp_path, write(tmp_path / "t.json", track))
+    page = report(tmp_path, write_json(tmp_path / "t.json", track))
     (episode,) = json.loads(page.data)["episodes"]
     (course,) = episode["contenders"].values()
     assert len(episode["time_s"]) == len(course["x"]) == track["epochs"]
@@ -118,7 +121,7 @@ def test_tables_are_shown_even_if_episodes_cannot_be_played_again(tmp_path, trac
     content = {"gone": track | {"options": {"log": "gone.csv", "scene": "street"}}}
     for name, options in {"wrong": {"dt": "fast"}, "old": None, "unknown": {"new": 1}}.items():
         content[name] = results.comparison(("os:getcwd", "never:made"), options=options)
-    files = [write(tmp_path / f"{name}.json", part) for name, part in content.items()]
+    files = [write_json(tmp_path / f"{name}.json", part) for name, part in content.items()]
     page = report(tmp_path, *files)
     for words in ("options: dt", "options: found", "gone.csv", "os:getcwd was", "never:made was"):
         assert words in page.text
@@ -132,9 +135,9 @@ def test_hostile_names_neither_break_the_page_nor_run_code_in_it(tmp_path, track
         policies=policies,
         paired={f"{HOSTILE} - {HOSTILE}2": results.metrics(1.0)},
     )
-    log = write(tmp_path / "t.json", track | {"log": HOSTILE, "modes": {HOSTILE: 40}})
+    log = write_json(tmp_path / "t.json", track | {"log": HOSTILE, "modes": {HOSTILE: 40}})
     run = results.run(tmp_path / "$<b>|日本")
-    page = report(tmp_path, write(tmp_path / "r.json", content), log, run, *NONE)
+    page = report(tmp_path, write_json(tmp_path / "r.json", content), log, run, *NONE)
     assert not [tag for tag, known in page.tags if tag == "b" or "onerror" in known]
     assert [tag for tag, _ in page.tags].count("script") == 2
     assert [row[0] for row in page.table("Means")[1:]] == [*map(printable, policies)]
@@ -166,7 +169,9 @@ MISTAKES = {  # name -> content of a results file, expected message
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_files_that_are_not_results_are_refused_in_one_clear_line(tmp_path, mistake):
     content, message = MISTAKES[mistake]
-    done = command("report", write(tmp_path / "r.json", content), "--out", tmp_path / "page.html")
+    done = command(
+        "report", write_json(tmp_path / "r.json", content), "--out", tmp_path / "page.html"
+    )
     assert_one_clear_line(done, f"r.json: .*{message}")
     assert not (tmp_path / "page.html").exists()
 
@@ -174,7 +179,7 @@ def test_files_that_are_not_results_are_refused_in_one_clear_line(tmp_path, mist
 def test_wrong_folders_and_options_are_refused_in_one_clear_line(tmp_path):
     log = results.run(tmp_path / "run") / "seed-0" / "progress.csv"
     log.write_text("timesteps,tuning/minus a\n1,x\n")
-    file = write(tmp_path / "r.json", results.comparison())
+    file = write_json(tmp_path / "r.json", results.comparison())
     mistakes = {
         "no: found": [tmp_path / "no"],
         "found a folder": [tmp_path],

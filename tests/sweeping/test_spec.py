@@ -62,7 +62,7 @@ def test_results_are_kept_per_cell_and_results_of_other_sweeps_are_refused(tmp_p
     pytest.importorskip("pyarrow")
     spec = spec_of(tmp_path, '[evaluate]\npolicy = ["imm", "ppo"]\nreward = "tracking"\n')
     folder = tmp_path / "out"
-    (name, _) = spec.cells
+    name, _ = spec.cells
     keep(folder, name, spec.cells[name], {"reward_mean": -1.5, "reward_each": [-1.0, -2.0]})
     (folder / ".half.parquet").write_bytes(b"PAR1 and no more")
     assert kept(folder, spec) == {name}

@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from mmwave_env.filters import Mode, Pipeline
 from mmwave_env.filters.bank import Bank
-from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation
 from mmwave_env.models.layout import Layout
 from policies.policy_file import Card, to_bytes

@@ -1,6 +1,5 @@
 """Tests of places of training (scene, radio, time step), and of the modes at each place."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +19,7 @@ from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.task import task_from
+from tests.paths import write_json
 from tests.refusals import refuses
 from tests.training.actors import MODES
 
@@ -57,11 +57,8 @@ def test_the_street_is_the_default_scene_of_environments():
 @pytest.fixture
 def files(tmp_path):
     """Return the files of a custom scene and a custom radio."""
-    scene = tmp_path / "square.json"
-    radio = tmp_path / "phone.json"
-    scene.write_text(json.dumps({"base_station_m": [10.0, 10.0, 8.0]}))
-    radio.write_text(json.dumps({"name": "mine", "base": "handset"}))
-    return scene, radio
+    scene = write_json(tmp_path / "square.json", {"base_station_m": [10.0, 10.0, 8.0]})
+    return scene, write_json(tmp_path / "phone.json", {"name": "mine", "base": "handset"})
 
 
 def test_custom_scenes_and_radios_can_be_places(files):
@@ -131,8 +128,7 @@ def test_modes_that_share_a_belief_are_the_same_at_all_places():
 
 def test_a_custom_bank_is_used_at_all_places(tmp_path):
     own = replace(best_bank("high"), nis_quantile=0.9)
-    path = tmp_path / "mine.json"
-    path.write_text(json.dumps(bank_as_written(own)))
+    path = write_json(tmp_path / "mine.json", bank_as_written(own))
     assert banks_of((str(path),), PLACES, "per-mode") == {"handset": own, "standard": own}
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import gymnasium as gym
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.filters.bank import Bank, default_modes
 from mmwave_env.interface.reward import TrackingReward
@@ -86,13 +87,13 @@ def test_a_tried_action_earns_what_it_earns_in_a_separate_environment(beliefs, p
     count = len(env.observation.actions)
     tried = env.try_all(chaotic(count))
     assert tried.values.shape == (16, count) == (len(env.observations), count)
-    np.testing.assert_array_equal(tried.observations, env.observations)
+    assert_array_equal(tried.observations, env.observations)
     for i, place, first_episode in ((0, places[0], 1), (13, places[1], EPOCHS)):
         expected = [
             replayed(place, SEED + i, first_episode, actions[:, i], a, chaotic(count), beliefs)
             for a in range(count)
         ]
-        np.testing.assert_allclose(tried.values[i], expected, rtol=1e-9)
+        assert_allclose(tried.values[i], expected, rtol=1e-9)
         assert np.ptp(expected) > 0.0
 
 
@@ -103,12 +104,12 @@ def test_trying_actions_does_not_change_the_environment():
         stepped(env)
     first = tries.try_all(chaotic(4))
     second = tries.try_all(chaotic(4))
-    np.testing.assert_array_equal(first.values, second.values)
+    assert_array_equal(first.values, second.values)
     actions = np.random.default_rng(1).integers(4, size=(250, 16))
     for now in actions:
         tries.step(now)
         plain.step(now)
-        np.testing.assert_array_equal(tries.observations, plain.observations)
+        assert_array_equal(tries.observations, plain.observations)
 
 
 def test_states_near_the_end_of_an_episode_are_left_out():
@@ -139,7 +140,7 @@ def test_the_normalization_is_measured_on_observations_of_the_environment():
     for _ in range(200):
         again.step(np.zeros(16, np.int64))
         observed.append(again.observations)
-    np.testing.assert_allclose(normal.mean, np.mean(observed, axis=(0, 1)), atol=1e-4)
+    assert_allclose(normal.mean, np.mean(observed, axis=(0, 1)), atol=1e-4)
     assert (normal.high - normal.mean) / normal.sigma == pytest.approx(6.0, rel=1e-4)
 
 
@@ -160,7 +161,7 @@ def assert_same_ends(infos, expected):
         assert x.get("episode", {}).get("r") == y.get("episode", {}).get("r")
         assert x.get("ate_m") == y.get("ate_m")
         last = (info.get("terminal_observation", 0) for info in (x, y))
-        np.testing.assert_array_equal(*last)
+        assert_array_equal(*last)
 
 
 @pytest.mark.slow
@@ -176,7 +177,7 @@ def test_several_places_together_equal_each_place_alone():
     theirs = [first.reset(), second.reset()]
     for _ in range(100):
         theirs[1], *_ = second.step(np.zeros(2, int))
-    np.testing.assert_array_equal(observed, np.concatenate(theirs))
+    assert_array_equal(observed, np.concatenate(theirs))
     rng = np.random.default_rng(0)
     ends = []
     for t in range(210):
@@ -185,7 +186,7 @@ def test_several_places_together_equal_each_place_alone():
         a = first.step(actions[:3])
         b = second.step(actions[3:])
         for array, *parts in zip((observed, rewards, over), a, b, strict=False):
-            np.testing.assert_array_equal(array, np.concatenate(parts))
+            assert_array_equal(array, np.concatenate(parts))
         assert_same_ends(infos, a[3] + b[3])
         ends += [(t, i) for i in np.flatnonzero(over)]
     assert ends == [(99, 3), (99, 4), (199, 0), (199, 1), (199, 2)]

@@ -126,7 +126,7 @@ def test_sampled_actions_follow_the_probabilities_of_the_network():
 def test_the_learner_learns_which_action_is_best_and_forgets_the_oldest_states():
     """Fill the memory, then replace all states with states in which the other action is best."""
     model = learner()
-    (fresh, best) = states(1000, 9)
+    fresh, best = states(1000, 9)
     model.remember(states(512, 0, turned=True)[0])
     newer = [states(n, seed)[0] for seed, n in enumerate((300, 200, 12), start=1)]
     for tried in newer:

@@ -1,7 +1,6 @@
 """Tests that a training that was interrupted goes on, and keeps the seeds that had finished."""
 
 import csv
-import json
 import multiprocessing
 import os
 import re
@@ -13,7 +12,7 @@ from dataclasses import replace
 import pytest
 
 from tests import cli
-from tests.paths import json_in
+from tests.paths import json_in, write_json
 from tests.refusals import refuses
 
 pytest.importorskip("stable_baselines3")
@@ -83,15 +82,6 @@ def test_an_interrupted_training_goes_on(tmp_path):
     assert_goes_on(job_of(tmp_path))
 
 
-def test_training_runs_with_different_seeds_differ(tmp_path):
-    contents = set()
-    for seed in range(2):
-        job = job_of(tmp_path / str(seed), seed=seed)
-        train(job, silent)
-        contents.add((job.folder / "latest.safetensors").read_bytes())
-    assert len(contents) == 2
-
-
 # --- processes
 
 
@@ -103,7 +93,7 @@ def outcome(seed):
 
 def finished(folder, seed):
     folder.mkdir(parents=True)
-    (folder / "outcome.json").write_text(json.dumps(outcome(seed)))
+    write_json(folder / "outcome.json", outcome(seed))
     return job_of(folder, seed=seed)
 
 
@@ -170,9 +160,8 @@ def until_replaced(path, process):
 
 def test_an_interrupted_command_ends_all_processes_and_continues_when_resumed(tmp_path, started):
     """Kill the command, kill its training process, press Ctrl-C, and send SIGTERM."""
-    hyperparameters = tmp_path / "mine.json"
+    hyperparameters = write_json(tmp_path / "mine.json", content(SMALL))
     out = tmp_path / "run"
-    hyperparameters.write_text(json.dumps(content(SMALL)))
     # The training must take seconds, so that it can be interrupted.
     length = ("--seeds", 1, "--total-timesteps", 10 * UPDATES * SMALL.num_envs * SMALL.n_steps)
     made_with = (*length, "--hyperparameters", hyperparameters)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import kstest, norm
 
 from mmwave_env.models.layout import Layout
@@ -82,14 +83,14 @@ def test_geometry_equals_an_independent_implementation(scene):
     angles = Layout().angles
     difference = rows - exact(position, velocity, scene.anchors_m)
     difference[:, angles] = wrapped(difference[:, angles])
-    np.testing.assert_allclose(difference, 0.0, atol=1e-9)
+    assert_allclose(difference, 0.0, atol=1e-9)
     assert np.abs(rows[:, angles]).max() <= np.pi
 
 
 def test_odometry_rows_are_speed_and_heading():
     velocity = np.array([[3.0, 4.0, 0.0], [-1.0, 0.0, 0.0]])
     z = geometry(np.zeros((2, 3)), velocity, STREET, Layout(odometry=True))
-    np.testing.assert_allclose(z[:, 13:], [[5.0, np.arctan2(4.0, 3.0)], [1.0, np.pi]])
+    assert_allclose(z[:, 13:], [[5.0, np.arctan2(4.0, 3.0)], [1.0, np.pi]])
 
 
 def test_noise_divided_by_sigma_is_standard_normal():
@@ -137,7 +138,7 @@ def test_measurements_with_a_nonfinite_value_or_sigma_are_missing_and_counted(
     assert damaged.nonfinite == 1
     expected = episode.visible.copy()
     expected[t, group] = False
-    np.testing.assert_array_equal(damaged.usable, expected)
+    assert_array_equal(damaged.usable, expected)
     assert np.isfinite(damaged.table()).all()
 
 
@@ -189,15 +190,15 @@ def test_an_engine_reads_the_episode_from_the_table():
         incoming = unflatten(template, iter(table[t].tolist()))
         epoch = incoming.epoch(episode.layout)
         rows = np.repeat(episode.visible[t], episode.layout.widths)
-        np.testing.assert_array_equal(np.array(epoch.z)[rows], episode.measurement[t, rows])
-        np.testing.assert_array_equal(np.array(epoch.sigma)[rows], episode.sigma[t, rows])
-        np.testing.assert_array_equal(epoch.visible, episode.visible[t])
+        assert_array_equal(np.array(epoch.z)[rows], episode.measurement[t, rows])
+        assert_array_equal(np.array(epoch.sigma)[rows], episode.sigma[t, rows])
+        assert_array_equal(epoch.visible, episode.visible[t])
         links = episode.visible[t, :3]
-        np.testing.assert_array_equal(np.array(epoch.snr_db)[links], episode.snr_db[t, links])
+        assert_array_equal(np.array(epoch.snr_db)[links], episode.snr_db[t, links])
         assert epoch.dt == (0.0 if t == 0 else episode.time_s[t] - episode.time_s[t - 1])
         assert epoch.doppler_spread_hz == episode.doppler_spread_hz[t]
         state = [*episode.truth_position_m[t], *episode.truth_velocity_mps[t]]
-        np.testing.assert_array_equal(incoming.truth, state)
+        assert_array_equal(incoming.truth, state)
 
 
 def test_the_table_of_an_episode_without_truth_has_nan_instead_of_the_truth(episode):

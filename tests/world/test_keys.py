@@ -3,6 +3,7 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 import mmwave_env  # noqa: F401  registers the environment
 from experiments.evaluation.seeds import keys_for
@@ -85,16 +86,16 @@ def test_a_key_plays_its_episode_again_and_does_not_advance_the_stream():
     observation, info = env.reset(seed=3)
     for key in (info["episode_key"], int(info["episode_key"])):
         again, same_info = env.reset(options={"episode_key": key})
-        np.testing.assert_array_equal(again, observation)
+        assert_array_equal(again, observation)
         assert same(same_info, info)
     assert info["episode_key"].dtype == np.uint64
     vector = gym.make_vec("MmWaveLoc-v0", num_envs=3, **SHORT)
     several, infos = vector.reset(options={"episode_key": [5, info["episode_key"], 6]})
-    np.testing.assert_array_equal(several[1], observation)
+    assert_array_equal(several[1], observation)
     assert infos["episode_key"].tolist() == [5, int(info["episode_key"]), 6]
     single = env.step(0)
     many = vector.step(np.zeros(3, int))
-    np.testing.assert_array_equal(many[0][1], single[0])
+    assert_array_equal(many[0][1], single[0])
     assert many[1][1] == single[1]
     assert env.reset()[1]["episode_key"] == keys_at(stream_of(3), numbers(1))[0]
 

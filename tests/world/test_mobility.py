@@ -24,6 +24,7 @@ from mmwave_env.world.mobility import (
     mobilities_of,
 )
 from mmwave_env.world.simulated import SimulatedSource
+from tests.filters.tracks import street_source
 from tests.paths import representative, write_json
 from tests.refusals import refuses
 
@@ -168,7 +169,7 @@ def test_the_scenario_mixed_draws_every_kind_of_user_with_the_same_probability()
     assert set(SCENARIOS) == {*BOUNDS, "mixed"}
     assert tuple(m.name for m in mobilities_of("mixed")) == MIXED
     draws = 2000
-    source = SimulatedSource(SCENES["street"], RADIOS["handset"], "mixed", epochs=1)
+    source = street_source(epochs=1)
     counts = Counter(source.sample_batch(keys_of(range(draws))).names)
     assert set(counts) == set(MIXED)
     # With a probability of 99 %, all five counts are in the interval (Bonferroni).
@@ -198,7 +199,7 @@ def test_a_mobility_file_defines_a_kind_of_user(path):
 
 
 def test_a_custom_kind_of_user_stays_within_its_limits(path):
-    source = SimulatedSource(SCENES["street"], RADIOS["handset"], path, dt=0.2)
+    source = street_source(path, dt=0.2)
     assert source.name == "scooter"
     for seed in range(5):
         episode = source.sample(np.random.default_rng(seed))
@@ -227,7 +228,7 @@ def test_a_damaged_mobility_file_is_refused_with_the_name_of_the_field(path, con
 def test_corners_that_do_not_fit_between_crossings_are_refused(path):
     write_json(path, SCOOTER | {"blocks": 16})
     with refuses("corner_radius_m of mobility 'scooter'"):
-        SimulatedSource(SCENES["street"], RADIOS["handset"], path)
+        street_source(path)
 
 
 def ranges(low, high):
@@ -249,8 +250,6 @@ ANY_LIMITS = st.builds(Limits, *RATES, st.floats(0.1, 10.0), st.floats(0.0, 1.0)
 def test_users_of_any_kind_stay_on_the_streets(limits, gaits, blocks, twice):
     phase = Phase(limits, tuple(gaits))
     phases = (replace(phase, duration_s=(5.0, 20.0)), phase) if twice else (phase,)
-    source = SimulatedSource(
-        SCENES["street"], RADIOS["handset"], Mobility("any", phases, blocks), epochs=60
-    )
+    source = street_source(Mobility("any", phases, blocks), epochs=60)
     x, y, _ = source.sample(np.random.default_rng(0)).truth_position_m.T
     assert -5.0 < x.min() and x.max() < 165.0 and -165.0 < y.min() and y.max() < 5.0

@@ -7,6 +7,7 @@ separate random generators.
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.random_scene import RandomScene
@@ -18,18 +19,17 @@ from mmwave_env.world.simulated import SimulatedSource
 from mmwave_env.world.simulation import RECEIVER, USER
 from mmwave_env.world.trajectory import Trajectory
 from mmwave_env.world.travel import attend, draw_phases, set_off, stride_of
-from tests.filters.tracks import around_a_block, geometry
+from tests.filters.tracks import around_a_block, geometry, street_source
+from tests.numerics.test_random import theirs
 from tests.paths import representative
 
 SOURCES = {
-    "default": SimulatedSource(SCENES["street"], RADIOS["handset"]),
+    "default": street_source(),
     "odometry at 10 Hz": SimulatedSource(
         SCENES["o1"], RADIOS["high"], "walk-ride", dt=0.1, odometry=True
     ),
     "jam": SimulatedSource(SCENES["dynamic-doppler"], RADIOS["standard"], "jam", 0.5, epochs=77),
-    "windows of a trajectory": SimulatedSource(
-        SCENES["street"], RADIOS["handset"], around_a_block(), dt=0.7, epochs=30, odometry=True
-    ),
+    "windows of a trajectory": street_source(around_a_block(), dt=0.7, epochs=30, odometry=True),
     "random streets": SimulatedSource(RandomScene(), RADIOS["standard"], epochs=60),
 }
 KEYS = np.random.default_rng(0).integers(0, 2**64, 20, np.uint64)
@@ -42,13 +42,8 @@ class PlainDice:
     """Random numbers from NumPy's SFC64. Normal numbers come in pairs; ``spare`` has the second."""
 
     def __init__(self, key, stream):
-        bits = np.random.SFC64(0)
-        state = bits.state
-        state["state"]["state"] = np.array([key, key, stream, 1], np.uint64)
-        bits.state = state
-        self.rng = np.random.Generator(bits)
+        self.rng = np.random.Generator(theirs(key, stream))
         self.spare = []
-        bits.random_raw(18)
 
     def uniform(self, low=0.0, high=1.0):
         return low + (high - low) * self.rng.random()
@@ -146,8 +141,8 @@ def moving_user(source, scene, dice):
     kind = int(len(choices) * dice.uniform())
     plan = plans_of(choices, streets.block_m)[kind]
     block = streets.block_m / plan.closer
-    (west, east) = streets.x_m
-    (south, north) = streets.y_m
+    west, east = streets.x_m
+    south, north = streets.y_m
     blocks = round((east - west) / block), round((north - south) / block)
     net = Net(block, *blocks, west, south, streets.height_m)
     phases = draw_phases(dice, plan.phases, T * source.dt)
@@ -214,10 +209,10 @@ def test_a_key_gives_the_episode_of_the_plain_simulation(name):
     for key, episode in zip(KEYS, source.episodes(KEYS), strict=True):
         expected = plain(source, key)
         assert episode.name == expected.name
-        np.testing.assert_allclose(episode.time_s, expected.time_s)
-        np.testing.assert_allclose(episode.site(), expected.site(), rtol=1e-12, atol=1e-9)
+        assert_allclose(episode.time_s, expected.time_s)
+        assert_allclose(episode.site(), expected.site(), rtol=1e-12, atol=1e-9)
         tables = [wrapped(e.table(), source.layout) for e in (episode, expected)]
-        np.testing.assert_allclose(*tables, rtol=1e-8, atol=1e-8)
+        assert_allclose(*tables, rtol=1e-8, atol=1e-8)
 
 
 @pytest.mark.parametrize("name", SOURCES)
@@ -228,13 +223,13 @@ def test_a_batch_equals_single_episodes_to_the_last_bit(name, threads):
     expected = EpisodeBatch.of([source.episode(int(key)) for key in KEYS])
     assert (batch.names, batch.layout) == (expected.names, expected.layout)
     for field in ("nonfinite", "length", "table", "site"):
-        np.testing.assert_array_equal(getattr(batch, field), getattr(expected, field))
+        assert_array_equal(getattr(batch, field), getattr(expected, field))
 
 
 def test_a_random_generator_draws_the_key_of_a_sample():
     source = SOURCES["jam"]
     key = np.random.default_rng(7).integers(0, 2**64, dtype=np.uint64)
-    np.testing.assert_array_equal(
+    assert_array_equal(
         source.sample(np.random.default_rng(7)).table(), source.episode(int(key)).table()
     )
 
@@ -243,5 +238,5 @@ def test_the_scene_of_a_key_equals_the_scene_of_its_episode():
     source = SOURCES["random streets"]
     for key, episode in zip(KEYS, source.episodes(KEYS), strict=True):
         scene = source.scene_of(int(key))
-        np.testing.assert_allclose(scene.anchors_m, episode.scene_anchors_m, rtol=1e-12)
+        assert_allclose(scene.anchors_m, episode.scene_anchors_m, rtol=1e-12)
     assert SOURCES["jam"].scene_of(1) is SCENES["dynamic-doppler"]

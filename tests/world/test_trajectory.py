@@ -4,15 +4,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.datasets.ways import read_trajectory, read_ways
-from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import SCENES
-from mmwave_env.world.simulated import SimulatedSource
 from mmwave_env.world.trajectory import Trajectory
+from tests.filters.tracks import street_source
 from tests.refusals import refuses
-
-STREET = SCENES["street"]
 
 
 def straight(n=5, dt=1.0, speed=2.0):
@@ -38,9 +35,9 @@ def changed(row, column, value):
 def test_columns_may_be_in_any_order_and_other_columns_are_ignored(tmp_path):
     rows = [[x, "car 7", 0.1, t, 2.5, z, y, 0.0] for t, x, y, z in straight()]
     read = read_trajectory(write(tmp_path, rows, "x,id,vy,t,vx,z,y,vz"))
-    np.testing.assert_array_equal(read.time_s, np.array(straight())[:, 0])
-    np.testing.assert_array_equal(read.position_m, np.array(straight())[:, 1:])
-    np.testing.assert_array_equal(read.velocity_mps, np.tile([2.5, 0.1, 0.0], (5, 1)))
+    assert_array_equal(read.time_s, np.array(straight())[:, 0])
+    assert_array_equal(read.position_m, np.array(straight())[:, 1:])
+    assert_array_equal(read.velocity_mps, np.tile([2.5, 0.1, 0.0], (5, 1)))
 
 
 @settings(deadline=None)  # the first example imports SciPy
@@ -56,12 +53,12 @@ def test_constant_acceleration_is_resampled_exactly(dt, steps, a, v):
     position = np.outer(t, v) + 0.5 * np.outer(t * t, a)
     velocity = v + np.outer(t, a)
     differences = Trajectory("drawn", t, position).velocity_mps
-    np.testing.assert_allclose(differences[1:-1], velocity[1:-1], atol=1e-6)
+    assert_allclose(differences[1:-1], velocity[1:-1], atol=1e-6)
     way = Trajectory("drawn", t, position, velocity).resampled(dt)
     at = t[0] + dt * np.arange(len(way))
     assert at[-1] <= t[-1] + 1e-9 < at[-1] + dt + 2e-9
-    np.testing.assert_allclose(way[:, :3], np.outer(at, v) + 0.5 * np.outer(at * at, a), atol=1e-6)
-    np.testing.assert_allclose(way[:, 3:], v + np.outer(at, a), atol=1e-5)
+    assert_allclose(way[:, :3], np.outer(at, v) + 0.5 * np.outer(at * at, a), atol=1e-6)
+    assert_allclose(way[:, 3:], v + np.outer(at, a), atol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -80,7 +77,7 @@ def test_constant_acceleration_is_resampled_exactly(dt, steps, a, v):
 def test_the_error_about_an_impossible_trajectory_names_the_place(tmp_path, rows, place):
     path = write(tmp_path, rows)
     with refuses(path, place):
-        SimulatedSource(STREET, RADIOS["handset"], read_ways(path))
+        street_source(read_ways(path))
 
 
 @pytest.mark.parametrize("header", ["time,x,y,z", "t,x,y,vx"])
@@ -109,4 +106,4 @@ def test_a_trajectory_of_a_user_who_never_moves_causes_a_warning():
 def test_a_trajectory_that_does_not_fit_the_scene_is_refused(ends, dt, place):
     with refuses("mine", place):
         way = Trajectory("mine", np.arange(11.0), np.linspace(*ends, 11))
-        SimulatedSource(STREET, RADIOS["handset"], way, dt=dt)
+        street_source(way, dt=dt)

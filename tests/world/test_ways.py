@@ -5,17 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.datasets.ways import read_trajectory, read_ways, scenario_from
-from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.mobility import MOBILITIES, Mobility
-from mmwave_env.world.simulated import SimulatedSource
 from mmwave_env.world.trajectory import PlacedWays, Trajectory, Ways, users_of
+from tests.filters.tracks import street_source
 from tests.refusals import refuses
 
 STREET = SCENES["street"]
-RADIO = RADIOS["handset"]
 
 
 def straight(seconds, y=-80.0, speed=2.0, name="way"):
@@ -42,19 +41,19 @@ def test_rows_with_the_same_id_are_the_way_of_one_user(tmp_path):
     assert users.name == str(path)
     assert [way.name for way in users.trajectories] == [f"{name} of {path}" for name in ways]
     for way, expected in zip(users.trajectories, ways.values(), strict=True):
-        np.testing.assert_array_equal(way.time_s, expected.time_s)
-        np.testing.assert_array_equal(way.position_m, expected.position_m)
+        assert_array_equal(way.time_s, expected.time_s)
+        assert_array_equal(way.position_m, expected.position_m)
 
 
 def test_each_episode_is_a_window_of_one_of_the_ways(tmp_path):
     ways = {"a": straight(30, -80.0), "b": straight(40, -70.0), "c": straight(60, -60.0)}
-    source = SimulatedSource(STREET, RADIO, read_ways(write(tmp_path, ways)), epochs=25)
+    source = street_source(read_ways(write(tmp_path, ways)), epochs=25)
     names = set()
     for episode in source.episodes(np.arange(40, dtype=np.uint64)):
         way = ways[episode.name[0]]
         rows = np.flatnonzero(way.position_m[:, 0] == episode.truth_position_m[0, 0])
         window = way.position_m[rows[0] : rows[0] + 25]
-        np.testing.assert_allclose(episode.truth_position_m, window, atol=1e-9)
+        assert_allclose(episode.truth_position_m, window, atol=1e-9)
         names.add(episode.name)
     assert names == set(source.names) and len(names) == 3
 
@@ -81,7 +80,7 @@ def test_all_ways_are_equally_likely_and_so_are_all_windows_of_a_way():
         starts = truth[numbers == way, 0, 0] - 100.0 * way
         counts = np.bincount(starts.astype(int))
         assert len(counts) == windows and np.ptp(counts) <= 1
-    np.testing.assert_array_equal(np.diff(truth[:, :, 0], axis=1), 1.0)
+    assert_array_equal(np.diff(truth[:, :, 0], axis=1), 1.0)
 
 
 @pytest.mark.parametrize(

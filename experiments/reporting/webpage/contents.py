@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 from experiments.console.tables import CELL, unescaped
 from experiments.evaluation.compare import Comparison
+from experiments.evaluation.contenders import DESCRIPTIONS
 from experiments.evaluation.positions import positions_markdown
 from experiments.evaluation.runs import curves_of, outcomes_markdown
 from experiments.evaluation.seeds import named
@@ -113,6 +114,15 @@ def read_source(path: Path) -> Source:
     return Source(str(path), "run", run)
 
 
+WORDS = (
+    "reward: per epoch, minus the position error in m, and minus a penalty if the filter misjudges "
+    "its error. ATE: mean position error. RMSE: root of the mean square error. RPE: change of the "
+    "error within a second. NEES: squared error relative to the filter's own covariance; 3 is "
+    "right (2 on flat ground), more is too confident. diverged: share of episodes whose error "
+    "exceeds 50 m at some time. Wide tables scroll sideways."
+)
+
+
 class Verdict(NamedTuple):
     """A name for results, their outcome as a title and as a sentence, and HTML of their tables."""
 
@@ -146,7 +156,7 @@ def _verdict(comparison: Comparison, tables: str) -> Verdict:
     """Return the verdict on the best contender and the next contender that is paired with it."""
     best, *others = comparison.policies
     name = f"{comparison.scenario}, {comparison.radio}, {named(comparison.seeds)}"
-    about = f"{len(others) + 1} contenders on {name}." if others else f"{best} on {name}."
+    about = f"{len(others) + 1} policies on {name}." if others else f"{best} on {name}."
     paired = ((other, comparison.margin(best, other)) for other in others)
     other, by = next(((other, margin) for other, margin in paired if margin), ("", None))
     if by is None:
@@ -159,7 +169,7 @@ def _verdict(comparison: Comparison, tables: str) -> Verdict:
         title = f"{best} and {other} are level"
         about += f" No winner: the reward of {best} minus the reward of {other} is {by}{interval}."
     else:
-        about += f" {best} won: its reward is {by} above the reward of {other}{interval}."
+        about += f" {best} won: its reward per epoch is {by} above the reward of {other}{interval}."
     if unpaired := others[: others.index(other)]:
         about += f" Ranked between these two, but not paired with {best}: {', '.join(unpaired)}."
     return Verdict(name, title, about, tables)
@@ -184,14 +194,18 @@ def _compared(comparison: Comparison, positions: Json | None) -> Iterator[str]:
         if (pair := comparison.paired.get(f"{name} - {other}"))
     ]
     caption = "Differences, paired by episode, with 95 % intervals"
-    yield table(caption, ["contender", "minus", "reward", "ATE m"], pairs) if pairs else ""
+    yield table(caption, ["policy", "minus", "reward", "ATE m"], pairs) if pairs else ""
     if positions:
         rows = positions["policies"]
         ranked = {name: rows[name] for name in comparison.policies if name in rows}
         about = "Errors in all episodes, without the first 10 epochs of each"
         yield element("p", about, "caption")
         kind = positions.get("levels", "gaussian")
-        yield html_of(positions_markdown("contender", ranked, positions["risk"], kind))
+        yield html_of(positions_markdown("policy", ranked, positions["risk"], kind))
+    for name in comparison.policies:
+        if name in DESCRIPTIONS:
+            yield element("p", f"{name}: {DESCRIPTIONS[name]}", "caption")
+    yield element("p", WORDS, "caption")
 
 
 def _trainings(source: Source) -> Iterator[str]:

@@ -62,10 +62,10 @@ function drawStreets(svg, episode, toX, toY, perMeter) {
       }
     }
   }
-  const [[gx, gy, gz], ...images] = episode.anchors;
-  for (const [x, y, z] of images) { // each image is the gNB's mirror image in a wall, so the wall is the perpendicular bisector between gNB and image
+  const [[gx, gy], ...others] = episode.anchors;
+  for (const [x, y] of others.slice(0, episode.images)) { // each image is the gNB's mirror image in a wall, so the wall is the perpendicular bisector between gNB and image
     const far = Math.hypot(x - gx, y - gy);
-    if (far === 0 || Math.abs(z - gz) > 0.1) continue;
+    if (far === 0) continue;
     const [dx, dy] = [(-5000 * (y - gy)) / far, (5000 * (x - gx)) / far];
     const [mx, my] = [(x + gx) / 2, (y + gy) / 2];
     shape(svg, "line", { x1: toX(mx - dx), y1: toY(my - dy), x2: toX(mx + dx), y2: toY(my + dy), stroke: "var(--wall)", "stroke-width": 3 });

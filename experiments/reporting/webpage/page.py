@@ -102,8 +102,8 @@ def _play_episodes(source: Source, most: int, watched: int) -> Played:
     keys = keys_for(task.source, seeds)
     rows = slice(1, LONGEST + 1)  # without the prior
     for i, episode in enumerate(draw_episodes(task.source, seeds)[: watched if watchable else 0]):
-        streets = task.streets_of(0 if keys is None else int(keys[i]))
-        histories = [history_of(c, episode, scoring, streets).part(rows) for c in watchable]
+        scene = task.scene_of(0 if keys is None else int(keys[i]))
+        histories = [history_of(c, episode, scoring, scene).part(rows) for c in watchable]
         name = f"{task.source.name}: {episode.name}, seed {seeds[i]}"
         shown = _episode(name, histories[0], episode.layout.group_names)
         for contender, history in zip(watchable, histories, strict=True):
@@ -128,7 +128,7 @@ def _play_log(source: Source) -> Played:
     history = History(
         log,
         scene.anchors_m,
-        scene.streets if scene.streets_known else None,
+        scene if scene.streets_known else None,
         len(belief.axes),
         time_s=block.time_s - block.time_s[0],
         modes=block.mode,
@@ -171,7 +171,8 @@ def _episode(name: str, history: History, groups: Sequence[str]) -> Json:
     names of groups of measurements.
     """
     truth = history.truth
-    streets = history.streets
+    scene = history.scene
+    streets = scene and scene.streets
     return {
         "name": printable(name),
         "time_s": _numbers(history.time_s),
@@ -180,6 +181,7 @@ def _episode(name: str, history: History, groups: Sequence[str]) -> Json:
         "speed_mps": _numbers(history.true_mps),
         "anchors": [_numbers(anchor) for anchor in history.anchors_m],
         "streets": streets and {"x": [*streets.x_m], "y": [*streets.y_m], "block": streets.block_m},
+        "images": len(scene.walls) if scene else 0,
         "groups": ["gNB", *groups[1:]],
         "nees_bounds": [*nees_interval(history.axes)],
         "contenders": {},

@@ -1,15 +1,15 @@
 """Scenario folders for tests: shortened or damaged copies of shipped folders, and a simple hall."""
 
-import json
 import shutil
 
 import numpy as np
+from numpy.testing import assert_allclose
 
 from mmwave_env.models.layout import wrapped
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from tests.filters.tracks import geometry
 from tests.logs.by_hand import shown
-from tests.paths import RECORDINGS
+from tests.paths import RECORDINGS, json_in, write_json
 
 VEHICLE = RECORDINGS / "canyon28_vehicle"
 PEDESTRIAN = RECORDINGS / "canyon28_pedestrian"
@@ -52,9 +52,9 @@ def set_at(index, value):
 def edit_params(folder, change):
     """Change params.json; ``change`` changes its content in place."""
     file = folder / "params.json"
-    params = json.loads(file.read_text())
+    params = json_in(file)
     change(params)
-    file.write_text(json.dumps(params))
+    write_json(file, params)
 
 
 def set_counts(folder, receivers, scenes=1):
@@ -121,32 +121,42 @@ def assert_fits(recording, scene, near_m=1e-6, near_rad=1e-5):
     layout = recording.layout
     exact = geometry(recording.position_m, recording.velocity_mps, scene, layout)
     difference = np.where(shown(recording), recording.measurement - exact, 0.0)
-    np.testing.assert_allclose(wrapped(difference[:, layout.angles]), 0.0, atol=near_rad)
-    np.testing.assert_allclose(difference[:, : layout.doppler : 4], 0.0, atol=near_m)
-    np.testing.assert_allclose(difference[:, layout.doppler], 0.0, atol=1e-9)
+    assert_allclose(wrapped(difference[:, layout.angles]), 0.0, atol=near_rad)
+    assert_allclose(difference[:, : layout.doppler : 4], 0.0, atol=near_m)
+    assert_allclose(difference[:, layout.doppler], 0.0, atol=1e-9)
 
 
-def write_hall(folder, gnb, receivers, walls, link=LINK):
-    """Write a scenario with a line of sight and, at each wall (normal, offset), a reflection."""
-    (folder / "params.json").write_text((VEHICLE / "params.json").read_text())
+def rays(gnb, receivers, walls):
+    """Trace a line of sight and, at each wall (normal, offset), a reflection.
+
+    Returns:
+        Unit vectors (2, N, P, 3) from the receivers and from the gNB, lengths (N, P) in m, and
+        points of reflection (N, P, 3), which are NaN on the first path, the line of sight.
+    """
     N = len(receivers)
     P = 1 + len(walls)
-    set_counts(folder, N)
     aim = np.empty((2, N, P, 3))
     length = np.empty((N, P))
-    bounce = np.full((N, P, 1, 3), np.nan)
+    bounce = np.full((N, P, 3), np.nan)
     aim[0, :, 0] = gnb - receivers
     aim[1, :, 0] = receivers - gnb
     length[:, 0] = np.linalg.norm(receivers - gnb, axis=1)
     for w, (normal, offset) in enumerate(walls, start=1):
-        image = reflect(gnb, normal, offset)
-        ray = image - receivers
+        ray = reflect(gnb, normal, offset) - receivers
         q = receivers + ((offset - receivers @ normal) / (ray @ normal))[:, None] * ray
         aim[0, :, w] = q - receivers
         aim[1, :, w] = q - gnb
-        bounce[:, w, 0] = q
+        bounce[:, w] = q
         length[:, w] = np.linalg.norm(ray, axis=1)
-    aim /= np.linalg.norm(aim, axis=-1, keepdims=True)
+    return aim / np.linalg.norm(aim, axis=-1, keepdims=True), length, bounce
+
+
+def write_hall(folder, gnb, receivers, walls, link=LINK):
+    """Write a scenario of :func:`rays`."""
+    (folder / "params.json").write_text((VEHICLE / "params.json").read_text())
+    N = len(receivers)
+    set_counts(folder, N)
+    aim, length, bounce = rays(gnb, receivers, walls)
     for name, unit in zip(("aoa", "aod"), aim, strict=True):
         azimuth = np.arctan2(unit[..., 1], unit[..., 0])
         zenith = np.arccos(unit[..., 2])
@@ -155,7 +165,7 @@ def write_hall(folder, gnb, receivers, walls, link=LINK):
     store(folder, "delay", length / SPEED_OF_LIGHT, link)
     store(folder, "power", -70.0 - 20.0 * np.log10(length), link)
     store(folder, "inter", np.tile([0.0] + [1.0] * len(walls), (N, 1)), link)
-    store(folder, "inter_pos", bounce, link)
+    store(folder, "inter_pos", bounce[:, :, None], link)
     store(folder, "rx_pos", receivers, link)
     store(folder, "tx_pos", gnb[None], link)
     rows = ["t,x,y,z,vx,vy,vz"]

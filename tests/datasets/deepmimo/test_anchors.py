@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.datasets.deepmimo import read_deepmimo
 from mmwave_env.datasets.deepmimo.anchors import find_links
@@ -45,7 +46,7 @@ def three_stations(tmp_path):
 
 def test_several_stations_are_anchors_sorted_by_how_often_they_are_visible(three_stations):
     recording = read_deepmimo(three_stations)
-    np.testing.assert_allclose(recording.anchors_m, STATIONS[[1, 2, 0]], atol=1e-6)
+    assert_allclose(recording.anchors_m, STATIONS[[1, 2, 0]], atol=1e-6)
     assert recording.visible.sum(axis=0).tolist() == [26, 22, 17, 26]
     assert_fits(recording, recording.scene)
 
@@ -54,7 +55,7 @@ def test_several_stations_are_anchors_sorted_by_how_often_they_are_visible(three
 def test_a_chosen_station_has_its_mirror_images_as_anchors(three_stations, number):
     recording = read_deepmimo(three_stations, base_station=number)
     station = STATIONS[number - 1]
-    np.testing.assert_allclose(recording.anchors_m, [station, reflect(station, *WALL)], atol=1e-6)
+    assert_allclose(recording.anchors_m, [station, reflect(station, *WALL)], atol=1e-6)
     assert recording.visible[:, 1].all()
 
 
@@ -90,7 +91,7 @@ def test_sloping_ground_and_leaning_walls_are_told_apart(tmp_path_factory, lean,
     (station,) = scenario.paths(scenario.epochs(None))
     links = find_links(station, USERS)
     images = [reflect(STATIONS[0], *surface) for surface in surfaces]
-    np.testing.assert_allclose(links.anchors_m[1:], images, atol=1e-4)
+    assert_allclose(links.anchors_m[1:], images, atol=1e-4)
     assert links.is_ground.tolist() == [False, True, False]
 
 
@@ -104,8 +105,8 @@ def test_paths_with_two_reflections_are_left_out_whatever_their_values(tmp_path)
             twice[::2] = 1e30
         store(folder, key, np.concatenate([array, twice], axis=1))
     recording = read_deepmimo(folder)
-    np.testing.assert_array_equal(recording.measurement, expected.measurement)
-    np.testing.assert_array_equal(recording.visible, expected.visible)
+    assert_array_equal(recording.measurement, expected.measurement)
+    assert_array_equal(recording.visible, expected.visible)
 
 
 MISTAKES = {

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as stn
+from numpy.testing import assert_array_equal
 
 from mmwave_env.datasets.deepmimo import arrays
 from mmwave_env.datasets.deepmimo.arrays import find_array, read_array
@@ -43,8 +44,8 @@ def test_chosen_rows_equal_the_same_rows_in_numpy(folder, array, suffix, order, 
     shape = tuple("NPIX"[: array.ndim])
     chosen = read_array(file, "delay", shape, np.array(rows, int))
     assert chosen.dtype == float
-    np.testing.assert_array_equal(chosen, array[rows])
-    np.testing.assert_array_equal(read_array(file, "delay", shape), array)
+    assert_array_equal(chosen, array[rows])
+    assert_array_equal(read_array(file, "delay", shape), array)
 
 
 def test_an_npz_file_is_preferred_to_an_npy_file(tmp_path):
@@ -127,7 +128,7 @@ def test_only_the_chosen_rows_of_an_npy_file_are_loaded(tmp_path, monkeypatch):
     chosen = read_array(file, "delay", ANY, np.array([2**22 - 1, 6, 7]))
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    np.testing.assert_array_equal(chosen[:, 0], [3.0, 0.0, 3.0])
+    assert_array_equal(chosen[:, 0], [3.0, 0.0, 3.0])
     assert peak < SMALL
     with refuses(file, "delay"):
         read_array(file, "delay", ANY)

@@ -4,6 +4,7 @@ import shutil
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.datasets.deepmimo.v4 import open_scenario
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
@@ -25,18 +26,18 @@ def shelf(tmp_path, monkeypatch):
 
 def assert_read_alike(theirs, position_m, station):
     """Check that the package and our reader agree about a base station's paths."""
-    np.testing.assert_allclose(theirs.rx_pos, position_m, atol=1e-4)
-    np.testing.assert_allclose(theirs.tx_pos.ravel(), station.position_m, atol=1e-4)
+    assert_allclose(theirs.rx_pos, position_m, atol=1e-4)
+    assert_allclose(theirs.tx_pos.ravel(), station.position_m, atol=1e-4)
     there = np.isfinite(station.interactions)
-    np.testing.assert_array_equal(theirs.num_paths, there.sum(axis=1))
-    np.testing.assert_array_equal(theirs.inter[there], station.interactions[there])
+    assert_array_equal(theirs.num_paths, there.sum(axis=1))
+    assert_array_equal(theirs.inter[there], station.interactions[there])
     usual = np.isin(station.interactions, (0.0, 1.0))  # direct or reflected once: paths that we use
-    np.testing.assert_array_equal(theirs.delay[usual], station.delay_s[usual].astype(np.float32))
-    np.testing.assert_array_equal(theirs.power[usual], station.gain_db[usual].astype(np.float32))
+    assert_array_equal(theirs.delay[usual], station.delay_s[usual].astype(np.float32))
+    assert_array_equal(theirs.power[usual], station.gain_db[usual].astype(np.float32))
     for key, name in ANGLES.items():
         ours = np.degrees(getattr(station, name)[usual])
-        np.testing.assert_allclose(theirs[f"{key}_az"][usual], ours[:, 0], atol=1e-4)
-        np.testing.assert_allclose(theirs[f"{key}_el"][usual], ours[:, 1], atol=1e-4)
+        assert_allclose(theirs[f"{key}_az"][usual], ours[:, 0], atol=1e-4)
+        assert_allclose(theirs[f"{key}_el"][usual], ours[:, 1], atol=1e-4)
 
 
 def assert_loads(name, shelf):
@@ -50,9 +51,9 @@ def assert_loads(name, shelf):
     for theirs, station in zip([loaded] if len(stations) == 1 else loaded, stations, strict=True):
         assert_read_alike(theirs, positions, station)
         sight = theirs.los == 1
-        np.testing.assert_array_equal(sight, (station.interactions == 0.0).any(axis=1))
+        assert_array_equal(sight, (station.interactions == 0.0).any(axis=1))
         away = np.linalg.norm(theirs.rx_pos - theirs.tx_pos, axis=1)
-        np.testing.assert_allclose(
+        assert_allclose(
             SPEED_OF_LIGHT * theirs.delay[sight, 0].astype(float), away[sight], atol=1e-3
         )
         channel = theirs.compute_channels()

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.datasets.deepmimo import read_deepmimo
 from mmwave_env.models.layout import wrapped
@@ -47,20 +48,20 @@ def folder(tmp_path):
 def test_virtual_anchors_are_the_gnb_mirrored_in_the_walls_and_every_row_fits_them(source, counts):
     recording = read_deepmimo(source)
     anchors = [(-5.0, 4.0, 6.0), (-5.0, 15.1431, 6.0), (-5.0, -21.2266, 6.0)]
-    np.testing.assert_allclose(recording.anchors_m, anchors, atol=1e-4)
+    assert_allclose(recording.anchors_m, anchors, atol=1e-4)
     assert tuple(recording.visible.sum(axis=0)) == counts
     assert recording.name == source.name
     assert recording.scene.carrier_hz == 28e9
     assert recording.scene.bandwidth_hz == 100e6
     strongest = np.nanmax(load(source, "power"), axis=1)
-    np.testing.assert_allclose(recording.path_gain_db[:, 0], strongest)
+    assert_allclose(recording.path_gain_db[:, 0], strongest)
     assert_fits(recording, SCENE, 1e-4, 2e-5)
 
 
 @pytest.mark.parametrize(("wanted", "images"), [(0, 0), (1, 1), (2, 2), (9, 2)])
 def test_the_mirror_images_that_are_visible_most_often_are_kept(wanted, images):
     recording = read_deepmimo(VEHICLE, virtual_anchors=wanted)
-    np.testing.assert_allclose(recording.anchors_m, SCENE.anchors_m[: 1 + images], atol=1e-4)
+    assert_allclose(recording.anchors_m, SCENE.anchors_m[: 1 + images], atol=1e-4)
     assert recording.layout.anchors == 1 + images
 
 
@@ -93,10 +94,8 @@ def test_the_strongest_of_several_paths_to_an_anchor_is_used(folder):
     edit(folder, "delay", lambda delay: np.add(delay, [0] * 4 + [1e-10] * 4))
     again = read_deepmimo(folder)
     late_m = np.where(np.arange(120) < 60, SPEED_OF_LIGHT * 1e-10, 0.0)
-    np.testing.assert_allclose(
-        again.measurement[:, 0] - expected.measurement[:, 0], late_m, atol=1e-5
-    )
-    np.testing.assert_array_equal(again.path_gain_db[:, 0], expected.path_gain_db[:, 0])
+    assert_allclose(again.measurement[:, 0] - expected.measurement[:, 0], late_m, atol=1e-5)
+    assert_array_equal(again.path_gain_db[:, 0], expected.path_gain_db[:, 0])
 
 
 def test_scattered_paths_are_left_out(folder):
@@ -129,9 +128,7 @@ def test_a_wall_in_any_direction_becomes_an_anchor(turn, offset, tilt, height, c
     with tempfile.TemporaryDirectory() as name:
         write_hall(Path(name), gnb, users, [(normal, distance)])
         recording = read_deepmimo(name, virtual_anchors=1)
-    np.testing.assert_allclose(
-        recording.anchors_m, [gnb, reflect(gnb, normal, distance)], atol=1e-6
-    )
+    assert_allclose(recording.anchors_m, [gnb, reflect(gnb, normal, distance)], atol=1e-6)
     assert recording.visible.all()
     assert_fits(recording, recording.scene)
 

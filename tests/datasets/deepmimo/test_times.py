@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.datasets.deepmimo import read_deepmimo
 from tests.datasets.deepmimo.scenarios import TRUTH, edit, load, shortened
@@ -18,15 +19,15 @@ def test_missing_velocities_are_computed_from_positions_and_missing_times_from_d
     lines = (folder / TRUTH).read_text().splitlines()
     (folder / TRUTH).write_text("\n".join(",".join(line.split(",")[:4]) for line in lines))
     recording = read_deepmimo(folder)
-    np.testing.assert_array_equal(recording.measurement[:, :12], expected.measurement[:, :12])
-    np.testing.assert_allclose(recording.velocity_mps, expected.velocity_mps, atol=0.06)
+    assert_array_equal(recording.measurement[:, :12], expected.measurement[:, :12])
+    assert_allclose(recording.velocity_mps, expected.velocity_mps, atol=0.06)
     (folder / TRUTH).unlink()
     recording = read_deepmimo(folder, dt_s=0.1)
-    np.testing.assert_allclose(recording.time_s, expected.time_s, atol=1e-9)
-    np.testing.assert_array_equal(recording.position_m, load(folder, "rx_pos"))
-    np.testing.assert_allclose(recording.velocity_mps, expected.velocity_mps, atol=0.06)
+    assert_allclose(recording.time_s, expected.time_s, atol=1e-9)
+    assert_array_equal(recording.position_m, load(folder, "rx_pos"))
+    assert_allclose(recording.velocity_mps, expected.velocity_mps, atol=0.06)
     shifts_hz = recording.measurement[:, -1], expected.measurement[:, -1]
-    np.testing.assert_allclose(*shifts_hz, atol=5.0)
+    assert_allclose(*shifts_hz, atol=5.0)
 
 
 @pytest.mark.parametrize("dt_s", [0.0, float("nan")])
