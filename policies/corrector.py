@@ -174,5 +174,4 @@ def load(path: AnyPath, radio: str = "handset") -> Switching:
     file = policy_file(path)
     policy = learned_policy(file)
     filters = policy.bank(radio) if policy.beliefs == "per-mode" else policy.modes
-    make = partial(type(policy), file)
-    return Switching(filters, None, make, file.card.observation)
+    return Switching(filters, None, partial(type(policy), file), file.card.observation)

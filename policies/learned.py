@@ -76,8 +76,7 @@ class LearnedPolicy:
         if radio in banks:
             return banks[radio]
         profile = radio_from(radio)
-        first = next(iter(banks))
-        known = (profile.name, profile.base, "standard", first)
+        known = (profile.name, profile.base, "standard", next(iter(banks)))
         return next(banks[name] for name in known if name in banks)
 
     def read_from(self, observation: Observation) -> None:

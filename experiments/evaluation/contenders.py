@@ -171,15 +171,13 @@ def contender_from(
     if name in known:
         return known[name]()
     if name == CLAIRVOYANT:
-        bank = bank_from(modes, radio)
-        return Contender(bank, policy=lambda table: Clairvoyant(), name=name)
+        return Contender(bank_from(modes, radio), policy=lambda table: Clairvoyant(), name=name)
     if name in shipped or name.endswith(".safetensors"):
         return Contender.learned(name, radio=radio)
     if Path(name).is_dir():
         return Contender.learned(Run.read(name).policy, name, radio)
     if is_agent(name):
-        agent = agent_from(name)
-        return Contender.own(name, agent, radio, modes, observation, beliefs)
+        return Contender.own(name, agent_from(name), radio, modes, observation, beliefs)
     if name.endswith(".zip"):
         raise ValueError(
             f"{name}: found a model of Stable-Baselines3, expected a policy file; "

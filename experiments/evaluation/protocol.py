@@ -172,12 +172,11 @@ def scored_over(figures: Json) -> int:
 
 def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> Judged:
     """Run contenders, the paper's rule and every IMM at a site, on the same episodes."""
-    seeds = seeds_from(episodes, seed)
     # Modes of an unseen radio are untuned on purpose, so suppress the warning about untuned modes.
     with warnings.catch_warnings(action="ignore"):
         everybody = dict.fromkeys([*names, RULE, *IMMS])
         chosen = [contender_from(name, site.radio) for name in everybody]
-        scores = score_contenders(chosen, site.source(), seeds)
+        scores = score_contenders(chosen, site.source(), seeds_from(episodes, seed))
     return Judged(site, scores)
 
 

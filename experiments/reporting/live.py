@@ -41,7 +41,6 @@ def run_live(args: LogArgs) -> None:
     require_alone(args, "format", "lag")
     require_at_least(0, args, "lag")
     require_one_choice(args)
-    clock = clock_from(args.clock)
     if not 0.0 < args.confidence < 1.0:
         raise ValueError(f"confidence: found {args.confidence}, expected between 0 and 1")
     levels = Levels(args.risk, args.levels)
@@ -49,7 +48,7 @@ def run_live(args: LogArgs) -> None:
     origin = origin_of(scene, "format: 3gpp") if args.format == "3gpp" else None
     tracker = None
     began = False
-    for epoch in _epochs(scene, args.snr, clock):
+    for epoch in _epochs(scene, args.snr, clock_from(args.clock)):
         if tracker is None:
             log = epoch.log()
             if not log.visible[:, : log.layout.anchors].any():

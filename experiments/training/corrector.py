@@ -290,8 +290,7 @@ class TwoWayTrainer(CorrectorTrainer):
         if not self.scales:
             self.measure(lots[: 4 * TOGETHER])
         while True:
-            order = rng.permutation(len(lots))
-            for some in np.array_split(order, -(-len(lots) // TOGETHER)):
+            for some in np.array_split(rng.permutation(len(lots)), -(-len(lots) // TOGETHER)):
                 yield [lots[i] for i in some]
 
     def examiner(self, episodes: int) -> Callable[[Path], Json]:

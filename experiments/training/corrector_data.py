@@ -180,8 +180,7 @@ class CorrectorData:
         rows = rows_of([engine.at.x, engine.at.P, engine.at.error])
         policy = base_policy(self._hyper.base, engine.observation)
         track = play(engine, policy, epochs, rows, columns)
-        size = batch.layout.state_size
-        outputs = np.split(track.outputs, [size, len(rows) - 3], axis=2)
+        outputs = np.split(track.outputs, [batch.layout.state_size, len(rows) - 3], axis=2)
         return lot_of(track.features, *outputs)
 
 

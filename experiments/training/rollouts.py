@@ -206,8 +206,7 @@ class RolloutLearner:
 
     def remember(self, tried: Tried) -> None:
         """Add states to the memory; they replace the oldest states."""
-        memory = len(self._gains)
-        rows = torch.arange(self._seen, self._seen + len(tried.values)) % memory
+        rows = torch.arange(self._seen, self._seen + len(tried.values)) % len(self._gains)
         gains = tried.values - tried.values[:, :1]
         self._observations[rows] = self._normal(tried.observations)
         self._gains[rows] = torch.from_numpy(gains.astype(np.float32))

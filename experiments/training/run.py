@@ -99,8 +99,7 @@ def manifest_of(args: TrainArgs, banks: Mapping[str, Bank], hyper: Hyperparamete
     choices = {"banks": written} if args.beliefs == "per-mode" else {"modes": first["modes"]}
     defaults = {name: getattr(type(args), name) for name in ASIDE}
     command = command_line("train", replace(args, **defaults))
-    hyperparameters = hyperparameters_as_written(hyper)
-    return {"command": command, "hyperparameters": hyperparameters, **choices}
+    return {"command": command, "hyperparameters": hyperparameters_as_written(hyper), **choices}
 
 
 def begin(args: TrainArgs, manifest: Json) -> None:

@@ -148,8 +148,7 @@ def verdict_on(source: Source) -> Verdict:
         more = "" if over == begun else "; mmwave-loc train --resume continues the other seeds"
         return Verdict(source.path, title, f"{title}{more}.", "".join(_trainings(source)))
     comparison = Comparison.from_json(content)
-    positions = content.get("position_errors")  # from --percentiles
-    return _verdict(comparison, "".join(_compared(comparison, positions)))
+    return _verdict(comparison, "".join(_compared(comparison, content.get("position_errors"))))
 
 
 def _verdict(comparison: Comparison, tables: str) -> Verdict:
