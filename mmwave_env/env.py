@@ -18,6 +18,7 @@ from mmwave_env.interface.info import (
     INFOS,
     NONFINITE_KEY,
     STATE_KEYS,
+    Info,
     info_rows,
     reported,
     step_info,
@@ -168,7 +169,7 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
 
     `copy.deepcopy` and `pickle` copy an environment in the middle of an episode, for planners; the
     copy continues identically, to the last bit. A deep copy shares its source of episodes with
-    the original. Vector environments can also be saved as plain arrays by `state` and `restore`.
+    the original.
 
     ## Arguments
 
@@ -290,7 +291,7 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         self._start_engine(pipeline, on_floats=on_floats)
         at = self._engine.at
         span = self._engine.span
-        self._io = self._engine.io()
+        self._io = self._engine.step_io()
         self._counts = self._tally.in_python()
         self._observed = self._engine.obs_rows
         self._error = span(at.error)
@@ -320,7 +321,7 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Array32, dict[str, Any]]:
+    ) -> tuple[Array32, Info]:
         """Draw an episode; the same seed draws the same episode. See Gymnasium's `Env.reset`.
 
         ``options={"episode_key": k}`` plays an episode again; k is its key, from an earlier info.
@@ -335,7 +336,7 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         self._begun = True
         self._over = False
         self._steps = 0
-        self._length = int(self._engine.batch.state.length[0])
+        self._length = int(self._engine.state.length[0])
         self._counts = self._tally.in_python()
         column = self._engine.column(0)
         if self._gallery:
@@ -346,7 +347,7 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         info |= {key: column[self._info_rows[key]] for key in STATE_KEYS}
         return column[self._observed].astype(np.float32), self._selected(info, at_end=True)
 
-    def _begin(self, key: int | None) -> dict[str, Any]:
+    def _begin(self, key: int | None) -> Info:
         """Begin the episode with this key (None: the next episode); return infos about it."""
         task = self._task
         engine = self._engine
@@ -357,15 +358,15 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         if key is None:
             key = self._stream.next(self.np_random, self.np_random_seed)
         (name,) = self._begin_keys(np.array([key], np.uint64), _HERE)
-        engine.advance(engine.io())
+        engine.run_step(engine.step_io())
         return {"episode_name": name, "episode_key": np.uint64(key), "nonfinite": 0}
 
-    def step(self, action: Any) -> tuple[Array32, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Any) -> tuple[Array32, float, bool, bool, Info]:
         """Process an epoch: apply a mode, weights or a correction. See Gymnasium's `Env.step`."""
         if self._over:
             raise ResetNeeded("Call reset before step: there is no episode under way.")
         mode = self._take(action)
-        self._engine.advance(self._io)
+        self._engine.run_step(self._io)
         column = self._engine.column(0)
         info = step_info(column, self._info_rows, mode)
         rewards = np.array([column[self._engine.at.reward]])
@@ -426,14 +427,14 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         if self._gallery:
             self._gallery.close()
 
-    def _selected(self, info: dict[str, Any], at_end: bool) -> dict[str, Any]:
+    def _selected(self, info: Info, at_end: bool) -> Info:
         """Return the info if the argument ``infos`` asks for it, else {}."""
         wanted = self._infos == "all" or (self._infos == "episode" and at_end)
         return info if wanted else {}
 
-    def _episode_info(self) -> dict[str, Any]:
+    def _episode_info(self) -> Info:
         """Return the episode's metrics, and the number of nonfinite beliefs if it is not 0."""
-        metrics: dict[str, Any] = {k: float(v[0]) for k, v in self._metrics_of(_HERE).items()}
+        metrics: Info = {k: float(v[0]) for k, v in self._metrics_of(_HERE).items()}
         (lost,) = self._tally.nonfinite(_HERE).tolist()
         if lost:
             warn_of_nonfinite()

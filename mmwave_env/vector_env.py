@@ -18,6 +18,7 @@ from mmwave_env.interface.info import (
     INFOS,
     NONFINITE_KEY,
     STATE_KEYS,
+    Info,
     mask_keys,
     masked,
     stepped,
@@ -32,7 +33,7 @@ from mmwave_env.rendering.theme import FRAMES_PER_SECOND, SMALLEST, Pixels, requ
 from mmwave_env.task import task_from
 from mmwave_env.world.keys import Keys, Streams, keys_from, options_of
 
-Step = tuple[Array32, Array, Mask, Mask, dict[str, Any]]
+Step = tuple[Array32, Array, Mask, Mask, Info]
 
 BEGUN = 512  # maximum number of episodes drawn in one call, to limit the memory that they need
 
@@ -127,8 +128,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         drawn = (*self._drawn, render_size, render_theme)
         self._gallery = Gallery(num_envs, *drawn) if render_mode else None
         self.single_observation_space = cast(Any, self.observation.space)
-        space = space_of(self._limits, len(self.observation.actions))
-        self.single_action_space = cast(Any, space)
+        self.single_action_space = cast(Any, space_of(self._limits, len(self.observation.actions)))
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._streams = Streams(num_envs)
@@ -143,7 +143,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         """Create everything that follows from the arguments, for a new environment or a copy."""
         self._start_engine(self._task.pipeline, self.num_envs, threads=self._threads)
         engine = self._engine
-        self.batch = engine.batch
+        self.batch = engine
         self._stepper = Stepper(engine, self._tally, self._infos)
 
     def render(self) -> tuple[Pixels, ...] | None:  # type: ignore[override]
@@ -160,15 +160,14 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         """Clear the pictures of the environments with indices ``places``, whose episodes begin."""
         if self._gallery:
             names = self._names.tolist()
-            engine = self._engine
-            self._gallery.begin(places, names, self._scene_of, engine.column)
+            self._gallery.begin(places, names, self._scene_of, self._engine.column)
 
     def reset(
         self,
         *,
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
-    ) -> tuple[Array32, dict[str, Any]]:
+    ) -> tuple[Array32, Info]:
         """Draw an episode for every environment, or only where ``options["reset_mask"]`` is True.
 
         Args:
@@ -223,11 +222,11 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         """Return the seed of each environment, as a `SyncVectorEnv` does."""
         return self._streams.seeds()
 
-    def _draw(self, places: Index, keys: Keys | None = None) -> dict[str, NDArray[Any]]:
+    def _draw(self, places: Index, keys: Keys | None = None) -> Info:
         """Begin episodes in the environments with indices ``places``; return infos, (N,) each."""
         task = self._task
         engine = self._engine
-        infos: dict[str, NDArray[Any]] = {"episode_name": np.full(self.num_envs, None, object)}
+        infos: Info = {"episode_name": np.full(self.num_envs, None, object)}
         infos["nonfinite"] = np.zeros(self.num_envs, np.int64)
         if task.has_keys:
             keys = self._streams.keys(places) if keys is None else keys
@@ -238,7 +237,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
             infos["episode_key"] = self._keys.copy()
         else:
             drawn = [task.draw(self._streams.generator(int(place))) for place in places]
-            engine.batch.load(drawn, places)
+            engine.load(drawn, places)
             infos["episode_name"][places] = [episode.name for episode in drawn]
             infos["nonfinite"][places] = [episode.nonfinite for episode in drawn]
         self._begin_tracks(places)
@@ -281,7 +280,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
             infos = self._end(observations, infos)
         return observations, rewards, terminated, truncated, infos
 
-    def _end(self, observations: Array32, infos: dict[str, Any]) -> dict[str, Any]:
+    def _end(self, observations: Array32, infos: Info) -> Info:
         """Add the infos of ended episodes; begin new episodes if the autoreset mode is SameStep."""
         ended = np.flatnonzero(self._over)
         lost = np.zeros(self.num_envs, np.int64)
@@ -325,7 +324,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
             f"actions: found {actions!r}, expected {n} integers in {self.single_action_space}"
         )
 
-    def _same_step(self, observations: Array32, infos: dict[str, Any]) -> dict[str, Any]:
+    def _same_step(self, observations: Array32, infos: Info) -> Info:
         """Reset environments whose episodes ended; put their old infos into ``final_info``."""
         over = self._over.copy()
         ended = np.flatnonzero(over)

@@ -14,7 +14,6 @@ from llvmlite.binding import get_host_cpu_name
 from experiments.console.provenance import versions
 from mmwave_env.compiler.disk_cache import kept_functions
 from mmwave_env.compiler.lanes import WIDTH
-from mmwave_env.compiler.program import rows_of
 from mmwave_env.engines.engine import Engine, run_imm
 from mmwave_env.engines.play import play
 from mmwave_env.interface.policy import FixedMode
@@ -81,11 +80,11 @@ def _episodes(task: Task, episodes: EpisodeBatch) -> float:
     computed = []
     for kept in starts.worlds:
         w = unflatten(world.template, iter(np.concatenate([blank, settings, kept]).tolist()))
-        for dt in source.steps_s:
+        for _ in range(source.epochs):
             w = observed(w)
             for _ in range(int(w.settings.stride)):
                 w = moved(happened(w))
-            computed.append(flatten(w.measured._replace(dt=dt)))
+            computed.append(flatten(w.measured))
     return _deviation(np.array(computed), episodes.table.reshape(len(computed), -1))
 
 
@@ -94,6 +93,5 @@ def _stepped(task: Task, episodes: EpisodeBatch, on_floats: bool) -> Array:
     engine = Engine(
         task.pipeline, len(_KEYS), TrackingReward(), bank=task.bank, on_floats=on_floats
     )
-    engine.batch.load(episodes)
-    rows = rows_of(engine.at.x)
-    return play(engine, FixedMode(0), _EPOCHS, rows).outputs.swapaxes(0, 1)
+    engine.load(episodes)
+    return play(engine, FixedMode(0), _EPOCHS, ("x",)).outputs["x"].swapaxes(0, 1)

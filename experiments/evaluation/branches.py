@@ -39,13 +39,13 @@ class Branches:
     """
 
     def __init__(self, engine: Engine, horizon: int) -> None:
-        self._batch = engine.batch
+        self._batch = engine
         self.horizon = horizon
         self._actions = len(engine.observation.actions)
         at = engine.at
         # State is kept in blocks of WIDTH environments; the last block is copied even if not full.
-        n = self._actions * len(engine.batch.state.rows) * WIDTH
-        self._copies = Batch(engine.batch.program, engine.batch.layout, n, rows_of(at.action))
+        n = self._actions * len(engine.state.rows) * WIDTH
+        self._copies = Batch(engine.program, engine.layout, n, rows_of(at.action))
         self._copies.make_room(horizon)
         self._copies.state.length[:] = horizon
         self._io = self._copies.io(output_rows=rows_of(at.reward), obs_rows=rows_of(at.observation))
@@ -99,10 +99,10 @@ class Clairvoyant(Policy):
         Raises:
             ValueError: an episode has no truth.
         """
-        state = engine.batch.state
-        if not np.isfinite(state.table[:, 0, columns_of(engine.batch.layout).truth]).all():
+        state = engine.state
+        if not np.isfinite(state.table[:, 0, columns_of(engine.layout).truth]).all():
             raise ValueError(BLIND)
-        step_s = engine.batch.steps_s(np.arange(len(state.length))).min()
+        step_s = engine.steps_s(np.arange(len(state.length))).min()
         horizon = min(math.ceil(HORIZON_S / step_s - 1e-6), state.table.shape[1])
         self._branches = Branches(engine, horizon)
 

@@ -105,16 +105,15 @@ def run_contender(
     bank = contender.bank
     action = policy.action
     engine = Engine(pipeline, n, scoring.reward, contender.observation, bank, action=action)
-    engine.batch.load(batch)
+    engine.load(batch)
     if isinstance(policy, Clairvoyant):  # it sees the whole episodes first
         policy.foresee(engine)
     policy.reset(np.ones(n, bool))
     corrects = policy.action == CORRECTION
     corrected = {"x": "reported.x", "P": "reported.P"} if corrects else {}
     read = [corrected.get(name, name) for name in names]
-    track = play(engine, policy, T, engine.program.rows(read))
-    parts = engine.program.by_name(read, track.outputs)
-    results = dict(zip(names, parts.values(), strict=True)) | {"mode": track.actions}
+    track = play(engine, policy, T, read)
+    results = dict(zip(names, track.outputs.values(), strict=True)) | {"mode": track.actions}
     return results | {"trusted": track.trusted} if corrects else results
 
 

@@ -30,7 +30,7 @@ from experiments.timing.workloads import (
 )
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.engines.engine import Engine
-from mmwave_env.engines.epoch import Asked, program_of, untuned
+from mmwave_env.engines.epoch import Asked, decide, filter_epoch, program_of, untuned
 from mmwave_env.filters.bank import named_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import TrackingReward
@@ -169,7 +169,7 @@ def kernels() -> dict[str, Operations]:
     programs = {STEP: Engine(pipeline, 1, TrackingReward()).program}
     for name in workloads.FILTERS:
         alone = untuned(Pipeline((modes[name],), pipeline.layout))
-        programs[name] = program_of(Asked(alone, predicted=True), ("filter", "decide"))
+        programs[name] = program_of(Asked(alone, predicted=True), (filter_epoch, decide))
     counted = {name: count(made.function, made.template) for name, made in programs.items()}
     template = drawn.world.template
     observe, _, move = drawn.world.parts

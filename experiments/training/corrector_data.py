@@ -174,14 +174,12 @@ class CorrectorData:
         n, epochs, _ = batch.table.shape
         pipeline = Pipeline(bank.modes, batch.layout)
         engine = Engine(pipeline, n, TrackingReward(), "signed", bank, action=CORRECTION)
-        engine.batch.load(batch)
+        engine.load(batch)
         after = [feature.name for feature in after_update(pipeline, per_mode=True)]
         columns = np.array([engine.observation.names.index(name) for name in after])
-        rows = rows_of([engine.at.x, engine.at.P, engine.at.error])
         policy = base_policy(self._hyper.base, engine.observation)
-        track = play(engine, policy, epochs, rows, columns)
-        outputs = np.split(track.outputs, [batch.layout.state_size, len(rows) - 3], axis=2)
-        return lot_of(track.features, *outputs)
+        track = play(engine, policy, epochs, ("x", "P", "error"), columns)
+        return lot_of(track.features, *track.outputs.values())
 
 
 def base_policy(base: str, table: Observation) -> Policy:

@@ -99,13 +99,13 @@ class RolloutEnv:
             self._streams.seed(i, seed + i)
         self.observations = np.zeros((n, len(self.observation)), np.float32)
         self._begin(self._everyone)
-        length = self._engine.batch.state.length
+        length = self._engine.state.length
         length[:] = 1 + block * (length - 1) // (block[-1] + 1)
 
     def step(self, actions: Index) -> None:
         """Take the actions (n,), one in every environment; start a new episode where one ends."""
         self.observations, _ = self._engine.step(actions)
-        state = self._engine.batch.state
+        state = self._engine.state
         over = np.flatnonzero(state.epoch > state.length)
         if len(over):
             self._begin(over)
@@ -115,7 +115,7 @@ class RolloutEnv:
         for i, source in enumerate(self._sources):
             here = some[self._place[some] == i]
             if len(here):
-                self._engine.batch.load(source.sample_batch(self._streams.keys(here)), here)
+                self._engine.load(source.sample_batch(self._streams.keys(here)), here)
         begun, _ = self._engine.start(some)
         self.observations[some] = begun[some]
 
@@ -143,7 +143,7 @@ class RolloutEnv:
                 began with action 0, then the n copies that began with action 1, and so on.
         """
         values = self._branches.values(act, self._weights)
-        state = self._engine.batch.state
+        state = self._engine.state
         whole = state.epoch - 1 + self._horizon <= state.length
         return Tried(self.observations[whole], values[whole])
 

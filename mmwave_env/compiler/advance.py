@@ -13,33 +13,23 @@ from numba import types
 from numba.extending import intrinsic, overload, register_jitable
 
 from mmwave_env.compiler.lanes import WIDTH, address, gather, scatter, scatter_single
-from mmwave_env.numerics.numbers import Array
 
 NEAR = 2**16  # if all blocks together have up to this many numbers, a core's own caches hold them
 TOGETHER = 8  # a feed runs for this many blocks, and then the program runs for the same blocks
 
 
-def call(run: int, block: Array) -> None:
-    """Run the program at the address ``run``, from ``Program.on_lanes``, on a block (size, 8)."""
-    ctypes.CFUNCTYPE(None, ctypes.c_int64)(run)(block.ctypes.data)
+def call(run: int, places: tuple[int, ...]) -> None:
+    """Call the C function at the address ``run`` with the addresses of arrays.
 
-
-def call_feed(run: int, block: Array, kept: Array, settings: Array) -> None:
-    """Run a feed's function, whose address is ``run``; ``program.Feed`` describes the arguments."""
-    function = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 3)(run)
-    function(block.ctypes.data, settings.ctypes.data, kept.ctypes.data)
+    ``Program.on_lanes`` returns the address of a program, whose argument is a block (size, 8);
+    ``program.Feed`` describes the arguments of a feed.
+    """
+    ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * len(places))(run)(*places)
 
 
 @overload(call)  # type: ignore[untyped-decorator]
-def _compiled_call(run, block):  # type: ignore[no-untyped-def]
-    return lambda run, block: _jump(run, (block.ctypes.data,))
-
-
-@overload(call_feed)  # type: ignore[untyped-decorator]
-def _compiled_call_feed(run, block, kept, settings):  # type: ignore[no-untyped-def]
-    return lambda run, block, kept, settings: _jump(
-        run, (block.ctypes.data, settings.ctypes.data, kept.ctypes.data)
-    )
+def _compiled_call(run, places):  # type: ignore[no-untyped-def]
+    return lambda run, places: _jump(run, places)  # noqa: PLW0108 - numba compiles it
 
 
 @intrinsic  # type: ignore[untyped-decorator]
@@ -69,50 +59,19 @@ def _load(block, sources, first, here, step, blank, state):  # type: ignore[no-u
 def _make(block, b, here, step, blank, state):  # type: ignore[no-untyped-def]
     """Let the feed compute the incoming rows; past the end of a track, set them to ``blank``."""
     feed = state.feed
-    call_feed(feed.run, block, feed.kept[b], feed.settings)
+    call(feed.run, (block.ctypes.data, feed.settings.ctypes.data, feed.kept[b].ctypes.data))
     for lane in range(here):
         e = b * WIDTH + lane
-        t = state.epoch[e] + step
-        if t < state.length[e]:
-            block[feed.timed, lane] = feed.times[t]
-            continue
-        for i in range(len(blank)):
-            block[i, lane] = blank[i]
+        if state.epoch[e] + step >= state.length[e]:
+            for i in range(len(blank)):
+                block[i, lane] = blank[i]
 
 
 @register_jitable  # type: ignore[untyped-decorator]
-def _aim(targets, first, here, step, running, out, nowhere):  # type: ignore[no-untyped-def]
-    """Set the address for each lane's results: ``nowhere`` if the lane's track does not run."""
+def _aim(targets, first, here, step, out, nowhere):  # type: ignore[no-untyped-def]
+    """Set the address for each lane's results: ``nowhere`` if the lane has no track."""
     for lane in range(WIDTH):
-        e = first + lane
-        runs = lane < here and running[e]
-        targets[lane] = address(out, e, step) if runs else nowhere.ctypes.data
-
-
-@register_jitable  # type: ignore[untyped-decorator]
-def _copy(source, target):  # type: ignore[no-untyped-def]
-    """Copy the rows of a block."""
-    for i in range(len(source)):
-        for lane in range(WIDTH):
-            target[i, lane] = source[i, lane]
-
-
-@register_jitable  # type: ignore[untyped-decorator]
-def _put_back(before, block, b, running):  # type: ignore[no-untyped-def]
-    """Restore the lanes of tracks that do not run."""
-    for lane in range(min(WIDTH, len(running) - b * WIDTH)):
-        if not running[b * WIDTH + lane]:
-            for i in range(len(block)):
-                block[i, lane] = before[i, lane]
-
-
-@register_jitable  # type: ignore[untyped-decorator]
-def _idle(b, running):  # type: ignore[no-untyped-def]
-    """Count the tracks of a block that do not run."""
-    idle = 0
-    for e in range(b * WIDTH, min(b * WIDTH + WIDTH, len(running))):
-        idle += not running[e]
-    return idle
+        targets[lane] = address(out, first + lane, step) if lane < here else nowhere.ctypes.data
 
 
 @register_jitable  # type: ignore[untyped-decorator]
@@ -139,45 +98,11 @@ def _take_in(b, step, blank, state, io, sources):  # type: ignore[no-untyped-def
 def _give_out(b, step, state, io, targets, nowhere):  # type: ignore[no-untyped-def]
     """Write the outputs and observations of a block to their arrays."""
     first = b * WIDTH
-    here = min(WIDTH, len(state.running) - first)
-    _aim(targets, first, here, step, state.running, io.outputs, nowhere)
+    here = min(WIDTH, len(state.length) - first)
+    _aim(targets, first, here, step, io.outputs, nowhere)
     scatter(state.rows[b], io.output_rows, targets)
-    _aim(targets, first, here, step, state.running, io.observations, nowhere)
+    _aim(targets, first, here, step, io.observations, nowhere)
     scatter_single(state.rows[b], io.obs_rows, targets)
-
-
-@register_jitable  # type: ignore[untyped-decorator]
-def _finish(b, state, before, kept_before, epochs):  # type: ignore[no-untyped-def]
-    """Count the epochs that a block ran, and restore the tracks that should not have run."""
-    running = state.running
-    for e in range(b * WIDTH, min(b * WIDTH + WIDTH, len(running))):
-        if running[e]:
-            state.epoch[e] += epochs
-    if _idle(b, running) > 0:
-        _put_back(before, state.rows[b], b, running)
-        if state.feed.run != 0:
-            _put_back(kept_before, state.feed.kept[b], b, running)
-
-
-@register_jitable  # type: ignore[untyped-decorator]
-def _some_blocks(b, end, state, before, kept_before, some):  # type: ignore[no-untyped-def]
-    """Find the next blocks with a running track; copy a block if it also has an idle track.
-
-    Return the number of blocks found, and the block to continue with.
-    """
-    n = len(state.running)
-    count = 0
-    while b < end and count < len(some):
-        idle = _idle(b, state.running)
-        if idle < min(WIDTH, n - b * WIDTH):
-            some[count] = b
-            if idle > 0:
-                _copy(state.rows[b], before[count])
-                if state.feed.run != 0:
-                    _copy(state.feed.kept[b], kept_before[count])
-            count += 1
-        b += 1
-    return count, b
 
 
 @register_jitable  # type: ignore[untyped-decorator]
@@ -201,21 +126,17 @@ def advance(begin, end, run, blank, state, io):  # type: ignore[no-untyped-def]
             and outputs (:class:`~mmwave_env.compiler.program.StepIO`).
     """
     epochs = io.outputs.shape[1]
-    some = np.empty(min(TOGETHER, end - begin), np.int64)
-    before = np.empty((len(some), state.rows.shape[1], WIDTH))
-    kept_before = np.empty((len(some), state.feed.kept.shape[1], WIDTH))
     addresses = np.empty(WIDTH, np.int64)
     nowhere = np.empty(max(len(io.output_rows), len(io.obs_rows)))
     touched = 0.0
-    b = begin
-    while b < end:
-        count, b = _some_blocks(b, end, state, before, kept_before, some)
+    for first in range(begin, end, TOGETHER):
+        after = min(first + TOGETHER, end)
         for step in range(epochs):
-            for i in range(count):
-                touched += _take_in(some[i], step, blank, state, io, addresses)
-            for i in range(count):
-                call(run, state.rows[some[i]])
-                _give_out(some[i], step, state, io, addresses, nowhere)
-        for i in range(count):
-            _finish(some[i], state, before[i], kept_before[i], epochs)
+            for b in range(first, after):
+                touched += _take_in(b, step, blank, state, io, addresses)
+            for b in range(first, after):
+                call(run, (state.rows[b].ctypes.data,))
+                _give_out(b, step, state, io, addresses, nowhere)
+    for e in range(begin * WIDTH, min(end * WIDTH, len(state.epoch))):
+        state.epoch[e] += epochs
     return touched

@@ -43,6 +43,7 @@ from numba.core.serialize import dumps
 from numba.core.sigutils import normalize_signature
 from platformdirs import user_cache_path
 
+Function = Callable[..., Any]
 _PACKAGE = Path(__file__).parents[1]  # an edit anywhere in the package makes a new version
 _SOURCES = "**/*.py"
 _READ = time.time()  # if a source is edited later, this process may have read either version
@@ -50,7 +51,7 @@ _KEPT = 8  # number of versions of the sources whose compiled functions are kept
 _CHECKSUM = sha256().digest_size  # length, in bytes, of the checksum with which a file begins
 
 
-def compiled(function: Callable[..., Any]) -> Any:
+def compiled(function: Function) -> Any:
     """Compile a module-level function with numba, so that it runs without the interpreter's lock.
 
     For a function that only compiled code calls, ``register_jitable`` is enough.
@@ -58,7 +59,7 @@ def compiled(function: Callable[..., Any]) -> Any:
     return _with_cache(numba.njit(nogil=True, error_model="numpy")(function), function)
 
 
-def compiled_callback(signature: Any, function: Callable[..., Any]) -> Any:
+def compiled_callback(signature: Any, function: Function) -> Any:
     """Compile a function as ``numba.cfunc`` does, with the disk cache.
 
     Compiled code may differ between processes without a change in the sources, for example if it
@@ -71,7 +72,7 @@ def compiled_callback(signature: Any, function: Callable[..., Any]) -> Any:
     return callback
 
 
-def _with_cache(compiler: Any, function: Callable[..., Any]) -> Any:
+def _with_cache(compiler: Any, function: Function) -> Any:
     if folder := _folder():
         with suppress(OSError):  # the function may not come from a file
             compiler._cache = _OnDisk(function, folder)
@@ -199,7 +200,7 @@ def _checksum(key: str, content: bytes) -> bytes:
 class _OnDisk(NullCache):  # type: ignore[misc]
     """The cache that numba reads before it compiles a function and writes to afterwards."""
 
-    def __init__(self, function: Callable[..., Any], folder: Path) -> None:
+    def __init__(self, function: Function, folder: Path) -> None:
         self._name = f"{function.__module__}.{function.__qualname__}"
         # The folder's name does not depend on sources outside the package, such as a policy's.
         self._source = sha256(Path(function.__code__.co_filename).read_bytes()).hexdigest()
@@ -255,7 +256,7 @@ class LazyJit:
     the function; the unit is the caller's, such as epochs.
     """
 
-    def __init__(self, function: Callable[..., Any], plain_work: int) -> None:
+    def __init__(self, function: Function, plain_work: int) -> None:
         self.plain = function
         self.compiled: Any = compiled(function)
         self._left = plain_work
@@ -270,7 +271,3 @@ class LazyJit:
             return self.plain
         self._left = 0
         return self.compiled
-
-    def __call__(self, work: int, *arguments: Any) -> Any:
-        """Do an amount of work, as plain Python or compiled."""
-        return self.choice(work, *arguments)(*arguments)

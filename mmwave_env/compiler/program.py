@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 from mmwave_env.compiler.advance import advance
 from mmwave_env.compiler.disk_cache import LazyJit, compiled_callback
 from mmwave_env.compiler.lanes import WIDTH, kernel
-from mmwave_env.compiler.threads import share
-from mmwave_env.numerics.numbers import Array, Index, Mask
+from mmwave_env.compiler.threads import share, spans
+from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.numerics.pytree import Tree, flatten, indices, unflatten
 from mmwave_env.numerics.tape import fingerprint
 
+Columns = tuple[Index, dict[str, int | slice]]  # rows, and the output columns of parts of them
 Workspace = TypeVar("Workspace", bound=tuple[Any, ...])
-Blocks = tuple[int, int]  # first block, and the block after the last
 
 NO_ROWS = np.empty(0, np.int64)
 # Number of epochs, summed over blocks, that run in plain Python before the loop is compiled.
@@ -48,7 +48,7 @@ def rows_of(tree: Any) -> Index:
     return np.array(flatten(tree), np.int64)
 
 
-def laid_out(parts: Mapping[str, Any]) -> tuple[Index, dict[str, int | slice]]:
+def laid_out(parts: Mapping[str, Any]) -> Columns:
     """Return the row numbers of parts of a :attr:`Program.index`, and each part's output columns.
 
     Output arrays have one column for each of these rows, in order. A part's columns are a slice, or
@@ -85,13 +85,11 @@ class Feed(NamedTuple):
     run: int
     settings: Array  # (rows, 8) read only, the same for all blocks
     kept: Array  # (blocks, rows, 8) the feed's workspace, changed in place
-    timed: int  # index of the incoming row that is set from ``times``; ``run`` computes the rest
-    times: Array  # (epochs,) the value of this row in each epoch
 
     @classmethod
     def none(cls) -> "Feed":
         """Return an empty feed, with address 0, to use when there is a table."""
-        return cls(0, np.empty((0, WIDTH)), np.empty((0, 0, WIDTH)), 0, np.empty(0))
+        return cls(0, np.empty((0, WIDTH)), np.empty((0, 0, WIDTH)))
 
 
 class BatchState(NamedTuple):
@@ -102,14 +100,12 @@ class BatchState(NamedTuple):
     table: Array  # (n, epochs, incoming) the epochs to load
     length: Index  # (n,) number of epochs of each track; after the last, a blank epoch is loaded
     epoch: Index  # (n,) index of the epoch that each track runs next, changed in place
-    running: Mask  # (n,) False leaves a track and its ``epoch`` unchanged
 
     @classmethod
     def of(cls, table: Array, rows: Array) -> "BatchState":
         """Return the state of tracks of equal length, at their first epoch."""
         n, epochs, _ = table.shape
-        everyone = np.ones(n, np.bool_)
-        return cls(rows, Feed.none(), table, np.full(n, epochs), np.zeros(n, np.int64), everyone)
+        return cls(rows, Feed.none(), table, np.full(n, epochs), np.zeros(n, np.int64))
 
 
 class StepIO(NamedTuple):
@@ -173,10 +169,9 @@ class Program(Generic[Workspace]):
         self.template = template
         self.start = np.array(flatten(template), float)
         self.blank = np.array(flatten(template[0]), float)
-        self.size = len(self.start)
         self.index: Workspace = indices(template)
         self._compiled: Any = None
-        self._columns: dict[Sequence[str], tuple[Index, dict[str, int | slice]]] = {}
+        self._columns: dict[Sequence[str], Columns] = {}
 
     def rows(self, names: Sequence[str]) -> Index:
         """Return the row numbers of parts of ``index``, such as "x" or "memory.nis"."""
@@ -191,22 +186,23 @@ class Program(Generic[Workspace]):
             name: outputs[..., columns] for name, columns in self._found(tuple(names))[1].items()
         }
 
-    def _found(self, names: tuple[str, ...]) -> tuple[Index, dict[str, int | slice]]:
+    def _found(self, names: tuple[str, ...]) -> Columns:
         """Return :func:`laid_out` for the parts with these names."""
         if names not in self._columns:
             parts = {name: attrgetter(name)(self.index) for name in names}
             self._columns[names] = laid_out(parts)
         return self._columns[names]
 
-    def run_on_lanes(self, state: BatchState, io: StepIO, blocks: Blocks | None = None) -> None:
-        """Run epoch after epoch, eight environments at a time, in some or all blocks."""
-        first, end = blocks or (0, len(state.rows))
-        epochs = (end - first) * io.outputs.shape[1]
-        run_blocks(epochs, first, end, self.on_lanes(), self.blank, state, io)
+    def run_on_lanes(self, state: BatchState, io: StepIO, threads: int = 1) -> None:
+        """Run epoch after epoch, eight environments at a time, on at most ``threads`` threads."""
+        blocks = len(state.rows)
+        arguments = (self.on_lanes(), self.blank, state, io)
+        jobs = [(begin, end, *arguments) for begin, end in spans(blocks, min(threads, blocks))]
+        share(run_blocks.choice(blocks * io.outputs.shape[1], *jobs[0]), jobs, threads)
 
-    def run_on_floats(self, state: BatchState, io: StepIO) -> None:
-        """Run the running tracks one after the other in plain Python: slow, for reference."""
-        for e in np.flatnonzero(state.running):
+    def run_on_floats(self, begin: int, end: int, state: BatchState, io: StepIO) -> None:
+        """Run the tracks of some blocks one by one in plain Python: slow, for reference."""
+        for e in range(begin * WIDTH, min(end * WIDTH, len(state.epoch))):
             lanes = state.rows[e // WIDTH, :, e % WIDTH]
             for step in range(io.outputs.shape[1]):
                 t = state.epoch[e] + step
@@ -256,10 +252,10 @@ class Repeated:
         self._function = function
         self._unchecked: Callable[..., Any] | None = None
 
-    def __call__(self, work: int, jobs: Sequence[tuple[Any, ...]]) -> list[Any]:
-        """Run each job in its own thread and return the results, in order."""
+    def __call__(self, work: int, jobs: Sequence[tuple[Any, ...]], threads: int) -> list[Any]:
+        """Run jobs on at most ``threads`` threads and return the results, in order."""
         run: Any = self._unchecked or self._function.choice(work, *jobs[0])
-        results = share(run, jobs, len(jobs))
+        results = share(run, jobs, threads)
         if run is self._function.compiled:
             self._unchecked = run.overloads[tuple(map(typeof, jobs[0]))].entry_point
         return results

@@ -145,29 +145,25 @@ class Track(ABC):
         causes no warning: its size is estimated from the errors' changes between epochs.
         """
         layout = self.layout
-        position = list(self.position_m.T)
         anchors = self.anchors_m.tolist()
+        position = list(self.position_m.T)
         exact = exact_rows(position, [0.0] * 3, anchors, 0.0, Layout(layout.anchors))
-        known = np.isfinite(self.position_m).all(axis=1)
         far = []
-        for a in range(layout.anchors):
-            used = self.visible[:, a] & known
-            for i, name in enumerate(LINK):
-                if layout.clock and not i:
-                    continue  # a clock offset is no contradiction
-                error = (self.measurement[:, 4 * a + i] - exact[4 * a + i])[used]
-                error = error[np.isfinite(error)]
-                if len(error) < _ENOUGH:
-                    continue
-                change = np.diff(error)
-                if i:
-                    error = wrap(error)
-                    change = wrap(change)
-                median = np.median(np.abs(error))
-                # With noise alone, the median of |error| is about 0.67 standard deviations.
-                noise = np.median(np.abs(change)) / _NOISE
-                if median > min(_FAR[i], max(_NEAR[i], 2.0 * noise)):
-                    far.append(f"{name} of anchor {a + 1}: {median:.3g}")
+        for row in range(layout.doppler):
+            a, i = divmod(row, len(LINK))
+            error = (self.measurement[:, row] - exact[row])[self.visible[:, a]]
+            error = error[np.isfinite(error)]  # where the true position is known
+            if len(error) < _ENOUGH or (layout.clock and not i):
+                continue  # a clock offset is no contradiction
+            change = np.diff(error)
+            if i:
+                error = wrap(error)
+                change = wrap(change)
+            median = np.median(np.abs(error))
+            # With noise alone, the median of |error| is about 0.67 standard deviations.
+            noise = np.median(np.abs(change)) / _NOISE
+            if median > min(_FAR[i], max(_NEAR[i], 2.0 * noise)):
+                far.append(f"{LINK[i]} of anchor {a + 1}: {median:.3g}")
         if far:
             warnings.warn(
                 f"{self.record}: found large median errors ({', '.join(far)}), expected "

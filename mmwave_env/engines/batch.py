@@ -7,7 +7,7 @@ of the workspace: ``incoming`` is the next epoch; ``site`` contains the anchors,
 """
 
 from collections.abc import Sequence
-from typing import Any, Generic
+from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -20,13 +20,12 @@ from mmwave_env.compiler.program import (
     Program,
     Repeated,
     StepIO,
-    Workspace,
     blocks_of,
     run_blocks,
 )
 from mmwave_env.compiler.threads import spans
 from mmwave_env.models.layout import Layout
-from mmwave_env.numerics.numbers import Array, Index, Mask
+from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.numerics.pytree import flatten
 from mmwave_env.world.episode import Episode, EpisodeBatch, columns_of
 from mmwave_env.world.simulated import EpisodeStarts, SimulatedSource
@@ -36,7 +35,7 @@ BLOCKS_PER_THREAD = 64  # minimum number of blocks for each thread
 _NO_FEED = Feed.none()
 
 
-class Batch(Generic[Workspace]):
+class Batch:
     """N environments running one program.
 
     Args:
@@ -55,7 +54,7 @@ class Batch(Generic[Workspace]):
 
     def __init__(
         self,
-        program: Program[Workspace],
+        program: Program[Any],
         layout: Layout,
         n: int,
         input_rows: Index = NO_ROWS,
@@ -65,11 +64,12 @@ class Batch(Generic[Workspace]):
         self.program = program
         self.layout = layout
         self.n = n
-        self.at = program.index
+        self.at: Any = program.index
         blocks = -(-n // WIDTH)
         rows = blocks_of(program.start, n)
         self.state = BatchState.of(np.empty((n, 0, len(program.blank))), rows)
         self._input_rows = input_rows
+        self._end_s = 0.0  # time of the epoch that was loaded last
         self.on_floats = on_floats
         self._run = Repeated(run_blocks)
         self._over = np.zeros(n, np.int64)  # epochs and lengths of tracks that load no epoch
@@ -79,44 +79,47 @@ class Batch(Generic[Workspace]):
         self,
         episodes: EpisodeBatch | Sequence[Episode],
         places: Index | None = None,
-        gap_s: float | None = None,
+        go_on: bool = False,
     ) -> None:
-        """Load episodes, which start new tracks or continue the current tracks.
+        """Load episodes, to be filtered from their priors.
 
         Args:
             episodes: one episode for each environment in ``places``.
             places: indices of the environments to load; None for all.
-            gap_s: seconds from the last epoch that ran to the first epoch of the episodes, which
-                then continue the tracks; None to start over from the episodes' priors.
+            go_on: whether the episodes, which have the same times, continue the tracks that were
+                loaded last; priors are then ignored.
 
         Raises:
             ValueError: the layout of an episode differs from the batch's.
         """
+        gap_s = 0.0
+        if not isinstance(episodes, EpisodeBatch):
+            time_s = episodes[0].time_s
+            gap_s = float(time_s[0]) - self._end_s
+            self._end_s = float(time_s[-1])
         packed = EpisodeBatch.of(episodes, self.layout)
         places = np.arange(self.n) if places is None else places
         epochs = packed.table.shape[1]
         self.make_room(epochs)
         self.state.length[places] = packed.length
         self.state.table[places, :epochs] = packed.table
-        if gap_s is not None:
+        if go_on:
             self.state.table[places, 0, columns_of(self.layout).dt] = gap_s
             self.state.epoch[places] = 0
             return
-        _, site, _, *_ = self.at
-        self.write(site, packed.site, places)
+        self.write(self.at.site, packed.site, places)
         self.restart(places)
 
-    def load_epoch(self, incoming: Sequence[float], gap_s: float) -> None:
-        """Load one more epoch of a single track that was loaded before.
+    def load_epoch(self, incoming: Sequence[float], time_s: float) -> None:
+        """Load one more epoch, at a time in seconds, of a single track that was loaded before.
 
-        Args:
-            incoming: (columns,) a row of :meth:`~mmwave_env.world.episode.Episode.table`.
-            gap_s: seconds since the previous epoch.
+        ``incoming`` (columns,) is a row of :meth:`~mmwave_env.world.episode.Episode.table`.
         """
         self.state.table[0, 0] = incoming
-        self.state.table[0, 0, columns_of(self.layout).dt] = gap_s
+        self.state.table[0, 0, columns_of(self.layout).dt] = time_s - self._end_s
         self.state.length[0] = 1
         self.state.epoch[0] = 0
+        self._end_s = time_s
 
     def begin(self, source: SimulatedSource, starts: EpisodeStarts, places: Index) -> None:
         """Start over with episodes that are simulated while the environments step.
@@ -126,20 +129,15 @@ class Batch(Generic[Workspace]):
             starts: beginnings of the episodes, one for each of ``places``.
             places: indices of the environments that begin.
         """
-        self._attach(source)
-        block, lane = np.divmod(places, WIDTH)
-        self.state.feed.kept[block, :, lane] = starts.worlds
-        self.state.length[places] = source.epochs
-        _, site, _, *_ = self.at
-        self.write(site, starts.sites, places)
-        self.restart(places)
-
-    def _attach(self, source: SimulatedSource) -> None:
-        """Create the feed (compiled code that simulates epochs), unless there is one already."""
         if not self.state.feed.run:
             blank = source.begin(np.zeros(1, np.uint64)).worlds
             feed = source.feed(np.tile(blank, (self.n, 1)))
             self.state = self.state._replace(feed=feed)
+        block, lane = np.divmod(places, WIDTH)
+        self.state.feed.kept[block, :, lane] = starts.worlds
+        self.state.length[places] = source.epochs
+        self.write(self.at.site, starts.sites, places)
+        self.restart(places)
 
     def make_room(self, epochs: int) -> None:
         """Make room for tables with this number of epochs; loaded tables are kept."""
@@ -153,21 +151,18 @@ class Batch(Generic[Workspace]):
     def restart(self, places: Index | None = None) -> None:
         """Start over with the loaded episodes; ``places`` is the same as in :meth:`load`."""
         places = np.arange(self.n) if places is None else places
-        _, _, is_first, *_ = self.at
-        self.write(is_first, 1.0, places)
+        self.write(self.at.is_first, 1.0, places)
         self.state.epoch[places] = 0
 
     def episodes(self, places: Index) -> EpisodeBatch:
         """Return the episodes loaded in some environments, without their names."""
-        _, site, *_ = self.at
         block, lane = np.divmod(places, WIDTH)
         length = self.state.length[places]
         return EpisodeBatch(
             names=[""] * len(places),
-            nonfinite=np.zeros(len(places), np.int64),
             length=length,
             table=self.state.table[places, : length.max(initial=0)],
-            site=self.state.rows[block, self.span(site), lane],
+            site=self.state.rows[block, self.span(self.at.site), lane],
             layout=self.layout,
         )
 
@@ -180,37 +175,56 @@ class Batch(Generic[Workspace]):
     def advance(
         self,
         io: StepIO,
-        running: Mask | None = None,
-        program: Program[Workspace] | None = None,
+        places: Index | None = None,
+        program: Program[Any] | None = None,
         again: bool = False,
     ) -> None:
         """Run the next epochs; past the end of an episode, epochs are blank (without measurements).
 
         Args:
-            io: inputs, outputs and observations.
-            running: (n,) False for environments to leave unchanged; None to run all.
+            io: inputs, outputs and observations; if only some environments run, outputs and
+                observations of the others are meaningless.
+            places: indices of the environments to run; None to run all.
             program: another program with the same workspace; None for the batch's own.
             again: whether the program works on the epoch that ran last, so that no epoch is loaded.
         """
         program = program or self.program
+        if places is None:
+            self._advance(self.parts, io, program, again)
+            return
+        blocks = np.unique(places // WIDTH)
+        near = blocks[:, None] * WIDTH + np.arange(WIDTH)
+        others = np.setdiff1d(near[near < self.n], places)  # in the same blocks; to be restored
+        block, lane = np.divmod(others, WIDTH)
+        epoch = self.state.epoch[others]
+        arrays = [self.state.rows]
+        if self.state.feed.run:
+            arrays.append(self.state.feed.kept)
+        before = [array[block, :, lane] for array in arrays]
+        self._advance([(b, b + 1) for b in blocks.tolist()], io, program, again)
+        self.state.epoch[others] = epoch
+        for array, values in zip(arrays, before, strict=True):
+            array[block, :, lane] = values
+
+    def _advance(
+        self, parts: list[tuple[int, int]], io: StepIO, program: Program[Any], again: bool
+    ) -> None:
+        """Run the next epochs of some ranges of blocks; arguments are as for :meth:`advance`."""
         state = self.state
-        if running is not None:
-            state = state._replace(running=running)
         if again:
             state = state._replace(feed=_NO_FEED, length=self._over, epoch=self._over)
         if self.on_floats:
-            program.run_on_floats(state, io)
+            for begin, end in parts:
+                program.run_on_floats(begin, end, state, io)
             return
         arguments = (program.on_lanes(), program.blank, state, io)
-        jobs = [(begin, end, *arguments) for begin, end in self.parts]
-        self._run(len(state.rows) * io.outputs.shape[1], jobs)
+        jobs = [(begin, end, *arguments) for begin, end in parts]
+        self._run(len(state.rows) * io.outputs.shape[1], jobs, len(self.parts))
 
     def steps_s(self, places: Index) -> Array:
-        """Return the median time (n,) in seconds between the epochs of each current episode."""
+        """Return the median time (n,) in seconds between the epochs of each loaded episode."""
         state = self.state
         dt = columns_of(self.layout).dt
-        if state.feed.run:
-            return np.full(len(places), state.feed.times[1:2].sum() or 1.0)
         each = [state.table[place, 1 : state.length[place], dt] for place in places]
         return np.array([np.median(steps) if len(steps) else 1.0 for steps in each])
 

@@ -14,7 +14,18 @@ from numpy.typing import NDArray
 
 from mmwave_env.compiler.program import NO_ROWS, Program, StepIO, rows_of
 from mmwave_env.engines.batch import Batch
-from mmwave_env.engines.epoch import Asked, EpochState, program_of, untuned
+from mmwave_env.engines.epoch import (
+    Asked,
+    EpochState,
+    Verb,
+    correct,
+    decide,
+    filter_epoch,
+    program_of,
+    refresh,
+    score,
+    untuned,
+)
 from mmwave_env.filters.bank import Bank, settings_of
 from mmwave_env.filters.modes import Tuning
 from mmwave_env.filters.pipeline import Pipeline
@@ -23,7 +34,7 @@ from mmwave_env.interface.features import Feature
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.policy import Rule, policy_from
 from mmwave_env.interface.reward import Reward
-from mmwave_env.numerics.numbers import Array, Array32, Index, Mask
+from mmwave_env.numerics.numbers import Array, Array32, Index
 from mmwave_env.numerics.pytree import flatten
 from mmwave_env.task import Base
 from mmwave_env.world.episode import Episode, EpisodeBatch
@@ -31,7 +42,7 @@ from mmwave_env.world.episode import Episode, EpisodeBatch
 SCORED = {"error", "nees", "reward", "reward_terms", "distance"}  # parts from the verb "score"
 
 
-class Engine:
+class Engine(Batch):
     """N tracks of a pipeline.
 
     Args:
@@ -50,9 +61,7 @@ class Engine:
             correct beliefs, given the table of its observations; None if an IMM weighs the modes.
 
     Attributes:
-        batch: states and episodes of the tracks.
         observation: table of the observed features, if there are observations.
-        at, read, column, span: same as in ``batch``.
     """
 
     observation: Observation
@@ -77,30 +86,25 @@ class Engine:
             untuned(pipeline) if tuned else pipeline,
             bank is not None, observation, reward, action, predicted, rule,
         )  # fmt: skip
-        self._programs: dict[tuple[str, ...], Program[EpochState]] = {}
-        verbs = ["decide", "score", "filter"]  # of a step
+        self._programs: dict[tuple[Verb, ...], Program[EpochState]] = {}
+        verbs = [decide, score, filter_epoch]  # of a step
         if action == CORRECTION:
-            verbs = ["correct", "filter"]
+            verbs = [correct, filter_epoch]
             if base is None:
-                verbs += ["decide", "refresh"]
-        self.program = self._program(*verbs)
-        at = self.program.index
+                verbs += [decide, refresh]
+        program = self._program(*verbs)
+        at = program.index
         inputs = rows_of([at.action, at.numbers if action != MODE else []])
-        self.batch = Batch(self.program, pipeline.layout, n, inputs, on_floats, threads)
-        self.at = at
-        self.read = self.batch.read
-        self.column = self.batch.column
-        self.span = self.batch.span
+        super().__init__(program, pipeline.layout, n, inputs, on_floats, threads)
         self._shown: Any = slice(None)
         self.obs_rows = rows_of(at.observation)
         if observation:
             self.observation = Observation(pipeline, observation, "per-mode" if bank else "shared")
         self._base = policy_from(base(self.observation), "base") if base else None
-        self._end_s = 0.0
         if tuned:
             self.tune(bank or [mode.tuning for mode in pipeline.modes])
 
-    def _program(self, *verbs: str) -> Program[EpochState]:
+    def _program(self, *verbs: Verb) -> Program[EpochState]:
         if verbs not in self._programs:
             self._programs[verbs] = program_of(self._asked, verbs)
         return self._programs[verbs]
@@ -116,8 +120,8 @@ class Engine:
         numbers: Any = list(tuning) if not isinstance(tuning, Bank) else tuning
         if isinstance(tuning, Bank):
             numbers = settings_of(tuning, self.pipeline.layout)
-        self.batch.write(self.at.settings, np.array(flatten(numbers), float), places)
-        self.batch.restart(places)
+        self.write(self.at.settings, np.array(flatten(numbers), float), places)
+        self.restart(places)
 
     def show(self, features: Sequence[Feature]) -> None:
         """Observe only these features of the table."""
@@ -125,27 +129,6 @@ class Engine:
         self.observation = self.observation.only(features)
         self._shown = [names.index(name) for name in self.observation.names]
         self.obs_rows = self.obs_rows[self._shown]
-
-    def load(self, episodes: Sequence[Episode], go_on: bool = False) -> None:
-        """Load N episodes, to be filtered from their priors.
-
-        Args:
-            episodes: one episode per track.
-            go_on: whether the episodes continue the tracks just filtered; priors are then ignored.
-
-        Raises:
-            ValueError: there are not N episodes, or their layout is not the pipeline's.
-        """
-        gap_s = None
-        if go_on:
-            gap_s = float(episodes[0].time_s[0]) - self._end_s
-        self.batch.load(episodes, gap_s=gap_s)
-        self._end_s = float(episodes[0].time_s[-1])
-
-    def load_epoch(self, incoming: Sequence[float], time_s: float) -> None:
-        """Load one more epoch of a single track; see :meth:`Batch.load_epoch`."""
-        self.batch.load_epoch(incoming, time_s - self._end_s)
-        self._end_s = time_s
 
     def run(self, *names: str, actions: NDArray[np.integer[Any]] | None = None) -> dict[str, Array]:
         """Filter the loaded episodes to their ends.
@@ -158,20 +141,20 @@ class Engine:
             For each name, an array: (N, epochs), or (N, epochs, k) if the part has k numbers.
             Values past the end of an episode are meaningless.
         """
-        verbs = ["filter", "decide"]
+        verbs = [filter_epoch, decide]
         if SCORED & set(names):
-            verbs.append("score")
+            verbs.append(score)
         program = self._program(*verbs)
-        io = self.batch.io(int(self.batch.state.length.max()), program.rows(names))
+        io = self.io(int(self.state.length.max()), program.rows(names))
         if actions is not None:
             io.inputs[..., 0] = actions
-        self.batch.advance(io, program=program)
+        self.advance(io, program=program)
         return program.by_name(names, io.outputs)
 
     def filter(self) -> Array32:
         """Run all modes on the next epoch of every track; return observations (n, features)."""
-        io = self.io()
-        self.batch.advance(io, program=self._program("filter"))
+        io = self.step_io()
+        self.advance(io, program=self._program(filter_epoch))
         return io.observations[:, 0]
 
     def decide(
@@ -188,17 +171,17 @@ class Engine:
             Observations (n, features), whose columns about the belief after its update are new if
             actions are corrections; and the output rows (n, k).
         """
-        verbs = ["decide"]
+        verbs = [decide]
         if scored:
-            verbs.append("score")
+            verbs.append(score)
         if self._asked.action == CORRECTION:
-            verbs.append("refresh")
-        io = self.io(output_rows)
+            verbs.append(refresh)
+        io = self.step_io(output_rows)
         if self._asked.action == WEIGHTS:
             io.inputs[:, 0, 1:] = actions
         else:
             io.inputs[:, 0, 0] = actions
-        self.batch.advance(io, program=self._program(*verbs), again=True)
+        self.advance(io, program=self._program(*verbs), again=True)
         return io.observations[:, 0], io.outputs[:, 0]
 
     def correct(self, numbers: Array, output_rows: Index = NO_ROWS) -> Array:
@@ -208,25 +191,23 @@ class Engine:
             numbers: (n, 6) shifts and log factors (:mod:`mmwave_env.filters.correction`).
             output_rows: (k,) indices of the rows to return, such as those of "reported".
         """
-        io = self.batch.io(1, output_rows)
+        io = self.io(1, output_rows)
         io.inputs[:, 0, 1:] = numbers
-        self.batch.advance(io, program=self._program("correct"), again=True)
+        self.advance(io, program=self._program(correct), again=True)
         return io.outputs[:, 0]
 
     def reset(self, episodes: EpisodeBatch | Sequence[Episode]) -> None:
         """Start over with one episode for each environment and run the modes on its first epoch."""
-        self.batch.load(episodes)
-        self.advance(self.io())
+        self.load(episodes)
+        self.run_step(self.step_io())
 
     def start(self, places: Index, output_rows: Index = NO_ROWS) -> tuple[Array32, Array]:
         """Run the modes on the next epoch in environments just loaded; leave the others unchanged.
 
         The results have the same shapes as in :meth:`step`, but are valid only for ``places``.
         """
-        running = np.zeros(self.batch.n, np.bool_)
-        running[places] = True
-        io = self.io(output_rows)
-        self.advance(io, running)
+        io = self.step_io(output_rows)
+        self.run_step(io, places if len(places) < self.n else None)
         return io.observations[:, 0], io.outputs[:, 0]
 
     def step(
@@ -244,21 +225,21 @@ class Engine:
         Returns:
             The observations (n, features) and the output rows (n, k), in new arrays.
         """
-        io = self.io(output_rows)
+        io = self.step_io(output_rows)
         io.inputs[:, 0, 0] = actions
-        self.advance(io)
+        self.run_step(io)
         return io.observations[:, 0], io.outputs[:, 0]
 
-    def advance(self, io: StepIO, running: Mask | None = None) -> None:
-        """Make a step of all environments, or where ``running`` (n,) is True."""
-        self.batch.advance(io, running)
-        self.trust(io, running)
+    def run_step(self, io: StepIO, places: Index | None = None) -> None:
+        """Make a step of all environments, or of those with indices ``places``."""
+        self.advance(io, places)
+        self.trust(io, places)
 
-    def trust(self, io: StepIO, running: Mask | None = None) -> None:
+    def trust(self, io: StepIO, places: Index | None = None) -> None:
         """Let the agent ``base``, if there is one, act between filter and decide of a step."""
         if self._base is None:
             return
-        n = self.batch.n
+        n = self.n
         actions: Index = np.asarray(self._base.act(self.read(self.at.observation, np.float32)))
         whole = actions.dtype.kind in "iu"
         count = len(self.observation.actions)
@@ -270,11 +251,11 @@ class Engine:
         decision = StepIO(
             io.input_rows, io.inputs, NO_ROWS, io.outputs[..., :0], io.obs_rows, io.observations
         )
-        self.batch.advance(decision, running, self._program("decide", "refresh"), again=True)
+        self.advance(decision, places, self._program(decide, refresh), again=True)
 
-    def io(self, output_rows: Index = NO_ROWS) -> StepIO:
+    def step_io(self, output_rows: Index = NO_ROWS) -> StepIO:
         """Return the buffers of a step: for actions, observations and output rows."""
-        return self.batch.io(1, output_rows, self.obs_rows)
+        return self.io(1, output_rows, self.obs_rows)
 
     def observations(self) -> Array32:
         """Return a copy of the current observations (n, features)."""
@@ -300,7 +281,6 @@ def run_imm(
     episodes: EpisodeBatch | Sequence[Episode],
     *names: str,
     planar: bool = False,
-    actions: Index | None = None,
 ) -> dict[str, Array]:
     """Filter complete episodes with an IMM, without an agent, starting from the episodes' priors.
 
@@ -310,14 +290,12 @@ def run_imm(
         episodes: n episodes with the same layout.
         names: parts of :class:`EpochState` to return, such as "reward" or "mixture.probability".
         planar: same as in :class:`~mmwave_env.filters.pipeline.Pipeline`.
-        actions: (n, epochs) numbers of the modes whose probability is raised, from 1; 0 for none.
 
     Returns:
         The parts, as :meth:`Engine.run` returns them.
     """
     packed = EpisodeBatch.of(episodes)
     pipeline = Pipeline(bank.modes, packed.layout, planar)
-    action = "" if actions is None else MODE
-    engine = tracks_of(pipeline, len(packed.length), bank, None, reward, action)
-    engine.batch.load(packed)
-    return engine.run(*names, actions=actions)
+    engine = tracks_of(pipeline, len(packed.length), bank, reward=reward, action="")
+    engine.load(packed)
+    return engine.run(*names)

@@ -47,7 +47,7 @@ class Baseline:
         threads: maximum number of threads in use; results do not depend on it.
     """
 
-    def __init__(self, task: Task, batch: Batch[Any], threads: int = 1) -> None:
+    def __init__(self, task: Task, batch: Batch, threads: int = 1) -> None:
         self._task = task
         self._batch = batch
         self._threads = threads
@@ -123,6 +123,7 @@ class Environment:
         modes = len(task.pipeline.modes)
         self._limits = limits_of(task.action, modes)
         self._tally = Tally(n, len(task.pipeline.position_axes), smoothed, modes + 1)
+        self._keys = np.zeros(n, np.uint64)  # of the episodes, if they have keys
         self._begun = False
 
     def _start_engine(
@@ -145,11 +146,10 @@ class Environment:
         )
         if corrections:  # leave out the features that depend on the coming epoch
             self._engine.show(after_update(pipeline, per_mode=True))
-        self._keys = np.zeros(n, np.uint64)  # of the episodes, if they have keys
         self.modes = pipeline.modes
         self.bank = task.bank
         self.observation = self._engine.observation
-        self._baseline = Baseline(task, self._engine.batch, threads) if task.baseline else None
+        self._baseline = Baseline(task, self._engine, threads) if task.baseline else None
 
     @property
     def _drawn(self) -> tuple[dict[str, Any], int, list[str]]:
@@ -192,33 +192,39 @@ class Environment:
         """
         self._keys[places] = keys
         source = self._task.simulated
-        batch = self._engine.batch
-        if batch.on_floats or not source.travels:
+        engine = self._engine
+        if engine.on_floats or not source.travels:
             episodes = self._task.tables(keys, threads)
-            batch.load(episodes, places)
+            engine.load(episodes, places)
             return episodes.names
         starts = source.begin(keys)
-        if self._task.pipeline.planar:
-            starts = starts.on_flat_ground(source.layout)
-        batch.begin(source, starts, places)
+        engine.begin(source, starts, places)
+        if self._task.pipeline.planar:  # as in Episode.on_flat_ground
+            prior = engine.at.site.prior_x
+            engine.write(prior[2], starts.first[:, 2], places)
+            engine.write(prior[5], 0.0, places)
         return [source.names[kind] for kind in starts.kinds]
 
     def _episodes(self, places: Index) -> EpisodeBatch:
         """Return the complete current episodes of some environments (n,)."""
-        batch = self._engine.batch
-        if batch.state.feed.run:
+        engine = self._engine
+        if engine.state.feed.run:
             return self._task.tables(self._keys[places])
-        return batch.episodes(places)
+        return engine.episodes(places)
 
     def _begin_tracks(self, places: Index) -> None:
         """Start the baseline and the tally for episodes that just began in some environments."""
         self._begin_baseline(places)
-        length = self._engine.batch.state.length[places]
-        self._tally.begin(places, self._engine.batch.steps_s(places), length)
+        engine = self._engine
+        if engine.state.feed.run:
+            step_s = np.full(len(places), self._task.simulated.dt)
+        else:
+            step_s = engine.steps_s(places)
+        self._tally.begin(places, step_s, engine.state.length[places])
 
     def _metrics_of(self, ended: Index, threads: int = 1) -> dict[str, Array]:
         """Compute the final metrics of episodes that ended in some environments (k,)."""
-        epochs = self._engine.batch.state.epoch[ended] - 1
+        epochs = self._engine.state.epoch[ended] - 1
         figures = self._tally.metrics(ended, epochs)
         metrics = {INFO_KEYS[name]: values for name, values in figures.items()}
         if not self._smoothing:
@@ -242,8 +248,8 @@ class Environment:
     def _charge(self, rewards: Array, places: Index) -> None:
         """Add (worst reward - baseline) for each epoch that is missing because of an early end."""
         assert self._task.worst is not None
-        batch = self._engine.batch
-        rewards[places] += self._task.worst * (batch.state.length - batch.state.epoch + 1)[places]
+        engine = self._engine
+        rewards[places] += self._task.worst * (engine.state.length - engine.state.epoch + 1)[places]
         if self._baseline:
             rewards[places] -= self._baseline.rest(places)
 
@@ -256,21 +262,19 @@ class Environment:
     def __getstate__(self) -> dict[str, Any]:
         """Return the attributes that a copy cannot create itself."""
         kept = {key: value for key, value in vars(self).items() if key not in self._remade}
-        return kept | {"tracks": self._engine.batch.state, "keys": self._keys}
+        return kept | {"tracks": self._engine.state}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Continue exactly like the copied environment."""
         vars(self).update(state)
         tracks = vars(self).pop("tracks")
-        keys = vars(self).pop("keys")
         self._set_up_noting()
-        self._keys = keys
         if len(tracks.feed.kept):  # the address of compiled code differs between processes
             feed = tracks.feed._replace(run=self._task.simulated.world.on_lanes())
             tracks = tracks._replace(feed=feed)
-        self._engine.batch.state = tracks
+        self._engine.state = tracks
         if self._begun:
-            self._begin_baseline(np.arange(self._engine.batch.n))
+            self._begin_baseline(np.arange(self._engine.n))
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         """Return an independent copy."""

@@ -52,7 +52,7 @@ from mmwave_env.interface.signed import LastEpoch, after_update
 from mmwave_env.models.measurement import Epoch, Site, blank_site
 from mmwave_env.models.radio import Radio
 from mmwave_env.numerics.linalg import dot, pack, unpack
-from mmwave_env.numerics.numbers import Number, Vector, maximum, sqrt, where
+from mmwave_env.numerics.numbers import Number, Numbers, Vector, maximum, sqrt, where
 from mmwave_env.numerics.pytree import select, tree_at
 from mmwave_env.world.episode import Incoming, blank_incoming
 
@@ -100,8 +100,8 @@ class PendingEpoch(NamedTuple):
 
     # dt, visible: same as in :class:`~mmwave_env.models.measurement.Epoch`
     dt: Number
-    visible: list[Number]
-    truth: list[Number]  # (6,) true position (m) and velocity (m/s)
+    visible: Numbers
+    truth: Numbers  # (6,) true position (m) and velocity (m/s)
     measured: Vector  # same as in :class:`~mmwave_env.models.measurement.Epoch`
     incoming: Any = ()  # the complete epoch if the observation is "signed"
 
@@ -109,11 +109,11 @@ class PendingEpoch(NamedTuple):
 class Reported(NamedTuple):
     """The epoch that an action corrected. Its fields are the same as in :class:`EpochState`."""
 
-    x: list[Number]
-    P: list[Number]
-    truth: list[Number]
+    x: Numbers
+    P: Numbers
+    truth: Numbers
     memory: Memory
-    mode_probabilities: list[Number]
+    mode_probabilities: Numbers
     reward: Number  # reward of the belief before the correction, without any cost
 
 
@@ -125,28 +125,28 @@ class EpochState(NamedTuple):
     is_first: Number  # 1 to start over from the prior
     # number of the mode to choose; with beliefs per mode: to trust, counted from 1; 0 for none
     action: Number
-    numbers: list[Number]  # (k,) the action if it is weights or a correction
+    numbers: Numbers  # (k,) the action if it is weights or a correction
     settings: Any  # ImmSettings of a bank, or a list with the Tuning of every mode
     # pending, candidates: the PendingEpoch that waits for an action; its results if x, P are shared
     pending: Any
     candidates: list[ModeResult]
     mixture: Any  # Mixture: beliefs of all modes, if every mode keeps its own
-    spread_averages_hz: list[Number]  # average Doppler spread, for each of SPREAD_MEMORIES
+    spread_averages_hz: Numbers  # average Doppler spread, for each of SPREAD_MEMORIES
     # the following fields, except the observation, belong to the last decided epoch
-    mode_probabilities: list[Number]  # (modes,) probabilities after the action
-    velocity: list[Number]  # (3,) velocity before the epoch, for residuals
-    x: list[Number]  # (7,) mean of the belief
-    P: list[Number]  # (28,) its covariance, packed
+    mode_probabilities: Numbers  # (modes,) probabilities after the action
+    velocity: Numbers  # (3,) velocity before the epoch, for residuals
+    x: Numbers  # (7,) mean of the belief
+    P: Numbers  # (28,) its covariance, packed
     # x_predicted, P_predicted: (7,), (28,) belief before its update
-    x_predicted: list[Number]
-    P_predicted: list[Number]
+    x_predicted: Numbers
+    P_predicted: Numbers
     log_likelihood: Any  # a number, of the chosen candidate
     memory: Memory  # memory of the track or, with beliefs per mode, of the most probable mode
-    observation: list[Number]  # (features,)
+    observation: Numbers  # (features,)
     reward: Any  # a number
-    reward_terms: list[Number]  # terms of the reward, then the negative cost of the mode
-    truth: list[Number]  # (6,) truth; before any action, the truth in the first epoch
-    error: list[Number]  # (3,) position error, m; NaN if the truth is unknown
+    reward_terms: Numbers  # terms of the reward, then the negative cost of the mode
+    truth: Numbers  # (6,) truth; before any action, the truth in the first epoch
+    error: Numbers  # (3,) position error, m; NaN if the truth is unknown
     distance: Any  # a number: length of the error, m
     nees: Number  # NEES of the position
     reported: Any  # Reported: the corrected epoch, if actions are corrections
@@ -156,10 +156,9 @@ def filter_epoch(w: EpochState, asked: Asked) -> EpochState:
     """Run all modes on the incoming epoch; observe their results. A first epoch has the prior."""
     pipeline = asked.pipeline
     layout = pipeline.layout
-    is_first = w.is_first > 0.5
     w = _started(w, asked)
     epoch = w.incoming.epoch(layout)
-    predicted: list[Number] = []
+    predicted: Numbers = []
     if asked.per_mode:
         now = imm_epoch(pipeline, w.settings, w.mixture, epoch, w.site)
         w = w._replace(mixture=now.mixture)
@@ -178,7 +177,7 @@ def filter_epoch(w: EpochState, asked: Asked) -> EpochState:
         ]
         w = w._replace(candidates=[_kept(result, asked) for result in results])
     if asked.observation:
-        w = _observed(w, asked, epoch, results, predicted, is_first)
+        w = _observed(w, asked, epoch, results, predicted)
     elif not asked.per_mode:
         w = w._replace(memory=memory_before(w.memory, results, epoch, layout))
     last = w.incoming if asked.signed else ()
@@ -188,23 +187,22 @@ def filter_epoch(w: EpochState, asked: Asked) -> EpochState:
 
 def decide(w: EpochState, asked: Asked) -> EpochState:
     """Turn the results of the modes into the belief, as the action says."""
-    dt, visible, truth, measured, _ = w.pending
+    pending = w.pending
     if asked.signed:
         w = w._replace(velocity=w.x[3:6])
-    w = w._replace(truth=truth)
+    w = w._replace(truth=pending.truth)
     if asked.per_mode:
         mixture = w.mixture
         if asked.action == WEIGHTS:
-            mixture = reweighted(mixture, w.numbers, dt)
+            mixture = reweighted(mixture, w.numbers, pending.dt)
         elif asked.action:
-            mixture = trusting(mixture, w.action, dt)
+            mixture = trusting(mixture, w.action, pending.dt)
         x, covariance = estimate(mixture)
         memory = most_probable_memory(mixture)._replace(preference=w.memory.preference)
         w = w._replace(mixture=mixture, mode_probabilities=mixture.probability)
         return w._replace(x=x, P=pack(covariance), memory=memory)
     chosen: ModeResult = tree_at(w.action, w.candidates)
-    layout = asked.pipeline.layout
-    memory = memory_after(layout, w.action, w.x, chosen, w.memory, dt, visible, measured)
+    memory = memory_after(asked.pipeline.layout, w.action, w.x, chosen, w.memory, pending)
     w = w._replace(x=chosen.x, P=chosen.P, memory=memory)
     if not asked.predicted:
         return w
@@ -220,10 +218,8 @@ def refresh(w: EpochState, asked: Asked) -> EpochState:
     columns = {name: i for i, name in enumerate(asked.table.names)}
     after = after_update(asked.pipeline, asked.per_mode)
     features = [feature for feature in after if feature.name in columns]
-    covariance = unpack(w.P, zero=asked.pipeline.known_axes)
-    last = _last_epoch(w, asked, 0.0) if asked.signed else None
     epoch = w.incoming.epoch(asked.pipeline.layout)  # no feature here depends on it
-    view = View(w.x, covariance, w.memory, [], epoch, w.site, None, last)
+    view = _view(w, asked, epoch, [])
     observation = list(w.observation)
     for feature, value in zip(features, standardized(features, view), strict=True):
         observation[columns[feature.name]] = value
@@ -294,8 +290,7 @@ def _observed(
     asked: Asked,
     epoch: Epoch,
     results: list[ModeResult],
-    predicted: list[Number],
-    is_first: Any,
+    predicted: Numbers,
 ) -> EpochState:
     """Return the state with its observation of the modes' results, and with its memory of them.
 
@@ -305,30 +300,38 @@ def _observed(
         epoch: the incoming epoch.
         results: one result per mode.
         predicted: (modes,) probabilities before the epoch, if every mode keeps its own belief.
-        is_first: whether a track begins here.
     """
-    last = _last_epoch(w, asked, w.is_first) if asked.signed else None
     epoch = with_expected_spread(epoch, w.x[3:6], w.site)
     w = w._replace(memory=memory_before(w.memory, results, epoch, asked.pipeline.layout))
     shown = None
     if asked.per_mode:
         spread = epoch.doppler_spread_hz
         averages = [
-            where(is_first, spread, keep * old + (1.0 - keep) * spread)
+            where(w.is_first > 0.5, spread, keep * old + (1.0 - keep) * spread)
             for old, keep in zip(w.spread_averages_hz, SPREAD_MEMORIES, strict=True)
         ]
         shown = MixtureView(predicted, w.mixture.probability, averages)
         w = w._replace(spread_averages_hz=averages)
-    covariance = unpack(w.P, zero=asked.pipeline.known_axes)
-    view = View(w.x, covariance, w.memory, results, epoch, w.site, shown, last)
-    return w._replace(observation=asked.table.values(view))
+    view = _view(w, asked, epoch, results, shown)
+    return w._replace(observation=standardized(asked.table.features, view))
 
 
-def _last_epoch(w: EpochState, asked: Asked, is_missing: Number) -> LastEpoch:
-    """Return the last decided epoch, whose residuals are observed."""
-    epoch = w.pending.incoming.epoch(asked.pipeline.layout)
-    epoch = with_expected_spread(epoch, w.velocity, w.site)
-    return LastEpoch(epoch, is_missing, w.velocity, w.mode_probabilities)
+def _view(
+    w: EpochState,
+    asked: Asked,
+    epoch: Epoch,
+    results: list[ModeResult],
+    shown: MixtureView | None = None,
+) -> View:
+    """Return the inputs of features: the coming epoch, its results and, if asked, the last one."""
+    pipeline = asked.pipeline
+    last = None
+    if asked.signed:
+        decided = w.pending.incoming.epoch(pipeline.layout)
+        decided = with_expected_spread(decided, w.velocity, w.site)
+        last = LastEpoch(decided, w.is_first, w.velocity, w.mode_probabilities)
+    covariance = unpack(w.P, zero=pipeline.known_axes)
+    return View(w.x, covariance, w.memory, results, epoch, w.site, shown, last)
 
 
 def with_expected_spread(epoch: Epoch, velocity: Vector, site: Site) -> Epoch:
@@ -347,25 +350,19 @@ def with_expected_spread(epoch: Epoch, velocity: Vector, site: Site) -> Epoch:
     return epoch._replace(doppler_spread_hz=where(spread > 0.0, spread, measured * expected))
 
 
-VERBS: dict[str, Callable[[EpochState, Asked], EpochState]] = {
-    "filter": filter_epoch,
-    "decide": decide,
-    "refresh": refresh,
-    "correct": correct,
-    "score": score,
-}
+Verb = Callable[[EpochState, Asked], EpochState]
 
 
 @lru_cache(maxsize=64)
-def program_of(asked: Asked, verbs: tuple[str, ...]) -> Program[EpochState]:
+def program_of(asked: Asked, verbs: tuple[Verb, ...]) -> Program[EpochState]:
     """Return the program of some verbs, in order; programs of the same ``asked`` share a state."""
     return Program(partial(_run, asked=asked, verbs=verbs), _start(asked))
 
 
-def _run(w: EpochState, asked: Asked, verbs: Sequence[str]) -> EpochState:
+def _run(w: EpochState, asked: Asked, verbs: Sequence[Verb]) -> EpochState:
     after = w
     for verb in verbs:
-        after = VERBS[verb](after, asked)
+        after = verb(after, asked)
     if not asked.observation:  # no epoch waits for an action
         after = after._replace(pending=(), candidates=[])
     return after
@@ -431,10 +428,10 @@ def _with_room_for_a_policy(state: EpochState, asked: Asked) -> EpochState:
 
 def untuned(pipeline: Pipeline) -> Pipeline:
     """Return the pipeline without tunings, so that modes that differ only in tuning are equal."""
-    zeros: dict[str, Any] = dict.fromkeys(NOISES, 0.0) | {"coupling": False}
     modes = []
     for i, mode in enumerate(pipeline.modes):
-        kept = ("acceleration_mps2", "turn_rate_radps")
-        motion = {name: float(getattr(mode, name) != 0.0) for name in kept}
-        modes.append(replace(mode, name=str(i), **zeros | motion))
+        tuning: dict[str, Any] = dict.fromkeys(NOISES, 0.0)
+        for name in ("acceleration_mps2", "turn_rate_radps"):
+            tuning[name] = float(getattr(mode, name) != 0.0)
+        modes.append(replace(mode, name=str(i), coupling=False, **tuning))
     return replace(pipeline, modes=tuple(modes))

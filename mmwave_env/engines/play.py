@@ -1,5 +1,6 @@
 """The loop of a policy: the modes run, it acts, the belief follows, and it may be corrected."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,14 +17,15 @@ class Played(NamedTuple):
 
     Attributes:
         actions: (n, T) the policy's actions; of weights, the mode that is trusted most.
-        outputs: (n, T, k) the rows that the caller asked for, after every epoch.
+        outputs: for each name that the caller asked for, (n, T), or (n, T, k) if the part has k
+            numbers, after every epoch.
         features: (n, T, c) the columns of observations that the caller asked for, after every
             epoch's update.
         trusted: (n, T) factors that scaled the corrections; NaN if the policy does not correct.
     """
 
     actions: Index
-    outputs: Array
+    outputs: dict[str, Array]
     features: Array32
     trusted: Array32
 
@@ -32,7 +34,7 @@ def play(
     engine: Engine,
     policy: Policy,
     epochs: int,
-    output_rows: Index = NO_ROWS,
+    names: Sequence[str] = (),
     columns: Index = NO_ROWS,
     scored: bool = True,
 ) -> Played:
@@ -44,11 +46,12 @@ def play(
         policy: policy whose features have been looked up in ``engine.observation``, and that has
             been reset where tracks begin.
         epochs: number of epochs.
-        output_rows: indices of the rows to record, as in :meth:`Engine.decide`.
+        names: parts of the :class:`EpochState` to record, such as "x" or "memory.nis".
         columns: indices of the columns of observations to record.
         scored: whether to score the beliefs against the truth.
     """
-    n = engine.batch.n
+    n = engine.n
+    output_rows = engine.program.rows(names)
     actions = np.empty((n, epochs), np.int64)
     outputs = np.empty((n, epochs, len(output_rows)))
     features = np.empty((n, epochs, len(columns)), np.float32)
@@ -67,4 +70,5 @@ def play(
         numbers = np.concatenate([correction.shift, correction.log_factor], axis=1)
         outputs[:, t] = engine.correct(numbers, output_rows)
         trusted[:, t] = correction.trusted
-    return Played(actions, outputs, features, trusted)
+    parts = engine.program.by_name(names, outputs)
+    return Played(actions, parts, features, trusted)

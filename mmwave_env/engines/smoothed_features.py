@@ -5,7 +5,7 @@ The features are the same that correctors read after every update
 motion come from the smoothed track; only gates and modes' probabilities come from the filter.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -46,21 +46,21 @@ def smoothed_features(
     """
     layout = pipeline.layout
     n = x.shape[-1]
-    epoch = unflatten(blank_incoming(layout), _leaves(batch.table)).epoch(layout)
-    site = unflatten(blank_site(layout), _leaves(batch.site[:, None]))
+    epoch = unflatten(blank_incoming(layout), iter(_leaves(batch.table))).epoch(layout)
+    site = unflatten(blank_site(layout), iter(_leaves(batch.site[:, None])))
     at = indices(begin(pipeline, [0.0] * n, [0.0] * layout.triangle))
-    probabilities = list(_leaves(mixtures[..., np.array(at.probability)]))
-    kept: Any = {name: list(_leaves(gate)) for name, gate in zip(GATES, gates, strict=True)}
+    probabilities = _leaves(mixtures[..., np.array(at.probability)])
+    kept: Any = {name: _leaves(gate) for name, gate in zip(GATES, gates, strict=True)}
     memory = initial_memory(layout, len(pipeline.modes))._replace(**kept)
-    before = list(_leaves(np.concatenate([x[:, :1], x[:, :-1]], axis=1)))[3:6]
+    before = _leaves(np.concatenate([x[:, :1], x[:, :-1]], axis=1))[3:6]
     last = LastEpoch(with_expected_spread(epoch, before, site), 0.0, before, probabilities)
-    covariance = unpack(list(_leaves(P)), zero=pipeline.known_axes)
-    view = View(list(_leaves(x)), covariance, memory, [], epoch, site, None, last)
+    covariance = unpack(_leaves(P), zero=pipeline.known_axes)
+    view = View(_leaves(x), covariance, memory, [], epoch, site, None, last)
     with np.errstate(all="ignore"):  # values of missing rows are not used
         values = standardized(after_update(pipeline, per_mode=True), view)
     return np.stack(np.broadcast_arrays(*values), axis=-1).astype(np.float32)
 
 
-def _leaves(rows: Array) -> Iterator[Array]:
-    """Yield the parts of arrays (..., k) along the last axis."""
-    return iter(np.moveaxis(rows, -1, 0))
+def _leaves(rows: Array) -> list[Array]:
+    """Return the parts of arrays (..., k) along the last axis."""
+    return list(np.moveaxis(rows, -1, 0))

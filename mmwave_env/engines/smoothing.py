@@ -49,7 +49,7 @@ def smoothed_again(
     """
     n, T = actions.shape
     engine = tracks_of(pipeline, n, bank)
-    engine.batch.load(episodes._replace(table=episodes.table[:, :T], length=np.full(n, T)))
+    engine.load(episodes._replace(table=episodes.table[:, :T], length=np.full(n, T)))
     x, P, x_predicted, P_predicted, error, nees = engine.run(*_KEPT, actions=actions).values()
     dt = episodes.table[:, 1:T, columns_of(pipeline.layout).dt]
     hz_per_mps = float(engine.read(engine.at.site.hz_per_mps)[0])
@@ -100,7 +100,6 @@ def smooth(
     forwards = np.concatenate([since[..., None], x, P, x_predicted, P_predicted, carrier], axis=2)
     rows = blocks_of(program.start, N)
     io = StepIO.of(N, T, output_rows=rows_of([program.index.after.x, program.index.after.P]))
-    backwards = np.ascontiguousarray(forwards[:, ::-1])
-    program.run_on_lanes(BatchState.of(backwards, rows), io)
+    program.run_on_lanes(BatchState.of(np.ascontiguousarray(forwards[:, ::-1]), rows), io)
     smoothed = io.outputs[:, ::-1]
     return smoothed[..., :size].copy(), smoothed[..., size:].copy()

@@ -64,16 +64,12 @@ class Tally:
         """Start k episodes, given their seconds per epoch (k,) and their numbers of epochs (k,)."""
         second = self.counts.second
         second[places] = np.clip(np.round(1.0 / step_s), 1, epochs)
-        self.make_room(int(second.max()), int(epochs.max(initial=0)))
-
-    def make_room(self, second: int, epochs: int) -> None:
-        """Make room in each environment for at least ``second`` errors and ``epochs`` modes."""
         errors = self.counts.errors
         modes = self.counts.modes
-        missing = max(0, second - errors.shape[1])
+        missing = max(0, second.max() - errors.shape[1])
         errors = np.pad(errors, ((0, 0), (0, missing), (0, 0)))
         if self._replayed:
-            modes = np.pad(modes, ((0, max(0, epochs - len(modes))), (0, 0)))
+            modes = np.pad(modes, ((0, max(0, epochs.max(initial=0) - len(modes))), (0, 0)))
         self.counts = self.counts._replace(errors=errors, modes=modes)
 
     def in_python(self) -> Counts:

@@ -4,7 +4,7 @@ With few environments, the Python code around that call takes a third of a step'
 the Python code neither assembles nor splits arrays.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba.extending import register_jitable
@@ -16,10 +16,16 @@ from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import PLAIN_BLOCK_EPOCHS, Repeated, StepIO, laid_out
 from mmwave_env.engines.engine import Engine
 from mmwave_env.engines.tally import Tally, count, exceeds
-from mmwave_env.interface.info import COST_KEY, FLAGS, STATE_KEYS, info_rows, mask_keys, reported
+from mmwave_env.interface.info import (
+    COST_KEY,
+    FLAGS,
+    STATE_KEYS,
+    Info,
+    info_rows,
+    mask_keys,
+    reported,
+)
 from mmwave_env.numerics.numbers import Array, Index, Mask
-
-Infos = dict[str, NDArray[Any]]
 
 
 class StepResult(NamedTuple):
@@ -35,16 +41,13 @@ class StepResult(NamedTuple):
     cost: Array  # (n,) 1.0 where an error exceeds its protection level; (0,) if infos are "none"
 
 
-class StepColumns(NamedTuple):
-    """The output columns that a step reads: for each field, the index of its first column."""
-
-    reward: int
-    nees: int
-    error: int  # 3 columns: position error
-    covariance: int  # 3 columns: covariance of the horizontal position
-    # accepted, rejected: one column per group of measurements, if steps return infos
-    accepted: int
-    rejected: int
+# The first output columns: reward, NEES, three columns of position error, and three of the
+# covariance of the horizontal position; then, if steps return infos, the gates' verdicts.
+REWARD = 0
+NEES = 1
+ERROR = 2
+COVARIANCE = 5
+VERDICTS = 8
 
 
 class Stepper:
@@ -59,7 +62,7 @@ class Stepper:
 
     def __init__(self, engine: Engine, tally: Tally, infos: str) -> None:
         at = engine.at
-        n = engine.batch.n
+        n = engine.n
         self._known = {} if infos == "none" else info_rows(at)
         shown = self._known if infos == "all" else {}
         parts = {"reward": at.reward, "nees": at.nees, "error": at.error}
@@ -67,18 +70,16 @@ class Stepper:
         parts |= {key: [] for key in FLAGS} | shown
         self._rows, columns = laid_out(parts)
         self._columns = {name: (slice(None), 0, at) for name, at in columns.items()}
-        begins = {name: at if isinstance(at, int) else at.start for name, at in columns.items()}
-        self._read = StepColumns(*[begins[name] for name in StepColumns._fields])
         self._engine = engine
         self._info_keys = tuple(key for key in shown if key not in FLAGS)
         self._groups = len(at.memory.accepted) if shown else 0
-        self._io = engine.io(self._rows)
+        self._io = engine.step_io(self._rows)
         self._mask_keys = mask_keys([*shown, "mode", COST_KEY])
         self._everywhere = np.ones(n, np.bool_)
         self._tally = tally
         self._run = Repeated(_step)
 
-    def step(self, actions: Index, numbers: Array | None) -> tuple[StepResult, int, Infos]:
+    def step(self, actions: Index, numbers: Array | None) -> tuple[StepResult, int, Info]:
         """Apply all actions and run the modes on the next epoch, as :meth:`Engine.step` does.
 
         Args:
@@ -90,7 +91,7 @@ class Stepper:
             New results; the number of environments that have no epoch left; and new infos about all
             environments, with Gymnasium's masks, or {} if steps return no infos.
         """
-        batch = self._engine.batch
+        engine = self._engine
         io = self._io
         n = len(actions)
         features = len(io.obs_rows)
@@ -103,24 +104,24 @@ class Stepper:
         result = StepResult(
             observations[:, 0], np.empty(n), ends[0], ends[1], flags[0], flags[1], costs
         )
-        # Infos need new arrays of outputs, as earlier infos are views of the previous arrays.
+        # Info need new arrays of outputs, as earlier infos are views of the previous arrays.
         outputs = np.empty_like(io.outputs) if self._info_keys else io.outputs
         io = StepIO(io.input_rows, io.inputs, self._rows, outputs, io.obs_rows, observations)
         self._io = io
-        program = (batch.program.on_lanes(), batch.program.blank)
-        arguments = (*program, batch.state, io, self._read, actions, result, self._tally.counts)
-        jobs = [(begin, end, *arguments) for begin, end in batch.parts]
-        ended = sum(self._run(len(batch.state.rows), jobs))
-        self._engine.trust(io)
+        program = (engine.program.on_lanes(), engine.program.blank)
+        arguments = (*program, engine.state, io, actions, result, self._tally.counts)
+        jobs = [(begin, end, *arguments) for begin, end in engine.parts]
+        ended = sum(self._run(len(engine.state.rows), jobs, len(jobs)))
+        engine.trust(io)
         if not self._info_keys:
             return result, ended, {}
-        infos: Infos = {key: outputs[self._columns[key]] for key in self._info_keys}
+        infos: Info = {key: outputs[self._columns[key]] for key in self._info_keys}
         infos |= {"accepted": result.accepted, "rejected": result.rejected, "mode": actions}
         infos[COST_KEY] = result.cost
         infos |= dict.fromkeys(self._mask_keys, self._everywhere.copy())
         return result, ended, infos
 
-    def look(self, actions: Index) -> Infos:
+    def look(self, actions: Index) -> Info:
         """Return the infos about the last step, for steppers whose steps return no infos."""
         infos = {key: self._engine.read(part) for key, part in self._known.items()}
         infos |= {key: infos[key] > 0.5 for key in FLAGS if infos}
@@ -132,7 +133,7 @@ class Stepper:
         error = self._io.outputs[self._columns["error"]]
         return np.sqrt((error * error).sum(axis=1))  # type: ignore[no-any-return]
 
-    def start(self, places: Index) -> tuple[NDArray[np.float32], Infos]:
+    def start(self, places: Index) -> tuple[NDArray[np.float32], Info]:
         """Run the modes on the next epoch in environments just loaded; leave the others unchanged.
 
         Returns:
@@ -148,7 +149,7 @@ class Stepper:
 
 @register_jitable  # type: ignore[untyped-decorator]
 def _step_blocks(  # type: ignore[no-untyped-def]
-    begin, end, run, blank, state, io, columns, actions, result, counts
+    begin, end, run, blank, state, io, actions, result, counts
 ):
     """Step the environments of blocks ``begin`` to ``end`` - 1; return how many episodes ended."""
     first = begin * WIDTH
@@ -163,25 +164,23 @@ def _step_blocks(  # type: ignore[no-untyped-def]
     _, rewards, _, truncated, accepted, rejected, costs = result
     ended = 0
     for e in range(first, last):
-        rewards[e] = outputs[e, 0, columns.reward]
-        i = columns.error
-        c = columns.covariance
-        x = outputs[e, 0, i]
-        y = outputs[e, 0, i + 1]
-        z = outputs[e, 0, i + 2]
+        rewards[e] = outputs[e, 0, REWARD]
+        x = outputs[e, 0, ERROR]
+        y = outputs[e, 0, ERROR + 1]
+        z = outputs[e, 0, ERROR + 2]
         k = epoch[e] - 2  # the epoch that the action completed
         if k >= 0:
-            count(counts, e, k, x, y, z, outputs[e, 0, columns.nees])
+            count(counts, e, k, x, y, z, outputs[e, 0, NEES])
             if k < len(counts.modes):
                 counts.modes[k, e] = actions[e]
         if len(costs):
-            xx = outputs[e, 0, c]
-            xy = outputs[e, 0, c + 1]
-            yy = outputs[e, 0, c + 2]
+            xx = outputs[e, 0, COVARIANCE]
+            xy = outputs[e, 0, COVARIANCE + 1]
+            yy = outputs[e, 0, COVARIANCE + 2]
             costs[e] = exceeds(x, y, xx, xy, yy)
         for g in range(accepted.shape[1]):
-            accepted[e, g] = outputs[e, 0, columns.accepted + g] > 0.5
-            rejected[e, g] = outputs[e, 0, columns.rejected + g] > 0.5
+            accepted[e, g] = outputs[e, 0, VERDICTS + g] > 0.5
+            rejected[e, g] = outputs[e, 0, VERDICTS + accepted.shape[1] + g] > 0.5
         truncated[e] = epoch[e] > length[e]
         ended += truncated[e]
     return ended

@@ -162,10 +162,9 @@ def shipped_modes(radio: str, coupling: bool = True) -> tuple[Mode, ...]:
     return _shipped(f"modes/{radio}{'' if coupling else '-diagonal'}").modes
 
 
-def default_modes(radio: str | Radio = "handset") -> tuple[Mode, Mode]:
+def default_modes(radio: str | Radio = "handset") -> tuple[Mode, ...]:
     """Return the two default modes of ``MmWaveLoc-v0``: the paper's EKF and UKF pipelines."""
-    low, high = shipped_modes(_tuned_profile(radio_from(radio)))
-    return low, high
+    return shipped_modes(_tuned_profile(radio_from(radio)))
 
 
 def named_modes(radio: str | Radio = "handset") -> dict[str, Mode]:

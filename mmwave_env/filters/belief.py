@@ -3,8 +3,8 @@
 import math
 from typing import NamedTuple
 
-from mmwave_env.numerics.linalg import cholesky, dot, forward
-from mmwave_env.numerics.numbers import Matrix, Number, Vector, log, sqrt
+from mmwave_env.numerics.linalg import cholesky, dot, forward, minus
+from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Pair, Vector, log, sqrt
 
 
 class Belief(NamedTuple):
@@ -16,13 +16,13 @@ class Belief(NamedTuple):
         axes: the estimated position components: (0, 1, 2), or (0, 1) on flat terrain.
     """
 
-    x: list[Number]
+    x: Numbers
     P: Matrix
     axes: tuple[int, ...] = (0, 1, 2)
 
-    def error(self, truth: Vector) -> list[Number]:
+    def error(self, truth: Vector) -> Numbers:
         """Return estimated minus true position (3,), meters; ``truth`` starts with the position."""
-        return [self.x[i] - truth[i] for i in range(3)]
+        return minus(self.x[:3], truth)
 
     def distance(self, truth: Vector) -> Number:
         """Return the length of the position error, meters."""
@@ -38,7 +38,7 @@ class Belief(NamedTuple):
         nees, determinant = self._whiten(truth)
         return -0.5 * (nees + log(determinant) + len(self.axes) * math.log(2.0 * math.pi))
 
-    def _whiten(self, truth: Vector) -> tuple[Number, Number]:
+    def _whiten(self, truth: Vector) -> Pair:
         """Return the value of :meth:`nees` and the determinant of the position covariance."""
         factor = cholesky([[self.P[i][j] for j in self.axes] for i in self.axes])
         error = self.error(truth)

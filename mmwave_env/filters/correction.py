@@ -11,7 +11,19 @@ import numpy as np
 
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.numerics.numbers import Array, Matrix, Number, Vector, exp, maximum, sqrt, where
+from mmwave_env.numerics.linalg import product, symmetric
+from mmwave_env.numerics.numbers import (
+    Array,
+    Matrix,
+    Number,
+    Numbers,
+    Pair,
+    Vector,
+    exp,
+    maximum,
+    sqrt,
+    where,
+)
 
 # largest shift (standard deviations) and log factor
 MOST_SHIFT = 4.0
@@ -35,11 +47,11 @@ class Frame(NamedTuple):
         scale = 1.0 / maximum(speed, SLOWEST_MPS)
         return cls(where(moving, vx * scale, 1.0), where(moving, vy * scale, 0.0))
 
-    def into(self, x: Number, y: Number) -> tuple[Number, Number]:
+    def into(self, x: Number, y: Number) -> Pair:
         """Return the components of a horizontal vector (x, y) along and across the motion."""
         return self.cosine * x + self.sine * y, self.cosine * y - self.sine * x
 
-    def out(self, along: Number, across: Number) -> tuple[Number, Number]:
+    def out(self, along: Number, across: Number) -> Pair:
         """Return the horizontal vector (x, y), given its components along and across the motion."""
         return self.cosine * along - self.sine * across, self.sine * along + self.cosine * across
 
@@ -62,7 +74,7 @@ class Frame(NamedTuple):
         )
 
 
-def deviations_of(belief: Belief) -> tuple[Frame, list[Number]]:
+def deviations_of(belief: Belief) -> tuple[Frame, Numbers]:
     """Return the frame of motion and the standard deviations (3,) of the position in it, m.
 
     On flat terrain, the standard deviation of the height is 0.
@@ -90,22 +102,22 @@ def corrected(belief: Belief, shift: Vector, log_factor: Vector) -> Belief:
     x = [belief.x[0] + dx, belief.x[1] + dy, belief.x[2] + step[2], *belief.x[3:]]
     a = exp(log_factor[0])
     b = exp(log_factor[1])
-    up = exp(log_factor[2])
     c, s = frame
-    xx = c * c * a + s * s * b
-    yy = s * s * a + c * c * b
     xy = c * s * (a - b)
+    M = [
+        [c * c * a + s * s * b, xy, 0.0],
+        [xy, s * s * a + c * c * b, 0.0],
+        [0.0, 0.0, exp(log_factor[2])],
+    ]
+    MP = product(M, belief.P[:3])
+    MPM = product(MP, M)
 
-    def scaled(column: Vector) -> list[Number]:
-        return [xx * column[0] + xy * column[1], xy * column[0] + yy * column[1], up * column[2]]
+    def entry(i: int, j: int) -> Number:
+        if i < 3:
+            return MPM[i][j]
+        return MP[j][i] if j < 3 else belief.P[i][j]
 
-    n = len(belief.P)
-    P = [list(row) for row in belief.P]
-    columns = [scaled([belief.P[i][j] for i in range(3)]) for j in range(n)]  # columns of M P
-    for i in range(3):
-        row = scaled([column[i] for column in columns[:3]])
-        for j in range(n):
-            P[i][j] = P[j][i] = row[j] if j < 3 else columns[j][i]
+    P = symmetric(len(belief.P), entry)
     return Belief(x, P, belief.axes)
 
 
@@ -120,7 +132,7 @@ def corrected_all(
         pipeline: the filters' pipeline; it says whether the terrain is flat (``planar``).
     """
 
-    def components(batch: Array) -> list[Number]:
+    def components(batch: Array) -> Numbers:
         return list(np.moveaxis(batch.astype(np.float64), -1, 0))
 
     belief = pipeline.belief(components(x), components(P))

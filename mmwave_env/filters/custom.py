@@ -22,8 +22,8 @@ from mmwave_env.filters.textbook import Sensor
 from mmwave_env.filters.update import Posterior
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Measurement
-from mmwave_env.numerics.linalg import pack, symmetric, unpack
-from mmwave_env.numerics.numbers import Number
+from mmwave_env.numerics.linalg import unpack
+from mmwave_env.numerics.numbers import Matrix, Numbers
 from mmwave_env.numerics.pytree import flatten
 from mmwave_env.numerics.tape import taped
 from mmwave_env.numerics.tracer import NoValueError, Tracer, TracerCondition
@@ -39,42 +39,41 @@ _LIBRARIES = (
 )
 
 
+Function = Callable[..., Any]
+
+
 class AlgorithmError(TypeError):
     """An error in a user's algorithm; the message names the line, the reason and a remedy."""
 
 
-def name_of(function: Callable[..., Any]) -> str:
+def name_of(function: Function) -> str:
     """Return the name of a function, or of the class of an object that can be called."""
     while isinstance(function, partial):
         function = function.func
     return str(getattr(function, "__name__", type(function).__name__))
 
 
-def _begin_of(function: Callable[..., Any]) -> FrameSummary | None:
-    """Return the line on which a function begins; None if it was not written in Python."""
-    while isinstance(function, partial):
-        function = function.func
-    code = getattr(function, "__code__", getattr(type(function).__call__, "__code__", None))
-    return code and FrameSummary(code.co_filename, code.co_firstlineno, code.co_name)
-
-
-def _line_of(error: BaseException, begin: FrameSummary | None) -> FrameSummary | None:
+def _line_of(function: Function, error: BaseException | None) -> FrameSummary | None:
     """Return the innermost line of the user's code in an error's traceback.
 
     The line is in the file in which the user's function begins, or in a file that is not part of a
-    library. If the traceback has no such line, because the call itself failed, return ``begin``.
+    library. If there is no such line, return the line on which the function begins; None if it was
+    not written in Python.
     """
-    innermost = begin
-    for frame, number in walk_tb(error.__traceback__):
+    while isinstance(function, partial):
+        function = function.func
+    code = getattr(function, "__code__", getattr(type(function).__call__, "__code__", None))
+    line = code and FrameSummary(code.co_filename, code.co_firstlineno, code.co_name)
+    for frame, number in walk_tb(error.__traceback__ if error else None):
         file = frame.f_code.co_filename
-        if (begin and file == begin.filename) or not file.startswith(_LIBRARIES):
-            innermost = FrameSummary(file, number, frame.f_code.co_name)
-    return innermost
+        if (code and file == code.co_filename) or not file.startswith(_LIBRARIES):
+            line = FrameSummary(file, number, frame.f_code.co_name)
+    return line
 
 
 def complaint(
     subject: str,
-    function: Callable[..., Any],
+    function: Function,
     problem: str,
     error: BaseException | None = None,
     advice: str = "",
@@ -84,15 +83,14 @@ def complaint(
     The message begins with ``subject``. The line is the innermost line of the user's code in the
     traceback of ``error``; without an error, it is the line on which the function begins.
     """
-    begin = _begin_of(function)
-    line = _line_of(error, begin) if error else begin
+    line = _line_of(function, error)
     shown = [*format_list([line] if line else []), f"{advice}\n" if advice else ""]
     # The message ends with a line break because Gymnasium appends the environment's arguments.
     return f"{subject} {problem}\n" + "".join(shown)
 
 
 def try_out(
-    function: Callable[..., Any], arguments: tuple[Any, ...], subject: str, kind: type[Exception]
+    function: Function, arguments: tuple[Any, ...], subject: str, kind: type[Exception]
 ) -> Any:
     """Call a user's function with arguments whose numbers hide their values; return the result.
 
@@ -125,7 +123,7 @@ def check_algorithm(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> 
     if algorithm in ALGORITHMS.values():
         return
     subject = f"algorithm {name_of(algorithm)} of mode {mode.name!r}"
-    arguments = _arguments(mode, layout, known_axes)
+    arguments = _arguments(mode, layout, known_axes, taped(_numbers(layout, 0.0), []))
     before = [flatten(argument) for argument in arguments]
     result = try_out(algorithm, arguments, subject, AlgorithmError)
     names = "x", "P", "measurement", "gate"
@@ -138,7 +136,7 @@ def check_algorithm(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> 
         raise AlgorithmError(complaint(subject, algorithm, f"returned {problem}"))
     likelihoods = []
     for sigmas in (0.0, 1.0):
-        example = _example(mode, layout, known_axes, sigmas)
+        example = _arguments(mode, layout, known_axes, _numbers(layout, sigmas))
         posterior = try_out(algorithm, example, subject, AlgorithmError)
         likelihoods.append(posterior.log_likelihood)
     if not likelihoods[1] < likelihoods[0]:
@@ -150,43 +148,32 @@ def check_algorithm(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> 
         raise AlgorithmError(complaint(subject, algorithm, problem))
 
 
-def _arguments(
-    mode: Mode, layout: Layout, known_axes: tuple[int, ...]
-) -> tuple[list[Number], list[list[Number]], Measurement, Gate]:
-    """Return arguments for the algorithm of a mode: x (7,), P (7, 7), a measurement, a gate."""
-    rows = [0.0] * layout.size
-    links = [0.0] * layout.anchors
-    partial_rows = [rows, links] if layout.partial else [(), ()]
-    belief = [[0.0] * layout.state_size, [0.0] * layout.triangle]
-    measured = [[[0.0] * 3] * layout.anchors, 0.0, rows, rows, [0.0] * len(layout.groups)]
-    numbers: list[Any] = [belief, measured, partial_rows, 0.0]
-    (x, P), measured, partial_rows, force = taped(numbers, [])
-    measurement = Measurement._make([*measured, layout, *partial_rows])
-    gate = Gate(mode.gate, 0.0 if mode.recovery is None else force, mode.robust)
-    return x, unpack(P, zero=known_axes), measurement, gate
-
-
-def _example(
-    mode: Mode, layout: Layout, known_axes: tuple[int, ...], sigmas: float
-) -> tuple[list[float], list[list[float]], Measurement, Gate]:
-    """Return arguments as floats; each value is ``sigmas`` standard deviations off its prediction.
+def _numbers(layout: Layout, sigmas: float) -> list[Any]:
+    """Return numbers for :func:`_arguments`; values are ``sigmas`` deviations off their prediction.
 
     The prior is almost exact, so the innovation's standard deviation is that of the noise.
     """
+    n = layout.state_size
     anchors = [[40.0 + 10.0 * anchor, 15.0, 10.0] for anchor in range(layout.anchors)]
-    x = [0.0, 0.0, 1.5, 1.0, 0.5, 0.0, 0.0, 0.0][: layout.state_size]
-    P = symmetric(layout.state_size, lambda i, j: 1e-8 * (i == j))
+    x = [0.0, 0.0, 1.5, 1.0, 0.5, 0.0, 0.0, 0.0][:n]
+    P = [1e-8 * (i == j) for i in range(n) for j in range(i + 1)]
     sensor = Sensor(np.array(anchors), 1.0, layout.odometry, clock=layout.clock)
     z = sensor.h(np.array(x)) + 0.1 * sigmas
-    rows = [1.0] * layout.size
-    first = [1.0] + [0.0] * (layout.anchors - 1)
-    partial_rows = [rows, first] if layout.partial else [(), ()]
     visible = [1.0] * len(layout.groups)
-    measurement = Measurement._make(
-        [anchors, 1.0, z.tolist(), [0.01] * layout.size, visible, layout, *partial_rows]
-    )
-    gate = Gate(mode.gate, 0.0, mode.robust)
-    return x, unpack(pack(P), zero=known_axes), measurement, gate
+    first = [1.0] + [0.0] * (layout.anchors - 1)
+    partial_rows = [[1.0] * layout.size, first] if layout.partial else [(), ()]
+    measured = [anchors, 1.0, z.tolist(), [0.01] * layout.size, visible, *partial_rows]
+    return [x, P, 0.0, measured]
+
+
+def _arguments(
+    mode: Mode, layout: Layout, known_axes: tuple[int, ...], numbers: list[Any]
+) -> tuple[Numbers, Matrix, Measurement, Gate]:
+    """Return arguments for the algorithm of a mode: x (7,), P (7, 7), a measurement, a gate."""
+    x, P, force, measured = numbers
+    measurement = Measurement._make([*measured[:5], layout, *measured[5:]])
+    gate = Gate(mode.gate, 0.0 if mode.recovery is None else force, mode.robust)
+    return x, unpack(P, zero=known_axes), measurement, gate
 
 
 def _wrong_shapes(layout: Layout, result: Any) -> Iterator[str]:

@@ -33,17 +33,8 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.update import Algorithm, Posterior
 from mmwave_env.io.lookup import choose
 from mmwave_env.models.measurement import Measurement
-from mmwave_env.models.motion import ProcessNoise
+from mmwave_env.models.motion import COUPLED, ProcessNoise
 from mmwave_env.numerics.numbers import Array, Index, Matrix, Vector
-
-
-def full_noise(noise: ProcessNoise) -> Array:
-    """Return Q (7, 7), or (8, 8) with a clock's range bias, given its non-zero entries."""
-    Q = np.diag(np.array(noise.diagonal, float))
-    pairs = [(0, 3), (1, 4), (2, 5), (7, 6)]
-    for (i, j), covariance in zip(pairs, noise.coupling, strict=False):
-        Q[i, j] = Q[j, i] = covariance
-    return Q
 
 
 class _Relative:
@@ -185,9 +176,12 @@ def filterpy_pipeline(pipeline: Pipeline) -> Pipeline:
     def predict(
         mode: Mode, x: Vector, P: Matrix, noise: ProcessNoise, dt: float, hz_per_mps: float
     ) -> tuple[list[float], list[list[float]]]:
-        belief = np.array(x, float), np.array(P, float)
+        Q = np.diag(np.array(noise.diagonal, float))
+        for (i, j), value in zip(COUPLED, noise.coupling, strict=False):
+            Q[i, j] = Q[j, i] = value
         F = textbook.F(float(dt), float(hz_per_mps) if clock else None)
-        mean, covariance = filters[mode.algorithm].predict(*belief, full_noise(noise), F)
+        belief = np.array(x, float), np.array(P, float)
+        mean, covariance = filters[mode.algorithm].predict(*belief, Q, F)
         return mean.tolist(), _symmetric(covariance).tolist()
 
     def update(mode: Mode) -> Algorithm:
@@ -212,33 +206,33 @@ def _update(
     ]
     nis = [0.0] * len(layout.groups)
     accepted = [0.0] * len(layout.groups)
-    if not visible:
-        return Posterior(x.tolist(), P.tolist(), nis, accepted, 0.0)
-    rows = np.concatenate([groups[g] for g in visible])
-    posterior = filter_.update(P, relative, rows, R[np.ix_(rows, rows)])
     log_likelihood = 0.0
+
+    def conditioned(chosen: list[int]) -> _Filtered:
+        rows = np.concatenate([groups[g] for g in chosen])
+        return filter_.update(P, relative, rows, R[np.ix_(rows, rows)])
+
+    posterior = conditioned(visible) if visible else None
     first = 0
     doubted = False
     for g in visible:
-        group = np.ix_(groups[g], groups[g])
+        assert posterior
         part = slice(first, first := first + len(groups[g]))
         y = posterior.y[part]
         S = posterior.S[part, part]
         nis[g] = float(y @ np.linalg.solve(S, y))
         lenient = g < layout.anchors and (gate.robust or gate.force > 0.5)
-        accepted[g] = float(lenient or nis[g] <= _threshold(gate.quantile, len(groups[g])))
+        accepted[g] = float(lenient or nis[g] <= _threshold(gate.quantile, len(y)))
         log_likelihood -= 0.5 * (nis[g] + float(np.linalg.slogdet(S)[1]))
         if gate.robust and g < layout.anchors and nis[g] > ROBUST_ONSET * len(y):
             doubted = True
-            R[group] *= (nis[g] / (ROBUST_ONSET * len(y))) ** 2
+            R[np.ix_(groups[g], groups[g])] *= (nis[g] / (ROBUST_ONSET * len(y))) ** 2
     kept = [g for g in visible if accepted[g]]
-    if not kept:
-        return Posterior(x.tolist(), P.tolist(), nis, accepted, log_likelihood)
-    if doubted or kept != visible:
-        rows = np.concatenate([groups[g] for g in kept])
-        posterior = filter_.update(P, relative, rows, R[np.ix_(rows, rows)])
-    x = x + posterior.step
-    P = _symmetric(posterior.P)
+    if kept and (doubted or kept != visible):
+        posterior = conditioned(kept)
+    if kept and posterior:
+        x = x + posterior.step
+        P = _symmetric(posterior.P)
     return Posterior(x.tolist(), P.tolist(), nis, accepted, log_likelihood)
 
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from mmwave_env.filters.linearization import Latents, Prior
 from mmwave_env.models.measurement import Group, Measurement
 from mmwave_env.numerics.linalg import cholesky, dot, forward, symmetric
-from mmwave_env.numerics.numbers import Matrix, Number, log, maximum, where
+from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Pair, log, maximum, where
 
 _GROUPS_PER_LOG = 8  # the product of the determinants of this many groups fits into a double
 ROBUST_ONSET = 1.5  # a link is doubtful if its NIS, divided by its number of rows, exceeds this
@@ -31,7 +31,7 @@ class Gate(NamedTuple):
     robust: bool = False
 
 
-def innovation_statistics(group: Group, V: Matrix, latents: Latents) -> tuple[Number, Number]:
+def innovation_statistics(group: Group, V: Matrix, latents: Latents) -> Pair:
     """Return a group's NIS y' S^-1 y and det S, where y is its innovation at the prior.
 
     The covariance S of y is H P H' + R in :mod:`~mmwave_env.filters.textbook`; here it is
@@ -81,9 +81,9 @@ class GateResult(NamedTuple):
     """The decision of the gate about each group, from innovations at the prior."""
 
     # nis, accepted, log_likelihood: same as in :class:`~mmwave_env.filters.update.Posterior`
-    nis: list[Number]
-    accepted: list[Number]
-    noise: list[list[Number]]  # per group, (k,) noise variances, inflated for doubtful links
+    nis: Numbers
+    accepted: Numbers
+    noise: Matrix  # per group, (k,) noise variances, inflated for doubtful links
     log_likelihood: Number
 
 

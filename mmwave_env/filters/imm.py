@@ -17,8 +17,17 @@ from mmwave_env.filters.pipeline import Pipeline, predict_update
 from mmwave_env.filters.update import ModeResult, limited_likelihood
 from mmwave_env.models.measurement import Epoch, Site
 from mmwave_env.models.motion import move
-from mmwave_env.numerics.linalg import dot, unpack
-from mmwave_env.numerics.numbers import Matrix, Number, Vector, exp, maximum, minimum, where
+from mmwave_env.numerics.linalg import dot, minus, plus, product, unpack
+from mmwave_env.numerics.numbers import (
+    Matrix,
+    Number,
+    Numbers,
+    Vector,
+    exp,
+    maximum,
+    minimum,
+    where,
+)
 from mmwave_env.numerics.pytree import select, tree_at
 
 DEFAULT_STAY = 0.95  # probability that the mode does not change within a second
@@ -29,19 +38,19 @@ _LEAST = 1e-12  # minimum probability of a mode; a probability of zero could not
 class ImmSettings(NamedTuple):
     """The parameters of an IMM as numbers, so that one compiled IMM can run any tuning."""
 
-    transition: list[list[Number]]  # (modes, modes) probabilities over one second, [from, to]
+    transition: Matrix  # (modes, modes) probabilities over one second, [from, to]
     tunings: list[Tuning]  # motion model of every mode
     # limits of the NIS in :func:`~mmwave_env.filters.update.limited_likelihood`: one per group of
     # measurements; if rows may be missing, four limits, for groups with 1, 2, 3 and 4 rows
-    limits: list[Number]
+    limits: Numbers
 
 
 class ModeTrack(NamedTuple):
     """One mode's filter within the IMM."""
 
     # x, P: (7,) mean and (28,) packed covariance (its lower triangle)
-    x: list[Number]
-    P: list[Number]
+    x: Numbers
+    P: Numbers
     memory: Memory  # past values on which the mode's gates and its scaling of noise depend
 
 
@@ -49,7 +58,7 @@ class Mixture(NamedTuple):
     """The belief of an IMM."""
 
     tracks: list[ModeTrack]  # one per mode
-    probability: list[Number]  # (modes,) probability of each mode
+    probability: Numbers  # (modes,) probability of each mode
 
 
 def begin(pipeline: Pipeline, x: Vector, P: Vector) -> Mixture:
@@ -69,26 +78,26 @@ def stay_matrix(modes: int) -> list[list[float]]:
 
 def moments(
     weights: Sequence[Number], x: Sequence[Vector], P: Sequence[Vector]
-) -> tuple[list[Number], list[Number]]:
+) -> tuple[Numbers, Numbers]:
     """Return the mean (7,) and the packed covariance (28,) of a Gaussian mixture."""
     mean, between = spread(weights, x)
-    return mean, [dot(weights, [Pi[k] for Pi in P]) + value for k, value in enumerate(between)]
+    return mean, plus(product([weights], P)[0], between)
 
 
-def spread(weights: Sequence[Number], x: Sequence[Vector]) -> tuple[list[Number], list[Number]]:
+def spread(weights: Sequence[Number], x: Sequence[Vector]) -> tuple[Numbers, Numbers]:
     """Return the mean (7,) and the packed covariance (28,) of weighted points."""
     n = len(x[0])
-    mean = [dot(weights, [xi[i] for xi in x]) for i in range(n)]
-    offset = [[xi[i] - mean[i] for i in range(n)] for xi in x]
+    (mean,) = product([weights], x)
+    offset = [minus(xi, mean) for xi in x]
     return mean, [
         dot(weights, [d[i] * d[j] for d in offset]) for i in range(n) for j in range(i + 1)
     ]
 
 
-def mix(mixture: Mixture, transition: Matrix) -> tuple[list[Number], list[tuple[Vector, Vector]]]:
+def mix(mixture: Mixture, transition: Matrix) -> tuple[Numbers, list[tuple[Vector, Vector]]]:
     """Return the predicted mode probabilities and each mode's mixed initial belief."""
     modes = range(len(mixture.tracks))
-    predicted = [dot([row[j] for row in transition], mixture.probability) for j in modes]
+    (predicted,) = product([mixture.probability], transition)
     x, P, _ = zip(*mixture.tracks, strict=True)
     mixed: list[tuple[Vector, Vector]] = []
     for j in modes:
@@ -97,7 +106,7 @@ def mix(mixture: Mixture, transition: Matrix) -> tuple[list[Number], list[tuple[
     return predicted, mixed
 
 
-def over_step(transition: Matrix, dt: Number) -> list[list[Number]]:
+def over_step(transition: Matrix, dt: Number) -> Matrix:
     """Return transition probabilities [from, to] over dt seconds; ``transition`` covers one second.
 
     If p is the probability of staying in a mode over one second, the probability of leaving it
@@ -120,7 +129,7 @@ class ImmEpoch(NamedTuple):
     """The result of an IMM in an epoch."""
 
     mixture: Mixture  # belief after the epoch
-    predicted: list[Number]  # (modes,) probabilities before the epoch's measurement
+    predicted: Numbers  # (modes,) probabilities before the epoch's measurement
     mixed: list[Vector]  # (modes, 7) means of the mixed beliefs, before prediction
     results: list[ModeResult]  # one per mode, computed from the mode's mixed belief
 
@@ -142,9 +151,7 @@ def imm_epoch(
         alone = replace(pipeline, modes=(mode,))
         result = predict_update(alone, mode, x, P, track.memory, epoch, site, tuning)
         memory = memory_before(track.memory, [result], epoch, layout)
-        memory = memory_after(
-            layout, 0.0, x, result, memory, epoch.dt, epoch.visible, epoch.measured
-        )
+        memory = memory_after(layout, 0.0, x, result, memory, epoch)
         tracks.append(ModeTrack(result.x, result.P, memory))
         results.append(result)
     limits = settings.limits
@@ -183,10 +190,10 @@ def reweighted(mixture: Mixture, log_factors: Vector, dt: Number) -> Mixture:
     return Mixture(mixture.tracks, _normalized([exp(k * step) * p for p, k in pairs]))
 
 
-def _normalized(weights: Sequence[Number]) -> list[Number]:
+def _normalized(weights: Sequence[Number]) -> Numbers:
     """Return probabilities in proportion to the weights; no probability is zero."""
     held = [maximum(weight, _LEAST) for weight in weights]
-    total = dot(held, [1.0] * len(held))
+    total = sum(held[1:], held[0])
     return [weight / total for weight in held]
 
 
@@ -207,14 +214,14 @@ def most_probable_memory(mixture: Mixture) -> Memory:
     return memory._replace(mode=number)
 
 
-def estimate(mixture: Mixture) -> tuple[list[Number], list[list[Number]]]:
+def estimate(mixture: Mixture) -> tuple[Numbers, Matrix]:
     """Return the mean (7,) and the covariance (7, 7) of a mixture."""
     means, covariances, _ = zip(*mixture.tracks, strict=True)
     x, P = moments(mixture.probability, means, covariances)
     return x, unpack(P)
 
 
-def prediction(now: ImmEpoch, dt: Number, hz_per_mps: Number) -> tuple[list[Number], list[Number]]:
+def prediction(now: ImmEpoch, dt: Number, hz_per_mps: Number) -> tuple[Numbers, Numbers]:
     """Return the mixture's mean (7,) and packed covariance (28,) before an epoch's update.
 
     The Rauch-Tung-Striebel smoother assumes x_predicted = F x + noise, with noise independent of x.
@@ -223,12 +230,7 @@ def prediction(now: ImmEpoch, dt: Number, hz_per_mps: Number) -> tuple[list[Numb
     Their correlation with x is ignored, because it could make smoothed variances negative.
     """
     moved = [move(x, dt, hz_per_mps) for x in now.mixed]
-    shifts = [
-        [a - b for a, b in zip(result.x_predicted, x, strict=True)]
-        for result, x in zip(now.results, moved, strict=True)
-    ]
+    shifts = [minus(r.x_predicted, x) for r, x in zip(now.results, moved, strict=True)]
     x, P = moments(now.predicted, moved, [result.P_predicted for result in now.results])
     shift, of_shifts = spread(now.predicted, shifts)
-    return [a + b for a, b in zip(x, shift, strict=True)], [
-        a + b for a, b in zip(P, of_shifts, strict=True)
-    ]
+    return plus(x, shift), plus(P, of_shifts)

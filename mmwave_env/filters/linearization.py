@@ -29,7 +29,7 @@ from typing import NamedTuple
 
 from mmwave_env.models.layout import STATE_SIZE
 from mmwave_env.models.measurement import Group, Measurement, groups_of
-from mmwave_env.numerics.linalg import cholesky, dot
+from mmwave_env.numerics.linalg import cholesky, dot, product
 from mmwave_env.numerics.numbers import Matrix, Number, Vector
 
 
@@ -41,10 +41,9 @@ class Tangent:
         """Return the moments of the latents; the tangent has no curvature latents."""
         return Latents(0, 0.0, 0.0, size)
 
-    def rows(self, group: Group, L: Matrix, latents: "Latents") -> list[list[Number]]:
+    def rows(self, group: Group, L: Matrix, latents: "Latents") -> Matrix:
         """Return V (k, 7): the derivatives of k rows along each column of L."""
-        columns = list(zip(*L, strict=True))
-        return [[dot(gradient, column) for column in columns] for gradient in group.jacobian]
+        return product(group.jacobian, L)
 
 
 @dataclass(frozen=True)
@@ -60,15 +59,15 @@ class SigmaPoints:
     beta: float = 2.0
     kappa: float = 0.0
 
-    def reach(self, size: int = STATE_SIZE) -> float:
+    def reach(self, size: int) -> float:
         """Return the distance of the points from the mean, as a multiple of the columns of L."""
         return self.alpha * float((size + self.kappa) ** 0.5)
 
-    def latents(self, curved: int, size: int = STATE_SIZE) -> "Latents":
+    def latents(self, curved: int, size: int) -> "Latents":
         """Return the moments of the latents, with one curvature latent per curved column."""
         return Latents(curved, 0.5 / self.reach(size) ** 2, self.beta - self.alpha**2, size)
 
-    def rows(self, group: Group, L: Matrix, latents: "Latents") -> list[list[Number]]:
+    def rows(self, group: Group, L: Matrix, latents: "Latents") -> Matrix:
         """Return V (k, 7 + curvatures) from central and second differences along columns of L."""
         s = self.reach(len(L))
         columns = list(zip(*L, strict=True))
@@ -96,7 +95,7 @@ class Latents:
     curvatures: int  # number of curvature latents
     weight: float  # w, the weight of an outer sigma point
     bend: float  # beta - alpha^2, weight of the mean shift's outer product with itself
-    size: int = STATE_SIZE  # number of components of the state
+    size: int  # number of components of the state
 
     @property
     def linear(self) -> int:
@@ -130,10 +129,7 @@ class Latents:
 
     def shift(self, row: Vector) -> Number:
         """Return the mean shift of a row, the weighted sum of its curvatures."""
-        total: Number = 0.0
-        for v in row[self.linear : self.coupled]:
-            total = total + v
-        return self.weight * total
+        return self.weight * sum(row[self.linear : self.coupled], 0.0)
 
 
 class Prior(NamedTuple):
@@ -145,7 +141,7 @@ class Prior(NamedTuple):
     V: Sequence[Matrix]  # per group, (k, 7 + curvatures) coefficients of its rows on eta
 
 
-def factor_of(P: Matrix) -> list[list[Number]]:
+def factor_of(P: Matrix) -> Matrix:
     """Return L (n, n) with L L' = P; its rows have the order of the state.
 
     Without a clock, L is lower triangular. With a clock, P is factored in an order in which the

@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from mmwave_env.filters.update import ModeResult, capped_log_likelihood
-from mmwave_env.models.layout import Layout
+from mmwave_env.models.layout import STATE_SIZE, Layout
 from mmwave_env.models.measurement import Epoch
 from mmwave_env.models.motion import move
 from mmwave_env.numerics.linalg import dot
-from mmwave_env.numerics.numbers import Number, Vector, clip, sqrt, where
+from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Pair, Vector, clip, sqrt, where
 
 WINDOW = 10  # number of epochs in the window for adaptive scaling
 GAMMA_LIMITS = (0.5, 2.0)  # limits of the adaptive scale; paper, Sec. III-E
@@ -30,21 +30,21 @@ class Memory(NamedTuple):
 
     mode: Number  # number of the mode that ran last
     lockout: Number  # number of epochs with links since a link last passed its gate
-    window: list[Number]  # (WINDOW,) NIS / dof of all accepted groups, per epoch, newest first
+    window: Numbers  # (WINDOW,) NIS / dof of all accepted groups, per epoch, newest first
     gamma: Number  # adaptive scale of Q and R
     # nis, accepted, rejected: (groups,) NIS and verdicts of the last epoch; 0 for missing groups
-    nis: list[Number]
-    accepted: list[Number]
-    rejected: list[Number]
-    nis_average: list[Number]  # (2,) fast and slow average of NIS / dof
+    nis: Numbers
+    accepted: Numbers
+    rejected: Numbers
+    nis_average: Numbers  # (2,) fast and slow average of NIS / dof
     # (2,) average shift of the position by updates, along and across the velocity, m
-    correction: list[Number]
+    correction: Numbers
     unfixed_s: Number  # seconds since a link was last accepted
-    snr_mean_db: list[Number]  # (L,) slow mean SNR per link
+    snr_mean_db: Numbers  # (L,) slow mean SNR per link
     spread_average_hz: Number  # slow average of the Doppler spread
     # (2, modes) fast and slow average of the log-likelihood of a mode minus the log-likelihood of
     # the pipeline's last mode, from :func:`~mmwave_env.filters.update.capped_log_likelihood`
-    preference: list[list[Number]]
+    preference: Matrix
 
 
 def initial_memory(layout: Layout, modes: int) -> Memory:
@@ -91,15 +91,29 @@ def memory_before(
     return memory._replace(snr_mean_db=snr, spread_average_hz=spread, preference=preference)
 
 
+def correction_of(before: Vector, result: ModeResult, dt: Number, first: int) -> Pair:
+    """Return what an update adds to position or velocity, along and across the predicted velocity.
+
+    Args:
+        before: (7,) mean from which the epoch was predicted.
+        result: result of a mode in the epoch.
+        dt: length of the step, s.
+        first: 0 for the position (m), 3 for the velocity (m/s).
+    """
+    predicted = move(before[:STATE_SIZE], dt)
+    step = [result.x[i] - predicted[i] for i in (first, first + 1)]
+    v = predicted[3:5]
+    speed = sqrt(dot(v, v) + 1e-6)
+    return dot(step, v) / speed, (step[1] * v[0] - step[0] * v[1]) / speed
+
+
 def memory_after(
     layout: Layout,
     mode: Number,
     before: Vector,
     chosen: ModeResult,
     memory: Memory,
-    dt: Number,
-    visible: Vector,
-    measured: Vector = (),
+    epoch: Epoch,
 ) -> Memory:
     """Return the memory after the result of the chosen mode has become the belief.
 
@@ -108,27 +122,21 @@ def memory_after(
         mode, chosen: number of the chosen mode, and its result.
         before: (7,) mean from which the epoch was predicted.
         memory: the memory that :func:`memory_before` returned.
-        dt, visible, measured: same as in :class:`~mmwave_env.models.measurement.Epoch`.
+        epoch: the epoch that has been filtered.
     """
-    accepted_dof = dot(chosen.accepted, [1.0 * rows for rows in layout.degrees(measured)])
+    accepted_dof = dot(chosen.accepted, [1.0 * rows for rows in layout.degrees(epoch.measured)])
     some = accepted_dof > 0.5
     ratio = dot(chosen.accepted, chosen.nis) / where(some, accepted_dof, 1.0)
     window = [
         where(some, new, old)
         for new, old in zip([ratio, *memory.window[:-1]], memory.window, strict=True)
     ]
-    each_link = [1.0] * layout.anchors
-    links = dot(each_link, visible)
-    fixes = dot(each_link, chosen.accepted)
+    links = sum(epoch.visible[: layout.anchors], 0.0)
+    fixes = sum(chosen.accepted[: layout.anchors], 0.0)
     # A link that is accepted only because of a lock-out does not end the lock-out: the update
     # corrects the position, but the velocity may still be wrong. A link must pass its gate again.
     lockout = where(links > 0.5, memory.lockout + 1.0, memory.lockout)
-    predicted = move(before[:6], dt)
-    step = [chosen.x[i] - predicted[i] for i in range(2)]
-    v = predicted[3:5]
-    speed = sqrt(v[0] * v[0] + v[1] * v[1] + 1e-6)
-    ahead = [v[i] / speed for i in range(2)]
-    correction = (dot(step, ahead), step[1] * ahead[0] - step[0] * ahead[1])
+    correction = correction_of(before, chosen, epoch.dt, 0)
     return memory._replace(
         mode=mode,
         lockout=where(chosen.passed > 0.5, 0.0, lockout),
@@ -136,7 +144,7 @@ def memory_after(
         gamma=clip(dot(window, [1.0 / WINDOW] * WINDOW), *GAMMA_LIMITS),
         nis=chosen.nis,
         accepted=chosen.accepted,
-        rejected=[v - a for v, a in zip(visible, chosen.accepted, strict=True)],
+        rejected=[v - a for v, a in zip(epoch.visible, chosen.accepted, strict=True)],
         nis_average=[
             where(some, keep * old + (1.0 - keep) * ratio, old)
             for old, keep in zip(memory.nis_average, NIS_MEMORY, strict=True)
@@ -145,5 +153,5 @@ def memory_after(
             CORRECTION_MEMORY * old + (1.0 - CORRECTION_MEMORY) * new
             for old, new in zip(memory.correction, correction, strict=True)
         ],
-        unfixed_s=where(fixes > 0.5, 0.0, memory.unfixed_s + dt),
+        unfixed_s=where(fixes > 0.5, 0.0, memory.unfixed_s + epoch.dt),
     )

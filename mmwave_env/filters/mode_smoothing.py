@@ -22,7 +22,7 @@ from mmwave_env.filters.imm import begin, over_step
 from mmwave_env.filters.pipeline import Pipeline, predict
 from mmwave_env.models.measurement import Epoch
 from mmwave_env.models.motion import transition_times
-from mmwave_env.numerics.linalg import cholesky, inverse, unpack
+from mmwave_env.numerics.linalg import cholesky, inverse, is_zero, unpack
 from mmwave_env.numerics.numbers import Array, Number
 from mmwave_env.numerics.pytree import indices
 
@@ -101,8 +101,7 @@ def smooth_modes(
 def _beliefs(mixtures: Array, pipeline: Pipeline) -> tuple[ModeBeliefs, Array]:
     """Return the modes' beliefs, and gamma (N, T, modes), the scale of Q in adaptive modes."""
     n = pipeline.layout.state_size
-    triangle = pipeline.layout.triangle
-    at = indices(begin(pipeline, [0.0] * n, [0.0] * triangle))
+    at = indices(begin(pipeline, [0.0] * n, [0.0] * pipeline.layout.triangle))
     packed = mixtures[..., np.array([track.P for track in at.tracks])]
     P = np.empty((*packed.shape[:-1], n, n))
     row, column = np.tril_indices(n)
@@ -201,5 +200,5 @@ def _fill(target: Array, matrix: Sequence[Sequence[Number]]) -> None:
     """Copy the entries of a matrix, except structural zeros, into an array (..., 7, 7) of zeros."""
     for i, row in enumerate(matrix):
         for j, values in enumerate(row):
-            if not (isinstance(values, float) and values == 0.0):
+            if not is_zero(values):
                 target[..., i, j] = values

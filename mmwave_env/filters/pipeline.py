@@ -28,7 +28,7 @@ from mmwave_env.models.motion import (
     with_clock,
 )
 from mmwave_env.numerics.linalg import dot, pack, unpack
-from mmwave_env.numerics.numbers import Matrix, Number, Vector, clip, where
+from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Vector, clip, where
 
 BLOCKAGE_ONSET_DB = 6.0
 BLOCKAGE_SLOPE_DB = 6.0
@@ -36,14 +36,12 @@ BLOCKAGE_DEPTH = 3.0
 BLOCKAGE_GAIN = 3.0
 VERTICAL = (2, 5)  # z and vz, which are fixed on flat terrain
 
-Predictor = Callable[
-    [Mode, Vector, Matrix, ProcessNoise, Number, Number], tuple[list[Number], Matrix]
-]
+Predictor = Callable[[Mode, Vector, Matrix, ProcessNoise, Number, Number], tuple[Numbers, Matrix]]
 
 
 def _linear_prediction(
     mode: Mode, x: Vector, P: Matrix, noise: ProcessNoise, dt: Number, hz_per_mps: Number
-) -> tuple[list[Number], Matrix]:
+) -> tuple[Numbers, Matrix]:
     """Return the Kalman prediction; it is exact for every algorithm because motion is linear."""
     return move(x, dt, hz_per_mps), predict_covariance(P, noise, dt, hz_per_mps)
 
@@ -85,7 +83,7 @@ class Pipeline:
         """Return the position components that are estimated: all, or x and y on flat terrain."""
         return (0, 1) if self.planar else (0, 1, 2)
 
-    def belief(self, x: list[Number], P: Vector) -> Belief:
+    def belief(self, x: Numbers, P: Vector) -> Belief:
         """Return the belief with mean (7,) and a covariance packed as its lower triangle (28,)."""
         return Belief(x, unpack(P, zero=self.known_axes), self.position_axes)
 
@@ -136,7 +134,7 @@ def predict(
     epoch: Epoch,
     hz_per_mps: Number,
     tuning: Tuning | None = None,
-) -> tuple[list[Number], Matrix]:
+) -> tuple[Numbers, Matrix]:
     """Predict the mean (7,) and the covariance (7, 7) of a mode for the coming epoch.
 
     ``gamma`` is the adaptive scale of Q, which modes that are not adaptive ignore. The other

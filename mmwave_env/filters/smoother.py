@@ -8,8 +8,19 @@ from typing import NamedTuple
 
 from mmwave_env.models.layout import STATE_SIZE
 from mmwave_env.models.motion import transition_times
-from mmwave_env.numerics.linalg import backward, cholesky, dot, forward, pack, symmetric, unpack
-from mmwave_env.numerics.numbers import Number, Vector
+from mmwave_env.numerics.linalg import (
+    backward,
+    cholesky,
+    dot,
+    forward,
+    minus,
+    pack,
+    plus,
+    product,
+    symmetric,
+    unpack,
+)
+from mmwave_env.numerics.numbers import Number, Numbers, Vector
 from mmwave_env.numerics.pytree import select
 
 SMOOTHING_WINDOW = 200  # epochs; N_w of the paper, Sec. III-F
@@ -20,11 +31,11 @@ class ForwardEpoch(NamedTuple):
 
     dt: Number  # seconds since the previous epoch
     # x, P: mean (7,) and packed covariance (28,), its lower triangle, after the epoch
-    x: list[Number]
-    P: list[Number]
+    x: Numbers
+    P: Numbers
     # x_predicted, P_predicted: mean and covariance before the epoch's update
-    x_predicted: list[Number]
-    P_predicted: list[Number]
+    x_predicted: Numbers
+    P_predicted: Numbers
     hz_per_mps: Vector = ()  # (1,) f_c / c if the state has a clock's range bias; else empty
 
 
@@ -34,11 +45,11 @@ class BackwardState(NamedTuple):
     is_last: Number  # 1 if there is no following epoch, because the track ends
     # dt, x_predicted, P_predicted: values of the following epoch, as in :class:`ForwardEpoch`
     dt: Number
-    x_predicted: list[Number]
-    P_predicted: list[Number]
+    x_predicted: Numbers
+    P_predicted: Numbers
     # x, P: smoothed mean (7,) and packed covariance (28,) of the following epoch
-    x: list[Number]
-    P: list[Number]
+    x: Numbers
+    P: Numbers
 
 
 def blank_epoch(size: int = STATE_SIZE) -> ForwardEpoch:
@@ -69,15 +80,11 @@ def smooth_epoch(
     FP = transition_times(P, after.dt, *now.hz_per_mps)
     n = len(P)
     # Row i of the gain is P_predicted^-1 times column i of F P.
-    gain = [backward(factor, forward(factor, [FP[k][i] for k in range(n)])) for i in range(n)]
-    change = [
-        [a - b for a, b in zip(u, v, strict=True)]
-        for u, v in zip(unpack(after.P, zero=known_axes), P_predicted, strict=True)
-    ]
-    half = [[dot(row, column) for column in zip(*change, strict=True)] for row in gain]
+    gain = [backward(factor, forward(factor, column)) for column in zip(*FP, strict=True)]
+    change = list(map(minus, unpack(after.P, zero=known_axes), P_predicted))
+    half = product(gain, change)
     smoothed = symmetric(n, lambda i, j: P[i][j] + dot(half[i], gain[j]))
-    step = [a - b for a, b in zip(after.x, after.x_predicted, strict=True)]
-    y = backward(factor, forward(factor, step))
-    mean = [a + dot([row[i] for row in FP], y) for i, a in enumerate(now.x)]
+    y = backward(factor, forward(factor, minus(after.x, after.x_predicted)))
+    mean = plus(now.x, product([y], FP)[0])
     x, packed = select(after.is_last > 0.5, [now.x, now.P], [mean, pack(smoothed)])
     return BackwardState(0.0, now.dt, now.x_predicted, now.P_predicted, x, packed)

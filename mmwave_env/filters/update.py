@@ -9,10 +9,16 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from mmwave_env.filters.gating import Gate, at_degrees, chi_square_limits, gate_groups
-from mmwave_env.filters.linearization import Linearization, SigmaPoints, Tangent, linearize
-from mmwave_env.models.measurement import Measurement
-from mmwave_env.numerics.linalg import cholesky, dot, forward, symmetric
-from mmwave_env.numerics.numbers import Matrix, Number, Vector, maximum
+from mmwave_env.filters.linearization import (
+    Latents,
+    Linearization,
+    SigmaPoints,
+    Tangent,
+    linearize,
+)
+from mmwave_env.models.measurement import ROWS_OF_LINK, Measurement
+from mmwave_env.numerics.linalg import cholesky, dot, forward, plus, product, symmetric
+from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Vector, maximum
 
 
 class Posterior(NamedTuple):
@@ -28,46 +34,43 @@ class Posterior(NamedTuple):
             -(rows / 2) log(2 pi) is left out.
     """
 
-    x: list[Number]
-    P: list[list[Number]]
-    nis: list[Number]
-    accepted: list[Number]
+    x: Numbers
+    P: Matrix
+    nis: Numbers
+    accepted: Numbers
     log_likelihood: Number
 
 
 Algorithm = Callable[[Vector, Matrix, Measurement, Gate], Posterior]
 
 
+_Gated = tuple[Vector, Number, Number, Number]  # coefficients, innovation, noise, acceptance
+
+
 class _Row(NamedTuple):
     """A scalar row that depends on all latents, conditioned on the links and the rows before it."""
 
     # white: C^-1 times the row's coefficients on the coupled latents; C C' is B of :func:`update`
-    white: list[Number]
-    free: list[Number]  # coefficients on the free latents, xi_3..6
-    shared: list[Number]  # conditional covariance with each earlier row
-    cross: list[Number]  # conditional covariance with each latent in xi
+    white: Numbers
+    free: Numbers  # coefficients on the free latents, xi_3..6
+    shared: Numbers  # conditional covariance with each earlier row
+    cross: Numbers  # conditional covariance with each latent in xi
     innovation: Number
     gain: Number  # 1 / innovation variance; 0 if the row is not accepted
 
 
 def _condition(
-    row: Vector,
-    noise: Number,
-    innovation: Number,
-    accepted: Number,
-    before: list[_Row],
-    C: Matrix,
-    information: Vector,
-    unit: Matrix,
+    gated: _Gated, before: list[_Row], C: Matrix, information: Vector, unit: Matrix
 ) -> _Row:
     """Condition the belief on one scalar row, given the links and the rows before it."""
+    row, innovation, noise, accepted = gated
     n = len(information)
     white = forward(C, row[:n])
     free = list(row[n:])
     cross = [dot(u, white) for u in unit] + free
     s = noise + dot(white, white) + dot(free, free)
     e = innovation - dot(white, information)
-    shared: list[Number] = []
+    shared: Numbers = []
     for j, earlier in enumerate(before):
         c = dot(white, earlier.white) + dot(free, earlier.free)
         for i in range(j):
@@ -80,21 +83,19 @@ def _condition(
     return _Row(white, free, shared, cross, e, accepted / s)
 
 
-def _inform(
-    B: Matrix, V: Matrix, innovation: Vector, noise: Vector, accepted: Number, b: Vector
-) -> tuple[list[list[Number]], list[Number]]:
-    """Return the information matrix and vector of the coupled latents after adding a link."""
-    n = len(b)
-    precision = [list(row) for row in B]
-    vector = list(b)
-    for row, y, variance in zip(V, innovation, noise, strict=True):
+def _information(latents: Latents, rows: Sequence[_Gated]) -> tuple[Matrix, Numbers]:
+    """Return the information matrix and vector of the coupled latents, given the links' rows."""
+    n = latents.coupled
+    B: list[Numbers] = latents.precision
+    b: Numbers = [0.0] * n
+    for row, y, variance, accepted in rows:
         w = accepted / variance
         for i in range(n):
             weighted = w * row[i]
-            vector[i] = vector[i] + weighted * y
+            b[i] = b[i] + weighted * y
             for j in range(i + 1):
-                precision[i][j] = precision[i][j] + weighted * row[j]
-    return precision, vector
+                B[i][j] = B[i][j] + weighted * row[j]
+    return B, b
 
 
 def update(
@@ -115,27 +116,21 @@ def update(
     The prior is x (7,) and P (7, 7), positive definite except for the zeros of components that are
     known exactly. The linearization is the tangent (EKF) or sigma points (UKF, CKF).
     """
-    anchors = measurement.layout.anchors
     L, latents, groups, V = prior = linearize(x, P, measurement, linearization)
-    n = latents.coupled
     gates = gate_groups(prior, measurement, gate)
-    innovations = [
-        [y - latents.shift(row) for y, row in zip(group.innovation, rows, strict=True)]
-        for group, rows in zip(groups, V, strict=True)
-    ]
-    gated = list(zip(V, innovations, gates.noise, gates.accepted, strict=True))
-    B: list[list[Number]] = latents.precision
-    b: list[Number] = [0.0] * n
-    for rows, innovation, noise, accepted in gated[:anchors]:
-        B, b = _inform(B, rows, innovation, noise, accepted, b)
+    gated: list[_Gated] = []
+    for group, rows, noise, accepted in zip(groups, V, gates.noise, gates.accepted, strict=True):
+        for row, y, variance in zip(rows, group.innovation, noise, strict=True):
+            gated.append((row, y - latents.shift(row), variance, accepted))
+    of_links = ROWS_OF_LINK * measurement.layout.anchors
+    B, b = _information(latents, gated[:of_links])
     C = cholesky(B)
     information = forward(C, b)
     linear = latents.linear
-    unit = [forward(C, [float(i == c) for i in range(n)]) for c in range(linear)]
+    unit = [forward(C, [float(i == c) for i in range(len(b))]) for c in range(linear)]
     scalars: list[_Row] = []
-    for rows, innovation, noise, accepted in gated[anchors:]:
-        for row, y, variance in zip(rows, innovation, noise, strict=True):
-            scalars.append(_condition(row, variance, y, accepted, scalars, C, information, unit))
+    for each in gated[of_links:]:
+        scalars.append(_condition(each, scalars, C, information, unit))
     mean = [dot(u, information) for u in unit]
     covariance = symmetric(linear, lambda i, j: dot(unit[i], unit[j]))
     new_x, new_P = _recompose(x, L, mean, covariance, scalars)
@@ -144,18 +139,16 @@ def update(
 
 def _recompose(
     x: Vector, L: Matrix, mean: Vector, covariance: Matrix, rows: list[_Row]
-) -> tuple[list[Number], list[list[Number]]]:
+) -> tuple[Numbers, Matrix]:
     """Return the state's mean and covariance, given the moments of xi_0..2 and the scalar rows."""
     k = len(mean)
     n = len(x)
-    spread = [[dot(row[:k], column) for column in covariance] for row in L]
+    spread = product(L, covariance)
     moves = [[dot(line, row.cross) for line in L] for row in rows]
-    new_x = []
-    for i in range(n):
-        value = x[i] + dot(L[i][:k], mean)
-        for row, step in zip(rows, moves, strict=True):
-            value = value + step[i] * (row.gain * row.innovation)
-        new_x.append(value)
+    new_x = plus(x, [dot(line, mean) for line in L])
+    for row, step in zip(rows, moves, strict=True):
+        gain = row.gain * row.innovation
+        new_x = [value + gain * moved for value, moved in zip(new_x, step, strict=True)]
 
     def entry(i: int, j: int) -> Number:
         value = dot(spread[i], L[j][:k]) + dot(L[i][k:], L[j][k:])
@@ -187,14 +180,14 @@ CAP_QUANTILE = 0.999  # to compare modes, NIS is limited to this chi-square quan
 class ModeResult(NamedTuple):
     """The result of a mode in an epoch."""
 
-    x: list[Number]  # (7,) posterior mean
-    P: list[Number]  # (28,) packed posterior covariance (lower triangle); (36,) with a clock
+    x: Numbers  # (7,) posterior mean
+    P: Numbers  # (28,) packed posterior covariance (lower triangle); (36,) with a clock
     # x_predicted, P_predicted: mean and packed covariance before the update, for smoothing
-    x_predicted: list[Number]
-    P_predicted: list[Number]
+    x_predicted: Numbers
+    P_predicted: Numbers
     # nis, accepted: (groups,) as in :class:`Posterior`
-    nis: list[Number]
-    accepted: list[Number]
+    nis: Numbers
+    accepted: Numbers
     passed: Number  # number of links whose NIS passed the gate; recovery also accepts other links
     log_likelihood: Number  # log-likelihood of the visible groups
 
@@ -206,7 +199,7 @@ def limited_likelihood(candidate: ModeResult, limits: Vector) -> Number:
     of sight) would decide: the mode whose prediction is nearest to the outlier would seem right.
     """
     excess = [maximum(nis - limit, 0.0) for nis, limit in zip(candidate.nis, limits, strict=True)]
-    return candidate.log_likelihood + 0.5 * dot(excess, [1.0] * len(excess))
+    return candidate.log_likelihood + 0.5 * sum(excess, 0.0)
 
 
 def capped_log_likelihood(candidate: ModeResult, degrees: Sequence[Number]) -> Number:

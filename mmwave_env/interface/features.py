@@ -6,18 +6,18 @@ of plain numbers, so that they can be compiled into the SIMD kernel.
 
 import json
 from collections.abc import Callable
-from functools import cache, partial
+from functools import cache
 from importlib.resources import files
 from typing import Any, NamedTuple
 
-from mmwave_env.filters.memory import Memory
+from mmwave_env.filters.memory import Memory, correction_of
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.update import ModeResult, capped_log_likelihood
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Epoch, Site, doppler_anchor, norms, range_rate
 from mmwave_env.models.motion import move
-from mmwave_env.numerics.linalg import dot
-from mmwave_env.numerics.numbers import Matrix, Number, Vector, log, maximum, sqrt, where
+from mmwave_env.numerics.linalg import dot, minus
+from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Vector, log, maximum, sqrt, where
 
 MISSING_SNR_DB = -20.0
 # kind of an anchor's feature -> the feature's value if the anchor is never visible
@@ -39,9 +39,9 @@ class MixtureView(NamedTuple):
     """The inputs of features that exist only if each mode has its own belief."""
 
     # predicted, posterior: (modes,) probabilities of modes before and after the coming measurement
-    predicted: list[Number]
-    posterior: list[Number]
-    spread_averages_hz: list[Number]  # moving averages of the Doppler spread, fast to slow
+    predicted: Numbers
+    posterior: Numbers
+    spread_averages_hz: Numbers  # moving averages of the Doppler spread, fast to slow
 
 
 class View(NamedTuple):
@@ -117,24 +117,17 @@ def _speed(view: View) -> Number:
 
 
 def _motion(layout: Layout) -> list[Feature]:
-    def spread(v: View) -> Number:
-        return v.epoch.doppler_spread_hz / v.site.hz_per_mps
-
-    def spread_average(v: View) -> Number:
-        return v.memory.spread_average_hz / v.site.hz_per_mps
-
-    def odometry(v: View) -> Number:
-        return where(v.epoch.visible[-1] > 0.5, v.epoch.z[-2], _speed(v))
-
-    averaged = "moving average of the Doppler spread, divided by f_c / c"
-    measured = "speed measured by odometry in the coming epoch; predicted speed if missing"
-    spreads = "Doppler spread of the coming epoch, divided by f_c / c"
     table = [
         Feature("predicted speed", "norm of the predicted velocity", "m/s", 0, 50, _speed),
-        Feature("Doppler spread", spreads, "m/s", 0, 50, spread),
-        Feature("Doppler spread average", averaged, "m/s", 0, 50, spread_average),
-        Feature("odometry speed", measured, "m/s", 0, 50, odometry),
-    ]
+        Feature("Doppler spread", "Doppler spread of the coming epoch, divided by f_c / c", "m/s",
+                0, 50, lambda v: v.epoch.doppler_spread_hz / v.site.hz_per_mps),
+        Feature("Doppler spread average",
+                "moving average of the Doppler spread, divided by f_c / c", "m/s", 0, 50,
+                lambda v: v.memory.spread_average_hz / v.site.hz_per_mps),
+        Feature("odometry speed",
+                "speed measured by odometry in the coming epoch; predicted speed if missing", "m/s",
+                0, 50, lambda v: where(v.epoch.visible[-1] > 0.5, v.epoch.z[-2], _speed(v))),
+    ]  # fmt: skip
     return table if layout.odometry else table[:-1]
 
 
@@ -169,8 +162,7 @@ def last_epoch(layout: Layout) -> list[Feature]:
 
 
 def _distance(view: View, anchor: int) -> Number:
-    predicted = move(view.x[:7], view.epoch.dt)
-    return norms([predicted[i] - view.site.anchors[anchor][i] for i in range(3)])[1]
+    return norms(minus(move(view.x[:7], view.epoch.dt), view.site.anchors[anchor]))[1]
 
 
 def _links(layout: Layout, distances: bool) -> list[Feature]:
@@ -189,26 +181,20 @@ def _links(layout: Layout, distances: bool) -> list[Feature]:
             Feature(f"distance anchor {a + 1}", "distance of the predicted position to the anchor",
                     "m", 0, 1000, lambda v, a=a: _distance(v, a), "distance"),
         ][: 3 if distances else 2]  # fmt: skip
-    each = [1.0] * layout.anchors
-
-    def visible(v: View) -> Number:
-        return dot(each, v.epoch.visible[: layout.anchors])
-
-    meaning = "number of visible links in the coming epoch"
-    links = Feature("visible links", meaning, "links", 0, layout.anchors, visible)
-    return table if distances else [*table, links]
+    if not distances:
+        table.append(Feature("visible links", "number of visible links in the coming epoch",
+                             "links", 0, layout.anchors,
+                             lambda v: sum(v.epoch.visible[: layout.anchors], 0.0)))  # fmt: skip
+    return table
 
 
 def _previous(pipeline: Pipeline) -> list[Feature]:
-    def ran(m: int, v: View) -> Number:
-        return where(abs(v.memory.mode - float(m)) < 0.5, 1.0, 0.0)
-
-    kind = "previous mode"
-    meaning = "1 if this mode ran in the last epoch, else 0"
     return [
-        Feature(f"{kind} {mode.name}", meaning, "", 0, 1, partial(ran, m), kind)
+        Feature(f"previous mode {mode.name}", "1 if this mode ran in the last epoch, else 0", "", 0,
+                1, lambda v, m=m: where(abs(v.memory.mode - float(m)) < 0.5, 1.0, 0.0),
+                "previous mode")
         for m, mode in enumerate(pipeline.modes)
-    ]
+    ]  # fmt: skip
 
 
 def _track() -> list[Feature]:
@@ -260,15 +246,16 @@ def coming(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
         table += _candidate(layout, m, mode.name)
         if m < len(modes) - 1:
             table += _against(layout, m, mode.name, modes[-1].name)
-    names = [mode.name for mode in modes] if per_mode else []
-    return table + [feature for m, name in enumerate(names) for feature in _posterior(m, name)]
+    if per_mode:
+        for m, mode in enumerate(modes):
+            table += _posterior(m, mode.name)
+    return table
 
 
 def _doppler_innovation(view: View, layout: Layout) -> Number:
     """Compute the measured minus the predicted radial velocity, m/s; 0 without a measurement."""
     x = move(view.x[:7], view.epoch.dt)
-    base = doppler_anchor(view.site.anchors, view.epoch.doppler_of)
-    step = [x[i] - base[i] for i in range(3)]
+    step = minus(x, doppler_anchor(view.site.anchors, view.epoch.doppler_of))
     measured = (view.epoch.z[layout.doppler] - x[6]) / view.site.hz_per_mps
     innovation = measured - range_rate(step, x[3:6])
     return where(view.epoch.visible[layout.anchors] > 0.5, innovation, 0.0)
@@ -287,48 +274,36 @@ def _innovation(pipeline: Pipeline) -> list[Feature]:
 
 
 def _mean_nis(layout: Layout, candidate: ModeResult, epoch: Epoch) -> Number:
-    degrees = layout.degrees(epoch.measured)
-    rows = dot(epoch.visible, [1.0 * number for number in degrees])
-    total = dot(epoch.visible, candidate.nis)
-    return total / where(rows > 0.5, rows, 1.0)
-
-
-def _correction(view: View, mode: int, first: int, across: bool) -> Number:
-    """Compute a mode's correction of position or velocity: along the velocity, or to its left."""
-    predicted = move(view.x[:7], view.epoch.dt)
-    candidate = view.candidates[mode]
-    step = [candidate.x[i] - predicted[i] for i in (first, first + 1)]
-    v = predicted[3:5]
-    speed = sqrt(dot(v, v) + 1e-6)
-    product = step[1] * v[0] - step[0] * v[1] if across else dot(step, v)
-    return product / speed
+    rows = dot(epoch.visible, [1.0 * number for number in layout.degrees(epoch.measured)])
+    return dot(epoch.visible, candidate.nis) / where(rows > 0.5, rows, 1.0)
 
 
 def _candidate(layout: Layout, m: int, name: str) -> list[Feature]:
-    links = [1.0] * layout.anchors
+    links = slice(layout.anchors)
     return [
         Feature(f"coming NIS {name}", "ln(1 + NIS / dof) over the visible groups", "", 0, 10,
                 lambda v: log(1.0 + _mean_nis(layout, v.candidates[m], v.epoch)), "coming NIS"),
         Feature(f"coming rejected {name}", "number of links that the mode would reject", "links",
                 0, layout.anchors,
-                lambda v: dot(links, v.epoch.visible) - dot(links, v.candidates[m].accepted),
+                lambda v: (sum(v.epoch.visible[links], 0.0)
+                           - sum(v.candidates[m].accepted[links], 0.0)),
                 "coming rejected"),
         Feature(f"coming variance {name}",
                 "ln of the trace of the mode's P for the horizontal position", "ln m^2", -20, 20,
                 lambda v: log(v.candidates[m].P[0] + v.candidates[m].P[2] + 1e-12),
                 "coming variance"),
         *(Feature(f"coming {of} correction {way} {name}", meaning, unit, -10, 10,
-                  lambda v, first=first, way=way: _correction(v, m, first, way == "across"),
+                  lambda v, first=first, i=i: correction_of(
+                      v.x, v.candidates[m], v.epoch.dt, first)[i],
                   f"coming {of} correction {way}")
           for of, first, unit in (("position", 0, "m"), ("velocity", 3, "m/s"))
-          for way, meaning in _WAYS.items()),
+          for i, (way, meaning) in enumerate(_WAYS.items())),
     ]  # fmt: skip
 
 
 def _against(layout: Layout, m: int, name: str, last: str) -> list[Feature]:
     def likelihood(view: View, mode: int) -> Number:
-        degrees = layout.degrees(view.epoch.measured)
-        return capped_log_likelihood(view.candidates[mode], degrees)
+        return capped_log_likelihood(view.candidates[mode], layout.degrees(view.epoch.measured))
 
     return [
         Feature(f"coming log-likelihood {name}", "log-likelihood minus the log-likelihood of "

@@ -4,11 +4,9 @@ import warnings
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from numpy.typing import NDArray
-
-from mmwave_env.metrics import INFO_KEYS
 from mmwave_env.numerics.numbers import Array, Mask
 
+Info = dict[str, Any]  # values by key; in vector environments, arrays (n, ...)
 STATE_KEYS = ("truth", "estimate")  # in the infos of resets and steps
 TERMS_KEY = "reward_terms"
 COST_KEY = "cost"  # 1.0 where the horizontal error exceeds its protection level
@@ -27,7 +25,6 @@ PROBABILITIES = "mode_probabilities"  # in infos only if each mode has its own b
 FLAGS = ("accepted", "rejected")
 SMOOTHED_KEY = "smoothed_ate_m"
 NONFINITE_KEY = "nonfinite_beliefs"  # in the info of the last step if a belief was not finite
-LAST_KEYS = (*INFO_KEYS.values(), SMOOTHED_KEY)  # in the info of the last step
 INFOS = {
     "all": "everything that is known",
     "episode": "everything that is known, at each reset and at the last step of each episode",
@@ -69,7 +66,7 @@ def drawn_rows(at: Any, span: Callable[[Any], Any]) -> dict[str, Any]:
     return {name: span(part) for name, part in parts.items()}
 
 
-def masked(values: dict[str, NDArray[Any]], where: Mask) -> dict[str, Any]:
+def masked(values: Info, where: Mask) -> Info:
     """Return infos (n, ...) for the environments in which ``where`` (n,) is True.
 
     The values of other environments are replaced by 0 or None, in place. Every key gets a mask
@@ -83,14 +80,14 @@ def masked(values: dict[str, NDArray[Any]], where: Mask) -> dict[str, Any]:
     return values | dict.fromkeys(mask_keys(values), where.copy())
 
 
-def stepped(infos: dict[str, Any], where: Mask) -> dict[str, Any]:
+def stepped(infos: Info, where: Mask) -> Info:
     """Return a step's infos, but only STATE_KEYS for environments whose ``where`` (n,) is False."""
     did = {key: infos[key] for key in (*STEP_KEYS, PROBABILITIES) if key in infos}
     kept = (*STATE_KEYS, *mask_keys(STATE_KEYS))
     return masked(did, where) | {key: infos[key] for key in kept if key in infos}
 
 
-def step_info(column: Array, rows: dict[str, Any], mode: int) -> dict[str, Any]:
+def step_info(column: Array, rows: dict[str, Any], mode: int) -> Info:
     """Return the info of a step of one environment.
 
     Args:
@@ -98,7 +95,7 @@ def step_info(column: Array, rows: dict[str, Any], mode: int) -> dict[str, Any]:
         rows: row or slice of each value in the workspace, from :func:`info_rows`.
         mode: number of the mode that the action chose.
     """
-    info: dict[str, Any] = {}
+    info: Info = {}
     for key, part in rows.items():
         value = column[part]
         info[key] = float(value) if isinstance(part, int) else value

@@ -17,7 +17,7 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.features import Feature, View, coming, context
 from mmwave_env.interface.signed import signed
 from mmwave_env.io.lookup import choose
-from mmwave_env.numerics.numbers import Array, Array32, Number, clip
+from mmwave_env.numerics.numbers import Array, Array32, Number, Numbers, Pair, clip
 
 LIMIT = 10.0  # maximum distance of a feature from its mean, in standard deviations
 
@@ -103,7 +103,7 @@ class Observation:
         """Return the space of one observation, float32."""
         return spaces.Box(*np.array(self._bounds(), np.float32).T, dtype=np.float32)
 
-    def _bounds(self) -> list[tuple[Number, Number]]:
+    def _bounds(self) -> list[Pair]:
         """Return the limits of every standardized feature."""
         return [(_standardize(f.low, f), _standardize(f.high, f)) for f in self.features]
 
@@ -112,17 +112,13 @@ class Observation:
         """Return the columns in their order."""
         return observation_columns(self.features)
 
-    def values(self, view: View) -> list[Number]:
-        """Return the standardized values of all features."""
-        return standardized(self.features, view)
-
     def read(self, observation: Array32, name: str) -> Array:
         """Return a feature in its own unit, from observations (..., features).
 
         The value is as exact as single precision allows; zeros and counts are exact. For a value
         beyond a limit, the limit is returned.
         """
-        i = {feature.name: i for i, feature in enumerate(self.features)}[name]
+        i = self.names.index(name)
         shown = observation[..., i].astype(np.float32)
         (mean, deviation) = self.features[i].scale
         value = shown.astype(np.float64) * deviation + mean
@@ -147,7 +143,7 @@ def observation_columns(features: Sequence[Feature]) -> tuple[Column, ...]:
     return tuple(Column(f.name, f.unit, *map(float, f.scale)) for f in features)
 
 
-def standardized(features: Sequence[Feature], view: View) -> list[Number]:
+def standardized(features: Sequence[Feature], view: View) -> Numbers:
     """Return the standardized values of features."""
     return [_standardize(f.value(view), f) for f in features]
 

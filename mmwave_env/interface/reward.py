@@ -15,7 +15,7 @@ from typing import Any, cast
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.custom import complaint, name_of, try_out, wrong_parts
 from mmwave_env.io.lookup import choose
-from mmwave_env.numerics.numbers import Number, Vector, log, maximum, minimum
+from mmwave_env.numerics.numbers import Number, Pair, Vector, log, maximum, minimum
 from mmwave_env.numerics.tape import taped
 
 Terms = dict[str, Number]
@@ -42,7 +42,7 @@ class TrackingReward:
         """Return the lowest possible reward."""
         return -(self.error_weight * self.error_limit_m + self.nees_weight * self.nees_limit)
 
-    def costs(self, distance_m: Number, nees: Number, axes: int = 3) -> tuple[Number, Number]:
+    def costs(self, distance_m: Number, nees: Number, axes: int = 3) -> Pair:
         """Compute the costs (...,) of error and NEES in each epoch; the reward is minus their sum.
 
         Args:

@@ -14,8 +14,19 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.features import Feature, View, last_epoch
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Epoch, direction, norms
-from mmwave_env.numerics.linalg import dot
-from mmwave_env.numerics.numbers import PI, Number, Vector, log, maximum, minimum, sqrt, where, wrap
+from mmwave_env.numerics.linalg import dot, minus
+from mmwave_env.numerics.numbers import (
+    PI,
+    Number,
+    Pair,
+    Vector,
+    log,
+    maximum,
+    minimum,
+    sqrt,
+    where,
+    wrap,
+)
 
 _LEAST_M = 0.05  # minimum standard deviation by which residuals are divided, m
 _LEAST_RAD = 1e-3  # minimum standard deviation by which elevation residuals are divided, rad
@@ -70,7 +81,7 @@ def _present(view: View) -> Number:
     return 1.0 - view.last.is_missing
 
 
-def _turn(view: View) -> tuple[Number, Number]:
+def _turn(view: View) -> Pair:
     cosine, sine = Frame.of(view.last.velocity).into(*Frame.of(view.x[3:5]))
     present = _present(view)
     return 1.0 - present * (1.0 - cosine), present * sine
@@ -94,32 +105,37 @@ def _squashed(q: Number) -> Number:
     return where(q < 0.0, 0.0 - size, size)
 
 
-def _ray(view: View, anchor: int) -> tuple[list[Number], Number, tuple[Number, Number, Number]]:
-    """Return the vector from anchor to user, its horizontal length, and its :func:`direction`."""
-    step = [view.x[i] - view.site.anchors[anchor][i] for i in range(3)]
-    return step, norms(step)[0], direction(step)
+def _row(view: View, layout: Layout, anchor: int, name: str) -> tuple[Number, Number, Number]:
+    """Return two components of a row's residual, and ln of its deviation in meters at the user.
 
-
-def _residual(view: View, layout: Layout, anchor: int, name: str) -> tuple[Number, Number]:
-    """Return the components of a row's :func:`_squashed` residual along and across the velocity."""
-    row = _ROWS[name]
-    step, flat, (distance, azimuth, _) = _ray(view, anchor)
+    The residual, :func:`_squashed`, has components along and across the velocity; that of an
+    elevation has only one, and the second is 0. All numbers are 0 if the row was not measured.
+    """
+    step = minus(view.x, view.site.anchors[anchor])
+    flat = norms(step)[0]
+    distance, azimuth, elevation = direction(step)
+    row = 4 * anchor + _ROWS[name]
+    sigma = view.last.epoch.sigma[row]
+    z = view.last.epoch.z[row]
+    measured = _measured(view, layout, anchor, _ROWS[name])
     scale = 1.0 / maximum(flat, 1.0)
     ux = step[0] * scale
     uy = step[1] * scale
-    z = view.last.epoch.z[4 * anchor + row]
+    if name == "elevation":
+        q = _squashed(wrap(z - elevation) / maximum(sigma, _LEAST_RAD)) * measured
+        return q, 0.0, log(maximum(sigma * distance, _LEAST_M)) * measured
     if name == "range":
-        bias = view.x[7] if layout.clock else 0.0
-        residual = z - distance - bias
+        residual = z - distance - (view.x[7] if layout.clock else 0.0)
+        deviation = maximum(sigma, _LEAST_M)
         toward = (ux, uy)
     else:
         opposite = PI if name == "departure" else 0.0
         residual = _turned(z - azimuth - opposite) * flat
+        deviation = maximum(sigma * flat, _LEAST_M)
         toward = (0.0 - uy, ux)
-    q = _squashed(residual / _deviation(view, anchor, name))
-    q = q * _measured(view, layout, anchor, row)
+    q = _squashed(residual / deviation) * measured
     along, across = Frame.of(view.x[3:5]).into(*toward)
-    return q * along, q * across
+    return q * along, q * across, log(deviation) * measured
 
 
 def _turned(angle: Number) -> Number:
@@ -127,52 +143,31 @@ def _turned(angle: Number) -> Number:
     return wrap(where(angle < -PI, angle + 2.0 * PI, angle))
 
 
-def _deviation(view: View, anchor: int, name: str) -> Number:
-    """Return a row's standard deviation, m; angles are converted to lengths at the user."""
-    sigma = view.last.epoch.sigma[4 * anchor + _ROWS[name]]
-    _, flat, (distance, _, _) = _ray(view, anchor)
-    reach = {"range": 1.0, "azimuth": flat, "elevation": distance, "departure": flat}
-    return maximum(sigma * reach[name], _LEAST_M)
-
-
-def _elevation(view: View, layout: Layout, anchor: int) -> Number:
-    _, _, (_, _, elevation) = _ray(view, anchor)
-    row = 4 * anchor + 2
-    sigma = maximum(view.last.epoch.sigma[row], _LEAST_RAD)
-    q = _squashed(wrap(view.last.epoch.z[row] - elevation) / sigma)
-    return q * _measured(view, layout, anchor, 2)
-
-
 def _link(layout: Layout, a: int) -> list[Feature]:
     def share(v: View) -> Number:
-        return 0.25 * sum((_measured(v, layout, a, row) for row in range(1, 4)),
-                          _measured(v, layout, a, 0))  # fmt: skip
+        return 0.25 * sum(_measured(v, layout, a, row) for row in range(4))
 
-    def residual(name: str, way: int, v: View) -> Number:
-        return _residual(v, layout, a, name)[way]
-
-    def deviation(name: str, v: View) -> Number:
-        return log(_deviation(v, a, name)) * _measured(v, layout, a, _ROWS[name])
+    def part(name: str, i: int, v: View) -> Number:
+        return _row(v, layout, a, name)[i]
 
     of = f"anchor {a + 1}"
+    deviation = "ln of the standard deviation, in meters at the user; 0 if missing"
     table = []
     for name in ("range", "azimuth", "departure"):
         meaning = f"sign(q) ln(1 + |q|), q: ({name} - its updated estimate) / deviation"
         table += [
             *(Feature(f"{name} residual {way} {of}", f"{meaning}, times the {way} component of the "
-                      "measured direction; 0 if missing", "", -10, 10, partial(residual, name, i),
+                      "measured direction; 0 if missing", "", -10, 10, partial(part, name, i),
                       f"{name} residual {way}") for i, way in enumerate(_WAYS)),
-            Feature(f"{name} deviation {of}", "ln of the standard deviation, in meters at the "
-                    "user; 0 if missing", "ln m", -4, 8, partial(deviation, name),
+            Feature(f"{name} deviation {of}", deviation, "ln m", -4, 8, partial(part, name, 2),
                     f"{name} deviation"),
         ]  # fmt: skip
     return [
         *table,
         Feature(f"elevation residual {of}", "residual of the elevation: sign(q) ln(1 + |q|); 0 if "
-                "missing", "", -10, 10, lambda v: _elevation(v, layout, a), "elevation residual"),
-        Feature(f"elevation deviation {of}", "ln of the standard deviation, in meters at the user; "
-                "0 if missing", "ln m", -4, 8, partial(deviation, "elevation"),
-                "elevation deviation"),
+                "missing", "", -10, 10, partial(part, "elevation", 0), "elevation residual"),
+        Feature(f"elevation deviation {of}", deviation, "ln m", -4, 8,
+                partial(part, "elevation", 2), "elevation deviation"),
         Feature(f"measured {of}", "share of the link's quantities that were measured", "", 0, 1,
                 share, "measured"),
         Feature(f"last SNR {of}", "SNR in the last epoch; 0 if missing", "dB", -20, 80,

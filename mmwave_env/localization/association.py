@@ -249,7 +249,7 @@ class PathTracker:
             self._pipeline, self._mode, track.x, track.P, track.memory, epoch, site
         )
         memory = memory_before(track.memory, [after], epoch, layout)
-        memory = memory_after(layout, 0.0, track.x, after, memory, epoch.dt, epoch.visible)
+        memory = memory_after(layout, 0.0, track.x, after, memory, epoch)
         seen_s = time_s if any(epoch.visible) else track.seen_s
         return track._replace(x=after.x, P=after.P, memory=memory, time_s=time_s, seen_s=seen_s)
 

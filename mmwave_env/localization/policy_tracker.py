@@ -45,7 +45,7 @@ class PolicyTracker:
 
     def load(self, episodes: Sequence[Episode], go_on: bool = False) -> None:
         """Load one episode, in the same way as :meth:`Engine.load`."""
-        self._engine.load(episodes, go_on)
+        self._engine.load(episodes, go_on=go_on)
         self._starts = not go_on
 
     def load_epoch(self, incoming: Sequence[float], time_s: float) -> None:
@@ -63,10 +63,9 @@ class PolicyTracker:
             self._policy.reset(np.array([True]))
         corrected = {"reported.x": "corrected_x", "reported.P": "corrected_P"}
         wanted = (*names, *corrected) if self._corrects else names
-        program = self._engine.program
-        epochs = int(self._engine.batch.state.length[0])
-        played = play(self._engine, self._policy, epochs, program.rows(wanted), scored=False)
-        parts = program.by_name(wanted, played.outputs)
+        epochs = int(self._engine.state.length[0])
+        played = play(self._engine, self._policy, epochs, wanted, scored=False)
+        parts = played.outputs
         if self._corrects:
             parts |= {to: parts.pop(name) for name, to in corrected.items()}
             parts["trusted"] = played.trusted.astype(float)

@@ -11,7 +11,17 @@ from typing import NamedTuple
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import DECIBEL, Radio
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.numbers import Number, Vector, clip, exp, log, maximum, sqrt, where
+from mmwave_env.numerics.numbers import (
+    Number,
+    Numbers,
+    Vector,
+    clip,
+    exp,
+    log,
+    maximum,
+    sqrt,
+    where,
+)
 from mmwave_env.numerics.random import Dice
 
 
@@ -28,7 +38,7 @@ class SpellParams(NamedTuple):
 class Channel(NamedTuple):
     """The channel's parameters for a fixed time step, derived from a radio and a scene."""
 
-    offset_db: list[Number]  # (L,) SNR of each link at 1 m
+    offset_db: Numbers  # (L,) SNR of each link at 1 m
     # shadowing_db, correlation: standard deviation of shadowing, and its correlation over a step
     shadowing_db: Number
     correlation: Number
@@ -49,8 +59,8 @@ class Channel(NamedTuple):
     detection_snr_db: Number
     detection_slope_db: Number
     # floor_variance, bound_variance: (rows,) from :meth:`~mmwave_env.models.radio.Radio.variances`
-    floor_variance: list[Number]
-    bound_variance: list[Number]
+    floor_variance: Numbers
+    bound_variance: Numbers
     spread_gain_hz: Number  # Doppler spread per m/s of speed
     spread_sigma: Number  # standard deviation of the logarithm of a random factor on the spread
     spread_floor_hz: Number  # |N(0, 1)| times this number is added to the spread
@@ -85,13 +95,13 @@ class Spell(NamedTuple):
     """A spell of blockage or multipath on one link."""
 
     on: Number  # 1 while the spell lasts, else 0
-    bias: list[Number]  # (4,) biases of the link's rows (m, rad), drawn when the spell begins
+    bias: Numbers  # (4,) biases of the link's rows (m, rad), drawn when the spell begins
 
 
 class ChannelState(NamedTuple):
     """The state of the channel between two epochs."""
 
-    shadowing: list[Number]  # (L,) shadowing, in units of its standard deviation
+    shadowing: Numbers  # (L,) shadowing, in units of its standard deviation
     # blockage, multipath: (L,) spell of each link
     blockage: list[Spell]
     multipath: list[Spell]
@@ -109,12 +119,12 @@ class SpellDraws(NamedTuple):
 
     uniform: Number  # in [0, 1)
     excess: Number  # exponential with mean 1, for the range bias
-    angles: list[Number]  # (3,) standard normals, for the angle biases
+    angles: Numbers  # (3,) standard normals, for the angle biases
 
 
 def _draw(
     dice: Dice, anchors: int
-) -> tuple[list[Number], list[SpellDraws], list[SpellDraws], Number, list[Number]]:
+) -> tuple[Numbers, list[SpellDraws], list[SpellDraws], Number, Numbers]:
     """Draw the random numbers for the links of ``anchors`` anchors in an epoch.
 
     Returns:
@@ -122,10 +132,10 @@ def _draw(
         a number in [0, 1) for the outage; numbers (L,) in [0, 1) for the detection.
     """
 
-    def each(draw: Callable[[], Number]) -> list[Number]:
+    def each(draw: Callable[[], Number]) -> Numbers:
         return [draw() for _ in range(anchors)]
 
-    def angles() -> list[Number]:
+    def angles() -> Numbers:
         return [dice.normal() for _ in range(3)]
 
     shadowing = each(dice.normal)
@@ -140,9 +150,9 @@ def _draw(
 class Reception(NamedTuple):
     """The effects of the channel on the links in an epoch."""
 
-    snr_db: list[Number]  # (L,) SNR of each link
-    detected: list[Number]  # (L,) 1 if the link is detected, else 0
-    bias: list[list[Number]]  # (L, 4) biases added to the rows of each link
+    snr_db: Numbers  # (L,) SNR of each link
+    detected: Numbers  # (L,) 1 if the link is detected, else 0
+    bias: list[Numbers]  # (L, 4) biases added to the rows of each link
     doppler_spread_hz: Number
 
 

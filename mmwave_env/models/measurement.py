@@ -24,11 +24,13 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from mmwave_env.models.layout import STATE_SIZE, Layout
-from mmwave_env.numerics.linalg import dot
+from mmwave_env.numerics.linalg import dot, is_zero, minus, plus, product
 from mmwave_env.numerics.numbers import (
     PI,
     Matrix,
     Number,
+    Numbers,
+    Pair,
     Vector,
     atan2,
     cos_sin,
@@ -42,6 +44,7 @@ SPEED_OF_LIGHT = 299_792_458.0  # m/s
 # Longest length that counts as 0: less than the uncertainty of an antenna's position, but far more
 # than the rounding errors of coordinates of 1000 km (1e-10 m).
 NEAREST_M = 1e-3
+ROWS_OF_LINK = 3  # in a link's group: range, azimuth and elevation
 _SLOWEST_ODOMETRY = 1e-3  # m/s; minimum of the speeds by which gradients are divided
 
 
@@ -87,13 +90,13 @@ class Group(NamedTuple):
     innovation: Vector
     variance: Vector
     jacobian: Matrix
-    change: Callable[[Vector], list[Number]]
+    change: Callable[[Vector], Numbers]
     curved: int
     spare_nis: Number = 0.0
     spare_determinant: Number = 1.0
 
 
-def norms(d: Vector) -> tuple[Number, Number]:
+def norms(d: Vector) -> Pair:
     """Return the horizontal and the full length of a vector (3,)."""
     squared = d[0] * d[0] + d[1] * d[1]
     return sqrt(squared), sqrt(squared + d[2] * d[2])
@@ -105,15 +108,13 @@ def direction(d: Vector) -> tuple[Number, Number, Number]:
     return distance, atan2(d[1], d[0]), atan2(d[2], horizontal)
 
 
-def seen_from_image(
-    azimuth: Number, elevation: Number, station: Vector, image: Vector
-) -> tuple[Number, Number]:
+def seen_from_image(azimuth: Number, elevation: Number, station: Vector, image: Vector) -> Pair:
     """Convert a ray's direction (rad) at the base station to its direction at the mirror image.
 
     ``image`` (3,) is the mirror image of ``station`` (3,) in a wall. The direction d becomes
     d - 2 (d.n) n, with the unit vector n along image - station. If image = station, d is unchanged.
     """
-    n = [image[i] - station[i] for i in range(3)]
+    n = minus(image, station)
     (cos_az, sin_az) = cos_sin(azimuth)
     (cos_el, sin_el) = cos_sin(elevation)
     d = [cos_el * cos_az, cos_el * sin_az, sin_el]
@@ -134,35 +135,28 @@ def _inverse(length: Number) -> Number:
 
 def exact_rows(
     position: Vector, velocity: Vector, anchors: Matrix, hz_per_mps: Number, layout: Layout
-) -> list[Number]:
+) -> Numbers:
     """Compute a user's measurement (rows,) in m, rad, Hz, m/s, without noise and biases.
 
     Position and velocity are (3,), m and m/s; anchors (L, 3), m.
     """
-    rows: list[Number] = []
+    rows: Numbers = []
     for anchor in anchors:
-        d = [position[i] - anchor[i] for i in range(3)]
-        distance, azimuth, elevation = direction(d)
+        distance, azimuth, elevation = direction(minus(position, anchor))
         departure = where(azimuth > 0.0, azimuth - PI, azimuth + PI)
         rows += [distance, azimuth, elevation, departure]
-    d = [position[i] - anchors[0][i] for i in range(3)]
-    rows.append(hz_per_mps * range_rate(d, velocity))
+    rows.append(hz_per_mps * range_rate(minus(position, anchors[0]), velocity))
     if layout.odometry:
         rows += [norms(velocity)[1], atan2(velocity[1], velocity[0])]
     return rows
 
 
-class _Bearing(NamedTuple):
-    """Both azimuths of a link, fused to one row; the last fields are as in :class:`Group`."""
-
-    innovation: Number
-    variance: Number
-    spare_nis: Number
-    spare_determinant: Number
-
-
-def _fused(arrival: Number, departure: Number, variance: Vector, measured: Vector) -> _Bearing:
+def _fused(
+    arrival: Number, departure: Number, variance: Vector, measured: Vector
+) -> tuple[Number, Number, Number, Number]:
     """Fuse the innovations of a link's azimuths; other arguments are as for :func:`link_group`.
+
+    Return innovation and variance of the bearing, and NIS and variance of the azimuths' difference.
 
     The azimuths of arrival and departure, which differ by pi (paper, Sec. II-B), measure the same
     bearing, with variances ra and rd. Their weighted mean is a row with variance ra rd / (ra + rd).
@@ -176,14 +170,14 @@ def _fused(arrival: Number, departure: Number, variance: Vector, measured: Vecto
     disagreement = arrival - departure
     spare_nis = disagreement * disagreement / total
     if not len(measured):
-        return _Bearing(bearing, fused, spare_nis, total)
+        return bearing, fused, spare_nis, total
     both = measured[1] * measured[3] > 0.5
     alone = measured[1] > 0.5
-    return _Bearing(
-        innovation=where(both, bearing, where(alone, arrival, departure)),
-        variance=where(both, fused, where(alone, arrival_variance, departure_variance)),
-        spare_nis=where(both, spare_nis, 0.0),
-        spare_determinant=where(both, total, 1.0),
+    return (
+        where(both, bearing, where(alone, arrival, departure)),
+        where(both, fused, where(alone, arrival_variance, departure_variance)),
+        where(both, spare_nis, 0.0),
+        where(both, total, 1.0),
     )
 
 
@@ -195,14 +189,14 @@ def link_group(
     ``x`` (7,) is the prior mean, and ``anchor`` (3,) the anchor's position, m. ``z`` and
     ``variance`` are (4,). ``measured`` (4,) is 1 where a row was measured, else 0; () means all.
     """
-    d = [x[i] - anchor[i] for i in range(3)]
+    d = minus(x, anchor)
     distance, azimuth, elevation = direction(d)
     horizontal = norms(d)[0]
     aside = horizontal > NEAREST_M
     apart = distance > NEAREST_M
     arrival = where(aside, wrap(z[1] - azimuth), 0.0)
     departure = where(aside, wrap(wrap(z[3] - azimuth + PI)), 0.0)
-    bearing = _fused(arrival, departure, variance, measured)
+    bearing, bearing_variance, *spare = _fused(arrival, departure, variance, measured)
     inverse = _inverse(distance)
     inverse_horizontal = _inverse(horizontal)
     slope = d[2] * inverse_horizontal * inverse * inverse
@@ -215,10 +209,10 @@ def link_group(
     clock = list(x[STATE_SIZE:])
     slow = [*[0.0] * 4, *[1.0] * len(clock)]  # the range contains a clock's bias as a summand
 
-    def change(step: Vector) -> list[Number]:
-        q = [d[i] + step[i] for i in range(3)]
+    def change(step: Vector) -> Numbers:
+        q = plus(d, step)
         q_horizontal, q_distance = norms(q)
-        vertical = all(isinstance(s, float) and s == 0.0 for s in step[:2])
+        vertical = all(map(is_zero, step[:2]))
         turn = 0.0 if vertical else atan2(q[1] * east - q[0] * north, q[0] * east + q[1] * north)
         rise = atan2(q[2] * level - q_horizontal * up, q_horizontal * level + q[2] * up)
         return [sum(step[STATE_SIZE:], q_distance - distance), turn, rise]
@@ -226,10 +220,10 @@ def link_group(
     group = Group(
         innovation=[
             z[0] - sum(clock, distance),
-            bearing.innovation,
+            bearing,
             where(apart, wrap(z[2] - elevation), 0.0),
         ],
-        variance=[variance[0], bearing.variance, variance[2]],
+        variance=[variance[0], bearing_variance, variance[2]],
         jacobian=[
             [d[0] * inverse, d[1] * inverse, d[2] * inverse, *slow],
             [-d[1] * across, d[0] * across, 0.0, *still],
@@ -237,8 +231,8 @@ def link_group(
         ],
         change=change,
         curved=3,
-        spare_nis=bearing.spare_nis,
-        spare_determinant=bearing.spare_determinant,
+        spare_nis=spare[0],
+        spare_determinant=spare[1],
     )
     if not len(measured):
         return group
@@ -252,7 +246,7 @@ def _only(group: Group, measured: Vector) -> Group:
     they add nothing to NIS, determinant and information.
     """
 
-    def change(step: Vector) -> list[Number]:
+    def change(step: Vector) -> Numbers:
         return [m * c for m, c in zip(measured, group.change(step), strict=True)]
 
     return group._replace(
@@ -267,7 +261,7 @@ def doppler_group(
     x: Vector, anchor: Vector, hz_per_mps: Number, z: Vector, variance: Vector
 ) -> Group:
     """Return the group of an anchor's Doppler shift (Hz), which is linear in v and the bias."""
-    d = [x[i] - anchor[i] for i in range(3)]
+    d = minus(x, anchor)
     v = x[3:6]
     distance = norms(d)[1]
     inverse = _inverse(distance)
@@ -275,9 +269,9 @@ def doppler_group(
     u = [d[i] * inverse for i in range(3)]
     rate = range_rate(d, v)
 
-    def change(step: Vector) -> list[Number]:
-        q = [d[i] + step[i] for i in range(3)]
-        velocity = [v[i] + step[3 + i] for i in range(3)]
+    def change(step: Vector) -> Numbers:
+        q = plus(d, step)
+        velocity = plus(v, step[3:])
         return [defined * (hz_per_mps * (range_rate(q, velocity) - rate) + step[6])]
 
     transverse = [hz_per_mps * inverse * (v[i] - u[i] * rate) for i in range(3)]
@@ -304,8 +298,8 @@ def odometry_group(x: Vector, z: Vector, variance: Vector) -> Group:
     horizontal_inverse = 1.0 / maximum(horizontal, _SLOWEST_ODOMETRY)
     across = horizontal_inverse * horizontal_inverse
 
-    def change(step: Vector) -> list[Number]:
-        q = [v[i] + step[3 + i] for i in range(3)]
+    def change(step: Vector) -> Numbers:
+        q = plus(v, step[3:])
         turn = atan2(q[1] * ahead[0] - q[0] * ahead[1], q[0] * ahead[0] + q[1] * ahead[1])
         return [norms(q)[1] - speed, turn]
 
@@ -327,7 +321,7 @@ def doppler_anchor(anchors: Matrix, doppler_of: Vector) -> Vector:
     """Return the position (3,) of the anchor whose Doppler shift was measured."""
     if not len(doppler_of):
         return anchors[0]
-    return [dot(doppler_of, list(column)) for column in zip(*anchors, strict=True)]
+    return product([doppler_of], anchors)[0]
 
 
 def groups_of(x: Vector, m: Measurement) -> list[Group]:
@@ -350,10 +344,10 @@ class Epoch(NamedTuple):
     """The input of an estimator in an epoch; missing groups hold arbitrary finite numbers."""
 
     dt: Number  # seconds since the previous epoch; 0 in the first epoch, which the prior describes
-    z: list[Number]  # (rows,) measured values: m, rad, Hz, m/s
-    sigma: list[Number]  # (rows,) standard deviations of the values z, positive
-    visible: list[Number]  # (groups,) 1 where measured, else 0
-    snr_db: list[Number]  # (L,) signal-to-noise ratio per link, dB
+    z: Numbers  # (rows,) measured values: m, rad, Hz, m/s
+    sigma: Numbers  # (rows,) standard deviations of the values z, positive
+    visible: Numbers  # (groups,) 1 where measured, else 0
+    snr_db: Numbers  # (L,) signal-to-noise ratio per link, dB
     doppler_spread_hz: Number
     # measured, doppler_of: same as in :class:`Measurement`
     measured: Vector = ()
@@ -363,10 +357,10 @@ class Epoch(NamedTuple):
 class Site(NamedTuple):
     """Constants of an episode: anchors, carrier and prior."""
 
-    anchors: list[list[Number]]  # (L, 3) positions, m
+    anchors: Matrix  # (L, 3) positions, m
     hz_per_mps: Number  # carrier frequency divided by the speed of light
-    prior_x: list[Number]  # (7,) mean at the first epoch; (8,) with a clock offset
-    prior_P: list[Number]  # (28,) packed covariance (lower triangle); (36,) with a clock offset
+    prior_x: Numbers  # (7,) mean at the first epoch; (8,) with a clock offset
+    prior_P: Numbers  # (28,) packed covariance (lower triangle); (36,) with a clock offset
 
 
 def blank_site(layout: Layout) -> Site:

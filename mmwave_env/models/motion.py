@@ -4,12 +4,23 @@ from typing import NamedTuple
 
 from mmwave_env.models.layout import STATE_SIZE
 from mmwave_env.numerics.linalg import dot, symmetric
-from mmwave_env.numerics.numbers import Matrix, Number, Vector, cos_sin, maximum, sqrt, where
+from mmwave_env.numerics.numbers import (
+    Matrix,
+    Number,
+    Numbers,
+    Vector,
+    cos_sin,
+    maximum,
+    sqrt,
+    where,
+)
 
 STANDING_MPS = 0.2  # far below this speed, the direction is unclear, so accelerate() does little
 # White noise of a user's clock, m / sqrt(s), besides the drift due to the oscillator's bias. Its
 # square is 0.01 m^2/s, as for a temperature-compensated crystal (Groves 2013, Sec. 9.4.2).
 CLOCK_SIGMA_M = 0.1
+# pairs of state components that noise couples: velocities and positions, range bias and bias
+COUPLED = ((3, 0), (4, 1), (5, 2), (7, 6))
 _SHORTEST_S = 1e-9  # shortest step by which a speed is divided
 _LEAST_RAD = 1e-9  # an arc of a smaller angle differs from a straight line only by rounding
 
@@ -18,10 +29,10 @@ class ProcessNoise(NamedTuple):
     """The non-zero entries of the process noise covariance Q."""
 
     # variances (7,), m^2, (m/s)^2, Hz^2; or (8,), the last for the range bias of a clock, m^2
-    diagonal: list[Number]
+    diagonal: Numbers
     # covariances (3,) of position and velocity per axis, m^2/s; or (4,), the last for the
     # range bias of a clock and the oscillator's bias, m Hz
-    coupling: list[Number]
+    coupling: Numbers
 
 
 def white_noise_acceleration(
@@ -60,13 +71,13 @@ def with_clock(
     return ProcessNoise([*noise.diagonal, own], [*noise.coupling, drift * half])
 
 
-def move(x: Vector, dt: Number, hz_per_mps: Number | None = None) -> list[Number]:
+def move(x: Vector, dt: Number, hz_per_mps: Number | None = None) -> Numbers:
     """Return F x, the mean one step later; if x is (8,), ``hz_per_mps`` is needed."""
     moved = [x[i] + dt * x[i + 3] if i < 3 else x[i] for i in range(min(len(x), STATE_SIZE))]
     return moved + [bias + (dt / hz_per_mps) * x[6] for bias in x[STATE_SIZE:]]
 
 
-def accelerate(x: Vector, acceleration: Number, dt: Number) -> list[Number]:
+def accelerate(x: Vector, acceleration: Number, dt: Number) -> Numbers:
     """Return the mean (7,) after a step with a known acceleration along the horizontal velocity.
 
     ``x`` (7,) is the mean that a constant velocity leads to after ``dt`` seconds. The acceleration
@@ -81,7 +92,7 @@ def accelerate(x: Vector, acceleration: Number, dt: Number) -> list[Number]:
     return [*moved, x[2], *(v[i] + change[i] for i in range(2)), *x[5:]]
 
 
-def turn(x: Vector, rate: Number, dt: Number) -> list[Number]:
+def turn(x: Vector, rate: Number, dt: Number) -> Numbers:
     """Return the mean (7,) after a step with a known turn rate: along an arc, at the same speed.
 
     ``x`` (7,) is the mean that a constant velocity leads to after ``dt`` seconds. This is the
@@ -99,31 +110,18 @@ def turn(x: Vector, rate: Number, dt: Number) -> list[Number]:
     return [x[0] + ahead * vx - aside * vy, x[1] + ahead * vy + aside * vx, x[2], *velocity, *x[5:]]
 
 
-def transition_times(P: Matrix, dt: Number, hz_per_mps: Number | None = None) -> list[list[Number]]:
-    """Return F P, with the transition matrix F of :func:`move`."""
-    n = len(P)
-    FP = [[P[i][j] + dt * P[i + 3][j] if i < 3 else P[i][j] for j in range(n)] for i in range(n)]
-    FP[STATE_SIZE:] = [
-        [a + (dt / hz_per_mps) * b for a, b in zip(row, P[6], strict=True)]
-        for row in FP[STATE_SIZE:]
-    ]
-    return FP
+def transition_times(P: Matrix, dt: Number, hz_per_mps: Number | None = None) -> Matrix:
+    """Return F P, with the transition matrix F of :func:`move` and a symmetric P."""
+    return [list(row) for row in zip(*[move(row, dt, hz_per_mps) for row in P], strict=True)]
 
 
 def predict_covariance(
     P: Matrix, noise: ProcessNoise, dt: Number, hz_per_mps: Number | None = None
-) -> list[list[Number]]:
+) -> Matrix:
     """Return F P F' + Q, the covariance one step later."""
-    FP = transition_times(P, dt, hz_per_mps)
-
-    def entry(i: int, j: int) -> Number:
-        value = FP[i][j] + FP[i][j + 3] * dt if j < 3 else FP[i][j]
-        if j == STATE_SIZE:
-            value = value + FP[i][6] * (dt / hz_per_mps)
-        if i == j:
-            return value + noise.diagonal[i]
-        if (i, j) == (STATE_SIZE, 6):
-            return value + noise.coupling[3]
-        return value + noise.coupling[j] if i == j + 3 and j < 3 else value
-
-    return symmetric(len(P), entry)
+    moved = [move(row, dt, hz_per_mps) for row in transition_times(P, dt, hz_per_mps)]
+    for i, variance in enumerate(noise.diagonal):
+        moved[i][i] = moved[i][i] + variance
+    for (i, j), covariance in zip(COUPLED, noise.coupling, strict=False):
+        moved[i][j] = moved[i][j] + covariance
+    return symmetric(len(P), lambda i, j: moved[i][j])

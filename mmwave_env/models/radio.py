@@ -30,7 +30,7 @@ from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.motion import CLOCK_SIGMA_M
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.numbers import Array, Number, Vector, clip, exp, sqrt
+from mmwave_env.numerics.numbers import Array, Numbers, Vector, clip, exp, sqrt
 
 SHIPPED = ("handset", "standard", "high")
 DEGREE = math.pi / 180.0
@@ -192,8 +192,7 @@ class Radio:
 
     def sigma(self, snr_db: Array, scene: Scene, layout: Layout) -> Array:
         """Return the standard deviations (T, rows) of every row at SNRs (T, L): m, rad, Hz."""
-        rows = deviations(*self.variances(scene, layout), list(snr_db.T), layout)
-        return np.stack(rows, axis=1)
+        return np.stack(deviations(*self.variances(scene, layout), list(snr_db.T), layout), axis=1)
 
     def prior_covariance(self, scene: Scene, clock: bool = False) -> Array:
         """Return the prior covariance P0 (7, 7) of the first epoch; (8, 8) with a clock offset."""
@@ -323,7 +322,7 @@ def doppler_spread(
 
 def deviations(
     floor_variance: Vector, bound_variance: Vector, snr_db: Vector, layout: Layout
-) -> list[Number]:
+) -> Numbers:
     """Return standard deviations (rows,) at SNRs (L,): floor and Cramer-Rao bound in quadrature.
 
     Both variances (rows,) come from :meth:`Radio.variances`. The first link's SNR also applies to

@@ -24,7 +24,7 @@ from mmwave_env.io.records import (
 )
 from mmwave_env.models.envelope import POSITION_M
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
-from mmwave_env.numerics.numbers import Array
+from mmwave_env.numerics.numbers import Array, Matrix, Numbers
 
 MOST_ANCHORS = 32  # with this many anchors, compiling takes a minute and a half
 
@@ -129,11 +129,11 @@ class Streets(Record):
 class SceneNumbers(NamedTuple):
     """The numbers of a scene that a simulation needs; they may be SIMD lanes."""
 
-    anchors: list[list[Any]]  # (L, 3) positions, m
+    anchors: Matrix  # (L, 3) positions, m
     block_m: Any  # distance between parallel streets
     # extent_m: (2,) size of the streets, west-east and south-north; origin_m: south-west corner
-    extent_m: list[Any]
-    origin_m: list[Any]
+    extent_m: Numbers
+    origin_m: Numbers
     height_m: Any  # height of the user equipment
 
 

@@ -8,7 +8,12 @@ multiplication by it takes no instruction. No function below divides by a struct
 
 from collections.abc import Callable, Sequence
 
-from mmwave_env.numerics.numbers import Matrix, Number, Vector, sqrt
+from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Vector, sqrt
+
+
+def is_zero(a: Number) -> bool:
+    """Tell whether a number is a structural zero."""
+    return isinstance(a, float) and a == 0.0
 
 
 def dot(a: Vector, b: Vector) -> Number:
@@ -19,21 +24,36 @@ def dot(a: Vector, b: Vector) -> Number:
     return total
 
 
-def symmetric(n: int, entry: Callable[[int, int], Number]) -> list[list[Number]]:
+def plus(a: Vector, b: Vector) -> Numbers:
+    """Return the sum of two vectors; surplus entries of the longer one are ignored."""
+    return [u + v for u, v in zip(a, b)]  # noqa: B905 - a position is the beginning of a state
+
+
+def minus(a: Vector, b: Vector) -> Numbers:
+    """Return the difference a - b of two vectors, as :func:`plus` does."""
+    return [u - v for u, v in zip(a, b)]  # noqa: B905
+
+
+def product(a: Matrix, b: Matrix) -> list[Numbers]:
+    """Return the product of two matrices; surplus columns of ``a`` are ignored."""
+    return [[dot(row, column) for column in zip(*b, strict=True)] for row in a]
+
+
+def symmetric(n: int, entry: Callable[[int, int], Number]) -> Matrix:
     """Return the symmetric (n, n) matrix with elements ``entry(i, j)`` for i >= j."""
-    m: list[list[Number]] = [[0.0] * n for _ in range(n)]
+    m: list[Numbers] = [[0.0] * n for _ in range(n)]
     for i in range(n):
         for j in range(i + 1):
             m[i][j] = m[j][i] = entry(i, j)
     return m
 
 
-def pack(m: Matrix) -> list[Number]:
+def pack(m: Matrix) -> Numbers:
     """Return the lower triangle of a symmetric matrix, row by row: n (n + 1) / 2 numbers."""
     return [m[i][j] for i in range(len(m)) for j in range(i + 1)]
 
 
-def unpack(packed: Vector, zero: Sequence[int] = ()) -> list[list[Number]]:
+def unpack(packed: Vector, zero: Sequence[int] = ()) -> Matrix:
     """Unpack a symmetric matrix; its rows and columns ``zero`` become structural zeros."""
     n = round((2 * len(packed) + 0.25) ** 0.5 - 0.5)
     return symmetric(
@@ -41,13 +61,13 @@ def unpack(packed: Vector, zero: Sequence[int] = ()) -> list[list[Number]]:
     )
 
 
-def cholesky(a: Matrix) -> list[list[Number]]:
+def cholesky(a: Matrix) -> Matrix:
     """Return the lower-triangular L with L L' = a; columns with a structurally zero pivot are 0."""
     n = len(a)
-    factor: list[list[Number]] = [[0.0] * n for _ in range(n)]
+    factor: list[Numbers] = [[0.0] * n for _ in range(n)]
     for j in range(n):
         pivot = a[j][j] - dot(factor[j][:j], factor[j][:j])
-        if isinstance(pivot, float) and pivot == 0.0:
+        if is_zero(pivot):
             continue
         factor[j][j] = sqrt(pivot)
         inverse = 1.0 / factor[j][j]
@@ -56,10 +76,10 @@ def cholesky(a: Matrix) -> list[list[Number]]:
     return factor
 
 
-def inverse(factor: Matrix) -> list[list[Number]]:
+def inverse(factor: Matrix) -> Matrix:
     """Return the inverse of a factor from :func:`cholesky`; row and column i are 0 as column i."""
     n = len(factor)
-    result: list[list[Number]] = [[0.0] * n for _ in range(n)]
+    result: list[Numbers] = [[0.0] * n for _ in range(n)]
     for j in range(n):
         rest = [row[j:] for row in factor[j:]]
         for i, value in enumerate(forward(rest, [1.0] + [0.0] * (n - j - 1)), start=j):
@@ -67,23 +87,22 @@ def inverse(factor: Matrix) -> list[list[Number]]:
     return result
 
 
-def forward(factor: Matrix, b: Vector) -> list[Number]:
+def forward(factor: Matrix, b: Vector) -> Numbers:
     """Solve ``factor y = b`` for a factor from :func:`cholesky`; y_i is 0 where column i is 0."""
-    y: list[Number] = []
+    y: Numbers = []
     for i in range(len(b)):
         pivot = factor[i][i]
-        zero = isinstance(pivot, float) and pivot == 0.0
-        y.append(0.0 if zero else (b[i] - dot(factor[i][:i], y)) * (1.0 / pivot))
+        y.append(0.0 if is_zero(pivot) else (b[i] - dot(factor[i][:i], y)) * (1.0 / pivot))
     return y
 
 
-def backward(factor: Matrix, b: Vector) -> list[Number]:
+def backward(factor: Matrix, b: Vector) -> Numbers:
     """Solve ``factor' y = b`` for a factor from :func:`cholesky`; y_i is 0 where column i is 0."""
     n = len(b)
-    y: list[Number] = [0.0] * n
+    y: Numbers = [0.0] * n
     for i in reversed(range(n)):
         pivot = factor[i][i]
-        if isinstance(pivot, float) and pivot == 0.0:
+        if is_zero(pivot):
             continue
         rest = dot([factor[k][i] for k in range(i + 1, n)], y[i + 1 :])
         y[i] = (b[i] - rest) * (1.0 / pivot)

@@ -22,6 +22,8 @@ Array32 = NDArray[np.float32]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Number: TypeAlias = Any  # float, numpy array or Lanes
+Numbers: TypeAlias = list[Any]  # a list of Number
+Pair: TypeAlias = tuple[Any, Any]  # two of Number
 Vector: TypeAlias = Sequence[Any]  # a sequence of Number
 Matrix: TypeAlias = Sequence[Sequence[Any]]  # a sequence of rows
 
@@ -60,7 +62,7 @@ def atan2(y: Number, x: Number) -> Number:
     return (x.constant(y) if _is_float(y) else y).atan2(x)
 
 
-def cos_sin(angle: Number) -> tuple[Number, Number]:
+def cos_sin(angle: Number) -> Pair:
     """Return cosine and sine of an angle in radians; on lanes, the angle must be in [-1e5, 1e5]."""
     if _is_float(angle):
         return math.cos(angle), math.sin(angle)

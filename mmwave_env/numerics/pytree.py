@@ -8,12 +8,12 @@ import itertools
 from collections.abc import Iterator, Sequence
 from typing import Any, TypeVar
 
-from mmwave_env.numerics.numbers import Number, where
+from mmwave_env.numerics.numbers import Number, Numbers, where
 
 Tree = TypeVar("Tree")
 
 
-def flatten(tree: Any) -> list[Number]:
+def flatten(tree: Any) -> Numbers:
     """Return the numbers of a tree, in order."""
     if isinstance(tree, (list, tuple)):
         return [leaf for branch in tree for leaf in flatten(branch)]

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from operator import add, lshift, or_, rshift, xor
 from typing import Any
 
-from mmwave_env.numerics.numbers import Number, Vector, cos_sin, log, sqrt
+from mmwave_env.numerics.numbers import Number, Numbers, Vector, cos_sin, log, sqrt
 
 STATE_WORDS = 4
 _MASK = 2**64 - 1
@@ -60,7 +60,7 @@ def next_word(state: Sequence[Any]) -> tuple[Any, list[Any]]:
     return word, [b ^ (b >> 11), c + (c << 3), rotated + word, counter + 1]
 
 
-def seeded(key: Number, stream: int) -> list[Number]:
+def seeded(key: Number, stream: int) -> Numbers:
     """Return the generator's state (4,) for a key and the number of a stream.
 
     A key is a word of 64 bits, such as the key of an episode. ``key`` is the float (or lanes of
@@ -82,7 +82,7 @@ class Dice:
         self._spare: Number | None = None  # second of a pair of normal numbers, drawn but not used
 
     @property
-    def state(self) -> list[Number]:
+    def state(self) -> Numbers:
         """Return the generator's current state (4,)."""
         return [word.as_number() for word in self._words]
 

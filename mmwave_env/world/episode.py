@@ -17,7 +17,7 @@ from mmwave_env.models.layout import Layout, offered_rows, whole_groups
 from mmwave_env.models.measurement import Epoch, Site, blank_site
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.numbers import Array, Index, Mask, Number, Vector, where
+from mmwave_env.numerics.numbers import Array, Index, Mask, Number, Numbers, Vector, where
 from mmwave_env.numerics.pytree import flatten, indices
 from mmwave_env.world.checks import refuse, require_increasing
 
@@ -108,7 +108,7 @@ class Episode:
         """Yield the name, the values and the bound of each quantity that has a bound."""
         mean = self.prior_mean
         deviation = np.sqrt(np.diag(self.prior_covariance))
-        sigma = np.where(self.used, self.sigma, np.nan)
+        used = self.used
         if self.truth_position_m is not None and self.truth_velocity_mps is not None:
             yield "truth_position_m", self.truth_position_m, FINITE
             yield "truth_velocity_mps", self.truth_velocity_mps, FINITE
@@ -125,8 +125,7 @@ class Episode:
         yield "prior_covariance, bias", deviation[6:7], envelope.BIAS_SIGMA_HZ
         yield "prior_covariance, clock", deviation[7:], envelope.POSITION_SIGMA_M
         for rows, bound in sigma_bounds(self.layout):
-            used = sigma[:, rows]
-            yield "sigma", used[~np.isnan(used)], bound
+            yield "sigma", self.sigma[:, rows][used[:, rows]], bound
 
     @classmethod
     def measured(
@@ -194,17 +193,13 @@ class Episode:
 
     @cached_property
     def usable(self) -> Mask:
-        """Return a mask (T, groups) of groups that are visible and finite; links also need an SNR.
+        """Return a mask (T, groups) of groups that are visible and whole, with finite values.
 
-        In a partial layout, one finite row is enough, and the SNR does not matter.
+        :func:`~mmwave_env.models.layout.whole_groups` says when a group is whole.
         """
-        finite = self._finite
-        starts = [rows.start for rows in self.layout.groups]
-        if self.layout.partial:
-            return self.visible & np.logical_or.reduceat(finite, starts, axis=1)  # type: ignore[no-any-return]
-        for link in range(self.layout.anchors):
-            finite[:, self.layout.link(link)] &= np.isfinite(self.snr_db[:, link, None])
-        return self.visible & np.logical_and.reduceat(finite, starts, axis=1)  # type: ignore[no-any-return]
+        finite = np.where(self._finite, 0.0, np.nan)
+        measured, _ = whole_groups(finite, np.isfinite(self.snr_db), self.layout)
+        return self.visible & measured
 
     @property
     def _finite(self) -> Mask:
@@ -286,7 +281,6 @@ class EpisodeBatch(NamedTuple):
     """A batch of n episodes in the form that engines load."""
 
     names: list[str]  # (n,) names of the episodes
-    nonfinite: Index  # (n,) number of groups with NaN or infinity, which count as missing
     length: Index  # (n,) number of epochs
     table: Array  # (n, epochs, columns) from :meth:`Episode.table`; unused after the last epoch
     site: Array  # (n, numbers) anchors, carrier and prior from :meth:`Episode.site`
@@ -318,7 +312,6 @@ class EpisodeBatch(NamedTuple):
             row[: len(own)] = own
         return cls(
             names=[episode.name for episode in episodes],
-            nonfinite=np.array([episode.nonfinite for episode in episodes]),
             length=length,
             table=table,
             site=np.stack([episode.site() for episode in episodes]),
@@ -327,28 +320,22 @@ class EpisodeBatch(NamedTuple):
 
     def on_flat_ground(self) -> "EpisodeBatch":
         """Return the batch with :meth:`Episode.on_flat_ground` applied to every episode."""
-        height_m = self.table[:, 0, columns_of(self.layout).truth[2]]
-        return self._replace(site=level(self.site, height_m, self.layout))
-
-
-def level(sites: Array, height_m: Array, layout: Layout) -> Array:
-    """Return sites (n, numbers) whose prior means have the heights ``height_m`` (n,) and vz = 0."""
-    sites = sites.copy()
-    prior = indices(blank_site(layout)).prior_x
-    sites[:, prior[2]] = height_m
-    sites[:, prior[5]] = 0.0
-    return sites
+        site = self.site.copy()
+        prior = indices(blank_site(self.layout)).prior_x
+        site[:, prior[2]] = self.table[:, 0, columns_of(self.layout).truth[2]]
+        site[:, prior[5]] = 0.0
+        return self._replace(site=site)
 
 
 class Incoming(NamedTuple):
     """An epoch in :meth:`Episode.table`; fields without comments are the same as in ``Epoch``."""
 
     dt: Number
-    z: list[Number]
-    signed_sigma: list[Number]  # (rows,) standard deviations; negative if the row is missing
-    snr_db: list[Number]
+    z: Numbers
+    signed_sigma: Numbers  # (rows,) standard deviations; negative if the row is missing
+    snr_db: Numbers
     doppler_spread_hz: Number
-    truth: list[Number]  # (6,) true position (m) and velocity (m/s), to compute scores
+    truth: Numbers  # (6,) true position (m) and velocity (m/s), to compute scores
     doppler_of: Vector = ()
 
     def epoch(self, layout: Layout) -> Epoch:

@@ -7,7 +7,17 @@ within limits of acceleration, braking and jerk. Each substep takes about 0.1 s.
 
 from typing import NamedTuple
 
-from mmwave_env.numerics.numbers import Number, clip, cos_sin, maximum, minimum, sqrt, where
+from mmwave_env.numerics.numbers import (
+    Number,
+    Numbers,
+    Pair,
+    clip,
+    cos_sin,
+    maximum,
+    minimum,
+    sqrt,
+    where,
+)
 
 STANDING_MPS = 0.1  # a traveler at or below this speed may begin another phase
 FAR = 1e9  # m or s: a distance or time that is never reached
@@ -68,7 +78,7 @@ class Traveler(NamedTuple):
     node_y: Number
 
 
-def unit(heading: Number) -> tuple[Number, Number]:
+def unit(heading: Number) -> Pair:
     """Return the unit vector (east, north) of a heading of 0 to 3 quarter turns."""
     odd = where(abs(heading - 2.0) > 0.5, 0.0, -1.0)
     east = where(heading < 0.5, 1.0, odd)
@@ -82,7 +92,7 @@ def around(heading: Number) -> Number:
     return where(heading < -0.5, heading + 4.0, heading)
 
 
-def state_of(t: Traveler) -> tuple[list[Number], list[Number]]:
+def state_of(t: Traveler) -> tuple[Numbers, Numbers]:
     """Return the position (2,), m, and the velocity (2,), m/s, of a traveler."""
     along = minimum(t.traveled, t.stretch)
     bent = clip(t.traveled - t.stretch, 0.0, t.arc)

@@ -14,11 +14,10 @@ import numpy as np
 
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import BatchState, Feed, Program, StepIO, blocks_of, fill, rows_of
-from mmwave_env.compiler.threads import share, spans
 from mmwave_env.models.channel import channel_of
 from mmwave_env.models.envelope import STEP_S
 from mmwave_env.models.layout import Layout, offered_rows
-from mmwave_env.models.measurement import Site
+from mmwave_env.models.measurement import Site, blank_site
 from mmwave_env.models.motion import CLOCK_SIGMA_M
 from mmwave_env.models.radio import SNR_LIMITS_DB, Radio
 from mmwave_env.models.random_scene import RandomScene
@@ -26,7 +25,7 @@ from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.numerics.pytree import flatten, indices
 from mmwave_env.numerics.random import Dice, seeded
-from mmwave_env.world.episode import Episode, EpisodeBatch, Incoming, columns_of, level
+from mmwave_env.world.episode import Episode, EpisodeBatch, Incoming, columns_of
 from mmwave_env.world.keys import Keys, draw_key
 from mmwave_env.world.mobility import FASTEST_MPS, MIXED, plans_of
 from mmwave_env.world.simulation import (
@@ -64,10 +63,6 @@ class EpisodeStarts(NamedTuple):
     first: Array
     sites: Array
 
-    def on_flat_ground(self, layout: Layout) -> "EpisodeStarts":
-        """Return the beginnings with known heights, as :meth:`Episode.on_flat_ground` does."""
-        return self._replace(sites=level(self.sites, self.first[:, 2], layout))
-
 
 @dataclass(frozen=True)
 class SimulatedSource:
@@ -101,19 +96,19 @@ class SimulatedSource:
             raise ValueError(f"dt: found {self.dt}, expected {STEP_S.expected}")
         if not 1 <= self.epochs <= MOST_EPOCHS:
             raise ValueError(f"epochs: found {self.epochs}, expected 1 to {MOST_EPOCHS}")
-        self._require_envelope()
+        assert self._extreme
         if not self._plans:
             object.__setattr__(self, "epochs", self.ways.epochs)
 
-    def _require_envelope(self) -> None:
-        """Refuse a radio and a scene whose episodes could contain values that filters refuse."""
+    @cached_property
+    def _extreme(self) -> Episode:
+        """Return an example; refuse a radio and a scene whose episodes filters could refuse."""
         scene = self._example
         radio = self.radio
-        anchors = self.layout.anchors
-        snr_db = np.repeat(np.array(SNR_LIMITS_DB)[:, None], anchors, axis=1)
+        snr_db = np.repeat(np.array(SNR_LIMITS_DB)[:, None], self.layout.anchors, axis=1)
         rarely = math.exp(RARE * radio.spread_sigma)
         spread_mps = radio.spread_gain * FASTEST_MPS * rarely + RARE * radio.spread_floor_mps
-        Episode.measured(
+        return Episode.measured(
             f"{radio.name} in {scene.name}",
             scene,
             radio,
@@ -146,11 +141,6 @@ class SimulatedSource:
         """Return the times (epochs,) of every episode."""
         return self.dt * np.arange(self.epochs, dtype=np.float64)
 
-    @cached_property
-    def steps_s(self) -> Array:
-        """Return the seconds (epochs,) since the previous epoch, 0 for the first."""
-        return np.diff(self.time_s, prepend=0.0)
-
     @property
     def name(self) -> str:
         """Return the scenario's name, followed by the scene's name unless that is "street"."""
@@ -174,7 +164,7 @@ class SimulatedSource:
     def episodes(self, keys: Keys) -> list[Episode]:
         """Return the episodes that the keys (n,) determine."""
         batch = self.sample_batch(keys)
-        index = self._site[1]
+        index = self._sites
         scene = self._example
         starts = [group.start for group in self.layout.groups]
         episodes = []
@@ -211,19 +201,12 @@ class SimulatedSource:
     def sample_batch(self, keys: Keys, threads: int = 1) -> EpisodeBatch:
         """Return the episodes of keys (n,) as a batch, drawn by at most ``threads`` threads."""
         n = len(keys)
-        at = columns_of(self.layout)
         starts = self.begin(keys)
         program, state = self._simulation(starts)
-        measured = rows_of(program.index.measured)
-        io = StepIO.of(n, self.epochs, output_rows=measured)
-        program.on_lanes()  # compile now; otherwise threads would wait while one of them compiles
-        blocks = len(state.rows)
-        jobs = [(state, io, part) for part in spans(blocks, min(threads, blocks))]
-        share(program.run_on_lanes, jobs, threads)
-        io.outputs[:, :, at.dt] = self.steps_s
+        io = StepIO.of(n, self.epochs, output_rows=rows_of(program.index.measured))
+        program.run_on_lanes(state, io, threads)
         return EpisodeBatch(
             names=[self.names[kind] for kind in starts.kinds],
-            nonfinite=np.zeros(n, np.int64),
             length=np.full(n, self.epochs),
             table=io.outputs,
             site=starts.sites,
@@ -235,8 +218,7 @@ class SimulatedSource:
         _, _, receiver, user = self.world.template  # numbers that fill unused SIMD lanes
         kept = blocks_of(np.array(flatten([receiver, user]), float), len(worlds))
         fill(kept, np.arange(kept.shape[1]), worlds)
-        timed = columns_of(self.layout).dt
-        return Feed(self.world.on_lanes(), self._settings_rows, kept, timed, self.steps_s)
+        return Feed(self.world.on_lanes(), self._settings_rows, kept)
 
     def _simulation(self, starts: EpisodeStarts) -> tuple[Program[Any], BatchState]:
         """Return the program that simulates episodes, and its initial state."""
@@ -264,8 +246,7 @@ class SimulatedSource:
         world = [at.receiver, at.user] if self.travels else [at.receiver]
         io = StepIO.of(n, 1, output_rows=rows_of([parts, world]))
         tables = keys.view(np.float64).reshape(n, 1, 1)
-        rows = blocks_of(self._before, n)
-        program.run_on_lanes(BatchState.of(tables, rows), io)
+        program.run_on_lanes(BatchState.of(tables, blocks_of(self._before, n)), io)
         ends = np.cumsum([len(flatten(part)) for part in parts])
         choice, first, noise, anchors, worlds = np.split(io.outputs[:, 0], ends, axis=1)
         kinds = choice[:, 0].astype(np.int64)
@@ -273,8 +254,8 @@ class SimulatedSource:
         if not self.travels:
             kinds, truth = self.ways.draw(choice[:, 0])
             first[:, :6] = truth[:, 0]
-        site, index = self._site
-        sites = np.tile(site, (n, 1))
+        index = self._sites
+        sites = np.tile(self._extreme.site(), (n, 1))
         sites[:, index.prior_x] = first + noise
         sites[:, flatten(index.anchors)] = anchors
         return EpisodeStarts(kinds, worlds, truth, first, sites)
@@ -328,7 +309,7 @@ class SimulatedSource:
     def _start_program(self) -> Program[StartState]:
         streets = None
         if isinstance(self.scene, RandomScene):  # share one program among all carriers
-            same = RandomScene()
+            same = RandomScene
             streets = replace(
                 self.scene, carrier_hz=same.carrier_hz, bandwidth_hz=same.bandwidth_hz
             )
@@ -339,8 +320,7 @@ class SimulatedSource:
         """Return the input (size,) of the program that begins episodes, with 0 as the key."""
         scene = self._example
         radio = self.radio
-        template = self._start_program.template
-        filled = template._replace(
+        filled = self._start_program.template._replace(
             plans=self._plans,
             scene=scene.numbers,
             duration_s=self.epochs * self.dt,
@@ -358,6 +338,7 @@ class SimulatedSource:
         settings = WorldSettings(
             hz_per_mps=scene.hz_per_mps,
             channel=channel_of(radio, scene, self.layout, self.dt),
+            dt=self.dt,
             drift_hz=scene.hz_per_mps * (radio.drift_mps * self.dt**0.5),
             step_s=self.dt / stride,
             stride=float(stride),
@@ -370,11 +351,7 @@ class SimulatedSource:
         )
         return np.repeat(np.array(flatten(settings), float)[:, None], WIDTH, axis=1)
 
-    @cached_property
-    def _site(self) -> tuple[Array, Any]:
-        """Return :meth:`Episode.site` of the example scene, and the index of each number in it."""
-        scene = self._example
-        n = self.layout.state_size
-        covariance = self._prior_covariance[np.tril_indices(n)]
-        site = Site(scene.anchors_m.tolist(), scene.hz_per_mps, [0.0] * n, covariance.tolist())
-        return np.array(flatten(site)), indices(site)
+    @property
+    def _sites(self) -> Site:
+        """Return the index of each number in :meth:`Episode.site`."""
+        return indices(blank_site(self.layout))

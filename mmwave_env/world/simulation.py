@@ -27,7 +27,7 @@ from mmwave_env.models.radio import Radio, deviations
 from mmwave_env.models.random_scene import RandomScene
 from mmwave_env.models.scene import Scene, SceneNumbers
 from mmwave_env.numerics.linalg import dot
-from mmwave_env.numerics.numbers import Number, Vector, floor, sqrt, where, wrap
+from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Vector, floor, sqrt, where, wrap
 from mmwave_env.numerics.pytree import flatten, indices, select, tree_at
 from mmwave_env.numerics.random import STATE_WORDS, Dice, seeded
 from mmwave_env.numerics.tape import fingerprint
@@ -48,6 +48,7 @@ class WorldSettings(NamedTuple):
 
     hz_per_mps: Number  # carrier frequency divided by the speed of light
     channel: Channel  # constants of the channel, from radio and scene
+    dt: Number  # time between epochs, s
     drift_hz: Number  # standard deviation of the change of the oscillator's bias per epoch
     step_s: Number  # length of a substep
     stride: Number  # number of substeps in an epoch
@@ -61,15 +62,15 @@ class WorldSettings(NamedTuple):
 class Clock(NamedTuple):
     """The state of the user's clock between two epochs."""
 
-    dice: list[Number]  # (4,) state of the clock's own random generator
+    dice: Numbers  # (4,) state of the clock's own random generator
     bias_m: Number  # range bias in the coming epoch: the speed of light times the clock's offset
 
 
 class ReceiverState(NamedTuple):
     """The state of links and receiver between two epochs."""
 
-    dice: list[Number]  # (4,) state of the receiver's own random generator
-    anchors: list[list[Number]]  # (L, 3) positions, m
+    dice: Numbers  # (4,) state of the receiver's own random generator
+    anchors: Matrix  # (L, 3) positions, m
     is_first: Number  # 1 before the first epoch
     channel: ChannelState  # state of the links
     bias_hz: Number  # oscillator bias in the coming epoch
@@ -79,7 +80,7 @@ class ReceiverState(NamedTuple):
 class UserState(NamedTuple):
     """The state of a simulated user between two epochs."""
 
-    dice: list[Number]  # (4,) state of the user's own random generator
+    dice: Numbers  # (4,) state of the user's own random generator
     net: Net  # net of streets
     phases: list[TravelPhase]  # phases of the episode
     traveler: Traveler  # state in the coming epoch
@@ -88,14 +89,14 @@ class UserState(NamedTuple):
 class WorldState(NamedTuple):
     """The state of a simulated episode between two epochs."""
 
-    measured: Incoming  # the epoch just measured; the caller fills in its ``dt``
+    measured: Incoming  # the epoch just measured
     settings: WorldSettings
     receiver: ReceiverState
     user: UserState
 
 
 def measure(
-    truth: list[Number], settings: WorldSettings, receiver: ReceiverState, layout: Layout
+    truth: Numbers, settings: WorldSettings, receiver: ReceiverState, layout: Layout
 ) -> tuple[Incoming, ReceiverState]:
     """Simulate channel and measurement; return the epoch and the receiver's next state.
 
@@ -125,7 +126,7 @@ def measure(
     if layout.partial:
         present = [v * offered for v, offered in zip(present, settings.offered, strict=True)]
     measured = Incoming(
-        dt=0.0,
+        dt=where(is_first, 0.0, settings.dt),
         z=_where_measured(present, z, 0.0),
         signed_sigma=_where_measured(present, sigma, -1.0),
         snr_db=[
@@ -156,7 +157,7 @@ def _run_on(receiver: ReceiverState, bias_hz: Number, clock: Vector) -> Clock | 
     return Clock(dice.state, bias_m)
 
 
-def _where_measured(measured: Vector, rows: Vector, otherwise: float) -> list[Number]:
+def _where_measured(measured: Vector, rows: Vector, otherwise: float) -> Numbers:
     """Return the values ``rows``, replaced by ``otherwise`` where ``measured`` is 0."""
     return [where(s > 0.5, value, otherwise) for s, value in zip(measured, rows, strict=True)]
 
@@ -198,7 +199,7 @@ def blank_world(layout: Layout, phases: int, gaits: int) -> WorldState:
     drift = [1.0, 1.0] if layout.clock else []
     return WorldState(
         measured=blank_incoming(layout),
-        settings=WorldSettings(1.0, channel, 1.0, 1.0, 1.0, offered, drift),
+        settings=WorldSettings(1.0, channel, 1.0, 1.0, 1.0, 1.0, offered, drift),
         receiver=ReceiverState(dice, anchors, 1.0, initial_state(layout.anchors), 0.0, clock),
         user=UserState(dice, Net(1.0, 1.0, 1.0, 0.0, 0.0, 1.5), acts, still),
     )
@@ -265,7 +266,7 @@ def world_of(layout: Layout, phases: int, gaits: int) -> World:
 class OnAWay(NamedTuple):
     """The state of a simulated episode of a user on a given way (trajectory)."""
 
-    truth: list[Number]  # (6,) true position and velocity, loaded from a table
+    truth: Numbers  # (6,) true position and velocity, loaded from a table
     measured: Incoming  # as in :class:`WorldState`
     settings: WorldSettings
     receiver: ReceiverState
@@ -310,19 +311,19 @@ class StartDraws(NamedTuple):
     choice: Number  # index of the kind of user; if ways are given, a number in [0, 1)
     # (7,) true state at the first epoch, followed by the range bias (m) if the clock has an offset;
     # if ways are given, the position and velocity in it are meaningless
-    first: list[Number]
+    first: Numbers
     # (7,) error of the prior's mean; with a clock offset (8,), ending with minus the range bias
-    prior_noise: list[Number]
+    prior_noise: Numbers
 
 
 class StartState(NamedTuple):
     """A key, the parameters of an episode's beginning, and the beginning drawn from them."""
 
-    key: list[Number]  # (1,) bits of the key
+    key: Numbers  # (1,) bits of the key
     plans: list[TravelPlan]  # kinds of users; empty if ways are given
     scene: SceneNumbers  # the scene; not used if every episode draws its own
     duration_s: Number  # duration of the episode
-    prior_deviation: list[Number]  # (7,) standard deviations; (8,) with a clock offset
+    prior_deviation: Numbers  # (7,) standard deviations; (8,) with a clock offset
     first_bias_hz: Number  # standard deviation of the oscillator's first bias
     start: StartDraws
 

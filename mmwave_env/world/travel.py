@@ -12,7 +12,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from mmwave_env.numerics.numbers import Number, floor, maximum, where
+from mmwave_env.numerics.numbers import Number, Numbers, Pair, floor, maximum, where
 from mmwave_env.numerics.pytree import select, tree_at
 from mmwave_env.numerics.random import Dice
 from mmwave_env.world.kinematics import FAR, STANDING_MPS, Net, Traveler, around, unit
@@ -53,10 +53,10 @@ class TravelPhase(NamedTuple):
 class PhasePlan(NamedTuple):
     """The ranges (2,) from which the duration and the limits of a phase are drawn."""
 
-    length: list[Number]
-    acceleration: list[Number]
-    braking: list[Number]
-    lateral: list[Number]
+    length: Numbers
+    acceleration: Numbers
+    braking: Numbers
+    lateral: Numbers
     ends_early: Number  # 1 if the next phase is the last one and needs the rest of the time
     phase: TravelPhase  # the values that are not drawn
 
@@ -77,12 +77,9 @@ def blank_plan(phases: int, gaits: int) -> TravelPlan:
     return TravelPlan(1.0, [PhasePlan(once, at_one, at_one, at_one, 0.0, phase)] * phases)
 
 
-def _draw_gait(dice: Dice, gaits: Sequence[TravelGait]) -> tuple[Number, Number]:
+def _draw_gait(dice: Dice, gaits: Sequence[TravelGait]) -> Pair:
     """Draw a gait; return its target speed and the time for which it is kept."""
-    total = gaits[0].weight
-    for gait in gaits[1:]:
-        total = total + gait.weight
-    left = total * dice.uniform()
+    left = sum(gait.weight for gait in gaits) * dice.uniform()
     chosen = gaits[0]
     passed = gaits[0].weight
     for gait in gaits[1:]:

@@ -51,7 +51,6 @@ def test_environments_with_plain_and_compiled_functions_are_bit_identical(
     scenario, mode, monkeypatch
 ):
     def run(form):
-        monkeypatch.setattr(LazyJit, "__call__", lambda lazy, _, *arguments: form(lazy)(*arguments))
         monkeypatch.setattr(LazyJit, "choice", lambda lazy, *_: form(lazy))
         envs = gym.make_vec(
             "MmWaveLoc-v0", num_envs=9, episode_steps=12, scenario=scenario, autoreset_mode=mode

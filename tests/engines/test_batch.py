@@ -1,4 +1,4 @@
-"""Tests of batches of environments: epochs after the end of an episode, and metrics."""
+"""Tests of batches: starting some environments, epochs after an episode ends, and metrics."""
 
 import numpy as np
 import pytest
@@ -9,14 +9,40 @@ from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.metrics import INFO_KEYS, summary
 from tests.filters.tracks import pipeline_of, simulated
 
+N = 11
 T = 12
 
 
-def engine_of(episodes, on_floats):
+def engine_of(episodes, on_floats=False):
     pipeline = pipeline_of(episodes[0].layout, ("ekf",))
     engine = Engine(pipeline, len(episodes), TrackingReward(), on_floats=on_floats)
     engine.reset(episodes)
     return engine
+
+
+def everything(engine):
+    return np.array([engine.column(i) for i in range(engine.read(engine.at.reward).size)])
+
+
+@pytest.mark.parametrize("on_floats", [False, True], ids=["SIMD", "plain Python"])
+def test_starting_some_environments_does_not_change_the_others(on_floats):
+    episodes = simulated(N, epochs=T)
+    others = simulated(3, epochs=T + 5)
+    engine = engine_of(episodes, on_floats)
+    for _ in range(4):
+        engine.step(np.int64(0))
+    before = everything(engine)
+    started = np.array([1, 6, 10])
+    engine.load(others, started)
+    engine.start(started)
+    expected = engine_of(others, on_floats)
+    rest = np.setdiff1d(np.arange(N), started)
+    np.testing.assert_array_equal(everything(engine)[rest], before[rest])
+    for _ in range(3):
+        observations = engine.observations()
+        np.testing.assert_array_equal(observations[started], expected.observations())
+        for each in (engine, expected):
+            each.step(np.int64(0))
 
 
 @pytest.mark.parametrize("on_floats", [False, True], ids=["SIMD", "plain Python"])

@@ -16,7 +16,7 @@ from experiments.timing.roofline import count
 from mmwave_env.datasets.samples import recording_from
 from mmwave_env.datasets.tracks import TrackSource
 from mmwave_env.engines.engine import Engine
-from mmwave_env.engines.epoch import Asked, program_of, untuned
+from mmwave_env.engines.epoch import Asked, decide, filter_epoch, program_of, score, untuned
 from mmwave_env.filters import Pipeline
 from mmwave_env.filters.bank import Bank, best_bank, default_modes, named_modes
 from mmwave_env.filters.smoother import SMOOTHING_WINDOW
@@ -178,13 +178,13 @@ def operations():
     bank = best_bank()
     both = Pipeline(default_modes(), source.layout)
     five = Pipeline(bank.modes, source.layout)
-    whole = ("filter", "decide", "score")
+    whole = (filter_epoch, decide, score)
     programs = {}
     for name in ("ekf", "ukf", "ckf", "ekf-robust", "ukf-robust"):
         alone = untuned(Pipeline((modes[name],), source.layout))
         programs[f"track {name}"] = program_of(Asked(alone, predicted=True), whole)
-    programs["step, shared beliefs"] = Engine(both, 1, reward).batch.program
-    programs["step, per-mode beliefs"] = Engine(five, 1, reward, bank=bank).batch.program
+    programs["step, shared beliefs"] = Engine(both, 1, reward).program
+    programs["step, per-mode beliefs"] = Engine(five, 1, reward, bank=bank).program
     imm = Asked(untuned(five), True, reward=reward, action="", predicted=True)
     programs["IMM of five modes"] = program_of(imm, whole)
     kernels = {name: (program.function, program.template) for name, program in programs.items()}

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from mmwave_env.engines.engine import Engine, run_imm
+from mmwave_env.engines.engine import Engine, tracks_of
 from mmwave_env.engines.smoothed_features import GATES, smoothed_features
 from mmwave_env.filters import Mode, Pipeline
 from mmwave_env.filters.bank import Bank
@@ -62,8 +62,9 @@ def test_features_of_a_track_that_smoothing_did_not_change_are_those_of_the_filt
     pipeline = Pipeline(BANK.modes, episodes[0].layout)
     observed, _ = played(episodes, actions)
     names = ("x", "P", "mixture", *(f"memory.{gate}" for gate in GATES))
-    parts = run_imm(BANK, TrackingReward(), episodes, *names, actions=actions)
-    x, P, mixtures, *gates = parts.values()
+    engine = tracks_of(pipeline, len(episodes), BANK)
+    engine.load(episodes)
+    x, P, mixtures, *gates = engine.run(*names, actions=actions).values()
     features = smoothed_features(pipeline, EpisodeBatch.of(episodes), x, P, mixtures, gates)
     # A feature compares the heading with the previous epoch's heading; the first epoch has none.
     assert_allclose(features[:, 1:], observed[:, 1:], atol=1e-5)
