@@ -22,7 +22,7 @@ from torch import nn
 
 from experiments.evaluation.agents import Estimator
 from experiments.evaluation.protocol import TRAINED, sites
-from experiments.evaluation.rivals.noise import stated
+from experiments.evaluation.rivals import stated
 from mmwave_env.models.measurement import blank_site, groups_of
 from mmwave_env.numerics.linalg import pack
 from mmwave_env.numerics.pytree import unflatten

@@ -33,20 +33,19 @@ def main(args: Args) -> None:
     from experiments.console.progress import note, say
     from experiments.console.provenance import options_of, provenance
     from experiments.console.tables import show
-    from experiments.evaluation.asked import all_contenders
+    from experiments.evaluation.contenders import all_contenders
     from experiments.reporting.comparison_results import results
     from experiments.reporting.webpage.page import page_of
     from mmwave_env.io.files import write_json, write_text
 
-    runs = [EpisodeArgs(episodes=args.episodes)]
-    runs += [EpisodeArgs(data=name, episodes=args.draws) for name in RECORDINGS]
+    counts = {None: args.episodes} | dict.fromkeys(RECORDINGS, args.draws)
     tables = []
     files = []
     made = provenance("demo", args)
-    for run in runs:
-        options = replace(run, percentiles=args.percentiles)
+    for data, count in counts.items():
+        options = EpisodeArgs(data=data, episodes=count, percentiles=args.percentiles)
         names = all_contenders(options)
-        note(f"{options.data or 'mixed'}: {len(names)} policies, {options.episodes} episodes each")
+        note(f"{data or 'mixed'}: {len(names)} policies, {count} episodes each")
         result, text, content, _ = results(options, names)
         show(str(replace(result, paired={})))
         tables.append(text)

@@ -58,11 +58,13 @@ def main(args: Args) -> None:
     for name in args.policies:
         contender_from(name, "handset")  # refuses an unknown name
     groups = [args.policies] if args.policies else []
-    stems = {name: re.sub(r"[^\w.-]+", "-", name).strip("-") for name in args.policies}
-    files = {name: args.out / f"{stem}.json" for name, stem in stems.items()}
+    files = {
+        name: args.out / (re.sub(r"[^\w.-]+", "-", name).strip("-") + ".json")
+        for name in args.policies
+    }
     if args.keep:
         groups = [(name,) for name, file in files.items() if not file.exists()]
-    ceiling = next(e for e in protocol.entries_in(args.out) if e["entry"] == CLAIRVOYANT)
+    ceiling = protocol.ceiling_of(protocol.entries_in(args.out))
     for names in groups:
         judged = []
         for site in protocol.sites():
@@ -71,13 +73,12 @@ def main(args: Args) -> None:
             judged.append(protocol.judge(names, site, count, args.seed))
         made = {name: protocol.entry(name, judged) for name in names}
         ceiling = made.get(CLAIRVOYANT) or ceiling
-        protocol.add_scores(made.values(), ceiling)
+        protocol.add_scores([*made.values()], ceiling)
         for name, entry in made.items():
             write_json(files[name], provenance("leaderboard", args) | entry)
     if not any(args.out.glob("*.json")):
         raise ValueError(f"out: found no entries in {args.out}; name contenders with --policies")
     entries = protocol.entries_in(args.out)
-    protocol.add_scores(entries, ceiling)
-    show(protocol.tables_of(entries, ceiling))
+    show(protocol.tables_of(entries, protocol.ceiling_of(entries)))
     if files:
         say(f"entries in {', '.join(map(str, files.values()))}")

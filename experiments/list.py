@@ -48,36 +48,34 @@ def _kinds(radio: str) -> dict[str, dict[str, str]]:
     from mmwave_env.models.scene import SCENES
     from mmwave_env.world.mobility import SCENARIOS
 
-    policies = {}
-    for name in (*contenders(radio), CLAIRVOYANT):
-        fixed = f"mode {name.removeprefix('fixed-')} in every epoch"
-        policies[name] = DESCRIPTIONS.get(name, fixed)
-    radios = {}
-    for name, profile in RADIOS.items():
-        base = f"{profile.gnb_elements} x {profile.gnb_elements} antennas at the base station"
-        radios[name] = f"{base}, {profile.ue_elements} x {profile.ue_elements} at the user"
-    modes = {}
-    for name, mode in named_modes(radio).items():
-        written = as_written(mode).items()
-        modes[name] = ", ".join(f"{key} {value}" for key, value in written if key != "name")
+    modes = {name: as_written(mode).items() for name, mode in named_modes(radio).items()}
     samples = {}
     for name in sample_names():
         log = "; also as a log, for localize --sample" if name in log_names() else ""
         epochs = len(recording_from(name).time_s)
         samples[name] = f"ray-traced street, {epochs} epochs, for --data{log}"
     scenes = {name: _description(scene) for name, scene in SCENES.items()}
-    scenes[RANDOM] = "a new scene in each episode: random blocks, base station and walls"
-    rewards = {}
-    for name, reward in REWARDS.items():
-        rewards[name] = str(inspect.getdoc(reward)).partition("\n")[0]
     return {
-        "policies": policies,
+        "policies": {
+            name: DESCRIPTIONS.get(name, f"mode {name.removeprefix('fixed-')} in every epoch")
+            for name in (*contenders(radio), CLAIRVOYANT)
+        },
         "scenarios": SCENARIOS,
-        "radios": radios,
-        "scenes": scenes,
-        "modes": modes,
+        "radios": {
+            name: f"{r.gnb_elements} x {r.gnb_elements} antennas at the base station, "
+            f"{r.ue_elements} x {r.ue_elements} at the user"
+            for name, r in RADIOS.items()
+        },
+        "scenes": scenes
+        | {RANDOM: "a new scene in each episode: random blocks, base station and walls"},
+        "modes": {
+            name: ", ".join(f"{key} {value}" for key, value in written if key != "name")
+            for name, written in modes.items()
+        },
         "samples": samples,
-        "rewards": rewards,
+        "rewards": {
+            name: str(inspect.getdoc(reward)).partition("\n")[0] for name, reward in REWARDS.items()
+        },
     }
 
 

@@ -1,24 +1,7 @@
 """mmwave-loc report: one self-contained web page of results."""
 
-from dataclasses import dataclass
-
-from experiments.console.options import PageArgs, require_at_least
-
-
-@dataclass(kw_only=True)
-class Args(PageArgs):
-    """Make one web page of results, which a browser shows offline.
-
-    The page says which policy won by how much, and has tables, distributions of
-    errors (CDF) and episodes to play. Results are JSON files (--json) of the
-    commands compare, demo and localize, and folders of runs of train. Results
-    do not store single epochs, so the command runs episodes again, with the
-    stored options. Agents in your own code (module:function) are not run again:
-    the page lacks their episodes, and shows their errors only if the files
-    store them.
-
-        mmwave-loc report results.json runs/train --out report.html
-    """
+from experiments.console.options import PageArgs as Args
+from experiments.console.options import require_at_least
 
 
 def main(args: Args) -> None:

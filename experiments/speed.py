@@ -47,8 +47,7 @@ def main(args: Args) -> None:
     require_extra("filterpy", "filterpy", "speed")
     from experiments.console.provenance import provenance
     from experiments.console.tables import show
-    from experiments.timing.measured import Measured
-    from experiments.timing.report import TABLES
+    from experiments.timing.measured import TABLES, Measured
 
     measured = Measured(args.sizes)
     measured.measure(args.seconds, args.repeats)

@@ -1,14 +1,7 @@
 """mmwave-loc tables: the paper's tables and claims, compared with measurements in simulations."""
 
-import csv
-import io
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from experiments.paper.bench import Bench, Section
 
 
 @dataclass(kw_only=True)
@@ -30,23 +23,12 @@ SECTIONS = 19  # number of sections, for the progress bar
 FIELDS = ("section", "row", "column", "mean", "low", "high")
 
 
-def sections(bench: "Bench") -> "Iterator[Section]":
-    """Compute and yield all sections, in order."""
-    from experiments.paper.claims import CLAIMS
-    from experiments.paper.printed import table_three, tables_one_and_two
-
-    yield from tables_one_and_two(bench)
-    yield table_three(bench)
-    yield from (claim(bench) for claim in CLAIMS)
-
-
 def main(args: Args) -> None:
     """Run the command."""
     from experiments.console.progress import say, tracked
-    from experiments.console.tables import show
-    from experiments.paper.bench import Bench
-    from experiments.paper.figure import draw
-    from experiments.paper.printed import summaries
+    from experiments.console.tables import csv_text, show
+    from experiments.paper.claims import sections
+    from experiments.paper.printed import Bench, draw, summaries
     from experiments.reporting.figures.canvas import require_picture
     from mmwave_env.io.files import require_writable, write_text
 
@@ -57,10 +39,8 @@ def main(args: Args) -> None:
     results = {section.title: section for section in tracked(sections(bench), "tables", SECTIONS)}
     text = "\n".join([summaries(results), *(section.markdown() for section in results.values())])
     records = [record for section in results.values() for record in section.records()]
-    table = io.StringIO()
-    csv.writer(table, lineterminator="\n").writerows([FIELDS, *records])
     write_text(args.out / "tables.md", text)
-    write_text(args.out / "tables.csv", table.getvalue())
+    write_text(args.out / "tables.csv", csv_text([FIELDS, *records]))
     try:
         draw(results, figure)
     finally:  # the tables are shown even if a picture fails

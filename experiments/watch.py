@@ -1,16 +1,9 @@
 """mmwave-loc watch: an episode filtered by several policies, in a window or as a video."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from experiments.console.options import ModeArgs
-
-if TYPE_CHECKING:
-    from experiments.evaluation.contenders import Contender
-    from mmwave_env.numerics.numbers import Array
-    from mmwave_env.rendering.history import History
 
 
 @dataclass(kw_only=True)
@@ -47,12 +40,15 @@ FASTEST = 50  # maximum number of pictures per second in a GIF
 def main(args: Args) -> None:
     """Run the command."""
     from experiments.console.progress import progress, say
-    from experiments.evaluation.asked import contender_of, task_of
+    from experiments.evaluation.contenders import contender_of, task_of
     from experiments.evaluation.runner import Scoring
     from experiments.evaluation.seeds import draw_episodes, keys_for, seeds_from
     from experiments.reporting.histories import history_of
+    from mmwave_env.rendering.video import write_video
 
     _check(args)
+    from mmwave_env.rendering.picture import Playback  # needs pygame
+
     contenders = [contender_of(args, name) for name in args.policies]
     task = task_of(args)
     scoring = Scoring.of(task)
@@ -62,14 +58,34 @@ def main(args: Args) -> None:
     scene = task.scene_of(0 if keys is None else int(keys[0]))
     with progress("filtering"):
         histories = [history_of(c, episode, scoring, scene) for c in contenders]
-    rows = _between(histories[0].time_s, args.begin, args.end)
-    first, last = histories[0].time_s[[rows[0], rows[-1]]]
-    say(f"{episode.name}, seed {args.seed}, {first:.13g} to {last:.13g} s")
-    for contender, history in zip(contenders, histories, strict=True):
+    time_s = histories[0].time_s.tolist()  # row 0, the prior, is at the episode's start
+    rows = [row for row, time in enumerate(time_s) if args.begin <= time <= args.end]
+    if not rows:
+        raise ValueError(
+            f"begin, end: found {args.begin:.13g} to {args.end:.13g} s, expected part of the "
+            f"episode, 0 to {time_s[-1]:.13g} s"
+        )
+    say(f"{episode.name}, seed {args.seed}, {time_s[rows[0]]:.13g} to {time_s[rows[-1]]:.13g} s")
+    names = [contender.name for contender in contenders]
+    for name, history in zip(names, histories, strict=True):
         error = history.error_m[rows]
-        off = f"{error.mean():.1f} m off on average, {error.max():.1f} m at most"
-        say(f"{contender.name}: {off}")
-    _show(args, contenders, histories, rows)
+        say(f"{name}: {error.mean():.1f} m off on average, {error.max():.1f} m at most")
+    modes = [contender.actions for contender in contenders]
+    playback = Playback(histories, modes, names, args.render_size, args.render_theme)
+    if args.out:
+        with progress("drawing") as report:
+            write_video(args.out, playback.draw, rows, args.fps, report)
+        say(f"written to {args.out}: {len(rows)} pictures")
+        return
+    from mmwave_env.rendering.window import Window
+
+    window = Window(args.render_size * len(contenders), args.render_size, args.fps)
+    for row in rows:
+        window.paused |= row == rows[-1]  # after the last row, wait for the user
+        window.show(playback.draw(row))
+        if not window.is_open:
+            break
+    window.close()
 
 
 def _check(args: Args) -> None:
@@ -88,46 +104,3 @@ def _check(args: Args) -> None:
         from mmwave_env.rendering.window import require_display
 
         require_display("window", "write a video with --out FILE.gif")
-
-
-def _between(time_s: "Array", begin: float, end: float) -> list[int]:
-    """Return indices of rows between two times; row 0, the prior, is at the episode's start."""
-    rows = [row for row, time in enumerate(time_s.tolist()) if begin <= time <= end]
-    if not rows:
-        raise ValueError(
-            f"begin, end: found {begin:.13g} to {end:.13g} s, expected part of the episode, "
-            f"0 to {time_s[-1]:.13g} s"
-        )
-    return rows
-
-
-def _show(
-    args: Args,
-    contenders: "Sequence[Contender]",
-    histories: "Sequence[History]",
-    rows: Sequence[int],
-) -> None:
-    """Write a video of the episode, or play the episode in a window."""
-    from experiments.console.progress import progress, say
-    from mmwave_env.rendering.picture import Playback
-    from mmwave_env.rendering.video import write_video
-
-    size = args.render_size
-    theme = args.render_theme
-    modes = [c.actions for c in contenders]
-    names = [c.name for c in contenders]
-    playback = Playback(histories, modes, names, size, theme)
-    if args.out:
-        with progress("drawing") as report:
-            write_video(args.out, playback.draw, rows, args.fps, report)
-        say(f"written to {args.out}: {len(rows)} pictures")
-        return
-    from mmwave_env.rendering.window import Window
-
-    window = Window(size * len(contenders), size, args.fps)
-    for row in rows:
-        window.paused |= row == rows[-1]  # after the last row, wait for the user
-        window.show(playback.draw(row))
-        if not window.is_open:
-            break
-    window.close()

@@ -18,7 +18,7 @@ from mmwave_env.filters.correction import MOST_LOG_FACTOR, MOST_SHIFT
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import CORRECTION
 from mmwave_env.interface.observation import Observation, observation_columns
-from mmwave_env.interface.policy import Correction, Policy, Switching
+from mmwave_env.interface.policy import Correction, FixedMode, Policy, Switching
 from mmwave_env.interface.signed import after_update
 from mmwave_env.io.files import AnyPath
 from mmwave_env.numerics.numbers import Array32, Index, Mask
@@ -72,11 +72,6 @@ class CorrectionNetwork(LearnedPolicy):
             most=np.array([MOST_SHIFT] * 3 + [MOST_LOG_FACTOR] * 3, np.float32),
         )
 
-    def read_from_track(self, pipeline: Pipeline) -> None:
-        """Find the policy's features among the features that tracks of a pipeline compute."""
-        columns = observation_columns(after_update(pipeline, per_mode=True))
-        self._of_track = self._found_in(columns)
-
 
 class Corrector(CorrectionNetwork, Policy):
     """A policy that chooses the same actions as its base, and corrects the base's beliefs.
@@ -99,7 +94,7 @@ class Corrector(CorrectionNetwork, Policy):
     def __init__(self, path: AnyPath | PolicyFile, observation: Observation | None = None) -> None:
         super().__init__(path)
         base = self.card.base
-        self._base = None if base == BASE_IMM else LearnedSwitch(base)
+        self._base = FixedMode() if base == BASE_IMM else LearnedSwitch(base)
         self._hidden = np.zeros((0, len(self._network.units[0].of_state.weight)), np.float32)
         self._trust = np.zeros(0, np.float32)
         if observation is not None:
@@ -108,7 +103,7 @@ class Corrector(CorrectionNetwork, Policy):
     def read_from(self, observation: Observation) -> None:
         """Find the features of the corrector and of its base in the observations."""
         super().read_from(observation)
-        if self._base:
+        if isinstance(self._base, LearnedSwitch):
             self._base.read_from(observation)
 
     def reset(self, mask: Mask) -> None:
@@ -118,8 +113,7 @@ class Corrector(CorrectionNetwork, Policy):
             self._trust = np.ones(len(mask), np.float32)
         self._hidden[mask] = 0.0
         self._trust[mask] = 1.0
-        if self._base:
-            self._base.reset(mask)
+        self._base.reset(mask)
 
     @property
     def memory(self) -> tuple[Array32, ...]:  # type: ignore[override]
@@ -128,8 +122,6 @@ class Corrector(CorrectionNetwork, Policy):
 
     def act(self, observation: Array32) -> Index:
         """Return the base's actions (n,) for observations (n, features)."""
-        if self._base is None:
-            return np.zeros(len(observation), np.int64)
         return self._base.act(observation)
 
     def correct(self, observation: Array32) -> Correction:
@@ -137,13 +129,7 @@ class Corrector(CorrectionNetwork, Policy):
 
         Call this once after every step, with the observations (n, features) of the step.
         """
-        return self._correct(self.features_in(observation))
-
-    def correct_track(self, signed: Array32) -> Correction:
-        """Return corrections of n tracks after an epoch, given their features (n, features)."""
-        return self._correct(taken(signed.astype(np.float32), *self._of_track))
-
-    def _correct(self, features: Array32) -> Correction:
+        features = self.features_in(observation)
         n = len(features)
         answers = np.empty((n, CORRECTIONS), np.float32)
         trusted = np.empty(n, np.float32)
@@ -155,6 +141,11 @@ class TwoWayCorrector(CorrectionNetwork):
     """A corrector of smoothed tracks, which reads each track forwards and backwards."""
 
     recurrent = ("gru", "back")
+
+    def read_from_track(self, pipeline: Pipeline) -> None:
+        """Find the policy's features among the features that tracks of a pipeline compute."""
+        columns = observation_columns(after_update(pipeline, per_mode=True))
+        self._of_track = self._found_in(columns)
 
     def correct_tracks(self, features: Array32) -> Correction:
         """Return corrections (n, T, 3) of n smoothed tracks, given all their features.
@@ -188,5 +179,4 @@ def load(path: AnyPath, radio: str = "handset") -> Switching:
     file = policy_file(path)
     policy = learned_policy(file)
     filters = policy.bank(radio) if policy.beliefs == "per-mode" else policy.modes
-    make = partial(type(policy), file)
-    return Switching(filters, None, make, file.card.observation)
+    return Switching(filters, None, partial(type(policy), file), file.card.observation)

@@ -76,8 +76,7 @@ class LearnedPolicy:
         if radio in banks:
             return banks[radio]
         profile = radio_from(radio)
-        first = next(iter(banks))
-        known = (profile.name, profile.base, "standard", first)
+        known = (profile.name, profile.base, "standard", next(iter(banks)))
         return next(banks[name] for name in known if name in banks)
 
     def read_from(self, observation: Observation) -> None:
@@ -216,8 +215,7 @@ class LearnedSwitch(LearnedPolicy, Policy):
         *hidden, (weight, bias) = self._layers
         for w, b in hidden:
             x = np.tanh(x @ w + b)
-        logits: Array32 = x @ weight + bias
-        return logits
+        return x @ weight + bias
 
 
 def taken(observation: Array32, columns: Index | None, unseen: Array32 | None) -> Array32:

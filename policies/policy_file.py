@@ -161,8 +161,7 @@ def to_bytes(tensors: Tensors, card: Card) -> bytes:
     tensors = {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}
     content = json.loads(json.dumps(card.as_json()))  # as it will be read: tuples become lists
     document = {"format": FORMAT, "sha256": _checksum(tensors, content), "card": content}
-    written: bytes = save(tensors, {_KEY: json.dumps(document)})
-    return written
+    return save(tensors, {_KEY: json.dumps(document)})
 
 
 def read_policy(path: AnyPath) -> tuple[Tensors, Card]:
@@ -208,7 +207,9 @@ def _require_network(tensors: Tensors, card: Card) -> None:
     size = Counter({name: tensor.size for name, tensor in tensors.items()})
     features = len(card.features)
     shapes: Shapes = {"low": (features,), "high": (features,)}
-    shapes |= _corrector_shapes(size, features) if card.base else _actor_shapes(size, card)
+    layers = _corrector_layers(size, features) if card.base else _actor_layers(size, card)
+    for name, ends in layers.items():  # {} stands for the two tensors of a layer
+        shapes |= {name.format("weight"): ends, name.format("bias"): ends[:1]}
     if tensors.keys() != shapes.keys():
         raise ValueError(f"tensors: found {sorted(tensors)}, expected {sorted(shapes)}")
     for name, shape in shapes.items():
@@ -223,39 +224,29 @@ def _require_network(tensors: Tensors, card: Card) -> None:
         raise ValueError("tensor 'low': found numbers above tensor 'high', expected none")
 
 
-def _actor_shapes(size: Counter[str], card: Card) -> Shapes:
-    """Return the shapes of a switcher's layers, given the sizes of all its tensors."""
+def _actor_layers(size: Counter[str], card: Card) -> Shapes:
+    """Return outputs and inputs of a switcher's layers, given the sizes of all its tensors."""
     hidden = max(sum(name.endswith(".weight") for name in size), 1) - 1
     widths = [len(card.features), *(size[f"layer.{i}.bias"] for i in range(hidden))]
-    shapes: Shapes = {}
-    for i, (width, out) in enumerate(pairwise([*widths, len(card.actions)])):
-        shapes |= {f"layer.{i}.weight": (out, width), f"layer.{i}.bias": (out,)}
-    return shapes
+    ends = enumerate(pairwise([*widths, len(card.actions)]))
+    return {f"layer.{i}.{{}}": (out, width) for i, (width, out) in ends}
 
 
-def _corrector_shapes(size: Counter[str], features: int) -> Shapes:
-    """Return the shapes of a corrector's layers, given the sizes of all its tensors."""
+def _corrector_layers(size: Counter[str], features: int) -> Shapes:
+    """Return outputs and inputs of a corrector's layers, given the sizes of all its tensors."""
     front = size["front.bias"]
     head = size["head.bias"]
     units = size["gru.bias_ih"] // 3
     out = size["out.bias"] // CORRECTIONS * CORRECTIONS
     recurrent = ("gru", "back") if size["back.bias_ih"] else ("gru",)
-    shapes: Shapes = {
-        "front.weight": (front, features),
-        "front.bias": (front,),
-        "head.weight": (head, front + len(recurrent) * units),
-        "head.bias": (head,),
-        "out.weight": (out, head),
-        "out.bias": (out,),
+    layers: Shapes = {
+        "front.{}": (front, features),
+        "head.{}": (head, front + len(recurrent) * units),
+        "out.{}": (out, head),
     }
     for unit in recurrent:
-        shapes |= {
-            f"{unit}.weight_ih": (3 * units, front),
-            f"{unit}.weight_hh": (3 * units, units),
-            f"{unit}.bias_ih": (3 * units,),
-            f"{unit}.bias_hh": (3 * units,),
-        }
-    return shapes
+        layers |= {f"{unit}.{{}}_ih": (3 * units, front), f"{unit}.{{}}_hh": (3 * units, units)}
+    return layers
 
 
 def _checksum(tensors: Tensors, card: Json) -> str:

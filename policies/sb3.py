@@ -30,6 +30,15 @@ class Normalization(NamedTuple):
         """Return the normalization that clips at ``clip`` standard deviations from the mean."""
         return cls(mean - clip * sigma, mean + clip * sigma, mean, sigma)
 
+    def folded(self, weight: Array, bias: Array) -> tuple[Array, Array]:
+        """Return weight (out, features) and bias (out,) of a layer for observations as they are.
+
+        The weight W and the bias b, for normalized observations, become W / sigma and
+        b - (W / sigma) mean.
+        """
+        weight = weight / self.sigma
+        return weight, bias - weight @ self.mean
+
     @classmethod
     def of(cls, model: Any) -> "Normalization":
         """Return the normalization of a model's ``VecNormalize``, or the identity without one."""
@@ -47,8 +56,7 @@ class Normalization(NamedTuple):
 def actor_tensors(layers: Iterable[Any], normal: Normalization) -> Tensors:
     """Return the tensors of an actor in the form that a policy file stores.
 
-    The normalization's mean and sigma are folded into the first linear layer: its weights W become
-    W / sigma, and its biases b become b - (W / sigma) mean.
+    The normalization's mean and sigma are folded into the first linear layer.
 
     Args:
         layers: layers of a network for normalized observations; only linear layers have tensors.
@@ -59,8 +67,7 @@ def actor_tensors(layers: Iterable[Any], normal: Normalization) -> Tensors:
         weight = layer.weight.detach().numpy().astype(np.float64)
         bias = layer.bias.detach().numpy().astype(np.float64)
         if not i:
-            weight = weight / normal.sigma
-            bias = bias - weight @ normal.mean
+            weight, bias = normal.folded(weight, bias)
         tensors |= {f"layer.{i}.weight": weight, f"layer.{i}.bias": bias}
     return {name: tensor.astype(np.float32) for name, tensor in tensors.items()}
 

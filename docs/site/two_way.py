@@ -11,7 +11,8 @@ import numpy as np
 from experiments.console.tables import grid
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.protocol import HARD, RECORDED, Site, sites
-from experiments.training.two_way import smoothed
+from experiments.evaluation.seeds import draw_episodes
+from experiments.training.corrector import smoothed
 from mmwave_env.filters.correction import corrected_all
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.metrics import scored
@@ -39,7 +40,7 @@ def row(site: Site, network: TwoWayCorrector) -> list[object]:
     bank = LearnedSwitch(BASE).bank(site.radio)
     few = site.kind in (RECORDED, HARD)
     seeds = range(FEWER if few else EPISODES)
-    batch = EpisodeBatch.of(seeds.draw(site.source()))
+    batch = EpisodeBatch.of(draw_episodes(site.source(), seeds))
     pipeline = Pipeline(bank.modes, batch.layout)
     network.read_from_track(pipeline)
     track = smoothed(batch, bank, BASE)

@@ -172,7 +172,7 @@ def run(name: str, words: Sequence[str]) -> None:
 
 
 def _require_results_can_be_written(args: Any) -> None:
-    for name, ending in {"json": ".json", "episodes_csv": ".csv"}.items():
+    for name, ending in {"json": ".json", "episodes_csv": ".csv", "table": ".tex"}.items():
         path = getattr(args, name, None)  # not every command has this option
         if path is None:
             continue

@@ -180,7 +180,12 @@ class TaskArgs:
 
 @dataclass(kw_only=True)
 class TrainArgs(TaskArgs):
-    """Options of `train`."""
+    """Train policies that choose filters, with several seeds.
+
+    The best policy of each seed is kept.
+
+        mmwave-loc train --seeds 2 --total-timesteps 500000 --out runs/short
+    """
 
     seeds: int = 5
     """number of training runs, one per seed"""
@@ -213,10 +218,60 @@ class TrainArgs(TaskArgs):
 
 
 @dataclass(kw_only=True)
-class LogArgs(IntegrityArgs, JsonArgs):
-    """Options for a log: its track, the filters, and the paper's Algorithm 1.
+class TuneArgs(JsonArgs):
+    """Tune the process noise of modes by the likelihood of measurements.
 
-    If an option of Algorithm 1 is set (speed to robust), the algorithm replaces the policy.
+    With --bank, tune a bank: the five modes of imm-best and the probabilities of
+    changes between them. The reward of the bank's IMM in all scenes, at 1 and 10
+    Hz, is maximized. With --levels, train and calibrate the protection levels
+    anew. --bank needs the extra "tune"; --levels needs "train".
+
+        mmwave-loc tune --radio handset --out modes.json
+        mmwave-loc tune --bank --radio phone.json --episodes 900 --out bank.json
+        mmwave-loc tune --levels --out mmwave_env/data/levels.safetensors
+    """
+
+    radio: str = "handset"
+    """radio profile: handset, standard, high or a JSON file"""
+    modes: tuple[str, ...] = ("ekf", "ukf")
+    """modes to tune: ekf, ukf, ckf, ekf-robust, ukf-robust, mode files"""
+    scenarios: tuple[str, ...] = ("pedestrian", "vehicle")
+    """kinds of users to tune on, one for each mode, in the
+    same order: names, JSON or CSV files"""
+    free: tuple[str, ...] = ("sigma_v", "sigma_p")
+    """parameters to tune: sigma_p, sigma_v, sigma_pz, sigma_vz, sigma_b_mps, spread_gain"""
+    diagonal: bool = False
+    """use the paper's printed process noise, a diagonal matrix without coupling"""
+    episodes: int = 300
+    """number of episodes to tune on"""
+    seed: int = TUNING_SEED
+    """seed of the first episode; never a test seed"""
+    bank: bool = False
+    """tune a bank instead of single modes"""
+    evaluations: int = 1000
+    """with --bank, maximum number of banks to try"""
+    levels: bool = False
+    """train the network of the protection levels on training
+    seeds, and calibrate it on tuning seeds, with the
+    shipped policies; the only other options are --seed
+    and --out, which is required"""
+    out: Path | None = None
+    """mode file to write, which `--modes` and the
+    environment's `modes` accept; with --levels, file
+    (.safetensors) of the network to write"""
+
+
+@dataclass(kw_only=True)
+class LogArgs(IntegrityArgs, JsonArgs):
+    """Compute the track of a measurement log, recorded or live.
+
+    By default, a learned policy weighs several filters in every epoch. Two
+    alternatives are the paper's Algorithm 1 (EKF up to 2 m/s, UKF above) and an
+    IMM, which weighs the filters by itself.
+
+        mmwave-loc localize log.csv --scene scene.json --out track.tum track.gpx
+        mmwave-loc localize log.csv --scene scene.json --speed auto --out track.tum
+        mmwave-loc localize - --live --scene scene.json
     """
 
     out: tuple[Path, ...] = ()
@@ -268,6 +323,7 @@ class LogArgs(IntegrityArgs, JsonArgs):
     clock: str = "synchronized"
     """synchronized, or offset: estimate the offset of the
     user's clock, which shifts all ranges"""
+    # If an option of Algorithm 1 is set (speed to robust), the algorithm replaces the policy.
     speed: str | None = None
     """Algorithm 1: the user's speed, m/s, which selects the
     pipeline that runs; or auto, to decide in every epoch"""
@@ -316,7 +372,18 @@ class LogArgs(IntegrityArgs, JsonArgs):
 
 @dataclass(kw_only=True)
 class PageArgs:
-    """Options for the results and episodes of a web page."""
+    """Make one web page of results, which a browser shows offline.
+
+    The page says which policy won by how much, and has tables, distributions of
+    errors (CDF) and episodes to play. Results are JSON files (--json) of the
+    commands compare, demo and localize, and folders of runs of train. Results
+    do not store single epochs, so the command runs episodes again, with the
+    stored options. Agents in your own code (module:function) are not run again:
+    the page lacks their episodes, and shows their errors only if the files
+    store them.
+
+        mmwave-loc report results.json runs/train --out report.html
+    """
 
     results: Positional[tuple[Path, ...]]
     """JSON files of results, and folders of runs"""

@@ -23,7 +23,7 @@ def command_line(name: str, args: Any) -> str:
     """Return the command line that sets the given options; default values are left out."""
     kinds = get_type_hints(type(args), include_extras=True)
     words = ["mmwave-loc", name]
-    options: list[str] = []
+    options = []
     for field in fields(args):
         value = getattr(args, field.name)
         texts = [*map(str, value if isinstance(value, tuple) else (value,))]

@@ -44,7 +44,7 @@ def ended_by_signals() -> Iterator[None]:
     Raises:
         Ended: one of the signals arrived.
     """
-    came: list[int] = []
+    came = []
 
     def end(number: int, frame: FrameType | None) -> None:
         if _in_callback(frame):

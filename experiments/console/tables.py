@@ -1,7 +1,9 @@
-"""Text and tables of results, as Markdown, as LaTeX and on a terminal."""
+"""Text and tables of results, as Markdown, as LaTeX, as CSV and on a terminal."""
 
+import csv
 import re
 from collections.abc import Iterable, Iterator, Sequence
+from io import StringIO
 
 from rich import box
 from rich.cells import cell_len
@@ -44,6 +46,13 @@ def grid(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     table = [[escaped(str(cell)) for cell in cells] for cells in (header, *rows)]
     lines = ["| " + " | ".join(cells) + " |" for cells in table]
     return "\n".join([lines[0], "|---" * len(header) + "|", *lines[1:]])
+
+
+def csv_text(rows: Iterable[Iterable[object]]) -> str:
+    """Return rows of cells as CSV; the cell of None is empty."""
+    text = StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()
 
 
 def booktabs(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:

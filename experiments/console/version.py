@@ -76,7 +76,7 @@ def _episodes(task: Task, episodes: EpisodeBatch) -> float:
     world = source.world
     settings = source.feed(starts.worlds).settings[:, 0]
     blank = np.zeros(world.ends[0])
-    (observed, happened, moved) = world.parts
+    observed, happened, moved = world.parts
     computed = []
     for kept in starts.worlds:
         w = unflatten(world.template, iter(np.concatenate([blank, settings, kept]).tolist()))

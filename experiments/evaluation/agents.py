@@ -56,7 +56,7 @@ class Estimator(Policy):
             ValueError: a belief has a wrong shape, or an epoch has no belief.
         """
         layout = pipeline.layout
-        (n, T, _) = episodes.table.shape
+        n, T, _ = episodes.table.shape
         size = layout.state_size
         blank = blank_incoming(layout)
         tracks = []
@@ -126,12 +126,10 @@ def tried(name: str, policy: Policy, table: Observation) -> Policy:
     space = table.space
     rng = np.random.default_rng(0)
     shown = rng.uniform(space.low, space.high, (TRIED, len(table))).astype(np.float32)
-    about = f"observations {shown.shape}, float32, made with {table.made_with}"
-    with blaming(name, f"; it was given {about}; {OF_A_MODEL} ({GUIDE})"):
-        policy.reset(np.ones(TRIED, np.bool_))
-        actions = np.asarray(policy.act(shown))
-    _require_actions(name, policy.action, actions, TRIED, len(table.actions))
-    return _Checked(name, policy, len(table.actions))
+    checked = _Checked(name, policy, table)
+    checked.reset(np.ones(TRIED, np.bool_))
+    checked.act(shown)
+    return checked
 
 
 class _Checked(Policy):
@@ -141,48 +139,43 @@ class _Checked(Policy):
         ValueError: the agent raises an exception, or returns invalid actions.
     """
 
-    def __init__(self, name: str, policy: Policy, actions: int) -> None:
+    def __init__(self, name: str, policy: Policy, table: Observation) -> None:
         self.action = policy.action
         self._name = name
         self._policy = policy
-        self._actions = actions
+        self._table = table
         self._epoch = 0
 
     def reset(self, mask: Mask) -> None:
         self._epoch = 0
-        self._policy.reset(mask)
+        with blaming(self._name, f"; it was told that episodes begin ({GUIDE})"):
+            self._policy.reset(mask)
 
-    def act(self, observation: Array32) -> Index:
+    def act(self, observation: Array32) -> NDArray[Any]:
         self._epoch += 1
-        with blaming(self._name, f", in epoch {self._epoch}"):
-            returned = self._policy.act(observation)
-        return _require_actions(self._name, self.action, returned, len(observation), self._actions)
+        n = len(observation)
+        count = len(self._table.actions)
+        about = f"observations {observation.shape}, float32, of epoch {self._epoch}"
+        made = f"made with {self._table.made_with}; {OF_A_MODEL} ({GUIDE})"
+        with blaming(self._name, f"; it was given {about}, {made}"):
+            actions = np.asarray(self._policy.act(observation))
+        if self.action == WEIGHTS:
+            with blaming(self._name, f" ({GUIDE})"):
+                return numbers_in("weights", actions, limits_of(WEIGHTS, count - 1), n)
+        if actions.shape != (n,) or actions.dtype.kind not in "iu":
+            raise ValueError(
+                f"actions of {self._name}: found shape {actions.shape} of {actions.dtype}, "
+                f"expected ({n},) of integers, one for each row of the observations; "
+                f"{OF_A_MODEL}; an agent that returns weights has the attribute "
+                f'action = "weights" ({GUIDE})'
+            )
+        if actions.min() < 0 or actions.max() >= count:
+            raise ValueError(
+                f"actions of {self._name}: found {actions.min()} (smallest) and {actions.max()} "
+                f"(largest), expected 0 to {count - 1}"
+            )
+        return actions.astype(np.int64)
 
     def correct(self, observation: Array32) -> Correction | None:
         with blaming(self._name, f", in epoch {self._epoch}"):
             return self._policy.correct(observation)
-
-
-def _require_actions(name: str, kind: str, returned: Any, n: int, count: int) -> NDArray[Any]:
-    """Return actions (n,), or weights (n, count - 1), as an array; refuse anything else.
-
-    Raises:
-        ValueError: ``returned`` does not hold n integers from 0 to ``count`` - 1, one for each
-            observation; or, if the kind is "weights", valid weights.
-    """
-    if kind == WEIGHTS:
-        with blaming(name, f" ({GUIDE})"):
-            return numbers_in("weights", returned, limits_of(WEIGHTS, count - 1), n)
-    actions: NDArray[Any] = np.asarray(returned)
-    if actions.shape != (n,) or actions.dtype.kind not in "iu":
-        raise ValueError(
-            f"actions of {name}: found shape {actions.shape} of {actions.dtype}, expected ({n},) "
-            f"of integers, one for each row of the observations; {OF_A_MODEL}; an agent that "
-            f'returns weights has the attribute action = "weights" ({GUIDE})'
-        )
-    if actions.min() < 0 or actions.max() >= count:
-        raise ValueError(
-            f"actions of {name}: found {actions.min()} (smallest) and {actions.max()} (largest), "
-            f"expected 0 to {count - 1}"
-        )
-    return actions.astype(np.int64)

@@ -45,9 +45,7 @@ class Branches:
         at = engine.at
         # State is kept in blocks of WIDTH environments; the last block is copied even if not full.
         n = self._actions * len(engine.state.rows) * WIDTH
-        program = engine.program
-        layout = engine.layout
-        self._copies = Batch(program, layout, n, rows_of(at.action))
+        self._copies = Batch(engine.program, engine.layout, n, rows_of(at.action))
         self._copies.make_room(horizon)
         self._copies.state.length[:] = horizon
         self._io = self._copies.io(output_rows=rows_of(at.reward), obs_rows=rows_of(at.observation))
@@ -102,8 +100,7 @@ class Clairvoyant(Policy):
             ValueError: an episode has no truth.
         """
         state = engine.state
-        layout = engine.layout
-        if not np.isfinite(state.table[:, 0, columns_of(layout).truth]).all():
+        if not np.isfinite(state.table[:, 0, columns_of(engine.layout).truth]).all():
             raise ValueError(BLIND)
         step_s = engine.steps_s(np.arange(len(state.length))).min()
         horizon = min(math.ceil(HORIZON_S / step_s - 1e-6), state.table.shape[1])

@@ -1,19 +1,14 @@
-"""Contenders by name: IMMs, and policies together with the modes that they choose from."""
+"""Contenders by name (IMMs, and policies with their modes), and tasks from a command's options."""
 
 import os
-from collections.abc import Callable
-from dataclasses import dataclass
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 
-from experiments.evaluation.agents import (
-    GUIDE,
-    Act,
-    Estimator,
-    agent_from,
-    is_agent,
-    tried,
-)
+from experiments.console.options import EpisodeArgs, ModeArgs, WorldArgs
+from experiments.evaluation.agents import GUIDE, Act, Estimator, agent_from, is_agent, tried
 from experiments.evaluation.branches import CLAIRVOYANT, Clairvoyant
 from experiments.evaluation.runs import Run
 from mmwave_env.filters.bank import (
@@ -25,13 +20,15 @@ from mmwave_env.filters.bank import (
     default_modes,
     named_modes,
 )
+from mmwave_env.filters.modes import Mode
 from mmwave_env.interface.actions import MODE
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.policy import FixedMode, Policy, Switching, policy_from
 from mmwave_env.io.files import AnyPath
 from mmwave_env.io.lookup import unknown
 from mmwave_env.models.radio import radio_from
-from mmwave_env.task import bank_and_modes
+from mmwave_env.task import Task, TaskArguments, bank_and_modes, task_from
+from mmwave_env.world.episode import EpisodeSource
 from policies import LikelihoodRule, SpeedRule, load, shipped_policies
 
 BEST_IMM = "imm-best"  # the IMM with the modes of best_bank
@@ -174,15 +171,13 @@ def contender_from(
     if name in known:
         return known[name]()
     if name == CLAIRVOYANT:
-        bank = bank_from(modes, radio)
-        return Contender(bank, policy=lambda table: Clairvoyant(), name=name)
+        return Contender(bank_from(modes, radio), policy=lambda table: Clairvoyant(), name=name)
     if name in shipped or name.endswith(".safetensors"):
         return Contender.learned(name, radio=radio)
     if Path(name).is_dir():
         return Contender.learned(Run.read(name).policy, name, radio)
     if is_agent(name):
-        agent = agent_from(name)
-        return Contender.own(name, agent, radio, modes, observation, beliefs)
+        return Contender.own(name, agent_from(name), radio, modes, observation, beliefs)
     if name.endswith(".zip"):
         raise ValueError(
             f"{name}: found a model of Stable-Baselines3, expected a policy file; "
@@ -191,3 +186,41 @@ def contender_from(
     # A dict drops repeated names: some shipped policies are also among the known contenders.
     everything = dict.fromkeys([*known, *shipped, CLAIRVOYANT, *OTHERS])
     raise ValueError(unknown("policy", name, everything))
+
+
+def all_contenders(args: ModeArgs) -> tuple[str, ...]:
+    """Return the names of all contenders for the chosen modes."""
+    return tuple(contenders(args.radio, args.modes or None))
+
+
+def contender_of(args: ModeArgs, name: str) -> Contender:
+    """Return a contender by name or file; warn if it ignores the chosen modes."""
+    radio = args.radio
+    modes = args.modes or None
+    contender = contender_from(name, radio, modes, args.observation, args.beliefs)
+    if modes and contender.modes != bank_over(modes, radio).modes:
+        warnings.warn(f"{name} brings its own modes; --modes does not apply to it", stacklevel=2)
+    return contender
+
+
+def runs_of(args: EpisodeArgs, names: Sequence[str]) -> dict[str, Run]:
+    """Read the training runs whose folders are among the names; skip known contenders."""
+    known = all_contenders(args)
+    return {n: Run.read(n) for n in names if n not in known and Path(n).is_dir()}
+
+
+def task_of(args: ModeArgs) -> Task:
+    """Return the task of an environment that gets these options as its arguments."""
+    return _task(args, args.modes or None, args.beliefs)
+
+
+def source_of(args: WorldArgs) -> EpisodeSource:
+    """Return the source of the episodes that options describe."""
+    # Filters do not matter here; a dummy mode avoids the warning about untuned modes.
+    return _task(args, [Mode("none")]).source
+
+
+def _task(args: WorldArgs, modes: Modes, beliefs: str = "shared") -> Task:
+    names = {field.name for field in fields(TaskArguments)} - {"episodes", "modes", "beliefs"}
+    world = {name: value for name, value in vars(args).items() if name in names}
+    return task_from(**world, episodes=args.data, modes=modes, beliefs=beliefs)

@@ -61,7 +61,13 @@ def positions_markdown(title: str, rows: Json, risk: float, kind: str) -> str:
     that an error exceeds its level. ``kind`` is "calibrated" or "gaussian".
     """
     cells = [
-        [f"{name}, {axis}", *row_of(errors)]
+        [
+            f"{name}, {axis}",
+            *map(meters, errors["percentiles_m"].values()),
+            *map(percent, errors["within_m"].values()),
+            meters(errors["median_level_m"]),
+            exceeded(errors),
+        ]
         for name, axes in rows.items()
         for axis, errors in axes.items()
     ]
@@ -71,16 +77,6 @@ def positions_markdown(title: str, rows: Json, risk: float, kind: str) -> str:
         f"Level is the median {kind} protection level; at a risk of {risk:g}, errors should exceed "
         f"their levels in {percent(risk)} of the epochs.\n"
     )
-
-
-def row_of(figures: Json) -> list[str]:
-    """Return the cells below :data:`HEADER` for errors of one kind."""
-    return [
-        *(meters(value) for value in figures["percentiles_m"].values()),
-        *(percent(share) for share in figures["within_m"].values()),
-        meters(figures["median_level_m"]),
-        exceeded(figures),
-    ]
 
 
 def exceeded(figures: Json) -> str:

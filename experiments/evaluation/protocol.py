@@ -3,11 +3,12 @@
 Some sites are unseen in training. docs/benchmark.md explains the benchmark. An *entry* has a
 contender's figures (rewards, errors, gains) at every site. The *clairvoyant* is a policy that knows
 the truth. A score is a gain in reward over the paper's rule, in percent of the clairvoyant's gain.
+*Hard* sites are streets with motion or receivers that no filter is designed for.
 """
 
 import warnings
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -16,20 +17,71 @@ import numpy as np
 
 from experiments.console.options import WorldArgs
 from experiments.console.tables import grid
-from experiments.evaluation.asked import source_of
 from experiments.evaluation.branches import CLAIRVOYANT
-from experiments.evaluation.comparison import MISSING, score_cell, score_of
-from experiments.evaluation.contenders import BEST_IMM, RULE, contender_from
-from experiments.evaluation.hard import HARD_SOURCES
+from experiments.evaluation.compare import score_cell, score_of
+from experiments.evaluation.contenders import BEST_IMM, RULE, contender_from, source_of
 from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.runner import Scores, score_contenders
 from experiments.evaluation.seeds import seeds_from
 from mmwave_env.datasets.samples import sample_names
 from mmwave_env.io.files import Json, read_json
-from mmwave_env.models.radio import TUNED_RADIOS
-from mmwave_env.models.scene import TRAINED_SCENES
+from mmwave_env.models.radio import RADIOS, TUNED_RADIOS
+from mmwave_env.models.scene import SCENES, TRAINED_SCENES
 from mmwave_env.numerics.numbers import Array
-from mmwave_env.world.episode import EpisodeSource
+from mmwave_env.world.episode import Episode, EpisodeSource
+from mmwave_env.world.keys import Keys
+from mmwave_env.world.simulated import SimulatedSource
+from mmwave_env.world.trajectory import Trajectory
+
+DURATION_S = 800  # duration of a trajectory, s; an episode is a random window of 200 s
+STREET = SCENES["street"]
+HANDSET = RADIOS["handset"]
+
+
+@dataclass(frozen=True)
+class Misstated(SimulatedSource):
+    """A source of episodes whose receiver misstates its noise by a constant factor."""
+
+    stated: float = 1.0  # ratio of stated to true standard deviations
+
+    def episodes(self, keys: Keys) -> list[Episode]:
+        """Return the episodes that ``keys`` (n,) determine, with misstated noise."""
+        episodes = super().episodes(keys)
+        return [replace(episode, sigma=self.stated * episode.sigma) for episode in episodes]
+
+
+def corners() -> Trajectory:
+    """Return the path of a car at 10 m/s that turns at every crossing of the default scene."""
+    crossings = np.array([(0, 0), (1, 0), (1, 1), (2, 1), (2, 2), (1, 2), (1, 1), (0, 1)])
+    block_s = round(STREET.streets.block_m / 10.0)
+    nodes = STREET.streets.block_m * np.resize(crossings, (DURATION_S // block_s + 1, 2))
+    x, y = (np.interp(np.arange(DURATION_S), block_s * np.arange(len(nodes)), n) for n in nodes.T)
+    return _trajectory("corners", x, y + STREET.streets.y_m[0])
+
+
+def bus() -> Trajectory:
+    """Return the path of a bus that goes back and forth and stops for 15 s every 300 m."""
+    speed_mps = np.interp(np.arange(50), [0, 10, 25, 35], [0, 12, 12, 0])
+    gone = np.cumsum(np.resize(speed_mps, DURATION_S)) % 600.0
+    x = np.minimum(gone, 600.0 - gone) - 150.0
+    return _trajectory("bus", x, np.zeros(len(x)))
+
+
+def _trajectory(name: str, x: Array, y: Array) -> Trajectory:
+    height_m = np.full(len(x), STREET.streets.height_m)
+    return Trajectory(name, np.arange(len(x), dtype=float), np.stack([x, y, height_m], axis=1))
+
+
+HARD_SOURCES: dict[str, Callable[[], SimulatedSource]] = {
+    "corners:handset": lambda: SimulatedSource(STREET, HANDSET, corners()),
+    "bus:standard": lambda: SimulatedSource(SCENES["dynamic-doppler"], RADIOS["standard"], bus()),
+    "noise-twice:handset": lambda: Misstated(STREET, HANDSET, stated=0.5),
+    "clock-offset:handset": lambda: SimulatedSource(STREET, HANDSET, clock=True),
+    "range-azimuth:handset": lambda: SimulatedSource(
+        STREET, HANDSET, measurements=("range", "azimuth")
+    ),
+}
+
 
 TRAINED, UNSEEN_KIND, RECORDED, HARD = KINDS = ("to train in", "unseen", "recorded", "hard")
 IMMS = ("imm", BEST_IMM)
@@ -120,12 +172,11 @@ def scored_over(figures: Json) -> int:
 
 def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> Judged:
     """Run contenders, the paper's rule and every IMM at a site, on the same episodes."""
-    seeds = seeds_from(episodes, seed)
     # Modes of an unseen radio are untuned on purpose, so suppress the warning about untuned modes.
     with warnings.catch_warnings(action="ignore"):
         everybody = dict.fromkeys([*names, RULE, *IMMS])
         chosen = [contender_from(name, site.radio) for name in everybody]
-        scores = score_contenders(chosen, site.source(), seeds)
+        scores = score_contenders(chosen, site.source(), seeds_from(episodes, seed))
     return Judged(site, scores)
 
 
@@ -155,8 +206,7 @@ def read_entry(path: Path) -> Json:
     def checked(content: Json) -> Json:
         if missing := [site.name for site in sites() if site.name not in content["sites"]]:
             raise ValueError(f"sites: missing {', '.join(missing)}")
-        add_scores([content], content)  # raises if tables can't show the entry
-        tables_of([content], content)
+        tables_of([content], content)  # raises if tables can't show the entry
         return content
 
     return read_json(path, "an entry", checked)
@@ -170,28 +220,36 @@ def entries_in(folder: Path) -> list[Json]:
     return [*shipped, *own]
 
 
-def add_scores(entries: Iterable[Json], ceiling: Json) -> None:
+def ceiling_of(entries: Iterable[Json]) -> Json:
+    """Return the entry of the clairvoyant."""
+    return next(entry for entry in entries if entry["entry"] == CLAIRVOYANT)
+
+
+def add_scores(entries: Sequence[Json], ceiling: Json) -> None:
     """Set the scores of entries at their sites; ``ceiling`` is the entry of the clairvoyant.
 
     A score is None unless entry and ceiling were compared with the rule on the same episodes.
     """
-    for content in entries:
-        for name, at in content["sites"].items():
-            top = ceiling["sites"].get(name, {})
-            at["score"] = None
-            if top and scored_over(at) == scored_over(top):
-                at["score"] = score_of(at["over_rule"]["mean"], top["over_rule"]["mean"])
+    for site, content in product(sites(), entries):
+        at = content["sites"][site.name]
+        top = ceiling["sites"][site.name]
+        at["score"] = None
+        if scored_over(at) == scored_over(top):
+            at["score"] = score_of(at["over_rule"]["mean"], top["over_rule"]["mean"])
 
 
 def tables_of(entries: Sequence[Json], ceiling: Json) -> str:
-    """Return all tables of entries in which :func:`add_scores` has set the scores."""
+    """Return all tables of entries; ``ceiling`` is the entry of the clairvoyant."""
+    add_scores(entries, ceiling)
     ranked = ranking(entries)
+    gains = [[name, *(gain_at(content, kind) for kind in KINDS)] for name, content in ranked]
+    scores = [[name, *(score_at(content, kind) for kind in KINDS)] for name, content in ranked]
     return (
         f"Score at each site:\n\n{by_score(entries, ceiling)}\n\n"
         "Mean gain over imm-best, and numbers of sites: above every IMM / level / below one:\n\n"
-        f"{gains_by_kind(ranked)}\n\n"
+        f"{grid(['entry', *KINDS], gains)}\n\n"
         "Mean score (100: the clairvoyant, 0: the paper's rule):\n\n"
-        f"{scores_by_kind(ranked)}"
+        f"{grid(['entry', *(f'score {kind}' for kind in KINDS)], scores)}"
     )
 
 
@@ -233,27 +291,17 @@ def at_kind(content: Json, kind: str) -> list[Json]:
     return [site for site in content["sites"].values() if site["kind"] == kind]
 
 
-def scores_by_kind(ranked: Sequence[tuple[str, Json]]) -> str:
-    """Return a Markdown table of mean scores at each kind of site."""
-    rows = []
-    for name, content in ranked:
-        scores = [[site["score"] for site in at_kind(content, kind)] for kind in KINDS]
-        means = [None if None in kind else np.mean(kind) for kind in scores]
-        rows.append([name, *map(score_cell, means)])
-    return grid(["entry", *(f"score {kind}" for kind in KINDS)], rows)
+def score_at(content: Json, kind: str) -> str:
+    """Return an entry's mean score at the sites of a kind, as tables show it."""
+    scores = [site["score"] for site in at_kind(content, kind)]
+    return score_cell(None if None in scores else np.mean(scores))
 
 
-def gains_by_kind(ranked: Sequence[tuple[str, Json]]) -> str:
-    """Return a Markdown table: gains over imm-best, and counts of :func:`standing`."""
-    rows = []
-    for name, content in ranked:
-        cells = [name]
-        for kind in KINDS:
-            stands = [standing(site) for site in at_kind(content, kind)]
-            counts = " / ".join(str(stands.count(at)) for at in ("above", "level", "below"))
-            cells.append(f"{Interval.of(content['mean_gain'][kind])}, {counts}")
-        rows.append(cells)
-    return grid(["entry", *KINDS], rows)
+def gain_at(content: Json, kind: str) -> str:
+    """Return an entry's gain over imm-best at a kind of sites, and counts of :func:`standing`."""
+    stands = [standing(site) for site in at_kind(content, kind)]
+    counts = " / ".join(str(stands.count(at)) for at in ("above", "level", "below"))
+    return f"{Interval.of(content['mean_gain'][kind])}, {counts}"
 
 
 def by_score(entries: Sequence[Json], ceiling: Json) -> str:
@@ -264,7 +312,7 @@ def by_score(entries: Sequence[Json], ceiling: Json) -> str:
     shown = {c["entry"]: c["sites"] for c in entries if c["entry"] != CLAIRVOYANT}
     rows = []
     for site in sites():
-        top = ceiling["sites"].get(site.name, {}).get("over_rule")
+        top = ceiling["sites"][site.name]["over_rule"]
         cells = (score_cell(at[site.name]["score"]) for at in shown.values())
-        rows.append([site.name, Interval.of(top) if top else MISSING, *cells])
+        rows.append([site.name, Interval.of(top), *cells])
     return grid(["site", f"{CLAIRVOYANT} minus {RULE}", *shown], rows)

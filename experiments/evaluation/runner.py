@@ -14,14 +14,12 @@ from experiments.evaluation.contenders import Contender
 from experiments.evaluation.seeds import draw_episodes, keys_for
 from mmwave_env.engines.engine import Engine, run_imm
 from mmwave_env.engines.play import play
-from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import CORRECTION
-from mmwave_env.interface.policy import Policy, Switching
+from mmwave_env.interface.policy import Policy
 from mmwave_env.interface.reward import Reward, TrackingReward, terms_of, total
 from mmwave_env.io.lookup import printable
 from mmwave_env.metrics import BURN_IN, METRICS, TERMS, scored, summary
-from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.task import Task
 from mmwave_env.world.episode import Episode, EpisodeBatch, EpisodeSource, columns_of
@@ -88,7 +86,8 @@ def run_contender(
     Returns:
         "reward" and "nees" (n, T); "error" (n, T, 3) in m; for a policy also "mode" (n, T), its
         actions; and an array (n, T, values) for each part in ``after``. Without ground truth,
-        "reward", "nees" and "error" are NaN.
+        "reward", "nees" and "error" are NaN. If the policy corrects beliefs, results are those of
+        the corrected beliefs, and "trusted" (n, T) has the factors that scaled the corrections.
     """
     if scoring.planar and not isinstance(episodes, EpisodeBatch):
         _scorable(episodes)
@@ -99,52 +98,23 @@ def run_contender(
     if contender.policy is None:
         assert contender.bank  # an IMM: no policy acts, so one call runs all epochs
         return run_imm(contender.bank, scoring.reward, batch, *names, planar=scoring.planar)
+    pipeline = contender.pipeline(batch.layout, scoring.planar)
     if isinstance(policy, Estimator):
-        pipeline = contender.pipeline(batch.layout, scoring.planar)
         return _run_estimator(pipeline, policy, batch, scoring.reward, names)
-    return _run_policy(contender, policy, batch, scoring, names)
-
-
-def _run_policy(
-    switching: Switching,
-    policy: Policy,
-    episodes: EpisodeBatch,
-    scoring: Scoring,
-    names: Sequence[str],
-) -> EpochResults:
-    """Play a policy on n episodes of T epochs; return also its actions, "mode" (n, T).
-
-    If the policy corrects beliefs, results are those of the corrected beliefs, and "trusted" (n, T)
-    has the factors that scaled the corrections.
-
-    Args:
-        switching: the modes, and what the policy observes.
-        policy: policy to play; the clairvoyant sees the whole episodes first.
-        episodes: the episodes.
-        scoring: reward and terrain.
-        names: parts of the state to return for every epoch: arrays (n, T, values) by name.
-    """
-    (n, T, _) = episodes.table.shape
-    engine = Engine(
-        switching.pipeline(episodes.layout, scoring.planar),
-        n,
-        scoring.reward,
-        switching.observation,
-        switching.bank,
-        action=policy.action,
-    )
-    engine.load(episodes)
-    if isinstance(policy, Clairvoyant):
+    n, T, _ = batch.table.shape
+    bank = contender.bank
+    action = policy.action
+    engine = Engine(pipeline, n, scoring.reward, contender.observation, bank, action=action)
+    engine.load(batch)
+    if isinstance(policy, Clairvoyant):  # it sees the whole episodes first
         policy.foresee(engine)
     policy.reset(np.ones(n, bool))
     corrects = policy.action == CORRECTION
     corrected = {"x": "reported.x", "P": "reported.P"} if corrects else {}
     read = [corrected.get(name, name) for name in names]
     track = play(engine, policy, T, read)
-    results: EpochResults = dict(zip(names, track.outputs.values(), strict=True))
-    if corrects:
-        results["trusted"] = track.trusted
-    return results | {"mode": track.actions}
+    results = dict(zip(names, track.outputs.values(), strict=True)) | {"mode": track.actions}
+    return results | {"trusted": track.trusted} if corrects else results
 
 
 def _run_estimator(
@@ -154,14 +124,13 @@ def _run_estimator(
     reward: Reward,
     names: Sequence[str],
 ) -> EpochResults:
-    """Run an estimator, which uses no filters; arguments are as in :func:`_run_policy`.
+    """Run an estimator, which uses no filters; ``names`` are the results to return.
 
     Raises:
         ValueError: a name is neither a score nor a part of the belief.
     """
     x, P = estimator.estimate(pipeline, episodes)
-    covariance = unpack(list(np.moveaxis(P, -1, 0)), pipeline.known_axes)
-    belief = Belief(list(np.moveaxis(x, -1, 0)), covariance, pipeline.position_axes)
+    belief = pipeline.belief(list(np.moveaxis(x, -1, 0)), list(np.moveaxis(P, -1, 0)))
     truth = list(np.moveaxis(episodes.table[:, :, columns_of(episodes.layout).truth], -1, 0))
     results = {
         "x": x,

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import partial
 from io import StringIO
 from pathlib import Path
-from typing import Any
 
 from experiments.console.tables import grid
 from experiments.evaluation.intervals import Interval
@@ -85,7 +84,7 @@ def curves_of(log: Path) -> dict[str, tuple[list[float], list[float]]]:
 
 def outcomes_markdown(outcomes: Sequence[Json]) -> str:
     """Return a Markdown table of training outcomes, one row per seed, in the given order."""
-    rows: list[list[Any]] = []
+    rows = []
     minus = [key for key in outcomes[0]["best"] if key.startswith("minus ")]
     for outcome in outcomes:
         best = outcome["best"]

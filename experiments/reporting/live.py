@@ -42,14 +42,13 @@ def run_live(args: LogArgs) -> None:
     require_alone(args, "format", "lag")
     require_at_least(0, args, "lag")
     require_one_choice(args)
-    clock = clock_from(args.clock)
     levels = Levels(args.risk, args.levels)
     scene = scene_of(args, args.scene)
     origin = _origin(args, scene)
     tracker: Tracker | Trackers | None = None
     began = False
     patience = _Patience()
-    for live, epochs in _epochs(scene, args.snr, clock):
+    for live, epochs in _epochs(scene, args.snr, clock_from(args.clock)):
         users = any(epoch.user for epoch in epochs)
         if tracker is None or (users and isinstance(tracker, Tracker)):
             log = next(filter(_has_links, (epoch.log() for epoch in epochs)), None)

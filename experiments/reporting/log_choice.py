@@ -61,14 +61,6 @@ def scene_of(args: LogArgs, name: str) -> Scene:
     return replace(scene, side=(place[0], place[1]))
 
 
-def default_policy(height_m: float | None) -> str:
-    """Return the name of the policy that is used if none is named.
-
-    ``corrector`` needs an uncertain height; a known height has the standard deviation 0.
-    """
-    return "corrector" if height_m is None else "guided"
-
-
 def choice_of(args: LogArgs, radio: str, log: Log) -> Choice:
     """Return the choice that options describe.
 
@@ -87,7 +79,8 @@ def choice_of(args: LogArgs, radio: str, log: Log) -> Choice:
         if args.policy is None and not np.isfinite(elevations).any():
             why = f"of {WITHOUT_ELEVATIONS} (no elevations), weighted by their probability"
             return Choice(Switching(_bank(WITHOUT_ELEVATIONS, radio)), why)
-        name = args.policy or default_policy(args.height)
+        # "corrector" needs an uncertain height; a known height has the standard deviation 0.
+        name = args.policy or ("corrector" if args.height is None else "guided")
         return Choice(contender_from(name, radio), f"chosen by the policy {name}")
     return _algorithm_1(args, modes_of(args, radio))
 

@@ -1,21 +1,200 @@
 """The sweep command, which reads a sweep's file, computes missing cells and shows a table.
 
-A cell is a combination of values, one for each axis of the sweep.
+A cell is a combination of values, one for each axis of the sweep. Ray computes cells, on this
+machine or on a cluster; the row of a cell is a Parquet file.
 """
 
-from collections.abc import Mapping
+import itertools
+import logging
+import os
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext, redirect_stdout
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from experiments.console.progress import note, say, tracked
+from experiments.console.signals import ended_by_signals
 from experiments.console.tables import grid, show
-from experiments.evaluation.intervals import Interval, rounded
-from experiments.sweeping.cells import evaluated, keep, kept, read, trained
-from experiments.sweeping.on_ray import computed, connected
-from experiments.sweeping.spec import HYPERPARAMETER, Spec, Values, read_spec
+from experiments.evaluation.contenders import contender_of, task_of
+from experiments.evaluation.intervals import Interval, bootstrap, rounded
+from experiments.evaluation.runner import Scoring, score_contenders
+from experiments.evaluation.seeds import seeds_from
+from experiments.sweeping.spec import (
+    HYPERPARAMETER,
+    Evaluation,
+    Spec,
+    Training,
+    Values,
+    plain,
+    read_spec,
+)
+from experiments.training.run import hyperparameters, training_task
+from mmwave_env.io.files import atomic_path, first_line, write_bytes
 from mmwave_env.io.lookup import require_extra
-from mmwave_env.metrics import HEADERS
+from mmwave_env.metrics import HEADERS, METRICS
+
+RETRIES = 2  # maximum repeats of a cell whose process ran out of memory, ended, or raised OSError
+AHEAD = 1000  # maximum number of cells submitted to Ray at a time; also limits busy workers
+ENVIRONMENT = {
+    "RAY_USAGE_STATS_ENABLED": "0",
+    "RAY_task_oom_retries": str(RETRIES),  # unlimited by default
+    "RAY_agent_register_timeout_ms": "120000",  # Ray starts slowly on a busy machine
+}
+
+
+@contextmanager
+def connected(address: str | None, workers: int | None) -> Iterator[None]:
+    """Connect to the cluster at an address during the ``with`` block, and send it this code.
+
+    Without an address, start Ray on this machine with ``workers`` processes (None: one per core).
+    """
+    os.environ |= ENVIRONMENT | ({"RAY_NUM_REDIS_GET_RETRIES": "1"} if address else {})
+    import ray
+
+    options: dict[str, Any] = {
+        "num_cpus": workers,
+        "object_store_memory": 100 << 20,  # rows are small
+    }
+    if address is not None:
+        root = Path(__file__).resolve().parents[2]
+        folders = [str(root / package) for package in ("mmwave_env", "policies", "experiments")]
+        options = {"address": address, "runtime_env": {"py_modules": folders}}
+    options |= {"include_dashboard": False, "log_to_driver": False, "logging_level": logging.ERROR}
+    ray.init(**options)
+    try:
+        # Replace the signal handlers that Ray has just installed, and hide what Ray prints.
+        with ended_by_signals(), open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
+            yield
+    finally:
+        ray.shutdown()
+
+
+def computed(
+    compute: Callable[[Values], Values], cells: Mapping[str, Values]
+) -> Iterator[tuple[str, Values | None, str]]:
+    """Yield every finished cell: its name, its row (None if the cell failed) and its error message.
+
+    ``compute`` maps the values of a cell to its row.
+    """
+    import ray
+
+    task: Any = ray.remote(lambda values: compute(values))  # noqa: PLW0108  Ray wants functions
+    task = task.options(num_cpus=1, max_retries=RETRIES, retry_exceptions=[OSError])
+    waiting = iter(cells.items())
+    running = dict[Any, str]()
+    while True:
+        for name, values in itertools.islice(waiting, AHEAD - len(running)):
+            running[task.remote(values)] = name
+        if not running:
+            return
+        (finished,), _ = ray.wait(list(running))
+        name = running.pop(finished)
+        try:
+            yield name, ray.get(finished), ""
+        except ray.exceptions.RayError as error:
+            cause = getattr(error, "cause", None)
+            ended = f"its process ended {RETRIES + 1} times ({type(error).__name__})"
+            yield name, None, f"{type(cause).__name__}: {first_line(cause)}" if cause else ended
+
+
+Row = dict[str, Any]
+
+
+def evaluated(values: Values) -> Row:
+    """Evaluate a policy; return each metric's mean, 95 % interval and values per episode."""
+    args = Evaluation(**values)
+    seeds = seeds_from(args.episodes, args.seed)
+    with warnings.catch_warnings(record=True, action="always", category=UserWarning) as warned:
+        task = task_of(args)
+        contender = contender_of(args, args.policy)
+        (scores,) = score_contenders(
+            [contender], task.source, seeds, scoring=Scoring.of(task)
+        ).values()
+    row = {"warnings": "; ".join(sorted({str(warning.message) for warning in warned}))}
+    intervals = bootstrap(np.stack([*scores.values()], axis=1))
+    for (metric, each), interval in zip(scores.items(), intervals, strict=True):
+        row |= {f"{metric}_{part}": number for part, number in vars(interval).items()}
+        row[f"{metric}_each"] = each.tolist()
+    return row
+
+
+def trained(values: Values) -> Row:
+    """Train a policy; return the metrics of its best version on tuning seeds, and its policy file.
+
+    The values that are no hyperparameters are options of `train`; they replace its defaults.
+    """
+    from experiments.training.processes import train
+    from experiments.training.trainer import Job
+
+    options = dict[str, Any]()
+    changed = dict[str, Any]()
+    for axis, value in values.items():
+        if axis.startswith(HYPERPARAMETER):
+            changed[axis.removeprefix(HYPERPARAMETER)] = value
+        else:
+            options[axis] = value
+    args = Training(**options)
+    with tempfile.TemporaryDirectory() as folder:
+        job = Job(
+            training_task(args),
+            hyperparameters(args, len(args.places) or 1, **changed),
+            args.seed,
+            args.total_timesteps,
+            Path(folder),
+            "mmwave-loc sweep",
+            checkpoint_every=1 << 30,
+            episodes=args.episodes,
+        )
+        best = train(job, lambda *_: None)["best"]
+        row = {"timesteps": best["timesteps"]}
+        row |= {f"{metric}_mean": best[metric] for metric in METRICS if metric in best}
+        return row | {"policy_file": job.policy.read_bytes()}
+
+
+def kept(folder: Path, spec: Spec) -> set[str]:
+    """Return the names of the cells stored in a folder; refuse another sweep's rows."""
+    names = {path.stem for path in folder.glob("[!.]*.parquet")}  # hidden files are incomplete
+    for name in names:
+        if name not in spec.cells:
+            raise ValueError(
+                f"{folder / name}.parquet: found a row of another sweep, of another version, or of "
+                "this sweep before one of its files changed; choose another folder with --out"
+            )
+    return names
+
+
+def keep(folder: Path, name: str, values: Values, result: Values) -> None:
+    """Write the row of a cell and, for a training, its policy file."""
+    import pyarrow
+    from pyarrow import parquet
+
+    row = {axis: plain(value) for axis, value in values.items()} | dict(result)
+    if "policy_file" in row:
+        write_bytes(folder / f"{name}.safetensors", row.pop("policy_file"))
+    with atomic_path(folder / f"{name}.parquet") as temporary:
+        parquet.write_table(pyarrow.Table.from_pylist([row]), temporary)
+
+
+def read(folder: Path, spec: Spec) -> dict[str, Values]:
+    """Read the rows of a sweep, by name, in the order of its file; errors name a damaged row."""
+    from pyarrow import ArrowException, parquet
+
+    rows = {}
+    names = kept(folder, spec)
+    for name in filter(names.__contains__, spec.cells):
+        path = folder / f"{name}.parquet"
+        try:
+            (rows[name],) = parquet.read_table(path).to_pylist()
+        except (ArrowException, OSError, ValueError) as error:
+            raise ValueError(
+                f"{path}: found no row ({first_line(error)}); remove the file"
+            ) from error
+    return rows
+
 
 SHOWN = ("reward", "ate_m", "rmse_m", "nees", "divergence_rate")
 
@@ -32,10 +211,16 @@ def sweep(file: Path, folder: Path, address: str | None, workers: int | None) ->
     done = kept(folder, spec)
     note(f"{len(spec)} cells, {len(done)} of them already in {folder}")
     todo = {name: values for name, values in spec.cells.items() if name not in done}
+    compute = evaluated if spec.kind == "evaluate" else trained
     failed = 0
-    if todo:
-        with connected(address, workers):
-            failed = _computed(spec, folder, todo)
+    with connected(address, workers) if todo else nullcontext():
+        for name, row, error in tracked(computed(compute, todo), "cells", len(todo)):
+            if row is not None:
+                keep(folder, name, todo[name], row)
+                continue
+            failed += 1
+            cell = ", ".join(f"{axis} {value}" for axis, value in todo[name].items())
+            note(f"failed: {cell}: {error}")
     if rows := read(folder, spec):
         show(_table(spec, rows))
         if spec.kind == "train":
@@ -45,29 +230,15 @@ def sweep(file: Path, folder: Path, address: str | None, workers: int | None) ->
         raise ValueError(f"{failed} of {len(spec)} cells failed, the others are in {folder}")
 
 
-def _computed(spec: Spec, folder: Path, todo: Mapping[str, Values]) -> int:
-    """Compute missing cells, write their rows, and return the number of cells that failed."""
-    failed = 0
-    compute = evaluated if spec.kind == "evaluate" else trained
-    for name, row, error in tracked(computed(compute, todo), "cells", len(todo)):
-        if row is not None:
-            keep(folder, name, todo[name], row)
-        else:
-            failed += 1
-            cell = ", ".join(f"{axis} {value}" for axis, value in todo[name].items())
-            note(f"failed: {cell}: {error}")
-    return failed
-
-
 def _table(spec: Spec, rows: Mapping[str, Values]) -> str:
-    """Return a table of computed cells in the order of the file.
+    """Return a table of computed cells.
 
     Its columns are the axes that have several values, and metrics.
     """
     axes = [axis for axis, values in spec.axes.items() if len(values) > 1]
     header = [axis.removeprefix(HYPERPARAMETER) for axis in axes] + [HEADERS[m] for m in SHOWN]
     table = []
-    for row in (rows[name] for name in spec.cells if name in rows):
+    for row in rows.values():
         cells = [str(row[axis]) for axis in axes]
         for metric in SHOWN:
             ends = (row.get(f"{metric}_{part}", np.nan) for part in ("mean", "low", "high"))

@@ -113,10 +113,8 @@ def _spec(content: Any) -> Spec:
         algo = axes.get("algo", [Training.algo])[0]
         beliefs = axes.get("beliefs", [Training.beliefs])[0]
         shipped = read_hyperparameters(shipped_hyperparameters(algo, beliefs), algo)
-        for name, values in _axes(
-            type(shipped), tried, vars(shipped), "train.hyperparameters."
-        ).items():
-            axes[HYPERPARAMETER + name] = values
+        changed = _axes(type(shipped), tried, vars(shipped), "train.hyperparameters.")
+        axes |= {HYPERPARAMETER + name: values for name, values in changed.items()}
     spec = Spec(kind, axes)
     if len(spec) > MOST_CELLS:
         raise ValueError(f"{kind}: found {len(spec)} cells, expected at most {MOST_CELLS}")

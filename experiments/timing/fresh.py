@@ -11,10 +11,11 @@ import time
 from pathlib import Path
 from typing import Any
 
+ENVIRONMENT = "mmwave_env:MmWaveLoc-v0"
 STEPS = 210  # number of steps: enough to end all episodes and to draw new episodes
 
 
-def fresh(name: str, n: int) -> tuple[float, float]:
+def fresh(n: int) -> tuple[float, float]:
     """Start Python, make an environment in it, and measure the time and memory of steps.
 
     ``n`` is the number of environments in a vector environment; 0 for a single environment. Return
@@ -22,7 +23,7 @@ def fresh(name: str, n: int) -> tuple[float, float]:
     memory, MiB (2^20 bytes), in a run that is longer than an episode.
     """
     begin = time.perf_counter()
-    with started(__name__, name, str(n)) as child:
+    with started(__name__, str(n)) as child:
         child.stdout.readline()
         first_step_s = time.perf_counter() - begin
         peak_mb = child.stdout.readline()
@@ -41,13 +42,13 @@ def started(*words: str, **options: Any) -> Any:
     return subprocess.Popen(command, env=packages, stdout=subprocess.PIPE, **options)
 
 
-def _step(name: str, n: int) -> None:
+def _step(n: int) -> None:
     """Step in the new process; print a line after the first step, and peak memory at the end."""
     import gymnasium as gym
     import numpy as np
 
-    env: Any = gym.make_vec(name, num_envs=n) if n else gym.make(name)
-    actions: Any = np.ones(n, np.int64) if n else np.int64(1)
+    env = gym.make_vec(ENVIRONMENT, num_envs=n) if n else gym.make(ENVIRONMENT)
+    actions = np.ones(n, np.int64) if n else np.int64(1)
     env.reset(seed=0)
     env.step(actions)
     print("stepped", flush=True)
@@ -55,18 +56,15 @@ def _step(name: str, n: int) -> None:
         _, _, terminated, truncated, _ = env.step(actions)
         if n == 0 and (terminated or truncated):
             env.reset()
-    print(_peak_mb())
-
-
-def _peak_mb() -> float:
     status = Path("/proc/self/status")
     if status.exists():  # on Linux ru_maxrss would include the memory of the parent
-        return int(status.read_text().split("VmHWM:")[1].split()[0]) / 1024
+        print(int(status.read_text().split("VmHWM:")[1].split()[0]) / 1024)
+        return
     import resource
 
     unit = 1024**2 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
+    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit)
 
 
 if __name__ == "__main__":
-    _step(sys.argv[1], int(sys.argv[2]))
+    _step(int(sys.argv[1]))

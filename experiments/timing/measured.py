@@ -1,20 +1,33 @@
-"""All measurements that the command ``mmwave-loc speed`` makes, in several rounds."""
+"""All measurements that the command ``mmwave-loc speed`` makes, in several rounds; their tables."""
 
 import gc
+import os
+import platform
+import re
 import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
+from decimal import Decimal
+from pathlib import Path
 from statistics import median
 from typing import Any
 
+import numba
 import numpy as np
 
 from experiments.console.progress import tracked
+from experiments.console.tables import grid
 from experiments.timing import workloads
 from experiments.timing.fresh import fresh
-from experiments.timing.latency import LATENCIES, PERCENTILES, latency_us
-from experiments.timing.operations import Operations, count
-from experiments.timing.roofline import limit_s
+from experiments.timing.roofline import Operations, count, limit_s
+from experiments.timing.workloads import (
+    FILTERS,
+    LATENCIES,
+    PERCENTILES,
+    SYNC,
+    SYNC_NAME,
+    latency_us,
+)
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.engines.engine import Engine
 from mmwave_env.engines.epoch import Asked, decide, filter_epoch, program_of, untuned
@@ -30,6 +43,14 @@ STEP = "step"  # name of the kernel (compiled function) that computes an environ
 BASES = ("filterpy", workloads.SYNC_NAME)  # workloads with which our environments are compared
 
 Rounds = dict[str, list[float]]
+QUANTITIES = (
+    "steps_per_s",  # by workload (environments, single filters)
+    "latency_us",  # time for an epoch of a live track, by filter or policy, interface, percentile
+    "cold_start_s",  # from the start of a process to the end of its first step
+    "peak_rss_mb",  # peak memory of a process, MiB
+    "cores_busy",  # by workload
+    "limit_s",  # minimum time for a step on one core, by kernel
+)
 
 
 def rate(laps: workloads.Laps, seconds: float) -> tuple[float, float]:
@@ -50,37 +71,34 @@ def rate(laps: workloads.Laps, seconds: float) -> tuple[float, float]:
 
 
 class Measured:
-    """All measured values; each list has one entry per round or, for new processes, per process.
+    """All measured values.
 
     ``sizes`` are the sizes of our vector environment (numbers of environments) to measure.
+
+    Attributes:
+        operations: operations of each kernel.
+        rounds: lists, by quantity (one of :data:`QUANTITIES`) and name. A list has one value per
+            round or, for new processes, per process.
     """
 
     def __init__(self, sizes: Sequence[int]) -> None:
         self.sizes = sorted(set(sizes))
         self.operations = kernels()
-        # steps per second and number of busy cores, by workload (environments, single filters)
-        self.steps_per_s: Rounds = defaultdict(list)
-        self.cores_busy: Rounds = defaultdict(list)
-        # minimum seconds for a step on one core, by kernel
-        self.limits_s: Rounds = defaultdict(list)
-        # microseconds per epoch of a live track, by filter or policy, interface and percentile
-        self.latency_us: Rounds = defaultdict(list)
-        # seconds from the start of a process to the end of its first step; peak memory, MiB
-        self.cold_start_s: Rounds = defaultdict(list)
-        self.peak_mb: Rounds = defaultdict(list)
+        self.rounds: dict[str, Rounds] = {name: defaultdict(list) for name in QUANTITIES}
 
     def measure(self, seconds: float, repeats: int) -> None:
         """Measure everything in several rounds; a rate is measured for at least ``seconds``.
 
         Every round runs all workloads, so a drift of the machine's speed affects them equally.
         """
+        rounds = self.rounds
         processes = [("single", 0)]
         processes += [(workloads.native_name(n), n) for n in self.sizes[-FRESH_SIZES:]]
         for name, n in tracked(processes * min(FRESH_RUNS, repeats), "new processes"):
-            first_step_s, peak_mb = fresh(workloads.ENVIRONMENT, n)
-            self.cold_start_s[name].append(first_step_s)
-            self.peak_mb[name].append(peak_mb)
-        running: dict[str, workloads.Laps] = {}
+            first_step_s, peak_mb = fresh(n)
+            rounds["cold_start_s"][name].append(first_step_s)
+            rounds["peak_rss_mb"][name].append(peak_mb)
+        running = {}
         makes = workloads.environments(self.sizes) | workloads.filters()
         for name in tracked(makes, "compilation"):
             running[name] = makes[name]()
@@ -88,13 +106,13 @@ class Measured:
         for _ in tracked(range(repeats), "rounds"):
             for name, laps in running.items():
                 steps_per_s, cores = rate(laps, seconds)
-                self.steps_per_s[name].append(steps_per_s)
-                self.cores_busy[name].append(cores)
+                rounds["steps_per_s"][name].append(steps_per_s)
+                rounds["cores_busy"][name].append(cores)
             for name, interface in LATENCIES:
                 for percentile, value in zip(PERCENTILES, latency_us(name, interface), strict=True):
-                    self.latency_us[f"{name} {interface}, p{percentile:g}"].append(value)
+                    rounds["latency_us"][f"{name} {interface}, p{percentile:g}"].append(value)
             for name, operations in self.operations.items():
-                self.limits_s[name].append(limit_s(operations) / WIDTH)
+                rounds["limit_s"][name].append(limit_s(operations) / WIDTH)
 
     @property
     def ours(self) -> list[str]:
@@ -103,7 +121,7 @@ class Measured:
 
     def ratios(self) -> Rounds:
         """Return our steps per second divided by the rate of each workload in :data:`BASES`."""
-        rates = self.steps_per_s
+        rates = self.rounds["steps_per_s"]
         return {
             f"{name}_over_{base}": np.divide(rates[name], rates[base]).tolist()
             for base in BASES
@@ -113,27 +131,19 @@ class Measured:
     def fractions(self) -> Rounds:
         """Return the minimum time of a step on a core, divided by the measured time of the step."""
         alone = [workloads.native_name(n, 1) for n in self.sizes]
+        rates = self.rounds["steps_per_s"]
         return {
-            name: np.multiply(self.limits_of(name), self.steps_per_s[name]).tolist()
+            name: np.multiply(self.limits_of(name), rates[name]).tolist()
             for name in (*workloads.FILTERS, *alone)
         }
 
     def limits_of(self, name: str) -> list[float]:
         """Return the minimum time of a workload's step on one core, s, per round."""
-        return self.limits_s[name if name in workloads.FILTERS else STEP]
+        return self.rounds["limit_s"][name if name in workloads.FILTERS else STEP]
 
     def json(self) -> Json:
         """Return medians over the rounds and, under "spread", minima and maxima."""
-        tables: dict[str, Rounds] = {
-            "ratios": self.ratios(),
-            "limit_fraction": self.fractions(),
-            "steps_per_s": self.steps_per_s,
-            "latency_us": self.latency_us,
-            "cold_start_s": self.cold_start_s,
-            "peak_rss_mb": self.peak_mb,
-            "cores_busy": self.cores_busy,
-            "limit_s": self.limits_s,
-        }
+        tables = {"ratios": self.ratios(), "limit_fraction": self.fractions(), **self.rounds}
 
         def each(figure: Callable[[list[float]], Any]) -> Json:
             return {
@@ -155,15 +165,120 @@ def kernels() -> dict[str, Operations]:
     """
     pipeline = workloads.pipeline()
     drawn = workloads.source()
-    layout = pipeline.layout
     modes = named_modes(workloads.RADIO)
-    programs: dict[str, Any] = {STEP: Engine(pipeline, 1, TrackingReward()).program}
+    programs = {STEP: Engine(pipeline, 1, TrackingReward()).program}
     for name in workloads.FILTERS:
-        alone = untuned(Pipeline((modes[name],), layout))
+        alone = untuned(Pipeline((modes[name],), pipeline.layout))
         programs[name] = program_of(Asked(alone, predicted=True), (filter_epoch, decide))
     counted = {name: count(made.function, made.template) for name, made in programs.items()}
-    world = drawn.world
-    observe, _, move = world.parts
-    parts = [counted[STEP], count(observe, world.template)]
-    parts += [count(move, world.template)] * stride_of(drawn.dt)
+    template = drawn.world.template
+    observe, _, move = drawn.world.parts
+    parts = [counted[STEP], count(observe, template)]
+    parts += [count(move, template)] * stride_of(drawn.dt)
     return counted | {STEP: Operations(*map(sum, zip(*parts, strict=True)))}
+
+
+LABELS = {
+    "filterpy": "filterpy loop",
+    "single": "single environment",
+    SYNC_NAME: f"Gymnasium's sync vector of {SYNC}",
+} | {name: name.upper() for name in FILTERS}
+
+
+def label(name: str) -> str:
+    """Return the name of a workload in tables and pictures."""
+    if name in LABELS:
+        return LABELS[name]
+    kind, n, *threads = name.split("_")  # such as native_64_1_thread
+    size = f"{kind}, N = {n}"
+    return f"{size}, {' '.join(threads)}" if threads else size
+
+
+def short(value: float) -> str:
+    """Format a number to three digits."""
+    return f"{Decimal(f'{value:#.3g}'):,f}"
+
+
+def spread(values: Sequence[float], unit: float = 1.0) -> str:
+    """Format values times ``unit`` as their median and range; a single value has no range."""
+    values = [value * unit for value in values]
+    if len(values) == 1:
+        return short(values[0])
+    return f"{short(median(values))} ({short(min(values))} to {short(max(values))})"
+
+
+def _ratios(measured: Measured) -> str:
+    ratios = measured.ratios()
+    rows = [
+        [label(name), *(spread(ratios[f"{name}_over_{base}"]) for base in BASES)]
+        for name in measured.ours
+    ]
+    return grid(["ratio of steps per second", *(f"to {label(base)}" for base in BASES)], rows)
+
+
+def _rate(measured: Measured, name: str) -> list[str]:
+    rates = measured.rounds["steps_per_s"][name]
+    return [label(name), spread(rates), short(1e9 / median(rates))]
+
+
+def _rates(measured: Measured) -> str:
+    rows = [
+        [*_rate(measured, name), f"{median(cores):.2f}"]
+        for name, cores in measured.rounds["cores_busy"].items()
+        if name not in FILTERS
+    ]
+    return grid(["", "steps per second", "ns per step", "cores busy"], rows)
+
+
+def _filters(measured: Measured) -> str:
+    rows = [_rate(measured, name) for name in FILTERS]
+    return grid(["filter", "epochs per second", "ns per epoch"], rows)
+
+
+def _limits(measured: Measured) -> str:
+    rows = []
+    for name, fractions in measured.fractions().items():
+        limits = measured.limits_of(name)
+        taken = np.divide(limits, fractions).tolist()
+        shown = (spread(limits, 1e9), spread(taken, 1e9), spread(fractions, 100.0))
+        rows.append([label(name), *shown])
+    return grid(["one thread", "limit, ns per step", "time taken, ns", "limit reached, %"], rows)
+
+
+def _latency(measured: Measured) -> str:
+    times = measured.rounds["latency_us"]
+    names = [" ".join(latency) for latency in LATENCIES]
+    rows = [[name, *(spread(times[f"{name}, p{p:g}"]) for p in PERCENTILES)] for name in names]
+    return grid(["one epoch", *(f"p{p:g}, microseconds" for p in PERCENTILES)], rows)
+
+
+def _processes(measured: Measured, quantity: str, header: str) -> str:
+    rows = [[label(name), spread(values)] for name, values in measured.rounds[quantity].items()]
+    return grid(["fresh process", header], rows)
+
+
+def _machine(measured: Measured) -> str:
+    header = ["processor", "processors", "Python", "numpy", "numba", "rounds"]
+    versions = (platform.python_version(), np.__version__, numba.__version__)
+    rounds = len(measured.rounds["steps_per_s"]["filterpy"])
+    return grid(header, [[_processor(), os.cpu_count(), *versions, rounds]])
+
+
+def _processor() -> str:
+    info = Path("/proc/cpuinfo")
+    if info.exists() and (names := re.findall(r"model name\s*: (.*)", info.read_text())):
+        return str(names[0])
+    return platform.processor() or platform.machine()
+
+
+# title -> function that makes the table, the ratios first
+TABLES: dict[str, Callable[[Measured], str]] = {
+    "Ratios": _ratios,
+    "Steps per second": _rates,
+    "Filters alone": _filters,
+    "Limit of the core": _limits,
+    "Latency": _latency,
+    "Peak memory": lambda m: _processes(m, "peak_rss_mb", "peak memory, MiB"),
+    "First step": lambda m: _processes(m, "cold_start_s", "seconds to the end of the first step"),
+    "Machine": _machine,
+}

@@ -5,17 +5,26 @@ environment, and in our vector environments. All three compute the predictions, 
 and posteriors of both modes and the reward of the chosen mode (always mode 1), and draw episodes
 when needed. The filterpy loop leaves out observations, adaptive noise, recovery, and the metrics of
 an episode.
+
+The latency of a live track is the time to compute the user's position from the rows of an epoch.
 """
 
+import json
+import subprocess
+import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import count
+from math import isnan
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
+from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.seeds import draw_episodes
+from experiments.timing.fresh import ENVIRONMENT, started
+from mmwave_env.datasets.log_folder import log_columns
 from mmwave_env.engines.engine import tracks_of
 from mmwave_env.filters.bank import default_modes, named_modes
 from mmwave_env.filters.belief import Belief
@@ -24,7 +33,9 @@ from mmwave_env.filters.gating import Gate
 from mmwave_env.filters.memory import initial_memory
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline, measurement_of, process_noise
+from mmwave_env.interface.policy import Switching
 from mmwave_env.interface.reward import TrackingReward, terms_of, total
+from mmwave_env.localization.tracker import Tracker
 from mmwave_env.models.measurement import blank_site
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import scene_from
@@ -41,7 +52,6 @@ TRACKS = 1024  # number of tracks that a filter without an environment computes 
 BOTH = 2  # number of threads that `gymnasium.make_vec` uses by default on two cores
 THREADS = (BOTH, 1)
 FILTERS = ("ekf", "ukf", "ckf")
-ENVIRONMENT = "mmwave_env:MmWaveLoc-v0"
 
 
 Laps = Iterator[int]  # yields, after each episode, its number of steps, summed over environments
@@ -121,10 +131,10 @@ def stepped(n: int = 0, **options: Any) -> Laps:
 
     All episodes end at the same time.
     """
-    make: Any = partial(gym.make_vec, num_envs=n) if n else gym.make
+    make = partial(gym.make_vec, num_envs=n) if n else gym.make
     env = make(ENVIRONMENT, episode_steps=EPISODE, **options)
     env.reset(seed=0)
-    actions: Any = np.ones(n, np.int64) if n else np.int64(1)
+    actions = np.ones(n, np.int64) if n else np.int64(1)
     while True:
         for _ in range(EPISODE):
             over = env.step(actions)[3]
@@ -144,3 +154,62 @@ def tracks(mode: Mode, episodes: Sequence[Episode]) -> Laps:
         tracker.tune([mode.tuning])  # also puts the tracks back to their first epoch
         tracker.run()
         yield len(episodes) * EPISODE
+
+
+# 4000 epochs; the first 1000 do not count
+SCENE = "street"
+EPOCHS = 4000
+WARM_UP = 1000
+PERCENTILES = (50.0, 99.0, 99.9)
+# localize --live, or calls of Tracker.update
+PIPE = "through a pipe"
+PYTHON = "in Python"
+EKF = "EKF"
+# name -> options of `mmwave-loc localize`
+CONTENDERS = {
+    EKF: ("--speed", "1"),
+    "imm-best": ("--imm", "imm-best"),
+    "guided": ("--policy", "guided"),
+    "corrector": ("--policy", "corrector"),
+}
+LATENCIES = [(name, interface) for name in CONTENDERS for interface in (PYTHON, PIPE)]
+
+
+def latency_us(name: str, interface: str) -> list[float]:
+    """Return percentiles of a contender's latency (microseconds); interface: PYTHON or PIPE."""
+    source = SimulatedSource(scene_from(SCENE), radio_from(RADIO), epochs=EPOCHS)
+    columns = log_columns(source.sample(np.random.default_rng(0)))
+    cells = np.stack(list(columns.values()), axis=1).reshape(EPOCHS, -1, len(columns)).tolist()
+    epochs = [
+        [{n: v for n, v in zip(columns, row, strict=True) if not isnan(v)} for row in rows]
+        for rows in cells
+    ]
+    if interface == PIPE:
+        times = _through_a_pipe(CONTENDERS[name], epochs)
+    else:
+        ekf = Switching((named_modes(RADIO)["ekf"],))
+        switching = ekf if name == EKF else contender_from(name, RADIO)
+        times = _timed(Tracker(SCENE, switching, RADIO).update, epochs)
+    return np.percentile(1e6 * times[WARM_UP:], PERCENTILES).tolist()  # type: ignore[no-any-return]
+
+
+def _through_a_pipe(options: Sequence[str], epochs: list[Any]) -> Any:
+    words = ["experiments.console", "localize", "-", "--live", "--scene", SCENE, "--radio", RADIO]
+    pipes = {"stdin": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    with started(*words, *options, **pipes) as child:
+
+        def ask(line: bytes) -> None:
+            child.stdin.write(line)
+            child.stdin.flush()
+            child.stdout.readline()
+
+        return _timed(ask, [json.dumps({"rows": rows}).encode() + b"\n" for rows in epochs])
+
+
+def _timed(call: Callable[[Any], object], arguments: list[Any]) -> Any:
+    """Return the seconds (n,) that a call takes with each of n arguments."""
+    times = [time.perf_counter()]
+    for argument in arguments:
+        call(argument)
+        times.append(time.perf_counter())
+    return np.diff(times)

@@ -6,28 +6,48 @@ length of the remaining error, divided by the length of the vector of standard d
 over the episode). The second, with a small weight, is the negative log-likelihood of this error; it
 teaches the network to scale the standard deviations. The base does not depend on corrections, so it
 plays each episode only once. Every update has new *lots* (batches of equally long episodes).
+
+The two-way corrector, which corrects smoothed tracks, learns from the same kinds of episodes, but
+after smoothing, and reads every track forwards and backwards. Smoothing takes longer than learning,
+so all episodes are played first; then the network learns from each of them several times.
 """
 
-from collections.abc import Iterator
+import re
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from typing import Any
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from experiments.training.corrector_data import CorrectorData, Lot
-from experiments.training.hyperparameters import CorrectorHyperparameters, falling
-from experiments.training.job import Job
-from experiments.training.trainer import Trainer
+from experiments.console.options import TUNING_SEED
+from experiments.evaluation.contenders import Contender
+from experiments.evaluation.runner import run_contender
+from experiments.training.corrector_data import CorrectorData, Lot, base_policy, lot_of
+from experiments.training.hyperparameters import (
+    CorrectorHyperparameters,
+    TwoWayHyperparameters,
+    falling,
+)
+from experiments.training.trainer import Job, Trainer
 from experiments.training.training_task import places_from
+from mmwave_env.engines.smoothed_features import GATES, smoothed_features
+from mmwave_env.filters.bank import Bank
+from mmwave_env.filters.mode_smoothing import smooth_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.signed import after_update
+from mmwave_env.io.files import Json
 from mmwave_env.metrics import BURN_IN
 from mmwave_env.models.layout import Layout
-from mmwave_env.numerics.numbers import Index
+from mmwave_env.models.measurement import blank_site
+from mmwave_env.numerics.numbers import Array, Array32
+from mmwave_env.numerics.pytree import unflatten
+from mmwave_env.world.episode import EpisodeBatch, columns_of
 from policies.policy_file import CORRECTIONS, Tensors
 from policies.sb3 import Normalization
 
@@ -141,26 +161,19 @@ class CorrectorTrainer(Trainer):
             yield list(self.data.lots())
 
     def update(self, left: float) -> tuple[int, dict[str, float]]:
-        """Learn from the next lots."""
+        """Mix the episodes of the next lots, and take a gradient step for each new lot."""
         number, lots = next(self._updates)
         rng = np.random.default_rng((self.seed, number))
-        loss = self.learn(lots, left, rng)
-        return sum(lot.features[..., 0].size for lot in lots), {"loss": loss}
+        rate = self.hyper.learning_rate * falling(self.hyper.final_fraction, left)
+        self.optimizer.param_groups[0]["lr"] = rate
+        losses = [self._step(lot) for lot in mixed(lots, self.hyper.batch_size, rng)]
+        epochs = sum(lot.features[..., 0].size for lot in lots)
+        return epochs, {"loss": float(np.mean(losses))}
 
     def measure(self, lots: list[Lot]) -> None:
         """Set the scales from the features in some lots: limits, mean and standard deviation."""
         rows = np.concatenate([lot.features.reshape(-1, lot.features.shape[2]) for lot in lots])
         self.scales.update(normalization_of(rows)._asdict())
-
-    def learn(self, lots: list[Lot], left: float, rng: np.random.Generator) -> float:
-        """Mix the episodes anew, take a gradient step for each new lot; return the mean loss.
-
-        ``left``, from 1 to 0, is the share of the training that is left.
-        """
-        rate = self.hyper.learning_rate * falling(self.hyper.final_fraction, left)
-        for group in self.optimizer.param_groups:
-            group["lr"] = rate
-        return float(np.mean([self._step(lot) for lot in mixed(lots, self.hyper.batch_size, rng)]))
 
     def _step(self, lot: Lot) -> float:
         """Take a gradient step; each member of an ensemble learns from about half of the lot."""
@@ -174,7 +187,7 @@ class CorrectorTrainer(Trainer):
         loss.backward()  # type: ignore[no-untyped-call]
         nn.utils.clip_grad_norm_(self.network.parameters(), hyper.max_grad_norm)
         self.optimizer.step()
-        return float(loss.item())
+        return loss.item()
 
     def answer(self, lot: Lot) -> tuple[Tensor, Tensor]:
         """Return the network's outputs for a lot; see :meth:`CorrectorNetwork.forward`."""
@@ -185,19 +198,13 @@ class CorrectorTrainer(Trainer):
 
     def tensors(self) -> Tensors:
         """Return the network in the form that a policy file stores."""
-        state = {
-            name: value.numpy().astype(float) for name, value in self.network.state_dict().items()
-        }
-        tensors = {
-            f"back{name.removeprefix('gru').removesuffix('_l0_reverse')}"
-            if name.endswith("_reverse")
-            else name.removesuffix("_l0"): value
-            for name, value in state.items()
-        }
-        tensors["front.weight"] = state["front.weight"] / self.scales["sigma"]
-        shift = tensors["front.weight"] @ self.scales["mean"]
-        tensors["front.bias"] = state["front.bias"] - shift
-        tensors |= {name: self.scales[name] for name in ("low", "high")}
+        normal = Normalization(**self.scales)
+        tensors = {"low": normal.low, "high": normal.high}
+        for name, value in self.network.state_dict().items():
+            stored = re.sub(r"gru(.*)_l0_reverse", r"back\1", name).removesuffix("_l0")
+            tensors[stored] = value.numpy().astype(float)
+        front = tensors["front.weight"], tensors["front.bias"]
+        tensors["front.weight"], tensors["front.bias"] = normal.folded(*front)
         return {name: value.astype(np.float32) for name, value in tensors.items()}
 
 
@@ -210,14 +217,103 @@ def mixed(lots: list[Lot], size: int, rng: np.random.Generator) -> Iterator[Lot]
             episodes have fewer episodes, so that all lots have about the same number of epochs.
         rng: random generator of the order.
     """
-    shortest = min(len(lot.features) for lot in lots)
-    parts: list[tuple[Lot, Index]] = []
-    for length in sorted({len(lot.features) for lot in lots}):
+    lengths = sorted({len(lot.features) for lot in lots})
+    parts = []
+    for length in lengths:
         alike = [lot for lot in lots if len(lot.features) == length]
         together = Lot(*(np.concatenate(part, axis=1) for part in zip(*alike, strict=True)))
         order = rng.permutation(together.features.shape[1])
-        count = max(1, round(len(order) * length / (size * shortest)))
+        count = max(1, round(len(order) * length / (size * lengths[0])))
         parts += [(together, some) for some in np.array_split(order, count)]
     for i in rng.permutation(len(parts)):
         together, some = parts[i]
         yield Lot(*(part[:, some] for part in together))
+
+
+TOGETHER = 18  # number of lots whose episodes are mixed
+PARTS = ("x", "mixture", *(f"memory.{gate}" for gate in GATES))
+
+
+class Smoothed(NamedTuple):
+    """Smoothed tracks of n episodes of T epochs each.
+
+    Attributes:
+        features: (n, T, features) features for the network.
+        x, P: (n, T, 7) means and (n, T, 28) packed covariances.
+        error: (n, T, 3) estimate minus truth, m.
+    """
+
+    features: Array32
+    x: Array
+    P: Array
+    error: Array
+
+
+def smoothed(batch: EpisodeBatch, bank: Bank, base: str) -> Smoothed:
+    """Filter episodes with the policy ``base`` and a bank, and smooth the tracks."""
+    pipeline = Pipeline(bank.modes, batch.layout)
+    at = columns_of(batch.layout)
+    contender = Contender(bank, policy=partial(base_policy, base), name=base)
+    of = run_contender(contender, contender.start(batch.layout), batch, after=PARTS)
+    hz_per_mps = float(unflatten(blank_site(batch.layout), iter(batch.site[0])).hz_per_mps)
+    dt = batch.table[:, :, at.dt]
+    spread_hz = batch.table[:, :, at.doppler_spread_hz]
+    x, P = smooth_modes(bank, pipeline, of["mixture"], dt, spread_hz, hz_per_mps)
+    gates = [of[f"memory.{gate}"] for gate in GATES]
+    features = smoothed_features(pipeline, batch, x, P, of["mixture"], gates)
+    return Smoothed(features, x, P, of["error"] + (x - of["x"])[..., :3])
+
+
+class SmoothedData(CorrectorData):
+    """A source of lots of smoothed tracks, with their features, errors and deviations."""
+
+    def _play(self, batch: EpisodeBatch, bank: Bank) -> Lot:
+        return lot_of(*smoothed(batch, bank, self._hyper.base))
+
+
+class TwoWayTrainer(CorrectorTrainer):
+    """The updates of a two-way corrector.
+
+    All episodes are played before the first update. Every update learns from some of their lots;
+    ``EVERY`` updates are about one pass over all lots.
+    """
+
+    EVERY = 16
+    TWO_WAY = True
+    DATA = SmoothedData
+
+    def lots(self) -> Iterator[list[Lot]]:
+        """Yield the lots of each update, pass after pass, each time in a new order."""
+        assert isinstance(self.hyper, TwoWayHyperparameters)
+        rng = np.random.default_rng(self.seed)
+        lots = list(self.data.lots(self.hyper.rounds))
+        if not self.scales:
+            self.measure(lots[: 4 * TOGETHER])
+        while True:
+            for some in np.array_split(rng.permutation(len(lots)), -(-len(lots) // TOGETHER)):
+                yield [lots[i] for i in some]
+
+    def examiner(self, episodes: int) -> Callable[[Path], Json]:
+        """Return a function that evaluates the network by the errors of new tracks.
+
+        Its results are "reward", the negative mean error (m) of corrected tracks, and "smoothed_m",
+        the mean error before the correction.
+        """
+        hyper = replace(self.hyper, random_share=0.0)
+        lots = list(SmoothedData(self.judged, hyper, TUNING_SEED).lots())
+
+        @torch.no_grad()
+        def examine(_: Path) -> Json:
+            shifts = [self.answer(lot)[0].mean(dim=2).numpy() * lot.deviation for lot in lots]
+            left = [lot.error - shift for lot, shift in zip(lots, shifts, strict=True)]
+            return {
+                "reward": -_mean_length(left),
+                "smoothed_m": _mean_length([lot.error for lot in lots]),
+            }
+
+        return examine
+
+
+def _mean_length(errors: Iterable[NDArray[Any]]) -> float:
+    """Return the mean length of errors, arrays (T, n, 3), in scored epochs; lots count equally."""
+    return float(np.mean([np.linalg.norm(e[BURN_IN:], axis=-1).mean() for e in errors]))

@@ -7,15 +7,7 @@ from typing import Annotated, ClassVar
 
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.io.files import Json, read_json
-from mmwave_env.io.records import (
-    Bound,
-    Name,
-    Probability,
-    Record,
-    Size,
-    counts,
-    object_from,
-)
+from mmwave_env.io.records import Bound, Name, Probability, Record, Size, counts, object_from
 
 MOST = 10**15  # largest value of a hyperparameter; more would need too much memory and time
 Count = Annotated[int, counts(1, MOST)]
@@ -108,7 +100,7 @@ class CorrectorHyperparameters(Hyperparameters):
 
 @dataclass(frozen=True, kw_only=True)
 class TwoWayHyperparameters(CorrectorHyperparameters):
-    """Hyperparameters of two-way correctors (:mod:`experiments.training.two_way`)."""
+    """Hyperparameters of two-way correctors (:mod:`experiments.training.corrector`)."""
 
     rounds: (
         Count  # number of rounds of episodes to play before learning, half a million epochs each

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from experiments.console.progress import say
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.runner import run_contender
 from experiments.evaluation.seeds import SEEDS_EACH, TRAINING_SEED
@@ -99,9 +100,9 @@ def _trained(features: Array, logs: Array, steps: int) -> Network:
     """Train a network to predict quantiles of ``logs`` (n, risks, 2); leave its constants at 0."""
     torch.set_num_threads(1)
     torch.manual_seed(0)
-    low, high, mean, sigma = normalization_of(features[::16].astype(float))
-    inside = np.clip(features, low.astype(np.float32), high.astype(np.float32))
-    x = torch.from_numpy((inside - mean.astype(np.float32)) / sigma.astype(np.float32))
+    normal = normalization_of(features[::16].astype(float))
+    low, high, mean, sigma = [part.astype(np.float32) for part in normal]
+    x = torch.from_numpy((np.clip(features, low, high) - mean) / sigma)
     y = torch.from_numpy(logs)
     risk = torch.tensor(RISKS)[:, None]
     linear = [nn.Linear(*ends) for ends in pairwise([x.shape[1], HIDDEN, HIDDEN, 2 * len(RISKS)])]
@@ -117,10 +118,9 @@ def _trained(features: Array, logs: Array, steps: int) -> Network:
         loss.backward()  # type: ignore[no-untyped-call]
         optimizer.step()
     layers = [tuple(part.detach().double().numpy() for part in f.parameters()) for f in linear]
-    weight, bias = layers[0]
-    layers[0] = weight / sigma, bias - weight / sigma @ mean
+    layers[0] = normal.folded(*layers[0])
     constants = np.zeros((len(KINDS), len(RISKS), 2))
-    return Network([*RISKS], constants, low, high, layers)
+    return Network([*RISKS], constants, normal.low, normal.high, layers)
 
 
 def _constants(network: Network, seed: int, rounds: int) -> Array:
@@ -161,7 +161,9 @@ def _least(parts: list[Array], infinite: int) -> Array:
 def trained_levels(
     seed: int, rounds: int = ROUNDS, calibration: int = CALIBRATION, steps: int = STEPS
 ) -> Network:
-    """Train and calibrate a network; ``seed`` determines only the calibration's episodes.
+    """Train and calibrate a network; print its constants, as factors.
+
+    ``seed`` determines only the calibration's episodes.
 
     The network learns from ``rounds`` rounds of episodes in ``steps`` gradient steps, and is
     calibrated on ``calibration`` rounds.
@@ -170,4 +172,8 @@ def trained_levels(
     features = np.concatenate([features for features, _ in lots])
     logs = np.concatenate([logs for _, logs in lots])
     network = _trained(features, logs, steps)
-    return network._replace(constants=_constants(network, seed, calibration))
+    network = network._replace(constants=_constants(network, seed, calibration))
+    for kind, constants in zip(("filter", "bank", "corrector"), network.constants, strict=True):
+        for risk, (h, v) in zip(RISKS, np.exp(constants), strict=True):
+            say(f"{kind}, risk {risk:g}: horizontal factor {h:.3f}, vertical factor {v:.3f}")
+    return network

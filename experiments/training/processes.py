@@ -9,12 +9,10 @@ from multiprocessing.process import BaseProcess
 from typing import Any
 
 from experiments.console.signals import answered, ended_by_signals
-from experiments.training.corrector import CorrectorTrainer
-from experiments.training.job import Job, Tell
+from experiments.training.corrector import CorrectorTrainer, TwoWayTrainer
 from experiments.training.ppo import PpoTrainer
 from experiments.training.rollouts import RolloutTrainer
-from experiments.training.trainer import Trainer, Training
-from experiments.training.two_way import TwoWayTrainer
+from experiments.training.trainer import Job, Tell, Trainer, Training
 from mmwave_env.io.files import Json, read_json
 
 TRAINERS: dict[str, Callable[[Job, int], Trainer]] = {
@@ -48,14 +46,19 @@ def side_by_side(
         ValueError: the input of a training is not valid.
         ChildProcessError: a training failed in another way, or was ended from outside.
     """
+    spawn = multiprocessing.get_context("spawn")  # a fork would share PyTorch's locks
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # otherwise the processes compete for cores
     waiting = [job for job in reversed(jobs) if not job.outcome.is_file()]
     running: dict[Any, tuple[Job, BaseProcess]] = {}
     try:
         while waiting or running:
             while waiting and len(running) < at_once:
                 job = waiting.pop()
-                line, process = _started(job)
-                running[line] = job, process
+                ours, theirs = spawn.Pipe(duplex=False)
+                child = spawn.Process(target=_train, args=(job, theirs), daemon=True)
+                with answered([signal.SIGINT], signal.SIG_IGN), theirs:  # the parent heeds Ctrl-C
+                    child.start()
+                running[ours] = job, child
             ready: list[Any] = wait(list(running))
             for line in ready:
                 job, process = running[line]
@@ -79,17 +82,6 @@ def side_by_side(
         for _, process in running.values():
             process.join()
     return [read_json(job.outcome, "the outcome of a training", dict) for job in jobs]
-
-
-def _started(job: Job) -> tuple[Connection, BaseProcess]:
-    """Start a process that trains; return the connection for its messages, and the process."""
-    spawn = multiprocessing.get_context("spawn")  # a fork would share PyTorch's locks
-    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # otherwise the processes compete for cores
-    ours, theirs = spawn.Pipe(duplex=False)
-    process = spawn.Process(target=_train, args=(job, theirs), daemon=True)
-    with answered([signal.SIGINT], signal.SIG_IGN), theirs:  # only the parent handles Ctrl-C
-        process.start()
-    return ours, process
 
 
 def _train(job: Job, line: Connection) -> None:

@@ -5,21 +5,147 @@ greedy policy acts for some epochs after the action (:class:`RolloutEnv`). Then 
 to prefer the better actions (:class:`RolloutLearner`), and both steps repeat. This is rollout
 policy iteration (Bertsekas, Rollout, Policy Iteration, and Distributed Reinforcement Learning,
 2020). Actions do not change measurements, so the values of actions are exact up to the horizon.
+A *place* is a scene with a radio.
 """
 
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
+from experiments.evaluation.branches import Act, Branches
 from experiments.training.hyperparameters import RolloutHyperparameters, falling
-from experiments.training.job import Job
-from experiments.training.rollout_env import RolloutEnv, Tried
-from experiments.training.trainer import Trainer
-from mmwave_env.numerics.numbers import Array32, Index
+from experiments.training.trainer import Job, Trainer
+from experiments.training.training_task import TrainingTask
+from mmwave_env.compiler.lanes import WIDTH
+from mmwave_env.engines.engine import Engine
+from mmwave_env.engines.epoch import untuned
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.numerics.numbers import Array, Array32, Index
+from mmwave_env.world.keys import Streams
 from policies.policy_file import Tensors
 from policies.sb3 import Normalization, actor_tensors
+
+CONSTANT = 1e-4  # added to standard deviations, which are 0 for a feature that never changes
+
+
+class Tried(NamedTuple):
+    """States in which every action was tried.
+
+    Attributes:
+        observations: (k, features) observations in the states.
+        values: (k, actions) sum of the discounted rewards of an action and the actions after it.
+    """
+
+    observations: Array32
+    values: Array
+
+
+class RolloutEnv:
+    """A set of n environments at the places of a task; a place is a scene with a radio.
+
+    A group of eight adjacent environments has one place, and all eight are in the same epoch. The
+    groups' first episodes are cut to different lengths, so that later their epochs differ.
+
+    Args:
+        task: task of the training.
+        n: number of environments, a multiple of eight, and at least eight per place.
+        horizon: length of a rollout, epochs.
+        discount: weight of a reward that comes one second later, 0 to 1.
+        seed: seed of the first environment; the other seeds count up from it.
+
+    Attributes:
+        observation: definition of the observed features.
+        observations: (n, features) observations of the current states.
+
+    Raises:
+        ValueError: the places can't share a program.
+    """
+
+    def __init__(
+        self, task: TrainingTask, n: int, horizon: int, discount: float, seed: int
+    ) -> None:
+        places = task.places
+        self._sources = [place.source(task.scenario) for place in places]
+        self._horizon = horizon
+        self._everyone = np.arange(n)
+        block = self._everyone // WIDTH
+        self._place = block % len(places)
+        pipelines = [
+            Pipeline(task.banks[place.profile].modes, source.layout)
+            for place, source in zip(places, self._sources, strict=True)
+        ]
+        pipeline = pipelines[0]
+        if any(untuned(other) != untuned(pipeline) for other in pipelines):
+            raise ValueError(
+                "places: found several kinds of clock, algorithms or safeguards, expected one kind "
+                "of clock, and modes that differ only in process noise and in the size of "
+                "acceleration_mps2 and turn_rate_radps"
+            )
+        bank = task.bank if task.beliefs == "per-mode" else None
+        self._engine = Engine(pipeline, n, task.reward, task.observation, bank)
+        self.observation = self._engine.observation
+        self._branches = Branches(self._engine, horizon)
+        if bank:
+            for i, place in enumerate(places):
+                here = np.flatnonzero(self._place == i)
+                self._engine.tune(task.banks[place.profile], here)
+        step_s = np.array([place.dt for place in places])[self._place]
+        self._weights = discount ** (step_s[:, None] * np.arange(horizon))
+        self._streams = Streams(n)
+        for i in range(n):
+            self._streams.seed(i, seed + i)
+        self.observations = np.zeros((n, len(self.observation)), np.float32)
+        self._begin(self._everyone)
+        length = self._engine.state.length
+        length[:] = 1 + block * (length - 1) // (block[-1] + 1)
+
+    def step(self, actions: Index) -> None:
+        """Take the actions (n,), one in every environment; start a new episode where one ends."""
+        self.observations, _ = self._engine.step(actions)
+        state = self._engine.state
+        over = np.flatnonzero(state.epoch > state.length)
+        if len(over):
+            self._begin(over)
+
+    def _begin(self, some: Index) -> None:
+        """Start new episodes in the environments with the indices ``some`` (k,)."""
+        for i, source in enumerate(self._sources):
+            here = some[self._place[some] == i]
+            if len(here):
+                self._engine.load(source.sample_batch(self._streams.keys(here)), here)
+        begun, _ = self._engine.start(some)
+        self.observations[some] = begun[some]
+
+    def measured_normalization(self, clip: float) -> Normalization:
+        """Take action 0 for the length of an episode; return the observations' normalization.
+
+        Args:
+            clip: number of standard deviations from the mean at which observations are clipped.
+        """
+        parts = []
+        for _ in range(max(source.epochs for source in self._sources)):
+            self.step(np.zeros(len(self._everyone), np.int64))
+            parts.append(self.observations)
+        observations = np.concatenate(parts)
+        mean = observations.mean(0)
+        sigma = observations.std(0) + CONSTANT
+        return Normalization.clipped(mean, sigma, clip)
+
+    def try_all(self, act: Act) -> Tried:
+        """Try every action in each environment whose episode goes on for at least the horizon.
+
+        Args:
+            act: function that chooses the actions after the tried action, given observations
+                (actions * n, features) of copies of the environments: first the n copies that
+                began with action 0, then the n copies that began with action 1, and so on.
+        """
+        values = self._branches.values(act, self._weights)
+        state = self._engine.state
+        whole = state.epoch - 1 + self._horizon <= state.length
+        return Tried(self.observations[whole], values[whole])
 
 
 class RolloutLearner:
@@ -43,7 +169,7 @@ class RolloutLearner:
     ) -> None:
         self._hyper = hyper
         self.scales = normal._asdict()
-        layers: list[nn.Module] = []
+        layers = []
         for width, neurons in pairwise((features, *hyper.hidden)):
             layers += [nn.Linear(width, neurons), nn.Tanh()]
         last = nn.Linear(hyper.hidden[-1], actions)
@@ -51,8 +177,9 @@ class RolloutLearner:
             last.weight *= 0.1
             last.bias.zero_()
             last.bias[0] = hyper.first_action_bias
-        self.network = nn.Sequential(*layers, last)
-        self.optimizer = torch.optim.Adam(self.network.parameters(), lr=hyper.learning_rate)
+        self.network: nn.Module = nn.Sequential(*layers, last)
+        parameters = self.network.parameters()
+        self.optimizer: torch.optim.Optimizer = torch.optim.Adam(parameters, hyper.learning_rate)
         self._observations = torch.empty((hyper.memory, features))
         self._gains = torch.empty((hyper.memory, actions))
         self._seen = 0
@@ -69,20 +196,17 @@ class RolloutLearner:
     @torch.no_grad()
     def greedy(self, observations: Array32) -> Index:
         """Return the most probable actions (n,) for observations (n, features)."""
-        actions: Index = self._logits(observations).argmax(1).numpy()
-        return actions
+        return self._logits(observations).argmax(1).numpy()
 
     @torch.no_grad()
     def sampled(self, observations: Array32) -> Index:
         """Draw actions (n,) with the network's probabilities, for observations (n, features)."""
         probabilities = torch.softmax(self._logits(observations), 1)
-        actions: Index = torch.multinomial(probabilities, 1)[:, 0].numpy()
-        return actions
+        return torch.multinomial(probabilities, 1)[:, 0].numpy()
 
     def remember(self, tried: Tried) -> None:
         """Add states to the memory; they replace the oldest states."""
-        memory = len(self._gains)
-        rows = torch.arange(self._seen, self._seen + len(tried.values)) % memory
+        rows = torch.arange(self._seen, self._seen + len(tried.values)) % len(self._gains)
         gains = tried.values - tried.values[:, :1]
         self._observations[rows] = self._normal(tried.observations)
         self._gains[rows] = torch.from_numpy(gains.astype(np.float32))
@@ -100,8 +224,7 @@ class RolloutLearner:
         """
         hyper = self._hyper
         filled = min(self._seen, len(self._gains))
-        for group in self.optimizer.param_groups:
-            group["lr"] = hyper.learning_rate * left
+        self.optimizer.param_groups[0]["lr"] = hyper.learning_rate * left
         sums = np.zeros(3)
         for _ in range(hyper.gradient_steps):
             some = torch.randint(filled, (hyper.batch_size,))
@@ -119,7 +242,7 @@ class RolloutLearner:
         return dict(zip(names, (sums / hyper.gradient_steps).tolist(), strict=True))
 
 
-class RolloutTrainer(Trainer):
+class RolloutTrainer(RolloutLearner, Trainer):
     """The updates of rollout policy iteration; timesteps are states in which actions were tried.
 
     Args:
@@ -128,7 +251,6 @@ class RolloutTrainer(Trainer):
 
     Attributes:
         env: environments in which actions are tried.
-        learner: network that learns from the tried actions.
     """
 
     EVERY = 8
@@ -136,29 +258,24 @@ class RolloutTrainer(Trainer):
     def __init__(self, job: Job, seed: int) -> None:
         torch.manual_seed(seed)
         hyper: RolloutHyperparameters = job.hyperparameters
-        self._hyper = hyper
         self.judged = job.task
         self.env = RolloutEnv(job.task, hyper.num_envs, hyper.horizon, hyper.gamma, seed)
         self.table = self.env.observation
         normal = self.env.measured_normalization(hyper.clip_observation)
-        self.learner = RolloutLearner(len(self.table), len(self.table.actions), hyper, normal)
-        self.network = self.learner.network
-        self.optimizer = self.learner.optimizer
-        self.scales = self.learner.scales
+        super().__init__(len(self.table), len(self.table.actions), hyper, normal)
 
     def update(self, left: float) -> tuple[int, dict[str, float]]:
         """Try all actions in some states and learn; return the number of states, and statistics."""
         env = self.env
-        learner = self.learner
         new = 0
         while new < self._hyper.states:
-            tried = env.try_all(learner.greedy)
-            learner.remember(tried)
+            tried = env.try_all(self.greedy)
+            self.remember(tried)
             new += len(tried.values)
             for _ in range(self._hyper.stride):
-                env.step(learner.sampled(env.observations))
-        return new, learner.improve(falling(self._hyper.final_fraction, left))
+                env.step(self.sampled(env.observations))
+        return new, self.improve(falling(self._hyper.final_fraction, left))
 
     def tensors(self) -> Tensors:
         """Return the network in the form that a policy file stores."""
-        return actor_tensors(self.learner.network, Normalization(**self.scales))
+        return actor_tensors(self.network.children(), Normalization(**self.scales))

@@ -20,12 +20,7 @@ from experiments.training.hyperparameters import (
     read_hyperparameters,
     shipped_hyperparameters,
 )
-from experiments.training.training_task import (
-    Place,
-    TrainingTask,
-    banks_of,
-    places_from,
-)
+from experiments.training.training_task import Place, TrainingTask, banks_of, places_from
 from mmwave_env.filters.bank import Bank, bank_as_written
 from mmwave_env.interface.reward import REWARDS, PairedReward, Reward, TrackingReward
 from mmwave_env.io.files import Json, read_json, write_bytes, write_json
@@ -102,14 +97,13 @@ def manifest_of(args: TrainArgs, banks: Mapping[str, Bank], hyper: Hyperparamete
     written = {radio: bank_as_written(bank) for radio, bank in banks.items()}
     first, *_ = written.values()
     choices = {"banks": written} if args.beliefs == "per-mode" else {"modes": first["modes"]}
-    defaults: dict[str, Any] = {name: getattr(type(args), name) for name in ASIDE}
+    defaults = {name: getattr(type(args), name) for name in ASIDE}
     command = command_line("train", replace(args, **defaults))
-    hyperparameters = hyperparameters_as_written(hyper)
-    return {"command": command, "hyperparameters": hyperparameters, **choices}
+    return {"command": command, "hyperparameters": hyperparameters_as_written(hyper), **choices}
 
 
 def begin(args: TrainArgs, manifest: Json) -> None:
-    """Make the folder of a run, or check that the folder holds the run to resume.
+    """Make the folder of a run, or check that it holds the run to resume, with the same manifest.
 
     Raises:
         ValueError: a new run's folder holds files, or there is no such run to resume.
@@ -118,7 +112,14 @@ def begin(args: TrainArgs, manifest: Json) -> None:
     if args.resume:
         if not path.is_file():
             raise ValueError(f"out: found no run in {args.out} to resume")
-        _require_same(path, manifest)
+        begun = read_json(path, "the manifest of a run", _flat)
+        expected = _flat(manifest)
+        for key in expected | begun:
+            if begun.get(key) != expected.get(key):
+                raise ValueError(
+                    f"{path}: {key}: found {begun.get(key)}, expected {expected.get(key)}; resume "
+                    "a run with the same options as at its start"
+                )
         return
     if args.out.exists() and any(args.out.iterdir()):
         if not args.overwrite:
@@ -132,28 +133,16 @@ def begin(args: TrainArgs, manifest: Json) -> None:
     write_json(path, manifest)
 
 
-def _require_same(path: Path, manifest: Json) -> None:
-    """Refuse to resume a run that was begun with a different manifest."""
-
-    def flat(run: Json) -> Json:
-        """Return the manifest with one entry per hyperparameter, for a precise message."""
-        return {**run, **run["hyperparameters"], "hyperparameters": None}
-
-    begun = read_json(path, "the manifest of a run", flat)
-    expected = flat(manifest)
-    for key in expected | begun:
-        if begun.get(key) != expected.get(key):
-            raise ValueError(
-                f"{path}: {key}: found {begun.get(key)}, expected {expected.get(key)}; resume a "
-                "run with the same options as at its start"
-            )
+def _flat(run: Json) -> Json:
+    """Return a manifest with one entry per hyperparameter, for a precise message."""
+    return {**run, **run["hyperparameters"], "hyperparameters": None}
 
 
 def train(args: TrainArgs) -> None:
     """Run the command."""
     try:
-        from experiments.training.job import Job
         from experiments.training.processes import side_by_side
+        from experiments.training.trainer import Job
     except ImportError as error:
         raise ValueError(
             f"train needs more than the base install: {error}; pip install 'mmwave-loc[train]'"

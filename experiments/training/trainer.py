@@ -1,8 +1,7 @@
 """The frame of every training: update, evaluate, log, save; an algorithm is a :class:`Trainer`."""
 
-import csv
-import io
 import time
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -14,14 +13,57 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 
+from experiments.console.options import TUNING_SEED
 from experiments.console.provenance import versions_of
-from experiments.evaluation.seeds import SEEDS_EACH, TRAINING_SEED
-from experiments.training.evaluator import examiner
-from experiments.training.job import Job, Tell
+from experiments.console.tables import csv_text
+from experiments.evaluation.contenders import contender_from
+from experiments.evaluation.intervals import bootstrap
+from experiments.evaluation.runner import Scores, score
+from experiments.evaluation.seeds import SEEDS_EACH, TRAINING_SEED, draw_episodes
 from experiments.training.training_task import TrainingTask
 from mmwave_env.interface.observation import Observation
 from mmwave_env.io.files import Json, atomic_path, first_line, write_bytes, write_json, write_text
 from policies.policy_file import Card, Tensors, to_bytes
+
+RIVALS = ("speed-rule", "imm")  # rivals in every training
+EPISODES = 500  # number of episodes to evaluate a policy on
+
+
+# a function that hears of a training's progress: its number of timesteps so far, and a text to
+# print, which is mostly empty
+Tell = Callable[[int, str], None]
+
+
+@dataclass(frozen=True)
+class Job:
+    """A training to run."""
+
+    task: TrainingTask
+    hyperparameters: Any  # hyperparameters of the algorithm
+    seed: int  # training seed; a run numbers its trainings from 0
+    # length of the training: number of environment steps, summed over all environments; for the
+    # algorithm "rollouts", number of states in which all actions are tried
+    timesteps: int
+    folder: Path  # folder for all files of the training
+    command: str  # command that the policy file records as its origin
+    checkpoint_every: int  # number of updates between two checkpoints
+    episodes: int = EPISODES  # number of episodes to judge policies on
+
+    @property
+    def outcome(self) -> Path:
+        """Return the file of the outcome, which exists once the training is finished."""
+        return self.folder / "outcome.json"
+
+    @property
+    def policy(self) -> Path:
+        """Return the file of the best policy so far."""
+        return self.folder / "policy.safetensors"
+
+    @property
+    def checkpoint(self) -> Path:
+        """Return the file of the latest checkpoint, which is deleted when the training finishes."""
+        return self.folder / "checkpoint.pt"
+
 
 State = dict[str, Any]  # numbers, strings and tensors in nested lists and dicts
 
@@ -64,9 +106,48 @@ class Trainer(ABC):
     def examiner(self, episodes: int) -> Callable[[Path], Json]:
         """Return the function that evaluates the latest policy, given its file.
 
-        Results by name include "reward"; ``episodes`` is their number of episodes.
+        It scores policies on the same episodes, by the default reward. Its results are the first
+        seed, the number of episodes, the mean of every metric and, as "minus NAME", the mean gain
+        in reward over each rival, with a 95 % interval.
+
+        Args:
+            episodes: number of episodes, split evenly among the places (scene and radio) of
+                ``judged``; every place gets at least one.
         """
-        return examiner(self.judged, episodes)
+        task = self.judged
+        places = task.places
+        drawn = []
+        shares = np.array_split(np.arange(max(episodes, len(places))), len(places))
+        for place, here in zip(places, shares, strict=True):
+            seeds = (TUNING_SEED + here).tolist()
+            drawn.append((place.radio, draw_episodes(place.source(task.scenario), seeds)))
+
+        def scores_of(name: str) -> Scores:
+            """Score a contender, given its name or file, on all episodes."""
+            parts = []
+            for radio, some in drawn:
+                contender = contender_from(name, radio)
+                parts.append(score(contender, contender.start(some[0].layout), some))
+            return {metric: np.concatenate([part[metric] for part in parts]) for metric in parts[0]}
+
+        # if every mode keeps its own belief, the IMM over the same modes is a rival, too
+        rivals = (*RIVALS, "imm-best") if task.beliefs == "per-mode" else RIVALS
+        # The rule warns at speeds outside its design window, which occur here on purpose.
+        with warnings.catch_warnings(action="ignore"):
+            rewards = {name: scores_of(name)["reward"] for name in rivals}
+
+        def examine(path: Path) -> Json:
+            scores = scores_of(str(path))
+            reward = scores["reward"]
+            gains = bootstrap(np.stack([reward - other for other in rewards.values()], axis=1))
+            return {
+                "seed": TUNING_SEED,
+                "episodes": len(reward),
+                **{metric: float(values.mean()) for metric, values in scores.items()},
+                **{f"minus {name}": gain.json for name, gain in zip(rewards, gains, strict=True)},
+            }
+
+        return examine
 
     def state(self) -> State:
         """Return the weights, the optimizer and the normalization, for :meth:`restore`."""
@@ -121,7 +202,7 @@ class Training:
         self._job = job
         self._tell = tell
         self.progress = Progress()
-        state: State | None = None
+        state = None
         if job.checkpoint.exists():
             self.progress, state = read_checkpoint(job.checkpoint)
         self._begun_s = time.monotonic() - self.progress.seconds
@@ -146,7 +227,11 @@ class Training:
         while progress.timesteps < job.timesteps:
             self._update()
             if progress.updates % job.checkpoint_every == 0:
-                self._save()
+                self._write_log()
+                progress.seconds = self.seconds
+                saved = {"progress": asdict(progress), "trainer": self.trainer.state()}
+                with atomic_path(job.checkpoint) as temporary:
+                    torch.save(saved, temporary)
             self._tell(progress.timesteps, "")
         self._write_log()
         outcome = {
@@ -209,28 +294,16 @@ class Training:
             base=self.trainer.base,
         )
 
-    def _save(self) -> None:
-        """Write the log and a checkpoint."""
-        self._write_log()
-        self.progress.seconds = self.seconds
-        saved = {"progress": asdict(self.progress), "trainer": self.trainer.state()}
-        with atomic_path(self._job.checkpoint) as temporary:
-            torch.save(saved, temporary)
-
     def _write_log(self) -> None:
         write_text(self._job.folder / "progress.csv", as_csv(self.progress.rows))
 
 
 def as_csv(rows: list[dict[str, float]]) -> str:
     """Return the rows of a log as CSV; the cell of a missing value is empty."""
-    names = dict.fromkeys(name for row in rows for name in row)
-    text = io.StringIO()
-    table = csv.DictWriter(text, list(names), lineterminator="\n")
-    table.writeheader()
-    for row in rows:
-        cells = {name: f"{value:.6g}" for name, value in row.items()}
-        table.writerow(cells | {"timesteps": str(int(row["timesteps"]))})
-    return text.getvalue()
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    cells = [[row.get(name) for name in names] for row in rows]
+    texts = [[f"{v:.6g}" if isinstance(v, float) else v for v in row] for row in cells]
+    return csv_text([names, *texts])
 
 
 def read_checkpoint(path: Path) -> tuple[Progress, State]:

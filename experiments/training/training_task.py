@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, cast
 
 from experiments.console.options import WorldArgs
-from experiments.evaluation.asked import source_of
+from experiments.evaluation.contenders import source_of
 from experiments.evaluation.protocol import UNSEEN
 from mmwave_env.filters.bank import Bank, bank_from, modes_from
 from mmwave_env.interface.observation import Observation

@@ -14,8 +14,8 @@ import numpy as np
 from scipy.special import softmax
 
 from experiments.console.options import WorldArgs
-from experiments.console.progress import progress
-from experiments.evaluation.asked import source_of
+from experiments.console.progress import progress, say
+from experiments.evaluation.contenders import source_of
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.engines.engine import run_imm
@@ -47,7 +47,7 @@ START = (
 
 
 def tuned_bank(radio: str, episodes: int, seed: int, evaluations: int) -> Json:
-    """Search for a radio's best bank; return the content of its mode file, with results.
+    """Search for a radio's best bank; print its reward; return its mode file, with results.
 
     Args:
         radio: radio profile, a name or a JSON file.
@@ -83,6 +83,10 @@ def tuned_bank(radio: str, episodes: int, seed: int, evaluations: int) -> Json:
     imm_reward, _ = scores(Bank(default_modes(radio_from(radio).base)), held_out)
     columns = {"reward": reward, "minus imm": reward - imm_reward, "lost": lost}
     figures = bootstrap(np.stack([*columns.values()], axis=1))
+    say(
+        f"{radio_from(radio).name}, on new episodes (as many as for tuning): reward {figures[0]}, "
+        f"gain over imm {figures[1]}"
+    )
     return bank_as_written(bank) | {
         "numbers": len(space.start),
         "seconds": seconds,
@@ -159,12 +163,10 @@ class SearchSpace(NamedTuple):
 def search_space(modes: Sequence[Mode]) -> SearchSpace:
     """Return the search space of transition probabilities, noise, maneuvers and NIS quantile."""
     n = len(modes)
+    first = n * (n - 1)  # number of odds, which come first in a point
     change = np.log((1.0 - DEFAULT_STAY) / (n - 1) / DEFAULT_STAY)
-    chances = [change] * (n * (n - 1))
-    limits = [ODDS] * (n * (n - 1))
     free = [(i, field) for i, field in product(range(n), FREE) if getattr(modes[i], field)]
     noise = [np.log(abs(getattr(modes[i], field))) for i, field in free]
-    first = len(chances)
 
     def bank_at(point: Array) -> Bank:
         logits = np.zeros((n, n))
@@ -180,9 +182,9 @@ def search_space(modes: Sequence[Mode]) -> SearchSpace:
         )
 
     return SearchSpace(
-        np.array([*chances, *noise, 3.0]),
+        np.array([*[change] * first, *noise, 3.0]),
         np.repeat([_PROBABILITY_STEP, _NOISE_STEP, _NINES_STEP], [first, len(free), 1]),
-        np.array([*limits, *(np.log(FREE[field]) for _, field in free), NINES]),
+        np.array([*[ODDS] * first, *(np.log(FREE[field]) for _, field in free), NINES]),
         bank_at,
     )
 

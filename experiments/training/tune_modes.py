@@ -1,4 +1,4 @@
-"""Tuning of a mode's process noise: the likelihood to maximize, and the search."""
+"""Tuning of modes' process noise: the likelihood to maximize, and the search."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -8,12 +8,20 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import chdtri
 
-from experiments.console.progress import tracked
+from experiments.console.options import TuneArgs, WorldArgs
+from experiments.console.progress import say, tracked
+from experiments.evaluation.contenders import source_of
+from experiments.evaluation.intervals import bootstrap
+from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.engines.engine import tracks_of
+from mmwave_env.filters.bank import as_written, modes_from
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.io.files import Json
+from mmwave_env.io.lookup import choose
 from mmwave_env.metrics import scored
 from mmwave_env.models.layout import Layout
+from mmwave_env.models.radio import radio_from
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode
 
@@ -93,3 +101,33 @@ def tune(mode: Mode, free: Sequence[str], objective: Objective) -> Mode:
         },
     )
     return at([float(f"{value:.3g}") for value in np.exp(optimum.x)])
+
+
+def tuned_modes(args: TuneArgs) -> tuple[Json, Json]:
+    """Tune and print modes one by one; return the mode file's content, and results for --json."""
+    radio = radio_from(args.radio)
+    modes = modes_from(args.modes, radio.base)  # named modes have tunings for shipped radios
+    if len(args.scenarios) != len(modes):
+        raise ValueError(
+            f"scenarios: found {len(args.scenarios)}, expected {len(modes)}, one for each of the "
+            f"modes {', '.join(mode.name for mode in modes)}"
+        )
+    if not args.free or len(set(args.free)) < len(args.free):
+        raise ValueError(f"free: found {args.free}, expected one or more different names")
+    for name in args.free:
+        choose(RANGES, name, "free")
+    tuned = []
+    figures = []
+    title = "log-likelihood per epoch"
+    for mode, scenario in zip(modes, args.scenarios, strict=True):
+        source = source_of(WorldArgs(scenario=scenario, radio=args.radio))
+        episodes = draw_episodes(source, range(args.seed, args.seed + args.episodes))
+        started = replace(mode, coupling=mode.coupling and not args.diagonal)
+        objective = objective_of(started, episodes)
+        best = tune(started, args.free, objective)
+        tuned.append(as_written(best))
+        (value,) = bootstrap(objective(best)[:, None])
+        numbers = ", ".join(f"{name} {getattr(best, name):g}" for name in args.free)
+        say(f"{mode.name} on {source.name}, {radio.name}: {numbers}: {title} {value}")
+        figures.append({"mode": mode.name, "scenario": scenario, "objective": title} | value.json)
+    return {"modes": tuned}, {"tuned": figures}

@@ -152,12 +152,3 @@ def _font(size: int) -> Any:
     pygame.font.init()
     _FONTS[size] = pygame.font.Font(None, size)
     return _FONTS[size]
-
-
-def ellipse(center: Array, P: Array, deviations: float) -> Array:
-    """Return the ellipse (n, 2) at ``deviations`` times the standard deviations of covariance P."""
-    angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
-    variances, axes = np.linalg.eigh(P)
-    lengths = np.sqrt(np.maximum(variances, 0.0))
-    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return center + deviations * (circle * lengths) @ axes.T  # type: ignore[no-any-return]

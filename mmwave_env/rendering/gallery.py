@@ -8,10 +8,60 @@ from numpy.typing import NDArray
 
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Index
-from mmwave_env.rendering.history import Recorder
+from mmwave_env.rendering.history import NO_MODE, POSITION_NUMBERS, History
 from mmwave_env.rendering.theme import Pixels
 
 DRAWN = 16  # maximum number of pictures; more would be too small to read and need much memory
+
+
+class Recorder:
+    """A recorder that copies epochs from a workspace, the array of all numbers of an environment.
+
+    It begins with the prior.
+
+    Args:
+        rows: by name, the slices of the workspace that contain ``anchors``, ``truth``,
+            ``estimate``, ``P`` (packed), ``accepted`` and ``rejected``, and the indices of ``nees``
+            and ``dt`` (seconds until the next epoch).
+        axes: number of position axes that NEES covers.
+        name: name of the episode.
+        scene: scene whose streets and walls the map shows; None if unknown.
+        workspace: (size,) workspace with the prior.
+    """
+
+    def __init__(
+        self,
+        rows: Mapping[str, Any],
+        axes: int,
+        name: str,
+        scene: Scene | None,
+        workspace: Array,
+    ) -> None:
+        P = slice(rows["P"].start, rows["P"].start + POSITION_NUMBERS)
+        self._rows = {**rows, "P": P}
+        anchors_m = workspace[rows["anchors"]].reshape(-1, 3).copy()
+        self._episode = (name, anchors_m, scene, axes)
+        self._modes: list[int] = []
+        self._epochs: list[dict[str, Array]] = []
+        self.add(workspace, NO_MODE)
+
+    def add(self, workspace: Array, mode: int) -> None:
+        """Record the epoch that a mode just processed."""
+        self._modes.append(mode)
+        self._epochs.append({key: workspace[rows].copy() for key, rows in self._rows.items()})
+
+    @property
+    def history(self) -> History:
+        """Return all epochs so far."""
+        part = {key: np.array([epoch[key] for epoch in self._epochs]) for key in self._rows}
+        part["nees"][0] = np.nan  # the workspace still has the previous episode's NEES
+        return History(
+            *self._episode,
+            np.cumsum(np.append(0.0, part["dt"][:-1])),
+            np.array(self._modes),
+            *(part[key] for key in ("truth", "estimate", "P", "nees")),
+            *(part[key] > 0.5 for key in ("accepted", "rejected")),
+        )
 
 
 class Gallery:

@@ -1,6 +1,5 @@
 """History of an episode: the epochs so far, from which a picture is drawn."""
 
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -41,57 +40,27 @@ class History(NamedTuple):
         with np.errstate(over="ignore"):  # the error of a lost track may be arbitrarily large
             return np.linalg.norm(self.estimate[:, :3] - self.truth[:, :3], axis=1)  # type: ignore[no-any-return]
 
+    @property
+    def true_mps(self) -> Array:
+        """Return the true speed (k + 1,), m/s."""
+        return np.linalg.norm(self.truth[:, 3:], axis=1)  # type: ignore[no-any-return]
+
+    @property
+    def speed_mps(self) -> Array:
+        """Return the estimated speed (k + 1,), m/s."""
+        with np.errstate(over="ignore"):  # the speed of a lost track may be arbitrarily large
+            return np.linalg.norm(self.estimate[:, 3:6], axis=1)  # type: ignore[no-any-return]
+
     def part(self, rows: slice) -> "History":
         """Return a history with only these rows."""
         arrays: Any = self[4:]
         return History(*self[:4], *(array[rows] for array in arrays))
 
 
-class Recorder:
-    """A recorder that copies epochs from a workspace, the array of all numbers of an environment.
-
-    It begins with the prior.
-
-    Args:
-        rows: by name, the slices of the workspace that contain ``anchors``, ``truth``,
-            ``estimate``, ``P`` (packed), ``accepted`` and ``rejected``, and the indices of ``nees``
-            and ``dt`` (seconds until the next epoch).
-        axes: number of position axes that NEES covers.
-        name: name of the episode.
-        scene: scene whose streets and walls the map shows; None if unknown.
-        workspace: (size,) workspace with the prior.
-    """
-
-    def __init__(
-        self,
-        rows: Mapping[str, Any],
-        axes: int,
-        name: str,
-        scene: Scene | None,
-        workspace: Array,
-    ) -> None:
-        P = slice(rows["P"].start, rows["P"].start + POSITION_NUMBERS)
-        self._rows = {**rows, "P": P}
-        anchors_m = workspace[rows["anchors"]].reshape(-1, 3).copy()
-        self._episode = (name, anchors_m, scene, axes)
-        self._modes: list[int] = []
-        self._epochs: list[dict[str, Array]] = []
-        self.add(workspace, NO_MODE)
-
-    def add(self, workspace: Array, mode: int) -> None:
-        """Record the epoch that a mode just processed."""
-        self._modes.append(mode)
-        self._epochs.append({key: workspace[rows].copy() for key, rows in self._rows.items()})
-
-    @property
-    def history(self) -> History:
-        """Return all epochs so far."""
-        part = {key: np.array([epoch[key] for epoch in self._epochs]) for key in self._rows}
-        part["nees"][0] = np.nan  # the workspace still has the previous episode's NEES
-        return History(
-            *self._episode,
-            np.cumsum(np.append(0.0, part["dt"][:-1])),
-            np.array(self._modes),
-            *(part[key] for key in ("truth", "estimate", "P", "nees")),
-            *(part[key] > 0.5 for key in ("accepted", "rejected")),
-        )
+def ellipse(center: Array, P: Array, deviations: float) -> Array:
+    """Return the ellipse (n, 2) at ``deviations`` times the standard deviations of covariance P."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
+    variances, axes = np.linalg.eigh(P)
+    lengths = np.sqrt(np.maximum(variances, 0.0))
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return center + deviations * (circle * lengths) @ axes.T  # type: ignore[no-any-return]

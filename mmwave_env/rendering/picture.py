@@ -82,7 +82,7 @@ class Picture:
             links = len(history.anchors_m)
             numbers = (
                 f"epoch {history.epochs}   {history.time_s[-1]:.13g} s   "
-                f"true {np.linalg.norm(history.truth[-1, 3:]):.1f} m/s   "
+                f"true {history.true_mps[-1]:.1f} m/s   "
                 f"{error}   NEES {history.nees[-1]:.3g}   "
                 f"links {history.accepted[-1, :links].sum()} of {links}"
             )
@@ -199,7 +199,7 @@ def draw_strips(canvas: Canvas, top: float, history: History, beside: Sequence[H
     """Draw all strips below ``top``, with scales that also fit the histories ``beside``."""
     rows = slice(max(1, history.epochs - _WINDOW + 1), None)
     modes = history.modes[rows]
-    (first, last) = _times(history, rows)
+    first, last = _times(history, rows)
     x = _LEFT + (history.time_s[rows] - first) / (last - first) * _WIDTH
     for i, make in enumerate((_speed, _error, _nees)):
         strips = [make(drawn, rows) for drawn in (history, *beside)]
@@ -221,9 +221,8 @@ def _times(history: History, rows: slice) -> tuple[float, float]:
 
 
 def _speed(history: History, rows: slice) -> Strip:
-    true = np.linalg.norm(history.truth[rows, 3:6], axis=1)
-    with np.errstate(over="ignore"):  # the speed of a lost track may be arbitrarily large
-        estimated = np.linalg.norm(history.estimate[rows, 3:6], axis=1)
+    true = history.true_mps[rows]
+    estimated = history.speed_mps[rows]
     most = 2.0 * float(true.max(initial=1.0))  # a larger estimate is drawn at the upper edge
     top = _top(np.maximum(true, np.fmin(estimated, most)))
     return Strip("speed, m/s", estimated, (0.0, top), true)

@@ -11,8 +11,8 @@ import numpy as np
 
 from mmwave_env.models.scene import Scene, Streets
 from mmwave_env.numerics.numbers import Array, Index
-from mmwave_env.rendering.canvas import Canvas, Paint, Point, Rect, ellipse
-from mmwave_env.rendering.history import History
+from mmwave_env.rendering.canvas import Canvas, Paint, Point, Rect
+from mmwave_env.rendering.history import History, ellipse
 
 # length of moving averages, and time constant of their weights
 _MEMORY_S = 20.0
@@ -54,9 +54,8 @@ def follow(history: History, frame: Rect) -> View:
     recent = history.time_s >= history.time_s[-1] - _MEMORY_S
     weights = np.exp((history.time_s[recent] - history.time_s[-1]) / _LAG_S)
     weights /= weights.sum()
-    user = history.truth[recent]
-    truth = user[:, :2]
-    speed = np.linalg.norm(user[:, 3:6], axis=1)
+    truth = history.truth[recent, :2]
+    speed = history.true_mps[recent]
     estimate = history.estimate[recent, :2]
     estimate = np.where(np.isfinite(estimate), estimate, truth)
     gap = abs(truth - estimate).max(axis=1)
@@ -96,8 +95,8 @@ def draw_map(canvas: Canvas, view: View, history: History) -> None:
 def _draw_streets(canvas: Canvas, view: View, streets: Streets) -> None:
     """Draw streets with an assumed width, and the blocks of houses between them."""
     half = min(_STREET_M, streets.block_m / 4.0) / 2.0
-    (west, east) = streets.x_m
-    (south, north) = streets.y_m
+    west, east = streets.x_m
+    south, north = streets.y_m
     net = np.array([[west - half, south - half], [east + half, north + half]])
     canvas.fill("street", _box(view, net))
     low, high = view.extent_m
@@ -113,18 +112,13 @@ def _draw_streets(canvas: Canvas, view: View, streets: Streets) -> None:
 
 def _blocks(extent_m: tuple[float, float], block_m: float, low: float, high: float) -> Array:
     """Return the start (n,), m, of each block that is visible between ``low`` and ``high``."""
-    begins = extent_m[0] + block_m * np.arange(
-        round((extent_m[1] - extent_m[0]) / block_m), dtype=float
-    )
+    begins = np.arange(extent_m[0], extent_m[1] - 1e-6, block_m)
     return begins[(begins > low - block_m) & (begins < high)]  # type: ignore[no-any-return]
 
 
 def _box(view: View, corners_m: Array) -> Rect:
-    """Return the visible part of a rectangle with corners (2, 2), m: south-west, north-east."""
-    frame = view.frame.inflate(4.0, 4.0)
-    (left, bottom), (right, top) = np.clip(
-        view.pixels(corners_m), (frame.left, frame.top), (frame.right, frame.bottom)
-    )
+    """Return a rectangle in the picture, given its south-west and north-east corners (2, 2), m."""
+    (left, bottom), (right, top) = view.pixels(corners_m)
     return Rect(left, top, right - left, bottom - top)
 
 
@@ -198,10 +192,9 @@ def _draw_scale(canvas: Canvas, view: View) -> Rect:
     place.bottomright = view.frame.right - 4.0, view.frame.bottom - 2.0
     _draw_plate(canvas, place)
     bar = place.inflate(-12.0, -12.0)
-    tick = np.array([0.0, 3.0])
     ends = np.array([bar.bottomleft, bar.bottomright])
-    for line in (ends, ends[:1] + [-tick, tick], ends[1:] + [-tick, tick]):
-        canvas.line(line, "ink", 1.2)
+    above = ends - (0.0, 5.0)
+    canvas.line(np.vstack([above[:1], ends, above[1:]]), "ink", 1.2)
     canvas.words(f"{length:g} m", (bar.centerx, bar.bottom - 10.0), "ink", 14, 0.5)
     return place
 
@@ -212,7 +205,7 @@ def _draw_anchors(canvas: Canvas, view: View, history: History) -> None:
     user = _point(view, history.truth[-1])
     here = history.truth[-1, :3]
     around = 9.0
-    names: list[tuple[str, Point]] = []
+    names = []
     for number, anchor in enumerate(history.anchors_m):
         at = _point(view, anchor)
         name = f"anchor {number + 1}" if number else "gNB"

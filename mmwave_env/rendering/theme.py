@@ -7,7 +7,7 @@ Consecutive colors differ clearly.
 
 from collections.abc import Sequence
 from itertools import cycle
-from typing import NamedTuple
+from types import SimpleNamespace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,24 +45,8 @@ _COLORS = """\
 """
 
 
-class Theme(NamedTuple):
-    """The colors of everything that is drawn, in the order of ``_COLORS``."""
-
-    paper: Color
-    ink: Color
-    quiet: Color
-    grid: Color
-    ground: Color
-    street: Color
-    building: Color
-    wall: Color
-    truth: Color
-    accepted: Color
-    rejected: Color
-    missing: Color
-    band: Color
-    none: Color
-    modes: tuple[Color, ...]
+class Theme(SimpleNamespace):
+    """The colors of everything that is drawn, by the names in ``_COLORS``; ``modes`` is a tuple."""
 
     def for_modes(self, names: Sequence[str]) -> "Theme":
         """Return the theme with one color per action.
@@ -70,16 +54,16 @@ class Theme(NamedTuple):
         The action "none" has its own color, so that it does not shift the colors of the modes.
         """
         colors = cycle(self.modes)
-        return self._replace(
-            modes=tuple(self.none if name == "none" else next(colors) for name in names)
-        )
+        modes = tuple(self.none if name == "none" else next(colors) for name in names)
+        return Theme(**vars(self) | {"modes": modes})
 
     def mode(self, number: int) -> Color:
         """Return the color of a mode; the colors repeat if there are more modes than colors.
 
         The prior, which no mode computed and whose number is negative, is quiet.
         """
-        return self.modes[number % len(self.modes)] if number >= 0 else self.quiet
+        color: Color = self.modes[number % len(self.modes)] if number >= 0 else self.quiet
+        return color
 
 
 def hex_of(color: Color) -> str:
@@ -89,9 +73,10 @@ def hex_of(color: Color) -> str:
 
 def _theme(column: int) -> Theme:
     """Return the theme in a column of ``_COLORS``: 1 for light, 2 for dark."""
-    colors = [tuple(bytes.fromhex(line.split()[column])) for line in _COLORS.splitlines()]
-    plain = len(Theme._fields) - 1
-    return Theme._make([*colors[:plain], tuple(colors[plain:])])
+    rows = [line.split() for line in _COLORS.splitlines()]
+    colors = [(row[0], tuple(bytes.fromhex(row[column]))) for row in rows]
+    modes = tuple(color for name, color in colors if name == "mode")
+    return Theme(modes=modes, **{name: color for name, color in colors if name != "mode"})
 
 
 THEMES = {"light": _theme(1), "dark": _theme(2)}

@@ -54,7 +54,12 @@ class Window:
         while self._screen is not None:
             self._screen.blit(surface, (0, 0))
             pygame.display.flip()
-            self._listen()
+            for event in pygame.event.get():
+                if event.type == pygame.KEYDOWN and event.key == pygame.K_SPACE:
+                    self.paused = not self.paused
+                elif event.type == pygame.QUIT:
+                    self.close()
+                    return
             if not self.paused and time.monotonic() >= self._shown_s + 1.0 / self._speed:
                 break
             pygame.time.wait(5)
@@ -70,12 +75,3 @@ class Window:
         if self._screen is not None:
             pygame.display.quit()
             self._screen = None
-
-    def _listen(self) -> None:
-        """Handle the events since the last call."""
-        for event in pygame.event.get():
-            if event.type == pygame.QUIT:
-                self.close()
-                return
-            if event.type == pygame.KEYDOWN and event.key == pygame.K_SPACE:
-                self.paused = not self.paused

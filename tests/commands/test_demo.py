@@ -4,8 +4,8 @@ import numpy as np
 
 from experiments import demo
 from experiments.console.options import EpisodeArgs
-from experiments.evaluation.asked import all_contenders
-from experiments.evaluation.comparison import compare_scores
+from experiments.evaluation.compare import compare_scores
+from experiments.evaluation.contenders import all_contenders
 from experiments.reporting.comparison_results import Results
 from experiments.reporting.histories import EpochErrors
 from mmwave_env.metrics import METRICS, TERMS

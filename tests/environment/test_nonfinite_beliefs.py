@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from experiments.evaluation.comparison import compare_scores
+from experiments.evaluation.compare import compare_scores
 from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.runner import score_contenders
 from mmwave_env.filters import Mode, ekf

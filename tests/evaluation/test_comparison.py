@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from experiments.evaluation.comparison import compare_scores
+from experiments.evaluation.compare import compare_scores
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.positions import HEADER, percent, positions_markdown
 from mmwave_env.localization.position_errors import PositionErrors

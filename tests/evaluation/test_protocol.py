@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from experiments.evaluation.hard import HARD_SOURCES
 from experiments.evaluation.protocol import (
     BESIDE,
+    HARD_SOURCES,
     KINDS,
     RECORDED,
     TRAINED,
@@ -88,7 +88,7 @@ def entries():
 
 def test_the_speed_rule_has_score_0_and_the_clairvoyant_100_at_every_site():
     made = entries()
-    add_scores(made.values(), made["clairvoyant"])
+    add_scores([*made.values()], made["clairvoyant"])
     for name, expected in {"mine": 50, "imm-best": 25, "speed-rule": 0, "clairvoyant": 100}.items():
         assert [at["score"] for at in made[name]["sites"].values()] == [expected] * len(sites())
     tables = tables_of(list(made.values()), made["clairvoyant"])

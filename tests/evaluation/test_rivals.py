@@ -8,15 +8,16 @@ from numpy.testing import assert_allclose
 
 from experiments.evaluation.agents import Estimator
 from experiments.evaluation.contenders import Contender, contender_from
-from experiments.evaluation.rivals.noise import (
+from experiments.evaluation.rivals import (
     EVERYTHING,
+    Particles,
     StudentImm,
     Variational,
     adapted,
+    resampled,
     stated,
     student_t,
 )
-from experiments.evaluation.rivals.particle import Particles, resampled
 from experiments.evaluation.runner import Scoring, run_contender
 from mmwave_env.filters import Mode, Pipeline, ekf, ukf
 from mmwave_env.models.layout import Layout

@@ -12,7 +12,7 @@ import gymnasium as gym
 import numpy as np
 
 import mmwave_env
-from experiments.timing.operations import count
+from experiments.timing.roofline import count
 from mmwave_env.datasets.samples import recording_from
 from mmwave_env.datasets.tracks import TrackSource
 from mmwave_env.engines.engine import Engine

@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose
 
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.runner import score
-from experiments.paper.bench import Bench, Setting, track
 from experiments.paper.claims import contradictions, resolution
+from experiments.paper.printed import Bench, Setting, track
 from experiments.tables import FIELDS
 from mmwave_env.engines.engine import tracks_of
 from mmwave_env.engines.smoothing import smooth

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from experiments.evaluation.contenders import Contender
-from experiments.evaluation.hard import HARD_SOURCES, Misstated
 from experiments.evaluation.intervals import bootstrap
+from experiments.evaluation.protocol import HARD_SOURCES, Misstated
 from experiments.evaluation.runner import run_contender
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.random_scene import RandomScene

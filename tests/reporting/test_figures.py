@@ -17,8 +17,7 @@ from experiments.reporting.figures.curves import (
     draw_error_cdf,
     draw_learning_curves,
 )
-from experiments.reporting.figures.timeline import draw_histories
-from experiments.reporting.figures.trajectory import draw_trajectory
+from experiments.reporting.figures.timeline import draw_histories, draw_trajectory
 from experiments.reporting.histories import history_of
 from experiments.reporting.log_results import beginning
 from mmwave_env.numerics.linalg import pack

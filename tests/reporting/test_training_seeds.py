@@ -5,7 +5,7 @@ import pytest
 
 from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.runs import Run
-from experiments.reporting.training_seeds import over_training_seeds, seeds_markdown
+from experiments.reporting.comparison_results import over_training_seeds, seeds_markdown
 
 RUN = Run("runs/a", (2, 0, 1), 0)
 OTHER = Run("runs/b", (0, 1, 2, 3), 3)

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from experiments.sweeping.on_ray import RETRIES, computed, connected
+from experiments.sweeping.run import RETRIES, computed, connected
 from tests.cli import assert_one_clear_line, command, started, succeed
 
 pytest.importorskip("pyarrow")

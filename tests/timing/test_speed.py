@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from experiments.timing.measured import Measured
-from experiments.timing.operations import Operations, count
+from experiments.timing.roofline import Operations, count
 from experiments.timing.workloads import EPISODE, FILTERS, filterpy_episode, pipeline, source
 from mmwave_env.filters.filterpy_reference import filterpy_pipeline
 from mmwave_env.numerics.numbers import atan2, maximum, sqrt, where
@@ -49,15 +49,15 @@ def measured():
     rounds = Measured((1024, 8, 64))
     rng = np.random.default_rng(0)
     for name in ("filterpy", "sync_8", *FILTERS, *rounds.ours):
-        rounds.steps_per_s[name] = rng.uniform(1e3, 1e6, 3).tolist()
+        rounds.rounds["steps_per_s"][name] = rng.uniform(1e3, 1e6, 3).tolist()
     for name in rounds.operations:
-        rounds.limits_s[name] = rng.uniform(1e-9, 1e-8, 3).tolist()
+        rounds.rounds["limit_s"][name] = rng.uniform(1e-9, 1e-8, 3).tolist()
     return rounds
 
 
 def test_ratios_are_computed_round_by_round(measured):
-    over = measured.steps_per_s["native_1024"]
-    under = measured.steps_per_s["filterpy"]
+    over = measured.rounds["steps_per_s"]["native_1024"]
+    under = measured.rounds["steps_per_s"]["filterpy"]
     ratio = np.divide(over, under)
     result = measured.json()
     assert measured.ratios()["native_1024_over_filterpy"] == pytest.approx(ratio)
@@ -68,7 +68,7 @@ def test_ratios_are_computed_round_by_round(measured):
 
 @pytest.mark.parametrize(("name", "kernel"), [("ukf", "ukf"), ("native_64_1_thread", "step")])
 def test_fractions_of_the_speed_limit_refer_to_the_kernel_that_runs(measured, name, kernel):
-    expected = np.multiply(measured.limits_s[kernel], measured.steps_per_s[name])
+    expected = np.multiply(measured.rounds["limit_s"][kernel], measured.rounds["steps_per_s"][name])
     assert measured.fractions()[name] == pytest.approx(expected)
 
 

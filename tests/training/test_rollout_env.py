@@ -13,9 +13,9 @@ from tests.refusals import refuses
 from tests.training.actors import MODES
 
 pytest.importorskip("stable_baselines3")
-from experiments.training.rollout_env import RolloutEnv
+from experiments.training.ppo import PlacesVecEnv
+from experiments.training.rollouts import RolloutEnv
 from experiments.training.training_task import Place, TrainingTask
-from experiments.training.vec_env import PlacesVecEnv
 from mmwave_env.interface.reward import PairedReward
 from mmwave_env.sb3 import SB3VecEnv
 from mmwave_env.vector_env import MmWaveLocVectorEnv

@@ -9,11 +9,9 @@ pytest.importorskip("stable_baselines3")
 import torch
 
 from experiments.training.hyperparameters import RolloutHyperparameters
-from experiments.training.job import Job
 from experiments.training.processes import train
-from experiments.training.rollout_env import Tried
-from experiments.training.rollouts import RolloutLearner, RolloutTrainer
-from experiments.training.trainer import Training
+from experiments.training.rollouts import RolloutLearner, RolloutTrainer, Tried
+from experiments.training.trainer import Job, Training
 from experiments.training.training_task import TrainingTask
 from mmwave_env.filters.bank import Bank, default_modes
 from mmwave_env.interface.reward import TrackingReward
@@ -46,7 +44,7 @@ def test_the_policy_file_chooses_the_actions_of_the_network(tmp_path):
     training = Training(job_of(tmp_path), RolloutTrainer, silent)
     training.run()
     env = training.trainer.env
-    learner = training.trainer.learner
+    learner = training.trainer
     policy = LearnedSwitch(tmp_path / "latest.safetensors", env.observation)
     assert policy.card.timesteps >= UPDATES * HYPER.states and policy.card.algorithm == "rollouts"
     assert set(policy.card.banks) == {place.radio for place in PLACES}

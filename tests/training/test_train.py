@@ -24,12 +24,11 @@ from experiments.training.hyperparameters import (
     read_hyperparameters,
     shipped_hyperparameters,
 )
-from experiments.training.job import Job
-from experiments.training.ppo import learner
+from experiments.training.ppo import PlacesVecEnv, learner
 from experiments.training.processes import train
 from experiments.training.run import hyperparameters, manifest_of
+from experiments.training.trainer import Job
 from experiments.training.training_task import Place, TrainingTask
-from experiments.training.vec_env import PlacesVecEnv
 from mmwave_env.filters.bank import Bank, default_modes
 from mmwave_env.interface.reward import TrackingReward
 from policies.policy_file import read_policy

@@ -17,8 +17,8 @@ from tests.refusals import refuses
 
 pytest.importorskip("stable_baselines3")
 
-from experiments.training.job import Job
 from experiments.training.processes import side_by_side, train
+from experiments.training.trainer import Job
 from tests.training.test_train import HYPER, TASK, content
 
 pytestmark = [

@@ -68,8 +68,7 @@ def caption(name: str) -> str:
     from matplotlib.font_manager import findfont, get_font
 
     font = get_font(findfont("DejaVu Sans"))  # the font that comes with matplotlib
-    letters = printable(name)
-    return "".join(x if font.get_char_index(ord(x)) else spelled(x) for x in letters)
+    return "".join(x if font.get_char_index(ord(x)) else spelled(x) for x in printable(name))
 
 
 def contenders(names: Iterable[str]) -> dict[str, str]:

@@ -1,25 +1,118 @@
-"""Contents of the web page: verdicts, tables and pictures of results."""
+"""Contents of the web page: results as verdicts, tables and learning curves in HTML."""
 
-from collections.abc import Iterator
+from base64 import b64encode
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from typing import NamedTuple
+from html import escape
+from importlib.util import find_spec
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
 
-from experiments.evaluation.comparison import Comparison
+from experiments.console.tables import CELL, unescaped
+from experiments.evaluation.compare import Comparison
 from experiments.evaluation.contenders import DESCRIPTIONS
 from experiments.evaluation.positions import positions_markdown
-from experiments.evaluation.runs import outcomes_markdown
+from experiments.evaluation.runs import curves_of, outcomes_markdown
 from experiments.evaluation.seeds import named
-from experiments.reporting.figures.canvas import PHONE_MM
-from experiments.reporting.figures.curves import (
-    draw_consistency,
-    draw_error_cdf,
-    draw_learning_curves,
-)
+from experiments.reporting.figures.curves import draw_learning_curves
 from experiments.reporting.track_report import track_markdown
-from experiments.reporting.webpage.markup import drawn, element, html_of, table
-from experiments.reporting.webpage.played import Played, watched_names
-from experiments.reporting.webpage.sources import Source
-from mmwave_env.io.files import Json
+from mmwave_env.io.files import Json, read_json
+from mmwave_env.io.lookup import printable
+
+SHOWN = 5  # number of table rows that are shown at first
+
+
+def text(value: Any) -> str:
+    """Escape text for HTML, including quoted attributes; spell out unprintable characters."""
+    return escape(printable(str(value)))
+
+
+def element(tag: str, words: Any, kind: str = "") -> str:
+    """Return an HTML element that contains plain text."""
+    return f"<{tag}{kind and f' class={kind}'}>{text(words)}</{tag}>"
+
+
+def table(caption: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+    """Return a table of plain text that scrolls sideways; the first cell of each row names the row.
+
+    Rows after the first :data:`SHOWN` are hidden until a box is checked; this needs no script.
+    """
+    head = "".join(f'<th scope="col">{text(title)}</th>' for title in header)
+    body = "".join(
+        f'<tr><th scope="row">{text(name)}</th>{"".join(element("td", c) for c in cells)}</tr>'
+        for name, *cells in rows
+    )
+    more = f'<label><input type="checkbox"> Show all {len(rows)} rows</label>'
+    return (
+        f'<div class="table">{element("p", caption, "caption") if caption else ""}'
+        f'<div class="scroll" tabindex="0" role="region" aria-label="{text(caption or header[0])}">'
+        f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
+        f"{more if len(rows) > SHOWN else ''}</div>"
+    )
+
+
+def html_of(markdown: str) -> str:
+    """Return tables, paragraphs and list items of a command's Markdown as HTML."""
+    parts = []
+    for block in markdown.strip().split("\n\n"):
+        lines = block.strip().splitlines()
+        if block.startswith("|"):
+            cells = [[unescaped(c.strip()) for c in CELL.findall(line[1:])] for line in lines]
+            parts.append(table("", cells[0], cells[2:]))
+        else:
+            parts += [element("p", unescaped(line.removeprefix("- "))) for line in lines]
+    return "".join(parts)
+
+
+def drawn(caption: str, draw: Callable[[Path], None]) -> str:
+    """Return a picture as HTML; without matplotlib, return a note.
+
+    ``draw`` writes the picture to an .svg file. In dark mode, the page's style inverts the picture.
+    """
+    if not find_spec("matplotlib"):
+        return element("p", f"{caption}: pictures need mmwave-loc[plot]", "note")
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "picture.svg"
+        draw(path)
+        svg = b64encode(path.read_bytes()).decode("ascii")
+    image = f'<img src="data:image/svg+xml;base64,{svg}" alt="{text(caption)}">'
+    return f"<figure>{image}{element('figcaption', caption)}</figure>"
+
+
+READ = "results (--json) of compare, demo or localize, or a folder that train wrote"
+
+
+class Source(NamedTuple):
+    """Results of one command."""
+
+    path: str  # path as the user typed it
+    kind: str  # "comparison", "track" or "run"
+    content: Json  # content of a file; or a run's summary, with learning curves as "curves"
+
+
+def read_source(path: Path) -> Source:
+    """Read a file of results, or the folder of a finished or unfinished run.
+
+    Raises:
+        ValueError: the file does not hold results; the message names the file and what it lacks.
+        FileNotFoundError: there is no such file.
+    """
+    over = path / "summary.json"
+    begun = path / "run.json"
+    if over.is_file():
+        run = read_json(over, "the summary of a run", dict)
+    elif begun.is_file():
+        run = read_json(begun, "the manifest of a run", dict)
+        outcomes = sorted(path.glob("seed-*/outcome.json"))
+        run["seeds"] = [read_json(file, "the outcome of a training", dict) for file in outcomes]
+    else:
+        content = read_json(path, "results", dict)
+        return Source(str(path), "track" if "groups" in content else "comparison", content)
+    logs = sorted(path.glob("seed-*/progress.csv"))
+    run["curves"] = {file.parent.name: curves_of(file) for file in logs}
+    return Source(str(path), "run", run)
+
 
 WORDS = (
     "reward: per epoch, minus the position error in m, and minus a penalty if the filter misjudges "
@@ -31,33 +124,34 @@ WORDS = (
 
 
 class Verdict(NamedTuple):
-    """A name for results, and their outcome as a title and as a sentence."""
+    """A name for results, their outcome as a title and as a sentence, and HTML of their tables."""
 
     name: str
     title: str
     sentence: str
+    tables: str
 
 
-def results_of(source: Source) -> tuple[Verdict, str]:
-    """Return the verdict on the results of a source, and HTML of its tables and pictures.
+def verdict_on(source: Source) -> Verdict:
+    """Return the verdict on the results of a source.
 
     Raises:
         KeyError, TypeError, ValueError, AttributeError: the content is not complete.
     """
     content = source.content
     if source.kind == "track":
-        return _track_verdict(content), html_of(track_markdown(dict(content)))
+        return _track_verdict(content)
     if source.kind == "run":
         over = len(content["seeds"])
         begun = len(content["curves"])
         title = f"{over} of {begun} training seeds of {source.path} are finished"
         more = "" if over == begun else "; mmwave-loc train --resume continues the other seeds"
-        return Verdict(source.path, title, f"{title}{more}."), "".join(_trainings(source))
+        return Verdict(source.path, title, f"{title}{more}.", "".join(_trainings(source)))
     comparison = Comparison.from_json(content)
-    return _verdict(comparison), "".join(_compared(comparison))
+    return _verdict(comparison, "".join(_compared(comparison, content.get("position_errors"))))
 
 
-def _verdict(comparison: Comparison) -> Verdict:
+def _verdict(comparison: Comparison, tables: str) -> Verdict:
     """Return the verdict on the best contender and the next contender that is paired with it."""
     best, *others = comparison.policies
     name = f"{comparison.scenario}, {comparison.radio}, {named(comparison.seeds)}"
@@ -66,7 +160,8 @@ def _verdict(comparison: Comparison) -> Verdict:
     other, by = next(((other, margin) for other, margin in paired if margin), ("", None))
     if by is None:
         reward = comparison.policies[best]["reward"]
-        return Verdict(name, f"{best} has a reward of {reward}", f"{about} Best reward: {reward}.")
+        title = f"{best} has a reward of {reward}"
+        return Verdict(name, title, f"{about} Best reward: {reward}.", tables)
     interval = ", a 95 % interval over episodes" if by.known else ""
     title = f"{best} beats {other} by {by}"
     if by.low <= 0.0:
@@ -76,7 +171,7 @@ def _verdict(comparison: Comparison) -> Verdict:
         about += f" {best} won: its reward per epoch is {by} above the reward of {other}{interval}."
     if unpaired := others[: others.index(other)]:
         about += f" Ranked between these two, but not paired with {best}: {', '.join(unpaired)}."
-    return Verdict(name, title, about)
+    return Verdict(name, title, about, tables)
 
 
 def _track_verdict(c: Json) -> Verdict:
@@ -84,10 +179,11 @@ def _track_verdict(c: Json) -> Verdict:
     tracks = c["truth"]["tracks"] if "truth" in c else {}
     ates = [f"the {name} track has an ATE of {row['ate_m']:.3f} m" for name, row in tracks.items()]
     broken = [f"only part of the log was used: {c['error']}"] if c.get("error") else []
-    return Verdict(f"{c['log']}, {c['scene']}", title, f"{'; '.join([title, *ates, *broken])}.")
+    sentence = f"{'; '.join([title, *ates, *broken])}."
+    return Verdict(f"{c['log']}, {c['scene']}", title, sentence, html_of(track_markdown(c)))
 
 
-def _compared(comparison: Comparison) -> Iterator[str]:
+def _compared(comparison: Comparison, positions: Json | None) -> Iterator[str]:
     header, rows = comparison.table()
     yield table("Means ± half the widths of 95 % intervals, best reward first", header, rows)
     pairs = [
@@ -98,6 +194,13 @@ def _compared(comparison: Comparison) -> Iterator[str]:
     ]
     caption = "Differences, paired by episode, with 95 % intervals"
     yield table(caption, ["policy", "minus", "reward", "ATE m"], pairs) if pairs else ""
+    if positions:
+        rows = positions["policies"]
+        ranked = {name: rows[name] for name in comparison.policies if name in rows}
+        about = "Errors in all episodes, without the first 10 epochs of each"
+        yield element("p", about, "caption")
+        kind = positions.get("levels", "gaussian")
+        yield html_of(positions_markdown("policy", ranked, positions["risk"], kind))
     for name in comparison.policies:
         if name in DESCRIPTIONS:
             yield element("p", f"{name}: {DESCRIPTIONS[name]}", "caption")
@@ -115,30 +218,6 @@ def _trainings(source: Source) -> Iterator[str]:
         lines = [curve[rival] for curve in curves if rival in curve]
         draw = partial(draw_learning_curves, f"reward minus reward of {rival}", lines)
         yield drawn(f"Gain in reward over {rival} on tuning seeds, a line per training seed", draw)
-
-
-def errors_of(source: Source, played: Played) -> Iterator[str]:
-    """Yield HTML tables and pictures of the errors of a comparison; nothing for other sources."""
-    if source.kind != "comparison":
-        return
-    ranked = [*Comparison.from_json(source.content).policies]
-    if figures := source.content.get("position_errors"):  # from --percentiles
-        policies = figures["policies"]
-        rows = {name: policies[name] for name in ranked if name in policies}
-        about = "Errors in all episodes, without the first 10 epochs of each"
-        yield element("p", about, "caption")
-        kind = figures.get("levels", "gaussian")
-        yield html_of(positions_markdown("policy", rows, figures["risk"], kind))
-    errors_m = played.epochs.errors_m
-    nees = played.epochs.nees
-    if shown := [name for name in watched_names(ranked) if name in errors_m]:
-        draw = partial(draw_error_cdf, {name: errors_m[name] for name in shown}, width_mm=PHONE_MM)
-        yield drawn(f"Distribution of errors (CDF), {played.which}", draw)
-        chosen = {name: nees[name] for name in shown}
-        draw = partial(
-            draw_consistency, played.epochs.time_s, chosen, played.axes, width_mm=PHONE_MM
-        )
-        yield drawn(f"NEES and its chi-square bounds, {played.which}", draw)
 
 
 def origin_of(title: str, command: str, versions: Json) -> str:
