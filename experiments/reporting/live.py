@@ -76,7 +76,7 @@ def run_live(args: LogArgs) -> None:
 
 
 class _Patience:
-    """What has arrived before a first position; after some seconds, a warning says so."""
+    """The groups measured before a first position; after some seconds, a warning names them."""
 
     def __init__(self) -> None:
         self._first_s = inf

@@ -108,7 +108,7 @@ def shipped() -> Network:
 
 
 class LevelState(NamedTuple):
-    """What levels keep of the past of n tracks."""
+    """The memory of levels of the past of n tracks."""
 
     means: Array  # (n, 3, quantities) running means with three weights
     x: Array  # (n, 1, 7 or 8) states after the last epoch

@@ -349,7 +349,7 @@ class Tracker:
 
 @dataclass(slots=True)
 class _User:
-    """What is kept of a user between two epochs."""
+    """The state of a user between two epochs."""
 
     seen_s: float = 0.0  # time of all users together when the user's last epoch arrived
     last_s: float | None = None  # as in a Tracker
@@ -384,7 +384,7 @@ class Trackers:
 
     def __init__(self, tracker: Tracker) -> None:
         self.forgotten: list[str] = []
-        self._one = tracker
+        self._beginner = tracker
         self._users: dict[str, _User] = {}  # in the order of their last epochs
         self._now_s = -inf
         self._engines: dict[int, Any] = {}  # by number of tracks
@@ -394,35 +394,35 @@ class Trackers:
 
         Arguments and errors are the same as for :meth:`Tracker.update`.
         """
-        positions = dict(self.step(self._one._arrived(rows)))
-        if self._one._log:
-            self._one._log.forget(self.forgotten)
+        positions = dict(self.step(self._beginner._arrived(rows)))
+        if self._beginner._log:
+            self._beginner._log.forget(self.forgotten)
         return positions
 
     def step(self, epochs: Iterable[LiveEpoch]) -> list[tuple[str, Position]]:
         """Process epochs of live logs; return users, and the beliefs after their epochs."""
-        one = self._one
+        tracker = self._beginner
         done = []
-        ready: dict[str, LiveEpoch] = {}
+        ready: dict[str, tuple[_User, LiveEpoch]] = {}
         for epoch in epochs:
             name = epoch.user
             if name in ready:
                 done += self._filtered(ready)
                 ready = {}
-            if one._filter is not None and epoch.layout != one._layout:
+            if tracker._filter is not None and epoch.layout != tracker._layout:
                 self._users.clear()
                 self._engines.clear()
             user = self._arrived(epoch)
-            one._last_s = user.last_s
-            one._doubt = user.doubt
-            revised = one._revised(epoch)
+            tracker._last_s = user.last_s
+            tracker._doubt = user.doubt
+            revised = tracker._revised(epoch)
             if revised:
-                done.append((name, one._restart(*revised)))
-                self._keep(user, epoch, one._filter, 0)
-            elif one._last_s is not None:
-                ready[name] = epoch
-            user.last_s = one._last_s
-            user.doubt = one._doubt
+                done.append((name, tracker._restart(*revised)))
+                self._keep(user, epoch, tracker._filter, 0)
+            elif tracker._last_s is not None:
+                ready[name] = (user, epoch)
+            user.last_s = tracker._last_s
+            user.doubt = tracker._doubt
         return [*done, *self._filtered(ready)]
 
     def smoothed(self) -> None:
@@ -443,19 +443,19 @@ class Trackers:
                 self.forgotten.append(name)
         return user
 
-    def _filtered(self, ready: Mapping[str, LiveEpoch]) -> list[tuple[str, Position]]:
+    def _filtered(self, ready: Mapping[str, tuple[_User, LiveEpoch]]) -> list[tuple[str, Position]]:
         """Filter an epoch of each of some users."""
         if not ready:
             return []
-        one = self._one
-        localizer = one._localizer
-        users = [self._users[name] for name in ready]
+        tracker = self._beginner
+        localizer = tracker._localizer
+        users, epochs = zip(*ready.values(), strict=True)
         n = max(8, 1 << (len(users) - 1).bit_length())
         if n not in self._engines:
             self._engines[n] = localizer.tracks(n)
         engine = self._engines[n]
-        rows, visible, _ = zip(*map(one._incoming, ready.values()), strict=True)
-        times = np.array([epoch.time_s for epoch in ready.values()])
+        rows, visible, _ = zip(*map(tracker._incoming, epochs), strict=True)
+        times = np.array([epoch.time_s for epoch in epochs])
         gaps = times - np.array([user.end_s for user in users])
         states = np.array([user.state for user in users])
         engine.resume(states, np.array(rows), gaps)
@@ -466,19 +466,18 @@ class Trackers:
         if localizer.levels and users[0].levels:
             localizer.levels.state = LevelState(*_joined([user.levels for user in users]))
         factors = localizer.level_factors(filtered, np.array(visible), times, False, tracks=True)
-        levels = one._levels_m(filtered.P, factors)
+        levels = tracker._levels_m(filtered.P, factors)
         done = []
-        for i, (name, epoch) in enumerate(ready.items()):
-            user = users[i]
+        for i, (name, (user, epoch)) in enumerate(ready.items()):
             self._keep(user, epoch, engine, i)
-            if one._measures(visible[i]):
+            if tracker._measures(visible[i]):
                 user.last_s = epoch.time_s
-            done.append((name, one._reported(filtered, i, epoch.time_s, visible[i], levels)))
+            done.append((name, tracker._reported(filtered, i, epoch.time_s, visible[i], levels)))
         return done
 
     def _keep(self, user: _User, epoch: LiveEpoch, engine: Any, track: int) -> None:
         """Keep what a track's next epoch needs."""
-        levels = self._one._localizer.levels
+        levels = self._beginner._localizer.levels
         user.end_s = epoch.time_s
         user.state = engine.column(track)
         user.memory = _row(engine.memory, track)

@@ -60,7 +60,7 @@ def log_from(epochs: Iterable[LiveEpoch]) -> Log:
 
 @dataclass(slots=True)
 class _Arrivals:
-    """What has arrived from a user."""
+    """The rows that have arrived from a user."""
 
     rows: list[list[float]] = field(default_factory=list)  # of the current epoch
     last: list[list[float]] = field(default_factory=list)  # rows of the last epoch

@@ -235,3 +235,15 @@ def test_users_who_come_and_go_have_the_positions_of_trackers_of_their_own(polic
                 if position:
                     expected[name] = position
         assert trackers.update(rows) == expected
+
+
+def test_users_who_left_are_forgotten_and_memory_stays_flat():
+    trackers = Trackers(Tracker(SCENE, Switching((EKF,)), RADIO))
+    first, *_ = walk(1)
+    for t in range(200):  # a new user every second, of whom each sends a single epoch
+        rows = [row | {"ue": f"user {t}", "time_s": float(t)} for row in first]
+        (position,) = trackers.update(rows).values()
+        assert position.begins and len(trackers._users) <= 20
+    ahead = [row | {"ue": "user 199", "time_s": 1e9} for row in first]  # a wrong clock
+    trackers.update(ahead)
+    assert len(trackers._users) > 10
