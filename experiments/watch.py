@@ -64,7 +64,7 @@ def main(args: Args) -> None:
         histories = [history_of(c, episode, scoring, streets) for c in contenders]
     rows = _between(histories[0].time_s, args.begin, args.end)
     first, last = histories[0].time_s[[rows[0], rows[-1]]]
-    say(f"{episode.name}, seed {args.seed}, {first:.13g} to {last:.13g} s")
+    say(f"{episode.name}, seed {args.seed}, {first:g} to {last:g} s")
     for contender, history in zip(contenders, histories, strict=True):
         error = history.error_m[rows]
         off = f"{error.mean():.1f} m off on average, {error.max():.1f} m at most"
@@ -95,8 +95,8 @@ def _between(time_s: "Array", begin: float, end: float) -> list[int]:
     rows = [row for row, time in enumerate(time_s.tolist()) if begin <= time <= end]
     if not rows:
         raise ValueError(
-            f"begin, end: found {begin:.13g} to {end:.13g} s, expected part of the episode, "
-            f"0 to {time_s[-1]:.13g} s"
+            f"begin, end: found {begin:g} to {end:g} s, expected part of the episode, "
+            f"0 to {time_s[-1]:g} s"
         )
     return rows
 
