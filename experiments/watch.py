@@ -62,10 +62,10 @@ def main(args: Args) -> None:
     rows = [row for row, time in enumerate(time_s) if args.begin <= time <= args.end]
     if not rows:
         raise ValueError(
-            f"begin, end: found {args.begin:.13g} to {args.end:.13g} s, expected part of the "
-            f"episode, 0 to {time_s[-1]:.13g} s"
+            f"begin, end: found {args.begin:g} to {args.end:g} s, expected part of the "
+            f"episode, 0 to {time_s[-1]:g} s"
         )
-    say(f"{episode.name}, seed {args.seed}, {time_s[rows[0]]:.13g} to {time_s[rows[-1]]:.13g} s")
+    say(f"{episode.name}, seed {args.seed}, {time_s[rows[0]]:g} to {time_s[rows[-1]]:g} s")
     names = [contender.name for contender in contenders]
     for name, history in zip(names, histories, strict=True):
         error = history.error_m[rows]

@@ -59,7 +59,7 @@ def without_lost(
     cells = table.cells.copy()
     notes = {}
     # if one -1 in a row means "lost", all do
-    never = [of for of, column in columns.items() if of == "toa" or column.low > -1.0]
+    never = [of for of, column in columns.items() if of in ("toa", "speed") or column.low > -1.0]
     minus_one = np.any([table.raw(quantity) == -1.0 for quantity in never], axis=0)
     for quantity, column in columns.items():
         if quantity in ("time", "anchor"):

@@ -30,7 +30,7 @@ AnyArrays = TypeVar("AnyArrays", bound="Arrays")
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
 _BATCH_ROWS = 1 << 14
 _ROW_BYTES = 2000  # memory for a row of a Parquet file, and for its part in the track
-_UNNAMED = re.compile(r"^Unnamed: \d+$")
+_UNNAMED = re.compile(r"^(Unnamed: [\d.]+|index|level_0)$")  # pandas' names for its index
 _NUMBER = "a number, or nothing if it was not measured"
 _EXPECTED = {
     "time": "a number, or a date and time such as 2026-11-20T09:15:00.5Z",
@@ -226,7 +226,7 @@ def _is_parquet(path: Path) -> bool:
 def header_of(line: str) -> tuple[list[str], str]:
     """Return the names of columns and the delimiter: a semicolon if the header has no comma.
 
-    The name of a column without one is "", also if pandas called it "Unnamed: 0".
+    The name of a column without one is "", also if pandas named it.
 
     Raises:
         ValueError: the line is no header.

@@ -81,7 +81,7 @@ class Picture:
         else:
             links = len(history.anchors_m)
             numbers = (
-                f"epoch {history.epochs}   {history.time_s[-1]:.13g} s   "
+                f"epoch {history.epochs}   {history.time_s[-1]:g} s   "
                 f"true {history.true_mps[-1]:.1f} m/s   "
                 f"{error}   NEES {history.nees[-1]:.3g}   "
                 f"links {history.accepted[-1, :links].sum()} of {links}"
@@ -306,4 +306,4 @@ def _draw_clock(canvas: Canvas, lane: Rect, times_s: tuple[float, float]) -> Non
     for time in np.arange(math.ceil(first / step), last / step + 1e-9) * step:
         x = lane.left + (time - first) / (last - first) * lane.width
         canvas.line([[x, y], [x, y + 3.0]], "quiet", 0.8)
-        canvas.words(f"{time:.13g} s", (x, y + 9.0), "quiet", 13, 0.5)
+        canvas.words(f"{time:g} s", (x, y + 9.0), "quiet", 13, 0.5)

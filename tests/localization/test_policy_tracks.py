@@ -128,7 +128,7 @@ def test_a_live_track_begins_again_after_a_long_gap():
     assert begins == [True, *[False] * 9, True, *[False] * 9]
 
 
-WRONG = {"aoa_azimuth_rad": "north", "anchor": 9, "time_s": -1.0, "toa_s": -1e-7}
+WRONG = {"aoa_azimuth_rad": "north", "anchor": 9, "time_s": -1.0, "toa_s": "1e"}
 
 
 @pytest.mark.parametrize("field", WRONG)

@@ -220,7 +220,6 @@ VARIANTS = {
     "semicolons": lambda s: s.replace(",", ";"),
     "quoted header": lambda s: '"' + HEADER.replace(",", '","') + '"' + s[len(HEADER) :],
     "quoted cells": lambda s: '"' + s.replace(",", '","').replace("\n", '"\n"')[:-1],
-    "one quoted column": lambda s: s.replace(",1,", ',"1",'),
     "decimal commas": lambda s: s.replace(",", ";").replace(".", ","),
     "numbered rows": lambda s: numbered(s, ""),
     "Unnamed: 0": lambda s: numbered(s, "Unnamed: 0"),

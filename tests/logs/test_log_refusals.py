@@ -135,12 +135,6 @@ def test_ranges_slightly_below_0_and_unwrapped_azimuths_are_used(tmp_path):
     np.testing.assert_allclose(z[[4, 7]], [-1e-9 * SPEED_OF_LIGHT, -np.pi / 2])
 
 
-def test_a_column_that_is_mostly_beyond_its_limits_is_refused_with_the_likely_unit(tmp_path):
-    lines = [line | {"aoa_azimuth_rad": "-57.3"} for line in rows()]
-    with pytest.raises(LogError, match="line 2, column 'aoa_azimuth_rad'.*aoa_azimuth_deg"):
-        read(store(tmp_path, text(lines)))
-
-
 @pytest.mark.parametrize("angle", [np.pi / 2, -np.pi / 2, float(np.float32(np.pi / 2))])
 def test_elevations_of_straight_up_and_down_are_accepted(tmp_path, angle):
     lines = rows()
