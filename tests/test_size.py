@@ -46,7 +46,7 @@ ROOMS = {  # maximum tokens of a room; lines are free
     "mmwave_env/localization": 24_460,
     "mmwave_env/logs": 9_890,
     "mmwave_env/models": 11_250,
-    "mmwave_env/numerics": 3_780,
+    "mmwave_env/numerics": 3_800,
     "mmwave_env/rendering": 9_050,
     "mmwave_env/world": 14_590,
     "policies": 7_070,
