@@ -52,7 +52,7 @@ from mmwave_env.interface.signed import LastEpoch, after_update
 from mmwave_env.models.measurement import Epoch, Site, blank_site
 from mmwave_env.models.radio import Radio
 from mmwave_env.numerics.linalg import dot, pack, unpack
-from mmwave_env.numerics.numbers import Number, Numbers, Vector, maximum, sqrt, where
+from mmwave_env.numerics.numbers import Number, Numbers, Vector, blend, maximum, sqrt, where
 from mmwave_env.numerics.pytree import select, tree_at
 from mmwave_env.world.episode import Incoming, blank_incoming
 
@@ -307,7 +307,7 @@ def _observed(
     if asked.per_mode:
         spread = epoch.doppler_spread_hz
         averages = [
-            where(w.is_first > 0.5, spread, keep * old + (1.0 - keep) * spread)
+            where(w.is_first > 0.5, spread, blend(keep, old, spread))
             for old, keep in zip(w.spread_averages_hz, SPREAD_MEMORIES, strict=True)
         ]
         shown = MixtureView(predicted, w.mixture.probability, averages)
