@@ -39,6 +39,7 @@ from mmwave_env.numerics.numbers import (
     where,
     wrap,
 )
+from mmwave_env.numerics.pytree import select
 
 SPEED_OF_LIGHT = 299_792_458.0  # m/s
 # Longest length that counts as 0: less than the uncertainty of an antenna's position, but far more
@@ -201,10 +202,8 @@ def link_group(
     inverse_horizontal = _inverse(horizontal)
     slope = d[2] * inverse_horizontal * inverse * inverse
     across = inverse_horizontal * inverse_horizontal
-    east = where(aside, d[0], 0.0)
-    north = where(aside, d[1], 0.0)
-    level = where(apart, horizontal, 0.0)
-    up = where(apart, d[2], 0.0)
+    east, north = select(aside, d[:2], [0.0, 0.0])
+    level, up = select(apart, [horizontal, d[2]], [0.0, 0.0])
     still = [0.0] * (len(x) - 3)
     clock = list(x[STATE_SIZE:])
     slow = [*[0.0] * 4, *[1.0] * len(clock)]  # the range contains a clock's bias as a summand
@@ -292,8 +291,7 @@ def odometry_group(x: Vector, z: Vector, variance: Vector) -> Group:
     """
     v = x[3:6]
     horizontal, speed = norms(v)
-    moving = horizontal > _SLOWEST_ODOMETRY
-    ahead = [where(moving, v[0], 1.0), where(moving, v[1], 0.0)]
+    ahead = select(horizontal > _SLOWEST_ODOMETRY, list(v[:2]), [1.0, 0.0])
     speed_inverse = 1.0 / maximum(speed, _SLOWEST_ODOMETRY)
     horizontal_inverse = 1.0 / maximum(horizontal, _SLOWEST_ODOMETRY)
     across = horizontal_inverse * horizontal_inverse

@@ -176,10 +176,8 @@ def _apply_events(w: WorldState) -> WorldState:
     dice = Dice(user.dice)
     due = user.traveler.due > 0.5
     traveler = attend(dice, user.traveler, user.phases, user.net)
-    changed = user._replace(
-        dice=select(due, dice.state, user.dice), traveler=select(due, traveler, user.traveler)
-    )
-    return w._replace(user=changed)
+    changed = user._replace(dice=dice.state, traveler=traveler)
+    return w._replace(user=select(due, changed, user))
 
 
 def _move(w: WorldState) -> WorldState:
