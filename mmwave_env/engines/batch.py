@@ -217,9 +217,8 @@ class Batch:
             for begin, end in parts:
                 program.run_on_floats(begin, end, state, io)
             return
-        arguments = (program.on_lanes(), program.blank, state, io)
-        jobs = [(begin, end, *arguments) for begin, end in parts]
-        self._run(len(state.rows) * io.outputs.shape[1], jobs, len(self.parts))
+        work = len(state.rows) * io.outputs.shape[1]
+        self._run(work, parts, len(self.parts), program.on_lanes(), program.blank, state, io)
 
     def steps_s(self, places: Index) -> Array:
         """Return the median time (n,) in seconds between the epochs of each loaded episode."""

@@ -24,7 +24,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from mmwave_env.models.layout import STATE_SIZE, Layout
-from mmwave_env.numerics.linalg import dot, is_zero, minus, plus, product
+from mmwave_env.numerics.linalg import dot, is_zero, minus, plus, product, times
 from mmwave_env.numerics.numbers import (
     PI,
     Matrix,
@@ -246,10 +246,10 @@ def _only(group: Group, measured: Vector) -> Group:
     """
 
     def change(step: Vector) -> Numbers:
-        return [m * c for m, c in zip(measured, group.change(step), strict=True)]
+        return times(measured, group.change(step))
 
     return group._replace(
-        innovation=[m * y for m, y in zip(measured, group.innovation, strict=True)],
+        innovation=times(measured, group.innovation),
         variance=[where(m > 0.5, v, 1.0) for m, v in zip(measured, group.variance, strict=True)],
         jacobian=[[m * d for d in row] for m, row in zip(measured, group.jacobian, strict=True)],
         change=change,
