@@ -201,10 +201,12 @@ class Batch:
         if self.state.feed.run:
             arrays.append(self.state.feed.kept)
         before = [array[block, :, lane] for array in arrays]
-        self._advance([(b, b + 1) for b in blocks.tolist()], io, program, again)
-        self.state.epoch[others] = epoch
-        for array, values in zip(arrays, before, strict=True):
-            array[block, :, lane] = values
+        try:
+            self._advance([(b, b + 1) for b in blocks.tolist()], io, program, again)
+        finally:
+            self.state.epoch[others] = epoch
+            for array, values in zip(arrays, before, strict=True):
+                array[block, :, lane] = values
 
     def _advance(
         self, parts: list[tuple[int, int]], io: StepIO, program: Program[Any], again: bool
