@@ -252,8 +252,11 @@ class Repeated:
         self._function = function
         self._unchecked: Callable[..., Any] | None = None
 
-    def __call__(self, work: int, jobs: Sequence[tuple[Any, ...]], threads: int) -> list[Any]:
-        """Run jobs on at most ``threads`` threads and return the results, in order."""
+    def __call__(
+        self, work: int, parts: Sequence[tuple[int, int]], threads: int, *arguments: Any
+    ) -> list[Any]:
+        """Run ranges of blocks on at most ``threads`` threads; return the results, in order."""
+        jobs = [(*part, *arguments) for part in parts]
         run: Any = self._unchecked or self._function.choice(work, *jobs[0])
         results = share(run, jobs, threads)
         if run is self._function.compiled:

@@ -218,10 +218,12 @@ class Batch:
         if self.state.feed.run:
             arrays.append(self.state.feed.kept)
         before = [array[block, :, lane] for array in arrays]
-        self._advance([(b, b + 1) for b in blocks.tolist()], io, program, again)
-        self.state.epoch[others] = epoch
-        for array, values in zip(arrays, before, strict=True):
-            array[block, :, lane] = values
+        try:
+            self._advance([(b, b + 1) for b in blocks.tolist()], io, program, again)
+        finally:
+            self.state.epoch[others] = epoch
+            for array, values in zip(arrays, before, strict=True):
+                array[block, :, lane] = values
 
     def _advance(
         self, parts: list[tuple[int, int]], io: StepIO, program: Program[Any], again: bool
@@ -234,9 +236,8 @@ class Batch:
             for begin, end in parts:
                 program.run_on_floats(begin, end, state, io)
             return
-        arguments = (program.on_lanes(), program.blank, state, io)
-        jobs = [(begin, end, *arguments) for begin, end in parts]
-        self._run(len(state.rows) * io.outputs.shape[1], jobs, len(self.parts))
+        work = len(state.rows) * io.outputs.shape[1]
+        self._run(work, parts, len(self.parts), program.on_lanes(), program.blank, state, io)
 
     def steps_s(self, places: Index) -> Array:
         """Return the median time (n,) in seconds between the epochs of each loaded episode."""

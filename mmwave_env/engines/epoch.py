@@ -52,7 +52,7 @@ from mmwave_env.interface.signed import LastEpoch, after_update
 from mmwave_env.models.measurement import Epoch, Site, blank_site
 from mmwave_env.models.radio import Radio
 from mmwave_env.numerics.linalg import dot, pack, unpack
-from mmwave_env.numerics.numbers import Number, Numbers, Vector, maximum, sqrt, where
+from mmwave_env.numerics.numbers import Number, Numbers, Vector, blend, maximum, sqrt, where
 from mmwave_env.numerics.pytree import select, tree_at
 from mmwave_env.world.episode import Incoming, blank_incoming
 
@@ -261,23 +261,18 @@ def _scores(belief: Belief, truth: Vector, reward: Reward | None, cost: Number) 
 
 def _started(w: EpochState, asked: Asked) -> EpochState:
     """Return the state with which the incoming epoch begins: at first, the prior."""
-    is_first = w.is_first > 0.5
     pipeline = asked.pipeline
-    prior_x = w.site.prior_x
-    prior_P = w.site.prior_P
-    blank = initial_memory(pipeline.layout, len(pipeline.modes))
+    x = w.site.prior_x
+    P = w.site.prior_P
+    truth = w.incoming.truth
+    memory = initial_memory(pipeline.layout, len(pipeline.modes))
+    start = w._replace(x=x, P=P, memory=memory, truth=truth)
     if asked.per_mode:
-        mixture = select(is_first, begin(pipeline, prior_x, prior_P), w.mixture)
-        w = w._replace(mixture=mixture, mode_probabilities=mixture.probability)
+        start = start._replace(mixture=begin(pipeline, x, P))
     if asked.action == CORRECTION:
-        start = w.reported._replace(x=prior_x, P=prior_P, truth=w.incoming.truth)
-        w = w._replace(reported=select(is_first, start, w.reported))
-    return w._replace(
-        x=select(is_first, prior_x, w.x),
-        P=select(is_first, prior_P, w.P),
-        memory=select(is_first, blank, w.memory),
-        truth=select(is_first, w.incoming.truth, w.truth),
-    )
+        start = start._replace(reported=w.reported._replace(x=x, P=P, truth=truth))
+    w = select(w.is_first > 0.5, start, w)
+    return w._replace(mode_probabilities=w.mixture.probability) if asked.per_mode else w
 
 
 def _kept(result: ModeResult, asked: Asked) -> ModeResult:
@@ -307,7 +302,7 @@ def _observed(
     if asked.per_mode:
         spread = epoch.doppler_spread_hz
         averages = [
-            where(w.is_first > 0.5, spread, keep * old + (1.0 - keep) * spread)
+            where(w.is_first > 0.5, spread, blend(keep, old, spread))
             for old, keep in zip(w.spread_averages_hz, SPREAD_MEMORIES, strict=True)
         ]
         shown = MixtureView(predicted, w.mixture.probability, averages)

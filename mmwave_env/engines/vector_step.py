@@ -110,8 +110,8 @@ class Stepper:
         self._io = io
         program = (engine.program.on_lanes(), engine.program.blank)
         arguments = (*program, engine.state, io, actions, result, self._tally.counts)
-        jobs = [(begin, end, *arguments) for begin, end in engine.parts]
-        ended = sum(self._run(len(engine.state.rows), jobs, len(jobs)))
+        parts = engine.parts
+        ended = sum(self._run(len(engine.state.rows), parts, len(parts), *arguments))
         engine.trust(io)
         if not self._info_keys:
             return result, ended, {}

@@ -11,7 +11,7 @@ import numpy as np
 
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.numerics.linalg import product, symmetric
+from mmwave_env.numerics.linalg import product, symmetric, times
 from mmwave_env.numerics.numbers import (
     Array,
     Matrix,
@@ -97,7 +97,7 @@ def corrected(belief: Belief, shift: Vector, log_factor: Vector) -> Belief:
         log_factor: (3,) logarithms of the factors that scale these standard deviations.
     """
     frame, deviations = deviations_of(belief)
-    step = [k * deviation for k, deviation in zip(shift, deviations, strict=True)]
+    step = times(shift, deviations)
     dx, dy = frame.out(step[0], step[1])
     x = [belief.x[0] + dx, belief.x[1] + dy, belief.x[2] + step[2], *belief.x[3:]]
     a = exp(log_factor[0])

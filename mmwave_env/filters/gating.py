@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from mmwave_env.filters.linearization import Latents, Prior
 from mmwave_env.models.measurement import Group, Measurement
-from mmwave_env.numerics.linalg import cholesky, dot, forward, symmetric
+from mmwave_env.numerics.linalg import cholesky, dot, forward, symmetric, times
 from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Pair, log, maximum, where
 
 _GROUPS_PER_LOG = 8  # the product of the determinants of this many groups fits into a double
@@ -41,7 +41,7 @@ def innovation_statistics(group: Group, V: Matrix, latents: Latents) -> Pair:
     variance = latents.variance
 
     def entry(i: int, j: int) -> Number:
-        value = dot(variance, [a * b for a, b in zip(V[i], V[j], strict=True)])
+        value = dot(variance, times(V[i], V[j]))
         value = value + latents.bend * (shift[i] * shift[j])
         return value + group.variance[i] if i == j else value
 

@@ -11,8 +11,19 @@ from mmwave_env.filters.update import ModeResult, capped_log_likelihood
 from mmwave_env.models.layout import STATE_SIZE, Layout
 from mmwave_env.models.measurement import Epoch
 from mmwave_env.models.motion import move
-from mmwave_env.numerics.linalg import dot
-from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Pair, Vector, clip, sqrt, where
+from mmwave_env.numerics.linalg import dot, minus
+from mmwave_env.numerics.numbers import (
+    Matrix,
+    Number,
+    Numbers,
+    Pair,
+    Vector,
+    blend,
+    clip,
+    sqrt,
+    where,
+)
+from mmwave_env.numerics.pytree import select
 
 WINDOW = 10  # number of epochs in the window for adaptive scaling
 GAMMA_LIMITS = (0.5, 2.0)  # limits of the adaptive scale; paper, Sec. III-E
@@ -74,20 +85,19 @@ def memory_before(
     """Return the memory after adding the coming epoch and every mode's result, ``candidates``."""
     snr = []
     for visible, now, mean in zip(epoch.visible, epoch.snr_db, memory.snr_mean_db, strict=False):
-        grown = SNR_MEMORY * mean + (1.0 - SNR_MEMORY) * now
-        grown = where(mean < SNR_UNSEEN_DB + 1.0, now, grown)
+        grown = where(mean < SNR_UNSEEN_DB + 1.0, now, blend(SNR_MEMORY, mean, now))
         snr.append(where(visible > 0.5, grown, mean))
     degrees = layout.degrees(epoch.measured)
     likelihoods = [capped_log_likelihood(candidate, degrees) for candidate in candidates]
-    preference = []
-    for past, keep in zip(memory.preference, PREFERENCE_MEMORY, strict=True):
-        row = []
-        for old, likelihood in zip(past, likelihoods, strict=True):
-            now = clip(likelihood - likelihoods[-1], -PREFERENCE_LIMIT, PREFERENCE_LIMIT)
-            row.append(keep * old + (1.0 - keep) * now)
-        preference.append(row)
-    spread = SPREAD_MEMORY * memory.spread_average_hz
-    spread = spread + (1.0 - SPREAD_MEMORY) * epoch.doppler_spread_hz
+    gains = [
+        clip(likelihood - likelihoods[-1], -PREFERENCE_LIMIT, PREFERENCE_LIMIT)
+        for likelihood in likelihoods
+    ]
+    preference = [
+        [blend(keep, old, gain) for old, gain in zip(past, gains, strict=True)]
+        for past, keep in zip(memory.preference, PREFERENCE_MEMORY, strict=True)
+    ]
+    spread = blend(SPREAD_MEMORY, memory.spread_average_hz, epoch.doppler_spread_hz)
     return memory._replace(snr_mean_db=snr, spread_average_hz=spread, preference=preference)
 
 
@@ -124,13 +134,10 @@ def memory_after(
         memory: the memory that :func:`memory_before` returned.
         epoch: the epoch that has been filtered.
     """
-    accepted_dof = dot(chosen.accepted, [1.0 * rows for rows in layout.degrees(epoch.measured)])
+    accepted_dof = dot(chosen.accepted, layout.degrees(epoch.measured))
     some = accepted_dof > 0.5
     ratio = dot(chosen.accepted, chosen.nis) / where(some, accepted_dof, 1.0)
-    window = [
-        where(some, new, old)
-        for new, old in zip([ratio, *memory.window[:-1]], memory.window, strict=True)
-    ]
+    window = select(some, [ratio, *memory.window[:-1]], memory.window)
     links = sum(epoch.visible[: layout.anchors], 0.0)
     fixes = sum(chosen.accepted[: layout.anchors], 0.0)
     # A link that is accepted only because of a lock-out does not end the lock-out: the update
@@ -144,13 +151,13 @@ def memory_after(
         gamma=clip(dot(window, [1.0 / WINDOW] * WINDOW), *GAMMA_LIMITS),
         nis=chosen.nis,
         accepted=chosen.accepted,
-        rejected=[v - a for v, a in zip(epoch.visible, chosen.accepted, strict=True)],
+        rejected=minus(epoch.visible, chosen.accepted),
         nis_average=[
-            where(some, keep * old + (1.0 - keep) * ratio, old)
+            where(some, blend(keep, old, ratio), old)
             for old, keep in zip(memory.nis_average, NIS_MEMORY, strict=True)
         ],
         correction=[
-            CORRECTION_MEMORY * old + (1.0 - CORRECTION_MEMORY) * new
+            blend(CORRECTION_MEMORY, old, new)
             for old, new in zip(memory.correction, correction, strict=True)
         ],
         unfixed_s=where(fixes > 0.5, 0.0, memory.unfixed_s + epoch.dt),

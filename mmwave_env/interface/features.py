@@ -274,7 +274,7 @@ def _innovation(pipeline: Pipeline) -> list[Feature]:
 
 
 def _mean_nis(layout: Layout, candidate: ModeResult, epoch: Epoch) -> Number:
-    rows = dot(epoch.visible, [1.0 * number for number in layout.degrees(epoch.measured)])
+    rows = dot(epoch.visible, layout.degrees(epoch.measured))
     return dot(epoch.visible, candidate.nis) / where(rows > 0.5, rows, 1.0)
 
 

@@ -118,7 +118,7 @@ class Observation:
         The value is as exact as single precision allows; zeros and counts are exact. For a value
         beyond a limit, the limit is returned.
         """
-        i = self.names.index(name)
+        i = {feature.name: i for i, feature in enumerate(self.features)}[name]
         shown = observation[..., i].astype(np.float32)
         (mean, deviation) = self.features[i].scale
         value = shown.astype(np.float64) * deviation + mean

@@ -22,6 +22,7 @@ from mmwave_env.numerics.numbers import (
     sqrt,
     where,
 )
+from mmwave_env.numerics.pytree import select
 from mmwave_env.numerics.random import Dice
 
 
@@ -169,8 +170,7 @@ def _next_spell(
     on = spell_goes_on(was_on, draws.uniform, onset, params.end)
     angles = [params.angle_rad * a for a in draws.angles]
     drawn = [params.constant_m + params.mean_m * draws.excess, *angles]
-    lasts = was_on > 0.5
-    return Spell(on, [where(lasts, old, new) for old, new in zip(before.bias, drawn, strict=True)])
+    return Spell(on, select(was_on > 0.5, before.bias, drawn))
 
 
 def channel_epoch(

@@ -24,7 +24,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from mmwave_env.models.layout import STATE_SIZE, Layout
-from mmwave_env.numerics.linalg import dot, is_zero, minus, plus, product
+from mmwave_env.numerics.linalg import dot, is_zero, minus, plus, product, times
 from mmwave_env.numerics.numbers import (
     PI,
     Matrix,
@@ -39,6 +39,7 @@ from mmwave_env.numerics.numbers import (
     where,
     wrap,
 )
+from mmwave_env.numerics.pytree import select
 
 SPEED_OF_LIGHT = 299_792_458.0  # m/s
 # Longest length that counts as 0: less than the uncertainty of an antenna's position, but far more
@@ -201,10 +202,8 @@ def link_group(
     inverse_horizontal = _inverse(horizontal)
     slope = d[2] * inverse_horizontal * inverse * inverse
     across = inverse_horizontal * inverse_horizontal
-    east = where(aside, d[0], 0.0)
-    north = where(aside, d[1], 0.0)
-    level = where(apart, horizontal, 0.0)
-    up = where(apart, d[2], 0.0)
+    east, north = select(aside, d[:2], [0.0, 0.0])
+    level, up = select(apart, [horizontal, d[2]], [0.0, 0.0])
     still = [0.0] * (len(x) - 3)
     clock = list(x[STATE_SIZE:])
     slow = [*[0.0] * 4, *[1.0] * len(clock)]  # the range contains a clock's bias as a summand
@@ -247,10 +246,10 @@ def _only(group: Group, measured: Vector) -> Group:
     """
 
     def change(step: Vector) -> Numbers:
-        return [m * c for m, c in zip(measured, group.change(step), strict=True)]
+        return times(measured, group.change(step))
 
     return group._replace(
-        innovation=[m * y for m, y in zip(measured, group.innovation, strict=True)],
+        innovation=times(measured, group.innovation),
         variance=[where(m > 0.5, v, 1.0) for m, v in zip(measured, group.variance, strict=True)],
         jacobian=[[m * d for d in row] for m, row in zip(measured, group.jacobian, strict=True)],
         change=change,
@@ -292,8 +291,7 @@ def odometry_group(x: Vector, z: Vector, variance: Vector) -> Group:
     """
     v = x[3:6]
     horizontal, speed = norms(v)
-    moving = horizontal > _SLOWEST_ODOMETRY
-    ahead = [where(moving, v[0], 1.0), where(moving, v[1], 0.0)]
+    ahead = select(horizontal > _SLOWEST_ODOMETRY, list(v[:2]), [1.0, 0.0])
     speed_inverse = 1.0 / maximum(speed, _SLOWEST_ODOMETRY)
     horizontal_inverse = 1.0 / maximum(horizontal, _SLOWEST_ODOMETRY)
     across = horizontal_inverse * horizontal_inverse

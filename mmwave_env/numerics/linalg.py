@@ -34,6 +34,11 @@ def minus(a: Vector, b: Vector) -> Numbers:
     return [u - v for u, v in zip(a, b)]  # noqa: B905
 
 
+def times(a: Vector, b: Vector) -> Numbers:
+    """Return the products of the entries of two vectors of the same length."""
+    return [u * v for u, v in zip(a, b, strict=True)]
+
+
 def product(a: Matrix, b: Matrix) -> list[Numbers]:
     """Return the product of two matrices; surplus columns of ``a`` are ignored."""
     return [[dot(row, column) for column in zip(*b, strict=True)] for row in a]

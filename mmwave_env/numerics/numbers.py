@@ -96,6 +96,11 @@ def clip(a: Number, low: float, high: float) -> Number:
     return minimum(maximum(a, low), high)
 
 
+def blend(keep: Number, old: Number, new: Number) -> Number:
+    """Return the next value of a moving average, in which the past has the weight ``keep``."""
+    return keep * old + (1.0 - keep) * new
+
+
 def wrap(angle: Number) -> Number:
     """Wrap an angle in (-3 pi, 3 pi), such as a difference of two angles, into [-pi, pi]."""
     angle = where(angle > PI, angle - 2 * PI, angle)

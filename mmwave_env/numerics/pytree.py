@@ -35,11 +35,14 @@ def indices(template: Tree) -> Tree:
     return unflatten(template, itertools.count())
 
 
-def select(condition: Any, a: Tree, b: Tree) -> Tree:
-    """Apply ``where(condition, a, b)`` leaf by leaf."""
-    pairs = zip(flatten(a), flatten(b), strict=True)
-    chosen = [u if u is v else where(condition, u, v) for u, v in pairs]
-    return unflatten(a, iter(chosen))
+def select(condition: Any, a: Tree, b: Any) -> Tree:
+    """Apply ``where(condition, a, b)`` leaf by leaf; what both trees share needs no choice."""
+    if a is b:
+        return a
+    if not isinstance(a, (list, tuple)):
+        return where(condition, a, b)  # type: ignore[no-any-return]
+    chosen = [select(condition, *pair) for pair in zip(a, b, strict=True)]
+    return chosen if isinstance(a, list) else type(a)(*chosen)  # type: ignore[return-value]
 
 
 def tree_at(index: Number, trees: Sequence[Tree]) -> Tree:

@@ -26,7 +26,7 @@ from mmwave_env.models.measurement import exact_rows
 from mmwave_env.models.radio import Radio, deviations
 from mmwave_env.models.random_scene import RandomScene
 from mmwave_env.models.scene import Scene, SceneNumbers
-from mmwave_env.numerics.linalg import dot
+from mmwave_env.numerics.linalg import dot, times
 from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Vector, floor, sqrt, where, wrap
 from mmwave_env.numerics.pytree import flatten, indices, select, tree_at
 from mmwave_env.numerics.random import STATE_WORDS, Dice, seeded
@@ -124,7 +124,7 @@ def measure(
         visible.append(where(speed < radio.odometry_slowest_mps, 0.0, 1.0))
     present = [v for v, k in zip(visible, layout.widths, strict=True) for _ in range(k)]
     if layout.partial:
-        present = [v * offered for v, offered in zip(present, settings.offered, strict=True)]
+        present = times(present, settings.offered)
     measured = Incoming(
         dt=where(is_first, 0.0, settings.dt),
         z=_where_measured(present, z, 0.0),
@@ -176,10 +176,8 @@ def _apply_events(w: WorldState) -> WorldState:
     dice = Dice(user.dice)
     due = user.traveler.due > 0.5
     traveler = attend(dice, user.traveler, user.phases, user.net)
-    changed = user._replace(
-        dice=select(due, dice.state, user.dice), traveler=select(due, traveler, user.traveler)
-    )
-    return w._replace(user=changed)
+    changed = user._replace(dice=dice.state, traveler=traveler)
+    return w._replace(user=select(due, changed, user))
 
 
 def _move(w: WorldState) -> WorldState:

@@ -173,11 +173,7 @@ def _change_over(t: Traveler, following: TravelPhase) -> Traveler:
     # If too little street is left for the next phase's wider corner, turn at this corner first.
     room = (abs(t.turn) < 0.5) | (left > wider + 4.0)
     over = (t.time >= t.phase_end) & (t.stopping < 0.5) & room
-    t = t._replace(
-        stopping=where(over, 1.0, t.stopping),
-        target=where(over, 0.0, t.target),
-        gait_left=where(over, FAR, t.gait_left),
-    )
+    t = select(over, t._replace(stopping=1.0, target=0.0, gait_left=FAR), t)
     stands = (t.stopping > 0.5) & (t.v <= STANDING_MPS)
     fits = (abs(t.turn) > 0.5) & (left > maximum(wider, -1.0) + 1.0)
     bent = t._replace(
@@ -192,10 +188,7 @@ def attend(dice: Dice, t: Traveler, phases: Sequence[TravelPhase], net: Net) -> 
     t = _change_over(t, tree_at(t.phase + 1.0, phases))
     phase = tree_at(t.phase, phases)
     target, lasts = _draw_gait(dice, phase.gaits)
-    tired = t.gait_left <= 0.0
-    t = t._replace(
-        target=where(tired, target, t.target), gait_left=where(tired, lasts, t.gait_left)
-    )
+    t = select(t.gait_left <= 0.0, t._replace(target=target, gait_left=lasts), t)
     return select(t.traveled >= t.stretch + t.arc, _cross(dice, t, phase, net), t)
 
 
