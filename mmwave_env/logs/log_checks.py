@@ -34,7 +34,7 @@ def sound_epochs(
     table, notes = without_lost(table, layout, _WRONG_UNIT if limits else 0.0)
     if layout and (repeated := _repeated(table)).any():
         first = table.file.place(table.rows[np.argmax(repeated)])
-        notes["repeated rows"] = f"{repeated.sum()} repeated rows ({first})"
+        notes["repeated rows"] = f"repeated rows: {repeated.sum()} ({first})"
         table = table.part(~repeated)
     if notes:
         listed = "; ".join(notes.values())

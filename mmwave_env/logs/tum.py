@@ -62,8 +62,8 @@ def read_tum(path: Path) -> Poses:
         raise ValueError(f"{path}: found {problem}, expected lines {' '.join(COLUMNS)}")
     if repeated:
         warnings.warn(
-            f"{repeated[0]}: found the time of the pose before; {len(repeated)} such poses are "
-            "left out",
+            f"{repeated[0]}: found the time of the pose before; such poses, left out: "
+            f"{len(repeated)}",
             stacklevel=2,
         )
     poses = np.array(rows)

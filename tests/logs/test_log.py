@@ -252,7 +252,7 @@ def test_dates_become_seconds_since_1970_in_files_and_live(tmp_path, moment, uni
 def test_equal_rows_are_left_out_and_counted_in_files_and_live(tmp_path):
     lines = rows()
     twice = [lines[0], lines[1], lines[0], *lines[2:6], lines[5], lines[4], *lines[6:]]
-    with pytest.warns(UserWarning, match=r"left out: 3 repeated rows \(line 4\)"):
+    with pytest.warns(UserWarning, match=r"left out: repeated rows: 3 \(line 4\)"):
         log = read(store(tmp_path, text(twice)), partial=True)
     assert_same(log, read(store(tmp_path, text(lines), "once.csv"), partial=True), "line")
     live, warnings = read_live(text(twice))

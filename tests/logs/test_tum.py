@@ -84,7 +84,7 @@ def test_the_error_names_a_damaged_line(tmp_path, line):
 def test_of_poses_at_one_time_the_first_is_read_and_the_others_are_counted(tmp_path):
     lines = POSES.splitlines()
     path = store(tmp_path, "\n".join([lines[0], lines[0], lines[1], "0.1 9 9 9 0 0 0 1", lines[2]]))
-    with pytest.warns(UserWarning, match="line 2: .*; 2 such poses are left out"):
+    with pytest.warns(UserWarning, match="line 2: .*; such poses, left out: 2"):
         poses = read_tum(path)
     assert poses.time_s.tolist() == [0.0, 0.1, 0.2]
     assert poses.position_m[:, 0].tolist() == [1.0, 1.5, 2.0]
