@@ -14,7 +14,6 @@ import numpy as np
 
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import BatchState, Feed, Program, StepIO, blocks_of, fill, rows_of
-from mmwave_env.models.channel import channel_of
 from mmwave_env.models.envelope import STEP_S
 from mmwave_env.models.layout import Layout, offered_rows
 from mmwave_env.models.measurement import Site, blank_site
@@ -25,6 +24,7 @@ from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.numerics.pytree import flatten, indices
 from mmwave_env.numerics.random import Dice, seeded
+from mmwave_env.world.channel import channel_of
 from mmwave_env.world.episode import Episode, EpisodeBatch, Incoming, columns_of
 from mmwave_env.world.keys import Keys, draw_key
 from mmwave_env.world.mobility import FASTEST_MPS, MIXED, plans_of

@@ -14,13 +14,6 @@ from numba.core.compiler_lock import global_compiler_lock
 from mmwave_env.compiler.disk_cache import compiled_callback
 from mmwave_env.compiler.lanes import WIDTH, number_at
 from mmwave_env.compiler.program import Program, tree_kernel
-from mmwave_env.models.channel import (
-    Channel,
-    ChannelState,
-    channel_epoch,
-    channel_of,
-    initial_state,
-)
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import exact_rows
 from mmwave_env.models.radio import Radio, deviations
@@ -31,6 +24,13 @@ from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Vector, floor, 
 from mmwave_env.numerics.pytree import flatten, indices, select, tree_at
 from mmwave_env.numerics.random import STATE_WORDS, Dice, seeded
 from mmwave_env.numerics.tape import fingerprint
+from mmwave_env.world.channel import (
+    Channel,
+    ChannelState,
+    channel_epoch,
+    channel_of,
+    initial_state,
+)
 from mmwave_env.world.episode import Incoming, blank_incoming
 from mmwave_env.world.kinematics import Net, Traveler, move, state_of
 from mmwave_env.world.travel import (

@@ -11,10 +11,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import binom, chi2, kstest, lognorm, norm
 
-from mmwave_env.models.channel import channel_epoch, channel_of, initial_state
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import RADIOS, Radio, radio_from
 from mmwave_env.models.scene import SCENES
+from mmwave_env.world.channel import channel_epoch, channel_of, initial_state
 from tests.paths import write_json
 from tests.refusals import refuses
 
