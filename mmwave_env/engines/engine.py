@@ -1,7 +1,7 @@
 """The engine: N tracks that run the verbs of :mod:`mmwave_env.engines.epoch` together.
 
-The same engine serves everybody. Environments call :meth:`Engine.run_step`. Where a policy is asked in
-every epoch of a track, :meth:`Engine.filter`, :meth:`Engine.decide` and perhaps
+The same engine serves everybody. Environments call :meth:`Engine.run_step`. Where a policy is asked
+in every epoch of a track, :meth:`Engine.filter`, :meth:`Engine.decide` and perhaps
 :meth:`Engine.correct` are called. Where all actions are known, or a rule or an IMM needs none,
 :meth:`Engine.run` filters all epochs in one call of compiled code.
 """
