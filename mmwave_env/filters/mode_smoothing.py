@@ -26,7 +26,7 @@ from mmwave_env.numerics.linalg import cholesky, inverse, is_zero, unpack
 from mmwave_env.numerics.numbers import Array, Number
 from mmwave_env.numerics.pytree import indices
 
-_EPOCHS_TOGETHER = 2048  # number of epochs whose predictions are computed together
+_EPOCHS_TOGETHER = 800  # number of epochs whose predictions are computed together
 
 
 class ModeBeliefs(NamedTuple):
