@@ -56,7 +56,7 @@ def run_live(args: LogArgs) -> None:
                 tracker, why = _tracker(args, scene, log, levels, users)
         for user, position in _positions(tracker, epochs):
             if not began or (position.begins and not user):
-                note(f"a new track begins at {position.time_s!r} s: {why}")
+                note(f"a track begins, or begins anew, at {position.time_s!r} s: {why}")
             content: Json = {"ue": user} if user else {}
             if origin:
                 content |= location_data(position, origin, args.confidence, args.accuracy)

@@ -33,7 +33,7 @@ def _course(figures: Json) -> list[str]:
         lines.append(f"{f['skipped']} epochs before the first position were skipped")
     if f["restarts"] or f["dropped"]:
         event = f"restarted {_times(f['restarts'])} after" if f["restarts"] else "ended at"
-        gaps = f"{'a gap' if f['restarts'] < 2 else 'gaps'} of more than {GAP_S:g} s"
+        gaps = f"gaps of more than {GAP_S:g} s, or where the next epochs contradicted a start"
         if "association" in f:
             gaps += ", or where another track explained the paths better"
         lines.append(f"{event} {gaps}; {f['dropped']} epochs skipped")

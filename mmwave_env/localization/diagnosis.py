@@ -21,7 +21,7 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.localization.contradictions import Contradiction, contradictions, impossible
 from mmwave_env.localization.localizer import episode_from
-from mmwave_env.localization.starts import start_at
+from mmwave_env.localization.starts import POOL_S, start_at
 from mmwave_env.logs.log import Log
 from mmwave_env.models.layout import wrap_angles
 from mmwave_env.models.radio import RADIOS, Radio
@@ -307,11 +307,15 @@ def diagnose(log: Log, scene: Scene, radio: Radio, mode: Mode) -> list[Finding]:
     Raises:
         ValueError: there is no link with which a track could begin.
     """
-    start = _start(log)
-    as_it_is = Reading(log.part(slice(start, start + DIAGNOSED_EPOCHS)), scene, radio)
+    begin = _start(log)
+    first = 0
+    if start_at(log, begin, scene, radio) is None:  # the links of a second may begin a track
+        first = int(np.searchsorted(log.time_s, log.time_s[begin] + POOL_S)) - begin
+    epochs = slice(begin, begin + first + DIAGNOSED_EPOCHS)
+    as_it_is = Reading(log.part(epochs), scene, radio)
     single = [as_it_is.without(mistake) for mistake in mistakes(scene, radio, log.columns)]
     single = [reading for reading in single if _has_effect(reading, as_it_is)]
-    findings = _findings([as_it_is, *single], mode)
+    findings = _findings([as_it_is, *single], mode, first)
     if findings[0].contradictions:
         double = [
             first.without(*second.undone)
@@ -319,13 +323,13 @@ def diagnose(log: Log, scene: Scene, radio: Radio, mode: Mode) -> list[Finding]:
             # computing a first position from incomplete links takes too long for all pairs
             if not log.layout.partial or first.radio is not radio
         ]
-        best = [f for f in _findings(double, mode) if not f.contradictions]
+        best = [f for f in _findings(double, mode, first) if not f.contradictions]
         findings = best[:1] + findings
     return findings
 
 
-def _findings(readings: Sequence[Reading], mode: Mode) -> list[Finding]:
-    """Return a finding on each reading, the best first."""
+def _findings(readings: Sequence[Reading], mode: Mode, first: int) -> list[Finding]:
+    """Return a finding on each reading, the best first; tracks begin with the epoch ``first``."""
     findings = []
     tracked = []
     episodes = []
@@ -336,9 +340,10 @@ def _findings(readings: Sequence[Reading], mode: Mode) -> list[Finding]:
             wrap_angles(z, reading.log.layout)
             log = replace(reading.log, measurement=z)
             try:
-                start = start_at(log, 0, reading.scene, reading.radio)
+                start = start_at(log, first, reading.scene, reading.radio)
                 if start is None:
-                    raise ValueError("the first epoch determines no position")
+                    raise ValueError("the first epochs determine no position")
+                log = log.part(slice(first, None))
                 episodes.append(episode_from(log, reading.scene, reading.radio, start))
                 tracked.append(reading._replace(log=log))
             except ValueError as error:

@@ -44,7 +44,7 @@ POOL_S = 1.0  # age up to which earlier links help to determine a first position
 VOTES = 5  # positions that confirm a start
 # minimum time between votes: between the first ones, between later ones
 _SPACING_S = 0.25
-_LATER_SPACING_S = 1.0
+_LATER_SPACING_S = POOL_S
 # The motion between votes: standard deviations of position, velocity and its change in a second
 _POSITION = np.diag([_FARTHEST_M, _FARTHEST_M, HEIGHT_SIGMA_M]) ** 2
 _VELOCITY = np.diag([UNKNOWN_VELOCITY_MPS, UNKNOWN_VELOCITY_MPS, 0.5]) ** 2
@@ -96,7 +96,7 @@ def start_at(log: Log, epoch: int, scene: Scene, radio: Radio) -> Start | None:
     solved = _position_at(log, epoch, scene, radio)
     if solved is None:
         return None
-    unknown, covariance = solved
+    unknown, covariance, _ = solved
     n = row.layout.state_size
     x = np.zeros(n)
     P = radio.prior_covariance(scene, row.layout.clock)
@@ -107,13 +107,21 @@ def start_at(log: Log, epoch: int, scene: Scene, radio: Radio) -> Start | None:
     return Start((x, P), spent)
 
 
-def _position_at(log: Log, epoch: int, scene: Scene, radio: Radio) -> tuple[Array, Array] | None:
-    """Return :func:`_solved` for an epoch's links or, if that is None, with earlier ones."""
+def _position_at(
+    log: Log, epoch: int, scene: Scene, radio: Radio
+) -> tuple[Array, Array, bool] | None:
+    """Return :func:`_solved` for an epoch's links or, if that is None, with earlier ones.
+
+    Also tell whether earlier ones were needed.
+    """
     row = log.part(slice(epoch, epoch + 1))
     sigma = _deviations(row, scene, radio)[0]
     clock = log.layout.clock
     solved = _solved(row.measurement[0], sigma, row.visible[0], scene, clock)
-    return solved or _solved(*_pooled(log, epoch, scene, radio), scene, clock)
+    if solved:
+        return *solved, False
+    solved = _solved(*_pooled(log, epoch, scene, radio), scene, clock)
+    return (*solved, True) if solved else None
 
 
 def _deviations(log: Log, scene: Scene, radio: Radio) -> Array:
@@ -295,6 +303,7 @@ class Vote(NamedTuple):
     time_s: float
     position: Array  # (3,)
     covariance: Array  # (3, 3)
+    pooled: bool  # whether links of earlier epochs were needed
 
 
 class Ballot:
@@ -311,8 +320,10 @@ class Ballot:
 
     def is_open(self, elapsed_s: float) -> bool:
         """Tell whether an epoch so long after the first one may still vote."""
-        enough = len(self._votes) >= VOTES
-        return elapsed_s <= (_DOUBTED_S if enough else _PATIENCE_S)
+        if len(self._votes) < VOTES:
+            return elapsed_s <= _PATIENCE_S
+        # One wrong link makes a pooled vote wrong; so only the first ones are counted.
+        return elapsed_s <= _DOUBTED_S and not self._votes[-1].pooled
 
     @property
     def is_undecided(self) -> bool:
@@ -321,8 +332,11 @@ class Ballot:
 
     def is_due(self, time_s: float) -> bool:
         """Tell whether an epoch at this time is not too near to the last vote."""
-        spacing_s = _SPACING_S if len(self._votes) < VOTES else _LATER_SPACING_S
-        return not self._votes or time_s - self._votes[-1].time_s >= spacing_s
+        if not self._votes:
+            return True
+        last = self._votes[-1]
+        few = len(self._votes) < VOTES and not last.pooled  # pooled votes must not share links
+        return time_s - last.time_s >= (_SPACING_S if few else _LATER_SPACING_S)
 
     def add(self, log: Log, epoch: int) -> bool:
         """Let an epoch of a log vote, unless it follows another vote at once; tell if it did."""
@@ -332,8 +346,8 @@ class Ballot:
         solved = _position_at(log, epoch, self._scene, self._radio)
         if solved is None:
             return False
-        position, covariance = solved
-        self._votes.append(Vote(epoch, now, position[:3], covariance[:3, :3]))
+        position, covariance, pooled = solved
+        self._votes.append(Vote(epoch, now, position[:3], covariance[:3, :3], pooled))
         return True
 
     def jump(self) -> int | None:

@@ -151,8 +151,8 @@ def test_a_late_start_a_restart_and_an_end_at_a_long_gap_are_reported(capsys, tm
     header, *lines = lines_of()
     rows = [(round(10 * float(time)), rest) for time, _, rest in (l.partition(",") for l in lines)]
     for visible_s, said, counts in (
-        (range(20, 400), "restarted once after a gap of more than 15 s; 0 epochs", (1, 0, 350)),
-        (range(20, 100), "ended at a gap of more than 15 s; 270 epochs", (0, 270, 80)),
+        (range(20, 400), "restarted once after gaps .*; 0 epochs", (1, 0, 350)),
+        (range(20, 100), "ended at gaps .*; 270 epochs", (0, 270, 80)),
     ):
         nothing = "," * (header.count(",") - 1)
         kept = [
@@ -164,7 +164,7 @@ def test_a_late_start_a_restart_and_an_end_at_a_long_gap_are_reported(capsys, tm
         results = figures(WALK, "--speed", "1", "--plot", tmp_path / "t.png", truth=False, log=log)
         assert (results["restarts"], results["dropped"], results["epochs"]) == counts
         shown = capsys.readouterr().out
-        assert f"{said} skipped" in shown and results["skipped"] == 20
+        assert re.search(f"{said} skipped", shown) and results["skipped"] == 20
         assert "20 epochs before the first position were skipped" in shown
 
 
