@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from experiments.evaluation.contenders import contender_from
+from mmwave_env.filters.bank import named_modes
+from mmwave_env.localization.diagnosis import AS_IT_IS, diagnose
 from mmwave_env.localization.localizer import localize
 from mmwave_env.localization.segments import segments
 from mmwave_env.localization.starts import start_at
@@ -133,6 +135,20 @@ def test_sequential_ranges_begin_a_track_within_two_seconds(tmp_path):
     late = track.time_s > 10.0
     assert rms(errors(track, circle, track.x)[late]) < 0.15
     assert rms(errors(track, circle, track.smooth_x)[late]) < 0.08
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_wrong_ranges_one_after_the_other_seldom_begin_a_track_anew(tmp_path, seed):
+    rng = np.random.default_rng(seed)
+    times = np.arange(0.0, 30.0, 0.025).round(3)
+    rows = rows_of(ROOM, times, circle, seen=lambda n: [n % 4], noise=RANGES, seed=seed)
+    for row in rows:
+        row["range_m"] += abs(4.0 * rng.standard_normal()) * (rng.random() < 0.08)
+    log = log_of(tmp_path, ROOM, rows)
+    assert len(segments(log, ROOM, RADIO)) == 1
+    findings = diagnose(log, ROOM, RADIO, named_modes("standard")["ukf"])
+    (as_it_is,) = (f for f in findings if f.hypothesis == AS_IT_IS)
+    assert not any(c.group == "track" for c in as_it_is.contradictions)
 
 
 @pytest.mark.parametrize("anchors", [1, 32])
