@@ -6,7 +6,7 @@ checks of ``log_checks.py``, which are slower and also find out what is wrong.
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import groupby
 from math import inf, isnan, nan
@@ -66,6 +66,10 @@ class _Arrivals:
     last: list[list[float]] = field(default_factory=list)  # rows of the last epoch
     last_s: float = -inf
     late_s: list[float] = field(default_factory=list)  # increasing times of the latest, late rows
+
+    def copy(self) -> "_Arrivals":
+        """Return the same with a copy of the rows, as it was before rows that are refused."""
+        return _Arrivals(self.rows.copy(), self.last, self.last_s, self.late_s)
 
 
 class LiveLog:
@@ -137,6 +141,7 @@ class LiveLog:
         snr = [nan if self._snr_db is None else self._snr_db] * self.layout.anchors
         self._blank = [nan] * 2 * self.layout.size + snr + [nan]
         self._limits = {column.name: (column.low, column.high) for column in columns.values()}
+        self._known = self._ignored | self._limits.keys()
         self._anchors = set(range(1, self.layout.anchors + 1))
         self._of_epoch = [
             (i, of == "doppler")
@@ -205,16 +210,15 @@ class LiveLog:
         rows = list(rows)
         for row in rows:
             self._learn_from(row, 0)
-        users = {self._user_of(row) for row in rows}
-        known = [(user, self._arrivals[user]) for user in users & self._arrivals.keys()]
-        before = {user: replace(arrived, rows=arrived.rows.copy()) for user, arrived in known}
+        users = dict.fromkeys(map(self._user_of, rows))
+        before = {user: self._arrivals[user].copy() for user in users if user in self._arrivals}
         try:
             over = [epoch for row in rows for epoch in self.add(row)]
         except LogError:
             self.forget([*users])
             self._arrivals |= before
             raise
-        return [*over, *self.end_epoch(rows)]
+        return [*over, *(epoch for user in users for epoch in self._end(user))]
 
     def end_epoch(self, rows: Iterable[str | Mapping[str, Any]] = ()) -> list[LiveEpoch]:
         """End the current epochs of the rows' users, or of all; return those that have rows."""
@@ -300,9 +304,9 @@ class LiveLog:
 
     def _learn_from(self, row: str | Mapping[str, Any], number: int) -> None:
         """Add the columns of a row that no row had before."""
-        if isinstance(row, str):
+        if isinstance(row, str) or row.keys() <= self._known:
             return
-        new = [name for name in row if name not in self._limits and name not in self._ignored]
+        new = [name for name in row if name not in self._known]
         if new:
             self._learn(new, number)
 
@@ -314,6 +318,7 @@ class LiveLog:
         except LogError as error:
             if len(names) == 1:
                 self._ignored.add(names[0])
+                self._known.add(names[0])
                 self.warnings.append(f"row {number}, column {names[0]!r} is ignored: {error}")
             for name in names if len(names) > 1 else ():
                 self._learn([name], number)
