@@ -17,7 +17,7 @@ import numpy as np
 
 from mmwave_env.logs.log import Log, layout_of, log_of, places
 from mmwave_env.logs.log_checks import first_damage, without_lost
-from mmwave_env.logs.log_columns import BODY, LOST, QUANTITIES, STATION
+from mmwave_env.logs.log_columns import BODY, LOST, QUANTITIES, STATION, USER
 from mmwave_env.logs.log_tables import LogError, LogFile, Table, log_file, parse, words_of
 from mmwave_env.models import envelope
 from mmwave_env.models.layout import Layout, wrapped
@@ -26,7 +26,6 @@ from mmwave_env.numerics.numbers import PI
 
 _NUMBERS = {float, int, np.float64}  # types that need no parsing; others are parsed as text
 _LOST = {-1.0, *LOST, *(-code for code in LOST)}  # numbers that need the full checks
-USER = "ue"  # name of the column that names users
 _SHORTEST_S = envelope.STEP_S.least or 0.0
 _LATE = 3  # number of late epochs, one after the other, with which a log goes on
 

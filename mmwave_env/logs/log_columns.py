@@ -152,6 +152,7 @@ SIGMA_OF = {quantity: f"{quantity}_sigma" for quantity in (*LINK_QUANTITIES, "do
 SIGMA_OF |= {STATION: "aoa_azimuth_sigma", BODY: "aod_azimuth_sigma"}
 DEVIATIONS = list(SIGMA_OF.values())
 # numbers that mean "lost" in the files of some receivers, with either sign, in any unit
+USER = "ue"  # name of the column that names the users of live rows
 LOST = (999.0, 9999.0, 99999.0, 999999.0, 32767.0, 32768.0, 65535.0)
 ROW_QUANTITIES = (*LINK_QUANTITIES, "doppler")  # quantities that belong to an anchor
 HORIZONTAL = ("toa", "aoa_azimuth", STATION, "aod_azimuth", BODY)  # a log needs one or more of them
@@ -250,6 +251,8 @@ def _require(
 
 def _problem(name: str) -> str:
     """Return the message about an unknown column name, with a suggestion if there is one."""
+    if name == USER:
+        return f"column {name!r}: found users, expected one (a file has one; --live reads many)"
     # The longest match counts, so that doppler_spread_x is not taken for a Doppler shift.
     spelled = {**{quantity: quantity for quantity in QUANTITIES}, "range": "toa"}
     meant = [start for start in spelled if name == start or name.startswith(f"{start}_")]

@@ -173,6 +173,7 @@ HEADERS = {  # name -> header, fields that the message names
     "endless name": ("a" * 200_000 + "," + HEADER, ["column 'aaa"]),
     "no header": ("0,1,1e-7,0,0,0,1,20", ["column '0'"]),
     "unknown": (HEADER + ",color", ["column 'color'"]),
+    "users": (HEADER + ",ue", ["column 'ue'"]),
     "no unit": (HEADER.replace("toa_s", "toa"), ["column 'toa'"]),
     "not UTF-8": (b"time_s,\xff\xfe", ["column"]),
     **{  # each added column conflicts with the header, or needs another column
