@@ -31,6 +31,13 @@ def require_alone(args: Any, option: str, *others: str) -> None:
             raise ValueError(f"{other}: cannot be combined with --{option.replace('_', '-')}")
 
 
+def require_default(args: Any, without: str, *names: str) -> None:
+    """Refuse options that have no effect without another one."""
+    for name in names:
+        if getattr(args, name) != getattr(type(args), name):
+            raise ValueError(f"{name}: found {getattr(args, name)} without {without}")
+
+
 @dataclass(kw_only=True)
 class JsonArgs:
     """Options for results in a file."""

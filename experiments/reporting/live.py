@@ -7,7 +7,13 @@ from itertools import chain
 from math import inf
 from typing import Any
 
-from experiments.console.options import AUTO, LogArgs, require_alone, require_at_least
+from experiments.console.options import (
+    AUTO,
+    LogArgs,
+    require_alone,
+    require_at_least,
+    require_default,
+)
 from experiments.console.progress import note
 from experiments.reporting.log_choice import choice_of, require_one_choice, scene_of
 from mmwave_env.io.files import Json, first_line, parse_json
@@ -110,15 +116,21 @@ def _tracker(
     why = f"modes {choice.why}, radio {radio}"
     if not users:
         return tracker, why
-    require_alone(args, "lag", "live")
+    if args.lag:
+        raise ValueError(f"lag: found {args.lag} and rows with users (ue), expected 0 for them")
     return Trackers(tracker), why
 
 
 def _origin(args: LogArgs, scene: Scene) -> Origin | None:
     """Return the scene's origin if --format needs it."""
+    if args.format == "lines":
+        require_default(args, "--format 3gpp", "accuracy", "confidence")
+        return None
     if not 0.0 < args.confidence < 1.0:
         raise ValueError(f"confidence: found {args.confidence}, expected between 0 and 1")
-    return origin_of(scene, "format: 3gpp") if args.format == "3gpp" else None
+    if args.accuracy is not None and not args.accuracy > 0.0:
+        raise ValueError(f"accuracy: found {args.accuracy}, expected meters above 0")
+    return origin_of(scene, "format: 3gpp")
 
 
 def _has_links(log: Log) -> bool:

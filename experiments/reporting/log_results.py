@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.console.options import AUTO, LogArgs, require_alone
+from experiments.console.options import AUTO, LogArgs, require_alone, require_default
 from experiments.console.progress import progress
 from experiments.console.provenance import provenance
 from experiments.console.tables import grid, show
@@ -228,6 +228,7 @@ def _check(args: LogArgs, files: Inputs) -> None:
     """Refuse options that contradict each other, and outputs that would replace other files."""
     require_alone(args, "diagnose", "out", "plot", "truth", "associate", "clock")
     require_alone(args, "associate", "clock")
+    require_default(args, "--live", "lag", "format", "accuracy", "confidence")
     require_alone(args, "two_way", "height", "smoothing")
     require_one_choice(args)
     if not 2 <= args.window <= LONGEST_WINDOW:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mmwave_env.datasets.samples import source_from
-from tests.cli import command, with_json
+from tests.cli import assert_one_clear_line, command, with_json
 from tests.commands.localizing import RIDE, WALK, figures, lines_of, options
 from tests.localization.mistakes import MISTAKES, read_columns, write_columns
 from tests.logs.by_hand import hide_anchors
@@ -77,9 +77,10 @@ def test_location_data_of_3gpp_has_the_ellipse_in_which_the_user_is(tmp_path):
     origin = {"latitude_deg": 48.1, "longitude_deg": 11.5, "height_m": 500.0, "bearing_deg": 30.0}
     scene = tmp_path / "scene.json"
     scene.write_text(json.dumps(json_in(WALK / "scene.json") | {"origin": origin}))
-    words = ("--scene", scene, "--speed", "1", "--confidence", "0.9")
+    words = ("--scene", scene, "--speed", "1")
+    asked = ("--format", "3gpp", "--confidence", "0.9", "--accuracy", "0.5")
     plain, _, _ = live(first_rows(60), *words)
-    found, _, code = live(first_rows(60), *words, "--format", "3gpp", "--accuracy", "0.5")
+    found, _, code = live(first_rows(60), *words, *asked)
     assert code == 0 and len(found) == len(plain)
     position, content = plain[-1], found[-1]
     area = content["locationEstimate"]
@@ -104,6 +105,22 @@ def test_location_data_of_3gpp_has_the_ellipse_in_which_the_user_is(tmp_path):
     for line in found:
         met = line["locationEstimate"]["uncertaintyEllipse"]["semiMajor"] <= 0.5
         assert line["accuracyFulfilmentIndicator"].endswith("NOT_FULFILLED") != met
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("localize", "--sample", "canyon28_vehicle", "--format", "3gpp"), "format: .*--live"),
+        (("localize", "--sample", "canyon28_vehicle", "--lag", "3"), "lag: .*--live"),
+        ((*WORDS, "--accuracy", "5"), "accuracy: .*--format 3gpp"),
+        ((*WORDS, "--format", "3gpp"), "format: 3gpp needs the origin"),
+        ((*WORDS, "--lag", "3"), "lag: found 3 and rows with users"),
+    ],
+)
+def test_options_of_live_positions_are_refused_where_they_would_be_ignored(words, message):
+    header, row, *_ = lines_of()
+    done = command(*words, stdin=f"{header},ue\n{row},a\n{row},b\n".encode())
+    assert_one_clear_line(done, message)
 
 
 def test_damaged_and_late_rows_are_reported_and_left_out():
