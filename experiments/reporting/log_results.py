@@ -49,7 +49,6 @@ from mmwave_env.localization.track_scores import (
 from mmwave_env.logs.log import Log, read_log, read_paths
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.logs.truth import Truth
-from mmwave_env.models.layout import clock_from
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.scene import Scene
@@ -280,7 +279,7 @@ def _work(args: LogArgs, files: Inputs, scene: Scene) -> Work:
     else:
         log = read_log(
             files.log, scene, args.odometry, partial=True, snr_db=args.snr,
-            clock=clock_from(args.clock),
+            clock=args.clock,
         )  # fmt: skip
         name = nearest_radio(log, scene) if args.radio == AUTO else args.radio
     if args.follow == "odometry" and not log.layout.odometry:

@@ -11,11 +11,12 @@ from dataclasses import dataclass
 from operator import attrgetter
 
 from mmwave_env.filters.belief import Belief
+from mmwave_env.filters.clock import ClockSet, set_clock
 from mmwave_env.filters.custom import check_algorithm
 from mmwave_env.filters.gating import Gate, passes
 from mmwave_env.filters.memory import Memory
 from mmwave_env.filters.modes import Mode, Tuning
-from mmwave_env.filters.update import Algorithm, ModeResult
+from mmwave_env.filters.update import Algorithm, ModeResult, Posterior
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Epoch, Measurement, Site
 from mmwave_env.models.motion import (
@@ -27,7 +28,7 @@ from mmwave_env.models.motion import (
     white_noise_acceleration,
     with_clock,
 )
-from mmwave_env.numerics.linalg import dot, pack, unpack
+from mmwave_env.numerics.linalg import dot, pack, plus, unpack
 from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Vector, clip, where
 
 BLOCKAGE_ONSET_DB = 6.0
@@ -36,11 +37,13 @@ BLOCKAGE_DEPTH = 3.0
 BLOCKAGE_GAIN = 3.0
 VERTICAL = (2, 5)  # z and vz, which are fixed on flat terrain
 
-Predictor = Callable[[Mode, Vector, Matrix, ProcessNoise, Number, Number], tuple[Numbers, Matrix]]
+Predictor = Callable[
+    [Mode, Vector, Matrix, ProcessNoise, Number, Number | None], tuple[Numbers, Matrix]
+]
 
 
 def _linear_prediction(
-    mode: Mode, x: Vector, P: Matrix, noise: ProcessNoise, dt: Number, hz_per_mps: Number
+    mode: Mode, x: Vector, P: Matrix, noise: ProcessNoise, dt: Number, hz_per_mps: Number | None
 ) -> tuple[Numbers, Matrix]:
     """Return the Kalman prediction; it is exact for every algorithm because motion is linear."""
     return move(x, dt, hz_per_mps), predict_covariance(P, noise, dt, hz_per_mps)
@@ -143,10 +146,11 @@ def predict(
     scale = gamma if mode.adaptive else 1.0
     tuning = tuning or mode.tuning
     noise = process_noise(tuning, epoch, hz_per_mps, scale, pipeline.planar)
-    if pipeline.layout.clock:
-        noise = with_clock(noise, hz_per_mps, epoch.dt, tuning.coupling)
+    drive = pipeline.layout.bias_drive(hz_per_mps)
+    if pipeline.layout.has_bias:
+        noise = with_clock(noise, drive, epoch.dt, tuning.coupling)
     x_predicted, P_predicted = pipeline.predict(
-        mode, x, unpack(P, zero=pipeline.known_axes), noise, epoch.dt, hz_per_mps
+        mode, x, unpack(P, zero=pipeline.known_axes), noise, epoch.dt, drive
     )
     x_predicted = [x[i] if i in pipeline.known_axes else v for i, v in enumerate(x_predicted)]
     if mode.acceleration_mps2:
@@ -182,11 +186,33 @@ def predict_update(
         force = where(memory.lockout > mode.recovery - 0.5, 1.0, 0.0)
     measurement = measurement_of(mode, memory, epoch, site, pipeline.layout)
     gate = Gate(mode.gate, force, mode.robust)
-    x, P, nis, accepted, likelihood = pipeline.update(mode)(
-        x_predicted, P_predicted, measurement, gate
-    )
+    update = pipeline.update(mode)
+    clock = None
+    if pipeline.layout.clock == "free":
+        clock = set_clock(x_predicted, P_predicted, measurement, memory.lockout)
+        posterior = update(clock.x, clock.P, clock.measurement, gate)
+    else:
+        posterior = update(x_predicted, P_predicted, measurement, gate)
+    x, P, nis, accepted, likelihood = posterior
     quantile = None if mode.robust else mode.gate
-    degrees = pipeline.layout.degrees(epoch.measured)
+    degrees = pipeline.layout.degrees(clock.measurement.measured if clock else epoch.measured)
     within = [passes(q, k, quantile) for q, k in zip(nis, degrees, strict=True)]
+    if clock:
+        within = [where(k > 0.5, w, 0.0) for w, k in zip(within, degrees, strict=True)]
+        nis, accepted, likelihood = _doubted(posterior, clock)
     passed = dot(within, accepted[: pipeline.layout.anchors])
     return ModeResult(x, pack(P), x_predicted, pack(P_predicted), nis, accepted, passed, likelihood)
+
+
+def _doubted(posterior: Posterior, clock: ClockSet) -> tuple[Numbers, Numbers, Number]:
+    """Return NIS, verdicts and log-likelihood that count the ranges which the clock used up.
+
+    The pivot's range has no innovation; its expected NIS is 1. A doubtful range, whose innovation
+    more noise made small, is rejected, and costs its mode as much likelihood as it disagrees.
+    """
+    _, _, nis, accepted, likelihood = posterior
+    links = len(clock.pivot)
+    added = plus(clock.pivot, clock.doubt)
+    kept = [where(T > 0.0, 0.0, a) for T, a in zip(clock.doubt, accepted[:links], strict=True)]
+    likelihood = likelihood - 0.5 * sum(clock.doubt, 0.0)
+    return [*plus(nis[:links], added), *nis[links:]], [*kept, *accepted[links:]], likelihood

@@ -191,7 +191,8 @@ class Localizer:
             return smooth_modes(
                 self.switching.bank, self.pipeline, rest, steps, spread_hz, hz_per_mps
             )
-        return smooth(x, P, rest[..., :n], rest[..., n:], dt, self.planar, hz_per_mps)
+        drive = self.layout.bias_drive(hz_per_mps)
+        return smooth(x, P, rest[..., :n], rest[..., n:], dt, self.planar, drive)
 
 
 def localize(

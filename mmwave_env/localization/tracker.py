@@ -20,7 +20,7 @@ from mmwave_env.localization.segments import DOUBTFUL_GAP_S
 from mmwave_env.localization.starts import Doubt, Start
 from mmwave_env.logs.live_log import LiveEpoch, LiveLog
 from mmwave_env.logs.log import Log
-from mmwave_env.models.layout import Layout, clock_from
+from mmwave_env.models.layout import Layout, require_clock
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import SNR_LIMITS_DB, Radio, deviations, radio_from
 from mmwave_env.models.scene import Scene, scene_from
@@ -94,7 +94,7 @@ class Tracker:
         snr_db: SNR to assume for links without an SNR.
         height_m: height of flat terrain, if it is known.
         lag: number of epochs by which :meth:`smoothed` lags behind.
-        clock: "synchronized", or "offset" if the offset of the user's clock is unknown.
+        clock: state of the user's clock, one of :data:`~mmwave_env.models.layout.CLOCKS`.
         levels: protection levels to compute; None to compute none.
     """
 
@@ -110,7 +110,8 @@ class Tracker:
         levels: Levels | None = None,
     ) -> None:
         self._levels = levels
-        self._clock = clock_from(clock)
+        require_clock(clock)
+        self._clock = clock
         self._scene = scene_from(scene)
         self._radio = radio_from(radio)
         self._switching = policy
@@ -341,7 +342,7 @@ class Tracker:
         position = Position(
             time_s, x[:3].tolist(), covariance, x[3:6].tolist(), mode, {}, [], False, place
         )
-        if self._layout.clock:
+        if self._layout.has_bias:
             clock_sigma_m = float(np.sqrt(P[35]))
             position = position._replace(clock_m=float(x[7]), clock_sigma_m=clock_sigma_m)
         return position
