@@ -334,6 +334,9 @@ class LogArgs(IntegrityArgs, JsonArgs):
     user's clock, which shifts all ranges; or free: the
     offset is another in every epoch (a clock that jumps;
     always so for time differences, columns rstd)"""
+    correlation: float = 0.0
+    """time for which errors of measurements last, s: at
+    shorter steps, measurements get so much more noise"""
     # If an option of Algorithm 1 is set (speed to robust), the algorithm replaces the policy.
     speed: str | None = None
     """Algorithm 1: the user's speed, m/s, which selects the

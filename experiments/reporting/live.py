@@ -46,7 +46,7 @@ def run_live(args: LogArgs) -> None:
     files = ("sample", "truth", "out", "plot", "json")
     require_alone(args, "live", *files, "two_way", "associate", "diagnose", "odometry")
     require_alone(args, "format", "lag")
-    require_at_least(0, args, "lag")
+    require_at_least(0, args, "lag", "correlation")
     require_one_choice(args)
     levels = Levels(args.risk, args.levels)
     scene = scene_of(args, args.scene)
@@ -113,7 +113,10 @@ def _tracker(
     radio = nearest_radio(log, scene) if args.radio == AUTO else args.radio
     choice = choice_of(args, radio, log)
     lag = max(args.lag, 1)
-    tracker = Tracker(scene, choice.switching, radio, height_m=args.height, lag=lag, levels=levels)
+    tracker = Tracker(
+        scene, choice.switching, radio, height_m=args.height, lag=lag, levels=levels,
+        correlation_s=args.correlation,
+    )  # fmt: skip
     why = f"modes {choice.why}, radio {radio}"
     if not users:
         return tracker, why

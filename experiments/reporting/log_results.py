@@ -12,7 +12,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.console.options import AUTO, LogArgs, require_alone, require_default
+from experiments.console.options import (
+    AUTO,
+    LogArgs,
+    require_alone,
+    require_at_least,
+    require_default,
+)
 from experiments.console.progress import progress
 from experiments.console.provenance import provenance
 from experiments.console.tables import grid, show
@@ -230,6 +236,7 @@ def _check(args: LogArgs, files: Inputs) -> None:
     require_default(args, "--live", "lag", "format", "accuracy", "confidence")
     require_alone(args, "two_way", "height", "smoothing")
     require_one_choice(args)
+    require_at_least(0, args, "correlation")
     if not 2 <= args.window <= LONGEST_WINDOW:
         raise ValueError(
             f"window: found {args.window}, expected 2 to {LONGEST_WINDOW} epochs; --no-smoothing "
@@ -310,6 +317,7 @@ def _track(args: LogArgs, work: Work, window: int | None, report: Callable[[floa
         Levels(args.risk, args.levels),
         TwoWayCorrector(TWO_WAY) if args.two_way else None,
         report,
+        args.correlation,
     )
 
 

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from operator import attrgetter
 
 from mmwave_env.filters.belief import Belief
-from mmwave_env.filters.clock import ClockSet, set_clock
+from mmwave_env.filters.clock import set_clock
 from mmwave_env.filters.custom import check_algorithm
 from mmwave_env.filters.gating import Gate, passes
 from mmwave_env.filters.memory import Memory
 from mmwave_env.filters.modes import Mode, Tuning
-from mmwave_env.filters.update import Algorithm, ModeResult, Posterior
+from mmwave_env.filters.update import Algorithm, ModeResult
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Epoch, Measurement, Site
 from mmwave_env.models.motion import (
@@ -28,13 +28,14 @@ from mmwave_env.models.motion import (
     white_noise_acceleration,
     with_clock,
 )
-from mmwave_env.numerics.linalg import dot, pack, plus, unpack
-from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Vector, clip, where
+from mmwave_env.numerics.linalg import dot, pack, unpack
+from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Vector, clip, maximum, where
 
 BLOCKAGE_ONSET_DB = 6.0
 BLOCKAGE_SLOPE_DB = 6.0
 BLOCKAGE_DEPTH = 3.0
 BLOCKAGE_GAIN = 3.0
+_SHORTEST_S = 1e-9  # shortest step by which a time is divided
 VERTICAL = (2, 5)  # z and vz, which are fixed on flat terrain
 
 Predictor = Callable[
@@ -58,6 +59,8 @@ class Pipeline:
         layout: which quantity is in which row of a measurement.
         planar: whether the terrain is flat, so that z and vz keep their prior values (paper, Sec.
             II-A). The spacing of sigma points still assumes seven uncertain components.
+        correlation_s: time for which errors of measurements last; measurements at shorter steps
+            repeat each other's errors, and get so much more noise.
         predict: function that predicts the state; ``filterpy_pipeline`` replaces it by filterpy's.
         update: function that returns a mode's algorithm; ``filterpy_pipeline`` also replaces this.
 
@@ -69,6 +72,7 @@ class Pipeline:
     modes: tuple[Mode, ...]
     layout: Layout
     planar: bool = False
+    correlation_s: float = 0.0
     predict: Predictor = _linear_prediction
     update: Callable[[Mode], Algorithm] = attrgetter("update")
 
@@ -128,6 +132,14 @@ def measurement_of(
     )  # fmt: skip
 
 
+def _repeats(dt: Number, correlation_s: float) -> Number:
+    """Return by how much to multiply the noise of errors that last longer than a step ``dt``, s.
+
+    Then n measurements within the time of correlation add the information of one.
+    """
+    return where(dt > 0.0, maximum(correlation_s / maximum(dt, _SHORTEST_S), 1.0), 1.0)
+
+
 def predict(
     pipeline: Pipeline,
     mode: Mode,
@@ -185,34 +197,27 @@ def predict_update(
     if mode.recovery is not None:
         force = where(memory.lockout > mode.recovery - 0.5, 1.0, 0.0)
     measurement = measurement_of(mode, memory, epoch, site, pipeline.layout)
+    repeats: Number = 1.0
+    if pipeline.correlation_s:
+        repeats = _repeats(epoch.dt, pipeline.correlation_s)
     gate = Gate(mode.gate, force, mode.robust)
     update = pipeline.update(mode)
     clock = None
     if pipeline.layout.clock == "free":
-        clock = set_clock(x_predicted, P_predicted, measurement, memory.lockout)
-        posterior = update(clock.x, clock.P, clock.measurement, gate)
+        clock = set_clock(x_predicted, P_predicted, measurement, memory.lockout, repeats)
+        measurement = clock.measurement
+        posterior = update(clock.x, clock.P, measurement, gate)
     else:
+        if pipeline.correlation_s:
+            noise = [v * repeats for v in measurement.variance]
+            measurement = measurement._replace(variance=noise)
         posterior = update(x_predicted, P_predicted, measurement, gate)
-    x, P, nis, accepted, likelihood = posterior
     quantile = None if mode.robust else mode.gate
-    degrees = pipeline.layout.degrees(clock.measurement.measured if clock else epoch.measured)
-    within = [passes(q, k, quantile) for q, k in zip(nis, degrees, strict=True)]
-    if clock:
+    degrees = pipeline.layout.degrees(measurement.measured)
+    within = [passes(q, k, quantile) for q, k in zip(posterior.nis, degrees, strict=True)]
+    if clock:  # a link whose only row is the pivot's range has not passed
         within = [where(k > 0.5, w, 0.0) for w, k in zip(within, degrees, strict=True)]
-        nis, accepted, likelihood = _doubted(posterior, clock)
+        posterior = clock.judged(posterior)
+    x, P, nis, accepted, likelihood = posterior
     passed = dot(within, accepted[: pipeline.layout.anchors])
     return ModeResult(x, pack(P), x_predicted, pack(P_predicted), nis, accepted, passed, likelihood)
-
-
-def _doubted(posterior: Posterior, clock: ClockSet) -> tuple[Numbers, Numbers, Number]:
-    """Return NIS, verdicts and log-likelihood that count the ranges which the clock used up.
-
-    The pivot's range has no innovation; its expected NIS is 1. A doubtful range, whose innovation
-    more noise made small, is rejected, and costs its mode as much likelihood as it disagrees.
-    """
-    _, _, nis, accepted, likelihood = posterior
-    links = len(clock.pivot)
-    added = plus(clock.pivot, clock.doubt)
-    kept = [where(T > 0.0, 0.0, a) for T, a in zip(clock.doubt, accepted[:links], strict=True)]
-    likelihood = likelihood - 0.5 * sum(clock.doubt, 0.0)
-    return [*plus(nis[:links], added), *nis[links:]], [*kept, *accepted[links:]], likelihood

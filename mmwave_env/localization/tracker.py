@@ -96,6 +96,7 @@ class Tracker:
         lag: number of epochs by which :meth:`smoothed` lags behind.
         clock: state of the user's clock, one of :data:`~mmwave_env.models.layout.CLOCKS`.
         levels: protection levels to compute; None to compute none.
+        correlation_s: time for which errors of measurements last; 0 if they are independent.
     """
 
     def __init__(
@@ -108,8 +109,10 @@ class Tracker:
         lag: int = 10,
         clock: str = "synchronized",
         levels: Levels | None = None,
+        correlation_s: float = 0.0,
     ) -> None:
         self._levels = levels
+        self._correlation_s = correlation_s
         require_clock(clock)
         self._clock = clock
         self._scene = scene_from(scene)
@@ -260,8 +263,9 @@ class Tracker:
     def _prepare(self, layout: Layout) -> None:
         """Create the filter and everything else that all epochs share."""
         self._localizer = Localizer(
-            layout, self._scene, self._radio, self._switching, self._height_m, self._levels
-        )
+            layout, self._scene, self._radio, self._switching, self._height_m, self._levels,
+            self._correlation_s,
+        )  # fmt: skip
         self._filter = self._localizer.engine
         self._layout = layout
         self._groups = layout.group_names

@@ -1,5 +1,6 @@
 """Tests of a user's clock that every epoch draws anew, so that only differences of ranges count."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -174,3 +175,20 @@ def test_position_errors_agree_with_their_covariance():
     late = run["nees"][:, 20:]
     assert np.isfinite(late).all()
     assert np.median(late) < 1.4 * 2.37  # chi2(3).median(); the tuned bank has about 2.9
+
+
+@pytest.mark.parametrize("clock", ["synchronized", "free"])
+def test_errors_that_last_longer_than_a_step_get_more_noise(clock):
+    """Compare 0.3 s of correlation at steps of 0.1 s with noise that is larger by sqrt(3)."""
+    source = street_source(radio="standard", epochs=20, dt=0.1, clock=clock)
+    episode = source.sample(np.random.default_rng(3))
+    louder = replace(
+        episode, sigma=episode.sigma * np.where(np.arange(20) > 0, 3**0.5, 1.0)[:, None]
+    )
+    mode = replace(modes_from(["ekf"], "standard")[0], gate=None, adaptive=False)
+    pipeline = Pipeline((mode,), source.layout)
+    correlated = replace(pipeline, correlation_s=0.3)
+    tracks = [
+        track(p, [e], 0, 20, ("x", "P")) for p, e in ((correlated, episode), (pipeline, louder))
+    ]
+    assert_same_beliefs(*tracks, rtol=1e-9)
