@@ -44,7 +44,8 @@ def main(args: Args) -> None:
     with progress("simulating"):
         (episode,) = draw_episodes(source, [args.seed])
     scene = source.scene
-    if isinstance(scene, RandomScene):  # the file must hold the anchors of this episode
+    inexact = isinstance(source, SimulatedSource) and source.survey is not None
+    if inexact or isinstance(scene, RandomScene):  # the file must hold this episode's anchors
         scene = scene_of_anchors(
             scene.name, episode.scene_anchors_m, scene.carrier_hz, scene.bandwidth_hz
         )

@@ -28,15 +28,15 @@ BUDGET = {
     "lines that ruff may not format": 60,
 }
 ROOMS = {  # maximum tokens of a room; lines are free
-    "experiments": 3_820,
-    "experiments/console": 5_170,
+    "experiments": 3_840,
+    "experiments/console": 5_180,
     "experiments/evaluation": 13_480,
     "experiments/paper": 5_540,
     "experiments/reporting": 15_620,
     "experiments/sweeping": 2_720,
     "experiments/timing": 5_430,
     "experiments/training": 16_820,
-    "mmwave_env": 7_560,
+    "mmwave_env": 7_590,
     "mmwave_env/compiler": 8_000,
     "mmwave_env/datasets": 9_450,
     "mmwave_env/engines": 12_760,
@@ -44,13 +44,13 @@ ROOMS = {  # maximum tokens of a room; lines are free
     "mmwave_env/interface": 7_480,
     "mmwave_env/io": 3_030,
     "mmwave_env/localization": 27_370,
-    "mmwave_env/logs": 12_420,
-    "mmwave_env/models": 9_900,
+    "mmwave_env/logs": 12_460,
+    "mmwave_env/models": 10_310,
     "mmwave_env/numerics": 3_920,
     "mmwave_env/rendering": 9_040,
-    "mmwave_env/world": 16_070,
+    "mmwave_env/world": 16_560,
     "policies": 7_080,
-    "tests": 208_440,
+    "tests": 210_040,
 }
 PACKINGS = 3.0  # maximum per 1,000 lines: statements that say several things at once
 SOURCE = ("mmwave_env", "experiments", "policies")

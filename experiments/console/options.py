@@ -77,6 +77,9 @@ class WorldArgs:
     offset, which shifts all ranges; or free: the offset is
     another in every epoch (times of arrival of a clock that
     jumps, time differences)"""
+    survey: str | None = None
+    """bad: anchors' places, angles and ranges have errors
+    that all links of an episode share (None: no errors)"""
     measurements: tuple[str, ...] | None = None
     """quantities that the receiver measures: some of range,
     azimuth, elevation, departure and doppler (None: all)"""
