@@ -41,7 +41,7 @@ ROOMS = {  # maximum tokens of a room; lines are free
     "mmwave_env/datasets": 9_420,
     "mmwave_env/engines": 12_720,
     "mmwave_env/filters": 17_480,
-    "mmwave_env/interface": 7_480,
+    "mmwave_env/interface": 7_050,
     "mmwave_env/io": 3_030,
     "mmwave_env/localization": 26_930,
     "mmwave_env/logs": 12_230,

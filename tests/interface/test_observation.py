@@ -94,7 +94,8 @@ class Rollout(NamedTuple):
         """Clip values to the feature's limits and to ten standard deviations from its mean."""
         i = self.table.names.index(name)
         feature = self.table.features[i]
-        mean, deviation = feature.scale
+        mean = feature.mean
+        deviation = feature.deviation
         reach = 10.0 * deviation
         return np.clip(np.clip(values, feature.low, feature.high), mean - reach, mean + reach)
 
