@@ -88,25 +88,12 @@ class Card(Record):
         super().__post_init__()
         choose(OBSERVATIONS, self.observation, "observation")
         choose(BELIEFS, self.beliefs, "beliefs")
-        names = [column.name for column in self.features]
-        if len(set(names)) < len(names):
-            raise ValueError("features: found a name more than once, expected different names")
-        if "mmwave-loc" not in self.versions:
-            raise ValueError(f"versions: found {self.versions!r}, expected 'mmwave-loc' among them")
         per_mode = self.beliefs == "per-mode"
         if bool(self.banks) != per_mode:
             raise ValueError(
                 f"banks: found {len(self.banks)} banks with beliefs {self.beliefs!r}, expected "
                 f"{'at least one' if per_mode else 'none'}"
             )
-        if per_mode and self.modes != next(iter(self.banks.values())).modes:
-            raise ValueError("modes: found others than in the first bank, expected the same")
-        for radio, bank in self.banks.items():
-            if action_names(bank.modes, self.beliefs) != self.actions:
-                raise ValueError(
-                    f"bank of radio {radio!r}: found other names of modes than in the first bank, "
-                    f"expected {', '.join(self.actions)}"
-                )
 
     @property
     def actions(self) -> list[str]:
