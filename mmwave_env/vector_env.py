@@ -135,6 +135,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         self._names = np.full(num_envs, "", object)  # names of the episodes, for pictures
         self._begun = False
         self._mode_count = np.array(len(self.observation.actions), np.uint64)
+        self._everywhere = np.ones(num_envs, np.bool_)
         self._none_over = np.zeros(num_envs, np.bool_)
         self._over = self._none_over
         self._ended = 0
@@ -255,6 +256,8 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         resets = self._ended
         drawn = self._draw(np.flatnonzero(fresh)) if resets else {}
         result, self._ended, infos = self._stepper.step(actions, numbers)
+        if infos:
+            infos |= dict.fromkeys(self._stepper.mask_keys, self._everywhere.copy())
         observations, rewards, terminated, truncated, *_ = result
         if self._gallery:
             self._begin_pictures(np.flatnonzero(fresh))

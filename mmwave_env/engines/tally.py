@@ -2,7 +2,7 @@
 
 import math
 from statistics import NormalDist
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba.extending import register_jitable
@@ -27,7 +27,7 @@ LEAST = 1e-12
 
 
 class Counts(NamedTuple):
-    """The records of n environments; uncompiled code may use nested sequences instead of arrays."""
+    """The records of n environments."""
 
     sums: Array  # (n, 7)
     errors: Array  # (n, T, 3) ring buffer of the latest position errors, m
@@ -71,12 +71,6 @@ class Tally:
         if self._replayed:
             modes = np.pad(modes, ((0, max(0, epochs.max(initial=0) - len(modes))), (0, 0)))
         self.counts = self.counts._replace(errors=errors, modes=modes)
-
-    def in_python(self) -> Counts:
-        """Return the counts of the first environment, in a form that is fast without a compiler."""
-        sums, errors, second, interval, modes = self.counts
-        rows: Any = [[memoryview(sums[0])], [[memoryview(error) for error in errors[0]]]]
-        return Counts(rows[0], rows[1], second.tolist(), interval.tolist(), modes)  # type: ignore[arg-type]
 
     def nonfinite(self, places: Index) -> Index:
         """Return, for environments (k,), how many epochs (k,) have a non-finite error or NEES."""

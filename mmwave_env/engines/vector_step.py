@@ -54,7 +54,7 @@ class Stepper:
     """An object that steps the environments of an engine and returns infos about them.
 
     Args:
-        engine: the environments, which run on SIMD lanes.
+        engine: the environments.
         tally: records of current episodes.
         infos: "all" if :meth:`step` returns infos, "episode" if :meth:`look` does, "none" if
             neither does.
@@ -62,7 +62,6 @@ class Stepper:
 
     def __init__(self, engine: Engine, tally: Tally, infos: str) -> None:
         at = engine.at
-        n = engine.n
         self._known = {} if infos == "none" else info_rows(at)
         shown = self._known if infos == "all" else {}
         parts = {"reward": at.reward, "nees": at.nees, "error": at.error}
@@ -74,8 +73,7 @@ class Stepper:
         self._info_keys = tuple(key for key in shown if key not in FLAGS)
         self._groups = len(at.memory.accepted) if shown else 0
         self._io = engine.step_io(self._rows)
-        self._mask_keys = mask_keys([*shown, "mode", COST_KEY])
-        self._everywhere = np.ones(n, np.bool_)
+        self.mask_keys = mask_keys([*shown, "mode", COST_KEY])  # of infos from steps
         self._tally = tally
         self._run = Repeated(_step)
 
@@ -89,7 +87,7 @@ class Stepper:
 
         Returns:
             New results; the number of environments that have no epoch left; and new infos about all
-            environments, with Gymnasium's masks, or {} if steps return no infos.
+            environments, without Gymnasium's masks, or {} if steps return no infos.
         """
         engine = self._engine
         io = self._io
@@ -108,17 +106,22 @@ class Stepper:
         outputs = np.empty_like(io.outputs) if self._info_keys else io.outputs
         io = StepIO(io.input_rows, io.inputs, self._rows, outputs, io.obs_rows, observations)
         self._io = io
-        program = (engine.program.on_lanes(), engine.program.blank)
-        arguments = (*program, engine.state, io, actions, result, self._tally.counts)
-        parts = engine.parts
-        ended = sum(self._run(len(engine.state.rows), parts, len(parts), *arguments))
+        records = (engine.program.blank, engine.state, io, actions, result, self._tally.counts)
+        blocks = len(engine.state.rows)
+        if engine.on_floats:
+            io.inputs[:, 0, 0] = actions
+            engine.advance(io)
+            ended = _step_blocks(0, blocks, 0, *records)
+        else:
+            run = engine.program.on_lanes()
+            parts = engine.parts
+            ended = sum(self._run(blocks, parts, len(parts), run, *records))
         engine.trust(io)
         if not self._info_keys:
             return result, ended, {}
         infos: Info = {key: outputs[self._columns[key]] for key in self._info_keys}
         infos |= {"accepted": result.accepted, "rejected": result.rejected, "mode": actions}
         infos[COST_KEY] = result.cost
-        infos |= dict.fromkeys(self._mask_keys, self._everywhere.copy())
         return result, ended, infos
 
     def look(self, actions: Index) -> Info:
@@ -151,16 +154,20 @@ class Stepper:
 def _step_blocks(  # type: ignore[no-untyped-def]
     begin, end, run, blank, state, io, actions, result, counts
 ):
-    """Step the environments of blocks ``begin`` to ``end`` - 1; return how many episodes ended."""
+    """Step the environments of blocks ``begin`` to ``end`` - 1; return how many episodes ended.
+
+    If ``run`` is 0, the program has run already, and only the results are filled.
+    """
     first = begin * WIDTH
     last = min(end * WIDTH, len(actions))
     inputs = io.inputs
     outputs = io.outputs
     epoch = state.epoch
     length = state.length
-    for e in range(first, last):
-        inputs[e, 0, 0] = actions[e]
-    advance(begin, end, run, blank, state, io)
+    if run != 0:
+        for e in range(first, last):
+            inputs[e, 0, 0] = actions[e]
+        advance(begin, end, run, blank, state, io)
     _, rewards, _, truncated, accepted, rejected, costs = result
     ended = 0
     for e in range(first, last):
