@@ -36,7 +36,7 @@ from safetensors.numpy import save
 from mmwave_env.filters.bank import Bank, as_written, bank_as_written
 from mmwave_env.filters.modes import Mode
 from mmwave_env.interface.observation import BELIEFS, OBSERVATIONS, Column, action_names
-from mmwave_env.io.files import AnyPath, Json, first_line, parse_json, read_bounded
+from mmwave_env.io.files import UNEXPECTED, AnyPath, Json, first_line, parse_json, read_bounded
 from mmwave_env.io.lookup import choose, quoted
 from mmwave_env.io.records import Record, object_from
 from mmwave_env.numerics.numbers import Array32
@@ -174,8 +174,7 @@ def read_policy(path: AnyPath) -> tuple[Tensors, Card]:
                 f"sha256: found {quoted(document.sha256)}, expected {expected!r}; the file is "
                 "damaged: copy it or train the policy again"
             )
-    # Unexpected content may cause any of these errors in the code above.
-    except (ValueError, TypeError, AttributeError, LookupError, SafetensorError) as error:
+    except (*UNEXPECTED, SafetensorError) as error:
         raise ValueError(f"{path}: not a policy file: {first_line(error)}") from error
     return tensors, document.card
 
