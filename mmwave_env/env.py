@@ -356,7 +356,7 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
             terminated = not self._stepper.distances_m[0] <= DIVERGENCE_M
         if terminated:
             self._charge(result.rewards, _HERE)
-        self._over = terminated or ended > 0
+        self._over = terminated or bool(ended)
         if self._over and self._infos == "episode":
             infos = self._stepper.look(actions)
         info = {key: values[0] for key, values in infos.items()}
