@@ -25,7 +25,7 @@ from numba.extending import intrinsic, overload, register_jitable
 from numpy.typing import NDArray
 
 from mmwave_env.numerics.numbers import Array, Index, polynomial, where
-from mmwave_env.numerics.tracer import Tracer, TracerCondition
+from mmwave_env.numerics.tape import Tracer, TracerCondition
 
 WIDTH = 8
 _WORD = ir.IntType(64)

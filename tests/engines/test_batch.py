@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mmwave_env.engines.engine import Engine
-from mmwave_env.engines.tally import Tally, count
+from mmwave_env.engines.vector_step import Tally, count
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.metrics import INFO_KEYS, summary
 from tests.filters.tracks import pipeline_of, simulated

@@ -13,7 +13,7 @@ from hypothesis.extra import numpy as stn
 from numpy.testing import assert_array_equal
 
 from mmwave_env.datasets.deepmimo import arrays
-from mmwave_env.datasets.deepmimo.arrays import find_array, read_array
+from mmwave_env.datasets.deepmimo.v4 import find_array, read_array
 from tests.datasets.deepmimo.scenarios import SAVE
 from tests.refusals import refuses
 
