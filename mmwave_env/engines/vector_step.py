@@ -185,13 +185,13 @@ class StepResult(NamedTuple):
     cost: Array  # (n,) 1.0 where an error exceeds its protection level; (0,) if infos are "none"
 
 
-# The first output columns: reward, NEES, three columns of position error, and three of the
+# The first output columns: reward, AT_NEES, three columns of position error, and three of the
 # covariance of the horizontal position; then, if steps return infos, the gates' verdicts.
-REWARD = 0
-NEES = 1
-ERROR = 2
-COVARIANCE = 5
-VERDICTS = 8
+AT_REWARD = 0
+AT_NEES = 1
+AT_ERROR = 2
+AT_COVARIANCE = 5
+AT_VERDICTS = 8
 
 
 class Stepper:
@@ -315,23 +315,23 @@ def _step_blocks(  # type: ignore[no-untyped-def]
     _, rewards, _, truncated, accepted, rejected, costs = result
     ended = 0
     for e in range(first, last):
-        rewards[e] = outputs[e, 0, REWARD]
-        x = outputs[e, 0, ERROR]
-        y = outputs[e, 0, ERROR + 1]
-        z = outputs[e, 0, ERROR + 2]
+        rewards[e] = outputs[e, 0, AT_REWARD]
+        x = outputs[e, 0, AT_ERROR]
+        y = outputs[e, 0, AT_ERROR + 1]
+        z = outputs[e, 0, AT_ERROR + 2]
         k = epoch[e] - 2  # the epoch that the action completed
         if k >= 0:
-            count(counts, e, k, x, y, z, outputs[e, 0, NEES])
+            count(counts, e, k, x, y, z, outputs[e, 0, AT_NEES])
             if k < len(counts.modes):
                 counts.modes[k, e] = actions[e]
         if len(costs):
-            xx = outputs[e, 0, COVARIANCE]
-            xy = outputs[e, 0, COVARIANCE + 1]
-            yy = outputs[e, 0, COVARIANCE + 2]
+            xx = outputs[e, 0, AT_COVARIANCE]
+            xy = outputs[e, 0, AT_COVARIANCE + 1]
+            yy = outputs[e, 0, AT_COVARIANCE + 2]
             costs[e] = exceeds(x, y, xx, xy, yy)
         for g in range(accepted.shape[1]):
-            accepted[e, g] = outputs[e, 0, VERDICTS + g] > 0.5
-            rejected[e, g] = outputs[e, 0, VERDICTS + accepted.shape[1] + g] > 0.5
+            accepted[e, g] = outputs[e, 0, AT_VERDICTS + g] > 0.5
+            rejected[e, g] = outputs[e, 0, AT_VERDICTS + accepted.shape[1] + g] > 0.5
         truncated[e] = epoch[e] > length[e]
         ended += truncated[e]
     return ended
