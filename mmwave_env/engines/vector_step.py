@@ -185,7 +185,7 @@ class StepResult(NamedTuple):
     cost: Array  # (n,) 1.0 where an error exceeds its protection level; (0,) if infos are "none"
 
 
-# The first output columns: reward, AT_NEES, three columns of position error, and three of the
+# The first output columns: reward, NEES, three columns of position error, and three of the
 # covariance of the horizontal position; then, if steps return infos, the gates' verdicts.
 AT_REWARD = 0
 AT_NEES = 1

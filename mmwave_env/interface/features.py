@@ -5,15 +5,14 @@ of plain numbers, so that they can be compiled into the SIMD kernel. Everything 
 depends only on its kind: data/features.json has a row for each kind.
 """
 
-import json
 from collections.abc import Callable
 from functools import cache, partial
-from importlib.resources import files
 from typing import Any, NamedTuple
 
 from mmwave_env.filters.memory import Memory, correction_of
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.update import ModeResult, capped_log_likelihood
+from mmwave_env.io.files import shipped_json
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Epoch, Site, doppler_anchor, norms, range_rate
 from mmwave_env.models.motion import move
@@ -56,8 +55,7 @@ def feature_kinds() -> dict[str, dict[str, Any]]:
     # actions for each combination of scene, radio, kind of beliefs and set of modes (two modes,
     # without and with odometry; eight modes; the radio's bank). The file has medians over the
     # combinations. No value was clipped.
-    text = files("mmwave_env").joinpath("data/features.json").read_text(encoding="utf-8")
-    return json.loads(text)["kinds"]  # type: ignore[no-any-return]
+    return shipped_json("features")["kinds"]  # type: ignore[no-any-return]
 
 
 class Feature(NamedTuple):

@@ -5,6 +5,7 @@ import os
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.resources import files
 from pathlib import Path
 from secrets import token_hex
 from typing import Any, BinaryIO, TypeVar
@@ -139,6 +140,12 @@ def read_json(path: Path, kind: str, make: Callable[[Json], T], see: str = "") -
     except UNEXPECTED as error:
         described = f" ({see})" if see else ""
         raise ValueError(f"{path}: not {kind}: {first_line(error)}{described}") from error
+
+
+def shipped_json(name: str) -> Json:
+    """Return the object in a JSON file of the package's folder ``data``."""
+    path = files("mmwave_env").joinpath("data", f"{name}.json")
+    return json.loads(path.read_text(encoding="utf-8"))  # type: ignore[no-any-return]
 
 
 def require_writable(path: Path) -> None:

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from mmwave_env.io.files import AnyPath
+from mmwave_env.io.files import AnyPath, shipped_json
 from mmwave_env.io.lookup import as_name, choose, quoted, unknown
 from mmwave_env.io.records import (
     Bound,
@@ -215,33 +215,6 @@ def _azimuth_bound(elements: int) -> float:
     return 6.0 / ((max(elements, 2) ** 2 - 1.0) * math.pi**2)
 
 
-RADIOS: dict[str, Radio] = {
-    "handset": Radio(
-        "handset",
-        base="handset",
-        gnb_elements=4,
-        ue_elements=2,
-        range_floor_m=(0.5, 0.8),
-        aoa_floor_rad=3.0 * DEGREE,
-        aod_floor_rad=2.0 * DEGREE,
-        elevation_floor_rad=2.0 * DEGREE,
-        prior_position_m=4.0,
-        outage_rate_hz=0.003,
-    ),
-    "standard": Radio("standard"),
-    "high": Radio(
-        "high",
-        base="high",
-        gnb_elements=16,
-        ue_elements=8,
-        range_floor_m=(0.1, 0.2),
-        aoa_floor_rad=0.5 * DEGREE,
-        aod_floor_rad=0.25 * DEGREE,
-        elevation_floor_rad=0.4 * DEGREE,
-        doppler_floor_mps=0.05,
-        prior_position_m=2.0,
-    ),
-}
 # Radios for which filter modes were tuned; the benchmark and the paper's tables cover all three.
 TUNED_RADIOS = SHIPPED
 
@@ -293,6 +266,13 @@ def _in_radians(content: dict[str, Any]) -> dict[str, Any]:
             raise ValueError(f"{key}: found the same angle twice, in degrees and in radians")
         fields[name] = value * DEGREE if in_degrees and type(value) in (int, float) else value
     return fields
+
+
+# the profiles of the package, by name
+RADIOS = {
+    name: object_from(Radio, {"name": name, "base": name} | _in_radians(content))
+    for name, content in shipped_json("radios").items()
+}
 
 
 def oscillator_bias(
