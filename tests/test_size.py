@@ -47,7 +47,7 @@ ROOMS = {  # maximum tokens of a room; lines are free
     "mmwave_env/logs": 12_230,
     "mmwave_env/models": 9_530,
     "mmwave_env/numerics": 3_920,
-    "mmwave_env/rendering": 9_040,
+    "mmwave_env/rendering": 8_800,
     "mmwave_env/world": 16_020,
     "policies": 6_810,
     "tests": 205_030,

@@ -62,7 +62,8 @@ def drawn_rows(at: Any, span: Callable[[Any], Any]) -> dict[str, Any]:
     """
     rows = info_rows(at)
     parts = {name: rows[name] for name in ("truth", "estimate", "nees", "accepted", "rejected")}
-    parts |= {"P": reported(at).P, "dt": at.pending.dt, "anchors": at.site.anchors}
+    position = reported(at).P[:6]  # the packed covariance begins with that of the position
+    parts |= {"P": position, "dt": at.pending.dt, "anchors": at.site.anchors}
     return {name: span(part) for name, part in parts.items()}
 
 
