@@ -8,8 +8,7 @@ from pathlib import Path
 from mmwave_env.datasets.deepmimo.recording import read_deepmimo
 from mmwave_env.datasets.deepmimo.v4 import PARAMS
 from mmwave_env.datasets.log_folder import read_log_folder
-from mmwave_env.datasets.recorded import Recording
-from mmwave_env.datasets.tracks import MeasuredTrack, Track, TrackSource
+from mmwave_env.datasets.recorded import MeasuredTrack, Recording, Track, TrackSource
 from mmwave_env.io.files import AnyPath
 from mmwave_env.io.lookup import choose
 from mmwave_env.models.radio import Radio

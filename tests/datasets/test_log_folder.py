@@ -8,9 +8,8 @@ import pytest
 from numpy.testing import assert_array_equal, assert_array_max_ulp
 
 from mmwave_env.datasets.log_folder import read_log_folder, write_log_folder
-from mmwave_env.datasets.recorded import Recording
+from mmwave_env.datasets.recorded import MeasuredTrack, Recording
 from mmwave_env.datasets.samples import sample_folder, sample_names, source_from
-from mmwave_env.datasets.tracks import MeasuredTrack
 from mmwave_env.logs.tum import tum_lines
 from mmwave_env.models.scene import SCENES, read_scene
 from mmwave_env.world.keys import keys_of
