@@ -298,13 +298,7 @@ class AnchorScene(Record):
 
 def _scene(content: dict[str, Any]) -> Scene:
     """Make a scene from the content of a file in one of the two forms."""
-    keys = [k for k in ("base_station_m", "walls", "virtual_anchors_m", "anchors") if k in content]
-    if ("base_station_m" in keys) == ("anchors" in keys) or (len(keys) > 1 and "anchors" in keys):
-        raise ValueError(
-            f"found {', '.join(keys) or 'neither'}, expected either base_station_m [x, y, z] and "
-            "walls, or anchors [[x, y, z], ...], the physical gNB first"
-        )
-    if "anchors" not in keys:
+    if "anchors" not in content:
         return object_from(Scene, content)
     s = object_from(AnchorScene, content)
     gnb, *virtual = s.anchors

@@ -64,21 +64,13 @@ class Scenario(NamedTuple):
             ValueError: a row does not exist, or the number of rows is wrong.
         """
         rows = np.arange(self.receivers) if users is None else np.atleast_1d(users)
-        if rows.size == 0 or rows.dtype.kind not in "iu" or rows.ndim > 1:
-            raise ValueError(f"users: found {users!r}, expected indices of receivers, from 0")
-        outside = rows[(rows < 0) | (rows >= self.receivers)]
-        if outside.size:
+        scenes = np.arange(len(self.scenes)) if self.is_dynamic else np.zeros(rows.size, np.int64)
+        exist = rows.dtype.kind in "iu" and np.isin(rows, np.arange(self.receivers)).all()
+        if not exist or rows.ndim > 1 or rows.size not in {1, max(len(scenes), 1)}:
+            count = f"1 or {len(scenes)} (one for each scene)" if self.is_dynamic else "some"
             raise ValueError(
-                f"users: found {outside[0]}, expected 0 to {self.receivers - 1}, the "
-                f"receivers of {self.folder}"
-            )
-        if not self.is_dynamic:
-            return np.column_stack([np.zeros_like(rows), rows])
-        scenes = np.arange(len(self.scenes))
-        if rows.size not in (1, len(scenes)):
-            raise ValueError(
-                f"users: found {rows.size} indices, expected 1, or {len(scenes)}: one for each "
-                f"scene of {self.folder}; every scene has {self.receivers} receivers"
+                f"users: found {users!r}, expected {count} of the receivers 0 to "
+                f"{self.receivers - 1} of {self.folder}"
             )
         return np.column_stack([scenes, np.broadcast_to(rows, len(scenes))])
 
