@@ -206,7 +206,7 @@ class Batch:
             again: whether the program works on the epoch that ran last, so that no epoch is loaded.
         """
         program = program or self.program
-        if places is None:
+        if places is None or len(places) == self.n:
             self._advance(self.parts, io, program, again)
             return
         blocks = np.unique(places // WIDTH)

@@ -197,22 +197,11 @@ class Engine(Batch):
         self.advance(io, program=self._program(correct), again=True)
         return io.outputs[:, 0]
 
-    def reset(self, episodes: EpisodeBatch | Sequence[Episode]) -> None:
-        """Start over with one episode for each environment and run the modes on its first epoch."""
-        self.load(episodes)
-        self.run_step(self.step_io())
-
-    def start(self, places: Index, output_rows: Index = NO_ROWS) -> tuple[Array32, Array]:
-        """Run the modes on the next epoch in environments just loaded; leave the others unchanged.
-
-        The results have the same shapes as in :meth:`step`, but are valid only for ``places``.
-        """
-        io = self.step_io(output_rows)
-        self.run_step(io, places if len(places) < self.n else None)
-        return io.observations[:, 0], io.outputs[:, 0]
-
     def step(
-        self, actions: NDArray[np.integer[Any]] | np.int64, output_rows: Index = NO_ROWS
+        self,
+        actions: NDArray[np.integer[Any]] | int = 0,
+        output_rows: Index = NO_ROWS,
+        places: Index | None = None,
     ) -> tuple[Array32, Array]:
         """Apply actions (n,), or one action to all; run the modes on the next epoch.
 
@@ -222,13 +211,15 @@ class Engine(Batch):
             actions: numbers of modes, counted from 0; if every mode has its own belief, modes are
                 counted from 1, and action 0 leaves all probabilities as they are.
             output_rows: (k,) indices of the rows to return, for example from :func:`rows_of`.
+            places: indices of the environments to step; None for all. The others stay unchanged,
+                and their results are meaningless.
 
         Returns:
             The observations (n, features) and the output rows (n, k), in new arrays.
         """
         io = self.step_io(output_rows)
         io.inputs[:, 0, 0] = actions
-        self.run_step(io)
+        self.run_step(io, places)
         return io.observations[:, 0], io.outputs[:, 0]
 
     def run_step(self, io: StepIO, places: Index | None = None) -> None:

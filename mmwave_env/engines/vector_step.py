@@ -287,7 +287,7 @@ class Stepper:
             Observations (n, features) and the infos of :data:`STATE_KEYS` (n, ...), valid only for
             the environments ``places``.
         """
-        observations, outputs = self._engine.start(places, self._rows)
+        observations, outputs = self._engine.step(0, self._rows, places)
         if self._info_keys:
             return observations, {key: outputs[:, None][self._columns[key]] for key in STATE_KEYS}
         known = [key for key in STATE_KEYS if key in self._known]

@@ -16,7 +16,8 @@ T = 12
 def engine_of(episodes, on_floats=False):
     pipeline = pipeline_of(episodes[0].layout, ("ekf",))
     engine = Engine(pipeline, len(episodes), TrackingReward(), on_floats=on_floats)
-    engine.reset(episodes)
+    engine.load(episodes)
+    engine.step()
     return engine
 
 
@@ -34,7 +35,7 @@ def test_starting_some_environments_does_not_change_the_others(on_floats):
     before = everything(engine)
     started = np.array([1, 6, 10])
     engine.load(others, started)
-    engine.start(started)
+    engine.step(places=started)
     expected = engine_of(others, on_floats)
     rest = np.setdiff1d(np.arange(N), started)
     np.testing.assert_array_equal(everything(engine)[rest], before[rest])

@@ -42,7 +42,8 @@ def played(episodes, actions):
     """
     pipeline = Pipeline(BANK.modes, episodes[0].layout)
     engine = Engine(pipeline, len(episodes), TrackingReward(), "signed", BANK)
-    engine.reset(episodes)
+    engine.load(episodes)
+    engine.step()
     columns = [engine.observation.names.index(name) for name in names_of(pipeline)]
     observed = []
     x = []
