@@ -1,8 +1,9 @@
-"""Numbers that record every operation on them in a list, the *tape* of a function.
+"""Numbers that hide their value: a *recorder* gets every operation on them.
 
-These numbers hide their value, as lanes (SIMD numbers for eight environments) do. So a function
-that runs on them can also be compiled for lanes: it never asks for a value. An operation that needs
-a value is refused, and the message says what to write instead.
+A function that runs on such numbers never asks for a value, so it can be compiled for lanes (SIMD
+numbers for eight environments). An operation that needs a value is refused, and the message says
+what to write instead. There are two recorders: a :class:`Tape` lists the operations, and that of
+:mod:`mmwave_env.compiler.lanes` emits their instructions.
 
 A function's compiled code is stored under a hash of the tape, the *fingerprint*. Two functions have
 the same fingerprint only if they apply the same operations to the same inputs and constants; then
@@ -53,19 +54,42 @@ def _refusing(asked: str) -> Any:
     return lambda *_, **__: _refuse(asked)
 
 
+class Traced:
+    """A hidden number, condition or word; its ``value`` is what the recorder returned for it."""
+
+    __slots__ = ("recorder", "value")
+
+    def __init__(self, recorder: Any, value: Any) -> None:
+        self.recorder = recorder
+        self.value = value
+
+
+def _joining(op: str) -> Any:
+    """Return an operation whose result has the type of the operands."""
+    return lambda a, b: type(a)(a.recorder, a.recorder.emit(op, a, b))
+
+
+def _recording(op: str) -> Any:
+    """Return an operation whose result is a number."""
+    return lambda *operands: Tracer(operands[0].recorder, operands[0].recorder.emit(op, *operands))
+
+
+def _comparing(op: str) -> Any:
+    return lambda a, b: TracerCondition(a.recorder, a.recorder.emit(op, a, b))
+
+
 def _combining(op: str) -> tuple[Any, Any]:
     """Return an operator and its reflected form, which Python calls on the right operand."""
     return lambda a, b: _combined(op, a, b), lambda b, a: _combined(op, a, b)
 
 
-def _comparing(op: str) -> Any:
-    return lambda a, b: a.compare(op, b)
-
-
-class TracerCondition:
+class TracerCondition(Traced):
     """A condition on hidden numbers, for ``where``; ``&`` and ``|`` combine two conditions."""
 
     __slots__ = ()
+    __and__ = _joining("&")
+    __or__ = _joining("|")
+    select = _recording("select")
     __bool__ = _refusing("truth")
     __float__ = __add__ = __radd__ = __sub__ = __rsub__ = _refusing("mask as number")
     __mul__ = __rmul__ = __truediv__ = __rtruediv__ = __neg__ = _refusing("mask as number")
@@ -75,10 +99,25 @@ class TracerCondition:
     __invert__ = _refusing("inverse")
 
 
-class Tracer:
-    """A number that hides its value; subclasses implement ``combine`` and ``compare``."""
+class Tracer(Traced):
+    """A number that hides its value; a comparison with NaN is false."""
 
     __slots__ = ()
+    __add__, __radd__ = _combining("add")
+    __sub__, __rsub__ = _combining("sub")
+    __mul__, __rmul__ = _combining("mul")
+    __truediv__, __rtruediv__ = _combining("div")
+    __lt__ = _comparing("<")
+    __le__ = _comparing("<=")
+    __gt__ = _comparing(">")
+    __ge__ = _comparing(">=")
+    __neg__ = _recording("neg")
+    __abs__ = _recording("abs")
+    sqrt = _recording("sqrt")
+    floor = _recording("floor")
+    log = _recording("log")
+    exp = _recording("exp")
+    atan2 = _recording("atan2")
     __bool__ = _refusing("truth")
     __float__ = __complex__ = _refusing("value")
     __int__ = __index__ = __round__ = __trunc__ = __floor__ = __ceil__ = _refusing("integer")
@@ -90,22 +129,31 @@ class Tracer:
     __hash__ = _refusing("key")
     select = _refusing("number as mask")
 
-    def combine(self, op: str, a: Any, b: Any) -> Any:
-        """Compute ``a op b`` for add, sub, mul or div, where ``a`` or ``b`` is this number."""
-        raise NotImplementedError
+    def constant(self, value: float) -> "Tracer":
+        """Return a hidden number with a known value."""
+        return Tracer(self.recorder, self.recorder.emit("constant", value))
 
-    def compare(self, op: str, other: Any) -> Any:
-        """Return the condition ``self op other`` for <, <=, > or >=."""
-        raise NotImplementedError
+    def cos_sin(self) -> list["Tracer"]:
+        """Return cosine and sine of an angle in radians."""
+        return [Tracer(self.recorder, value) for value in self.recorder.cos_sin(self)]
 
-    __add__, __radd__ = _combining("add")
-    __sub__, __rsub__ = _combining("sub")
-    __mul__, __rmul__ = _combining("mul")
-    __truediv__, __rtruediv__ = _combining("div")
-    __lt__ = _comparing("<")
-    __le__ = _comparing("<=")
-    __gt__ = _comparing(">")
-    __ge__ = _comparing(">=")
+    def as_word(self) -> "TracerWord":
+        """Return the bits of the number."""
+        return TracerWord(self.recorder, self.recorder.emit("as word", self))
+
+
+class TracerWord(Traced):
+    """A hidden word of 64 bits (:class:`~mmwave_env.numerics.random.Word`)."""
+
+    __slots__ = ()
+    __add__ = _joining("+")
+    __xor__ = _joining("^")
+    __or__ = _joining("|")
+    __lshift__ = _joining("<<")
+    __rshift__ = _joining(">>")
+    # the integer, which must be below 2^63, times a factor; and the number that has these bits
+    scaled = _recording("scaled")
+    as_number = _recording("as number")
 
 
 def _settled(op: str, a: Any, b: Any) -> Any:
@@ -129,100 +177,46 @@ def _combined(op: str, a: Any, b: Any) -> Any:
     settled = _settled(op, a, b)
     if settled is not None:
         return settled
-    return (a if isinstance(a, Tracer) else b).combine(op, a, b)
+    recorder = (a if isinstance(a, Tracer) else b).recorder
+    return Tracer(recorder, recorder.emit(op, a, b))
 
 
-Tape = list[tuple[Any, ...]]
+Rows = list[tuple[Any, ...]]
 
 
-def taped(template: Tree, tape: Tape) -> Tree:
-    """Return a tree of the template's shape whose leaves record operations on the tape."""
-    rows = range(len(flatten(template)))
-    return unflatten(template, (_Number(tape, -1 - row) for row in rows))
+class Tape:
+    """A recorder that writes operations to rows.
+
+    The value of a result is the index of its row; a negative value stands for an input.
+    """
+
+    def __init__(self, rows: Rows) -> None:
+        self.rows = rows
+
+    def emit(self, op: str, *operands: Any) -> int:
+        """Record an operation; return the value of its result."""
+        self.rows.append((op, *_references(operands)))
+        return len(self.rows) - 1
+
+    def cos_sin(self, angle: Tracer) -> tuple[int, int]:
+        """Record cosine and sine; return the values of both."""
+        return self.emit("cos", angle), self.emit("sin", angle)
+
+
+def _references(operands: Sequence[Any]) -> list[int | float]:
+    """Return operands as they are recorded: earlier results by index (int), constants as float."""
+    return [a.value if isinstance(a, Traced) else float(a) for a in operands]
+
+
+def taped(template: Tree, rows: Rows) -> Tree:
+    """Return a tree of the template's shape whose leaves record operations in the rows."""
+    tape = Tape(rows)
+    return unflatten(template, (Tracer(tape, -1 - i) for i in range(len(flatten(template)))))
 
 
 def fingerprint(function: Callable[[Tree], Tree], template: Tree) -> str:
     """Return the fingerprint, 20 hexadecimal digits, of a function of trees like the template."""
-    tape: Tape = []
-    results = _references(flatten(function(taped(template, tape))))
-    whole = len(flatten(template)), tape, results
+    rows: Rows = []
+    results = _references(flatten(function(taped(template, rows))))
+    whole = len(flatten(template)), rows, results
     return sha256(repr(whole).encode()).hexdigest()[:20]
-
-
-class _Recorded:
-    """The result of operation ``number`` on the tape; a negative ``number`` stands for an input."""
-
-    __slots__ = ("number", "tape")
-
-    def __init__(self, tape: Tape, number: int) -> None:
-        self.tape = tape
-        self.number = number
-
-    def _record(self, op: str, *operands: Any) -> tuple[Tape, int]:
-        self.tape.append((op, *_references(operands)))
-        return self.tape, len(self.tape) - 1
-
-
-def _references(operands: Sequence[Any]) -> list[int | float]:
-    """Return operands as they are recorded: earlier results by number (int), constants as float."""
-    return [a.number if isinstance(a, _Recorded) else float(a) for a in operands]
-
-
-def _joining(op: str) -> Any:
-    """Return an operation whose result has the type of the operands."""
-    return lambda a, b: type(a)(*a._record(op, a, b))
-
-
-class _Condition(_Recorded, TracerCondition):
-    __slots__ = ()
-    __and__ = _joining("&")
-    __or__ = _joining("|")
-
-    def select(self, a: Any, b: Any) -> "_Number":
-        return _Number(*self._record("select", self, a, b))
-
-
-def _recording(op: str) -> Any:
-    return lambda *operands: _Number(*operands[0]._record(op, *operands))
-
-
-class _Number(_Recorded, Tracer):
-    __slots__ = ()
-
-    def combine(self, op: str, a: Any, b: Any) -> "_Number":
-        return _Number(*self._record(op, a, b))
-
-    def compare(self, op: str, other: Any) -> _Condition:
-        return _Condition(*self._record(op, self, other))
-
-    __neg__ = _recording("neg")
-    __abs__ = _recording("abs")
-    sqrt = _recording("sqrt")
-    log = _recording("log")
-    exp = _recording("exp")
-    atan2 = _recording("atan2")
-    floor = _recording("floor")
-
-    def as_word(self) -> "_Word":
-        return _Word(*self._record("as word", self))
-
-    def constant(self, value: float) -> "_Number":
-        return _Number(*self._record("constant", value))
-
-    def cos_sin(self) -> "tuple[_Number, _Number]":
-        return _Number(*self._record("cos", self)), _Number(*self._record("sin", self))
-
-
-class _Word(_Recorded):
-    __slots__ = ()
-    __add__ = _joining("+")
-    __xor__ = _joining("^")
-    __or__ = _joining("|")
-    __lshift__ = _joining("<<")
-    __rshift__ = _joining(">>")
-
-    def scaled(self, factor: float) -> _Number:
-        return _Number(*self._record("scaled", self, factor))
-
-    def as_number(self) -> _Number:
-        return _Number(*self._record("as number", self))
