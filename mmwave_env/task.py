@@ -19,7 +19,7 @@ from mmwave_env.interface.reward import PairedReward, Reward, reward_from
 from mmwave_env.io.files import AnyPath
 from mmwave_env.io.lookup import choose, did_you_mean
 from mmwave_env.io.records import require
-from mmwave_env.models.layout import clock_from, measurements_from
+from mmwave_env.models.layout import measurements_from, require_clock
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.random_scene import RandomScene, scenes_from
 from mmwave_env.models.scene import Scene
@@ -204,7 +204,7 @@ def bank_and_modes(
 def _source(asked: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
     """Return the source of episodes, and the radio that receives their signals."""
     measurements = measurements_from(asked.measurements)
-    clock = clock_from(asked.clock, measurements)
+    require_clock(asked.clock, measurements)
     if asked.episodes is None:
         simulated = SimulatedSource(
             scenes_from("street" if asked.scene is None else asked.scene),
@@ -214,7 +214,7 @@ def _source(asked: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
             EPISODE_STEPS if asked.episode_steps is None else asked.episode_steps,
             asked.odometry,
             measurements,
-            clock,
+            asked.clock,
         )
         if asked.episode_steps is not None and simulated.epochs < asked.episode_steps:
             raise ValueError(
@@ -228,14 +228,14 @@ def _source(asked: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
     episodes = asked.episodes
     steps = asked.episode_steps
     if isinstance(episodes, str | os.PathLike | Recording | MeasuredTrack):
-        track = source_from(episodes, radio, steps, measurements, clock)
+        track = source_from(episodes, radio, steps, measurements, asked.clock)
         return track, track.radio
     if not hasattr(episodes, "layout") or not hasattr(episodes, "sample"):
         raise ValueError(
             f"episodes: found {episodes!r}, expected a name, a folder, a recording, a measured "
             "track, or a source with layout and sample(rng)"
         )
-    drift = "offset" if clock else None
+    drift = None if asked.clock == "synchronized" else asked.clock
     own = {"episode_steps": steps, "measurements": measurements, "clock": drift}
     for name, value in own.items():
         if value is not None:

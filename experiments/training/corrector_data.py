@@ -150,7 +150,9 @@ class CorrectorData:
         lacks = rng.random() < LACKING
         drifts = rng.random() < DRIFTING
         subset = SUBSETS[rng.integers(len(SUBSETS))] if lacks else None
-        clock = bool(drifts) and (subset is None or "range" in subset)
+        clock = "synchronized"
+        if drifts and (subset is None or "range" in subset):
+            clock = "offset"
         source = SimulatedSource(
             scene, radio, self._task.scenario, measurements=subset, clock=clock
         )

@@ -112,13 +112,13 @@ class Track(ABC):
         mean, covariance = draw_prior(state, radio, self.scene, rng)
         if received.bias_hz is None:
             mean[6] = 0.0
-        if self.layout.clock:
+        if self.layout.has_bias:
             mean = np.append(mean, 0.0)
-            covariance = radio.prior_covariance(self.scene, clock=True)
+            covariance = radio.prior_covariance(self.scene, self.layout.clock)
             if received.bias_hz is not None:
                 (own,) = rng.spawn(1)
                 drift_mps = received.bias_hz / self.scene.hz_per_mps
-                bias_m = clock_bias(drift_mps, self.time_s[epochs], own)
+                bias_m = clock_bias(self.layout.clock, drift_mps, self.time_s[epochs], own)
                 received.measurement[:, 0 : self.layout.doppler : 4] += bias_m[:, None]
         return Episode.measured(
             self.name,
@@ -165,7 +165,7 @@ class Track(ABC):
             a, i = divmod(row, len(LINK))
             error = (self.measurement[:, row] - exact[row])[self.visible[:, a]]
             error = error[np.isfinite(error)]  # where the true position is known
-            if len(error) < _ENOUGH or (layout.clock and not i):
+            if len(error) < _ENOUGH or (layout.has_bias and not i):
                 continue  # a clock offset is no contradiction
             change = np.diff(error)
             if i:
@@ -197,7 +197,7 @@ class TrackSource:
         epochs: length of an episode; each episode is a window drawn at random from all stretches.
             None if each episode is the longest stretch, from beginning to end.
         measurements: names of the measurements to use; None for all.
-        clock: whether the user's clock has an unknown offset.
+        clock: state of the user's clock, one of :data:`~mmwave_env.models.layout.CLOCKS`.
 
     Raises:
         ValueError: no stretch has enough epochs; or the track lacks the ``measurements``, or the
@@ -210,12 +210,13 @@ class TrackSource:
         radio: str | Radio,
         epochs: int | None = None,
         measurements: Sequence[str] | None = None,
-        clock: bool = False,
+        clock: str = "synchronized",
     ) -> None:
-        if clock:
+        if clock != "synchronized":
             if not np.isfinite(track.measurement[:, 0 : track.layout.doppler : 4]).any():
-                refuse(track.record, "clock", "True, but no ranges", "False or a track with ranges")
-            track = replace(track, layout=replace(track.layout, clock=True))
+                refuse(track.record, "clock", f"{clock}, but no ranges", "a track with ranges")
+            partial = track.layout.partial or clock == "free"
+            track = replace(track, layout=replace(track.layout, clock=clock, partial=partial))
         self.track = track
         self.radio = radio_from(radio)
         self.layout = track.layout

@@ -43,7 +43,7 @@ def source_from(
     radio: str | Radio,
     epochs: int | None = None,
     measurements: Sequence[str] | None = None,
-    clock: bool = False,
+    clock: str = "synchronized",
 ) -> TrackSource:
     """Return the source of episodes for an argument ``episodes=`` or an option ``--data``.
 
@@ -61,7 +61,7 @@ def source_from(
     return TrackSource(track, radio, epochs, measurements, clock)
 
 
-def _read(episodes: AnyPath, clock: bool) -> Track:
+def _read(episodes: AnyPath, clock: str) -> Track:
     """Read the sample with this name, or the folder with this path."""
     if episodes in sample_names():
         return recording_from(str(episodes))

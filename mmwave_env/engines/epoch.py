@@ -155,7 +155,9 @@ def filter_epoch(w: EpochState, asked: Asked) -> EpochState:
         results = now.results
         predicted = now.predicted
         if asked.predicted:
-            x_predicted, P_predicted = prediction(now, epoch.dt, w.site.hz_per_mps)
+            x_predicted, P_predicted = prediction(
+                now, epoch.dt, layout.bias_drive(w.site.hz_per_mps)
+            )
             w = w._replace(x_predicted=x_predicted, P_predicted=P_predicted)
     else:
         if asked.rule:

@@ -36,7 +36,7 @@ from mmwave_env.interface.signed import LastEpoch, after_update
 from mmwave_env.models.layout import STATE_SIZE
 from mmwave_env.models.measurement import blank_site
 from mmwave_env.numerics.linalg import unpack
-from mmwave_env.numerics.numbers import Array, Array32
+from mmwave_env.numerics.numbers import Array, Array32, Number
 from mmwave_env.numerics.pytree import indices, unflatten
 from mmwave_env.world.episode import EpisodeBatch, blank_incoming, columns_of
 
@@ -68,7 +68,8 @@ def smoothed_again(
     x, P, x_predicted, P_predicted, error, nees = engine.run(*_KEPT, actions=actions).values()
     dt = episodes.table[:, 1:T, columns_of(pipeline.layout).dt]
     hz_per_mps = float(engine.read(engine.at.site.hz_per_mps)[0])
-    smoothed, _ = smooth(x, P, x_predicted, P_predicted, dt, pipeline.planar, hz_per_mps)
+    drive = pipeline.layout.bias_drive(hz_per_mps)
+    smoothed, _ = smooth(x, P, x_predicted, P_predicted, dt, pipeline.planar, drive)
     return error, nees, error + (smoothed - x)[..., :3]
 
 
@@ -80,11 +81,11 @@ class SmoothingState(NamedTuple):
 
 
 @lru_cache(maxsize=4)
-def _program(known_axes: tuple[int, ...], size: int) -> Program[SmoothingState]:
+def _program(known_axes: tuple[int, ...], size: int, driven: bool) -> Program[SmoothingState]:
     def function(w: SmoothingState) -> SmoothingState:
         return w._replace(after=smooth_epoch(w.incoming, w.after, known_axes))
 
-    return Program(function, SmoothingState(blank_epoch(size), track_end(size)))
+    return Program(function, SmoothingState(blank_epoch(size, driven), track_end(size)))
 
 
 def smooth(
@@ -94,7 +95,7 @@ def smooth(
     P_predicted: Array,
     dt: Array,
     planar: bool = False,
-    hz_per_mps: float = np.nan,
+    hz_per_mps: Number | None = None,
 ) -> tuple[Array, Array]:
     """Return smoothed means (N, T, 7 or 8) and packed covariances (N, T, 28 or 36) of tracks.
 
@@ -105,14 +106,18 @@ def smooth(
             with the shapes of ``x`` and ``P``.
         dt: (T - 1,) seconds from each epoch to the next; (N, T - 1) if they differ between tracks.
         planar: whether z and vz are known exactly.
-        hz_per_mps: carrier frequency divided by the speed of light; needed only with a range bias.
+        hz_per_mps: carrier frequency divided by the speed of light, if the oscillator drives a
+            range bias; else None.
     """
     N, T, size = x.shape
-    program = _program(VERTICAL if planar else (), size)
+    driven = size > STATE_SIZE and hz_per_mps is not None
+    program = _program(VERTICAL if planar else (), size, driven)
     since = np.ones((N, T))
     since[:, 1:] = dt
-    carrier = np.full((N, T, size - STATE_SIZE), hz_per_mps)
-    forwards = np.concatenate([since[..., None], x, P, x_predicted, P_predicted, carrier], axis=2)
+    parts = [since[..., None], x, P, x_predicted, P_predicted]
+    if driven:
+        parts.append(np.full((N, T, 1), hz_per_mps))
+    forwards = np.concatenate(parts, axis=2)
     rows = blocks_of(program.start, N)
     io = StepIO.of(N, T, output_rows=rows_of([program.index.after.x, program.index.after.P]))
     program.run_on_lanes(BatchState.of(np.ascontiguousarray(forwards[:, ::-1]), rows), io)

@@ -124,7 +124,7 @@ def _row(view: View, layout: Layout, anchor: int, name: str) -> tuple[Number, Nu
         q = _squashed(wrap(z - elevation) / maximum(sigma, _LEAST_RAD)) * measured
         return q, 0.0, log(maximum(sigma * distance, _LEAST_M)) * measured
     if name == "range":
-        residual = z - distance - (view.x[7] if layout.clock else 0.0)
+        residual = z - distance - (view.x[7] if layout.has_bias else 0.0)
         deviation = maximum(sigma, _LEAST_M)
         toward = (ux, uy)
     else:

@@ -30,13 +30,14 @@ from mmwave_env.io.records import (
 from mmwave_env.models import envelope
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
-from mmwave_env.models.motion import CLOCK_SIGMA_M
+from mmwave_env.models.motion import CLOCK_SIGMA_M, FREE_BIAS_M
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Numbers, Vector, clip, exp, sqrt
 
 SHIPPED = ("handset", "standard", "high")
 DEGREE = math.pi / 180.0
-CLOCK_OFFSET_S = 1e-7  # prior standard deviation of an unsynchronized clock's offset
+# prior standard deviation of the range bias, by the state of the user's clock; 100 ns and 3.3 us
+BIAS_SIGMA_M = {"offset": SPEED_OF_LIGHT * 1e-7, "free": FREE_BIAS_M}
 DECIBEL = math.log(10.0) / 10.0  # natural logarithm of a power ratio of 1 dB
 Elements = Annotated[int, counts(1, 1024)]
 AngleFloor = Annotated[
@@ -196,14 +197,14 @@ class Radio:
         """Return the standard deviations (T, rows) of every row at SNRs (T, L): m, rad, Hz."""
         return np.stack(deviations(*self.variances(scene, layout), list(snr_db.T), layout), axis=1)
 
-    def prior_covariance(self, scene: Scene, clock: bool = False) -> Array:
-        """Return the prior covariance P0 (7, 7) of the first epoch; (8, 8) with a clock offset."""
+    def prior_covariance(self, scene: Scene, clock: str = "synchronized") -> Array:
+        """Return the prior covariance P0 (7, 7) of the first epoch; (8, 8) with a range bias."""
         p = self.prior_position_m
         v = self.prior_velocity_mps
         bias_hz = self.prior_bias_mps * scene.hz_per_mps
         deviations = [p, p, self.prior_height_m, v, v, self.prior_vertical_mps, bias_hz]
-        if clock:
-            deviations.append(SPEED_OF_LIGHT * CLOCK_OFFSET_S)
+        if clock in BIAS_SIGMA_M:
+            deviations.append(BIAS_SIGMA_M[clock])
         return np.diag(np.square(deviations))
 
 
@@ -284,10 +285,15 @@ def oscillator_bias(
     return hz_per_mps * (first + np.concatenate([[0.0], np.cumsum(steps)]))
 
 
-def clock_bias(drift_mps: Array, time_s: Array, rng: np.random.Generator) -> Array:
-    """Draw a clock's range bias (T,), m: the integral of the drift (T,), m/s, plus noise."""
+def clock_bias(clock: str, drift_mps: Array, time_s: Array, rng: np.random.Generator) -> Array:
+    """Draw a clock's range bias (T,), m: the integral of the drift (T,), m/s, plus noise.
+
+    The range bias of a free clock is all noise.
+    """
+    if clock == "free":
+        return FREE_BIAS_M * rng.standard_normal(len(time_s))
     step = np.diff(time_s)
-    first = SPEED_OF_LIGHT * CLOCK_OFFSET_S * rng.standard_normal()
+    first = BIAS_SIGMA_M[clock] * rng.standard_normal()
     noise = CLOCK_SIGMA_M * np.sqrt(step) * rng.standard_normal(len(step))
     driven = 0.5 * step * (drift_mps[1:] + drift_mps[:-1])
     return first + np.concatenate([[0.0], np.cumsum(driven + noise)])

@@ -17,7 +17,7 @@ from mmwave_env.compiler.program import BatchState, Feed, Program, StepIO, block
 from mmwave_env.models.envelope import STEP_S
 from mmwave_env.models.layout import Layout, offered_rows
 from mmwave_env.models.measurement import Site, blank_site
-from mmwave_env.models.motion import CLOCK_SIGMA_M
+from mmwave_env.models.motion import CLOCK_SIGMA_M, FREE_BIAS_M
 from mmwave_env.models.radio import SNR_LIMITS_DB, Radio
 from mmwave_env.models.random_scene import RandomScene
 from mmwave_env.models.scene import Scene
@@ -79,7 +79,7 @@ class SimulatedSource:
         odometry: whether the user also reports speed and heading.
         measurements: names of the quantities that the receiver measures, some of
             :data:`~mmwave_env.models.layout.MEASUREMENTS`; None for all.
-        clock: whether the user's clock has an unknown, drifting offset.
+        clock: state of the user's clock, one of :data:`~mmwave_env.models.layout.CLOCKS`.
     """
 
     scene: Scene | RandomScene
@@ -89,7 +89,7 @@ class SimulatedSource:
     epochs: int = 200
     odometry: bool = False
     measurements: tuple[str, ...] | None = None
-    clock: bool = False
+    clock: str = "synchronized"
 
     def __post_init__(self) -> None:
         if not STEP_S.holds(self.dt):
@@ -124,7 +124,7 @@ class SimulatedSource:
     @cached_property
     def layout(self) -> Layout:
         """Return the layout of every episode's measurements."""
-        partial = self.measurements is not None
+        partial = self.measurements is not None or self.clock == "free"
         return Layout(len(self._example.anchors_m), self.odometry, partial, self.clock)
 
     @property
@@ -345,11 +345,19 @@ class SimulatedSource:
             offered=[*map(float, offered_rows(self.layout, self.measurements))]
             if self.layout.partial
             else (),
-            clock=[0.5 * self.dt / scene.hz_per_mps, CLOCK_SIGMA_M * self.dt**0.5]
-            if self.clock
-            else (),
+            clock=self._clock_numbers,
         )
         return np.repeat(np.array(flatten(settings), float)[:, None], WIDTH, axis=1)
+
+    @property
+    def _clock_numbers(self) -> tuple[float, ...]:
+        """Return the ``clock`` of the settings."""
+        if self.clock == "free":
+            return 0.0, 0.0, FREE_BIAS_M
+        if self.clock == "offset":
+            half_step = 0.5 * self.dt / self._example.hz_per_mps
+            return 1.0, half_step, CLOCK_SIGMA_M * self.dt**0.5
+        return ()
 
     @property
     def _sites(self) -> Site:

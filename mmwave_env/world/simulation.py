@@ -53,9 +53,9 @@ class WorldSettings(NamedTuple):
     step_s: Number  # length of a substep
     stride: Number  # number of substeps in an epoch
     offered: Vector = ()  # (rows,) 1 where the receiver measures the row; empty if it measures all
-    # empty if the user's clock is synchronized; else (2,): the first number times the sum of the
-    # oscillator biases (Hz) at two successive epochs is the drift (m) of the range bias from one
-    # epoch to the next; the second is the standard deviation (m) of noise added to the drift
+    # empty if the user's clock is synchronized; else (3,): how much of the range bias remains from
+    # one epoch to the next, 1 or 0; a number that, times the sum of the oscillator biases (Hz) in
+    # both epochs, is its drift (m); the standard deviation (m) of the noise that is added to it
     clock: Vector = ()
 
 
@@ -150,9 +150,9 @@ def _run_on(receiver: ReceiverState, bias_hz: Number, clock: Vector) -> Clock | 
     """
     if not isinstance(receiver.clock, Clock):
         return ()
-    (half_step, sigma_m) = clock
+    (remains, half_step, sigma_m) = clock
     dice = Dice(receiver.clock.dice)
-    bias_m = receiver.clock.bias_m + half_step * (receiver.bias_hz + bias_hz)
+    bias_m = remains * receiver.clock.bias_m + half_step * (receiver.bias_hz + bias_hz)
     bias_m = bias_m + sigma_m * dice.normal()
     return Clock(dice.state, bias_m)
 
@@ -192,9 +192,9 @@ def blank_world(layout: Layout, phases: int, gaits: int) -> WorldState:
     channel = channel_of(Radio("blank"), Scene("blank", (0.0, 0.0, 10.0)), layout, 1.0)
     anchors = [[0.0, 0.0, 10.0 + a] for a in range(layout.anchors)]
     dice = [0.0] * STATE_WORDS
-    clock = Clock(dice, 0.0) if layout.clock else ()
+    clock = Clock(dice, 0.0) if layout.has_bias else ()
     offered = [1.0] * layout.size if layout.partial else []
-    drift = [1.0, 1.0] if layout.clock else []
+    drift = [1.0, 1.0, 1.0] if layout.has_bias else []
     return WorldState(
         measured=blank_incoming(layout),
         settings=WorldSettings(1.0, channel, 1.0, 1.0, 1.0, 1.0, offered, drift),
