@@ -40,7 +40,7 @@ def _kinds(radio: str) -> dict[str, dict[str, str]]:
     """Return the descriptions of all names, by kind and name; ``radio`` is a radio profile."""
     from experiments.evaluation.branches import CLAIRVOYANT
     from experiments.evaluation.contenders import DESCRIPTIONS, contenders
-    from mmwave_env.datasets.samples import log_names, recording_from, sample_names
+    from mmwave_env.datasets.samples import recording_from, sample_names
     from mmwave_env.filters.bank import as_written, named_modes
     from mmwave_env.interface.reward import REWARDS
     from mmwave_env.models.radio import RADIOS
@@ -51,7 +51,7 @@ def _kinds(radio: str) -> dict[str, dict[str, str]]:
     modes = {name: as_written(mode).items() for name, mode in named_modes(radio).items()}
     samples = {}
     for name in sample_names():
-        log = "; also as a log, for localize --sample" if name in log_names() else ""
+        log = "; also as a log, for localize --sample" if name in sample_names("log") else ""
         epochs = len(recording_from(name).time_s)
         samples[name] = f"ray-traced street, {epochs} epochs, for --data{log}"
     scenes = {name: _description(scene) for name, scene in SCENES.items()}

@@ -28,7 +28,7 @@ def main(args: Args) -> None:
     from experiments.evaluation.contenders import source_of
     from experiments.evaluation.seeds import draw_episodes
     from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH, write_log_folder
-    from mmwave_env.datasets.tracks import TrackSource
+    from mmwave_env.datasets.recorded import TrackSource
     from mmwave_env.models.random_scene import RandomScene
     from mmwave_env.models.scene import scene_of_anchors
     from mmwave_env.world.simulated import SimulatedSource

@@ -7,10 +7,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from mmwave_env.datasets.measured import MeasuredTrack
-from mmwave_env.datasets.recorded import Recording
+from mmwave_env.datasets.recorded import MeasuredTrack, Recording, TrackSource
 from mmwave_env.datasets.samples import source_from
-from mmwave_env.datasets.tracks import TrackSource
 from mmwave_env.datasets.ways import scenario_from
 from mmwave_env.filters.bank import Bank, Modes, bank_from, modes_from
 from mmwave_env.filters.modes import Mode

@@ -12,8 +12,7 @@ from experiments.evaluation.agents import NO_FILTERS, Estimator
 from experiments.evaluation.branches import Clairvoyant
 from experiments.evaluation.contenders import Contender
 from experiments.evaluation.seeds import draw_episodes, keys_for
-from mmwave_env.engines.engine import Engine, run_imm
-from mmwave_env.engines.play import play
+from mmwave_env.engines.engine import Engine, play, run_imm
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import CORRECTION
 from mmwave_env.interface.policy import Policy

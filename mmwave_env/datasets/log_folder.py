@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from mmwave_env.datasets.deepmimo.v4 import PARAMS
-from mmwave_env.datasets.measured import MeasuredTrack
+from mmwave_env.datasets.recorded import MeasuredTrack
 from mmwave_env.io.files import write_json, write_text
 from mmwave_env.io.lookup import as_name
 from mmwave_env.logs.log import read_log

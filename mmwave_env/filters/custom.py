@@ -25,8 +25,7 @@ from mmwave_env.models.measurement import Measurement
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Matrix, Numbers
 from mmwave_env.numerics.pytree import flatten
-from mmwave_env.numerics.tape import taped
-from mmwave_env.numerics.tracer import NoValueError, Tracer, TracerCondition
+from mmwave_env.numerics.tape import NoValueError, Tracer, TracerCondition, taped
 
 _LANES_KNOW = (
     "a number on lanes supports only +, -, *, /, <, <=, >, >=, abs and the functions of "

@@ -16,8 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mmwave_env.engines.engine import Engine, tracks_of
-from mmwave_env.engines.smoothed_features import smoothed_features
-from mmwave_env.engines.smoothing import smooth
+from mmwave_env.engines.smoothing import smooth, smoothed_features
 from mmwave_env.filters.correction import corrected_all
 from mmwave_env.filters.mode_smoothing import smooth_modes
 from mmwave_env.filters.pipeline import Pipeline
