@@ -25,8 +25,7 @@ def main(args: Args) -> None:
     """Run the command."""
     from experiments.console.progress import progress, say
     from experiments.console.provenance import command_line
-    from experiments.evaluation.contenders import source_of
-    from experiments.evaluation.seeds import draw_episodes
+    from experiments.evaluation.contenders import draw_episodes, source_of
     from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH, write_log_folder
     from mmwave_env.datasets.tracks import TrackSource
     from mmwave_env.models.random_scene import RandomScene

@@ -40,9 +40,14 @@ FASTEST = 50  # maximum number of pictures per second in a GIF
 def main(args: Args) -> None:
     """Run the command."""
     from experiments.console.progress import progress, say
-    from experiments.evaluation.contenders import contender_of, task_of
+    from experiments.evaluation.contenders import (
+        contender_of,
+        draw_episodes,
+        keys_for,
+        seeds_from,
+        task_of,
+    )
     from experiments.evaluation.runner import Scoring
-    from experiments.evaluation.seeds import draw_episodes, keys_for, seeds_from
     from experiments.reporting.histories import history_of
     from mmwave_env.rendering.video import write_video
 

@@ -18,10 +18,17 @@ import numpy as np
 from experiments.console.tables import csv_text, escaped, grid
 from experiments.evaluation.agents import Act
 from experiments.evaluation.branches import CLAIRVOYANT
-from experiments.evaluation.contenders import BEST_IMM, RULE, Contender, contender_from
+from experiments.evaluation.contenders import (
+    BEST_IMM,
+    RULE,
+    Contender,
+    contender_from,
+    keys_for,
+    named,
+    seeds_from,
+)
 from experiments.evaluation.intervals import Interval, bootstrap, rounded
 from experiments.evaluation.runner import Scores, Scoring, score_contenders
-from experiments.evaluation.seeds import keys_for, named, seeds_from
 from mmwave_env.filters.bank import Modes
 from mmwave_env.interface.reward import reward_name
 from mmwave_env.io.files import AnyPath, Json

@@ -1,4 +1,4 @@
-"""Contenders by name (IMMs, and policies with their modes), and tasks from a command's options."""
+"""Contenders by name (IMMs, and policies with their modes); tasks and episodes from options."""
 
 import os
 import warnings
@@ -6,8 +6,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
+from typing import cast
 
-from experiments.console.options import EpisodeArgs, ModeArgs, WorldArgs
+import numpy as np
+
+from experiments.console.options import USUAL_EPISODES, EpisodeArgs, ModeArgs, WorldArgs
 from experiments.evaluation.agents import GUIDE, Act, Estimator, agent_from, is_agent, tried
 from experiments.evaluation.branches import CLAIRVOYANT, Clairvoyant
 from experiments.evaluation.runs import Run
@@ -28,7 +31,9 @@ from mmwave_env.io.files import AnyPath
 from mmwave_env.io.lookup import unknown
 from mmwave_env.models.radio import radio_from
 from mmwave_env.task import Task, TaskArguments, bank_and_modes, task_from
-from mmwave_env.world.episode import EpisodeSource
+from mmwave_env.world.episode import Episode, EpisodeSource
+from mmwave_env.world.keys import Keys, keys_of
+from mmwave_env.world.simulated import SimulatedSource
 from policies import LikelihoodRule, SpeedRule, load, shipped_policies
 
 BEST_IMM = "imm-best"  # the IMM with the modes of best_bank
@@ -224,3 +229,38 @@ def _task(args: WorldArgs, modes: Modes, beliefs: str = "shared") -> Task:
     names = {field.name for field in fields(TaskArguments)} - {"episodes", "modes", "beliefs"}
     world = {name: value for name, value in vars(args).items() if name in names}
     return task_from(**world, episodes=args.data, modes=modes, beliefs=beliefs)
+
+
+def seeds_from(episodes: int | None, seed: int | None, usual: int = USUAL_EPISODES) -> range:
+    """Return the seeds that a user asked for, by default ``usual`` seeds from 0 on.
+
+    Raises:
+        ValueError: there are no seeds, or a seed is negative.
+    """
+    first = seed or 0
+    count = usual if episodes is None else episodes
+    if count < 1:
+        raise ValueError(f"episodes: found {count}, expected at least 1")
+    if first < 0:
+        raise ValueError(f"seed: found {first}, expected 0 or more")
+    return range(first, first + count)
+
+
+def named(seeds: Sequence[int]) -> str:
+    """Return the number of episodes and their seeds in words."""
+    if len(seeds) == 1:
+        return f"1 episode, seed {seeds[0]}, too few for intervals"
+    return f"{len(seeds)} episodes, seeds {seeds[0]} and up"
+
+
+def keys_for(source: EpisodeSource, seeds: Sequence[int]) -> Keys | None:
+    """Return the keys (n,) that determine simulated episodes; None for other episodes."""
+    return keys_of(seeds) if type(source) is SimulatedSource else None
+
+
+def draw_episodes(source: EpisodeSource, seeds: Sequence[int]) -> list[Episode]:
+    """Draw one episode per seed; ``env.reset(seed=...)`` draws the same episodes."""
+    keys = keys_for(source, seeds)
+    if keys is None:
+        return [source.sample(np.random.default_rng(seed)) for seed in seeds]
+    return cast(SimulatedSource, source).episodes(keys)

@@ -19,10 +19,9 @@ from experiments.console.options import WorldArgs
 from experiments.console.tables import grid
 from experiments.evaluation.branches import CLAIRVOYANT
 from experiments.evaluation.compare import score_cell, score_of
-from experiments.evaluation.contenders import BEST_IMM, RULE, contender_from, source_of
+from experiments.evaluation.contenders import BEST_IMM, RULE, contender_from, seeds_from, source_of
 from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.runner import Scores, score_contenders
-from experiments.evaluation.seeds import seeds_from
 from mmwave_env.datasets.samples import sample_names
 from mmwave_env.io.files import Json, read_json
 from mmwave_env.models.radio import RADIOS, TUNED_RADIOS

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from experiments.console.progress import bars
 from experiments.evaluation.agents import NO_FILTERS, Estimator
 from experiments.evaluation.branches import Clairvoyant
-from experiments.evaluation.contenders import Contender
-from experiments.evaluation.seeds import draw_episodes, keys_for
+from experiments.evaluation.contenders import Contender, draw_episodes, keys_for
 from mmwave_env.engines.engine import Engine, run_imm
 from mmwave_env.engines.play import play
 from mmwave_env.filters.pipeline import Pipeline
@@ -54,9 +53,14 @@ PLAIN = Scoring()
 Watch = Callable[[Contender, Array, EpochResults], None]
 
 
-def score(contender: Contender, policy: Policy, episodes: Sequence[Episode]) -> Scores:
-    """Run a contender and its policy on equally long episodes; return metrics of each episode."""
-    results = run_contender(contender, policy, _scorable(episodes))
+def score(
+    contender: Contender, episodes: Sequence[Episode], policy: Policy | None = None
+) -> Scores:
+    """Run a contender on equally long episodes; return metrics of each episode.
+
+    ``policy`` is the contender's policy; None to start a new one.
+    """
+    results = run_contender(contender, _scorable(episodes), policy=policy)
     return _summary(results, episodes[0].time_s, PLAIN)
 
 
@@ -69,19 +73,20 @@ def _scorable(episodes: Sequence[Episode]) -> Sequence[Episode]:
 
 def run_contender(
     contender: Contender,
-    policy: Policy,
     episodes: EpisodeBatch | Sequence[Episode],
     scoring: Scoring = PLAIN,
     after: Sequence[str] = (),
+    policy: Policy | None = None,
 ) -> EpochResults:
-    """Run a contender and its policy on equally long episodes; return every epoch's results.
+    """Run a contender on equally long episodes; return every epoch's results.
 
     Args:
-        contender, policy: same as in :func:`score`.
+        contender: a policy with its modes, or an IMM.
         episodes: the episodes; they need ground truth only if ``scoring.planar``.
         scoring: reward and terrain.
         after: names of parts of the filters' state to return for every epoch. All contenders have
             "x" and "P"; all but estimators have "memory.nis", "memory.accepted", "memory.rejected".
+        policy: the contender's policy; None to start a new one.
 
     Returns:
         "reward" and "nees" (n, T); "error" (n, T, 3) in m; for a policy also "mode" (n, T), its
@@ -99,6 +104,7 @@ def run_contender(
         assert contender.bank  # an IMM: no policy acts, so one call runs all epochs
         return run_imm(contender.bank, scoring.reward, batch, *names, planar=scoring.planar)
     pipeline = contender.pipeline(batch.layout, scoring.planar)
+    policy = policy or contender.start(batch.layout, scoring.planar)
     if isinstance(policy, Estimator):
         return _run_estimator(pipeline, policy, batch, scoring.reward, names)
     n, T, _ = batch.table.shape
@@ -229,7 +235,7 @@ def score_contenders(
             if not first:
                 _warn_of_short(time_s)
             for contender, policy in zip(contenders, policies, strict=True):
-                results = run_contender(contender, policy, batch, scoring, after=after)
+                results = run_contender(contender, batch, scoring, after, policy)
                 _warn_of_nonfinite(contender, results)
                 parts[contender.name].append(_summary(results, time_s, scoring))
                 for callback in watch:

@@ -27,8 +27,7 @@ def history_of(
     Raises:
         ValueError: the policy fails.
     """
-    policy = contender.start(episode.layout, scoring.planar)
-    results = run_contender(contender, policy, [episode], scoring, after=_KEPT)
+    results = run_contender(contender, [episode], scoring, after=_KEPT)
     made = {name: values[0] for name, values in results.items()}
     begun = episode.on_flat_ground() if scoring.planar else episode
     prior_P = begun.prior_covariance[np.tril_indices(3)]

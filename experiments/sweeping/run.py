@@ -19,10 +19,9 @@ import numpy as np
 from experiments.console.progress import note, say, tracked
 from experiments.console.signals import ended_by_signals
 from experiments.console.tables import grid, show
-from experiments.evaluation.contenders import contender_of, task_of
+from experiments.evaluation.contenders import contender_of, seeds_from, task_of
 from experiments.evaluation.intervals import Interval, bootstrap, rounded
 from experiments.evaluation.runner import Scoring, score_contenders
-from experiments.evaluation.seeds import seeds_from
 from experiments.sweeping.spec import (
     HYPERPARAMETER,
     Evaluation,

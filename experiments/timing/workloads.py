@@ -21,8 +21,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from experiments.evaluation.contenders import contender_from
-from experiments.evaluation.seeds import draw_episodes
+from experiments.evaluation.contenders import contender_from, draw_episodes
 from experiments.timing.fresh import ENVIRONMENT, started
 from mmwave_env.datasets.log_folder import log_columns
 from mmwave_env.engines.engine import tracks_of

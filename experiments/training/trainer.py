@@ -13,13 +13,12 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 
-from experiments.console.options import TUNING_SEED
+from experiments.console.options import SEEDS_EACH, TRAINING_SEED, TUNING_SEED
 from experiments.console.provenance import versions_of
 from experiments.console.tables import csv_text
-from experiments.evaluation.contenders import contender_from
+from experiments.evaluation.contenders import contender_from, draw_episodes
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.runner import Scores, score
-from experiments.evaluation.seeds import SEEDS_EACH, TRAINING_SEED, draw_episodes
 from experiments.training.training_task import TrainingTask
 from mmwave_env.interface.observation import Observation
 from mmwave_env.io.files import Json, atomic_path, first_line, write_bytes, write_json, write_text
@@ -127,7 +126,7 @@ class Trainer(ABC):
             parts = []
             for radio, some in drawn:
                 contender = contender_from(name, radio)
-                parts.append(score(contender, contender.start(some[0].layout), some))
+                parts.append(score(contender, some))
             return {metric: np.concatenate([part[metric] for part in parts]) for metric in parts[0]}
 
         # if every mode keeps its own belief, the IMM over the same modes is a rival, too

@@ -15,9 +15,8 @@ from scipy.special import softmax
 
 from experiments.console.options import WorldArgs
 from experiments.console.progress import progress, say
-from experiments.evaluation.contenders import source_of
+from experiments.evaluation.contenders import draw_episodes, source_of
 from experiments.evaluation.intervals import bootstrap
-from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.engines.engine import run_imm
 from mmwave_env.filters.bank import Bank, bank_as_written, default_modes
 from mmwave_env.filters.imm import DEFAULT_STAY

@@ -10,9 +10,8 @@ from scipy.special import chdtri
 
 from experiments.console.options import TuneArgs, WorldArgs
 from experiments.console.progress import say, tracked
-from experiments.evaluation.contenders import source_of
+from experiments.evaluation.contenders import draw_episodes, source_of
 from experiments.evaluation.intervals import bootstrap
-from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.engines.engine import tracks_of
 from mmwave_env.filters.bank import as_written, modes_from
 from mmwave_env.filters.modes import Mode

@@ -38,8 +38,7 @@ def episodes(n, source=SOURCE):
 
 def played(agent, some, planar=False):
     contender = Contender.own("own", agent, "handset", [PLAIN])
-    policy = contender.start(some[0].layout, planar)
-    return run_contender(contender, policy, some, Scoring(planar=planar), after=("x", "P"))
+    return run_contender(contender, some, Scoring(planar=planar), after=("x", "P"))
 
 
 class Recorder(Estimator):
@@ -153,7 +152,7 @@ def test_rivals_track_with_any_receiver_and_on_flat_ground(agent, options):
 
 def test_a_rival_can_be_named_as_a_contender():
     contender = contender_from("experiments.evaluation.rivals:variational", "handset")
-    results = run_contender(contender, contender.start(SOURCE.layout), episodes(2))
+    results = run_contender(contender, episodes(2))
     assert results["reward"].shape == (2, SOURCE.epochs)
     Pipeline(StudentImm().bank("handset").modes, Layout())  # raises if SIMD lanes can't run it
 
@@ -163,4 +162,4 @@ def test_an_estimator_is_refused_as_a_policy_that_chooses_modes():
         Variational().act(np.zeros((1, 3), np.float32))
     contender = Contender.own("own", Variational(), "handset")
     with refuses("policy"):
-        run_contender(contender, Variational(), episodes(2), after=("memory.nis",))
+        run_contender(contender, episodes(2), after=("memory.nis",))

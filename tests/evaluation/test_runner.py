@@ -10,9 +10,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 import mmwave_env  # noqa: F401  registers the environment
 from experiments.evaluation import contenders as contenders_module
 from experiments.evaluation import runner as evaluation
-from experiments.evaluation.contenders import Contender, contender_from, contenders
+from experiments.evaluation.contenders import Contender, contender_from, contenders, draw_episodes
 from experiments.evaluation.runner import run_contender, score, score_contenders
-from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.filters.bank import bank_as_written, best_bank, modes_from
 from mmwave_env.interface.observation import BELIEFS
 from mmwave_env.metrics import BURN_IN, INFO_KEYS, METRICS
@@ -94,7 +93,7 @@ def test_episodes_without_truth_are_refused():
     blind = replace(episode, truth_position_m=None, truth_velocity_mps=None)
     contender = contender_from("fixed-ekf", "handset")
     with pytest.raises(ValueError, match="found no truth"):
-        score(contender, contender.start(SOURCE.layout), [blind])
+        score(contender, [blind])
 
 
 def test_custom_modes_determine_the_contenders():
@@ -187,8 +186,8 @@ def test_a_corrector_that_corrects_nothing_has_the_scores_of_its_imm(tmp_path, s
     tensors["out.weight"][:] = 0.0
     tensors["out.bias"][:] = 0.0
     mine = corrector(tmp_path, tensors)
-    ours = score(mine, mine.start(SOURCE.layout), short)
-    theirs = score(IMM, IMM.start(SOURCE.layout), short)
+    ours = score(mine, short)
+    theirs = score(IMM, short)
     for metric, values in theirs.items():
         assert_allclose(ours[metric], values, rtol=1e-9, atol=1e-9)
 
@@ -196,8 +195,8 @@ def test_a_corrector_that_corrects_nothing_has_the_scores_of_its_imm(tmp_path, s
 @pytest.mark.slow
 def test_errors_and_nees_belong_to_the_corrected_beliefs(tmp_path, short):
     mine = corrector(tmp_path, network(limit=50.0))
-    results = run_contender(mine, mine.start(SOURCE.layout), short, after=("x", "P"))
-    plain = run_contender(IMM, IMM.start(SOURCE.layout), short)
+    results = run_contender(mine, short, after=("x", "P"))
+    plain = run_contender(IMM, short)
     truth = np.stack([episode.truth_position_m for episode in short])
     error = results["x"][..., :3] - truth
     assert_allclose(results["error"], error, atol=1e-9)

@@ -9,8 +9,7 @@ import pytest
 from matplotlib.image import imread
 
 from experiments.console.options import LogArgs
-from experiments.evaluation.contenders import contender_from
-from experiments.evaluation.seeds import draw_episodes
+from experiments.evaluation.contenders import contender_from, draw_episodes
 from experiments.reporting.figures.canvas import caption, contenders
 from experiments.reporting.figures.curves import (
     draw_consistency,

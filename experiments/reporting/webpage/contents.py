@@ -11,10 +11,9 @@ from typing import Any, NamedTuple
 
 from experiments.console.tables import CELL, unescaped
 from experiments.evaluation.compare import Comparison
-from experiments.evaluation.contenders import DESCRIPTIONS
+from experiments.evaluation.contenders import DESCRIPTIONS, named
 from experiments.evaluation.positions import positions_markdown
 from experiments.evaluation.runs import curves_of, outcomes_markdown
-from experiments.evaluation.seeds import named
 from experiments.reporting.figures.curves import draw_learning_curves
 from experiments.reporting.track_report import track_markdown
 from mmwave_env.io.files import Json, read_json

@@ -17,9 +17,15 @@ from experiments.console.options import EpisodeArgs, LogArgs, PageArgs
 from experiments.console.provenance import command_line, options_from
 from experiments.evaluation.agents import is_agent
 from experiments.evaluation.compare import Comparison
-from experiments.evaluation.contenders import contender_of, task_of
+from experiments.evaluation.contenders import (
+    contender_of,
+    draw_episodes,
+    keys_for,
+    named,
+    seeds_from,
+    task_of,
+)
 from experiments.evaluation.runner import Scoring, score_contenders
-from experiments.evaluation.seeds import draw_episodes, keys_for, named, seeds_from
 from experiments.reporting.figures.canvas import PHONE_MM
 from experiments.reporting.figures.curves import draw_consistency, draw_error_cdf
 from experiments.reporting.histories import EpochErrors, history_of
