@@ -23,7 +23,7 @@ class Args(WorldArgs):
 
 def main(args: Args) -> None:
     """Run the command."""
-    from experiments.console.progress import progress, say
+    from experiments.console.output import progress, say
     from experiments.console.provenance import command_line
     from experiments.evaluation.contenders import draw_episodes, source_of
     from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH, write_log_folder

@@ -45,8 +45,8 @@ def main(args: Args) -> None:
     from mmwave_env.io.lookup import require_extra
 
     require_extra("filterpy", "filterpy", "speed")
+    from experiments.console.output import show
     from experiments.console.provenance import provenance
-    from experiments.console.tables import show
     from experiments.timing.measured import TABLES, Measured
 
     measured = Measured(args.sizes)

@@ -39,7 +39,7 @@ FASTEST = 50  # maximum number of pictures per second in a GIF
 
 def main(args: Args) -> None:
     """Run the command."""
-    from experiments.console.progress import progress, say
+    from experiments.console.output import progress, say
     from experiments.evaluation.contenders import (
         contender_of,
         draw_episodes,

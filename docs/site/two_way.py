@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from experiments.console.tables import grid
+from experiments.console.output import grid
 from experiments.evaluation.contenders import draw_episodes
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.protocol import HARD, RECORDED, Site, sites

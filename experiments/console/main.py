@@ -97,7 +97,7 @@ def _message(box: str) -> str:
 @contextmanager
 def _quiet() -> Iterator[None]:
     """Suppress, within the block, progress bars and all printing but warnings and errors."""
-    from experiments.console.progress import QUIET
+    from experiments.console.output import QUIET
 
     token = QUIET.set(True)
     try:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.console.tables import csv_text, escaped, grid
+from experiments.console.output import csv_text, escaped, grid
 from experiments.evaluation.agents import Act
 from experiments.evaluation.branches import CLAIRVOYANT
 from experiments.evaluation.contenders import (

@@ -11,9 +11,10 @@ from typing import cast
 import numpy as np
 
 from experiments.console.options import USUAL_EPISODES, EpisodeArgs, ModeArgs, WorldArgs
+from experiments.console.output import grid
 from experiments.evaluation.agents import GUIDE, Act, Estimator, agent_from, is_agent, tried
 from experiments.evaluation.branches import CLAIRVOYANT, Clairvoyant
-from experiments.evaluation.runs import Run
+from experiments.evaluation.intervals import Interval
 from mmwave_env.filters.bank import (
     Bank,
     Modes,
@@ -27,7 +28,7 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.interface.actions import MODE
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.policy import FixedMode, Policy, Switching, policy_from
-from mmwave_env.io.files import AnyPath
+from mmwave_env.io.files import AnyPath, Json, read_json
 from mmwave_env.io.lookup import unknown
 from mmwave_env.models.radio import radio_from
 from mmwave_env.task import Task, TaskArguments, bank_and_modes, task_from
@@ -53,6 +54,69 @@ DESCRIPTIONS = {
     "guided-ppo": "same as `guided`, but trained only with PPO",
     "clairvoyant": "knows the truth: a ceiling for policies that choose modes; runs only if named",
 }
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run of ``mmwave-loc train``, with one policy per training seed."""
+
+    name: str  # the folder, as on the command line and in results
+    seeds: tuple[int, ...]  # training seeds, ordered by reward on tuning seeds, best first
+    median: int  # training seed of the policy with the median reward, which represents the run
+
+    @classmethod
+    def read(cls, name: str) -> "Run":
+        """Read the run in a folder.
+
+        Raises:
+            ValueError: the summary is invalid; the message names the file and what is wrong in it.
+            FileNotFoundError: the folder holds no finished run.
+        """
+        path = Path(name) / "summary.json"
+        if not path.is_file():
+            raise FileNotFoundError(
+                f"{path}: found no file, expected the summary of a finished run; "
+                "mmwave-loc train --resume continues an unfinished run"
+            )
+        return read_json(path, "the summary of a run", partial(cls._of, name))
+
+    @classmethod
+    def _of(cls, name: str, summary: Json) -> "Run":
+        """Return the run that a summary describes."""
+        seeds = tuple(outcome["seed"] for outcome in summary["seeds"])
+        median = summary["median"]
+        numbers = {seed for seed in seeds if type(seed) is int}
+        if not seeds or len(numbers) < len(seeds):
+            raise ValueError(f"seeds: found {list(seeds)}, expected different numbers")
+        if median not in seeds:
+            raise ValueError(f"median: found {median!r}, expected one of {list(seeds)}")
+        return cls(name, seeds, median)
+
+    @property
+    def policies(self) -> list[str]:
+        """Return the policy file of every training seed."""
+        return [self._policy(seed) for seed in self.seeds]
+
+    @property
+    def policy(self) -> str:
+        """Return the policy file of the median seed."""
+        return self._policy(self.median)
+
+    def _policy(self, seed: int) -> str:
+        return str(Path(self.name) / f"seed-{seed}" / "policy.safetensors")
+
+
+def outcomes_markdown(outcomes: Sequence[Json]) -> str:
+    """Return a Markdown table of training outcomes, one row per seed, in the given order."""
+    rows = []
+    minus = [key for key in outcomes[0]["best"] if key.startswith("minus ")]
+    for outcome in outcomes:
+        best = outcome["best"]
+        gains = [Interval.of(best[name]) for name in minus]
+        cells = [outcome["seed"], f"{best['reward']:.4f}", best["timesteps"], *gains]
+        rows.append([*cells, f"{outcome['seconds']:g} s"])
+    header = ["seed", "reward", "best after", *minus, "time"]
+    return grid(header, rows)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from experiments.console.tables import grid
+from experiments.console.output import grid
 from experiments.evaluation.contenders import Contender
 from experiments.evaluation.runner import EpochResults
 from mmwave_env.io.files import Json

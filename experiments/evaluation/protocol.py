@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from experiments.console.options import WorldArgs
-from experiments.console.tables import grid
+from experiments.console.output import grid
 from experiments.evaluation.branches import CLAIRVOYANT
 from experiments.evaluation.compare import score_cell, score_of
 from experiments.evaluation.contenders import BEST_IMM, RULE, contender_from, seeds_from, source_of

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.console.progress import bars
+from experiments.console.output import bars
 from experiments.evaluation.agents import NO_FILTERS, Estimator
 from experiments.evaluation.branches import Clairvoyant
 from experiments.evaluation.contenders import Contender, draw_episodes, keys_for

@@ -9,9 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from experiments.console.options import EpisodeArgs
-from experiments.console.tables import escaped, grid
+from experiments.console.output import escaped, grid
 from experiments.evaluation.compare import Comparison, compare_scores, episodes_csv, references
 from experiments.evaluation.contenders import (
+    Run,
     all_contenders,
     contender_of,
     runs_of,
@@ -21,7 +22,6 @@ from experiments.evaluation.contenders import (
 from experiments.evaluation.intervals import Interval, bootstrap, crossed_bootstrap
 from experiments.evaluation.positions import Positions, positions_markdown
 from experiments.evaluation.runner import Scores, Scoring, score_contenders
-from experiments.evaluation.runs import Run
 from experiments.reporting.histories import EpochErrors
 from mmwave_env.interface.reward import reward_name
 from mmwave_env.io.files import Json, write_text

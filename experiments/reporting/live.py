@@ -14,7 +14,7 @@ from experiments.console.options import (
     require_at_least,
     require_default,
 )
-from experiments.console.progress import note
+from experiments.console.output import note
 from experiments.reporting.log_choice import choice_of, require_one_choice, scene_of
 from mmwave_env.io.files import Json, first_line, parse_json
 from mmwave_env.io.lookup import printable, quoted

@@ -13,10 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from experiments.console.options import AUTO, LogArgs, require_alone, require_default
-from experiments.console.progress import progress
+from experiments.console.output import grid, progress, show
 from experiments.console.provenance import provenance
-from experiments.console.tables import grid, show
-from experiments.reporting.figures.canvas import require_picture
+from experiments.reporting.figures.curves import require_picture
 from experiments.reporting.figures.timeline import draw_trajectory
 from experiments.reporting.log_choice import (
     Choice,

@@ -1,6 +1,6 @@
 """The report that ``localize`` prints about a track."""
 
-from experiments.console.tables import escaped, grid
+from experiments.console.output import escaped, grid
 from experiments.evaluation.positions import KINDS, positions_markdown
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS
 from mmwave_env.io.files import Json

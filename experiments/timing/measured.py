@@ -15,8 +15,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from experiments.console.progress import tracked
-from experiments.console.tables import grid
+from experiments.console.output import grid, tracked
 from experiments.timing import workloads
 from experiments.timing.fresh import fresh
 from experiments.timing.roofline import Operations, count, limit_s

@@ -16,7 +16,7 @@ import torch
 from torch import nn
 
 from experiments.console.options import SEEDS_EACH, TRAINING_SEED
-from experiments.console.progress import say
+from experiments.console.output import say
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.runner import run_contender
 from experiments.training.corrector import normalization_of

@@ -9,10 +9,9 @@ from typing import Any
 from rich.progress import TimeElapsedColumn
 
 from experiments.console.options import TaskArgs, TrainArgs, require_at_least
-from experiments.console.progress import bars, say
+from experiments.console.output import bars, say, show
 from experiments.console.provenance import command_line
-from experiments.console.tables import show
-from experiments.evaluation.runs import outcomes_markdown
+from experiments.evaluation.contenders import outcomes_markdown
 from experiments.training.hyperparameters import (
     Hyperparameters,
     PpoHyperparameters,

@@ -14,8 +14,8 @@ import numpy as np
 import torch
 
 from experiments.console.options import SEEDS_EACH, TRAINING_SEED, TUNING_SEED
+from experiments.console.output import csv_text
 from experiments.console.provenance import versions_of
-from experiments.console.tables import csv_text
 from experiments.evaluation.contenders import contender_from, draw_episodes
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.runner import Scores, score

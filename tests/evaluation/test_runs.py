@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments.evaluation.contenders import contender_from
-from experiments.evaluation.runs import Run
+from experiments.evaluation.contenders import Run, contender_from
 from mmwave_env.models.layout import Layout
 from policies import LearnedSwitch, shipped_policies
 from tests.paths import ROOT

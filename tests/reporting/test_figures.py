@@ -10,8 +10,9 @@ from matplotlib.image import imread
 
 from experiments.console.options import LogArgs
 from experiments.evaluation.contenders import contender_from, draw_episodes
-from experiments.reporting.figures.canvas import caption, contenders
 from experiments.reporting.figures.curves import (
+    caption,
+    contenders,
     draw_consistency,
     draw_error_cdf,
     draw_learning_curves,

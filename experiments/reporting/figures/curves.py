@@ -1,23 +1,146 @@
-"""Pictures of learning curves, of position errors (CDF), and of the consistency of filters."""
+"""Pictures in the project's style (publication.mplstyle), and what they share.
 
-from collections.abc import Mapping, Sequence
+There are pictures of learning curves, of position errors (CDF) and of the consistency of filters.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.special import chdtr, chdtri
 
-from experiments.reporting.figures.canvas import (
-    COLORS,
-    PHONE_MM,
-    caption,
-    contenders,
-    legend_of,
-    panels,
-    plain_numbers,
-)
+from mmwave_env.io.files import atomic_path, require_writable
+from mmwave_env.io.lookup import printable, require_extra, spelled
 from mmwave_env.localization.position_errors import SHARES, horizontal, vertical
 from mmwave_env.numerics.numbers import Array
+from mmwave_env.rendering.theme import THEMES, hex_of
+
+STYLE = Path(__file__).with_name("publication.mplstyle")
+UNDATED: dict[str, dict[str, Any]] = {  # metadata without dates, so equal pictures give equal files
+    ".png": {},
+    ".svg": {"Date": None},
+    ".pdf": {"CreationDate": None},
+}
+COLORS = [hex_of(color) for color in THEMES["light"].modes]  # colors of modes, as in videos
+NO_MODE = hex_of(THEMES["light"].none)
+
+LEGEND_COLUMNS = 2  # number of columns in a legend below panels
+FONT_PT = 10.0
+PHONE_MM = 117.0  # width of a picture for a phone
+STACKED_MM = 170.0  # up to this width, panels are stacked
+MM_PER_IN = 25.4
+
+
+def require_picture(option: str, path: Path) -> None:
+    """Refuse, before any work, a picture file that can't be written; errors name ``option``.
+
+    Raises:
+        ValueError: the name does not end with .png, .svg or .pdf.
+        MissingExtraError: matplotlib is not installed.
+        OSError: the file can't be written.
+    """
+    if path.suffix.lower() not in UNDATED:
+        raise ValueError(
+            f"{option}: found {path}, expected a name that ends with {', '.join(UNDATED)}"
+        )
+    require_extra("matplotlib", "plot", f"{option}, a picture,")
+    require_writable(path)
+
+
+@contextmanager
+def picture(
+    path: Path, width_in: float, height_in: float, font_pt: float = FONT_PT
+) -> Iterator[Any]:
+    """Yield a matplotlib figure to draw into, and write it to a .png, .svg or .pdf file at the end.
+
+    The figure has the project's style, whatever matplotlib settings the user has. The file is
+    written completely or not at all.
+    """
+    from matplotlib import style
+    from matplotlib.figure import Figure
+    from matplotlib.rcsetup import cycler
+
+    colors = {"axes.prop_cycle": cycler(color=COLORS)}
+    with style.context([STYLE, colors | {"font.size": font_pt}], after_reset=True):
+        figure = Figure(figsize=(width_in, height_in))
+        yield figure
+        suffix = path.suffix.lower()
+        with atomic_path(path) as temporary:
+            figure.savefig(temporary, format=suffix[1:], metadata=UNDATED[suffix])
+
+
+def caption(name: str) -> str:
+    """Return a name with escape codes for characters that are invisible or not in the font."""
+    from matplotlib.font_manager import findfont, get_font
+
+    font = get_font(findfont("DejaVu Sans"))  # the font that comes with matplotlib
+    return "".join(x if font.get_char_index(ord(x)) else spelled(x) for x in printable(name))
+
+
+def contenders(names: Iterable[str]) -> dict[str, str]:
+    """Map names of contenders (policies and IMMs) to their labels in a picture.
+
+    A path is shortened to its shortest ending that distinguishes it from all other names.
+    """
+    parts = {name: Path(name).parts for name in names}
+    shown = {}
+    for name, own in parts.items():
+        others = [parts[other] for other in parts if other != name]
+        alone = (k for k in range(1, len(own)) if all(o[-k:] != own[-k:] for o in others))
+        shown[name] = caption(str(Path(*own[-next(alone, len(own)) :])))
+    return shown
+
+
+def legend_beside(axes: Any, **options: Any) -> None:
+    """Draw a legend to the right of a panel, where it does not cover data."""
+    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.02), borderaxespad=0.0, **options)
+
+
+@contextmanager
+def panels(
+    path: Path, count: int, entries: int, width_mm: float | None
+) -> Iterator[tuple[Any, list[Any]]]:
+    """Yield a picture and its ``count`` panels: side by side, or stacked if they would be narrow.
+
+    The picture has room for the legend that :func:`legend_of` draws, with ``entries`` labels. The
+    font is smaller in narrow pictures, so that labels fit.
+    """
+    usual = PHONE_MM / MM_PER_IN if stacked(width_mm) else 2.2 + 4.4 * count
+    width = usual if width_mm is None else width_mm / MM_PER_IN
+    if stacked(width_mm):
+        height = 0.63 * width * count + 0.3 + 0.2 * (-(-entries // LEGEND_COLUMNS))
+    else:
+        height = max(4.2, 1.0 + 0.19 * entries) * width / usual
+    with picture(path, width, height, FONT_PT * min(1.0, width / usual)) as figure:
+        grid = figure.subplots(*((count, 1) if stacked(width_mm) else (1, count)), squeeze=False)
+        yield figure, list(grid.flat)
+
+
+def stacked(width_mm: float | None) -> bool:
+    """Return whether the panels of a picture of this width are stacked."""
+    return width_mm is not None and width_mm <= STACKED_MM
+
+
+def legend_of(figure: Any, axes: Any, width_mm: float | None, handles: Sequence[Any]) -> None:
+    """Draw the legend of a picture from :func:`panels`; the handles contain the labels."""
+    if stacked(width_mm):
+        figure.legend(handles=handles, loc="outside lower left", ncols=LEGEND_COLUMNS)
+    else:
+        legend_beside(axes, handles=handles)
+
+
+def plain_numbers(axis: Any) -> None:
+    """Label a logarithmic axis 1, 10, 100, ... or, if it spans few decades, 1, 2, 5, 10, ..."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    low, high = axis.get_view_interval()
+    wide = high / max(low, 1e-300) > 1e3
+    axis.set_major_locator(LogLocator(subs=(1.0,) if wide else (1.0, 2.0, 5.0)))
+    axis.set_major_formatter("{x:,g}")
+    axis.set_minor_formatter(NullFormatter())
+
 
 SMALLEST_M = 1e-3  # smaller errors are drawn at this value, since the axis is logarithmic
 BOUNDS = "95 % bounds if consistent"
@@ -60,7 +183,7 @@ def draw_consistency(
     Args:
         time_s: (T,) times since the first epoch of an episode.
         nees: contender -> NEES (n, T) of n episodes; each value sums over ``dof`` coordinates.
-        path, width_mm: arguments of :func:`~experiments.reporting.figures.canvas.panels`.
+        path, width_mm: arguments of :func:`~experiments.reporting.figures.curves.panels`.
     """
     episodes = len(next(iter(nees.values())))
     low, high = chdtri(episodes * dof, [0.975, 0.025]) / (episodes * dof)

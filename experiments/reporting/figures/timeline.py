@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtri
 
-from experiments.reporting.figures.canvas import (
+from experiments.reporting.figures.curves import (
     NO_MODE,
     caption,
     contenders,

@@ -1,22 +1,23 @@
 """Contents of the web page: results as verdicts, tables and learning curves in HTML."""
 
+import csv
 from base64 import b64encode
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from html import escape
 from importlib.util import find_spec
+from io import StringIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
-from experiments.console.tables import CELL, unescaped
+from experiments.console.output import CELL, unescaped
 from experiments.evaluation.compare import Comparison
-from experiments.evaluation.contenders import DESCRIPTIONS, named
+from experiments.evaluation.contenders import DESCRIPTIONS, named, outcomes_markdown
 from experiments.evaluation.positions import positions_markdown
-from experiments.evaluation.runs import curves_of, outcomes_markdown
 from experiments.reporting.figures.curves import draw_learning_curves
 from experiments.reporting.track_report import track_markdown
-from mmwave_env.io.files import Json, read_json
+from mmwave_env.io.files import Json, first_line, read_json, read_text
 from mmwave_env.io.lookup import printable
 
 SHOWN = 5  # number of table rows that are shown at first
@@ -77,6 +78,26 @@ def drawn(caption: str, draw: Callable[[Path], None]) -> str:
         svg = b64encode(path.read_bytes()).decode("ascii")
     image = f'<img src="data:image/svg+xml;base64,{svg}" alt="{text(caption)}">'
     return f"<figure>{image}{element('figcaption', caption)}</figure>"
+
+
+def curves_of(log: Path) -> dict[str, tuple[list[float], list[float]]]:
+    """Read the learning curves in a log: for each rival, steps and reward minus its reward.
+
+    Raises:
+        ValueError: the log is not CSV, or a value is not a number; the message names the line.
+    """
+    curves: dict[str, tuple[list[float], list[float]]] = {}
+    rows = csv.DictReader(StringIO(read_text(log, "the progress log of a training"), newline=""))
+    try:
+        for row in rows:
+            for name, value in row.items():
+                if value and name.startswith("tuning/minus "):
+                    steps, values = curves.setdefault(name.split(" ", 1)[1], ([], []))
+                    steps.append(float(row["timesteps"]))
+                    values.append(float(value))
+    except (csv.Error, AttributeError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{log}: line {rows.line_num}: {first_line(error)[:300]}") from error
+    return curves
 
 
 READ = "results (--json) of compare, demo or localize, or a folder that train wrote"

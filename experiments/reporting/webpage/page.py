@@ -26,8 +26,7 @@ from experiments.evaluation.contenders import (
     task_of,
 )
 from experiments.evaluation.runner import Scoring, score_contenders
-from experiments.reporting.figures.canvas import PHONE_MM
-from experiments.reporting.figures.curves import draw_consistency, draw_error_cdf
+from experiments.reporting.figures.curves import PHONE_MM, draw_consistency, draw_error_cdf
 from experiments.reporting.histories import EpochErrors, history_of
 from experiments.reporting.log_results import beginning
 from experiments.reporting.webpage.contents import (
