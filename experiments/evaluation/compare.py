@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import product
-from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -33,6 +32,7 @@ from mmwave_env.filters.bank import Modes
 from mmwave_env.interface.reward import reward_name
 from mmwave_env.io.files import AnyPath, Json
 from mmwave_env.io.lookup import as_cell, printable
+from mmwave_env.io.records import require
 from mmwave_env.metrics import HEADERS, METRICS, TERMS
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.task import task_from
@@ -259,7 +259,7 @@ def compare(
             actions. Only agents that fail in an episode raise errors after episodes have run.
         FileNotFoundError: a file that an argument names does not exist.
     """
-    _require_valid(policies, episodes, beside, world)
+    _require_valid(policies, episodes, world)
     task = task_from(scenario=scenario, radio=radio, episodes=data, **world)
     scoring = Scoring.of(task)
     seeds = seeds_from(episodes, seed, USUAL_EPISODES)
@@ -277,24 +277,10 @@ def compare(
     )
 
 
-def _require_valid(
-    policies: object, episodes: object, beside: object, world: Mapping[str, Any]
-) -> None:
+def _require_valid(policies: object, episodes: object, world: Mapping[str, Any]) -> None:
     """Refuse arguments of :func:`compare` of a wrong type or name."""
-    if not isinstance(policies, Mapping):
-        raise ValueError(
-            f"policies: found a {type(policies).__name__}, expected a dict of agents by name, such "
-            "as {'mine': act}"
-        )
-    if isinstance(beside, str):
-        raise ValueError(
-            f"beside: found {beside!r}, expected a list of names, such as ['{beside}']"
-        )
-    if not isinstance(episodes, Integral | None):
-        raise ValueError(
-            f"episodes: found {episodes!r}, expected a number of episodes; recordings and logs are "
-            "passed as data="
-        )
+    require("policies", policies, dict)
+    require("episodes", episodes, int | None)
     if wrong := sorted({"action", "base", "terminate_on_divergence"} & world.keys()):
         raise ValueError(f"{wrong[0]}: not an argument of compare, which plays complete episodes")
 

@@ -1,6 +1,5 @@
 """Statistics of contenders' position errors and protection levels."""
 
-from collections.abc import Collection
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -27,10 +26,9 @@ HEADER = (
 class Positions:
     """Position errors of all scored epochs, with protection levels."""
 
-    names: Collection[str]  # contenders; others are skipped
-    levels: Levels = field(default_factory=Levels)
-    anchors: int = 3  # number of anchors in the episodes
-    planar: bool = False  # whether the height is known
+    levels: Levels
+    anchors: int  # number of anchors in the episodes
+    planar: bool  # whether the height is known
     errors: dict[str, PositionErrors] = field(default_factory=dict)  # by contender
 
     def add(self, contender: Contender, time_s: Array, results: EpochResults) -> None:
@@ -38,14 +36,13 @@ class Positions:
 
         The results must include :data:`~mmwave_env.localization.levels.PARTS`.
         """
-        if contender.name in self.names:
-            counts = scored(len(time_s))
-            empty = PositionErrors(self.levels.risk, self.planar)
-            errors = self.errors.setdefault(contender.name, empty)
-            parts = [*(results[part] for part in PARTS), results.get("trusted")]
-            self.levels.reset()
-            factors = self.levels.factors(self.anchors, contender.bank is not None, time_s, *parts)
-            errors.add(*(v[:, counts] for v in (results["error"], results["P"], factors)))
+        counts = scored(len(time_s))
+        empty = PositionErrors(self.levels.risk, self.planar)
+        errors = self.errors.setdefault(contender.name, empty)
+        parts = [*(results[part] for part in PARTS), results.get("trusted")]
+        self.levels.reset()
+        factors = self.levels.factors(self.anchors, contender.bank is not None, time_s, *parts)
+        errors.add(*(v[:, counts] for v in (results["error"], results["P"], factors)))
 
     def figures(self) -> Json:
         """Return errors and levels in the form that results files store."""

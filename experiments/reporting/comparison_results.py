@@ -110,21 +110,19 @@ def results(args: EpisodeArgs, names: Sequence[str], with_epochs: bool = False) 
     runs = runs_of(args, names)
     scoring = Scoring.of(task)
     seeds = seeds_from(args.episodes, args.seed)
+    contenders = [contender_of(args, name) for name in names]
     others = [file for run in runs.values() for file in run.policies if file != run.policy]
-    epochs = EpochErrors(names)
-    positions = Positions(names, levels, task.source.layout.anchors, args.planar)
+    epochs = EpochErrors()
+    positions = Positions(levels, task.source.layout.anchors, args.planar)
     watch = [epochs.add] if with_epochs else []
     if args.percentiles:
         watch.append(positions.add)
-    scores_of = score_contenders(
-        [contender_of(args, name) for name in (*names, *others)],
-        task.source,
-        seeds,
-        watch=watch,
-        scoring=scoring,
-        after=PARTS if args.percentiles else (),
-    )
-    scores = {name: scores_of[name] for name in names}
+    after = PARTS if args.percentiles else ()
+    scores = score_contenders(contenders, task.source, seeds, watch, scoring, after)
+    scores_of = dict(scores)
+    if others:
+        more = [contender_of(args, name) for name in others]
+        scores_of |= score_contenders(more, task.source, seeds, scoring=scoring)
     if args.episodes_csv:
         write_text(args.episodes_csv, episodes_csv(scores, seeds, task.source))
     known = all_contenders(args)

@@ -1,16 +1,17 @@
 """Histories, errors and NEES of contenders, epoch by epoch, for pictures."""
 
-from collections.abc import Collection
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from experiments.evaluation.contenders import Contender
+from experiments.evaluation.contenders import Contender, draw_episodes, keys_for
 from experiments.evaluation.runner import PLAIN, EpochResults, Scoring, run_contender
 from mmwave_env.metrics import scored
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.rendering.history import NO_MODE, POSITION_NUMBERS, History
+from mmwave_env.task import Task
 from mmwave_env.world.episode import Episode
 
 _KEPT = ("x", "P", "memory.accepted", "memory.rejected", "memory.mode")
@@ -50,6 +51,17 @@ def history_of(
     )
 
 
+def histories_of(
+    task: Task, seeds: Sequence[int], contenders: Sequence[Contender]
+) -> Iterator[tuple[Episode, list[History]]]:
+    """Draw an episode for each seed; yield it with the history of every contender."""
+    scoring = Scoring.of(task)
+    keys = keys_for(task.source, seeds)
+    for i, episode in enumerate(draw_episodes(task.source, seeds)):
+        scene = task.scene_of(0 if keys is None else int(keys[i]))
+        yield episode, [history_of(c, episode, scoring, scene) for c in contenders]
+
+
 def _after(prior: Array | float, epochs: Array) -> Array:
     """Return rows (T + 1, ...): the prior's row, then the rows of the epochs (T, ...)."""
     return np.concatenate([np.asarray(prior)[None], epochs])
@@ -59,19 +71,16 @@ def _after(prior: Array | float, epochs: Array) -> Array:
 class EpochErrors:
     """Errors and NEES of contenders in all scored epochs of equally long episodes."""
 
-    names: Collection[str]  # contenders; others are skipped
     time_s: Array = field(default_factory=lambda: np.zeros(0))  # (T,) s since the first epoch
     errors_m: dict[str, Array] = field(default_factory=dict)  # contender -> (n, T, 3), m
     nees: dict[str, Array] = field(default_factory=dict)  # contender -> (n, T)
 
     def add(self, contender: Contender, time_s: Array, results: EpochResults) -> None:
         """Add a contender's epoch results on episodes whose epochs have these times (T,)."""
-        name = contender.name
-        if name in self.names:
-            counted = scored(len(time_s))
-            self.time_s = (time_s - time_s[0])[counted]
-            _append(self.errors_m, name, results["error"][:, counted].astype(np.float32))
-            _append(self.nees, name, results["nees"][:, counted])
+        counted = scored(len(time_s))
+        self.time_s = (time_s - time_s[0])[counted]
+        _append(self.errors_m, contender.name, results["error"][:, counted].astype(np.float32))
+        _append(self.nees, contender.name, results["nees"][:, counted])
 
 
 def _append(table: dict[str, Array], name: str, values: Array) -> None:

@@ -42,14 +42,6 @@ STEP = "step"  # name of the kernel (compiled function) that computes an environ
 BASES = ("filterpy", workloads.SYNC_NAME)  # workloads with which our environments are compared
 
 Rounds = dict[str, list[float]]
-QUANTITIES = (
-    "steps_per_s",  # by workload (environments, single filters)
-    "latency_us",  # time for an epoch of a live track, by filter or policy, interface, percentile
-    "cold_start_s",  # from the start of a process to the end of its first step
-    "peak_rss_mb",  # peak memory of a process, MiB
-    "cores_busy",  # by workload
-    "limit_s",  # minimum time for a step on one core, by kernel
-)
 
 
 def rate(laps: workloads.Laps, seconds: float) -> tuple[float, float]:
@@ -76,14 +68,17 @@ class Measured:
 
     Attributes:
         operations: operations of each kernel.
-        rounds: lists, by quantity (one of :data:`QUANTITIES`) and name. A list has one value per
-            round or, for new processes, per process.
+        rounds: lists, by quantity and name. A list has one value per round or, for new processes,
+            per process. The quantities are "steps_per_s" and "cores_busy" of workloads;
+            "latency_us", the time for an epoch of a live track; "limit_s", the minimum time for a
+            step on one core, by kernel; and, of processes, "cold_start_s" (until the end of the
+            first step) and "peak_rss_mb" (memory, MiB).
     """
 
     def __init__(self, sizes: Sequence[int]) -> None:
         self.sizes = sorted(set(sizes))
         self.operations = kernels()
-        self.rounds: dict[str, Rounds] = {name: defaultdict(list) for name in QUANTITIES}
+        self.rounds: dict[str, Rounds] = defaultdict(lambda: defaultdict(list))
 
     def measure(self, seconds: float, repeats: int) -> None:
         """Measure everything in several rounds; a rate is measured for at least ``seconds``.

@@ -17,17 +17,10 @@ from experiments.console.options import EpisodeArgs, LogArgs, PageArgs
 from experiments.console.provenance import command_line, options_from
 from experiments.evaluation.agents import is_agent
 from experiments.evaluation.compare import Comparison
-from experiments.evaluation.contenders import (
-    contender_of,
-    draw_episodes,
-    keys_for,
-    named,
-    seeds_from,
-    task_of,
-)
+from experiments.evaluation.contenders import contender_of, named, seeds_from, task_of
 from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.reporting.figures.curves import PHONE_MM, draw_consistency, draw_error_cdf
-from experiments.reporting.histories import EpochErrors, history_of
+from experiments.reporting.histories import EpochErrors, histories_of
 from experiments.reporting.log_results import beginning
 from experiments.reporting.webpage.contents import (
     READ,
@@ -50,6 +43,7 @@ from mmwave_env.rendering.history import POSITION_NUMBERS, History
 from mmwave_env.rendering.theme import THEMES, hex_of
 
 LONGEST = 600  # maximum number of epochs of an episode that can be watched
+WATCHED_ROWS = slice(1, LONGEST + 1)  # rows of a history, without the prior
 WATCHED = 8  # maximum number of contenders to watch: the best by reward, and the paper's rule
 RULE = "speed-rule"
 
@@ -59,7 +53,7 @@ class Played:
     """Results of contenders in episodes that were played again."""
 
     which: str = "no episodes"  # description of the episodes
-    epochs: EpochErrors = field(default_factory=lambda: EpochErrors(()))  # of scored epochs
+    epochs: EpochErrors = field(default_factory=EpochErrors)  # of scored epochs
     axes: int = 3  # number of axes that the NEES covers
     shown: list[Json] = field(default_factory=list)  # episodes to watch, as JSON
     # name of a missing contender -> reason; the name "" stands for all contenders
@@ -101,18 +95,16 @@ def _play_episodes(source: Source, most: int, watched: int) -> Played:
         except (ValueError, OSError) as error:
             missing[name] = str(error)
     axes = 2 if scoring.planar else 3
-    played = Played(named(seeds), EpochErrors(names), axes, missing=missing)
+    played = Played(named(seeds), axes=axes, missing=missing)
     score_contenders(chosen, task.source, seeds, watch=[played.epochs.add], scoring=scoring)
     watchable = [contender for contender in chosen if contender.name in watched_names(names)]
-    keys = keys_for(task.source, seeds)
-    rows = slice(1, LONGEST + 1)  # without the prior
-    for i, episode in enumerate(draw_episodes(task.source, seeds)[: watched if watchable else 0]):
-        scene = task.scene_of(0 if keys is None else int(keys[i]))
-        histories = [history_of(c, episode, scoring, scene).part(rows) for c in watchable]
-        name = f"{task.source.name}: {episode.name}, seed {seeds[i]}"
-        shown = _episode(name, histories[0], episode.layout.group_names)
+    some = seeds[:watched] if watchable else ()
+    for seed, (episode, histories) in zip(some, histories_of(task, some, watchable), strict=True):
+        name = f"{task.source.name}: {episode.name}, seed {seed}"
+        shown = _episode(name, histories[0].part(WATCHED_ROWS), episode.layout.group_names)
         for contender, history in zip(watchable, histories, strict=True):
-            course = _course(history, contender.actions, contender.policy is None)
+            part = history.part(WATCHED_ROWS)
+            course = _course(part, contender.actions, contender.policy is None)
             shown["contenders"][printable(contender.name)] = course
         played.shown.append(shown)
     return played
