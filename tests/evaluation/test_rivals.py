@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from experiments.evaluation.agents import Estimator
-from experiments.evaluation.contenders import Contender, contender_from
-from experiments.evaluation.rivals import (
+from examples.rivals import (
     EVERYTHING,
     Particles,
     StudentImm,
@@ -18,6 +16,8 @@ from experiments.evaluation.rivals import (
     stated,
     student_t,
 )
+from experiments.evaluation.agents import Estimator
+from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.runner import Scoring, run_contender
 from mmwave_env.filters import Mode, Pipeline, ekf, ukf
 from mmwave_env.models.layout import Layout
@@ -151,7 +151,7 @@ def test_rivals_track_with_any_receiver_and_on_flat_ground(agent, options):
 
 
 def test_a_rival_can_be_named_as_a_contender():
-    contender = contender_from("experiments.evaluation.rivals:variational", "handset")
+    contender = contender_from("examples.rivals:variational", "handset")
     results = run_contender(contender, episodes(2))
     assert results["reward"].shape == (2, SOURCE.epochs)
     Pipeline(StudentImm().bank("handset").modes, Layout())  # raises if SIMD lanes can't run it

@@ -1,4 +1,4 @@
-"""Rivals of learned policies (docs/rivals.md): ``--policies experiments.evaluation.rivals:NAME``.
+"""Rivals of learned policies (docs/rivals.md): ``--policies examples.rivals:NAME``.
 
 Two of them are Kalman updates for noise that receivers misstate: a Student-t and an adaptive one.
 
