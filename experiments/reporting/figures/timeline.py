@@ -1,8 +1,6 @@
-"""Pictures of tracks: timelines of several, or one from above; with errors and modes (filters)."""
+"""Picture of a track from above, with its errors and modes (filters) over time."""
 
-import itertools
 import textwrap
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,76 +8,13 @@ import numpy as np
 from scipy.special import chdtri
 
 from experiments.reporting.figures.curves import (
-    NO_MODE,
     caption,
-    contenders,
     legend_beside,
     picture,
 )
 from mmwave_env.localization.localizer import Track
 from mmwave_env.numerics.numbers import Array, Index
-from mmwave_env.rendering.history import History, ellipse
-
-_LINES_IN = 2.0  # height of a panel with lines, inches
-_LOOKS = [  # line colors (other than those of modes) and styles of contenders
-    {"color": color, "ls": style}
-    for color, style in (("C3", "-"), ("C4", "--"), ("C6", "-."), ("C2", ":"))
-]
-_TRUE = {"color": "0.55", "lw": 3.5, "alpha": 0.6}  # style of the line of the true speed
-
-
-def mode_ribbon(axes: Any, time: Array, mode: Index, low: float = 0.0) -> None:
-    """Draw a band of height 1 above ``low``, in the colors of the modes that ran.
-
-    ``mode`` (T,) has the number of the mode that ran at each ``time`` (T,), or -1 if no mode ran.
-    """
-    begins = np.flatnonzero(np.diff(mode, prepend=-2))
-    ends = np.append(begins[1:], len(mode) - 1)
-    spans = np.stack([time[begins], time[ends] - time[begins]], axis=1)
-    colors = [_color(number) for number in mode[begins]]
-    axes.broken_barh(spans, (low, 1.0), facecolors=colors, lw=0.0)
-    axes.grid(visible=False)
-    axes.spines[:].set_visible(False)
-    axes.tick_params(axis="y", length=0)
-
-
-def draw_histories(
-    histories: Mapping[str, History], modes: Sequence[str], rows: slice, path: Path
-) -> None:
-    """Draw speeds, errors and modes of contenders during a part of an episode.
-
-    ``rows`` selects rows of the histories: row 0 is the prior, and row 1 is the first epoch.
-    """
-    first = next(iter(histories.values()))
-    time_s = first.time_s[rows]
-    ribbons = max(0.45 * len(histories), 0.2 * len(modes))
-    names = contenders(histories)
-    heights = (_LINES_IN, _LINES_IN, ribbons)
-    with picture(path, 9.0, 1.0 + sum(heights)) as figure:
-        speeds, errors, axes = figure.subplots(3, sharex=True, height_ratios=heights)
-        speeds.plot(time_s, first.true_mps[rows], label="true speed", **_TRUE)
-        for look, (name, history) in zip(itertools.cycle(_LOOKS), histories.items(), strict=False):
-            speeds.plot(time_s, history.speed_mps[rows], label=names[name], **look)
-            errors.plot(time_s, history.error_m[rows], label=names[name], **look)
-        labels = ((speeds, "estimated speed (m/s)"), (errors, "position error (m)"))
-        for panel, label in labels:
-            panel.set(ylabel=label, ylim=(0.0, None))
-            legend_beside(panel)
-        chosen = [history.modes[rows] for history in histories.values()]
-        for row, mode in enumerate(chosen):
-            mode_ribbon(axes, time_s, mode, low=-1.3 * row)
-        axes.set_yticks([0.5 - 1.3 * row for row in range(len(chosen))], [*names.values()])
-        axes.set_xlabel("time (s)")
-        for number in np.unique(np.concatenate(chosen)).tolist():
-            label = caption(modes[number]) if number >= 0 else "none"
-            axes.plot([], [], "s", color=_color(number), label=label)
-        legend_beside(axes)
-
-
-def _color(mode: int) -> str:
-    """Return the color of a mode, given its number; -1 if no mode ran."""
-    return NO_MODE if mode < 0 else f"C{mode}"
-
+from mmwave_env.rendering.history import ellipse
 
 POINTS = 6000  # maximum number of epochs in a picture; a longer track is thinned
 ELLIPSES = 15  # maximum number of ellipses along a track
@@ -109,8 +44,7 @@ def draw_trajectory(track: Track, truth_m: Array, anchors_m: Array, path: Path, 
         if several:
             panels[1].tick_params(labelbottom=False)
             panels[1].sharex(panels[2])
-            mode_ribbon(panels[2], time, track.mode)
-            panels[2].set_yticks([0.5], ["mode"])
+            _draw_modes(panels[2], time, track.mode)
         panels[-1].set_xlabel(f"time since the first epoch ({unit})")
         lines = textwrap.wrap(caption(title), TITLE_LETTERS, break_on_hyphens=False)
         figure.suptitle("\n".join(lines), x=0.02, ha="left")
@@ -128,7 +62,7 @@ def _draw_above(axes: Any, track: Track, truth_m: Array, anchors_m: Array) -> No
     for number in np.unique(mode):
         label = f"estimate, {caption(track.modes[number])}"
         chosen = steps[whole & (mode[1:] == number)]
-        lines = LineCollection(chosen, color=_color(number), lw=1.4, label=label)
+        lines = LineCollection(chosen, color=f"C{number}", lw=1.4, label=label)
         axes.add_collection(lines)
     _draw_ellipses(axes, track)
     axes.plot(*position[0], "o", color="black", ms=5, label="start")
@@ -180,3 +114,17 @@ def _draw_error(axes: Any, track: Track, truth_m: Array, time: Array) -> None:
         axes.plot(time, error, color="black", lw=0.8, label="error")
     axes.set(ylabel="position error (m)", ylim=(0.0, None))
     legend_beside(axes)
+
+
+def _draw_modes(axes: Any, time: Array, mode: Index) -> None:
+    """Draw a band in the colors of the modes (T,) that ran at the times (T,)."""
+    begins = np.flatnonzero(np.diff(mode, prepend=-1))
+    ends = np.append(begins[1:], len(mode) - 1)
+    spans = np.stack([time[begins], time[ends] - time[begins]], axis=1)
+    axes.broken_barh(
+        spans, (0.0, 1.0), facecolors=[f"C{number}" for number in mode[begins]], lw=0.0
+    )
+    axes.grid(visible=False)
+    axes.spines[:].set_visible(False)
+    axes.tick_params(axis="y", length=0)
+    axes.set_yticks([0.5], ["mode"])
