@@ -49,7 +49,7 @@ def main(args: Args) -> None:
     from experiments.console.provenance import provenance
     from experiments.evaluation.contenders import all_contenders
     from experiments.reporting.comparison_results import results
-    from experiments.reporting.figures.curves import (
+    from experiments.reporting.figures import (
         draw_consistency,
         draw_error_cdf,
         require_picture,

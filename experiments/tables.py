@@ -28,7 +28,7 @@ def main(args: Args) -> None:
     from experiments.console.output import csv_text, say, show, tracked
     from experiments.paper.claims import sections
     from experiments.paper.printed import Bench, draw, summaries
-    from experiments.reporting.figures.curves import require_picture
+    from experiments.reporting.figures import require_picture
     from mmwave_env.io.files import require_writable, write_text
 
     figure = args.out / "tables.png"

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from experiments.evaluation.contenders import contender_from, draw_episodes
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.runner import run_contender, score
-from experiments.reporting.figures.curves import picture
+from experiments.reporting.figures import picture
 from mmwave_env.interface.observation import Observation
 from mmwave_env.metrics import scored
 from mmwave_env.models.radio import RADIOS

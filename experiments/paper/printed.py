@@ -17,7 +17,7 @@ from experiments.console.output import grid
 from experiments.evaluation.contenders import draw_episodes
 from experiments.evaluation.intervals import Interval, bootstrap, rounded
 from experiments.evaluation.runner import Scores
-from experiments.reporting.figures.curves import picture, plain_numbers
+from experiments.reporting.figures import picture, plain_numbers
 from mmwave_env.engines.engine import tracks_of
 from mmwave_env.engines.smoothing import smooth
 from mmwave_env.filters.bank import shipped_modes

@@ -56,9 +56,10 @@ def histories_of(
 ) -> Iterator[tuple[Episode, list[History]]]:
     """Draw an episode for each seed; yield it with the history of every contender."""
     scoring = Scoring.of(task)
-    keys = keys_for(task.source, seeds)
-    for i, episode in enumerate(draw_episodes(task.source, seeds)):
-        scene = task.scene_of(0 if keys is None else int(keys[i]))
+    for seed in seeds:
+        keys = keys_for(task.source, [seed])
+        scene = task.scene_of(0 if keys is None else int(keys[0]))
+        (episode,) = draw_episodes(task.source, [seed])
         yield episode, [history_of(c, episode, scoring, scene) for c in contenders]
 
 

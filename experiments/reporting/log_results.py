@@ -15,8 +15,7 @@ import numpy as np
 from experiments.console.options import AUTO, LogArgs, require_alone, require_default
 from experiments.console.output import grid, progress, show
 from experiments.console.provenance import provenance
-from experiments.reporting.figures.curves import require_picture
-from experiments.reporting.figures.timeline import draw_trajectory
+from experiments.reporting.figures import draw_trajectory, require_picture
 from experiments.reporting.log_choice import (
     Choice,
     choice_of,

@@ -9,14 +9,14 @@ import pytest
 from matplotlib.image import imread
 
 from experiments.console.options import LogArgs
-from experiments.reporting.figures.curves import (
+from experiments.reporting.figures import (
     caption,
     contenders,
     draw_consistency,
     draw_error_cdf,
     draw_learning_curves,
+    draw_trajectory,
 )
-from experiments.reporting.figures.timeline import draw_trajectory
 from experiments.reporting.log_results import beginning
 from mmwave_env.numerics.linalg import pack
 

@@ -15,7 +15,7 @@ from experiments.console.output import CELL, unescaped
 from experiments.evaluation.compare import Comparison
 from experiments.evaluation.contenders import DESCRIPTIONS, named, outcomes_markdown
 from experiments.evaluation.positions import positions_markdown
-from experiments.reporting.figures.curves import draw_learning_curves
+from experiments.reporting.figures import draw_learning_curves
 from experiments.reporting.track_report import track_markdown
 from mmwave_env.io.files import Json, first_line, read_json, read_text
 from mmwave_env.io.lookup import printable
