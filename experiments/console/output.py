@@ -90,6 +90,12 @@ def unescaped(markdown: str) -> str:
     return _ESCAPED.sub(r"\1", markdown)
 
 
+def cells_of(table: str) -> list[list[str]]:
+    """Return the plain text of all cells of a Markdown table: header, rule and rows."""
+    lines = (CELL.findall(line[1:]) for line in table.splitlines())
+    return [[unescaped(cell.strip()) for cell in line] for line in lines]
+
+
 def grid(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     """Return a Markdown table; cells are plain text, whose special characters are escaped."""
     table = [[escaped(str(cell)) for cell in cells] for cells in (header, *rows)]
@@ -139,8 +145,7 @@ def _tables(text: str, width: int) -> Iterator[Table]:
 
     Headers are wrapped at spaces; cells are never wrapped.
     """
-    lines = [CELL.findall(line[1:]) for line in text.splitlines()]
-    header, _, *rows = [[unescaped(cell.strip()) for cell in line] for line in lines]
+    header, _, *rows = cells_of(text)
     first, *others = zip(header, *rows, strict=True)
     group = [first]
     for column in others:

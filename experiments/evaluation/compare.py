@@ -35,7 +35,7 @@ from mmwave_env.io.lookup import as_cell, printable
 from mmwave_env.io.records import require
 from mmwave_env.metrics import HEADERS, METRICS, TERMS
 from mmwave_env.numerics.numbers import Array
-from mmwave_env.task import task_from
+from mmwave_env.task import Task, task_from
 from mmwave_env.world.episode import EpisodeSource
 
 MISSING = "-"  # what tables show instead of an unknown value
@@ -201,6 +201,14 @@ def compare_scores(scores: dict[str, Scores], own: Sequence[str] = (), **more: A
     return Comparison(policies=rows(stacked), paired=paired, **more)
 
 
+def comparison_of(
+    task: Task, seeds: Sequence[int], scores: dict[str, Scores], own: Sequence[str]
+) -> Comparison:
+    """Compare scores on a task's episodes with these seeds; see :func:`compare_scores`."""
+    names = {"scenario": task.source.name, "radio": task.radio.name}
+    return compare_scores(scores, own, **names, seeds=seeds, reward=reward_name(task.reward))
+
+
 USUAL_EPISODES = 200
 Agent = AnyPath | Act
 
@@ -267,14 +275,7 @@ def compare(
     everybody = [_contender(name, agent, *settings) for name, agent in policies.items()]
     everybody += [contender_from(name, radio) for name in beside]
     scores = score_contenders(everybody, task.source, seeds, scoring=scoring)
-    return compare_scores(
-        scores,
-        list(policies),
-        scenario=task.source.name,
-        radio=task.radio.name,
-        seeds=seeds,
-        reward=reward_name(scoring.reward),
-    )
+    return comparison_of(task, seeds, scores, list(policies))
 
 
 def _require_valid(policies: object, episodes: object, world: Mapping[str, Any]) -> None:

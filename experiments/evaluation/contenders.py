@@ -85,8 +85,7 @@ class Run:
         """Return the run that a summary describes."""
         seeds = tuple(outcome["seed"] for outcome in summary["seeds"])
         median = summary["median"]
-        numbers = {seed for seed in seeds if type(seed) is int}
-        if not seeds or len(numbers) < len(seeds):
+        if not seeds or len(set(seeds)) < len(seeds):
             raise ValueError(f"seeds: found {list(seeds)}, expected different numbers")
         if median not in seeds:
             raise ValueError(f"median: found {median!r}, expected one of {list(seeds)}")

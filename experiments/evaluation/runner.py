@@ -1,13 +1,13 @@
 """Runs of contenders on the same episodes, and their metrics (protocol: docs/results.md)."""
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.console.output import bars
+from experiments.console.output import tracked
 from experiments.evaluation.agents import NO_FILTERS, Estimator
 from experiments.evaluation.branches import Clairvoyant
 from experiments.evaluation.contenders import Contender, draw_episodes, keys_for
@@ -17,7 +17,6 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import CORRECTION
 from mmwave_env.interface.policy import Policy
 from mmwave_env.interface.reward import Reward, TrackingReward, terms_of, total
-from mmwave_env.io.lookup import printable
 from mmwave_env.metrics import BURN_IN, METRICS, TERMS, scored, summary
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.task import Task
@@ -226,21 +225,23 @@ def score_contenders(
         listed = ", ".join(contender.name for contender in contenders)
         raise ValueError(f"policies: found {listed}, expected different names")
     policies = [contender.start(source.layout, scoring.planar) for contender in contenders]
-    with bars() as progress:
-        task = progress.add_task(printable(source.name), total=len(seeds) * (1 + len(contenders)))
-        for first in range(0, len(seeds), CHUNK):
+    chunks = range(0, len(seeds), CHUNK)
+
+    def runs() -> Iterator[tuple[Contender, Policy, EpisodeBatch, Array]]:
+        for first in chunks:
             batch, time_s = _drawn(source, seeds[first : first + CHUNK])
-            count = len(batch.names)
-            progress.advance(task, count)
             if not first:
                 _warn_of_short(time_s)
             for contender, policy in zip(contenders, policies, strict=True):
-                results = run_contender(contender, batch, scoring, after, policy)
-                _warn_of_nonfinite(contender, results)
-                parts[contender.name].append(_summary(results, time_s, scoring))
-                for callback in watch:
-                    callback(contender, time_s, results)
-                progress.advance(task, count)
+                yield contender, policy, batch, time_s
+
+    total = len(chunks) * len(contenders)
+    for contender, policy, batch, time_s in tracked(runs(), source.name, total):
+        results = run_contender(contender, batch, scoring, after, policy)
+        _warn_of_nonfinite(contender, results)
+        parts[contender.name].append(_summary(results, time_s, scoring))
+        for callback in watch:
+            callback(contender, time_s, results)
     return {
         name: {m: np.concatenate([part[m] for part in scores]) for m in (*METRICS, *TERMS)}
         for name, scores in parts.items()

@@ -10,7 +10,7 @@ import numpy as np
 
 from experiments.console.options import EpisodeArgs
 from experiments.console.output import escaped, grid
-from experiments.evaluation.compare import Comparison, compare_scores, episodes_csv, references
+from experiments.evaluation.compare import Comparison, comparison_of, episodes_csv, references
 from experiments.evaluation.contenders import (
     Run,
     all_contenders,
@@ -23,7 +23,6 @@ from experiments.evaluation.intervals import Interval, bootstrap, crossed_bootst
 from experiments.evaluation.positions import Positions, positions_markdown
 from experiments.evaluation.runner import Scores, Scoring, score_contenders
 from experiments.reporting.histories import EpochErrors
-from mmwave_env.interface.reward import reward_name
 from mmwave_env.io.files import Json, write_text
 from mmwave_env.localization.levels import PARTS, Levels
 from mmwave_env.numerics.numbers import Array
@@ -126,14 +125,8 @@ def results(args: EpisodeArgs, names: Sequence[str], with_epochs: bool = False) 
     if args.episodes_csv:
         write_text(args.episodes_csv, episodes_csv(scores, seeds, task.source))
     known = all_contenders(args)
-    comparison = compare_scores(
-        scores,
-        [name for name in names if name not in known],
-        scenario=task.source.name,
-        radio=task.radio.name,
-        seeds=seeds,
-        reward=reward_name(scoring.reward),
-    )
+    own = [name for name in names if name not in known]
+    comparison = comparison_of(task, seeds, scores, own)
     text = str(comparison)
     content = comparison.json
     if runs:

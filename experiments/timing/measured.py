@@ -34,6 +34,7 @@ from mmwave_env.filters.bank import named_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.io.files import Json
+from mmwave_env.task import task_from
 from mmwave_env.world.travel import stride_of
 
 FRESH_RUNS = 3  # maximum number of new processes per environment; each takes seconds
@@ -157,12 +158,12 @@ def kernels() -> dict[str, Operations]:
 
     Rare events of the simulation (changes of gait, crossings) are left out.
     """
-    pipeline = workloads.pipeline()
-    drawn = workloads.source()
+    task = task_from()
+    drawn = task.simulated
     modes = named_modes(workloads.RADIO)
-    programs = {STEP: Engine(pipeline, 1, TrackingReward()).program}
+    programs = {STEP: Engine(task.pipeline, 1, TrackingReward()).program}
     for name in workloads.FILTERS:
-        alone = untuned(Pipeline((modes[name],), pipeline.layout))
+        alone = untuned(Pipeline((modes[name],), task.pipeline.layout))
         programs[name] = program_of(Asked(alone, predicted=True), (filter_epoch, decide))
     counted = {name: count(made.function, made.template) for name, made in programs.items()}
     template = drawn.world.template

@@ -11,7 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
-from experiments.console.output import CELL, unescaped
+from experiments.console.output import cells_of, unescaped
 from experiments.evaluation.compare import Comparison
 from experiments.evaluation.contenders import DESCRIPTIONS, named, outcomes_markdown
 from experiments.evaluation.positions import positions_markdown
@@ -56,11 +56,11 @@ def html_of(markdown: str) -> str:
     """Return tables, paragraphs and list items of a command's Markdown as HTML."""
     parts = []
     for block in markdown.strip().split("\n\n"):
-        lines = block.strip().splitlines()
         if block.startswith("|"):
-            cells = [[unescaped(c.strip()) for c in CELL.findall(line[1:])] for line in lines]
-            parts.append(table("", cells[0], cells[2:]))
+            header, _, *rows = cells_of(block)
+            parts.append(table("", header, rows))
         else:
+            lines = block.strip().splitlines()
             parts += [element("p", unescaped(line.removeprefix("- "))) for line in lines]
     return "".join(parts)
 
@@ -189,8 +189,6 @@ def _verdict(comparison: Comparison, tables: str) -> Verdict:
         about += f" No winner: the reward of {best} minus the reward of {other} is {by}{interval}."
     else:
         about += f" {best} won: its reward per epoch is {by} above the reward of {other}{interval}."
-    if unpaired := others[: others.index(other)]:
-        about += f" Ranked between these two, but not paired with {best}: {', '.join(unpaired)}."
     return Verdict(name, title, about, tables)
 
 

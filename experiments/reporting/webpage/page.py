@@ -268,8 +268,6 @@ def _player(verdicts: Sequence[Verdict], played: Sequence[Played]) -> str:
             f"{f'{name} was not' if name else 'no episode was'} played again: {why}"
             for name, why in source.missing.items()
         ]
-        if any(len(episode["time_s"]) == LONGEST for episode in source.shown):
-            notes.append(f"the first {LONGEST} epochs are shown")
         parts += [element("p", f"{verdict.name}: {note}", "note") for note in notes]
     return "".join(parts)
 
