@@ -9,6 +9,7 @@ from scipy.stats import chi2
 
 from experiments.evaluation.intervals import Interval, bootstrap, bootstrap_ratio
 from experiments.paper.printed import (
+    CLEAN,
     HIGH_MOBILITY,
     LOW_MOBILITY,
     TUNED_ON,
@@ -244,7 +245,7 @@ def resolution(bench: Bench) -> Section:
 )
 def consistency_gate(bench: Bench) -> Iterator[Row]:
     """Compare the NEES of three axes with 5.99, the 95 % quantile for two axes."""
-    setting = Setting("pedestrian", "standard", clean=True)
+    setting = Setting("pedestrian", "standard", changes=CLEAN)
     nees = bench.run(replace(setting.tuned(), adaptive=False), setting).filtered.nees
     for gate in (float(chi2.ppf(0.95, 2)), float(chi2.ppf(0.95, 3)), nees_interval()[1]):
         nominal = [100.0 * float(chi2.sf(gate, axes)) for axes in (3, 2)]
@@ -294,8 +295,8 @@ def headline(bench: Bench) -> Iterator[Row]:
     """Measure the accuracy and the consistency of filters with the high profile."""
     for scenario in HEADLINE:
         for planar, terrain in ((False, "3-D"), (True, "flat")):
-            for clean, channel in ((False, "as is"), (True, "no blockage, no multipath")):
-                setting = Setting(scenario, "high", clean=clean)
+            for changes, channel in (((), "as is"), (CLEAN, "no blockage, no multipath")):
+                setting = Setting(scenario, "high", changes=changes)
                 mode = setting.tuned()
                 for name, variant in {"as in the paper": mode, "robust": robust(mode)}.items():
                     run = bench.run(variant, setting, planar)

@@ -31,6 +31,8 @@ from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource
 
 TUNED_ON = {"pedestrian": 0, "vehicle": 1}  # kind of user -> index of the mode tuned for it
+# changes of a radio that leave out blockage and multipath
+CLEAN = (("blockage_scale", 0.0), ("multipath_rate_hz", 0.0))
 
 
 @dataclass(frozen=True)
@@ -39,17 +41,13 @@ class Setting:
 
     scenario: str  # kind of user
     radio: str  # name of the radio profile
-    clean: bool = False  # whether blockage and multipath are left out
     odometry: bool = False  # whether the user also measures speed and heading
     walls: bool = True  # whether there are walls, which add virtual anchors to the base station
     changes: tuple[tuple[str, object], ...] = ()  # pairs (field of the radio to change, new value)
 
     def source(self) -> SimulatedSource:
         """Return the source of the episodes."""
-        changes = dict(self.changes)
-        if self.clean:
-            changes |= {"blockage_scale": 0.0, "multipath_rate_hz": 0.0}
-        radio = replace(radio_from(self.radio), **changes)  # type: ignore[arg-type]
+        radio = replace(radio_from(self.radio), **dict(self.changes))  # type: ignore[arg-type]
         scene = SCENES["street"] if self.walls else replace(SCENES["street"], walls=())
         return SimulatedSource(scene, radio, self.scenario, odometry=self.odometry)
 

@@ -246,14 +246,12 @@ def draw_trajectory(track: Track, truth_m: Array, anchors_m: Array, path: Path, 
         panels = figure.subplots(len(heights), 1, height_ratios=heights)
         _draw_above(panels[0], track, truth_m, anchors_m)
         time = track.time_s - track.time_s[0]
-        seconds, unit = (3600.0, "h") if time[-1] > 3 * 3600.0 else (1.0, "s")
-        time = time / seconds
         _draw_error(panels[1], track, truth_m, time)
         if several:
             panels[1].tick_params(labelbottom=False)
             panels[1].sharex(panels[2])
             _draw_modes(panels[2], time, track.mode)
-        panels[-1].set_xlabel(f"time since the first epoch ({unit})")
+        panels[-1].set_xlabel("time since the first epoch (s)")
         lines = textwrap.wrap(caption(title), TITLE_LETTERS, break_on_hyphens=False)
         figure.suptitle("\n".join(lines), x=0.02, ha="left")
 

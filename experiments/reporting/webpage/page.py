@@ -43,9 +43,6 @@ from mmwave_env.rendering.history import POSITION_NUMBERS, History
 from mmwave_env.rendering.theme import THEMES, hex_of
 
 LONGEST = 600  # maximum number of epochs of an episode that can be watched
-WATCHED_ROWS = slice(1, LONGEST + 1)  # rows of a history, without the prior
-WATCHED = 8  # maximum number of contenders to watch: the best by reward, and the paper's rule
-RULE = "speed-rule"
 
 
 @dataclass
@@ -97,13 +94,12 @@ def _play_episodes(source: Source, most: int, watched: int) -> Played:
     axes = 2 if scoring.planar else 3
     played = Played(named(seeds), axes=axes, missing=missing)
     score_contenders(chosen, task.source, seeds, watch=[played.epochs.add], scoring=scoring)
-    watchable = [contender for contender in chosen if contender.name in watched_names(names)]
-    some = seeds[:watched] if watchable else ()
-    for seed, (episode, histories) in zip(some, histories_of(task, some, watchable), strict=True):
+    some = seeds[:watched] if chosen else ()
+    for seed, (episode, histories) in zip(some, histories_of(task, some, chosen), strict=True):
         name = f"{task.source.name}: {episode.name}, seed {seed}"
-        shown = _episode(name, histories[0].part(WATCHED_ROWS), episode.layout.group_names)
-        for contender, history in zip(watchable, histories, strict=True):
-            part = history.part(WATCHED_ROWS)
+        parts = [history.part(slice(1, LONGEST + 1)) for history in histories]  # without the prior
+        shown = _episode(name, parts[0], episode.layout.group_names)
+        for contender, part in zip(chosen, parts, strict=True):
             course = _course(part, contender.actions, contender.policy is None)
             shown["contenders"][printable(contender.name)] = course
         played.shown.append(shown)
@@ -145,20 +141,12 @@ def _play_log(source: Source) -> Played:
 def errors_of(played: Played) -> Iterator[str]:
     """Yield HTML pictures of the errors in a comparison's episodes; nothing for other sources."""
     epochs = played.epochs
-    shown = watched_names([*epochs.errors_m])
-    if shown:
-        errors_m = {name: epochs.errors_m[name] for name in shown}
-        draw = partial(draw_error_cdf, errors_m, width_mm=PHONE_MM)
+    if epochs.errors_m:
+        draw = partial(draw_error_cdf, epochs.errors_m, width_mm=PHONE_MM)
         yield drawn(f"Distribution of errors (CDF), {played.which}", draw)
-        nees = {name: epochs.nees[name] for name in shown}
-        draw = partial(draw_consistency, epochs.time_s, nees, played.axes, width_mm=PHONE_MM)
+        axes = played.axes
+        draw = partial(draw_consistency, epochs.time_s, epochs.nees, axes, width_mm=PHONE_MM)
         yield drawn(f"NEES and its chi-square bounds, {played.which}", draw)
-
-
-def watched_names(ranked: Sequence[str]) -> list[str]:
-    """Return the names of the contenders that can be watched, in the order of the ranking."""
-    best = [name for name in ranked if name != RULE][: WATCHED - (RULE in ranked)]
-    return [name for name in ranked if name in (*best, RULE)]
 
 
 def _episode(name: str, history: History, groups: Sequence[str]) -> Json:
