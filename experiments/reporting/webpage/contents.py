@@ -175,21 +175,14 @@ def _verdict(comparison: Comparison, tables: str) -> Verdict:
     """Return the verdict on the best contender and the next contender that is paired with it."""
     best, *others = comparison.policies
     name = f"{comparison.scenario}, {comparison.radio}, {named(comparison.seeds)}"
-    about = f"{len(others) + 1} policies on {name}." if others else f"{best} on {name}."
+    title = f"{best} has a reward of {comparison.policies[best]['reward']}"
     paired = ((other, comparison.margin(best, other)) for other in others)
     other, by = next(((other, margin) for other, margin in paired if margin), ("", None))
-    if by is None:
-        reward = comparison.policies[best]["reward"]
-        title = f"{best} has a reward of {reward}"
-        return Verdict(name, title, f"{about} Best reward: {reward}.", tables)
-    interval = ", a 95 % interval over episodes" if by.known else ""
-    title = f"{best} beats {other} by {by}"
-    if by.low <= 0.0:
-        title = f"{best} and {other} are level"
-        about += f" No winner: the reward of {best} minus the reward of {other} is {by}{interval}."
-    else:
-        about += f" {best} won: its reward per epoch is {by} above the reward of {other}{interval}."
-    return Verdict(name, title, about, tables)
+    if by:
+        level = by.low <= 0.0
+        title = f"{best} and {other} are level" if level else f"{best} beats {other} by {by}"
+    sentence = f"{title}, in rewards per epoch: {len(comparison.policies)} policies on {name}."
+    return Verdict(name, title, sentence, tables)
 
 
 def _track_verdict(c: Json) -> Verdict:
