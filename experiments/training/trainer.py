@@ -224,15 +224,17 @@ class Training:
         job = self._job
         progress = self.progress
         while progress.timesteps < job.timesteps:
-            self._update()
-            if progress.updates % job.checkpoint_every == 0:
-                self._write_log()
-                progress.seconds = self.seconds
-                saved = {"progress": asdict(progress), "trainer": self.trainer.state()}
-                with atomic_path(job.checkpoint) as temporary:
-                    torch.save(saved, temporary)
+            steps, figures = self.trainer.update(1.0 - progress.timesteps / job.timesteps)
+            progress.timesteps += steps
+            progress.updates += 1
+            over = progress.timesteps >= job.timesteps
+            if over or progress.updates % self.trainer.EVERY == 0:
+                figures |= self._evaluate()
+            row = {"timesteps": progress.timesteps, **figures, "seconds": self.seconds}
+            progress.rows.append(row)
+            if over or progress.updates % job.checkpoint_every == 0:
+                self._save()
             self._tell(progress.timesteps, "")
-        self._write_log()
         outcome = {
             "seed": job.seed,
             "timesteps": progress.timesteps,
@@ -243,17 +245,13 @@ class Training:
         job.checkpoint.unlink(missing_ok=True)
         return outcome
 
-    def _update(self) -> None:
-        """Learn once, evaluate the policy if it is due, and add a row to the log."""
-        job = self._job
-        progress = self.progress
-        steps, figures = self.trainer.update(1.0 - progress.timesteps / job.timesteps)
-        progress.timesteps += steps
-        progress.updates += 1
-        if progress.updates % self.trainer.EVERY == 0 or progress.timesteps >= job.timesteps:
-            figures |= self._evaluate()
-        row = {"timesteps": progress.timesteps, **figures, "seconds": self.seconds}
-        progress.rows.append(row)
+    def _save(self) -> None:
+        """Write the log and a checkpoint."""
+        self.progress.seconds = self.seconds
+        write_text(self._job.folder / "progress.csv", as_csv(self.progress.rows))
+        saved = {"progress": asdict(self.progress), "trainer": self.trainer.state()}
+        with atomic_path(self._job.checkpoint) as temporary:
+            torch.save(saved, temporary)
 
     def _evaluate(self) -> dict[str, float]:
         """Evaluate the policy; keep its file if it is the best so far; return means for the log."""
@@ -292,9 +290,6 @@ class Training:
             banks=dict(task.banks) if table.beliefs == "per-mode" else {},
             base=self.trainer.base,
         )
-
-    def _write_log(self) -> None:
-        write_text(self._job.folder / "progress.csv", as_csv(self.progress.rows))
 
 
 def as_csv(rows: list[dict[str, float]]) -> str:
