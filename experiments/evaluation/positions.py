@@ -1,4 +1,4 @@
-"""Statistics of contenders' position errors and protection levels."""
+"""Contenders' position errors, epoch by epoch, and statistics of errors and protection levels."""
 
 from dataclasses import dataclass, field
 
@@ -48,6 +48,26 @@ class Positions:
         """Return errors and levels in the form that results files store."""
         policies = {name: errors.figures() for name, errors in self.errors.items()}
         return {"risk": self.levels.risk, "levels": self.levels.kind, "policies": policies}
+
+
+@dataclass
+class EpochErrors:
+    """Errors and NEES of contenders in all scored epochs of equally long episodes."""
+
+    time_s: Array = field(default_factory=lambda: np.zeros(0))  # (T,) s since the first epoch
+    errors_m: dict[str, Array] = field(default_factory=dict)  # contender -> (n, T, 3), m
+    nees: dict[str, Array] = field(default_factory=dict)  # contender -> (n, T)
+
+    def add(self, contender: Contender, time_s: Array, results: EpochResults) -> None:
+        """Add a contender's epoch results on episodes whose epochs have these times (T,)."""
+        counted = scored(len(time_s))
+        self.time_s = (time_s - time_s[0])[counted]
+        _append(self.errors_m, contender.name, results["error"][:, counted].astype(np.float32))
+        _append(self.nees, contender.name, results["nees"][:, counted])
+
+
+def _append(table: dict[str, Array], name: str, values: Array) -> None:
+    table[name] = np.concatenate([table[name], values]) if name in table else values
 
 
 def positions_markdown(title: str, rows: Json, risk: float, kind: str) -> str:

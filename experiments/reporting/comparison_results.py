@@ -20,9 +20,8 @@ from experiments.evaluation.contenders import (
     task_of,
 )
 from experiments.evaluation.intervals import Interval, bootstrap, crossed_bootstrap
-from experiments.evaluation.positions import Positions, positions_markdown
+from experiments.evaluation.positions import EpochErrors, Positions, positions_markdown
 from experiments.evaluation.runner import Scores, Scoring, score_contenders
-from experiments.reporting.histories import EpochErrors
 from mmwave_env.io.files import Json, write_text
 from mmwave_env.localization.levels import PARTS, Levels
 from mmwave_env.numerics.numbers import Array

@@ -1,13 +1,11 @@
-"""Histories, errors and NEES of contenders, epoch by epoch, for pictures."""
+"""Histories of contenders, epoch by epoch, for pictures and the player."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 
 from experiments.evaluation.contenders import Contender, draw_episodes, keys_for
-from experiments.evaluation.runner import PLAIN, EpochResults, Scoring, run_contender
-from mmwave_env.metrics import scored
+from experiments.evaluation.runner import PLAIN, Scoring, run_contender
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.rendering.history import NO_MODE, POSITION_NUMBERS, History
@@ -66,23 +64,3 @@ def histories_of(
 def _after(prior: Array | float, epochs: Array) -> Array:
     """Return rows (T + 1, ...): the prior's row, then the rows of the epochs (T, ...)."""
     return np.concatenate([np.asarray(prior)[None], epochs])
-
-
-@dataclass
-class EpochErrors:
-    """Errors and NEES of contenders in all scored epochs of equally long episodes."""
-
-    time_s: Array = field(default_factory=lambda: np.zeros(0))  # (T,) s since the first epoch
-    errors_m: dict[str, Array] = field(default_factory=dict)  # contender -> (n, T, 3), m
-    nees: dict[str, Array] = field(default_factory=dict)  # contender -> (n, T)
-
-    def add(self, contender: Contender, time_s: Array, results: EpochResults) -> None:
-        """Add a contender's epoch results on episodes whose epochs have these times (T,)."""
-        counted = scored(len(time_s))
-        self.time_s = (time_s - time_s[0])[counted]
-        _append(self.errors_m, contender.name, results["error"][:, counted].astype(np.float32))
-        _append(self.nees, contender.name, results["nees"][:, counted])
-
-
-def _append(table: dict[str, Array], name: str, values: Array) -> None:
-    table[name] = np.concatenate([table[name], values]) if name in table else values

@@ -6,8 +6,8 @@ from experiments import demo
 from experiments.console.options import EpisodeArgs
 from experiments.evaluation.compare import compare_scores
 from experiments.evaluation.contenders import all_contenders
+from experiments.evaluation.positions import EpochErrors
 from experiments.reporting.comparison_results import Results
-from experiments.reporting.histories import EpochErrors
 from mmwave_env.metrics import METRICS, TERMS
 from tests.paths import json_in
 

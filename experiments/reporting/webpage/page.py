@@ -18,9 +18,10 @@ from experiments.console.provenance import command_line, options_from
 from experiments.evaluation.agents import is_agent
 from experiments.evaluation.compare import Comparison
 from experiments.evaluation.contenders import contender_of, named, seeds_from, task_of
+from experiments.evaluation.positions import EpochErrors
 from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.reporting.figures import PHONE_MM, draw_consistency, draw_error_cdf
-from experiments.reporting.histories import EpochErrors, histories_of
+from experiments.reporting.histories import histories_of
 from experiments.reporting.log_results import beginning
 from experiments.reporting.webpage.contents import (
     READ,
