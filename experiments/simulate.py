@@ -23,7 +23,7 @@ class Args(WorldArgs):
 
 def main(args: Args) -> None:
     """Run the command."""
-    from experiments.console.output import progress, say
+    from experiments.console.output import say
     from experiments.console.provenance import command_line
     from experiments.evaluation.contenders import draw_episodes, source_of
     from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH, write_log_folder
@@ -40,8 +40,7 @@ def main(args: Args) -> None:
         )
     source = source_of(args)
     assert isinstance(source, SimulatedSource | TrackSource)  # options select no other source
-    with progress("simulating"):
-        (episode,) = draw_episodes(source, [args.seed])
+    (episode,) = draw_episodes(source, [args.seed])
     scene = source.scene
     if isinstance(scene, RandomScene):  # the file must hold the anchors of this episode
         scene = scene_of_anchors(

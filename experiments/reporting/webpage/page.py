@@ -253,11 +253,10 @@ def _player(verdicts: Sequence[Verdict], played: Sequence[Played]) -> str:
     if any(source.shown for source in played):
         parts = ['<div id="player"><noscript>Only this section needs JavaScript.</noscript></div>']
     for verdict, source in zip(verdicts, played, strict=True):
-        notes = [
-            f"{f'{name} was not' if name else 'no episode was'} played again: {why}"
-            for name, why in source.missing.items()
-        ]
-        parts += [element("p", f"{verdict.name}: {note}", "note") for note in notes]
+        for name, why in source.missing.items():
+            subject = f"{name} was not" if name else "no episode was"
+            note = f"{verdict.name}: {subject} played again: {why}"
+            parts.append(element("p", note, "note"))
     return "".join(parts)
 
 
