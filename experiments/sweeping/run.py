@@ -30,7 +30,7 @@ from experiments.evaluation.contenders import contender_of, seeds_from, task_of
 from experiments.evaluation.intervals import Interval, bootstrap, rounded
 from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.training.hyperparameters import read_hyperparameters, shipped_hyperparameters
-from experiments.training.run import hyperparameters, training_task
+from experiments.training.training_task import hyperparameters, training_task
 from mmwave_env import __version__
 from mmwave_env.io.files import atomic_path, first_line, parse_json, read_text, write_bytes
 from mmwave_env.io.lookup import choose, quoted, require_extra
@@ -250,7 +250,7 @@ def trained(values: Values) -> Row:
 
     The values that are no hyperparameters are options of `train`; they replace its defaults.
     """
-    from experiments.training.processes import train
+    from experiments.training.run import train
     from experiments.training.trainer import Job
 
     options = dict[str, Any]()
