@@ -12,7 +12,7 @@ import numpy as np
 
 from experiments.console.options import USUAL_EPISODES, EpisodeArgs, ModeArgs, WorldArgs
 from experiments.console.output import grid
-from experiments.evaluation.agents import GUIDE, Act, Estimator, agent_from, is_agent, tried
+from experiments.evaluation.agents import GUIDE, Act, Checked, Estimator, agent_from, is_agent
 from experiments.evaluation.branches import CLAIRVOYANT, Clairvoyant
 from experiments.evaluation.intervals import Interval
 from mmwave_env.filters.bank import (
@@ -167,7 +167,7 @@ class Contender(Switching):
         estimates = isinstance(policy, Estimator)
         return cls(
             bank or chosen,
-            policy=(lambda table: policy) if estimates else partial(tried, name, policy),
+            policy=(lambda table: policy) if estimates else partial(Checked, name, policy),
             observation=getattr(agent, "observation", observation),
             name=name,
         )
