@@ -5,11 +5,10 @@ Results files do not store single epochs, so the page plays some episodes, or a 
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib.resources import files
-from typing import Any
 
 import numpy as np
 
@@ -234,8 +233,24 @@ def page_of(args: PageArgs) -> str:
         "Episodes": _player(verdicts, played),
         "How it was made": "".join(origins),
     }
-    shown = [episode for part in played for episode in part.shown]
-    return _html(verdicts, sections, {"episodes": shown})
+    titles = {re.sub(r"\W+", "-", t.lower()): t for t, section in sections.items() if section}
+    # In JSON, the signs <, > and & are escaped, so that no text can end the script element.
+    shown = {"episodes": [episode for part in played for episode in part.shown]}
+    data = json.dumps(shown, allow_nan=False, separators=(",", ":"))
+    parts = {
+        "title": text(verdicts[0].title),
+        "lead": "".join(element("p", verdict.sentence) for verdict in verdicts),
+        "style": _colors() + _file("page.css"),
+        "script": "".join(map(_file, SCRIPTS)),
+        "links": "".join(f'<a href="#{name}">{text(title)}</a>' for name, title in titles.items()),
+        "sections": "".join(
+            f'<section id="{name}"><h2>{text(title)}</h2>{sections[title]}</section>'
+            for name, title in titles.items()
+        ),
+        "data": data.translate({ord(sign): f"\\u{ord(sign):04x}" for sign in "<>&"}),
+    }
+    # Placeholders in inserted text are not replaced.
+    return re.sub(r"<!--(\w+)-->", lambda mark: parts[mark[1]], _file("page.html"))
 
 
 def _folded(verdicts: Sequence[Verdict], parts: Sequence[str]) -> str:
@@ -258,26 +273,6 @@ def _player(verdicts: Sequence[Verdict], played: Sequence[Played]) -> str:
             note = f"{verdict.name}: {subject} played again: {why}"
             parts.append(element("p", note, "note"))
     return "".join(parts)
-
-
-def _html(verdicts: Sequence[Verdict], sections: Mapping[str, str], data: Any) -> str:
-    """Return the complete page; placeholders in inserted text are not replaced."""
-    # In JSON, the signs <, > and & are escaped, so that no text can end the script element.
-    content = json.dumps(data, allow_nan=False, separators=(",", ":"))
-    titles = {re.sub(r"\W+", "-", t.lower()): t for t, section in sections.items() if section}
-    parts = {
-        "title": text(verdicts[0].title),
-        "lead": "".join(element("p", verdict.sentence) for verdict in verdicts),
-        "style": _colors() + _file("page.css"),
-        "script": "".join(map(_file, SCRIPTS)),
-        "links": "".join(f'<a href="#{name}">{text(title)}</a>' for name, title in titles.items()),
-        "sections": "".join(
-            f'<section id="{name}"><h2>{text(title)}</h2>{sections[title]}</section>'
-            for name, title in titles.items()
-        ),
-        "data": content.translate({ord(sign): f"\\u{ord(sign):04x}" for sign in "<>&"}),
-    }
-    return re.sub(r"<!--(\w+)-->", lambda mark: parts[mark[1]], _file("page.html"))
 
 
 def _colors() -> str:
