@@ -255,12 +255,15 @@ def tables_of(entries: Sequence[Json], ceiling: Json) -> str:
     gains = []
     scores = []
     for name, content in ranking(entries):
-        at = {kind: [s for s in content["sites"].values() if s["kind"] == kind] for kind in KINDS}
-        means = content["mean_gain"]
-        gains.append(
-            [name, *(f"{Interval.of(means[kind])}, {_standings(at[kind])}" for kind in KINDS)]
-        )
-        scores.append([name, *(score_cell(_mean_score(at[kind])) for kind in KINDS)])
+        gains.append([name])
+        scores.append([name])
+        for kind in KINDS:
+            at = [site for site in content["sites"].values() if site["kind"] == kind]
+            stands = [standing(site) for site in at]
+            counts = " / ".join(str(stands.count(level)) for level in ("above", "level", "below"))
+            gains[-1].append(f"{Interval.of(content['mean_gain'][kind])}, {counts}")
+            each = [site["score"] for site in at]
+            scores[-1].append(score_cell(None if None in each else float(np.mean(each))))
     return (
         "Score at each site:\n\n"
         f"{grid(['site', f'{CLAIRVOYANT} minus {RULE}', *judged], by_site)}\n\n"
@@ -269,18 +272,6 @@ def tables_of(entries: Sequence[Json], ceiling: Json) -> str:
         "Mean score (100: the clairvoyant, 0: the paper's rule):\n\n"
         f"{grid(['entry', *(f'score {kind}' for kind in KINDS)], scores)}"
     )
-
-
-def _standings(figures: Sequence[Json]) -> str:
-    """Count the sites at which an entry is above every IMM, level, or below one."""
-    stands = [standing(site) for site in figures]
-    return " / ".join(str(stands.count(at)) for at in ("above", "level", "below"))
-
-
-def _mean_score(figures: Sequence[Json]) -> float | None:
-    """Return the mean score at some sites; None if it is unknown at one of them."""
-    scores = [site["score"] for site in figures]
-    return None if None in scores else float(np.mean(scores))
 
 
 def standing(figures: Json) -> str:

@@ -191,16 +191,6 @@ def _summary(results: EpochResults, time_s: Array, scoring: Scoring) -> Scores:
     }
 
 
-def _drawn(source: EpisodeSource, seeds: Sequence[int]) -> tuple[EpisodeBatch, Array]:
-    """Draw equally long episodes, ready to run; also return the first episode's times (T,)."""
-    keys = keys_for(source, seeds)
-    if keys is None:
-        episodes = draw_episodes(source, seeds)
-        return EpisodeBatch.of(_scorable(episodes)), episodes[0].time_s
-    simulated = cast(SimulatedSource, source)
-    return simulated.sample_batch(keys), simulated.time_s
-
-
 def score_contenders(
     contenders: Sequence[Contender],
     source: EpisodeSource,
@@ -229,7 +219,16 @@ def score_contenders(
 
     def runs() -> Iterator[tuple[Contender, Policy, EpisodeBatch, Array]]:
         for first in chunks:
-            batch, time_s = _drawn(source, seeds[first : first + CHUNK])
+            some = seeds[first : first + CHUNK]
+            keys = keys_for(source, some)
+            if keys is None:
+                episodes = draw_episodes(source, some)
+                batch = EpisodeBatch.of(_scorable(episodes))
+                time_s = episodes[0].time_s
+            else:
+                simulated = cast(SimulatedSource, source)
+                batch = simulated.sample_batch(keys)
+                time_s = simulated.time_s
             if not first:
                 _warn_of_short(time_s)
             for contender, policy in zip(contenders, policies, strict=True):

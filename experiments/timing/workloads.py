@@ -172,25 +172,22 @@ def latency_us(name: str, interface: str) -> list[float]:
         for rows in cells
     ]
     if interface == PIPE:
-        times = _through_a_pipe(CONTENDERS[name], epochs)
+        words = ["experiments.console", "localize", "-", "--live"]
+        words += ["--scene", SCENE, "--radio", RADIO, *CONTENDERS[name]]
+        with started(*words, stdin=subprocess.PIPE, stderr=subprocess.DEVNULL) as child:
+
+            def ask(line: bytes) -> None:
+                child.stdin.write(line)
+                child.stdin.flush()
+                child.stdout.readline()
+
+            lines = [json.dumps({"rows": rows}).encode() + b"\n" for rows in epochs]
+            times = _timed(ask, lines)
     else:
         ekf = Switching((named_modes(RADIO)["ekf"],))
         switching = ekf if name == EKF else contender_from(name, RADIO)
         times = _timed(Tracker(SCENE, switching, RADIO).update, epochs)
     return np.percentile(1e6 * times[WARM_UP:], PERCENTILES).tolist()  # type: ignore[no-any-return]
-
-
-def _through_a_pipe(options: Sequence[str], epochs: list[Any]) -> Any:
-    words = ["experiments.console", "localize", "-", "--live", "--scene", SCENE, "--radio", RADIO]
-    pipes = {"stdin": subprocess.PIPE, "stderr": subprocess.DEVNULL}
-    with started(*words, *options, **pipes) as child:
-
-        def ask(line: bytes) -> None:
-            child.stdin.write(line)
-            child.stdin.flush()
-            child.stdout.readline()
-
-        return _timed(ask, [json.dumps({"rows": rows}).encode() + b"\n" for rows in epochs])
 
 
 def _timed(call: Callable[[Any], object], arguments: list[Any]) -> Any:

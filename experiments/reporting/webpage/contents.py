@@ -160,7 +160,16 @@ def verdict_on(source: Source) -> Verdict:
     """
     content = source.content
     if source.kind == "track":
-        return _track_verdict(content)
+        log = content["log"]
+        times = f"{content['first_s']:.13g} to {content['last_s']:.13g} s"
+        title = f"{content['epochs']} epochs of {log}, {times}"
+        facts = [title]
+        for name, row in content.get("truth", {"tracks": {}})["tracks"].items():
+            facts.append(f"the {name} track has an ATE of {row['ate_m']:.3f} m")
+        if content.get("error"):
+            facts.append(f"only part of the log was used: {content['error']}")
+        tables = html_of(track_markdown(content))
+        return Verdict(f"{log}, {content['scene']}", title, f"{'; '.join(facts)}.", tables)
     if source.kind == "run":
         over = len(content["seeds"])
         begun = len(content["curves"])
@@ -183,15 +192,6 @@ def _verdict(comparison: Comparison, tables: str) -> Verdict:
         title = f"{best} and {other} are level" if level else f"{best} beats {other} by {by}"
     sentence = f"{title}, in rewards per epoch: {len(comparison.policies)} policies on {name}."
     return Verdict(name, title, sentence, tables)
-
-
-def _track_verdict(c: Json) -> Verdict:
-    title = f"{c['epochs']} epochs of {c['log']}, {c['first_s']:.13g} to {c['last_s']:.13g} s"
-    tracks = c["truth"]["tracks"] if "truth" in c else {}
-    ates = [f"the {name} track has an ATE of {row['ate_m']:.3f} m" for name, row in tracks.items()]
-    broken = [f"only part of the log was used: {c['error']}"] if c.get("error") else []
-    sentence = f"{'; '.join([title, *ates, *broken])}."
-    return Verdict(f"{c['log']}, {c['scene']}", title, sentence, html_of(track_markdown(c)))
 
 
 def _compared(comparison: Comparison, positions: Json | None) -> Iterator[str]:
