@@ -28,7 +28,7 @@ from mmwave_env.filters.modes import Mode, robust
 from mmwave_env.metrics import nees_interval
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
-from mmwave_env.models.radio import RADIOS, TUNED_RADIOS, Radio
+from mmwave_env.models.radio import RADIOS, TUNED_RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.episode import Episode
 
@@ -304,22 +304,6 @@ def headline(bench: Bench) -> Iterator[Row]:
                     yield [scenario, terrain, channel, name, *figures]
 
 
-def _changes(radio: Radio) -> dict[str, dict[str, object]]:
-    """Return improvements of a radio: name of the improvement -> new values of changed fields."""
-    angles = ("aoa_floor_rad", "aod_floor_rad", "elevation_floor_rad")
-    larger = {"gnb_elements": 2 * radio.gnb_elements, "ue_elements": 2 * radio.ue_elements}
-    halved = {name: getattr(radio, name) / 2 for name in angles}
-    return {
-        "as is": {},
-        "no blockage": {"blockage_scale": 0.0},
-        "no multipath": {"multipath_rate_hz": 0.0},
-        "range floors halved": {"range_floor_m": tuple(v / 2 for v in radio.range_floor_m)},
-        "elevation floor halved": {"elevation_floor_rad": radio.elevation_floor_rad / 2},
-        "angle floors halved": halved,
-        "angle floors halved, arrays doubled": halved | larger,
-    }
-
-
 @section(
     "Error budget of the high profile, 3-D, smoothed",
     "Modes with robust, blockage-aware updates and the process noise tuned for the unchanged "
@@ -329,8 +313,21 @@ def _changes(radio: Radio) -> dict[str, dict[str, object]]:
 )
 def error_budget(bench: Bench) -> Iterator[Row]:
     """Measure how much each property of the radio contributes to the 3-D error."""
+    radio = RADIOS["high"]
+    angles = ("aoa_floor_rad", "aod_floor_rad", "elevation_floor_rad")
+    larger = {"gnb_elements": 2 * radio.gnb_elements, "ue_elements": 2 * radio.ue_elements}
+    halved = {name: getattr(radio, name) / 2 for name in angles}
+    improvements: dict[str, dict[str, object]] = {
+        "as is": {},
+        "no blockage": {"blockage_scale": 0.0},
+        "no multipath": {"multipath_rate_hz": 0.0},
+        "range floors halved": {"range_floor_m": tuple(v / 2 for v in radio.range_floor_m)},
+        "elevation floor halved": {"elevation_floor_rad": radio.elevation_floor_rad / 2},
+        "angle floors halved": halved,
+        "angle floors halved, arrays doubled": halved | larger,
+    }
     for scenario in HEADLINE:
-        for name, changes in _changes(RADIOS["high"]).items():
+        for name, changes in improvements.items():
             setting = Setting(scenario, "high", changes=tuple(changes.items()))
             errors = bench.run(robust(setting.tuned()), setting).smoothed
             yield [scenario, name, *_means(*_ates([errors])), *map(float, errors.axis_rms_m)]

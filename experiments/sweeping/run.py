@@ -345,26 +345,17 @@ def sweep(file: Path, folder: Path, address: str | None, workers: int | None) ->
             cell = ", ".join(f"{axis} {value}" for axis, value in todo[name].items())
             note(f"failed: {cell}: {error}")
     if rows := read(folder, spec):
-        show(_table(spec, rows))
+        axes = [axis for axis, values in spec.axes.items() if len(values) > 1]
+        header = [axis.removeprefix(HYPERPARAMETER) for axis in axes] + [HEADERS[m] for m in SHOWN]
+        table = []
+        for row in rows.values():
+            table.append([str(row[axis]) for axis in axes])
+            for metric in SHOWN:
+                ends = (row.get(f"{metric}_{part}", np.nan) for part in ("mean", "low", "high"))
+                table[-1].append(rounded(Interval(*ends)))
+        show(grid(header, table) + "\n")
         if spec.kind == "train":
             best = max(rows, key=lambda name: rows[name]["reward_mean"])
             say(f"The best of the trainings is {folder / best}.safetensors")
     if failed:
         raise ValueError(f"{failed} of {len(spec)} cells failed, the others are in {folder}")
-
-
-def _table(spec: Spec, rows: Mapping[str, Values]) -> str:
-    """Return a table of computed cells.
-
-    Its columns are the axes that have several values, and metrics.
-    """
-    axes = [axis for axis, values in spec.axes.items() if len(values) > 1]
-    header = [axis.removeprefix(HYPERPARAMETER) for axis in axes] + [HEADERS[m] for m in SHOWN]
-    table = []
-    for row in rows.values():
-        cells = [str(row[axis]) for axis in axes]
-        for metric in SHOWN:
-            ends = (row.get(f"{metric}_{part}", np.nan) for part in ("mean", "low", "high"))
-            cells.append(rounded(Interval(*ends)))
-        table.append(cells)
-    return grid(header, table) + "\n"
