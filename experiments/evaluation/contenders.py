@@ -10,7 +10,7 @@ from typing import cast
 
 import numpy as np
 
-from experiments.console.options import USUAL_EPISODES, EpisodeArgs, ModeArgs, WorldArgs
+from experiments.console.options import USUAL_EPISODES, ModeArgs, WorldArgs
 from experiments.console.output import grid
 from experiments.evaluation.agents import GUIDE, Act, Checked, Estimator, agent_from, is_agent
 from experiments.evaluation.branches import CLAIRVOYANT, Clairvoyant
@@ -269,12 +269,6 @@ def contender_of(args: ModeArgs, name: str) -> Contender:
     if modes and contender.modes != bank_over(modes, radio).modes:
         warnings.warn(f"{name} brings its own modes; --modes does not apply to it", stacklevel=2)
     return contender
-
-
-def runs_of(args: EpisodeArgs, names: Sequence[str]) -> dict[str, Run]:
-    """Read the training runs whose folders are among the names; skip known contenders."""
-    known = all_contenders(args)
-    return {n: Run.read(n) for n in names if n not in known and Path(n).is_dir()}
 
 
 def task_of(args: ModeArgs) -> Task:

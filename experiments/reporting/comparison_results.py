@@ -4,6 +4,7 @@ For a training run, a table shows the spread over training seeds (Agarwal et al.
 """
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,6 @@ from experiments.evaluation.contenders import (
     Run,
     all_contenders,
     contender_of,
-    runs_of,
     seeds_from,
     task_of,
 )
@@ -105,7 +105,9 @@ def results(args: EpisodeArgs, names: Sequence[str], with_epochs: bool = False) 
     """
     levels = Levels(args.risk, args.levels)
     task = task_of(args)
-    runs = runs_of(args, names)
+    known = all_contenders(args)
+    own = [name for name in names if name not in known]
+    runs = {name: Run.read(name) for name in own if Path(name).is_dir()}
     scoring = Scoring.of(task)
     seeds = seeds_from(args.episodes, args.seed)
     contenders = [contender_of(args, name) for name in names]
@@ -123,8 +125,6 @@ def results(args: EpisodeArgs, names: Sequence[str], with_epochs: bool = False) 
         scores_of |= score_contenders(more, task.source, seeds, scoring=scoring)
     if args.episodes_csv:
         write_text(args.episodes_csv, episodes_csv(scores, seeds, task.source))
-    known = all_contenders(args)
-    own = [name for name in names if name not in known]
     comparison = comparison_of(task, seeds, scores, own)
     text = str(comparison)
     content = comparison.json

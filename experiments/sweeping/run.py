@@ -93,11 +93,6 @@ class Spec:
         return hashlib.sha256(work.encode()).hexdigest()[:16]
 
 
-def plain(value: Any) -> Any:
-    """Return a bool or a tuple as JSON text, other values unchanged, for Parquet."""
-    return json.dumps(value) if isinstance(value, (bool, tuple)) else value
-
-
 def read_spec(path: Path) -> Spec:
     """Read the file of a sweep: one table, whose name is one of :data:`KINDS`.
 
@@ -295,7 +290,10 @@ def keep(folder: Path, name: str, values: Values, result: Values) -> None:
     import pyarrow
     from pyarrow import parquet
 
-    row = {axis: plain(value) for axis, value in values.items()} | dict(result)
+    row: Row = {  # Parquet has neither tuples nor, in a column of texts, bools
+        axis: json.dumps(value) if isinstance(value, (bool, tuple)) else value
+        for axis, value in values.items()
+    } | dict(result)
     if "policy_file" in row:
         write_bytes(folder / f"{name}.safetensors", row.pop("policy_file"))
     with atomic_path(folder / f"{name}.parquet") as temporary:

@@ -137,30 +137,18 @@ _STEPS: dict[str, Callable[..., Any]] = {
 
 def limit_s(operations: Operations) -> float:
     """Return the minimum time, s, that a core needs for operations on eight environments."""
-    steps = sum(_steps(operations).values())
-    order = interleaved(operations)
-    block = np.full((ROWS, WIDTH), 1.7)
-    block[:2] = [[1.0], [0.0]]
-    # seconds per operation of the mix, at the best number of chains
-    mix_s = min(_seconds(_chains(order, chains), block) for chains in CHAINS) / LENGTH
-    return steps * mix_s
-
-
-def interleaved(operations: Operations) -> tuple[str, ...]:
-    """Return the kinds of ``LENGTH`` operations, evenly mixed, in the proportions of a kernel."""
-    steps = _steps(operations)
+    steps: dict[str, float] = {kind: getattr(operations, kind) for kind in _STEPS}
+    steps["select"] /= 2  # a timed "select" step does two operations: it compares, then chooses
     total = sum(steps.values())
-    order: list[str] = []
+    order: list[str] = []  # kinds of operations, evenly mixed, in the proportions of the kernel
     for length in range(1, LENGTH + 1):
         lag = {kind: length * steps[kind] / total - order.count(kind) for kind in _STEPS}
         order.append(max(_STEPS, key=lag.__getitem__))
-    return tuple(order)
-
-
-def _steps(operations: Operations) -> dict[str, float]:
-    steps = {kind: getattr(operations, kind) for kind in _STEPS}
-    # A timed "select" step does two operations: it compares, then chooses.
-    return steps | {"select": operations.select / 2}
+    block = np.full((ROWS, WIDTH), 1.7)
+    block[:2] = [[1.0], [0.0]]
+    # seconds per operation of the mix, at the best number of chains
+    mix_s = min(_seconds(_chains(tuple(order), chains), block) for chains in CHAINS) / LENGTH
+    return total * mix_s
 
 
 @cache

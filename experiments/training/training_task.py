@@ -193,16 +193,6 @@ def banks_of(modes: Sequence[str], places: Sequence[Place], beliefs: str) -> dic
     return {place.profile: bank_from(modes or None, place.radio) for place in places}
 
 
-def rewards(args: TaskArgs) -> Reward:
-    """Return a task's reward; if it is paired (agent minus IMM), return the unpaired reward."""
-    reward = choose(REWARDS, args.reward, "reward")
-    if isinstance(reward, PairedReward):
-        reward = reward.reward
-    if isinstance(reward, TrackingReward):
-        return replace(reward, nees_weight=args.nees_weight)
-    return reward
-
-
 def training_task(args: TaskArgs) -> TrainingTask:
     """Return the training task that options describe.
 
@@ -214,7 +204,12 @@ def training_task(args: TaskArgs) -> TrainingTask:
     if args.places and args.radio != TaskArgs.radio:
         raise ValueError("radio: cannot be combined with places, which name their radios")
     banks = banks_of(args.modes, places, args.beliefs)
-    return TrainingTask(args.scenario, places, banks, args.observation, rewards(args), args.beliefs)
+    reward: Any = choose(REWARDS, args.reward, "reward")
+    if isinstance(reward, PairedReward):  # the trainer subtracts the reward of an IMM
+        reward = reward.reward
+    if isinstance(reward, TrackingReward):
+        reward = replace(reward, nees_weight=args.nees_weight)
+    return TrainingTask(args.scenario, places, banks, args.observation, reward, args.beliefs)
 
 
 def hyperparameters(

@@ -171,11 +171,21 @@ def verdict_on(source: Source) -> Verdict:
         tables = html_of(track_markdown(content))
         return Verdict(f"{log}, {content['scene']}", title, f"{'; '.join(facts)}.", tables)
     if source.kind == "run":
-        over = len(content["seeds"])
-        begun = len(content["curves"])
-        title = f"{over} of {begun} training seeds of {source.path} are finished"
-        more = "" if over == begun else "; mmwave-loc train --resume continues the other seeds"
-        return Verdict(source.path, title, f"{title}{more}.", "".join(_trainings(source)))
+        seeds = content["seeds"]
+        curves = content["curves"].values()
+        title = f"{len(seeds)} of {len(curves)} training seeds of {source.path} are finished"
+        more = "; mmwave-loc train --resume continues the other seeds"
+        tables = ""
+        if seeds:
+            about = "The best policy of each training seed, on tuning seeds"
+            tables = element("p", about, "caption") + html_of(outcomes_markdown(seeds))
+        for rival in dict.fromkeys(rival for curve in curves for rival in curve):
+            lines = [curve[rival] for curve in curves if rival in curve]
+            draw = partial(draw_learning_curves, f"reward minus reward of {rival}", lines)
+            caption = f"Gain in reward over {rival} on tuning seeds, a line per training seed"
+            tables += drawn(caption, draw)
+        sentence = f"{title}{'' if len(seeds) == len(curves) else more}."
+        return Verdict(source.path, title, sentence, tables)
     comparison = Comparison.from_json(content)
     return _verdict(comparison, "".join(_compared(comparison, content.get("position_errors"))))
 
@@ -216,19 +226,6 @@ def _compared(comparison: Comparison, positions: Json | None) -> Iterator[str]:
         if name in DESCRIPTIONS:
             yield element("p", f"{name}: {DESCRIPTIONS[name]}", "caption")
     yield element("p", WORDS, "caption")
-
-
-def _trainings(source: Source) -> Iterator[str]:
-    seeds = source.content["seeds"]
-    curves = source.content["curves"].values()
-    if seeds:
-        yield element("p", "The best policy of each training seed, on tuning seeds", "caption")
-        yield html_of(outcomes_markdown(seeds))
-    rivals = dict.fromkeys(rival for curve in curves for rival in curve)
-    for rival in rivals:
-        lines = [curve[rival] for curve in curves if rival in curve]
-        draw = partial(draw_learning_curves, f"reward minus reward of {rival}", lines)
-        yield drawn(f"Gain in reward over {rival} on tuning seeds, a line per training seed", draw)
 
 
 def origin_of(title: str, command: str, versions: Json) -> str:
