@@ -25,6 +25,7 @@ from experiments.evaluation.runner import Scores, score_contenders
 from mmwave_env.datasets.samples import sample_names
 from mmwave_env.io.files import Json, read_json
 from mmwave_env.models.radio import RADIOS, TUNED_RADIOS
+from mmwave_env.models.random_survey import RandomSurvey
 from mmwave_env.models.scene import SCENES, TRAINED_SCENES
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode, EpisodeSource
@@ -76,6 +77,7 @@ HARD_SOURCES: dict[str, Callable[[], SimulatedSource]] = {
     "bus:standard": lambda: SimulatedSource(SCENES["dynamic-doppler"], RADIOS["standard"], bus()),
     "noise-twice:handset": lambda: Misstated(STREET, HANDSET, stated=0.5),
     "clock-offset:handset": lambda: SimulatedSource(STREET, HANDSET, clock="offset"),
+    "surveyed-badly:handset": lambda: SimulatedSource(STREET, HANDSET, survey=RandomSurvey()),
     "range-azimuth:handset": lambda: SimulatedSource(
         STREET, HANDSET, measurements=("range", "azimuth")
     ),
