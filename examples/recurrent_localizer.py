@@ -22,7 +22,9 @@ from torch import nn
 
 from experiments.evaluation.agents import Estimator
 from experiments.evaluation.protocol import TRAINED, sites
-from experiments.evaluation.rivals import stated
+from mmwave_env.filters.memory import initial_memory
+from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.pipeline import measurement_of
 from mmwave_env.models.measurement import blank_site, groups_of
 from mmwave_env.numerics.linalg import pack
 from mmwave_env.numerics.pytree import unflatten
@@ -45,7 +47,8 @@ def rows_of(x, site, epoch, layout):
     innovation, variance, visibility and, from the fourth on, the gradient (7,) of the measurement.
     """
     state = [*x.detach().double().numpy().T]
-    groups = groups_of(state, stated(epoch, site, layout))[: layout.anchors + 1]
+    stated = measurement_of(Mode("as stated"), initial_memory(layout, 1), epoch, site, layout)
+    groups = groups_of(state, stated)[: layout.anchors + 1]
     rows = [
         np.broadcast_arrays(state[0], innovation, variance, visible, *gradient[:7])[1:]
         for group, visible in zip(groups, epoch.visible, strict=False)

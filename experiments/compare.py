@@ -45,12 +45,15 @@ class Args(EpisodeArgs):
 
 def main(args: Args) -> None:
     """Run the command."""
+    from experiments.console.output import booktabs, show
     from experiments.console.provenance import provenance
-    from experiments.console.tables import booktabs, show
     from experiments.evaluation.contenders import all_contenders
     from experiments.reporting.comparison_results import results
-    from experiments.reporting.figures.canvas import require_picture
-    from experiments.reporting.figures.curves import draw_consistency, draw_error_cdf
+    from experiments.reporting.figures import (
+        draw_consistency,
+        draw_error_cdf,
+        require_picture,
+    )
     from mmwave_env.io.files import write_json, write_text
 
     pictures = {"errors": args.errors, "consistency": args.consistency}

@@ -30,9 +30,8 @@ class Args:
 
 def main(args: Args) -> None:
     """Run the command."""
-    from experiments.console.progress import note, say
+    from experiments.console.output import note, say, show
     from experiments.console.provenance import options_of, provenance
-    from experiments.console.tables import show
     from experiments.evaluation.contenders import all_contenders
     from experiments.reporting.comparison_results import results
     from experiments.reporting.webpage.page import page_of

@@ -44,9 +44,8 @@ class Args:
 
 def main(args: Args) -> None:
     """Run the command."""
-    from experiments.console.progress import note, say
+    from experiments.console.output import note, say, show
     from experiments.console.provenance import provenance
-    from experiments.console.tables import show
     from experiments.evaluation import protocol
     from experiments.evaluation.branches import CLAIRVOYANT
     from experiments.evaluation.contenders import contender_from

@@ -27,7 +27,7 @@ class Args:
 
 def main(args: Args) -> None:
     """Run the command."""
-    from experiments.console.progress import say
+    from experiments.console.output import say
     from mmwave_env.models.radio import radio_from
 
     radio_from(args.radio)  # refuses an unknown radio

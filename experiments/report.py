@@ -6,7 +6,7 @@ from experiments.console.options import require_at_least
 
 def main(args: Args) -> None:
     """Run the command."""
-    from experiments.console.progress import say
+    from experiments.console.output import say
     from experiments.reporting.webpage.page import page_of
     from mmwave_env.io.files import require_writable, write_text
 

@@ -23,10 +23,9 @@ class Args(WorldArgs):
 
 def main(args: Args) -> None:
     """Run the command."""
-    from experiments.console.progress import progress, say
+    from experiments.console.output import say
     from experiments.console.provenance import command_line
-    from experiments.evaluation.contenders import source_of
-    from experiments.evaluation.seeds import draw_episodes
+    from experiments.evaluation.contenders import draw_episodes, source_of
     from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH, write_log_folder
     from mmwave_env.datasets.recorded import TrackSource
     from mmwave_env.models.random_scene import RandomScene
@@ -41,10 +40,10 @@ def main(args: Args) -> None:
         )
     source = source_of(args)
     assert isinstance(source, SimulatedSource | TrackSource)  # options select no other source
-    with progress("simulating"):
-        (episode,) = draw_episodes(source, [args.seed])
+    (episode,) = draw_episodes(source, [args.seed])
     scene = source.scene
-    if isinstance(scene, RandomScene):  # the file must hold the anchors of this episode
+    inexact = isinstance(source, SimulatedSource) and source.survey is not None
+    if inexact or isinstance(scene, RandomScene):  # the file must hold this episode's anchors
         scene = scene_of_anchors(
             scene.name, episode.scene_anchors_m, scene.carrier_hz, scene.bandwidth_hz
         )

@@ -45,12 +45,13 @@ def main(args: Args) -> None:
     from mmwave_env.io.lookup import require_extra
 
     require_extra("filterpy", "filterpy", "speed")
+    from experiments.console.output import show
     from experiments.console.provenance import provenance
-    from experiments.console.tables import show
-    from experiments.timing.measured import TABLES, Measured
+    from experiments.timing.measured import Measured, tables_of
 
     measured = Measured(args.sizes)
     measured.measure(args.seconds, args.repeats)
-    show("\n".join(f"### {title}\n\n{make(measured)}\n" for title, make in TABLES.items()))
+    tables = tables_of(measured)
+    show("\n".join(f"### {title}\n\n{table}\n" for title, table in tables.items()))
     if args.json:
         write_json(args.json, provenance("speed", args) | measured.json())

@@ -25,11 +25,10 @@ FIELDS = ("section", "row", "column", "mean", "low", "high")
 
 def main(args: Args) -> None:
     """Run the command."""
-    from experiments.console.progress import say, tracked
-    from experiments.console.tables import csv_text, show
+    from experiments.console.output import csv_text, say, show, tracked
     from experiments.paper.claims import sections
     from experiments.paper.printed import Bench, draw, summaries
-    from experiments.reporting.figures.canvas import require_picture
+    from experiments.reporting.figures import require_picture
     from mmwave_env.io.files import require_writable, write_text
 
     figure = args.out / "tables.png"

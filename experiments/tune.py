@@ -30,13 +30,11 @@ def main(args: Args) -> None:
             raise ValueError(f"out: found {args.out}, expected a name that ends with .safetensors")
         write_bytes(args.out, trained_levels(args.seed).to_bytes(made["command"]))
         return
+    from experiments.training.tuning import tuned_bank, tuned_modes
+
     if args.bank:
-        from experiments.training.tune_banks import tuned_bank
-
-        content = tuned_bank(args.radio, args.episodes, args.seed, args.evaluations)
+        content = tuned_bank(args)
     else:
-        from experiments.training.tune_modes import tuned_modes
-
         content, figures = tuned_modes(args)
     if args.json:
         write_json(args.json, made | content | figures)

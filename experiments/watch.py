@@ -39,25 +39,17 @@ FASTEST = 50  # maximum number of pictures per second in a GIF
 
 def main(args: Args) -> None:
     """Run the command."""
-    from experiments.console.progress import progress, say
-    from experiments.evaluation.contenders import contender_of, task_of
-    from experiments.evaluation.runner import Scoring
-    from experiments.evaluation.seeds import draw_episodes, keys_for, seeds_from
-    from experiments.reporting.histories import history_of
+    from experiments.console.output import progress, say
+    from experiments.evaluation.contenders import contender_of, seeds_from, task_of
+    from experiments.reporting.histories import histories_of
     from mmwave_env.rendering.video import write_video
 
     _check(args)
     from mmwave_env.rendering.picture import Playback  # needs pygame
 
     contenders = [contender_of(args, name) for name in args.policies]
-    task = task_of(args)
-    scoring = Scoring.of(task)
-    seeds = seeds_from(1, args.seed)
-    keys = keys_for(task.source, seeds)
-    (episode,) = draw_episodes(task.source, seeds)
-    scene = task.scene_of(0 if keys is None else int(keys[0]))
     with progress("filtering"):
-        histories = [history_of(c, episode, scoring, scene) for c in contenders]
+        ((episode, histories),) = histories_of(task_of(args), seeds_from(1, args.seed), contenders)
     time_s = histories[0].time_s.tolist()  # row 0, the prior, is at the episode's start
     rows = [row for row, time in enumerate(time_s) if args.begin <= time <= args.end]
     if not rows:

@@ -195,9 +195,12 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
       and "elevation" (of arrival), "departure" (azimuth) and "doppler"; None (default) for all.
       "range", "azimuth" or "departure" must be among them. Gates and `nis` then use only these
       quantities. The truth and the remaining values of an episode stay the same.
-    * `clock`: "synchronized" (default), or "offset": the user's clock has an unknown offset,
-      at first with a standard deviation of 100 ns; the oscillator's bias makes it drift. Ranges
-      contain the offset, and the state has the range bias as its eighth component.
+    * `clock`: "synchronized" (default); "offset": the user's clock has an unknown offset, at first
+      with a standard deviation of 100 ns, and the oscillator's bias makes it drift; or "free": the
+      offset is another in every epoch, so that only differences of ranges count. Ranges contain
+      the offset, and the state has the range bias as its eighth component.
+    * `survey`: None (default), "bad" or a `RandomSurvey`: in some episodes, angles, ranges and the
+      anchors' places on the map have errors that all links share (docs/world-off.md).
     * `terminate_on_divergence`: see Episode End.
     * `render_mode`: "rgb_array" or "human", a window whose title lists its keyboard keys; needs
       the extra `render`.

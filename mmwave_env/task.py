@@ -22,6 +22,7 @@ from mmwave_env.io.records import require
 from mmwave_env.models.layout import measurements_from, require_clock
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.random_scene import RandomScene, scenes_from
+from mmwave_env.models.random_survey import RandomSurvey, survey_from
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array32
 from mmwave_env.world.episode import Episode, EpisodeBatch, EpisodeSource
@@ -118,6 +119,7 @@ class TaskArguments:
     odometry: bool = False
     measurements: Sequence[str] | None = None
     clock: str = "synchronized"
+    survey: str | RandomSurvey | None = None
     terminate_on_divergence: bool = False
     action: str = MODE
     base: Base | None = None
@@ -215,6 +217,7 @@ def _source(asked: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
             asked.odometry,
             measurements,
             asked.clock,
+            survey_from(asked.survey),
         )
         if asked.episode_steps is not None and simulated.epochs < asked.episode_steps:
             raise ValueError(
@@ -222,7 +225,7 @@ def _source(asked: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
                 f"the epochs of {simulated.name}"
             )
         return simulated, radio
-    for name in ("scenario", "scene", "dt", "odometry"):
+    for name in ("scenario", "scene", "dt", "odometry", "survey"):
         if (value := getattr(asked, name)) is not None and value is not False:
             raise ValueError(f"{name}: found {value!r}, but recorded episodes determine this value")
     episodes = asked.episodes

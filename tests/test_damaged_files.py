@@ -17,8 +17,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from experiments.evaluation.runs import Run, curves_of
-from experiments.reporting.webpage.contents import read_source
+from experiments.evaluation.contenders import Run
+from experiments.reporting.webpage.contents import curves_of, read_source
 from experiments.training.hyperparameters import read_hyperparameters, shipped_hyperparameters
 from mmwave_env.datasets.deepmimo.recording import read_deepmimo
 from mmwave_env.datasets.recorded import Recording

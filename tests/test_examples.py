@@ -37,7 +37,15 @@ from tests.paths import RECORDINGS, ROOT, json_in, loaded
 
 FOLDER = ROOT / "examples"
 # Examples without an agent: they make data, draw a Pareto front, or compare or train localizers.
-OTHERS = {"raytrace", "sumo", "minari_collect", "mo_front", "recurrent_localizer", "stone_soup"}
+OTHERS = {
+    "raytrace",
+    "sumo",
+    "minari_collect",
+    "mo_front",
+    "recurrent_localizer",
+    "rivals",
+    "stone_soup",
+}
 EXAMPLES = {path.stem: path for path in sorted(FOLDER.glob("*.py")) if path.stem not in OTHERS}
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.reporting.figures.canvas import picture
+from experiments.reporting.figures import picture
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import exact_rows
 from mmwave_env.models.scene import Scene, Wall

@@ -12,11 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.evaluation.contenders import contender_from
+from experiments.evaluation.contenders import contender_from, draw_episodes
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.runner import run_contender, score
-from experiments.evaluation.seeds import draw_episodes
-from experiments.reporting.figures.canvas import picture
+from experiments.reporting.figures import picture
 from mmwave_env.interface.observation import Observation
 from mmwave_env.metrics import scored
 from mmwave_env.models.radio import RADIOS
@@ -73,8 +72,7 @@ def play(radio: str, names: Sequence[str] = NAMES, count: int = EPISODES) -> Pla
     errors = {}
     for name in names:
         contender = contender_from(name, radio)
-        policy = contender.start(episodes[0].layout)
-        errors[name] = run_contender(contender, policy, episodes)["error"]
+        errors[name] = run_contender(contender, episodes)["error"]
     return Played(episodes, truth, errors)
 
 
@@ -172,13 +170,12 @@ class Without(Corrector):
 def without_groups(radio: str) -> Iterator[tuple[str, Array]]:
     """Yield the rewards (n,) that corrections add: with all features, then without each group."""
     episodes = draw_episodes(SimulatedSource(SCENES["street"], RADIOS[radio]), range(FEWER))
-    layout = episodes[0].layout
 
     def rewards(name: str, policy: Callable[[Observation], Any] | None = None) -> Array:
         contender = contender_from(name, radio)
         if policy:
             contender = replace(contender, policy=policy)
-        return score(contender, contender.start(layout), episodes)["reward"]
+        return score(contender, episodes)["reward"]
 
     guided = rewards("guided")
     yield "all features", rewards("corrector") - guided

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.console.tables import grid
+from experiments.console.output import grid
 from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.protocol import HARD, KINDS, RECORDED, Site, sites

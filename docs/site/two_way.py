@@ -8,10 +8,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from experiments.console.tables import grid
+from experiments.console.output import grid
+from experiments.evaluation.contenders import draw_episodes
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.protocol import HARD, RECORDED, Site, sites
-from experiments.evaluation.seeds import draw_episodes
 from experiments.training.corrector import smoothed
 from mmwave_env.filters.correction import corrected_all
 from mmwave_env.filters.pipeline import Pipeline

@@ -97,7 +97,7 @@ def _message(box: str) -> str:
 @contextmanager
 def _quiet() -> Iterator[None]:
     """Suppress, within the block, progress bars and all printing but warnings and errors."""
-    from experiments.console.progress import QUIET
+    from experiments.console.output import QUIET
 
     token = QUIET.set(True)
     try:
@@ -196,25 +196,6 @@ def _help() -> str:
     return "\n".join(lines)
 
 
-def _report() -> NoReturn:
-    """Print versions, threads, kernels and their self-test as JSON; exit with 1 if a test fails."""
-    import json
-
-    from experiments.console.version import about
-
-    report = about()
-    print(json.dumps(report, indent=2))
-    sys.exit(0 if all(test["passed"] for test in report["self_test"]) else 1)
-
-
-def _complete(words: Sequence[str]) -> None:
-    """Print or write a shell's completion script for commands and options, and exit."""
-    import tyro
-
-    commands = {name: importlib.import_module(f"experiments.{name}").Args for name in COMMANDS}
-    tyro.extras.subcommand_cli_from_dict(commands, prog="mmwave-loc", args=words)
-
-
 def main() -> None:
     """Run the program: the first argument names the command."""
     words = sys.argv[1:]
@@ -229,13 +210,23 @@ def main() -> None:
         run(words[0], words[1:])
         return
     with _errors_in_one_line("mmwave-loc"):
-        if words[0].startswith("--tyro-"):
-            _complete(words)
+        if words[0].startswith("--tyro-"):  # prints or writes a shell's completion script, exits
+            import tyro
+
+            options = {n: importlib.import_module(f"experiments.{n}").Args for n in COMMANDS}
+            tyro.extras.subcommand_cli_from_dict(options, prog="mmwave-loc", args=words)
         from mmwave_env import __version__
         from mmwave_env.io.lookup import unknown
 
         if words[0] not in ("-V", "--version"):
             raise ValueError(unknown("command", words[0], COMMANDS))
-        if words[1:] == ["--json"]:
-            _report()
-        print(f"mmwave-loc {__version__}")
+        if words[1:] != ["--json"]:
+            print(f"mmwave-loc {__version__}")
+            return
+        import json
+
+        from experiments.console.version import about
+
+        report = about()
+        print(json.dumps(report, indent=2))
+        sys.exit(0 if all(test["passed"] for test in report["self_test"]) else 1)

@@ -13,7 +13,10 @@ from tyro.conf import Positional
 
 USUAL_EPISODES = 1000
 AUTO = "auto"  # --radio auto: the radio profile whose noise is nearest to the noise of a log
-TUNING_SEED = 5_000_000  # first of the seeds for tuning
+# first seeds of the episodes for tuning and for training; seeds of tests start at 0
+TUNING_SEED = 5_000_000
+TRAINING_SEED = 10_000_000
+SEEDS_EACH = 1_000_000  # number of seeds reserved for the episodes of each training run
 
 
 def require_at_least(least: int, args: Any, *names: str) -> None:
@@ -77,6 +80,9 @@ class WorldArgs:
     offset, which shifts all ranges; or free: the offset is
     another in every epoch (times of arrival of a clock that
     jumps, time differences)"""
+    survey: str | None = None
+    """bad: anchors' places, angles and ranges have errors
+    that all links of an episode share (None: no errors)"""
     measurements: tuple[str, ...] | None = None
     """quantities that the receiver measures: some of range,
     azimuth, elevation, departure and doppler (None: all)"""

@@ -115,25 +115,10 @@ def agent_from(name: str) -> Act:
         return cast(Act, make())
 
 
-def tried(name: str, policy: Policy, table: Observation) -> Policy:
-    """Return an agent's policy; check that it returns actions for a few random observations.
-
-    Errors of the returned policy name the agent and the epoch.
-
-    Raises:
-        ValueError: the policy raises an exception, or returns invalid actions.
-    """
-    space = table.space
-    rng = np.random.default_rng(0)
-    shown = rng.uniform(space.low, space.high, (TRIED, len(table))).astype(np.float32)
-    checked = _Checked(name, policy, table)
-    checked.reset(np.ones(TRIED, np.bool_))
-    checked.act(shown)
-    return checked
-
-
-class _Checked(Policy):
+class Checked(Policy):
     """An agent's policy, whose answers are checked in every epoch.
+
+    It is first tried on a few random observations. Errors name the agent and the epoch.
 
     Raises:
         ValueError: the agent raises an exception, or returns invalid actions.
@@ -144,14 +129,20 @@ class _Checked(Policy):
         self._name = name
         self._policy = policy
         self._table = table
-        self._epoch = 0
+        space = table.space
+        rng = np.random.default_rng(0)
+        shown = rng.uniform(space.low, space.high, (TRIED, len(table))).astype(np.float32)
+        self.reset(np.ones(TRIED, np.bool_))
+        self.act(shown)
 
     def reset(self, mask: Mask) -> None:
+        """Tell the agent that episodes begin where ``mask`` (n,) is True."""
         self._epoch = 0
         with blaming(self._name, f"; it was told that episodes begin ({GUIDE})"):
             self._policy.reset(mask)
 
     def act(self, observation: Array32) -> NDArray[Any]:
+        """Return the agent's actions (n,), or weights (n, modes)."""
         self._epoch += 1
         n = len(observation)
         count = len(self._table.actions)
@@ -177,5 +168,6 @@ class _Checked(Policy):
         return actions.astype(np.int64)
 
     def correct(self, observation: Array32) -> Correction | None:
+        """Return the agent's corrections, if it has any."""
         with blaming(self._name, f", in epoch {self._epoch}"):
             return self._policy.correct(observation)

@@ -10,25 +10,32 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import product
-from numbers import Integral
 from typing import Any
 
 import numpy as np
 
-from experiments.console.tables import csv_text, escaped, grid
+from experiments.console.output import csv_text, escaped, grid
 from experiments.evaluation.agents import Act
 from experiments.evaluation.branches import CLAIRVOYANT
-from experiments.evaluation.contenders import BEST_IMM, RULE, Contender, contender_from
+from experiments.evaluation.contenders import (
+    BEST_IMM,
+    RULE,
+    Contender,
+    contender_from,
+    keys_for,
+    named,
+    seeds_from,
+)
 from experiments.evaluation.intervals import Interval, bootstrap, rounded
 from experiments.evaluation.runner import Scores, Scoring, score_contenders
-from experiments.evaluation.seeds import keys_for, named, seeds_from
 from mmwave_env.filters.bank import Modes
 from mmwave_env.interface.reward import reward_name
 from mmwave_env.io.files import AnyPath, Json
 from mmwave_env.io.lookup import as_cell, printable
+from mmwave_env.io.records import require
 from mmwave_env.metrics import HEADERS, METRICS, TERMS
 from mmwave_env.numerics.numbers import Array
-from mmwave_env.task import task_from
+from mmwave_env.task import Task, task_from
 from mmwave_env.world.episode import EpisodeSource
 
 MISSING = "-"  # what tables show instead of an unknown value
@@ -194,6 +201,14 @@ def compare_scores(scores: dict[str, Scores], own: Sequence[str] = (), **more: A
     return Comparison(policies=rows(stacked), paired=paired, **more)
 
 
+def comparison_of(
+    task: Task, seeds: Sequence[int], scores: dict[str, Scores], own: Sequence[str]
+) -> Comparison:
+    """Compare scores on a task's episodes with these seeds; see :func:`compare_scores`."""
+    names = {"scenario": task.source.name, "radio": task.radio.name}
+    return compare_scores(scores, own, **names, seeds=seeds, reward=reward_name(task.reward))
+
+
 USUAL_EPISODES = 200
 Agent = AnyPath | Act
 
@@ -252,7 +267,7 @@ def compare(
             actions. Only agents that fail in an episode raise errors after episodes have run.
         FileNotFoundError: a file that an argument names does not exist.
     """
-    _require_valid(policies, episodes, beside, world)
+    _require_valid(policies, episodes, world)
     task = task_from(scenario=scenario, radio=radio, episodes=data, **world)
     scoring = Scoring.of(task)
     seeds = seeds_from(episodes, seed, USUAL_EPISODES)
@@ -260,34 +275,13 @@ def compare(
     everybody = [_contender(name, agent, *settings) for name, agent in policies.items()]
     everybody += [contender_from(name, radio) for name in beside]
     scores = score_contenders(everybody, task.source, seeds, scoring=scoring)
-    return compare_scores(
-        scores,
-        list(policies),
-        scenario=task.source.name,
-        radio=task.radio.name,
-        seeds=seeds,
-        reward=reward_name(scoring.reward),
-    )
+    return comparison_of(task, seeds, scores, list(policies))
 
 
-def _require_valid(
-    policies: object, episodes: object, beside: object, world: Mapping[str, Any]
-) -> None:
+def _require_valid(policies: object, episodes: object, world: Mapping[str, Any]) -> None:
     """Refuse arguments of :func:`compare` of a wrong type or name."""
-    if not isinstance(policies, Mapping):
-        raise ValueError(
-            f"policies: found a {type(policies).__name__}, expected a dict of agents by name, such "
-            "as {'mine': act}"
-        )
-    if isinstance(beside, str):
-        raise ValueError(
-            f"beside: found {beside!r}, expected a list of names, such as ['{beside}']"
-        )
-    if not isinstance(episodes, Integral | None):
-        raise ValueError(
-            f"episodes: found {episodes!r}, expected a number of episodes; recordings and logs are "
-            "passed as data="
-        )
+    require("policies", policies, dict)
+    require("episodes", episodes, int | None)
     if wrong := sorted({"action", "base", "terminate_on_divergence"} & world.keys()):
         raise ValueError(f"{wrong[0]}: not an argument of compare, which plays complete episodes")
 

@@ -1,4 +1,4 @@
-"""Contenders by name (IMMs, and policies with their modes), and tasks from a command's options."""
+"""Contenders by name (IMMs, and policies with their modes); tasks and episodes from options."""
 
 import os
 import warnings
@@ -6,11 +6,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
+from typing import cast
 
-from experiments.console.options import EpisodeArgs, ModeArgs, WorldArgs
-from experiments.evaluation.agents import GUIDE, Act, Estimator, agent_from, is_agent, tried
+import numpy as np
+
+from experiments.console.options import USUAL_EPISODES, ModeArgs, WorldArgs
+from experiments.console.output import grid
+from experiments.evaluation.agents import GUIDE, Act, Checked, Estimator, agent_from, is_agent
 from experiments.evaluation.branches import CLAIRVOYANT, Clairvoyant
-from experiments.evaluation.runs import Run
+from experiments.evaluation.intervals import Interval
 from mmwave_env.filters.bank import (
     Bank,
     Modes,
@@ -24,11 +28,13 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.interface.actions import MODE
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.policy import FixedMode, Policy, Switching, policy_from
-from mmwave_env.io.files import AnyPath
+from mmwave_env.io.files import AnyPath, Json, read_json
 from mmwave_env.io.lookup import unknown
 from mmwave_env.models.radio import radio_from
 from mmwave_env.task import Task, TaskArguments, bank_and_modes, task_from
-from mmwave_env.world.episode import EpisodeSource
+from mmwave_env.world.episode import Episode, EpisodeSource
+from mmwave_env.world.keys import Keys, keys_of
+from mmwave_env.world.simulated import SimulatedSource
 from policies import LikelihoodRule, SpeedRule, load, shipped_policies
 
 BEST_IMM = "imm-best"  # the IMM with the modes of best_bank
@@ -48,6 +54,68 @@ DESCRIPTIONS = {
     "guided-ppo": "same as `guided`, but trained only with PPO",
     "clairvoyant": "knows the truth: a ceiling for policies that choose modes; runs only if named",
 }
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run of ``mmwave-loc train``, with one policy per training seed."""
+
+    name: str  # the folder, as on the command line and in results
+    seeds: tuple[int, ...]  # training seeds, ordered by reward on tuning seeds, best first
+    median: int  # training seed of the policy with the median reward, which represents the run
+
+    @classmethod
+    def read(cls, name: str) -> "Run":
+        """Read the run in a folder.
+
+        Raises:
+            ValueError: the summary is invalid; the message names the file and what is wrong in it.
+            FileNotFoundError: the folder holds no finished run.
+        """
+        path = Path(name) / "summary.json"
+        if not path.is_file():
+            raise FileNotFoundError(
+                f"{path}: found no file, expected the summary of a finished run; "
+                "mmwave-loc train --resume continues an unfinished run"
+            )
+        return read_json(path, "the summary of a run", partial(cls._of, name))
+
+    @classmethod
+    def _of(cls, name: str, summary: Json) -> "Run":
+        """Return the run that a summary describes."""
+        seeds = tuple(outcome["seed"] for outcome in summary["seeds"])
+        median = summary["median"]
+        if not seeds or len(set(seeds)) < len(seeds):
+            raise ValueError(f"seeds: found {list(seeds)}, expected different numbers")
+        if median not in seeds:
+            raise ValueError(f"median: found {median!r}, expected one of {list(seeds)}")
+        return cls(name, seeds, median)
+
+    @property
+    def policies(self) -> list[str]:
+        """Return the policy file of every training seed."""
+        return [self._policy(seed) for seed in self.seeds]
+
+    @property
+    def policy(self) -> str:
+        """Return the policy file of the median seed."""
+        return self._policy(self.median)
+
+    def _policy(self, seed: int) -> str:
+        return str(Path(self.name) / f"seed-{seed}" / "policy.safetensors")
+
+
+def outcomes_markdown(outcomes: Sequence[Json]) -> str:
+    """Return a Markdown table of training outcomes, one row per seed, in the given order."""
+    rows = []
+    minus = [key for key in outcomes[0]["best"] if key.startswith("minus ")]
+    for outcome in outcomes:
+        best = outcome["best"]
+        gains = [Interval.of(best[name]) for name in minus]
+        cells = [outcome["seed"], f"{best['reward']:.4f}", best["timesteps"], *gains]
+        rows.append([*cells, f"{outcome['seconds']:g} s"])
+    header = ["seed", "reward", "best after", *minus, "time"]
+    return grid(header, rows)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +167,7 @@ class Contender(Switching):
         estimates = isinstance(policy, Estimator)
         return cls(
             bank or chosen,
-            policy=(lambda table: policy) if estimates else partial(tried, name, policy),
+            policy=(lambda table: policy) if estimates else partial(Checked, name, policy),
             observation=getattr(agent, "observation", observation),
             name=name,
         )
@@ -203,12 +271,6 @@ def contender_of(args: ModeArgs, name: str) -> Contender:
     return contender
 
 
-def runs_of(args: EpisodeArgs, names: Sequence[str]) -> dict[str, Run]:
-    """Read the training runs whose folders are among the names; skip known contenders."""
-    known = all_contenders(args)
-    return {n: Run.read(n) for n in names if n not in known and Path(n).is_dir()}
-
-
 def task_of(args: ModeArgs) -> Task:
     """Return the task of an environment that gets these options as its arguments."""
     return _task(args, args.modes or None, args.beliefs)
@@ -224,3 +286,38 @@ def _task(args: WorldArgs, modes: Modes, beliefs: str = "shared") -> Task:
     names = {field.name for field in fields(TaskArguments)} - {"episodes", "modes", "beliefs"}
     world = {name: value for name, value in vars(args).items() if name in names}
     return task_from(**world, episodes=args.data, modes=modes, beliefs=beliefs)
+
+
+def seeds_from(episodes: int | None, seed: int | None, usual: int = USUAL_EPISODES) -> range:
+    """Return the seeds that a user asked for, by default ``usual`` seeds from 0 on.
+
+    Raises:
+        ValueError: there are no seeds, or a seed is negative.
+    """
+    first = seed or 0
+    count = usual if episodes is None else episodes
+    if count < 1:
+        raise ValueError(f"episodes: found {count}, expected at least 1")
+    if first < 0:
+        raise ValueError(f"seed: found {first}, expected 0 or more")
+    return range(first, first + count)
+
+
+def named(seeds: Sequence[int]) -> str:
+    """Return the number of episodes and their seeds in words."""
+    if len(seeds) == 1:
+        return f"1 episode, seed {seeds[0]}, too few for intervals"
+    return f"{len(seeds)} episodes, seeds {seeds[0]} and up"
+
+
+def keys_for(source: EpisodeSource, seeds: Sequence[int]) -> Keys | None:
+    """Return the keys (n,) that determine simulated episodes; None for other episodes."""
+    return keys_of(seeds) if type(source) is SimulatedSource else None
+
+
+def draw_episodes(source: EpisodeSource, seeds: Sequence[int]) -> list[Episode]:
+    """Draw one episode per seed; ``env.reset(seed=...)`` draws the same episodes."""
+    keys = keys_for(source, seeds)
+    if keys is None:
+        return [source.sample(np.random.default_rng(seed)) for seed in seeds]
+    return cast(SimulatedSource, source).episodes(keys)

@@ -1,11 +1,10 @@
-"""Statistics of contenders' position errors and protection levels."""
+"""Contenders' position errors, epoch by epoch, and statistics of errors and protection levels."""
 
-from collections.abc import Collection
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from experiments.console.tables import grid
+from experiments.console.output import grid
 from experiments.evaluation.contenders import Contender
 from experiments.evaluation.runner import EpochResults
 from mmwave_env.io.files import Json
@@ -27,10 +26,9 @@ HEADER = (
 class Positions:
     """Position errors of all scored epochs, with protection levels."""
 
-    names: Collection[str]  # contenders; others are skipped
-    levels: Levels = field(default_factory=Levels)
-    anchors: int = 3  # number of anchors in the episodes
-    planar: bool = False  # whether the height is known
+    levels: Levels
+    anchors: int  # number of anchors in the episodes
+    planar: bool  # whether the height is known
     errors: dict[str, PositionErrors] = field(default_factory=dict)  # by contender
 
     def add(self, contender: Contender, time_s: Array, results: EpochResults) -> None:
@@ -38,19 +36,38 @@ class Positions:
 
         The results must include :data:`~mmwave_env.localization.levels.PARTS`.
         """
-        if contender.name in self.names:
-            counts = scored(len(time_s))
-            empty = PositionErrors(self.levels.risk, self.planar)
-            errors = self.errors.setdefault(contender.name, empty)
-            parts = [*(results[part] for part in PARTS), results.get("trusted")]
-            self.levels.reset()
-            factors = self.levels.factors(self.anchors, contender.bank is not None, time_s, *parts)
-            errors.add(*(v[:, counts] for v in (results["error"], results["P"], factors)))
+        counts = scored(len(time_s))
+        empty = PositionErrors(self.levels.risk, self.planar)
+        errors = self.errors.setdefault(contender.name, empty)
+        parts = [*(results[part] for part in PARTS), results.get("trusted")]
+        self.levels.reset()
+        factors = self.levels.factors(self.anchors, contender.bank is not None, time_s, *parts)
+        errors.add(*(v[:, counts] for v in (results["error"], results["P"], factors)))
 
     def figures(self) -> Json:
         """Return errors and levels in the form that results files store."""
         policies = {name: errors.figures() for name, errors in self.errors.items()}
         return {"risk": self.levels.risk, "levels": self.levels.kind, "policies": policies}
+
+
+@dataclass
+class EpochErrors:
+    """Errors and NEES of contenders in all scored epochs of equally long episodes."""
+
+    time_s: Array = field(default_factory=lambda: np.zeros(0))  # (T,) s since the first epoch
+    errors_m: dict[str, Array] = field(default_factory=dict)  # contender -> (n, T, 3), m
+    nees: dict[str, Array] = field(default_factory=dict)  # contender -> (n, T)
+
+    def add(self, contender: Contender, time_s: Array, results: EpochResults) -> None:
+        """Add a contender's epoch results on episodes whose epochs have these times (T,)."""
+        counted = scored(len(time_s))
+        self.time_s = (time_s - time_s[0])[counted]
+        _append(self.errors_m, contender.name, results["error"][:, counted].astype(np.float32))
+        _append(self.nees, contender.name, results["nees"][:, counted])
+
+
+def _append(table: dict[str, Array], name: str, values: Array) -> None:
+    table[name] = np.concatenate([table[name], values]) if name in table else values
 
 
 def positions_markdown(title: str, rows: Json, risk: float, kind: str) -> str:

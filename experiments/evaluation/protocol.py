@@ -16,13 +16,12 @@ from pathlib import Path
 import numpy as np
 
 from experiments.console.options import WorldArgs
-from experiments.console.tables import grid
+from experiments.console.output import grid
 from experiments.evaluation.branches import CLAIRVOYANT
 from experiments.evaluation.compare import score_cell, score_of
-from experiments.evaluation.contenders import BEST_IMM, RULE, contender_from, source_of
+from experiments.evaluation.contenders import BEST_IMM, RULE, contender_from, seeds_from, source_of
 from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.runner import Scores, score_contenders
-from experiments.evaluation.seeds import seeds_from
 from mmwave_env.datasets.samples import sample_names
 from mmwave_env.io.files import Json, read_json
 from mmwave_env.models.radio import RADIOS, TUNED_RADIOS
@@ -239,13 +238,35 @@ def add_scores(entries: Sequence[Json], ceiling: Json) -> None:
 
 
 def tables_of(entries: Sequence[Json], ceiling: Json) -> str:
-    """Return all tables of entries; ``ceiling`` is the entry of the clairvoyant."""
+    """Return all tables of entries; ``ceiling`` is the entry of the clairvoyant.
+
+    The clairvoyant's own scores at the sites, which are all 100, are left out.
+    """
     add_scores(entries, ceiling)
-    ranked = ranking(entries)
-    gains = [[name, *(gain_at(content, kind) for kind in KINDS)] for name, content in ranked]
-    scores = [[name, *(score_at(content, kind) for kind in KINDS)] for name, content in ranked]
+    judged = {c["entry"]: c["sites"] for c in entries if c["entry"] != CLAIRVOYANT}
+    by_site = [
+        [
+            site.name,
+            Interval.of(ceiling["sites"][site.name]["over_rule"]),
+            *(score_cell(at[site.name]["score"]) for at in judged.values()),
+        ]
+        for site in sites()
+    ]
+    gains = []
+    scores = []
+    for name, content in ranking(entries):
+        gains.append([name])
+        scores.append([name])
+        for kind in KINDS:
+            at = [site for site in content["sites"].values() if site["kind"] == kind]
+            stands = [standing(site) for site in at]
+            counts = " / ".join(str(stands.count(level)) for level in ("above", "level", "below"))
+            gains[-1].append(f"{Interval.of(content['mean_gain'][kind])}, {counts}")
+            each = [site["score"] for site in at]
+            scores[-1].append(score_cell(None if None in each else float(np.mean(each))))
     return (
-        f"Score at each site:\n\n{by_score(entries, ceiling)}\n\n"
+        "Score at each site:\n\n"
+        f"{grid(['site', f'{CLAIRVOYANT} minus {RULE}', *judged], by_site)}\n\n"
         "Mean gain over imm-best, and numbers of sites: above every IMM / level / below one:\n\n"
         f"{grid(['entry', *KINDS], gains)}\n\n"
         "Mean score (100: the clairvoyant, 0: the paper's rule):\n\n"
@@ -284,35 +305,3 @@ def ranking(entries: Sequence[Json]) -> list[tuple[str, Json]]:
         ranked.append((short, -content["mean_gain"][TRAINED]["mean"], name, content))
     ranked.sort(key=lambda row: row[:2])
     return [(name, content) for *_, name, content in ranked]
-
-
-def at_kind(content: Json, kind: str) -> list[Json]:
-    """Return the figures of an entry at the sites of a kind."""
-    return [site for site in content["sites"].values() if site["kind"] == kind]
-
-
-def score_at(content: Json, kind: str) -> str:
-    """Return an entry's mean score at the sites of a kind, as tables show it."""
-    scores = [site["score"] for site in at_kind(content, kind)]
-    return score_cell(None if None in scores else np.mean(scores))
-
-
-def gain_at(content: Json, kind: str) -> str:
-    """Return an entry's gain over imm-best at a kind of sites, and counts of :func:`standing`."""
-    stands = [standing(site) for site in at_kind(content, kind)]
-    counts = " / ".join(str(stands.count(at)) for at in ("above", "level", "below"))
-    return f"{Interval.of(content['mean_gain'][kind])}, {counts}"
-
-
-def by_score(entries: Sequence[Json], ceiling: Json) -> str:
-    """Return a Markdown table by site: the clairvoyant's gain over the rule, then every score.
-
-    The clairvoyant's own scores, which are all 100, are left out.
-    """
-    shown = {c["entry"]: c["sites"] for c in entries if c["entry"] != CLAIRVOYANT}
-    rows = []
-    for site in sites():
-        top = ceiling["sites"][site.name]["over_rule"]
-        cells = (score_cell(at[site.name]["score"]) for at in shown.values())
-        rows.append([site.name, Interval.of(top), *cells])
-    return grid(["site", f"{CLAIRVOYANT} minus {RULE}", *shown], rows)

@@ -1,23 +1,21 @@
 """Runs of contenders on the same episodes, and their metrics (protocol: docs/results.md)."""
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.console.progress import bars
+from experiments.console.output import tracked
 from experiments.evaluation.agents import NO_FILTERS, Estimator
 from experiments.evaluation.branches import Clairvoyant
-from experiments.evaluation.contenders import Contender
-from experiments.evaluation.seeds import draw_episodes, keys_for
+from experiments.evaluation.contenders import Contender, draw_episodes, keys_for
 from mmwave_env.engines.engine import Engine, play, run_imm
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import CORRECTION
 from mmwave_env.interface.policy import Policy
 from mmwave_env.interface.reward import Reward, TrackingReward, terms_of, total
-from mmwave_env.io.lookup import printable
 from mmwave_env.metrics import BURN_IN, METRICS, TERMS, scored, summary
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.task import Task
@@ -53,9 +51,14 @@ PLAIN = Scoring()
 Watch = Callable[[Contender, Array, EpochResults], None]
 
 
-def score(contender: Contender, policy: Policy, episodes: Sequence[Episode]) -> Scores:
-    """Run a contender and its policy on equally long episodes; return metrics of each episode."""
-    results = run_contender(contender, policy, _scorable(episodes))
+def score(
+    contender: Contender, episodes: Sequence[Episode], policy: Policy | None = None
+) -> Scores:
+    """Run a contender on equally long episodes; return metrics of each episode.
+
+    ``policy`` is the contender's policy; None to start a new one.
+    """
+    results = run_contender(contender, _scorable(episodes), policy=policy)
     return _summary(results, episodes[0].time_s, PLAIN)
 
 
@@ -68,19 +71,20 @@ def _scorable(episodes: Sequence[Episode]) -> Sequence[Episode]:
 
 def run_contender(
     contender: Contender,
-    policy: Policy,
     episodes: EpisodeBatch | Sequence[Episode],
     scoring: Scoring = PLAIN,
     after: Sequence[str] = (),
+    policy: Policy | None = None,
 ) -> EpochResults:
-    """Run a contender and its policy on equally long episodes; return every epoch's results.
+    """Run a contender on equally long episodes; return every epoch's results.
 
     Args:
-        contender, policy: same as in :func:`score`.
+        contender: a policy with its modes, or an IMM.
         episodes: the episodes; they need ground truth only if ``scoring.planar``.
         scoring: reward and terrain.
         after: names of parts of the filters' state to return for every epoch. All contenders have
             "x" and "P"; all but estimators have "memory.nis", "memory.accepted", "memory.rejected".
+        policy: the contender's policy; None to start a new one.
 
     Returns:
         "reward" and "nees" (n, T); "error" (n, T, 3) in m; for a policy also "mode" (n, T), its
@@ -98,6 +102,7 @@ def run_contender(
         assert contender.bank  # an IMM: no policy acts, so one call runs all epochs
         return run_imm(contender.bank, scoring.reward, batch, *names, planar=scoring.planar)
     pipeline = contender.pipeline(batch.layout, scoring.planar)
+    policy = policy or contender.start(batch.layout, scoring.planar)
     if isinstance(policy, Estimator):
         return _run_estimator(pipeline, policy, batch, scoring.reward, names)
     n, T, _ = batch.table.shape
@@ -185,16 +190,6 @@ def _summary(results: EpochResults, time_s: Array, scoring: Scoring) -> Scores:
     }
 
 
-def _drawn(source: EpisodeSource, seeds: Sequence[int]) -> tuple[EpisodeBatch, Array]:
-    """Draw equally long episodes, ready to run; also return the first episode's times (T,)."""
-    keys = keys_for(source, seeds)
-    if keys is None:
-        episodes = draw_episodes(source, seeds)
-        return EpisodeBatch.of(_scorable(episodes)), episodes[0].time_s
-    simulated = cast(SimulatedSource, source)
-    return simulated.sample_batch(keys), simulated.time_s
-
-
 def score_contenders(
     contenders: Sequence[Contender],
     source: EpisodeSource,
@@ -219,21 +214,32 @@ def score_contenders(
         listed = ", ".join(contender.name for contender in contenders)
         raise ValueError(f"policies: found {listed}, expected different names")
     policies = [contender.start(source.layout, scoring.planar) for contender in contenders]
-    with bars() as progress:
-        task = progress.add_task(printable(source.name), total=len(seeds) * (1 + len(contenders)))
-        for first in range(0, len(seeds), CHUNK):
-            batch, time_s = _drawn(source, seeds[first : first + CHUNK])
-            count = len(batch.names)
-            progress.advance(task, count)
+    chunks = range(0, len(seeds), CHUNK)
+
+    def runs() -> Iterator[tuple[Contender, Policy, EpisodeBatch, Array]]:
+        for first in chunks:
+            some = seeds[first : first + CHUNK]
+            keys = keys_for(source, some)
+            if keys is None:
+                episodes = draw_episodes(source, some)
+                batch = EpisodeBatch.of(_scorable(episodes))
+                time_s = episodes[0].time_s
+            else:
+                simulated = cast(SimulatedSource, source)
+                batch = simulated.sample_batch(keys)
+                time_s = simulated.time_s
             if not first:
                 _warn_of_short(time_s)
             for contender, policy in zip(contenders, policies, strict=True):
-                results = run_contender(contender, policy, batch, scoring, after=after)
-                _warn_of_nonfinite(contender, results)
-                parts[contender.name].append(_summary(results, time_s, scoring))
-                for callback in watch:
-                    callback(contender, time_s, results)
-                progress.advance(task, count)
+                yield contender, policy, batch, time_s
+
+    total = len(chunks) * len(contenders)
+    for contender, policy, batch, time_s in tracked(runs(), source.name, total):
+        results = run_contender(contender, batch, scoring, after, policy)
+        _warn_of_nonfinite(contender, results)
+        parts[contender.name].append(_summary(results, time_s, scoring))
+        for callback in watch:
+            callback(contender, time_s, results)
     return {
         name: {m: np.concatenate([part[m] for part in scores]) for m in (*METRICS, *TERMS)}
         for name, scores in parts.items()

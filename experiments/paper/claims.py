@@ -9,6 +9,7 @@ from scipy.stats import chi2
 
 from experiments.evaluation.intervals import Interval, bootstrap, bootstrap_ratio
 from experiments.paper.printed import (
+    CLEAN,
     HIGH_MOBILITY,
     LOW_MOBILITY,
     TUNED_ON,
@@ -27,7 +28,7 @@ from mmwave_env.filters.modes import Mode, robust
 from mmwave_env.metrics import nees_interval
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
-from mmwave_env.models.radio import RADIOS, TUNED_RADIOS, Radio
+from mmwave_env.models.radio import RADIOS, TUNED_RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.episode import Episode
 
@@ -244,7 +245,7 @@ def resolution(bench: Bench) -> Section:
 )
 def consistency_gate(bench: Bench) -> Iterator[Row]:
     """Compare the NEES of three axes with 5.99, the 95 % quantile for two axes."""
-    setting = Setting("pedestrian", "standard", clean=True)
+    setting = Setting("pedestrian", "standard", changes=CLEAN)
     nees = bench.run(replace(setting.tuned(), adaptive=False), setting).filtered.nees
     for gate in (float(chi2.ppf(0.95, 2)), float(chi2.ppf(0.95, 3)), nees_interval()[1]):
         nominal = [100.0 * float(chi2.sf(gate, axes)) for axes in (3, 2)]
@@ -294,29 +295,13 @@ def headline(bench: Bench) -> Iterator[Row]:
     """Measure the accuracy and the consistency of filters with the high profile."""
     for scenario in HEADLINE:
         for planar, terrain in ((False, "3-D"), (True, "flat")):
-            for clean, channel in ((False, "as is"), (True, "no blockage, no multipath")):
-                setting = Setting(scenario, "high", clean=clean)
+            for changes, channel in (((), "as is"), (CLEAN, "no blockage, no multipath")):
+                setting = Setting(scenario, "high", changes=changes)
                 mode = setting.tuned()
                 for name, variant in {"as in the paper": mode, "robust": robust(mode)}.items():
                     run = bench.run(variant, setting, planar)
                     figures = _accuracy(run.smoothed) + _accuracy(run.filtered)
                     yield [scenario, terrain, channel, name, *figures]
-
-
-def _changes(radio: Radio) -> dict[str, dict[str, object]]:
-    """Return improvements of a radio: name of the improvement -> new values of changed fields."""
-    angles = ("aoa_floor_rad", "aod_floor_rad", "elevation_floor_rad")
-    larger = {"gnb_elements": 2 * radio.gnb_elements, "ue_elements": 2 * radio.ue_elements}
-    halved = {name: getattr(radio, name) / 2 for name in angles}
-    return {
-        "as is": {},
-        "no blockage": {"blockage_scale": 0.0},
-        "no multipath": {"multipath_rate_hz": 0.0},
-        "range floors halved": {"range_floor_m": tuple(v / 2 for v in radio.range_floor_m)},
-        "elevation floor halved": {"elevation_floor_rad": radio.elevation_floor_rad / 2},
-        "angle floors halved": halved,
-        "angle floors halved, arrays doubled": halved | larger,
-    }
 
 
 @section(
@@ -328,8 +313,21 @@ def _changes(radio: Radio) -> dict[str, dict[str, object]]:
 )
 def error_budget(bench: Bench) -> Iterator[Row]:
     """Measure how much each property of the radio contributes to the 3-D error."""
+    radio = RADIOS["high"]
+    angles = ("aoa_floor_rad", "aod_floor_rad", "elevation_floor_rad")
+    larger = {"gnb_elements": 2 * radio.gnb_elements, "ue_elements": 2 * radio.ue_elements}
+    halved = {name: getattr(radio, name) / 2 for name in angles}
+    improvements: dict[str, dict[str, object]] = {
+        "as is": {},
+        "no blockage": {"blockage_scale": 0.0},
+        "no multipath": {"multipath_rate_hz": 0.0},
+        "range floors halved": {"range_floor_m": tuple(v / 2 for v in radio.range_floor_m)},
+        "elevation floor halved": {"elevation_floor_rad": radio.elevation_floor_rad / 2},
+        "angle floors halved": halved,
+        "angle floors halved, arrays doubled": halved | larger,
+    }
     for scenario in HEADLINE:
-        for name, changes in _changes(RADIOS["high"]).items():
+        for name, changes in improvements.items():
             setting = Setting(scenario, "high", changes=tuple(changes.items()))
             errors = bench.run(robust(setting.tuned()), setting).smoothed
             yield [scenario, name, *_means(*_ates([errors])), *map(float, errors.axis_rms_m)]

@@ -13,11 +13,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.console.tables import grid
+from experiments.console.output import grid
+from experiments.evaluation.contenders import draw_episodes
 from experiments.evaluation.intervals import Interval, bootstrap, rounded
 from experiments.evaluation.runner import Scores
-from experiments.evaluation.seeds import draw_episodes
-from experiments.reporting.figures.canvas import picture, plain_numbers
+from experiments.reporting.figures import picture, plain_numbers
 from mmwave_env.engines.engine import tracks_of
 from mmwave_env.engines.smoothing import smooth
 from mmwave_env.filters.bank import shipped_modes
@@ -31,6 +31,8 @@ from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource
 
 TUNED_ON = {"pedestrian": 0, "vehicle": 1}  # kind of user -> index of the mode tuned for it
+# changes of a radio that leave out blockage and multipath
+CLEAN = (("blockage_scale", 0.0), ("multipath_rate_hz", 0.0))
 
 
 @dataclass(frozen=True)
@@ -39,17 +41,13 @@ class Setting:
 
     scenario: str  # kind of user
     radio: str  # name of the radio profile
-    clean: bool = False  # whether blockage and multipath are left out
     odometry: bool = False  # whether the user also measures speed and heading
     walls: bool = True  # whether there are walls, which add virtual anchors to the base station
     changes: tuple[tuple[str, object], ...] = ()  # pairs (field of the radio to change, new value)
 
     def source(self) -> SimulatedSource:
         """Return the source of the episodes."""
-        changes = dict(self.changes)
-        if self.clean:
-            changes |= {"blockage_scale": 0.0, "multipath_rate_hz": 0.0}
-        radio = replace(radio_from(self.radio), **changes)  # type: ignore[arg-type]
+        radio = replace(radio_from(self.radio), **dict(self.changes))  # type: ignore[arg-type]
         scene = SCENES["street"] if self.walls else replace(SCENES["street"], walls=())
         return SimulatedSource(scene, radio, self.scenario, odometry=self.odometry)
 
@@ -325,37 +323,26 @@ def _span(wanted: Mapping[str, str], of: Section) -> list[str]:
 
 COUPLED = 3  # column of our ATE with coupled process noise; column 1 has the paper's ATE
 FILTERS = 4  # number of rows of the paper's tables; our tables begin with the same rows
-COLORS = {"ekf": "C0", "ukf": "C1"}
+COLORS = {"EKF": "C0", "UKF": "C1"}
+STYLES = {"no gates": ":", "gates, no recovery": "-", "gates, recovery": "--"}
 
 
-def _errorbars(axes: Any, x: Sequence[float], cells: Sequence[Cell], **style: Any) -> None:
-    intervals = [
-        (c.mean, c.mean - c.low, c.high - c.mean) for c in cells if isinstance(c, Interval)
-    ]
-    y, *spread = zip(*intervals, strict=True)
-    axes.errorbar(x, y, yerr=spread, capsize=2, **style)
+def _errorbars(axes: Any, x: Any, rows: Sequence[Row], column: int, **style: Any) -> None:
+    cells = [row[column] for row in rows]
+    mean, low, high = np.array(
+        [[c.mean, c.low, c.high] for c in cells if isinstance(c, Interval)]
+    ).T
+    axes.errorbar(x, mean, yerr=[mean - low, high - mean], capsize=2, **style)
 
 
-def _meters(axes: Any) -> None:
-    """Make the y axis a logarithmic axis of ATE, with the same limits in every panel."""
-    axes.set_yscale("log")
-    axes.set_ylim(0.1, 1000.0)
-    plain_numbers(axes.yaxis)
-    axes.set_ylabel("ATE (m)")
-
-
-def _bars(axes: Any, sections: Sequence[Section], title: str) -> None:
+def _bars(axes: Any, sections: Mapping[str, Section], title: str) -> None:
     """Draw the ATE of each filter: the paper's value, and our value for each radio profile."""
-    rows = sections[0].rows[:FILTERS]
-    axes.scatter(
-        range(FILTERS), [row[1] for row in rows], marker="_", s=900, color="black", label="paper"
-    )
-    for offset, radio, section in zip((-0.2, 0.0, 0.2), TUNED_RADIOS, sections, strict=True):
-        cells = [row[COUPLED] for row in section.rows[:FILTERS]]
-        x = [i + offset for i in range(FILTERS)]
-        _errorbars(axes, x, cells, fmt="o", markersize=4, label=radio)
-    axes.set_xticks(range(FILTERS), [str(row[0]).replace(" ", "\n") for row in rows])
-    _meters(axes)
+    x = np.arange(FILTERS)
+    for offset, radio in zip((-0.2, 0.0, 0.2), TUNED_RADIOS, strict=True):
+        rows = sections[f"{title}, {radio}"].rows[:FILTERS]
+        _errorbars(axes, x + offset, rows, COUPLED, fmt="o", ms=4, label=radio)
+    axes.plot(x, [row[1] for row in rows], "_", color="black", ms=30, label="paper")
+    axes.set_xticks(x, [str(row[0]).replace(" ", "\n") for row in rows])
     axes.set_title(title)
     axes.grid(visible=False, axis="x")
 
@@ -363,24 +350,23 @@ def _bars(axes: Any, sections: Sequence[Section], title: str) -> None:
 def _sweep(axes: Any, section: Section) -> None:
     """Draw the ATE against the process noise, with and without gates."""
     x = [float(str(row[0])) for row in section.rows]
-    styles = {"no gates": ":", "gates, no recovery": "-", "gates, recovery": "--"}
     for column, name in enumerate(section.columns[1:], start=1):
         algorithm, gates = name.split(", ", 1)
-        style = {"color": COLORS[algorithm.lower()], "linestyle": styles[gates]}
-        _errorbars(axes, x, [row[column] for row in section.rows], label=name, **style)
-    axes.set_xscale("log")
+        style = {"color": COLORS[algorithm], "ls": STYLES[gates], "label": name}
+        _errorbars(axes, x, section.rows, column, **style)
+    axes.set(xscale="log", xlabel="process noise sigma_v (m/s)")
     plain_numbers(axes.xaxis)
-    axes.set_xlabel("process noise sigma_v (m/s)")
-    _meters(axes)
     axes.set_title("Vehicle, standard: process noise")
     axes.legend(loc="lower left")
 
 
-def draw(sections: dict[str, Section], path: Path) -> None:
+def draw(sections: Mapping[str, Section], path: Path) -> None:
     """Draw all panels from the sections, whose keys are titles; write the picture to a file."""
     with picture(path, 13.0, 4.2) as figure:
-        axes = figure.subplots(1, 3)
-        for panel, title in zip(axes, ("Table I: pedestrian", "Table II: vehicle"), strict=False):
-            _bars(panel, [sections[f"{title}, {radio}"] for radio in TUNED_RADIOS], title)
-        axes[0].legend(markerscale=0.6)
-        _sweep(axes[2], sections["Vehicle ATE against process noise, m"])
+        pedestrian, vehicle, sweep = figure.subplots(1, 3, sharey=True)
+        _bars(pedestrian, sections, "Table I: pedestrian")
+        _bars(vehicle, sections, "Table II: vehicle")
+        _sweep(sweep, sections["Vehicle ATE against process noise, m"])
+        pedestrian.set(yscale="log", ylim=(0.1, 1000.0), ylabel="ATE (m)")
+        plain_numbers(pedestrian.yaxis)
+        pedestrian.legend(markerscale=0.6)

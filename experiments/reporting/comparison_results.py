@@ -4,21 +4,24 @@ For a training run, a table shows the spread over training seeds (Agarwal et al.
 """
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from experiments.console.options import EpisodeArgs
-from experiments.console.tables import escaped, grid
-from experiments.evaluation.compare import Comparison, compare_scores, episodes_csv, references
-from experiments.evaluation.contenders import all_contenders, contender_of, runs_of, task_of
+from experiments.console.output import escaped, grid
+from experiments.evaluation.compare import Comparison, comparison_of, episodes_csv, references
+from experiments.evaluation.contenders import (
+    Run,
+    all_contenders,
+    contender_of,
+    seeds_from,
+    task_of,
+)
 from experiments.evaluation.intervals import Interval, bootstrap, crossed_bootstrap
-from experiments.evaluation.positions import Positions, positions_markdown
+from experiments.evaluation.positions import EpochErrors, Positions, positions_markdown
 from experiments.evaluation.runner import Scores, Scoring, score_contenders
-from experiments.evaluation.runs import Run
-from experiments.evaluation.seeds import seeds_from
-from experiments.reporting.histories import EpochErrors
-from mmwave_env.interface.reward import reward_name
 from mmwave_env.io.files import Json, write_text
 from mmwave_env.localization.levels import PARTS, Levels
 from mmwave_env.numerics.numbers import Array
@@ -102,35 +105,27 @@ def results(args: EpisodeArgs, names: Sequence[str], with_epochs: bool = False) 
     """
     levels = Levels(args.risk, args.levels)
     task = task_of(args)
-    runs = runs_of(args, names)
+    known = all_contenders(args)
+    own = [name for name in names if name not in known]
+    runs = {name: Run.read(name) for name in own if Path(name).is_dir()}
     scoring = Scoring.of(task)
     seeds = seeds_from(args.episodes, args.seed)
+    contenders = [contender_of(args, name) for name in names]
     others = [file for run in runs.values() for file in run.policies if file != run.policy]
-    epochs = EpochErrors(names)
-    positions = Positions(names, levels, task.source.layout.anchors, args.planar)
+    epochs = EpochErrors()
+    positions = Positions(levels, task.source.layout.anchors, args.planar)
     watch = [epochs.add] if with_epochs else []
     if args.percentiles:
         watch.append(positions.add)
-    scores_of = score_contenders(
-        [contender_of(args, name) for name in (*names, *others)],
-        task.source,
-        seeds,
-        watch=watch,
-        scoring=scoring,
-        after=PARTS if args.percentiles else (),
-    )
-    scores = {name: scores_of[name] for name in names}
+    after = PARTS if args.percentiles else ()
+    scores = score_contenders(contenders, task.source, seeds, watch, scoring, after)
+    scores_of = dict(scores)
+    if others:
+        more = [contender_of(args, name) for name in others]
+        scores_of |= score_contenders(more, task.source, seeds, scoring=scoring)
     if args.episodes_csv:
         write_text(args.episodes_csv, episodes_csv(scores, seeds, task.source))
-    known = all_contenders(args)
-    comparison = compare_scores(
-        scores,
-        [name for name in names if name not in known],
-        scenario=task.source.name,
-        radio=task.radio.name,
-        seeds=seeds,
-        reward=reward_name(scoring.reward),
-    )
+    comparison = comparison_of(task, seeds, scores, own)
     text = str(comparison)
     content = comparison.json
     if runs:

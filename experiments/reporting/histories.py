@@ -1,16 +1,15 @@
-"""Histories, errors and NEES of contenders, epoch by epoch, for pictures."""
+"""Histories of contenders, epoch by epoch, for pictures and the player."""
 
-from collections.abc import Collection
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from experiments.evaluation.contenders import Contender
-from experiments.evaluation.runner import PLAIN, EpochResults, Scoring, run_contender
-from mmwave_env.metrics import scored
+from experiments.evaluation.contenders import Contender, draw_episodes, keys_for
+from experiments.evaluation.runner import PLAIN, Scoring, run_contender
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.rendering.history import NO_MODE, POSITION_NUMBERS, History
+from mmwave_env.task import Task
 from mmwave_env.world.episode import Episode
 
 _KEPT = ("x", "P", "memory.accepted", "memory.rejected", "memory.mode")
@@ -27,8 +26,7 @@ def history_of(
     Raises:
         ValueError: the policy fails.
     """
-    policy = contender.start(episode.layout, scoring.planar)
-    results = run_contender(contender, policy, [episode], scoring, after=_KEPT)
+    results = run_contender(contender, [episode], scoring, after=_KEPT)
     made = {name: values[0] for name, values in results.items()}
     begun = episode.on_flat_ground() if scoring.planar else episode
     prior_P = begun.prior_covariance[np.tril_indices(3)]
@@ -51,29 +49,18 @@ def history_of(
     )
 
 
+def histories_of(
+    task: Task, seeds: Sequence[int], contenders: Sequence[Contender]
+) -> Iterator[tuple[Episode, list[History]]]:
+    """Draw an episode for each seed; yield it with the history of every contender."""
+    scoring = Scoring.of(task)
+    for seed in seeds:
+        keys = keys_for(task.source, [seed])
+        scene = task.scene_of(0 if keys is None else int(keys[0]))
+        (episode,) = draw_episodes(task.source, [seed])
+        yield episode, [history_of(c, episode, scoring, scene) for c in contenders]
+
+
 def _after(prior: Array | float, epochs: Array) -> Array:
     """Return rows (T + 1, ...): the prior's row, then the rows of the epochs (T, ...)."""
     return np.concatenate([np.asarray(prior)[None], epochs])
-
-
-@dataclass
-class EpochErrors:
-    """Errors and NEES of contenders in all scored epochs of equally long episodes."""
-
-    names: Collection[str]  # contenders; others are skipped
-    time_s: Array = field(default_factory=lambda: np.zeros(0))  # (T,) s since the first epoch
-    errors_m: dict[str, Array] = field(default_factory=dict)  # contender -> (n, T, 3), m
-    nees: dict[str, Array] = field(default_factory=dict)  # contender -> (n, T)
-
-    def add(self, contender: Contender, time_s: Array, results: EpochResults) -> None:
-        """Add a contender's epoch results on episodes whose epochs have these times (T,)."""
-        name = contender.name
-        if name in self.names:
-            counted = scored(len(time_s))
-            self.time_s = (time_s - time_s[0])[counted]
-            _append(self.errors_m, name, results["error"][:, counted].astype(np.float32))
-            _append(self.nees, name, results["nees"][:, counted])
-
-
-def _append(table: dict[str, Array], name: str, values: Array) -> None:
-    table[name] = np.concatenate([table[name], values]) if name in table else values

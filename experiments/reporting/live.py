@@ -14,7 +14,7 @@ from experiments.console.options import (
     require_at_least,
     require_default,
 )
-from experiments.console.progress import note
+from experiments.console.output import note
 from experiments.reporting.log_choice import choice_of, require_one_choice, scene_of
 from mmwave_env.io.files import Json, first_line, parse_json
 from mmwave_env.io.lookup import printable, quoted
@@ -58,7 +58,8 @@ def run_live(args: LogArgs) -> None:
     for live, epochs in _epochs(scene, args.snr, args.clock):
         users = any(epoch.user for epoch in epochs)
         if tracker is None or (users and isinstance(tracker, Tracker)):
-            log = next(filter(_has_links, (epoch.log() for epoch in epochs)), None)
+            logs = (epoch.log() for epoch in epochs)
+            log = next((e for e in logs if e.visible[:, : e.layout.anchors].any()), None)
             if log:
                 tracker, why = _tracker(args, scene, log, levels, users)
         for user, position in _positions(tracker, epochs):
@@ -135,10 +136,6 @@ def _origin(args: LogArgs, scene: Scene) -> Origin | None:
     if args.accuracy is not None and not args.accuracy > 0.0:
         raise ValueError(f"accuracy: found {args.accuracy}, expected meters above 0")
     return origin_of(scene, "format: 3gpp")
-
-
-def _has_links(log: Log) -> bool:
-    return bool(log.visible[:, : log.layout.anchors].any())
 
 
 def _positions(

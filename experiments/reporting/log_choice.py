@@ -82,7 +82,20 @@ def choice_of(args: LogArgs, radio: str, log: Log) -> Choice:
         # "corrector" needs an uncertain height; a known height has the standard deviation 0.
         name = args.policy or ("corrector" if args.height is None else "guided")
         return Choice(contender_from(name, radio), f"chosen by the policy {name}")
-    return _algorithm_1(args, modes_of(args, radio))
+    modes = modes_of(args, radio)  # from here on, Algorithm 1, Step 3
+    if args.speed in (None, "auto"):
+        rule, followed = RULES[args.follow]
+        why = f"chosen by whether {followed} speed is above {SLOW_MPS:g} m/s"
+        return Choice(Switching(modes, rule), why)
+    speed = parse_speed(args.speed)
+    mode = modes[int(mode_at(speed))]
+    if speed > DESIGN_LIMIT_MPS:
+        window = f"outside the design window (up to {DESIGN_LIMIT_MPS:g} m/s)"
+        if args.outside == "abort":
+            raise ValueError(f"speed: found {speed:g} m/s, {window}; --outside fallback allows it")
+        warnings.warn(f"speed {speed:g} m/s is {window}; falling back to {mode.name}", stacklevel=2)
+    side = "up to" if speed <= SLOW_MPS else "above"
+    return Choice(Switching((mode,)), f"for {speed:g} m/s, which is {side} {SLOW_MPS:g} m/s")
 
 
 def _bank(name: str, radio: str) -> Bank:
@@ -103,23 +116,6 @@ def modes_of(args: LogArgs, radio: str) -> tuple[Mode, ...]:
             f"{args.modes}: found {len(modes)} modes, expected 2, for low and for high mobility"
         )
     return tuple(map(robust, modes)) if args.robust else modes
-
-
-def _algorithm_1(args: LogArgs, modes: tuple[Mode, ...]) -> Choice:
-    """Return the choice of Algorithm 1, Step 3: a rule for two pipelines, or one pipeline."""
-    if args.speed in (None, "auto"):
-        rule, followed = RULES[args.follow]
-        why = f"chosen by whether {followed} speed is above {SLOW_MPS:g} m/s"
-        return Choice(Switching(modes, rule), why)
-    speed = parse_speed(args.speed)
-    mode = modes[int(mode_at(speed))]
-    if speed > DESIGN_LIMIT_MPS:
-        window = f"outside the design window (up to {DESIGN_LIMIT_MPS:g} m/s)"
-        if args.outside == "abort":
-            raise ValueError(f"speed: found {speed:g} m/s, {window}; --outside fallback allows it")
-        warnings.warn(f"speed {speed:g} m/s is {window}; falling back to {mode.name}", stacklevel=2)
-    side = "up to" if speed <= SLOW_MPS else "above"
-    return Choice(Switching((mode,)), f"for {speed:g} m/s, which is {side} {SLOW_MPS:g} m/s")
 
 
 def parse_speed(word: str) -> float:

@@ -19,11 +19,9 @@ from experiments.console.options import (
     require_at_least,
     require_default,
 )
-from experiments.console.progress import progress
+from experiments.console.output import grid, progress, show
 from experiments.console.provenance import provenance
-from experiments.console.tables import grid, show
-from experiments.reporting.figures.canvas import require_picture
-from experiments.reporting.figures.timeline import draw_trajectory
+from experiments.reporting.figures import draw_trajectory, require_picture
 from experiments.reporting.log_choice import (
     Choice,
     choice_of,
@@ -79,7 +77,8 @@ def diagnosed(args: LogArgs, files: "Inputs", scene: Scene) -> None:
         findings = diagnose(log, scene, radio_from(radio), modes_of(args, radio)[-1])
         best = findings[0]
         if best.hypothesis == AS_IT_IS and not best.contradictions:
-            doubts = _doubts(args, _work(args, files, scene))
+            work = _work(args, files, scene)
+            _, doubts = _consistency(work, _track(args, work))
             findings[0] = best._replace(contradictions=doubts)
         facts = log_facts(log, scene)
     if args.json:
@@ -191,14 +190,13 @@ def diagnosis_markdown(findings: Sequence[Finding]) -> str:
         for f in findings
         if f.nis_per_dof
     ]
-    others = sum(not f.nis_per_dof for f in findings)
-    impossible = f" {others} other hypotheses give no track; --json lists them." if others else ""
     return (
         f"{_verdict(findings)}\n\n{grid(header, rows)}\n\n"
         'The column "anchors" shows the median NIS / dof of the anchor whose median is farthest '
         'from 1; the column "Doppler" shows the median NIS / dof of the Doppler shift. In a '
         "consistent log, the user is also mostly below the base station, and SNR and Doppler shift "
-        f"are plausible. Of several rows with yes, the first is the most likely.{impossible}\n"
+        "are plausible. Of several rows with yes, the first is the most likely. --json also lists "
+        "hypotheses that give no track.\n"
     )
 
 
@@ -303,7 +301,12 @@ def _work(args: LogArgs, files: Inputs, scene: Scene) -> Work:
     return Work(scene, radio_from(name), choice, log, truth, association)
 
 
-def _track(args: LogArgs, work: Work, window: int | None, report: Callable[[float], None]) -> Track:
+def _track(
+    args: LogArgs,
+    work: Work,
+    window: int | None = None,
+    report: Callable[[float], None] = lambda share: None,
+) -> Track:
     switching = work.choice.switching
     if args.two_way and not switching.bank:
         raise ValueError("two-way: found modes with a shared belief, expected an IMM (--imm)")
@@ -321,10 +324,10 @@ def _track(args: LogArgs, work: Work, window: int | None, report: Callable[[floa
     )
 
 
-def _doubts(args: LogArgs, work: Work) -> list[Contradiction]:
-    """Return the contradictions between a log and its track."""
-    groups = group_statistics(_track(args, work, None, lambda share: None))
-    return contradictions(work.log.whole(), work.scene, work.radio, groups)
+def _consistency(work: Work, track: Track) -> tuple[Json, list[Contradiction]]:
+    """Return statistics of a track's measurements, and what contradicts the scene or the radio."""
+    groups = group_statistics(track)
+    return groups, contradictions(work.log.whole(), work.scene, work.radio, groups)
 
 
 def beginning(args: LogArgs, epochs: int) -> tuple[Track, Work]:
@@ -332,7 +335,7 @@ def beginning(args: LogArgs, epochs: int) -> tuple[Track, Work]:
     files = inputs(args)
     work = _work(args, files, scene_of(args, files.scene))
     work = work._replace(log=work.log.part(slice(epochs)))
-    track = _track(args, work, None, lambda share: None)
+    track = _track(args, work)
     return track.by_segment()[0], work
 
 
@@ -355,8 +358,7 @@ def _figures(args: LogArgs, files: Inputs, work: Work, track: Track) -> Json:
     scores: Json = {"error": None} | _scores(args, work, track)
     if track.damage:
         scores["error"] = str(track.damage)
-    groups = group_statistics(track)
-    doubts = contradictions(work.log.whole(), work.scene, work.radio, groups)
+    groups, doubts = _consistency(work, track)
     for doubt in doubts:
         warnings.warn(f"{doubt}; --diagnose looks for a likely mistake", stacklevel=2)
     written = {

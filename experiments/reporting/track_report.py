@@ -1,6 +1,6 @@
 """The report that ``localize`` prints about a track."""
 
-from experiments.console.tables import escaped, grid
+from experiments.console.output import escaped, grid
 from experiments.evaluation.positions import KINDS, positions_markdown
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS
 from mmwave_env.io.files import Json
@@ -58,6 +58,19 @@ def _course(figures: Json) -> list[str]:
             f"warning: {fast} epochs are above {DESIGN_LIMIT_MPS:g} m/s, outside the design window "
             f"of the speed rule; {escaped(list(f['modes'])[1])} ran in them"
         )
+    if "association" in f:
+        counts = f["association"]
+        between = counts["without_track"]
+        tracking = f"the track was found {_times(counts['starts'])}"
+        lines.append(f"{counts['paths']} paths, {counts['false']} of them false; {tracking}")
+        if counts["incomplete"]:
+            missing = "paths with only some of their values were left out"
+            lines.append(f"{counts['incomplete']} {missing}")
+        if between["epochs"]:
+            lines.append(
+                f"{between['epochs']} epochs have no track; their {between['paths']} paths were "
+                "assigned to no anchor"
+            )
     return lines
 
 
@@ -77,22 +90,6 @@ def _groups(groups: Json) -> str:
     return grid(header, rows)
 
 
-def _association(counts: Json) -> list[str]:
-    between = counts["without_track"]
-    starts = _times(counts["starts"])
-    lines = [
-        f"{counts['paths']} paths, {counts['false']} of them false; the track was found {starts}"
-    ]
-    if counts["incomplete"]:
-        lines.append(f"{counts['incomplete']} paths with only some of their values were left out")
-    if between["epochs"]:
-        lines.append(
-            f"{between['epochs']} epochs have no track; their {between['paths']} paths were "
-            "assigned to no anchor"
-        )
-    return lines
-
-
 def _accuracy(truth: Json, epochs: int) -> str:
     metrics = [name for name in INFO_KEYS if name != "divergence_rate"]
     header = ["track", *(HEADERS[m].replace("in 95", "NEES in 95") for m in metrics)]
@@ -110,10 +107,9 @@ def _accuracy(truth: Json, epochs: int) -> str:
 
 def track_markdown(figures: Json) -> str:
     """Return, as Markdown, the results that ``localize`` collects about a track."""
-    counts = figures.get("association")
-    lines = _course(figures) + (_association(counts) if counts else [])
-    parts = ["".join(f"- {line}\n" for line in lines)]
-    if counts:
+    parts = ["".join(f"- {line}\n" for line in _course(figures))]
+    if "association" in figures:
+        counts = figures["association"]
         rows = [[name, n, counts["missed"][name]] for name, n in counts["associated"].items()]
         parts.append(grid(["anchor", "paths", "missed"], rows) + "\n")
     parts.append(_groups(figures["groups"]) + "\n")

@@ -15,8 +15,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from experiments.console.progress import tracked
-from experiments.console.tables import grid
+from experiments.console.output import grid, tracked
 from experiments.timing import workloads
 from experiments.timing.fresh import fresh
 from experiments.timing.roofline import Operations, count, limit_s
@@ -35,6 +34,7 @@ from mmwave_env.filters.bank import named_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.io.files import Json
+from mmwave_env.task import task_from
 from mmwave_env.world.travel import stride_of
 
 FRESH_RUNS = 3  # maximum number of new processes per environment; each takes seconds
@@ -43,14 +43,6 @@ STEP = "step"  # name of the kernel (compiled function) that computes an environ
 BASES = ("filterpy", workloads.SYNC_NAME)  # workloads with which our environments are compared
 
 Rounds = dict[str, list[float]]
-QUANTITIES = (
-    "steps_per_s",  # by workload (environments, single filters)
-    "latency_us",  # time for an epoch of a live track, by filter or policy, interface, percentile
-    "cold_start_s",  # from the start of a process to the end of its first step
-    "peak_rss_mb",  # peak memory of a process, MiB
-    "cores_busy",  # by workload
-    "limit_s",  # minimum time for a step on one core, by kernel
-)
 
 
 def rate(laps: workloads.Laps, seconds: float) -> tuple[float, float]:
@@ -77,14 +69,17 @@ class Measured:
 
     Attributes:
         operations: operations of each kernel.
-        rounds: lists, by quantity (one of :data:`QUANTITIES`) and name. A list has one value per
-            round or, for new processes, per process.
+        rounds: lists, by quantity and name. A list has one value per round or, for new processes,
+            per process. The quantities are "steps_per_s" and "cores_busy" of workloads;
+            "latency_us", the time for an epoch of a live track; "limit_s", the minimum time for a
+            step on one core, by kernel; and, of processes, "cold_start_s" (until the end of the
+            first step) and "peak_rss_mb" (memory, MiB).
     """
 
     def __init__(self, sizes: Sequence[int]) -> None:
         self.sizes = sorted(set(sizes))
         self.operations = kernels()
-        self.rounds: dict[str, Rounds] = {name: defaultdict(list) for name in QUANTITIES}
+        self.rounds: dict[str, Rounds] = defaultdict(lambda: defaultdict(list))
 
     def measure(self, seconds: float, repeats: int) -> None:
         """Measure everything in several rounds; a rate is measured for at least ``seconds``.
@@ -163,12 +158,12 @@ def kernels() -> dict[str, Operations]:
 
     Rare events of the simulation (changes of gait, crossings) are left out.
     """
-    pipeline = workloads.pipeline()
-    drawn = workloads.source()
+    task = task_from()
+    drawn = task.simulated
     modes = named_modes(workloads.RADIO)
-    programs = {STEP: Engine(pipeline, 1, TrackingReward()).program}
+    programs = {STEP: Engine(task.pipeline, 1, TrackingReward()).program}
     for name in workloads.FILTERS:
-        alone = untuned(Pipeline((modes[name],), pipeline.layout))
+        alone = untuned(Pipeline((modes[name],), task.pipeline.layout))
         programs[name] = program_of(Asked(alone, predicted=True), (filter_epoch, decide))
     counted = {name: count(made.function, made.template) for name, made in programs.items()}
     template = drawn.world.template
@@ -207,61 +202,57 @@ def spread(values: Sequence[float], unit: float = 1.0) -> str:
     return f"{short(median(values))} ({short(min(values))} to {short(max(values))})"
 
 
-def _ratios(measured: Measured) -> str:
+def tables_of(measured: Measured) -> dict[str, str]:
+    """Return all tables as Markdown, by title, the ratios first."""
+    rounds = measured.rounds
+    rates = rounds["steps_per_s"]
     ratios = measured.ratios()
-    rows = [
-        [label(name), *(spread(ratios[f"{name}_over_{base}"]) for base in BASES)]
-        for name in measured.ours
-    ]
-    return grid(["ratio of steps per second", *(f"to {label(base)}" for base in BASES)], rows)
-
-
-def _rate(measured: Measured, name: str) -> list[str]:
-    rates = measured.rounds["steps_per_s"][name]
-    return [label(name), spread(rates), short(1e9 / median(rates))]
-
-
-def _rates(measured: Measured) -> str:
-    rows = [
-        [*_rate(measured, name), f"{median(cores):.2f}"]
-        for name, cores in measured.rounds["cores_busy"].items()
+    speeds = {n: [label(n), spread(each), short(1e9 / median(each))] for n, each in rates.items()}
+    busy = [
+        [*speeds[name], f"{median(cores):.2f}"]
+        for name, cores in rounds["cores_busy"].items()
         if name not in FILTERS
     ]
-    return grid(["", "steps per second", "ns per step", "cores busy"], rows)
-
-
-def _filters(measured: Measured) -> str:
-    rows = [_rate(measured, name) for name in FILTERS]
-    return grid(["filter", "epochs per second", "ns per epoch"], rows)
-
-
-def _limits(measured: Measured) -> str:
-    rows = []
+    limits = []
     for name, fractions in measured.fractions().items():
-        limits = measured.limits_of(name)
-        taken = np.divide(limits, fractions).tolist()
-        shown = (spread(limits, 1e9), spread(taken, 1e9), spread(fractions, 100.0))
-        rows.append([label(name), *shown])
-    return grid(["one thread", "limit, ns per step", "time taken, ns", "limit reached, %"], rows)
+        least = measured.limits_of(name)
+        taken = np.divide(least, fractions).tolist()
+        shown = (spread(least, 1e9), spread(taken, 1e9), spread(fractions, 100.0))
+        limits.append([label(name), *shown])
+    latencies = [
+        [name, *(spread(rounds["latency_us"][f"{name}, p{p:g}"]) for p in PERCENTILES)]
+        for name in map(" ".join, LATENCIES)
+    ]
 
+    def processes(quantity: str) -> list[list[str]]:
+        return [[label(name), spread(values)] for name, values in rounds[quantity].items()]
 
-def _latency(measured: Measured) -> str:
-    times = measured.rounds["latency_us"]
-    names = [" ".join(latency) for latency in LATENCIES]
-    rows = [[name, *(spread(times[f"{name}, p{p:g}"]) for p in PERCENTILES)] for name in names]
-    return grid(["one epoch", *(f"p{p:g}, microseconds" for p in PERCENTILES)], rows)
-
-
-def _processes(measured: Measured, quantity: str, header: str) -> str:
-    rows = [[label(name), spread(values)] for name, values in measured.rounds[quantity].items()]
-    return grid(["fresh process", header], rows)
-
-
-def _machine(measured: Measured) -> str:
-    header = ["processor", "processors", "Python", "numpy", "numba", "rounds"]
     versions = (platform.python_version(), np.__version__, numba.__version__)
-    rounds = len(measured.rounds["steps_per_s"]["filterpy"])
-    return grid(header, [[_processor(), os.cpu_count(), *versions, rounds]])
+    machine = [_processor(), os.cpu_count(), *versions, len(rates["filterpy"])]
+    return {
+        "Ratios": grid(
+            ["ratio of steps per second", *(f"to {label(base)}" for base in BASES)],
+            [
+                [label(name), *(spread(ratios[f"{name}_over_{base}"]) for base in BASES)]
+                for name in measured.ours
+            ],
+        ),
+        "Steps per second": grid(["", "steps per second", "ns per step", "cores busy"], busy),
+        "Filters alone": grid(
+            ["filter", "epochs per second", "ns per epoch"], [speeds[name] for name in FILTERS]
+        ),
+        "Limit of the core": grid(
+            ["one thread", "limit, ns per step", "time taken, ns", "limit reached, %"], limits
+        ),
+        "Latency": grid(["one epoch", *(f"p{p:g}, microseconds" for p in PERCENTILES)], latencies),
+        "Peak memory": grid(["fresh process", "peak memory, MiB"], processes("peak_rss_mb")),
+        "First step": grid(
+            ["fresh process", "seconds to the end of the first step"], processes("cold_start_s")
+        ),
+        "Machine": grid(
+            ["processor", "processors", "Python", "numpy", "numba", "rounds"], [machine]
+        ),
+    }
 
 
 def _processor() -> str:
@@ -269,16 +260,3 @@ def _processor() -> str:
     if info.exists() and (names := re.findall(r"model name\s*: (.*)", info.read_text())):
         return str(names[0])
     return platform.processor() or platform.machine()
-
-
-# title -> function that makes the table, the ratios first
-TABLES: dict[str, Callable[[Measured], str]] = {
-    "Ratios": _ratios,
-    "Steps per second": _rates,
-    "Filters alone": _filters,
-    "Limit of the core": _limits,
-    "Latency": _latency,
-    "Peak memory": lambda m: _processes(m, "peak_rss_mb", "peak memory, MiB"),
-    "First step": lambda m: _processes(m, "cold_start_s", "seconds to the end of the first step"),
-    "Machine": _machine,
-}

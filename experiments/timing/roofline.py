@@ -2,8 +2,9 @@
 
 The model assumes that all arithmetic shares the core's vector units. So the operations are timed
 together, in the kernel's proportions. They form several independent *chains*: each operation needs
-the previous result of its chain. Loads and stores use other units and are timed separately; the
-limit is the longer time. Waits for results, register spills, caches and code fetches are ignored.
+the previous result of its chain. Loads and stores use other units beside the arithmetic, and take
+less time in every kernel. They are ignored, as are waits for results, register spills, caches and
+code fetches.
 
 Operations are counted exactly, by running the kernel's function. Lanes (SIMD values) emit
 instructions through an LLVM builder. The builder here only records them; nothing is compiled.
@@ -21,7 +22,7 @@ import numpy as np
 from llvmlite import ir
 
 from mmwave_env.compiler.lanes import WIDTH, Emitter, kernel
-from mmwave_env.numerics.numbers import sqrt, where
+from mmwave_env.numerics.numbers import Array, sqrt, where
 from mmwave_env.numerics.pytree import flatten, unflatten
 from mmwave_env.numerics.tape import Tracer
 
@@ -121,9 +122,7 @@ def count(function: Callable[[Any], Any], template: Any) -> Operations:
 
 CHAINS = (8, 16, 24)  # numbers of chains to try: the best number depends on the processor
 LENGTH = 480  # operations per pass of a timed loop; their code fits into any cache
-# size of the copied data: 16 KiB, which fits into any first-level cache
-BLOCKS = 4
-ROWS = 64
+ROWS = 64  # rows of the block that a timed loop works on
 CALLS = 1000
 TRIES = 10
 
@@ -140,33 +139,18 @@ _STEPS: dict[str, Callable[..., Any]] = {
 
 def limit_s(operations: Operations) -> float:
     """Return the minimum time, s, that a core needs for operations on eight environments."""
-    steps = sum(_steps(operations).values())
-    rows = max(operations.load, operations.store)
-    order = interleaved(operations)
-    blocks = np.full((1, ROWS, WIDTH), 1.7)
-    blocks[:, :2] = [[1.0], [0.0]]
-    # mix_s: seconds per operation of the mix, at the best number of chains. copying_s: seconds per
-    # pair of a load and a store.
-    mix_s = min(_seconds(_chains(order, chains), blocks) for chains in CHAINS) / LENGTH
-    copying_s = _seconds(_copying(), np.zeros((BLOCKS, ROWS, WIDTH))) / (BLOCKS * ROWS // 2)
-    return max(steps * mix_s, rows * copying_s)
-
-
-def interleaved(operations: Operations) -> tuple[str, ...]:
-    """Return the kinds of ``LENGTH`` operations, evenly mixed, in the proportions of a kernel."""
-    steps = _steps(operations)
+    steps: dict[str, float] = {kind: getattr(operations, kind) for kind in _STEPS}
+    steps["select"] /= 2  # a timed "select" step does two operations: it compares, then chooses
     total = sum(steps.values())
-    order: list[str] = []
+    order: list[str] = []  # kinds of operations, evenly mixed, in the proportions of the kernel
     for length in range(1, LENGTH + 1):
         lag = {kind: length * steps[kind] / total - order.count(kind) for kind in _STEPS}
         order.append(max(_STEPS, key=lag.__getitem__))
-    return tuple(order)
-
-
-def _steps(operations: Operations) -> dict[str, float]:
-    steps = {kind: getattr(operations, kind) for kind in _STEPS}
-    # A timed "select" step does two operations: it compares, then chooses.
-    return steps | {"select": operations.select / 2}
+    block = np.full((ROWS, WIDTH), 1.7)
+    block[:2] = [[1.0], [0.0]]
+    # seconds per operation of the mix, at the best number of chains
+    mix_s = min(_seconds(_chains(tuple(order), chains), block) for chains in CHAINS) / LENGTH
+    return total * mix_s
 
 
 @cache
@@ -184,31 +168,17 @@ def _chains(order: tuple[str, ...], chains: int) -> Any:
         for row, value in enumerate(x, start=3):
             rows[row] = value
 
-    return _repeated(build)
-
-
-@cache
-def _copying() -> Any:
-    def build(rows: Any) -> None:
-        for row in range(0, ROWS, 2):
-            rows[row] = rows[row + 1]
-
-    return _repeated(build)
-
-
-def _repeated(build: Callable[[Any], None]) -> Any:
     run = kernel(build, [ROWS])
 
     @numba.njit  # type: ignore[untyped-decorator]
-    def repeat(blocks, calls):  # type: ignore[no-untyped-def]
+    def repeat(block, calls):  # type: ignore[no-untyped-def]
         for _ in range(calls):
-            for block in blocks:
-                run((block.ctypes.data,))
+            run((block.ctypes.data,))
 
     return repeat
 
 
-def _seconds(repeat: Any, blocks: Any) -> float:
-    """Return the seconds of a pass over the blocks, the minimum of several tries."""
-    repeat(blocks, 1)  # the first call compiles
-    return min(timeit.repeat(lambda: repeat(blocks, CALLS), number=1, repeat=TRIES)) / CALLS
+def _seconds(repeat: Any, block: Array) -> float:
+    """Return the seconds of a pass over a block, the minimum of several tries."""
+    repeat(block, 1)  # the first call compiles
+    return min(timeit.repeat(lambda: repeat(block, CALLS), number=1, repeat=TRIES)) / CALLS

@@ -21,12 +21,11 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from experiments.evaluation.contenders import contender_from
-from experiments.evaluation.seeds import draw_episodes
+from experiments.evaluation.contenders import contender_from, draw_episodes
 from experiments.timing.fresh import ENVIRONMENT, started
 from mmwave_env.datasets.log_folder import log_columns
 from mmwave_env.engines.engine import tracks_of
-from mmwave_env.filters.bank import default_modes, named_modes
+from mmwave_env.filters.bank import named_modes
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.filterpy_reference import filterpy_pipeline
 from mmwave_env.filters.gating import Gate
@@ -37,15 +36,13 @@ from mmwave_env.interface.policy import Switching
 from mmwave_env.interface.reward import TrackingReward, terms_of, total
 from mmwave_env.localization.tracker import Tracker
 from mmwave_env.models.measurement import blank_site
-from mmwave_env.models.radio import radio_from
-from mmwave_env.models.scene import scene_from
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.pytree import unflatten
+from mmwave_env.task import task_from
 from mmwave_env.world.episode import Episode, blank_incoming
-from mmwave_env.world.simulated import SimulatedSource
 
 RADIO = "handset"
-EPISODE = 200  # number of steps of an episode
+EPISODE = 200  # number of steps of an episode, as in the environment's default task
 SYNC = 8  # number of environments that Gymnasium's vector environment steps one by one
 SYNC_NAME = f"sync_{SYNC}"
 TRACKS = 1024  # number of tracks that a filter without an environment computes together
@@ -78,27 +75,17 @@ def environments(sizes: Sequence[int]) -> dict[str, Callable[[], Laps]]:
 
 def filters() -> dict[str, Callable[[], Laps]]:
     """Return functions that start the workloads of single filters on one thread, by name."""
-    episodes = draw_episodes(source(), range(TRACKS))
+    episodes = draw_episodes(task_from().source, range(TRACKS))
     modes = named_modes(RADIO)
     return {name: partial(tracks, modes[name], episodes) for name in FILTERS}
 
 
-def source() -> SimulatedSource:
-    """Return the environment's default source of episodes."""
-    return SimulatedSource(scene_from("street"), radio_from(RADIO), epochs=EPISODE)
-
-
-def pipeline() -> Pipeline:
-    """Return the environment's default pipeline."""
-    return Pipeline(default_modes(RADIO), source().layout)
-
-
 def filterpy() -> Laps:
     """Run a Python loop over episodes with filterpy's filters."""
-    episodes = source()
-    twin = filterpy_pipeline(pipeline())
+    task = task_from()
+    twin = filterpy_pipeline(task.pipeline)
     for seed in count():
-        filterpy_episode(twin, episodes.sample(np.random.default_rng(seed)))
+        filterpy_episode(twin, task.source.sample(np.random.default_rng(seed)))
         yield EPISODE
 
 
@@ -177,7 +164,7 @@ LATENCIES = [(name, interface) for name in CONTENDERS for interface in (PYTHON, 
 
 def latency_us(name: str, interface: str) -> list[float]:
     """Return percentiles of a contender's latency (microseconds); interface: PYTHON or PIPE."""
-    source = SimulatedSource(scene_from(SCENE), radio_from(RADIO), epochs=EPOCHS)
+    source = task_from(scene=SCENE, radio=RADIO, episode_steps=EPOCHS).source
     columns = log_columns(source.sample(np.random.default_rng(0)))
     cells = np.stack(list(columns.values()), axis=1).reshape(EPOCHS, -1, len(columns)).tolist()
     epochs = [
@@ -185,25 +172,22 @@ def latency_us(name: str, interface: str) -> list[float]:
         for rows in cells
     ]
     if interface == PIPE:
-        times = _through_a_pipe(CONTENDERS[name], epochs)
+        words = ["experiments.console", "localize", "-", "--live"]
+        words += ["--scene", SCENE, "--radio", RADIO, *CONTENDERS[name]]
+        with started(*words, stdin=subprocess.PIPE, stderr=subprocess.DEVNULL) as child:
+
+            def ask(line: bytes) -> None:
+                child.stdin.write(line)
+                child.stdin.flush()
+                child.stdout.readline()
+
+            lines = [json.dumps({"rows": rows}).encode() + b"\n" for rows in epochs]
+            times = _timed(ask, lines)
     else:
         ekf = Switching((named_modes(RADIO)["ekf"],))
         switching = ekf if name == EKF else contender_from(name, RADIO)
         times = _timed(Tracker(SCENE, switching, RADIO).update, epochs)
     return np.percentile(1e6 * times[WARM_UP:], PERCENTILES).tolist()  # type: ignore[no-any-return]
-
-
-def _through_a_pipe(options: Sequence[str], epochs: list[Any]) -> Any:
-    words = ["experiments.console", "localize", "-", "--live", "--scene", SCENE, "--radio", RADIO]
-    pipes = {"stdin": subprocess.PIPE, "stderr": subprocess.DEVNULL}
-    with started(*words, *options, **pipes) as child:
-
-        def ask(line: bytes) -> None:
-            child.stdin.write(line)
-            child.stdin.flush()
-            child.stdout.readline()
-
-        return _timed(ask, [json.dumps({"rows": rows}).encode() + b"\n" for rows in epochs])
 
 
 def _timed(call: Callable[[Any], object], arguments: list[Any]) -> Any:

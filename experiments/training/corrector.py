@@ -254,7 +254,7 @@ def smoothed(batch: EpisodeBatch, bank: Bank, base: str) -> Smoothed:
     pipeline = Pipeline(bank.modes, batch.layout)
     at = columns_of(batch.layout)
     contender = Contender(bank, policy=partial(base_policy, base), name=base)
-    of = run_contender(contender, contender.start(batch.layout), batch, after=PARTS)
+    of = run_contender(contender, batch, after=PARTS)
     hz_per_mps = float(unflatten(blank_site(batch.layout), iter(batch.site[0])).hz_per_mps)
     dt = batch.table[:, :, at.dt]
     spread_hz = batch.table[:, :, at.doppler_spread_hz]

@@ -15,10 +15,10 @@ import numpy as np
 import torch
 from torch import nn
 
-from experiments.console.progress import say
+from experiments.console.options import SEEDS_EACH, TRAINING_SEED
+from experiments.console.output import say
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.runner import run_contender
-from experiments.evaluation.seeds import SEEDS_EACH, TRAINING_SEED
 from experiments.training.corrector import normalization_of
 from experiments.training.corrector_data import CorrectorData
 from experiments.training.hyperparameters import read_hyperparameters, shipped_hyperparameters
@@ -77,7 +77,7 @@ def _played(
         time_s = batch.table[0, :, rows_of([columns_of(batch.layout).dt])[0]].cumsum()
         for names in policies:
             contender = contender_from(str(rng.choice(names)), radio)
-            of = run_contender(contender, contender.start(batch.layout), batch, after=PARTS)
+            of = run_contender(contender, batch, after=PARTS)
             parts = [*(of[part] for part in PARTS), of.get("trusted")]
             features = Levels(kind=GAUSSIAN).features(
                 batch.layout.anchors, contender.bank is not None, time_s, *parts

@@ -1,30 +1,30 @@
-"""The train command: the folder of a run, its progress on a terminal, and its summary."""
+"""The train command: the folder of a run, a process for each seed, and the summary."""
 
+import multiprocessing
+import os
 import shutil
-from collections.abc import Mapping
+import signal
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
 from typing import Any
 
 from rich.progress import TimeElapsedColumn
 
-from experiments.console.options import TaskArgs, TrainArgs, require_at_least
-from experiments.console.progress import bars, say
+from experiments.console.options import TrainArgs, require_at_least
+from experiments.console.output import bars, say, show
 from experiments.console.provenance import command_line
-from experiments.console.tables import show
-from experiments.evaluation.runs import outcomes_markdown
-from experiments.training.hyperparameters import (
-    Hyperparameters,
-    PpoHyperparameters,
-    hyperparameters_as_written,
-    read_hyperparameters,
-    shipped_hyperparameters,
-)
-from experiments.training.training_task import Place, TrainingTask, banks_of, places_from
+from experiments.console.signals import answered, ended_by_signals
+from experiments.evaluation.contenders import outcomes_markdown
+from experiments.training.corrector import CorrectorTrainer, TwoWayTrainer
+from experiments.training.hyperparameters import Hyperparameters, hyperparameters_as_written
+from experiments.training.ppo import PpoTrainer
+from experiments.training.rollouts import RolloutTrainer
+from experiments.training.trainer import Job, Tell, Trainer, Training
+from experiments.training.training_task import hyperparameters, training_task
 from mmwave_env.filters.bank import Bank, bank_as_written
-from mmwave_env.interface.reward import REWARDS, PairedReward, Reward, TrackingReward
 from mmwave_env.io.files import Json, read_json, write_bytes, write_json
-from mmwave_env.io.lookup import choose
 
 # Default length of a training run, by algorithm: number of steps or, for rollouts, number of states
 # in which all actions are tried.
@@ -37,59 +37,6 @@ TIMESTEPS = {
 
 # Options that do not affect a policy; the command stated in a policy file omits them.
 ASIDE = ("jobs", "checkpoint_every", "out", "resume", "overwrite")
-
-
-def rewards(args: TaskArgs) -> Reward:
-    """Return a task's reward; if it is paired (agent minus IMM), return the unpaired reward."""
-    reward = choose(REWARDS, args.reward, "reward")
-    if isinstance(reward, PairedReward):
-        reward = reward.reward
-    if isinstance(reward, TrackingReward):
-        return replace(reward, nees_weight=args.nees_weight)
-    return reward
-
-
-def training_task(args: TaskArgs) -> TrainingTask:
-    """Return the training task that options describe.
-
-    Raises:
-        ValueError: a place (scene and radio to train at), mode or reward is unknown, a place is
-            named twice, or both a radio and places are named.
-    """
-    places = places_from(args.places) if args.places else (Place("street", args.radio),)
-    if args.places and args.radio != TaskArgs.radio:
-        raise ValueError("radio: cannot be combined with places, which name their radios")
-    banks = banks_of(args.modes, places, args.beliefs)
-    return TrainingTask(args.scenario, places, banks, args.observation, rewards(args), args.beliefs)
-
-
-def hyperparameters(
-    args: TaskArgs, places: int, path: Path | None = None, **changed: Any
-) -> Hyperparameters:
-    """Read the hyperparameters of a training.
-
-    Args:
-        args: options of the task.
-        places: number of places to train at.
-        path: file of hyperparameters; None for the shipped file.
-        changed: hyperparameters to change, by name.
-
-    Raises:
-        ValueError: the file is for another algorithm, or its number of environments can't be
-            divided among the places.
-    """
-    path = path or shipped_hyperparameters(args.algo, args.beliefs)
-    hyper = replace(read_hyperparameters(path, args.algo), **changed)
-    together = hyper.together
-    if hyper.num_envs % together or hyper.num_envs < together * places:
-        multiple = f"a multiple of {together}, " if together > 1 else ""
-        raise ValueError(
-            f"{path}: num_envs: found {hyper.num_envs}, expected {multiple}{together * places} or "
-            f"more for {places} places"
-        )
-    if isinstance(hyper, PpoHyperparameters):
-        return replace(hyper, paired=hyper.paired or args.reward == "paired")
-    return hyper  # rollouts compare rewards of actions, so the IMM's reward would cancel out
 
 
 def manifest_of(args: TrainArgs, banks: Mapping[str, Bank], hyper: Hyperparameters) -> Json:
@@ -138,15 +85,91 @@ def _flat(run: Json) -> Json:
     return {**run, **run["hyperparameters"], "hyperparameters": None}
 
 
-def train(args: TrainArgs) -> None:
-    """Run the command."""
+TRAINERS: dict[str, Callable[[Job, int], Trainer]] = {
+    "ppo": PpoTrainer,
+    "rollouts": RolloutTrainer,
+    "corrector": CorrectorTrainer,
+    "two-way": TwoWayTrainer,
+}
+
+
+def train(job: Job, tell: Tell) -> Json:
+    """Run a training in this process; return its outcome.
+
+    Raises:
+        ValueError: the checkpoint is damaged.
+    """
+    return Training(job, TRAINERS[job.hyperparameters.algorithm], tell).run()
+
+
+def side_by_side(
+    jobs: Sequence[Job], at_once: int, tell: Callable[[Job, int, str], None]
+) -> list[Json]:
+    """Run training jobs in parallel; return their outcomes. If one job fails, end all others.
+
+    Args:
+        jobs: training runs.
+        at_once: number of processes that run at the same time.
+        tell: function that is called with a job, its number of timesteps and a text to print.
+
+    Raises:
+        ValueError: the input of a training is not valid.
+        ChildProcessError: a training failed in another way, or was ended from outside.
+    """
+    spawn = multiprocessing.get_context("spawn")  # a fork would share PyTorch's locks
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # otherwise the processes compete for cores
+    waiting = [job for job in reversed(jobs) if not job.outcome.is_file()]
+    running: dict[Any, tuple[Job, BaseProcess]] = {}
     try:
-        from experiments.training.processes import side_by_side
-        from experiments.training.trainer import Job
-    except ImportError as error:
-        raise ValueError(
-            f"train needs more than the base install: {error}; pip install 'mmwave-loc[train]'"
-        ) from error
+        while waiting or running:
+            while waiting and len(running) < at_once:
+                job = waiting.pop()
+                ours, theirs = spawn.Pipe(duplex=False)
+                child = spawn.Process(target=_train, args=(job, theirs), daemon=True)
+                with answered([signal.SIGINT], signal.SIG_IGN), theirs:  # the parent heeds Ctrl-C
+                    child.start()
+                running[ours] = job, child
+            ready: list[Any] = wait(list(running))
+            for line in ready:
+                job, process = running[line]
+                try:
+                    message = line.recv()
+                except (EOFError, OSError):
+                    process.join()
+                    if process.exitcode:
+                        raise ChildProcessError(
+                            f"seed {job.seed}: its process ended with code {process.exitcode}; "
+                            "--resume continues the run"
+                        ) from None
+                    del running[line]
+                    continue
+                if isinstance(message, str):
+                    raise ValueError(f"seed {job.seed}: {message}")
+                tell(job, *message)
+    finally:
+        for _, process in running.values():
+            process.terminate()
+        for _, process in running.values():
+            process.join()
+    return [read_json(job.outcome, "the outcome of a training", dict) for job in jobs]
+
+
+def _train(job: Job, line: Connection) -> None:
+    """Run one training in this process; end quietly if the parent has closed the connection.
+
+    Messages are the progress, and a text that says why the training was refused.
+    """
+    try:
+        with ended_by_signals():
+            train(job, lambda *news: line.send(news))
+    except BrokenPipeError:
+        return
+    except (ValueError, OSError) as error:
+        line.send(str(error))
+
+
+def run(args: TrainArgs) -> None:
+    """Run the command."""
     if args.resume and args.overwrite:
         raise ValueError("overwrite: cannot be combined with resume, which keeps the run")
     require_at_least(1, args, "seeds", "total_timesteps", "jobs", "checkpoint_every")

@@ -13,13 +13,12 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 
-from experiments.console.options import TUNING_SEED
+from experiments.console.options import SEEDS_EACH, TRAINING_SEED, TUNING_SEED
+from experiments.console.output import csv_text
 from experiments.console.provenance import versions_of
-from experiments.console.tables import csv_text
-from experiments.evaluation.contenders import contender_from
+from experiments.evaluation.contenders import contender_from, draw_episodes
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.runner import Scores, score
-from experiments.evaluation.seeds import SEEDS_EACH, TRAINING_SEED, draw_episodes
 from experiments.training.training_task import TrainingTask
 from mmwave_env.interface.observation import Observation
 from mmwave_env.io.files import Json, atomic_path, first_line, write_bytes, write_json, write_text
@@ -127,7 +126,7 @@ class Trainer(ABC):
             parts = []
             for radio, some in drawn:
                 contender = contender_from(name, radio)
-                parts.append(score(contender, contender.start(some[0].layout), some))
+                parts.append(score(contender, some))
             return {metric: np.concatenate([part[metric] for part in parts]) for metric in parts[0]}
 
         # if every mode keeps its own belief, the IMM over the same modes is a rival, too
@@ -225,15 +224,17 @@ class Training:
         job = self._job
         progress = self.progress
         while progress.timesteps < job.timesteps:
-            self._update()
-            if progress.updates % job.checkpoint_every == 0:
-                self._write_log()
-                progress.seconds = self.seconds
-                saved = {"progress": asdict(progress), "trainer": self.trainer.state()}
-                with atomic_path(job.checkpoint) as temporary:
-                    torch.save(saved, temporary)
+            steps, figures = self.trainer.update(1.0 - progress.timesteps / job.timesteps)
+            progress.timesteps += steps
+            progress.updates += 1
+            over = progress.timesteps >= job.timesteps
+            if over or progress.updates % self.trainer.EVERY == 0:
+                figures |= self._evaluate()
+            row = {"timesteps": progress.timesteps, **figures, "seconds": self.seconds}
+            progress.rows.append(row)
+            if over or progress.updates % job.checkpoint_every == 0:
+                self._save()
             self._tell(progress.timesteps, "")
-        self._write_log()
         outcome = {
             "seed": job.seed,
             "timesteps": progress.timesteps,
@@ -244,17 +245,13 @@ class Training:
         job.checkpoint.unlink(missing_ok=True)
         return outcome
 
-    def _update(self) -> None:
-        """Learn once, evaluate the policy if it is due, and add a row to the log."""
-        job = self._job
-        progress = self.progress
-        steps, figures = self.trainer.update(1.0 - progress.timesteps / job.timesteps)
-        progress.timesteps += steps
-        progress.updates += 1
-        if progress.updates % self.trainer.EVERY == 0 or progress.timesteps >= job.timesteps:
-            figures |= self._evaluate()
-        row = {"timesteps": progress.timesteps, **figures, "seconds": self.seconds}
-        progress.rows.append(row)
+    def _save(self) -> None:
+        """Write the log and a checkpoint."""
+        self.progress.seconds = self.seconds
+        write_text(self._job.folder / "progress.csv", as_csv(self.progress.rows))
+        saved = {"progress": asdict(self.progress), "trainer": self.trainer.state()}
+        with atomic_path(self._job.checkpoint) as temporary:
+            torch.save(saved, temporary)
 
     def _evaluate(self) -> dict[str, float]:
         """Evaluate the policy; keep its file if it is the best so far; return means for the log."""
@@ -293,9 +290,6 @@ class Training:
             banks=dict(task.banks) if table.beliefs == "per-mode" else {},
             base=self.trainer.base,
         )
-
-    def _write_log(self) -> None:
-        write_text(self._job.folder / "progress.csv", as_csv(self.progress.rows))
 
 
 def as_csv(rows: list[dict[str, float]]) -> str:

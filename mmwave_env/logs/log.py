@@ -13,6 +13,7 @@ have a Doppler shift, because it is not known yet which path belongs to the base
 """
 
 import math
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -117,7 +118,24 @@ def read_log(
             f"{int(log.incomplete.sum())} incomplete links (or other groups of values), expected "
             "at least one measurement"
         )
+    if "toa" in table.columns and table.columns["toa"].name.startswith(DIFFERENCE):
+        _warn_without_reference(table)
     return replace(log, damage=damage)
+
+
+def _warn_without_reference(table: Table) -> None:
+    """Warn if epochs have time differences, but no reference anchor, whose difference is 0."""
+    difference = table["toa"]
+    measured = np.unique(table.epoch[~np.isnan(difference)])
+    missing = np.setdiff1d(measured, table.epoch[difference == 0.0])
+    if len(missing):
+        line = table.file.place(table.rows[table.starts[missing[0]]])
+        warnings.warn(
+            f"{table.file.path}: {table.columns['toa'].name}: found {len(missing)} epochs without "
+            f"a reference (the first in {line}), expected a row with 0 for the reference anchor, "
+            "whose range is otherwise lost",
+            stacklevel=3,
+        )
 
 
 def layout_of(

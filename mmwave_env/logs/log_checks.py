@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mmwave_env.logs.log_columns import DEVIATIONS, DIFFERENCE, LOST, QUANTITIES, SIGMA_OF, STATION
+from mmwave_env.logs.log_columns import DEVIATIONS, LOST, QUANTITIES, SIGMA_OF, STATION
 from mmwave_env.logs.log_tables import LogError, Table
 from mmwave_env.models import envelope
 from mmwave_env.models.layout import Layout
@@ -171,15 +171,6 @@ def _anchor_checks(table: Table, anchors: int) -> Iterator[_Check]:
         "each anchor once per epoch; keep one of these rows, or their mean",
         lambda row: f"{_show(anchor[row])} twice at time {_show(time[row])}",
     )
-    if "toa" in table.columns and table.columns["toa"].name.startswith(DIFFERENCE):
-        difference = table.raw("toa")
-        some = ~np.isnan(difference)
-        references = np.bincount(table.epoch[difference == 0.0], minlength=len(table.starts))
-        yield _Check(
-            "toa",
-            some & (references[table.epoch] == 0),
-            "a row with 0, for the reference anchor, in the same epoch",
-        )
     if "doppler" in table.columns:
         shifted = ~np.isnan(table.raw("doppler"))
         again = shifted & (anchor != table.first(np.where(shifted, anchor, np.nan))[table.epoch])

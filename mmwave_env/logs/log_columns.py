@@ -73,7 +73,7 @@ def _flight(name: str) -> dict[str, Unit]:
         for way, speed in ways
         for ending, unit in _TIME.items()
     }
-    return {**times, **_in(f"range{name}", _LENGTH), **_in(f"{DIFFERENCE}{name}", _LENGTH)}
+    return {**times, f"{DIFFERENCE}{name}_m": Unit(), **_in(f"range{name}", _LENGTH)}
 
 
 _SPEED = {"speed_mps": Unit(), "speed_kmh": Unit(1.0, 3.6)}

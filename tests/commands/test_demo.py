@@ -6,8 +6,8 @@ from experiments import demo
 from experiments.console.options import EpisodeArgs
 from experiments.evaluation.compare import compare_scores
 from experiments.evaluation.contenders import all_contenders
+from experiments.evaluation.positions import EpochErrors
 from experiments.reporting.comparison_results import Results
-from experiments.reporting.histories import EpochErrors
 from mmwave_env.metrics import METRICS, TERMS
 from tests.paths import json_in
 
@@ -18,7 +18,7 @@ def test_results_for_every_data_set_are_printed_and_written(tmp_path, monkeypatc
         scores = {name: dict.fromkeys((*METRICS, *TERMS), np.arange(3.0)) for name in names}
         episodes = {"scenario": args.data or "mixed", "seeds": range(args.episodes)}
         comparison = compare_scores(scores, radio=args.radio, **episodes)
-        return Results(comparison, str(comparison), comparison.json, EpochErrors(()))
+        return Results(comparison, str(comparison), comparison.json, EpochErrors())
 
     def page_of(args):
         assert args.results == tuple(tmp_path / f"{data}.json" for data in data_sets)

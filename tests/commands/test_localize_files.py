@@ -47,7 +47,7 @@ def test_results_of_a_comparison_are_written_even_if_the_picture_fails(tmp_path,
     def fails(*_):
         raise OSError(errno.ENOSPC, "No space left on device", str(tmp_path / "e.png"))
 
-    monkeypatch.setattr("experiments.reporting.figures.curves.draw_error_cdf", fails)
+    monkeypatch.setattr("experiments.reporting.figures.draw_error_cdf", fails)
     short = ("--policies", "fixed-ekf", "--episodes", 1, "--episode-steps", 20)
     files = ("--errors", tmp_path / "e.png", "--json", tmp_path / "e.json")
     done = command("compare", *short, *files)

@@ -7,7 +7,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from experiments.training.tune_modes import objective_of, tune
+from experiments.training.tuning import objective_of, tune
 from mmwave_env.filters import Mode
 from mmwave_env.filters.bank import bank_from, read_bank
 from mmwave_env.models.radio import RADIOS

@@ -9,9 +9,17 @@ from hypothesis import strategies as st
 from rich.cells import cell_len
 from rich.console import Console
 
-from experiments.console import progress as terminal
-from experiments.console.progress import progress, say, tracked
-from experiments.console.tables import booktabs, escaped, grid, show, unescaped
+from experiments.console import output as terminal
+from experiments.console.output import (
+    booktabs,
+    escaped,
+    grid,
+    progress,
+    say,
+    show,
+    tracked,
+    unescaped,
+)
 from mmwave_env.io.lookup import LONGEST, as_cell, as_name, did_you_mean, is_name, printable, quoted
 
 NAMES = st.text(st.characters(codec=None), max_size=200)

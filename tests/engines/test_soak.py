@@ -6,7 +6,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from experiments.evaluation.seeds import draw_episodes
+from experiments.evaluation.contenders import draw_episodes
 from mmwave_env.engines.engine import Engine
 from mmwave_env.filters import Mode, Pipeline
 from mmwave_env.filters.bank import named_modes

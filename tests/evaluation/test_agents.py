@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from experiments.evaluation.compare import compare
-from experiments.evaluation.contenders import Contender, contender_from
+from experiments.evaluation.contenders import Contender, contender_from, draw_episodes
 from experiments.evaluation.runner import run_contender
-from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.filters.bank import Bank, bank_as_written, modes_from
 from mmwave_env.models.layout import Layout
 from mmwave_env.task import task_from
@@ -112,8 +111,7 @@ def test_an_agent_that_returns_weights_earns_what_it_earns_in_the_environment(mo
         earned.append(reward)
     contender = Contender.own("mine", Weighing(), "handset")
     episodes = draw_episodes(task_from(episode_steps=50).source, [3])
-    policy = contender.start(episodes[0].layout)
-    (rewards,) = run_contender(contender, policy, episodes)["reward"]
+    (rewards,) = run_contender(contender, episodes)["reward"]
     np.testing.assert_allclose(rewards, earned, rtol=1e-9)
     with refuses("mine"):
         wrong = Contender.own("mine", Weighing(), "handset", ["ekf", "ukf"])

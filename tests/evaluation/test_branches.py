@@ -60,10 +60,10 @@ def test_a_clairvoyant_with_a_long_enough_horizon_takes_the_best_action(done, mo
 def test_the_clairvoyant_earns_more_than_the_imm_and_leaves_episodes_unchanged():
     policy = contender_from("clairvoyant", "handset", HANDSET)
     imm = contender_from("imm", "handset", HANDSET)
-    knows = score(policy, policy.start(LAYOUT), EPISODES)["reward"]
-    mixes = score(imm, imm.start(LAYOUT), EPISODES)["reward"]
+    knows = score(policy, EPISODES)["reward"]
+    mixes = score(imm, EPISODES)["reward"]
     assert knows.mean() > mixes.mean()
-    actions = run_contender(policy, policy.start(LAYOUT), EPISODES)["mode"]
+    actions = run_contender(policy, EPISODES)["mode"]
     engine = begun(0)
     rewards = [engine.step(now, rows_of(engine.at.reward))[1][:, 0] for now in actions.T]
     assert_allclose(np.mean(rewards[10:], axis=0), knows, rtol=1e-9)
@@ -73,6 +73,6 @@ def test_the_clairvoyant_is_refused_for_episodes_without_truth():
     policy = contender_from("clairvoyant", "handset", HANDSET)
     unknown = [replace(e, truth_position_m=None, truth_velocity_mps=None) for e in EPISODES]
     with refuses("policy"):
-        run_contender(policy, policy.start(LAYOUT), unknown)
+        run_contender(policy, unknown)
     with refuses("policy"):  # nothing called foresee, as when a log is localized
         policy.start(LAYOUT).act(begun(0).observations())

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from experiments.evaluation.agents import Estimator
-from experiments.evaluation.contenders import Contender, contender_from
-from experiments.evaluation.rivals import (
+from examples.rivals import (
     EVERYTHING,
     Particles,
     StudentImm,
@@ -18,6 +16,8 @@ from experiments.evaluation.rivals import (
     stated,
     student_t,
 )
+from experiments.evaluation.agents import Estimator
+from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.runner import Scoring, run_contender
 from mmwave_env.filters import Mode, Pipeline, ekf, ukf
 from mmwave_env.models.layout import Layout
@@ -38,8 +38,7 @@ def episodes(n, source=SOURCE):
 
 def played(agent, some, planar=False):
     contender = Contender.own("own", agent, "handset", [PLAIN])
-    policy = contender.start(some[0].layout, planar)
-    return run_contender(contender, policy, some, Scoring(planar=planar), after=("x", "P"))
+    return run_contender(contender, some, Scoring(planar=planar), after=("x", "P"))
 
 
 class Recorder(Estimator):
@@ -152,8 +151,8 @@ def test_rivals_track_with_any_receiver_and_on_flat_ground(agent, options):
 
 
 def test_a_rival_can_be_named_as_a_contender():
-    contender = contender_from("experiments.evaluation.rivals:variational", "handset")
-    results = run_contender(contender, contender.start(SOURCE.layout), episodes(2))
+    contender = contender_from("examples.rivals:variational", "handset")
+    results = run_contender(contender, episodes(2))
     assert results["reward"].shape == (2, SOURCE.epochs)
     Pipeline(StudentImm().bank("handset").modes, Layout())  # raises if SIMD lanes can't run it
 
@@ -163,4 +162,4 @@ def test_an_estimator_is_refused_as_a_policy_that_chooses_modes():
         Variational().act(np.zeros((1, 3), np.float32))
     contender = Contender.own("own", Variational(), "handset")
     with refuses("policy"):
-        run_contender(contender, Variational(), episodes(2), after=("memory.nis",))
+        run_contender(contender, episodes(2), after=("memory.nis",))

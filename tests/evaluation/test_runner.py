@@ -1,6 +1,8 @@
 """Tests of running contenders (policies with their modes, or IMMs) on the same episodes."""
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -10,16 +12,22 @@ from numpy.testing import assert_allclose, assert_array_equal
 import mmwave_env  # noqa: F401  registers the environment
 from experiments.evaluation import contenders as contenders_module
 from experiments.evaluation import runner as evaluation
-from experiments.evaluation.contenders import Contender, contender_from, contenders
+from experiments.evaluation.contenders import (
+    Contender,
+    Run,
+    contender_from,
+    contenders,
+    draw_episodes,
+)
 from experiments.evaluation.runner import run_contender, score, score_contenders
-from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.filters.bank import bank_as_written, best_bank, modes_from
 from mmwave_env.interface.observation import BELIEFS
 from mmwave_env.metrics import BURN_IN, INFO_KEYS, METRICS
+from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import TUNED_RADIOS
-from policies import learned
+from policies import LearnedSwitch, learned, shipped_policies
 from tests.filters.tracks import street_source
-from tests.paths import write_json
+from tests.paths import ROOT, write_json
 from tests.policies.test_corrector import card, network
 from tests.refusals import refuses
 from tests.training.actors import HANDSET, MODES, STANDARD, actor, card_of, write, write_per_mode
@@ -94,7 +102,7 @@ def test_episodes_without_truth_are_refused():
     blind = replace(episode, truth_position_m=None, truth_velocity_mps=None)
     contender = contender_from("fixed-ekf", "handset")
     with pytest.raises(ValueError, match="found no truth"):
-        score(contender, contender.start(SOURCE.layout), [blind])
+        score(contender, [blind])
 
 
 def test_custom_modes_determine_the_contenders():
@@ -187,8 +195,8 @@ def test_a_corrector_that_corrects_nothing_has_the_scores_of_its_imm(tmp_path, s
     tensors["out.weight"][:] = 0.0
     tensors["out.bias"][:] = 0.0
     mine = corrector(tmp_path, tensors)
-    ours = score(mine, mine.start(SOURCE.layout), short)
-    theirs = score(IMM, IMM.start(SOURCE.layout), short)
+    ours = score(mine, short)
+    theirs = score(IMM, short)
     for metric, values in theirs.items():
         assert_allclose(ours[metric], values, rtol=1e-9, atol=1e-9)
 
@@ -196,8 +204,8 @@ def test_a_corrector_that_corrects_nothing_has_the_scores_of_its_imm(tmp_path, s
 @pytest.mark.slow
 def test_errors_and_nees_belong_to_the_corrected_beliefs(tmp_path, short):
     mine = corrector(tmp_path, network(limit=50.0))
-    results = run_contender(mine, mine.start(SOURCE.layout), short, after=("x", "P"))
-    plain = run_contender(IMM, IMM.start(SOURCE.layout), short)
+    results = run_contender(mine, short, after=("x", "P"))
+    plain = run_contender(IMM, short)
     truth = np.stack([episode.truth_position_m for episode in short])
     error = results["x"][..., :3] - truth
     assert_allclose(results["error"], error, atol=1e-9)
@@ -210,3 +218,39 @@ def test_errors_and_nees_belong_to_the_corrected_beliefs(tmp_path, short):
     odd = np.minimum(np.abs(np.log(np.maximum(nees, 1e-12) / 3.0)), 3.0)
     assert_allclose(results["reward"], -length - 0.2 * odd, atol=1e-6)
     assert (results["error"] != plain["error"]).any(axis=-1).mean() > 0.9
+
+
+# --- folders of training runs, whose policies are contenders
+
+DAMAGE = {  # name -> content of a summary, keys that the error names
+    "not JSON": ("{", []),
+    "no seeds": ({"median": 0}, ["seeds"]),
+    "no median": ({"seeds": [{"seed": 0}]}, ["median"]),
+    "empty seeds": ({"seeds": [], "median": 0}, ["seeds"]),
+    "a seed twice": ({"seeds": [{"seed": 0}] * 2, "median": 0}, ["seeds"]),
+    "unknown median": ({"seeds": [{"seed": 0}], "median": 7}, ["median"]),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_the_error_names_a_damaged_summary(tmp_path, damage):
+    content, named = DAMAGE[damage]
+    text = content if isinstance(content, str) else json.dumps(content)
+    (tmp_path / "summary.json").write_text(text)
+    with refuses(tmp_path / "summary.json", *named):
+        Run.read(str(tmp_path))
+
+
+@pytest.mark.parametrize("name", ["guided", "guided-ppo", "ppo-handset", "ppo-standard"])
+def test_a_shipped_policy_is_the_median_of_its_five_training_seeds(name):
+    run = Run.read(str(ROOT / "docs" / "learning" / name))
+    shipped = shipped_policies()[name]
+    assert len(run.seeds) == 5 and run.median == run.seeds[2]
+    assert shipped.read_bytes() == Path(run.policy).read_bytes()
+    cards = [LearnedSwitch(path).card for path in run.policies]
+    assert [card.seed for card in cards] == list(run.seeds)
+    assert all(card.evaluation["seed"] >= 5_000_000 for card in cards)  # none is a test seed
+    rewards = [card.evaluation["reward"] for card in cards]
+    assert rewards == sorted(rewards, reverse=True)
+    played = contender_from(run.name, "standard" if name == "ppo-standard" else "handset")
+    assert played.start(Layout()).card.seed == run.median

@@ -40,7 +40,7 @@ def test_time_differences_give_the_same_track_as_times_of_arrival(tmp_path, ride
     assert np.median(away) < 2.0
 
 
-def test_time_differences_need_a_reference_and_a_free_clock(tmp_path, ride):
+def test_time_differences_need_a_free_clock_and_should_have_a_reference(tmp_path, ride):
     log = pd.read_csv(ride / LOG).rename(columns={"toa_s": "rstd_s"})
     log["rstd_s"] -= log.groupby("time_s").rstd_s.transform("first")
     log.to_csv(tmp_path / LOG, index=False)
@@ -50,7 +50,7 @@ def test_time_differences_need_a_reference_and_a_free_clock(tmp_path, ride):
     lonely = log[log.rstd_s != 0.0]
     lonely.to_csv(tmp_path / LOG, index=False)
     done = command("localize", tmp_path / LOG, *scene, "--clock", "free")
-    assert done.returncode == 2 and "reference anchor" in done.stderr
+    assert done.returncode == 0 and "epochs without a reference" in done.stderr
 
 
 def test_an_epoch_with_one_range_determines_no_start(tmp_path, ride):

@@ -116,7 +116,7 @@ def test_live_tracks_and_tracks_of_logs_have_equal_levels(corrector, name):  # n
 def test_gaussian_levels_follow_from_the_covariances():
     task = task_from(radio="handset", episode_steps=30)
     plain = PositionErrors(0.05)
-    positions = Positions(["imm"], Levels(0.05, "gaussian"))
+    positions = Positions(Levels(0.05, "gaussian"), 3, planar=False)
 
     def add(contender, time_s, results):
         plain.add(results["error"][:, 10:], results["P"][:, 10:])

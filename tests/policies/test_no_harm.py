@@ -86,7 +86,7 @@ def played(name, radio, episodes):
     Trust (n, T), from 0 to 1, is the factor that the policy applies to its correction.
     """
     contender = Contender.learned(name, name, radio)
-    results = run_contender(contender, contender.start(episodes[0].layout), episodes)
+    results = run_contender(contender, episodes)
     return results["reward"][:, 10:].mean(axis=1), results.get("trusted")
 
 

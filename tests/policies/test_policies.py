@@ -5,9 +5,8 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from experiments.console.options import TUNING_SEED
-from experiments.evaluation.contenders import contender_from
+from experiments.evaluation.contenders import contender_from, draw_episodes
 from experiments.evaluation.runner import score
-from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.filters import Pipeline
 from mmwave_env.filters.bank import modes_from
 from mmwave_env.interface.observation import Observation
@@ -100,7 +99,7 @@ def test_no_threshold_of_the_speed_rule_beats_zero(radio):
     rule = contender_from("speed-rule", radio)
     table = Observation(Pipeline(rule.modes, source.layout))
     rewards = {
-        mps: score(rule, SpeedRule(table, mps), episodes)["reward"].mean()
+        mps: score(rule, episodes, SpeedRule(table, mps))["reward"].mean()
         for mps in (0.0, 0.25, 0.5, 1.0, 2.0, 3.0)
     }
     assert max(rewards, key=rewards.get) == 0.0

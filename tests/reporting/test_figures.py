@@ -9,19 +9,16 @@ import pytest
 from matplotlib.image import imread
 
 from experiments.console.options import LogArgs
-from experiments.evaluation.contenders import contender_from
-from experiments.evaluation.seeds import draw_episodes
-from experiments.reporting.figures.canvas import caption, contenders
-from experiments.reporting.figures.curves import (
+from experiments.reporting.figures import (
+    caption,
+    contenders,
     draw_consistency,
     draw_error_cdf,
     draw_learning_curves,
+    draw_trajectory,
 )
-from experiments.reporting.figures.timeline import draw_histories, draw_trajectory
-from experiments.reporting.histories import history_of
 from experiments.reporting.log_results import beginning
 from mmwave_env.numerics.linalg import pack
-from mmwave_env.task import task_from
 
 AWKWARD = "a$b_{^$ | \x1b[31m <b>\n漢字 \u202eق"
 T = 50
@@ -41,19 +38,12 @@ def drawn(name, path):
     """Draw a picture of every kind with a name in it, and return the files."""
     walk = np.cumsum(np.random.default_rng(0).normal(size=(T, 3)), axis=0)
     errors = np.random.default_rng(1).normal(size=(4, T, 3))
-    files = [path / f"{kind}.svg" for kind in ("track", "cdf", "nees", "curves", "time")]
+    files = [path / f"{kind}.svg" for kind in ("track", "cdf", "nees", "curves")]
     draw_track(name, files[0], walk)
     draw_error_cdf({name: errors, "imm": 2.0 * errors}, files[1])
     draw_consistency(np.arange(T) * 1.0, {name: (errors**2).sum(axis=-1)}, 3, files[2])
     draw_learning_curves(f"reward minus {name}", [([1e3, 1e6], [0.0, 1.0])], files[3])
-    draw_histories(episode_of(name), ["ekf", "ukf"], slice(None), files[4])
     return files
-
-
-def episode_of(name):
-    """Return {name: history of an episode}, as if its policy had this name."""
-    (episode,) = draw_episodes(task_from(episode_steps=30).source, [0])
-    return {name: history_of(contender_from("speed-rule", "handset"), episode)}
 
 
 @pytest.mark.slow
@@ -61,7 +51,7 @@ def episode_of(name):
 def test_pictures_with_any_name_are_valid_files(name, tmp_path):
     for path in drawn(name, tmp_path):
         ElementTree.parse(path)
-    assert len(list(tmp_path.iterdir())) == 5
+    assert len(list(tmp_path.iterdir())) == 4
 
 
 def test_names_are_shown_unchanged_except_characters_that_cannot_be_shown():

@@ -4,9 +4,8 @@ import gymnasium as gym
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from experiments.evaluation.contenders import contender_from
+from experiments.evaluation.contenders import contender_from, draw_episodes
 from experiments.evaluation.runner import Scoring
-from experiments.evaluation.seeds import draw_episodes
 from experiments.reporting.histories import history_of
 from mmwave_env.datasets.samples import source_from
 from mmwave_env.interface.reward import TrackingReward

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from experiments.evaluation.contenders import Run
 from experiments.evaluation.intervals import Interval, bootstrap
-from experiments.evaluation.runs import Run
 from experiments.reporting.comparison_results import over_training_seeds, seeds_markdown
 
 RUN = Run("runs/a", (2, 0, 1), 0)

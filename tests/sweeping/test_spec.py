@@ -5,8 +5,7 @@ A *cell* is a combination of values: one value of each key of the file.
 
 import pytest
 
-from experiments.sweeping.run import keep, kept, read
-from experiments.sweeping.spec import read_spec
+from experiments.sweeping.run import keep, kept, read, read_spec
 from tests.refusals import refuses
 
 GRID = """

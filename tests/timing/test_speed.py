@@ -5,9 +5,10 @@ import pytest
 
 from experiments.timing.measured import Measured
 from experiments.timing.roofline import Operations, count
-from experiments.timing.workloads import EPISODE, FILTERS, filterpy_episode, pipeline, source
+from experiments.timing.workloads import EPISODE, FILTERS, filterpy_episode
 from mmwave_env.filters.filterpy_reference import filterpy_pipeline
 from mmwave_env.numerics.numbers import atan2, maximum, sqrt, where
+from mmwave_env.task import task_from
 
 
 @pytest.mark.parametrize(
@@ -38,8 +39,9 @@ def test_operations_whose_result_is_not_used_are_not_counted():
 
 
 def test_the_filterpy_loop_earns_the_reward_of_a_good_track():
-    episode = source().sample(np.random.default_rng(0))
-    total = filterpy_episode(filterpy_pipeline(pipeline()), episode)
+    task = task_from()
+    episode = task.source.sample(np.random.default_rng(0))
+    total = filterpy_episode(filterpy_pipeline(task.pipeline), episode)
     assert -5.0 < total / EPISODE < 0.0  # the worst reward of an epoch is -10.6
 
 

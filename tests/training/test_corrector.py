@@ -13,7 +13,7 @@ from experiments.evaluation.protocol import judge, sites
 from experiments.training.corrector import CorrectorTrainer, loss_of, mixed
 from experiments.training.corrector_data import WEAVING_BEHIND_M, CorrectorData, weaving
 from experiments.training.hyperparameters import CorrectorHyperparameters, TwoWayHyperparameters
-from experiments.training.processes import train
+from experiments.training.run import train
 from experiments.training.trainer import Job, Training
 from mmwave_env.metrics import BURN_IN
 from mmwave_env.models.random_scene import WIDE_SCENE

@@ -9,8 +9,8 @@ pytest.importorskip("stable_baselines3")
 import torch
 
 from experiments.training.hyperparameters import RolloutHyperparameters
-from experiments.training.processes import train
 from experiments.training.rollouts import RolloutLearner, RolloutTrainer, Tried
+from experiments.training.run import train
 from experiments.training.trainer import Job, Training
 from experiments.training.training_task import TrainingTask
 from mmwave_env.filters.bank import Bank, default_modes

@@ -5,7 +5,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from experiments.training.tune_banks import START, best_bank_of, search_space
+from experiments.training.tuning import START, best_bank_of, search_space
 from mmwave_env.filters.bank import best_bank
 from mmwave_env.filters.imm import stay_matrix
 from mmwave_env.models.radio import TUNED_RADIOS

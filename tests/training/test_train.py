@@ -25,10 +25,9 @@ from experiments.training.hyperparameters import (
     shipped_hyperparameters,
 )
 from experiments.training.ppo import PlacesVecEnv, learner
-from experiments.training.processes import train
-from experiments.training.run import hyperparameters, manifest_of
+from experiments.training.run import manifest_of, train
 from experiments.training.trainer import Job
-from experiments.training.training_task import Place, TrainingTask
+from experiments.training.training_task import Place, TrainingTask, hyperparameters
 from mmwave_env.filters.bank import Bank, default_modes
 from mmwave_env.interface.reward import TrackingReward
 from policies.policy_file import read_policy
@@ -166,7 +165,7 @@ def test_too_few_environments_are_refused_before_a_folder_is_made(algorithm, cou
 
 
 def test_the_error_without_pytorch_says_what_to_install(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "experiments.training.processes", None)  # hides PyTorch
+    monkeypatch.setitem(sys.modules, "experiments.training.run", None)  # hides PyTorch
     assert "mmwave-loc[train]" in refused("--out", tmp_path / "run")
     assert not (tmp_path / "run").exists()
 

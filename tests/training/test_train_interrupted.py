@@ -17,7 +17,7 @@ from tests.refusals import refuses
 
 pytest.importorskip("stable_baselines3")
 
-from experiments.training.processes import side_by_side, train
+from experiments.training.run import side_by_side, train
 from experiments.training.trainer import Job
 from tests.training.test_train import HYPER, TASK, content
 

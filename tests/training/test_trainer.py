@@ -10,7 +10,7 @@ pytest.importorskip("stable_baselines3")
 
 import torch
 
-from experiments.training.processes import train
+from experiments.training.run import train
 from experiments.training.trainer import as_csv, read_checkpoint
 from tests.damage import Malicious, damaged
 from tests.refusals import refuses

@@ -6,7 +6,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import mmwave_env  # noqa: F401  registers the environment
-from experiments.evaluation.seeds import keys_for
+from experiments.evaluation.contenders import keys_for
 from mmwave_env.world.keys import Streams, key_from, keys_at, keys_of, stream_of
 from tests.environment.vector_checker import same
 from tests.refusals import refuses

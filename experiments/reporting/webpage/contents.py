@@ -1,23 +1,23 @@
 """Contents of the web page: results as verdicts, tables and learning curves in HTML."""
 
+import csv
 from base64 import b64encode
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from html import escape
 from importlib.util import find_spec
+from io import StringIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
-from experiments.console.tables import CELL, unescaped
+from experiments.console.output import cells_of, unescaped
 from experiments.evaluation.compare import Comparison
-from experiments.evaluation.contenders import DESCRIPTIONS
+from experiments.evaluation.contenders import DESCRIPTIONS, named, outcomes_markdown
 from experiments.evaluation.positions import positions_markdown
-from experiments.evaluation.runs import curves_of, outcomes_markdown
-from experiments.evaluation.seeds import named
-from experiments.reporting.figures.curves import draw_learning_curves
+from experiments.reporting.figures import draw_learning_curves
 from experiments.reporting.track_report import track_markdown
-from mmwave_env.io.files import Json, read_json
+from mmwave_env.io.files import Json, first_line, read_json, read_text
 from mmwave_env.io.lookup import printable
 
 SHOWN = 5  # number of table rows that are shown at first
@@ -56,11 +56,11 @@ def html_of(markdown: str) -> str:
     """Return tables, paragraphs and list items of a command's Markdown as HTML."""
     parts = []
     for block in markdown.strip().split("\n\n"):
-        lines = block.strip().splitlines()
         if block.startswith("|"):
-            cells = [[unescaped(c.strip()) for c in CELL.findall(line[1:])] for line in lines]
-            parts.append(table("", cells[0], cells[2:]))
+            header, _, *rows = cells_of(block)
+            parts.append(table("", header, rows))
         else:
+            lines = block.strip().splitlines()
             parts += [element("p", unescaped(line.removeprefix("- "))) for line in lines]
     return "".join(parts)
 
@@ -78,6 +78,26 @@ def drawn(caption: str, draw: Callable[[Path], None]) -> str:
         svg = b64encode(path.read_bytes()).decode("ascii")
     image = f'<img src="data:image/svg+xml;base64,{svg}" alt="{text(caption)}">'
     return f"<figure>{image}{element('figcaption', caption)}</figure>"
+
+
+def curves_of(log: Path) -> dict[str, tuple[list[float], list[float]]]:
+    """Read the learning curves in a log: for each rival, steps and reward minus its reward.
+
+    Raises:
+        ValueError: the log is not CSV, or a value is not a number; the message names the line.
+    """
+    curves: dict[str, tuple[list[float], list[float]]] = {}
+    rows = csv.DictReader(StringIO(read_text(log, "the progress log of a training"), newline=""))
+    try:
+        for row in rows:
+            for name, value in row.items():
+                if value and name.startswith("tuning/minus "):
+                    steps, values = curves.setdefault(name.split(" ", 1)[1], ([], []))
+                    steps.append(float(row["timesteps"]))
+                    values.append(float(value))
+    except (csv.Error, AttributeError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{log}: line {rows.line_num}: {first_line(error)[:300]}") from error
+    return curves
 
 
 READ = "results (--json) of compare, demo or localize, or a folder that train wrote"
@@ -140,13 +160,32 @@ def verdict_on(source: Source) -> Verdict:
     """
     content = source.content
     if source.kind == "track":
-        return _track_verdict(content)
+        log = content["log"]
+        times = f"{content['first_s']:.13g} to {content['last_s']:.13g} s"
+        title = f"{content['epochs']} epochs of {log}, {times}"
+        facts = [title]
+        for name, row in content.get("truth", {"tracks": {}})["tracks"].items():
+            facts.append(f"the {name} track has an ATE of {row['ate_m']:.3f} m")
+        if content.get("error"):
+            facts.append(f"only part of the log was used: {content['error']}")
+        tables = html_of(track_markdown(content))
+        return Verdict(f"{log}, {content['scene']}", title, f"{'; '.join(facts)}.", tables)
     if source.kind == "run":
-        over = len(content["seeds"])
-        begun = len(content["curves"])
-        title = f"{over} of {begun} training seeds of {source.path} are finished"
-        more = "" if over == begun else "; mmwave-loc train --resume continues the other seeds"
-        return Verdict(source.path, title, f"{title}{more}.", "".join(_trainings(source)))
+        seeds = content["seeds"]
+        curves = content["curves"].values()
+        title = f"{len(seeds)} of {len(curves)} training seeds of {source.path} are finished"
+        more = "; mmwave-loc train --resume continues the other seeds"
+        tables = ""
+        if seeds:
+            about = "The best policy of each training seed, on tuning seeds"
+            tables = element("p", about, "caption") + html_of(outcomes_markdown(seeds))
+        for rival in dict.fromkeys(rival for curve in curves for rival in curve):
+            lines = [curve[rival] for curve in curves if rival in curve]
+            draw = partial(draw_learning_curves, f"reward minus reward of {rival}", lines)
+            caption = f"Gain in reward over {rival} on tuning seeds, a line per training seed"
+            tables += drawn(caption, draw)
+        sentence = f"{title}{'' if len(seeds) == len(curves) else more}."
+        return Verdict(source.path, title, sentence, tables)
     comparison = Comparison.from_json(content)
     return _verdict(comparison, "".join(_compared(comparison, content.get("position_errors"))))
 
@@ -155,32 +194,14 @@ def _verdict(comparison: Comparison, tables: str) -> Verdict:
     """Return the verdict on the best contender and the next contender that is paired with it."""
     best, *others = comparison.policies
     name = f"{comparison.scenario}, {comparison.radio}, {named(comparison.seeds)}"
-    about = f"{len(others) + 1} policies on {name}." if others else f"{best} on {name}."
+    title = f"{best} has a reward of {comparison.policies[best]['reward']}"
     paired = ((other, comparison.margin(best, other)) for other in others)
     other, by = next(((other, margin) for other, margin in paired if margin), ("", None))
-    if by is None:
-        reward = comparison.policies[best]["reward"]
-        title = f"{best} has a reward of {reward}"
-        return Verdict(name, title, f"{about} Best reward: {reward}.", tables)
-    interval = ", a 95 % interval over episodes" if by.known else ""
-    title = f"{best} beats {other} by {by}"
-    if by.low <= 0.0:
-        title = f"{best} and {other} are level"
-        about += f" No winner: the reward of {best} minus the reward of {other} is {by}{interval}."
-    else:
-        about += f" {best} won: its reward per epoch is {by} above the reward of {other}{interval}."
-    if unpaired := others[: others.index(other)]:
-        about += f" Ranked between these two, but not paired with {best}: {', '.join(unpaired)}."
-    return Verdict(name, title, about, tables)
-
-
-def _track_verdict(c: Json) -> Verdict:
-    title = f"{c['epochs']} epochs of {c['log']}, {c['first_s']:.13g} to {c['last_s']:.13g} s"
-    tracks = c["truth"]["tracks"] if "truth" in c else {}
-    ates = [f"the {name} track has an ATE of {row['ate_m']:.3f} m" for name, row in tracks.items()]
-    broken = [f"only part of the log was used: {c['error']}"] if c.get("error") else []
-    sentence = f"{'; '.join([title, *ates, *broken])}."
-    return Verdict(f"{c['log']}, {c['scene']}", title, sentence, html_of(track_markdown(c)))
+    if by:
+        level = by.low <= 0.0
+        title = f"{best} and {other} are level" if level else f"{best} beats {other} by {by}"
+    sentence = f"{title}, in rewards per epoch: {len(comparison.policies)} policies on {name}."
+    return Verdict(name, title, sentence, tables)
 
 
 def _compared(comparison: Comparison, positions: Json | None) -> Iterator[str]:
@@ -205,19 +226,6 @@ def _compared(comparison: Comparison, positions: Json | None) -> Iterator[str]:
         if name in DESCRIPTIONS:
             yield element("p", f"{name}: {DESCRIPTIONS[name]}", "caption")
     yield element("p", WORDS, "caption")
-
-
-def _trainings(source: Source) -> Iterator[str]:
-    seeds = source.content["seeds"]
-    curves = source.content["curves"].values()
-    if seeds:
-        yield element("p", "The best policy of each training seed, on tuning seeds", "caption")
-        yield html_of(outcomes_markdown(seeds))
-    rivals = dict.fromkeys(rival for curve in curves for rival in curve)
-    for rival in rivals:
-        lines = [curve[rival] for curve in curves if rival in curve]
-        draw = partial(draw_learning_curves, f"reward minus reward of {rival}", lines)
-        yield drawn(f"Gain in reward over {rival} on tuning seeds, a line per training seed", draw)
 
 
 def origin_of(title: str, command: str, versions: Json) -> str:

@@ -5,11 +5,10 @@ Results files do not store single epochs, so the page plays some episodes, or a 
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib.resources import files
-from typing import Any
 
 import numpy as np
 
@@ -17,12 +16,11 @@ from experiments.console.options import EpisodeArgs, LogArgs, PageArgs
 from experiments.console.provenance import command_line, options_from
 from experiments.evaluation.agents import is_agent
 from experiments.evaluation.compare import Comparison
-from experiments.evaluation.contenders import contender_of, task_of
+from experiments.evaluation.contenders import contender_of, named, seeds_from, task_of
+from experiments.evaluation.positions import EpochErrors
 from experiments.evaluation.runner import Scoring, score_contenders
-from experiments.evaluation.seeds import draw_episodes, keys_for, named, seeds_from
-from experiments.reporting.figures.canvas import PHONE_MM
-from experiments.reporting.figures.curves import draw_consistency, draw_error_cdf
-from experiments.reporting.histories import EpochErrors, history_of
+from experiments.reporting.figures import PHONE_MM, draw_consistency, draw_error_cdf
+from experiments.reporting.histories import histories_of
 from experiments.reporting.log_results import beginning
 from experiments.reporting.webpage.contents import (
     READ,
@@ -45,8 +43,6 @@ from mmwave_env.rendering.history import POSITION_NUMBERS, History
 from mmwave_env.rendering.theme import THEMES, hex_of
 
 LONGEST = 600  # maximum number of epochs of an episode that can be watched
-WATCHED = 8  # maximum number of contenders to watch: the best by reward, and the paper's rule
-RULE = "speed-rule"
 
 
 @dataclass
@@ -54,7 +50,7 @@ class Played:
     """Results of contenders in episodes that were played again."""
 
     which: str = "no episodes"  # description of the episodes
-    epochs: EpochErrors = field(default_factory=lambda: EpochErrors(()))  # of scored epochs
+    epochs: EpochErrors = field(default_factory=EpochErrors)  # of scored epochs
     axes: int = 3  # number of axes that the NEES covers
     shown: list[Json] = field(default_factory=list)  # episodes to watch, as JSON
     # name of a missing contender -> reason; the name "" stands for all contenders
@@ -96,18 +92,15 @@ def _play_episodes(source: Source, most: int, watched: int) -> Played:
         except (ValueError, OSError) as error:
             missing[name] = str(error)
     axes = 2 if scoring.planar else 3
-    played = Played(named(seeds), EpochErrors(names), axes, missing=missing)
+    played = Played(named(seeds), axes=axes, missing=missing)
     score_contenders(chosen, task.source, seeds, watch=[played.epochs.add], scoring=scoring)
-    watchable = [contender for contender in chosen if contender.name in watched_names(names)]
-    keys = keys_for(task.source, seeds)
-    rows = slice(1, LONGEST + 1)  # without the prior
-    for i, episode in enumerate(draw_episodes(task.source, seeds)[: watched if watchable else 0]):
-        scene = task.scene_of(0 if keys is None else int(keys[i]))
-        histories = [history_of(c, episode, scoring, scene).part(rows) for c in watchable]
-        name = f"{task.source.name}: {episode.name}, seed {seeds[i]}"
-        shown = _episode(name, histories[0], episode.layout.group_names)
-        for contender, history in zip(watchable, histories, strict=True):
-            course = _course(history, contender.actions, contender.policy is None)
+    some = seeds[:watched] if chosen else ()
+    for seed, (episode, histories) in zip(some, histories_of(task, some, chosen), strict=True):
+        name = f"{task.source.name}: {episode.name}, seed {seed}"
+        parts = [history.part(slice(1, LONGEST + 1)) for history in histories]  # without the prior
+        shown = _episode(name, parts[0], episode.layout.group_names)
+        for contender, part in zip(chosen, parts, strict=True):
+            course = _course(part, contender.actions, contender.policy is None)
             shown["contenders"][printable(contender.name)] = course
         played.shown.append(shown)
     return played
@@ -148,20 +141,12 @@ def _play_log(source: Source) -> Played:
 def errors_of(played: Played) -> Iterator[str]:
     """Yield HTML pictures of the errors in a comparison's episodes; nothing for other sources."""
     epochs = played.epochs
-    shown = watched_names([*epochs.errors_m])
-    if shown:
-        errors_m = {name: epochs.errors_m[name] for name in shown}
-        draw = partial(draw_error_cdf, errors_m, width_mm=PHONE_MM)
+    if epochs.errors_m:
+        draw = partial(draw_error_cdf, epochs.errors_m, width_mm=PHONE_MM)
         yield drawn(f"Distribution of errors (CDF), {played.which}", draw)
-        nees = {name: epochs.nees[name] for name in shown}
-        draw = partial(draw_consistency, epochs.time_s, nees, played.axes, width_mm=PHONE_MM)
+        axes = played.axes
+        draw = partial(draw_consistency, epochs.time_s, epochs.nees, axes, width_mm=PHONE_MM)
         yield drawn(f"NEES and its chi-square bounds, {played.which}", draw)
-
-
-def watched_names(ranked: Sequence[str]) -> list[str]:
-    """Return the names of the contenders that can be watched, in the order of the ranking."""
-    best = [name for name in ranked if name != RULE][: WATCHED - (RULE in ranked)]
-    return [name for name in ranked if name in (*best, RULE)]
 
 
 def _episode(name: str, history: History, groups: Sequence[str]) -> Json:
@@ -248,8 +233,24 @@ def page_of(args: PageArgs) -> str:
         "Episodes": _player(verdicts, played),
         "How it was made": "".join(origins),
     }
-    shown = [episode for part in played for episode in part.shown]
-    return _html(verdicts, sections, {"episodes": shown})
+    titles = {re.sub(r"\W+", "-", t.lower()): t for t, section in sections.items() if section}
+    # In JSON, the signs <, > and & are escaped, so that no text can end the script element.
+    shown = {"episodes": [episode for part in played for episode in part.shown]}
+    data = json.dumps(shown, allow_nan=False, separators=(",", ":"))
+    parts = {
+        "title": text(verdicts[0].title),
+        "lead": "".join(element("p", verdict.sentence) for verdict in verdicts),
+        "style": _colors() + _file("page.css"),
+        "script": "".join(map(_file, SCRIPTS)),
+        "links": "".join(f'<a href="#{name}">{text(title)}</a>' for name, title in titles.items()),
+        "sections": "".join(
+            f'<section id="{name}"><h2>{text(title)}</h2>{sections[title]}</section>'
+            for name, title in titles.items()
+        ),
+        "data": data.translate({ord(sign): f"\\u{ord(sign):04x}" for sign in "<>&"}),
+    }
+    # Placeholders in inserted text are not replaced.
+    return re.sub(r"<!--(\w+)-->", lambda mark: parts[mark[1]], _file("page.html"))
 
 
 def _folded(verdicts: Sequence[Verdict], parts: Sequence[str]) -> str:
@@ -267,34 +268,11 @@ def _player(verdicts: Sequence[Verdict], played: Sequence[Played]) -> str:
     if any(source.shown for source in played):
         parts = ['<div id="player"><noscript>Only this section needs JavaScript.</noscript></div>']
     for verdict, source in zip(verdicts, played, strict=True):
-        notes = [
-            f"{f'{name} was not' if name else 'no episode was'} played again: {why}"
-            for name, why in source.missing.items()
-        ]
-        if any(len(episode["time_s"]) == LONGEST for episode in source.shown):
-            notes.append(f"the first {LONGEST} epochs are shown")
-        parts += [element("p", f"{verdict.name}: {note}", "note") for note in notes]
+        for name, why in source.missing.items():
+            subject = f"{name} was not" if name else "no episode was"
+            note = f"{verdict.name}: {subject} played again: {why}"
+            parts.append(element("p", note, "note"))
     return "".join(parts)
-
-
-def _html(verdicts: Sequence[Verdict], sections: Mapping[str, str], data: Any) -> str:
-    """Return the complete page; placeholders in inserted text are not replaced."""
-    # In JSON, the signs <, > and & are escaped, so that no text can end the script element.
-    content = json.dumps(data, allow_nan=False, separators=(",", ":"))
-    titles = {re.sub(r"\W+", "-", t.lower()): t for t, section in sections.items() if section}
-    parts = {
-        "title": text(verdicts[0].title),
-        "lead": "".join(element("p", verdict.sentence) for verdict in verdicts),
-        "style": _colors() + _file("page.css"),
-        "script": "".join(map(_file, SCRIPTS)),
-        "links": "".join(f'<a href="#{name}">{text(title)}</a>' for name, title in titles.items()),
-        "sections": "".join(
-            f'<section id="{name}"><h2>{text(title)}</h2>{sections[title]}</section>'
-            for name, title in titles.items()
-        ),
-        "data": content.translate({ord(sign): f"\\u{ord(sign):04x}" for sign in "<>&"}),
-    }
-    return re.sub(r"<!--(\w+)-->", lambda mark: parts[mark[1]], _file("page.html"))
 
 
 def _colors() -> str:

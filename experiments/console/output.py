@@ -1,18 +1,67 @@
-"""Text and tables of results, as Markdown, as LaTeX, as CSV and on a terminal."""
+"""Output of commands: printed lines, progress bars, and tables.
+
+Tables are Markdown, LaTeX or CSV. Bars, and tables with frames, are shown only on a terminal.
+"""
 
 import csv
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from io import StringIO
+from typing import TypeVar
 
 from rich import box
 from rich.cells import cell_len
 from rich.console import Console
 from rich.markdown import Markdown
+from rich.progress import Progress, ProgressColumn, TextColumn
 from rich.table import Table
 from rich.text import Text
 
 from mmwave_env.io.lookup import printable
+
+T = TypeVar("T")
+
+QUIET: ContextVar[bool] = ContextVar("quiet", default=False)  # True: show neither bars nor tables
+
+
+def bars(*columns: ProgressColumn | str) -> Progress:
+    """Return progress bars that are drawn on standard error and vanish at the end.
+
+    No bar is shown if standard error is not a terminal. ``columns`` follow rich's default columns.
+    """
+    console = Console(stderr=True, quiet=QUIET.get())
+    _, *others = Progress.get_default_columns()
+    hidden = console.quiet or not console.is_terminal
+    description = TextColumn("{task.description}", style="progress.description", markup=False)
+    all_columns = description, *others, *columns
+    return Progress(*all_columns, console=console, transient=True, disable=hidden)
+
+
+def say(*lines: str) -> None:
+    """Print lines in printable characters: a line break in a name becomes an escape code."""
+    print(*map(printable, lines), sep="\n", flush=True)
+
+
+def note(text: str) -> None:
+    """Print on standard error what the program is doing."""
+    Console(stderr=True, quiet=QUIET.get()).out(printable(text), highlight=False)
+
+
+@contextmanager
+def progress(label: str) -> Iterator[Callable[[float], None]]:
+    """Show a bar; yield a function to call with the fraction of the work that is done, 0 to 1."""
+    with bars() as shown:
+        task = shown.add_task(printable(label), total=None)
+        yield lambda share: shown.update(task, completed=share, total=1.0)
+
+
+def tracked(values: Iterable[T], label: str, total: int | None = None) -> Iterator[T]:
+    """Yield values, and count them in a bar; a sequence needs no ``total``, as it has a length."""
+    with bars() as shown:
+        yield from shown.track(values, total=total, description=printable(label))
+
 
 TABLE = re.compile(r"((?:^\|.*\n?)+)", re.MULTILINE)
 CELL = re.compile(r"((?:\\.|[^|\\])*)\|")  # a cell, with the | that ends it
@@ -39,6 +88,12 @@ def escaped(text: str) -> str:
 def unescaped(markdown: str) -> str:
     """Return the plain text from which :func:`escaped` made this Markdown."""
     return _ESCAPED.sub(r"\1", markdown)
+
+
+def cells_of(table: str) -> list[list[str]]:
+    """Return the plain text of all cells of a Markdown table: header, rule and rows."""
+    lines = (CELL.findall(line[1:]) for line in table.splitlines())
+    return [[unescaped(cell.strip()) for cell in line] for line in lines]
 
 
 def grid(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
@@ -90,8 +145,7 @@ def _tables(text: str, width: int) -> Iterator[Table]:
 
     Headers are wrapped at spaces; cells are never wrapped.
     """
-    lines = [CELL.findall(line[1:]) for line in text.splitlines()]
-    header, _, *rows = [[unescaped(cell.strip()) for cell in line] for line in lines]
+    header, _, *rows = cells_of(text)
     first, *others = zip(header, *rows, strict=True)
     group = [first]
     for column in others:

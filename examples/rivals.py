@@ -1,4 +1,4 @@
-"""Rivals of learned policies (docs/rivals.md): ``--policies experiments.evaluation.rivals:NAME``.
+"""Rivals of learned policies (docs/rivals.md): ``--policies examples.rivals:NAME``.
 
 Two of them are Kalman updates for noise that receivers misstate: a Student-t and an adaptive one.
 
@@ -15,13 +15,11 @@ with Student-t noise. Such noise makes outliers less improbable, so the filter n
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import lru_cache, partial
-from typing import NamedTuple
+from functools import partial
 
 import numpy as np
 
 from experiments.evaluation.agents import Estimator
-from mmwave_env.compiler.program import BatchState, Program, StepIO, blocks_of, fill, rows_of
 from mmwave_env.filters.bank import Bank, default_modes
 from mmwave_env.filters.gating import Gate
 from mmwave_env.filters.memory import initial_memory
@@ -29,11 +27,9 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline, measurement_of, predict
 from mmwave_env.filters.update import Algorithm, Posterior, ekf
 from mmwave_env.models.layout import Layout
-from mmwave_env.models.measurement import Epoch, Group, Measurement, Site, blank_site, groups_of
+from mmwave_env.models.measurement import Epoch, Group, Measurement, Site, groups_of
 from mmwave_env.numerics.linalg import cholesky, dot, pack, unpack
 from mmwave_env.numerics.numbers import Array, Index, Matrix, Number, Vector, log
-from mmwave_env.numerics.pytree import flatten
-from mmwave_env.world.episode import blank_incoming
 from policies import FixedMode
 
 DOF = 3.0  # degrees of freedom of Student-t noise, chosen on tuning seeds
@@ -163,35 +159,6 @@ SPREAD = 0.35  # width of the kernel that moves particles, in standard deviation
 KEPT = (1.0 - SPREAD**2) ** 0.5  # shrinks the cloud; adding the kernel's noise restores its width
 
 
-class Weighed(NamedTuple):
-    """A particle, and the epoch whose measurement determines the weight of the particle."""
-
-    incoming: Epoch
-    site: Site
-    x: list[Number]  # (7,) state of the particle
-    log_likelihood: Number  # log likelihood of the epoch's measurement in this state
-
-
-@lru_cache(maxsize=8)
-def _program(layout: Layout, dof: float) -> Program[Weighed]:
-    """Return the compiled program that computes the log likelihoods of particles."""
-
-    def function(w: Weighed) -> Weighed:
-        total = 0.0
-        groups = groups_of(w.x, stated(w.incoming, w.site, layout))
-        degrees = layout.degrees(w.incoming.measured)
-        for group, k, visible in zip(groups, degrees, w.incoming.visible, strict=True):
-            nis = group.spare_nis
-            for residual, variance in zip(group.innovation, group.variance, strict=True):
-                nis = nis + residual * residual / variance
-            total = total + visible * log_density(nis, k, dof)
-        return w._replace(log_likelihood=total)
-
-    site = blank_site(layout)
-    blank = blank_incoming(layout).epoch(layout)
-    return Program(function, Weighed(blank, site, site.prior_x, 0.0))
-
-
 class Particles(Estimator):
     """A cloud of particles; its mean and covariance are the belief.
 
@@ -215,11 +182,6 @@ class Particles(Estimator):
         mode = pipeline.modes[-1]
         n = self._count
         rng = np.random.default_rng(np.array(site.prior_x).view(np.uint32))
-        program = _program(layout, self._dof)
-        values = np.tile(flatten(site), (n, 1))
-        rows = fill(blocks_of(program.start, n), rows_of(program.index.site), values)
-        state = BatchState.of(np.empty((n, 1, len(program.blank))), rows)
-        io = StepIO.of(n, 1, rows_of(program.index.x), rows_of(program.index.log_likelihood))
 
         def noise(covariance: Matrix) -> Array:
             return np.array(cholesky(covariance)) @ rng.standard_normal((layout.state_size, n))
@@ -231,11 +193,7 @@ class Particles(Estimator):
         for epoch in epochs:
             moved, Q = predict(pipeline, mode, list(x), kernel, 1.0, epoch, site.hz_per_mps)
             x = np.array(moved) + noise(Q)
-            io.inputs[:, 0] = x.T
-            state.table[:] = flatten(epoch)
-            state.epoch[:] = 0
-            program.run_on_lanes(state, io)
-            weight = weight + io.outputs[:, 0, 0]
+            weight = weight + self._log_likelihood(x, epoch, site, layout)
             share = np.exp(weight - weight.max())
             share /= share.sum()
             mean = x @ share
@@ -247,6 +205,18 @@ class Particles(Estimator):
             if few:
                 x = mean[:, None] + KEPT * away[:, resampled(share, rng)]
                 weight = np.zeros(n)
+
+    def _log_likelihood(self, x: Array, epoch: Epoch, site: Site, layout: Layout) -> Array:
+        """Return the log likelihoods (n,) of an epoch's measurement in states x (7, n)."""
+        total = np.zeros(x.shape[1])
+        groups = groups_of(list(x), stated(epoch, site, layout))
+        degrees = layout.degrees(epoch.measured)
+        for group, k, visible in zip(groups, degrees, epoch.visible, strict=True):
+            nis = group.spare_nis
+            for residual, variance in zip(group.innovation, group.variance, strict=True):
+                nis = nis + residual * residual / variance
+            total += visible * log_density(nis, k, self._dof)
+        return total
 
 
 def resampled(share: Array, rng: np.random.Generator) -> Index:

@@ -1,0 +1,336 @@
+"""Pictures in the project's style (publication.mplstyle), with one function for each picture.
+
+There are pictures of learning curves, of position errors (CDF), of the consistency of filters, and
+of a track from above, with its errors and modes (filters) over time.
+"""
+
+import textwrap
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.special import chdtr, chdtri
+
+from mmwave_env.io.files import atomic_path, require_writable
+from mmwave_env.io.lookup import printable, require_extra, spelled
+from mmwave_env.localization.localizer import Track
+from mmwave_env.localization.position_errors import SHARES, horizontal, vertical
+from mmwave_env.numerics.numbers import Array, Index
+from mmwave_env.rendering.history import ellipse
+from mmwave_env.rendering.theme import THEMES, hex_of
+
+STYLE = Path(__file__).with_name("publication.mplstyle")
+UNDATED: dict[str, dict[str, Any]] = {  # metadata without dates, so equal pictures give equal files
+    ".png": {},
+    ".svg": {"Date": None},
+    ".pdf": {"CreationDate": None},
+}
+COLORS = [hex_of(color) for color in THEMES["light"].modes]  # colors of modes, as in videos
+NO_MODE = hex_of(THEMES["light"].none)
+
+LEGEND_COLUMNS = 2  # number of columns in a legend below panels
+FONT_PT = 10.0
+PHONE_MM = 117.0  # width of a picture for a phone
+STACKED_MM = 170.0  # up to this width, panels are stacked
+MM_PER_IN = 25.4
+
+
+def require_picture(option: str, path: Path) -> None:
+    """Refuse, before any work, a picture file that can't be written; errors name ``option``.
+
+    Raises:
+        ValueError: the name does not end with .png, .svg or .pdf.
+        MissingExtraError: matplotlib is not installed.
+        OSError: the file can't be written.
+    """
+    if path.suffix.lower() not in UNDATED:
+        raise ValueError(
+            f"{option}: found {path}, expected a name that ends with {', '.join(UNDATED)}"
+        )
+    require_extra("matplotlib", "plot", f"{option}, a picture,")
+    require_writable(path)
+
+
+@contextmanager
+def picture(
+    path: Path, width_in: float, height_in: float, font_pt: float = FONT_PT
+) -> Iterator[Any]:
+    """Yield a matplotlib figure to draw into, and write it to a .png, .svg or .pdf file at the end.
+
+    The figure has the project's style, whatever matplotlib settings the user has. The file is
+    written completely or not at all.
+    """
+    from matplotlib import style
+    from matplotlib.figure import Figure
+    from matplotlib.rcsetup import cycler
+
+    colors = {"axes.prop_cycle": cycler(color=COLORS)}
+    with style.context([STYLE, colors | {"font.size": font_pt}], after_reset=True):
+        figure = Figure(figsize=(width_in, height_in))
+        yield figure
+        suffix = path.suffix.lower()
+        with atomic_path(path) as temporary:
+            figure.savefig(temporary, format=suffix[1:], metadata=UNDATED[suffix])
+
+
+def caption(name: str) -> str:
+    """Return a name with escape codes for characters that are invisible or not in the font."""
+    from matplotlib.font_manager import findfont, get_font
+
+    font = get_font(findfont("DejaVu Sans"))  # the font that comes with matplotlib
+    return "".join(x if font.get_char_index(ord(x)) else spelled(x) for x in printable(name))
+
+
+def contenders(names: Iterable[str]) -> dict[str, str]:
+    """Map names of contenders (policies and IMMs) to their labels in a picture.
+
+    A path is shortened to its shortest ending that distinguishes it from all other names.
+    """
+    parts = {name: Path(name).parts for name in names}
+    shown = {}
+    for name, own in parts.items():
+        others = [parts[other] for other in parts if other != name]
+        alone = (k for k in range(1, len(own)) if all(o[-k:] != own[-k:] for o in others))
+        shown[name] = caption(str(Path(*own[-next(alone, len(own)) :])))
+    return shown
+
+
+def legend_beside(axes: Any, **options: Any) -> None:
+    """Draw a legend to the right of a panel, where it does not cover data."""
+    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.02), borderaxespad=0.0, **options)
+
+
+@contextmanager
+def panels(
+    path: Path, count: int, entries: int, width_mm: float | None
+) -> Iterator[tuple[Any, list[Any]]]:
+    """Yield a picture and its ``count`` panels: side by side, or stacked if they would be narrow.
+
+    The picture has room for the legend that :func:`legend_of` draws, with ``entries`` labels. The
+    font is smaller in narrow pictures, so that labels fit.
+    """
+    usual = PHONE_MM / MM_PER_IN if stacked(width_mm) else 2.2 + 4.4 * count
+    width = usual if width_mm is None else width_mm / MM_PER_IN
+    if stacked(width_mm):
+        height = 0.63 * width * count + 0.3 + 0.2 * (-(-entries // LEGEND_COLUMNS))
+    else:
+        height = max(4.2, 1.0 + 0.19 * entries) * width / usual
+    with picture(path, width, height, FONT_PT * min(1.0, width / usual)) as figure:
+        grid = figure.subplots(*((count, 1) if stacked(width_mm) else (1, count)), squeeze=False)
+        yield figure, list(grid.flat)
+
+
+def stacked(width_mm: float | None) -> bool:
+    """Return whether the panels of a picture of this width are stacked."""
+    return width_mm is not None and width_mm <= STACKED_MM
+
+
+def legend_of(figure: Any, axes: Any, width_mm: float | None, handles: Sequence[Any]) -> None:
+    """Draw the legend of a picture from :func:`panels`; the handles contain the labels."""
+    if stacked(width_mm):
+        figure.legend(handles=handles, loc="outside lower left", ncols=LEGEND_COLUMNS)
+    else:
+        legend_beside(axes, handles=handles)
+
+
+def plain_numbers(axis: Any) -> None:
+    """Label a logarithmic axis 1, 10, 100, ... or, if it spans few decades, 1, 2, 5, 10, ..."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    low, high = axis.get_view_interval()
+    wide = high / max(low, 1e-300) > 1e3
+    axis.set_major_locator(LogLocator(subs=(1.0,) if wide else (1.0, 2.0, 5.0)))
+    axis.set_major_formatter("{x:,g}")
+    axis.set_minor_formatter(NullFormatter())
+
+
+SMALLEST_M = 1e-3  # smaller errors are drawn at this value, since the axis is logarithmic
+BOUNDS = "95 % bounds if consistent"
+_SHARES = np.linspace(0.0, 0.999, 400)
+Line = tuple[Sequence[float], Sequence[float]]  # steps, values
+_STYLES = ("-", "--", ":")  # line styles, to distinguish more lines than there are colors
+
+
+def _style(number: int) -> dict[str, Any]:
+    return {"color": f"C{number}", "ls": _STYLES[number // len(COLORS) % len(_STYLES)]}
+
+
+def draw_error_cdf(
+    errors_m: Mapping[str, Array], path: Path, width_mm: float | None = None
+) -> None:
+    """Draw the distributions (CDF) of contenders' horizontal and vertical errors (..., 3), m."""
+    with panels(path, 2, len(errors_m), width_mm) as (figure, (left, right)):
+        labels = contenders(errors_m)
+        for number, (name, errors) in enumerate(errors_m.items()):
+            look = _style(number) | {"label": labels[name]}
+            for axes, sizes in ((left, horizontal(errors)), (right, vertical(errors))):
+                values = np.maximum(sizes, SMALLEST_M)  # the error of a known height is 0
+                axes.plot(np.quantile(values, _SHARES), _SHARES, **look)
+                axes.plot(np.quantile(values, SHARES), SHARES, "o", ms=3.5, color=look["color"])
+        for axes, kind in ((left, "horizontal"), (right, "vertical")):
+            low = min(np.interp(0.03, line.get_ydata(), line.get_xdata()) for line in axes.lines)
+            axes.set(xscale="log", ylim=(0.0, 1.0), xlabel=f"{kind} position error (m)")
+            axes.set_xlim(left=low)
+            axes.set_yticks(SHARES, [f"{100.0 * share:.0f} %" for share in SHARES])
+            axes.set_ylabel("share of epochs with a smaller error")
+            plain_numbers(axes.xaxis)
+        legend_of(figure, right, width_mm, left.lines[::2])
+
+
+def draw_consistency(
+    time_s: Array, nees: Mapping[str, Array], dof: int, path: Path, width_mm: float | None = None
+) -> None:
+    """Draw the NEES over time with its chi-square bounds, and the distribution of the NEES.
+
+    Args:
+        time_s: (T,) times since the first epoch of an episode.
+        nees: contender -> NEES (n, T) of n episodes; each value sums over ``dof`` coordinates.
+        path, width_mm: arguments of :func:`~experiments.reporting.figures.panels`.
+    """
+    episodes = len(next(iter(nees.values())))
+    low, high = chdtri(episodes * dof, [0.975, 0.025]) / (episodes * dof)
+    with panels(path, 2, len(nees) + 2, width_mm) as (figure, (over_time, whole)):
+        bounds = over_time.axhspan(low, high, color="0.7", lw=0.0, label=BOUNDS)
+        whole.plot([0.0, 1.0], [0.0, 1.0], color="0.5", lw=4.0, alpha=0.6, label="consistent")
+        names = contenders(nees)
+        for number, (name, values) in enumerate(nees.items()):
+            look = _style(number) | {"label": names[name]}
+            over_time.plot(time_s, values.mean(axis=0) / dof, **look)
+            inside = np.sort(chdtr(dof, values), axis=None)
+            whole.plot(_SHARES, np.searchsorted(inside, _SHARES, "right") / inside.size, **look)
+        label = f"mean NEES / {dof}, of {episodes:,} episodes"
+        over_time.set(xlabel="time since the start (s)", yscale="log", ylabel=label)
+        plain_numbers(over_time.yaxis)
+        whole.set(xlabel="probability p", ylabel="share of NEES below\nthe chi-square p-quantile")
+        whole.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0))
+        legend_of(figure, whole, width_mm, [bounds, *whole.lines])
+
+
+def draw_learning_curves(label: str, lines: Sequence[Line], path: Path) -> None:
+    """Draw a quantity over training steps, with one line per training seed and a line at zero.
+
+    ``label`` is the label of the y axis.
+    """
+    from matplotlib.ticker import EngFormatter, NullFormatter
+
+    with panels(path, 1, 0, PHONE_MM) as (_, (axes,)):
+        for steps, values in lines:
+            axes.plot(steps, values, color="C0", lw=1.0, alpha=0.8)
+        axes.axhline(0.0, color="black", lw=0.8)
+        axes.set(xscale="log", xlabel="steps", ylabel=caption(label))
+        axes.xaxis.set_major_formatter(EngFormatter(sep=""))  # 500k, 2M
+        axes.xaxis.set_minor_formatter(NullFormatter())
+
+
+POINTS = 6000  # maximum number of epochs in a picture; a longer track is thinned
+ELLIPSES = 15  # maximum number of ellipses along a track
+TITLE_LETTERS = 80  # maximum number of characters in a line of the title
+_ENLARGED = (1, 2, 5, 10, 20, 50, 100)  # factors by which ellipses may be enlarged to be visible
+_VISIBLE = 0.02  # smallest visible semi-axis of an ellipse, as a share of the track's extent
+
+
+def draw_trajectory(track: Track, truth_m: Array, anchors_m: Array, path: Path, title: str) -> None:
+    """Draw a track from above, its error over time, and its modes, if it has several.
+
+    ``truth_m`` (T, 3) are the true positions, NaN where unknown. ``anchors_m`` (L, 3) are the
+    anchors, the base station first.
+    """
+    shown = slice(None, None, -(-len(track) // POINTS))
+    track = track.part(shown)
+    truth_m = truth_m[shown]
+    several = len(np.unique(track.mode)) > 1
+    heights = (5.0, 1.8, 0.3) if several else (5.0, 1.8)
+    with picture(path, 10.0, sum(heights) + 1.2) as figure:
+        panels = figure.subplots(len(heights), 1, height_ratios=heights)
+        _draw_above(panels[0], track, truth_m, anchors_m)
+        time = track.time_s - track.time_s[0]
+        _draw_error(panels[1], track, truth_m, time)
+        if several:
+            panels[1].tick_params(labelbottom=False)
+            panels[1].sharex(panels[2])
+            _draw_modes(panels[2], time, track.mode)
+        panels[-1].set_xlabel("time since the first epoch (s)")
+        lines = textwrap.wrap(caption(title), TITLE_LETTERS, break_on_hyphens=False)
+        figure.suptitle("\n".join(lines), x=0.02, ha="left")
+
+
+def _draw_above(axes: Any, track: Track, truth_m: Array, anchors_m: Array) -> None:
+    from matplotlib.collections import LineCollection
+
+    position = track.smooth_x[:, :2]
+    mode = track.mode
+    steps = np.stack([position[:-1], position[1:]], axis=1)
+    whole = np.diff(track.segment) == 0  # other steps join two segments
+    if np.isfinite(truth_m).any():
+        axes.plot(*truth_m[:, :2].T, color="black", alpha=0.25, label="truth", lw=4.0)
+    for number in np.unique(mode):
+        label = f"estimate, {caption(track.modes[number])}"
+        chosen = steps[whole & (mode[1:] == number)]
+        lines = LineCollection(chosen, color=f"C{number}", lw=1.4, label=label)
+        axes.add_collection(lines)
+    _draw_ellipses(axes, track)
+    axes.plot(*position[0], "o", color="black", ms=5, label="start")
+    draw_anchors(axes, position, anchors_m)
+    axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
+    axes.set_adjustable("datalim")
+    legend_beside(axes)
+
+
+def _draw_ellipses(axes: Any, track: Track) -> None:
+    """Draw 95 % ellipses at a few epochs, enlarged if they are too small to be visible."""
+    at = np.unique(np.linspace(0, len(track.time_s) - 1, ELLIPSES).astype(int))
+    covariance_m2 = track.smooth_P[at][:, [0, 1, 1, 2]].reshape(-1, 2, 2)  # of x and y
+    deviations = np.sqrt(chdtri(2, 0.05))
+    longest = deviations * np.sqrt(np.linalg.eigvalsh(covariance_m2)[:, 1])  # semi-axes
+    extent = float(np.ptp(track.smooth_x[:, :2], axis=0).max())
+    wanted = _VISIBLE * extent / max(float(np.median(longest)), 1e-9)
+    enlarged = next((n for n in _ENLARGED if n >= wanted), _ENLARGED[-1])
+    for center, P in zip(track.smooth_x[at, :2], covariance_m2, strict=True):
+        axes.fill(*ellipse(center, P, enlarged * deviations).T, fc="none", ec="black", lw=0.8)
+    label = "95 % ellipses" + (f",\nenlarged {enlarged} times" if enlarged > 1 else "")
+    axes.plot([], [], "o", mfc="none", mec="black", mew=0.8, ms=8, label=label)
+
+
+def draw_anchors(axes: Any, position: Array, anchors_m: Array) -> None:
+    """Draw those anchors that are near the track: at most its extent, or 30 m, outside its box."""
+    low = position.min(axis=0)
+    high = position.max(axis=0)
+    reach = max(float((high - low).max()), 30.0)
+    middle = 0.5 * (low + high)
+    for number, anchor in enumerate(anchors_m[:, :2], start=1):
+        if ((anchor > low - reach) & (anchor < high + reach)).all():
+            name = "gNB" if number == 1 else f"anchor {number}"
+            marker, fill = ("^", "black") if number == 1 else ("v", "white")
+            axes.plot(*anchor, marker, color="black", ms=8, mfc=fill)
+            # In the right half, a name is to the left of its anchor, so that it is not cut off.
+            offset, side = (-7, "right") if anchor[0] > middle[0] else (7, "left")
+            place = {"textcoords": "offset points", "va": "center", "ha": side}
+            axes.annotate(name, anchor, (offset, 0), **place)
+
+
+def _draw_error(axes: Any, track: Track, truth_m: Array, time: Array) -> None:
+    error = np.linalg.norm(track.smooth_x[:, :3] - truth_m, axis=1)
+    sigma = np.sqrt(track.smooth_P[:, [0, 2, 5]].sum(axis=1))  # of x, y and z
+    axes.fill_between(
+        time, 0.0, 2.0 * sigma, color="C2", alpha=0.35, lw=0.0, label="2 standard deviations"
+    )
+    if np.isfinite(error).any():
+        axes.plot(time, error, color="black", lw=0.8, label="error")
+    axes.set(ylabel="position error (m)", ylim=(0.0, None))
+    legend_beside(axes)
+
+
+def _draw_modes(axes: Any, time: Array, mode: Index) -> None:
+    """Draw a band in the colors of the modes (T,) that ran at the times (T,)."""
+    begins = np.flatnonzero(np.diff(mode, prepend=-1))
+    ends = np.append(begins[1:], len(mode) - 1)
+    spans = np.stack([time[begins], time[ends] - time[begins]], axis=1)
+    axes.broken_barh(
+        spans, (0.0, 1.0), facecolors=[f"C{number}" for number in mode[begins]], lw=0.0
+    )
+    axes.grid(visible=False)
+    axes.spines[:].set_visible(False)
+    axes.tick_params(axis="y", length=0)
+    axes.set_yticks([0.5], ["mode"])

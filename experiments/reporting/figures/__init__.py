@@ -1,1 +1,0 @@
-"""Pictures in the project's style, with one function for each picture."""
