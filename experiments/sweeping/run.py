@@ -79,18 +79,19 @@ class Spec:
 
     @cached_property
     def cells(self) -> dict[str, Values]:
-        """Return all combinations of values, by name, in the order of the file."""
-        combinations = itertools.product(*self.axes.values())
-        cells = (dict(zip(self.axes, values, strict=True)) for values in combinations)
-        return {self._digest(values): values for values in cells}
+        """Return all combinations of values, by name, in the order of the file.
 
-    def _digest(self, values: Values) -> str:
-        """Return a hash of our version, the values, and the contents of files that values name."""
-        words = itertools.chain(*(v if isinstance(v, tuple) else (v,) for v in values.values()))
-        paths = (Path(word) for word in words if isinstance(word, str) and os.path.isfile(word))
-        files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]
-        work = json.dumps([__version__, self.kind, sorted(values.items()), files], default=repr)
-        return hashlib.sha256(work.encode()).hexdigest()[:16]
+        A name is a hash of our version, the values, and the contents of files that values name.
+        """
+        cells: dict[str, Values] = {}
+        for combination in itertools.product(*self.axes.values()):
+            values = dict(zip(self.axes, combination, strict=True))
+            words = itertools.chain(*(v if isinstance(v, tuple) else (v,) for v in combination))
+            paths = (Path(word) for word in words if isinstance(word, str) and os.path.isfile(word))
+            files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]
+            work = json.dumps([__version__, self.kind, sorted(values.items()), files], default=repr)
+            cells[hashlib.sha256(work.encode()).hexdigest()[:16]] = values
+        return cells
 
 
 def read_spec(path: Path) -> Spec:
