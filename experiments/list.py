@@ -30,7 +30,7 @@ def main(args: Args) -> None:
     from experiments.console.output import say
     from experiments.evaluation.branches import CLAIRVOYANT
     from experiments.evaluation.contenders import DESCRIPTIONS, contenders
-    from mmwave_env.datasets.samples import log_names, recording_from, sample_names
+    from mmwave_env.datasets.samples import recording_from, sample_names
     from mmwave_env.filters.bank import as_written, named_modes
     from mmwave_env.interface.reward import REWARDS
     from mmwave_env.models.radio import RADIOS, radio_from
@@ -42,7 +42,7 @@ def main(args: Args) -> None:
     modes = {name: as_written(mode).items() for name, mode in named_modes(args.radio).items()}
     samples = {}
     for name in sample_names():
-        log = "; also as a log, for localize --sample" if name in log_names() else ""
+        log = "; also as a log, for localize --sample" if name in sample_names("log") else ""
         epochs = len(recording_from(name).time_s)
         samples[name] = f"ray-traced street, {epochs} epochs, for --data{log}"
     scenes = {name: _description(scene) for name, scene in SCENES.items()}

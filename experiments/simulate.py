@@ -27,7 +27,7 @@ def main(args: Args) -> None:
     from experiments.console.provenance import command_line
     from experiments.evaluation.contenders import draw_episodes, source_of
     from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH, write_log_folder
-    from mmwave_env.datasets.tracks import TrackSource
+    from mmwave_env.datasets.recorded import TrackSource
     from mmwave_env.models.random_scene import RandomScene
     from mmwave_env.models.scene import scene_of_anchors
     from mmwave_env.world.simulated import SimulatedSource
@@ -42,7 +42,8 @@ def main(args: Args) -> None:
     assert isinstance(source, SimulatedSource | TrackSource)  # options select no other source
     (episode,) = draw_episodes(source, [args.seed])
     scene = source.scene
-    if isinstance(scene, RandomScene):  # the file must hold the anchors of this episode
+    inexact = isinstance(source, SimulatedSource) and source.survey is not None
+    if inexact or isinstance(scene, RandomScene):  # the file must hold this episode's anchors
         scene = scene_of_anchors(
             scene.name, episode.scene_anchors_m, scene.carrier_hz, scene.bandwidth_hz
         )

@@ -11,22 +11,17 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import InvalidAction, ResetNeeded
 
 from mmwave_env.engines.environment import Environment
-from mmwave_env.engines.tally import count, exceeds
+from mmwave_env.engines.vector_step import Stepper
 from mmwave_env.interface.actions import numbers_in, space_of
 from mmwave_env.interface.info import (
-    COST_KEY,
     INFOS,
     NONFINITE_KEY,
-    STATE_KEYS,
     Info,
-    info_rows,
-    reported,
-    step_info,
     warn_of_nonfinite,
 )
 from mmwave_env.io.lookup import choose, require_extra
 from mmwave_env.metrics import DIVERGENCE_M
-from mmwave_env.numerics.numbers import Array32
+from mmwave_env.numerics.numbers import Array, Array32, Index
 from mmwave_env.rendering.gallery import Gallery
 from mmwave_env.rendering.theme import FRAMES_PER_SECOND, SMALLEST, Pixels, require_drawable
 from mmwave_env.task import task_from
@@ -200,9 +195,12 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
       and "elevation" (of arrival), "departure" (azimuth) and "doppler"; None (default) for all.
       "range", "azimuth" or "departure" must be among them. Gates and `nis` then use only these
       quantities. The truth and the remaining values of an episode stay the same.
-    * `clock`: "synchronized" (default), or "offset": the user's clock has an unknown offset,
-      at first with a standard deviation of 100 ns; the oscillator's bias makes it drift. Ranges
-      contain the offset, and the state has the range bias as its eighth component.
+    * `clock`: "synchronized" (default); "offset": the user's clock has an unknown offset, at first
+      with a standard deviation of 100 ns, and the oscillator's bias makes it drift; or "free": the
+      offset is another in every epoch, so that only differences of ranges count. Ranges contain
+      the offset, and the state has the range bias as its eighth component.
+    * `survey`: None (default), "bad" or a `RandomSurvey`: in some episodes, angles, ranges and the
+      anchors' places on the map have errors that all links share (docs/world-off.md).
     * `terminate_on_divergence`: see Episode End.
     * `render_mode`: "rgb_array" or "human", a window whose title lists its keyboard keys; needs
       the extra `render`.
@@ -270,8 +268,6 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         self._infos = infos
         self._take_task(task_from(**arguments), observation, smoothed)
         self._over = True
-        self._steps = 0
-        self._length = 0
         self._stream = Stream()
         self._set_up_noting()
         drawn = (*self._drawn, render_size, render_theme)
@@ -289,14 +285,8 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
 
             pipeline = filterpy_pipeline(pipeline)
         self._start_engine(pipeline, on_floats=on_floats)
-        at = self._engine.at
-        span = self._engine.span
-        self._io = self._engine.step_io()
-        self._counts = self._tally.in_python()
-        self._observed = self._engine.obs_rows
-        self._error = span(at.error)
-        self._spread = span(reported(at).P[:3])
-        self._info_rows = {key: span(part) for key, part in info_rows(at).items()}
+        self._stepper = Stepper(self._engine, self._tally, self._infos)
+        self._mode = np.zeros(1, np.int64)
 
     @property  # type: ignore[override]
     def spec(self) -> EnvSpec | None:
@@ -333,74 +323,59 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         super().reset(seed=seed, options=options)
         info = self._begin(key)
         self._begin_tracks(_HERE)
+        observations, state = self._stepper.start(_HERE)
         self._begun = True
         self._over = False
-        self._steps = 0
-        self._length = int(self._engine.state.length[0])
-        self._counts = self._tally.in_python()
-        column = self._engine.column(0)
         if self._gallery:
             names = [info["episode_name"]]
             self._gallery.begin(_HERE, names, self._scene_of, self._engine.column)
             if self.render_mode == "human":
                 self.render()
-        info |= {key: column[self._info_rows[key]] for key in STATE_KEYS}
-        return column[self._observed].astype(np.float32), self._selected(info, at_end=True)
+        info |= {key: values[0] for key, values in state.items()}
+        return observations[0], {} if self._infos == "none" else info
 
     def _begin(self, key: int | None) -> Info:
         """Begin the episode with this key (None: the next episode); return infos about it."""
         task = self._task
-        engine = self._engine
         if not task.has_keys:
             episode = task.draw(self.np_random)
-            engine.reset([episode])
+            self._engine.load([episode])
             return {"episode_name": episode.name, "nonfinite": episode.nonfinite}
         if key is None:
             key = self._stream.next(self.np_random, self.np_random_seed)
         (name,) = self._begin_keys(np.array([key], np.uint64), _HERE)
-        engine.run_step(engine.step_io())
         return {"episode_name": name, "episode_key": np.uint64(key), "nonfinite": 0}
 
     def step(self, action: Any) -> tuple[Array32, float, bool, bool, Info]:
         """Process an epoch: apply a mode, weights or a correction. See Gymnasium's `Env.step`."""
         if self._over:
             raise ResetNeeded("Call reset before step: there is no episode under way.")
-        mode = self._take(action)
-        self._engine.run_step(self._io)
-        column = self._engine.column(0)
-        info = step_info(column, self._info_rows, mode)
-        rewards = np.array([column[self._engine.at.reward]])
-        distance = info["position_error_m"]
+        actions, numbers = self._checked(action)
+        result, ended, infos = self._stepper.step(actions, numbers)
         if self._baseline:
-            self._baseline.subtract(rewards, _HERE)
-        off = column[self._error].tolist()
-        nees = info["nees"]
-        info[COST_KEY] = exceeds(*off[:2], *column[self._spread].tolist())
-        count(self._counts, 0, self._steps, *off, nees)
-        if self._smoothing:
-            self._counts.modes[self._steps, 0] = mode
-        self._steps += 1
-        terminated = self._task.worst is not None and not distance <= DIVERGENCE_M
+            self._baseline.subtract(result.rewards, _HERE)
+        terminated = False
+        if self._task.worst is not None:
+            terminated = not self._stepper.distances_m[0] <= DIVERGENCE_M
         if terminated:
-            self._charge(rewards, _HERE)
-        truncated = not terminated and self._steps == self._length
-        self._over = terminated or truncated
+            self._charge(result.rewards, _HERE)
+        self._over = terminated or bool(ended)
+        if self._over and self._infos == "episode":
+            infos = self._stepper.look(actions)
+        info = {key: values[0] for key, values in infos.items()}
         if self._over:
             info |= self._episode_info()
         if self._gallery:
-            self._gallery.add(_HERE, np.array([mode]), self._engine.column)
+            self._gallery.add(_HERE, actions, self._engine.column)
             if self.render_mode == "human":
                 self.render()
-        observation = self._io.observations[0, 0].copy()
-        info = self._selected(info, self._over)
-        return observation, float(rewards[0]), terminated, truncated, info
+        truncated = self._over and not terminated
+        return result.observations[0], float(result.rewards[0]), terminated, truncated, info
 
-    def _take(self, action: Any) -> int:
-        """Check an action and pass it to the engine; return the mode, or 0 for a `Box` action."""
-        inputs = self._io.inputs[0, 0]
+    def _checked(self, action: Any) -> tuple[Index, Array | None]:
+        """Return (mode (1,), None), or (zero (1,), numbers (1, k)) for an action in a `Box`."""
         if len(self._limits):
-            inputs[1:] = numbers_in("action", action, self._limits)
-            return 0
+            return self._mode, numbers_in("action", action, self._limits)[None]
         # `contains` takes longer than the filters, so the usual actions are checked without it
         known = type(action) in _INTEGERS and 0 <= action < len(self.observation.actions)
         if not (known or self.action_space.contains(action)):
@@ -408,8 +383,8 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
                 f"action: found {action!r} ({type(action)}), expected an integer in "
                 f"{self.action_space}"
             )
-        inputs[0] = action
-        return int(action)
+        self._mode[0] = action
+        return self._mode, None
 
     def render(self) -> Pixels | None:
         """Draw the track, seen from above; return pixels (size, size, 3), or None for "human"."""
@@ -427,16 +402,12 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         if self._gallery:
             self._gallery.close()
 
-    def _selected(self, info: Info, at_end: bool) -> Info:
-        """Return the info if the argument ``infos`` asks for it, else {}."""
-        wanted = self._infos == "all" or (self._infos == "episode" and at_end)
-        return info if wanted else {}
-
     def _episode_info(self) -> Info:
         """Return the episode's metrics, and the number of nonfinite beliefs if it is not 0."""
-        metrics: Info = {k: float(v[0]) for k, v in self._metrics_of(_HERE).items()}
         (lost,) = self._tally.nonfinite(_HERE).tolist()
         if lost:
             warn_of_nonfinite()
-            metrics[NONFINITE_KEY] = lost
-        return metrics
+        if self._infos == "none":
+            return {}
+        metrics: Info = {k: float(v[0]) for k, v in self._metrics_of(_HERE).items()}
+        return metrics | {NONFINITE_KEY: lost} if lost else metrics

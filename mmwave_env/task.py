@@ -7,10 +7,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from mmwave_env.datasets.measured import MeasuredTrack
-from mmwave_env.datasets.recorded import Recording
+from mmwave_env.datasets.recorded import MeasuredTrack, Recording, TrackSource
 from mmwave_env.datasets.samples import source_from
-from mmwave_env.datasets.tracks import TrackSource
 from mmwave_env.datasets.ways import scenario_from
 from mmwave_env.filters.bank import Bank, Modes, bank_from, modes_from
 from mmwave_env.filters.modes import Mode
@@ -21,9 +19,10 @@ from mmwave_env.interface.reward import PairedReward, Reward, reward_from
 from mmwave_env.io.files import AnyPath
 from mmwave_env.io.lookup import choose, did_you_mean
 from mmwave_env.io.records import require
-from mmwave_env.models.layout import clock_from, measurements_from
+from mmwave_env.models.layout import measurements_from, require_clock
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.random_scene import RandomScene, scenes_from
+from mmwave_env.models.random_survey import RandomSurvey, survey_from
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array32
 from mmwave_env.world.episode import Episode, EpisodeBatch, EpisodeSource
@@ -120,6 +119,7 @@ class TaskArguments:
     odometry: bool = False
     measurements: Sequence[str] | None = None
     clock: str = "synchronized"
+    survey: str | RandomSurvey | None = None
     terminate_on_divergence: bool = False
     action: str = MODE
     base: Base | None = None
@@ -206,7 +206,7 @@ def bank_and_modes(
 def _source(asked: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
     """Return the source of episodes, and the radio that receives their signals."""
     measurements = measurements_from(asked.measurements)
-    clock = clock_from(asked.clock, measurements)
+    require_clock(asked.clock, measurements)
     if asked.episodes is None:
         simulated = SimulatedSource(
             scenes_from("street" if asked.scene is None else asked.scene),
@@ -216,7 +216,8 @@ def _source(asked: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
             EPISODE_STEPS if asked.episode_steps is None else asked.episode_steps,
             asked.odometry,
             measurements,
-            clock,
+            asked.clock,
+            survey_from(asked.survey),
         )
         if asked.episode_steps is not None and simulated.epochs < asked.episode_steps:
             raise ValueError(
@@ -224,20 +225,20 @@ def _source(asked: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
                 f"the epochs of {simulated.name}"
             )
         return simulated, radio
-    for name in ("scenario", "scene", "dt", "odometry"):
+    for name in ("scenario", "scene", "dt", "odometry", "survey"):
         if (value := getattr(asked, name)) is not None and value is not False:
             raise ValueError(f"{name}: found {value!r}, but recorded episodes determine this value")
     episodes = asked.episodes
     steps = asked.episode_steps
     if isinstance(episodes, str | os.PathLike | Recording | MeasuredTrack):
-        track = source_from(episodes, radio, steps, measurements, clock)
+        track = source_from(episodes, radio, steps, measurements, asked.clock)
         return track, track.radio
     if not hasattr(episodes, "layout") or not hasattr(episodes, "sample"):
         raise ValueError(
             f"episodes: found {episodes!r}, expected a name, a folder, a recording, a measured "
             "track, or a source with layout and sample(rng)"
         )
-    drift = "offset" if clock else None
+    drift = None if asked.clock == "synchronized" else asked.clock
     own = {"episode_steps": steps, "measurements": measurements, "clock": drift}
     for name, value in own.items():
         if value is not None:

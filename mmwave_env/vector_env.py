@@ -2,7 +2,8 @@
 
 import os
 from collections.abc import Sequence
-from typing import Any, cast
+from math import inf
+from typing import Annotated, Any, cast
 
 import gymnasium as gym
 import numpy as np
@@ -25,7 +26,7 @@ from mmwave_env.interface.info import (
     warn_of_nonfinite,
 )
 from mmwave_env.io.lookup import choose
-from mmwave_env.io.records import require
+from mmwave_env.io.records import Bound, require
 from mmwave_env.metrics import DIVERGENCE_M
 from mmwave_env.numerics.numbers import Array, Array32, Index, Mask
 from mmwave_env.rendering.gallery import Gallery
@@ -38,21 +39,8 @@ Step = tuple[Array32, Array, Mask, Mask, Info]
 BEGUN = 512  # maximum number of episodes drawn in one call, to limit the memory that they need
 
 
-def _require_known(num_envs: int, threads: int, render_mode: str | None, backend: str) -> None:
-    """Refuse counts below 1, and values that only a single environment knows."""
-    for name, count in (("num_envs", num_envs), ("threads", threads)):
-        require(name, count, int)
-        if count < 1:
-            raise ValueError(f"{name}: found {count}, expected at least 1")
-    for name, value, known in (
-        ("render_mode", render_mode, (None, "rgb_array")),
-        ("backend", backend, ("lanes",)),
-    ):
-        if value not in known:
-            raise ValueError(
-                f"{name}: found {value!r}, expected {' or '.join(map(repr, known))}; for other "
-                'values use gymnasium.make, or make_vec with vectorization_mode="sync"'
-            )
+_OF_SINGLE = '; for other values use gymnasium.make, or make_vec with vectorization_mode="sync"'
+Count = Annotated[int, Bound("an integer, at least 1", least=1, most=inf)]
 
 
 class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArray[Any]]):
@@ -100,8 +88,11 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         backend: str = "lanes",
         **arguments: Any,
     ) -> None:
-        _require_known(num_envs, threads, render_mode, backend)
-        if render_mode:
+        require("num_envs", num_envs, Count)
+        require("threads", threads, Count)
+        choose({"lanes": None}, backend, "backend", _OF_SINGLE)
+        if render_mode is not None:
+            choose({"rgb_array": None}, render_mode, "render_mode", _OF_SINGLE)
             require_drawable(render_size, render_theme, f"render_mode={render_mode!r}")
         self.render_mode = render_mode
         choose(INFOS, infos, "infos")
@@ -135,6 +126,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         self._names = np.full(num_envs, "", object)  # names of the episodes, for pictures
         self._begun = False
         self._mode_count = np.array(len(self.observation.actions), np.uint64)
+        self._everywhere = np.ones(num_envs, np.bool_)
         self._none_over = np.zeros(num_envs, np.bool_)
         self._over = self._none_over
         self._ended = 0
@@ -255,6 +247,8 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         resets = self._ended
         drawn = self._draw(np.flatnonzero(fresh)) if resets else {}
         result, self._ended, infos = self._stepper.step(actions, numbers)
+        if infos:
+            infos |= dict.fromkeys(self._stepper.mask_keys, self._everywhere.copy())
         observations, rewards, terminated, truncated, *_ = result
         if self._gallery:
             self._begin_pictures(np.flatnonzero(fresh))

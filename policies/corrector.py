@@ -150,7 +150,7 @@ class TwoWayCorrector(CorrectionNetwork):
     def correct_tracks(self, features: Array32) -> Correction:
         """Return corrections (n, T, 3) of n smoothed tracks, given all their features.
 
-        :func:`~mmwave_env.engines.smoothed_features.smoothed_features` computes the features
+        :func:`~mmwave_env.engines.smoothing.smoothed_features` computes the features
         (n, T, features); :meth:`read_from_track` must have been called for their pipeline.
         """
         n, epochs, width = features.shape

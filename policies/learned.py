@@ -119,8 +119,8 @@ class LearnedPolicy:
         for i, feature in enumerate(features):
             column = columns.get(feature.name)
             kind, anchor, rest = feature.name.partition(" anchor ")
-            if anchor and kind in UNSEEN and rest.split()[0] not in anchors:
-                unseen[i] = (UNSEEN[kind] - feature.mean) / feature.deviation
+            if anchor and kind != "distance" and rest.split()[0] not in anchors:
+                unseen[i] = (UNSEEN.get(kind, 0.0) - feature.mean) / feature.deviation
             elif column != feature:
                 values = f"{column[1:]}" if column else "none (fewer anchors, or a known height?)"
                 raise ValueError(

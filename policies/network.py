@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numba.extending import register_jitable
-from numpy.polynomial import Polynomial
 
 from mmwave_env.compiler.disk_cache import compiled
 from mmwave_env.numerics.numbers import Array32
@@ -51,27 +50,16 @@ class Network(NamedTuple):
     most: Array32  # (CORRECTIONS,) limits of an answer
 
 
-def _tanh_fraction(levels: int = 13) -> tuple[Array32, Array32]:
-    """Return the coefficients of P and Q in tanh(x) = x P(x^2) / Q(x^2), highest power first.
-
-    The fraction is Lambert's continued fraction (DLMF 4.39.1), x / (1 + x^2 / (3 + x^2 / ...)).
-    Up to TANH_LIMIT, 13 levels are exact to 4e-7.
-    """
-    square = Polynomial([0.0, 1.0])
-    above = Polynomial([1.0])
-    below = Polynomial([2.0 * levels - 1.0])
-    for odd in range(2 * levels - 3, 0, -2):
-        tail = above
-        above = below
-        below = odd * below + square * tail
-    scale = below.coef[0]
-    return (
-        (above.coef[::-1] / scale).astype(np.float32),
-        (below.coef[::-1] / scale).astype(np.float32),
-    )
-
-
-_ABOVE, _BELOW = _tanh_fraction()
+# tanh(x) = x P(x^2) / Q(x^2): Lambert's continued fraction x / (1 + x^2 / (3 + x^2 / ...)) (DLMF
+# 4.39.1), cut after 13 levels; up to TANH_LIMIT, it is exact to 4e-7. Highest power first.
+_ABOVE = np.array(
+    [1.2648855e-13, 5.179706e-10, 3.2286837e-07, 6.6252585e-05, 0.0052173915, 0.14666666, 1.0],
+    np.float32,
+)
+_BELOW = np.array(
+    [1.1510458e-11, 1.5193805e-08, 5.2304677e-06, 0.0006625259, 0.03188406, 0.48, 1.0],
+    np.float32,
+)
 
 
 @register_jitable  # type: ignore[untyped-decorator]

@@ -36,7 +36,7 @@ from safetensors.numpy import save
 from mmwave_env.filters.bank import Bank, as_written, bank_as_written
 from mmwave_env.filters.modes import Mode
 from mmwave_env.interface.observation import BELIEFS, OBSERVATIONS, Column, action_names
-from mmwave_env.io.files import AnyPath, Json, first_line, parse_json, read_bounded
+from mmwave_env.io.files import UNEXPECTED, AnyPath, Json, first_line, parse_json, read_bounded
 from mmwave_env.io.lookup import choose, quoted
 from mmwave_env.io.records import Record, object_from
 from mmwave_env.numerics.numbers import Array32
@@ -88,25 +88,12 @@ class Card(Record):
         super().__post_init__()
         choose(OBSERVATIONS, self.observation, "observation")
         choose(BELIEFS, self.beliefs, "beliefs")
-        names = [column.name for column in self.features]
-        if len(set(names)) < len(names):
-            raise ValueError("features: found a name more than once, expected different names")
-        if "mmwave-loc" not in self.versions:
-            raise ValueError(f"versions: found {self.versions!r}, expected 'mmwave-loc' among them")
         per_mode = self.beliefs == "per-mode"
         if bool(self.banks) != per_mode:
             raise ValueError(
                 f"banks: found {len(self.banks)} banks with beliefs {self.beliefs!r}, expected "
                 f"{'at least one' if per_mode else 'none'}"
             )
-        if per_mode and self.modes != next(iter(self.banks.values())).modes:
-            raise ValueError("modes: found others than in the first bank, expected the same")
-        for radio, bank in self.banks.items():
-            if action_names(bank.modes, self.beliefs) != self.actions:
-                raise ValueError(
-                    f"bank of radio {radio!r}: found other names of modes than in the first bank, "
-                    f"expected {', '.join(self.actions)}"
-                )
 
     @property
     def actions(self) -> list[str]:
@@ -187,8 +174,7 @@ def read_policy(path: AnyPath) -> tuple[Tensors, Card]:
                 f"sha256: found {quoted(document.sha256)}, expected {expected!r}; the file is "
                 "damaged: copy it or train the policy again"
             )
-    # Unexpected content may cause any of these errors in the code above.
-    except (ValueError, TypeError, AttributeError, LookupError, SafetensorError) as error:
+    except (*UNEXPECTED, SafetensorError) as error:
         raise ValueError(f"{path}: not a policy file: {first_line(error)}") from error
     return tensors, document.card
 

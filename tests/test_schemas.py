@@ -80,7 +80,7 @@ LIMITED = [name for name, part in SCHEMAS["log"]["properties"].items() if "maxim
 def test_a_value_beyond_the_limit_of_its_column_is_refused_by_schema_and_reader(name):
     row = {"time_s": 0.0, "anchor": 1, "range_m": 20.0, "snr_db": 20.0}
     stem = name.rpartition("_")[0]
-    if stem in ("toa", "rtt", "range") or name == "snr_db":
+    if stem in ("toa", "rtt", "rstd", "range") or name == "snr_db":
         row = {"time_s": 0.0, "anchor": 1, "aoa_azimuth_rad": 0.1, "snr_db": 20.0}
     elif stem in ("speed", "heading", "aod_azimuth_body"):
         row |= {"heading_rad": 0.1, "speed_mps": 1.0}
@@ -88,7 +88,8 @@ def test_a_value_beyond_the_limit_of_its_column_is_refused_by_schema_and_reader(
     limit = SCHEMAS["log"]["properties"][name]["maximum"]
     for factor in (0.99, 1.01):
         line = row | {name: factor * limit}
-        log = LiveLog(list(line), read_scene(LOGS / "canyon28_vehicle" / "scene.json"))
+        scene = read_scene(LOGS / "canyon28_vehicle" / "scene.json")
+        log = LiveLog(list(line), scene, clock="free" if stem == "rstd" else "synchronized")
         log.add(line)
         assert (not log.left_out) == VALIDATORS["log"].is_valid(line) == (factor < 1.0)
 

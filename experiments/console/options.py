@@ -76,8 +76,13 @@ class WorldArgs:
     odometry: bool = False
     """the user also measures speed and heading"""
     clock: str = "synchronized"
-    """synchronized, or offset: the user's clock has an
-    unknown offset, which shifts all ranges"""
+    """synchronized; offset: the user's clock has an unknown
+    offset, which shifts all ranges; or free: the offset is
+    another in every epoch (times of arrival of a clock that
+    jumps, time differences)"""
+    survey: str | None = None
+    """bad: anchors' places, angles and ranges have errors
+    that all links of an episode share (None: no errors)"""
     measurements: tuple[str, ...] | None = None
     """quantities that the receiver measures: some of range,
     azimuth, elevation, departure and doppler (None: all)"""
@@ -331,8 +336,13 @@ class LogArgs(IntegrityArgs, JsonArgs):
     mirrored position fits as well; replaces side in the
     scene"""
     clock: str = "synchronized"
-    """synchronized, or offset: estimate the offset of the
-    user's clock, which shifts all ranges"""
+    """synchronized; offset: estimate the offset of the
+    user's clock, which shifts all ranges; or free: the
+    offset is another in every epoch (a clock that jumps;
+    always so for time differences, columns rstd)"""
+    correlation: float = 0.0
+    """time for which errors of measurements last, s: at
+    shorter steps, measurements get so much more noise"""
     # If an option of Algorithm 1 is set (speed to robust), the algorithm replaces the policy.
     speed: str | None = None
     """Algorithm 1: the user's speed, m/s, which selects the

@@ -14,8 +14,7 @@ from llvmlite.binding import get_host_cpu_name
 from experiments.console.provenance import versions
 from mmwave_env.compiler.disk_cache import kept_functions
 from mmwave_env.compiler.lanes import WIDTH
-from mmwave_env.engines.engine import Engine, run_imm
-from mmwave_env.engines.play import play
+from mmwave_env.engines.engine import Engine, play, run_imm
 from mmwave_env.interface.policy import FixedMode
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.io.files import Json

@@ -75,7 +75,7 @@ HARD_SOURCES: dict[str, Callable[[], SimulatedSource]] = {
     "corners:handset": lambda: SimulatedSource(STREET, HANDSET, corners()),
     "bus:standard": lambda: SimulatedSource(SCENES["dynamic-doppler"], RADIOS["standard"], bus()),
     "noise-twice:handset": lambda: Misstated(STREET, HANDSET, stated=0.5),
-    "clock-offset:handset": lambda: SimulatedSource(STREET, HANDSET, clock=True),
+    "clock-offset:handset": lambda: SimulatedSource(STREET, HANDSET, clock="offset"),
     "range-azimuth:handset": lambda: SimulatedSource(
         STREET, HANDSET, measurements=("range", "azimuth")
     ),

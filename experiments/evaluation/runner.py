@@ -11,8 +11,7 @@ from experiments.console.output import tracked
 from experiments.evaluation.agents import NO_FILTERS, Estimator
 from experiments.evaluation.branches import Clairvoyant
 from experiments.evaluation.contenders import Contender, draw_episodes, keys_for
-from mmwave_env.engines.engine import Engine, run_imm
-from mmwave_env.engines.play import play
+from mmwave_env.engines.engine import Engine, play, run_imm
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import CORRECTION
 from mmwave_env.interface.policy import Policy

@@ -26,7 +26,7 @@ from mmwave_env.localization.tracker import Position, Tracker, Trackers
 from mmwave_env.logs.live_log import LiveEpoch, LiveLog
 from mmwave_env.logs.log import Log
 from mmwave_env.logs.log_tables import LogError, header_of
-from mmwave_env.models.layout import clock_from
+from mmwave_env.models.layout import require_clock
 from mmwave_env.models.scene import Origin, Scene
 
 SOURCE = "standard input"
@@ -46,7 +46,7 @@ def run_live(args: LogArgs) -> None:
     files = ("sample", "truth", "out", "plot", "json")
     require_alone(args, "live", *files, "two_way", "associate", "diagnose", "odometry")
     require_alone(args, "format", "lag")
-    require_at_least(0, args, "lag")
+    require_at_least(0, args, "lag", "correlation")
     require_one_choice(args)
     levels = Levels(args.risk, args.levels)
     scene = scene_of(args, args.scene)
@@ -54,7 +54,8 @@ def run_live(args: LogArgs) -> None:
     tracker: Tracker | Trackers | None = None
     began = False
     patience = _Patience()
-    for live, epochs in _epochs(scene, args.snr, clock_from(args.clock)):
+    require_clock(args.clock)
+    for live, epochs in _epochs(scene, args.snr, args.clock):
         users = any(epoch.user for epoch in epochs)
         if tracker is None or (users and isinstance(tracker, Tracker)):
             logs = (epoch.log() for epoch in epochs)
@@ -113,7 +114,10 @@ def _tracker(
     radio = nearest_radio(log, scene) if args.radio == AUTO else args.radio
     choice = choice_of(args, radio, log)
     lag = max(args.lag, 1)
-    tracker = Tracker(scene, choice.switching, radio, height_m=args.height, lag=lag, levels=levels)
+    tracker = Tracker(
+        scene, choice.switching, radio, height_m=args.height, lag=lag, levels=levels,
+        correlation_s=args.correlation,
+    )  # fmt: skip
     why = f"modes {choice.why}, radio {radio}"
     if not users:
         return tracker, why
@@ -173,7 +177,7 @@ def _text(line: bytes) -> str:
 
 
 def _epochs(
-    scene: Scene, snr_db: float | None, clock: bool
+    scene: Scene, snr_db: float | None, clock: str
 ) -> Iterator[tuple[LiveLog, list[LiveEpoch]]]:
     """Read rows (CSV below a header, or JSON objects); yield the epochs that they form.
 

@@ -12,7 +12,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.console.options import AUTO, LogArgs, require_alone, require_default
+from experiments.console.options import (
+    AUTO,
+    LogArgs,
+    require_alone,
+    require_at_least,
+    require_default,
+)
 from experiments.console.output import grid, progress, show
 from experiments.console.provenance import provenance
 from experiments.reporting.figures import draw_trajectory, require_picture
@@ -47,7 +53,6 @@ from mmwave_env.localization.track_scores import (
 from mmwave_env.logs.log import Log, read_log, read_paths
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.logs.truth import Truth
-from mmwave_env.models.layout import clock_from
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.scene import Scene
@@ -225,6 +230,7 @@ def _check(args: LogArgs, files: Inputs) -> None:
     require_default(args, "--live", "lag", "format", "accuracy", "confidence")
     require_alone(args, "two_way", "height", "smoothing")
     require_one_choice(args)
+    require_at_least(0, args, "correlation")
     if not 2 <= args.window <= LONGEST_WINDOW:
         raise ValueError(
             f"window: found {args.window}, expected 2 to {LONGEST_WINDOW} epochs; --no-smoothing "
@@ -274,7 +280,7 @@ def _work(args: LogArgs, files: Inputs, scene: Scene) -> Work:
     else:
         log = read_log(
             files.log, scene, args.odometry, partial=True, snr_db=args.snr,
-            clock=clock_from(args.clock),
+            clock=args.clock,
         )  # fmt: skip
         name = nearest_radio(log, scene) if args.radio == AUTO else args.radio
     if args.follow == "odometry" and not log.layout.odometry:
@@ -310,6 +316,7 @@ def _track(
         Levels(args.risk, args.levels),
         TwoWayCorrector(TWO_WAY) if args.two_way else None,
         report,
+        args.correlation,
     )
 
 

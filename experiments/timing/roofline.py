@@ -6,7 +6,7 @@ the previous result of its chain. Loads and stores use other units beside the ar
 less time in every kernel. They are ignored, as are waits for results, register spills, caches and
 code fetches.
 
-Operations are counted exactly, by running the kernel's function. :class:`Lanes` (SIMD values) emit
+Operations are counted exactly, by running the kernel's function. Lanes (SIMD values) emit
 instructions through an LLVM builder. The builder here only records them; nothing is compiled.
 """
 
@@ -21,9 +21,10 @@ import numba
 import numpy as np
 from llvmlite import ir
 
-from mmwave_env.compiler.lanes import WIDTH, Lanes, kernel
+from mmwave_env.compiler.lanes import WIDTH, Emitter, kernel
 from mmwave_env.numerics.numbers import sqrt, where
 from mmwave_env.numerics.pytree import flatten, unflatten
+from mmwave_env.numerics.tape import Tracer
 
 _KINDS = {"fadd": "add", "fsub": "add", "fmul": "multiply", "fdiv": "divide"}
 _KINDS |= {"llvm.sqrt": "root", "load": "load", "bitcast": "free"}  # all others: "select"
@@ -93,10 +94,11 @@ def count(function: Callable[[Any], Any], template: Any) -> Operations:
     :class:`~mmwave_env.compiler.program.Program`.
     """
     recorder = _Recorder()
-    before = [Lanes(recorder, recorder.load(row)) for row in range(len(flatten(template)))]
+    emitter = Emitter(recorder)
+    before = [Tracer(emitter, recorder.load(row)) for row in range(len(flatten(template)))]
     after = flatten(function(unflatten(template, iter(before))))
     stored = [new for old, new in zip(before, after, strict=True) if new is not old]
-    results = [new.value for new in stored if isinstance(new, Lanes)]
+    results = [new.value for new in stored if isinstance(new, Tracer)]
     needed = dict.fromkeys(results)  # every instruction on which the results depend
     waiting = list(needed)
     while waiting:

@@ -35,7 +35,7 @@ from experiments.training.hyperparameters import (
 )
 from experiments.training.trainer import Job, Trainer
 from experiments.training.training_task import places_from
-from mmwave_env.engines.smoothed_features import GATES, smoothed_features
+from mmwave_env.engines.smoothing import GATES, smoothed_features
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.mode_smoothing import smooth_modes
 from mmwave_env.filters.pipeline import Pipeline

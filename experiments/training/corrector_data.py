@@ -15,8 +15,7 @@ import numpy as np
 from experiments.training.hyperparameters import CorrectorHyperparameters
 from experiments.training.training_task import TrainingTask
 from mmwave_env.compiler.program import rows_of
-from mmwave_env.engines.engine import Engine
-from mmwave_env.engines.play import play
+from mmwave_env.engines.engine import Engine, play
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.correction import deviations_of
@@ -25,7 +24,7 @@ from mmwave_env.interface.actions import CORRECTION
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.interface.signed import after_update
-from mmwave_env.models.random_radio import RandomRadio
+from mmwave_env.models.radio import RandomRadio
 from mmwave_env.models.random_scene import WIDE_SCENE
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array, Array32
@@ -151,7 +150,9 @@ class CorrectorData:
         lacks = rng.random() < LACKING
         drifts = rng.random() < DRIFTING
         subset = SUBSETS[rng.integers(len(SUBSETS))] if lacks else None
-        clock = bool(drifts) and (subset is None or "range" in subset)
+        clock = "synchronized"
+        if drifts and (subset is None or "range" in subset):
+            clock = "offset"
         source = SimulatedSource(
             scene, radio, self._task.scenario, measurements=subset, clock=clock
         )

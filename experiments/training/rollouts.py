@@ -116,7 +116,7 @@ class RolloutEnv:
             here = some[self._place[some] == i]
             if len(here):
                 self._engine.load(source.sample_batch(self._streams.keys(here)), here)
-        begun, _ = self._engine.start(some)
+        begun, _ = self._engine.step(places=some)
         self.observations[some] = begun[some]
 
     def measured_normalization(self, clip: float) -> Normalization:

@@ -1,8 +1,9 @@
 """Lanes: SIMD numbers with one value for each of eight environments.
 
-Arithmetic on :class:`Lanes` emits LLVM ``<8 x double>`` instructions. To compile a function of
-numbers, :func:`kernel` calls it once with Lanes; the instructions emitted by this call are the
-compiled function, which has no branches. If the function is called with floats, it runs as usual.
+They hide their values (:mod:`mmwave_env.numerics.tape`), and their recorder, an :class:`Emitter`,
+emits LLVM ``<8 x double>`` instructions. To compile a function of numbers, :func:`kernel` calls it
+once with lanes; the instructions emitted by this call are the compiled function, which has no
+branches. If the function is called with floats, it runs as usual.
 
 Lanes are stored in blocks (rows, 8): an environment is a column. In a table, the numbers of one
 environment are contiguous. :func:`gather` and :func:`scatter` copy between tables and blocks: they
@@ -25,7 +26,7 @@ from numba.extending import intrinsic, overload, register_jitable
 from numpy.typing import NDArray
 
 from mmwave_env.numerics.numbers import Array, Index, polynomial, where
-from mmwave_env.numerics.tracer import Tracer, TracerCondition
+from mmwave_env.numerics.tape import Traced, Tracer, TracerCondition
 
 WIDTH = 8
 _WORD = ir.IntType(64)
@@ -66,168 +67,125 @@ _LN2_HIGH = 0.693147180369123816490
 _LN2_LOW = 1.90821492927058770002e-10
 
 
-class _Value:
-    """A value in the function being built, with the builder that emits its instructions."""
-
-    __slots__ = ("builder", "value")
-
-    def __init__(self, builder: Any, value: Any) -> None:
-        self.builder = builder
-        self.value = value
-
-    def _with(self, instruction: str, other: Any) -> Any:
-        """Return the result of an instruction on this and another value; keep this value's type."""
-        term = _bits(other) if isinstance(other, int) else other.value
-        return type(self)(self.builder, getattr(self.builder, instruction)(self.value, term))
-
-
-def _integer(instruction: str) -> Any:
-    return lambda a, b: a._with(instruction, b)
-
-
-class Mask(_Value, TracerCondition):
-    """A truth value per lane, from a comparison of Lanes; ``&`` and ``|`` combine two masks."""
-
-    __slots__ = ()
-    __and__ = _integer("and_")
-    __or__ = _integer("or_")
-
-    def select(self, a: Any, b: Any) -> "Lanes":
-        """Return ``a`` in the lanes where the mask is true, else ``b``."""
-        return Lanes(self.builder, self.builder.select(self.value, _lift(a), _lift(b)))
-
-
-class Lanes(_Value, Tracer):
-    """Eight doubles in one SIMD value of the function being built."""
-
-    __slots__ = ()
-
-    def combine(self, op: str, a: Any, b: Any) -> "Lanes":
-        """Compute ``a op b`` per lane."""
-        instruction = getattr(self.builder, f"f{op}")
-        return Lanes(self.builder, instruction(_lift(a), _lift(b), flags=_FLAGS))
-
-    def compare(self, op: str, other: Any) -> Mask:
-        """Return the condition ``self op other`` per lane; it is false if either number is NaN."""
-        return Mask(self.builder, self.builder.fcmp_ordered(op, self.value, _lift(other)))
-
-    def __neg__(self) -> "Lanes":
-        return Lanes(self.builder, self.builder.fneg(self.value, flags=_FLAGS))
-
-    def __abs__(self) -> "Lanes":
-        return self._call("fabs")
-
-    def constant(self, value: float) -> "Lanes":
-        """Return lanes with the same value in every lane."""
-        return Lanes(self.builder, _lift(value))
-
-    def sqrt(self) -> "Lanes":
-        """Return the square root per lane, correctly rounded."""
-        return self._call("sqrt")
-
-    def floor(self) -> "Lanes":
-        """Return the largest integer that is not above the number, per lane."""
-        return self._call("floor")
-
-    def as_word(self) -> "WordLanes":
-        """Return the bits of the eight doubles as eight words."""
-        return WordLanes(self.builder, self.builder.bitcast(self.value, _BITS))
-
-    def _call(self, name: str) -> "Lanes":
-        signature = ir.FunctionType(_VECTOR, [_VECTOR])
-        full = f"llvm.{name}.v{WIDTH}f64"
-        function = cgutils.get_or_insert_function(  # type: ignore[no-untyped-call]
-            self.builder.module, signature, full
-        )
-        return Lanes(self.builder, self.builder.call(function, [self.value], fastmath=_FLAGS))
-
-    def atan2(self, x: Any) -> "Lanes":
-        """Return the angle of (x, self), reduced to pi / 8 for a polynomial; error 2e-16."""
-        ax = abs(x)
-        ay = abs(self)
-        steep = ay > ax
-        low = where(steep, ax, ay)
-        high = where(steep, ay, ax)
-        large = low > _TAN_PI_8 * high
-        over = where(large, low + high, high)
-        q = where(large, low - high, low) / where(over > 0.0, over, 1.0)  # 0 for (0, 0)
-        z = q * q
-        angle = q + q * z * polynomial(z, _ARCTAN)
-        angle = where(large, angle + math.pi / 4, angle)
-        angle = where(steep, math.pi / 2 - angle, angle)
-        angle = where(x < 0.0, math.pi - angle, angle)
-        return where(self < 0.0, -angle, angle)  # type: ignore[no-any-return]
-
-    def cos_sin(self) -> "tuple[Lanes, Lanes]":
-        """Return cosine and sine, if |self| < 1e5: reduced to at most pi / 4, then polynomials."""
-        b = self.builder
-        rounded: Any = self * (2.0 / math.pi) + _ROUND
-        quarters = b.bitcast(rounded.value, _BITS)
-        turns = rounded - _ROUND
-        r = (self - turns * _HALF_PI_HIGH) - turns * _HALF_PI_LOW
-        z = r * r
-        cosine = polynomial(z, _COS)
-        sine = r + r * z * polynomial(z, _SIN)
-        odd = Mask(b, b.trunc(quarters, ir.VectorType(ir.IntType(1), WIDTH)))
-        after = b.add(quarters, _bits(1))
-        return where(odd, sine, cosine)._negated(after), where(odd, cosine, sine)._negated(quarters)
-
-    def _negated(self, quarters: Any) -> "Lanes":
-        """Negate the lanes in which the integer ``quarters`` has its second bit set."""
-        b = self.builder
-        sign = b.shl(b.and_(quarters, _bits(2)), _bits(62))
-        return Lanes(b, b.bitcast(b.xor(b.bitcast(self.value, _BITS), sign), _VECTOR))
-
-    def log(self) -> "Lanes":
-        """Return the natural logarithm of finite, positive, normal numbers; NaN for NaN."""
-        b = self.builder
-        bits = b.bitcast(self.value, _BITS)
-        mantissa_bits = b.or_(b.and_(bits, _bits(0xFFFFFFFFFFFFF)), _bits(0x3FF0000000000000))
-        m: Any = Lanes(b, b.bitcast(mantissa_bits, _VECTOR))
-        e: Any = Lanes(b, b.sitofp(b.sub(b.lshr(bits, _bits(52)), _bits(1023)), _VECTOR))
-        high = m > math.sqrt(2.0)
-        m = where(high, 0.5 * m, m)
-        e = where(high, e + 1.0, e)
-        s = (m - 1.0) / (m + 1.0)
-        return e * math.log(2.0) + 2.0 * s * polynomial(s * s, _ATANH) + (self - self)  # type: ignore[no-any-return]
-
-    def exp(self) -> "Lanes":
-        """Return the exponential of the numbers after limiting them to [-708, 708]."""
-        b = self.builder
-        x: Any = where(self < -708.0, -708.0, where(self > 708.0, 708.0, self))
-        shifted = x * (1.0 / math.log(2.0)) + 1023.5  # positive, so truncation rounds down
-        k = b.fptosi(shifted.value, _BITS)
-        n = Lanes(b, b.sitofp(k, _VECTOR)) - 1023.0
-        r = (x - n * _LN2_HIGH) - n * _LN2_LOW
-        power = Lanes(b, b.bitcast(b.shl(k, _bits(52)), _VECTOR))
-        return polynomial(r, _EXP) * power  # type: ignore[no-any-return]
-
-
-class WordLanes(_Value):
-    """Eight words of 64 bits (:class:`~mmwave_env.numerics.random.Word`) in one SIMD value."""
-
-    __slots__ = ()
-    __add__ = _integer("add")
-    __xor__ = _integer("xor")
-    __or__ = _integer("or_")
-    __lshift__ = _integer("shl")
-    __rshift__ = _integer("lshr")
-
-    def scaled(self, factor: float) -> Any:
-        """Return the integers, which must be below 2^63, times a factor."""
-        return Lanes(self.builder, self.builder.sitofp(self.value, _VECTOR)) * factor
-
-    def as_number(self) -> Lanes:
-        """Return the floats that have these bits."""
-        return Lanes(self.builder, self.builder.bitcast(self.value, _VECTOR))
-
-
 def _bits(value: int) -> Any:
     return ir.Constant(_BITS, [value] * WIDTH)
 
 
-def _lift(a: Any) -> Any:
-    return a.value if isinstance(a, Lanes) else ir.Constant(_VECTOR, [float(a)] * WIDTH)
+def _doubles(value: float) -> Any:
+    return ir.Constant(_VECTOR, [float(value)] * WIDTH)
+
+
+def _atan2(y: Any, x: Any) -> Any:
+    """Return the angle of (x, y), reduced to pi / 8 for a polynomial; error 2e-16."""
+    ax = abs(x)
+    ay = abs(y)
+    steep = ay > ax
+    low = where(steep, ax, ay)
+    high = where(steep, ay, ax)
+    large = low > _TAN_PI_8 * high
+    over = where(large, low + high, high)
+    q = where(large, low - high, low) / where(over > 0.0, over, 1.0)  # 0 for (0, 0)
+    z = q * q
+    angle = q + q * z * polynomial(z, _ARCTAN)
+    angle = where(large, angle + math.pi / 4, angle)
+    angle = where(steep, math.pi / 2 - angle, angle)
+    angle = where(x < 0.0, math.pi - angle, angle)
+    return where(y < 0.0, -angle, angle)
+
+
+def _log(a: Any) -> Any:
+    """Return the natural logarithm of finite, positive, normal numbers; NaN for NaN."""
+    b = a.recorder.builder
+    bits = b.bitcast(a.value, _BITS)
+    mantissa_bits = b.or_(b.and_(bits, _bits(0xFFFFFFFFFFFFF)), _bits(0x3FF0000000000000))
+    m: Any = Tracer(a.recorder, b.bitcast(mantissa_bits, _VECTOR))
+    exponent = b.sitofp(b.sub(b.lshr(bits, _bits(52)), _bits(1023)), _VECTOR)
+    e: Any = Tracer(a.recorder, exponent)
+    high = m > math.sqrt(2.0)
+    m = where(high, 0.5 * m, m)
+    e = where(high, e + 1.0, e)
+    s = (m - 1.0) / (m + 1.0)
+    return e * math.log(2.0) + 2.0 * s * polynomial(s * s, _ATANH) + (a - a)
+
+
+def _exp(a: Any) -> Any:
+    """Return the exponential of the numbers after limiting them to [-708, 708]."""
+    b = a.recorder.builder
+    x: Any = where(a < -708.0, -708.0, where(a > 708.0, 708.0, a))
+    shifted = x * (1.0 / math.log(2.0)) + 1023.5  # positive, so truncation rounds down
+    k = b.fptosi(shifted.value, _BITS)
+    n: Any = Tracer(a.recorder, b.sitofp(k, _VECTOR)) - 1023.0
+    r = (x - n * _LN2_HIGH) - n * _LN2_LOW
+    power = Tracer(a.recorder, b.bitcast(b.shl(k, _bits(52)), _VECTOR))
+    return polynomial(r, _EXP) * power
+
+
+_FUNCTIONS: dict[str, Any] = {"atan2": _atan2, "log": _log, "exp": _exp}
+# operations -> names of LLVM's instructions on floats, of its intrinsic functions, and of others
+_FLOATS = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv", "neg": "fneg"}
+_INTRINSICS = {"abs": "fabs", "sqrt": "sqrt", "floor": "floor"}
+_OF_WORDS = {"&": "and_", "|": "or_", "+": "add", "^": "xor", "<<": "shl", ">>": "lshr"}
+_COMPARISONS = ("<", "<=", ">", ">=")
+
+
+class Emitter:
+    """A recorder that emits the instructions of operations on lanes; values are LLVM's."""
+
+    def __init__(self, builder: Any) -> None:
+        self.builder = builder
+
+    def emit(self, op: str, *operands: Any) -> Any:
+        """Emit the instructions of an operation; return the value of its result."""
+        if op in _FUNCTIONS:
+            return _FUNCTIONS[op](*operands).value
+        b = self.builder
+        constant: Any = _bits if op in _OF_WORDS else _doubles
+        x, *rest = [a.value if isinstance(a, Traced) else constant(a) for a in operands]
+        if op in _FLOATS:
+            return getattr(b, _FLOATS[op])(x, *rest, flags=_FLAGS)
+        if op in _INTRINSICS:
+            return self._call(_INTRINSICS[op], x)
+        if op in _OF_WORDS:
+            return getattr(b, _OF_WORDS[op])(x, *rest)
+        if op in _COMPARISONS:
+            return b.fcmp_ordered(op, x, *rest)
+        return {
+            "constant": lambda: x,
+            "select": lambda: b.select(x, *rest),
+            "as word": lambda: b.bitcast(x, _BITS),
+            "as number": lambda: b.bitcast(x, _VECTOR),
+            "scaled": lambda: b.fmul(b.sitofp(x, _VECTOR), *rest, flags=_FLAGS),
+        }[op]()
+
+    def _call(self, name: str, x: Any) -> Any:
+        signature = ir.FunctionType(_VECTOR, [_VECTOR])
+        function = cgutils.get_or_insert_function(  # type: ignore[no-untyped-call]
+            self.builder.module, signature, f"llvm.{name}.v{WIDTH}f64"
+        )
+        return self.builder.call(function, [x], fastmath=_FLAGS)
+
+    def cos_sin(self, angle: Any) -> tuple[Any, Any]:
+        """Emit cosine and sine, if |angle| < 1e5: reduced to pi / 4 or less, then polynomials."""
+        b = self.builder
+        rounded: Any = angle * (2.0 / math.pi) + _ROUND
+        quarters = b.bitcast(rounded.value, _BITS)
+        turns = rounded - _ROUND
+        r = (angle - turns * _HALF_PI_HIGH) - turns * _HALF_PI_LOW
+        z = r * r
+        cosine = polynomial(z, _COS)
+        sine = r + r * z * polynomial(z, _SIN)
+        odd = TracerCondition(self, b.trunc(quarters, ir.VectorType(ir.IntType(1), WIDTH)))
+        after = b.add(quarters, _bits(1))
+        return (
+            self._negated(where(odd, sine, cosine), after),
+            self._negated(where(odd, cosine, sine), quarters),
+        )
+
+    def _negated(self, a: Any, quarters: Any) -> Any:
+        """Negate the lanes in which the integer ``quarters`` has its second bit set."""
+        b = self.builder
+        sign = b.shl(b.and_(quarters, _bits(2)), _bits(62))
+        return b.bitcast(b.xor(b.bitcast(a.value, _BITS), sign), _VECTOR)
 
 
 class _Rows:
@@ -235,6 +193,7 @@ class _Rows:
 
     def __init__(self, builder: Any, bases: Sequence[Any], ends: Sequence[int]) -> None:
         self.builder = builder
+        self.emitter = Emitter(builder)
         self.bases = bases
         self.ends = ends
 
@@ -243,11 +202,12 @@ class _Rows:
         within = row - (self.ends[part - 1] if part else 0)
         return self.builder.gep(self.bases[part], [_WORD(within)])
 
-    def __getitem__(self, row: int) -> Lanes:
-        return Lanes(self.builder, self.builder.load(self._at(row), align=8))
+    def __getitem__(self, row: int) -> Tracer:
+        return Tracer(self.emitter, self.builder.load(self._at(row), align=8))
 
     def __setitem__(self, row: int, value: Any) -> None:
-        self.builder.store(_lift(value), self._at(row), align=8)
+        whole = value.value if isinstance(value, Tracer) else _doubles(value)
+        self.builder.store(whole, self._at(row), align=8)
 
 
 def _align_stack(builder: Any) -> None:
@@ -265,7 +225,7 @@ def _align_stack(builder: Any) -> None:
 def kernel(function: Callable[[Any], None], ends: Sequence[int]) -> Any:
     """Return a numba function that runs ``function(rows)`` on a workspace of one or more parts.
 
-    ``rows[i]`` reads row i as Lanes and ``rows[i] = value`` writes it. ``function`` is called only
+    ``rows[i]`` reads row i as lanes and ``rows[i] = value`` writes it. ``function`` is called only
     once, when numba compiles the caller. Every part is an array (rows, 8) of doubles. The rows
     are numbered from 0 through all parts; ``ends`` contains, for each part, the number of the row
     after its last. The numba function has one argument: a tuple of the parts' addresses.

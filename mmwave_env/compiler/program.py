@@ -196,9 +196,9 @@ class Program(Generic[Workspace]):
     def run_on_lanes(self, state: BatchState, io: StepIO, threads: int = 1) -> None:
         """Run epoch after epoch, eight environments at a time, on at most ``threads`` threads."""
         blocks = len(state.rows)
-        arguments = (self.on_lanes(), self.blank, state, io)
-        jobs = [(begin, end, *arguments) for begin, end in spans(blocks, min(threads, blocks))]
-        share(run_blocks.choice(blocks * io.outputs.shape[1], *jobs[0]), jobs, threads)
+        parts = spans(blocks, min(threads, blocks))
+        work = blocks * io.outputs.shape[1]
+        Repeated(run_blocks)(work, parts, threads, self.on_lanes(), self.blank, state, io)
 
     def run_on_floats(self, begin: int, end: int, state: BatchState, io: StepIO) -> None:
         """Run the tracks of some blocks one by one in plain Python: slow, for reference."""

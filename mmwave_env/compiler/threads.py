@@ -2,10 +2,9 @@
 
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from functools import lru_cache
 from itertools import pairwise
-from threading import Lock
 from typing import Any, TypeVar
 
 from mmwave_env.compiler.lanes import WIDTH
@@ -36,26 +35,21 @@ def share(
     results: list[Any] = [None] * len(jobs)
     waiting = iter(range(len(jobs)))  # shared by the threads: next() is atomic
 
-    def work(busy: Lock) -> None:
-        with busy:
-            for i in waiting:
-                results[i] = function(*jobs[i])
+    def work() -> None:
+        for i in waiting:
+            results[i] = function(*jobs[i])
 
-    # Wait for locks instead of futures: after an interrupt in submit(), a future may be lost.
-    locks = [Lock() for _ in range(min(threads, len(jobs)) - 1)]
     others: list[Future[None]] = []
     try:
-        others.extend(_helpers().submit(work, lock) for lock in locks)
-        work(Lock())
+        others.extend(_helpers().submit(work) for _ in range(min(threads, len(jobs)) - 1))
+        work()
     finally:
         for _ in waiting:  # take the remaining jobs, so that no thread begins another one
             pass
-        for lock in locks:
-            with lock:
-                pass
-    for other in others:
-        if not other.cancel():
-            other.result()
+        running = [other for other in others if not other.cancel()]
+        wait(running)
+    for other in running:
+        other.result()
     return results
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from mmwave_env.datasets.deepmimo.v4 import PARAMS
-from mmwave_env.datasets.measured import MeasuredTrack
+from mmwave_env.datasets.recorded import MeasuredTrack
 from mmwave_env.io.files import write_json, write_text
 from mmwave_env.io.lookup import as_name
 from mmwave_env.logs.log import read_log
@@ -26,7 +26,7 @@ TRUTH = "truth.tum"
 _LOGS = tuple(f"log{suffix}" for suffix in SUFFIXES)
 
 
-def read_log_folder(folder: Path, clock: bool = False) -> MeasuredTrack:
+def read_log_folder(folder: Path, clock: str = "synchronized") -> MeasuredTrack:
     """Read a folder with a log, its scene and its true track, completely into memory.
 
     :class:`~mmwave_env.logs.truth.Truth` interpolates the true positions at the times of the
@@ -36,7 +36,7 @@ def read_log_folder(folder: Path, clock: bool = False) -> MeasuredTrack:
 
     Args:
         folder: contains ``log.csv`` (or ``.csv.gz``, ``.parquet``), ``scene.json``, ``truth.tum``.
-        clock: whether ranges contain an unknown offset of the user's clock.
+        clock: state of the user's clock, one of :data:`~mmwave_env.models.layout.CLOCKS`.
 
     Raises:
         ValueError: a file is missing, damaged or of a wrong kind, or no epoch has a known true

@@ -1,33 +1,301 @@
-"""Recordings: one track through a known scene, with measurements drawn anew in every episode.
+"""Recorded data of one user over some epochs (a *track*), and the episodes drawn from them.
 
-A ray tracer (or a survey) gives the paths and what a perfect receiver would measure on them. Each
-episode adds noise and an oscillator's bias, and it has its own prior. A seed and a radio profile
-determine all three. Blockage, multipath, missed detections and outages are not simulated, because
-the recording already says which paths exist.
+A track contains the measurements of a real receiver (:class:`MeasuredTrack`), or the paths of a ray
+tracer or a survey (:class:`Recording`).
 """
 
-from dataclasses import dataclass
-from typing import ClassVar
+import warnings
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mmwave_env.datasets.tracks import Received, Track
-from mmwave_env.logs.truth import velocity_of
-from mmwave_env.models.layout import LINK, Layout, whole_groups, wrap_angles
-from mmwave_env.models.measurement import range_rate
-from mmwave_env.models.prior import GAP_S
-from mmwave_env.models.radio import Radio, doppler_spread, oscillator_bias
-from mmwave_env.models.scene import scene_of_anchors
-from mmwave_env.numerics.numbers import Array
+from mmwave_env.io.lookup import is_name, quoted
+from mmwave_env.io.records import Printable
+from mmwave_env.logs.truth import stretches, velocity_of
+from mmwave_env.models.layout import (
+    LINK,
+    Layout,
+    measurements_from,
+    offered_rows,
+    whole_groups,
+    wrap_angles,
+)
+from mmwave_env.models.measurement import exact_rows, range_rate
+from mmwave_env.models.prior import GAP_S, draw_prior
+from mmwave_env.models.radio import Radio, clock_bias, doppler_spread, oscillator_bias, radio_from
+from mmwave_env.models.scene import Scene, scene_of_anchors
+from mmwave_env.numerics.numbers import Array, Index, Mask, wrap
 from mmwave_env.world.checks import refuse, require_increasing
+from mmwave_env.world.episode import Episode
+
+# Median errors of a link's range (m) and angles (rad). Medians above _FAR are warned of, medians
+# below _NEAR are not; between them, the limit depends on the noise.
+_FAR = (50.0, 0.5, 0.5, 0.5)
+_NEAR = (5.0, 0.05, 0.05, 0.05)
+_NOISE = 0.6745 * np.sqrt(2.0)  # median of the absolute difference of two N(0, 1) errors
+_ENOUGH = 20  # minimum number of epochs for a median
+
+
+class Received(NamedTuple):
+    """The measurements of T epochs."""
+
+    measurement: Array  # (T, rows)
+    snr_db: Array  # (T, L)
+    doppler_spread_hz: Array  # (T,)
+    bias_hz: Array | None  # (T,) the oscillator's bias, None if unknown
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Track(ABC):
+    """T epochs of one user.
+
+    Attributes:
+        name: name for results and messages.
+        scene: scene whose L anchors were measured; often only its anchors are known.
+        layout: which value is in which row of a measurement, and which rows form a group.
+        time_s: (T,) times, increasing.
+        measurement: (T, rows) in the order of ``layout``: m, rad, Hz, m/s.
+        visible: (T, groups) whether each group was measured; if not, its values are meaningless.
+        position_m: (T, 3) true positions, NaN in epochs where unknown.
+        velocity_mps: (T, 3) true velocities, NaN in epochs where unknown.
+        sigma: (T, rows) the receiver's own standard deviations, NaN where it states none; None
+            unless the layout is partial (single values may be missing).
+        doppler_anchor: (T,) index, from 0, of the anchor whose Doppler shift was measured; None
+            for the base station.
+    """
+
+    KIND: ClassVar[str] = "track"
+
+    name: str
+    scene: Scene
+    layout: Layout
+    time_s: Array
+    measurement: Array
+    visible: Mask
+    position_m: Array
+    velocity_mps: Array
+    sigma: Array | None = None
+    doppler_anchor: Index | None = None
+
+    def __post_init__(self) -> None:
+        if not is_name(self.name):
+            refuse(self.record, "name", quoted(self.name), Printable.expected)
+        self._warn_of_contradictions()
+
+    @abstractmethod
+    def _received(self, radio: Radio, rng: np.random.Generator, epochs: slice) -> Received:
+        """Return what a receiver with this radio profile measures in these epochs."""
+
+    def episode(
+        self, radio: str | Radio, rng: np.random.Generator, epochs: slice = slice(None)
+    ) -> Episode:
+        """Return the epochs of the track, all or a slice, as an episode with known true positions.
+
+        The prior is drawn around the true state. If the bias of the oscillator is unknown, the mean
+        of its prior is 0. If the user's clock has an unknown offset, the ranges of a recording get
+        a bias, drawn from a random stream of its own. A measured track's ranges already contain the
+        bias of a real clock.
+
+        Raises:
+            ValueError: the true position in an epoch is not known.
+        """
+        radio = radio_from(radio)
+        received = self._received(radio, rng, epochs)
+        position = self.position_m[epochs]
+        velocity = self.velocity_mps[epochs]
+        bias_hz = 0.0 if received.bias_hz is None else received.bias_hz[0]
+        state = np.concatenate([position[0], velocity[0], [bias_hz]])
+        mean, covariance = draw_prior(state, radio, self.scene, rng)
+        if received.bias_hz is None:
+            mean[6] = 0.0
+        if self.layout.has_bias:
+            mean = np.append(mean, 0.0)
+            covariance = radio.prior_covariance(self.scene, self.layout.clock)
+            if received.bias_hz is not None:
+                (own,) = rng.spawn(1)
+                drift_mps = received.bias_hz / self.scene.hz_per_mps
+                bias_m = clock_bias(self.layout.clock, drift_mps, self.time_s[epochs], own)
+                received.measurement[:, 0 : self.layout.doppler : 4] += bias_m[:, None]
+        return Episode.measured(
+            self.name,
+            self.scene,
+            radio,
+            self.layout,
+            time_s=self.time_s[epochs],
+            measurement=received.measurement,
+            visible=self.visible[epochs],
+            snr_db=received.snr_db,
+            doppler_spread_hz=received.doppler_spread_hz,
+            prior=(mean, covariance),
+            sigma=None if self.sigma is None else self.sigma[epochs],
+            doppler_anchor=None if self.doppler_anchor is None else self.doppler_anchor[epochs],
+            position_m=position,
+            velocity_mps=velocity,
+        )
+
+    @property
+    def record(self) -> str:
+        """Return the kind and name of the track, for messages."""
+        return f"{self.KIND} {quoted(self.name)}"
+
+    @property
+    def anchors_m(self) -> Array:
+        """Return the anchors (L, 3): the base station first, then virtual anchors."""
+        return self.scene.anchors_m
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def _warn_of_contradictions(self) -> None:
+        """Warn if the errors of links, computed with the true positions, have a large median.
+
+        The cause is a wrong convention or unit, or a true track in another frame. Noise alone
+        causes no warning: its size is estimated from the errors' changes between epochs.
+        """
+        layout = self.layout
+        anchors = self.anchors_m.tolist()
+        position = list(self.position_m.T)
+        exact = exact_rows(position, [0.0] * 3, anchors, 0.0, Layout(layout.anchors))
+        far = []
+        for row in range(layout.doppler):
+            a, i = divmod(row, len(LINK))
+            error = (self.measurement[:, row] - exact[row])[self.visible[:, a]]
+            error = error[np.isfinite(error)]  # where the true position is known
+            if len(error) < _ENOUGH or (layout.has_bias and not i):
+                continue  # a clock offset is no contradiction
+            change = np.diff(error)
+            if i:
+                error = wrap(error)
+                change = wrap(change)
+            median = np.median(np.abs(error))
+            # With noise alone, the median of |error| is about 0.67 standard deviations.
+            noise = np.median(np.abs(change)) / _NOISE
+            if median > min(_FAR[i], max(_NEAR[i], 2.0 * noise)):
+                far.append(f"{LINK[i]} of anchor {a + 1}: {median:.3g}")
+        if far:
+            warnings.warn(
+                f"{self.record}: found large median errors ({', '.join(far)}), expected "
+                'units, angles and frame as docs/data.md ("Angles") defines them',
+                stacklevel=2,
+            )
+
+
+class TrackSource:
+    """Source of episodes from one track.
+
+    An episode lies within a *stretch*: consecutive epochs that all have a true position, without a
+    gap of more than ``GAP_S``.
+
+    Args:
+        track: a measured track, whose measurements are the same in each episode; or a recording
+            of the channel, from which each episode draws new noisy measurements.
+        radio: profile of the receiver, or its name.
+        epochs: length of an episode; each episode is a window drawn at random from all stretches.
+            None if each episode is the longest stretch, from beginning to end.
+        measurements: names of the measurements to use; None for all.
+        clock: state of the user's clock, one of :data:`~mmwave_env.models.layout.CLOCKS`.
+
+    Raises:
+        ValueError: no stretch has enough epochs; or the track lacks the ``measurements``, or the
+            ranges that ``clock`` needs.
+    """
+
+    def __init__(
+        self,
+        track: Track,
+        radio: str | Radio,
+        epochs: int | None = None,
+        measurements: Sequence[str] | None = None,
+        clock: str = "synchronized",
+    ) -> None:
+        if clock != "synchronized":
+            if not np.isfinite(track.measurement[:, 0 : track.layout.doppler : 4]).any():
+                refuse(track.record, "clock", f"{clock}, but no ranges", "a track with ranges")
+            partial = track.layout.partial or clock == "free"
+            track = replace(track, layout=replace(track.layout, clock=clock, partial=partial))
+        self.track = track
+        self.radio = radio_from(radio)
+        self.layout = track.layout
+        self.name = track.name
+        self.scene = track.scene
+        self._measurements = measurements_from(measurements)
+        if self._measurements:
+            self.layout = layout = replace(self.layout, partial=True)
+            rows = np.isfinite(track.measurement) & offered_rows(layout, self._measurements)
+            if not rows[:, : layout.doppler].any():
+                shown = ", ".join(self._measurements)
+                raise ValueError(
+                    f"measurements: found {shown}, expected a range or an angle of {track.record}"
+                )
+        runs = stretches(track.time_s, track.position_m, GAP_S)
+        if not runs:
+            raise ValueError(
+                f"{track.record}: found no two consecutive epochs at most {GAP_S:g} s apart "
+                "with true positions, which the reward needs (docs/own-log.md). Are the track's "
+                "times in seconds?"
+            )
+        longest = max(runs, key=lambda run: run.stop - run.start)
+        most = longest.stop - longest.start
+        if epochs is None and most < len(track):
+            warnings.warn(
+                f"{track.record}: found {len(track)} epochs, some without a true position or "
+                f"after a gap of more than {GAP_S:g} s; episodes use the longest stretch without "
+                f"these, {most} epochs from {track.time_s[longest.start]:.13g} s on",
+                stacklevel=2,
+            )
+        self.epochs = most if epochs is None else epochs
+        if not 1 <= self.epochs <= most:
+            raise ValueError(
+                f"epochs: found {epochs}, expected 1 to {most}, the length of the longest stretch "
+                f"of {track.record} with true positions and without a gap of more than {GAP_S:g} s"
+            )
+        whole = [longest] if epochs is None else runs
+        self._starts = np.concatenate(
+            [np.arange(run.start, run.stop - self.epochs + 1) for run in whole]
+        )
+
+    def sample(self, rng: np.random.Generator) -> Episode:
+        """Draw an episode; all randomness comes from ``rng``."""
+        start = int(rng.choice(self._starts))
+        episode = self.track.episode(self.radio, rng, slice(start, start + self.epochs))
+        return episode.only(self._measurements) if self._measurements else episode
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MeasuredTrack(Track):
+    """T epochs of one user with measurements of a real receiver, and with the true positions.
+
+    Measurements are the same in every episode. A seed determines only the prior and, if episodes
+    are shorter than the log, the epoch of the log at which an episode begins.
+    :func:`~mmwave_env.datasets.log_folder.read_log_folder` reads one from files.
+
+    Attributes:
+        snr_db: (T, L) SNR of every link; -inf where no SNR was measured.
+        doppler_spread_hz: (T,) Doppler spread.
+    """
+
+    snr_db: Array
+    doppler_spread_hz: Array
+
+    def _received(self, radio: Radio, rng: np.random.Generator, epochs: slice) -> Received:
+        spread = self.doppler_spread_hz[epochs]
+        return Received(self.measurement[epochs], self.snr_db[epochs], spread, None)
+
 
 _NO_PATH_DB = -200.0  # gain of a missing path: so low that it is negligible, but not infinite
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Recording(Track):
-    """T epochs of one user, with the measurements of a perfect receiver.
+    """T epochs of one user, with the measurements of a perfect receiver on known paths.
+
+    Each episode adds noise and an oscillator's bias, and it has its own prior. A seed and a radio
+    profile determine all three. Blockage, multipath, missed detections and outages are not
+    simulated, because the recording already says which paths exist.
 
     Attributes:
         path_gain_db: (T, L) gain of every link, negative; meaningless if the link is not visible.

@@ -8,40 +8,29 @@ from pathlib import Path
 from mmwave_env.datasets.deepmimo.recording import read_deepmimo
 from mmwave_env.datasets.deepmimo.v4 import PARAMS
 from mmwave_env.datasets.log_folder import read_log_folder
-from mmwave_env.datasets.measured import MeasuredTrack
-from mmwave_env.datasets.recorded import Recording
-from mmwave_env.datasets.tracks import Track, TrackSource
+from mmwave_env.datasets.recorded import MeasuredTrack, Recording, Track, TrackSource
 from mmwave_env.io.files import AnyPath
 from mmwave_env.io.lookup import choose
 from mmwave_env.models.radio import Radio
 
 _DATA = Path(str(resources.files("mmwave_env"))) / "data"
-_RECORDINGS = _DATA / "deepmimo_canyon28"
-_LOGS = _DATA / "logs"
+_KINDS = {"log": _DATA / "logs", "recording": _DATA / "deepmimo_canyon28"}
 
 
-def _folders(of: Path) -> dict[str, Path]:
-    return {folder.name: folder for folder in sorted(of.iterdir()) if folder.is_dir()}
-
-
-def sample_names() -> tuple[str, ...]:
-    """Return the names of the recordings in the package, for :func:`source_from`."""
-    return tuple(_folders(_RECORDINGS))
-
-
-def log_names() -> tuple[str, ...]:
-    """Return the names of the measurement logs in the package."""
-    return tuple(_folders(_LOGS))
+def sample_names(kind: str = "recording") -> tuple[str, ...]:
+    """Return the names of the samples in the package, whose kind is ``log`` or ``recording``."""
+    folders = choose(_KINDS, kind, "kind").iterdir()
+    return tuple(sorted(folder.name for folder in folders if folder.is_dir()))
 
 
 def sample_folder(name: str, kind: str = "log") -> Path:
-    """Return the folder of a sample, whose kind is ``log`` or ``recording``.
+    """Return the folder of a sample.
 
     Raises:
         ValueError: there is no such sample; the message lists the names.
     """
-    folder = choose({"log": _LOGS, "recording": _RECORDINGS}, kind, "kind")
-    return choose(_folders(folder), name, "sample")
+    choose(dict.fromkeys(sample_names(kind)), name, "sample")
+    return _KINDS[kind] / name
 
 
 def recording_from(name: str) -> Recording:
@@ -54,7 +43,7 @@ def source_from(
     radio: str | Radio,
     epochs: int | None = None,
     measurements: Sequence[str] | None = None,
-    clock: bool = False,
+    clock: str = "synchronized",
 ) -> TrackSource:
     """Return the source of episodes for an argument ``episodes=`` or an option ``--data``.
 
@@ -72,7 +61,7 @@ def source_from(
     return TrackSource(track, radio, epochs, measurements, clock)
 
 
-def _read(episodes: AnyPath, clock: bool) -> Track:
+def _read(episodes: AnyPath, clock: str) -> Track:
     """Read the sample with this name, or the folder with this path."""
     if episodes in sample_names():
         return recording_from(str(episodes))

@@ -130,9 +130,8 @@ class Batch:
             gap_s: (k,) seconds since the previous epochs.
         """
         k = len(columns)
-        block, lane = np.divmod(np.arange(k), WIDTH)
         self.make_room(1)
-        self.state.rows[block, :, lane] = columns
+        self.write(slice(None), columns, np.arange(k))
         self.state.table[:k, 0] = incoming
         self.state.table[:k, 0, columns_of(self.layout).dt] = gap_s
         self.state.length[:] = 1
@@ -206,7 +205,7 @@ class Batch:
             again: whether the program works on the epoch that ran last, so that no epoch is loaded.
         """
         program = program or self.program
-        if places is None:
+        if places is None or len(places) == self.n:
             self._advance(self.parts, io, program, again)
             return
         blocks = np.unique(places // WIDTH)
@@ -247,8 +246,8 @@ class Batch:
         return np.array([np.median(steps) if len(steps) else 1.0 for steps in each])
 
     def span(self, tree: Any) -> Any:
-        """Return the row of a leaf of ``at``, or the slice of the rows of a subtree."""
-        if isinstance(tree, int):
+        """Return the row of a leaf of ``at``, or the slice of the rows of a subtree or slice."""
+        if isinstance(tree, int | slice):
             return tree
         numbers = flatten(tree)  # these rows are contiguous
         return slice(numbers[0], numbers[-1] + 1)
@@ -258,8 +257,7 @@ class Batch:
         rows = self.state.rows
         if isinstance(tree, int):
             return rows[:, tree, :].reshape(-1)[: self.n].astype(dtype)
-        span = tree if isinstance(tree, slice) else self.span(tree)
-        chosen = rows[:, span, :].transpose(0, 2, 1).astype(dtype, order="C")
+        chosen = rows[:, self.span(tree), :].transpose(0, 2, 1).astype(dtype, order="C")
         return chosen.reshape(-1, chosen.shape[2])[: self.n]
 
     def column(self, environment: int) -> Array:

@@ -1,13 +1,13 @@
 """The engine: N tracks that run the verbs of :mod:`mmwave_env.engines.epoch` together.
 
 The same engine serves everybody. Environments call :meth:`Engine.run_step`. Where a policy is asked
-in every epoch of a track, :meth:`Engine.filter`, :meth:`Engine.decide` and perhaps
-:meth:`Engine.correct` are called. Where all actions are known, or a rule or an IMM needs none,
+in every epoch of a track, :func:`play` calls :meth:`Engine.filter`, :meth:`Engine.decide` and
+perhaps :meth:`Engine.correct`. Where all actions are known, or a rule or an IMM needs none,
 :meth:`Engine.run` filters all epochs in one call of compiled code.
 """
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,7 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import CORRECTION, MODE, WEIGHTS
 from mmwave_env.interface.features import Feature
 from mmwave_env.interface.observation import Observation
-from mmwave_env.interface.policy import Rule, policy_from
+from mmwave_env.interface.policy import Policy, Rule, policy_from
 from mmwave_env.interface.reward import Reward
 from mmwave_env.numerics.numbers import Array, Array32, Index
 from mmwave_env.numerics.pytree import flatten
@@ -197,22 +197,11 @@ class Engine(Batch):
         self.advance(io, program=self._program(correct), again=True)
         return io.outputs[:, 0]
 
-    def reset(self, episodes: EpisodeBatch | Sequence[Episode]) -> None:
-        """Start over with one episode for each environment and run the modes on its first epoch."""
-        self.load(episodes)
-        self.run_step(self.step_io())
-
-    def start(self, places: Index, output_rows: Index = NO_ROWS) -> tuple[Array32, Array]:
-        """Run the modes on the next epoch in environments just loaded; leave the others unchanged.
-
-        The results have the same shapes as in :meth:`step`, but are valid only for ``places``.
-        """
-        io = self.step_io(output_rows)
-        self.run_step(io, places if len(places) < self.n else None)
-        return io.observations[:, 0], io.outputs[:, 0]
-
     def step(
-        self, actions: NDArray[np.integer[Any]] | np.int64, output_rows: Index = NO_ROWS
+        self,
+        actions: NDArray[np.integer[Any]] | int = 0,
+        output_rows: Index = NO_ROWS,
+        places: Index | None = None,
     ) -> tuple[Array32, Array]:
         """Apply actions (n,), or one action to all; run the modes on the next epoch.
 
@@ -222,13 +211,15 @@ class Engine(Batch):
             actions: numbers of modes, counted from 0; if every mode has its own belief, modes are
                 counted from 1, and action 0 leaves all probabilities as they are.
             output_rows: (k,) indices of the rows to return, for example from :func:`rows_of`.
+            places: indices of the environments to step; None for all. The others stay unchanged,
+                and their results are meaningless.
 
         Returns:
             The observations (n, features) and the output rows (n, k), in new arrays.
         """
         io = self.step_io(output_rows)
         io.inputs[:, 0, 0] = actions
-        self.run_step(io)
+        self.run_step(io, places)
         return io.observations[:, 0], io.outputs[:, 0]
 
     def run_step(self, io: StepIO, places: Index | None = None) -> None:
@@ -300,3 +291,65 @@ def run_imm(
     engine = tracks_of(pipeline, len(packed.length), bank, reward=reward, action="")
     engine.load(packed)
     return engine.run(*names)
+
+
+class Played(NamedTuple):
+    """The record of T epochs of n tracks.
+
+    Attributes:
+        actions: (n, T) the policy's actions; of weights, the mode that is trusted most.
+        outputs: for each name that the caller asked for, (n, T), or (n, T, k) if the part has k
+            numbers, after every epoch.
+        features: (n, T, c) the columns of observations that the caller asked for, after every
+            epoch's update.
+        trusted: (n, T) factors that scaled the corrections; NaN if the policy does not correct.
+    """
+
+    actions: Index
+    outputs: dict[str, Array]
+    features: Array32
+    trusted: Array32
+
+
+def play(
+    engine: Engine,
+    policy: Policy,
+    epochs: int,
+    names: Sequence[str] = (),
+    columns: Index = NO_ROWS,
+    scored: bool = True,
+) -> Played:
+    """Play the next epochs of an engine's tracks; each epoch is filtered once.
+
+    Args:
+        engine: engine that has loaded the tracks. Its actions are of the policy's kind; if columns
+            that describe the belief after its update are recorded, they are corrections.
+        policy: policy whose features have been looked up in ``engine.observation``, and that has
+            been reset where tracks begin.
+        epochs: number of epochs.
+        names: parts of the :class:`EpochState` to record, such as "x" or "memory.nis".
+        columns: indices of the columns of observations to record.
+        scored: whether to score the beliefs against the truth.
+    """
+    n = engine.n
+    output_rows = engine.program.rows(names)
+    actions = np.empty((n, epochs), np.int64)
+    outputs = np.empty((n, epochs, len(output_rows)))
+    features = np.empty((n, epochs, len(columns)), np.float32)
+    trusted = np.full((n, epochs), np.nan, np.float32)
+    for t in range(epochs):
+        acted = policy.act(engine.filter())
+        actions[:, t] = 1 + acted.argmax(axis=1) if policy.action == WEIGHTS else acted
+        if policy.action != CORRECTION:
+            observations, outputs[:, t] = engine.decide(acted, output_rows, scored)
+            features[:, t] = observations[:, columns]
+            continue
+        observations, _ = engine.decide(acted)  # the corrected belief is scored instead
+        features[:, t] = observations[:, columns]
+        correction = policy.correct(observations)
+        assert correction is not None
+        numbers = np.concatenate([correction.shift, correction.log_factor], axis=1)
+        outputs[:, t] = engine.correct(numbers, output_rows)
+        trusted[:, t] = correction.trusted
+    parts = engine.program.by_name(names, outputs)
+    return Played(actions, parts, features, trusted)

@@ -15,7 +15,7 @@ from mmwave_env.compiler.threads import portions, share
 from mmwave_env.engines.batch import Batch
 from mmwave_env.engines.engine import Engine, run_imm
 from mmwave_env.engines.smoothing import smoothed_again
-from mmwave_env.engines.tally import Tally
+from mmwave_env.engines.vector_step import Tally
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import CORRECTION, MODE, limits_of

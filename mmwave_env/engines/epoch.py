@@ -95,17 +95,6 @@ class Asked(NamedTuple):
         return self.observation == "signed"
 
 
-class PendingEpoch(NamedTuple):
-    """The parts of an epoch that are needed after the modes have run on it."""
-
-    # dt, visible: same as in :class:`~mmwave_env.models.measurement.Epoch`
-    dt: Number
-    visible: Numbers
-    truth: Numbers  # (6,) true position (m) and velocity (m/s)
-    measured: Vector  # same as in :class:`~mmwave_env.models.measurement.Epoch`
-    incoming: Any = ()  # the complete epoch if the observation is "signed"
-
-
 class Reported(NamedTuple):
     """The epoch that an action corrected. Its fields are the same as in :class:`EpochState`."""
 
@@ -127,7 +116,8 @@ class EpochState(NamedTuple):
     action: Number
     numbers: Numbers  # (k,) the action if it is weights or a correction
     settings: Any  # ImmSettings of a bank, or a list with the Tuning of every mode
-    # pending, candidates: the PendingEpoch that waits for an action; its results if x, P are shared
+    # pending, candidates: the epoch (an Incoming) that waits for an action, and the modes' results
+    # if they share a belief
     pending: Any
     candidates: list[ModeResult]
     mixture: Any  # Mixture: beliefs of all modes, if every mode keeps its own
@@ -165,7 +155,9 @@ def filter_epoch(w: EpochState, asked: Asked) -> EpochState:
         results = now.results
         predicted = now.predicted
         if asked.predicted:
-            x_predicted, P_predicted = prediction(now, epoch.dt, w.site.hz_per_mps)
+            x_predicted, P_predicted = prediction(
+                now, epoch.dt, layout.bias_drive(w.site.hz_per_mps)
+            )
             w = w._replace(x_predicted=x_predicted, P_predicted=P_predicted)
     else:
         if asked.rule:
@@ -180,29 +172,27 @@ def filter_epoch(w: EpochState, asked: Asked) -> EpochState:
         w = _observed(w, asked, epoch, results, predicted)
     elif not asked.per_mode:
         w = w._replace(memory=memory_before(w.memory, results, epoch, layout))
-    last = w.incoming if asked.signed else ()
-    pending = PendingEpoch(epoch.dt, epoch.visible, w.incoming.truth, epoch.measured, last)
-    return w._replace(is_first=0.0, pending=pending)
+    return w._replace(is_first=0.0, pending=w.incoming)
 
 
 def decide(w: EpochState, asked: Asked) -> EpochState:
     """Turn the results of the modes into the belief, as the action says."""
-    pending = w.pending
+    epoch = w.pending.epoch(asked.pipeline.layout)
     if asked.signed:
         w = w._replace(velocity=w.x[3:6])
-    w = w._replace(truth=pending.truth)
+    w = w._replace(truth=w.pending.truth)
     if asked.per_mode:
         mixture = w.mixture
         if asked.action == WEIGHTS:
-            mixture = reweighted(mixture, w.numbers, pending.dt)
+            mixture = reweighted(mixture, w.numbers, epoch.dt)
         elif asked.action:
-            mixture = trusting(mixture, w.action, pending.dt)
+            mixture = trusting(mixture, w.action, epoch.dt)
         x, covariance = estimate(mixture)
         memory = most_probable_memory(mixture)._replace(preference=w.memory.preference)
         w = w._replace(mixture=mixture, mode_probabilities=mixture.probability)
         return w._replace(x=x, P=pack(covariance), memory=memory)
     chosen: ModeResult = tree_at(w.action, w.candidates)
-    memory = memory_after(asked.pipeline.layout, w.action, w.x, chosen, w.memory, pending)
+    memory = memory_after(asked.pipeline.layout, w.action, w.x, chosen, w.memory, epoch)
     w = w._replace(x=chosen.x, P=chosen.P, memory=memory)
     if not asked.predicted:
         return w
@@ -322,7 +312,7 @@ def _view(
     pipeline = asked.pipeline
     last = None
     if asked.signed:
-        decided = w.pending.incoming.epoch(pipeline.layout)
+        decided = w.pending.epoch(pipeline.layout)
         decided = with_expected_spread(decided, w.velocity, w.site)
         last = LastEpoch(decided, w.is_first, w.velocity, w.mode_probabilities)
     covariance = unpack(w.P, zero=pipeline.known_axes)
@@ -399,21 +389,19 @@ def _with_room_for_a_policy(state: EpochState, asked: Asked) -> EpochState:
     """Return the state with the fields that a policy's choice between filter and decide needs."""
     layout = asked.pipeline.layout
     modes = len(asked.pipeline.modes)
-    groups = [0.0] * len(layout.groups)
-    measured = [0.0] * layout.size if layout.partial else ()
     state = state._replace(
-        pending=PendingEpoch(0.0, groups, state.truth, measured),
+        pending=state.incoming,
         observation=[0.0] * len(asked.table),
         numbers=[0.0] * len(limits_of(asked.action, modes)),
     )
     if asked.per_mode:
         state = state._replace(spread_averages_hz=[0.0] * len(SPREAD_MEMORIES))
     else:
+        groups = [0.0] * len(layout.groups)
         candidate = ModeResult(state.x, state.P, state.x, state.P, groups, groups, 0.0, 0.0)
         state = state._replace(candidates=[_kept(candidate, asked)] * modes)
     if asked.signed:
-        pending = state.pending._replace(incoming=state.incoming)
-        state = state._replace(pending=pending, velocity=[0.0] * 3)
+        state = state._replace(velocity=[0.0] * 3)
     if asked.action == CORRECTION:
         probabilities = state.mode_probabilities
         report = Reported(state.x, state.P, state.truth, state.memory, probabilities, 0.0)

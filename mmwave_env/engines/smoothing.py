@@ -2,8 +2,14 @@
 
 An environment does not store its track. To smooth the track, the finished episode is run again with
 the modes that were chosen.
+
+A network that corrects smoothed tracks reads the same features that correctors read after every
+update (:func:`mmwave_env.interface.signed.after_update`). However, belief, residuals and the
+direction of motion come from the smoothed track; only gates and modes' probabilities come from the
+filter.
 """
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -12,7 +18,10 @@ from numpy.typing import NDArray
 
 from mmwave_env.compiler.program import BatchState, Program, StepIO, blocks_of, rows_of
 from mmwave_env.engines.engine import tracks_of
+from mmwave_env.engines.epoch import with_expected_spread
 from mmwave_env.filters.bank import Bank
+from mmwave_env.filters.imm import begin
+from mmwave_env.filters.memory import initial_memory
 from mmwave_env.filters.pipeline import VERTICAL, Pipeline
 from mmwave_env.filters.smoother import (
     BackwardState,
@@ -21,9 +30,15 @@ from mmwave_env.filters.smoother import (
     smooth_epoch,
     track_end,
 )
+from mmwave_env.interface.features import View
+from mmwave_env.interface.observation import standardized
+from mmwave_env.interface.signed import LastEpoch, after_update
 from mmwave_env.models.layout import STATE_SIZE
-from mmwave_env.numerics.numbers import Array
-from mmwave_env.world.episode import EpisodeBatch, columns_of
+from mmwave_env.models.measurement import blank_site
+from mmwave_env.numerics.linalg import unpack
+from mmwave_env.numerics.numbers import Array, Array32, Number
+from mmwave_env.numerics.pytree import indices, unflatten
+from mmwave_env.world.episode import EpisodeBatch, blank_incoming, columns_of
 
 Actions = NDArray[np.integer[Any]]
 
@@ -53,7 +68,8 @@ def smoothed_again(
     x, P, x_predicted, P_predicted, error, nees = engine.run(*_KEPT, actions=actions).values()
     dt = episodes.table[:, 1:T, columns_of(pipeline.layout).dt]
     hz_per_mps = float(engine.read(engine.at.site.hz_per_mps)[0])
-    smoothed, _ = smooth(x, P, x_predicted, P_predicted, dt, pipeline.planar, hz_per_mps)
+    drive = pipeline.layout.bias_drive(hz_per_mps)
+    smoothed, _ = smooth(x, P, x_predicted, P_predicted, dt, pipeline.planar, drive)
     return error, nees, error + (smoothed - x)[..., :3]
 
 
@@ -65,11 +81,11 @@ class SmoothingState(NamedTuple):
 
 
 @lru_cache(maxsize=4)
-def _program(known_axes: tuple[int, ...], size: int) -> Program[SmoothingState]:
+def _program(known_axes: tuple[int, ...], size: int, driven: bool) -> Program[SmoothingState]:
     def function(w: SmoothingState) -> SmoothingState:
         return w._replace(after=smooth_epoch(w.incoming, w.after, known_axes))
 
-    return Program(function, SmoothingState(blank_epoch(size), track_end(size)))
+    return Program(function, SmoothingState(blank_epoch(size, driven), track_end(size)))
 
 
 def smooth(
@@ -79,7 +95,7 @@ def smooth(
     P_predicted: Array,
     dt: Array,
     planar: bool = False,
-    hz_per_mps: float = np.nan,
+    hz_per_mps: Number | None = None,
 ) -> tuple[Array, Array]:
     """Return smoothed means (N, T, 7 or 8) and packed covariances (N, T, 28 or 36) of tracks.
 
@@ -90,16 +106,63 @@ def smooth(
             with the shapes of ``x`` and ``P``.
         dt: (T - 1,) seconds from each epoch to the next; (N, T - 1) if they differ between tracks.
         planar: whether z and vz are known exactly.
-        hz_per_mps: carrier frequency divided by the speed of light; needed only with a range bias.
+        hz_per_mps: carrier frequency divided by the speed of light, if the oscillator drives a
+            range bias; else None.
     """
     N, T, size = x.shape
-    program = _program(VERTICAL if planar else (), size)
+    driven = size > STATE_SIZE and hz_per_mps is not None
+    program = _program(VERTICAL if planar else (), size, driven)
     since = np.ones((N, T))
     since[:, 1:] = dt
-    carrier = np.full((N, T, size - STATE_SIZE), hz_per_mps)
-    forwards = np.concatenate([since[..., None], x, P, x_predicted, P_predicted, carrier], axis=2)
+    parts = [since[..., None], x, P, x_predicted, P_predicted]
+    if driven:
+        parts.append(np.full((N, T, 1), hz_per_mps))
+    forwards = np.concatenate(parts, axis=2)
     rows = blocks_of(program.start, N)
     io = StepIO.of(N, T, output_rows=rows_of([program.index.after.x, program.index.after.P]))
     program.run_on_lanes(BatchState.of(np.ascontiguousarray(forwards[:, ::-1]), rows), io)
     smoothed = io.outputs[:, ::-1]
     return smoothed[..., :size].copy(), smoothed[..., size:].copy()
+
+
+GATES = ("nis", "accepted", "rejected")  # fields of a memory that the features read
+
+
+def smoothed_features(
+    pipeline: Pipeline,
+    batch: EpisodeBatch,
+    x: Array,
+    P: Array,
+    mixtures: Array,
+    gates: Sequence[Array],
+) -> Array32:
+    """Return the standardized features (N, T, features) of N smoothed tracks of T epochs.
+
+    Args:
+        pipeline: pipeline of the modes.
+        batch: the N episodes or parts of episodes that were filtered.
+        x, P: (N, T, 7) means and (N, T, 28) packed covariances of the smoothed beliefs.
+        mixtures: (N, T, numbers) the filter's :class:`~mmwave_env.filters.imm.Mixture` after each
+            epoch, flattened.
+        gates: for each name in :data:`GATES`, values (N, T, groups) from the most probable mode.
+    """
+    layout = pipeline.layout
+    n = x.shape[-1]
+    epoch = unflatten(blank_incoming(layout), iter(_leaves(batch.table))).epoch(layout)
+    site = unflatten(blank_site(layout), iter(_leaves(batch.site[:, None])))
+    at = indices(begin(pipeline, [0.0] * n, [0.0] * layout.triangle))
+    probabilities = _leaves(mixtures[..., np.array(at.probability)])
+    kept: Any = {name: _leaves(gate) for name, gate in zip(GATES, gates, strict=True)}
+    memory = initial_memory(layout, len(pipeline.modes))._replace(**kept)
+    before = _leaves(np.concatenate([x[:, :1], x[:, :-1]], axis=1))[3:6]
+    last = LastEpoch(with_expected_spread(epoch, before, site), 0.0, before, probabilities)
+    covariance = unpack(_leaves(P), zero=pipeline.known_axes)
+    view = View(_leaves(x), covariance, memory, [], epoch, site, None, last)
+    with np.errstate(all="ignore"):  # values of missing rows are not used
+        values = standardized(after_update(pipeline, per_mode=True), view)
+    return np.stack(np.broadcast_arrays(*values), axis=-1).astype(np.float32)
+
+
+def _leaves(rows: Array) -> list[Array]:
+    """Return the parts of arrays (..., k) along the last axis."""
+    return list(np.moveaxis(rows, -1, 0))

@@ -2,8 +2,13 @@
 
 With few environments, the Python code around that call takes a third of a step's time or more. So
 the Python code neither assembles nor splits arrays.
+
+A step also keeps the records that are used when an episode ends (:class:`Tally`): sums for metrics,
+and modes for a replay.
 """
 
+import math
+from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +20,6 @@ from mmwave_env.compiler.disk_cache import LazyJit
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import PLAIN_BLOCK_EPOCHS, Repeated, StepIO, laid_out
 from mmwave_env.engines.engine import Engine
-from mmwave_env.engines.tally import Tally, count, exceeds
 from mmwave_env.interface.info import (
     COST_KEY,
     FLAGS,
@@ -25,7 +29,147 @@ from mmwave_env.interface.info import (
     mask_keys,
     reported,
 )
+from mmwave_env.metrics import BURN_IN, RISK, Sums, nees_interval, running_summary
 from mmwave_env.numerics.numbers import Array, Index, Mask
+
+# columns of the sums: the fields of :class:`~mmwave_env.metrics.Sums` from ``distance`` on
+LENGTH, SQUARED, CHANGE, NEES, INSIDE, LARGEST = range(6)
+NONFINITE = 6  # column: number of epochs, burn-in included, whose error or NEES is not finite
+SUMS = 7
+
+# The horizontal protection level is the error that is exceeded with probability RISK. Its square,
+# divided by the variance along the longer axis of the error ellipse, lies between these numbers:
+# NARROWEST if the shorter axis is 0, WIDEST if both axes are equal.
+NARROWEST = NormalDist().inv_cdf(0.5 * RISK) ** 2
+WIDEST = -2.0 * math.log(RISK)
+# for exceeds(): number of angles per quadrant, smallest variance (m^2)
+ANGLES = 16
+LEAST = 1e-12
+
+
+class Counts(NamedTuple):
+    """The records of n environments."""
+
+    sums: Array  # (n, 7)
+    errors: Array  # (n, T, 3) ring buffer of the latest position errors, m
+    second: Index  # (n,) number of epochs in a second, from 1 to the length of the episode
+    interval: Array  # (2,) interval that contains 95 % of a consistent filter's NEES
+    # (epochs, n) mode in each epoch of the current episode, in the smallest type that can hold it;
+    # (0, n) if episodes are not replayed
+    modes: NDArray[np.unsignedinteger]
+
+
+class Tally:
+    """Records of episodes: sums over the epochs that count in the metrics, and chosen modes.
+
+    Args:
+        n: number of environments.
+        axes: number of position axes that NEES covers.
+        replayed: whether to record the modes of episodes, for replays.
+        actions: number of different actions, which are recorded as modes.
+
+    Attributes:
+        counts: the records; the buffer of errors covers a second, but at most the whole episode.
+    """
+
+    def __init__(self, n: int, axes: int, replayed: bool = False, actions: int = 1) -> None:
+        self._replayed = replayed
+        interval = np.array(nees_interval(axes))
+        modes = np.zeros((0, n), np.min_scalar_type(actions))
+        sums = np.zeros((n, SUMS))
+        errors = np.zeros((n, 1, 3))
+        second = np.ones(n, np.int64)
+        self.counts = Counts(sums, errors, second, interval, modes)
+
+    def begin(self, places: Index, step_s: Array, epochs: Index) -> None:
+        """Start k episodes, given their seconds per epoch (k,) and their numbers of epochs (k,)."""
+        second = self.counts.second
+        second[places] = np.clip(np.round(1.0 / step_s), 1, epochs)
+        errors = self.counts.errors
+        modes = self.counts.modes
+        missing = max(0, second.max() - errors.shape[1])
+        errors = np.pad(errors, ((0, 0), (0, missing), (0, 0)))
+        if self._replayed:
+            modes = np.pad(modes, ((0, max(0, epochs.max(initial=0) - len(modes))), (0, 0)))
+        self.counts = self.counts._replace(errors=errors, modes=modes)
+
+    def nonfinite(self, places: Index) -> Index:
+        """Return, for environments (k,), how many epochs (k,) have a non-finite error or NEES."""
+        return self.counts.sums[places, NONFINITE].astype(np.int64)  # type: ignore[no-any-return]
+
+    def metrics(self, places: Index, epochs: Index) -> dict[str, Array]:
+        """Return the running metrics of some environments (k,), by name.
+
+        Args:
+            places: (k,) environments.
+            epochs: (k,) number of epochs that each environment ran.
+        """
+        counted = np.maximum(epochs - BURN_IN, 1)
+        changes = np.maximum(counted - self.counts.second[places], 0)
+        return running_summary(Sums(counted, changes, *self.counts.sums[places, :NONFINITE].T))
+
+
+@register_jitable
+def count(counts, e, k, x, y, z, nees):  # type: ignore[no-untyped-def]
+    """Count epoch ``k`` (counted from 0) of an episode, with its position error (m) and NEES.
+
+    Each of the first BURN_IN + 1 epochs starts the sums anew, so the burn-in (the first BURN_IN
+    epochs) does not count. An episode that ends in the burn-in is scored by its last epoch.
+
+    Args:
+        counts: a :class:`Counts`, changed in place.
+        e: index of the environment.
+    """
+    sums = counts.sums[e]
+    errors = counts.errors[e]
+    second = counts.second[e]
+    if k <= BURN_IN:
+        for i in range(NONFINITE):
+            sums[i] = 0.0
+    if k == 0:
+        sums[NONFINITE] = 0.0
+    squared = x * x + y * y + z * z
+    if not (math.isfinite(squared) and math.isfinite(nees)):
+        sums[NONFINITE] += 1.0
+    sums[LENGTH] += math.sqrt(squared)
+    sums[SQUARED] += squared
+    sums[NEES] += nees
+    if counts.interval[0] <= nees <= counts.interval[1]:
+        sums[INSIDE] += 1.0
+    if squared > sums[LARGEST] or math.isnan(squared):  # once NaN, it stays NaN
+        sums[LARGEST] = squared
+    now = errors[k % second if second > 1 else 0]  # no slow division if epochs last 1 s
+    if k >= BURN_IN + second:
+        u = x - now[0]
+        v = y - now[1]
+        w = z - now[2]
+        sums[CHANGE] += math.sqrt(u * u + v * v + w * w)
+    now[0] = x
+    now[1] = y
+    now[2] = z
+
+
+@register_jitable
+def exceeds(x, y, xx, xy, yy):  # type: ignore[no-untyped-def]
+    """Return 1.0 if a horizontal error exceeds its protection level, or is NaN; else 0.0.
+
+    The error (x, y), m, with covariance (xx, xy, yy), m^2, exceeds the level if larger errors have
+    a probability below RISK. Most errors are so small or so large that this probability need not be
+    integrated; :mod:`mmwave_env.localization.position_errors` explains the integral.
+    """
+    squared = x * x + y * y
+    middle = 0.5 * (xx + yy)
+    slope = 0.5 * (xx - yy)
+    half = math.sqrt(slope * slope + xy * xy)
+    if squared <= NARROWEST * (middle + half):
+        return 0.0
+    if squared > WIDEST * (middle + half):
+        return 1.0
+    larger = 0.0
+    for i in range(ANGLES):
+        turn = (i + 0.5) * (math.pi / ANGLES)  # twice the angle to the longer axis
+        larger += math.exp(-0.5 * squared / max(middle + half * math.cos(turn), LEAST))
+    return 0.0 if larger >= RISK * ANGLES else 1.0
 
 
 class StepResult(NamedTuple):
@@ -43,18 +187,18 @@ class StepResult(NamedTuple):
 
 # The first output columns: reward, NEES, three columns of position error, and three of the
 # covariance of the horizontal position; then, if steps return infos, the gates' verdicts.
-REWARD = 0
-NEES = 1
-ERROR = 2
-COVARIANCE = 5
-VERDICTS = 8
+AT_REWARD = 0
+AT_NEES = 1
+AT_ERROR = 2
+AT_COVARIANCE = 5
+AT_VERDICTS = 8
 
 
 class Stepper:
     """An object that steps the environments of an engine and returns infos about them.
 
     Args:
-        engine: the environments, which run on SIMD lanes.
+        engine: the environments.
         tally: records of current episodes.
         infos: "all" if :meth:`step` returns infos, "episode" if :meth:`look` does, "none" if
             neither does.
@@ -62,7 +206,6 @@ class Stepper:
 
     def __init__(self, engine: Engine, tally: Tally, infos: str) -> None:
         at = engine.at
-        n = engine.n
         self._known = {} if infos == "none" else info_rows(at)
         shown = self._known if infos == "all" else {}
         parts = {"reward": at.reward, "nees": at.nees, "error": at.error}
@@ -74,8 +217,7 @@ class Stepper:
         self._info_keys = tuple(key for key in shown if key not in FLAGS)
         self._groups = len(at.memory.accepted) if shown else 0
         self._io = engine.step_io(self._rows)
-        self._mask_keys = mask_keys([*shown, "mode", COST_KEY])
-        self._everywhere = np.ones(n, np.bool_)
+        self.mask_keys = mask_keys([*shown, "mode", COST_KEY])  # of infos from steps
         self._tally = tally
         self._run = Repeated(_step)
 
@@ -89,7 +231,7 @@ class Stepper:
 
         Returns:
             New results; the number of environments that have no epoch left; and new infos about all
-            environments, with Gymnasium's masks, or {} if steps return no infos.
+            environments, without Gymnasium's masks, or {} if steps return no infos.
         """
         engine = self._engine
         io = self._io
@@ -108,17 +250,22 @@ class Stepper:
         outputs = np.empty_like(io.outputs) if self._info_keys else io.outputs
         io = StepIO(io.input_rows, io.inputs, self._rows, outputs, io.obs_rows, observations)
         self._io = io
-        program = (engine.program.on_lanes(), engine.program.blank)
-        arguments = (*program, engine.state, io, actions, result, self._tally.counts)
-        parts = engine.parts
-        ended = sum(self._run(len(engine.state.rows), parts, len(parts), *arguments))
+        records = (engine.program.blank, engine.state, io, actions, result, self._tally.counts)
+        blocks = len(engine.state.rows)
+        if engine.on_floats:
+            io.inputs[:, 0, 0] = actions
+            engine.advance(io)
+            ended = _step_blocks(0, blocks, 0, *records)
+        else:
+            run = engine.program.on_lanes()
+            parts = engine.parts
+            ended = sum(self._run(blocks, parts, len(parts), run, *records))
         engine.trust(io)
         if not self._info_keys:
             return result, ended, {}
         infos: Info = {key: outputs[self._columns[key]] for key in self._info_keys}
         infos |= {"accepted": result.accepted, "rejected": result.rejected, "mode": actions}
         infos[COST_KEY] = result.cost
-        infos |= dict.fromkeys(self._mask_keys, self._everywhere.copy())
         return result, ended, infos
 
     def look(self, actions: Index) -> Info:
@@ -140,7 +287,7 @@ class Stepper:
             Observations (n, features) and the infos of :data:`STATE_KEYS` (n, ...), valid only for
             the environments ``places``.
         """
-        observations, outputs = self._engine.start(places, self._rows)
+        observations, outputs = self._engine.step(0, self._rows, places)
         if self._info_keys:
             return observations, {key: outputs[:, None][self._columns[key]] for key in STATE_KEYS}
         known = [key for key in STATE_KEYS if key in self._known]
@@ -151,36 +298,40 @@ class Stepper:
 def _step_blocks(  # type: ignore[no-untyped-def]
     begin, end, run, blank, state, io, actions, result, counts
 ):
-    """Step the environments of blocks ``begin`` to ``end`` - 1; return how many episodes ended."""
+    """Step the environments of blocks ``begin`` to ``end`` - 1; return how many episodes ended.
+
+    If ``run`` is 0, the program has run already, and only the results are filled.
+    """
     first = begin * WIDTH
     last = min(end * WIDTH, len(actions))
     inputs = io.inputs
     outputs = io.outputs
     epoch = state.epoch
     length = state.length
-    for e in range(first, last):
-        inputs[e, 0, 0] = actions[e]
-    advance(begin, end, run, blank, state, io)
+    if run != 0:
+        for e in range(first, last):
+            inputs[e, 0, 0] = actions[e]
+        advance(begin, end, run, blank, state, io)
     _, rewards, _, truncated, accepted, rejected, costs = result
     ended = 0
     for e in range(first, last):
-        rewards[e] = outputs[e, 0, REWARD]
-        x = outputs[e, 0, ERROR]
-        y = outputs[e, 0, ERROR + 1]
-        z = outputs[e, 0, ERROR + 2]
+        rewards[e] = outputs[e, 0, AT_REWARD]
+        x = outputs[e, 0, AT_ERROR]
+        y = outputs[e, 0, AT_ERROR + 1]
+        z = outputs[e, 0, AT_ERROR + 2]
         k = epoch[e] - 2  # the epoch that the action completed
         if k >= 0:
-            count(counts, e, k, x, y, z, outputs[e, 0, NEES])
+            count(counts, e, k, x, y, z, outputs[e, 0, AT_NEES])
             if k < len(counts.modes):
                 counts.modes[k, e] = actions[e]
         if len(costs):
-            xx = outputs[e, 0, COVARIANCE]
-            xy = outputs[e, 0, COVARIANCE + 1]
-            yy = outputs[e, 0, COVARIANCE + 2]
+            xx = outputs[e, 0, AT_COVARIANCE]
+            xy = outputs[e, 0, AT_COVARIANCE + 1]
+            yy = outputs[e, 0, AT_COVARIANCE + 2]
             costs[e] = exceeds(x, y, xx, xy, yy)
         for g in range(accepted.shape[1]):
-            accepted[e, g] = outputs[e, 0, VERDICTS + g] > 0.5
-            rejected[e, g] = outputs[e, 0, VERDICTS + accepted.shape[1] + g] > 0.5
+            accepted[e, g] = outputs[e, 0, AT_VERDICTS + g] > 0.5
+            rejected[e, g] = outputs[e, 0, AT_VERDICTS + accepted.shape[1] + g] > 0.5
         truncated[e] = epoch[e] > length[e]
         ended += truncated[e]
     return ended

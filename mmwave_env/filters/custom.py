@@ -25,8 +25,7 @@ from mmwave_env.models.measurement import Measurement
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Matrix, Numbers
 from mmwave_env.numerics.pytree import flatten
-from mmwave_env.numerics.tape import taped
-from mmwave_env.numerics.tracer import NoValueError, Tracer, TracerCondition
+from mmwave_env.numerics.tape import NoValueError, Tracer, TracerCondition, taped
 
 _LANES_KNOW = (
     "a number on lanes supports only +, -, *, /, <, <=, >, >=, abs and the functions of "
@@ -157,7 +156,7 @@ def _numbers(layout: Layout, sigmas: float) -> list[Any]:
     anchors = [[40.0 + 10.0 * anchor, 15.0, 10.0] for anchor in range(layout.anchors)]
     x = [0.0, 0.0, 1.5, 1.0, 0.5, 0.0, 0.0, 0.0][:n]
     P = [1e-8 * (i == j) for i in range(n) for j in range(i + 1)]
-    sensor = Sensor(np.array(anchors), 1.0, layout.odometry, clock=layout.clock)
+    sensor = Sensor(np.array(anchors), 1.0, layout.odometry, clock=layout.has_bias)
     z = sensor.h(np.array(x)) + 0.1 * sigmas
     visible = [1.0] * len(layout.groups)
     first = [1.0] + [0.0] * (layout.anchors - 1)

@@ -45,7 +45,7 @@ class _Relative:
         anchors = np.array(measurement.anchors, float)
         shifted = int(np.argmax(measurement.doppler_of)) if len(measurement.doppler_of) else 0
         self._sensor = textbook.Sensor(
-            anchors, float(measurement.hz_per_mps), layout.odometry, shifted, layout.clock
+            anchors, float(measurement.hz_per_mps), layout.odometry, shifted, layout.has_bias
         )
         self._mean = mean
         self._at_mean = self._sensor.h(mean)
@@ -166,7 +166,6 @@ def filterpy_pipeline(pipeline: Pipeline) -> Pipeline:
             "planar: found True, but filterpy's filters need a covariance of full rank; use "
             "planar=False or this package's own filters"
         )
-    clock = pipeline.layout.clock
     filters = dict[Any, _Filter]()
     for mode in pipeline.modes:  # modes with the same algorithm share a filter
         name: Any = mode.algorithm  # a user's function is refused like an unknown name
@@ -174,12 +173,13 @@ def filterpy_pipeline(pipeline: Pipeline) -> Pipeline:
         filters[name] = make(pipeline.layout.state_size)
 
     def predict(
-        mode: Mode, x: Vector, P: Matrix, noise: ProcessNoise, dt: float, hz_per_mps: float
+        mode: Mode, x: Vector, P: Matrix, noise: ProcessNoise, dt: float, hz_per_mps: float | None
     ) -> tuple[list[float], list[list[float]]]:
         Q = np.diag(np.array(noise.diagonal, float))
         for (i, j), value in zip(COUPLED, noise.coupling, strict=False):
             Q[i, j] = Q[j, i] = value
-        F = textbook.F(float(dt), float(hz_per_mps) if clock else None)
+        drive = None if hz_per_mps is None else float(hz_per_mps)
+        F = textbook.F(float(dt), len(x), drive)
         belief = np.array(x, float), np.array(P, float)
         mean, covariance = filters[mode.algorithm].predict(*belief, Q, F)
         return mean.tolist(), _symmetric(covariance).tolist()
@@ -199,13 +199,13 @@ def _update(
     layout = measurement.layout
     relative = _Relative(x, measurement)
     R = np.diag(np.array(measurement.variance, float))
-    visible = [g for g in range(len(layout.groups)) if measurement.visible[g] > 0.5]
     measured = measurement.measured if layout.partial else [1.0] * layout.size
     groups = [
         np.arange(layout.size)[rows][np.array(measured[rows]) > 0.5] for rows in layout.groups
     ]
     nis = [0.0] * len(layout.groups)
-    accepted = [0.0] * len(layout.groups)
+    accepted = list(measurement.visible)  # also a range that a free clock has used up
+    visible = [g for g, rows in enumerate(groups) if measurement.visible[g] > 0.5 and len(rows)]
     log_likelihood = 0.0
 
     def conditioned(chosen: list[int]) -> _Filtered:

@@ -221,7 +221,7 @@ def estimate(mixture: Mixture) -> tuple[Numbers, Matrix]:
     return x, unpack(P)
 
 
-def prediction(now: ImmEpoch, dt: Number, hz_per_mps: Number) -> tuple[Numbers, Numbers]:
+def prediction(now: ImmEpoch, dt: Number, hz_per_mps: Number | None) -> tuple[Numbers, Numbers]:
     """Return the mixture's mean (7,) and packed covariance (28,) before an epoch's update.
 
     The Rauch-Tung-Striebel smoother assumes x_predicted = F x + noise, with noise independent of x.

@@ -20,6 +20,7 @@ from mmwave_env.numerics.numbers import (
     Vector,
     blend,
     clip,
+    minimum,
     sqrt,
     where,
 )
@@ -40,7 +41,9 @@ class Memory(NamedTuple):
     """Statistics of a track's measurements so far."""
 
     mode: Number  # number of the mode that ran last
-    lockout: Number  # number of epochs with links since a link last passed its gate
+    # number of epochs with links since a link last passed its gate; with a free clock, their time,
+    # s, because wild ranges that last for many epochs make no belief wrong
+    lockout: Number
     window: Numbers  # (WINDOW,) NIS / dof of all accepted groups, per epoch, newest first
     gamma: Number  # adaptive scale of Q and R
     # nis, accepted, rejected: (groups,) NIS and verdicts of the last epoch; 0 for missing groups
@@ -142,7 +145,8 @@ def memory_after(
     fixes = sum(chosen.accepted[: layout.anchors], 0.0)
     # A link that is accepted only because of a lock-out does not end the lock-out: the update
     # corrects the position, but the velocity may still be wrong. A link must pass its gate again.
-    lockout = where(links > 0.5, memory.lockout + 1.0, memory.lockout)
+    step = minimum(epoch.dt, 1.0) if layout.clock == "free" else 1.0
+    lockout = where(links > 0.5, memory.lockout + step, memory.lockout)
     correction = correction_of(before, chosen, epoch.dt, 0)
     return memory._replace(
         mode=mode,

@@ -154,7 +154,8 @@ def _predicted(
     packed = [now.P[..., i, j] for i in range(n) for j in range(i + 1)]
     pairs = (*shape, shape[-1])
     FP = np.zeros((*shape, n, n))
-    _fill(FP, transition_times(unpack(packed), coming.dt, hz_per_mps))
+    drive = pipeline.layout.bias_drive(hz_per_mps)
+    _fill(FP, transition_times(unpack(packed), coming.dt, drive))
     x = np.empty((*pairs, n))
     whitener = np.zeros((*pairs, n, n))
     log_scale = np.empty(pairs)  # logarithms of square roots of det P

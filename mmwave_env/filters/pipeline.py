@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from operator import attrgetter
 
 from mmwave_env.filters.belief import Belief
+from mmwave_env.filters.clock import set_clock
 from mmwave_env.filters.custom import check_algorithm
 from mmwave_env.filters.gating import Gate, passes
 from mmwave_env.filters.memory import Memory
@@ -28,19 +29,22 @@ from mmwave_env.models.motion import (
     with_clock,
 )
 from mmwave_env.numerics.linalg import dot, pack, unpack
-from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Vector, clip, where
+from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Vector, clip, maximum, where
 
 BLOCKAGE_ONSET_DB = 6.0
 BLOCKAGE_SLOPE_DB = 6.0
 BLOCKAGE_DEPTH = 3.0
 BLOCKAGE_GAIN = 3.0
+_SHORTEST_S = 1e-9  # shortest step by which a time is divided
 VERTICAL = (2, 5)  # z and vz, which are fixed on flat terrain
 
-Predictor = Callable[[Mode, Vector, Matrix, ProcessNoise, Number, Number], tuple[Numbers, Matrix]]
+Predictor = Callable[
+    [Mode, Vector, Matrix, ProcessNoise, Number, Number | None], tuple[Numbers, Matrix]
+]
 
 
 def _linear_prediction(
-    mode: Mode, x: Vector, P: Matrix, noise: ProcessNoise, dt: Number, hz_per_mps: Number
+    mode: Mode, x: Vector, P: Matrix, noise: ProcessNoise, dt: Number, hz_per_mps: Number | None
 ) -> tuple[Numbers, Matrix]:
     """Return the Kalman prediction; it is exact for every algorithm because motion is linear."""
     return move(x, dt, hz_per_mps), predict_covariance(P, noise, dt, hz_per_mps)
@@ -55,6 +59,8 @@ class Pipeline:
         layout: which quantity is in which row of a measurement.
         planar: whether the terrain is flat, so that z and vz keep their prior values (paper, Sec.
             II-A). The spacing of sigma points still assumes seven uncertain components.
+        correlation_s: time for which errors of measurements last; measurements at shorter steps
+            repeat each other's errors, and get so much more noise.
         predict: function that predicts the state; ``filterpy_pipeline`` replaces it by filterpy's.
         update: function that returns a mode's algorithm; ``filterpy_pipeline`` also replaces this.
 
@@ -66,6 +72,7 @@ class Pipeline:
     modes: tuple[Mode, ...]
     layout: Layout
     planar: bool = False
+    correlation_s: float = 0.0
     predict: Predictor = _linear_prediction
     update: Callable[[Mode], Algorithm] = attrgetter("update")
 
@@ -125,6 +132,14 @@ def measurement_of(
     )  # fmt: skip
 
 
+def _repeats(dt: Number, correlation_s: float) -> Number:
+    """Return by how much to multiply the noise of errors that last longer than a step ``dt``, s.
+
+    Then n measurements within the time of correlation add the information of one.
+    """
+    return where(dt > 0.0, maximum(correlation_s / maximum(dt, _SHORTEST_S), 1.0), 1.0)
+
+
 def predict(
     pipeline: Pipeline,
     mode: Mode,
@@ -143,10 +158,11 @@ def predict(
     scale = gamma if mode.adaptive else 1.0
     tuning = tuning or mode.tuning
     noise = process_noise(tuning, epoch, hz_per_mps, scale, pipeline.planar)
-    if pipeline.layout.clock:
-        noise = with_clock(noise, hz_per_mps, epoch.dt, tuning.coupling)
+    drive = pipeline.layout.bias_drive(hz_per_mps)
+    if pipeline.layout.has_bias:
+        noise = with_clock(noise, drive, epoch.dt, tuning.coupling)
     x_predicted, P_predicted = pipeline.predict(
-        mode, x, unpack(P, zero=pipeline.known_axes), noise, epoch.dt, hz_per_mps
+        mode, x, unpack(P, zero=pipeline.known_axes), noise, epoch.dt, drive
     )
     x_predicted = [x[i] if i in pipeline.known_axes else v for i, v in enumerate(x_predicted)]
     if mode.acceleration_mps2:
@@ -181,12 +197,27 @@ def predict_update(
     if mode.recovery is not None:
         force = where(memory.lockout > mode.recovery - 0.5, 1.0, 0.0)
     measurement = measurement_of(mode, memory, epoch, site, pipeline.layout)
+    repeats: Number = 1.0
+    if pipeline.correlation_s:
+        repeats = _repeats(epoch.dt, pipeline.correlation_s)
     gate = Gate(mode.gate, force, mode.robust)
-    x, P, nis, accepted, likelihood = pipeline.update(mode)(
-        x_predicted, P_predicted, measurement, gate
-    )
+    update = pipeline.update(mode)
+    clock = None
+    if pipeline.layout.clock == "free":
+        clock = set_clock(x_predicted, P_predicted, measurement, memory.lockout, repeats)
+        measurement = clock.measurement
+        posterior = update(clock.x, clock.P, measurement, gate)
+    else:
+        if pipeline.correlation_s:
+            noise = [v * repeats for v in measurement.variance]
+            measurement = measurement._replace(variance=noise)
+        posterior = update(x_predicted, P_predicted, measurement, gate)
     quantile = None if mode.robust else mode.gate
-    degrees = pipeline.layout.degrees(epoch.measured)
-    within = [passes(q, k, quantile) for q, k in zip(nis, degrees, strict=True)]
+    degrees = pipeline.layout.degrees(measurement.measured)
+    within = [passes(q, k, quantile) for q, k in zip(posterior.nis, degrees, strict=True)]
+    if clock:  # a link whose only row is the pivot's range has not passed
+        within = [where(k > 0.5, w, 0.0) for w, k in zip(within, degrees, strict=True)]
+        posterior = clock.judged(posterior)
+    x, P, nis, accepted, likelihood = posterior
     passed = dot(within, accepted[: pipeline.layout.anchors])
     return ModeResult(x, pack(P), x_predicted, pack(P_predicted), nis, accepted, passed, likelihood)

@@ -36,7 +36,7 @@ class ForwardEpoch(NamedTuple):
     # x_predicted, P_predicted: mean and covariance before the epoch's update
     x_predicted: Numbers
     P_predicted: Numbers
-    hz_per_mps: Vector = ()  # (1,) f_c / c if the state has a clock's range bias; else empty
+    hz_per_mps: Vector = ()  # (1,) f_c / c if the oscillator drives a range bias; else empty
 
 
 class BackwardState(NamedTuple):
@@ -52,12 +52,14 @@ class BackwardState(NamedTuple):
     P: Numbers
 
 
-def blank_epoch(size: int = STATE_SIZE) -> ForwardEpoch:
-    """Return a placeholder epoch with valid numbers, to be overwritten."""
+def blank_epoch(size: int = STATE_SIZE, driven: bool = False) -> ForwardEpoch:
+    """Return a placeholder epoch with valid numbers, to be overwritten.
+
+    ``driven`` tells whether the state has a range bias that the oscillator drives.
+    """
     identity = [float(i == j) for i in range(size) for j in range(i + 1)]
     nothing = [0.0] * size
-    carrier = [1.0] * (size - STATE_SIZE)
-    return ForwardEpoch(1.0, nothing, identity, nothing, identity, carrier)
+    return ForwardEpoch(1.0, nothing, identity, nothing, identity, [1.0] * driven)
 
 
 def track_end(size: int = STATE_SIZE) -> BackwardState:

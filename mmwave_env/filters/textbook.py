@@ -22,17 +22,19 @@ from mmwave_env.numerics.numbers import Array, Mask
 NEAREST_M = 1e-3  # angles are undefined this near an anchor or the vertical line through it
 
 
-def F(dt: float, hz_per_mps: float | None = None) -> Array:
+def F(dt: float, n: int = 7, hz_per_mps: float | None = None) -> Array:
     """Return the constant-velocity transition matrix over dt seconds: eqs. (2) and (3).
 
-    With ``hz_per_mps``, f_c / c, the state (8,) includes the range bias of the user's clock, which
-    the oscillator's bias drives: Groves 2013, Sec. 9.4.2.
+    With n = 8, the state includes the range bias of the user's clock. The oscillator's bias drives
+    it (Groves 2013, Sec. 9.4.2), if ``hz_per_mps``, f_c / c, is given. Otherwise the clock is free:
+    the new range bias does not depend on the state, and has a large variance in Q.
     """
-    if hz_per_mps is None:
+    if n == 7:
         return np.eye(7) + dt * np.eye(7, k=3) * (np.arange(7) < 3)[:, None]
-    transition = np.eye(8)
+    transition = np.zeros((8, 8))
     transition[:7, :7] = F(dt)
-    transition[7, 6] = dt / hz_per_mps
+    if hz_per_mps is not None:
+        transition[7, 6:] = dt / hz_per_mps, 1.0
     return transition
 
 
@@ -40,7 +42,7 @@ def predict(
     x: Array, P: Array, Q: Array, dt: float, hz_per_mps: float | None = None
 ) -> tuple[Array, Array]:
     """Predict the belief: F x, F P F' + Q, eqs. (10) to (12)."""
-    transition = F(dt, hz_per_mps)
+    transition = F(dt, len(x), hz_per_mps)
     return transition @ x, transition @ P @ transition.T + Q
 
 
@@ -118,6 +120,25 @@ def update(
     return updated, P - K @ S @ K.T
 
 
+def update_with_differences(
+    model: "Sensor", x: Array, P: Array, z: Array, R: Array, keep: Mask, reference: int
+) -> tuple[Array, Array]:
+    """Condition x (7,) on differences of ranges (TDoA) and on all rows that are not ranges.
+
+    All ranges contain the same unknown bias, which cancels in their differences to the range of
+    the anchor ``reference``; the noise of this range correlates them. Other arguments are the same
+    as for :func:`update`.
+    """
+    D = np.eye(len(z))
+    D[0 : 4 * model.links : 4, 4 * reference] -= 1.0
+    D = D[keep & (np.arange(len(z)) != 4 * reference)]
+    H = model.jacobian(x)
+    S = D @ (H @ P @ H.T + np.diag(R)) @ D.T
+    K = np.linalg.solve(S, D @ H @ P).T
+    y = model.residual(z, model.h(x), x)
+    return x + K @ D @ y, P - K @ S @ K.T
+
+
 def mix(probability: Array, transition: Array, x: Array, P: Array) -> tuple[Array, Array, Array]:
     """Mix the beliefs of M modes before an epoch of an IMM.
 
@@ -166,13 +187,13 @@ def rts(
     """
     if x_predicted is None:
         steps = zip(np.diff(time_s, prepend=np.nan), np.roll(x, 1, axis=0), strict=True)
-        x_predicted = [F(dt, hz_per_mps) @ before for dt, before in steps]
+        x_predicted = [F(dt, x.shape[1], hz_per_mps) @ before for dt, before in steps]
     means = list(x_predicted)
     x = x.copy()
     P = P.copy()
     block = np.ix_(free, free)
     for t in reversed(range(len(x) - 1)):
-        Ft = F(time_s[t + 1] - time_s[t], hz_per_mps)
+        Ft = F(time_s[t + 1] - time_s[t], x.shape[1], hz_per_mps)
         gain = np.zeros_like(P[t])
         gain[block] = (P[t] @ Ft.T)[block] @ np.linalg.inv(P_predicted[t + 1][block])
         x[t] += gain @ (x[t + 1] - means[t + 1])

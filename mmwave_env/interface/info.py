@@ -4,7 +4,7 @@ import warnings
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from mmwave_env.numerics.numbers import Array, Mask
+from mmwave_env.numerics.numbers import Mask
 
 Info = dict[str, Any]  # values by key; in vector environments, arrays (n, ...)
 STATE_KEYS = ("truth", "estimate")  # in the infos of resets and steps
@@ -62,7 +62,8 @@ def drawn_rows(at: Any, span: Callable[[Any], Any]) -> dict[str, Any]:
     """
     rows = info_rows(at)
     parts = {name: rows[name] for name in ("truth", "estimate", "nees", "accepted", "rejected")}
-    parts |= {"P": reported(at).P, "dt": at.pending.dt, "anchors": at.site.anchors}
+    position = reported(at).P[:6]  # the packed covariance begins with that of the position
+    parts |= {"P": position, "dt": at.pending.dt, "anchors": at.site.anchors}
     return {name: span(part) for name, part in parts.items()}
 
 
@@ -85,21 +86,6 @@ def stepped(infos: Info, where: Mask) -> Info:
     did = {key: infos[key] for key in (*STEP_KEYS, PROBABILITIES) if key in infos}
     kept = (*STATE_KEYS, *mask_keys(STATE_KEYS))
     return masked(did, where) | {key: infos[key] for key in kept if key in infos}
-
-
-def step_info(column: Array, rows: dict[str, Any], mode: int) -> Info:
-    """Return the info of a step of one environment.
-
-    Args:
-        column: workspace (size,) after the step.
-        rows: row or slice of each value in the workspace, from :func:`info_rows`.
-        mode: number of the mode that the action chose.
-    """
-    info: Info = {}
-    for key, part in rows.items():
-        value = column[part]
-        info[key] = float(value) if isinstance(part, int) else value
-    return info | {key: info[key] > 0.5 for key in FLAGS} | {"mode": mode}
 
 
 def mask_keys(keys: Iterable[str]) -> list[str]:

@@ -120,10 +120,11 @@ class Observation:
         """
         i = {feature.name: i for i, feature in enumerate(self.features)}[name]
         shown = observation[..., i].astype(np.float32)
-        (mean, deviation) = self.features[i].scale
-        value = shown.astype(np.float64) * deviation + mean
+        feature = self.features[i]
+        value = shown.astype(np.float64) * feature.deviation + feature.mean
         # Round to the step, a power of two, with which single precision resolves such values.
-        step = np.exp2(np.ceil(np.log2(np.spacing(np.abs(shown)).astype(np.float64) * deviation)))
+        spacing = np.spacing(np.abs(shown)).astype(np.float64) * feature.deviation
+        step = np.exp2(np.ceil(np.log2(spacing)))
         return np.asarray(np.rint(value / step) * step)
 
     def table(self) -> str:
@@ -133,14 +134,14 @@ class Observation:
             "|---|---|---|---|---|---|---|---|",
         ]
         for i, (f, bounds) in enumerate(zip(self.features, self._bounds(), strict=True)):
-            numbers = " | ".join(f"{number:.4g}" for number in (*f.scale, *bounds))
+            numbers = " | ".join(f"{number:.4g}" for number in (f.mean, f.deviation, *bounds))
             lines.append(f"| {i} | {f.name} | {f.meaning} | {f.unit} | {numbers} |")
         return "\n".join(lines)
 
 
 def observation_columns(features: Sequence[Feature]) -> tuple[Column, ...]:
     """Return the columns of standardized features."""
-    return tuple(Column(f.name, f.unit, *map(float, f.scale)) for f in features)
+    return tuple(Column(f.name, f.unit, float(f.mean), float(f.deviation)) for f in features)
 
 
 def standardized(features: Sequence[Feature], view: View) -> Numbers:
@@ -150,8 +151,7 @@ def standardized(features: Sequence[Feature], view: View) -> Numbers:
 
 def _standardize(value: Number, feature: Feature) -> Number:
     """Limit and standardize a value."""
-    (mean, deviation) = feature.scale
-    reach = LIMIT * deviation
-    low = max(feature.low, mean - reach)
-    high = min(feature.high, mean + reach)
-    return (clip(value, low, high) - mean) * (1.0 / deviation)
+    reach = LIMIT * feature.deviation
+    low = max(feature.low, feature.mean - reach)
+    high = min(feature.high, feature.mean + reach)
+    return (clip(value, low, high) - feature.mean) * (1.0 / feature.deviation)

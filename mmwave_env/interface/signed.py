@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from mmwave_env.filters.correction import Frame
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.interface.features import Feature, View, last_epoch
+from mmwave_env.interface.features import WAYS, Feature, View, feature, last_epoch
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Epoch, direction, norms
 from mmwave_env.numerics.linalg import dot, minus
@@ -31,7 +31,6 @@ from mmwave_env.numerics.numbers import (
 _LEAST_M = 0.05  # minimum standard deviation by which residuals are divided, m
 _LEAST_RAD = 1e-3  # minimum standard deviation by which elevation residuals are divided, rad
 _LEAST_S = 1e-3  # minimum time between epochs in a logarithm, s
-_WAYS = ("along", "across")  # components of a horizontal vector in the frame of motion
 _ROWS = {"range": 0, "azimuth": 1, "elevation": 2, "departure": 3}  # index within a link's rows
 
 
@@ -56,25 +55,20 @@ def signed(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
         pipeline: modes and layout.
         per_mode: whether every mode keeps its own belief, so that modes have probabilities.
     """
-    layout = pipeline.layout
     modes = pipeline.modes if per_mode else ()
     return [
-        *(feature for a in range(layout.anchors) for feature in _link(layout, a)),
+        *(part for a in range(pipeline.layout.anchors) for part in _link(pipeline.layout, a)),
         *_belief(2 not in pipeline.known_axes),
-        Feature("turn sine", "sine of the turn of the direction of motion in the last epoch", "",
-                -1, 1, lambda v: _turn(v)[1]),
-        Feature("turn cosine", "cosine of the last epoch's turn", "", -1, 1, lambda v: _turn(v)[0]),
-        Feature("last step", "ln of the last epoch's dt; 0 in an episode's first epoch", "ln s",
-                -7, 4, _step),
-        Feature("last speed", "ln(1 + estimated horizontal speed / (1 m/s))", "", 0, 4,
-                lambda v: log(1.0 + sqrt(dot(v.x[3:5], v.x[3:5])))),
-        Feature("last Doppler spread", "ln(1 + spread / (1 m/s)) in the last epoch", "", 0, 4,
-                lambda v: _present(v) * log(
-                    1.0 + v.last.epoch.doppler_spread_hz / v.site.hz_per_mps)),
-        *(Feature(f"probability {mode.name}", "probability of the mode after the last update", "",
-                  0, 1, lambda v, m=m: v.last.probabilities[m], "probability")
-          for m, mode in enumerate(modes)),
-    ]  # fmt: skip
+        feature("turn sine", lambda v: _turn(v)[1]),
+        feature("turn cosine", lambda v: _turn(v)[0]),
+        feature("last step", _step),
+        feature("last speed", lambda v: log(1.0 + sqrt(dot(v.x[3:5], v.x[3:5])))),
+        feature("last Doppler spread", _spread),
+        *(
+            feature("probability", lambda v, m=m: v.last.probabilities[m], mode.name)
+            for m, mode in enumerate(modes)
+        ),
+    ]
 
 
 def _present(view: View) -> Number:
@@ -90,6 +84,11 @@ def _turn(view: View) -> Pair:
 def _step(view: View) -> Number:
     dt = view.last.epoch.dt
     return where(dt * _present(view) > 0.0, log(maximum(dt, _LEAST_S)), 0.0)
+
+
+def _spread(view: View) -> Number:
+    present = _present(view)
+    return present * log(1.0 + view.last.epoch.doppler_spread_hz / view.site.hz_per_mps)
 
 
 def _measured(view: View, layout: Layout, anchor: int, row: int) -> Number:
@@ -125,7 +124,7 @@ def _row(view: View, layout: Layout, anchor: int, name: str) -> tuple[Number, Nu
         q = _squashed(wrap(z - elevation) / maximum(sigma, _LEAST_RAD)) * measured
         return q, 0.0, log(maximum(sigma * distance, _LEAST_M)) * measured
     if name == "range":
-        residual = z - distance - (view.x[7] if layout.clock else 0.0)
+        residual = z - distance - (view.x[7] if layout.has_bias else 0.0)
         deviation = maximum(sigma, _LEAST_M)
         toward = (ux, uy)
     else:
@@ -150,30 +149,21 @@ def _link(layout: Layout, a: int) -> list[Feature]:
     def part(name: str, i: int, v: View) -> Number:
         return _row(v, layout, a, name)[i]
 
+    def snr(v: View) -> Number:
+        return v.last.epoch.snr_db[a] * v.last.epoch.visible[a] * _present(v)
+
     of = f"anchor {a + 1}"
-    deviation = "ln of the standard deviation, in meters at the user; 0 if missing"
     table = []
     for name in ("range", "azimuth", "departure"):
-        meaning = f"sign(q) ln(1 + |q|), q: ({name} - its updated estimate) / deviation"
-        table += [
-            *(Feature(f"{name} residual {way} {of}", f"{meaning}, times the {way} component of the "
-                      "measured direction; 0 if missing", "", -10, 10, partial(part, name, i),
-                      f"{name} residual {way}") for i, way in enumerate(_WAYS)),
-            Feature(f"{name} deviation {of}", deviation, "ln m", -4, 8, partial(part, name, 2),
-                    f"{name} deviation"),
-        ]  # fmt: skip
+        kinds = (*(f"{name} residual {way}" for way in WAYS), f"{name} deviation")
+        table += [feature(kind, partial(part, name, i), of) for i, kind in enumerate(kinds)]
     return [
         *table,
-        Feature(f"elevation residual {of}", "residual of the elevation: sign(q) ln(1 + |q|); 0 if "
-                "missing", "", -10, 10, partial(part, "elevation", 0), "elevation residual"),
-        Feature(f"elevation deviation {of}", deviation, "ln m", -4, 8,
-                partial(part, "elevation", 2), "elevation deviation"),
-        Feature(f"measured {of}", "share of the link's quantities that were measured", "", 0, 1,
-                share, "measured"),
-        Feature(f"last SNR {of}", "SNR in the last epoch; 0 if missing", "dB", -20, 80,
-                lambda v: v.last.epoch.snr_db[a] * v.last.epoch.visible[a] * _present(v),
-                "last SNR"),
-    ]  # fmt: skip
+        feature("elevation residual", partial(part, "elevation", 0), of),
+        feature("elevation deviation", partial(part, "elevation", 2), of),
+        feature("measured", share, of),
+        feature("last SNR", snr, of),
+    ]
 
 
 def _belief(vertical: bool) -> list[Feature]:
@@ -186,15 +176,13 @@ def _belief(vertical: bool) -> list[Feature]:
         return maximum(minimum(both / sqrt(maximum(along * across, 1e-24)), 1.0), -1.0)
 
     table = [
-        *(Feature(f"{of}deviation {way}", f"ln of the standard deviation {way} the velocity", unit,
-                  -8, 8, partial(half_log, i, first))
-          for of, first, unit in (("", 0, "ln m"), ("velocity ", 3, "ln m/s"))
-          for i, way in enumerate(_WAYS)),
-        Feature("correlation", "correlation of position errors along and across the velocity", "",
-                -1, 1, correlation),
-    ]  # fmt: skip
-    if not vertical:
-        return table
-    up = Feature("deviation up", "ln of the standard deviation of the height", "ln m", -8, 8,
-                 lambda v: 0.5 * log(maximum(v.P[2][2], 1e-12)))  # fmt: skip
-    return [*table, up]
+        *(
+            feature(f"{of}deviation {way}", partial(half_log, i, first))
+            for of, first in (("", 0), ("velocity ", 3))
+            for i, way in enumerate(WAYS)
+        ),
+        feature("correlation", correlation),
+    ]
+    if vertical:
+        table.append(feature("deviation up", lambda v: 0.5 * log(maximum(v.P[2][2], 1e-12))))
+    return table

@@ -5,6 +5,7 @@ import os
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.resources import files
 from pathlib import Path
 from secrets import token_hex
 from typing import Any, BinaryIO, TypeVar
@@ -15,7 +16,8 @@ AnyPath = str | os.PathLike[str]
 
 TEXT_BYTES = 16 << 20  # maximum size of a text file; logs and trajectories may be longer
 JSON_BYTES = 8 << 20  # maximum size of a JSON file; the largest in this project has 0.06 MB
-JSON_DEPTH = 50  # maximum depth of nested lists and objects
+# errors of code that converts unexpected content of a file
+UNEXPECTED = (ValueError, TypeError, AttributeError, LookupError, ArithmeticError, RecursionError)
 
 
 def _named(error: OSError, path: Path) -> OSError:
@@ -93,25 +95,17 @@ def read_text(path: Path, expected: str = "text", most: int = TEXT_BYTES) -> str
 
 
 def parse_json(text: str) -> Any:
-    """Parse JSON; refuse objects with a key twice, and more than :data:`JSON_DEPTH` nested levels.
+    """Parse JSON; refuse objects with a key twice, and lists or objects nested too deeply.
 
     Raises:
         ValueError: the text is not valid JSON; the message says what is wrong.
     """
-    nested = f"found lists or objects nested too deeply, expected at most {JSON_DEPTH} levels"
     try:
-        value = json.loads(text, object_pairs_hook=_object)
+        return json.loads(text, object_pairs_hook=_object)
     except RecursionError:
-        raise ValueError(nested) from None
-    level = [value] if text.count("[") + text.count("{") > JSON_DEPTH else []
-    for _ in range(JSON_DEPTH + 1):
-        nodes = [node for node in level if isinstance(node, dict | list)]
-        level = []
-        for node in nodes:
-            level += node.values() if isinstance(node, dict) else node
-    if level:
-        raise ValueError(nested)
-    return value
+        raise ValueError(
+            "found lists or objects nested too deeply, expected fewer levels"
+        ) from None
 
 
 def _object(pairs: list[tuple[str, Any]]) -> Json:
@@ -143,9 +137,15 @@ def read_json(path: Path, kind: str, make: Callable[[Json], T], see: str = "") -
         if not isinstance(content, dict):
             raise ValueError(f"found {type(content).__name__}, expected an object")
         return make(content)
-    except (ValueError, TypeError, AttributeError, LookupError, ArithmeticError) as error:
+    except UNEXPECTED as error:
         described = f" ({see})" if see else ""
         raise ValueError(f"{path}: not {kind}: {first_line(error)}{described}") from error
+
+
+def shipped_json(name: str) -> Json:
+    """Return the object in a JSON file of the package's folder ``data``."""
+    path = files("mmwave_env").joinpath("data", f"{name}.json")
+    return json.loads(path.read_text(encoding="utf-8"))  # type: ignore[no-any-return]
 
 
 def require_writable(path: Path) -> None:

@@ -16,8 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mmwave_env.engines.engine import Engine, tracks_of
-from mmwave_env.engines.smoothed_features import smoothed_features
-from mmwave_env.engines.smoothing import smooth
+from mmwave_env.engines.smoothing import smooth, smoothed_features
 from mmwave_env.filters.correction import corrected_all
 from mmwave_env.filters.mode_smoothing import smooth_modes
 from mmwave_env.filters.pipeline import Pipeline
@@ -100,6 +99,7 @@ class Localizer:
     switching: Switching
     height_m: float | None = None
     levels: Levels | None = None
+    correlation_s: float = 0.0
 
     @property
     def planar(self) -> bool:
@@ -109,7 +109,8 @@ class Localizer:
     @cached_property
     def pipeline(self) -> Pipeline:
         """Return the modes in this layout."""
-        return self.switching.pipeline(self.layout, self.planar)
+        pipeline = self.switching.pipeline(self.layout, self.planar)
+        return replace(pipeline, correlation_s=self.correlation_s)
 
     @cached_property
     def engine(self) -> Engine:
@@ -191,7 +192,8 @@ class Localizer:
             return smooth_modes(
                 self.switching.bank, self.pipeline, rest, steps, spread_hz, hz_per_mps
             )
-        return smooth(x, P, rest[..., :n], rest[..., n:], dt, self.planar, hz_per_mps)
+        drive = self.layout.bias_drive(hz_per_mps)
+        return smooth(x, P, rest[..., :n], rest[..., n:], dt, self.planar, drive)
 
 
 def localize(
@@ -204,6 +206,7 @@ def localize(
     levels: Levels | None = None,
     two_way: SmoothedCorrector | None = None,
     report: Callable[[float], None] = lambda share: None,
+    correlation_s: float = 0.0,
 ) -> Track:
     """Return the track of a log.
 
@@ -217,6 +220,7 @@ def localize(
         two_way: network that corrects the smoothed track; None for no correction. A network needs
             ``height_m=None``, and a bank whose modes have the names of the modes in its training.
         report: function that is called with the share of the log that is done, 0 to 1.
+        correlation_s: time for which errors of measurements last; 0 if they are independent.
 
     Returns:
         The track. If the log is damaged, or a belief becomes NaN or infinite, the track ends before
@@ -226,7 +230,7 @@ def localize(
         LogError: the track would have no epoch because of such an error.
         ValueError: no epoch determines a position with which a track could begin.
     """
-    localizer = Localizer(log.layout, scene, radio, switching, height_m, levels)
+    localizer = Localizer(log.layout, scene, radio, switching, height_m, levels, correlation_s)
     parts = segments(log, scene, radio)
     visible = log.visible.copy()
     for part in parts:  # here, because a chunk may have fewer epochs than a start spends

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mmwave_env.engines.engine import Engine
-from mmwave_env.engines.play import play
+from mmwave_env.engines.engine import Engine, play
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import CORRECTION, MODE
 from mmwave_env.interface.observation import Observation

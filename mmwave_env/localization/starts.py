@@ -21,9 +21,9 @@ from mmwave_env.logs.live_log import LiveEpoch, log_from
 from mmwave_env.logs.log import Log
 from mmwave_env.logs.log_columns import RANGE_LIMITS_M
 from mmwave_env.models.layout import STATE_SIZE
-from mmwave_env.models.measurement import SPEED_OF_LIGHT, link_group
+from mmwave_env.models.measurement import link_group
 from mmwave_env.models.prior import STEEPEST_FIX_RAD, UNKNOWN_VELOCITY_MPS, prior_from_fix
-from mmwave_env.models.radio import CLOCK_OFFSET_S, Radio
+from mmwave_env.models.radio import BIAS_SIGMA_M, Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Mask
 
@@ -40,6 +40,8 @@ _SEARCHED = 4
 _DIRECTIONS = 12
 _STARTS_M = (10.0, 40.0, 160.0)
 _ROUNDS = 20
+_RANGE_ROW = np.array([[True], [False], [False], [False]])  # the range among the rows of a link
+_SURELY = 3.3  # standard deviations of a difference that noise exceeds once in 1,000 times
 POOL_S = 1.0  # age up to which earlier links help to determine a first position
 VOTES = 5  # positions that confirm a start
 # minimum time between votes: between the first ones, between later ones
@@ -84,7 +86,7 @@ def start_at(log: Log, epoch: int, scene: Scene, radio: Radio) -> Start | None:
     sigma = _deviations(row, scene, radio)[0]
     link = row.measurement[0, :4]
     spent = np.zeros((1, len(row.layout.groups)), np.bool_)
-    whole = bool(np.isfinite(link).all()) and bool(row.visible[0, 0]) and not row.layout.clock
+    whole = bool(np.isfinite(link).all()) and bool(row.visible[0, 0]) and not row.layout.has_bias
     if whole and gives_fix(row.measurement)[0]:
         spent[0, 0] = True
         return Start(prior_from_fix(scene.anchors_m[0], link, sigma[:4], radio, scene), spent)
@@ -120,6 +122,8 @@ def _position_at(
     solved = _solved(row.measurement[0], sigma, row.visible[0], scene, clock)
     if solved:
         return *solved, False
+    if clock == "free":
+        return None  # earlier ranges have another bias
     solved = _solved(*_pooled(log, epoch, scene, radio), scene, clock)
     return (*solved, True) if solved else None
 
@@ -168,14 +172,16 @@ class _Links(NamedTuple):
     measured: Array
     center: Array  # (unknowns,)
     weight: Array  # (unknowns,) inverse variances around the center
+    synchronized: bool  # whether ranges say roughly how far away the anchors are
 
 
 def _solved(
-    measurement: Array, sigma: Array, visible: Mask, scene: Scene, clock: bool
+    measurement: Array, sigma: Array, visible: Mask, scene: Scene, clock: str
 ) -> tuple[Array, Array] | None:
     """Return the position (3,) and its covariance from links, or None.
 
     If the clock is not synchronized, its range bias is a fourth unknown, with the filters' prior.
+    Ranges that no position explains, whatever a free clock's bias is, are left out.
     The search starts in several places, because there may be several minima. The result is None if
     the best minimum is too uncertain, or if a minimum more than 4 standard deviations away from it
     fits the links about as well.
@@ -183,16 +189,24 @@ def _solved(
     every = scene.anchors_m[: len(measurement) // 4]  # four rows per link, and some others
     visible_links = np.flatnonzero(visible[: len(every)])
     z = measurement[: 4 * len(every)].reshape(-1, 4)[visible_links].T
+    reach_m = _FARTHEST_M
+    if clock == "free":
+        points = every[visible_links]
+        apart_m = np.linalg.norm(points[:, None] - points, axis=2)
+        reach_m = float(apart_m.max(initial=1.0))
+        wrong = _contradicting(z[0], sigma[4 * visible_links], apart_m)
+        z = np.where(wrong & _RANGE_ROW, np.nan, z)
     measured = np.isfinite(z)
     azimuths = measured[[1, 3]].any(axis=0)
-    if measured[0].sum() + azimuths.sum() < 2 + clock:
+    bias_sigma_m = [BIAS_SIGMA_M[clock]] if clock in BIAS_SIGMA_M else []
+    if measured[0].sum() + azimuths.sum() < 2 + len(bias_sigma_m):
         return None  # the height of the streets is known only roughly
     points = every[visible_links[measured[0]], :2]
     mirrored = not azimuths.any() and _on_a_line(points)
     if mirrored and scene.side is None:
         return None  # without azimuths, a mirrored position fits as well
-    n = 3 + clock
-    deviation = [_FARTHEST_M, _FARTHEST_M, HEIGHT_SIGMA_M, SPEED_OF_LIGHT * CLOCK_OFFSET_S]
+    n = 3 + len(bias_sigma_m)
+    deviation = [reach_m, reach_m, HEIGHT_SIGMA_M, *bias_sigma_m]
     center = [*every[:, :2].mean(axis=0), scene.streets.height_m, 0.0]
     links = _Links(
         anchors=every[visible_links].T,
@@ -202,7 +216,8 @@ def _solved(
         ),
         measured=measured.astype(float),
         center=np.array(center[:n]),
-        weight=1.0 / np.array(deviation[:n]) ** 2,
+        weight=1.0 / np.array(deviation) ** 2,
+        synchronized=clock != "free",
     )
     cost, position, information = _descended(links, np.array(list(_starts(links))))
     if mirrored:
@@ -219,6 +234,21 @@ def _solved(
     if ((cost - cost[best] < _AMBIGUOUS) & (distance > 16.0)).any():
         return None
     return position[best], covariance
+
+
+def _contradicting(ranges: Array, sigma: Array, apart_m: Array) -> Mask:
+    """Tell which ranges (n,) differ by more than their anchors, ``apart_m`` (n, n), are apart.
+
+    Of each two that do, the one with more contradictions is wrong.
+    """
+    noise = _SURELY * np.hypot(sigma[:, None], sigma)
+    conflict = np.abs(ranges[:, None] - ranges) > apart_m + noise
+    wrong = np.zeros(len(ranges), np.bool_)
+    while conflict.any():
+        worst = conflict.sum(axis=0).argmax()
+        wrong[worst] = True
+        conflict[worst] = conflict[:, worst] = False
+    return wrong
 
 
 def _on_a_line(points: Array) -> bool:
@@ -244,7 +274,8 @@ def _starts(links: _Links) -> Iterator[Array]:
     order = np.lexsort((distance, np.isnan(azimuth)))  # first those with azimuths, then the nearest
     for link in order[:_SEARCHED]:
         directions = turns if np.isnan(azimuth[link]) else [azimuth[link]]
-        distances = _STARTS_M if np.isnan(distance[link]) else [distance[link]]
+        known = links.synchronized and np.isfinite(distance[link])
+        distances = [distance[link]] if known else _STARTS_M
         for radius in distances:
             for turn in directions:
                 aside = radius * np.array([np.cos(turn), np.sin(turn)])

@@ -168,7 +168,7 @@ def track_statistics(track: Track) -> dict[str, Any]:
     xx, yy, zz = track.smooth_P[:, [0, 2, 5]].mean(axis=0)
     counts = np.bincount(track.mode, minlength=len(track.modes))
     more: dict[str, Any] = {}
-    if track.layout.clock:
+    if track.layout.clock == "offset":
         deviation = float(np.sqrt(track.P[-1, 35]))
         more["clock"] = {"range_bias_m": float(track.x[-1, 7]), "deviation_m": deviation}
     for name, trusted in (("trusted", track.trusted), ("smooth_trusted", track.smooth_trusted)):

@@ -20,7 +20,7 @@ from mmwave_env.localization.segments import DOUBTFUL_GAP_S
 from mmwave_env.localization.starts import Doubt, Start
 from mmwave_env.logs.live_log import LiveEpoch, LiveLog
 from mmwave_env.logs.log import Log
-from mmwave_env.models.layout import Layout, clock_from
+from mmwave_env.models.layout import Layout, require_clock
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import SNR_LIMITS_DB, Radio, deviations, radio_from
 from mmwave_env.models.scene import Scene, scene_from
@@ -94,8 +94,9 @@ class Tracker:
         snr_db: SNR to assume for links without an SNR.
         height_m: height of flat terrain, if it is known.
         lag: number of epochs by which :meth:`smoothed` lags behind.
-        clock: "synchronized", or "offset" if the offset of the user's clock is unknown.
+        clock: state of the user's clock, one of :data:`~mmwave_env.models.layout.CLOCKS`.
         levels: protection levels to compute; None to compute none.
+        correlation_s: time for which errors of measurements last; 0 if they are independent.
     """
 
     def __init__(
@@ -108,9 +109,12 @@ class Tracker:
         lag: int = 10,
         clock: str = "synchronized",
         levels: Levels | None = None,
+        correlation_s: float = 0.0,
     ) -> None:
         self._levels = levels
-        self._clock = clock_from(clock)
+        self._correlation_s = correlation_s
+        require_clock(clock)
+        self._clock = clock
         self._scene = scene_from(scene)
         self._radio = radio_from(radio)
         self._switching = policy
@@ -259,8 +263,9 @@ class Tracker:
     def _prepare(self, layout: Layout) -> None:
         """Create the filter and everything else that all epochs share."""
         self._localizer = Localizer(
-            layout, self._scene, self._radio, self._switching, self._height_m, self._levels
-        )
+            layout, self._scene, self._radio, self._switching, self._height_m, self._levels,
+            self._correlation_s,
+        )  # fmt: skip
         self._filter = self._localizer.engine
         self._layout = layout
         self._groups = layout.group_names
@@ -341,7 +346,7 @@ class Tracker:
         position = Position(
             time_s, x[:3].tolist(), covariance, x[3:6].tolist(), mode, {}, [], False, place
         )
-        if self._layout.clock:
+        if self._layout.has_bias:
             clock_sigma_m = float(np.sqrt(P[35]))
             position = position._replace(clock_m=float(x[7]), clock_sigma_m=clock_sigma_m)
         return position

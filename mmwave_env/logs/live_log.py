@@ -104,7 +104,7 @@ class LiveLog:
         scene: Scene,
         snr_db: float | None = None,
         source: str = "rows",
-        clock: bool = False,
+        clock: str = "synchronized",
         delimiter: str = ",",
     ) -> None:
         self._source = Path(source)

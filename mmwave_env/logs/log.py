@@ -13,6 +13,7 @@ have a Doppler shift, because it is not known yet which path belongs to the base
 """
 
 import math
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,6 +24,7 @@ import numpy as np
 from mmwave_env.logs.log_checks import sound_epochs
 from mmwave_env.logs.log_columns import (
     BODY,
+    DIFFERENCE,
     LINK_QUANTITIES,
     QUANTITIES,
     ROW_QUANTITIES,
@@ -75,7 +77,7 @@ def read_log(
     limits: bool = True,
     partial: bool = False,
     snr_db: float | None = None,
-    clock: bool = False,
+    clock: str = "synchronized",
 ) -> Log:
     """Read the epochs of a log; if it is damaged, the complete epochs before the damaged row.
 
@@ -95,7 +97,7 @@ def read_log(
         partial: whether a link may lack some of its values, in some epochs or everywhere, and
             any anchor may have the Doppler shift.
         snr_db: SNR to assume for links without an SNR.
-        clock: whether the user's clock has an unknown offset; the layout then has a clock.
+        clock: state of the user's clock, one of :data:`~mmwave_env.models.layout.CLOCKS`.
 
     Returns:
         The log. If a row is damaged, ``damage`` is the error, which names file, row, column, what
@@ -116,17 +118,34 @@ def read_log(
             f"{int(log.incomplete.sum())} incomplete links (or other groups of values), expected "
             "at least one measurement"
         )
+    if "toa" in table.columns and table.columns["toa"].name.startswith(DIFFERENCE):
+        _warn_without_reference(table)
     return replace(log, damage=damage)
 
 
+def _warn_without_reference(table: Table) -> None:
+    """Warn if epochs have time differences, but no reference anchor, whose difference is 0."""
+    difference = table["toa"]
+    measured = np.unique(table.epoch[~np.isnan(difference)])
+    missing = np.setdiff1d(measured, table.epoch[difference == 0.0])
+    if len(missing):
+        line = table.file.place(table.rows[table.starts[missing[0]]])
+        warnings.warn(
+            f"{table.file.path}: {table.columns['toa'].name}: found {len(missing)} epochs without "
+            f"a reference (the first in {line}), expected a row with 0 for the reference anchor, "
+            "whose range is otherwise lost",
+            stacklevel=3,
+        )
+
+
 def layout_of(
-    file: LogFile, scene: Scene, partial: bool, clock: bool, snr_db: float | None
+    file: LogFile, scene: Scene, partial: bool, clock: str, snr_db: float | None
 ) -> Layout:
     """Return the layout of a log; :func:`read_log` describes the arguments.
 
     Raises:
         LogError: a partial log has measurements with neither a standard deviation nor an SNR, or
-            the clock has an offset, but no range contains it, as round-trip times do not.
+            no range contains the bias of the clock, as round-trip times do not.
     """
     if snr_db is not None and not math.isfinite(snr_db):
         raise LogError(f"snr: found {snr_db} dB, expected a finite number")
@@ -138,12 +157,17 @@ def layout_of(
                 f"{file.path}: columns: found {columns[quantity].name} without its noise, "
                 f"expected {own} or snr_db, or --snr DB for all links"
             )
-    if clock and ("toa" not in columns or columns["toa"].name.startswith("rtt")):
+    if clock != "synchronized" and ("toa" not in columns or columns["toa"].name.startswith("rtt")):
         times = columns.get("toa")
         problem = f"round-trip times ({times.name})" if times else "no range"
         raise LogError(
-            f"{file.path}: clock: found the setting 'offset', but the log has {problem}; expected "
+            f"{file.path}: clock: found the setting {clock!r}, but the log has {problem}; expected "
             "one-way times or ranges, such as toa_s, or the setting 'synchronized'"
+        )
+    if clock != "free" and "toa" in columns and columns["toa"].name.startswith(DIFFERENCE):
+        raise LogError(
+            f"{file.path}: clock: found time differences ({columns['toa'].name}) and the setting "
+            f"{clock!r}, expected the setting 'free', in which only differences of ranges count"
         )
     return Layout(len(scene.anchors_m), "speed" in columns, partial, clock)
 

@@ -193,7 +193,7 @@ def _beyond(table: Table, quantity: str, layout: Layout | None) -> Mask:
     """Tell which values (n,) are beyond the limits of their quantity."""
     column = table.columns[quantity]
     raw = table.raw(quantity)
-    negative = quantity == "toa" and layout and layout.clock  # the user's clock may be behind
+    negative = quantity == "toa" and layout and layout.has_bias  # the user's clock may be behind
     return (raw < (-column.high if negative else column.low)) | (raw > column.high)
 
 

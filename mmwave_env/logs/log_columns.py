@@ -59,15 +59,21 @@ _ANGLE = {"_rad": Unit(), "_deg": Unit(np.pi, 180.0)}
 _SHIFT = {"_hz": Unit(), "_khz": Unit(1e3), "_mps": Unit()}  # columns_of converts m/s to Hz
 
 
+DIFFERENCE = "rstd"  # reference signal time difference, as in LPP (3GPP TS 37.355)
+
+
 def _flight(name: str) -> dict[str, Unit]:
-    """Return the columns that may hold a range: one-way time, round-trip time, or length."""
-    ways = (("toa", SPEED_OF_LIGHT), ("rtt", SPEED_OF_LIGHT / 2.0))
+    """Return the columns that may hold a range: one-way time, round-trip time, or length.
+
+    A range may also be the difference (rstd) to the range of a reference anchor in the same epoch.
+    """
+    ways = (("toa", SPEED_OF_LIGHT), ("rtt", SPEED_OF_LIGHT / 2.0), (DIFFERENCE, SPEED_OF_LIGHT))
     times = {
         f"{way}{name}{ending}": Unit(speed, unit.divide)
         for way, speed in ways
         for ending, unit in _TIME.items()
     }
-    return {**times, **_in(f"range{name}", _LENGTH)}
+    return {**times, **_in(f"range{name}", _LENGTH), **_in(f"{DIFFERENCE}{name}", _LENGTH)}
 
 
 _SPEED = {"speed_mps": Unit(), "speed_kmh": Unit(1.0, 3.6)}
@@ -100,7 +106,11 @@ QUANTITIES = {
         "the anchor's number in the scene; if unknown, use mmwave-loc localize --associate "
         "(docs/data.md)",
     ),
-    "toa": Quantity(_flight(""), "the time of flight (rtt: round trip), or the range", _RANGE),
+    "toa": Quantity(
+        _flight(""),
+        "the time of flight (rtt: round trip; rstd: minus a reference anchor's), or the range",
+        _RANGE,
+    ),
     "aoa_azimuth": Quantity(
         _in("aoa_azimuth", _ANGLE), "the azimuth from the anchor to the user", _TURN
     ),

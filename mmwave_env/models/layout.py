@@ -8,8 +8,8 @@ Each *group* of rows (a link, the Doppler shift, the odometry) is gated separate
 present or missing as a whole, except in a *partial* layout, in which single rows may be missing,
 and in which the Doppler shift may belong to any anchor instead of anchor 1.
 
-If the user's *clock* has an unknown offset, the state has an eighth component, the range bias B:
-this offset times the speed of light. Every measured range contains B.
+If the user's *clock* is not synchronized, the state has an eighth component, the range bias B: the
+clock's offset times the speed of light. Every measured range contains B.
 """
 
 from collections.abc import Iterable, Sequence
@@ -29,6 +29,7 @@ MEASUREMENTS = ("range", "azimuth", "elevation", "departure", "doppler")
 CLOCKS = {  # states of the user's clock
     "synchronized": "in step with the anchors' clocks",
     "offset": "ahead of or behind the anchors' clocks, by an unknown time that drifts",
+    "free": "ahead or behind by another time in each epoch: only differences of ranges count",
 }
 _HORIZONTAL = {"range", "azimuth", "departure"}  # a horizontal position needs one or more
 
@@ -42,22 +43,31 @@ class Layout:
         odometry: whether two rows of odometry follow the Doppler shift.
         partial: whether single rows of a group may be missing, and the Doppler shift may belong to
             any anchor; otherwise groups are present or missing as a whole.
-        clock: whether the state includes the range bias of the user's clock.
+        clock: state of the user's clock, one of :data:`CLOCKS`.
     """
 
     anchors: int = 3
     odometry: bool = False
     partial: bool = False
-    clock: bool = False
+    clock: str = "synchronized"
+
+    @property
+    def has_bias(self) -> bool:
+        """Return whether the state includes the range bias of the user's clock."""
+        return self.clock != "synchronized"
 
     @property
     def state_size(self) -> int:
-        """Return the number of components of the state: 7, or 8 with a clock offset."""
-        return STATE_SIZE + self.clock
+        """Return the number of components of the state: 7, or 8 with a range bias."""
+        return STATE_SIZE + self.has_bias
+
+    def bias_drive(self, hz_per_mps: Number) -> Number | None:
+        """Return f_c / c, by which the oscillator drives the range bias; None if it is free."""
+        return None if self.clock == "free" else hz_per_mps
 
     @property
     def triangle(self) -> int:
-        """Return the number of entries of the packed covariance: 28, or 36 with a clock offset."""
+        """Return the number of entries of the packed covariance: 28, or 36 with a range bias."""
         return self.state_size * (self.state_size + 1) // 2
 
     @property
@@ -134,19 +144,18 @@ def measurements_from(names: Sequence[str] | None) -> tuple[str, ...] | None:
     return tuple(name for name in MEASUREMENTS if name in names)
 
 
-def clock_from(clock: str, measurements: Sequence[str] | None = None) -> bool:
-    """Tell whether a ``clock=`` argument asks for a clock with an offset.
+def require_clock(clock: str, measurements: Sequence[str] | None = None) -> None:
+    """Refuse a ``clock=`` argument that is unknown, or needs ranges that are not measured.
 
     Raises:
-        ValueError: the name is unknown, or the clock has an offset but no range is measured.
+        ValueError: as above.
     """
     choose(CLOCKS, clock, "clock")
-    if clock == "offset" and measurements is not None and "range" not in measurements:
+    if clock != "synchronized" and measurements is not None and "range" not in measurements:
         raise ValueError(
-            f"clock: found offset with measurements {', '.join(measurements)}, expected range "
+            f"clock: found {clock} with measurements {', '.join(measurements)}, expected range "
             "among them, as only ranges depend on the clock"
         )
-    return clock == "offset"
 
 
 def offered_rows(layout: Layout, measurements: Sequence[str] | None) -> list[bool]:

@@ -21,6 +21,7 @@ STANDING_MPS = 0.2  # far below this speed, the direction is unclear, so acceler
 CLOCK_SIGMA_M = 0.1
 # pairs of state components that noise couples: velocities and positions, range bias and bias
 COUPLED = ((3, 0), (4, 1), (5, 2), (7, 6))
+FREE_BIAS_M = 1e3  # standard deviation of the range bias of a free clock; 1 km is 3.3 us
 _SHORTEST_S = 1e-9  # shortest step by which a speed is divided
 _LEAST_RAD = 1e-9  # an arc of a smaller angle differs from a straight line only by rounding
 
@@ -56,15 +57,18 @@ def white_noise_acceleration(
 
 
 def with_clock(
-    noise: ProcessNoise, hz_per_mps: Number, dt: Number, coupling: Number
+    noise: ProcessNoise, hz_per_mps: Number | None, dt: Number, coupling: Number
 ) -> ProcessNoise:
     """Extend the process noise of a step ``dt``, s, to a state with the clock's range bias B.
 
     One oscillator drives the carrier and the clock. Its bias b changes B at the rate
     b / hz_per_mps, as a velocity changes a position. Within a step, the noise of b moves B as the
     velocity noise moves the position in :func:`white_noise_acceleration`. The clock's own noise is
-    added (Groves 2013, Sec. 9.4.2; Brown and Hwang 2012, Sec. 9.3).
+    added (Groves 2013, Sec. 9.4.2; Brown and Hwang 2012, Sec. 9.3). If the clock is free, which
+    ``hz_per_mps`` None says, B is all noise.
     """
+    if hz_per_mps is None:
+        return ProcessNoise([*noise.diagonal, FREE_BIAS_M**2], [*noise.coupling, 0.0])
     half = coupling * (0.5 * dt) / hz_per_mps
     drift = noise.diagonal[-1]
     own = CLOCK_SIGMA_M**2 * dt + drift * (half * half)
@@ -72,8 +76,14 @@ def with_clock(
 
 
 def move(x: Vector, dt: Number, hz_per_mps: Number | None = None) -> Numbers:
-    """Return F x, the mean one step later; if x is (8,), ``hz_per_mps`` is needed."""
+    """Return F x, the mean one step later.
+
+    If x is (8,), ``hz_per_mps`` says how the oscillator drives the range bias; None if the clock is
+    free, so that the new range bias does not depend on the old one.
+    """
     moved = [x[i] + dt * x[i + 3] if i < 3 else x[i] for i in range(min(len(x), STATE_SIZE))]
+    if hz_per_mps is None:
+        return moved + [0.0] * len(x[STATE_SIZE:])
     return moved + [bias + (dt / hz_per_mps) * x[6] for bias in x[STATE_SIZE:]]
 
 

@@ -2,22 +2,24 @@
 
 The noise variance is a floor (calibration, array errors) plus the Cramer-Rao bound at the link's
 SNR. Blockage lowers the SNR of a link and biases its measurements; multipath biases them without
-changing the SNR. The filters do not know which links are affected.
+changing the SNR. The filters do not know which links are affected. In training, profiles may be
+random (:class:`RandomRadio`), so that a policy cannot memorize the noise of one profile.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 
-from mmwave_env.io.files import AnyPath
+from mmwave_env.io.files import AnyPath, shipped_json
 from mmwave_env.io.lookup import as_name, choose, quoted, unknown
 from mmwave_env.io.records import (
     Bound,
     Name,
     Probability,
+    Record,
     between,
     counts,
     hints_of,
@@ -28,13 +30,14 @@ from mmwave_env.io.records import (
 from mmwave_env.models import envelope
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
-from mmwave_env.models.motion import CLOCK_SIGMA_M
+from mmwave_env.models.motion import CLOCK_SIGMA_M, FREE_BIAS_M
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Numbers, Vector, clip, exp, sqrt
 
 SHIPPED = ("handset", "standard", "high")
 DEGREE = math.pi / 180.0
-CLOCK_OFFSET_S = 1e-7  # prior standard deviation of an unsynchronized clock's offset
+# prior standard deviation of the range bias, by the state of the user's clock; 100 ns and 3.3 us
+BIAS_SIGMA_M = {"offset": SPEED_OF_LIGHT * 1e-7, "free": FREE_BIAS_M}
 DECIBEL = math.log(10.0) / 10.0  # natural logarithm of a power ratio of 1 dB
 Elements = Annotated[int, counts(1, 1024)]
 AngleFloor = Annotated[
@@ -194,14 +197,14 @@ class Radio:
         """Return the standard deviations (T, rows) of every row at SNRs (T, L): m, rad, Hz."""
         return np.stack(deviations(*self.variances(scene, layout), list(snr_db.T), layout), axis=1)
 
-    def prior_covariance(self, scene: Scene, clock: bool = False) -> Array:
-        """Return the prior covariance P0 (7, 7) of the first epoch; (8, 8) with a clock offset."""
+    def prior_covariance(self, scene: Scene, clock: str = "synchronized") -> Array:
+        """Return the prior covariance P0 (7, 7) of the first epoch; (8, 8) with a range bias."""
         p = self.prior_position_m
         v = self.prior_velocity_mps
         bias_hz = self.prior_bias_mps * scene.hz_per_mps
         deviations = [p, p, self.prior_height_m, v, v, self.prior_vertical_mps, bias_hz]
-        if clock:
-            deviations.append(SPEED_OF_LIGHT * CLOCK_OFFSET_S)
+        if clock in BIAS_SIGMA_M:
+            deviations.append(BIAS_SIGMA_M[clock])
         return np.diag(np.square(deviations))
 
 
@@ -213,33 +216,6 @@ def _azimuth_bound(elements: int) -> float:
     return 6.0 / ((max(elements, 2) ** 2 - 1.0) * math.pi**2)
 
 
-RADIOS: dict[str, Radio] = {
-    "handset": Radio(
-        "handset",
-        base="handset",
-        gnb_elements=4,
-        ue_elements=2,
-        range_floor_m=(0.5, 0.8),
-        aoa_floor_rad=3.0 * DEGREE,
-        aod_floor_rad=2.0 * DEGREE,
-        elevation_floor_rad=2.0 * DEGREE,
-        prior_position_m=4.0,
-        outage_rate_hz=0.003,
-    ),
-    "standard": Radio("standard"),
-    "high": Radio(
-        "high",
-        base="high",
-        gnb_elements=16,
-        ue_elements=8,
-        range_floor_m=(0.1, 0.2),
-        aoa_floor_rad=0.5 * DEGREE,
-        aod_floor_rad=0.25 * DEGREE,
-        elevation_floor_rad=0.4 * DEGREE,
-        doppler_floor_mps=0.05,
-        prior_position_m=2.0,
-    ),
-}
 # Radios for which filter modes were tuned; the benchmark and the paper's tables cover all three.
 TUNED_RADIOS = SHIPPED
 
@@ -293,6 +269,13 @@ def _in_radians(content: dict[str, Any]) -> dict[str, Any]:
     return fields
 
 
+# the profiles of the package, by name
+RADIOS = {
+    name: object_from(Radio, {"name": name, "base": name} | _in_radians(content))
+    for name, content in shipped_json("radios").items()
+}
+
+
 def oscillator_bias(
     radio: Radio, hz_per_mps: float, time_s: Array, rng: np.random.Generator
 ) -> Array:
@@ -302,10 +285,15 @@ def oscillator_bias(
     return hz_per_mps * (first + np.concatenate([[0.0], np.cumsum(steps)]))
 
 
-def clock_bias(drift_mps: Array, time_s: Array, rng: np.random.Generator) -> Array:
-    """Draw a clock's range bias (T,), m: the integral of the drift (T,), m/s, plus noise."""
+def clock_bias(clock: str, drift_mps: Array, time_s: Array, rng: np.random.Generator) -> Array:
+    """Draw a clock's range bias (T,), m: the integral of the drift (T,), m/s, plus noise.
+
+    The range bias of a free clock is all noise.
+    """
+    if clock == "free":
+        return FREE_BIAS_M * rng.standard_normal(len(time_s))
     step = np.diff(time_s)
-    first = SPEED_OF_LIGHT * CLOCK_OFFSET_S * rng.standard_normal()
+    first = BIAS_SIGMA_M[clock] * rng.standard_normal()
     noise = CLOCK_SIGMA_M * np.sqrt(step) * rng.standard_normal(len(step))
     driven = 0.5 * step * (drift_mps[1:] + drift_mps[:-1])
     return first + np.concatenate([[0.0], np.cumsum(driven + noise)])
@@ -335,3 +323,43 @@ def deviations(
         sqrt(floor + bound * scale)
         for floor, bound, scale in zip(floor_variance, bound_variance, per_row, strict=True)
     ]
+
+
+# Fields to multiply by random factors. Factors up to 4 keep shipped profiles in Radio's limits.
+_SCALED = (
+    "aoa_floor_rad", "aod_floor_rad", "elevation_floor_rad", "doppler_floor_mps",
+    "prior_position_m", "prior_height_m", "prior_velocity_mps", "prior_bias_mps",
+    "shadowing_db", "blockage_scale", "blockage_mean_s", "blockage_range_m", "blockage_angle_rad",
+    "multipath_rate_hz", "multipath_mean_s", "multipath_angle_rad", "spread_gain",
+    "spread_floor_mps", "drift_mps",
+)  # fmt: skip
+_PAIRS = ("range_floor_m", "multipath_range_m")  # pairs, each multiplied by one factor
+
+
+@dataclass(frozen=True)
+class RandomRadio(Record):
+    """A distribution of radios: a profile with random changes of noise, rates and link budget.
+
+    Attributes:
+        profile: profile to change; filters use the modes tuned for it.
+        factor: largest factor that a field is multiplied by; the smallest is 1 / factor. Factors
+            are log-uniformly distributed between these two.
+        budget_db: largest change of the link budget, in either direction.
+    """
+
+    profile: Radio
+    factor: Annotated[float, between(1.0, 4.0)] = 2.0
+    budget_db: Annotated[float, between(0.0, 20.0, "dB")] = 4.0
+
+    def draw(self, rng: np.random.Generator) -> Radio:
+        """Draw the next radio."""
+
+        def factor() -> float:
+            return float(self.factor ** rng.uniform(-1.0, 1.0))
+
+        values = {name: factor() * getattr(self.profile, name) for name in _SCALED}
+        for name in _PAIRS:
+            by = factor()
+            values[name] = tuple(by * value for value in getattr(self.profile, name))
+        budget = self.profile.transmit_dbm + float(rng.uniform(-self.budget_db, self.budget_db))
+        return replace(self.profile, transmit_dbm=budget, **values)

@@ -11,6 +11,7 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
+from mmwave_env.io.files import shipped_json
 from mmwave_env.io.lookup import as_name, choose
 from mmwave_env.io.records import (
     Bound,
@@ -219,26 +220,6 @@ class Scene:
         return self.carrier_hz / SPEED_OF_LIGHT
 
 
-SCENES: dict[str, Scene] = {
-    # Design of this project: gNB beside a crossing, a facade to the north and one to the east.
-    "street": Scene("street", (10.0, 10.0, 10.0), (Wall((0, 1), 25.0), Wall((1, 0), 185.0))),
-    # From DeepMIMO O1 (28 GHz): main street 600 x 40 m, facades 52 m apart, base station BS3.
-    # The building that closes the street to the north is this project's assumption.
-    "o1": Scene(
-        "o1",
-        (235.504, 489.504, 6.0),
-        (Wall((1, 0), 286.504), Wall((0, 1), 845.0)),
-        Streets((260.5, 260.5), (240.0, 840.0), block_m=120.0, height_m=2.0),
-    ),
-    # From DeepMIMO Dynamic Doppler (28 GHz): main street 430 x 15 m, first base station. Users
-    # stay on the main street. The two walls are this project's assumption.
-    "dynamic-doppler": Scene(
-        "dynamic-doppler",
-        (7.0, 14.0, 4.5),
-        (Wall((0, 1), -25.0), Wall((1, 0), 225.0)),
-        Streets((-215.0, 215.0), (0.0, 0.0), block_m=107.5),
-    ),
-}
 # Scenes for which the shipped filter banks were tuned and the shipped policies trained.
 TRAINED_SCENES = ("street", "o1", "dynamic-doppler")
 
@@ -317,16 +298,17 @@ class AnchorScene(Record):
 
 def _scene(content: dict[str, Any]) -> Scene:
     """Make a scene from the content of a file in one of the two forms."""
-    keys = [k for k in ("base_station_m", "walls", "virtual_anchors_m", "anchors") if k in content]
-    if ("base_station_m" in keys) == ("anchors" in keys) or (len(keys) > 1 and "anchors" in keys):
-        raise ValueError(
-            f"found {', '.join(keys) or 'neither'}, expected either base_station_m [x, y, z] and "
-            "walls, or anchors [[x, y, z], ...], the physical gNB first"
-        )
-    if "anchors" not in keys:
+    if "anchors" not in content:
         return object_from(Scene, content)
     s = object_from(AnchorScene, content)
     gnb, *virtual = s.anchors
     return Scene(
         s.name, gnb, (), s.streets, s.carrier_hz, s.bandwidth_hz, tuple(virtual), s.origin, s.side
     )
+
+
+# the scenes of the package, by name; their file says where they come from
+SCENES = {
+    name: _scene({"name": name} | content["scene"])
+    for name, content in shipped_json("scenes").items()
+}

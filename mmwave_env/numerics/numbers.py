@@ -2,7 +2,7 @@
 
 The mathematics of this package is written once, as plain functions of numbers. Called with floats,
 these functions are the reference for tests. Called with arrays, they check propagation paths
-and score complete tracks. Called with :class:`~mmwave_env.compiler.lanes.Lanes`, they become a
+and score complete tracks. Called with lanes (:mod:`mmwave_env.compiler.lanes`), they become a
 SIMD kernel. Python's operators work on all three kinds; the other elementary functions are here.
 
 In this package, the description of an array begins with its shape. Functions of numbers follow
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
-Number: TypeAlias = Any  # float, numpy array or Lanes
+Number: TypeAlias = Any  # float, numpy array or lanes
 Numbers: TypeAlias = list[Any]  # a list of Number
 Pair: TypeAlias = tuple[Any, Any]  # two of Number
 Vector: TypeAlias = Sequence[Any]  # a sequence of Number

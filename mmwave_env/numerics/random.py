@@ -53,7 +53,7 @@ def word_of(number: Number) -> Any:
 
 
 def next_word(state: Sequence[Any]) -> tuple[Any, list[Any]]:
-    """Return the next word of SFC64 and the new state; each word is a Word or WordLanes."""
+    """Return the next word of SFC64 and the new state; each word is a Word or hidden."""
     a, b, c, counter = state
     word = a + b + counter
     rotated = (c << 24) | (c >> 40)

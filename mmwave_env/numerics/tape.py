@@ -1,7 +1,9 @@
-"""Numbers that record every operation on them in a list, the *tape* of a function.
+"""Numbers that hide their value: a *recorder* gets every operation on them.
 
-These numbers hide their value, as lanes (SIMD numbers for eight environments) do. So a function
-that runs on them can also be compiled for lanes.
+A function that runs on such numbers never asks for a value, so it can be compiled for lanes (SIMD
+numbers for eight environments). An operation that needs a value is refused, and the message says
+what to write instead. There are two recorders: a :class:`Tape` lists the operations, and that of
+:mod:`mmwave_env.compiler.lanes` emits their instructions.
 
 A function's compiled code is stored under a hash of the tape, the *fingerprint*. Two functions have
 the same fingerprint only if they apply the same operations to the same inputs and constants; then
@@ -11,102 +13,210 @@ old code is never run for it. Writing a tape takes a hundredth of the time of co
 
 from collections.abc import Callable, Sequence
 from hashlib import sha256
-from typing import Any
+from typing import Any, NoReturn
 
 from mmwave_env.numerics.pytree import Tree, flatten, unflatten
-from mmwave_env.numerics.tracer import Tracer, TracerCondition
-
-Tape = list[tuple[Any, ...]]
 
 
-def taped(template: Tree, tape: Tape) -> Tree:
-    """Return a tree of the template's shape whose leaves record operations on the tape."""
-    rows = range(len(flatten(template)))
-    return unflatten(template, (_Number(tape, -1 - row) for row in rows))
+class NoValueError(TypeError):
+    """Error of a function that asks for a hidden value; the message says what to write instead."""
 
 
-def fingerprint(function: Callable[[Tree], Tree], template: Tree) -> str:
-    """Return the fingerprint, 20 hexadecimal digits, of a function of trees like the template."""
-    tape: Tape = []
-    results = _references(flatten(function(taped(template, tape))))
-    whole = len(flatten(template)), tape, results
-    return sha256(repr(whole).encode()).hexdigest()[:20]
+_NUMBERS = "mmwave_env.numerics.numbers"
+_REFUSALS = {  # refused operation -> (the operation in words, what to write instead)
+    "truth": (
+        "a branch",
+        "where(condition, a, b) for 'if' and 'while', & and | for 'and' and 'or', and "
+        f"maximum(a, b) and minimum(a, b) for max and min; these functions are in {_NUMBERS}",
+    ),
+    "value": ("float(...) or math", f"the functions of {_NUMBERS} instead"),
+    "integer": ("use as an integer", "a constant that is known before the function runs"),
+    "numpy": ("numpy", f"lists and the functions of {_NUMBERS} and mmwave_env.numerics.linalg"),
+    "equality": ("a comparison by == or !=", "where(abs(a - b) < tolerance, ...)"),
+    "power": ("a power", "a * a for a ** 2, sqrt(a) for a ** 0.5, exp(p * log(a)) for a ** p"),
+    "remainder": ("a remainder", "wrap(a) for angles, where(a > b, a - b, a) if a < 2 * b"),
+    "floor": ("a division with //", "a / b"),
+    "key": ("a key of a dict or set", "a list and a constant index, or where(condition, a, b)"),
+    "mask as number": ("arithmetic with a condition", "where(condition, 1.0, 0.0)"),
+    "inverse": ("negating a condition", "where(condition, b, a) for where(~condition, a, b)"),
+    "number as mask": ("using a number as a condition", "where(a > 0.5, ...)"),
+}
 
 
-class _Recorded:
-    """The result of operation ``number`` on the tape; a negative ``number`` stands for an input."""
-
-    __slots__ = ("number", "tape")
-
-    def __init__(self, tape: Tape, number: int) -> None:
-        self.tape = tape
-        self.number = number
-
-    def _record(self, op: str, *operands: Any) -> tuple[Tape, int]:
-        self.tape.append((op, *_references(operands)))
-        return self.tape, len(self.tape) - 1
+def _refuse(asked: str) -> NoReturn:
+    operation, instead = _REFUSALS[asked]
+    raise NoValueError(
+        f"{operation} needs the value of a number that stands for 8 environments: write {instead}"
+    )
 
 
-def _references(operands: Sequence[Any]) -> list[int | float]:
-    """Return operands as they are recorded: earlier results by number (int), constants as float."""
-    return [a.number if isinstance(a, _Recorded) else float(a) for a in operands]
+def _refusing(asked: str) -> Any:
+    return lambda *_, **__: _refuse(asked)
+
+
+class Traced:
+    """A hidden number, condition or word; its ``value`` is what the recorder returned for it."""
+
+    __slots__ = ("recorder", "value")
+
+    def __init__(self, recorder: Any, value: Any) -> None:
+        self.recorder = recorder
+        self.value = value
 
 
 def _joining(op: str) -> Any:
     """Return an operation whose result has the type of the operands."""
-    return lambda a, b: type(a)(*a._record(op, a, b))
-
-
-class _Condition(_Recorded, TracerCondition):
-    __slots__ = ()
-    __and__ = _joining("&")
-    __or__ = _joining("|")
-
-    def select(self, a: Any, b: Any) -> "_Number":
-        return _Number(*self._record("select", self, a, b))
+    return lambda a, b: type(a)(a.recorder, a.recorder.emit(op, a, b))
 
 
 def _recording(op: str) -> Any:
-    return lambda *operands: _Number(*operands[0]._record(op, *operands))
+    """Return an operation whose result is a number."""
+    return lambda *operands: Tracer(operands[0].recorder, operands[0].recorder.emit(op, *operands))
 
 
-class _Number(_Recorded, Tracer):
+def _comparing(op: str) -> Any:
+    return lambda a, b: TracerCondition(a.recorder, a.recorder.emit(op, a, b))
+
+
+def _combining(op: str) -> tuple[Any, Any]:
+    """Return an operator and its reflected form, which Python calls on the right operand."""
+    return lambda a, b: _combined(op, a, b), lambda b, a: _combined(op, a, b)
+
+
+class TracerCondition(Traced):
+    """A condition on hidden numbers, for ``where``; ``&`` and ``|`` combine two conditions."""
+
     __slots__ = ()
+    __and__ = _joining("&")
+    __or__ = _joining("|")
+    select = _recording("select")
+    __bool__ = _refusing("truth")
+    __float__ = __add__ = __radd__ = __sub__ = __rsub__ = _refusing("mask as number")
+    __mul__ = __rmul__ = __truediv__ = __rtruediv__ = __neg__ = _refusing("mask as number")
+    __lt__ = __le__ = __gt__ = __ge__ = _refusing("mask as number")
+    __eq__ = __ne__ = _refusing("equality")
+    __hash__ = _refusing("key")
+    __invert__ = _refusing("inverse")
 
-    def combine(self, op: str, a: Any, b: Any) -> "_Number":
-        return _Number(*self._record(op, a, b))
 
-    def compare(self, op: str, other: Any) -> _Condition:
-        return _Condition(*self._record(op, self, other))
+class Tracer(Traced):
+    """A number that hides its value; a comparison with NaN is false."""
 
+    __slots__ = ()
+    __add__, __radd__ = _combining("add")
+    __sub__, __rsub__ = _combining("sub")
+    __mul__, __rmul__ = _combining("mul")
+    __truediv__, __rtruediv__ = _combining("div")
+    __lt__ = _comparing("<")
+    __le__ = _comparing("<=")
+    __gt__ = _comparing(">")
+    __ge__ = _comparing(">=")
     __neg__ = _recording("neg")
     __abs__ = _recording("abs")
     sqrt = _recording("sqrt")
+    floor = _recording("floor")
     log = _recording("log")
     exp = _recording("exp")
     atan2 = _recording("atan2")
-    floor = _recording("floor")
+    __bool__ = _refusing("truth")
+    __float__ = __complex__ = _refusing("value")
+    __int__ = __index__ = __round__ = __trunc__ = __floor__ = __ceil__ = _refusing("integer")
+    __array__ = __array_ufunc__ = _refusing("numpy")
+    __eq__ = __ne__ = _refusing("equality")
+    __pow__ = __rpow__ = _refusing("power")
+    __mod__ = __rmod__ = __divmod__ = __rdivmod__ = _refusing("remainder")
+    __floordiv__ = __rfloordiv__ = _refusing("floor")
+    __hash__ = _refusing("key")
+    select = _refusing("number as mask")
 
-    def as_word(self) -> "_Word":
-        return _Word(*self._record("as word", self))
+    def constant(self, value: float) -> "Tracer":
+        """Return a hidden number with a known value."""
+        return Tracer(self.recorder, self.recorder.emit("constant", value))
 
-    def constant(self, value: float) -> "_Number":
-        return _Number(*self._record("constant", value))
+    def cos_sin(self) -> list["Tracer"]:
+        """Return cosine and sine of an angle in radians."""
+        return [Tracer(self.recorder, value) for value in self.recorder.cos_sin(self)]
 
-    def cos_sin(self) -> "tuple[_Number, _Number]":
-        return _Number(*self._record("cos", self)), _Number(*self._record("sin", self))
+    def as_word(self) -> "TracerWord":
+        """Return the bits of the number."""
+        return TracerWord(self.recorder, self.recorder.emit("as word", self))
 
 
-class _Word(_Recorded):
+class TracerWord(Traced):
+    """A hidden word of 64 bits (:class:`~mmwave_env.numerics.random.Word`)."""
+
     __slots__ = ()
     __add__ = _joining("+")
     __xor__ = _joining("^")
     __or__ = _joining("|")
     __lshift__ = _joining("<<")
     __rshift__ = _joining(">>")
+    # the integer, which must be below 2^63, times a factor; and the number that has these bits
+    scaled = _recording("scaled")
+    as_number = _recording("as number")
 
-    def scaled(self, factor: float) -> _Number:
-        return _Number(*self._record("scaled", self, factor))
 
-    def as_number(self) -> _Number:
-        return _Number(*self._record("as number", self))
+def _settled(op: str, a: Any, b: Any) -> Any:
+    """Return the result if a constant 0 or 1 makes the instruction unnecessary; else None."""
+    if op == "mul":
+        for u, v in ((a, b), (b, a)):
+            if not isinstance(u, Tracer) and u in (0.0, 1.0):
+                return v if u else 0.0
+    if op in ("add", "sub") and not isinstance(b, Tracer) and b == 0.0:
+        return a
+    if op == "add" and not isinstance(a, Tracer) and a == 0.0:
+        return b
+    if op == "div" and not isinstance(a, Tracer) and a == 0.0:
+        return 0.0
+    return None
+
+
+def _combined(op: str, a: Any, b: Any) -> Any:
+    if isinstance(a, TracerCondition) or isinstance(b, TracerCondition):
+        _refuse("mask as number")
+    settled = _settled(op, a, b)
+    if settled is not None:
+        return settled
+    recorder = (a if isinstance(a, Tracer) else b).recorder
+    return Tracer(recorder, recorder.emit(op, a, b))
+
+
+Rows = list[tuple[Any, ...]]
+
+
+class Tape:
+    """A recorder that writes operations to rows.
+
+    The value of a result is the index of its row; a negative value stands for an input.
+    """
+
+    def __init__(self, rows: Rows) -> None:
+        self.rows = rows
+
+    def emit(self, op: str, *operands: Any) -> int:
+        """Record an operation; return the value of its result."""
+        self.rows.append((op, *_references(operands)))
+        return len(self.rows) - 1
+
+    def cos_sin(self, angle: Tracer) -> tuple[int, int]:
+        """Record cosine and sine; return the values of both."""
+        return self.emit("cos", angle), self.emit("sin", angle)
+
+
+def _references(operands: Sequence[Any]) -> list[int | float]:
+    """Return operands as they are recorded: earlier results by index (int), constants as float."""
+    return [a.value if isinstance(a, Traced) else float(a) for a in operands]
+
+
+def taped(template: Tree, rows: Rows) -> Tree:
+    """Return a tree of the template's shape whose leaves record operations in the rows."""
+    tape = Tape(rows)
+    return unflatten(template, (Tracer(tape, -1 - i) for i in range(len(flatten(template)))))
+
+
+def fingerprint(function: Callable[[Tree], Tree], template: Tree) -> str:
+    """Return the fingerprint, 20 hexadecimal digits, of a function of trees like the template."""
+    rows: Rows = []
+    results = _references(flatten(function(taped(template, rows))))
+    whole = len(flatten(template)), rows, results
+    return sha256(repr(whole).encode()).hexdigest()[:20]

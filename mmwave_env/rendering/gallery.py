@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Index
-from mmwave_env.rendering.history import NO_MODE, POSITION_NUMBERS, History
+from mmwave_env.rendering.history import NO_MODE, History
 from mmwave_env.rendering.theme import Pixels
 
 DRAWN = 16  # maximum number of pictures; more would be too small to read and need much memory
@@ -21,8 +21,8 @@ class Recorder:
 
     Args:
         rows: by name, the slices of the workspace that contain ``anchors``, ``truth``,
-            ``estimate``, ``P`` (packed), ``accepted`` and ``rejected``, and the indices of ``nees``
-            and ``dt`` (seconds until the next epoch).
+            ``estimate``, ``P`` (of the position, packed), ``accepted`` and ``rejected``, and the
+            indices of ``nees`` and ``dt`` (seconds until the next epoch).
         axes: number of position axes that NEES covers.
         name: name of the episode.
         scene: scene whose streets and walls the map shows; None if unknown.
@@ -37,8 +37,7 @@ class Recorder:
         scene: Scene | None,
         workspace: Array,
     ) -> None:
-        P = slice(rows["P"].start, rows["P"].start + POSITION_NUMBERS)
-        self._rows = {**rows, "P": P}
+        self._rows = rows
         anchors_m = workspace[rows["anchors"]].reshape(-1, 3).copy()
         self._episode = (name, anchors_m, scene, axes)
         self._modes: list[int] = []

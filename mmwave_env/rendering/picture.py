@@ -5,9 +5,10 @@ The strips show speed, error and NEES; a ribbon below them shows the mode of eac
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mmwave_env.io.lookup import choose, printable
 from mmwave_env.metrics import nees_interval
@@ -164,6 +165,7 @@ class Playback:
 
 _WINDOW = 120  # number of epochs that strips show
 _NEES = (0.03, 300.0)  # range of the NEES strip; other values are drawn at its edges
+_NEES_TICKS = (0.1, 3.0, 100.0)
 # left edge and width of the strips; words are beside them
 _LEFT = 112.8
 _WIDTH = 338.4
@@ -174,25 +176,13 @@ _RIBBON = 12.0
 
 
 class Strip(NamedTuple):
-    """A diagram of a quantity over n epochs."""
+    """A diagram of a quantity over n epochs; heights are 0 at its lower edge, 1 at its upper."""
 
     title: str  # quantity and unit
-    curve: Array  # (n,) values computed from the estimate, drawn in the colors of the modes
-    values: tuple[float, float]  # values at the lower and upper edge of the strip
-    truth: Array | None = None  # (n,) true values, if known
-    band: tuple[float, float, str] | None = None  # interval of expected values, and its label
-    # values that label a logarithmic scale; if there are none, the scale is linear
-    ticks: tuple[float, ...] = ()
-
-    def heights(self, values: Array | float) -> Array:
-        """Return the heights of values, clipped to the strip: 0 (lower edge) to 1 (upper edge)."""
-        low, high = self.values
-        shown = np.fmax(np.fmin(values, high), low)  # NaN is drawn at the upper edge
-        if self.ticks:
-            low = math.log(low)
-            high = math.log(high)
-            shown = np.log(shown)
-        return np.asarray((shown - low) / (high - low))
+    curve: Array  # (n,) heights of the values of the estimate, drawn in the colors of the modes
+    ticks: dict[float, Any]  # values that label the scale -> their heights
+    truth: Array | None = None  # (n,) heights of the true values, if known
+    band: Array | None = None  # (2,) heights of the ends of the interval of expected values
 
 
 def draw_strips(canvas: Canvas, top: float, history: History, beside: Sequence[History]) -> None:
@@ -201,10 +191,7 @@ def draw_strips(canvas: Canvas, top: float, history: History, beside: Sequence[H
     modes = history.modes[rows]
     first, last = _times(history, rows)
     x = _LEFT + (history.time_s[rows] - first) / (last - first) * _WIDTH
-    for i, make in enumerate((_speed, _error, _nees)):
-        strips = [make(drawn, rows) for drawn in (history, *beside)]
-        low, _ = strips[0].values
-        strip = strips[0]._replace(values=(low, max(strip.values[1] for strip in strips)))
+    for i, strip in enumerate(_strips(history, rows, [history, *beside])):
         plot = Rect(_LEFT, top + i * (_HEIGHT + _GAP) + _GAP / 2.0, _WIDTH, _HEIGHT)
         _draw_strip(canvas, plot, strip, x, modes)
     lane = Rect(_LEFT, top + 3.0 * (_HEIGHT + _GAP) + 1.0, _WIDTH, _RIBBON)
@@ -220,51 +207,56 @@ def _times(history: History, rows: slice) -> tuple[float, float]:
     return first, float(max([first + (_WINDOW - 1) * step, *time_s[-1:]]))
 
 
-def _speed(history: History, rows: slice) -> Strip:
+def _strips(history: History, rows: slice, together: Sequence[History]) -> list[Strip]:
+    """Return the strips of some rows of a history, with scales that fit all histories."""
     true = history.true_mps[rows]
-    estimated = history.speed_mps[rows]
     most = 2.0 * float(true.max(initial=1.0))  # a larger estimate is drawn at the upper edge
-    top = _top(np.maximum(true, np.fmin(estimated, most)))
-    return Strip("speed, m/s", estimated, (0.0, top), true)
+    fastest = _top([true, *(np.fmin(drawn.speed_mps[rows], most) for drawn in together)])
+    farthest = _top([drawn.error_m[rows] for drawn in together])
+    axes = history.axes
+    return [
+        Strip(
+            "speed, m/s", history.speed_mps[rows] / fastest, {0.0: 0.0, fastest: 1.0},
+            truth=true / fastest,
+        ),
+        Strip("error, m", history.error_m[rows] / farthest, {0.0: 0.0, farthest: 1.0}),
+        Strip(
+            "NEES, 95 % band", _nees_height(history.nees[rows]),
+            {tick: _nees_height(tick) for tick in _NEES_TICKS},
+            band=_nees_height(nees_interval(axes)),
+        ),
+    ]  # fmt: skip
 
 
-def _error(history: History, rows: slice) -> Strip:
-    error = history.error_m[rows]
-    return Strip("error, m", error, (0.0, _top(error)))
+def _nees_height(nees: ArrayLike) -> Array:
+    """Return the heights of NEES values in their strip, whose scale is logarithmic."""
+    low, high = np.log(_NEES)
+    return (np.log(np.maximum(nees, 1e-9)) - low) / (high - low)  # type: ignore[no-any-return]
 
 
-def _nees(history: History, rows: slice) -> Strip:
-    band = (*nees_interval(history.axes), f"95 % of χ²({history.axes})")
-    return Strip("NEES", history.nees[rows], _NEES, band=band, ticks=(0.1, 3.0, 100.0))
-
-
-def _top(values: Array) -> float:
-    """Return a round number, >= 2 and above all values (n,), for the upper edge of a strip."""
-    known = values[np.isfinite(values)]
+def _top(values: Sequence[Array]) -> float:
+    """Return a round number, >= 2 and above all finite values, for the upper edge of a strip."""
+    known = np.concatenate(values)
+    known = known[np.isfinite(known)]
     largest = max(2.0, 1.05 * float(known.max(initial=0.0)))
     below = nice(largest)
     return next(step * below for step in (1.0, 2.0, 2.5) if step * below >= largest)
 
 
 def _draw_strip(canvas: Canvas, plot: Rect, strip: Strip, x: Array, modes: Index) -> None:
-    """Draw background, ticks, band and lines of a strip, and a legend to the left of the strip."""
+    """Draw background, ticks, band and lines of a strip, and its title to the left."""
 
-    def y(values: Array | float) -> Array:
-        return plot.bottom - strip.heights(values) * plot.height
+    def y(heights: Any) -> Any:
+        # np.clip would keep NaN, which is drawn at the upper edge
+        return plot.bottom - np.fmax(np.fmin(heights, 1.0), 0.0) * plot.height
 
     canvas.fill("ground", plot)
-    color = modes[-1] if len(modes) else "quiet"
-    legend = [("estimate", color, 2.4)]
-    if strip.truth is not None:
-        legend.insert(0, ("true", "truth", 1.6))
-    if strip.band:
-        low, high, meaning = strip.band
-        legend.append((meaning, "band", 9.0))
-        upper = float(y(high))
-        lower = float(y(low))
+    canvas.words(strip.title, (_PAD, plot.centery), "ink", 15)
+    if strip.band is not None:
+        lower, upper = y(strip.band)
         canvas.fill("band", Rect(plot.left, upper, plot.width, lower - upper))
-    for tick in strip.ticks or strip.values:
-        level = float(y(tick))
+    for tick, height in strip.ticks.items():
+        level = float(y(height))
         canvas.line([[plot.left, level], [plot.right, level]], "grid", 0.6)
         inside = min(max(level, plot.top + 5.0), plot.bottom - 5.0)
         canvas.words(f"{tick:g}", (plot.right + 4.0, inside), "quiet", 13)
@@ -272,12 +264,6 @@ def _draw_strip(canvas: Canvas, plot: Rect, strip: Strip, x: Array, modes: Index
         if strip.truth is not None:
             canvas.line(np.stack([x, y(strip.truth)], axis=1), "truth", 1.4)
         draw_by_mode(canvas, np.stack([x, y(strip.curve)], axis=1), modes, 1.8)
-    row = min(13.0, plot.height / (len(legend) + 1))
-    canvas.words(strip.title, (_PAD, plot.top + row / 2.0), "ink", 15)
-    for i, (meaning, color, width) in enumerate(legend, start=1):
-        level = plot.top + (i + 0.5) * row
-        canvas.line([[_PAD, level], [_PAD + 14.0, level]], color, width)
-        canvas.words(meaning, (_PAD + 19.0, level), "quiet", 13)
 
 
 def _draw_ribbon(canvas: Canvas, lane: Rect, x: Array, modes: Index) -> None:

@@ -17,9 +17,10 @@ from mmwave_env.compiler.program import BatchState, Feed, Program, StepIO, block
 from mmwave_env.models.envelope import STEP_S
 from mmwave_env.models.layout import Layout, offered_rows
 from mmwave_env.models.measurement import Site, blank_site
-from mmwave_env.models.motion import CLOCK_SIGMA_M
+from mmwave_env.models.motion import CLOCK_SIGMA_M, FREE_BIAS_M
 from mmwave_env.models.radio import SNR_LIMITS_DB, Radio
 from mmwave_env.models.random_scene import RandomScene
+from mmwave_env.models.random_survey import RandomSurvey
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.numerics.pytree import flatten, indices
@@ -79,7 +80,8 @@ class SimulatedSource:
         odometry: whether the user also reports speed and heading.
         measurements: names of the quantities that the receiver measures, some of
             :data:`~mmwave_env.models.layout.MEASUREMENTS`; None for all.
-        clock: whether the user's clock has an unknown, drifting offset.
+        clock: state of the user's clock, one of :data:`~mmwave_env.models.layout.CLOCKS`.
+        survey: distribution of survey errors; None if the survey is exact.
     """
 
     scene: Scene | RandomScene
@@ -89,7 +91,8 @@ class SimulatedSource:
     epochs: int = 200
     odometry: bool = False
     measurements: tuple[str, ...] | None = None
-    clock: bool = False
+    clock: str = "synchronized"
+    survey: RandomSurvey | None = None
 
     def __post_init__(self) -> None:
         if not STEP_S.holds(self.dt):
@@ -124,7 +127,7 @@ class SimulatedSource:
     @cached_property
     def layout(self) -> Layout:
         """Return the layout of every episode's measurements."""
-        partial = self.measurements is not None
+        partial = self.measurements is not None or self.clock == "free"
         return Layout(len(self._example.anchors_m), self.odometry, partial, self.clock)
 
     @property
@@ -227,7 +230,7 @@ class SimulatedSource:
             program: Program[Any] = as_measured(self.layout)
             state = BatchState.of(starts.truth, blocks_of(program.start, len(worlds)))
             return program, state._replace(feed=self.feed(worlds))
-        program = on_a_way(self.layout)
+        program = on_a_way(self.layout, self.survey is not None)
         rows = fill(blocks_of(program.start, len(worlds)), rows_of(program.index.receiver), worlds)
         rows[:, rows_of(program.index.settings)] = self._settings_rows
         return program, BatchState.of(starts.truth, rows)
@@ -242,7 +245,7 @@ class SimulatedSource:
         n = len(keys)
         program = self._start_program
         at = program.index.start
-        parts = [at.choice, at.first, at.prior_noise, at.receiver.anchors]
+        parts = [at.choice, at.first, at.prior_noise, at.mapped]
         world = [at.receiver, at.user] if self.travels else [at.receiver]
         io = StepIO.of(n, 1, output_rows=rows_of([parts, world]))
         tables = keys.view(np.float64).reshape(n, 1, 1)
@@ -297,7 +300,7 @@ class SimulatedSource:
     @property
     def world(self) -> World:
         """Return the world that simulates users who are not on given ways."""
-        return world_of(self.layout, *self._room)
+        return world_of(self.layout, *self._room, self.survey is not None)
 
     @property
     def _room(self) -> tuple[int, int]:
@@ -313,7 +316,7 @@ class SimulatedSource:
             streets = replace(
                 self.scene, carrier_hz=same.carrier_hz, bandwidth_hz=same.bandwidth_hz
             )
-        return start_program(self.layout, len(self._plans), *self._room, streets)
+        return start_program(self.layout, len(self._plans), *self._room, streets, self.survey)
 
     @cached_property
     def _before(self) -> Array:
@@ -345,11 +348,20 @@ class SimulatedSource:
             offered=[*map(float, offered_rows(self.layout, self.measurements))]
             if self.layout.partial
             else (),
-            clock=[0.5 * self.dt / scene.hz_per_mps, CLOCK_SIGMA_M * self.dt**0.5]
-            if self.clock
-            else (),
+            clock=self._clock_numbers,
+            slow=[math.exp(-self.dt / self.survey.slow_s)] if self.survey else (),
         )
         return np.repeat(np.array(flatten(settings), float)[:, None], WIDTH, axis=1)
+
+    @property
+    def _clock_numbers(self) -> tuple[float, ...]:
+        """Return the ``clock`` of the settings."""
+        if self.clock == "free":
+            return 0.0, 0.0, FREE_BIAS_M
+        if self.clock == "offset":
+            half_step = 0.5 * self.dt / self._example.hz_per_mps
+            return 1.0, half_step, CLOCK_SIGMA_M * self.dt**0.5
+        return ()
 
     @property
     def _sites(self) -> Site:

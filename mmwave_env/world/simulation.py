@@ -18,8 +18,9 @@ from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import exact_rows
 from mmwave_env.models.radio import Radio, deviations
 from mmwave_env.models.random_scene import RandomScene
+from mmwave_env.models.random_survey import RandomSurvey
 from mmwave_env.models.scene import Scene, SceneNumbers
-from mmwave_env.numerics.linalg import dot, times
+from mmwave_env.numerics.linalg import dot, plus, times
 from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Vector, floor, sqrt, where, wrap
 from mmwave_env.numerics.pytree import flatten, indices, select, tree_at
 from mmwave_env.numerics.random import STATE_WORDS, Dice, seeded
@@ -53,10 +54,12 @@ class WorldSettings(NamedTuple):
     step_s: Number  # length of a substep
     stride: Number  # number of substeps in an epoch
     offered: Vector = ()  # (rows,) 1 where the receiver measures the row; empty if it measures all
-    # empty if the user's clock is synchronized; else (2,): the first number times the sum of the
-    # oscillator biases (Hz) at two successive epochs is the drift (m) of the range bias from one
-    # epoch to the next; the second is the standard deviation (m) of noise added to the drift
+    # empty if the user's clock is synchronized; else (3,): how much of the range bias remains from
+    # one epoch to the next, 1 or 0; a number that, times the sum of the oscillator biases (Hz) in
+    # both epochs, is its drift (m); the standard deviation (m) of the noise that is added to it
     clock: Vector = ()
+    # empty if the survey is exact; else (1,): correlation of slow errors in successive epochs
+    slow: Vector = ()
 
 
 class Clock(NamedTuple):
@@ -64,6 +67,15 @@ class Clock(NamedTuple):
 
     dice: Numbers  # (4,) state of the clock's own random generator
     bias_m: Number  # range bias in the coming epoch: the speed of light times the clock's offset
+
+
+class Survey(NamedTuple):
+    """Errors of the survey that the receiver's links share; see ``models/random_survey.py``."""
+
+    dice: Numbers  # (4,) state of the survey's own random generator
+    offsets: Numbers  # (4,) what is added to the rows of every link
+    size: Number  # standard deviation of slow errors, in units of each row's noise
+    slow: Numbers  # (4 L,) slow errors in the coming epoch, in these units, of variance 1
 
 
 class ReceiverState(NamedTuple):
@@ -75,6 +87,7 @@ class ReceiverState(NamedTuple):
     channel: ChannelState  # state of the links
     bias_hz: Number  # oscillator bias in the coming epoch
     clock: Clock | tuple[()] = ()  # empty if the user's clock is synchronized
+    survey: Survey | tuple[()] = ()  # empty if the survey is exact
 
 
 class UserState(NamedTuple):
@@ -117,6 +130,10 @@ def measure(
     if isinstance(receiver.clock, Clock):
         for a in range(layout.anchors):
             added[4 * a] = added[4 * a] + receiver.clock.bias_m
+    if isinstance(receiver.survey, Survey):
+        errors = receiver.survey
+        for row, slow in enumerate(errors.slow):
+            added[row] = added[row] + errors.offsets[row % 4] + errors.size * sigma[row] * slow
     z = [e + s * dice.normal() + b for e, s, b in zip(exact, sigma, added, strict=True)]
     z = [wrap(wrap(v)) if row in layout.angles else v for row, v in enumerate(z)]
     visible = [*reception.detected, reception.detected[0]]
@@ -140,6 +157,7 @@ def measure(
     return measured, receiver._replace(
         dice=dice.state, is_first=0.0, channel=channel, bias_hz=bias_hz,
         clock=_run_on(receiver, bias_hz, settings.clock),
+        survey=_slowly_changed(receiver, settings.slow),
     )  # fmt: skip
 
 
@@ -150,11 +168,22 @@ def _run_on(receiver: ReceiverState, bias_hz: Number, clock: Vector) -> Clock | 
     """
     if not isinstance(receiver.clock, Clock):
         return ()
-    (half_step, sigma_m) = clock
+    (remains, half_step, sigma_m) = clock
     dice = Dice(receiver.clock.dice)
-    bias_m = receiver.clock.bias_m + half_step * (receiver.bias_hz + bias_hz)
+    bias_m = remains * receiver.clock.bias_m + half_step * (receiver.bias_hz + bias_hz)
     bias_m = bias_m + sigma_m * dice.normal()
     return Clock(dice.state, bias_m)
+
+
+def _slowly_changed(receiver: ReceiverState, slow: Vector) -> Survey | tuple[()]:
+    """Return the survey's errors one epoch later; () if the survey is exact."""
+    if not isinstance(receiver.survey, Survey):
+        return ()
+    (keep,) = slow
+    dice = Dice(receiver.survey.dice)
+    fresh = sqrt(1.0 - keep * keep)
+    changed = [keep * error + fresh * dice.normal() for error in receiver.survey.slow]
+    return receiver.survey._replace(dice=dice.state, slow=changed)
 
 
 def _where_measured(measured: Vector, rows: Vector, otherwise: float) -> Numbers:
@@ -185,20 +214,26 @@ def _move(w: WorldState) -> WorldState:
     return w._replace(user=w.user._replace(traveler=traveler))
 
 
-def blank_world(layout: Layout, phases: int, gaits: int) -> WorldState:
-    """Return a placeholder world with valid numbers, to be overwritten."""
+def blank_world(layout: Layout, phases: int, gaits: int, inexact: bool = False) -> WorldState:
+    """Return a placeholder world with valid numbers, to be overwritten.
+
+    ``inexact`` tells whether the survey may have errors.
+    """
     still = Traveler(*[0.0] * len(Traveler._fields))._replace(radius=1.0, jerk=1.0)
     acts = [plan.phase for plan in blank_plan(phases, gaits).phases]
     channel = channel_of(Radio("blank"), Scene("blank", (0.0, 0.0, 10.0)), layout, 1.0)
     anchors = [[0.0, 0.0, 10.0 + a] for a in range(layout.anchors)]
     dice = [0.0] * STATE_WORDS
-    clock = Clock(dice, 0.0) if layout.clock else ()
+    clock = Clock(dice, 0.0) if layout.has_bias else ()
     offered = [1.0] * layout.size if layout.partial else []
-    drift = [1.0, 1.0] if layout.clock else []
+    drift = [1.0, 1.0, 1.0] if layout.has_bias else []
+    survey = Survey(dice, [0.0] * 4, 0.0, [0.0] * layout.doppler) if inexact else ()
     return WorldState(
         measured=blank_incoming(layout),
-        settings=WorldSettings(1.0, channel, 1.0, 1.0, 1.0, 1.0, offered, drift),
-        receiver=ReceiverState(dice, anchors, 1.0, initial_state(layout.anchors), 0.0, clock),
+        settings=WorldSettings(1.0, channel, 1.0, 1.0, 1.0, 1.0, offered, drift, [1.0] * inexact),
+        receiver=ReceiverState(
+            dice, anchors, 1.0, initial_state(layout.anchors), 0.0, clock, survey
+        ),
         user=UserState(dice, Net(1.0, 1.0, 1.0, 0.0, 0.0, 1.5), acts, still),
     )
 
@@ -207,12 +242,12 @@ class World:
     """The simulation of a user's epochs: each epoch is measured, then the user moves on.
 
     ``phases`` is the maximum number of phases, and ``gaits`` the maximum number of gaits (target
-    speeds) in a phase.
+    speeds) in a phase. ``inexact`` tells whether the survey may have errors.
     """
 
-    def __init__(self, layout: Layout, phases: int, gaits: int) -> None:
+    def __init__(self, layout: Layout, phases: int, gaits: int, inexact: bool = False) -> None:
         self._layout = layout
-        self.template = blank_world(layout, phases, gaits)
+        self.template = blank_world(layout, phases, gaits, inexact)
         self.index: WorldState = indices(self.template)  # the row of each float in the workspace
         sizes = [len(flatten(part)) for part in self.template]
         # the rows at which three parts end: the measured epoch; the settings; receiver and user
@@ -256,9 +291,9 @@ class World:
 
 
 @cache  # never dropped, because a Feed holds only the address of the compiled code
-def world_of(layout: Layout, phases: int, gaits: int) -> World:
+def world_of(layout: Layout, phases: int, gaits: int, inexact: bool) -> World:
     """Return the world of simulated users, shared by all sources with the same arguments."""
-    return World(layout, phases, gaits)
+    return World(layout, phases, gaits, inexact)
 
 
 class OnAWay(NamedTuple):
@@ -271,14 +306,14 @@ class OnAWay(NamedTuple):
 
 
 @lru_cache(maxsize=8)
-def on_a_way(layout: Layout) -> Program[OnAWay]:
+def on_a_way(layout: Layout, inexact: bool) -> Program[OnAWay]:
     """Return the program that simulates an epoch of a user on a given way."""
 
     def function(w: OnAWay) -> OnAWay:
         measured, receiver = measure(w.truth, w.settings, w.receiver, layout)
         return w._replace(measured=measured, receiver=receiver)
 
-    measured, settings, receiver, _ = blank_world(layout, 1, 1)
+    measured, settings, receiver, _ = blank_world(layout, 1, 1, inexact)
     return Program(function, OnAWay(measured.truth, measured, settings, receiver))
 
 
@@ -294,11 +329,12 @@ def as_measured(layout: Layout) -> Program[AsMeasured]:
     return Program(lambda w: w, AsMeasured(blank_incoming(layout)))
 
 
-# Each key seeds three streams of random numbers. So the trajectory is the same with any radio, and
-# a clock offset changes neither the trajectory nor the receiver's noise.
+# Each key seeds four streams of random numbers. So the trajectory is the same with any radio, and
+# a clock offset or a wrong survey changes neither the trajectory nor the receiver's noise.
 USER = 0
 RECEIVER = 1
 CLOCK = 2
+SURVEY = 3
 
 
 class StartDraws(NamedTuple):
@@ -312,6 +348,7 @@ class StartDraws(NamedTuple):
     first: Numbers
     # (7,) error of the prior's mean; with a clock offset (8,), ending with minus the range bias
     prior_noise: Numbers
+    mapped: Matrix  # (L, 3) positions of the anchors on the map, which filters use
 
 
 class StartState(NamedTuple):
@@ -326,11 +363,12 @@ class StartState(NamedTuple):
     start: StartDraws
 
 
-def begin(w: StartState, streets: RandomScene | None) -> StartState:
+def begin(w: StartState, streets: RandomScene | None, survey: RandomSurvey | None) -> StartState:
     """Draw the beginning of an episode.
 
     Keep the order of the draws: otherwise every key would give another episode. ``streets`` is the
     random scene from which the episode draws its own scene, or None if the scene is fixed.
+    ``survey`` is the distribution of survey errors, or None if the survey is exact.
     """
     dice = Dice(seeded(w.key[0], USER))
     others = Dice(seeded(w.key[0], RECEIVER))
@@ -362,19 +400,31 @@ def begin(w: StartState, streets: RandomScene | None) -> StartState:
         receiver = receiver._replace(clock=Clock(own.state, bias_m))
         first = [*first, bias_m]
         noise = [*noise, 0.0 - bias_m]
-    return w._replace(start=StartDraws(receiver, user, choice, first, noise))
+    mapped = scene.anchors
+    if survey:
+        own = Dice(seeded(w.key[0], SURVEY))
+        errors = survey.draw_numbers(own, len(scene.anchors))
+        mapped = [plus(at, by) for at, by in zip(scene.anchors, errors.anchors_m, strict=True)]
+        slow = [own.normal() for _ in range(4 * len(scene.anchors))]
+        receiver = receiver._replace(survey=Survey(own.state, errors.offsets, errors.slow, slow))
+    return w._replace(start=StartDraws(receiver, user, choice, first, noise, mapped))
 
 
 @lru_cache(maxsize=8)
 def start_program(
-    layout: Layout, kinds: int, phases: int, gaits: int, streets: RandomScene | None
+    layout: Layout,
+    kinds: int,
+    phases: int,
+    gaits: int,
+    streets: RandomScene | None,
+    survey: RandomSurvey | None,
 ) -> Program[StartState]:
     """Return the program that runs :func:`begin` on SIMD lanes.
 
     ``kinds`` is the number of kinds of users, 0 if ways are given. ``phases`` and ``gaits`` are as
-    in :class:`World`, and ``streets`` is as in :func:`begin`.
+    in :class:`World`, and ``streets`` and ``survey`` are as in :func:`begin`.
     """
-    world = blank_world(layout, phases, gaits)
+    world = blank_world(layout, phases, gaits, survey is not None)
     state = [0.0] * layout.state_size
     template = StartState(
         key=[0.0],
@@ -383,6 +433,6 @@ def start_program(
         duration_s=1.0,
         prior_deviation=state,
         first_bias_hz=0.0,
-        start=StartDraws(world.receiver, world.user, 0.0, state, state),
+        start=StartDraws(world.receiver, world.user, 0.0, state, state, world.receiver.anchors),
     )
-    return Program(partial(begin, streets=streets), template)
+    return Program(partial(begin, streets=streets, survey=survey), template)

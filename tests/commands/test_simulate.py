@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from experiments.console.main import run
 from mmwave_env.datasets.log_folder import log_columns, log_text
-from mmwave_env.datasets.samples import log_names
+from mmwave_env.datasets.samples import sample_names
 from mmwave_env.logs.log import read_log
 from mmwave_env.logs.tum import read_tum
 from mmwave_env.models.layout import Layout
@@ -44,7 +44,7 @@ def test_odometry_is_written_and_the_options_are_recorded_in_the_truth_file(tmp_
     assert len(poses) == 200
 
 
-@pytest.mark.parametrize("name", log_names())
+@pytest.mark.parametrize("name", sample_names("log"))
 def test_the_command_reproduces_the_shipped_sample_logs(tmp_path, name):
     simulate(tmp_path, "--data", name, "--radio", "standard")
     assert sorted(path.name for path in (LOGS / name).iterdir()) == FILES

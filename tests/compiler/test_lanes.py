@@ -16,7 +16,7 @@ from hypothesis.extra import numpy as hnp
 from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.compiler import disk_cache
-from mmwave_env.compiler.lanes import WIDTH, Lanes, Mask, kernel
+from mmwave_env.compiler.lanes import WIDTH, kernel
 from mmwave_env.compiler.program import Program
 from mmwave_env.numerics.numbers import (
     atan2,
@@ -30,7 +30,6 @@ from mmwave_env.numerics.numbers import (
     where,
     wrap,
 )
-from mmwave_env.numerics.tape import taped
 from tests.filters.tracks import assert_same_beliefs, pipeline_of, simulated, track
 from tests.paths import representative
 
@@ -173,14 +172,6 @@ def test_comparisons_of_lanes_equal_comparisons_of_floats_even_with_nan(compare)
 def test_where_ignores_nan_in_the_other_branch():
     guarded = on_lanes(lambda a: where(a >= 0.0, sqrt(a), -1.0), [-1.0, 4.0, NAN, 0.0])
     assert_array_equal(guarded, [-1.0, 2.0, -1.0, 0.0])
-
-
-def test_lanes_and_numbers_on_a_tape_have_the_same_operations():
-    """Check that every function that can be recorded on a tape can also be compiled for lanes."""
-    inner = {"builder", "value", "_call", "_negated", "_with", "number", "tape", "_record"}
-    number = taped(0.0, [])
-    for ours, theirs in ((Lanes, number), (Mask, number < 1.0)):
-        assert set(dir(ours)) - inner == set(dir(theirs)) - inner
 
 
 OPTIONS = {

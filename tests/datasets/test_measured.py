@@ -7,10 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from mmwave_env.datasets.measured import MeasuredTrack
-from mmwave_env.datasets.recorded import Recording
+from mmwave_env.datasets.recorded import MeasuredTrack, Recording, TrackSource
 from mmwave_env.datasets.samples import recording_from
-from mmwave_env.datasets.tracks import TrackSource
 from mmwave_env.logs.truth import stretches, velocity_of
 from mmwave_env.models.layout import LINK, Layout
 from mmwave_env.models.prior import GAP_S

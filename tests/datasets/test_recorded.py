@@ -8,9 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from mmwave_env.datasets.recorded import Recording
+from mmwave_env.datasets.recorded import Recording, TrackSource
 from mmwave_env.datasets.samples import recording_from, sample_names, source_from
-from mmwave_env.datasets.tracks import TrackSource
 from mmwave_env.models.layout import Layout, wrapped
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import Scene, Wall

@@ -75,7 +75,8 @@ def soaked(modes, users, n, epochs=200):
         rng = np.random.default_rng(turn)
         source = SimulatedSource(scene_from("street"), radio, scenario, epochs=epochs)
         seeds = range(turn * n, (turn + 1) * n)
-        engine.reset([damaged(episode, rng) for episode in draw_episodes(source, seeds)])
+        engine.load([damaged(episode, rng) for episode in draw_episodes(source, seeds)])
+        engine.step()
         actions = rng.integers(len(modes), size=n)
         stay = rng.choice(STAY, n)
         for epoch in range(epochs):

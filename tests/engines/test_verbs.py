@@ -48,7 +48,8 @@ def after(engine):
 
 def test_filter_and_decide_are_an_environments_step_in_two_parts(episodes):
     stepped = engine_of(episodes)
-    stepped.reset(episodes)
+    stepped.load(episodes)
+    stepped.step()
     engine = engine_of(episodes, action=CORRECTION)
     engine.load(episodes)
     rows = engine.program.rows(BELIEF)
@@ -90,7 +91,8 @@ def test_corrections_in_an_environment_are_those_of_a_track_with_the_same_choice
     choices = [*ACTIONS, np.zeros(N, np.int64)]
     environment = engine_of(episodes, action=CORRECTION, base=lambda table: Given(choices))
     environment.show(after_update(environment.pipeline, per_mode=True))
-    environment.reset(episodes)
+    environment.load(episodes)
+    environment.step()
     track = engine_of(episodes, action=CORRECTION)
     track.load(episodes)
     rows = track.program.rows(REPORTED)

@@ -11,7 +11,7 @@ from gymnasium.error import InvalidAction
 from gymnasium.utils.env_checker import check_env
 from numpy.testing import assert_allclose
 
-from mmwave_env.engines.tally import exceeds
+from mmwave_env.engines.vector_step import exceeds
 from mmwave_env.localization.position_errors import horizontal_level
 from mmwave_env.metrics import RISK
 from tests.environment.test_vector_env import native, sync

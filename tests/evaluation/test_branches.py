@@ -27,7 +27,8 @@ LAYOUT = EPISODES[0].layout
 def begun(done):
     """Return an engine with beliefs per mode after ``done`` epochs of action 0 (favor no mode)."""
     engine = Engine(Pipeline(HANDSET.modes, LAYOUT), N, TrackingReward(), "full", HANDSET)
-    engine.reset(EPISODES)
+    engine.load(EPISODES)
+    engine.step()
     for _ in range(done):
         engine.step(np.int64(0))
     return engine

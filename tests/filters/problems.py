@@ -36,7 +36,12 @@ class Problem(NamedTuple):
 
     def ours(self, algorithm, gate, P=None):
         partial = self.measured is not None
-        layout = Layout(self.sensor.links, self.sensor.odometry, partial, self.sensor.clock)
+        layout = Layout(
+            self.sensor.links,
+            self.sensor.odometry,
+            partial,
+            "offset" if self.sensor.clock else "synchronized",
+        )
         rows = self.z.tolist(), self.R.tolist(), self.visible.astype(float).tolist()
         if partial:
             shifted = np.eye(self.sensor.links)[self.sensor.shifted].tolist()

@@ -46,7 +46,8 @@ def runs():
         rejected = []
         errors = []
         P = []
-        engine.reset(episodes)
+        engine.load(episodes)
+        engine.step()
         for _ in range(EPOCHS):
             candidates = engine.at.candidates
             nis.append(engine.read(candidates[m].nis))

@@ -207,7 +207,7 @@ def constant_likelihood(x, P, measurement, gate):
 
 @pytest.mark.parametrize("algorithm", [fuses_nothing, constant_likelihood])
 @pytest.mark.parametrize(
-    "layout", [STREET, Layout(1), Layout(2, partial=True), Layout(3, odometry=True, clock=True)]
+    "layout", [STREET, Layout(1), Layout(2, partial=True), Layout(3, odometry=True, clock="offset")]
 )
 def test_a_likelihood_that_does_not_fall_with_the_innovation_is_refused(algorithm, layout):
     """Check this because an IMM trusted a mode that fused nothing with 61 % of its probability."""

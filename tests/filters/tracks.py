@@ -162,7 +162,8 @@ def track(pipeline, episodes, actions, epochs, parts, on_floats=False, bank=None
     n = len(episodes)
     actions = np.broadcast_to(actions, (epochs, n))
     engine = Engine(pipeline, n, TrackingReward(), bank=bank, on_floats=on_floats)
-    engine.reset(episodes)
+    engine.load(episodes)
+    engine.step()
     history = {name: [] for name in parts if name != "P_predicted"}
     for action in actions:
         engine.step(action)

@@ -13,8 +13,8 @@ import numpy as np
 
 import mmwave_env
 from experiments.timing.roofline import count
+from mmwave_env.datasets.recorded import TrackSource
 from mmwave_env.datasets.samples import recording_from
-from mmwave_env.datasets.tracks import TrackSource
 from mmwave_env.engines.engine import Engine
 from mmwave_env.engines.epoch import Asked, decide, filter_epoch, program_of, score, untuned
 from mmwave_env.filters import Pipeline

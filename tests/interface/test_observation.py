@@ -57,7 +57,8 @@ def test_values_are_within_their_finite_bounds_even_in_absurd_episodes():
     episodes += [blinded(draw(seed), first, 200) for seed, first in ((12, 0), (13, 0), (14, 50))]
     episodes += [blinded(draw(15), 50, 190), absurd(draw(16)), absurd(blinded(draw(17), 0, 9))]
     engine = Engine(Pipeline(modes_from(None), Layout()), len(episodes), TrackingReward())
-    engine.reset(episodes)
+    engine.load(episodes)
+    engine.step()
     space = engine.observation.space
     rng = np.random.default_rng(0)
     for _ in range(200):
@@ -94,7 +95,8 @@ class Rollout(NamedTuple):
         """Clip values to the feature's limits and to ten standard deviations from its mean."""
         i = self.table.names.index(name)
         feature = self.table.features[i]
-        mean, deviation = feature.scale
+        mean = feature.mean
+        deviation = feature.deviation
         reach = 10.0 * deviation
         return np.clip(np.clip(values, feature.low, feature.high), mean - reach, mean + reach)
 

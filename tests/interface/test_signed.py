@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.engines.engine import Engine, tracks_of
-from mmwave_env.engines.smoothed_features import GATES, smoothed_features
+from mmwave_env.engines.smoothing import GATES, smoothed_features
 from mmwave_env.filters import Mode, Pipeline
 from mmwave_env.filters.bank import Bank
 from mmwave_env.interface.observation import Observation
@@ -42,7 +42,8 @@ def played(episodes, actions):
     """
     pipeline = Pipeline(BANK.modes, episodes[0].layout)
     engine = Engine(pipeline, len(episodes), TrackingReward(), "signed", BANK)
-    engine.reset(episodes)
+    engine.load(episodes)
+    engine.step()
     columns = [engine.observation.names.index(name) for name in names_of(pipeline)]
     observed = []
     x = []

@@ -11,7 +11,6 @@ import pytest
 
 from mmwave_env.io.files import (
     JSON_BYTES,
-    JSON_DEPTH,
     atomic_path,
     open_regular,
     parse_json,
@@ -207,10 +206,9 @@ def test_json_is_refused_if_a_key_occurs_twice():
 
 def test_json_is_refused_if_it_is_nested_too_deeply():
     for begin, end in (("[", "]"), ('{"a":', "}")):
-        assert parse_json(begin * JSON_DEPTH + "1" + end * JSON_DEPTH)
-        for depth in (JSON_DEPTH + 1, 900, 100_000):
-            with pytest.raises(ValueError, match="deep"):
-                parse_json(begin * depth + "1" + end * depth)
+        assert parse_json(begin * 50 + "1" + end * 50)
+        with pytest.raises(ValueError, match="deep"):
+            parse_json(begin * 100_000 + "1" + end * 100_000)
 
 
 # JSON with a number that is read as infinity, which int() can't convert

@@ -48,7 +48,8 @@ def test_the_track_equals_the_track_in_the_environment_to_the_last_bit(monkeypat
     episode = episode_from(whole, SCENE, RADIO, start_at(whole, 0, SCENE, RADIO))
     pipeline = switching.pipeline(whole.layout, planar=False)
     engine = Engine(pipeline, 1, TrackingReward(), switching.observation, switching.bank)
-    engine.reset([episode])
+    engine.load([episode])
+    engine.step()
     policy = LearnedSwitch(name, engine.observation)
     expected = []
     for _ in range(EPOCHS):
@@ -92,7 +93,8 @@ def test_a_corrected_track_has_the_corrected_beliefs_of_the_environment(correcto
     whole = first_epochs()
     pipeline = switching.pipeline(whole.layout, planar=False)
     engine = Engine(pipeline, 1, TrackingReward(), "signed", switching.bank)
-    engine.reset([episode_from(whole, SCENE, RADIO, start_at(whole, 0, SCENE, RADIO))])
+    engine.load([episode_from(whole, SCENE, RADIO, start_at(whole, 0, SCENE, RADIO))])
+    engine.step()
     policy = Corrector(corrector, engine.observation)
     expected = []
     trusted = []

@@ -4,8 +4,7 @@ from dataclasses import fields
 
 import numpy as np
 
-from mmwave_env.models.radio import RADIOS, Radio
-from mmwave_env.models.random_radio import RandomRadio
+from mmwave_env.models.radio import RADIOS, Radio, RandomRadio
 from mmwave_env.models.random_scene import WIDE_SCENE
 from mmwave_env.task import task_from
 from mmwave_env.world.simulated import SimulatedSource

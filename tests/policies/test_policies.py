@@ -33,7 +33,8 @@ def observe(table, **features):
     for name, values in columns.items():
         i = table.names.index(name)
         feature = table.features[i]
-        mean, deviation = feature.scale
+        mean = feature.mean
+        deviation = feature.deviation
         observation[:, i] = (np.clip(values, feature.low, feature.high) - mean) / deviation
     return observation.astype(np.float32)
 

@@ -106,9 +106,9 @@ def correcting(folder):
 MISTAKES = {  # function that makes a model -> beginning of the message
     without_environment: "model: found no environment",
     acting_otherwise: "model: its layers alone choose the same action",
-    relu: "network: found FlattenExtractor, Linear, ReLU",
-    correcting: "network: found .*Box",
-    lambda folder: DQN("MlpPolicy", environment(), buffer_size=100): "network: found DQNPolicy",
+    relu: "model: its layers alone choose the same action",
+    correcting: "model: found .*Box",
+    lambda folder: DQN("MlpPolicy", environment(), buffer_size=100): "model: found DQNPolicy",
 }
 
 

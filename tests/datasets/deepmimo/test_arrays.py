@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as stn
 from numpy.testing import assert_array_equal
 
-from mmwave_env.datasets.deepmimo import arrays
-from mmwave_env.datasets.deepmimo.arrays import find_array, read_array
+from mmwave_env.datasets.deepmimo import v4
+from mmwave_env.datasets.deepmimo.v4 import find_array, read_array
 from tests.datasets.deepmimo.scenarios import SAVE
 from tests.refusals import refuses
 
@@ -109,7 +109,7 @@ def test_a_forged_header_is_refused_without_allocating_memory(tmp_path, name):
 
 def test_a_small_archive_with_a_large_array_is_refused(tmp_path, monkeypatch):
     most = 2**20
-    monkeypatch.setattr(arrays, "MOST_BYTES", most)
+    monkeypatch.setattr(v4, "MOST_BYTES", most)
     zeros = np.zeros((most // 8 + 1, 1))
     file = tmp_path / "delay.npz"
     SAVE[".npz"](file, "delay", zeros)
@@ -119,7 +119,7 @@ def test_a_small_archive_with_a_large_array_is_refused(tmp_path, monkeypatch):
 
 
 def test_only_the_chosen_rows_of_an_npy_file_are_loaded(tmp_path, monkeypatch):
-    monkeypatch.setattr(arrays, "MOST_BYTES", 2**10)
+    monkeypatch.setattr(v4, "MOST_BYTES", 2**10)
     file = tmp_path / "delay.npy"
     rows = np.lib.format.open_memmap(file, "w+", np.float32, (2**22, 25))  # 400 MB, sparse
     rows[[7, 2**22 - 1]] = 3.0

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from mmwave_env.datasets.deepmimo import arrays, read_deepmimo
+from mmwave_env.datasets.deepmimo import read_deepmimo, v4
 from tests.datasets.deepmimo.scenarios import (
     LINK,
     SAVE,
@@ -99,7 +99,7 @@ def test_a_set_of_receivers_is_chosen_by_its_number(static):
 
 def test_a_grid_that_is_too_large_is_refused_before_it_is_read(tmp_path, monkeypatch):
     static = shortened(tmp_path / "grid", 12, ".npy")
-    monkeypatch.setattr(arrays, "MOST_BYTES", 12 * 4 * 8)  # enough for delay, but not for inter_pos
+    monkeypatch.setattr(v4, "MOST_BYTES", 12 * 4 * 8)  # enough for delay, but not for inter_pos
     with refuses("inter_pos"):
         read_deepmimo(static)
 

@@ -1,4 +1,4 @@
-"""Tests of the argument ``clock="offset"``, for a user's clock that is not synchronized."""
+"""Tests of the argument ``clock``, for a user's clock that is not synchronized."""
 
 import re
 from csv import DictReader
@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from mmwave_env.datasets.samples import recording_from, sample_folder, source_from
 from mmwave_env.engines.engine import run_imm
 from mmwave_env.engines.smoothing import smooth
+from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.filters import Pipeline, textbook
 from mmwave_env.filters.bank import Bank, best_bank, modes_from
 from mmwave_env.filters.mode_smoothing import smooth_modes
@@ -20,9 +21,10 @@ from mmwave_env.localization.localizer import localize
 from mmwave_env.localization.tracker import Tracker
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
-from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.radio import BIAS_SIGMA_M, RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.task import task_from
+from mmwave_env.vector_env import MmWaveLocVectorEnv
 from mmwave_env.world.keys import keys_of
 from tests.cli import assert_one_clear_line, command, succeed
 from tests.filters.tracks import around_a_block, replay, street_source, unpacked
@@ -42,14 +44,14 @@ SOURCES = {
 }
 
 
-def tasks(**arguments):
+def tasks(clock="offset", **arguments):
     """Return two tasks: the user's clock is synchronized in the first and not in the second."""
-    return [task_from(clock=clock, **arguments) for clock in ("synchronized", "offset")]
+    return [task_from(clock=name, **arguments) for name in ("synchronized", clock)]
 
 
-def pair(**arguments):
-    """Return one episode twice: with a synchronized clock and with a clock offset."""
-    both = tasks(episode_steps=40, radio="standard", **arguments)
+def pair(clock="offset", **arguments):
+    """Return one episode twice: with a synchronized clock and with another one."""
+    both = tasks(clock, episode_steps=40, radio="standard", **arguments)
     return [task.draw(np.random.default_rng(4)) for task in both]
 
 
@@ -66,21 +68,41 @@ def bias_of(synchronized, offset):
     return np.where(measured.any(axis=1), largest, np.nan)
 
 
+@pytest.mark.parametrize("clock", BIAS_SIGMA_M)
 @pytest.mark.parametrize("arguments", SOURCES.values(), ids=SOURCES)
-def test_all_ranges_get_the_same_bias_and_nothing_else_changes(arguments):
-    synchronized, offset = pair(**arguments)
+def test_all_ranges_get_the_same_bias_and_nothing_else_changes(arguments, clock):
+    synchronized, offset = pair(clock, **arguments)
     bias = bias_of(synchronized, offset)
     layout = offset.layout
-    assert 1.0 < abs(bias[np.isfinite(bias)][0]) < 5.0 * SIGMA_M
+    sigma_m = BIAS_SIGMA_M[clock]
+    assert 0.01 * sigma_m < abs(bias[np.isfinite(bias)][0]) < 5.0 * sigma_m
+    changes = np.diff(bias[np.isfinite(bias)]).std()
+    assert changes > 0.5 * sigma_m if clock == "free" else changes < 0.1 * sigma_m
     others = np.setdiff1d(np.arange(layout.size), np.arange(0, layout.doppler, 4))
+    known = np.isfinite(offset.measurement)[:, others]  # a partial layout has NaN in lost links
+    assert known.any()
     for field in ("measurement", "sigma"):
-        pairs = (getattr(episode, field)[:, others] for episode in (offset, synchronized))
+        pairs = (getattr(episode, field)[:, others][known] for episode in (offset, synchronized))
         assert_array_equal(*pairs)
     for field in ("visible", "snr_db", "truth_position_m", "doppler_spread_hz"):
         assert_array_equal(getattr(offset, field), getattr(synchronized, field))
     assert_array_equal(offset.prior_mean, [*synchronized.prior_mean, 0.0])
-    P = np.diag([*np.diag(synchronized.prior_covariance), SIGMA_M**2])
+    P = np.diag([*np.diag(synchronized.prior_covariance), sigma_m**2])
     assert_allclose(offset.prior_covariance, P)
+
+
+@pytest.mark.parametrize("beliefs", ["shared", "per-mode"])
+def test_environments_with_a_free_clock_are_the_same_alone_and_in_a_batch(beliefs):
+    arguments = {"clock": "free", "radio": "standard", "beliefs": beliefs, "episode_steps": 30}
+    vector = MmWaveLocVectorEnv(3, **arguments)
+    single = MmWaveLocEnv(**arguments)
+    observations, _ = vector.reset(seed=[5, 6, 7])
+    observation, _ = single.reset(seed=6)
+    for _ in range(30):
+        assert_array_equal(observation, observations[1])
+        observations, rewards, *_ = vector.step(np.array([0, 1, 0]))
+        observation, reward, *_ = single.step(1)
+        assert reward == rewards[1]
 
 
 def test_no_offset_is_added_to_the_ranges_of_a_log():
@@ -129,9 +151,10 @@ def test_the_offset_is_estimated_with_a_correct_standard_deviation():
     assert np.median(run["nees"][:, 20:]) == pytest.approx(2.37, rel=0.2)  # chi2(3).median()
 
 
+@pytest.mark.parametrize("clock", ["offset", "free"])
 @pytest.mark.parametrize("planar", representative([False, True], False))
-def test_smoothed_tracks_equal_the_textbook(planar):
-    source = street_source(radio="standard", epochs=50, clock=True)
+def test_smoothed_tracks_equal_the_textbook(planar, clock):
+    source = street_source(radio="standard", epochs=50, clock=clock)
     bank = Bank(modes_from(["ukf"], "standard"))
     pipeline = Pipeline(bank.modes, source.layout, planar)
     batch = source.sample_batch(keys_of(range(3)))
@@ -142,13 +165,14 @@ def test_smoothed_tracks_equal_the_textbook(planar):
     free = [0, 1, 3, 4, 6, 7] if planar else list(range(8))
     hz_per_mps = STREET.hz_per_mps
     time_s = np.arange(50.0)
-    smoothed = smooth(x, P, x_predicted, P_predicted, np.diff(time_s), planar, hz_per_mps)
+    drive = hz_per_mps if clock == "offset" else None
+    smoothed = smooth(x, P, x_predicted, P_predicted, np.diff(time_s), planar, drive)
     steps = np.tile(np.diff(time_s, prepend=0.0), (3, 1))
     spread = batch.table[:, :, -7]
     by_modes = smooth_modes(bank, pipeline, kept["mixture"], steps, spread, hz_per_mps)
     for e in range(3):
         expected_x, expected_P = textbook.rts(
-            x[e], unpacked(P[e]), unpacked(P_predicted[e]), time_s, free, None, hz_per_mps
+            x[e], unpacked(P[e]), unpacked(P_predicted[e]), time_s, free, None, drive
         )
         for smoothed_x, smoothed_P in (smoothed, by_modes):
             assert_allclose(smoothed_x[e], expected_x, rtol=1e-7, atol=1e-7)
@@ -166,7 +190,7 @@ def test_an_invalid_clock_and_a_clock_that_cannot_be_estimated_are_refused():
     track = recording_from("canyon28_vehicle")
     track.measurement[:, : track.layout.doppler : 4] = np.nan
     with refuses("clock"):
-        source_from(track, RADIOS["standard"], clock=True)
+        source_from(track, RADIOS["standard"], clock="offset")
 
 
 @pytest.fixture(scope="module")
@@ -188,7 +212,7 @@ def test_localize_estimates_the_offset(ride):
     assert float(smoothed.split("|")[2]) < 1.0
     episodes = [
         street_source(radio="standard", clock=clock).episode(int(keys_of([2])[0]))
-        for clock in (False, True)
+        for clock in ("synchronized", "offset")
     ]
     said = next(line for line in out.splitlines() if "clock is" in line)
     ns, deviation = map(float, re.search(r"([\d.]+) ± ([\d.]+)", said).groups())
@@ -198,7 +222,7 @@ def test_localize_estimates_the_offset(ride):
 
 @pytest.mark.slow  # compiles several programs
 def test_a_live_track_equals_the_track_of_the_whole_log(ride):
-    log = read_log(ride / "log.csv", STREET, partial=True, clock=True)
+    log = read_log(ride / "log.csv", STREET, partial=True, clock="offset")
     switching = Switching(best_bank("standard"))
     x = localize(log, STREET, RADIOS["standard"], switching, None).x
     tracker = Tracker(STREET, switching, "standard", clock="offset", lag=3)

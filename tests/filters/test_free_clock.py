@@ -1,0 +1,194 @@
+"""Tests of a user's clock that every epoch draws anew, so that only differences of ranges count."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from mmwave_env.engines.engine import run_imm
+from mmwave_env.filters import textbook
+from mmwave_env.filters.bank import Bank, modes_from
+from mmwave_env.filters.filterpy_reference import filterpy_pipeline
+from mmwave_env.filters.memory import initial_memory
+from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.pipeline import Pipeline, predict_update
+from mmwave_env.interface.reward import TrackingReward
+from mmwave_env.models.layout import Layout
+from mmwave_env.models.measurement import Epoch, Site
+from mmwave_env.numerics.linalg import pack, unpack
+from mmwave_env.world.keys import keys_of
+from tests.filters.problems import HZ_PER_MPS
+from tests.filters.tracks import assert_same_beliefs, street_source, track
+from tests.paths import representative
+
+LIMIT = 6.6349  # 99 % quantile of chi-square with one degree of freedom
+
+
+class Problem(NamedTuple):
+    """A prior, and an epoch whose ranges all contain the same unknown bias."""
+
+    sensor: textbook.Sensor
+    x: np.ndarray  # (7,)
+    P: np.ndarray  # (7, 7)
+    z: np.ndarray
+    sigma: np.ndarray
+    measured: np.ndarray
+
+    def ours(self, bias=0.0, lockout=0.0):
+        """Return our result; ``bias`` is added to the ranges."""
+        links = self.sensor.links
+        layout = Layout(links, partial=True, clock="free")
+        mode = Mode("ekf", "ekf", gate=None, **dict.fromkeys(NOISES, 0.0))
+        P = np.zeros((8, 8))
+        P[:7, :7] = self.P
+        P[7, 7] = 1.0
+        z = self.z.copy()
+        z[0:-1:4] += bias
+        starts = [group.start for group in layout.groups]
+        visible = np.logical_or.reduceat(self.measured, starts)
+        doppler_of = [float(a == self.sensor.shifted) for a in range(links)]
+        epoch = Epoch(0.0, z.tolist(), self.sigma.tolist(), visible.astype(float).tolist(),
+                      [30.0] * links, 0.0, self.measured.astype(float).tolist(),
+                      doppler_of)  # fmt: skip
+        x = [*self.x, 3.0]
+        site = Site(self.sensor.anchors.tolist(), HZ_PER_MPS, x, pack(P.tolist()))
+        memory = initial_memory(layout, 1)._replace(lockout=lockout)
+        return predict_update(Pipeline((mode,), layout), mode, x, site.prior_P, memory, epoch, site)
+
+    def disagreements(self):
+        """Return T (L, L) of each pair of ranges."""
+        d = self.x[:3] - self.sensor.anchors
+        distance = np.linalg.norm(d, axis=1)
+        y = self.z[0:-1:4] - distance
+        u = d / distance[:, None]
+        g = u[:, None] - u
+        S = np.einsum("lmi,ij,lmj->lm", g, self.P[:3, :3], g)
+        R = self.sigma[0:-1:4] ** 2
+        return (y[:, None] - y) ** 2 / (S + R[:, None] + R)
+
+
+NOISES = ("sigma_p", "sigma_v", "sigma_pz", "sigma_vz", "sigma_b_mps", "spread_gain")
+
+
+@st.composite
+def problems(draw, wild=0):
+    """Draw a problem with three or more right ranges; ``wild`` other ranges are too long."""
+    links = draw(st.integers(3, 6)) + wild
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    anchors = np.column_stack([rng.uniform(-60, 60, (links, 2)), rng.uniform(4, 12, links)])
+    sensor = textbook.Sensor(anchors, HZ_PER_MPS, shifted=int(rng.integers(links)))
+    root = np.tril(rng.normal(0, 0.2, (7, 7)), -1) + np.diag(rng.uniform(0.3, 2.0, 7))
+    x = np.array([0.0, 0.0, 1.5, *rng.normal(0, 1, 3), 5.0])
+    truth = x + 0.4 * root @ rng.standard_normal(7)
+    sigma = np.append(np.tile([0.4, 0.05, 0.05, 0.05], links), 3.0)
+    z = sensor.h(truth) + sigma * rng.normal(0, 0.5, len(sigma))
+    z[0 : 4 * wild : 4] += rng.uniform(60.0, 300.0, wild)
+    z[sensor.angles] = np.remainder(z[sensor.angles] + np.pi, 2 * np.pi) - np.pi
+    measured = rng.random(len(z)) < 0.7
+    measured[0:-1:4] = True
+    return Problem(sensor, x, root @ root.T, z, sigma, measured)
+
+
+@given(problem=problems(), bias=st.floats(-5e3, 5e3), data=st.data())
+@settings(max_examples=60, deadline=None)
+def test_without_doubtful_ranges_the_update_is_that_of_their_differences(problem, bias, data):
+    assume(problem.disagreements().max() < LIMIT)
+    reference = data.draw(st.integers(0, problem.sensor.links - 1))
+    expected_x, expected_P = textbook.update_with_differences(
+        problem.sensor, problem.x, problem.P, problem.z, problem.sigma**2, problem.measured,
+        reference,
+    )  # fmt: skip
+    result = problem.ours(bias)
+    P = np.array(unpack(result.P))
+    assert_allclose(result.x[:7], expected_x, rtol=1e-5, atol=1e-5)
+    assert_allclose(P[:7, :7], expected_P, rtol=1e-5, atol=1e-5)
+    # The bias: ranges minus the distances to the updated position, as a flat prior gives them.
+    flat = np.zeros((8, 8))
+    flat[:7, :7] = problem.P
+    flat[7, 7] = 1e7
+    z = problem.z.copy()
+    z[0:-1:4] += bias
+    sensor = textbook.Sensor(
+        problem.sensor.anchors, HZ_PER_MPS, shifted=problem.sensor.shifted, clock=True
+    )
+    whole_x, whole_P = textbook.update(
+        textbook.tangent, sensor, np.append(problem.x, 0.0), flat, z, problem.sigma**2,
+        problem.measured,
+    )  # fmt: skip
+    assert result.x[7] == pytest.approx(whole_x[7], rel=1e-4, abs=0.01)
+    assert_allclose(P, whole_P, rtol=1e-3, atol=1e-3)
+
+
+@given(problem=problems(wild=1))
+@settings(max_examples=40, deadline=None)
+def test_a_wild_range_is_doubted_and_costs_likelihood_and_the_others_decide(problem):
+    T = problem.disagreements()
+    assume(T[1:, 1:].max() < 0.5 * LIMIT and T[0, 1:].min() > 20.0 * LIMIT)
+    result = problem.ours()
+    assert result.accepted[0] == 0.0
+    assert min(result.accepted[1 : problem.sensor.links]) == 1.0
+    assert result.nis[0] > 20.0 * LIMIT
+    measured = problem.measured.copy()
+    measured[0] = False
+    known = problem._replace(measured=measured).ours()
+    deviation = np.sqrt(np.diag(unpack(known.P)))
+    assert np.all(np.abs(np.array(result.x) - known.x)[:7] < 0.1 * deviation[:7])
+    assert result.log_likelihood < known.log_likelihood - 9.0 * LIMIT
+
+
+def test_a_range_alone_only_sets_the_clock_and_does_not_end_a_lockout():
+    anchors = np.array([[40.0, 5.0, 8.0]])
+    sensor = textbook.Sensor(anchors, HZ_PER_MPS)
+    x = np.array([0.0, 0.0, 1.5, 1.0, 0.0, 0.0, 0.0])
+    z = sensor.h(x)
+    measured = np.array([True, False, False, False, False])
+    problem = Problem(sensor, x, np.eye(7), z, np.full(5, 0.3), measured)
+    result = problem.ours(700.0)
+    assert_allclose(result.x[:7], x)
+    assert result.x[7] == pytest.approx(700.0)
+    assert result.passed == 0.0
+    assert result.nis[0] == 1.0
+
+
+@pytest.mark.parametrize("algorithm", representative(["ekf", "ukf", "ckf"], "ukf"))
+def test_filterpy_tracks_the_same(algorithm):
+    source = street_source(radio="standard", epochs=40, clock="free")
+    episodes = [source.sample(np.random.default_rng(seed)) for seed in range(2)]
+    pipeline = Pipeline(modes_from([algorithm], "standard"), source.layout)
+    ours, twin = (
+        track(p, episodes, 0, 40, ("x", "P", "memory"), on_floats=True)
+        for p in (pipeline, filterpy_pipeline(pipeline))
+    )
+    assert_same_beliefs(twin, ours, rtol=1e-8)
+
+
+@pytest.mark.slow  # runs many episodes
+def test_position_errors_agree_with_their_covariance():
+    source = street_source(radio="standard", epochs=100, clock="free")
+    bank = Bank(modes_from(None, "standard"))
+    episodes = source.sample_batch(keys_of(range(100, 160)))
+    run = run_imm(bank, TrackingReward(), episodes, "nees")
+    late = run["nees"][:, 20:]
+    assert np.isfinite(late).all()
+    assert np.median(late) < 1.4 * 2.37  # chi2(3).median(); the tuned bank has about 2.9
+
+
+@pytest.mark.parametrize("clock", ["synchronized", "free"])
+def test_errors_that_last_longer_than_a_step_get_more_noise(clock):
+    """Compare 0.3 s of correlation at steps of 0.1 s with noise that is larger by sqrt(3)."""
+    source = street_source(radio="standard", epochs=20, dt=0.1, clock=clock)
+    episode = source.sample(np.random.default_rng(3))
+    louder = replace(
+        episode, sigma=episode.sigma * np.where(np.arange(20) > 0, 3**0.5, 1.0)[:, None]
+    )
+    mode = replace(modes_from(["ekf"], "standard")[0], gate=None, adaptive=False)
+    pipeline = Pipeline((mode,), source.layout)
+    correlated = replace(pipeline, correlation_s=0.3)
+    tracks = [
+        track(p, [e], 0, 20, ("x", "P")) for p, e in ((correlated, episode), (pipeline, louder))
+    ]
+    assert_same_beliefs(*tracks, rtol=1e-9)
