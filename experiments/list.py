@@ -28,37 +28,28 @@ class Args:
 def main(args: Args) -> None:
     """Run the command."""
     from experiments.console.output import say
-    from mmwave_env.models.radio import radio_from
-
-    radio_from(args.radio)  # refuses an unknown radio
-    for kind, names in _kinds(args.radio).items():
-        if args.what in (kind, "all"):
-            say(f"{kind}:", *(f"  {name:22} {meaning}" for name, meaning in names.items()))
-
-
-def _kinds(radio: str) -> dict[str, dict[str, str]]:
-    """Return the descriptions of all names, by kind and name; ``radio`` is a radio profile."""
     from experiments.evaluation.branches import CLAIRVOYANT
     from experiments.evaluation.contenders import DESCRIPTIONS, contenders
     from mmwave_env.datasets.samples import recording_from, sample_names
     from mmwave_env.filters.bank import as_written, named_modes
     from mmwave_env.interface.reward import REWARDS
-    from mmwave_env.models.radio import RADIOS
+    from mmwave_env.models.radio import RADIOS, radio_from
     from mmwave_env.models.random_scene import RANDOM
     from mmwave_env.models.scene import SCENES
     from mmwave_env.world.mobility import SCENARIOS
 
-    modes = {name: as_written(mode).items() for name, mode in named_modes(radio).items()}
+    radio_from(args.radio)  # refuses an unknown radio
+    modes = {name: as_written(mode).items() for name, mode in named_modes(args.radio).items()}
     samples = {}
     for name in sample_names():
         log = "; also as a log, for localize --sample" if name in sample_names("log") else ""
         epochs = len(recording_from(name).time_s)
         samples[name] = f"ray-traced street, {epochs} epochs, for --data{log}"
     scenes = {name: _description(scene) for name, scene in SCENES.items()}
-    return {
+    kinds = {
         "policies": {
             name: DESCRIPTIONS.get(name, f"mode {name.removeprefix('fixed-')} in every epoch")
-            for name in (*contenders(radio), CLAIRVOYANT)
+            for name in (*contenders(args.radio), CLAIRVOYANT)
         },
         "scenarios": SCENARIOS,
         "radios": {
@@ -77,6 +68,9 @@ def _kinds(radio: str) -> dict[str, dict[str, str]]:
             name: str(inspect.getdoc(reward)).partition("\n")[0] for name, reward in REWARDS.items()
         },
     }
+    for kind, names in kinds.items():
+        if args.what in (kind, "all"):
+            say(f"{kind}:", *(f"  {name:22} {meaning}" for name, meaning in names.items()))
 
 
 def _description(scene: "Scene") -> str:

@@ -122,7 +122,9 @@ def localizer(tmp_path, monkeypatch):
 
 
 @pytest.mark.torch
-@pytest.mark.parametrize("receiver", [{}, {"measurements": ("range", "azimuth")}, {"clock": True}])
+@pytest.mark.parametrize(
+    "receiver", [{}, {"measurements": ("range", "azimuth")}, {"clock": "offset"}]
+)
 def test_the_covariances_of_a_localizer_are_always_positive_definite(localizer, receiver):
     source = replace(sites()[0].source(), epochs=30, **receiver)
     batch = source.sample_batch(keys_of(range(5_000_000, 5_000_004)))

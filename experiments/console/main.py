@@ -45,6 +45,7 @@ GROUPS = {
 # line between the parts of tyro's messages, which have frames where the terminal shows UTF-8
 RULE = re.compile("^(?: +-+ *|│ ─+ │|[╭╰].*)$", re.MULTILINE)
 COMMANDS = {name: about for group in GROUPS.values() for name, about in group.items()}
+RESULTS = {"json": ".json", "episodes-csv": ".csv", "table": ".tex"}  # option -> ending of its file
 EVERYWHERE = {  # options of every command
     "--quiet": "show neither tables nor progress, only warnings and errors",
     "--debug": "if something fails, show where in the program (a traceback)",
@@ -167,21 +168,18 @@ def run(name: str, words: Sequence[str]) -> None:
                 stream.reconfigure(errors="backslashreplace")
         args = read_arguments(name, words)
         with _quiet() if quiet else nullcontext():
-            _require_results_can_be_written(args)
+            for option, ending in RESULTS.items():
+                path = getattr(args, option.replace("-", "_"), None)  # not every command has it
+                if path is None:
+                    continue
+                if path.suffix != ending:
+                    raise ValueError(
+                        f"{option}: found {path}, expected a name that ends with {ending}"
+                    )
+                from mmwave_env.io.files import require_writable
+
+                require_writable(path)
             importlib.import_module(f"experiments.{name}").main(args)
-
-
-def _require_results_can_be_written(args: Any) -> None:
-    for name, ending in {"json": ".json", "episodes_csv": ".csv", "table": ".tex"}.items():
-        path = getattr(args, name, None)  # not every command has this option
-        if path is None:
-            continue
-        if path.suffix != ending:
-            option = name.replace("_", "-")
-            raise ValueError(f"{option}: found {path}, expected a name that ends with {ending}")
-        from mmwave_env.io.files import require_writable
-
-        require_writable(path)
 
 
 def _help() -> str:

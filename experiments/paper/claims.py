@@ -191,12 +191,17 @@ def units(bench: Bench) -> Iterator[Row]:
         episodes = bench.episodes(setting)
         ungated = replace(mode, gate=None, recovery=None)
         printed = [replace(e, hz_per_mps=1.0) for e in episodes]
+        read_as_mps = []  # shifts in Hz taken for m/s, but their noise converted to m/s
+        for e in printed:
+            sigma = e.sigma.copy()
+            sigma[:, e.layout.doppler] /= episodes[0].hz_per_mps
+            read_as_mps.append(replace(e, sigma=sigma))
         runs = [
             bench.run(mode, setting),
             track(_drifting_in_hz(mode, episodes[0]), printed),
             bench.run(ungated, setting),
             track(_drifting_in_hz(ungated, episodes[0]), printed),
-            track(ungated, [_read_as_mps(e) for e in episodes]),
+            track(ungated, read_as_mps),
         ]
         figures = _means(*_ates([run.filtered for run in runs]))
         yield [setting.scenario, setting.radio, *figures]
@@ -205,13 +210,6 @@ def units(bench: Bench) -> Iterator[Row]:
 def _drifting_in_hz(mode: Mode, episode: Episode) -> Mode:
     """Return the mode with oscillator noise in Hz, for episodes whose hz_per_mps is set to 1."""
     return replace(mode, sigma_b_mps=mode.sigma_b_mps * episode.hz_per_mps)
-
-
-def _read_as_mps(episode: Episode) -> Episode:
-    """Return the episode with its shifts in Hz taken for m/s, but their noise converted to m/s."""
-    sigma = episode.sigma.copy()
-    sigma[:, episode.layout.doppler] /= episode.hz_per_mps
-    return replace(episode, hz_per_mps=1.0, sigma=sigma)
 
 
 def resolution(bench: Bench) -> Section:

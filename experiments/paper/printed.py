@@ -204,6 +204,7 @@ OTHERS = {  # Table III: method -> (scenario, ATE in meters)
 }
 
 PRINTED = {"ate_m": "ATE m", "rpe_m": "RPE m", "nees": "NEES", "rmse_m": "RMSE m"}
+COUPLINGS = (False, True)  # forms of the process noise: plain diagonal, coupled
 UNTUNED_SIGMA_V = 1.0  # m/s; our choice, because the paper states no value
 
 
@@ -220,22 +221,6 @@ def _row(name: str, printed: Published | None, forms: Sequence[Scores]) -> Row:
         row.append("" if printed is None else getattr(printed, metric))
         row += bootstrap(np.stack([scores[metric] for scores in forms], axis=1))
     return row
-
-
-def _rows(bench: Bench, setting: Setting, printed: dict[str, Published]) -> Iterator[Row]:
-    forms = (False, True)  # forms of the process noise: plain diagonal, coupled
-    for algorithm in ("ekf", "ukf", "ckf"):
-        runs = [bench.run(untuned(algorithm, coupling), setting) for coupling in forms]
-        name = algorithm.upper()
-        yield _row(name, printed[name], [run.filtered.scores for run in runs])
-    tuned = [setting.tuned(coupling) for coupling in forms]
-    variants = {"": (tuned, setting), ", robust": ([*map(robust, tuned)], setting)}
-    if setting.scenario == "pedestrian":
-        variants[", odometry"] = tuned, replace(setting, odometry=True)
-    for variant, (modes, measured) in variants.items():
-        smoothed = [bench.run(mode, measured).smoothed.scores for mode in modes]
-        name = f"Optimized {str(tuned[0].algorithm).upper()}{variant}"
-        yield _row(name, None if variant else printed["optimized"], smoothed)
 
 
 def tables_one_and_two(bench: Bench) -> Iterator[Section]:
@@ -255,8 +240,21 @@ def tables_one_and_two(bench: Bench) -> Iterator[Section]:
         if scenario == "pedestrian":
             note += " Rows with odometry have the same true tracks, but other noise."
         for radio in TUNED_RADIOS:
-            rows = _rows(bench, Setting(scenario, radio), printed)
-            yield Section(f"Table {number}: {scenario}, {radio}", note, header, rows=[*rows])
+            setting = Setting(scenario, radio)
+            rows = []
+            for algorithm in ("ekf", "ukf", "ckf"):
+                runs = [bench.run(untuned(algorithm, coupling), setting) for coupling in COUPLINGS]
+                name = algorithm.upper()
+                rows.append(_row(name, printed[name], [run.filtered.scores for run in runs]))
+            tuned = [setting.tuned(coupling) for coupling in COUPLINGS]
+            variants = {"": (tuned, setting), ", robust": ([*map(robust, tuned)], setting)}
+            if scenario == "pedestrian":
+                variants[", odometry"] = tuned, replace(setting, odometry=True)
+            for variant, (modes, measured) in variants.items():
+                smoothed = [bench.run(mode, measured).smoothed.scores for mode in modes]
+                name = f"Optimized {str(tuned[0].algorithm).upper()}{variant}"
+                rows.append(_row(name, None if variant else printed["optimized"], smoothed))
+            yield Section(f"Table {number}: {scenario}, {radio}", note, header, rows=rows)
 
 
 @section(

@@ -17,7 +17,7 @@ from mmwave_env.io.files import atomic_path, require_writable
 from mmwave_env.io.lookup import printable, require_extra, spelled
 from mmwave_env.localization.localizer import Track
 from mmwave_env.localization.position_errors import SHARES, horizontal, vertical
-from mmwave_env.numerics.numbers import Array, Index
+from mmwave_env.numerics.numbers import Array
 from mmwave_env.rendering.history import ellipse
 from mmwave_env.rendering.theme import THEMES, hex_of
 
@@ -246,11 +246,26 @@ def draw_trajectory(track: Track, truth_m: Array, anchors_m: Array, path: Path, 
         panels = figure.subplots(len(heights), 1, height_ratios=heights)
         _draw_above(panels[0], track, truth_m, anchors_m)
         time = track.time_s - track.time_s[0]
-        _draw_error(panels[1], track, truth_m, time)
+        error = np.linalg.norm(track.smooth_x[:, :3] - truth_m, axis=1)
+        sigma = np.sqrt(track.smooth_P[:, [0, 2, 5]].sum(axis=1))  # of x, y and z
+        style = {"color": "C2", "alpha": 0.35, "lw": 0.0, "label": "2 standard deviations"}
+        panels[1].fill_between(time, 0.0, 2.0 * sigma, **style)
+        if np.isfinite(error).any():
+            panels[1].plot(time, error, color="black", lw=0.8, label="error")
+        panels[1].set(ylabel="position error (m)", ylim=(0.0, None))
+        legend_beside(panels[1])
         if several:
             panels[1].tick_params(labelbottom=False)
             panels[1].sharex(panels[2])
-            _draw_modes(panels[2], time, track.mode)
+            begins = np.flatnonzero(np.diff(track.mode, prepend=-1))
+            ends = np.append(begins[1:], len(track) - 1)
+            spans = np.stack([time[begins], time[ends] - time[begins]], axis=1)
+            colors = [f"C{number}" for number in track.mode[begins]]
+            panels[2].broken_barh(spans, (0.0, 1.0), facecolors=colors, lw=0.0)
+            panels[2].grid(visible=False)
+            panels[2].spines[:].set_visible(False)
+            panels[2].tick_params(axis="y", length=0)
+            panels[2].set_yticks([0.5], ["mode"])
         panels[-1].set_xlabel("time since the first epoch (s)")
         lines = textwrap.wrap(caption(title), TITLE_LETTERS, break_on_hyphens=False)
         figure.suptitle("\n".join(lines), x=0.02, ha="left")
@@ -308,29 +323,3 @@ def draw_anchors(axes: Any, position: Array, anchors_m: Array) -> None:
             offset, side = (-7, "right") if anchor[0] > middle[0] else (7, "left")
             place = {"textcoords": "offset points", "va": "center", "ha": side}
             axes.annotate(name, anchor, (offset, 0), **place)
-
-
-def _draw_error(axes: Any, track: Track, truth_m: Array, time: Array) -> None:
-    error = np.linalg.norm(track.smooth_x[:, :3] - truth_m, axis=1)
-    sigma = np.sqrt(track.smooth_P[:, [0, 2, 5]].sum(axis=1))  # of x, y and z
-    axes.fill_between(
-        time, 0.0, 2.0 * sigma, color="C2", alpha=0.35, lw=0.0, label="2 standard deviations"
-    )
-    if np.isfinite(error).any():
-        axes.plot(time, error, color="black", lw=0.8, label="error")
-    axes.set(ylabel="position error (m)", ylim=(0.0, None))
-    legend_beside(axes)
-
-
-def _draw_modes(axes: Any, time: Array, mode: Index) -> None:
-    """Draw a band in the colors of the modes (T,) that ran at the times (T,)."""
-    begins = np.flatnonzero(np.diff(mode, prepend=-1))
-    ends = np.append(begins[1:], len(mode) - 1)
-    spans = np.stack([time[begins], time[ends] - time[begins]], axis=1)
-    axes.broken_barh(
-        spans, (0.0, 1.0), facecolors=[f"C{number}" for number in mode[begins]], lw=0.0
-    )
-    axes.grid(visible=False)
-    axes.spines[:].set_visible(False)
-    axes.tick_params(axis="y", length=0)
-    axes.set_yticks([0.5], ["mode"])

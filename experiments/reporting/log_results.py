@@ -71,7 +71,12 @@ def diagnosed(args: LogArgs, files: "Inputs", scene: Scene) -> None:
         LogError: the log is damaged.
         ValueError: no epoch determines a position with which a track could begin.
     """
-    log = _read(files.log, scene, args.snr)
+    read = partial(read_log, files.log, scene, odometry=False, limits=False)
+    log = None
+    with suppress(LogError):  # columns may be missing
+        log = read()
+    if log is None or not log.visible[:, 0].any():
+        log = read(partial=True, snr_db=args.snr)
     radio = nearest_radio(log, scene) if args.radio == AUTO else args.radio
     with progress("looking for likely mistakes"):
         findings = diagnose(log, scene, radio_from(radio), modes_of(args, radio)[-1])
@@ -91,15 +96,6 @@ def diagnosed(args: LogArgs, files: "Inputs", scene: Scene) -> None:
     show(f"{facts_markdown(facts)}\n{diagnosis_markdown(findings)}")
     if log.damage:
         raise log.damage
-
-
-def _read(path: Path, scene: Scene, snr_db: float | None) -> Log:
-    read = partial(read_log, path, scene, odometry=False, limits=False)
-    with suppress(LogError):  # columns may be missing
-        log = read()
-        if log.visible[:, 0].any():
-            return log
-    return read(partial=True, snr_db=snr_db)
 
 
 def log_facts(log: Log, scene: Scene) -> Json:
@@ -339,23 +335,19 @@ def beginning(args: LogArgs, epochs: int) -> tuple[Track, Work]:
     return track.by_segment()[0], work
 
 
-def _scores(args: LogArgs, work: Work, track: Track) -> Json:
-    """Compare a track with the ground truth, if any; return scores, or an error if none fits."""
-    truth = work.truth
-    if truth is None:
-        return {}
-    names = ["filtered", "smoothed"] if args.smoothing else ["filtered"]
-    try:
-        scores = truth_scores(track, truth, names, args.risk)
-    except ValueError as error:
-        return {"error": str(error)}
-    warn_if_far(truth, scores, "filtered")
-    return {"truth": scores | {"levels": args.levels}}
-
-
 def _figures(args: LogArgs, files: Inputs, work: Work, track: Track) -> Json:
     """Return all results about a track, and an error in the log or in the ground truth, if any."""
-    scores: Json = {"error": None} | _scores(args, work, track)
+    scores: Json = {"error": None}
+    truth = work.truth
+    if truth:
+        names = ["filtered", "smoothed"] if args.smoothing else ["filtered"]
+        try:
+            accuracy = truth_scores(track, truth, names, args.risk)
+        except ValueError as error:
+            scores["error"] = str(error)
+        else:
+            warn_if_far(truth, accuracy, "filtered")
+            scores["truth"] = accuracy | {"levels": args.levels}
     if track.damage:
         scores["error"] = str(track.damage)
     groups, doubts = _consistency(work, track)

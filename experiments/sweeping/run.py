@@ -79,18 +79,19 @@ class Spec:
 
     @cached_property
     def cells(self) -> dict[str, Values]:
-        """Return all combinations of values, by name, in the order of the file."""
-        combinations = itertools.product(*self.axes.values())
-        cells = (dict(zip(self.axes, values, strict=True)) for values in combinations)
-        return {self._digest(values): values for values in cells}
+        """Return all combinations of values, by name, in the order of the file.
 
-    def _digest(self, values: Values) -> str:
-        """Return a hash of our version, the values, and the contents of files that values name."""
-        words = itertools.chain(*(v if isinstance(v, tuple) else (v,) for v in values.values()))
-        paths = (Path(word) for word in words if isinstance(word, str) and os.path.isfile(word))
-        files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]
-        work = json.dumps([__version__, self.kind, sorted(values.items()), files], default=repr)
-        return hashlib.sha256(work.encode()).hexdigest()[:16]
+        A name is a hash of our version, the values, and the contents of files that values name.
+        """
+        cells: dict[str, Values] = {}
+        for combination in itertools.product(*self.axes.values()):
+            values = dict(zip(self.axes, combination, strict=True))
+            words = itertools.chain(*(v if isinstance(v, tuple) else (v,) for v in combination))
+            paths = (Path(word) for word in words if isinstance(word, str) and os.path.isfile(word))
+            files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]
+            work = json.dumps([__version__, self.kind, sorted(values.items()), files], default=repr)
+            cells[hashlib.sha256(work.encode()).hexdigest()[:16]] = values
+        return cells
 
 
 def read_spec(path: Path) -> Spec:
@@ -133,26 +134,24 @@ def _spec(content: Any) -> Spec:
 
 def _axes(kind: type[Any], table: Values, others: Values, where: str) -> dict[str, Sequence[Any]]:
     """Return the axes of a table; refuse values that ``kind`` refuses beside the ``others``."""
-    axes = {key: _values(key, content) for key, content in table.items()}
+    axes: dict[str, Sequence[Any]] = {}
+    for key, content in table.items():
+        several = isinstance(content, list)
+        if several and key in ("modes", "places"):  # each of their values is itself a list
+            several = all(isinstance(value, list) for value in content)
+        listed = content if several else [content]
+        values = [tuple(value) if isinstance(value, list) else value for value in listed]
+        if not values or len(set(map(repr, values))) < len(values):
+            raise ValueError(f"{key}: found {quoted(content)}, expected values without repeats")
+        if any(isinstance(value, float) for value in values):  # a Parquet column has one type
+            values = [float(value) if type(value) is int else value for value in values]
+        axes[key] = values
     first = {**others} | {key: values[0] for key, values in axes.items()}
     object_from(kind, first, where)
-    for key, values in axes.items():
-        for value in values:
+    for key, tried in axes.items():
+        for value in tried:
             object_from(kind, first | {key: value}, where)
     return axes
-
-
-def _values(key: str, content: Any) -> Sequence[Any]:
-    """Return an axis's values; each value of "modes" or "places" is itself a list."""
-    several = isinstance(content, list) and (
-        key not in ("modes", "places") or all(isinstance(value, list) for value in content)
-    )
-    values = [tuple(v) if isinstance(v, list) else v for v in (content if several else [content])]
-    if not values or len(set(map(repr, values))) < len(values):
-        raise ValueError(f"{key}: found {quoted(content)}, expected values without repeats")
-    if any(isinstance(value, float) for value in values):  # a Parquet column has one type
-        return [float(value) if type(value) is int else value for value in values]
-    return values
 
 
 RETRIES = 2  # maximum repeats of a cell whose process ran out of memory, ended, or raised OSError

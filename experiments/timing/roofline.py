@@ -14,7 +14,7 @@ import timeit
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import numba
@@ -22,7 +22,7 @@ import numpy as np
 from llvmlite import ir
 
 from mmwave_env.compiler.lanes import WIDTH, Emitter, kernel
-from mmwave_env.numerics.numbers import Array, sqrt, where
+from mmwave_env.numerics.numbers import sqrt, where
 from mmwave_env.numerics.pytree import flatten, unflatten
 from mmwave_env.numerics.tape import Tracer
 
@@ -148,9 +148,12 @@ def limit_s(operations: Operations) -> float:
         order.append(max(_STEPS, key=lag.__getitem__))
     block = np.full((ROWS, WIDTH), 1.7)
     block[:2] = [[1.0], [0.0]]
-    # seconds per operation of the mix, at the best number of chains
-    mix_s = min(_seconds(_chains(tuple(order), chains), block) for chains in CHAINS) / LENGTH
-    return total * mix_s
+    times = []
+    for chains in CHAINS:
+        repeat = _chains(tuple(order), chains)
+        repeat(block, 1)  # the first call compiles
+        times += timeit.repeat(partial(repeat, block, CALLS), number=1, repeat=TRIES)
+    return total * min(times) / (CALLS * LENGTH)
 
 
 @cache
@@ -176,9 +179,3 @@ def _chains(order: tuple[str, ...], chains: int) -> Any:
             run((block.ctypes.data,))
 
     return repeat
-
-
-def _seconds(repeat: Any, block: Array) -> float:
-    """Return the seconds of a pass over a block, the minimum of several tries."""
-    repeat(block, 1)  # the first call compiles
-    return min(timeit.repeat(lambda: repeat(block, CALLS), number=1, repeat=TRIES)) / CALLS

@@ -233,7 +233,11 @@ class Training:
             row = {"timesteps": progress.timesteps, **figures, "seconds": self.seconds}
             progress.rows.append(row)
             if over or progress.updates % job.checkpoint_every == 0:
-                self._save()
+                progress.seconds = self.seconds
+                write_text(job.folder / "progress.csv", as_csv(progress.rows))
+                saved = {"progress": asdict(progress), "trainer": self.trainer.state()}
+                with atomic_path(job.checkpoint) as temporary:
+                    torch.save(saved, temporary)
             self._tell(progress.timesteps, "")
         outcome = {
             "seed": job.seed,
@@ -244,14 +248,6 @@ class Training:
         write_json(job.outcome, outcome)
         job.checkpoint.unlink(missing_ok=True)
         return outcome
-
-    def _save(self) -> None:
-        """Write the log and a checkpoint."""
-        self.progress.seconds = self.seconds
-        write_text(self._job.folder / "progress.csv", as_csv(self.progress.rows))
-        saved = {"progress": asdict(self.progress), "trainer": self.trainer.state()}
-        with atomic_path(self._job.checkpoint) as temporary:
-            torch.save(saved, temporary)
 
     def _evaluate(self) -> dict[str, float]:
         """Evaluate the policy; keep its file if it is the best so far; return means for the log."""

@@ -91,22 +91,20 @@ def place_from(text: str) -> Place:
     if not (scene and all(rest) and 1 <= len(rest) <= 4):
         raise ValueError(f"places: found {text!r}, expected {FORM}")
     radio, *others = rest
+    options: dict[str, Any] = {}
     try:
-        options = dict(map(_option, others))
+        for word in others:
+            if word in CLOCKS:
+                options["clock"] = word
+            elif word[0] in ".-" or word[0].isdigit():
+                options["dt"] = float(word)
+            else:
+                options["measurements"] = measurements_from(word.split("+"))
         if len(options) < len(others):
             raise ValueError(f"found {':'.join(others)}, expected {FORM}")
         return Place(scene, radio, **options)
     except ValueError as error:
         raise ValueError(f"places: {text}: {error}") from error
-
-
-def _option(word: str) -> tuple[str, Any]:
-    """Return the name and the value of the :class:`Place` attribute that a word sets."""
-    if word in CLOCKS:
-        return "clock", word
-    if word[0] in ".-" or word[0].isdigit():
-        return "dt", float(word)
-    return "measurements", measurements_from(word.split("+"))
 
 
 def places_from(words: Sequence[str]) -> tuple[Place, ...]:

@@ -285,11 +285,11 @@ def search_space(modes: Sequence[Mode]) -> SearchSpace:
         for (i, field), size in zip(free, np.exp(point[first:-1]), strict=True):
             value: Any = float(np.copysign(float(f"{size:.3g}"), getattr(modes[i], field)))
             tuned[i] = replace(tuned[i], **{field: value})
-        return Bank(
-            tuple(tuned),
-            _written(softmax(logits, axis=1)),
-            1.0 - float(f"{10.0 ** -point[-1]:.2g}"),
-        )
+        transition = softmax(logits, axis=1).round(DECIMALS)
+        np.fill_diagonal(transition, 0.0)  # then rows of rounded probabilities still sum to 1
+        np.fill_diagonal(transition, (1.0 - transition.sum(axis=1)).round(DECIMALS))
+        rows = tuple(map(tuple, transition.tolist()))
+        return Bank(tuple(tuned), rows, 1.0 - float(f"{10.0 ** -point[-1]:.2g}"))
 
     return SearchSpace(
         np.array([*[change] * first, *noise, 3.0]),
@@ -297,14 +297,6 @@ def search_space(modes: Sequence[Mode]) -> SearchSpace:
         np.array([*[ODDS] * first, *(np.log(FREE[field]) for _, field in free), NINES]),
         bank_at,
     )
-
-
-def _written(transition: Array) -> tuple[tuple[float, ...], ...]:
-    """Round probabilities to DECIMALS decimals so that rows still sum to 1."""
-    short = transition.round(DECIMALS)
-    np.fill_diagonal(short, 0.0)
-    np.fill_diagonal(short, (1.0 - short.sum(axis=1)).round(DECIMALS))
-    return tuple(map(tuple, short.tolist()))
 
 
 def best_bank_of(space: SearchSpace, value: Callable[[Bank, int], float], evaluations: int) -> Bank:

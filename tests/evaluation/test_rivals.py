@@ -139,7 +139,7 @@ def test_beliefs_of_a_wrong_size_and_missing_epochs_are_refused():
 
 
 @pytest.mark.parametrize(
-    "options", [{}, {"clock": True}, {"measurements": ("range", "azimuth")}], ids=str
+    "options", [{}, {"clock": "offset"}, {"measurements": ("range", "azimuth")}], ids=str
 )
 @pytest.mark.parametrize("agent", [Particles(500), Variational()], ids=lambda a: type(a).__name__)
 def test_rivals_track_with_any_receiver_and_on_flat_ground(agent, options):

@@ -237,10 +237,16 @@ def page_of(args: PageArgs) -> str:
     # In JSON, the signs <, > and & are escaped, so that no text can end the script element.
     shown = {"episodes": [episode for part in played for episode in part.shown]}
     data = json.dumps(shown, allow_nan=False, separators=(",", ":"))
+    light = vars(THEMES["light"])
+    dark = vars(THEMES["dark"])
+    colors = " ".join(  # as CSS variables; videos have the same
+        f"--{name}: light-dark({hex_of(light[name])}, {hex_of(dark[name])});"
+        for name in sorted(light.keys() - {"modes"})
+    )
     parts = {
         "title": text(verdicts[0].title),
         "lead": "".join(element("p", verdict.sentence) for verdict in verdicts),
-        "style": _colors() + _file("page.css"),
+        "style": f":root {{ {colors} }}\n{_file('page.css')}",
         "script": "".join(map(_file, SCRIPTS)),
         "links": "".join(f'<a href="#{name}">{text(title)}</a>' for name, title in titles.items()),
         "sections": "".join(
@@ -273,17 +279,6 @@ def _player(verdicts: Sequence[Verdict], played: Sequence[Played]) -> str:
             note = f"{verdict.name}: {subject} played again: {why}"
             parts.append(element("p", note, "note"))
     return "".join(parts)
-
-
-def _colors() -> str:
-    """Return the page's colors, which videos also have, as CSS variables."""
-    light = vars(THEMES["light"])
-    dark = vars(THEMES["dark"])
-    lines = (
-        f"--{name}: light-dark({hex_of(light[name])}, {hex_of(dark[name])});"
-        for name in light.keys() - {"modes"}
-    )
-    return f":root {{ {' '.join(sorted(lines))} }}\n"
 
 
 def _file(name: str) -> str:
