@@ -255,6 +255,7 @@ class PathLog(NamedTuple):
     layout: Layout  # layout of the scene's anchors, with or without odometry
     epochs: list[PathEpoch]
     damage: LogError | None  # what is damaged after these epochs; None if the whole log is sound
+    at_station: bool = False  # whether angles of arrival were measured at the base station
 
 
 def read_paths(path: Path, scene: Scene, odometry: bool = True) -> PathLog:
@@ -274,7 +275,7 @@ def read_paths(path: Path, scene: Scene, odometry: bool = True) -> PathLog:
         raise damage or LogError(
             f"{path}: found no complete path in {len(epochs)} epochs, expected at least one"
         )
-    return PathLog(layout, epochs, damage)
+    return PathLog(layout, epochs, damage, STATION in table.columns)
 
 
 def _split(table: Table, scene: Scene) -> Iterator[PathEpoch]:

@@ -19,6 +19,7 @@ from mmwave_env.io.records import (
     Record,
     Size,
     between,
+    counts,
     object_from,
     read_object,
     require_fields,
@@ -36,6 +37,10 @@ Place = Annotated[tuple[Coordinate, Coordinate], f"[x, y], {_EACH}"]
 Extent = Annotated[tuple[Coordinate, Coordinate], f"[low, high], {_EACH}"]
 Carrier = Annotated[float, Bound("hertz, 1e6 to 2.9e12", least=1e6, most=2.9e12)]
 Bandwidth = Annotated[float, Bound("hertz, 1e5 to 1e12", least=1e5, most=1e12)]
+
+
+SIGMA_M = between(0.0, 1e4, "m")
+Deviation = Annotated[float, SIGMA_M]
 
 
 @dataclass(frozen=True)
@@ -127,6 +132,21 @@ class Streets(Record):
             raise ValueError(f"x_m, y_m: found {self.x_m}, {self.y_m}, expected a length > 0")
 
 
+@dataclass(frozen=True)
+class LearnedImage(Record):
+    """The knowledge about a mirror image that was learned from paths.
+
+    Attributes:
+        sigma_m: standard deviations of its position [x, y, z].
+        paths: number of paths from which it was learned.
+    """
+
+    sigma_m: Annotated[
+        tuple[Deviation, Deviation, Deviation], f"[x, y, z], each {SIGMA_M.expected}"
+    ]
+    paths: Annotated[int, counts(1, 1_000_000_000)]
+
+
 class SceneNumbers(NamedTuple):
     """The numbers of a scene that a simulation needs; they may be SIMD lanes."""
 
@@ -153,6 +173,7 @@ class Scene:
         origin: location on the earth; None if it is not known.
         side: a place [x, y] on the side of the users, if anchors on a line measure ranges alone,
             which fit a mirrored position as well; None if it is not known.
+        learned: knowledge about the last of ``virtual_anchors_m``, if they were learned.
     """
 
     name: Name
@@ -164,9 +185,15 @@ class Scene:
     virtual_anchors_m: Annotated[tuple[Point, ...], Size(0, MOST_ANCHORS - 1)] = ()
     origin: Origin | None = None
     side: Place | None = None
+    learned: Annotated[tuple[LearnedImage, ...], Size(0, MOST_ANCHORS - 1)] = ()
 
     def __post_init__(self) -> None:
         require_fields(self)
+        if len(self.learned) > len(self.virtual_anchors_m):
+            raise ValueError(
+                f"learned: found {len(self.learned)} images, expected at most "
+                f"{len(self.virtual_anchors_m)}, the number of virtual anchors"
+            )
         anchors = 1 + len(self.walls) + len(self.virtual_anchors_m)
         if anchors > MOST_ANCHORS:
             raise ValueError(
@@ -265,9 +292,11 @@ def read_scene(path: Path) -> Scene:
 def scene_json(scene: Scene) -> dict[str, Any]:
     """Return the content of a scene file: with walls if the scene has any, else with anchors."""
     content = {key: value for key, value in asdict(scene).items() if value is not None}
+    if not scene.learned:
+        del content["learned"]
     if scene.walls:
         return content
-    known = {key: content[key] for key in ("origin", "side") if key in content}
+    known = {key: content[key] for key in ("origin", "side", "learned") if key in content}
     streets = {"streets": content["streets"]} if scene.streets_known else {}
     signal = {"carrier_hz": scene.carrier_hz, "bandwidth_hz": scene.bandwidth_hz}
     anchors = {"name": scene.name, "anchors": scene.anchors_m.tolist()}
@@ -284,7 +313,7 @@ class AnchorScene(Record):
         carrier_hz: carrier frequency f_c.
         bandwidth_hz: signal bandwidth B.
         streets: streets on which simulated users move.
-        origin, side: as in a :class:`Scene`.
+        origin, side, learned: as in a :class:`Scene`.
     """
 
     name: Name
@@ -294,6 +323,7 @@ class AnchorScene(Record):
     streets: Streets = field(default_factory=Streets)
     origin: Origin | None = None
     side: Place | None = None
+    learned: Annotated[tuple[LearnedImage, ...], Size(0, MOST_ANCHORS - 1)] = ()
 
 
 def _scene(content: dict[str, Any]) -> Scene:
@@ -303,7 +333,15 @@ def _scene(content: dict[str, Any]) -> Scene:
     s = object_from(AnchorScene, content)
     gnb, *virtual = s.anchors
     return Scene(
-        s.name, gnb, (), s.streets, s.carrier_hz, s.bandwidth_hz, tuple(virtual), s.origin, s.side
+        name=s.name,
+        base_station_m=gnb,
+        streets=s.streets,
+        carrier_hz=s.carrier_hz,
+        bandwidth_hz=s.bandwidth_hz,
+        virtual_anchors_m=tuple(virtual),
+        origin=s.origin,
+        side=s.side,
+        learned=s.learned,
     )
 
 

@@ -1,0 +1,342 @@
+"""An EKF that estimates a user and the mirror images of the base station jointly.
+
+A flat wall adds a virtual anchor, the mirror image of the base station (paper, Sec. II). Where the
+images are unknown, they are appended to the user's state, with the complete covariance of all:
+
+    x = [p v b  a_1 ... a_K],   a_k' = a_k + noise,   z = h(p, a_k) + noise
+
+The user (7) is the paper's state. Each image (3,) is a position in m. A path of image k measures
+the same four rows as a link of a known anchor at a_k, so dh/da = -dh/dp. This is simultaneous
+localization and mapping (Durrant-Whyte and Bailey 2006) with a map of images.
+:mod:`mmwave_env.localization.map_learning` decides which path belongs to which image.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import chdtri
+
+from mmwave_env.filters.modes import Tuning
+from mmwave_env.logs.log_tables import Arrays
+from mmwave_env.models.layout import STATE_SIZE
+from mmwave_env.models.motion import COUPLED, white_noise_acceleration
+from mmwave_env.numerics.numbers import PI, Array, Mask, wrap
+
+LINK_ROWS = 4
+KNEE = 1.5  # NIS per row from which the noise of a path is inflated
+VERTICAL_M = 0.1  # deviation of an image's height from the base station's: walls are vertical
+IMAGE_NOISE_M = 0.05  # m / sqrt(s), because errors of reflected paths are correlated
+MERGED_BELOW = chdtri(3, 0.01)  # images are equal if their difference is below the 99 % quantile
+MERGED_SIGMA_M = 3.0  # maximum standard deviation of this difference
+DOPPLER_GATE = chdtri(1, 0.01)  # 99 % gate of the Doppler shift
+_ITERATIONS = 4  # of the first update of an image with an arrival at the base station
+USER = slice(0, 3)  # place of the user's position in the state
+
+
+@dataclass(frozen=True, eq=False)
+class Paths(Arrays):
+    """The n paths of an epoch, with the variances of their values."""
+
+    time_s: float
+    z: Array  # (n, 4) links: range (m), azimuth and elevation of arrival, departure (rad)
+    doppler: Array  # (n,) Doppler shift, Hz; NaN where not measured
+    direct: Array  # (n, 4) variances if the path is the line of sight
+    reflected: Array  # (n, 4) variances if a wall reflected it
+    doppler_variance: Array  # (n,) Hz^2
+    straight: Mask  # (n,) whether departure and arrival are opposite, as on the line of sight
+    at_station: bool  # whether angles of arrival were measured at the base station
+
+
+class Image(NamedTuple):
+    """The history of a mirror image (virtual anchor) of the base station."""
+
+    paths: int = 0  # number of its paths
+    recent: tuple[bool, ...] = ()  # whether it had a path in the last epochs
+    missed: int = 0  # epochs since its last path
+    nis: float = 0.0  # sum of NIS while tentative
+    confirmed: bool = False
+    exact: bool = False  # whether the scene states its position, so that nothing is to be learned
+
+
+class Doubt(NamedTuple):
+    """Counters of successive epochs that make a track doubtful."""
+
+    unused: int = 0  # with paths, but none of them was used
+    blind: int = 0  # with paths, but without a line of sight
+    short: int = 0  # with a path that is shorter than the line of sight
+
+
+class Belief(NamedTuple):
+    """The belief about the user and the map after an epoch."""
+
+    x: Array  # (7 + 3 K,)
+    P: Array  # (7 + 3 K, 7 + 3 K)
+    images: tuple[Image, ...]  # K
+    time_s: float
+    tracked: bool = True  # whether the user's part of the state is meaningful
+    doubt: Doubt = Doubt()
+    # the index of the path that updated each anchor (0: base station, k: image k) in this epoch
+    labels: Mapping[int, int] = MappingProxyType({})
+    evidence: float = 0.0  # log-likelihood of these paths against false ones, in this epoch
+    begins: bool = False  # whether the track begins in this epoch
+
+    @property
+    def places(self) -> Array:
+        """Return the positions (K, 3) of the images, m."""
+        return self.x[STATE_SIZE:].reshape(-1, 3)
+
+
+def block(anchor: int) -> slice:
+    """Return the place of the position of an anchor >= 1 in the state."""
+    first = STATE_SIZE + 3 * (anchor - 1)
+    return slice(first, first + 3)
+
+
+def angles_of(d: Array) -> tuple[Array, Array]:
+    """Return azimuth and elevation (n, 2) of vectors d (n, 3), and their gradients (n, 2, 3)."""
+    horizontal2 = d[:, 0] ** 2 + d[:, 1] ** 2 + 1e-12
+    horizontal = np.sqrt(horizontal2)
+    full2 = horizontal2 + d[:, 2] ** 2
+    angles = np.column_stack([np.arctan2(d[:, 1], d[:, 0]), np.arctan2(d[:, 2], horizontal)])
+    gradients = np.zeros((len(d), 2, 3))
+    gradients[:, 0, 0] = -d[:, 1] / horizontal2
+    gradients[:, 0, 1] = d[:, 0] / horizontal2
+    gradients[:, 1, :2] = -d[:, :2] * (d[:, 2] / (horizontal * full2))[:, None]
+    gradients[:, 1, 2] = horizontal / full2
+    return angles, gradients
+
+
+def link_rows(p: Array, anchors: Array, at_station: bool) -> tuple[Array, Array, Array]:
+    """Return the links h (A, 4) of a user at p (3,), and dh/dp, dh/da (A, 4, 3).
+
+    The first of the anchors (A, 3) is the base station g. With ``at_station``, arrivals are
+    directions at g: the direction d = p - a at the image is mirrored in the wall, to
+    q = d - 2 (d.m) m / m.m with m = a - g.
+    """
+    d = p - anchors
+    distance = np.linalg.norm(d, axis=1) + 1e-9
+    angles, slopes = angles_of(d)
+    h = np.column_stack([distance, angles, angles[:, 0] + PI])
+    by_p = np.concatenate([(d / distance[:, None])[:, None], slopes, slopes[:, :1]], axis=1)
+    by_a = -by_p
+    if at_station and len(anchors) > 1:
+        m = anchors[1:] - anchors[0]
+        d = d[1:, None, :]
+        mm = (m * m).sum(axis=1)[:, None, None]
+        m_rows = m[:, None, :]
+        dm = (d * m_rows).sum(axis=2, keepdims=True)
+        outer = m[:, :, None] * m_rows
+        mirror = np.eye(3) - 2.0 * outer / mm
+        h[1:, 1:3], slopes = angles_of((d @ mirror)[:, 0])
+        # the gradient of q by a, with d and m both changing
+        tilt = 4.0 * dm / mm**2 * outer - 2.0 / mm * (dm * np.eye(3) + m[:, :, None] * d)
+        by_p[1:, 1:3] = slopes @ mirror
+        by_a[1:, 1:3] = slopes @ (tilt - mirror)
+    return h, by_p, by_a
+
+
+def difference(z: Array, h: Array) -> Array:
+    """Return z - h (..., 4), with wrapped angles."""
+    y = z - h
+    y[..., 1:] = wrap(wrap(y[..., 1:]))
+    return y
+
+
+class ImageFilter:
+    """The filter's equations for one base station (3,) and one motion model."""
+
+    def __init__(self, station: Array, hz_per_mps: float, tuning: Tuning) -> None:
+        self.station = station
+        self._hz_per_mps = hz_per_mps
+        self._tuning = tuning
+
+    def predicted(self, b: Belief, time_s: float) -> Belief:
+        """Return the belief at a later time: x' = F x, P' = F P F' + Q."""
+        dt = time_s - b.time_s
+        t = self._tuning
+        F = np.eye(len(b.x))
+        F[0:3, 3:6] = dt * np.eye(3)
+        Q = white_noise_acceleration(
+            [t.sigma_p**2, t.sigma_p**2, t.sigma_pz**2],
+            [t.sigma_v**2, t.sigma_v**2, t.sigma_vz**2],
+            (t.sigma_b_mps * self._hz_per_mps) ** 2,
+            dt,
+            t.coupling,
+        )
+        learned = np.repeat([not image.exact for image in b.images], 3)
+        P = F @ b.P @ F.T
+        P[np.diag_indices(len(b.x))] += np.append(Q.diagonal, IMAGE_NOISE_M**2 * dt * learned)
+        for (i, j), covariance in zip(COUPLED, Q.coupling, strict=False):
+            P[i, j] += covariance
+            P[j, i] += covariance
+        return b._replace(x=F @ b.x, P=P, time_s=time_s, labels={}, evidence=0.0, begins=False)
+
+    def rows(self, b: Belief, at_station: bool) -> tuple[Array, Array]:
+        """Return the links (A, 4) to all anchors, and their Jacobians (A, 4, 7 + 3 K)."""
+        anchors = np.vstack([self.station, b.places])
+        h, by_p, by_a = link_rows(b.x[USER], anchors, at_station)
+        H = np.zeros((*h.shape, len(b.x)))
+        H[:, :, USER] = by_p
+        for anchor in range(1, len(h)):
+            H[anchor, :, block(anchor)] = by_a[anchor]
+        return h, H
+
+    def doppler_row(self, b: Belief) -> tuple[float, Array]:
+        """Return the Doppler shift of the line of sight (Hz) and its gradient (7 + 3 K,)."""
+        d = b.x[USER] - self.station
+        distance = np.linalg.norm(d)
+        u = d / distance
+        v = b.x[3:6]
+        gradient = np.zeros(len(b.x))
+        gradient[USER] = self._hz_per_mps * (v - u * (u @ v)) / distance
+        gradient[3:6] = self._hz_per_mps * u
+        gradient[6] = 1.0
+        return float(self._hz_per_mps * (u @ v) + b.x[6]), gradient
+
+    def nis(self, b: Belief, paths: Paths) -> tuple[Array, Array]:
+        """Return NIS and ln det S (A, n) of every pair of an anchor and a path."""
+        h, H = self.rows(b, paths.at_station)
+        y = difference(paths.z[None], h[:, None])
+        S = np.repeat((H @ b.P @ H.transpose(0, 2, 1))[:, None], len(paths), axis=1)
+        S[0] += paths.direct[:, :, None] * np.eye(LINK_ROWS)
+        S[1:] += paths.reflected[:, :, None] * np.eye(LINK_ROWS)
+        weighted = np.linalg.solve(S, y[..., None])[..., 0]
+        return (y * weighted).sum(axis=-1), np.linalg.slogdet(S)[1]
+
+    def updated(self, b: Belief, paths: Paths, labels: Mapping[int, int], nis: Array) -> Belief:
+        """Return the belief after an EKF update with all assigned paths at once.
+
+        The noise of a path whose NIS is large is inflated. ``nis`` is (A, n).
+        """
+        if not labels:
+            return b
+        h, H = self.rows(b, paths.at_station)
+        anchors = list(labels)
+        chosen = list(labels.values())
+        doubtful = np.maximum(1.0, nis[anchors, chosen] / (LINK_ROWS * KNEE)) ** 2
+        y = difference(paths.z[chosen], h[anchors]).ravel()
+        R = (self._variances(paths, labels) * doubtful[:, None]).ravel()
+        H = H[anchors].reshape(len(R), len(b.x))
+        if 0 in labels and np.isfinite(paths.doppler[labels[0]]):
+            shift, gradient = self.doppler_row(b)
+            residual = paths.doppler[labels[0]] - shift
+            variance = paths.doppler_variance[labels[0]]
+            if residual**2 < DOPPLER_GATE * (gradient @ b.P @ gradient + variance):
+                y = np.append(y, residual)
+                H = np.vstack([H, gradient])
+                R = np.append(R, variance)
+        return _corrected(b, H, y, R)
+
+    def image_updated(self, b: Belief, paths: Paths, anchor: int, path: int) -> Belief:
+        """Return the belief after a path updated only its image (Schmidt-Kalman).
+
+        The gain is zero elsewhere, so a false image cannot move the user.
+        """
+        h, H = self.rows(b, paths.at_station)
+        y = difference(paths.z[path], h[anchor])
+        return _corrected(b, H[anchor], y, paths.reflected[path], only=block(anchor))
+
+    @staticmethod
+    def _variances(paths: Paths, labels: Mapping[int, int]) -> Array:
+        """Return the variances (m, 4) of m assigned paths."""
+        rows = [(paths.reflected if a else paths.direct)[path] for a, path in labels.items()]
+        return np.array(rows)
+
+    def with_image(self, b: Belief, paths: Paths, path: int) -> Belief:
+        """Return the belief with a new image, from which this path seems to come.
+
+        The image is a = p + r u, where u is the direction from the user to the source of the path.
+        So P_aa = P_pp + J R J' and P_ax = P_px, with the Jacobian J of r u. The image is as high as
+        the base station, as walls are vertical.
+        """
+        distance, arrival, elevation, departure = paths.z[path]
+        variance = paths.reflected[path]
+        # Arrival at the image and departure measure the same bearing; use their weighted mean.
+        weight = 1.0 if paths.at_station else variance[1] / (variance[1] + variance[3])
+        azimuth = arrival + PI + weight * wrap(wrap(departure - arrival - PI))
+        cos_az = np.cos(azimuth)
+        sin_az = np.sin(azimuth)
+        cos_el = np.cos(elevation)
+        sin_el = np.sin(elevation)
+        u = np.array([cos_el * cos_az, cos_el * sin_az, -sin_el])
+        across = np.array([-cos_el * sin_az, cos_el * cos_az, 0.0])
+        up = np.array([-sin_el * cos_az, -sin_el * sin_az, -cos_el])
+        J = np.column_stack([u, distance * across, distance * up])
+        R = [variance[0], weight * variance[3], variance[2]]
+        P_xp = b.P[:, USER]
+        P = np.block([[b.P, P_xp], [P_xp.T, b.P[USER, USER] + (J * R) @ J.T]])
+        x = np.append(b.x, b.x[USER] + distance * u)
+        b = b._replace(x=x, P=P, images=(*b.images, Image()))
+        if paths.at_station:
+            b = self._turned(b, paths, path)
+        height = np.zeros((1, len(x)))
+        height[0, -1] = 1.0
+        y = np.array([self.station[2] - b.x[-1]])
+        return _corrected(b, height, y, np.array([VERTICAL_M**2]), only=block(len(b.images)))
+
+    def _turned(self, b: Belief, paths: Paths, path: int) -> Belief:
+        """Return the belief after the arrival at the base station updated the newest image.
+
+        It determines the direction of the wall. The update is iterated, as it may be far away
+        (Bar-Shalom et al. 2001, Sec. 10.5.2).
+        """
+        newest = block(len(b.images))
+        prior = b
+        variance = paths.reflected[path, 1:2]
+        for _ in range(_ITERATIONS):
+            h, H = self.rows(b, at_station=True)
+            y = wrap(wrap(paths.z[path, 1:2] - h[-1, 1])) - H[-1, 1:2] @ (prior.x - b.x)
+            b = _corrected(prior, H[-1, 1:2], y, variance, only=newest)
+        return b
+
+
+def _corrected(b: Belief, H: Array, y: Array, R: Array, only: slice | None = None) -> Belief:
+    """Return the belief after a Kalman update with innovation y (m,) and variances R (m,).
+
+    The gain is zero outside of ``only``, a part of the state; Joseph's form holds for any gain.
+    """
+    PH = b.P @ H.T
+    K = np.linalg.solve(H @ PH + np.diag(R), PH.T).T
+    if only is not None:
+        K[: only.start] = 0.0
+        K[only.stop :] = 0.0
+    A = np.eye(len(b.x)) - K @ H
+    P = A @ b.P @ A.T + (K * R) @ K.T
+    return b._replace(x=b.x + K @ y, P=(P + P.T) / 2.0)
+
+
+def reduced(b: Belief, keep: Sequence[bool]) -> Belief:
+    """Return the belief with only some of its images."""
+    if all(keep):
+        return b
+    kept = [anchor for anchor, keeps in enumerate(keep, start=1) if keeps]
+    index = np.concatenate([np.arange(STATE_SIZE), *(np.r_[block(a)] for a in kept)])
+    numbers = {0: 0} | {old: new for new, old in enumerate(kept, start=1)}
+    labels = {numbers[a]: path for a, path in b.labels.items() if a in numbers}
+    images = tuple(b.images[a - 1] for a in kept)
+    return b._replace(x=b.x[index], P=b.P[np.ix_(index, index)], images=images, labels=labels)
+
+
+def merged(b: Belief) -> Belief:
+    """Return the belief without images that may be equal to another one with more paths."""
+    keep = [True] * len(b.images)
+    for j in range(1, len(keep)):
+        for k in range(j):
+            if keep[j] and keep[k] and _equal(b, j + 1, k + 1):
+                older = b.images[k].exact or b.images[k].paths >= b.images[j].paths
+                keep[j if older else k] = False
+    return reduced(b, keep)
+
+
+def _equal(b: Belief, one_anchor: int, other: int) -> bool:
+    """Return whether two images are equal, as far as their covariance can tell."""
+    s = block(one_anchor)
+    t = block(other)
+    D = b.P[s, s] + b.P[t, t] - b.P[s, t] - b.P[t, s] + 1e-9 * np.eye(3)
+    if np.trace(D) >= MERGED_SIGMA_M**2:
+        return False
+    e = b.x[s] - b.x[t]
+    return bool(e @ np.linalg.solve(D, e) < MERGED_BELOW)
