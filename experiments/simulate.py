@@ -3,7 +3,10 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from experiments.console.options import WorldArgs
+from experiments.console.options import WorldArgs, require_alone, require_default
+
+STATION = "base-station.json"
+MOST_FALSE_PATHS = 100.0  # mean number per epoch
 
 
 @dataclass(kw_only=True)
@@ -19,20 +22,38 @@ class Args(WorldArgs):
     """replace the files of an episode that are already in the folder"""
     seed: int = 0
     """seed of the episode; `mmwave-loc compare` runs the same episode for this seed"""
+    paths: bool = False
+    """write a log of paths without anchor numbers, in random
+    order, and base-station.json, the scene without its
+    mirror images, for `mmwave-loc localize --map learn`"""
+    false_paths: float = 1.0
+    """with --paths, mean number of false paths per epoch"""
 
 
 def main(args: Args) -> None:
     """Run the command."""
+    import numpy as np
+
     from experiments.console.output import say
     from experiments.console.provenance import command_line
     from experiments.evaluation.contenders import draw_episodes, source_of
-    from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH, write_log_folder
+    from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH, path_columns, write_log_folder
     from mmwave_env.datasets.recorded import TrackSource
+    from mmwave_env.io.files import write_json
     from mmwave_env.models.random_scene import RandomScene
-    from mmwave_env.models.scene import scene_of_anchors
+    from mmwave_env.models.scene import scene_json, scene_of_anchors
     from mmwave_env.world.simulated import SimulatedSource
 
-    names = [name for name in (LOG, SCENE, TRUTH) if (args.out / name).exists()]
+    if not 0.0 <= args.false_paths <= MOST_FALSE_PATHS:
+        raise ValueError(
+            f"false-paths: found {args.false_paths}, expected 0 to {MOST_FALSE_PATHS:g} per epoch"
+        )
+    if args.paths:
+        require_alone(args, "paths", "measurements", "clock")
+    else:
+        require_default(args, "--paths", "false_paths")
+    files = (LOG, SCENE, TRUTH, STATION) if args.paths else (LOG, SCENE, TRUTH)
+    names = [name for name in files if (args.out / name).exists()]
     if names and not args.overwrite:  # these files may be the only copy of a recording
         raise ValueError(
             f"out: found {', '.join(names)} in {args.out}, expected a folder without them; "
@@ -48,7 +69,14 @@ def main(args: Args) -> None:
             scene.name, episode.scene_anchors_m, scene.carrier_hz, scene.bandwidth_hz
         )
     origin = command_line("simulate", replace(args, out=Path("."), overwrite=False))
-    names = write_log_folder(args.out, episode, scene, origin)
+    columns = None
+    if args.paths:
+        columns = path_columns(episode, args.false_paths, np.random.default_rng(args.seed))
+    names = write_log_folder(args.out, episode, scene, origin, columns)
+    if args.paths:
+        station = replace(scene, walls=(), virtual_anchors_m=(), learned=())
+        write_json(args.out / STATION, scene_json(station))
+        names.append(STATION)
     say(f"written to {args.out}/: {', '.join(names)}")
     if isinstance(source, SimulatedSource) and not source.travels and len(source.names) > 1:
         say(f"the user is {episode.name}")

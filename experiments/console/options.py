@@ -386,6 +386,18 @@ class LogArgs(IntegrityArgs, JsonArgs):
     associate: bool = False
     """the log's rows are paths without anchor numbers: assign
     each path to an anchor, or reject it as false"""
+    map: Literal["known", "learn"] = "known"
+    """known: the scene has all anchors; learn: the scene has
+    at least the base station; its mirror images are
+    learned from the log's paths (rows without anchor
+    numbers), then paths are assigned as by --associate"""
+    map_out: Path | None = None
+    """with --map learn, write the scene with the learned
+    images to this .json file"""
+    more: Positional[tuple[Path, ...]] = ()
+    """with --map learn, more logs of the same place: the map
+    is learned from all logs in order, and the track is that
+    of the last"""
     truth: Path | None = None
     """ground-truth track in TUM format, to score the track; the filters never see it"""
 

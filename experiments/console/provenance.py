@@ -16,7 +16,7 @@ from mmwave_env.io.records import require
 
 T = TypeVar("T")
 # options that name the files to write
-OUTPUTS = {"json", "episodes_csv", "errors", "consistency", "plot", "out"}
+OUTPUTS = {"json", "episodes_csv", "errors", "consistency", "plot", "out", "map_out"}
 
 
 def command_line(name: str, args: Any) -> str:

@@ -42,6 +42,12 @@ from mmwave_env.localization.diagnosis import AS_IT_IS, Finding, diagnose
 from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.localizer import Track, localize
 from mmwave_env.localization.map_files import MAP_FILES, origin_of
+from mmwave_env.localization.map_learning import (
+    FEW_EXPLAINED,
+    learn_map,
+    learned_scene,
+    map_figures,
+)
 from mmwave_env.localization.radio_choice import nearest_radio
 from mmwave_env.localization.track_files import require_own_files, table_beside, write_track
 from mmwave_env.localization.track_scores import (
@@ -55,7 +61,7 @@ from mmwave_env.logs.log_tables import LogError
 from mmwave_env.logs.truth import Truth
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import Radio, radio_from
-from mmwave_env.models.scene import Scene
+from mmwave_env.models.scene import Scene, scene_json
 from mmwave_env.world.episode import NEUTRAL_SNR_DB
 from policies.corrector import TWO_WAY, TwoWayCorrector
 
@@ -205,6 +211,7 @@ class Inputs(NamedTuple):
     log: Path
     scene: str
     truth: Path | None
+    earlier: tuple[Path, ...] = ()  # logs from which a map is learned before
 
 
 def inputs(args: LogArgs) -> Inputs:
@@ -217,7 +224,8 @@ def inputs(args: LogArgs) -> Inputs:
             raise ValueError(f"log: found the folder {args.log}, expected files, such as {files}")
         if args.scene is None:
             raise ValueError(f"scene: found none, expected --scene FILE, the scene of {args.log}")
-        return Inputs(args.log, args.scene, args.truth)
+        *earlier, log = [args.log, *args.more]
+        return Inputs(log, args.scene, args.truth, tuple(earlier))
     require_alone(args, "sample", "log", "scene")
     folder = sample_folder(args.sample)
     return Inputs(folder / LOG, str(folder / SCENE), args.truth or folder / TRUTH)
@@ -227,6 +235,11 @@ def _check(args: LogArgs, files: Inputs) -> None:
     """Refuse options that contradict each other, and outputs that would replace other files."""
     require_alone(args, "diagnose", "out", "plot", "truth", "associate", "clock")
     require_alone(args, "associate", "clock")
+    require_alone(args, "map", "diagnose", "clock", "snr")
+    if args.map == "known":
+        require_default(args, "--map learn", "map_out", "more")
+    if args.map_out is not None and args.map_out.suffix != ".json":
+        raise ValueError(f"map-out: found {args.map_out}, expected a .json file")
     require_default(args, "--live", "lag", "format", "accuracy", "confidence")
     require_alone(args, "two_way", "height", "smoothing")
     require_one_choice(args)
@@ -242,7 +255,8 @@ def _check(args: LogArgs, files: Inputs) -> None:
     if args.plot is not None:
         require_picture("plot", args.plot)
     owners: dict[Path, str] = {}
-    read = {"the log": files.log, "scene": Path(files.scene), "truth": files.truth}
+    earlier = {f"log {number}": log for number, log in enumerate(files.earlier, start=1)}
+    read = {**earlier, "the log": files.log, "scene": Path(files.scene), "truth": files.truth}
     banks = {"modes": args.modes, "imm": Path(args.imm) if args.imm else None}
     for name, path in (*read.items(), *banks.items(), *_outputs(args)):
         if path is not None and (owner := owners.setdefault(path.resolve(), name)) != name:
@@ -255,7 +269,8 @@ def _outputs(args: LogArgs) -> list[tuple[str, Path | None]]:
     tracks = [("out", out) for out in args.out]
     tables = map(table_beside, args.out)
     beside = [("the table of --out", table) for table in tables if table not in args.out]
-    return [*tracks, *beside, ("plot", args.plot), ("json", args.json)]
+    pictures = [("plot", args.plot), ("map-out", args.map_out)]
+    return [*tracks, *beside, *pictures, ("json", args.json)]
 
 
 class Work(NamedTuple):
@@ -267,12 +282,17 @@ class Work(NamedTuple):
     log: Log
     truth: Truth | None
     association: Json | None  # counts of associated paths
+    map: Json | None  # learned images, and counts of paths they explain
 
 
 def _work(args: LogArgs, files: Inputs, scene: Scene) -> Work:
     """Read the log and, if there is one, the ground truth; choose the modes."""
     association = None
-    if args.associate:
+    learned = None
+    if args.map == "learn":
+        name = "handset" if args.radio == AUTO else args.radio
+        scene, learned = _learned_map(args, [*files.earlier, files.log], scene, name)
+    if args.associate or learned:
         paths = read_paths(files.log, scene, args.odometry)
         name = "handset" if args.radio == AUTO else args.radio
         fast = modes_from(args.modes, name)[-1]
@@ -294,7 +314,28 @@ def _work(args: LogArgs, files: Inputs, scene: Scene) -> Work:
             stacklevel=2,
         )
     truth = Truth(files.truth) if files.truth else None
-    return Work(scene, radio_from(name), choice, log, truth, association)
+    return Work(scene, radio_from(name), choice, log, truth, association, learned)
+
+
+def _learned_map(
+    args: LogArgs, paths: Sequence[Path], scene: Scene, radio: str
+) -> tuple[Scene, Json]:
+    """Return the scene with the images that the paths of logs reveal, and figures about them.
+
+    Warn if walls explain few of the paths.
+    """
+    logs = [read_paths(path, scene, args.odometry) for path in paths]
+    fast = modes_from(args.modes, radio)[-1]
+    belief, counts = learn_map(logs, scene, radio_from(radio), fast)
+    if counts.explained < FEW_EXPLAINED * counts.paths:
+        warnings.warn(
+            f"map: found {counts.explained} of {counts.paths} paths that come from the base "
+            f"station or from a learned image, expected {FEW_EXPLAINED:.0%} or more. Other things "
+            "than flat walls reflect here, as usual indoors, so do not trust the map or the track",
+            stacklevel=2,
+        )
+    scene = learned_scene(scene, belief)
+    return scene, map_figures(scene, counts)
 
 
 def _track(
@@ -357,6 +398,7 @@ def _figures(args: LogArgs, files: Inputs, work: Work, track: Track) -> Json:
         "out": f"{_kind(args)} track",
         "the table of --out": "table of standard deviations and modes",
         "plot": "picture",
+        "map-out": "scene with the learned images",
     }
     return {
         "log": str(files.log),
@@ -368,6 +410,7 @@ def _figures(args: LogArgs, files: Inputs, work: Work, track: Track) -> Json:
         **track_statistics(track),
         "groups": groups,
         **({"association": work.association} if work.association else {}),
+        **({"map": work.map} if work.map else {}),
         **scores,
         "contradictions": [d._asdict() for d in doubts],
         "written": {
@@ -390,14 +433,16 @@ def localized(args: LogArgs) -> None:
     for out in args.out:
         if out.suffix in MAP_FILES:
             origin_of(scene, f"out: {out}")
-    work = _work(args, files, scene)
     for _, path in _outputs(args):
         if path:
             require_writable(path)
+    work = _work(args, files, scene)
     with progress("localizing") as report:
         track = _track(args, work, args.window if args.smoothing else None, report)
     name = as_name(Path(files.log.name.removesuffix(".gz")).stem)
     write_track(track, args.out, scene, name, args.risk)
+    if args.map_out:
+        write_json(args.map_out, scene_json(work.scene))
     figures = _figures(args, files, work, track)
     if args.json:  # before show(), which fails if the reader of the tables closes the pipe
         write_json(args.json, provenance("localize", args) | figures)
@@ -408,7 +453,7 @@ def localized(args: LogArgs) -> None:
             if work.truth:
                 truth_m = work.truth.at(track.time_s)
             title = f"{log}, {_kind(args)} track"
-            draw_trajectory(track, truth_m, scene.anchors_m, args.plot, title)
+            draw_trajectory(track, truth_m, work.scene.anchors_m, args.plot, title)
     finally:  # the results are shown even if a picture fails
         try:
             show(track_markdown(figures))

@@ -74,6 +74,28 @@ def _course(figures: Json) -> list[str]:
     return lines
 
 
+def _learned_map(learned: Json) -> str:
+    """Return the images of a learned map with their walls, and the share of explained paths."""
+    rows = []
+    for image in learned["images"]:
+        pairs = zip(image["position_m"], image["sigma_m"], strict=True)
+        wall = image["wall"]
+        rows.append(
+            [
+                f"anchor {image['anchor']}",
+                *(f"{x:.1f} ± {sigma:.1f}" for x, sigma in pairs),
+                str(image["paths"]),
+                "{:.3f} x {:+.3f} y = {:.1f}".format(*wall["normal"], wall["offset_m"]),
+            ]
+        )
+    table = grid(["learned", "x m", "y m", "z m", "paths", "wall between"], rows) if rows else ""
+    share = _percent(learned["explained"] / learned["paths"])
+    return (
+        f"{table}\n\nWhile the map was learned, the base station and its images explained {share} "
+        f"of {learned['paths']} paths, and a track began {_times(learned['starts'])}.\n"
+    )
+
+
 def _groups(groups: Json) -> str:
     header = ["measured", "seen", "rejected", "incomplete", "NIS / dof", "NIS in 95 % bounds"]
     rows = [
@@ -108,6 +130,8 @@ def _accuracy(truth: Json, epochs: int) -> str:
 def track_markdown(figures: Json) -> str:
     """Return, as Markdown, the results that ``localize`` collects about a track."""
     parts = ["".join(f"- {line}\n" for line in _course(figures))]
+    if "map" in figures:
+        parts.append(_learned_map(figures["map"]))
     if "association" in figures:
         counts = figures["association"]
         rows = [[name, n, counts["missed"][name]] for name, n in counts["associated"].items()]

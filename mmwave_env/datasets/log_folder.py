@@ -13,7 +13,7 @@ from mmwave_env.logs.log import read_log
 from mmwave_env.logs.log_tables import SUFFIXES
 from mmwave_env.logs.truth import Truth, velocity_of
 from mmwave_env.logs.tum import COLUMNS, tum_lines
-from mmwave_env.models.layout import LINK, sigma_name
+from mmwave_env.models.layout import LINK, sigma_name, wrapped
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.scene import Scene, read_scene, scene_json
@@ -84,7 +84,13 @@ def log_of(folder: Path) -> Path:
     return folder / logs[0]
 
 
-def write_log_folder(folder: Path, episode: Episode, scene: Scene, origin: str) -> list[str]:
+def write_log_folder(
+    folder: Path,
+    episode: Episode,
+    scene: Scene,
+    origin: str,
+    columns: dict[str, Array] | None = None,
+) -> list[str]:
     """Write an episode so that :func:`read_log_folder` can read it; return the names of the files.
 
     Args:
@@ -93,11 +99,12 @@ def write_log_folder(folder: Path, episode: Episode, scene: Scene, origin: str) 
             existing ``truth.tum`` is removed, because it does not belong to the new log.
         scene: scene of the episode.
         origin: how the episode was made, as text for a comment in ``truth.tum``.
+        columns: columns (n,) of the log; None for those of :func:`log_columns`.
 
     Raises:
         OSError: a file can't be written.
     """
-    write_text(folder / LOG, log_text(log_columns(episode)))
+    write_text(folder / LOG, log_text(columns or log_columns(episode)))
     write_json(folder / SCENE, scene_json(scene))
     if episode.truth_position_m is None:
         (folder / TRUTH).unlink(missing_ok=True)
@@ -155,6 +162,45 @@ def log_columns(episode: Episode) -> dict[str, Array]:
         columns["speed_mps"] = of_epochs(measured[:, layout.doppler + 1])
         columns["heading_rad"] = of_epochs(measured[:, layout.doppler + 2])
     return columns
+
+
+def path_columns(
+    episode: Episode, false_paths: float, rng: np.random.Generator
+) -> dict[str, Array]:
+    """Return the columns of an episode's log of paths, arrays (n,) with one row per path.
+
+    The paths of an epoch are in random order, without anchors. A Poisson number of false paths is
+    added to each epoch, ``false_paths`` on average. The range of a false path and its direction are
+    uniformly distributed. Its other values are those of random true paths, so that arrival and
+    departure are as opposite as theirs.
+    """
+    columns = log_columns(episode)
+    del columns["anchor"]
+    columns["doppler_spread_hz"] = np.repeat(episode.doppler_spread_hz, episode.layout.anchors)
+    numbers = rng.poisson(false_paths, len(episode))
+    true = np.flatnonzero(np.isfinite(columns["toa_s"]))
+    shifted = np.flatnonzero(np.isfinite(columns["doppler_hz"]))
+    n = int(numbers.sum())
+    copied = rng.choice(true, n)
+    turn = rng.uniform(-PI, PI, n)
+    toa_s = columns["toa_s"][true]
+    false = {name: values[copied] for name, values in columns.items()}
+    false |= {
+        "time_s": np.repeat(episode.time_s, numbers),
+        "toa_s": rng.uniform(toa_s.min(), toa_s.max(), n),
+        "aoa_azimuth_rad": wrapped(false["aoa_azimuth_rad"] + turn),
+        "aod_azimuth_rad": wrapped(false["aod_azimuth_rad"] + turn),
+        "doppler_hz": columns["doppler_hz"][rng.choice(shifted, n)],
+        "doppler_spread_hz": np.repeat(episode.doppler_spread_hz, numbers),
+    }
+    odometry = columns.keys() & {"speed_mps", "heading_rad"}
+    false |= {name: np.full(n, np.nan) for name in odometry}
+    joined = {name: np.append(values, false[name]) for name, values in columns.items()}
+    values = np.array([joined[name] for name in ("toa_s", *odometry)])
+    kept = ~np.isnan(values).all(axis=0)
+    order = np.lexsort([rng.random(len(kept)), joined["time_s"]])
+    order = order[kept[order]]
+    return {name: values[order] for name, values in joined.items()}
 
 
 def log_text(columns: dict[str, Array]) -> str:

@@ -326,7 +326,9 @@ def learn_map(
     counts = MapCounts(0, 0, 0, 0)
     for number, log in enumerate(logs, start=1):
         before = counts
-        for epoch, belief in zip(log.epochs, learner.learn(log, belief), strict=True):
+        beliefs = learner.learn(log, belief)
+        for epoch in log.epochs:
+            belief = next(beliefs)
             counts = MapCounts(
                 counts.epochs + 1,
                 counts.paths + len(epoch.snr_db),
@@ -371,8 +373,8 @@ def map_figures(scene: Scene, counts: MapCounts) -> Json:
     station = np.array(scene.base_station_m)
     images = []
     first = len(scene.anchors_m) - len(scene.learned)
-    places = scene.anchors_m[first:]
-    for number, place, image in zip(range(first + 1, MOST_ANCHORS + 1), places, scene.learned):
+    learned = zip(scene.anchors_m[first:], scene.learned, strict=True)
+    for number, (place, image) in enumerate(learned, start=first + 1):
         normal = (place - station)[:2]
         normal = normal / np.linalg.norm(normal)
         wall = {
