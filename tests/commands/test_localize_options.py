@@ -6,9 +6,11 @@ import re
 import numpy as np
 import pytest
 
+from experiments.console.main import run
 from mmwave_env.datasets.samples import source_from
+from mmwave_env.models.scene import read_scene
 from tests.cli import assert_one_clear_line, command, with_json
-from tests.commands.localizing import RIDE, WALK, figures, lines_of, options
+from tests.commands.localizing import RIDE, WALK, figures, lines_of, options, refused
 from tests.localization.mistakes import MISTAKES, read_columns, write_columns
 from tests.logs.by_hand import hide_anchors
 from tests.paths import json_in
@@ -197,6 +199,66 @@ def test_the_command_reports_how_many_paths_were_associated_with_each_anchor(hid
     for name, paths in association["associated"].items():
         assert f"| {name} | {paths} | {association['missed'][name]} |\n" in shown
         assert paths + association["missed"][name] == 120
+
+
+# --- a place without a map
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory):
+    """Return a folder with a simulated log of paths, and the scene of its base station."""
+    folder = tmp_path_factory.mktemp("street")
+    run("simulate", ["--paths", "--radio", "standard", "--seed", "5", "--out", str(folder)])
+    return folder
+
+
+def map_options(folder, *more, logs=("log.csv",)):
+    """Return the words after ``localize`` that learn the map of a folder."""
+    files = [folder / log for log in logs]
+    scene = ("--scene", folder / "base-station.json", "--radio", "standard", "--map", "learn")
+    return [str(word) for word in (*files, *scene, *more)]
+
+
+@pytest.mark.slow
+def test_a_map_is_learned_written_and_used(street, tmp_path):
+    file = tmp_path / "learned.json"
+    options = map_options(street, "--imm", "imm-best", "--truth", street / "truth.tum")
+    shown, figures = with_json("localize", *options, "--map-out", str(file))
+    scene = read_scene(file)
+    images = figures["map"]["images"]
+    assert [image["position_m"] for image in images] == scene.anchors_m[1:].tolist()
+    assert len(images) == 2 and images[0]["paths"] == scene.learned[0].paths
+    assert list(figures["association"]["associated"]) == ["anchor 1", "anchor 2", "anchor 3"]
+    assert figures["truth"]["tracks"]["smoothed"]["ate_m"] < 1.0
+    share = 100.0 * figures["map"]["explained"] / figures["map"]["paths"]
+    assert f"explained {share:.1f} % of" in shown and "| anchor 2 | " in shown
+
+
+@pytest.mark.parametrize(
+    ("field", "more"),
+    [
+        ("map_out", ("--map", "known", "--map-out", "learned.json")),
+        ("map-out", ("--map-out", "learned.csv")),
+        ("diagnose", ("--diagnose",)),
+        ("clock", ("--clock", "offset")),
+    ],
+)
+def test_options_that_do_not_fit_a_map_are_refused(street, tmp_path, field, more):
+    _, line = refused(map_options(street, *more), cwd=tmp_path)
+    assert field in line and not list(tmp_path.iterdir())
+
+
+def test_a_log_in_which_no_track_begins_is_refused_and_nothing_is_written(street, tmp_path):
+    header, *rows = [line.split(",") for line in (street / "log.csv").read_text().splitlines()]
+    arrival = header.index("aoa_azimuth_rad")
+    departure = header.index("aod_azimuth_rad")
+    for row in rows:  # on a line of sight they are opposite
+        row[departure] = row[arrival]
+    content = [",".join(row) + "\n" for row in (header, *rows)]
+    (tmp_path / "log.csv").write_text("".join(content))
+    (tmp_path / "base-station.json").write_text((street / "base-station.json").read_text())
+    _, line = refused(map_options(tmp_path, "--map-out", tmp_path / "learned.json"), cwd=tmp_path)
+    assert "log 1 of 1: " in line and not (tmp_path / "learned.json").exists()
 
 
 # --- logs that contradict their scene

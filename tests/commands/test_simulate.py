@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from experiments.console.main import run
 from mmwave_env.datasets.log_folder import log_columns, log_text
 from mmwave_env.datasets.samples import sample_names
-from mmwave_env.logs.log import read_log
+from mmwave_env.logs.log import read_log, read_paths
 from mmwave_env.logs.tum import read_tum
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.scene import read_scene
@@ -90,3 +90,30 @@ def test_existing_files_are_replaced_only_with_the_option_overwrite(tmp_path, ca
     assert "--overwrite" not in (tmp_path / "truth.tum").read_text()
     assert sorted(path.name for path in tmp_path.iterdir()) == FILES
     assert (tmp_path / name).read_text() != "mine"
+
+
+def test_a_log_of_paths_has_no_anchor_numbers_and_false_paths(tmp_path, capsys):
+    for rate in (0.0, 2.0):
+        simulate(tmp_path, "--paths", "--false-paths", rate, "--seed", 3, "--overwrite")
+        assert "base-station.json" in capsys.readouterr().out
+        scene = read_scene(tmp_path / "base-station.json")
+        truth = read_scene(tmp_path / "scene.json")
+        assert scene.base_station_m == truth.base_station_m and len(scene.anchors_m) == 1
+        paths = read_paths(tmp_path / "log.csv", truth)
+        assert "anchor" not in (tmp_path / "log.csv").read_text().splitlines()[0]
+        episode = street_source().episode(int(keys_of([3])[0]))
+        true = episode.usable[:, :3].sum()
+        false = sum(len(epoch.snr_db) for epoch in paths.epochs) - true
+        assert abs(false - rate * len(episode)) <= 4.0 * (rate * len(episode)) ** 0.5
+
+
+def test_paths_are_refused_with_options_that_do_not_fit(tmp_path, capsys):
+    for field, *options in [
+        ("measurements", "--paths", "--measurements", "range"),
+        ("false_paths", "--false-paths", "2"),
+        ("false-paths", "--paths", "--false-paths", "-1"),
+    ]:
+        with pytest.raises(SystemExit):
+            simulate(tmp_path, *options)
+        assert f" {field}: " in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

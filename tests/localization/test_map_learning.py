@@ -1,0 +1,151 @@
+"""Tests of learning the mirror images of a base station from paths."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mmwave_env.datasets.log_folder import log_text, path_columns
+from mmwave_env.filters.bank import default_modes
+from mmwave_env.localization.map_learning import (
+    MapLearner,
+    learn_map,
+    learned_scene,
+    map_figures,
+)
+from mmwave_env.logs.log import read_paths
+from mmwave_env.logs.log_tables import LogError
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES, read_scene, scene_json
+from mmwave_env.world.simulated import SimulatedSource
+from tests.paths import representative
+from tests.refusals import refuses
+
+STREET = SCENES["street"]
+STATION = replace(STREET, walls=())
+NEES_LIMIT = 7.815  # 95 % quantile of chi-square with 3 degrees of freedom
+
+
+@pytest.fixture
+def paths_of(tmp_path):
+    """Return a function that makes a log of paths; it also returns the episode."""
+
+    def make(seed, radio="standard", false_paths=1.0, scene=STATION, epochs=200, keep=slice(None)):
+        source = SimulatedSource(STREET, RADIOS[radio], "mixed", epochs=epochs)
+        episode = source.sample(np.random.default_rng(seed))
+        columns = path_columns(episode, false_paths, np.random.default_rng(seed))
+        path = tmp_path / "paths.csv"
+        path.write_text(log_text({name: values[keep] for name, values in columns.items()}))
+        return read_paths(path, scene), episode
+
+    return make
+
+
+def learned(logs, radio="standard", scene=STATION):
+    belief, counts = learn_map(logs, scene, RADIOS[radio], default_modes(radio)[-1])
+    return learned_scene(scene, belief), counts
+
+
+def scores(log, episode, radio, scene):
+    """Return ATE, mean NEES and share of NEES in their 95 % from 30 s on."""
+    learner = MapLearner(scene, RADIOS[radio], default_modes(radio)[-1])
+    errors = []
+    nees = []
+    for b in learner.learn(log):
+        if b.tracked and b.time_s >= 30.0:
+            error = b.x[:3] - episode.truth_position_m[np.searchsorted(episode.time_s, b.time_s)]
+            errors.append(np.linalg.norm(error))
+            nees.append(error @ np.linalg.solve(b.P[:3, :3], error))
+    return np.mean(errors), np.mean(nees), np.mean(np.array(nees) < NEES_LIMIT)
+
+
+def errors_of(scene):
+    """Return the distance (m) of each learned image from the nearest true image."""
+    apart = scene.anchors_m[1:, None] - STREET.anchors_m[None, 1:]
+    return np.linalg.norm(apart, axis=2).min(axis=1)
+
+
+@pytest.mark.parametrize("radio", ["standard", "handset"])
+def test_the_images_of_a_street_are_learned_from_one_drive(paths_of, radio):
+    log, _ = paths_of(1, radio)
+    scene, counts = learned([log], radio)
+    assert len(scene.learned) == 2 and errors_of(scene).max() < 4.0
+    assert counts.epochs == len(log.epochs) and 0.5 < counts.explained / counts.paths < 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("radio", "most"), [("standard", 1.06), ("handset", 1.10)])
+def test_the_track_is_nearly_as_good_as_with_the_known_map(paths_of, radio, most):
+    unknown = []
+    known = []
+    for seed in range(940, 960):
+        log, episode = paths_of(seed, radio)
+        unknown.append(scores(log, episode, radio, STATION))
+        known.append(scores(*paths_of(seed, radio, scene=STREET), radio, STREET))
+    ate, nees, inside = np.mean(unknown, axis=0)
+    ate_known, nees_known, _ = np.mean(known, axis=0)
+    assert ate < most * ate_known
+    assert nees < nees_known + 1.5
+    assert inside > 0.9
+
+
+@pytest.mark.parametrize("seed", representative([2, 3, 4], 2))
+def test_learning_goes_on_with_the_next_log(paths_of, tmp_path, seed):
+    first, _ = paths_of(seed)
+    scene, _ = learned([first])
+    path = tmp_path / "learned.json"
+    path.write_text(json.dumps(scene_json(scene)))
+    stored = read_scene(path)
+    assert stored.learned == scene.learned
+    second, _ = paths_of(seed + 100, scene=stored)
+    again, _ = learned([second], scene=stored)
+    assert len(again.learned) == 2 and errors_of(again).max() < 2.0
+    assert min(i.paths for i in again.learned) > max(i.paths for i in stored.learned) / 2
+    total = sum(image.paths for image in again.learned)
+    assert total > 1.5 * sum(image.paths for image in stored.learned)
+
+
+def test_two_logs_are_learned_in_order(paths_of):
+    logs = [paths_of(seed)[0] for seed in (2, 102)]
+    scene, counts = learned(logs)
+    single, _ = learned(logs[:1])
+    assert counts.epochs == sum(len(log.epochs) for log in logs) and counts.starts >= 2
+    assert sum(i.paths for i in scene.learned) > 1.5 * sum(i.paths for i in single.learned)
+
+
+def test_known_images_are_not_learned_again(paths_of):
+    log, _ = paths_of(1, scene=STREET)
+    scene, _ = learned([log], scene=STREET)
+    assert scene == STREET
+
+
+def test_the_map_outlives_a_gap(paths_of):
+    log, _ = paths_of(1)
+    epochs = [epoch for epoch in log.epochs if not 120.0 <= epoch.time_s < 150.0]
+    scene, counts = learned([log._replace(epochs=epochs)])
+    assert counts.starts >= 2 and len(scene.learned) == 2 and errors_of(scene).max() < 2.0
+
+
+def test_false_paths_alone_make_no_map_and_are_refused(paths_of):
+    log, _ = paths_of(1, false_paths=3.0)
+    rng = np.random.default_rng(0)
+    epochs = []
+    for epoch in log.epochs:
+        links = epoch.links.copy()
+        links[..., 1] = rng.uniform(-np.pi, np.pi, links.shape[1])
+        links[..., 3] = rng.uniform(-np.pi, np.pi, links.shape[1])
+        epochs.append(epoch._replace(links=links))
+    with refuses("log 1 of 1", error=LogError):
+        learned([log._replace(epochs=epochs)])
+
+
+def test_a_wall_is_halfway_between_the_station_and_its_image(paths_of):
+    log, _ = paths_of(1)
+    scene, counts = learned([log])
+    images = map_figures(scene, counts)["images"]
+    assert [image["anchor"] for image in images] == [2, 3]
+    walls = sorted((image["wall"] for image in images), key=lambda wall: wall["offset_m"])
+    for wall, true in zip(walls, sorted(STREET.walls, key=lambda w: w.offset_m), strict=True):
+        np.testing.assert_allclose(wall["normal"], true.unit_normal, atol=0.05)
+        assert wall["offset_m"] == pytest.approx(true.offset_m, abs=2.0)
