@@ -23,6 +23,7 @@ from mmwave_env.filters.modes import Tuning
 from mmwave_env.logs.log_tables import Arrays
 from mmwave_env.models.layout import STATE_SIZE
 from mmwave_env.models.motion import COUPLED, white_noise_acceleration
+from mmwave_env.models.prior import vector_from_link
 from mmwave_env.numerics.numbers import PI, Array, Mask, wrap
 
 LINK_ROWS = 4
@@ -32,6 +33,7 @@ IMAGE_NOISE_M = 0.05  # m / sqrt(s), because errors of reflected paths are corre
 MERGED_BELOW = chdtri(3, 0.01)  # images are equal if their difference is below the 99 % quantile
 MERGED_SIGMA_M = 3.0  # maximum standard deviation of this difference
 DOPPLER_GATE = chdtri(1, 0.01)  # 99 % gate of the Doppler shift
+UNKNOWN_RAD = 1e3  # deviation of an arrival that says nothing about the azimuth at the image
 _ITERATIONS = 4  # of the first update of an image with an arrival at the base station
 USER = slice(0, 3)  # place of the user's position in the state
 
@@ -80,7 +82,7 @@ class Belief(NamedTuple):
     doubt: Doubt = Doubt()
     # the index of the path that updated each anchor (0: base station, k: image k) in this epoch
     labels: Mapping[int, int] = MappingProxyType({})
-    evidence: float = 0.0  # log-likelihood of these paths against false ones, in this epoch
+    evidence: float = 0.0  # log-likelihood of all assigned paths against false ones, in this epoch
     begins: bool = False  # whether the track begins in this epoch
 
     @property
@@ -248,27 +250,17 @@ class ImageFilter:
     def with_image(self, b: Belief, paths: Paths, path: int) -> Belief:
         """Return the belief with a new image, from which this path seems to come.
 
-        The image is a = p + r u, where u is the direction from the user to the source of the path.
-        So P_aa = P_pp + J R J' and P_ax = P_px, with the Jacobian J of r u. The image is as high as
-        the base station, as walls are vertical.
+        The image is a = p - d, where the path's link determines the vector d from the image to the
+        user. So P_aa = P_pp + P_dd and P_ax = P_px. The image is as high as the base station, as
+        walls are vertical.
         """
-        distance, arrival, elevation, departure = paths.z[path]
-        variance = paths.reflected[path]
-        # Arrival at the image and departure measure the same bearing; use their weighted mean.
-        weight = 1.0 if paths.at_station else variance[1] / (variance[1] + variance[3])
-        azimuth = arrival + PI + weight * wrap(wrap(departure - arrival - PI))
-        cos_az = np.cos(azimuth)
-        sin_az = np.sin(azimuth)
-        cos_el = np.cos(elevation)
-        sin_el = np.sin(elevation)
-        u = np.array([cos_el * cos_az, cos_el * sin_az, -sin_el])
-        across = np.array([-cos_el * sin_az, cos_el * cos_az, 0.0])
-        up = np.array([-sin_el * cos_az, -sin_el * sin_az, -cos_el])
-        J = np.column_stack([u, distance * across, distance * up])
-        R = [variance[0], weight * variance[3], variance[2]]
+        sigma = np.sqrt(paths.reflected[path])
+        if paths.at_station:
+            sigma[1] = UNKNOWN_RAD
+        away, covariance = vector_from_link(paths.z[path], sigma)
         P_xp = b.P[:, USER]
-        P = np.block([[b.P, P_xp], [P_xp.T, b.P[USER, USER] + (J * R) @ J.T]])
-        x = np.append(b.x, b.x[USER] + distance * u)
+        P = np.block([[b.P, P_xp], [P_xp.T, b.P[USER, USER] + covariance]])
+        x = np.append(b.x, b.x[USER] - away)
         b = b._replace(x=x, P=P, images=(*b.images, Image()))
         if paths.at_station:
             b = self._turned(b, paths, path)

@@ -204,7 +204,8 @@ class MapLearner:
         used = {a: i for a, i in labels.items() if a == 0 or b.images[a - 1].confirmed}
         b = self._filter.updated(b, paths, used, nis)
         short = bool(self._shorter(b, paths).any())
-        likelihood = sum(evidence[a, i] for a, i in used.items()) - SHORT_PENALTY * short
+        # Also count paths of tentative images: a new track has no others besides the line of sight.
+        likelihood = sum(evidence[a, i] for a, i in labels.items()) - SHORT_PENALTY * short
         b = b._replace(labels=used, evidence=float(likelihood))
         of_tentative = {}
         for anchor, path in labels.items():
@@ -232,8 +233,8 @@ class MapLearner:
         density = [*DENSITY[:3], STATION_DENSITY if paths.at_station else DENSITY[3]]
         limit = -2.0 * np.log(density).sum() - LINK_ROWS * np.log(2.0 * PI)
         cost = nis + log_det - limit
-        evidence = -0.5 * cost
         cost[0] -= SIGHT_BONUS
+        evidence = -0.5 * cost
         possible = np.flatnonzero(cost[0] < 0.0)
         if len(possible):  # of the paths that may be the line of sight, only the shortest may
             length = paths.z[possible, 0]

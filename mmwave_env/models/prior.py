@@ -30,8 +30,21 @@ def prior_from_fix(
 ) -> tuple[Array, Array]:
     """Return a prior computed from one link (4,): the mean (7,), at rest, and covariance (7, 7).
 
-    The position is anchor (3,) + range (cos el cos az, cos el sin az, sin el); its covariance is
-    linearized. ``sigma`` (4,) contains the standard deviations of the link.
+    ``anchor`` is (3,), and ``sigma`` (4,) contains the standard deviations of the link.
+    """
+    away, covariance_of_position = vector_from_link(link, sigma)
+    covariance = radio.prior_covariance(scene)
+    covariance[:3, :3] = covariance_of_position
+    covariance[3, 3] = covariance[4, 4] = UNKNOWN_VELOCITY_MPS**2
+    return np.concatenate([anchor + away, np.zeros(4)]), covariance
+
+
+def vector_from_link(link: Array, sigma: Array) -> tuple[Array, Array]:
+    """Return the vector (3,) from the anchor to the user, m, and its linearized covariance (3, 3).
+
+    The vector is range (cos el cos az, cos el sin az, sin el). ``link`` (4,) are the values of a
+    link, and ``sigma`` (4,) their standard deviations. The two azimuths are averaged by their
+    inverse variances.
     """
     distance, azimuth, elevation, departure = link
     arrival_variance = sigma[1] ** 2
@@ -47,7 +60,4 @@ def prior_from_fix(
     up = np.array([-sin_el * cos_az, -sin_el * sin_az, cos_el])
     jacobian = np.column_stack([along, distance * across, distance * up])
     variance = [sigma[0] ** 2, weight * departure_variance, sigma[2] ** 2]
-    covariance = radio.prior_covariance(scene)
-    covariance[:3, :3] = jacobian @ np.diag(variance) @ jacobian.T
-    covariance[3, 3] = covariance[4, 4] = UNKNOWN_VELOCITY_MPS**2
-    return np.concatenate([anchor + distance * along, np.zeros(4)]), covariance
+    return distance * along, jacobian @ np.diag(variance) @ jacobian.T
