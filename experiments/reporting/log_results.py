@@ -38,11 +38,12 @@ from mmwave_env.io.files import Json, require_writable, write_json
 from mmwave_env.io.lookup import as_name
 from mmwave_env.localization.association import associate
 from mmwave_env.localization.contradictions import Contradiction, contradictions
-from mmwave_env.localization.diagnosis import AS_IT_IS, Finding, diagnose
+from mmwave_env.localization.diagnosis import diagnose
 from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.localizer import Track, localize
 from mmwave_env.localization.map_files import MAP_FILES, origin_of
 from mmwave_env.localization.radio_choice import nearest_radio
+from mmwave_env.localization.readings import AS_IT_IS, Finding
 from mmwave_env.localization.track_files import require_own_files, table_beside, write_track
 from mmwave_env.localization.track_scores import (
     group_statistics,

@@ -5,7 +5,7 @@ reflection has range and angles as if it came from the mirror image (paper, Sec.
 """
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -179,6 +179,11 @@ class Scene:
         """Return the anchors (L, 3): the gNB, its image in each wall, and ``virtual_anchors_m``."""
         images = [wall.mirror(self.base_station_m) for wall in self.walls]
         return np.array([self.base_station_m, *images, *self.virtual_anchors_m], float)
+
+    def with_anchors(self, anchors_m: Array) -> "Scene":
+        """Return the scene with anchors (L, 3), the physical gNB first, and without walls."""
+        gnb, *virtual = [(x, y, z) for x, y, z in anchors_m.tolist()]
+        return replace(self, base_station_m=gnb, walls=(), virtual_anchors_m=tuple(virtual))
 
     @property
     def streets_known(self) -> bool:
