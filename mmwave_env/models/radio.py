@@ -176,15 +176,20 @@ class Radio:
         return self.link_budget_db + path_gain_db - self.thermal_noise_dbm(bandwidth_hz)
 
     def variances(self, scene: Scene, layout: Layout) -> tuple[list[float], list[float]]:
-        """Return variances of every row: noise floors, and Cramer-Rao bounds at an SNR of 0 dB."""
+        """Return variances of every row: noise floors, and Cramer-Rao bounds at an SNR of 0 dB.
+
+        The floors of ranges contain the uncertainty of the scene's ``range_offset_m``.
+        """
         range_bound = SPEED_OF_LIGHT / (2.0 * math.pi * scene.bandwidth_hz / math.sqrt(12.0))
         arrival = _azimuth_bound(self.ue_elements)
         departure = _azimuth_bound(self.gnb_elements)
         angles = (self.aoa_floor_rad, self.elevation_floor_rad, self.aod_floor_rad)
+        offsets = scene.range_offset_sigma_m or [0.0] * layout.anchors
         floor = []
         bound = []
         for anchor in range(layout.anchors):
-            floor += [self.range_floor_m[min(anchor, 1)], *angles]
+            range_floor = math.hypot(self.range_floor_m[min(anchor, 1)], offsets[anchor])
+            floor += [range_floor, *angles]
             bound += [range_bound**2 / 2.0, arrival, arrival, departure]
         floor.append(self.doppler_floor_mps * scene.hz_per_mps)
         bound.append(6.0 / (2.0 * math.pi * self.doppler_window_s) ** 2)

@@ -1,0 +1,184 @@
+"""How errors of a log change the whitened innovations of its track, and the errors that fit them.
+
+The filter, without its safeguards, runs once for each parameter of an error with a small step of
+it. The differences of the whitened innovations w are the sensitivities J; they include how the
+track gives way. Robust least squares of w = J theta gives the error theta (Huber 1981, Robust
+Statistics, Sec. 7). Blockages correlate innovations, so the covariance of theta is computed from
+blocks of epochs (sandwich estimator, ibid. Sec. 7.6).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from mmwave_env.engines.engine import tracks_of
+from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.localization.localizer import episode_from
+from mmwave_env.localization.readings import RANGE, Reading
+from mmwave_env.localization.starts import Start, gives_fix, start_at
+from mmwave_env.localization.suspects import Suspect
+from mmwave_env.models.layout import wrap_angles, wrapped
+from mmwave_env.models.measurement import Group, doppler_group, exact_rows, link_group
+from mmwave_env.numerics.numbers import Array, Mask, Vector
+from mmwave_env.world.episode import Episode
+
+_HUBER = 2.0  # standard deviations
+_BLOCKS = (10, 20, 40)  # epochs in a block; the length with the largest variance counts
+_ROUNDS = 8  # of robust least squares
+_STEP = 0.5  # of a parameter, for finite differences
+
+
+class Fit(NamedTuple):
+    """The result of robust least squares."""
+
+    theta: Array  # (p,)
+    sigma: Array  # (p,) standard deviations
+    wald: float  # theta' V^-1 theta, with the covariance V of theta
+    gain: float  # decrease of the sum of rho, but not more than the usual blocks of epochs show
+
+
+def _begun(reading: Reading, usual: Start | None = None) -> Episode:
+    """Return a reading as an episode that begins with its first epoch.
+
+    A complete link of the base station gives each reading a start of its own. Other starts take
+    long to compute, so ``usual`` is used if there is one.
+    """
+    log = reading.log
+    link = log.measurement[:1, :4]
+    fix = np.isfinite(link).all() and gives_fix(link)[0] and log.visible[0, 0]
+    if usual is None or (fix and not log.layout.clock):
+        usual = start_at(log, 0, reading.scene, reading.radio)
+    if usual is None:
+        raise ValueError("log: found a first epoch that determines no position, expected one")
+    z = log.measurement.copy()
+    wrap_angles(z, log.layout)
+    return episode_from(replace(log, measurement=z), reading.scene, reading.radio, usual)
+
+
+def innovations(readings: Sequence[Reading], mode: Mode) -> tuple[Array, Mask]:
+    """Return whitened innovations (n, T, rows) of n readings, and the measured rows (T, rows).
+
+    The covariance is always that of the first reading, so that innovations can be compared.
+    """
+    first = readings[0]
+    start = start_at(first.log, 0, first.scene, first.radio)
+    episodes = [_begun(reading, start) for reading in readings]
+    tracker = tracks_of(Pipeline((mode,), first.log.layout), len(episodes))
+    tracker.load(episodes)
+    x, P = tracker.run("x_predicted", "P_predicted").values()
+    e = np.stack([_innovation(*pair) for pair in zip(episodes, np.moveaxis(x, 2, 1), strict=True)])
+    measured = episodes[0].used
+    S = _covariance(episodes[0], x[0].T, P[0])
+    white = np.linalg.solve(np.linalg.cholesky(S), np.moveaxis(np.where(measured, e, 0.0), 0, -1))
+    return np.moveaxis(white, -1, 0), measured
+
+
+def _innovation(episode: Episode, x: Array) -> Array:
+    """Return the innovations z - h(x) (T, rows) at states x (7 or 8, T)."""
+    z = episode.measurement.T
+    layout = episode.layout
+    state = list(x)
+    anchors = episode.scene_anchors_m.tolist()
+    h = exact_rows(state[:3], state[3:6], anchors, episode.hz_per_mps, layout)
+    e: Array = z - np.stack(h)
+    e[layout.angles] = wrapped(e[layout.angles])
+    e[RANGE] -= x[7:].sum(axis=0)
+    e[-1] = _doppler(episode, x).innovation[0]
+    return e.T
+
+
+def _doppler(episode: Episode, x: Array) -> Group:
+    """Return the group of the Doppler shift, from the anchors that have it."""
+    of = 0 if episode.doppler_anchor is None else episode.doppler_anchor
+    anchor = list(episode.scene_anchors_m[of].T)
+    shift = [episode.measurement[:, -1]]
+    return doppler_group(list(x), anchor, episode.hz_per_mps, shift, [1.0])
+
+
+def _covariance(episode: Episode, x: Array, P: Array) -> Array:
+    """Return the covariances S = H P H' + R (T, rows, rows) at states x (7 or 8, T).
+
+    ``P`` (T, 28 or 36) are packed covariances. A row that was not measured has variance 1.
+    """
+    n, T = x.shape
+    unused = [0.0] * 4
+    rows: list[Vector] = []
+    for anchor in episode.scene_anchors_m.tolist():
+        link = link_group(list(x), anchor, unused, [1.0] * 4).jacobian
+        rows += [*link, link[1]]  # both azimuths have the same gradient
+    rows += _doppler(episode, x).jacobian
+    H = np.stack([[np.broadcast_to(d, T) for d in row] for row in rows]).transpose(2, 0, 1)
+    H = H * episode.used[..., None]
+    full = np.zeros((T, n, n))
+    i, j = np.tril_indices(n)
+    full[:, i, j] = P
+    full[:, j, i] = P
+    R = np.where(episode.used, episode.sigma**2, 1.0)
+    S: Array = H @ full @ H.transpose(0, 2, 1) + R[..., None] * np.eye(R.shape[1])
+    return S
+
+
+def rho(w: Array) -> Array:
+    """Return Huber's function of whitened innovations: quadratic at 0, linear far away."""
+    size = abs(w)
+    return np.where(size <= _HUBER, 0.5 * w * w, _HUBER * size - 0.5 * _HUBER**2)
+
+
+def fit(w: Array, J: Array, deviation: float) -> Fit:
+    """Fit whitened innovations (T, rows) by J theta, with sensitivities J (T, rows, p).
+
+    The prior standard deviation of every parameter is ``deviation``.
+    """
+    T, _, p = J.shape
+    j = J.reshape(-1, p)
+    y = w.reshape(-1)
+    ridge = np.eye(p) / deviation**2
+    theta: Array = np.zeros(p)
+    for _ in range(_ROUNDS):
+        size = np.maximum(abs(y - j @ theta), _HUBER)
+        weighted = j * (_HUBER / size)[:, None]
+        theta = np.linalg.solve(weighted.T @ j + ridge, weighted.T @ y).astype(float)
+    r = y - j @ theta
+    decrease = (rho(y) - rho(r)).reshape(T, -1).sum(axis=1)
+    blocks = np.add.reduceat(decrease, np.arange(0, T, _BLOCKS[0]))
+    usual = np.sort(blocks)[: len(blocks) - max(len(blocks) // 10, 1)]
+    scores = (j * np.clip(r, -_HUBER, _HUBER)[:, None]).reshape(T, -1, p).sum(axis=1)
+    inside = j * (abs(r) < _HUBER)[:, None]
+    inverse = np.linalg.inv(inside.T @ j + ridge).astype(float)
+    V = inverse * max(1.0, *(_growth(scores, inverse, length) for length in _BLOCKS))
+    wald = float(theta @ np.linalg.solve(V, theta))
+    gain = float(min(blocks.sum(), 2.0 * usual.sum()))
+    return Fit(theta, np.sqrt(np.diag(V)), wald, gain)
+
+
+def _growth(scores: Array, inverse: Array, length: int) -> float:
+    """Return by which factor blocks of epochs show a covariance larger than ``inverse`` (p, p).
+
+    ``scores`` (T, p) are the epochs' derivatives of the sum of rho; ``length`` is in epochs.
+    """
+    T, p = scores.shape
+    n = max(T // length, 4)
+    sums = np.zeros((n, p))
+    np.add.at(sums, np.arange(T) * n // T, scores)
+    covariance: Array = n * np.cov(sums.T).reshape(p, p)
+    factor: float = np.trace(inverse @ covariance).item() / p
+    return factor
+
+
+def scan(
+    reading: Reading, mode: Mode, among: Mapping[str, Suspect]
+) -> tuple[Array, dict[str, Fit]]:
+    """Return the whitened innovations (T, rows) of a reading, and the fit of every suspect."""
+    steps = [
+        reading.without(suspect.undo(reading, step))
+        for suspect in among.values()
+        for step in _STEP * np.eye(suspect.parameters)
+    ]
+    w, _ = innovations([reading, *steps], mode)
+    J = np.moveaxis(w[0] - w[1:], 0, -1) / _STEP
+    ends = np.cumsum([suspect.parameters for suspect in among.values()])[:-1]
+    parts = zip(among.items(), np.split(J, ends, axis=-1), strict=True)
+    return w[0], {name: fit(w[0], part, suspect.deviation) for (name, suspect), part in parts}
