@@ -7,7 +7,7 @@ Statistics, Sec. 7). Blockages correlate innovations, so the covariance of theta
 blocks of epochs (sandwich estimator, ibid. Sec. 7.6).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -22,7 +22,7 @@ from mmwave_env.localization.starts import Start, gives_fix, start_at
 from mmwave_env.localization.suspects import Suspect
 from mmwave_env.models.layout import wrap_angles, wrapped
 from mmwave_env.models.measurement import Group, doppler_group, exact_rows, link_group
-from mmwave_env.numerics.numbers import Array, Mask, Vector
+from mmwave_env.numerics.numbers import Array, Vector
 from mmwave_env.world.episode import Episode
 
 _HUBER = 2.0  # standard deviations
@@ -40,40 +40,51 @@ class Fit(NamedTuple):
     gain: float  # decrease of the sum of rho, but not more than the usual blocks of epochs show
 
 
-def _begun(reading: Reading, usual: Start | None = None) -> Episode:
-    """Return a reading as an episode that begins with its first epoch.
+class FilterRun(NamedTuple):
+    """How to run the filter on readings of a log."""
 
-    A complete link of the base station gives each reading a start of its own. Other starts take
-    long to compute, so ``usual`` is used if there is one.
-    """
-    log = reading.log
-    link = log.measurement[:1, :4]
-    fix = np.isfinite(link).all() and gives_fix(link)[0] and log.visible[0, 0]
-    if usual is None or (fix and not log.layout.clock):
-        usual = start_at(log, 0, reading.scene, reading.radio)
-    if usual is None:
-        raise ValueError("log: found a first epoch that determines no position, expected one")
-    z = log.measurement.copy()
-    wrap_angles(z, log.layout)
-    return episode_from(replace(log, measurement=z), reading.scene, reading.radio, usual)
+    mode: Mode  # without safeguards
+    start: Start | None  # None if every reading begins with a start from its own first link
+
+    @classmethod
+    def of(cls, mode: Mode, first: Reading, start: Start) -> "FilterRun":
+        """Return how to run a mode on readings like the first, which has this start.
+
+        A complete link of the base station gives each reading a start of its own. Other starts take
+        long to compute, and a track forgets them soon.
+        """
+        bare = replace(
+            mode, gate=None, recovery=None, adaptive=False, robust=False, blockage_aware=False
+        )
+        link = first.log.measurement[:1, :4]
+        whole = bool(np.isfinite(link).all()) and bool(gives_fix(link)[0])
+        alone = len(start.spent) == 1 and start.spent[0].sum() == 1 and start.spent[0, 0]
+        return cls(bare, None if whole and alone and not first.log.layout.clock else start)
+
+    def episode(self, reading: Reading) -> Episode:
+        """Return a reading as an episode that begins with its first epoch."""
+        log = reading.log
+        start = self.start or start_at(log, 0, reading.scene, reading.radio)
+        z = log.measurement.copy()
+        wrap_angles(z, log.layout)
+        return episode_from(replace(log, measurement=z), reading.scene, reading.radio, start)
 
 
-def innovations(readings: Sequence[Reading], mode: Mode) -> tuple[Array, Mask]:
-    """Return whitened innovations (n, T, rows) of n readings, and the measured rows (T, rows).
+def innovations(readings: Sequence[Reading], run: FilterRun) -> Array:
+    """Return whitened innovations (n, T, rows) of n readings, 0 where nothing was measured.
 
     The covariance is always that of the first reading, so that innovations can be compared.
     """
-    first = readings[0]
-    start = start_at(first.log, 0, first.scene, first.radio)
-    episodes = [_begun(reading, start) for reading in readings]
-    tracker = tracks_of(Pipeline((mode,), first.log.layout), len(episodes))
+    episodes = [run.episode(reading) for reading in readings]
+    tracker = tracks_of(Pipeline((run.mode,), episodes[0].layout), len(episodes))
     tracker.load(episodes)
     x, P = tracker.run("x_predicted", "P_predicted").values()
-    e = np.stack([_innovation(*pair) for pair in zip(episodes, np.moveaxis(x, 2, 1), strict=True)])
-    measured = episodes[0].used
-    S = _covariance(episodes[0], x[0].T, P[0])
-    white = np.linalg.solve(np.linalg.cholesky(S), np.moveaxis(np.where(measured, e, 0.0), 0, -1))
-    return np.moveaxis(white, -1, 0), measured
+    states = np.moveaxis(x, 2, 1)
+    e = np.stack([_innovation(*pair) for pair in zip(episodes, states, strict=True)])
+    S = _covariance(episodes[0], states[0], P[0])
+    columns = np.moveaxis(np.where(episodes[0].used, e, 0.0), 0, -1)
+    white = np.linalg.solve(np.linalg.cholesky(S), columns)
+    return np.moveaxis(white, -1, 0)
 
 
 def _innovation(episode: Episode, x: Array) -> Array:
@@ -168,17 +179,15 @@ def _growth(scores: Array, inverse: Array, length: int) -> float:
     return factor
 
 
-def scan(
-    reading: Reading, mode: Mode, among: Mapping[str, Suspect]
-) -> tuple[Array, dict[str, Fit]]:
+def scan(reading: Reading, run: FilterRun, among: Collection[Suspect]) -> tuple[Array, list[Fit]]:
     """Return the whitened innovations (T, rows) of a reading, and the fit of every suspect."""
     steps = [
         reading.without(suspect.undo(reading, step))
-        for suspect in among.values()
+        for suspect in among
         for step in _STEP * np.eye(suspect.parameters)
     ]
-    w, _ = innovations([reading, *steps], mode)
+    w = innovations([reading, *steps], run)
     J = np.moveaxis(w[0] - w[1:], 0, -1) / _STEP
-    ends = np.cumsum([suspect.parameters for suspect in among.values()])[:-1]
-    parts = zip(among.items(), np.split(J, ends, axis=-1), strict=True)
-    return w[0], {name: fit(w[0], part, suspect.deviation) for (name, suspect), part in parts}
+    ends = np.cumsum([suspect.parameters for suspect in among])[:-1]
+    parts = zip(among, np.split(J, ends, axis=-1), strict=True)
+    return w[0], [fit(w[0], part, suspect.deviation) for suspect, part in parts]

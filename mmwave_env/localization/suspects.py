@@ -24,8 +24,12 @@ _SURER = 5.0
 _GAIN = 15.0
 _SURE_OF_ANGLES = 8.0
 _GAIN_OF_ANGLES = 10.0
-_JOINT_COST = 10.0  # additional cost of an error of several quantities
+_JOINT_COST = 15.0  # additional cost of an error of several quantities
 _CAUTION = 1.5  # factor for standard deviations of ranges and elevations, which are too small
+_SUBTRACT = "subtract {0:.3g} degrees from"
+_RANGES = "ranges are too long"
+_AZIMUTHS = "azimuths are turned"
+_ELEVATIONS = "elevations are too large"
 _DEGREE = np.pi / 180.0
 
 Undo = Callable[[Reading, Array], Mistake]  # what undoes an error theta (p,) of a reading
@@ -37,7 +41,7 @@ class Suspect(NamedTuple):
     name: str  # a sentence without the size
     undo: Undo
     unit: str  # unit of theta, in words
-    column: str = ""  # column of which the log must be corrected in the unit; "": the scene is
+    cure: str = ""  # what to do besides correcting the scene; {0} is theta's last component
     parameters: int = 1  # number p of parameters
     least: float = 0.2  # smallest length of theta that counts
     sure: float = _SURE  # smallest Wald statistic that counts
@@ -45,15 +49,14 @@ class Suspect(NamedTuple):
     deviation: float = 10.0  # prior standard deviation of each parameter
     caution: float = 1.0  # factor for the standard deviations
     cost: float = 0.0  # additional cost
+    parts: Sequence[str] = ()  # (p,) names of the suspects that this one combines
 
     def words(self, theta: Array, sigma: Array) -> str:
         """Return the sentence with the size of the error and its standard deviations (p,)."""
-        size = " ± ".join(", ".join(f"{number:.2f}" for number in of) for of in (theta, sigma))
-        return f"{self.name} by {size} {self.unit}"
-
-    def cure(self, theta: Array) -> str:
-        """Return how to correct the log; "" if a corrected scene is enough."""
-        return f"subtract {theta[-1]:.2f} degrees from {self.column}" if self.column else ""
+        sizes = [", ".join(f"{number:.2f}" for number in numbers) for numbers in (theta, sigma)]
+        if self.parameters > 1:
+            sizes = [f"({size})" for size in sizes]
+        return f"{self.name} by {' ± '.join(sizes)} {self.unit}"
 
 
 def _subtracted(*rows: slice) -> Undo:
@@ -124,7 +127,7 @@ def suspects(reading: Reading) -> dict[str, Suspect]:
     every = [*_of_angles(rows)]
     if measured[-1]:
         every.append(
-            Suspect("Doppler shifts are too large", _rescaled, "%", least=2.0, deviation=30.0)
+            Suspect("Doppler shifts are too large", _rescaled, "%", "", 1, 2.0, 20.0, 10.0, 30.0)
         )
     if rows.any(axis=1).sum() > 1:
         every += _of_several(rows, reading.log.layout.clock)
@@ -135,13 +138,16 @@ def suspects(reading: Reading) -> dict[str, Suspect]:
 
 
 def _angle(name: str, undo: Undo, column: str = "", caution: float = 1.0) -> Suspect:
+    """Return an error of angles; ``column`` names those that no key of a scene corrects."""
+    cure = f"{_SUBTRACT} {column}" if column else ""
     return Suspect(
-        name, undo, "degrees", column, 1, 0.3, _SURE_OF_ANGLES, _GAIN_OF_ANGLES, caution=caution
+        name, undo, "degrees", cure, 1, 0.3, _SURE_OF_ANGLES, _GAIN_OF_ANGLES, caution=caution
     )
 
 
-def _range(name: str, anchors: Sequence[int]) -> Suspect:
-    return Suspect(f"{name} are too long", _shortened(anchors), "m", caution=_CAUTION)
+def _range(name: str, anchors: Sequence[int], cure: str = "") -> Suspect:
+    undo = _shortened(anchors)
+    return Suspect(f"{name} are too long", undo, "m", cure, deviation=30.0, caution=_CAUTION)
 
 
 def _place(name: str, undo: Undo, parameters: int) -> Suspect:
@@ -159,7 +165,7 @@ def _of_angles(rows: Mask) -> Iterator[Suspect]:
         yield _angle("azimuths of departure are turned", _subtracted(DEPARTURE), "aod_azimuth")
     if elevation:
         undo = _subtracted(ELEVATION)
-        yield _angle("elevations are too large", undo, "aoa_elevation", _CAUTION)
+        yield _angle(_ELEVATIONS, undo, "aoa_elevation", _CAUTION)
 
 
 def _of_several(rows: Mask, clock: bool) -> Iterator[Suspect]:
@@ -167,14 +173,14 @@ def _of_several(rows: Mask, clock: bool) -> Iterator[Suspect]:
     some: Mask = np.any(rows, axis=0)
     distance, arrival, elevation, departure = some
     if arrival or departure:
-        yield _angle("azimuths are turned", _turned)
+        yield _angle(_AZIMUTHS, _turned)
     if distance and not clock:
-        yield _range("ranges", range(len(rows)))
+        cure = "or use --clock offset if the user's clock runs ahead, by {1:.3g} ns"
+        yield _range("ranges", range(len(rows)), cure)
         if arrival and elevation and departure:
             yield Suspect(
-                "ranges, azimuths and elevations are too large", _all_shifted,
-                "m, degrees and degrees", "aoa_elevation", 3, 0.0, _SURE + 2.0 * _SURER,
-                cost=_JOINT_COST,
+                "several errors", _all_shifted, "", parameters=3, least=0.0,
+                sure=_SURE + 2.0 * _SURER, cost=_JOINT_COST, parts=(_RANGES, _AZIMUTHS, _ELEVATIONS),
             )  # fmt: skip
 
 
