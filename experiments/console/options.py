@@ -303,6 +303,9 @@ class LogArgs(IntegrityArgs, JsonArgs):
     (wrong units, signs, frames or order of anchors;
     arrival and departure swapped), and which correction
     helps"""
+    write: Path | None = None
+    """with --diagnose, write the corrected scene to this
+    .json file"""
     policy: str | None = None
     """policy that chooses the modes: corrector (default),
     guided, ppo, a policy file, or module:function"""

@@ -44,6 +44,7 @@ from mmwave_env.localization.localizer import Track, localize
 from mmwave_env.localization.map_files import MAP_FILES, origin_of
 from mmwave_env.localization.radio_choice import nearest_radio
 from mmwave_env.localization.readings import AS_IT_IS, Finding
+from mmwave_env.localization.shared_errors import SharedError, find_shared_errors
 from mmwave_env.localization.track_files import require_own_files, table_beside, write_track
 from mmwave_env.localization.track_scores import (
     group_statistics,
@@ -56,10 +57,12 @@ from mmwave_env.logs.log_tables import LogError
 from mmwave_env.logs.truth import Truth
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import Radio, radio_from
-from mmwave_env.models.scene import Scene
+from mmwave_env.models.scene import Scene, scene_json
 from mmwave_env.world.episode import NEUTRAL_SNR_DB
 from policies.corrector import TWO_WAY, TwoWayCorrector
 
+_UNSEEN = "protection levels do not hold, even where NIS is near 1"
+_NOT_WRITTEN = "Not written: the scene needs no correction.\n"
 _UNEVEN = 0.1  # tolerated difference between a time step and the usual step, as a fraction
 
 
@@ -72,7 +75,9 @@ def diagnosed(args: LogArgs, files: "Inputs", scene: Scene) -> None:
         LogError: the log is damaged.
         ValueError: no epoch determines a position with which a track could begin.
     """
-    read = partial(read_log, files.log, scene, odometry=False, limits=False)
+    read = partial(
+        read_log, files.log, scene, odometry=False, limits=False, clock=args.clock
+    )
     log = None
     with suppress(LogError):  # columns may be missing
         log = read()
@@ -87,14 +92,23 @@ def diagnosed(args: LogArgs, files: "Inputs", scene: Scene) -> None:
             _, doubts = _consistency(work, _track(args, work))
             findings[0] = best._replace(contradictions=doubts)
         facts = log_facts(log, scene)
+    corrected = findings[0].scene
+    if args.write and corrected:
+        write_json(args.write, scene_json(corrected))
     if args.json:
         hypotheses = [
-            {**f._asdict(), "contradictions": [c._asdict() for c in f.contradictions]}
+            {
+                **f._asdict(),
+                "contradictions": [c._asdict() for c in f.contradictions],
+                "scene": f.scene and scene_json(f.scene),
+            }
             for f in findings
         ]
         figures = {"facts": facts, "verdict": _verdict(findings), "hypotheses": hypotheses}
         write_json(args.json, provenance("localize", args) | figures)
     show(f"{facts_markdown(facts)}\n{diagnosis_markdown(findings)}")
+    if args.write:
+        show(f"Written: {args.write} (corrected scene)\n" if corrected else _NOT_WRITTEN)
     if log.damage:
         raise log.damage
 
@@ -159,6 +173,12 @@ def _number(value: float | None) -> str:
 def _verdict(findings: Sequence[Finding]) -> str:
     """Return sentences on what is wrong with the log and how to correct it."""
     best = findings[0]
+    if best.shared:
+        doubts = [f" Even without this: {doubt}." for doubt in best.contradictions]
+        return (
+            f"The log looks as if {best.hypothesis}; {_UNSEEN}.{''.join(doubts)} It was not "
+            f"changed. To correct it, {best.cure} (docs/world-off.md)."
+        )
     if best.contradictions:
         as_it_is = next(f.contradictions for f in findings if f.hypothesis == AS_IT_IS)
         return (
@@ -226,7 +246,9 @@ def inputs(args: LogArgs) -> Inputs:
 
 def _check(args: LogArgs, files: Inputs) -> None:
     """Refuse options that contradict each other, and outputs that would replace other files."""
-    require_alone(args, "diagnose", "out", "plot", "truth", "associate", "clock")
+    require_alone(args, "diagnose", "out", "plot", "truth", "associate")
+    if not args.diagnose:
+        require_default(args, "--diagnose", "write")
     require_alone(args, "associate", "clock")
     require_default(args, "--live", "lag", "format", "accuracy", "confidence")
     require_alone(args, "two_way", "height", "smoothing")
@@ -256,7 +278,7 @@ def _outputs(args: LogArgs) -> list[tuple[str, Path | None]]:
     tracks = [("out", out) for out in args.out]
     tables = map(table_beside, args.out)
     beside = [("the table of --out", table) for table in tables if table not in args.out]
-    return [*tracks, *beside, ("plot", args.plot), ("json", args.json)]
+    return [*tracks, *beside, ("plot", args.plot), ("json", args.json), ("write", args.write)]
 
 
 class Work(NamedTuple):
@@ -327,6 +349,15 @@ def _consistency(work: Work, track: Track) -> tuple[Json, list[Contradiction]]:
     return groups, contradictions(work.log.whole(), work.scene, work.radio, groups)
 
 
+def _shared_errors(args: LogArgs, work: Work) -> list[SharedError]:
+    """Return the most likely error that all links of a log share; [] if there is none."""
+    radio = work.radio.name if args.radio == AUTO else args.radio
+    with suppress(ValueError):  # measurements may be too wrong for a filter without gates
+        mode = modes_from(None, radio)[-1]
+        return find_shared_errors(work.log, work.scene, work.radio, mode, rounds=1)
+    return []
+
+
 def beginning(args: LogArgs, epochs: int) -> tuple[Track, Work]:
     """Filter the first epochs of a log; return their track and the log's :class:`Work`."""
     files = inputs(args)
@@ -354,6 +385,12 @@ def _figures(args: LogArgs, files: Inputs, work: Work, track: Track) -> Json:
     groups, doubts = _consistency(work, track)
     for doubt in doubts:
         warnings.warn(f"{doubt}; --diagnose looks for a likely mistake", stacklevel=2)
+    errors = _shared_errors(args, work)
+    for error in errors:
+        warnings.warn(
+            f"the log looks as if {error}; {_UNSEEN}; --diagnose says how to correct it",
+            stacklevel=2,
+        )
     written = {
         "out": f"{_kind(args)} track",
         "the table of --out": "table of standard deviations and modes",
@@ -371,6 +408,7 @@ def _figures(args: LogArgs, files: Inputs, work: Work, track: Track) -> Json:
         **({"association": work.association} if work.association else {}),
         **scores,
         "contradictions": [d._asdict() for d in doubts],
+        "shared_errors": [str(error) for error in errors],
         "written": {
             str(path): written[of] for of, path in _outputs(args) if path and of in written
         },

@@ -6,9 +6,13 @@ gates computes a track from the first epochs. A hypothesis makes the log consist
 degree of freedom (dof) must be near 1. Consistent hypotheses are ranked by the likelihood of the
 values in the file, not of the converted values, because likelihoods in different units can't be
 compared. If no single mistake explains the log, pairs of mistakes are tried.
+
+NIS does not show small errors that all links share. So a log that is consistent as it is, or that
+no single mistake explains, is searched for them (:mod:`~mmwave_env.localization.shared_errors`).
 """
 
 from collections.abc import Iterator, Sequence, Set
+from contextlib import suppress
 from dataclasses import replace
 from itertools import combinations, permutations
 
@@ -34,6 +38,11 @@ from mmwave_env.localization.readings import (
     Reading,
     scaled,
     values_of,
+)
+from mmwave_env.localization.shared_errors import (
+    SharedError,
+    find_shared_errors,
+    without_errors,
 )
 from mmwave_env.localization.starts import POOL_S, start_at
 from mmwave_env.logs.log import Log
@@ -212,10 +221,11 @@ def diagnose(log: Log, scene: Scene, radio: Radio, mode: Mode) -> list[Finding]:
     :func:`~mmwave_env.logs.log.read_log` with ``limits=False`` and ``odometry=False``.
 
     Returns:
-        A finding for the log as it is and for every hypothesis that changes a number. Hypotheses
-        that make the log consistent come first, in order of likelihood; the others follow, in order
-        of fit. If only pairs of hypotheses make the log consistent, the most likely pair is added
-        at the top. In a partial layout, a pair must include the hypothesis of another radio.
+        A finding for the log as it is and for every hypothesis that changes a number. A finding of
+        shared errors comes first. Then come hypotheses that make the log consistent, in order of
+        likelihood; the others follow, in order of fit. If only pairs of hypotheses make the log
+        consistent, the most likely pair is added at the top. In a partial layout, a pair must
+        include the hypothesis of another radio.
 
     Raises:
         ValueError: there is no link with which a track could begin.
@@ -229,21 +239,41 @@ def diagnose(log: Log, scene: Scene, radio: Radio, mode: Mode) -> list[Finding]:
     single = [as_it_is.without(mistake) for mistake in mistakes(scene, radio, log.columns)]
     single = [reading for reading in single if _has_effect(reading, as_it_is)]
     findings = _findings([as_it_is, *single], mode, first)
-    if findings[0].contradictions:
+    radios = {r.undone[0].words: r for r in single if r.undone[0].radio}
+    best = findings[0]
+    if best.contradictions or best.hypothesis in {AS_IT_IS, *radios}:
+        likely = [as_it_is, *filter(None, [radios.get(best.hypothesis)])]
+        shared = [r for reading in likely for r in _without_shared_errors(log, reading, mode)]
+        findings = [f._replace(shared=True) for f in _findings(shared, mode, first)] + findings
+    if findings[0].contradictions and not findings[0].shared:
         double = [
-            first.without(*second.undone)
-            for first, second in permutations(single, 2)
+            one.without(*other.undone)
+            for one, other in permutations(single, 2)
             # computing a first position from incomplete links takes too long for all pairs
-            if not log.layout.partial or first.radio is not radio
+            if not (log.layout.partial or log.layout.clock) or one.radio is not radio
         ]
-        best = [f for f in _findings(double, mode, first) if not f.contradictions]
-        findings = best[:1] + findings
+        consistent = [f for f in _findings(double, mode, first) if not f.contradictions]
+        findings = consistent[:1] + findings
     return findings
+
+
+def _without_shared_errors(log: Log, reading: Reading, mode: Mode) -> list[Reading]:
+    """Return the reading of a log's beginning without the errors that the log shows; [] if none.
+
+    Values that are impossible, or too wrong for a filter, show no such errors.
+    """
+    errors: list[SharedError] = []
+    if not impossible(log):
+        with suppress(ValueError):
+            errors = find_shared_errors(log, reading.scene, reading.radio, mode)
+    return [without_errors(reading, errors)] if errors else []
 
 
 def _findings(readings: Sequence[Reading], mode: Mode, first: int) -> list[Finding]:
     """Return a finding on each reading, the best first; tracks begin with the epoch ``first``."""
-    findings = []
+    findings: list[Finding] = []
+    if not readings:
+        return findings
     tracked = []
     episodes = []
     for reading in readings:

@@ -80,7 +80,8 @@ class Reading(NamedTuple):
         """Return the finding on this reading."""
         words = "; ".join(mistake.words for mistake in self.undone)
         cure = "; then ".join(mistake.cure for mistake in self.undone)
-        return Finding(words or AS_IT_IS, fits or {}, likelihood, why, cure)
+        scene = self.scene if any(mistake.scene for mistake in self.undone) else None
+        return Finding(words or AS_IT_IS, fits or {}, likelihood, why, cure, scene)
 
 
 class Finding(NamedTuple):
@@ -94,6 +95,8 @@ class Finding(NamedTuple):
     log_likelihood: float | None
     contradictions: list[Contradiction]  # empty if the hypothesis makes the log consistent
     cure: str  # how to correct the log if the hypothesis is right; empty for the log as it is
+    scene: Scene | None = None  # the corrected scene, if the cure corrects it
+    shared: bool = False  # whether links share the error, so that NIS and levels do not show it
 
     @property
     def worst_anchor(self) -> float | None:

@@ -74,11 +74,16 @@ def innovations(readings: Sequence[Reading], run: FilterRun) -> Array:
     """Return whitened innovations (n, T, rows) of n readings, 0 where nothing was measured.
 
     The covariance is always that of the first reading, so that innovations can be compared.
+
+    Raises:
+        ValueError: measurements are so wrong that a state becomes NaN or infinite.
     """
     episodes = [run.episode(reading) for reading in readings]
     tracker = tracks_of(Pipeline((run.mode,), episodes[0].layout), len(episodes))
     tracker.load(episodes)
     x, P = tracker.run("x_predicted", "P_predicted").values()
+    if not (np.isfinite(x).all() and np.isfinite(P[0]).all()):
+        raise ValueError("log: found a track with NaN or infinity, expected plausible values")
     states = np.moveaxis(x, 2, 1)
     e = np.stack([_innovation(*pair) for pair in zip(episodes, states, strict=True)])
     S = _covariance(episodes[0], states[0], P[0])

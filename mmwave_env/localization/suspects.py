@@ -180,7 +180,8 @@ def _of_several(rows: Mask, clock: bool) -> Iterator[Suspect]:
         if arrival and elevation and departure:
             yield Suspect(
                 "several errors", _all_shifted, "", parameters=3, least=0.0,
-                sure=_SURE + 2.0 * _SURER, cost=_JOINT_COST, parts=(_RANGES, _AZIMUTHS, _ELEVATIONS),
+                sure=_SURE + 2.0 * _SURER, cost=_JOINT_COST,
+                parts=(_RANGES, _AZIMUTHS, _ELEVATIONS),
             )  # fmt: skip
 
 
