@@ -346,6 +346,10 @@ class LogArgs(IntegrityArgs, JsonArgs):
     correlation: float = 0.0
     """time for which errors of measurements last, s: at
     shorter steps, measurements get so much more noise"""
+    prior_speed: float | None = None
+    """standard deviation of the user's velocity at first, per
+    axis, m/s, such as 1 for people who stand or stroll; it
+    replaces start_velocity_mps of the radio (10)"""
     # If an option of Algorithm 1 is set (speed to robust), the algorithm replaces the policy.
     speed: str | None = None
     """Algorithm 1: the user's speed, m/s, which selects the

@@ -141,7 +141,7 @@ def _angle(name: str, undo: Undo, column: str = "", caution: float = 1.0) -> Sus
     """Return an error of angles; ``column`` names those that no key of a scene corrects."""
     cure = f"{_SUBTRACT} {column}" if column else ""
     return Suspect(
-        name, undo, "degrees", cure, 1, 0.3, _SURE_OF_ANGLES, _GAIN_OF_ANGLES, caution=caution
+        name, undo, "degrees", cure, 1, 0.3, _SURE_OF_ANGLES, _GAIN_OF_ANGLES, 30.0, caution
     )
 
 

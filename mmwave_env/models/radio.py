@@ -36,6 +36,8 @@ from mmwave_env.numerics.numbers import Array, Numbers, Vector, clip, exp, sqrt
 
 SHIPPED = ("handset", "standard", "high")
 DEGREE = math.pi / 180.0
+# Standard deviation per axis of an unknown horizontal velocity: half of the paper's 20 m/s limit.
+UNKNOWN_VELOCITY_MPS = 10.0
 # prior standard deviation of the range bias, by the state of the user's clock; 100 ns and 3.3 us
 BIAS_SIGMA_M = {"offset": SPEED_OF_LIGHT * 1e-7, "free": FREE_BIAS_M}
 DECIBEL = math.log(10.0) / 10.0  # natural logarithm of a power ratio of 1 dB
@@ -81,6 +83,8 @@ class Radio:
         prior_velocity_mps: standard deviation of the prior's horizontal velocity, per axis.
         prior_vertical_mps: standard deviation of the prior's vertical velocity.
         prior_bias_mps: standard deviation of the prior's oscillator bias.
+        start_velocity_mps: standard deviation of the horizontal velocity, per axis, with which the
+            track of a log begins.
         transmit_dbm, gnb_gain_db, ue_gain_db, implementation_loss_db: parts of the link budget.
         noise_figure_db: noise figure of the receiver.
         reflection_loss_db: loss on a virtual anchor's path.
@@ -123,6 +127,7 @@ class Radio:
     prior_velocity_mps: PriorVelocity = 2.0
     prior_vertical_mps: PriorVelocity = 0.1
     prior_bias_mps: Annotated[float, between(1e-9, 100.0, "m/s")] = 0.5
+    start_velocity_mps: PriorVelocity = UNKNOWN_VELOCITY_MPS
     transmit_dbm: Decibel = 27.0
     gnb_gain_db: Decibel = 21.0
     ue_gain_db: Decibel = 12.0
