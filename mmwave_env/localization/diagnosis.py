@@ -247,10 +247,10 @@ def diagnose(log: Log, scene: Scene, radio: Radio, mode: Mode) -> list[Finding]:
         findings = [f._replace(shared=True) for f in _findings(shared, mode, first)] + findings
     if findings[0].contradictions and not findings[0].shared:
         double = [
-            one.without(*other.undone)
-            for one, other in permutations(single, 2)
+            reading.without(*other.undone)
+            for reading, other in permutations(single, 2)
             # computing a first position from incomplete links takes too long for all pairs
-            if not (log.layout.partial or log.layout.clock) or one.radio is not radio
+            if not (log.layout.partial or log.layout.clock) or reading.radio is not radio
         ]
         consistent = [f for f in _findings(double, mode, first) if not f.contradictions]
         findings = consistent[:1] + findings

@@ -9,7 +9,14 @@ import numpy as np
 from mmwave_env.filters.modes import Mode
 from mmwave_env.localization.readings import ELEVATION, Reading, values_of
 from mmwave_env.localization.sensitivities import FilterRun, innovations
-from mmwave_env.localization.shared_errors import scanned, shared_errors, without_errors
+from mmwave_env.localization.shared_errors import (
+    LEAST_EPOCHS,
+    LEAST_S,
+    LONGEST_STEP_S,
+    scanned,
+    shared_errors,
+    without_errors,
+)
 from mmwave_env.localization.starts import deviations_of
 from mmwave_env.logs.log import Log
 from mmwave_env.models.layout import wrapped
@@ -33,6 +40,10 @@ _CORRELATED = 0.35
 _MEDIAN = 0.6745  # median of the absolute value of a standard normal number
 _CLIPPED = 2.0  # largest noise that counts: blockages correlate what is larger
 _LAGS = 8
+_TOO_SHORT = (
+    f"the log is too short to show errors that all links share: this needs {LEAST_EPOCHS} epochs, "
+    f"{LEAST_S:g} s, and steps of up to {LONGEST_STEP_S:g} s"
+)
 _ENOUGH = 100  # minimum number of values for a conclusion
 
 
@@ -116,7 +127,9 @@ def noise_notes(log: Log, scene: Scene, radio: Radio, mode: Mode) -> list[str]:
         notes.append(f"ranges come in steps of {step:.3g} m: localize adds the noise of rounding")
     with suppress(ValueError):  # no epoch determines a position, or the track is lost
         part = scanned(log, scene, radio)
-        if part:
+        if part is None:
+            notes.append(_TOO_SHORT)
+        else:
             reading = Reading(part[0], scene, radio)
             run = FilterRun.of(mode, reading, part[1])
             corrected = without_errors(reading, shared_errors(reading, run))

@@ -1,4 +1,4 @@
-"""How errors of a log change the whitened innovations of its track, and the errors that fit them.
+"""Sensitivities of whitened innovations to errors of a log, and the errors that fit them.
 
 The filter, without its safeguards, runs once for each parameter of an error with a small step of
 it. The differences of the whitened innovations w are the sensitivities J; they include how the
@@ -41,7 +41,7 @@ class Fit(NamedTuple):
 
 
 class FilterRun(NamedTuple):
-    """How to run the filter on readings of a log."""
+    """A mode and a start with which to run the filter on readings of a log."""
 
     mode: Mode  # without safeguards
     start: Start | None  # None if every reading begins with a start from its own first link

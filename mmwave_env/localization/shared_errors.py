@@ -183,7 +183,8 @@ def _likeliest(
             continue
         error = _refined(reading, run, SharedError(suspect, rough.theta, rough.sigma))
         (new,) = innovations([without_errors(reading, [error])], run)
-        if not _is_lost(new, measured):
+        limit = _MOST_DEVIATIONS * suspect.deviation
+        if not _is_lost(new, measured) and abs(error.theta).max() < limit:
             cost = suspect.cost + _COST * suspect.parameters
             gains[name] = float((rho(w) - rho(new)).sum()) - cost
             errors[name] = error

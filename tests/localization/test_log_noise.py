@@ -1,0 +1,104 @@
+"""Tests of statements on the noise of a log: steps, jumps of the clock, factors, correlation."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mmwave_env.localization.log_noise import (
+    clock_jumps,
+    noise_notes,
+    range_step,
+    with_range_steps,
+)
+from mmwave_env.localization.starts import deviations_of
+from tests.localization.errors import STREET, mode_of, readings
+
+READING = readings(1)[0]
+LOG = READING.log
+RADIO = READING.radio
+SIGMA = deviations_of(LOG, STREET, RADIO)
+
+
+def with_ranges(ranges):
+    z = LOG.measurement.copy()
+    z[:, :-1:4] = ranges
+    return replace(LOG, measurement=z)
+
+
+def rounded(step):
+    return with_ranges(step * np.round(LOG.measurement[:, :-1:4] / step))
+
+
+@pytest.mark.parametrize("step", [0.3, 0.7, 2.44])
+def test_the_step_of_ranges_is_found_and_its_noise_added(step):
+    log, scene, found = with_range_steps(rounded(step), STREET, RADIO)
+    assert found == pytest.approx(step, rel=1e-3)
+    assert scene.range_offset_sigma_m == pytest.approx([step / np.sqrt(12.0)] * 3, rel=1e-3)
+    variance = deviations_of(log, scene, RADIO)[:, :-1:4] ** 2
+    np.testing.assert_allclose(variance - SIGMA[:, :-1:4] ** 2, step**2 / 12.0, rtol=2e-3)
+
+
+def test_standard_deviations_of_the_receiver_get_the_noise_of_rounding_too():
+    own = replace(rounded(0.7), sigma=np.where(np.arange(13) % 4 == 0, 0.4, np.nan) + 0 * SIGMA)
+    log, _, _ = with_range_steps(own, STREET, RADIO)
+    np.testing.assert_allclose(log.sigma[:, :-1:4], np.sqrt(0.16 + 0.49 / 12.0), rtol=1e-3)
+
+
+@pytest.mark.parametrize("log", [LOG, rounded(0.01)], ids=["unrounded", "too short to matter"])
+def test_other_ranges_keep_their_noise(log):
+    assert with_range_steps(log, STREET, RADIO) == (log, STREET, None)
+
+
+def test_a_log_without_ranges_has_no_step():
+    assert range_step(with_ranges(np.nan), SIGMA) is None
+
+
+def test_jumps_that_all_ranges_share_are_those_of_a_clock():
+    rng = np.random.default_rng(8)
+    clock = np.where(rng.random(len(LOG)) < 0.3, rng.uniform(500.0, 5000.0, len(LOG)), 0.0)
+    share, jump_m = clock_jumps(with_ranges(LOG.measurement[:, :-1:4] + clock[:, None]), SIGMA)
+    assert 0.3 < share < 0.6 and 1000.0 < jump_m < 4000.0
+    assert clock_jumps(LOG, SIGMA) is None
+    one = LOG.measurement[:, :-1:4] + np.array([1.0, 0.0, 0.0]) * clock[:, None]
+    assert clock_jumps(with_ranges(one), SIGMA) is None
+
+
+def notes(log):
+    return noise_notes(log, STREET, RADIO, mode_of("standard"))
+
+
+def test_a_correct_log_needs_no_note():
+    assert notes(LOG) == []
+
+
+def test_noise_that_is_not_as_stated_is_noted():
+    sigma = SIGMA.copy()
+    sigma[:, 1:-1:4] /= 3.0
+    sigma[:, 3:-1:4] /= 3.0
+    (note,) = notes(replace(LOG, sigma=sigma))
+    assert note.startswith("the noise of azimuths is ") and "times as large as stated" in note
+    assert 2.4 < float(note.split()[5]) < 3.8
+
+
+def test_correlated_errors_of_angles_are_noted():
+    rng = np.random.default_rng(9)
+    slow = np.repeat(rng.standard_normal((len(LOG) // 10 + 1, 13)), 10, axis=0)[: len(LOG)]
+    slow[:, [0, 4, 8, 12]] = 0.0
+    log = replace(LOG, measurement=LOG.measurement + 1.5 * SIGMA * slow)
+    assert any(note.startswith("errors of angles are correlated over about") for note in notes(log))
+
+
+def test_a_log_too_short_for_shared_errors_is_noted():
+    (note,) = notes(LOG.part(slice(50)))
+    assert note.startswith("the log is too short to show errors that all links share")
+
+
+def test_steps_and_jumps_are_noted_even_if_no_track_can_begin():
+    clock = 3000.0 * (np.arange(len(LOG)) % 3 == 0)
+    log = with_ranges(2.5 * np.round((LOG.measurement[:, :-1:4] + clock[:, None]) / 2.5))
+    hidden = replace(log, measurement=np.where(np.arange(13) % 4 == 0, log.measurement, np.nan))
+    partial = replace(hidden, layout=replace(LOG.layout, partial=True))
+    jumps, steps, *_ = notes(partial)
+    assert "clock jumps in 66% of the epochs" in jumps or "clock jumps in 67%" in jumps
+    assert steps.startswith("ranges come in steps of 2.5 m")
