@@ -91,6 +91,7 @@ def diagnosed(args: LogArgs, files: "Inputs", scene: Scene) -> None:
         log = read(partial=True, snr_db=args.snr)
     radio = nearest_radio(log, scene) if args.radio == AUTO else args.radio
     with progress("looking for likely mistakes"):
+        log, step_m = with_range_steps(log, scene, radio_of(args, radio))
         findings = diagnose(log, scene, radio_of(args, radio), modes_of(args, radio)[-1])
         best = findings[0]
         if best.hypothesis == AS_IT_IS and not best.contradictions:
@@ -98,7 +99,8 @@ def diagnosed(args: LogArgs, files: "Inputs", scene: Scene) -> None:
             _, doubts = _consistency(work, _track(args, work))
             findings[0] = best._replace(contradictions=doubts)
         facts = log_facts(log, scene)
-        notes = noise_notes(log, scene, radio_of(args, radio), modes_of(args, radio)[-1])
+        mode = modes_of(args, radio)[-1]
+        notes = noise_notes(log, scene, radio_of(args, radio), mode, step_m)
     corrected = findings[0].scene
     if args.write and corrected:
         write_json(args.write, scene_json(corrected))
@@ -229,7 +231,7 @@ def _work(args: LogArgs, files: Inputs, scene: Scene) -> Work:
         )
     truth = Truth(files.truth) if files.truth else None
     radio = radio_of(args, name)
-    log, scene, step_m = with_range_steps(log, scene, radio)
+    log, step_m = with_range_steps(log, scene, radio)
     return Work(scene, radio, choice, log, truth, association, step_m)
 
 

@@ -250,7 +250,7 @@ def diagnose(log: Log, scene: Scene, radio: Radio, mode: Mode) -> list[Finding]:
             reading.without(*other.undone)
             for reading, other in permutations(single, 2)
             # computing a first position from incomplete links takes too long for all pairs
-            if not (log.layout.partial or log.layout.clock) or reading.radio is not radio
+            if not (log.layout.partial or log.layout.has_bias) or reading.radio is not radio
         ]
         consistent = [f for f in _findings(double, mode, first) if not f.contradictions]
         findings = consistent[:1] + findings

@@ -71,20 +71,19 @@ def range_step(log: Log, sigma: Array) -> float | None:
     return step if len(gaps) >= _FEWEST and regular and noticed else None
 
 
-def with_range_steps(log: Log, scene: Scene, radio: Radio) -> tuple[Log, Scene, float | None]:
-    """Return a log and its scene with the noise of rounding added to the ranges, and the step.
+def with_range_steps(log: Log, scene: Scene, radio: Radio) -> tuple[Log, float | None]:
+    """Return a log with the noise of rounding added to its ranges, and the step of the ranges.
 
     The error of rounding to steps of length q has the variance q^2 / 12.
     """
-    step = range_step(log, deviations_of(log, scene, radio))
+    deviations = deviations_of(log, scene, radio)
+    step = range_step(log, deviations)
     if step is None:
-        return log, scene, None
-    rounding = step / np.sqrt(12.0)
+        return log, None
     sigma = log.sigma.copy()
     links = slice(0, log.layout.doppler, 4)
-    sigma[:, links] = np.hypot(sigma[:, links], rounding)
-    sigmas = np.hypot(scene.offset_sigmas_m, rounding).tolist()
-    return replace(log, sigma=sigma), replace(scene, range_offset_sigma_m=tuple(sigmas)), step
+    sigma[:, links] = np.hypot(deviations[:, links], step / np.sqrt(12.0))
+    return replace(log, sigma=sigma), step
 
 
 def clock_jumps(log: Log, sigma: Array) -> tuple[float, float] | None:
@@ -108,23 +107,24 @@ def clock_jumps(log: Log, sigma: Array) -> tuple[float, float] | None:
     return (share, float(np.median(abs(usual[jumps])))) if share >= _JUMPS else None
 
 
-def noise_notes(log: Log, scene: Scene, radio: Radio, mode: Mode) -> list[str]:
-    """Return sentences on the noise of a log and on what to do about it.
+def noise_notes(
+    log: Log, scene: Scene, radio: Radio, mode: Mode, step_m: float | None = None
+) -> list[str]:
+    """Return sentences on the noise of a log, whose ranges come in steps, and on what to do.
 
     The noise of angles is that of the first epochs after errors that all links share are undone.
     """
     notes = []
     sigma = deviations_of(log, scene, radio)
     jumps = clock_jumps(log, sigma)
-    if jumps:
+    if jumps and log.layout.clock != "free":
         share, jump_m = jumps
         notes.append(
             f"the user's clock jumps in {share:.0%} of the epochs, by {jump_m:.3g} m in the "
             "median: use --clock free"
         )
-    step = range_step(log, sigma)
-    if step:
-        notes.append(f"ranges come in steps of {step:.3g} m: localize adds the noise of rounding")
+    if step_m:
+        notes.append(f"ranges come in steps of {step_m:.3g} m: localize adds the noise of rounding")
     with suppress(ValueError):  # no epoch determines a position, or the track is lost
         part = scanned(log, scene, radio)
         if part is None:

@@ -59,7 +59,7 @@ class FilterRun(NamedTuple):
         link = first.log.measurement[:1, :4]
         whole = bool(np.isfinite(link).all()) and bool(gives_fix(link)[0])
         alone = len(start.spent) == 1 and start.spent[0].sum() == 1 and start.spent[0, 0]
-        return cls(bare, None if whole and alone and not first.log.layout.clock else start)
+        return cls(bare, None if whole and alone and not first.log.layout.has_bias else start)
 
     def episode(self, reading: Reading) -> Episode:
         """Return a reading as an episode that begins with its first epoch."""

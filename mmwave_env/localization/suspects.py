@@ -130,7 +130,7 @@ def suspects(reading: Reading) -> dict[str, Suspect]:
             Suspect("Doppler shifts are too large", _rescaled, "%", "", 1, 2.0, 20.0, 10.0, 30.0)
         )
     if rows.any(axis=1).sum() > 1:
-        every += _of_several(rows, reading.log.layout.clock)
+        every += _of_several(rows, reading.log.layout.has_bias)
         every += _of_anchors(rows)
         if reading.scene.walls:
             every.append(_place("the base station with its images", _moved_with_images, 2))

@@ -1,5 +1,6 @@
 """Tests of statements on the noise of a log: steps, jumps of the clock, factors, correlation."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -31,23 +32,23 @@ def rounded(step):
 
 
 @pytest.mark.parametrize("step", [0.3, 0.7, 2.44])
-def test_the_step_of_ranges_is_found_and_its_noise_added(step):
-    log, scene, found = with_range_steps(rounded(step), STREET, RADIO)
-    assert found == pytest.approx(step, rel=1e-3)
-    assert scene.range_offset_sigma_m == pytest.approx([step / np.sqrt(12.0)] * 3, rel=1e-3)
-    variance = deviations_of(log, scene, RADIO)[:, :-1:4] ** 2
+def test_the_step_of_ranges_is_known_and_its_noise_added(step):
+    log, known = with_range_steps(rounded(step), STREET, RADIO)
+    assert known == pytest.approx(step, rel=1e-3)
+    variance = deviations_of(log, STREET, RADIO)[:, :-1:4] ** 2
     np.testing.assert_allclose(variance - SIGMA[:, :-1:4] ** 2, step**2 / 12.0, rtol=2e-3)
 
 
 def test_standard_deviations_of_the_receiver_get_the_noise_of_rounding_too():
-    own = replace(rounded(0.7), sigma=np.where(np.arange(13) % 4 == 0, 0.4, np.nan) + 0 * SIGMA)
-    log, _, _ = with_range_steps(own, STREET, RADIO)
+    own = np.full(SIGMA.shape, 0.4)
+    log, _ = with_range_steps(replace(rounded(0.7), sigma=own), STREET, RADIO)
     np.testing.assert_allclose(log.sigma[:, :-1:4], np.sqrt(0.16 + 0.49 / 12.0), rtol=1e-3)
+    np.testing.assert_array_equal(log.sigma[:, 1:-1:4], 0.4)
 
 
 @pytest.mark.parametrize("log", [LOG, rounded(0.01)], ids=["unrounded", "too short to matter"])
 def test_other_ranges_keep_their_noise(log):
-    assert with_range_steps(log, STREET, RADIO) == (log, STREET, None)
+    assert with_range_steps(log, STREET, RADIO) == (log, None)
 
 
 def test_a_log_without_ranges_has_no_step():
@@ -64,8 +65,8 @@ def test_jumps_that_all_ranges_share_are_those_of_a_clock():
     assert clock_jumps(with_ranges(one), SIGMA) is None
 
 
-def notes(log):
-    return noise_notes(log, STREET, RADIO, mode_of("standard"))
+def notes(log, step_m=None):
+    return noise_notes(log, STREET, RADIO, mode_of("standard"), step_m)
 
 
 def test_a_correct_log_needs_no_note():
@@ -96,9 +97,11 @@ def test_a_log_too_short_for_shared_errors_is_noted():
 
 def test_steps_and_jumps_are_noted_even_if_no_track_can_begin():
     clock = 3000.0 * (np.arange(len(LOG)) % 3 == 0)
-    log = with_ranges(2.5 * np.round((LOG.measurement[:, :-1:4] + clock[:, None]) / 2.5))
-    hidden = replace(log, measurement=np.where(np.arange(13) % 4 == 0, log.measurement, np.nan))
-    partial = replace(hidden, layout=replace(LOG.layout, partial=True))
-    jumps, steps, *_ = notes(partial)
-    assert "clock jumps in 66% of the epochs" in jumps or "clock jumps in 67%" in jumps
+    log = with_ranges(LOG.measurement[:, :-1:4] + clock[:, None])
+    ranges = np.where(np.isin(np.arange(13), [0, 4, 8]), log.measurement, np.nan)
+    partial = replace(log, measurement=ranges, layout=replace(LOG.layout, partial=True))
+    jumps, steps, *_ = notes(partial, step_m=2.5)
+    assert re.match("the user's clock jumps in 6[67]% of the epochs, by 3e[+]03 m", jumps)
     assert steps.startswith("ranges come in steps of 2.5 m")
+    free = replace(partial, layout=replace(partial.layout, clock="free"))
+    assert not any("jumps" in note for note in notes(free))

@@ -19,9 +19,9 @@ def test_least_squares_finds_an_error_despite_outliers():
     J = rng.standard_normal((200, 5, 2))
     w = J @ [2.0, -1.0] + rng.standard_normal((200, 5))
     w[::9] += 30.0
-    found = fit(w, J, 100.0)
-    assert abs(found.theta - [2.0, -1.0]).max() < 4.0 * found.sigma.max() < 0.4
-    assert found.wald > 100.0 and found.gain > 50.0
+    fitted = fit(w, J, 100.0)
+    assert abs(fitted.theta - [2.0, -1.0]).max() < 4.0 * fitted.sigma.max() < 0.4
+    assert fitted.wald > 100.0 and fitted.gain > 50.0
 
 
 def test_correlated_innovations_make_an_error_less_certain():
@@ -33,8 +33,8 @@ def test_correlated_innovations_make_an_error_less_certain():
 
 
 def test_a_prior_keeps_an_unobservable_error_small():
-    found = fit(np.ones((100, 3)), np.zeros((100, 3, 1)), 10.0)
-    assert found.theta == 0.0 and found.wald == 0.0 and found.gain == 0.0
+    fitted = fit(np.ones((100, 3)), np.zeros((100, 3, 1)), 10.0)
+    assert fitted.theta == 0.0 and fitted.wald == 0.0 and fitted.gain == 0.0
 
 
 def test_the_gain_of_few_blocks_does_not_count():
@@ -66,8 +66,8 @@ def test_a_small_error_is_fitted_with_its_size(name, error):
     (reading,) = readings(1)
     wrong = error(0.8)(reading)
     suspect = suspects(reading)[name]
-    _, (found,) = scan(wrong, run_of(wrong), [suspect])
-    assert abs(found.theta[0] - 0.8) < 4.0 * found.sigma[0] < 0.8
+    _, (fitted,) = scan(wrong, run_of(wrong), [suspect])
+    assert abs(fitted.theta[0] - 0.8) < 4.0 * fitted.sigma[0] < 0.8
 
 
 def test_a_start_from_several_links_serves_all_readings():

@@ -68,10 +68,10 @@ def test_an_error_of_a_shipped_log_is_named_sized_and_undone(folder, name):
     error, size = ERRORS[name]
     right = sample(folder)
     wrong = error(right)
-    (found,) = errors_of(wrong)
-    assert found.suspect.name == name and not found.rivals
-    np.testing.assert_array_less(abs(found.theta - size), 4.0 * found.sigma + 0.05)
-    corrected = without_errors(wrong, [found])
+    (noticed,) = errors_of(wrong)
+    assert noticed.suspect.name == name and not noticed.rivals
+    np.testing.assert_array_less(abs(noticed.theta - size), 4.0 * noticed.sigma + 0.05)
+    corrected = without_errors(wrong, [noticed])
     largest = [0.06, *[np.radians(0.25)] * 3] * 3  # the sizes of the errors that remain
     apart = abs(corrected.log.measurement - right.log.measurement)[:, :-1]
     assert (np.nanmax(apart, axis=0) <= largest).all()

@@ -70,7 +70,7 @@ def test_what_no_log_can_show_is_not_looked_for():
         "elevations are too large",
         "Doppler shifts are too large",
     }
-    clock = replace(log, layout=replace(log.layout, clock=True))
+    clock = replace(log, layout=replace(log.layout, clock="offset"))
     assert named(log) - named(clock) == {"ranges are too long", "several errors"}
     z = np.where(np.isin(np.arange(13), [0, 4, 8]), log.measurement, np.nan)
     ranges = named(replace(log, measurement=z))
