@@ -34,7 +34,9 @@ _RUNS = 3  # maximum number of runs of the filter that refine an error
 _SETTLED = 0.1  # an error is refined if its last change was less, in standard deviations
 _MOST_DEVIATIONS = 3.0  # largest size of an error, in standard deviations of its prior
 _COST = 3.0  # gain that each parameter must bring
+_TRIED = 6  # suspects, those with the largest gains, that are refined if one of all is certain
 _ALIKE = 6.0  # errors whose gains differ by less can't be told apart
+_MOST_RIVALS = 3  # that are named
 # A corrected track with more than this share of epochs with so large a NIS / dof is lost.
 _LOST_NIS = 50.0
 _LOST_SHARE = 0.1
@@ -174,29 +176,34 @@ def _likeliest(
     lost = _is_lost(w, measured)  # then the derivatives say little
     time_s = reading.log.time_s
     strict = max(1.0, ENOUGH_S / (time_s[-1] - time_s[0] + time_s[1] - time_s[0]))
+    ranked = sorted(zip(among.values(), fits, strict=True), key=lambda pair: -pair[1].gain)
+    certain = [
+        rough.gain >= strict * suspect.gain
+        and (lost or rough.wald >= strict * suspect.sure)
+        and np.linalg.norm(rough.theta) >= suspect.least
+        for suspect, rough in ranked
+    ]
+    if not any(certain):
+        return None
     gains = {}
     errors = {}
-    for (name, suspect), rough in zip(among.items(), fits, strict=True):
-        sure = lost or rough.wald >= strict * suspect.sure
-        size = np.linalg.norm(rough.theta)
-        if not sure or rough.gain < strict * suspect.gain or size < suspect.least:
-            continue
+    for suspect, rough in ranked if lost else ranked[:_TRIED]:
         error = _refined(reading, run, SharedError(suspect, rough.theta, rough.sigma))
         (new,) = innovations([without_errors(reading, [error])], run)
         limit = _MOST_DEVIATIONS * suspect.deviation
         if not _is_lost(new, measured) and abs(error.theta).max() < limit:
             cost = suspect.cost + _COST * suspect.parameters
-            gains[name] = float((rho(w) - rho(new)).sum()) - cost
-            errors[name] = error
+            gains[suspect.name] = float((rho(w) - rho(new)).sum()) - cost
+            errors[suspect.name] = error
     best = max(gains, key=lambda name: gains[name], default="")
     if not best or gains[best] < 0.5 * strict * among[best].gain:
         return None
     rivals = [
         name
-        for name, gain in gains.items()
-        if name != best and not among[name].cost and gain > gains[best] - _ALIKE
+        for name in sorted(gains, key=lambda name: -gains[name])
+        if name != best and not among[name].parts and gains[name] > gains[best] - _ALIKE
     ]
-    return errors[best]._replace(rivals=rivals)
+    return errors[best]._replace(rivals=rivals[:_MOST_RIVALS])
 
 
 def _parts(error: SharedError, among: Mapping[str, Suspect]) -> list[SharedError]:

@@ -24,7 +24,8 @@ _SURER = 5.0
 _GAIN = 15.0
 _SURE_OF_ANGLES = 8.0
 _GAIN_OF_ANGLES = 10.0
-_JOINT_COST = 15.0  # additional cost of an error of several quantities
+_JOINT_COST = 15.0  # additional cost of an error of several quantities, and of one anchor
+_ANCHOR_COST = 3.0
 _CAUTION = 1.5  # factor for standard deviations of ranges and elevations, which are too small
 _SUBTRACT = "subtract {0:.3g} degrees from"
 _RANGES = "ranges are too long"
@@ -83,12 +84,12 @@ def _shortened(anchors: Sequence[int]) -> Undo:
     return undo
 
 
-def _moved(anchor: int) -> Undo:
-    """Return the function that moves an anchor, from 0, by theta (3,)."""
+def _moved(anchor: int, *axes: int) -> Undo:
+    """Return the function that moves an anchor, from 0, along axes by theta (p,)."""
 
     def undo(reading: Reading, theta: Array) -> Mistake:
         anchors = reading.scene.anchors_m
-        anchors[anchor] += theta
+        anchors[anchor, list(axes)] += theta
         return Mistake("", "", scene=reading.scene.with_anchors(anchors))
 
     return undo
@@ -133,7 +134,7 @@ def suspects(reading: Reading) -> dict[str, Suspect]:
         every += _of_several(rows, reading.log.layout.has_bias)
         every += _of_anchors(rows)
         if reading.scene.walls:
-            every.append(_place("the base station with its images", _moved_with_images, 2))
+            every.append(_place("the base station with its images", _moved_with_images))
     return {suspect.name: suspect for suspect in every}
 
 
@@ -150,10 +151,10 @@ def _range(name: str, anchors: Sequence[int], cure: str = "") -> Suspect:
     return Suspect(f"{name} are too long", undo, "m", cure, deviation=30.0, caution=_CAUTION)
 
 
-def _place(name: str, undo: Undo, parameters: int) -> Suspect:
-    sure = _SURE + _SURER * (parameters - 1)
-    name = f"{name} is away from its place in the scene"
-    return Suspect(name, undo, "m", parameters=parameters, sure=sure, deviation=5.0)
+def _place(name: str, undo: Undo) -> Suspect:
+    """Return an error of a horizontal position."""
+    name = f"{name} is away from its place"
+    return Suspect(name, undo, "m", "", 2, sure=_SURE + _SURER, deviation=5.0, cost=_ANCHOR_COST)
 
 
 def _of_angles(rows: Mask) -> Iterator[Suspect]:
@@ -190,5 +191,9 @@ def _of_anchors(rows: Mask) -> Iterator[Suspect]:
     for anchor in np.flatnonzero(rows.any(axis=1)).tolist():
         name = f"anchor {anchor + 1}"
         if rows[anchor, 0]:
-            yield _range(f"ranges of {name}", [anchor])
-        yield _place(name, _moved(anchor), 3)
+            yield _range(f"ranges of {name}", [anchor])._replace(cost=_ANCHOR_COST)
+        yield _place(name, _moved(anchor, 0, 1))
+        if rows[anchor, [0, 2]].any():
+            words = f"{name} is higher than in the scene"
+            undo = _moved(anchor, 2)
+            yield Suspect(words, undo, "m", deviation=5.0, caution=_CAUTION, cost=_ANCHOR_COST)

@@ -32,7 +32,7 @@ from tests.localization.errors import (
 )
 from tests.localization.mistakes import FOLDERS
 
-AWAY = "is away from its place in the scene"
+AWAY = "is away from its place"
 
 
 def errors_of(reading, radio="standard"):
@@ -58,7 +58,8 @@ ERRORS = {  # name -> (error, its size, in the unit of the suspect)
     "elevations are too large": (tilted(3.0), [3.0]),
     "ranges are too long": (late(30.0), [30.0]),
     "ranges of anchor 2 are too long": (shifted(slice(4, 5), by=12.0), [12.0]),
-    f"anchor 1 {AWAY}": (moved(0, 0.8, -0.6, 0.0), [0.8, -0.6, 0.0]),
+    f"anchor 1 {AWAY}": (moved(0, 0.8, -0.6, 0.0), [0.8, -0.6]),
+    "anchor 1 is higher than in the scene": (moved(0, 0.0, 0.0, 2.0), [2.0]),
 }
 
 
@@ -100,7 +101,7 @@ def test_what_to_write_names_the_values_that_the_scene_needs():
     assert mistake.words.startswith("azimuths are turned by 4.0")
     (street,) = readings(1)
     suspect = suspects(street)[f"anchor 2 {AWAY}"]
-    moved_anchor = error._replace(suspect=suspect, theta=np.array([1.0, 0.0, 0.0]))
+    moved_anchor = error._replace(suspect=suspect, theta=np.array([1.0, 0.0]))
     cure = moved_anchor.undone(street).cure
     assert "anchors" in cure and "instead of base_station_m, walls" in cure
 
