@@ -191,7 +191,8 @@ def _likeliest(
         error = _refined(reading, run, SharedError(suspect, rough.theta, rough.sigma))
         (new,) = innovations([without_errors(reading, [error])], run)
         limit = _MOST_DEVIATIONS * suspect.deviation
-        if not _is_lost(new, measured) and abs(error.theta).max() < limit:
+        single = suspect.parts and len(_parts(error, among)) < 2
+        if not (single or _is_lost(new, measured)) and abs(error.theta).max() < limit:
             cost = suspect.cost + _COST * suspect.parameters
             gains[suspect.name] = float((rho(w) - rho(new)).sum()) - cost
             errors[suspect.name] = error
