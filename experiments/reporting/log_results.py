@@ -81,9 +81,7 @@ def diagnosed(args: LogArgs, files: "Inputs", scene: Scene) -> None:
         LogError: the log is damaged.
         ValueError: no epoch determines a position with which a track could begin.
     """
-    read = partial(
-        read_log, files.log, scene, odometry=False, limits=False, clock=args.clock
-    )
+    read = partial(read_log, files.log, scene, odometry=False, limits=False, clock=args.clock)
     log = None
     with suppress(LogError):  # columns may be missing
         log = read()
@@ -125,8 +123,6 @@ def diagnosed(args: LogArgs, files: "Inputs", scene: Scene) -> None:
         show(f"Written: {args.write} (corrected scene)\n" if corrected else _NOT_WRITTEN)
     if log.damage:
         raise log.damage
-
-
 
 
 LONGEST_WINDOW = 20_000  # maximum length of the smoother's window, epochs; limits its memory
@@ -301,9 +297,9 @@ def _figures(args: LogArgs, files: Inputs, work: Work, track: Track) -> Json:
     for doubt in doubts:
         warnings.warn(f"{doubt}; --diagnose looks for a likely mistake", stacklevel=2)
     errors = _shared_errors(args, work)
-    for error in errors:
+    for each in errors:
         warnings.warn(
-            f"the log looks as if {error}; {UNSEEN}; --diagnose says how to correct it",
+            f"the log looks as if {each}; {UNSEEN}; --diagnose says how to correct it",
             stacklevel=2,
         )
     written = {

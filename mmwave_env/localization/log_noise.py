@@ -167,12 +167,15 @@ def _notes(log: Log, sigma: Array, w: Array) -> Iterator[str]:
 
 def _correlation(values: Array, time_s: Array) -> Iterator[str]:
     """Yield a sentence if values (T, k), NaN where missing, are correlated in time."""
-    power = np.nanmean(values * values)
-    r = np.array([np.nanmean(values[k:] * values[:-k]) for k in range(1, _LAGS + 1)]) / power
+    known = np.isfinite(values)
+    x = np.where(known, values, 0.0)
+    pairs = [max((known[k:] & known[: len(x) - k]).sum(), 1) for k in range(_LAGS + 1)]
+    covariance = [(x[k:] * x[: len(x) - k]).sum() / count for k, count in enumerate(pairs)]
+    r = np.array(covariance[1:]) / covariance[0]
     decay = (r[1:] * r[:-1]).sum() / max((r[:-1] ** 2).sum(), 1e-9)
     if r[0] > _CORRELATED and 0.0 < decay < 1.0:
         seconds = -float(np.median(np.diff(time_s))) / np.log(decay)
         yield (
-            f"errors of angles are correlated over about {seconds:.2g} s or more: standard "
-            "deviations and protection levels are too small"
+            f"errors of angles last about {seconds:.2g} s or more, so that standard deviations and "
+            f"protection levels are too small: use --correlation {seconds:.2g}"
         )

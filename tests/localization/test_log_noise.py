@@ -61,8 +61,8 @@ def test_jumps_that_all_ranges_share_are_those_of_a_clock():
     share, jump_m = clock_jumps(with_ranges(LOG.measurement[:, :-1:4] + clock[:, None]), SIGMA)
     assert 0.3 < share < 0.6 and 1000.0 < jump_m < 4000.0
     assert clock_jumps(LOG, SIGMA) is None
-    one = LOG.measurement[:, :-1:4] + np.array([1.0, 0.0, 0.0]) * clock[:, None]
-    assert clock_jumps(with_ranges(one), SIGMA) is None
+    single = LOG.measurement[:, :-1:4] + np.array([1.0, 0.0, 0.0]) * clock[:, None]
+    assert clock_jumps(with_ranges(single), SIGMA) is None
 
 
 def notes(log, step_m=None):
@@ -87,7 +87,14 @@ def test_correlated_errors_of_angles_are_noted():
     slow = np.repeat(rng.standard_normal((len(LOG) // 10 + 1, 13)), 10, axis=0)[: len(LOG)]
     slow[:, [0, 4, 8, 12]] = 0.0
     log = replace(LOG, measurement=LOG.measurement + 1.5 * SIGMA * slow)
-    assert any(note.startswith("errors of angles are correlated over about") for note in notes(log))
+    assert any(
+        re.match("errors of angles last about .* use --correlation", note) for note in notes(log)
+    )
+
+
+def test_measurements_in_every_other_epoch_have_no_correlation():
+    visible = LOG.visible & (np.arange(len(LOG)) % 2 == 0)[:, None]
+    assert notes(replace(LOG, visible=visible)) == []
 
 
 def test_a_log_too_short_for_shared_errors_is_noted():

@@ -63,9 +63,9 @@ def named(log):
 
 def test_what_no_log_can_show_is_not_looked_for():
     log = READING.log
-    one = log.visible.copy()
-    one[:, 1:3] = False
-    assert named(replace(log, visible=one)) == {
+    single = log.visible.copy()
+    single[:, 1:3] = False
+    assert named(replace(log, visible=single)) == {
         "azimuths of arrival are turned",
         "azimuths of departure are turned",
         "elevations are too large",
