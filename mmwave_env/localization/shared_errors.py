@@ -41,6 +41,7 @@ _MOST_RIVALS = 3  # that are named
 _LOST_NIS = 50.0
 _LOST_SHARE = 0.1
 _MOST_ROUNDS = 3
+_STRICTEST = 5.0  # largest factor by which the limits are higher in shorter logs
 _CERTAIN = 3.0  # standard deviations by which a part of an error differs from 0
 _DIGITS = 3  # decimals of sizes
 _NANOSECOND_M = 1e-9 * SPEED_OF_LIGHT
@@ -175,7 +176,8 @@ def _likeliest(
     measured = values_of(reading.log)
     lost = _is_lost(w, measured)  # then the derivatives say little
     time_s = reading.log.time_s
-    strict = max(1.0, ENOUGH_S / (time_s[-1] - time_s[0] + time_s[1] - time_s[0]))
+    lasts_s = time_s[-1] - time_s[0] + time_s[1] - time_s[0]
+    strict = np.clip(ENOUGH_S / lasts_s, 1.0, _STRICTEST)
     ranked = sorted(zip(among.values(), fits, strict=True), key=lambda pair: -pair[1].gain)
     certain = [
         rough.gain >= strict * suspect.gain

@@ -128,7 +128,7 @@ def suspects(reading: Reading) -> dict[str, Suspect]:
     every = [*_of_angles(rows)]
     if measured[-1]:
         every.append(
-            Suspect("Doppler shifts are too large", _rescaled, "%", "", 1, 2.0, 20.0, 10.0, 30.0)
+            Suspect("Doppler shifts are too large", _rescaled, "%", least=2.0, deviation=30.0)
         )
     if rows.any(axis=1).sum() > 1:
         every += _of_several(rows, reading.log.layout.has_bias)
