@@ -23,7 +23,7 @@ _SURE = 25.0
 _SURER = 5.0
 _GAIN = 15.0
 _SURE_OF_ANGLES = 8.0
-_GAIN_OF_ANGLES = 10.0
+_GAIN_OF_ELEVATIONS = 10.0
 _JOINT_COST = 15.0  # additional cost of an error of several quantities, and of one anchor
 _ANCHOR_COST = 3.0
 _CAUTION = 1.5  # factor for standard deviations of ranges and elevations, which are too small
@@ -134,16 +134,17 @@ def suspects(reading: Reading) -> dict[str, Suspect]:
         every += _of_several(rows, reading.log.layout.has_bias)
         every += _of_anchors(rows)
         if reading.scene.walls:
-            every.append(_place("the base station with its images", _moved_with_images))
+            # more likely than a wrong image, because walls and the base station make the images
+            station = _place("the base station with its images", _moved_with_images)
+            every.append(station._replace(cost=0.0))
     return {suspect.name: suspect for suspect in every}
 
 
 def _angle(name: str, undo: Undo, column: str = "", caution: float = 1.0) -> Suspect:
     """Return an error of angles; ``column`` names those that no key of a scene corrects."""
     cure = f"{_SUBTRACT} {column}" if column else ""
-    return Suspect(
-        name, undo, "degrees", cure, 1, 0.3, _SURE_OF_ANGLES, _GAIN_OF_ANGLES, 30.0, caution
-    )
+    sure = _SURE_OF_ANGLES
+    return Suspect(name, undo, "degrees", cure, 1, 0.3, sure, deviation=30.0, caution=caution)
 
 
 def _range(name: str, anchors: Sequence[int], cure: str = "") -> Suspect:
@@ -166,7 +167,8 @@ def _of_angles(rows: Mask) -> Iterator[Suspect]:
         yield _angle("azimuths of departure are turned", _subtracted(DEPARTURE), "aod_azimuth")
     if elevation:
         undo = _subtracted(ELEVATION)
-        yield _angle(_ELEVATIONS, undo, "aoa_elevation", _CAUTION)
+        suspect = _angle(_ELEVATIONS, undo, "aoa_elevation", _CAUTION)
+        yield suspect._replace(gain=_GAIN_OF_ELEVATIONS)
 
 
 def _of_several(rows: Mask, clock: bool) -> Iterator[Suspect]:
