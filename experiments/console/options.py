@@ -301,7 +301,8 @@ class LogArgs(IntegrityArgs, JsonArgs):
     rate, how often each anchor is measured, and anything
     odd; then show likely mistakes in the first epochs
     (wrong units, signs, frames or order of anchors;
-    arrival and departure swapped), and which correction
+    arrival and departure swapped; errors that all links
+    share, such as a turned frame), and which correction
     helps"""
     write: Path | None = None
     """with --diagnose, write the corrected scene to this

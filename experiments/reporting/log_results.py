@@ -157,6 +157,8 @@ def _check(args: LogArgs, files: Inputs) -> None:
     require_alone(args, "diagnose", "out", "plot", "truth", "associate")
     if not args.diagnose:
         require_default(args, "--diagnose", "write")
+    if args.write and args.write.suffix != ".json":
+        raise ValueError(f"write: found {args.write}, expected a name that ends in .json")
     require_alone(args, "associate", "clock")
     require_default(args, "--live", "lag", "format", "accuracy", "confidence")
     require_alone(args, "two_way", "height", "smoothing")

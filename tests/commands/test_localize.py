@@ -227,6 +227,7 @@ MISTAKES = {  # name -> options, expected message
     "an imm and a speed": (["--imm", "imm", "--speed", "1"], "speed: cannot be combined"),
     "an imm and modes": (["--imm", "imm", "--modes", "m.json"], "modes: cannot be combined"),
     "--write without --diagnose": (["--write", "s.json"], "write: found s.json without --diagnose"),
+    "--write of another kind": (["--diagnose", "--write", "s.txt"], "write: found s.txt, expected"),
     "a negative prior speed": (["--prior-speed", "-1"], "prior-speed: start_velocity_mps"),
     "a diagnosis with --out": (["--diagnose", "--out", "t.tum"], "out: cannot be combined"),
     "--diagnose with --associate": (["--diagnose", "--associate"], "associate: .* with --diagnose"),
