@@ -74,7 +74,7 @@ def main(args: Args) -> None:
         columns = path_columns(episode, args.false_paths, np.random.default_rng(args.seed))
     names = write_log_folder(args.out, episode, scene, origin, columns)
     if args.paths:
-        station = replace(scene, walls=(), virtual_anchors_m=(), learned=())
+        station = scene.with_anchors(scene.anchors_m[:1])
         write_json(args.out / STATION, scene_json(station))
         names.append(STATION)
     say(f"written to {args.out}/: {', '.join(names)}")

@@ -301,8 +301,12 @@ class LogArgs(IntegrityArgs, JsonArgs):
     rate, how often each anchor is measured, and anything
     odd; then show likely mistakes in the first epochs
     (wrong units, signs, frames or order of anchors;
-    arrival and departure swapped), and which correction
+    arrival and departure swapped; errors that all links
+    share, such as a turned frame), and which correction
     helps"""
+    write: Path | None = None
+    """with --diagnose, write the corrected scene to this
+    .json file"""
     policy: str | None = None
     """policy that chooses the modes: corrector (default),
     guided, ppo, a policy file, or module:function"""
@@ -343,6 +347,10 @@ class LogArgs(IntegrityArgs, JsonArgs):
     correlation: float = 0.0
     """time for which errors of measurements last, s: at
     shorter steps, measurements get so much more noise"""
+    prior_speed: float | None = None
+    """standard deviation of the user's velocity at first, per
+    axis, m/s, such as 1 for people who stand or stroll; it
+    replaces start_velocity_mps of the radio (10)"""
     # If an option of Algorithm 1 is set (speed to robust), the algorithm replaces the policy.
     speed: str | None = None
     """Algorithm 1: the user's speed, m/s, which selects the

@@ -15,7 +15,7 @@ from experiments.console.options import (
     require_default,
 )
 from experiments.console.output import note
-from experiments.reporting.log_choice import choice_of, require_one_choice, scene_of
+from experiments.reporting.log_choice import choice_of, radio_of, require_one_choice, scene_of
 from mmwave_env.io.files import Json, first_line, parse_json
 from mmwave_env.io.lookup import printable, quoted
 from mmwave_env.localization.levels import Levels
@@ -115,8 +115,8 @@ def _tracker(
     choice = choice_of(args, radio, log)
     lag = max(args.lag, 1)
     tracker = Tracker(
-        scene, choice.switching, radio, height_m=args.height, lag=lag, levels=levels,
-        correlation_s=args.correlation,
+        scene, choice.switching, radio_of(args, radio), height_m=args.height, lag=lag,
+        levels=levels, correlation_s=args.correlation,
     )  # fmt: skip
     why = f"modes {choice.why}, radio {radio}"
     if not users:

@@ -14,6 +14,7 @@ from mmwave_env.interface.policy import Rule, Switching
 from mmwave_env.io.lookup import choose
 from mmwave_env.logs.lines import number
 from mmwave_env.logs.log import Log
+from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.scene import Scene, scene_from
 from policies.rules import SLOW_MPS, by_odometry_speed, by_predicted_speed, mode_at
 
@@ -59,6 +60,17 @@ def scene_of(args: LogArgs, name: str) -> Scene:
     if not (len(place) in (2, 3) and np.isfinite(place).all()):
         raise ValueError(f"start: found {args.start!r}, expected X,Y in meters, such as 10.5,-20")
     return replace(scene, side=(place[0], place[1]))
+
+
+def radio_of(args: LogArgs, name: str) -> Radio:
+    """Return the profile of this name or file, with the velocity that --prior-speed gives."""
+    radio = radio_from(name)
+    if args.prior_speed is None:
+        return radio
+    try:
+        return replace(radio, start_velocity_mps=args.prior_speed)
+    except ValueError as error:
+        raise ValueError(f"prior-speed: {error}") from error
 
 
 def choice_of(args: LogArgs, radio: str, log: Log) -> Choice:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,14 +19,22 @@ from experiments.console.options import (
     require_at_least,
     require_default,
 )
-from experiments.console.output import grid, progress, show
+from experiments.console.output import progress, show
 from experiments.console.provenance import provenance
+from experiments.reporting.diagnosis_report import (
+    UNSEEN,
+    diagnosis_markdown,
+    facts_markdown,
+    log_facts,
+    verdict,
+)
 from experiments.reporting.figures import draw_trajectory, require_picture
 from experiments.reporting.log_choice import (
     Choice,
     choice_of,
     is_algorithm_1,
     modes_of,
+    radio_of,
     require_one_choice,
     scene_of,
 )
@@ -38,9 +46,10 @@ from mmwave_env.io.files import Json, require_writable, write_json
 from mmwave_env.io.lookup import as_name
 from mmwave_env.localization.association import associate
 from mmwave_env.localization.contradictions import Contradiction, contradictions
-from mmwave_env.localization.diagnosis import AS_IT_IS, Finding, diagnose
+from mmwave_env.localization.diagnosis import diagnose
 from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.localizer import Track, localize
+from mmwave_env.localization.log_noise import noise_notes, with_range_steps
 from mmwave_env.localization.map_files import MAP_FILES, origin_of
 from mmwave_env.localization.map_learning import (
     FEW_EXPLAINED,
@@ -49,6 +58,8 @@ from mmwave_env.localization.map_learning import (
     map_figures,
 )
 from mmwave_env.localization.radio_choice import nearest_radio
+from mmwave_env.localization.readings import AS_IT_IS
+from mmwave_env.localization.shared_errors import SharedError, find_shared_errors
 from mmwave_env.localization.track_files import require_own_files, table_beside, write_track
 from mmwave_env.localization.track_scores import (
     group_statistics,
@@ -59,13 +70,12 @@ from mmwave_env.localization.track_scores import (
 from mmwave_env.logs.log import Log, read_log, read_paths
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.logs.truth import Truth
-from mmwave_env.models.prior import GAP_S
-from mmwave_env.models.radio import Radio, radio_from
+from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene, scene_json
 from mmwave_env.world.episode import NEUTRAL_SNR_DB
 from policies.corrector import TWO_WAY, TwoWayCorrector
 
-_UNEVEN = 0.1  # tolerated difference between a time step and the usual step, as a fraction
+_NOT_WRITTEN = "Not written: the scene needs no correction.\n"
 
 
 def diagnosed(args: LogArgs, files: "Inputs", scene: Scene) -> None:
@@ -77,7 +87,7 @@ def diagnosed(args: LogArgs, files: "Inputs", scene: Scene) -> None:
         LogError: the log is damaged.
         ValueError: no epoch determines a position with which a track could begin.
     """
-    read = partial(read_log, files.log, scene, odometry=False, limits=False)
+    read = partial(read_log, files.log, scene, odometry=False, limits=False, clock=args.clock)
     log = None
     with suppress(LogError):  # columns may be missing
         log = read()
@@ -85,121 +95,40 @@ def diagnosed(args: LogArgs, files: "Inputs", scene: Scene) -> None:
         log = read(partial=True, snr_db=args.snr)
     radio = nearest_radio(log, scene) if args.radio == AUTO else args.radio
     with progress("looking for likely mistakes"):
-        findings = diagnose(log, scene, radio_from(radio), modes_of(args, radio)[-1])
+        log, step_m = with_range_steps(log, scene, radio_of(args, radio))
+        findings = diagnose(log, scene, radio_of(args, radio), modes_of(args, radio)[-1])
         best = findings[0]
         if best.hypothesis == AS_IT_IS and not best.contradictions:
             work = _work(args, files, scene)
             _, doubts = _consistency(work, _track(args, work))
             findings[0] = best._replace(contradictions=doubts)
         facts = log_facts(log, scene)
+        mode = modes_of(args, radio)[-1]
+        notes = noise_notes(log, scene, radio_of(args, radio), mode, step_m)
+    corrected = findings[0].scene
+    if args.write and corrected:
+        write_json(args.write, scene_json(corrected))
     if args.json:
         hypotheses = [
-            {**f._asdict(), "contradictions": [c._asdict() for c in f.contradictions]}
+            {
+                **f._asdict(),
+                "contradictions": [c._asdict() for c in f.contradictions],
+                "scene": f.scene and scene_json(f.scene),
+            }
             for f in findings
         ]
-        figures = {"facts": facts, "verdict": _verdict(findings), "hypotheses": hypotheses}
+        figures = {
+            "facts": facts,
+            "verdict": verdict(findings),
+            "notes": notes,
+            "hypotheses": hypotheses,
+        }
         write_json(args.json, provenance("localize", args) | figures)
-    show(f"{facts_markdown(facts)}\n{diagnosis_markdown(findings)}")
+    show(f"{facts_markdown(facts)}\n{diagnosis_markdown(findings, notes)}")
+    if args.write:
+        show(f"Written: {args.write} (corrected scene)\n" if corrected else _NOT_WRITTEN)
     if log.damage:
         raise log.damage
-
-
-def log_facts(log: Log, scene: Scene) -> Json:
-    """Return facts about a log: its times, how often each anchor is measured, and problems."""
-    links = log.visible[:, : log.layout.anchors]
-    steps = np.diff(log.time_s)
-    step_s = float(np.median(steps)) if len(steps) else None
-    irregular: dict[str, Any] = {
-        f"gaps of more than {GAP_S:g} s, after which a new track begins": steps > GAP_S
-    }
-    if step_s:
-        words = f"steps that differ from {step_s:.4g} s by more than 10 %"
-        irregular[words] = abs(steps - step_s) > _UNEVEN * step_s
-    irregular["epochs in which no anchor was measured"] = ~links.any(axis=1)
-    for name, incomplete in zip(log.layout.group_names, log.incomplete.T, strict=True):
-        irregular[f"epochs in which {name} lacks some values and so counts as missing"] = incomplete
-    problems = [f"{words}: {epochs.sum()}" for words, epochs in irregular.items() if epochs.any()]
-    counts = links.sum(axis=0).tolist()
-    problems += [
-        f"anchor {a + 1} was never measured" for a, count in enumerate(counts) if not count
-    ]
-    if log.damage:
-        problems.append(str(log.damage))
-    return {
-        "epochs": len(log),
-        "first_s": float(log.time_s[0]),
-        "last_s": float(log.time_s[-1]),
-        "step_s": step_s,
-        "anchors": [
-            {"position_m": anchor, "seen": count, "share": count / len(log)}
-            for anchor, count in zip(scene.anchors_m.tolist(), counts, strict=True)
-        ],
-        "problems": problems,
-    }
-
-
-def facts_markdown(facts: Json) -> str:
-    """Return the facts about a log as Markdown."""
-    step_s = facts["step_s"]
-    rate = f", {1.0 / step_s:.4g} Hz" if step_s else ""
-    times = f"{facts['first_s']:.13g} to {facts['last_s']:.13g} s{rate}"
-    rows = [
-        [
-            f"{number}{', base station' if number == 1 else ''}",
-            *(f"{x:.2f}" for x in anchor["position_m"]),
-            f"{anchor['seen']} ({anchor['share']:.1%})",
-        ]
-        for number, anchor in enumerate(facts["anchors"], start=1)
-    ]
-    anchors = grid(["anchor", "x m", "y m", "z m", "seen"], rows)
-    problems = facts["problems"] or ["no problems in the file's format"]
-    listed = "".join(f"- {problem}\n" for problem in problems)
-    return f"- {facts['epochs']} epochs, {times}\n\n{anchors}\n\n{listed}"
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3g}"
-
-
-def _verdict(findings: Sequence[Finding]) -> str:
-    """Return sentences on what is wrong with the log and how to correct it."""
-    best = findings[0]
-    if best.contradictions:
-        as_it_is = next(f.contradictions for f in findings if f.hypothesis == AS_IT_IS)
-        return (
-            f"No hypothesis makes the log consistent. {'; '.join(map(str, as_it_is))}. Check the "
-            "scene, the radio, the receiver's clock (--clock offset if it is its own), and whether "
-            "the angles are in the antenna's frame instead of the map's (docs/data.md, Angles)."
-        )
-    if best.hypothesis == AS_IT_IS:
-        return "The log is consistent as it is."
-    return (
-        f"The log is consistent if {best.hypothesis}. It was not changed. To correct it, "
-        f"{best.cure} (docs/data.md)."
-    )
-
-
-def diagnosis_markdown(findings: Sequence[Finding]) -> str:
-    """Return a verdict and a table of the hypotheses that lead to a track, the best first."""
-    header = ["hypothesis", "anchors", "Doppler", "consistent"]
-    rows = [
-        [
-            f.hypothesis,
-            _number(f.worst_anchor),
-            _number(f.nis_per_dof.get("Doppler")),
-            "no" if f.contradictions else "yes",
-        ]
-        for f in findings
-        if f.nis_per_dof
-    ]
-    return (
-        f"{_verdict(findings)}\n\n{grid(header, rows)}\n\n"
-        'The column "anchors" shows the median NIS / dof of the anchor whose median is farthest '
-        'from 1; the column "Doppler" shows the median NIS / dof of the Doppler shift. In a '
-        "consistent log, the user is also mostly below the base station, and SNR and Doppler shift "
-        "are plausible. Of several rows with yes, the first is the most likely. --json also lists "
-        "hypotheses that give no track.\n"
-    )
 
 
 LONGEST_WINDOW = 20_000  # maximum length of the smoother's window, epochs; limits its memory
@@ -233,7 +162,11 @@ def inputs(args: LogArgs) -> Inputs:
 
 def _check(args: LogArgs, files: Inputs) -> None:
     """Refuse options that contradict each other, and outputs that would replace other files."""
-    require_alone(args, "diagnose", "out", "plot", "truth", "associate", "clock")
+    require_alone(args, "diagnose", "out", "plot", "truth", "associate")
+    if not args.diagnose:
+        require_default(args, "--diagnose", "write")
+    if args.write and args.write.suffix != ".json":
+        raise ValueError(f"write: found {args.write}, expected a name that ends in .json")
     require_alone(args, "associate", "clock")
     require_alone(args, "map", "diagnose", "clock", "snr")
     if args.map == "known":
@@ -270,7 +203,7 @@ def _outputs(args: LogArgs) -> list[tuple[str, Path | None]]:
     tables = map(table_beside, args.out)
     beside = [("the table of --out", table) for table in tables if table not in args.out]
     pictures = [("plot", args.plot), ("map-out", args.map_out)]
-    return [*tracks, *beside, *pictures, ("json", args.json)]
+    return [*tracks, *beside, *pictures, ("json", args.json), ("write", args.write)]
 
 
 class Work(NamedTuple):
@@ -282,7 +215,8 @@ class Work(NamedTuple):
     log: Log
     truth: Truth | None
     association: Json | None  # counts of associated paths
-    map: Json | None  # learned images, and counts of paths they explain
+    range_step_m: float | None = None  # step in which ranges come; their noise contains it
+    map: Json | None = None  # learned images, and counts of paths they explain
 
 
 def _work(args: LogArgs, files: Inputs, scene: Scene) -> Work:
@@ -296,7 +230,7 @@ def _work(args: LogArgs, files: Inputs, scene: Scene) -> Work:
         paths = read_paths(files.log, scene, args.odometry)
         name = "handset" if args.radio == AUTO else args.radio
         fast = modes_from(args.modes, name)[-1]
-        log, association = associate(paths, scene, radio_from(name), fast)
+        log, association = associate(paths, scene, radio_of(args, name), fast)
     else:
         log = read_log(
             files.log, scene, args.odometry, partial=True, snr_db=args.snr,
@@ -314,7 +248,9 @@ def _work(args: LogArgs, files: Inputs, scene: Scene) -> Work:
             stacklevel=2,
         )
     truth = Truth(files.truth) if files.truth else None
-    return Work(scene, radio_from(name), choice, log, truth, association, learned)
+    radio = radio_of(args, name)
+    log, step_m = with_range_steps(log, scene, radio)
+    return Work(scene, radio, choice, log, truth, association, step_m, learned)
 
 
 def _learned_map(
@@ -326,7 +262,7 @@ def _learned_map(
     """
     logs = [read_paths(path, scene, args.odometry) for path in paths]
     fast = modes_from(args.modes, radio)[-1]
-    belief, counts = learn_map(logs, scene, radio_from(radio), fast)
+    belief, counts = learn_map(logs, scene, radio_of(args, radio), fast)
     if counts.explained < FEW_EXPLAINED * counts.paths:
         warnings.warn(
             f"map: found {counts.explained} of {counts.paths} paths that come from the base "
@@ -367,6 +303,15 @@ def _consistency(work: Work, track: Track) -> tuple[Json, list[Contradiction]]:
     return groups, contradictions(work.log.whole(), work.scene, work.radio, groups)
 
 
+def _shared_errors(args: LogArgs, work: Work) -> list[SharedError]:
+    """Return the most likely error that all links of a log share; [] if there is none."""
+    radio = work.radio.name if args.radio == AUTO else args.radio
+    with suppress(ValueError):  # measurements may be too wrong for a filter without gates
+        mode = modes_from(None, radio)[-1]
+        return find_shared_errors(work.log, work.scene, work.radio, mode, rounds=1)
+    return []
+
+
 def beginning(args: LogArgs, epochs: int) -> tuple[Track, Work]:
     """Filter the first epochs of a log; return their track and the log's :class:`Work`."""
     files = inputs(args)
@@ -394,6 +339,12 @@ def _figures(args: LogArgs, files: Inputs, work: Work, track: Track) -> Json:
     groups, doubts = _consistency(work, track)
     for doubt in doubts:
         warnings.warn(f"{doubt}; --diagnose looks for a likely mistake", stacklevel=2)
+    errors = _shared_errors(args, work)
+    for each in errors:
+        warnings.warn(
+            f"the log looks as if {each}; {UNSEEN}; --diagnose says how to correct it",
+            stacklevel=2,
+        )
     written = {
         "out": f"{_kind(args)} track",
         "the table of --out": "table of standard deviations and modes",
@@ -406,6 +357,7 @@ def _figures(args: LogArgs, files: Inputs, work: Work, track: Track) -> Json:
         "radio": f"{work.radio.name}, chosen by auto" if args.radio == AUTO else args.radio,
         "imm": args.imm,
         "rule": work.choice.why,
+        "range_step_m": work.range_step_m,
         "algorithm_1": args.imm is None and args.policy is None and is_algorithm_1(args),
         **track_statistics(track),
         "groups": groups,
@@ -413,6 +365,7 @@ def _figures(args: LogArgs, files: Inputs, work: Work, track: Track) -> Json:
         **({"map": work.map} if work.map else {}),
         **scores,
         "contradictions": [d._asdict() for d in doubts],
+        "shared_errors": [str(error) for error in errors],
         "written": {
             str(path): written[of] for of, path in _outputs(args) if path and of in written
         },

@@ -43,6 +43,11 @@ def _course(figures: Json) -> list[str]:
     lines.append(f"measurement noise of the radio profile {escaped(f['radio'])}")
     expected = " and ".join(f"{size:.2f} m {axis}" for axis, size in f["expected_rmse_m"].items())
     lines.append(f"expected error (RMS, by the track's covariances): {expected}")
+    if f["range_step_m"]:
+        step = f["range_step_m"]
+        lines.append(f"ranges come in steps of {step:.3g} m; their noise contains the rounding")
+    height = f["height_m"]
+    lines.append(f"estimated height {height:.2f} m on average, above the zero of the scene")
     for key, kind in (("trusted", "filtered"), ("smooth_trusted", "smoothed")):
         if key in f:
             weight = _percent(f[key])

@@ -6,12 +6,15 @@ gates computes a track from the first epochs. A hypothesis makes the log consist
 degree of freedom (dof) must be near 1. Consistent hypotheses are ranked by the likelihood of the
 values in the file, not of the converted values, because likelihoods in different units can't be
 compared. If no single mistake explains the log, pairs of mistakes are tried.
+
+NIS does not show small errors that all links share. So a log that is consistent as it is, or that
+no single mistake explains, is searched for them (:mod:`~mmwave_env.localization.shared_errors`).
 """
 
 from collections.abc import Iterator, Sequence, Set
+from contextlib import suppress
 from dataclasses import replace
 from itertools import combinations, permutations
-from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtri
@@ -21,29 +24,42 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.localization.contradictions import Contradiction, contradictions, impossible
 from mmwave_env.localization.localizer import episode_from
+from mmwave_env.localization.readings import (
+    AS_IT_IS,
+    AZIMUTH,
+    DEPARTURE,
+    DOPPLER,
+    ELEVATION,
+    RANGE,
+    Change,
+    Finding,
+    Fits,
+    Mistake,
+    Reading,
+    scaled,
+    values_of,
+)
+from mmwave_env.localization.shared_errors import (
+    SharedError,
+    find_shared_errors,
+    without_errors,
+)
 from mmwave_env.localization.starts import POOL_S, start_at
 from mmwave_env.logs.log import Log
 from mmwave_env.models.layout import wrap_angles
 from mmwave_env.models.radio import RADIOS, Radio
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.numbers import PI, Array, Mask
+from mmwave_env.numerics.numbers import PI, Array
 from mmwave_env.world.episode import Episode
 
 DIAGNOSED_EPOCHS = 200
-AS_IT_IS = "as it is"
 
-# rows of a measurement without odometry: four values per link, then the Doppler shift
-_RANGE = slice(0, -1, 4)
-_AZIMUTH = slice(1, -1, 4)
-_ELEVATION = slice(2, -1, 4)
-_DEPARTURE = slice(3, -1, 4)
-_DOPPLER = slice(-1, None)
-_AZIMUTHS = (_AZIMUTH, _DEPARTURE)
-_ANGLES = (*_AZIMUTHS, _ELEVATION)
+_AZIMUTHS = (AZIMUTH, DEPARTURE)
+_ANGLES = (*_AZIMUTHS, ELEVATION)
 _COLUMNS = {
-    "azimuth of arrival": ("aoa_azimuth", _AZIMUTH),
-    "azimuth of departure": ("aod_azimuth", _DEPARTURE),
-    "elevation": ("aoa_elevation", _ELEVATION),
+    "azimuth of arrival": ("aoa_azimuth", AZIMUTH),
+    "azimuth of departure": ("aod_azimuth", DEPARTURE),
+    "elevation": ("aoa_elevation", ELEVATION),
 }
 _FACTORS = {  # mistake -> the factor that undoes it, and the unit that the column really has
     "1e3 times too large (ms?)": (1e-3, "ms"),
@@ -56,101 +72,6 @@ _FACTORS = {  # mistake -> the factor that undoes it, and the unit that the colu
 _SEARCHED_EPOCHS = 50  # number of epochs among which the track's first epoch is chosen
 _ADVANTAGE = 10.0  # bonus for the log as it is, added to its log-likelihood
 _OUTLIER_QUANTILE = 1e-6  # NIS is capped at the value that chi-square exceeds with this probability
-
-Fits = dict[str, float | None]
-
-
-class Change(NamedTuple):
-    """A change of values in the log, given their rows: rows = offset + factor * source."""
-
-    rows: slice
-    source: slice
-    factor: float = 1.0
-    offset: float = 0.0
-
-
-class Mistake(NamedTuple):
-    """A likely mistake in a log, and what undoes it."""
-
-    words: str  # "the log is consistent if WORDS"
-    cure: str  # how to correct the log: "to correct it, CURE"
-    changes: Sequence[Change] = ()
-    time_factor: float = 1.0  # factor by which to multiply the times
-    order: Sequence[int] = ()  # anchor n of the log, from 0, is anchor order[n] of the scene
-    radio: str = ""  # name of another radio that measured the log
-
-
-class Reading(NamedTuple):
-    """The epochs of a log, read as a hypothesis says: with certain mistakes undone."""
-
-    log: Log  # the epochs; angles need not be wrapped
-    # scene, radio: according to the hypothesis, the log was measured in this scene by this radio
-    scene: Scene
-    radio: Radio
-    # sum of the logarithms of the factors by which values of the file were multiplied; this sum
-    # plus the log-likelihood of the new values is the log-likelihood of the values in the file
-    log_scale: float = 0.0
-    undone: tuple[Mistake, ...] = ()
-
-    def without(self, mistake: Mistake) -> "Reading":
-        """Return the reading in which one more mistake is undone."""
-        old = self.log
-        z = old.measurement.copy()
-        sigma = old.sigma.copy()
-        log_scale = self.log_scale
-        for rows, source, factor, offset in mistake.changes:
-            z[:, rows] = offset + factor * old.measurement[:, source]
-            sigma[:, rows] = abs(factor) * old.sigma[:, source]
-            log_scale += float(_values(old)[:, source].sum() * np.log(abs(factor)))
-        scene = self.scene
-        if mistake.order:
-            gnb, *others = [(x, y, z) for x, y, z in scene.anchors_m[list(mistake.order)].tolist()]
-            scene = replace(scene, base_station_m=gnb, walls=(), virtual_anchors_m=tuple(others))
-        return Reading(
-            replace(old, measurement=z, sigma=sigma, time_s=mistake.time_factor * old.time_s),
-            scene,
-            RADIOS.get(mistake.radio, self.radio),
-            log_scale,
-            (*self.undone, mistake),
-        )
-
-    def finding(
-        self, why: list[Contradiction], fits: Fits | None = None, likelihood: float | None = None
-    ) -> "Finding":
-        """Return the finding on this reading."""
-        words = "; ".join(mistake.words for mistake in self.undone)
-        cure = "; then ".join(mistake.cure for mistake in self.undone)
-        return Finding(words or AS_IT_IS, fits or {}, likelihood, why, cure)
-
-
-class Finding(NamedTuple):
-    """The result of testing a hypothesis."""
-
-    hypothesis: str  # the hypothesis in words
-    # for each group of measurements (by name), the median over epochs of its NIS divided by the
-    # median of chi-square: near 1 if the hypothesis is right; None if the group was not used
-    nis_per_dof: Fits
-    # mean over epochs of the log-likelihood of the file's values; None if there is no track
-    log_likelihood: float | None
-    contradictions: list[Contradiction]  # empty if the hypothesis makes the log consistent
-    cure: str  # how to correct the log if the hypothesis is right; empty for the log as it is
-
-    @property
-    def worst_anchor(self) -> float | None:
-        """Return the NIS / dof farthest from 1 among the anchors; None if no anchor was used."""
-        anchors = [nis for name, nis in self.nis_per_dof.items() if name.startswith("anchor")]
-        return max(filter(None, anchors), key=lambda nis: abs(np.log(nis)), default=None)
-
-
-def _values(log: Log) -> Mask:
-    """Tell which values (T, rows) of a log were measured and belong to a visible group."""
-    visible = np.repeat(log.visible, log.layout.widths, axis=1)
-    return visible & np.isfinite(log.measurement)
-
-
-def _scaled(quantities: Sequence[slice], factor: float, offset: float = 0.0) -> list[Change]:
-    """Return the changes that scale values, given their rows, then add an offset to them."""
-    return [Change(rows, rows, factor, offset) for rows in quantities]
 
 
 def _exchanged(rows: slice, other: slice) -> list[Change]:
@@ -176,7 +97,8 @@ def mistakes(scene: Scene, radio: Radio, columns: Set[str]) -> Iterator[Mistake]
     for order in _orders(len(scene.anchors_m)):
         numbers = ", ".join(str(i + 1) for i in order)
         cure = f"list the anchors of the scene in the order {numbers}"
-        yield Mistake(f"anchors are the scene's {numbers}", cure, order=order)
+        moved = scene.with_anchors(scene.anchors_m[order])
+        yield Mistake(f"anchors are the scene's {numbers}", cure, scene=moved)
     for name in sorted(RADIOS.keys() - {radio.name}):
         cure = f"use --radio {name}, or radio={name!r}"
         yield Mistake(f"radio is {name}", cure, radio=name)
@@ -185,13 +107,13 @@ def mistakes(scene: Scene, radio: Radio, columns: Set[str]) -> Iterator[Mistake]
 def _conventions(scene: Scene) -> Iterator[Mistake]:
     """Yield mistakes about the meaning of a value: exchanged columns, signs and zeros of angles."""
     swap = "exchange the columns of aoa_azimuth and"
-    ends = _exchanged(_AZIMUTH, _DEPARTURE)
-    turned = _scaled([_ELEVATION], -1.0)
+    ends = _exchanged(AZIMUTH, DEPARTURE)
+    turned = scaled([ELEVATION], -1.0)
     yield Mistake("arrival and departure are exchanged", f"{swap} aod_azimuth", ends)
     yield Mistake(
         "azimuth and elevation of arrival are exchanged",
         f"{swap} aoa_elevation",
-        _exchanged(_AZIMUTH, _ELEVATION),
+        _exchanged(AZIMUTH, ELEVATION),
     )
     yield Mistake("elevation has the other sign", "negate aoa_elevation", turned)
     yield Mistake(
@@ -202,30 +124,30 @@ def _conventions(scene: Scene) -> Iterator[Mistake]:
     yield Mistake(
         "elevation is a zenith angle",
         "subtract aoa_elevation from 90 degrees",
-        _scaled([_ELEVATION], -1.0, PI / 2.0),
+        scaled([ELEVATION], -1.0, PI / 2.0),
     )
     yield Mistake(
         "elevation is a nadir angle",
         "subtract 90 degrees from aoa_elevation",
-        _scaled([_ELEVATION], 1.0, -PI / 2.0),
+        scaled([ELEVATION], 1.0, -PI / 2.0),
     )
     yield Mistake(
         "azimuths are clockwise from north",
         "subtract aoa_azimuth and aod_azimuth from 90 degrees",
-        _scaled(_AZIMUTHS, -1.0, PI / 2.0),
+        scaled(_AZIMUTHS, -1.0, PI / 2.0),
     )
-    yield Mistake("times are round-trip times", "halve the time of flight", _scaled([_RANGE], 0.5))
-    yield Mistake("Doppler shift has the other sign", "negate doppler", _scaled([_DOPPLER], -1.0))
+    yield Mistake("times are round-trip times", "halve the time of flight", scaled([RANGE], 0.5))
+    yield Mistake("Doppler shift has the other sign", "negate doppler", scaled([DOPPLER], -1.0))
     if scene.origin and (bearing := scene.origin.bearing_deg) != 90.0:
         yield Mistake(
             "azimuths are compass bearings",
             f"subtract aoa_azimuth and aod_azimuth from {bearing:g} degrees",
-            _scaled(_AZIMUTHS, -1.0, np.radians(bearing)),
+            scaled(_AZIMUTHS, -1.0, np.radians(bearing)),
         )
         yield Mistake(
             "azimuths are counterclockwise from east",
             f"add {bearing - 90.0:g} degrees to aoa_azimuth and to aod_azimuth",
-            _scaled(_AZIMUTHS, 1.0, np.radians(bearing - 90.0)),
+            scaled(_AZIMUTHS, 1.0, np.radians(bearing - 90.0)),
         )
 
 
@@ -234,29 +156,29 @@ def _units(scene: Scene, columns: Set[str]) -> Iterator[Mistake]:
     for name, (column, rows) in _COLUMNS.items():
         if f"{column}_rad" in columns:
             cure = f"rename {column}_rad to {column}_deg"
-            yield Mistake(f"{name} is in degrees", cure, _scaled([rows], PI / 180.0))
+            yield Mistake(f"{name} is in degrees", cure, scaled([rows], PI / 180.0))
     for unit, suffix, factor, other in (
         ("degrees", "deg", PI / 180.0, "rad"),
         ("radians", "rad", 180.0 / PI, "deg"),
     ):
         if any(f"{column}_{other}" in columns for column, _ in _COLUMNS.values()):
             cure = f"name the columns of angles after their unit, such as aoa_azimuth_{suffix}"
-            yield Mistake(f"angles are in {unit}", cure, _scaled(_ANGLES, factor))
+            yield Mistake(f"angles are in {unit}", cure, scaled(_ANGLES, factor))
     timed = any(name.startswith(("toa", "rtt")) for name in columns)
     for error, (factor, unit) in _FACTORS.items():
         cure = f"multiply values by {factor:g}"
         rename = ", or name the column after its true unit, such as"
         flight = f"{cure}{rename} toa_{unit}" if timed else cure
-        yield Mistake(f"time of flight is {error}", flight, _scaled([_RANGE], factor))
+        yield Mistake(f"time of flight is {error}", flight, scaled([RANGE], factor))
         yield Mistake(f"time is {error}", f"{cure}{rename} time_{unit}", time_factor=factor)
     for unit, suffix, factor in (("m/s", "mps", scene.hz_per_mps), ("kHz", "khz", 1e3)):
         other = f"doppler_{suffix}"
         if "doppler_hz" in columns:
             words = f"Doppler shift is in {unit}, not in Hz"
-            yield Mistake(words, f"rename doppler_hz to {other}", _scaled([_DOPPLER], factor))
+            yield Mistake(words, f"rename doppler_hz to {other}", scaled([DOPPLER], factor))
         if other in columns:
             words = f"Doppler shift is in Hz, not in {unit}"
-            yield Mistake(words, f"rename {other} to doppler_hz", _scaled([_DOPPLER], 1.0 / factor))
+            yield Mistake(words, f"rename {other} to doppler_hz", scaled([DOPPLER], 1.0 / factor))
 
 
 def _has_effect(reading: Reading, original: Reading) -> bool:
@@ -264,7 +186,7 @@ def _has_effect(reading: Reading, original: Reading) -> bool:
     new = reading.log
     old = original.log
     if reading.radio is not original.radio:
-        return bool((_values(old) & np.isnan(old.sigma)).any())
+        return bool((values_of(old) & np.isnan(old.sigma)).any())
     if reading.scene is not original.scene or (new.time_s != old.time_s).any():
         return True
     return not np.array_equal(new.measurement, old.measurement, equal_nan=True)
@@ -281,7 +203,7 @@ def _start(log: Log) -> int:
         ValueError: no epoch has a link of the base station, and the layout is not partial.
     """
     if log.layout.partial:
-        count = _values(log)[:, : log.layout.doppler].sum(axis=1)
+        count = values_of(log)[:, : log.layout.doppler].sum(axis=1)
         first = int(np.argmax(count > 0))
         begins = count == count[first : first + _SEARCHED_EPOCHS].max()
     else:
@@ -299,10 +221,11 @@ def diagnose(log: Log, scene: Scene, radio: Radio, mode: Mode) -> list[Finding]:
     :func:`~mmwave_env.logs.log.read_log` with ``limits=False`` and ``odometry=False``.
 
     Returns:
-        A finding for the log as it is and for every hypothesis that changes a number. Hypotheses
-        that make the log consistent come first, in order of likelihood; the others follow, in order
-        of fit. If only pairs of hypotheses make the log consistent, the most likely pair is added
-        at the top. In a partial layout, a pair must include the hypothesis of another radio.
+        A finding for the log as it is and for every hypothesis that changes a number. A finding of
+        shared errors comes first. Then come hypotheses that make the log consistent, in order of
+        likelihood; the others follow, in order of fit. If only pairs of hypotheses make the log
+        consistent, the most likely pair is added at the top. In a partial layout, a pair must
+        include the hypothesis of another radio.
 
     Raises:
         ValueError: there is no link with which a track could begin.
@@ -316,21 +239,41 @@ def diagnose(log: Log, scene: Scene, radio: Radio, mode: Mode) -> list[Finding]:
     single = [as_it_is.without(mistake) for mistake in mistakes(scene, radio, log.columns)]
     single = [reading for reading in single if _has_effect(reading, as_it_is)]
     findings = _findings([as_it_is, *single], mode, first)
-    if findings[0].contradictions:
+    radios = {r.undone[0].words: r for r in single if r.undone[0].radio}
+    best = findings[0]
+    if best.contradictions or best.hypothesis in {AS_IT_IS, *radios}:
+        likely = [as_it_is, *filter(None, [radios.get(best.hypothesis)])]
+        shared = [r for reading in likely for r in _without_shared_errors(log, reading, mode)]
+        findings = [f._replace(shared=True) for f in _findings(shared, mode, first)] + findings
+    if findings[0].contradictions and not findings[0].shared:
         double = [
-            first.without(*second.undone)
-            for first, second in permutations(single, 2)
+            reading.without(*other.undone)
+            for reading, other in permutations(single, 2)
             # computing a first position from incomplete links takes too long for all pairs
-            if not log.layout.partial or first.radio is not radio
+            if not (log.layout.partial or log.layout.has_bias) or reading.radio is not radio
         ]
-        best = [f for f in _findings(double, mode, first) if not f.contradictions]
-        findings = best[:1] + findings
+        consistent = [f for f in _findings(double, mode, first) if not f.contradictions]
+        findings = consistent[:1] + findings
     return findings
+
+
+def _without_shared_errors(log: Log, reading: Reading, mode: Mode) -> list[Reading]:
+    """Return the reading of a log's beginning without the errors that the log shows; [] if none.
+
+    Values that are impossible, or too wrong for a filter, show no such errors.
+    """
+    errors: list[SharedError] = []
+    if not impossible(log):
+        with suppress(ValueError):
+            errors = find_shared_errors(log, reading.scene, reading.radio, mode)
+    return [without_errors(reading, errors)] if errors else []
 
 
 def _findings(readings: Sequence[Reading], mode: Mode, first: int) -> list[Finding]:
     """Return a finding on each reading, the best first; tracks begin with the epoch ``first``."""
-    findings = []
+    findings: list[Finding] = []
+    if not readings:
+        return findings
     tracked = []
     episodes = []
     for reading in readings:
@@ -375,7 +318,7 @@ def _finding(reading: Reading, episode: Episode, nis: Array, likelihood: Array) 
     log = reading.log
     layout = log.layout
     starts = [group.start for group in layout.groups]
-    dof = np.add.reduceat(_values(log), starts, axis=1, dtype=np.int64)
+    dof = np.add.reduceat(values_of(log), starts, axis=1, dtype=np.int64)
     fits: Fits = {}
     groups = {}
     for g, name in enumerate(layout.group_names):

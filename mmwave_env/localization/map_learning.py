@@ -86,6 +86,7 @@ class MapLearner:
 
     def __init__(self, scene: Scene, radio: Radio, mode: Mode) -> None:
         self._scene = scene
+        self._links = replace(scene, range_offset_m=(), range_offset_sigma_m=())
         self._radio = radio
         self._station = np.array(scene.base_station_m)
         self._filter = ImageFilter(self._station, scene.hz_per_mps, mode.tuning)
@@ -121,7 +122,7 @@ class MapLearner:
         """Return the paths of an epoch of a log, with their variances at their SNR."""
         z = epoch.links[0]
         snr_db = np.column_stack([epoch.snr_db, epoch.snr_db])
-        variance = self._radio.sigma(snr_db, self._scene, Layout(2)) ** 2
+        variance = self._radio.sigma(snr_db, self._links, Layout(2)) ** 2
         direct, reflected, doppler = np.split(variance, [LINK_ROWS, 2 * LINK_ROWS], axis=1)
         bend = wrap(wrap(z[:, 3] - z[:, 1] + PI))
         straight = gives_fix(z) & (bend**2 < 9.0 * (direct[:, 1] + direct[:, 3]))
@@ -363,7 +364,13 @@ def learned_scene(scene: Scene, belief: Belief) -> Scene:
         a, b, c = sigma[block(k + 1)].tolist()
         learned.append(LearnedImage((a, b, c), belief.images[k].paths))
     surveyed = scene.virtual_anchors_m[: len(scene.virtual_anchors_m) - len(scene.learned)]
-    return replace(scene, virtual_anchors_m=(*surveyed, *places), learned=tuple(learned))
+    # An image has the offset of the base station.
+    offsets = {
+        name: (*values[: 1 + known], *[values[0]] * len(places))
+        for name in ("range_offset_m", "range_offset_sigma_m")
+        if (values := getattr(scene, name))
+    }
+    return replace(scene, virtual_anchors_m=(*surveyed, *places), learned=tuple(learned), **offsets)
 
 
 def map_figures(scene: Scene, counts: MapCounts) -> Json:

@@ -40,7 +40,7 @@ def segments(log: Log, scene: Scene, radio: Radio) -> list[Segment]:
         ValueError: no epoch determines a position with which a track could begin.
     """
     gap_s = _gaps(log)
-    ends = np.append(np.flatnonzero((gap_s > GAP_S) | log.restarts), len(log))
+    ends = _ends(log, gap_s)
     links = log.visible[:, : log.layout.anchors].any(axis=1)
     doubtful = np.flatnonzero((gap_s > DOUBTFUL_GAP_S) & links)
     parts: list[Segment] = []
@@ -57,6 +57,24 @@ def segments(log: Log, scene: Scene, radio: Radio) -> list[Segment]:
             "--start, decides"
         )
     return parts
+
+
+def stretches(log: Log, scene: Scene, radio: Radio) -> Iterator[Segment]:
+    """Yield the epochs between long gaps, from the first on that determines a position.
+
+    Other than :func:`segments`, these may contain epochs that contradict a start.
+    """
+    first = 0
+    for end in _ends(log, _gaps(log)).tolist():
+        begin, start = _begun(log, first, end, scene, radio)
+        if start:
+            yield Segment(slice(begin, end), start)
+        first = end
+
+
+def _ends(log: Log, gap_s: Index) -> Index:
+    """Return the indices at which parts end, because of long gaps or of ``restarts``."""
+    return np.append(np.flatnonzero((gap_s > GAP_S) | log.restarts), len(log))
 
 
 def _divided(

@@ -22,8 +22,8 @@ from mmwave_env.logs.log import Log
 from mmwave_env.logs.log_columns import RANGE_LIMITS_M
 from mmwave_env.models.layout import STATE_SIZE
 from mmwave_env.models.measurement import link_group
-from mmwave_env.models.prior import STEEPEST_FIX_RAD, UNKNOWN_VELOCITY_MPS, prior_from_fix
-from mmwave_env.models.radio import BIAS_SIGMA_M, Radio
+from mmwave_env.models.prior import STEEPEST_FIX_RAD, prior_from_fix
+from mmwave_env.models.radio import BIAS_SIGMA_M, UNKNOWN_VELOCITY_MPS, Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Mask
 
@@ -83,7 +83,7 @@ def gives_fix(links: Array) -> Mask:
 def start_at(log: Log, epoch: int, scene: Scene, radio: Radio) -> Start | None:
     """Return a state to begin a track with at an epoch of a log; None if there is none."""
     row = log.part(slice(epoch, epoch + 1))
-    sigma = _deviations(row, scene, radio)[0]
+    sigma = deviations_of(row, scene, radio)[0]
     link = row.measurement[0, :4]
     spent = np.zeros((1, len(row.layout.groups)), np.bool_)
     whole = bool(np.isfinite(link).all()) and bool(row.visible[0, 0]) and not row.layout.has_bias
@@ -105,7 +105,7 @@ def start_at(log: Log, epoch: int, scene: Scene, radio: Radio) -> Start | None:
     among = _UNKNOWN[: len(unknown)]
     x[among] = unknown
     P[np.ix_(among, among)] = covariance
-    P[3, 3] = P[4, 4] = UNKNOWN_VELOCITY_MPS**2
+    P[3, 3] = P[4, 4] = radio.start_velocity_mps**2
     return Start((x, P), spent)
 
 
@@ -117,7 +117,7 @@ def _position_at(
     Also tell whether earlier ones were needed.
     """
     row = log.part(slice(epoch, epoch + 1))
-    sigma = _deviations(row, scene, radio)[0]
+    sigma = deviations_of(row, scene, radio)[0]
     clock = log.layout.clock
     solved = _solved(row.measurement[0], sigma, row.visible[0], scene, clock)
     if solved:
@@ -128,7 +128,7 @@ def _position_at(
     return (*solved, True) if solved else None
 
 
-def _deviations(log: Log, scene: Scene, radio: Radio) -> Array:
+def deviations_of(log: Log, scene: Scene, radio: Radio) -> Array:
     """Return the standard deviations (T, rows): the receiver's own, else the radio's."""
     modelled = radio.sigma(log.snr_db, scene, log.layout)
     return np.where(np.isfinite(log.sigma), log.sigma, modelled)
@@ -147,9 +147,9 @@ def _pooled(log: Log, epoch: int, scene: Scene, radio: Radio) -> tuple[Array, Ar
     measurement = np.full(layout.size, np.nan)
     sigma = np.full(layout.size, np.nan)
     visible = np.zeros(len(layout.groups), np.bool_)
-    deviations = _deviations(recent, scene, radio)
+    deviations = deviations_of(recent, scene, radio)
     for t in range(len(recent)):
-        moved_m = UNKNOWN_VELOCITY_MPS * (now - recent.time_s[t])
+        moved_m = radio.start_velocity_mps * (now - recent.time_s[t])
         for group in np.flatnonzero(recent.visible[t, : layout.anchors]).tolist():
             rows = layout.link(group)
             z = recent.measurement[t, rows]

@@ -186,6 +186,7 @@ def track_statistics(track: Track) -> dict[str, Any]:
             "max": float(speed.max()),
             "epochs_above_design_limit": int((speed > DESIGN_LIMIT_MPS).sum()),
         },
+        "height_m": float(track.smooth_x[:, 2].mean()),
         "expected_rmse_m": {
             "horizontal": float(np.sqrt(xx + yy)),
             "vertical": float(np.sqrt(zz)),

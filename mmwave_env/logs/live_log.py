@@ -38,9 +38,9 @@ class LiveEpoch(NamedTuple):
     layout: Layout
     rows: list[list[float]]  # cells
     make: Callable[[list[list[float]]], Log]  # turns rows with these columns into a log
-    # None if some angles are not in the map's frame. Otherwise a pair: all values in the order of
-    # :func:`~mmwave_env.logs.log.places` (NaN where not measured), and the index, from 0, of the
-    # anchor with the Doppler shift
+    # None if some angles are not in the map's frame, or if the scene corrects measurements.
+    # Otherwise a pair: all values in the order of :func:`~mmwave_env.logs.log.places` (NaN where
+    # not measured), and the index, from 0, of the anchor with the Doppler shift
     placed: tuple[list[float], int] | None
 
     def log(self) -> Log:
@@ -128,7 +128,8 @@ class LiveLog:
         self._make = partial(_log, log, scene, self.layout, self._snr_db)
         self._names = [*names]
         columns = self._log.columns
-        self._turned = STATION in columns or BODY in columns
+        corrected = bool(scene.bearing_deg or scene.range_offset_m or scene.range_offset_sigma_m)
+        self._turned = STATION in columns or BODY in columns or corrected
         cell_of = {of: i for i, of in enumerate(columns)}
         self._time = cell_of["time"]
         self._anchor = cell_of["anchor"]

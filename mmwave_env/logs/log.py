@@ -89,7 +89,8 @@ def read_log(
 
     Args:
         path: CSV (``.csv``, ``.csv.gz``) or Parquet (``.parquet``, needs the extra `data`).
-        scene: scene whose anchors were measured.
+        scene: scene whose anchors were measured. Its corrections, ``bearing_deg`` and
+            ``range_offset_m``, are applied.
         odometry: False to ignore columns of odometry. Otherwise the layout has odometry if the log
             has it.
         limits: whether to refuse values beyond physical limits, and to wrap angles; False to
@@ -192,7 +193,7 @@ def log_of(table: Table, scene: Scene, layout: Layout, wrap: bool, snr_db: float
     """Convert the rows of complete epochs to a log."""
     epoch = table.epoch
     anchor = table["anchor"].astype(np.int64) - 1
-    links = table.links(scene.anchors_m)[anchor, np.arange(len(anchor))]
+    links = table.links(scene)[anchor, np.arange(len(anchor))]
     starts = table.starts
     T = len(starts)
     size = layout.size
@@ -205,6 +206,8 @@ def log_of(table: Table, scene: Scene, layout: Layout, wrap: bool, snr_db: float
     measurement, sigma, snr, spread = np.split(
         placed, [size, 2 * size, 2 * size + layout.anchors], axis=1
     )
+    ranges = sigma[:, : layout.doppler : 4]
+    np.hypot(ranges, scene.offset_sigmas_m, out=ranges)
     if snr_db is not None:
         snr[np.isnan(snr)] = snr_db
     if wrap:
@@ -282,7 +285,7 @@ def _split(table: Table, scene: Scene) -> Iterator[PathEpoch]:
     """Yield the complete paths of every epoch."""
     snr = table["snr"]
     time = table["time"]
-    links = table.links(scene.anchors_m)
+    links = table.links(scene)
     doppler = table["doppler"]
     finite = np.isfinite(np.column_stack([links[0], snr]))
     whole = finite.all(axis=1)

@@ -23,6 +23,7 @@ from mmwave_env.io.lookup import quoted, require_extra
 from mmwave_env.logs.lines import number, read_lines, require_memory
 from mmwave_env.logs.log_columns import BODY, QUANTITY_OF, STATION, Column, Unit, columns_of
 from mmwave_env.models.measurement import seen_from_image
+from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Index, Mask
 
 AnyArrays = TypeVar("AnyArrays", bound="Arrays")
@@ -149,24 +150,29 @@ class Table(Arrays):
         first[self.epoch[some]] = values[some]  # backwards, so that the first row's value remains
         return first
 
-    def links(self, anchors_m: Array) -> Array:
+    def links(self, scene: Scene) -> Array:
         """Return (L, n, 4) ranges (m) and angles (rad), as each anchor would have measured them.
 
-        Anchors (L, 3) are in m. Angles are in the map's frame. In a log with a column
+        The scene's ``range_offset_m`` and ``bearing_deg`` are subtracted; but a departure relative
+        to the user's body has no bearing. Angles are in the map's frame. In a log with a column
         :data:`STATION`, all angles of arrival were measured at the base station, anchor 1. If a
         path belongs to a mirror image of the base station, its angles at the image are different.
         """
-        departure = self["aod_azimuth"]
+        bearing = math.radians(scene.bearing_deg)
+        departure = self["aod_azimuth"] - bearing
         if BODY in self.columns:  # departures are NaN in epochs without a heading
             departure = self[BODY] + self.first(self["heading"])[self.epoch]
         elevation = self["aoa_elevation"]
-        links = np.column_stack([self["toa"], self["aoa_azimuth"], elevation, departure])
-        of_anchors = np.broadcast_to(links, (len(anchors_m), *links.shape))
+        arrival = self["aoa_azimuth"] - bearing
+        links = np.column_stack([self["toa"], arrival, elevation, departure])
+        anchors = scene.anchors_m
+        of_anchors = np.repeat(links[None], len(anchors), axis=0)
+        of_anchors[:, :, 0] -= scene.offsets_m[:, None]
         if STATION in self.columns:
-            of_anchors = of_anchors.copy()
-            for link, image in zip(of_anchors, anchors_m, strict=True):
-                arrival = seen_from_image(self[STATION], elevation, anchors_m[0], image)
-                link[:, 1:3] = np.column_stack(arrival)
+            for link, image in zip(of_anchors, anchors, strict=True):
+                station = self[STATION] - bearing
+                direction = seen_from_image(station, elevation, anchors[0], image)
+                link[:, 1:3] = np.column_stack(direction)
         return of_anchors
 
 

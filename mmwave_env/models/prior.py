@@ -13,8 +13,6 @@ GAP_S = 15.0
 # A prior is computed only from links with elevations up to this one, 5 degrees off the vertical.
 # These 5 degrees are 2.5 standard deviations of an elevation measured by the radio "handset".
 STEEPEST_FIX_RAD = math.radians(85.0)
-# Standard deviation per axis of an unknown horizontal velocity: half of the paper's 20 m/s limit.
-UNKNOWN_VELOCITY_MPS = 10.0
 
 
 def draw_prior(
@@ -35,7 +33,7 @@ def prior_from_fix(
     away, covariance_of_position = vector_from_link(link, sigma)
     covariance = radio.prior_covariance(scene)
     covariance[:3, :3] = covariance_of_position
-    covariance[3, 3] = covariance[4, 4] = UNKNOWN_VELOCITY_MPS**2
+    covariance[3, 3] = covariance[4, 4] = radio.start_velocity_mps**2
     return np.concatenate([anchor + away, np.zeros(4)]), covariance
 
 

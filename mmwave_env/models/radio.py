@@ -36,6 +36,8 @@ from mmwave_env.numerics.numbers import Array, Numbers, Vector, clip, exp, sqrt
 
 SHIPPED = ("handset", "standard", "high")
 DEGREE = math.pi / 180.0
+# Standard deviation per axis of an unknown horizontal velocity: half of the paper's 20 m/s limit.
+UNKNOWN_VELOCITY_MPS = 10.0
 # prior standard deviation of the range bias, by the state of the user's clock; 100 ns and 3.3 us
 BIAS_SIGMA_M = {"offset": SPEED_OF_LIGHT * 1e-7, "free": FREE_BIAS_M}
 DECIBEL = math.log(10.0) / 10.0  # natural logarithm of a power ratio of 1 dB
@@ -81,6 +83,8 @@ class Radio:
         prior_velocity_mps: standard deviation of the prior's horizontal velocity, per axis.
         prior_vertical_mps: standard deviation of the prior's vertical velocity.
         prior_bias_mps: standard deviation of the prior's oscillator bias.
+        start_velocity_mps: standard deviation of the horizontal velocity, per axis, with which the
+            track of a log begins.
         transmit_dbm, gnb_gain_db, ue_gain_db, implementation_loss_db: parts of the link budget.
         noise_figure_db: noise figure of the receiver.
         reflection_loss_db: loss on a virtual anchor's path.
@@ -123,6 +127,7 @@ class Radio:
     prior_velocity_mps: PriorVelocity = 2.0
     prior_vertical_mps: PriorVelocity = 0.1
     prior_bias_mps: Annotated[float, between(1e-9, 100.0, "m/s")] = 0.5
+    start_velocity_mps: PriorVelocity = UNKNOWN_VELOCITY_MPS
     transmit_dbm: Decibel = 27.0
     gnb_gain_db: Decibel = 21.0
     ue_gain_db: Decibel = 12.0
@@ -176,15 +181,20 @@ class Radio:
         return self.link_budget_db + path_gain_db - self.thermal_noise_dbm(bandwidth_hz)
 
     def variances(self, scene: Scene, layout: Layout) -> tuple[list[float], list[float]]:
-        """Return variances of every row: noise floors, and Cramer-Rao bounds at an SNR of 0 dB."""
+        """Return variances of every row: noise floors, and Cramer-Rao bounds at an SNR of 0 dB.
+
+        The floors of ranges contain the uncertainty of the scene's ``range_offset_m``.
+        """
         range_bound = SPEED_OF_LIGHT / (2.0 * math.pi * scene.bandwidth_hz / math.sqrt(12.0))
         arrival = _azimuth_bound(self.ue_elements)
         departure = _azimuth_bound(self.gnb_elements)
         angles = (self.aoa_floor_rad, self.elevation_floor_rad, self.aod_floor_rad)
+        offsets = scene.range_offset_sigma_m or [0.0] * layout.anchors
         floor = []
         bound = []
         for anchor in range(layout.anchors):
-            floor += [self.range_floor_m[min(anchor, 1)], *angles]
+            range_floor = math.hypot(self.range_floor_m[min(anchor, 1)], offsets[anchor])
+            floor += [range_floor, *angles]
             bound += [range_bound**2 / 2.0, arrival, arrival, departure]
         floor.append(self.doppler_floor_mps * scene.hz_per_mps)
         bound.append(6.0 / (2.0 * math.pi * self.doppler_window_s) ** 2)

@@ -5,7 +5,7 @@ reflection has range and angles as if it came from the mirror image (paper, Sec.
 """
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -35,6 +35,11 @@ _EACH = f"each {POSITION_M.expected}"
 Point = Annotated[tuple[Coordinate, Coordinate, Coordinate], f"[x, y, z], {_EACH}"]
 Place = Annotated[tuple[Coordinate, Coordinate], f"[x, y], {_EACH}"]
 Extent = Annotated[tuple[Coordinate, Coordinate], f"[low, high], {_EACH}"]
+Bearing = Annotated[float, between(-360.0, 360.0, "degrees")]
+Offset = Annotated[float, between(-1e5, 1e5, "m")]
+OffsetSigma = Annotated[float, between(0.0, 1e4, "m")]
+Offsets = Annotated[tuple[Offset, ...], Size(0, MOST_ANCHORS)]
+OffsetSigmas = Annotated[tuple[OffsetSigma, ...], Size(0, MOST_ANCHORS)]
 Carrier = Annotated[float, Bound("hertz, 1e6 to 2.9e12", least=1e6, most=2.9e12)]
 Bandwidth = Annotated[float, Bound("hertz, 1e5 to 1e12", least=1e5, most=1e12)]
 
@@ -173,6 +178,12 @@ class Scene:
         origin: location on the earth; None if it is not known.
         side: a place [x, y] on the side of the users, if anchors on a line measure ranges alone,
             which fit a mirrored position as well; None if it is not known.
+        bearing_deg: angle, clockwise from the x axis, of the direction from which a log's azimuths
+            count. A log is read with its azimuths reduced by this angle.
+        range_offset_m: for each anchor, the length by which the ranges of a log are too long, for
+            example because of cables. A log is read with its ranges reduced by these. () for zeros.
+        range_offset_sigma_m: standard deviations of these offsets, which add to the noise of the
+            ranges; () for zeros.
         learned: knowledge about the last of ``virtual_anchors_m``, if they were learned.
     """
 
@@ -185,6 +196,9 @@ class Scene:
     virtual_anchors_m: Annotated[tuple[Point, ...], Size(0, MOST_ANCHORS - 1)] = ()
     origin: Origin | None = None
     side: Place | None = None
+    bearing_deg: Bearing = 0.0
+    range_offset_m: Offsets = ()
+    range_offset_sigma_m: OffsetSigmas = ()
     learned: Annotated[tuple[LearnedImage, ...], Size(0, MOST_ANCHORS - 1)] = ()
 
     def __post_init__(self) -> None:
@@ -200,12 +214,35 @@ class Scene:
                 f"walls, virtual_anchors_m: found {anchors} anchors, expected at most "
                 f"{MOST_ANCHORS}"
             )
+        for name in ("range_offset_m", "range_offset_sigma_m"):
+            numbers = getattr(self, name)
+            if len(numbers) not in (0, anchors):
+                raise ValueError(
+                    f"{name}: found {len(numbers)} numbers, expected one for each of the "
+                    f"{anchors} anchors, with images in walls"
+                )
 
     @property
     def anchors_m(self) -> Array:
         """Return the anchors (L, 3): the gNB, its image in each wall, and ``virtual_anchors_m``."""
         images = [wall.mirror(self.base_station_m) for wall in self.walls]
         return np.array([self.base_station_m, *images, *self.virtual_anchors_m], float)
+
+    def with_anchors(self, anchors_m: Array) -> "Scene":
+        """Return the scene with anchors (L, 3), the physical gNB first, and without walls."""
+        gnb, *virtual = [(x, y, z) for x, y, z in anchors_m.tolist()]
+        places = tuple(virtual)
+        return replace(self, base_station_m=gnb, walls=(), virtual_anchors_m=places, learned=())
+
+    @property
+    def offsets_m(self) -> Array:
+        """Return the offsets (L,) of the anchors' ranges."""
+        return np.array(self.range_offset_m or [0.0] * len(self.anchors_m))
+
+    @property
+    def offset_sigmas_m(self) -> Array:
+        """Return the standard deviations (L,) of these offsets."""
+        return np.array(self.range_offset_sigma_m or [0.0] * len(self.anchors_m))
 
     @property
     def streets_known(self) -> bool:
@@ -275,10 +312,11 @@ def read_scene(path: Path) -> Scene:
 
     A scene with walls contains base_station_m [x, y, z]; and, if they differ from the defaults,
     name, walls (a list of {"normal": [x, y], "offset_m": d}), streets, carrier_hz, bandwidth_hz,
-    virtual_anchors_m (a list of [x, y, z]), origin and side.
+    virtual_anchors_m (a list of [x, y, z]), origin, side, bearing_deg, range_offset_m and
+    range_offset_sigma_m.
 
     A scene of anchors contains anchors (a list of [x, y, z], the physical gNB first), carrier_hz
-    and bandwidth_hz; and, if they differ from the defaults, name, streets, origin and side.
+    and bandwidth_hz; and, if they differ from the defaults, the other keys but walls.
 
     Raises:
         ValueError: the file is wrong; the message names the file and the error.
@@ -291,12 +329,15 @@ def read_scene(path: Path) -> Scene:
 
 def scene_json(scene: Scene) -> dict[str, Any]:
     """Return the content of a scene file: with walls if the scene has any, else with anchors."""
-    content = {key: value for key, value in asdict(scene).items() if value is not None}
-    if not scene.learned:
-        del content["learned"]
+    optional = {"bearing_deg", "range_offset_m", "range_offset_sigma_m", "learned"}
+    content = {
+        key: value
+        for key, value in asdict(scene).items()
+        if (value if key in optional else value is not None)
+    }
     if scene.walls:
         return content
-    known = {key: content[key] for key in ("origin", "side", "learned") if key in content}
+    known = {key: content[key] for key in content if key in {"origin", "side", *optional}}
     streets = {"streets": content["streets"]} if scene.streets_known else {}
     signal = {"carrier_hz": scene.carrier_hz, "bandwidth_hz": scene.bandwidth_hz}
     anchors = {"name": scene.name, "anchors": scene.anchors_m.tolist()}
@@ -313,7 +354,8 @@ class AnchorScene(Record):
         carrier_hz: carrier frequency f_c.
         bandwidth_hz: signal bandwidth B.
         streets: streets on which simulated users move.
-        origin, side, learned: as in a :class:`Scene`.
+        origin, side, bearing_deg, range_offset_m, range_offset_sigma_m, learned: as in a
+            :class:`Scene`.
     """
 
     name: Name
@@ -323,6 +365,9 @@ class AnchorScene(Record):
     streets: Streets = field(default_factory=Streets)
     origin: Origin | None = None
     side: Place | None = None
+    bearing_deg: Bearing = 0.0
+    range_offset_m: Offsets = ()
+    range_offset_sigma_m: OffsetSigmas = ()
     learned: Annotated[tuple[LearnedImage, ...], Size(0, MOST_ANCHORS - 1)] = ()
 
 
@@ -333,16 +378,9 @@ def _scene(content: dict[str, Any]) -> Scene:
     s = object_from(AnchorScene, content)
     gnb, *virtual = s.anchors
     return Scene(
-        name=s.name,
-        base_station_m=gnb,
-        streets=s.streets,
-        carrier_hz=s.carrier_hz,
-        bandwidth_hz=s.bandwidth_hz,
-        virtual_anchors_m=tuple(virtual),
-        origin=s.origin,
-        side=s.side,
-        learned=s.learned,
-    )
+        s.name, gnb, (), s.streets, s.carrier_hz, s.bandwidth_hz, tuple(virtual), s.origin, s.side,
+        s.bearing_deg, s.range_offset_m, s.range_offset_sigma_m, s.learned,
+    )  # fmt: skip
 
 
 # the scenes of the package, by name; their file says where they come from

@@ -11,7 +11,7 @@ from mmwave_env.datasets.samples import source_from
 from mmwave_env.models.scene import read_scene
 from tests.cli import assert_one_clear_line, command, with_json
 from tests.commands.localizing import RIDE, WALK, figures, lines_of, options, refused
-from tests.localization.mistakes import MISTAKES, read_columns, write_columns
+from tests.localization.mistakes import AZIMUTHS, MISTAKES, linear, read_columns, write_columns
 from tests.logs.by_hand import hide_anchors
 from tests.paths import json_in
 
@@ -335,3 +335,42 @@ def test_a_diagnosis_reports_facts_about_the_log():
         snr = columns["snr_db"][columns["anchor"] == anchor]
         assert fact["seen"] == np.isfinite(snr).sum()  # SNRs of unseen anchors are NaN
     assert "no problems in the file" in shown
+
+
+OFF = {  # name -> mistake, words of the warning, key of the scene that corrects it
+    "azimuths turned": (
+        linear(1.0, *AZIMUTHS, offset=np.radians(4.0)),
+        "azimuths are turned by 4.0",
+        "bearing_deg",
+    ),
+    "a clock 50 ns ahead": (
+        linear(1.0, "toa_s", offset=50e-9),
+        "ranges are too long by 1[45].* m",
+        "range_offset_m",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", OFF)
+def test_an_error_that_all_links_share_is_warned_of_and_corrected(tmp_path, name):
+    mistake, words, key = OFF[name]
+    write_columns(tmp_path / "log.csv", mistake(read_columns(RIDE / "log.csv")))
+    log = ("--radio", "standard", "--speed", "auto")
+    done = command("localize", *options(tmp_path / "log.csv", *log, folder=RIDE))
+    (warning,) = [line for line in done.stderr.splitlines() if "looks as if" in line]
+    assert re.search(f"as if {words}", warning) and "protection levels do not hold" in warning
+    scene = tmp_path / "corrected.json"
+    more = ("--radio", "standard", "--diagnose", "--write", scene)
+    shown = command("localize", *options(tmp_path / "log.csv", *more, folder=RIDE)).stdout
+    assert "consistent as it is" not in shown and f'write "{key}": ' in shown
+    assert json_in(scene).keys() - json_in(RIDE / "scene.json").keys() == {key}
+    done = command("localize", tmp_path / "log.csv", "--scene", scene, *log)
+    assert done.returncode == 0 and done.stderr == ""
+
+
+def test_a_log_can_be_diagnosed_with_a_clock_and_a_scene_without_errors_is_not_written(tmp_path):
+    scene = tmp_path / "corrected.json"
+    words = ("--radio", "standard", "--diagnose", "--clock", "offset", "--write", scene)
+    done = command("localize", *options(RIDE / "log.csv", *words, folder=RIDE))
+    assert done.returncode == 0 and "Not written: the scene needs no correction." in done.stdout
+    assert not scene.exists()

@@ -135,13 +135,16 @@ def test_a_mistake_in_a_log_that_lacks_columns_is_diagnosed(tmp_path, name):
         assert not any("Doppler" in f.hypothesis for f in others)
 
 
-def test_a_rotated_frame_causes_a_warning_and_no_hypothesis_explains_it(tmp_path):
+def test_a_rotated_frame_is_diagnosed_with_its_angle_and_the_corrected_scene(tmp_path):
     folder = FOLDERS[0]
     scene = read_scene(folder / "scene.json")
-    turned = linear(1.0, "aoa_azimuth_rad", "aod_azimuth_rad", offset=0.7)
-    path = wrong_log(tmp_path, folder, turned)
+    path = wrong_log(tmp_path, folder, linear(1.0, *AZIMUTHS, offset=0.7))
     assert doubts(read_log(path, scene), scene)
-    assert all(finding.contradictions for finding in findings(path, scene))
+    best, second, *_ = findings(path, scene)
+    assert best.shared and not best.contradictions and second.contradictions
+    assert best.hypothesis.startswith("azimuths are turned by 40.")
+    assert best.scene.bearing_deg == pytest.approx(np.degrees(0.7), abs=0.2)
+    assert not doubts(read_log(path, best.scene), best.scene)
 
 
 @pytest.mark.parametrize(("name", "sign", "degrees"), [

@@ -10,10 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmwave_env.datasets.log_folder import log_columns, log_text
+from mmwave_env.logs.live_log import LiveLog, log_from
 from mmwave_env.logs.log import read_paths
 from mmwave_env.logs.log_columns import QUANTITIES
-from mmwave_env.models.layout import Layout
+from mmwave_env.models.layout import Layout, wrapped
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
+from mmwave_env.models.radio import RADIOS
 from tests.logs.by_hand import (
     COLUMNS,
     HEADER,
@@ -313,3 +315,51 @@ def test_links_with_nan_are_not_written_and_elevations_past_the_vertical_become_
     block = read(path)
     assert not block.visible[4, 0] and block.visible[4, 3] and not block.incomplete.any()
     assert block.measurement[[1, 2], 2].tolist() == [np.pi / 2, -np.pi / 2]
+
+
+CORRECTED = replace(
+    SCENE,
+    bearing_deg=10.0,
+    range_offset_m=(1.0, 2.0, 3.0),
+    range_offset_sigma_m=(0.3, 0.0, 0.4),
+)
+
+
+def test_the_corrections_of_a_scene_are_subtracted_from_ranges_and_azimuths(tmp_path):
+    path = store(tmp_path, text(rows()))
+    expected = read(path).measurement
+    expected[:, 0:12:4] -= [1.0, 2.0, 3.0]
+    for row in (1, 3):
+        expected[:, row:12:4] = wrapped(expected[:, row:12:4] - np.radians(10.0))
+    np.testing.assert_allclose(read(path, CORRECTED).measurement, expected, rtol=1e-12)
+
+
+def test_a_departure_relative_to_the_body_has_no_bearing(tmp_path):
+    lines = [line | {"heading_deg": "30", "speed_mps": "1"} for line in rows()]
+    path = store(tmp_path, in_body(text(lines)))
+    plain = read(path).measurement
+    corrected = read(path, CORRECTED).measurement
+    np.testing.assert_array_equal(corrected[:, 3:12:4], plain[:, 3:12:4])
+    assert not np.allclose(corrected[:, 1:12:4], plain[:, 1:12:4])
+
+
+def test_the_uncertainty_of_offsets_adds_to_own_and_modelled_noise(tmp_path):
+    lines = [line | {"range_sigma_m": "0.4"} for line in rows()]
+    log = read(store(tmp_path, text(lines)), CORRECTED, partial=True)
+    own = np.hypot(0.4, [0.3, 0.0, 0.4])
+    np.testing.assert_allclose(log.sigma[:, 0:12:4], np.tile(own, (len(log), 1)))
+    snr = np.full((1, L), 20.0)
+    plain = RADIOS["standard"].sigma(snr, SCENE, log.layout)[0]
+    noisy = RADIOS["standard"].sigma(snr, CORRECTED, log.layout)[0]
+    np.testing.assert_allclose((noisy**2 - plain**2)[0:12:4], [0.09, 0.0, 0.16], atol=1e-12)
+    np.testing.assert_array_equal(noisy[1:4], plain[1:4])
+
+
+def test_live_rows_are_corrected_like_those_of_a_file(tmp_path):
+    content = text(rows())
+    header, *lines = content.rstrip().split("\n")
+    live = LiveLog(header.split(","), CORRECTED)
+    epochs = [epoch for line in lines for epoch in live.add(line)]
+    assert all(epoch.placed is None for epoch in epochs)
+    log = log_from([*epochs, *live.end_epoch()])
+    assert_same(log, read(store(tmp_path, content), CORRECTED, partial=True), "line")

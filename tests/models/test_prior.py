@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.models.layout import Layout
-from mmwave_env.models.prior import UNKNOWN_VELOCITY_MPS, draw_prior, prior_from_fix
+from mmwave_env.models.prior import draw_prior, prior_from_fix
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, Scene
 from tests.filters.tracks import geometry
@@ -49,7 +49,7 @@ def test_a_fix_without_noise_is_the_true_position_and_leaves_the_velocity_unknow
     assert_allclose(covariance, covariance.T)
     assert np.linalg.eigvalsh(covariance)[0] > 0.0
     rest = radio.prior_covariance(SCENE)
-    rest[3, 3] = rest[4, 4] = UNKNOWN_VELOCITY_MPS**2
+    rest[3, 3] = rest[4, 4] = radio.start_velocity_mps**2
     assert_array_equal(covariance[3:, 3:], rest[3:, 3:])
     assert_array_equal(covariance[:3, 3:], 0.0)
 

@@ -206,3 +206,41 @@ def test_scenes_are_chosen_by_name():
     assert scenes_from("o1") is SCENES["o1"]
     with refuses("scene"):
         scenes_from("randm")
+
+
+CORRECTED = {"bearing_deg": 2.5, "range_offset_m": [1.0, -2.0], "range_offset_sigma_m": [0.1, 0.2]}
+FORMS = {
+    "walls": MINIMAL | {"walls": [{"normal": [0, 1], "offset_m": 25.0}]},
+    "anchors": {"anchors": [[0, 0, 5], [9, 0, 5]], "carrier_hz": 28e9, "bandwidth_hz": 1e8},
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_corrections_of_a_log_are_read_and_written(tmp_path, form):
+    scene = scene_from(write_json(tmp_path / "scene.json", FORMS[form] | CORRECTED))
+    assert scene.bearing_deg == 2.5
+    assert scene.offsets_m.tolist() == [1.0, -2.0]
+    assert scene.offset_sigmas_m.tolist() == [0.1, 0.2]
+    assert scene_from(write_json(tmp_path / "again.json", scene_json(scene))) == scene
+    plain = scene_from(write_json(tmp_path / "plain.json", FORMS[form]))
+    assert not CORRECTED.keys() & scene_json(plain).keys()
+    assert plain.offsets_m.tolist() == plain.offset_sigmas_m.tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize(("key", "value"), [
+    ("bearing_deg", 400.0),
+    ("range_offset_m", [1.0]),
+    ("range_offset_m", [1.0, 2.0, 3.0]),
+    ("range_offset_sigma_m", [0.1]),
+    ("range_offset_sigma_m", [-0.1, 0.1]),
+])  # fmt: skip
+def test_corrections_for_other_anchors_or_beyond_limits_are_refused(tmp_path, key, value):
+    path = write_json(tmp_path / "scene.json", FORMS["anchors"] | {key: value})
+    with refuses(path, key):
+        scene_from(path)
+
+
+def test_a_scene_with_other_anchors_has_no_walls():
+    anchors = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [7.0, 8.0, 9.0]])
+    moved = SCENES["street"].with_anchors(anchors)
+    assert moved.anchors_m.tolist() == anchors.tolist() and moved.walls == ()

@@ -1,0 +1,181 @@
+"""The noise of a log: steps of ranges, jumps of the clock, and noise that is not as stated."""
+
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from mmwave_env.filters.modes import Mode
+from mmwave_env.localization.readings import ELEVATION, Reading, values_of
+from mmwave_env.localization.sensitivities import FilterRun, innovations
+from mmwave_env.localization.shared_errors import (
+    LEAST_EPOCHS,
+    LEAST_S,
+    LONGEST_STEP_S,
+    scanned,
+    shared_errors,
+    without_errors,
+)
+from mmwave_env.localization.starts import deviations_of
+from mmwave_env.logs.log import Log
+from mmwave_env.models.layout import wrapped
+from mmwave_env.models.radio import Radio
+from mmwave_env.models.scene import Scene
+from mmwave_env.numerics.numbers import Array
+
+_FEWEST = 10  # minimum number of differences between neighboring values, to conclude a step
+_SMALLEST_M = 1e-5  # differences up to this one are rounding errors
+_NEAR_STEPS = 20  # larger differences, in steps, are not compared: the step is not exact enough
+_OFF = 0.05  # largest deviation of a difference from a multiple of the step, in steps
+_MULTIPLES = 0.95  # share of differences that must be multiples
+_NOTICED = 0.5  # shortest step that matters, in standard deviations of the ranges
+_FASTEST_MPS = 50.0  # a change of range that is faster, and alike in all links, is a clock's
+_JUMP_SIGMAS = 8.0
+_ALIKE = 0.25  # tolerated difference between the jumps of two links, as a fraction
+_JUMPS = 0.02  # share of epochs from which on a clock is said to jump
+# The noise is reported if its factor is outside these limits, or its correlation above this one.
+_FACTORS = (0.7, 1.5)
+_CORRELATED = 0.35
+_MEDIAN = 0.6745  # median of the absolute value of a standard normal number
+_CLIPPED = 2.0  # largest noise that counts: blockages correlate what is larger
+_LAGS = 8
+_TOO_SHORT = (
+    f"the log is too short to show errors that all links share: this needs {LEAST_EPOCHS} epochs, "
+    f"{LEAST_S:g} s, and steps of up to {LONGEST_STEP_S:g} s"
+)
+_ENOUGH = 100  # minimum number of values for a conclusion
+
+
+def range_step(log: Log, sigma: Array) -> float | None:
+    """Return the step, m, in which the ranges of a log come; None if there is none that matters.
+
+    The differences between neighboring values of an anchor are then multiples of the smallest one.
+    ``sigma`` (T, rows) are standard deviations.
+    """
+    links = slice(0, log.layout.doppler, 4)
+    measured = values_of(log)[:, links]
+    if not measured.any():
+        return None
+    ranges = log.measurement[:, links]
+    columns = zip(ranges.T, measured.T, strict=True)
+    gaps = np.concatenate([np.diff(np.unique(values[some])) for values, some in columns])
+    gaps = gaps[gaps > _SMALLEST_M]
+    if len(gaps) < _FEWEST:
+        return None
+    gaps = gaps[gaps < _NEAR_STEPS * gaps.min()]
+    multiples = np.round(gaps / gaps.min())
+    step = float(np.median(gaps / multiples))
+    regular = np.mean(abs(gaps / step - multiples) < _OFF) >= _MULTIPLES
+    noticed = step > _NOTICED * np.median(sigma[:, links][measured])
+    return step if len(gaps) >= _FEWEST and regular and noticed else None
+
+
+def with_range_steps(log: Log, scene: Scene, radio: Radio) -> tuple[Log, float | None]:
+    """Return a log with the noise of rounding added to its ranges, and the step of the ranges.
+
+    The error of rounding to steps of length q has the variance q^2 / 12.
+    """
+    deviations = deviations_of(log, scene, radio)
+    step = range_step(log, deviations)
+    if step is None:
+        return log, None
+    sigma = log.sigma.copy()
+    links = slice(0, log.layout.doppler, 4)
+    sigma[:, links] = np.hypot(deviations[:, links], step / np.sqrt(12.0))
+    return replace(log, sigma=sigma), step
+
+
+def clock_jumps(log: Log, sigma: Array) -> tuple[float, float] | None:
+    """Return the share of epochs in which all ranges jump alike, and the median jump, m.
+
+    The result is None if jumps are rare. ``sigma`` (T, rows) are standard deviations.
+    """
+    links = slice(0, log.layout.doppler, 4)
+    ranges: Array = np.where(values_of(log)[:, links], log.measurement[:, links], np.nan)
+    change = np.diff(ranges, axis=0)
+    several = np.isfinite(change).sum(axis=1) >= 2
+    if not several.any():
+        return None
+    change = change[several]
+    usual = np.nanmedian(change, axis=1)
+    apart = np.nanmax(abs(change - usual[:, None]), axis=1)
+    noise = _JUMP_SIGMAS * np.nanmedian(sigma[:, links])
+    least = _FASTEST_MPS * np.diff(log.time_s)[several] + noise
+    jumps = (abs(usual) > least) & (apart < _ALIKE * abs(usual))
+    share = float(jumps.mean())
+    return (share, float(np.median(abs(usual[jumps])))) if share >= _JUMPS else None
+
+
+def noise_notes(
+    log: Log, scene: Scene, radio: Radio, mode: Mode, step_m: float | None = None
+) -> list[str]:
+    """Return sentences on the noise of a log, whose ranges come in steps, and on what to do.
+
+    The noise of angles is that of the first epochs after errors that all links share are undone.
+    """
+    notes = []
+    sigma = deviations_of(log, scene, radio)
+    jumps = clock_jumps(log, sigma)
+    if jumps and log.layout.clock != "free":
+        share, jump_m = jumps
+        notes.append(
+            f"the user's clock jumps in {share:.0%} of the epochs, by {jump_m:.3g} m in the "
+            "median: use --clock free"
+        )
+    if step_m:
+        notes.append(f"ranges come in steps of {step_m:.3g} m: localize adds the noise of rounding")
+    with suppress(ValueError):  # no epoch determines a position, or the track is lost
+        part = scanned(log, scene, radio)
+        if part is None:
+            notes.append(_TOO_SHORT)
+        else:
+            reading = Reading(part[0], scene, radio)
+            run = FilterRun.of(mode, reading, part[1])
+            corrected = without_errors(reading, shared_errors(reading, run))
+            (w,) = innovations([corrected], run)
+            notes += _notes(corrected.log, run.episode(corrected).sigma, w)
+    return notes
+
+
+def _notes(log: Log, sigma: Array, w: Array) -> Iterator[str]:
+    """Yield sentences on the angles, given standard deviations and innovations w (T, rows)."""
+    measured = values_of(log)
+    n = log.layout.doppler
+    z = log.measurement
+    both = measured[:, 1:n:4] & measured[:, 3:n:4]
+    apart = wrapped(wrapped(z[:, 1:n:4] - z[:, 3:n:4] + np.pi))
+    azimuths = np.where(both, apart / np.hypot(sigma[:, 1:n:4], sigma[:, 3:n:4]), np.nan)
+    elevations = np.where(measured[:, ELEVATION], w[:, ELEVATION], np.nan)
+    scaled = []
+    for name, column, values in (
+        ("azimuths", "aoa_azimuth_sigma and aod_azimuth_sigma", azimuths),
+        ("elevations", "aoa_elevation_sigma", elevations),
+    ):
+        if np.isfinite(values).sum() < _ENOUGH:
+            continue
+        factor = float(np.nanmedian(abs(values))) / _MEDIAN
+        scaled.append(np.clip(values / factor, -_CLIPPED, _CLIPPED))
+        if not _FACTORS[0] <= factor <= _FACTORS[1]:
+            yield (
+                f"the noise of {name} is {factor:.2f} times as large as stated: give the log "
+                f"columns {column}, or use another --radio"
+            )
+    if scaled:
+        yield from _correlation(np.concatenate(scaled, axis=1), log.time_s)
+
+
+def _correlation(values: Array, time_s: Array) -> Iterator[str]:
+    """Yield a sentence if values (T, k), NaN where missing, are correlated in time."""
+    known = np.isfinite(values)
+    x = np.where(known, values, 0.0)
+    pairs = [max((known[k:] & known[: len(x) - k]).sum(), 1) for k in range(_LAGS + 1)]
+    covariance = [(x[k:] * x[: len(x) - k]).sum() / count for k, count in enumerate(pairs)]
+    r = np.array(covariance[1:]) / covariance[0]
+    decay = (r[1:] * r[:-1]).sum() / max((r[:-1] ** 2).sum(), 1e-9)
+    if r[0] > _CORRELATED and 0.0 < decay < 1.0:
+        seconds = -float(np.median(np.diff(time_s))) / np.log(decay)
+        yield (
+            f"errors of angles last about {seconds:.2g} s or more, so that standard deviations and "
+            f"protection levels are too small: use --correlation {seconds:.2g}"
+        )

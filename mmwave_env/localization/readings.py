@@ -1,0 +1,116 @@
+"""Readings of a log: its values and scene as they are if certain mistakes are undone."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from mmwave_env.localization.contradictions import Contradiction
+from mmwave_env.logs.log import Log
+from mmwave_env.models.radio import RADIOS, Radio
+from mmwave_env.models.scene import Scene
+from mmwave_env.numerics.numbers import Mask
+
+AS_IT_IS = "as it is"
+
+# rows of a measurement without odometry: four values per link, then the Doppler shift
+RANGE = slice(0, -1, 4)
+AZIMUTH = slice(1, -1, 4)
+ELEVATION = slice(2, -1, 4)
+DEPARTURE = slice(3, -1, 4)
+DOPPLER = slice(-1, None)
+
+Fits = dict[str, float | None]
+
+
+class Change(NamedTuple):
+    """A change of values in the log, given their rows: rows = offset + factor * source."""
+
+    rows: slice
+    source: slice
+    factor: float = 1.0
+    offset: float = 0.0
+
+
+class Mistake(NamedTuple):
+    """A likely mistake in a log, and what undoes it."""
+
+    words: str  # "the log is consistent if WORDS"
+    cure: str  # how to correct the log: "to correct it, CURE"
+    changes: Sequence[Change] = ()
+    time_factor: float = 1.0  # factor by which to multiply the times
+    scene: Scene | None = None  # the right scene; None if it was right
+    radio: str = ""  # name of another radio that measured the log
+
+
+class Reading(NamedTuple):
+    """The epochs of a log, read as a hypothesis says: with certain mistakes undone."""
+
+    log: Log  # the epochs; angles need not be wrapped
+    # scene, radio: according to the hypothesis, the log was measured in this scene by this radio
+    scene: Scene
+    radio: Radio
+    # sum of the logarithms of the factors by which values of the file were multiplied; this sum
+    # plus the log-likelihood of the new values is the log-likelihood of the values in the file
+    log_scale: float = 0.0
+    undone: tuple[Mistake, ...] = ()
+
+    def without(self, mistake: Mistake) -> "Reading":
+        """Return the reading in which one more mistake is undone."""
+        old = self.log
+        z = old.measurement.copy()
+        sigma = old.sigma.copy()
+        log_scale = self.log_scale
+        for rows, source, factor, offset in mistake.changes:
+            z[:, rows] = offset + factor * old.measurement[:, source]
+            sigma[:, rows] = abs(factor) * old.sigma[:, source]
+            log_scale += float(values_of(old)[:, source].sum() * np.log(abs(factor)))
+        return Reading(
+            replace(old, measurement=z, sigma=sigma, time_s=mistake.time_factor * old.time_s),
+            mistake.scene or self.scene,
+            RADIOS.get(mistake.radio, self.radio),
+            log_scale,
+            (*self.undone, mistake),
+        )
+
+    def finding(
+        self, why: list[Contradiction], fits: Fits | None = None, likelihood: float | None = None
+    ) -> "Finding":
+        """Return the finding on this reading."""
+        words = "; ".join(mistake.words for mistake in self.undone)
+        cure = "; then ".join(mistake.cure for mistake in self.undone)
+        scene = self.scene if any(mistake.scene for mistake in self.undone) else None
+        return Finding(words or AS_IT_IS, fits or {}, likelihood, why, cure, scene)
+
+
+class Finding(NamedTuple):
+    """The result of testing a hypothesis."""
+
+    hypothesis: str  # the hypothesis in words
+    # for each group of measurements (by name), the median over epochs of its NIS divided by the
+    # median of chi-square: near 1 if the hypothesis is right; None if the group was not used
+    nis_per_dof: Fits
+    # mean over epochs of the log-likelihood of the file's values; None if there is no track
+    log_likelihood: float | None
+    contradictions: list[Contradiction]  # empty if the hypothesis makes the log consistent
+    cure: str  # how to correct the log if the hypothesis is right; empty for the log as it is
+    scene: Scene | None = None  # the corrected scene, if the cure corrects it
+    shared: bool = False  # whether links share the error, so that NIS and levels do not show it
+
+    @property
+    def worst_anchor(self) -> float | None:
+        """Return the NIS / dof farthest from 1 among the anchors; None if no anchor was used."""
+        anchors = [nis for name, nis in self.nis_per_dof.items() if name.startswith("anchor")]
+        return max(filter(None, anchors), key=lambda nis: abs(np.log(nis)), default=None)
+
+
+def values_of(log: Log) -> Mask:
+    """Tell which values (T, rows) of a log were measured and belong to a visible group."""
+    visible = np.repeat(log.visible, log.layout.widths, axis=1)
+    return visible & np.isfinite(log.measurement)
+
+
+def scaled(quantities: Sequence[slice], factor: float, offset: float = 0.0) -> list[Change]:
+    """Return the changes that scale values, given their rows, then add an offset to them."""
+    return [Change(rows, rows, factor, offset) for rows in quantities]

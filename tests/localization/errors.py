@@ -1,0 +1,66 @@
+"""Simulated logs, and errors that all links of a log share, as functions from readings."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from mmwave_env.filters.bank import default_modes
+from mmwave_env.localization.readings import AZIMUTH, DEPARTURE, ELEVATION, RANGE, Reading
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
+from mmwave_env.world.keys import keys_of
+from mmwave_env.world.simulated import SimulatedSource
+from tests.logs.by_hand import log_with
+
+STREET = SCENES["street"]
+
+
+def mode_of(radio):
+    """Return the mode that the search uses."""
+    return default_modes(radio)[-1]
+
+
+def readings(count, radio="standard", scenario="pedestrian", seed=500_000, dt=1.0, epochs=200):
+    """Return simulated logs in the street, each from the first link of its base station on."""
+    source = SimulatedSource(STREET, RADIOS[radio], scenario, dt, epochs)
+    logs = []
+    for e in source.episodes(keys_of(range(seed, seed + count))):
+        log = log_with(e.layout, e.time_s, e.measurement, e.visible, e.snr_db)
+        log = replace(log, doppler_spread_hz=e.doppler_spread_hz)
+        logs.append(log.part(slice(int(np.argmax(log.visible[:, 0])), None)))
+    return [Reading(log, STREET, RADIOS[radio]) for log in logs]
+
+
+def shifted(*rows, by):
+    """Return an error that adds a number to rows."""
+
+    def error(reading):
+        z = reading.log.measurement.copy()
+        for some in rows:
+            z[:, some] += by
+        return reading._replace(log=replace(reading.log, measurement=z))
+
+    return error
+
+
+def turned(degrees):
+    return shifted(AZIMUTH, DEPARTURE, by=np.radians(degrees))
+
+
+def tilted(degrees):
+    return shifted(ELEVATION, by=np.radians(degrees))
+
+
+def late(meters):
+    return shifted(RANGE, by=meters)
+
+
+def moved(anchor, *meters):
+    """Return an error that moves an anchor of the scene, from 0, away from its true place."""
+
+    def error(reading):
+        anchors = reading.scene.anchors_m
+        anchors[anchor] -= meters
+        return reading._replace(scene=reading.scene.with_anchors(anchors))
+
+    return error

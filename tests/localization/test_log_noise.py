@@ -1,0 +1,114 @@
+"""Tests of statements on the noise of a log: steps, jumps of the clock, factors, correlation."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mmwave_env.localization.log_noise import (
+    clock_jumps,
+    noise_notes,
+    range_step,
+    with_range_steps,
+)
+from mmwave_env.localization.starts import deviations_of
+from tests.localization.errors import STREET, mode_of, readings
+
+READING = readings(1)[0]
+LOG = READING.log
+RADIO = READING.radio
+SIGMA = deviations_of(LOG, STREET, RADIO)
+
+
+def with_ranges(ranges):
+    z = LOG.measurement.copy()
+    z[:, :-1:4] = ranges
+    return replace(LOG, measurement=z)
+
+
+def rounded(step):
+    return with_ranges(step * np.round(LOG.measurement[:, :-1:4] / step))
+
+
+@pytest.mark.parametrize("step", [0.3, 0.7, 2.44])
+def test_the_step_of_ranges_is_known_and_its_noise_added(step):
+    log, known = with_range_steps(rounded(step), STREET, RADIO)
+    assert known == pytest.approx(step, rel=1e-3)
+    variance = deviations_of(log, STREET, RADIO)[:, :-1:4] ** 2
+    np.testing.assert_allclose(variance - SIGMA[:, :-1:4] ** 2, step**2 / 12.0, rtol=2e-3)
+
+
+def test_standard_deviations_of_the_receiver_get_the_noise_of_rounding_too():
+    own = np.full(SIGMA.shape, 0.4)
+    log, _ = with_range_steps(replace(rounded(0.7), sigma=own), STREET, RADIO)
+    np.testing.assert_allclose(log.sigma[:, :-1:4], np.sqrt(0.16 + 0.49 / 12.0), rtol=1e-3)
+    np.testing.assert_array_equal(log.sigma[:, 1:-1:4], 0.4)
+
+
+@pytest.mark.parametrize("log", [LOG, rounded(0.01)], ids=["unrounded", "too short to matter"])
+def test_other_ranges_keep_their_noise(log):
+    assert with_range_steps(log, STREET, RADIO) == (log, None)
+
+
+def test_a_log_without_ranges_has_no_step():
+    assert range_step(with_ranges(np.nan), SIGMA) is None
+
+
+def test_jumps_that_all_ranges_share_are_those_of_a_clock():
+    rng = np.random.default_rng(8)
+    clock = np.where(rng.random(len(LOG)) < 0.3, rng.uniform(500.0, 5000.0, len(LOG)), 0.0)
+    share, jump_m = clock_jumps(with_ranges(LOG.measurement[:, :-1:4] + clock[:, None]), SIGMA)
+    assert 0.3 < share < 0.6 and 1000.0 < jump_m < 4000.0
+    assert clock_jumps(LOG, SIGMA) is None
+    single = LOG.measurement[:, :-1:4] + np.array([1.0, 0.0, 0.0]) * clock[:, None]
+    assert clock_jumps(with_ranges(single), SIGMA) is None
+
+
+def notes(log, step_m=None):
+    return noise_notes(log, STREET, RADIO, mode_of("standard"), step_m)
+
+
+def test_a_correct_log_needs_no_note():
+    assert notes(LOG) == []
+
+
+def test_noise_that_is_not_as_stated_is_noted():
+    sigma = SIGMA.copy()
+    sigma[:, 1:-1:4] /= 3.0
+    sigma[:, 3:-1:4] /= 3.0
+    (note,) = notes(replace(LOG, sigma=sigma))
+    assert note.startswith("the noise of azimuths is ") and "times as large as stated" in note
+    assert 2.4 < float(note.split()[5]) < 3.8
+
+
+def test_correlated_errors_of_angles_are_noted():
+    rng = np.random.default_rng(9)
+    slow = np.repeat(rng.standard_normal((len(LOG) // 10 + 1, 13)), 10, axis=0)[: len(LOG)]
+    slow[:, [0, 4, 8, 12]] = 0.0
+    log = replace(LOG, measurement=LOG.measurement + 1.5 * SIGMA * slow)
+    assert any(
+        re.match("errors of angles last about .* use --correlation", note) for note in notes(log)
+    )
+
+
+def test_measurements_in_every_other_epoch_have_no_correlation():
+    visible = LOG.visible & (np.arange(len(LOG)) % 2 == 0)[:, None]
+    assert notes(replace(LOG, visible=visible)) == []
+
+
+def test_a_log_too_short_for_shared_errors_is_noted():
+    (note,) = notes(LOG.part(slice(50)))
+    assert note.startswith("the log is too short to show errors that all links share")
+
+
+def test_steps_and_jumps_are_noted_even_if_no_track_can_begin():
+    clock = 3000.0 * (np.arange(len(LOG)) % 3 == 0)
+    log = with_ranges(LOG.measurement[:, :-1:4] + clock[:, None])
+    ranges = np.where(np.isin(np.arange(13), [0, 4, 8]), log.measurement, np.nan)
+    partial = replace(log, measurement=ranges, layout=replace(LOG.layout, partial=True))
+    jumps, steps, *_ = notes(partial, step_m=2.5)
+    assert re.match("the user's clock jumps in 6[67]% of the epochs, by 3e[+]03 m", jumps)
+    assert steps.startswith("ranges come in steps of 2.5 m")
+    free = replace(partial, layout=replace(partial.layout, clock="free"))
+    assert not any("jumps" in note for note in notes(free))

@@ -1,0 +1,162 @@
+"""Tests of the search for errors that all links share, with the numbers of logs that it gets right.
+
+The seeds are fixed. With other seeds, a search with the shares of docs/world-off.md would fail each
+test in at most 1 of 100 draws (binomial distribution).
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mmwave_env.localization.radio_choice import nearest_radio
+from mmwave_env.localization.readings import Reading
+from mmwave_env.localization.shared_errors import (
+    SCANNED_EPOCHS,
+    find_shared_errors,
+    scanned,
+    without_errors,
+)
+from mmwave_env.localization.suspects import suspects
+from mmwave_env.logs.log import read_log
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import read_scene
+from tests.localization.errors import (
+    late,
+    mode_of,
+    moved,
+    readings,
+    shifted,
+    tilted,
+    turned,
+)
+from tests.localization.mistakes import FOLDERS
+
+AWAY = "is away from its place"
+
+
+def errors_of(reading, radio="standard"):
+    return find_shared_errors(reading.log, reading.scene, reading.radio, mode_of(radio))
+
+
+def names(errors):
+    """Return the names of the first error and of its rivals."""
+    return {errors[0].suspect.name, *errors[0].rivals} if errors else set()
+
+
+def sample(folder):
+    """Return a shipped log as a reading."""
+    scene = read_scene(folder / "scene.json")
+    log = read_log(folder / "log.csv", scene, partial=True)
+    assert nearest_radio(log, scene) == "standard"
+    return Reading(log, scene, RADIOS["standard"])
+
+
+ERRORS = {  # name -> (error, its size, in the unit of the suspect)
+    "azimuths are turned": (turned(3.0), [3.0]),
+    "azimuths of arrival are turned": (shifted(slice(1, -1, 4), by=np.radians(-4.0)), [-4.0]),
+    "elevations are too large": (tilted(3.0), [3.0]),
+    "ranges are too long": (late(30.0), [30.0]),
+    "ranges of anchor 2 are too long": (shifted(slice(4, 5), by=12.0), [12.0]),
+    f"anchor 1 {AWAY}": (moved(0, 0.8, -0.6, 0.0), [0.8, -0.6]),
+    "anchor 1 is higher than in the scene": (moved(0, 0.0, 0.0, 2.0), [2.0]),
+}
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
+@pytest.mark.parametrize("name", ERRORS)
+def test_an_error_of_a_shipped_log_is_named_sized_and_undone(folder, name):
+    error, size = ERRORS[name]
+    right = sample(folder)
+    wrong = error(right)
+    (noticed,) = errors_of(wrong)
+    assert noticed.suspect.name == name and not noticed.rivals
+    np.testing.assert_array_less(abs(noticed.theta - size), 4.0 * noticed.sigma + 0.05)
+    corrected = without_errors(wrong, [noticed])
+    largest = [0.06, *[np.radians(0.25)] * 3] * 3  # the sizes of the errors that remain
+    apart = abs(corrected.log.measurement - right.log.measurement)[:, :-1]
+    assert (np.nanmax(apart, axis=0) <= largest).all()
+    assert abs(corrected.scene.anchors_m - right.scene.anchors_m).max() < 0.06
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
+def test_a_shipped_log_shows_no_error(folder):
+    assert errors_of(sample(folder)) == []
+
+
+def test_several_errors_are_found_together():
+    reading = turned(4.0)(late(15.0)(sample(FOLDERS[0])))
+    sizes = {error.suspect.name: error.theta[0] for error in errors_of(reading)}
+    assert sizes == pytest.approx(
+        {"ranges are too long": 15.0, "azimuths are turned": 4.0}, abs=0.1
+    )
+
+
+def test_what_to_write_names_the_values_that_the_scene_needs():
+    reading = turned(4.0)(sample(FOLDERS[0]))
+    (error,) = errors_of(reading)
+    mistake = error.undone(reading)
+    bearing = round(float(error.theta[0]), 3)
+    assert mistake.cure == f'write "bearing_deg": {bearing} into the scene\'s file'
+    assert mistake.words.startswith("azimuths are turned by 4.0")
+    (street,) = readings(1)
+    suspect = suspects(street)[f"anchor 2 {AWAY}"]
+    moved_anchor = error._replace(suspect=suspect, theta=np.array([1.0, 0.0]))
+    cure = moved_anchor.undone(street).cure
+    assert "anchors" in cure and "instead of base_station_m, walls" in cure
+
+
+def test_only_long_stretches_of_short_steps_are_searched():
+    (reading,) = readings(1, epochs=120)
+    log = reading.log
+
+    def part(log):
+        return scanned(log, reading.scene, reading.radio)
+
+    assert len(part(log)[0]) == len(log)
+    assert part(log.part(slice(90))) is None
+    assert part(replace(log, time_s=2.5 * log.time_s)) is None
+    assert part(replace(log, time_s=0.05 * log.time_s)) is None
+    (gap,) = readings(1, epochs=260)
+    time_s = gap.log.time_s + 60.0 * (np.arange(len(gap.log)) >= 50)
+    assert part(replace(gap.log, time_s=time_s))[0].time_s[0] >= 110.0
+
+
+def test_a_fast_log_is_thinned_to_100_s():
+    (reading,) = readings(1, dt=0.02, epochs=6000)
+    epochs, _ = scanned(reading.log, reading.scene, reading.radio)
+    assert len(epochs) == SCANNED_EPOCHS
+    assert epochs.time_s[-1] - epochs.time_s[0] == pytest.approx(99.9)
+
+
+def test_measurements_too_wrong_for_a_filter_are_refused():
+    (reading,) = readings(1)
+    z = reading.log.measurement * np.where(np.arange(13) % 4 == 0, 1e200, 1.0)
+    with np.errstate(all="ignore"), pytest.raises(ValueError, match="found|NaN"):
+        errors_of(reading._replace(log=replace(reading.log, measurement=z)))
+
+
+COUNTS = {  # name -> (error, name of the suspect, least number of 24 that are named right)
+    "azimuths 3 degrees": (turned(3.0), "azimuths are turned", 20),
+    "base station 5 m": (moved(0, 3.0, 4.0, 0.0), f"anchor 1 {AWAY}", 20),
+    "ranges 1 m": (late(1.0), "ranges are too long", 20),
+    "elevations 3 degrees": (tilted(3.0), "elevations are too large", 18),
+    "one anchor 12 m": (shifted(slice(4, 5), by=12.0), "ranges of anchor 2 are too long", 21),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scenario", ["pedestrian", "vehicle"])
+@pytest.mark.parametrize("case", COUNTS)
+def test_most_errors_in_simulated_logs_are_named(case, scenario):
+    error, name, least = COUNTS[case]
+    named = [name in names(errors_of(error(r))) for r in readings(24, scenario=scenario)]
+    assert sum(named) >= least
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("radio", ["handset", "standard"])
+@pytest.mark.parametrize("scenario", ["pedestrian", "vehicle"])
+def test_correct_logs_seldom_show_an_error(radio, scenario):
+    alarms = [bool(errors_of(r, radio)) for r in readings(100, radio, scenario)]
+    assert sum(alarms) <= 3

@@ -1,0 +1,86 @@
+"""Tests of kinds of errors: each undoes its own error, and hidden ones are not looked for."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mmwave_env.localization.readings import Reading
+from mmwave_env.localization.suspects import suspects
+from tests.localization.errors import late, moved, readings, shifted, tilted, turned
+
+READING = readings(1, epochs=10)[0]
+EVERY = suspects(READING)
+UNDONE = {  # name -> error of size 2
+    "azimuths are turned": turned(2.0),
+    "azimuths of arrival are turned": shifted(slice(1, -1, 4), by=np.radians(2.0)),
+    "azimuths of departure are turned": shifted(slice(3, -1, 4), by=np.radians(2.0)),
+    "elevations are too large": tilted(2.0),
+    "ranges are too long": late(2.0),
+    "ranges of anchor 3 are too long": shifted(slice(8, 9), by=2.0),
+    "anchor 2 is away from its place": moved(1, 2.0, 2.0, 0.0),
+    "anchor 2 is higher than in the scene": moved(1, 0.0, 0.0, 2.0),
+    "several errors": lambda r: late(2.0)(turned(2.0)(tilted(2.0)(r))),
+}
+
+
+@pytest.mark.parametrize("name", UNDONE)
+def test_a_suspect_undoes_its_error(name):
+    wrong = UNDONE[name](READING)
+    suspect = EVERY[name]
+    mistake = suspect.undo(wrong, np.full(suspect.parameters, 2.0))
+    corrected = wrong.without(mistake)
+    np.testing.assert_allclose(corrected.log.measurement, READING.log.measurement, atol=1e-12)
+    np.testing.assert_allclose(corrected.scene.anchors_m, READING.scene.anchors_m, atol=1e-12)
+
+
+def test_the_corrected_scene_states_bearing_and_offsets():
+    undo = EVERY["several errors"].undo
+    scene = READING.without(undo(READING, np.array([2.0, 3.0, 4.0]))).scene
+    assert scene.bearing_deg == 3.0 and scene.range_offset_m == (2.0, 2.0, 2.0)
+    again = EVERY["ranges of anchor 2 are too long"].undo
+    offset = READING._replace(scene=scene).without(
+        again(READING._replace(scene=scene), np.array([0.5]))
+    )
+    assert offset.scene.range_offset_m == (2.0, 2.5, 2.0)
+
+
+def test_a_scaled_doppler_shift_corrects_the_carrier():
+    mistake = EVERY["Doppler shifts are too large"].undo(READING, np.array([10.0]))
+    assert mistake.scene.hz_per_mps == pytest.approx(1.1 * READING.scene.hz_per_mps)
+
+
+def test_a_base_station_moves_with_its_images():
+    name = "the base station with its images is away from its place"
+    scene = EVERY[name].undo(READING, np.array([1.0, 0.0])).scene
+    x = READING.scene.anchors_m[:, 0]
+    assert (scene.anchors_m[:, 0] - x).tolist() == [1.0, 1.0, -1.0]  # one wall across x
+
+
+def named(log):
+    return suspects(Reading(log, READING.scene, READING.radio)).keys()
+
+
+def test_what_no_log_can_show_is_not_looked_for():
+    log = READING.log
+    single = log.visible.copy()
+    single[:, 1:3] = False
+    assert named(replace(log, visible=single)) == {
+        "azimuths of arrival are turned",
+        "azimuths of departure are turned",
+        "elevations are too large",
+        "Doppler shifts are too large",
+    }
+    clock = replace(log, layout=replace(log.layout, clock="offset"))
+    assert named(log) - named(clock) == {"ranges are too long", "several errors"}
+    z = np.where(np.isin(np.arange(13), [0, 4, 8]), log.measurement, np.nan)
+    ranges = named(replace(log, measurement=z))
+    assert {name.split(" of ")[0].split(" ")[0] for name in ranges} == {"ranges", "anchor", "the"}
+
+
+def test_sentences_give_sizes_deviations_and_units():
+    theta = np.array([1.0, -2.125])
+    place = EVERY["anchor 1 is away from its place"]
+    assert place.words(theta, abs(theta)).endswith("by (1.00, -2.12) ± (1.00, 2.12) m")
+    angle = EVERY["azimuths are turned"]
+    assert angle.words(theta[:1], theta[:1]) == "azimuths are turned by 1.00 ± 1.00 degrees"
