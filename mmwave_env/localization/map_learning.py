@@ -364,13 +364,18 @@ def learned_scene(scene: Scene, belief: Belief) -> Scene:
         a, b, c = sigma[block(k + 1)].tolist()
         learned.append(LearnedImage((a, b, c), belief.images[k].paths))
     surveyed = scene.virtual_anchors_m[: len(scene.virtual_anchors_m) - len(scene.learned)]
-    # An image has the offset of the base station.
-    offsets = {
-        name: (*values[: 1 + known], *[values[0]] * len(places))
-        for name in ("range_offset_m", "range_offset_sigma_m")
-        if (values := getattr(scene, name))
-    }
-    return replace(scene, virtual_anchors_m=(*surveyed, *places), learned=tuple(learned), **offsets)
+
+    def of_images(values: tuple[float, ...]) -> tuple[float, ...]:
+        """Give the images the value of their base station."""
+        return (*values[: 1 + known], *values[:1] * len(places))
+
+    return replace(
+        scene,
+        virtual_anchors_m=(*surveyed, *places),
+        range_offset_m=of_images(scene.range_offset_m),
+        range_offset_sigma_m=of_images(scene.range_offset_sigma_m),
+        learned=tuple(learned),
+    )
 
 
 def map_figures(scene: Scene, counts: MapCounts) -> Json:
