@@ -57,17 +57,18 @@ def path_nis(x: Vector, P: Matrix, anchors: Matrix, paths: Array, sigma: Array) 
     return nis
 
 
-def assign(nis: Array, gate: float) -> Index:
+def assign(cost: Array, gate: float) -> Index:
     """Return the indices (L,) of the anchors' paths; ``NO_PATH`` for an anchor without a path.
 
-    ``nis`` is (L, n); a path may belong to an anchor only if its NIS is below ``gate``.
+    ``cost`` (L, n) is, for example, the NIS; a path may belong to an anchor only if its cost is
+    below ``gate``.
     """
     from scipy.optimize import linear_sum_assignment
 
-    labels = np.full(len(nis), NO_PATH)
+    labels = np.full(len(cost), NO_PATH)
     # A pair outside the gate costs as much as an anchor without a path. It is discarded below.
-    anchors, paths = linear_sum_assignment(np.minimum(np.nan_to_num(nis, nan=np.inf), gate))
-    inside = nis[anchors, paths] < gate
+    anchors, paths = linear_sum_assignment(np.minimum(np.nan_to_num(cost, nan=np.inf), gate))
+    inside = cost[anchors, paths] < gate
     labels[anchors[inside]] = paths[inside]
     return labels
 

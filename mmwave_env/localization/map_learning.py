@@ -26,6 +26,7 @@ from scipy.special import chdtri
 
 from mmwave_env.filters.modes import Mode
 from mmwave_env.io.files import Json
+from mmwave_env.localization.association import NO_PATH, assign, disagreement
 from mmwave_env.localization.image_filter import (
     LINK_ROWS,
     USER,
@@ -45,7 +46,7 @@ from mmwave_env.models.layout import STATE_SIZE, Layout
 from mmwave_env.models.prior import GAP_S, prior_from_fix
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import MOST_ANCHORS, LearnedImage, Scene
-from mmwave_env.numerics.numbers import PI, Array, Mask, wrap
+from mmwave_env.numerics.numbers import PI, Array, Mask
 
 # Density of false paths in each row: range (1 / m), then arrival, elevation, departure (1 / rad).
 # An arrival at the image differs from the departure by pi, also if the path is false. An arrival at
@@ -59,6 +60,7 @@ CONFIRM_TAIL = 0.001  # the sum of NIS of a tentative image must not be in this 
 FREE = float(chdtri(LINK_ROWS, 1e-4))  # a path begins an image only if all its NIS are larger
 KEEP = 20  # epochs that a confirmed image may be missed, or 4 for each of its paths
 TRUSTED = 30  # an image with so many paths survives a new beginning, and belongs to the map
+STRAIGHT = 9.0  # NIS of the difference between departure and arrival on a line of sight
 LONGER_M = 1.0  # a reflection is longer than the line of sight by at least this length
 LOOK_AHEAD = 10  # epochs that decide about a doubtful track
 LOST_M = 6.0  # standard deviation of the position from which a track is doubtful
@@ -124,8 +126,7 @@ class MapLearner:
         snr_db = np.column_stack([epoch.snr_db, epoch.snr_db])
         variance = self._radio.sigma(snr_db, self._links, Layout(2)) ** 2
         direct, reflected, doppler = np.split(variance, [LINK_ROWS, 2 * LINK_ROWS], axis=1)
-        bend = wrap(wrap(z[:, 3] - z[:, 1] + PI))
-        straight = gives_fix(z) & (bend**2 < 9.0 * (direct[:, 1] + direct[:, 3]))
+        straight = gives_fix(z) & (disagreement(z, np.sqrt(direct)) < STRAIGHT)
         return Paths(
             epoch.time_s, z, epoch.doppler, direct, reflected, doppler[:, 0], straight, at_station
         )
@@ -228,14 +229,12 @@ class MapLearner:
 
         The assignment is a global nearest neighbor (Blackman and Popoli 1999, Sec. 6.4).
         """
-        from scipy.optimize import linear_sum_assignment
-
         nis, log_det = self._filter.nis(b, paths)
         density = [*DENSITY[:3], STATION_DENSITY if paths.at_station else DENSITY[3]]
         limit = -2.0 * np.log(density).sum() - LINK_ROWS * np.log(2.0 * PI)
         cost = nis + log_det - limit
-        cost[0] -= SIGHT_BONUS
         evidence = -0.5 * cost
+        cost[0] -= SIGHT_BONUS
         possible = np.flatnonzero(cost[0] < 0.0)
         if len(possible):  # of the paths that may be the line of sight, only the shortest may
             length = paths.z[possible, 0]
@@ -243,9 +242,8 @@ class MapLearner:
             shortest = length.argmin()
             apart = 3.0 * np.sqrt(variance + variance[shortest])
             cost[0, possible[length > length[shortest] + apart]] = 0.0
-        anchors, chosen = linear_sum_assignment(np.minimum(cost, 0.0))
-        pairs = zip(anchors.tolist(), chosen.tolist(), strict=True)
-        return {a: i for a, i in pairs if cost[a, i] < 0.0}, nis, evidence
+        labels = assign(cost, 0.0).tolist()
+        return {a: i for a, i in enumerate(labels) if i != NO_PATH}, nis, evidence
 
     def _shorter(self, b: Belief, paths: Paths) -> Mask:
         """Tell which paths (n,) are shorter than the line of sight, which is impossible."""
