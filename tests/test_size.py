@@ -17,10 +17,10 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "files of source": 199,
-    "words of docs": 34_100,
-    "pages of docs": 26,
-    "tracked files": 634,
+    "files of source": 201,
+    "words of docs": 34_950,
+    "pages of docs": 27,
+    "tracked files": 640,
     "tracked MB": 9,
     "commands": 13,
     "extras for users": 8,
@@ -28,29 +28,29 @@ BUDGET = {
     "lines that ruff may not format": 60,
 }
 ROOMS = {  # maximum tokens of a room; lines are free
-    "experiments": 3_690,
-    "experiments/console": 5_150,
+    "experiments": 3_860,
+    "experiments/console": 5_190,
     "experiments/evaluation": 11_250,
     "experiments/paper": 5_420,
-    "experiments/reporting": 15_050,
+    "experiments/reporting": 15_570,
     "experiments/sweeping": 2_590,
     "experiments/timing": 5_020,
     "experiments/training": 16_510,
     "mmwave_env": 7_310,
     "mmwave_env/compiler": 7_820,
-    "mmwave_env/datasets": 9_230,
+    "mmwave_env/datasets": 9_660,
     "mmwave_env/engines": 12_440,
     "mmwave_env/filters": 19_140,
     "mmwave_env/interface": 6_940,
     "mmwave_env/io": 2_980,
-    "mmwave_env/localization": 34_280,
+    "mmwave_env/localization": 40_530,
     "mmwave_env/logs": 12_540,
-    "mmwave_env/models": 10_350,
+    "mmwave_env/models": 10_530,
     "mmwave_env/numerics": 3_810,
     "mmwave_env/rendering": 8_790,
     "mmwave_env/world": 16_560,
     "policies": 6_800,
-    "tests": 216_010,
+    "tests": 220_000,
 }
 PACKINGS = 3.0  # maximum per 1,000 lines: statements that say several things at once
 SOURCE = ("mmwave_env", "experiments", "policies")
