@@ -44,7 +44,18 @@ def run_live(args: LogArgs) -> None:
     if str(args.log) != "-" or args.scene is None:
         raise ValueError('live: needs "-" (standard input) as the log, and --scene')
     files = ("sample", "truth", "out", "plot", "json")
-    require_alone(args, "live", *files, "two_way", "associate", "diagnose", "odometry", "map")
+    require_alone(
+        args,
+        "live",
+        *files,
+        "two_way",
+        "associate",
+        "diagnose",
+        "odometry",
+        "map",
+        "map_out",
+        "more",
+    )
     require_alone(args, "format", "lag")
     require_at_least(0, args, "lag", "correlation")
     require_one_choice(args)

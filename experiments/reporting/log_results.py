@@ -51,12 +51,7 @@ from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.localizer import Track, localize
 from mmwave_env.localization.log_noise import noise_notes, with_range_steps
 from mmwave_env.localization.map_files import MAP_FILES, origin_of
-from mmwave_env.localization.map_learning import (
-    FEW_EXPLAINED,
-    learn_map,
-    learned_scene,
-    map_figures,
-)
+from mmwave_env.localization.map_learning import FEW_EXPLAINED, learn_map
 from mmwave_env.localization.radio_choice import nearest_radio
 from mmwave_env.localization.readings import AS_IT_IS
 from mmwave_env.localization.shared_errors import SharedError, find_shared_errors
@@ -262,16 +257,15 @@ def _learned_map(
     """
     logs = [read_paths(path, scene, args.odometry) for path in paths]
     fast = modes_from(args.modes, radio)[-1]
-    belief, counts = learn_map(logs, scene, radio_of(args, radio), fast)
-    if counts.explained < FEW_EXPLAINED * counts.paths:
+    scene, learned = learn_map(logs, scene, radio_of(args, radio), fast)
+    if learned["explained"] < FEW_EXPLAINED * learned["paths"]:
         warnings.warn(
-            f"map: found {counts.explained} of {counts.paths} paths that come from the base "
-            f"station or from a learned image, expected {FEW_EXPLAINED:.0%} or more. Other things "
+            f"map: found {learned['explained']} of {learned['paths']} paths that come from the "
+            f"base station or a learned image, expected {FEW_EXPLAINED:.0%} or more. Other things "
             "than flat walls reflect here, as usual indoors, so do not trust the map or the track",
             stacklevel=2,
         )
-    scene = learned_scene(scene, belief)
-    return scene, map_figures(scene, counts)
+    return scene, learned
 
 
 def _track(

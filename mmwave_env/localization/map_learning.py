@@ -19,7 +19,6 @@ Beliefs are immutable, so that several ways can be tried side by side.
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtri
@@ -35,7 +34,6 @@ from mmwave_env.localization.image_filter import (
     Image,
     ImageFilter,
     Paths,
-    block,
     merged,
     reduced,
 )
@@ -304,80 +302,73 @@ def _judged(image: Image) -> Image | None:
     return None if hopeless else image
 
 
-class MapCounts(NamedTuple):
-    """Counts of what a map was learned from."""
-
-    epochs: int
-    paths: int
-    explained: int  # paths that updated the user
-    starts: int  # tracks that began
-
-
 def learn_map(
     logs: Sequence[PathLog], scene: Scene, radio: Radio, mode: Mode
-) -> tuple[Belief, MapCounts]:
-    """Return the belief after several logs in order, and counts; see :class:`MapLearner`.
+) -> tuple[Scene, Json]:
+    """Learn the images that several logs reveal, in order; see :class:`MapLearner`.
+
+    Returns:
+        The scene with the learned images as virtual anchors, for any log; and figures: the counts
+        of epochs, of paths, of paths that they explain and of starts of tracks; and each image.
 
     Raises:
         LogError: no track begins in one of the logs.
     """
     learner = MapLearner(scene, radio, mode)
     belief = learner.start()
-    counts = MapCounts(0, 0, 0, 0)
+    counts = {"epochs": 0, "paths": 0, "explained": 0, "starts": 0}
     for number, log in enumerate(logs, start=1):
-        before = counts
+        before = counts["starts"]
         beliefs = learner.learn(log, belief)
         for epoch in log.epochs:
             belief = next(beliefs)
-            counts = MapCounts(
-                counts.epochs + 1,
-                counts.paths + len(epoch.snr_db),
-                counts.explained + len(belief.labels),
-                counts.starts + belief.begins,
-            )
-        if counts.starts == before.starts:
+            counts["epochs"] += 1
+            counts["paths"] += len(epoch.snr_db)
+            counts["explained"] += len(belief.labels)
+            counts["starts"] += belief.begins
+        if counts["starts"] == before:
             raise LogError(
                 f"log {number} of {len(logs)}: found no path with which a track can begin, "
                 "expected an epoch with a line of sight (arrival and departure are opposite) whose "
                 "position explains a path in each of the next epochs"
             )
-    return belief, counts
+    scene = learned_scene(scene, belief)
+    return scene, {**counts, "images": _images(scene)}
 
 
 def learned_scene(scene: Scene, belief: Belief) -> Scene:
-    """Return the scene with the learned images as virtual anchors, for other logs.
+    """Return the scene with the learned images as virtual anchors.
 
     If there are too many for a scene, those with the most paths are kept.
     """
-    known = sum(image.exact for image in belief.images)
-    order = [k for k, image in enumerate(belief.images) if trusted(image) and not image.exact]
-    order.sort(key=lambda k: -belief.images[k].paths)
-    order = sorted(order[: MOST_ANCHORS - 1 - known])
-    sigma = np.sqrt(np.diag(belief.P))
-    learned = []
-    places = []
-    for k in order:
-        x, y, z = belief.places[k].tolist()
-        places.append((x, y, z))
-        a, b, c = sigma[block(k + 1)].tolist()
-        learned.append(LearnedImage((a, b, c), belief.images[k].paths))
+    images = belief.images
+    exact = sum(image.exact for image in images)
+    of_map = [k for k, image in enumerate(images) if trusted(image) and not image.exact]
+    of_map.sort(key=lambda k: images[k].paths, reverse=True)
+    kept = sorted(of_map[: MOST_ANCHORS - 1 - exact])
+    sigma = np.sqrt(np.diag(belief.P)[STATE_SIZE:]).reshape(-1, 3)
     surveyed = scene.virtual_anchors_m[: len(scene.virtual_anchors_m) - len(scene.learned)]
 
     def of_images(values: tuple[float, ...]) -> tuple[float, ...]:
         """Give the images the value of their base station."""
-        return (*values[: 1 + known], *values[:1] * len(places))
+        return (*values[: 1 + exact], *values[:1] * len(kept))
 
     return replace(
         scene,
-        virtual_anchors_m=(*surveyed, *places),
+        virtual_anchors_m=(*surveyed, *(_point(belief.places[k]) for k in kept)),
         range_offset_m=of_images(scene.range_offset_m),
         range_offset_sigma_m=of_images(scene.range_offset_sigma_m),
-        learned=tuple(learned),
+        learned=tuple(LearnedImage(_point(sigma[k]), images[k].paths) for k in kept),
     )
 
 
-def map_figures(scene: Scene, counts: MapCounts) -> Json:
-    """Return the learned images of a scene, with the walls that make them, and the counts.
+def _point(coordinates: Array) -> tuple[float, float, float]:
+    x, y, z = coordinates.tolist()
+    return x, y, z
+
+
+def _images(scene: Scene) -> list[Json]:
+    """Return figures about each learned image of a scene, with the wall that makes it.
 
     The wall of an image a is halfway between a and the base station g, with the normal a - g.
     """
@@ -388,17 +379,14 @@ def map_figures(scene: Scene, counts: MapCounts) -> Json:
     for number, (place, image) in enumerate(learned, start=first + 1):
         normal = (place - station)[:2]
         normal = normal / np.linalg.norm(normal)
-        wall = {
-            "normal": normal.tolist(),
-            "offset_m": float(normal @ (place + station)[:2] / 2.0),
-        }
+        offset_m = float(normal @ (place + station)[:2] / 2.0)
         images.append(
             {
                 "anchor": number,
                 "position_m": place.tolist(),
                 "sigma_m": list(image.sigma_m),
                 "paths": image.paths,
-                "wall": wall,
+                "wall": {"normal": normal.tolist(), "offset_m": offset_m},
             }
         )
-    return {**counts._asdict(), "images": images}
+    return images

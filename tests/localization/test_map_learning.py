@@ -8,12 +8,7 @@ import pytest
 
 from mmwave_env.datasets.log_folder import log_text, path_columns
 from mmwave_env.filters.bank import default_modes
-from mmwave_env.localization.map_learning import (
-    MapLearner,
-    learn_map,
-    learned_scene,
-    map_figures,
-)
+from mmwave_env.localization.map_learning import MapLearner, learn_map
 from mmwave_env.logs.log import read_paths
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.radio import RADIOS
@@ -43,8 +38,7 @@ def paths_of(tmp_path):
 
 
 def learned(logs, radio="standard", scene=STATION):
-    belief, counts = learn_map(logs, scene, RADIOS[radio], default_modes(radio)[-1])
-    return learned_scene(scene, belief), counts
+    return learn_map(logs, scene, RADIOS[radio], default_modes(radio)[-1])
 
 
 def scores(log, episode, radio, scene):
@@ -69,9 +63,11 @@ def errors_of(scene):
 @pytest.mark.parametrize("radio", ["standard", "handset"])
 def test_the_images_of_a_street_are_learned_from_one_drive(paths_of, radio):
     log, _ = paths_of(1, radio)
-    scene, counts = learned([log], radio)
+    scene, figures = learned([log], radio)
     assert len(scene.learned) == 2 and errors_of(scene).max() < 4.0
-    assert counts.epochs == len(log.epochs) and 0.5 < counts.explained / counts.paths < 1.0
+    assert (
+        figures["epochs"] == len(log.epochs) and 0.5 < figures["explained"] / figures["paths"] < 1.0
+    )
 
 
 @pytest.mark.slow
@@ -108,9 +104,9 @@ def test_learning_goes_on_with_the_next_log(paths_of, tmp_path, seed):
 
 def test_two_logs_are_learned_in_order(paths_of):
     logs = [paths_of(seed)[0] for seed in (2, 102)]
-    scene, counts = learned(logs)
+    scene, figures = learned(logs)
     single, _ = learned(logs[:1])
-    assert counts.epochs == sum(len(log.epochs) for log in logs) and counts.starts >= 2
+    assert figures["epochs"] == sum(len(log.epochs) for log in logs) and figures["starts"] >= 2
     assert sum(i.paths for i in scene.learned) > 1.5 * sum(i.paths for i in single.learned)
 
 
@@ -123,8 +119,8 @@ def test_known_images_are_not_learned_again(paths_of):
 def test_the_map_outlives_a_gap(paths_of):
     log, _ = paths_of(1)
     epochs = [epoch for epoch in log.epochs if not 120.0 <= epoch.time_s < 150.0]
-    scene, counts = learned([log._replace(epochs=epochs)])
-    assert counts.starts >= 2 and len(scene.learned) == 2 and errors_of(scene).max() < 2.0
+    scene, figures = learned([log._replace(epochs=epochs)])
+    assert figures["starts"] >= 2 and len(scene.learned) == 2 and errors_of(scene).max() < 2.0
 
 
 def test_false_paths_alone_make_no_map_and_are_refused(paths_of):
@@ -142,8 +138,8 @@ def test_false_paths_alone_make_no_map_and_are_refused(paths_of):
 
 def test_a_wall_is_halfway_between_the_station_and_its_image(paths_of):
     log, _ = paths_of(1)
-    scene, counts = learned([log])
-    images = map_figures(scene, counts)["images"]
+    _, figures = learned([log])
+    images = figures["images"]
     assert [image["anchor"] for image in images] == [2, 3]
     walls = sorted((image["wall"] for image in images), key=lambda wall: wall["offset_m"])
     for wall, true in zip(walls, sorted(STREET.walls, key=lambda w: w.offset_m), strict=True):
