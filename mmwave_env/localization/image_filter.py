@@ -29,7 +29,7 @@ from mmwave_env.numerics.numbers import PI, Array, Mask, wrap
 LINK_ROWS = 4
 KNEE = 1.5  # NIS per row from which the noise of a path is inflated
 VERTICAL_M = 0.1  # deviation of an image's height from the base station's: walls are vertical
-IMAGE_NOISE_M = 0.05  # m / sqrt(s), because errors of reflected paths are correlated
+IMAGE_NOISE_M = 0.02  # m / sqrt(s), because errors of reflected paths are correlated
 MERGED_BELOW = chdtri(3, 0.01)  # images are equal if their difference is below the 99 % quantile
 MERGED_SIGMA_M = 3.0  # maximum standard deviation of this difference
 DOPPLER_GATE = chdtri(1, 0.01)  # 99 % gate of the Doppler shift

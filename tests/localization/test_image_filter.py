@@ -118,7 +118,7 @@ def test_only_images_that_are_to_be_learned_become_less_certain():
         b = belief(exact=exact)
         later = FILTER.predicted(b, 10.0)
         grown = np.diag(later.P - b.P)[7:]
-        np.testing.assert_allclose(grown, 0.0 if exact else 10.0 * 0.05**2, atol=1e-12)
+        np.testing.assert_allclose(grown, 0.0 if exact else 10.0 * 0.02**2, atol=1e-12)
 
 
 def test_images_are_removed_with_their_part_of_the_state():
