@@ -116,6 +116,13 @@ def test_known_images_are_not_learned_again(paths_of):
     assert scene == STREET
 
 
+def test_learned_images_have_the_range_offset_of_their_base_station(paths_of):
+    station = replace(STATION, range_offset_m=(0.5,), range_offset_sigma_m=(0.1,))
+    log, _ = paths_of(1, scene=station)
+    scene, _ = learned([log], scene=station)
+    assert scene.range_offset_m == (0.5,) * 3 and scene.range_offset_sigma_m == (0.1,) * 3
+
+
 def test_the_map_outlives_a_gap(paths_of):
     log, _ = paths_of(1)
     epochs = [epoch for epoch in log.epochs if not 120.0 <= epoch.time_s < 150.0]

@@ -10,7 +10,16 @@ from hypothesis import strategies as st
 
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.random_scene import RandomScene, scenes_from
-from mmwave_env.models.scene import SCENES, Scene, Streets, Wall, scene_from, scene_json
+from mmwave_env.models.scene import (
+    SCENES,
+    LearnedImage,
+    Scene,
+    Streets,
+    Wall,
+    read_scene,
+    scene_from,
+    scene_json,
+)
 from mmwave_env.world.keys import keys_of
 from mmwave_env.world.mobility import MOBILITIES
 from mmwave_env.world.simulated import SimulatedSource
@@ -244,3 +253,19 @@ def test_a_scene_with_other_anchors_has_no_walls():
     anchors = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [7.0, 8.0, 9.0]])
     moved = SCENES["street"].with_anchors(anchors)
     assert moved.anchors_m.tolist() == anchors.tolist() and moved.walls == ()
+
+
+def test_what_was_learned_about_images_is_stored_with_a_scene(tmp_path):
+    learned = (LearnedImage((0.1, 0.2, 0.3), 42),)
+    for walls in ((), SCENES["street"].walls):
+        scene = replace(
+            SCENES["street"], walls=walls, virtual_anchors_m=((4.0, 5.0, 6.0),), learned=learned
+        )
+        path = write_json(tmp_path / "street.json", scene_json(scene))
+        assert read_scene(path) == scene
+    assert "learned" not in scene_json(SCENES["street"])
+
+
+def test_more_learned_images_than_virtual_anchors_are_refused():
+    with refuses("learned"):
+        replace(SCENES["street"], learned=(LearnedImage((0.1, 0.2, 0.3), 42),))
