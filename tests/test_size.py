@@ -32,7 +32,7 @@ ROOMS = {  # maximum tokens of a room; lines are free
     "experiments/console": 5_150,
     "experiments/evaluation": 11_250,
     "experiments/paper": 5_420,
-    "experiments/reporting": 15_050,
+    "experiments/reporting": 15_120,
     "experiments/sweeping": 2_590,
     "experiments/timing": 5_020,
     "experiments/training": 16_510,
@@ -43,14 +43,14 @@ ROOMS = {  # maximum tokens of a room; lines are free
     "mmwave_env/filters": 19_140,
     "mmwave_env/interface": 6_940,
     "mmwave_env/io": 2_980,
-    "mmwave_env/localization": 34_280,
+    "mmwave_env/localization": 34_300,
     "mmwave_env/logs": 12_540,
     "mmwave_env/models": 10_350,
     "mmwave_env/numerics": 3_810,
     "mmwave_env/rendering": 8_790,
     "mmwave_env/world": 16_560,
     "policies": 6_800,
-    "tests": 216_010,
+    "tests": 217_020,
 }
 PACKINGS = 3.0  # maximum per 1,000 lines: statements that say several things at once
 SOURCE = ("mmwave_env", "experiments", "policies")
