@@ -18,9 +18,9 @@ from tests.paths import ROOT
 
 BUDGET = {
     "files of source": 201,
-    "words of docs": 34_950,
+    "words of docs": 35_200,
     "pages of docs": 27,
-    "tracked files": 640,
+    "tracked files": 648,
     "tracked MB": 9,
     "commands": 13,
     "extras for users": 8,
@@ -32,7 +32,7 @@ ROOMS = {  # maximum tokens of a room; lines are free
     "experiments/console": 5_190,
     "experiments/evaluation": 11_250,
     "experiments/paper": 5_420,
-    "experiments/reporting": 15_570,
+    "experiments/reporting": 15_630,
     "experiments/sweeping": 2_590,
     "experiments/timing": 5_020,
     "experiments/training": 16_510,
@@ -50,7 +50,7 @@ ROOMS = {  # maximum tokens of a room; lines are free
     "mmwave_env/rendering": 8_790,
     "mmwave_env/world": 16_560,
     "policies": 6_800,
-    "tests": 220_000,
+    "tests": 221_220,
 }
 PACKINGS = 3.0  # maximum per 1,000 lines: statements that say several things at once
 SOURCE = ("mmwave_env", "experiments", "policies")

@@ -115,6 +115,8 @@ def diagnosis_markdown(findings: Sequence[Finding], notes: Sequence[str]) -> str
         listed.append("\n")
     others = sum(not f.nis_per_dof for f in findings)
     impossible = f" {others} other hypotheses give no track; --json lists them." if others else ""
+    if findings[0].shared:  # other hypotheses do not see what links share
+        return f"{verdict(findings)}\n\n{''.join(listed)}"
     return (
         f"{verdict(findings)}\n\n{''.join(listed)}{grid(header, rows)}\n\n"
         'The column "anchors" shows the median NIS / dof of the anchor whose median is farthest '

@@ -45,7 +45,12 @@ from mmwave_env.filters.bank import modes_from
 from mmwave_env.io.files import Json, require_writable, write_json
 from mmwave_env.io.lookup import as_name
 from mmwave_env.localization.association import associate
-from mmwave_env.localization.contradictions import Contradiction, contradictions
+from mmwave_env.localization.contradictions import (
+    FEW_WRONG,
+    NIS_LIMITS,
+    Contradiction,
+    contradictions,
+)
 from mmwave_env.localization.diagnosis import diagnose
 from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.localizer import Track, localize
@@ -333,6 +338,16 @@ def _figures(args: LogArgs, files: Inputs, work: Work, track: Track) -> Json:
     groups, doubts = _consistency(work, track)
     for doubt in doubts:
         warnings.warn(f"{doubt}; --diagnose looks for a likely mistake", stacklevel=2)
+    for name, group in groups.items():
+        nis = group["nis_per_dof"] or 0.0
+        inside = group["nis_in_bounds"] or 0.0
+        if nis > NIS_LIMITS[1] and inside >= FEW_WRONG and name != "all":
+            warnings.warn(
+                f"{name}: found NIS / dof {nis:.3g}, although {inside:.0%} of the values are in "
+                "their 95 % bounds: a few are far off, such as reflections (--imm imm-best rejects "
+                "more of them)",
+                stacklevel=2,
+            )
     errors = _shared_errors(args, work)
     for each in errors:
         warnings.warn(

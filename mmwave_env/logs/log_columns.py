@@ -273,7 +273,7 @@ def _problem(name: str) -> str:
     hint = did_you_mean(name, QUANTITY_OF, 2)
     for quantity, synonyms in _SYNONYMS.items():
         if not set(synonyms).isdisjoint(words):
-            known = QUANTITIES[quantity].columns
+            known = [own for own in QUANTITIES[quantity].columns if not own.startswith(DIFFERENCE)]
             same = [own for own in known if own.endswith(f"_{unit}")] or known
             hint = f"; did you mean {_one_of(same)}, {QUANTITIES[quantity].meaning}?"
             break

@@ -41,8 +41,8 @@ def test_unseen_scenes_and_radios_are_not_shipped_and_the_scenes_differ():
 
 def test_the_protocol_has_the_documented_numbers_of_sites():
     kinds = [site.kind for site in sites()]
-    assert [kinds.count(kind) for kind in KINDS] == [9, 7, 8, 5]
-    assert len({site.name for site in sites()}) == 29
+    assert [kinds.count(kind) for kind in KINDS] == [9, 7, 8, 6]
+    assert len({site.name for site in sites()}) == 30
     assert all(site.source().layout.anchors == 3 for site in sites())
 
 
@@ -105,7 +105,7 @@ def test_scores_are_dashes_if_an_entry_has_fewer_episodes_than_the_clairvoyant()
         add_scores([content], ceiling)
         tables = tables_of([content], ceiling)
         assert tables.endswith(f"| {shown} |")
-        assert "| 0.500 [0.500, 0.500], 5 / 0 / 0 |\n\nMean score" in tables
+        assert "| 0.500 [0.500, 0.500], 6 / 0 / 0 |\n\nMean score" in tables
         assert f" | {shown} |\n| street:standard" in tables
 
 

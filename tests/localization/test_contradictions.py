@@ -64,6 +64,8 @@ def test_at_most_ten_of_a_thousand_correct_logs_cause_a_warning(tmp_path):
         ({"nis_per_dof": 0.19}, "NIS / dof 0.19"),
         ({"nis_per_dof": 2078.4}, "NIS / dof 2.08e+03"),
         ({"nis_per_dof": 2078.4, "seen": 19}, None),
+        ({"nis_per_dof": 6.0, "nis_in_bounds": 0.9}, None),
+        ({"nis_per_dof": 6.0, "nis_in_bounds": 0.5}, "NIS / dof 6"),
         ({"rejected_share": 0.34}, "34 % rejected"),
         ({"rejected_share": 0.34, "seen": 99}, None),
         ({"rejected_share": 1.0, "nis_per_dof": None}, "100 % rejected"),

@@ -1,12 +1,99 @@
 """Tests of logs with a free clock, and of logs of time differences."""
 
+import json
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
 
 from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH
+from mmwave_env.filters.bank import modes_from
+from mmwave_env.interface.policy import Switching
+from mmwave_env.localization.localizer import localize
+from mmwave_env.logs.log import read_log
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import read_scene
+from policies.rules import by_predicted_speed
 from tests.cli import command, succeed
+
+ANCHORS = np.array([[0.2, 0.2, 2.6], [3.8, 0.4, 2.2], [3.7, 12.6, 2.7], [0.3, 12.8, 2.0]])
+PLACES = np.array([[1, 2], [3, 2.5], [1, 6.5], [3, 7], [1, 11], [3, 10.5]])
+STEP_M = 2.44  # one sample at 122.88 MHz
+HEIGHT_M = 1.2
+
+
+def lasting(rng, n, columns, tau_s, dt_s=0.01):
+    """Return a stationary Gauss-Markov process (n, columns) of variance 1."""
+    keep = np.exp(-dt_s / tau_s)
+    values = rng.standard_normal((n, columns))
+    for t in range(1, n):
+        values[t] = keep * values[t - 1] + np.sqrt(1.0 - keep**2) * values[t]
+    return values
+
+
+def room(folder, wild, seed, place_s=8.0):
+    """Write a log as receivers of open stacks do; return the true positions by time.
+
+    A user stands at six places in a room, 100 epochs per second. Ranges come in whole samples, and
+    the clock jumps by kilometers in a third of the epochs. Errors last 0.3 s; ``wild`` is the share
+    of ranges that are 20 to 300 m off. Return also a log without these.
+    """
+    rng = np.random.default_rng(seed)
+    each = round(place_s * 100)
+    n = 6 * each
+    place = np.arange(n) // each
+    position = np.column_stack([PLACES[place], np.full(n, HEIGHT_M)])
+    time_s = np.arange(n) * 0.01 + 5.0 * place
+    exact = np.linalg.norm(ANCHORS - position[:, None], axis=2)
+    far = np.zeros((n, 4))
+    for anchor in range(4):
+        t = 0
+        while t < n:
+            length = 1 + int(rng.exponential(30.0))
+            if rng.random() < wild:
+                far[t : t + length, anchor] = rng.uniform(20.0, 300.0) * rng.choice([1, 1, -1])
+            t += length
+    bias = rng.uniform(1.0, 2.0, 4) * rng.choice([-1, 1], 4)
+    jumps = np.where(rng.random(n) < 1 / 3, rng.normal(0.0, 3000.0, n), np.nan)
+    clock = pd.Series(jumps).ffill().fillna(0.0).to_numpy()
+    measured = exact + 0.8 * lasting(rng, n, 4, 0.3) + bias + far + clock[:, None]
+    rows = pd.DataFrame({
+        "time_s": np.repeat(time_s, 4).round(3),
+        "anchor": np.tile([1, 2, 3, 4], n),
+        "range_m": (np.round(measured / STEP_M) * STEP_M).ravel(),
+        "range_sigma_m": 1.5,
+    })  # fmt: skip
+    rows.to_csv(folder / "all.csv", index=False)
+    rows[(far == 0.0).ravel()].to_csv(folder / "right.csv", index=False)
+    streets = {"x_m": [0, 4], "y_m": [0, 13], "block_m": 1.0, "height_m": HEIGHT_M}
+    scene = {
+        "name": "room", "base_station_m": ANCHORS[0].tolist(),
+        "virtual_anchors_m": ANCHORS[1:].tolist(), "streets": streets,
+    }  # fmt: skip
+    (folder / SCENE).write_text(json.dumps(scene))
+    return dict(zip(time_s.round(3), position, strict=True))
+
+
+@pytest.mark.slow  # compiles a kernel for four anchors
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_clock_that_jumps_and_a_fifth_of_wild_ranges_cost_little(tmp_path, seed):
+    """Compare with the same log without the wild ranges."""
+    truth = room(tmp_path, 0.2, seed)
+    scene = read_scene(tmp_path / SCENE)
+    modes = modes_from(["ekf", "ukf"], "handset")
+    switching = Switching(modes, rule=by_predicted_speed)
+    radio = replace(RADIOS["handset"], start_velocity_mps=1.0)
+    medians = []
+    for name in ("all.csv", "right.csv"):
+        log = read_log(tmp_path / name, scene, partial=True, snr_db=20.0, clock="free")
+        track = localize(log, scene, radio, switching, None, HEIGHT_M, correlation_s=0.3)
+        assert len(track) > 0.97 * len(log)
+        true = np.array([truth[round(t, 3)] for t in track.time_s])
+        away = np.linalg.norm(track.x[:, :2] - true[:, :2], axis=1)
+        medians.append(np.median(away))
+    assert medians[0] < 1.2 * medians[1]
 
 
 @pytest.fixture(scope="module")

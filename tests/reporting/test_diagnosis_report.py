@@ -11,10 +11,11 @@ FITS = {"anchor 1": 1.1, "anchor 2": 0.6, "Doppler": None}
 AS_IS = Finding(AS_IT_IS, FITS, -1.0, [], "")
 WRONG = AS_IS._replace(contradictions=[DOUBT])
 TURNED = Finding("azimuths are turned", FITS, 0.0, [], "write it", shared=True)
+NEGATED = Finding("signs differ", FITS, 0.0, [], "negate")
 CASES = {  # words of the verdict -> findings
     "The log is consistent as it is.": [AS_IS],
     "The log is consistent if signs differ. It was not changed. To correct it, negate": [
-        Finding("signs differ", FITS, 0.0, [], "negate"),
+        NEGATED,
         WRONG,
     ],
     "No hypothesis makes the log consistent. anchor 2: found NIS / dof 9, expected": [WRONG],
@@ -32,10 +33,15 @@ def test_the_verdict_is_about_the_best_finding(words):
 
 
 def test_notes_stand_between_verdict_and_table():
-    text = diagnosis_markdown([TURNED, WRONG], ["the clock jumps"])
+    findings = [NEGATED, WRONG]
+    text = diagnosis_markdown(findings, ["the clock jumps"])
     said, note, table, *_ = text.split("\n\n")
-    assert said == verdict([TURNED, WRONG]) and note == "- the clock jumps"
+    assert said == verdict(findings) and note == "- the clock jumps"
     rows = [line.split(" | ") for line in table.splitlines()]
-    assert rows[2] == ["| azimuths are turned", "0.6", "-", "yes |"]
+    assert rows[2] == ["| signs differ", "0.6", "-", "yes |"]
     assert rows[3] == ["| as it is", "0.6", "-", "no |"]
     assert "\n\n- " not in diagnosis_markdown([AS_IS], [])
+
+
+def test_a_shared_error_needs_no_table_of_hypotheses_that_do_not_see_it():
+    assert "| as it is" not in diagnosis_markdown([TURNED, AS_IS], [])
