@@ -33,7 +33,7 @@ def delivered(path, *fields):
 
 def test_an_epoch_may_have_any_number_of_paths(tmp_path):
     lines = [f"0,{PATH}", "1,,,,,,", f"2.5,{PATH}", "2.5,2e-7,4,0.1,-4,,21", f"2.5,{PATH}"]
-    layout, epochs, _ = read_paths(store(tmp_path, *lines), SCENE)
+    layout, epochs, *_ = read_paths(store(tmp_path, *lines), SCENE)
     assert [e.time_s for e in epochs] == [0.0, 1.0, 2.5]
     assert [e.links.shape for e in epochs] == [(3, 1, 4), (3, 0, 4), (3, 3, 4)]
     three = epochs[2]
@@ -62,7 +62,7 @@ def test_a_path_that_lacks_a_value_is_left_out(tmp_path):
 def test_values_that_apply_to_a_whole_epoch_may_be_in_any_of_its_rows(tmp_path):
     header = HEADER + ",doppler_spread_hz,speed_mps,heading_deg"
     lines = [f"0,{PATH},,,", f"0,{PATH},7,,190", f"0,{PATH},,2.5,", f"1,{PATH},,,"]
-    layout, (first, second), _ = read_paths(store(tmp_path, *lines, header=header), SCENE)
+    layout, (first, second), *_ = read_paths(store(tmp_path, *lines, header=header), SCENE)
     assert layout == Layout(3, odometry=True) and first.doppler_spread_hz == 7.0
     np.testing.assert_allclose(first.odometry, [2.5, np.radians(-170.0)])
     assert np.isnan(second.odometry).all() and second.doppler_spread_hz == 0.0
