@@ -114,13 +114,14 @@ def set_clock(
     variance = [v * repeats for v in m.variance]
     measured = list(m.measured)
     doubt = []
-    inflation: Number = 1.0
+    log_inflation: Number = 0.0
     for a in links:
         T = pivot.T[a] * has_range[a] * some
         excess = T / (limit * patience * patience)
         squared = maximum(excess * excess, 1.0)
         noise = pivot.variance + m.variance[4 * a]
-        inflation = inflation * where(excess > 1.0, squared * pivot.S[a] / noise, 1.0)
+        grown = where(excess > 1.0, squared * pivot.S[a] / noise, 1.0)
+        log_inflation = log_inflation + 0.5 * log(grown)  # a product of many would overflow
         variance[4 * a] = variance[4 * a] + repeats * ((squared - 1.0) * pivot.S[a])
         measured[4 * a] = measured[4 * a] * (1.0 - pivot.chosen[a])
         doubt.append(where(T > limit, T, 0.0))
@@ -130,7 +131,7 @@ def set_clock(
         m._replace(variance=variance, measured=measured),
         pivot.chosen,
         doubt,
-        0.5 * log(inflation),
+        log_inflation,
     )
 
 

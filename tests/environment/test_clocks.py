@@ -11,7 +11,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from mmwave_env.datasets.samples import recording_from, sample_folder, source_from
 from mmwave_env.engines.engine import run_imm
 from mmwave_env.engines.smoothing import smooth
-from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.filters import Pipeline, textbook
 from mmwave_env.filters.bank import Bank, best_bank, modes_from
 from mmwave_env.filters.mode_smoothing import smooth_modes
@@ -24,7 +23,6 @@ from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.radio import BIAS_SIGMA_M, RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.task import task_from
-from mmwave_env.vector_env import MmWaveLocVectorEnv
 from mmwave_env.world.keys import keys_of
 from tests.cli import assert_one_clear_line, command, succeed
 from tests.filters.tracks import around_a_block, replay, street_source, unpacked
@@ -89,20 +87,6 @@ def test_all_ranges_get_the_same_bias_and_nothing_else_changes(arguments, clock)
     assert_array_equal(offset.prior_mean, [*synchronized.prior_mean, 0.0])
     P = np.diag([*np.diag(synchronized.prior_covariance), sigma_m**2])
     assert_allclose(offset.prior_covariance, P)
-
-
-@pytest.mark.parametrize("beliefs", ["shared", "per-mode"])
-def test_environments_with_a_free_clock_are_the_same_alone_and_in_a_batch(beliefs):
-    arguments = {"clock": "free", "radio": "standard", "beliefs": beliefs, "episode_steps": 30}
-    vector = MmWaveLocVectorEnv(3, **arguments)
-    single = MmWaveLocEnv(**arguments)
-    observations, _ = vector.reset(seed=[5, 6, 7])
-    observation, _ = single.reset(seed=6)
-    for _ in range(30):
-        assert_array_equal(observation, observations[1])
-        observations, rewards, *_ = vector.step(np.array([0, 1, 0]))
-        observation, reward, *_ = single.step(1)
-        assert reward == rewards[1]
 
 
 def test_no_offset_is_added_to_the_ranges_of_a_log():
@@ -221,17 +205,19 @@ def test_localize_estimates_the_offset(ride):
 
 
 @pytest.mark.slow  # compiles several programs
-def test_a_live_track_equals_the_track_of_the_whole_log(ride):
-    log = read_log(ride / "log.csv", STREET, partial=True, clock="offset")
+@pytest.mark.parametrize("clock", BIAS_SIGMA_M)
+def test_a_live_track_equals_the_track_of_the_whole_log(ride, clock):
+    log = read_log(ride / "log.csv", STREET, partial=True, clock=clock)
     switching = Switching(best_bank("standard"))
     x = localize(log, STREET, RADIOS["standard"], switching, None).x
-    tracker = Tracker(STREET, switching, "standard", clock="offset", lag=3)
+    tracker = Tracker(STREET, switching, "standard", clock=clock, lag=3)
     with (ride / "log.csv").open() as file:
         rows = [
             {name: float(v) if v else None for name, v in row.items()} for row in DictReader(file)
         ]
     live = [tracker.update(epoch) for _, epoch in groupby(rows, key=lambda row: row["time_s"])]
     positions = [[*p.position_m, *p.velocity_mps, p.clock_m] for p in live if p]
+    assert len(positions) == len(x)
     assert_array_equal(positions, x[:, [0, 1, 2, 3, 4, 5, 7]])
     assert tracker.smoothed().clock_sigma_m < live[-1].clock_sigma_m
 

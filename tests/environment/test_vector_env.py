@@ -9,9 +9,11 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import InvalidAction, ResetNeeded
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
+from numpy.testing import assert_array_equal
 
 import mmwave_env.engines.batch as batch
 from mmwave_env.datasets.samples import sample_folder
+from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.filters import Mode
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import RADIOS
@@ -269,3 +271,18 @@ def test_wrong_seeds_are_refused(seed):
 def test_episode_keys_of_a_wrong_shape_are_refused(keys):
     with refuses("episode_key"):
         native(3, **EKF).reset(options={"episode_key": keys})
+
+
+@pytest.mark.parametrize("beliefs", ["shared", "per-mode"])
+@pytest.mark.parametrize("world", [{"clock": "free"}, {"survey": "bad"}], ids=str)
+def test_jumping_clocks_and_wrong_surveys_are_the_same_alone_and_in_a_batch(beliefs, world):
+    arguments = {"radio": "standard", "beliefs": beliefs, "episode_steps": 30, **world}
+    vector = MmWaveLocVectorEnv(3, **arguments)
+    single = MmWaveLocEnv(**arguments)
+    observations, _ = vector.reset(seed=[5, 6, 7])
+    observation, _ = single.reset(seed=6)
+    for _ in range(30):
+        assert_array_equal(observation, observations[1])
+        observations, rewards, *_ = vector.step(np.array([0, 1, 0]))
+        observation, reward, *_ = single.step(1)
+        assert reward == rewards[1]

@@ -140,6 +140,21 @@ def test_a_wild_range_is_doubted_and_costs_likelihood_and_the_others_decide(prob
     assert result.log_likelihood < known.log_likelihood - 9.0 * LIMIT
 
 
+def test_the_likelihood_of_many_wild_ranges_is_finite():
+    """Let 30 ranges be up to 1000 km off: the largest that a log may have."""
+    rng = np.random.default_rng(0)
+    anchors = np.column_stack([rng.uniform(-60, 60, (32, 2)), rng.uniform(4, 12, 32)])
+    sensor = textbook.Sensor(anchors, HZ_PER_MPS)
+    x = np.array([0.0, 0.0, 1.5, 1.0, 0.0, 0.0, 0.0])
+    z = sensor.h(x)
+    z[8:-1:4] += rng.choice([-1, 1], 30) * rng.uniform(1e5, 1e6, 30)
+    measured = np.zeros(len(z), bool)
+    measured[0:-1:4] = True
+    result = Problem(sensor, x, 1e-4 * np.eye(7), z, np.full(len(z), 0.01), measured).ours()
+    assert np.isfinite([*result.x, *result.P, *result.nis, result.log_likelihood]).all()
+    assert_allclose(result.x[:3], x[:3], atol=0.05)
+
+
 def test_a_range_alone_only_sets_the_clock_and_does_not_end_a_lockout():
     anchors = np.array([[40.0, 5.0, 8.0]])
     sensor = textbook.Sensor(anchors, HZ_PER_MPS)

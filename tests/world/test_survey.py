@@ -9,7 +9,6 @@ from scipy.stats import binomtest
 
 from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.models.random_survey import RandomSurvey
-from mmwave_env.vector_env import MmWaveLocVectorEnv
 from mmwave_env.world.keys import keys_of
 from tests.filters.tracks import around_a_block, replay, street_source
 from tests.refusals import refuses
@@ -94,20 +93,6 @@ def test_an_episode_has_each_kind_of_error_at_its_rate():
     moved = [not np.array_equal(e.scene_anchors_m[:, 2], w.scene_anchors_m[:, 2])
              for e, w in zip(exact, wrong, strict=True)]  # fmt: skip
     assert binomtest(sum(moved), len(moved), 0.3).pvalue > 1e-4
-
-
-@pytest.mark.parametrize("beliefs", ["shared", "per-mode"])
-def test_environments_are_the_same_alone_and_in_a_batch(beliefs):
-    arguments = {"survey": "bad", "radio": "standard", "beliefs": beliefs, "episode_steps": 30}
-    vector = MmWaveLocVectorEnv(3, **arguments)
-    single = MmWaveLocEnv(**arguments)
-    observations, _ = vector.reset(seed=[5, 6, 7])
-    observation, _ = single.reset(seed=6)
-    for _ in range(30):
-        assert_array_equal(observation, observations[1])
-        observations, rewards, *_ = vector.step(np.array([0, 1, 0]))
-        observation, reward, *_ = single.step(1)
-        assert reward == rewards[1]
 
 
 def test_a_survey_without_errors_changes_nothing():
