@@ -4,6 +4,10 @@ The *base* is the policy or IMM whose beliefs are corrected. Some episodes are a
 training (scenes with a radio). In the other episodes, the streets, carrier, radio, rate of epochs,
 clock, measured quantities and anchors are random, and the receiver may err in its noise and
 orientation. Without random episodes, a network memorizes the places.
+
+Some episodes have errors that all links share, such as a turned frame. They correct heights that
+the prior of simulated episodes knows well, so a network would learn to trust first heights, which
+a log's first fix does not justify. So half of the episodes begin as a log does: from a link.
 """
 
 from collections.abc import Iterator
@@ -24,10 +28,15 @@ from mmwave_env.interface.actions import CORRECTION
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.interface.signed import after_update
+from mmwave_env.localization.starts import gives_fix
+from mmwave_env.models.measurement import blank_site
+from mmwave_env.models.prior import prior_from_fix
 from mmwave_env.models.radio import RandomRadio
-from mmwave_env.models.random_scene import WIDE_SCENE
+from mmwave_env.models.random_scene import WIDE_SCENE, RandomScene
+from mmwave_env.models.random_survey import RandomSurvey
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array, Array32
+from mmwave_env.numerics.pytree import flatten, indices
 from mmwave_env.world.episode import EpisodeBatch, columns_of
 from mmwave_env.world.keys import keys_at, stream_of
 from mmwave_env.world.simulated import SimulatedSource
@@ -47,14 +56,31 @@ SUBSETS = (  # a receiver that lacks quantities measures only the quantities of 
     ("range", "azimuth", "departure"),
     ("range", "azimuth"),
 )
-# Probabilities that a random receiver lacks quantities, has a clock with an offset, misjudges its
-# noise, measures only some anchors, or does not know its orientation exactly.
+# Probabilities that a random receiver lacks quantities, has a clock with an offset or a free one,
+# misjudges its noise, measures only some anchors, or does not know its orientation exactly.
 LACKING = 0.3
 DRIFTING = 0.15
+FREE = 0.05
 MISJUDGING = 0.3
 FEWER = 0.15
 TURNED = 0.15
 ORIENTATION_RAD = 0.1  # standard deviation of an orientation that is not known exactly
+# Probabilities that the survey has errors at a place, and in random streets. Three quarters of the
+# episodes then have one or more of them. Some surveys are worse than others.
+SURVEYED_PLACE = 0.13
+SURVEYED = 0.4
+SURVEY = RandomSurvey(rate=0.2)
+WORSE = 0.3  # probability of the worse survey
+WORSE_SURVEY = RandomSurvey(
+    rate=0.2,
+    rotation_rad=2.5 * SURVEY.rotation_rad,
+    tilt_rad=2.5 * SURVEY.tilt_rad,
+    range_m=3.0 * SURVEY.range_m,
+    anchors_m=2.0 * SURVEY.anchors_m,
+    heights_m=1.5 * SURVEY.heights_m,
+    slow=2.0 * SURVEY.slow,
+)
+FROM_A_LINK = 0.5  # probability that the episodes of a batch begin from a link, as those of logs do
 # Probability that links of a random receiver are never blocked, disturbed by multipath, or lost.
 # With too few such receivers, a network overestimates the errors at quiet places.
 CLEAR = 0.3
@@ -117,7 +143,8 @@ class CorrectorData:
                 source = place.source(self._task.scenario)
                 if place.dt == 1.0:
                     source = self._at_some_rate(source, rng)
-                yield place.profile, self._draw(source)
+                source = surveyed(source, SURVEYED_PLACE, rng)
+                yield place.profile, self._begun(self._draw(source), source, rng)
             for _ in range(round(len(places) * share / (1.0 - share))):
                 yield self._at_random(self._rng())
 
@@ -148,20 +175,21 @@ class CorrectorData:
         if rng.random() < CLEAR:
             radio = replace(radio, blockage_scale=0.0, multipath_rate_hz=0.0, outage_rate_hz=0.0)
         lacks = rng.random() < LACKING
-        drifts = rng.random() < DRIFTING
+        drifts = rng.random()
         subset = SUBSETS[rng.integers(len(SUBSETS))] if lacks else None
         clock = "synchronized"
-        if drifts and (subset is None or "range" in subset):
-            clock = "offset"
+        if drifts < DRIFTING + FREE and (subset is None or "range" in subset):
+            clock = "offset" if drifts < DRIFTING else "free"
         source = SimulatedSource(
             scene, radio, self._task.scenario, measurements=subset, clock=clock
         )
         source = self._at_some_rate(source, rng)
         if rng.random() < WEAVING:
             source = weaving(replace(source, scene=replace(scene, behind_m=WEAVING_BEHIND_M)), rng)
+        source = surveyed(source, SURVEYED, rng)
         batch = self._draw(source)
         degrade(batch, rng)
-        return profile.name, batch
+        return profile.name, self._begun(batch, source, rng)
 
     def _draw(self, source: SimulatedSource) -> EpisodeBatch:
         """Draw ``num_envs`` new episodes, or fewer if they are longer than EPOCHS."""
@@ -169,6 +197,14 @@ class CorrectorData:
         keys = keys_at(self._stream, np.arange(self.played, self.played + n, dtype=np.uint64))
         self.played += n
         return source.sample_batch(keys)
+
+    def _begun(
+        self, batch: EpisodeBatch, source: SimulatedSource, rng: np.random.Generator
+    ) -> EpisodeBatch:
+        """Return a batch of a source; half of all batches begin from a link."""
+        if rng.random() < FROM_A_LINK:
+            begin_from_a_link(batch, source)
+        return batch
 
     def _play(self, batch: EpisodeBatch, bank: Bank) -> Lot:
         """Play episodes with the base; return what a corrector learns from them."""
@@ -186,6 +222,42 @@ class CorrectorData:
 def base_policy(base: str, table: Observation) -> Policy:
     """Return the policy of a base, which acts on a table of features; an IMM stays as it is."""
     return FixedMode() if base == BASE_IMM else LearnedSwitch(base, table)
+
+
+def surveyed(
+    source: SimulatedSource, probability: float, rng: np.random.Generator
+) -> SimulatedSource:
+    """Return the source, with a probability with errors of its survey."""
+    erring = rng.random() < probability
+    worse = rng.random() < WORSE
+    return replace(source, survey=WORSE_SURVEY if worse else SURVEY) if erring else source
+
+
+def begin_from_a_link(batch: EpisodeBatch, source: SimulatedSource) -> None:
+    """Compute the priors of a batch as for a log: from a whole link of the first epoch.
+
+    Filters must not use the link again, so it is then missing. Episodes without such a link keep
+    their prior, and so do all if the clock is not synchronized.
+    """
+    layout = batch.layout
+    if layout.has_bias:
+        return
+    at = columns_of(layout)
+    index = indices(blank_site(layout))
+    scene = source.scene.example if isinstance(source.scene, RandomScene) else source.scene
+    lower = np.tril_indices(layout.state_size)
+    for table, site in zip(batch.table[:, 0], batch.site, strict=True):
+        anchors = site[flatten(index.anchors)].reshape(-1, 3)
+        for anchor, position in enumerate(anchors):
+            link = table[at.z][layout.link(anchor)]
+            columns = np.array(at.signed_sigma)[layout.link(anchor)]
+            sigma = table[columns]
+            if (sigma > 0.0).all() and gives_fix(link[None])[0]:
+                mean, covariance = prior_from_fix(position, link, sigma, source.radio, scene)
+                site[index.prior_x] = mean
+                site[index.prior_P] = covariance[lower]
+                table[columns] = -sigma
+                break
 
 
 def weaving(source: SimulatedSource, rng: np.random.Generator) -> SimulatedSource:

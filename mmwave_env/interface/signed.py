@@ -31,6 +31,9 @@ from mmwave_env.numerics.numbers import (
 _LEAST_M = 0.05  # minimum standard deviation by which residuals are divided, m
 _LEAST_RAD = 1e-3  # minimum standard deviation by which elevation residuals are divided, rad
 _LEAST_S = 1e-3  # minimum time between epochs in a logarithm, s
+# maximum share of a link, in standard deviations, in the mean residual of all links; without a
+# limit, a false path would count for more than a turned frame
+_MOST_SHARE = 1.5
 _ROWS = {"range": 0, "azimuth": 1, "elevation": 2, "departure": 3}  # index within a link's rows
 
 
@@ -58,6 +61,10 @@ def signed(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
     modes = pipeline.modes if per_mode else ()
     return [
         *(part for a in range(pipeline.layout.anchors) for part in _link(pipeline.layout, a)),
+        *(
+            feature(f"mean {name} residual", partial(_mean_residual, pipeline.layout, name))
+            for name in _ROWS
+        ),
         *_belief(2 not in pipeline.known_axes),
         feature("turn sine", lambda v: _turn(v)[1]),
         feature("turn cosine", lambda v: _turn(v)[0]),
@@ -104,37 +111,70 @@ def _squashed(q: Number) -> Number:
     return where(q < 0.0, 0.0 - size, size)
 
 
-def _row(view: View, layout: Layout, anchor: int, name: str) -> tuple[Number, Number, Number]:
-    """Return two components of a row's residual, and ln of its deviation in meters at the user.
+class _Residual(NamedTuple):
+    """The residual of a row of a link, from the belief after the update."""
 
-    The residual, :func:`_squashed`, has components along and across the velocity; that of an
-    elevation has only one, and the second is 0. All numbers are 0 if the row was not measured.
-    """
+    value: Number  # m at the user; rad for an elevation
+    deviation: Number  # standard deviation of the measurement, in the same unit
+    toward: Pair  # horizontal direction in which a positive residual moves the user
+    deviation_m: Number  # standard deviation of the measurement, m at the user
+
+
+def _residual(view: View, layout: Layout, anchor: int, name: str) -> _Residual:
     step = minus(view.x, view.site.anchors[anchor])
     flat = norms(step)[0]
     distance, azimuth, elevation = direction(step)
     row = 4 * anchor + _ROWS[name]
     sigma = view.last.epoch.sigma[row]
     z = view.last.epoch.z[row]
-    measured = _measured(view, layout, anchor, _ROWS[name])
     scale = 1.0 / maximum(flat, 1.0)
     ux = step[0] * scale
     uy = step[1] * scale
     if name == "elevation":
-        q = _squashed(wrap(z - elevation) / maximum(sigma, _LEAST_RAD)) * measured
-        return q, 0.0, log(maximum(sigma * distance, _LEAST_M)) * measured
+        deviation = maximum(sigma, _LEAST_RAD)
+        in_meters = maximum(sigma * distance, _LEAST_M)
+        return _Residual(wrap(z - elevation), deviation, (0.0, 0.0), in_meters)
     if name == "range":
-        residual = z - distance - (view.x[7] if layout.has_bias else 0.0)
+        value = z - distance - (view.x[7] if layout.has_bias else 0.0)
         deviation = maximum(sigma, _LEAST_M)
-        toward = (ux, uy)
-    else:
-        opposite = PI if name == "departure" else 0.0
-        residual = _turned(z - azimuth - opposite) * flat
-        deviation = maximum(sigma * flat, _LEAST_M)
-        toward = (0.0 - uy, ux)
-    q = _squashed(residual / deviation) * measured
-    along, across = Frame.of(view.x[3:5]).into(*toward)
-    return q * along, q * across, log(deviation) * measured
+        return _Residual(value, deviation, (ux, uy), deviation)
+    opposite = PI if name == "departure" else 0.0
+    deviation = maximum(sigma * flat, _LEAST_M)
+    value = _turned(z - azimuth - opposite) * flat
+    return _Residual(value, deviation, (0.0 - uy, ux), deviation)
+
+
+def _row(view: View, layout: Layout, anchor: int, name: str) -> tuple[Number, Number, Number]:
+    """Return two components of a row's residual, and ln of its deviation in meters at the user.
+
+    The residual, :func:`_squashed`, has components along and across the velocity; that of an
+    elevation has only one, and the second is 0. All numbers are 0 if the row was not measured.
+    """
+    measured = _measured(view, layout, anchor, _ROWS[name])
+    row = _residual(view, layout, anchor, name)
+    q = _squashed(row.value / row.deviation) * measured
+    size = log(row.deviation_m) * measured
+    if name == "elevation":
+        return q, 0.0, size
+    along, across = Frame.of(view.x[3:5]).into(*row.toward)
+    return q * along, q * across, size
+
+
+def _mean_residual(layout: Layout, name: str, view: View) -> Number:
+    """Return the mean residual of a row over the links that measured it, in standard deviations.
+
+    Errors that all links share, such as a turned frame or a clock that is ahead, give it the same
+    sign in many epochs.
+    """
+    total: Number = 0.0
+    count: Number = 0.0
+    for anchor in range(layout.anchors):
+        measured = _measured(view, layout, anchor, _ROWS[name])
+        row = _residual(view, layout, anchor, name)
+        share = maximum(minimum(row.value / row.deviation, _MOST_SHARE), -_MOST_SHARE)
+        total = total + share * measured
+        count = count + measured
+    return total / maximum(count, 1.0)
 
 
 def _turned(angle: Number) -> Number:
