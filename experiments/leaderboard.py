@@ -40,6 +40,10 @@ class Args:
     folder; judge the others one by one, and write each
     entry when it is ready, so that the same command
     continues after an interruption"""
+    verify: tuple[Path, ...] = ()
+    """entries (JSON files) to verify: their policies play
+    again at two sites, the claimed episodes and 50 of
+    seeds drawn at random, and must reach their figures"""
 
 
 def main(args: Args) -> None:
@@ -51,6 +55,9 @@ def main(args: Args) -> None:
     from experiments.evaluation.contenders import contender_from
     from mmwave_env.io.files import write_json
 
+    if args.verify:
+        verify_entries(args.verify)
+        return
     require_at_least(2, args, "episodes", "draws")
     if args.out.is_file():
         raise ValueError(f"out: found the file {args.out}, expected a folder")
@@ -74,10 +81,32 @@ def main(args: Args) -> None:
         ceiling = made.get(CLAIRVOYANT) or ceiling
         protocol.add_scores([*made.values()], ceiling)
         for name, entry in made.items():
-            write_json(files[name], provenance("leaderboard", args) | entry)
+            write_json(files[name], protocol.sealed(provenance("leaderboard", args) | entry))
     if not any(args.out.glob("*.json")):
         raise ValueError(f"out: found no entries in {args.out}; name contenders with --policies")
     entries = protocol.entries_in(args.out)
     show(protocol.tables_of(entries, protocol.ceiling_of(entries)))
     if files:
         say(f"entries in {', '.join(map(str, files.values()))}")
+
+
+def verify_entries(files: tuple[Path, ...]) -> None:
+    """Verify entries, one by one, and print what differs.
+
+    Raises:
+        ValueError: an entry was changed, or its policy does not reach its figures.
+    """
+    from experiments.console.output import say
+    from experiments.evaluation.verification import verify
+
+    refused = []
+    for file in files:
+        try:
+            differences = verify(file)
+        except (ValueError, OSError) as error:
+            differences = [str(error)]
+        if differences:
+            refused.append(str(file))
+        say(f"{file}: {'refused' if differences else 'verified'}", *differences)
+    if refused:
+        raise ValueError(f"verify: found {len(refused)} of {len(files)} entries that do not hold")

@@ -6,6 +6,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -113,6 +114,19 @@ def agent_from(name: str) -> Act:
         for part in path.split("."):
             make = getattr(make, part)
         return cast(Act, make())
+
+
+def module_file(name: str) -> Path:
+    """Return the file of the module in ``module:function``.
+
+    Raises:
+        ValueError: there is no such module, or it has no file.
+    """
+    agent_from(name)
+    file = sys.modules[name.partition(":")[0]].__file__
+    if file is None:
+        raise ValueError(f"{name}: found a module without a file ({GUIDE})")
+    return Path(file)
 
 
 class Checked(Policy):

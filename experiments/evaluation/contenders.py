@@ -1,5 +1,6 @@
 """Contenders by name (IMMs, and policies with their modes); tasks and episodes from options."""
 
+import hashlib
 import os
 import warnings
 from collections.abc import Callable, Sequence
@@ -12,9 +13,18 @@ import numpy as np
 
 from experiments.console.options import USUAL_EPISODES, ModeArgs, WorldArgs
 from experiments.console.output import grid
-from experiments.evaluation.agents import GUIDE, Act, Checked, Estimator, agent_from, is_agent
+from experiments.evaluation.agents import (
+    GUIDE,
+    Act,
+    Checked,
+    Estimator,
+    agent_from,
+    is_agent,
+    module_file,
+)
 from experiments.evaluation.branches import CLAIRVOYANT, Clairvoyant
 from experiments.evaluation.intervals import Interval
+from mmwave_env import __version__
 from mmwave_env.filters.bank import (
     Bank,
     Modes,
@@ -254,6 +264,28 @@ def contender_from(
     # A dict drops repeated names: some shipped policies are also among the known contenders.
     everything = dict.fromkeys([*known, *shipped, CLAIRVOYANT, *OTHERS])
     raise ValueError(unknown("policy", name, everything))
+
+
+def fingerprint(name: str) -> str:
+    """Return the SHA-256 of the file of a contender: a policy file, or the module of an agent.
+
+    The contenders of the package that have no file are known by its version.
+
+    Raises:
+        ValueError, FileNotFoundError: there is no such file.
+    """
+    shipped = shipped_policies()
+    if name in shipped:
+        path = shipped[name]
+    elif Path(name).is_dir():
+        path = Path(Run.read(name).policy)
+    elif is_agent(name):
+        path = module_file(name)
+    elif name.endswith(".safetensors"):
+        path = Path(name)
+    else:
+        return f"mmwave-loc {__version__}"
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def all_contenders(args: ModeArgs) -> tuple[str, ...]:

@@ -6,6 +6,8 @@ the truth. A score is a gain in reward over the paper's rule, in percent of the 
 *Hard* sites are streets with motion or receivers that no filter is designed for.
 """
 
+import hashlib
+import json
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -19,7 +21,14 @@ from experiments.console.options import WorldArgs
 from experiments.console.output import grid
 from experiments.evaluation.branches import CLAIRVOYANT
 from experiments.evaluation.compare import score_cell, score_of
-from experiments.evaluation.contenders import BEST_IMM, RULE, contender_from, seeds_from, source_of
+from experiments.evaluation.contenders import (
+    BEST_IMM,
+    RULE,
+    contender_from,
+    fingerprint,
+    seeds_from,
+    source_of,
+)
 from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.runner import Scores, score_contenders
 from mmwave_env.datasets.samples import sample_names
@@ -192,19 +201,30 @@ def entry(name: str, judged: Sequence[Judged]) -> Json:
     means = {kind: bootstrap(np.mean(gain, axis=0)[:, None])[0] for kind, gain in gains.items()}
     return {
         "entry": name,
+        "policy": fingerprint(name),
         "sites": {at.site.name: at.figures(name) for at in judged},
         "mean_gain": {kind: means[kind].json for kind in KINDS if kind in means},
     }
 
 
+def sealed(content: Json) -> Json:
+    """Return an entry that ends with its *seal*, the SHA-256 of everything in it."""
+    rest = {key: value for key, value in content.items() if key != "seal"}
+    text = json.dumps(rest, sort_keys=True)
+    return rest | {"seal": hashlib.sha256(text.encode()).hexdigest()}
+
+
 def read_entry(path: Path) -> Json:
-    """Read an entry that :func:`entry` made.
+    """Read an entry that :func:`entry` made and :func:`sealed` ended.
 
     Raises:
-        ValueError: the entry is invalid; the message names the file and what is wrong in it.
+        ValueError: the entry is invalid, or was changed since the command wrote it; the message
+            names the file and what is wrong in it.
     """
 
     def checked(content: Json) -> Json:
+        if content != sealed(content):
+            raise ValueError("seal: found an entry that was changed after its command wrote it")
         if missing := [site.name for site in sites() if site.name not in content["sites"]]:
             raise ValueError(f"sites: missing {', '.join(missing)}")
         tables_of([content], content)  # raises if tables can't show the entry

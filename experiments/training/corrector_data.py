@@ -65,21 +65,6 @@ MISJUDGING = 0.3
 FEWER = 0.15
 TURNED = 0.15
 ORIENTATION_RAD = 0.1  # standard deviation of an orientation that is not known exactly
-# Probabilities that the survey has errors at a place, and in random streets. Three quarters of the
-# episodes then have one or more of them. Some surveys are worse than others.
-SURVEYED_PLACE = 0.13
-SURVEYED = 0.4
-SURVEY = RandomSurvey(rate=0.2)
-WORSE = 0.3  # probability of the worse survey
-WORSE_SURVEY = RandomSurvey(
-    rate=0.2,
-    rotation_rad=2.5 * SURVEY.rotation_rad,
-    tilt_rad=2.5 * SURVEY.tilt_rad,
-    range_m=3.0 * SURVEY.range_m,
-    anchors_m=2.0 * SURVEY.anchors_m,
-    heights_m=1.5 * SURVEY.heights_m,
-    slow=2.0 * SURVEY.slow,
-)
 FROM_A_LINK = 0.5  # probability that the episodes of a batch begin from a link, as those of logs do
 # Probability that links of a random receiver are never blocked, disturbed by multipath, or lost.
 # With too few such receivers, a network overestimates the errors at quiet places.
@@ -93,6 +78,35 @@ WEAVE_S = (8.0, 40.0)  # limits of the period of weaving when a user moves at to
 WEAVE_SLOPE = 0.3
 WEAVE_M = 2.5
 WEAVING_BEHIND_M = (20.0, 60.0)  # range of distances from streets to walls, if users weave, m
+
+
+class Surveys(NamedTuple):
+    """Surveys with errors in a training: how frequent they are, and how bad."""
+
+    at_places: float  # probability at the places of the training, for all episodes of a lot
+    at_random: float  # probability in random streets
+    survey: RandomSurvey
+    worse: RandomSurvey
+    worse_share: float  # probability of the worse survey, if there is one with errors
+
+
+# three of four episodes of a survey with errors have one or more of them
+BAD = RandomSurvey(rate=0.2)
+BAD_SURVEYS = Surveys(
+    at_places=0.13,
+    at_random=0.4,
+    survey=BAD,
+    worse=replace(
+        BAD,
+        rotation_rad=2.5 * BAD.rotation_rad,
+        tilt_rad=2.5 * BAD.tilt_rad,
+        range_m=3.0 * BAD.range_m,
+        anchors_m=2.0 * BAD.anchors_m,
+        heights_m=1.5 * BAD.heights_m,
+        slow=2.0 * BAD.slow,
+    ),
+    worse_share=0.3,
+)
 
 
 class Lot(NamedTuple):
@@ -115,13 +129,21 @@ class CorrectorData:
     Args:
         task, hyper: task and hyperparameters of the training.
         seed: seed from which all episodes and all random choices follow.
+        surveys: errors of surveys.
 
     Attributes:
         played: number of episodes played so far; :meth:`lots` goes on with the next ones.
     """
 
-    def __init__(self, task: TrainingTask, hyper: CorrectorHyperparameters, seed: int) -> None:
+    def __init__(
+        self,
+        task: TrainingTask,
+        hyper: CorrectorHyperparameters,
+        seed: int,
+        surveys: Surveys = BAD_SURVEYS,
+    ) -> None:
         self._task = task
+        self._surveys = surveys
         self._hyper = hyper
         self._seed = seed
         self._stream = np.array([stream_of(seed)], np.uint64)
@@ -143,7 +165,7 @@ class CorrectorData:
                 source = place.source(self._task.scenario)
                 if place.dt == 1.0:
                     source = self._at_some_rate(source, rng)
-                source = surveyed(source, SURVEYED_PLACE, rng)
+                source = self._surveyed(source, self._surveys.at_places, rng)
                 yield place.profile, self._begun(self._draw(source), source, rng)
             for _ in range(round(len(places) * share / (1.0 - share))):
                 yield self._at_random(self._rng())
@@ -186,7 +208,7 @@ class CorrectorData:
         source = self._at_some_rate(source, rng)
         if rng.random() < WEAVING:
             source = weaving(replace(source, scene=replace(scene, behind_m=WEAVING_BEHIND_M)), rng)
-        source = surveyed(source, SURVEYED, rng)
+        source = self._surveyed(source, self._surveys.at_random, rng)
         batch = self._draw(source)
         degrade(batch, rng)
         return profile.name, self._begun(batch, source, rng)
@@ -197,6 +219,15 @@ class CorrectorData:
         keys = keys_at(self._stream, np.arange(self.played, self.played + n, dtype=np.uint64))
         self.played += n
         return source.sample_batch(keys)
+
+    def _surveyed(
+        self, source: SimulatedSource, probability: float, rng: np.random.Generator
+    ) -> SimulatedSource:
+        """Return the source, with a probability with errors of its survey."""
+        surveys = self._surveys
+        erring = rng.random() < probability
+        survey = surveys.worse if rng.random() < surveys.worse_share else surveys.survey
+        return replace(source, survey=survey) if erring else source
 
     def _begun(
         self, batch: EpisodeBatch, source: SimulatedSource, rng: np.random.Generator
@@ -222,15 +253,6 @@ class CorrectorData:
 def base_policy(base: str, table: Observation) -> Policy:
     """Return the policy of a base, which acts on a table of features; an IMM stays as it is."""
     return FixedMode() if base == BASE_IMM else LearnedSwitch(base, table)
-
-
-def surveyed(
-    source: SimulatedSource, probability: float, rng: np.random.Generator
-) -> SimulatedSource:
-    """Return the source, with a probability with errors of its survey."""
-    erring = rng.random() < probability
-    worse = rng.random() < WORSE
-    return replace(source, survey=WORSE_SURVEY if worse else SURVEY) if erring else source
 
 
 def begin_from_a_link(batch: EpisodeBatch, source: SimulatedSource) -> None:

@@ -6,6 +6,7 @@ quantiles of log(error / Gaussian level), by the pinball loss, from the same kin
 correctors of beliefs. Constants, calibrated on other episodes, are added to the network's outputs.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -20,7 +21,7 @@ from experiments.console.output import say
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.runner import run_contender
 from experiments.training.corrector import normalization_of
-from experiments.training.corrector_data import CorrectorData
+from experiments.training.corrector_data import CorrectorData, Surveys
 from experiments.training.hyperparameters import read_hyperparameters, shipped_hyperparameters
 from experiments.training.training_task import TrainingTask, banks_of, places_from
 from mmwave_env.compiler.program import rows_of
@@ -28,6 +29,7 @@ from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.localization.levels import GAUSSIAN, PARTS, Levels, Network
 from mmwave_env.localization.position_errors import gaussian_levels, horizontal, vertical
 from mmwave_env.models.radio import TUNED_RADIOS
+from mmwave_env.models.random_survey import RandomSurvey
 from mmwave_env.models.scene import TRAINED_SCENES
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import columns_of
@@ -52,6 +54,17 @@ STEPS = 6000
 BATCH = 8192
 RATE = 3e-3
 EVERY = 4  # neighboring epochs are alike, so the network learns from one epoch in four
+# what a careful survey leaves; half of the episodes' maps are surveyed so, the others have no error
+CAREFUL = RandomSurvey(
+    rate=1.0,
+    rotation_rad=math.radians(0.5),
+    tilt_rad=math.radians(0.5),
+    range_m=0.3,
+    anchors_m=0.3,
+    heights_m=0.3,
+    slow=0.3,
+)
+CAREFUL_SURVEYS = Surveys(0.5, 0.5, CAREFUL, CAREFUL, 0.0)
 LEAST_M = 1e-4  # smaller errors count as 0.1 mm
 # largest finite constant; number of bisection steps to find a constant
 LIMIT = 8.0
@@ -71,7 +84,8 @@ def _played(
     banks = banks_of((), places, "per-mode")
     task = TrainingTask("mixed", places, banks, "signed", TrackingReward(), "per-mode")
     hyper: Any = read_hyperparameters(shipped_hyperparameters("corrector"), "corrector")
-    data = CorrectorData(task, replace(hyper, num_envs=ENVS, random_share=random_share), seed)
+    hyper = replace(hyper, num_envs=ENVS, random_share=random_share)
+    data = CorrectorData(task, hyper, seed, CAREFUL_SURVEYS)
     rng = np.random.default_rng(seed)
     for radio, batch in data.batches(rounds):
         time_s = batch.table[0, :, rows_of([columns_of(batch.layout).dt])[0]].cumsum()

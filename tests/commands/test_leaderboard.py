@@ -1,11 +1,14 @@
 """Tests of ``mmwave-loc leaderboard``, which ranks policies by their results in JSON files."""
 
 import shutil
+import sys
+from pathlib import Path
 
 import pytest
 
 from experiments.evaluation import protocol
-from experiments.evaluation.protocol import entry, judge, sites
+from experiments.evaluation.protocol import entry, judge, sealed, sites
+from experiments.evaluation.verification import verify
 from experiments.leaderboard import Args, main
 from tests.cli import assert_one_clear_line, command, succeed
 from tests.paths import ROOT, json_in, write_json
@@ -23,7 +26,7 @@ def entries(tmp_path_factory):
     names = ["imm-best", "speed-rule"]
     judged = [judge(names, site, 2, 0) for site in sites()]
     for name in names:
-        write_json(folder / f"{name}.json", entry(name, judged))
+        write_json(folder / f"{name}.json", sealed(entry(name, judged)))
     return folder
 
 
@@ -55,7 +58,7 @@ def test_a_file_that_is_not_an_entry_is_refused(tmp_path):
         ({"sites": {}}, "sites: missing street:handset, "),
         ({"mean_gain": {}}, "not an entry: "),
     ):
-        write_json(tmp_path / "bad.json", good | damage)
+        write_json(tmp_path / "bad.json", sealed(good | damage))
         assert_one_clear_line(command("leaderboard", "--out", tmp_path), f"bad.json: .*{message}")
 
 
@@ -81,7 +84,96 @@ def test_an_entry_with_too_few_episodes_comes_last_and_is_marked(episodes, draws
     write_json(tmp_path / "full.json", poor)
     for site in good["sites"].values():
         site["episodes"] = draws if site["kind"] == "recorded" else episodes
-    write_json(tmp_path / "a-short.json", good | {"entry": "short"})
+    write_json(tmp_path / "a-short.json", sealed(good | {"entry": "short"}))
     shown = succeed("leaderboard", "--out", tmp_path)
     short = f"| short (too few: {episodes} / {draws}) | "
     assert shown.index(f"| {POOR} | ") < shown.index(short)
+
+
+AGENT = """
+import numpy as np
+
+class Cruise:
+    beliefs = "per-mode"
+    def __call__(self, observations):
+        return np.full(len(observations), 2)
+"""
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory):
+    """Return a folder with a user's module and the entry of its agent, judged on few episodes."""
+    folder = tmp_path_factory.mktemp("own")
+    (folder / "cruise.py").write_text(AGENT)
+    few = ("--episodes", 20, "--draws", 4, "--out", "entries")
+    succeed("leaderboard", "--policies", "cruise:Cruise", *few, cwd=folder)
+    return folder
+
+
+@pytest.fixture
+def claimed(own, tmp_path, monkeypatch):
+    """Return the path of a copy of this entry; the module is in the current folder."""
+    shutil.copy(own / "cruise.py", tmp_path)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "cruise", raising=False)
+    return shutil.copy(own / "entries" / "cruise-Cruise.json", tmp_path)
+
+
+@pytest.mark.slow
+def test_an_honest_entry_is_verified(claimed):
+    assert verify(claimed) == []
+
+
+CHANGES = {  # a changed figure, and what it is called
+    "reward": lambda e: e["sites"]["street:handset"]["reward"].update(mean=-1.0),
+    "ATE": lambda e: e["sites"]["alley:standard"]["ate_m"].update(mean=0.5),
+    "interval": lambda e: e["sites"]["alley:standard"]["ate_m"].update(ci95=[0.4, 0.6]),
+    "gain": lambda e: e["sites"]["o1:high"]["minus"]["imm"].update(mean=0.5),
+    "gain over the rule": lambda e: e["sites"]["o1:high"]["over_rule"].update(mean=0.5),
+    "score": lambda e: e["sites"]["o1:high"].update(score=100.0),
+    "number of episodes": lambda e: e["sites"]["o1:high"].update(episodes=1000),
+    "mean gain": lambda e: e["mean_gain"]["hard"].update(mean=0.5),
+    "name": lambda e: e.update(entry="corrector"),
+    "hash": lambda e: e.update(policy="0" * 64),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+def test_an_entry_with_a_changed_figure_is_refused(change, tmp_path):
+    entry = json_in(FOLDER / f"{GOOD}.json")
+    change(entry)
+    write_json(tmp_path / "changed.json", entry)
+    failed = command("leaderboard", "--verify", tmp_path / "changed.json")
+    assert failed.returncode == 2
+    assert "changed.json: refused" in failed.stdout and "seal: found an entry" in failed.stdout
+
+
+def better(entry):
+    for site in entry["sites"].values():
+        for mean in (site["reward"], *site["minus"].values()):
+            mean["mean"] += 1.0
+    for mean in entry["mean_gain"].values():
+        mean["mean"] += 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (better, "reward: found"),
+        (CHANGES["mean gain"], "mean_gain, hard: found"),
+        (CHANGES["hash"], "policy: found the hash"),
+    ],
+)
+def test_a_changed_entry_is_refused_even_with_a_new_seal(change, message, claimed):
+    entry = json_in(claimed)
+    change(entry)
+    write_json(claimed, sealed(entry))
+    assert any(message in difference for difference in verify(claimed))
+
+
+@pytest.mark.slow
+def test_an_entry_is_refused_if_its_policy_changes(claimed):
+    Path("cruise.py").write_text(AGENT.replace("2", "1"))
+    assert "policy: found the hash" in verify(claimed)[0]

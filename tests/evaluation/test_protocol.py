@@ -19,6 +19,7 @@ from experiments.evaluation.protocol import (
     entries_in,
     entry,
     judge,
+    sealed,
     sites,
     standing,
     tables_of,
@@ -112,7 +113,7 @@ def test_scores_are_dashes_if_an_entry_has_fewer_episodes_than_the_clairvoyant()
 def test_an_entry_in_the_folder_replaces_the_shipped_entry_of_the_same_policy(tmp_path):
     shipped = entries_in(tmp_path)
     assert [content["entry"] for content in shipped] == [*BESIDE]
-    write_json(tmp_path / "mine.json", shipped[0] | {"command": "mine"})
+    write_json(tmp_path / "mine.json", sealed(shipped[0] | {"command": "mine"}))
     own = {content["entry"]: content["command"] for content in entries_in(tmp_path)}
     assert own.keys() == {*BESIDE} and own["clairvoyant"] == "mine"
 

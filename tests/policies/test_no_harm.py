@@ -13,10 +13,12 @@ from experiments.evaluation.contenders import Contender
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.protocol import HARD_SOURCES, Misstated
 from experiments.evaluation.runner import run_contender
+from experiments.training.corrector_data import begin_from_a_link
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.random_scene import RandomScene
 from mmwave_env.models.scene import SCENES
 from mmwave_env.task import task_from
+from mmwave_env.world.episode import EpisodeBatch
 from mmwave_env.world.simulated import SimulatedSource
 
 pytestmark = pytest.mark.slow
@@ -40,6 +42,42 @@ def alone(episode):
     visible = episode.visible.copy()
     visible[:, 1:3] = False
     return replace(episode, visible=visible)
+
+
+def shifted(range_m=0.0, azimuth_deg=0.0, elevation_deg=0.0):
+    """Return a function that shifts the measurements of all links alike, as a bad survey does."""
+    azimuth, elevation = np.radians([azimuth_deg, elevation_deg])
+
+    def shift(episode):
+        z = episode.measurement.copy()
+        z[:, :12] += np.tile([range_m, azimuth, elevation, azimuth], 3)
+        return replace(episode, measurement=z)
+
+    return shift
+
+
+def misplaced(up_m=0.0, apart_m=0.0):
+    """Return a function that misplaces all anchors upwards, and each one horizontally."""
+
+    def misplace(episode):
+        anchors = episode.scene_anchors_m + np.array([0.0, 0.0, up_m])
+        rng = np.random.default_rng(abs(episode.measurement[0, 0].view(np.int64)))
+        anchors[:, :2] += rng.normal(0.0, apart_m, (3, 2))
+        return replace(episode, scene_anchors_m=anchors)
+
+    return misplace
+
+
+def slow_noise(episode, size=2.0, kept=0.99):
+    """Return an episode with additional errors that change slowly, twice the stated noise."""
+    rng = np.random.default_rng(abs(episode.measurement[0, 0].view(np.int64)))
+    drawn = rng.standard_normal((len(episode), 12))
+    errors = drawn.copy()
+    for t in range(1, len(episode)):
+        errors[t] = kept * errors[t - 1] + np.sqrt(1.0 - kept**2) * drawn[t]
+    z = episode.measurement.copy()
+    z[:, :12] += size * errors * episode.sigma[:, :12]
+    return replace(episode, measurement=z)
 
 
 def false_paths(episode):
@@ -80,6 +118,20 @@ CASES = {  # name -> source of episodes, radio, function that falsifies an episo
 }
 
 
+# errors that all links share, so that no gate sees them
+SHARED = {
+    "no error": shifted(),
+    "azimuths 3 degrees off": shifted(azimuth_deg=3.0),
+    "azimuths 5 degrees off": shifted(azimuth_deg=5.0),
+    "elevations 3 degrees off": shifted(elevation_deg=3.0),
+    "ranges 1 m long": shifted(range_m=1.0),
+    "anchors 5 m too high": misplaced(up_m=5.0),
+    "each anchor 1 m off": misplaced(apart_m=1.0),
+    "slow noise": slow_noise,
+}
+STARTS = ("as simulated", "from a link")
+
+
 def played(name, radio, episodes):
     """Return each episode's mean reward (n,) from its 11th epoch on, and the policy's trust.
 
@@ -103,6 +155,26 @@ def gain(case, n=N):
     return against_base(radio, [wrong(e) for e in episodes] if wrong else episodes)
 
 
+def shared_gain(error, radio, start, n=N):
+    """Play n episodes of a shared error, and return the gains in mean reward (n,)."""
+    source = simulated(radio)
+    episodes = source.episodes(np.arange(SEED, SEED + n, dtype=np.uint64))
+    batch = EpisodeBatch.of([SHARED[error](episode) for episode in episodes])
+    if start == "from a link":
+        begin_from_a_link(batch, source)
+    return against_base(radio, batch)[0]
+
+
+def print_shared(n=300):
+    """Print the table of shared errors in docs/learning.md."""
+    print(f"| error | radio | {' | '.join(STARTS)} |\n|---|---|---|---|")
+    for error in SHARED:
+        for radio in ("handset", "standard"):
+            gains = np.stack([shared_gain(error, radio, start, n) for start in STARTS], axis=1)
+            means = " | ".join(map(str, bootstrap(gains)))
+            print(f"| {error} | {radio} | {means} |")
+
+
 def print_table(n=300):
     """Print the tables of docs/learning.md."""
     print("| case | radio | minus guided | trusted |\n|---|---|---|---|")
@@ -122,6 +194,14 @@ def test_the_corrector_earns_hardly_less_than_its_base_policy_in_any_case(case):
     gains, trusted = gain(case)
     assert gains.mean() > -MOST_HARM
     assert ((trusted >= 0.0) & (trusted <= 1.0)).all()
+
+
+@pytest.mark.parametrize("start", STARTS)
+@pytest.mark.parametrize("radio", ["handset", "standard"])
+@pytest.mark.parametrize("error", SHARED)
+def test_the_corrector_does_no_harm_where_all_links_are_wrong_together(error, radio, start):
+    gains = shared_gain(error, radio, start)
+    assert gains.mean() > -MOST_HARM
 
 
 def trust(exponent):

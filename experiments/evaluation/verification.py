@@ -1,0 +1,91 @@
+"""Verification of entries: whether a policy is the one that was judged, and reaches its figures.
+
+An entry names its policy, the hash of its file, and figures at every site. To verify it, the policy
+plays again: at two sites, chosen anew each time, the claimed episodes, and then episodes of seeds
+that nobody could know before. An entry must equal the first, and fit the second statistically.
+"""
+
+import math
+import secrets
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from experiments.evaluation.branches import CLAIRVOYANT
+from experiments.evaluation.contenders import BEST_IMM, fingerprint
+from experiments.evaluation.intervals import Interval
+from experiments.evaluation.protocol import KINDS, Site, entry, judge, read_entry, sites
+from mmwave_env.io.files import Json
+
+SITES = 2  # number of sites at which an entry plays again
+HIDDEN = 50  # number of episodes of unknown seeds at each of them
+# first and last of the test seeds from which they are drawn; results are published on lower ones
+HIDDEN_SEEDS = (1_000_000, 4_999_950)
+# largest difference of a mean that plays the same episodes again, in widths of its interval: other
+# processors round differently, which matters in the few episodes in which filters are lost
+SAME = 0.1
+SURELY = 4.5  # standard deviations that a mean of hidden episodes may differ from the claim
+
+
+def verify(path: Path) -> list[str]:
+    """Verify the entry in a file; return what differs, or nothing.
+
+    Raises:
+        ValueError: the entry is invalid or was changed, or its policy can't be loaded.
+        FileNotFoundError: there is no such file, or the policy's file is missing.
+    """
+    claimed = read_entry(path)
+    policy = fingerprint(claimed["entry"])
+    if policy != claimed["policy"]:
+        return [f"policy: found the hash {policy}, expected {claimed['policy']}"]
+    differences = [*_inconsistent(claimed)]
+    for site in secrets.SystemRandom().sample(sites(), SITES):
+        differences += _differences(claimed, site)
+    return differences
+
+
+def _inconsistent(claimed: Json) -> Iterator[str]:
+    """Yield the mean gains of an entry that do not follow from its figures at the sites."""
+    if claimed["entry"] in (BEST_IMM, CLAIRVOYANT):
+        return
+    for kind in KINDS:
+        at = [figures for figures in claimed["sites"].values() if figures["kind"] == kind]
+        mean = float(np.mean([figures["minus"][BEST_IMM]["mean"] for figures in at]))
+        stated = claimed["mean_gain"][kind]["mean"]
+        if not math.isclose(mean, stated, rel_tol=1e-6, abs_tol=1e-9):
+            yield f"mean_gain, {kind}: found {stated:.4f}, expected {mean:.4f}"
+
+
+def _differences(claimed: Json, site: Site) -> Iterator[str]:
+    """Let the policy play at a site again; yield what differs from the entry."""
+    name = claimed["entry"]
+    stated = claimed["sites"][site.name]
+    again = _played(name, site, stated["episodes"], claimed["options"]["seed"])
+    for figure, interval in again.items():
+        claim = _figures(stated)[figure]
+        width = interval.high - interval.low
+        if not abs(claim.mean - interval.mean) <= SAME * width + 1e-9:
+            yield f"{site.name}, {figure}: found {claim.mean:.4f}, played {interval.mean:.4f}"
+    low, high = HIDDEN_SEEDS
+    seed = low + secrets.randbelow(high - low)
+    for figure, interval in _played(name, site, HIDDEN, seed).items():
+        claim = _figures(stated)[figure]
+        sigma = math.hypot(claim.high - claim.low, interval.high - interval.low) / (2.0 * 1.96)
+        if not abs(claim.mean - interval.mean) <= SURELY * sigma + 1e-9:
+            yield (
+                f"{site.name}, {figure}: found {claim.mean:.4f}, played {interval.mean:.4f} on "
+                f"{HIDDEN} episodes from seed {seed} on"
+            )
+
+
+def _played(name: str, site: Site, episodes: int, seed: int) -> dict[str, Interval]:
+    judged = judge([name], site, episodes, seed)
+    return _figures(entry(name, [judged])["sites"][site.name])
+
+
+def _figures(stated: Json) -> dict[str, Interval]:
+    """Return the figures at a site that are compared: reward, ATE and gains over the IMMs."""
+    named = {"reward": stated["reward"], "ate_m": stated["ate_m"]}
+    named |= {f"minus {imm}": gain for imm, gain in stated["minus"].items()}
+    return {figure: Interval.of(of) for figure, of in named.items()}
