@@ -123,6 +123,15 @@ def test_residuals_equal_the_formula_in_numpy(episodes):
         deviation = np.maximum(episode.sigma[:, 5] * flat, 0.05)
         q = np.sign(residual) * np.log1p(np.abs(residual) / deviation) * episode.visible[:, 1]
         heading = np.arctan2(x[i, :, 4], x[i, :, 3])
+        ranges = []
+        for anchor in range(3):
+            distance = np.linalg.norm(x[i, :, :3] - episode.scene_anchors_m[anchor], axis=1)
+            share = (episode.measurement[:, 4 * anchor] - distance) / episode.sigma[:, 4 * anchor]
+            ranges.append(np.where(episode.visible[:, anchor], np.clip(share, -1.5, 1.5), np.nan))
+        seen = np.isfinite(ranges).any(axis=0)
+        mean = value("mean range residual", i)
+        assert_allclose(mean[seen], np.nanmean(np.array(ranges)[:, seen], axis=0), atol=1e-4)
+        assert (mean[~seen] == 0.0).all()
         # A positive residual points to the left of the ray from the anchor to the user; the cosine
         # projects it onto the direction to the left of the motion.
         expected = q * np.cos(bearing - heading)
