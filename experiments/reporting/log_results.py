@@ -54,10 +54,9 @@ from mmwave_env.localization.contradictions import (
 from mmwave_env.localization.diagnosis import diagnose
 from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.localizer import Track, localize
-from mmwave_env.localization.log_noise import noise_notes, with_range_steps
+from mmwave_env.localization.log_noise import nearest_radio, noise_notes, with_range_steps
 from mmwave_env.localization.map_files import MAP_FILES, origin_of
 from mmwave_env.localization.map_learning import FEW_EXPLAINED, learn_map
-from mmwave_env.localization.radio_choice import nearest_radio
 from mmwave_env.localization.readings import AS_IT_IS
 from mmwave_env.localization.shared_errors import SharedError, find_shared_errors
 from mmwave_env.localization.track_files import require_own_files, table_beside, write_track
