@@ -28,7 +28,6 @@ UNDATED: dict[str, dict[str, Any]] = {  # metadata without dates, so equal pictu
     ".pdf": {"CreationDate": None},
 }
 COLORS = [hex_of(color) for color in THEMES["light"].modes]  # colors of modes, as in videos
-NO_MODE = hex_of(THEMES["light"].none)
 
 LEGEND_COLUMNS = 2  # number of columns in a legend below panels
 FONT_PT = 10.0
@@ -240,33 +239,34 @@ def draw_trajectory(track: Track, truth_m: Array, anchors_m: Array, path: Path, 
     shown = slice(None, None, -(-len(track) // POINTS))
     track = track.part(shown)
     truth_m = truth_m[shown]
-    several = len(np.unique(track.mode)) > 1
-    heights = (5.0, 1.8, 0.3) if several else (5.0, 1.8)
+    heights = [5.0, 1.8]
+    if len(np.unique(track.mode)) > 1:
+        heights.append(0.3)
     with picture(path, 10.0, sum(heights) + 1.2) as figure:
-        panels = figure.subplots(len(heights), 1, height_ratios=heights)
-        _draw_above(panels[0], track, truth_m, anchors_m)
+        above, errors, *ribbon = figure.subplots(len(heights), 1, height_ratios=heights)
+        _draw_above(above, track, truth_m, anchors_m)
         time = track.time_s - track.time_s[0]
         error = np.linalg.norm(track.smooth_x[:, :3] - truth_m, axis=1)
         sigma = np.sqrt(track.smooth_P[:, [0, 2, 5]].sum(axis=1))  # of x, y and z
         style = {"color": "C2", "alpha": 0.35, "lw": 0.0, "label": "2 standard deviations"}
-        panels[1].fill_between(time, 0.0, 2.0 * sigma, **style)
+        errors.fill_between(time, 0.0, 2.0 * sigma, **style)
         if np.isfinite(error).any():
-            panels[1].plot(time, error, color="black", lw=0.8, label="error")
-        panels[1].set(ylabel="position error (m)", ylim=(0.0, None))
-        legend_beside(panels[1])
-        if several:
-            panels[1].tick_params(labelbottom=False)
-            panels[1].sharex(panels[2])
+            errors.plot(time, error, color="black", lw=0.8, label="error")
+        errors.set(ylabel="position error (m)", ylim=(0.0, None))
+        legend_beside(errors)
+        for modes in ribbon:
+            errors.tick_params(labelbottom=False)
+            errors.sharex(modes)
             begins = np.flatnonzero(np.diff(track.mode, prepend=-1))
             ends = np.append(begins[1:], len(track) - 1)
             spans = np.stack([time[begins], time[ends] - time[begins]], axis=1)
             colors = [f"C{number}" for number in track.mode[begins]]
-            panels[2].broken_barh(spans, (0.0, 1.0), facecolors=colors, lw=0.0)
-            panels[2].grid(visible=False)
-            panels[2].spines[:].set_visible(False)
-            panels[2].tick_params(axis="y", length=0)
-            panels[2].set_yticks([0.5], ["mode"])
-        panels[-1].set_xlabel("time since the first epoch (s)")
+            modes.broken_barh(spans, (0.0, 1.0), facecolors=colors, lw=0.0)
+            modes.grid(visible=False)
+            modes.spines[:].set_visible(False)
+            modes.tick_params(axis="y", length=0)
+            modes.set_yticks([0.5], ["mode"])
+        [errors, *ribbon][-1].set_xlabel("time since the first epoch (s)")
         lines = textwrap.wrap(caption(title), TITLE_LETTERS, break_on_hyphens=False)
         figure.suptitle("\n".join(lines), x=0.02, ha="left")
 
