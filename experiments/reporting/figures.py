@@ -5,7 +5,7 @@ of a track from above, with its errors and modes (filters) over time.
 """
 
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -104,34 +104,30 @@ def legend_beside(axes: Any, **options: Any) -> None:
 @contextmanager
 def panels(
     path: Path, count: int, entries: int, width_mm: float | None
-) -> Iterator[tuple[Any, list[Any]]]:
-    """Yield a picture and its ``count`` panels: side by side, or stacked if they would be narrow.
+) -> Iterator[tuple[list[Any], Callable[[Sequence[Any]], None]]]:
+    """Yield the ``count`` panels of a picture: side by side, or stacked if they would be narrow.
 
-    The picture has room for the legend that :func:`legend_of` draws, with ``entries`` labels. The
-    font is smaller in narrow pictures, so that labels fit.
+    Also yield a function that draws the legend of the handles in its argument, which contain the
+    labels; the picture has room for ``entries`` labels. The font is smaller in narrow pictures, so
+    that labels fit.
     """
-    usual = PHONE_MM / MM_PER_IN if stacked(width_mm) else 2.2 + 4.4 * count
+    stacked = width_mm is not None and width_mm <= STACKED_MM
+    usual = PHONE_MM / MM_PER_IN if stacked else 2.2 + 4.4 * count
     width = usual if width_mm is None else width_mm / MM_PER_IN
-    if stacked(width_mm):
+    if stacked:
         height = 0.63 * width * count + 0.3 + 0.2 * (-(-entries // LEGEND_COLUMNS))
     else:
         height = max(4.2, 1.0 + 0.19 * entries) * width / usual
     with picture(path, width, height, FONT_PT * min(1.0, width / usual)) as figure:
-        grid = figure.subplots(*((count, 1) if stacked(width_mm) else (1, count)), squeeze=False)
-        yield figure, list(grid.flat)
+        grid = figure.subplots(*((count, 1) if stacked else (1, count)), squeeze=False)
 
+        def legend(handles: Sequence[Any]) -> None:
+            if stacked:
+                figure.legend(handles=handles, loc="outside lower left", ncols=LEGEND_COLUMNS)
+            else:
+                legend_beside(grid.flat[-1], handles=handles)
 
-def stacked(width_mm: float | None) -> bool:
-    """Return whether the panels of a picture of this width are stacked."""
-    return width_mm is not None and width_mm <= STACKED_MM
-
-
-def legend_of(figure: Any, axes: Any, width_mm: float | None, handles: Sequence[Any]) -> None:
-    """Draw the legend of a picture from :func:`panels`; the handles contain the labels."""
-    if stacked(width_mm):
-        figure.legend(handles=handles, loc="outside lower left", ncols=LEGEND_COLUMNS)
-    else:
-        legend_beside(axes, handles=handles)
+        yield list(grid.flat), legend
 
 
 def plain_numbers(axis: Any) -> None:
@@ -152,18 +148,19 @@ Line = tuple[Sequence[float], Sequence[float]]  # steps, values
 _STYLES = ("-", "--", ":")  # line styles, to distinguish more lines than there are colors
 
 
-def _style(number: int) -> dict[str, Any]:
-    return {"color": f"C{number}", "ls": _STYLES[number // len(COLORS) % len(_STYLES)]}
+def _style(number: int, label: str) -> dict[str, Any]:
+    line = _STYLES[number // len(COLORS) % len(_STYLES)]
+    return {"color": f"C{number}", "ls": line, "label": label}
 
 
 def draw_error_cdf(
     errors_m: Mapping[str, Array], path: Path, width_mm: float | None = None
 ) -> None:
     """Draw the distributions (CDF) of contenders' horizontal and vertical errors (..., 3), m."""
-    with panels(path, 2, len(errors_m), width_mm) as (figure, (left, right)):
+    with panels(path, 2, len(errors_m), width_mm) as ((left, right), legend):
         labels = contenders(errors_m)
         for number, (name, errors) in enumerate(errors_m.items()):
-            look = _style(number) | {"label": labels[name]}
+            look = _style(number, labels[name])
             for axes, sizes in ((left, horizontal(errors)), (right, vertical(errors))):
                 values = np.maximum(sizes, SMALLEST_M)  # the error of a known height is 0
                 axes.plot(np.quantile(values, _SHARES), _SHARES, **look)
@@ -175,7 +172,7 @@ def draw_error_cdf(
             axes.set_yticks(SHARES, [f"{100.0 * share:.0f} %" for share in SHARES])
             axes.set_ylabel("share of epochs with a smaller error")
             plain_numbers(axes.xaxis)
-        legend_of(figure, right, width_mm, left.lines[::2])
+        legend(left.lines[::2])
 
 
 def draw_consistency(
@@ -190,12 +187,12 @@ def draw_consistency(
     """
     episodes = len(next(iter(nees.values())))
     low, high = chdtri(episodes * dof, [0.975, 0.025]) / (episodes * dof)
-    with panels(path, 2, len(nees) + 2, width_mm) as (figure, (over_time, whole)):
+    with panels(path, 2, len(nees) + 2, width_mm) as ((over_time, whole), legend):
         bounds = over_time.axhspan(low, high, color="0.7", lw=0.0, label=BOUNDS)
         whole.plot([0.0, 1.0], [0.0, 1.0], color="0.5", lw=4.0, alpha=0.6, label="consistent")
         names = contenders(nees)
         for number, (name, values) in enumerate(nees.items()):
-            look = _style(number) | {"label": names[name]}
+            look = _style(number, names[name])
             over_time.plot(time_s, values.mean(axis=0) / dof, **look)
             inside = np.sort(chdtr(dof, values), axis=None)
             whole.plot(_SHARES, np.searchsorted(inside, _SHARES, "right") / inside.size, **look)
@@ -204,7 +201,7 @@ def draw_consistency(
         plain_numbers(over_time.yaxis)
         whole.set(xlabel="probability p", ylabel="share of NEES below\nthe chi-square p-quantile")
         whole.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0))
-        legend_of(figure, whole, width_mm, [bounds, *whole.lines])
+        legend([bounds, *whole.lines])
 
 
 def draw_learning_curves(label: str, lines: Sequence[Line], path: Path) -> None:
@@ -214,7 +211,7 @@ def draw_learning_curves(label: str, lines: Sequence[Line], path: Path) -> None:
     """
     from matplotlib.ticker import EngFormatter, NullFormatter
 
-    with panels(path, 1, 0, PHONE_MM) as (_, (axes,)):
+    with panels(path, 1, 0, PHONE_MM) as ((axes,), _):
         for steps, values in lines:
             axes.plot(steps, values, color="C0", lw=1.0, alpha=0.8)
         axes.axhline(0.0, color="black", lw=0.8)
