@@ -145,10 +145,17 @@ def difference(z: Array, h: Array) -> Array:
 
 
 class ImageFilter:
-    """The filter's equations for one base station (3,) and one motion model."""
+    """The filter's equations for one base station (3,) and one motion model.
 
-    def __init__(self, station: Array, hz_per_mps: float, tuning: Tuning) -> None:
+    ``offsets_m`` are the range offsets of the first anchors, of which only differences matter: that
+    of the base station was subtracted from all ranges.
+    """
+
+    def __init__(
+        self, station: Array, hz_per_mps: float, tuning: Tuning, offsets_m: Array | None = None
+    ) -> None:
         self.station = station
+        self._offsets_m = np.zeros(1) if offsets_m is None else offsets_m - offsets_m[0]
         self._hz_per_mps = hz_per_mps
         self._tuning = tuning
 
@@ -177,6 +184,7 @@ class ImageFilter:
         """Return the links (A, 4) to all anchors, and their Jacobians (A, 4, 7 + 3 K)."""
         anchors = np.vstack([self.station, b.places])
         h, by_p, by_a = link_rows(b.x[USER], anchors, at_station)
+        h[: len(self._offsets_m), 0] += self._offsets_m
         H = np.zeros((*h.shape, len(b.x)))
         H[:, :, USER] = by_p
         for anchor in range(1, len(h)):
