@@ -370,7 +370,7 @@ def _figures(args: LogArgs, files: Inputs, work: Work, track: Track) -> Json:
         "algorithm_1": args.imm is None and args.policy is None and is_algorithm_1(args),
         **track_statistics(track),
         "groups": groups,
-        **{name: found for name, found in more.items() if found},
+        **{name: figures for name, figures in more.items() if figures},
         **scores,
         "contradictions": [d._asdict() for d in doubts],
         "shared_errors": [str(error) for error in errors],

@@ -372,7 +372,7 @@ def _likeliest(reading: Reading, run: FilterRun, among: Collection[Suspect]) -> 
     ]
     if not any(certain):
         return None
-    found = []
+    candidates = []
     for suspect, rough in ranked if lost else ranked[:_TRIED]:
         error = _refined(reading, run, SharedError(suspect, rough.theta, rough.sigma))
         (new,) = innovations([without_errors(reading, [error])], run)
@@ -380,11 +380,11 @@ def _likeliest(reading: Reading, run: FilterRun, among: Collection[Suspect]) -> 
         single = suspect.parts and len(_parts(error)) < 2
         if not (single or _is_lost(new, measured)) and abs(error.theta).max() < limit:
             cost = suspect.cost + _COST * suspect.parameters
-            found.append(error._replace(gain=float((rho(w) - rho(new)).sum()) - cost))
-    found.sort(key=lambda error: -error.gain)
-    if not found or found[0].gain < 0.5 * strict * found[0].suspect.gain:
+            candidates.append(error._replace(gain=float((rho(w) - rho(new)).sum()) - cost))
+    candidates.sort(key=lambda error: -error.gain)
+    if not candidates or candidates[0].gain < 0.5 * strict * candidates[0].suspect.gain:
         return None
-    best, *others = found
+    best, *others = candidates
     rivals = [
         error.suspect.name
         for error in others
