@@ -95,6 +95,25 @@ class PathTracker:
         self._anchors = scene.anchors_m
         self._filter = ImageFilter(self._anchors[0], scene.hz_per_mps, mode.tuning, scene.offsets_m)
 
+    def tracks(self, log: PathLog) -> tuple[list[Belief | None], list[bool]]:
+        """Return every epoch's track (None if there is none), and whether it begins there."""
+        epochs = observed(log, self._scene, self._radio, STRAIGHT)
+        track: Belief | None = None
+        seen_s = -np.inf
+        tracks: list[Belief | None] = []
+        restarts: list[bool] = []
+        for number, paths in enumerate(epochs):
+            if paths.time_s - seen_s > GAP_S:
+                track = None
+            track = track and self.follow(track, paths)
+            rival = self.rival(track, epochs[number : number + LOOK_AHEAD])
+            track = rival or track
+            if track and (track.labels or _has_odometry(log.epochs[number], log.layout)):
+                seen_s = paths.time_s
+            tracks.append(track)
+            restarts.append(rival is not None)
+        return tracks, restarts
+
     def follow(self, track: Belief, paths: Paths) -> Belief:
         """Return the track after the next epoch."""
         track = self._filter.predicted(track, paths.time_s)
@@ -193,7 +212,7 @@ def associate(paths: PathLog, scene: Scene, radio: Radio, mode: Mode) -> tuple[L
     z = np.zeros((len(epochs), layout.size))
     visible = np.zeros((len(epochs), len(layout.groups)), np.bool_)
     snr_db = np.full((len(epochs), anchors), -np.inf)
-    tracks, restarts = _follow(paths, PathTracker(scene, radio, mode), scene, radio)
+    tracks, restarts = PathTracker(scene, radio, mode).tracks(paths)
     for t, (track, epoch) in enumerate(zip(tracks, epochs, strict=True)):
         labels = track.labels if track else {}
         for anchor, path in labels.items():
@@ -226,28 +245,6 @@ def associate(paths: PathLog, scene: Scene, radio: Radio, mode: Mode) -> tuple[L
 
 def _has_odometry(epoch: PathEpoch, layout: Layout) -> bool:
     return layout.odometry and bool(np.isfinite(epoch.odometry).all())
-
-
-def _follow(
-    log: PathLog, tracker: PathTracker, scene: Scene, radio: Radio
-) -> tuple[list[Belief | None], list[bool]]:
-    """Return every epoch's track (None if there is none), and whether it begins there."""
-    epochs = observed(log, scene, radio, STRAIGHT)
-    track: Belief | None = None
-    seen_s = -np.inf
-    tracks: list[Belief | None] = []
-    restarts: list[bool] = []
-    for number, paths in enumerate(epochs):
-        if paths.time_s - seen_s > GAP_S:
-            track = None
-        track = track and tracker.follow(track, paths)
-        rival = tracker.rival(track, epochs[number : number + LOOK_AHEAD])
-        track = rival or track
-        if track and (track.labels or _has_odometry(log.epochs[number], log.layout)):
-            seen_s = paths.time_s
-        tracks.append(track)
-        restarts.append(rival is not None)
-    return tracks, restarts
 
 
 def _counts(log: Log, epochs: Sequence[PathEpoch], tracked: Mask) -> Json:
