@@ -17,7 +17,7 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "files of source": 201,
+    "files of source": 199,
     "words of docs": 35_200,
     "pages of docs": 27,
     "tracked files": 648,
@@ -32,7 +32,7 @@ ROOMS = {  # maximum tokens of a room; lines are free
     "experiments/console": 5_190,
     "experiments/evaluation": 11_250,
     "experiments/paper": 5_420,
-    "experiments/reporting": 15_630,
+    "experiments/reporting": 15_400,
     "experiments/sweeping": 2_590,
     "experiments/timing": 5_020,
     "experiments/training": 16_510,
@@ -43,7 +43,7 @@ ROOMS = {  # maximum tokens of a room; lines are free
     "mmwave_env/filters": 19_140,
     "mmwave_env/interface": 6_940,
     "mmwave_env/io": 2_980,
-    "mmwave_env/localization": 40_530,
+    "mmwave_env/localization": 39_340,
     "mmwave_env/logs": 12_570,
     "mmwave_env/models": 10_530,
     "mmwave_env/numerics": 3_810,

@@ -111,7 +111,6 @@ def results(args: EpisodeArgs, names: Sequence[str], with_epochs: bool = False) 
     scoring = Scoring.of(task)
     seeds = seeds_from(args.episodes, args.seed)
     contenders = [contender_of(args, name) for name in names]
-    others = [file for run in runs.values() for file in run.policies if file != run.policy]
     epochs = EpochErrors()
     positions = Positions(levels, task.source.layout.anchors, args.planar)
     watch = [epochs.add] if with_epochs else []
@@ -119,21 +118,21 @@ def results(args: EpisodeArgs, names: Sequence[str], with_epochs: bool = False) 
         watch.append(positions.add)
     after = PARTS if args.percentiles else ()
     scores = score_contenders(contenders, task.source, seeds, watch, scoring, after)
-    scores_of = dict(scores)
-    if others:
-        more = [contender_of(args, name) for name in others]
-        scores_of |= score_contenders(more, task.source, seeds, scoring=scoring)
     if args.episodes_csv:
         write_text(args.episodes_csv, episodes_csv(scores, seeds, task.source))
     comparison = comparison_of(task, seeds, scores, own)
     text = str(comparison)
     content = comparison.json
-    if runs:
-        content["training_seeds"] = {}
-    for run in runs.values():
-        trained = [scores_of[run.name if file == run.policy else file] for file in run.policies]
-        spread = content["training_seeds"][run.name] = over_training_seeds(run, trained, scores)
-        text += seeds_markdown(run, spread)
+    spreads = {}
+    for name, run in runs.items():
+        others = [contender_of(args, file) for file in run.policies if file != run.policy]
+        trained = score_contenders(others, task.source, seeds, scoring=scoring)
+        trained[run.policy] = scores[name]
+        of_seeds = [trained[file] for file in run.policies]
+        spreads[name] = over_training_seeds(run, of_seeds, scores)
+        text += seeds_markdown(run, spreads[name])
+    if spreads:
+        content["training_seeds"] = spreads
     if args.percentiles:
         figures = content["position_errors"] = positions.figures()
         text += f"\n{positions_markdown('policy', figures['policies'], args.risk, args.levels)}"

@@ -5,7 +5,7 @@ of a track from above, with its errors and modes (filters) over time.
 """
 
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,6 @@ UNDATED: dict[str, dict[str, Any]] = {  # metadata without dates, so equal pictu
     ".pdf": {"CreationDate": None},
 }
 COLORS = [hex_of(color) for color in THEMES["light"].modes]  # colors of modes, as in videos
-NO_MODE = hex_of(THEMES["light"].none)
 
 LEGEND_COLUMNS = 2  # number of columns in a legend below panels
 FONT_PT = 10.0
@@ -105,34 +104,30 @@ def legend_beside(axes: Any, **options: Any) -> None:
 @contextmanager
 def panels(
     path: Path, count: int, entries: int, width_mm: float | None
-) -> Iterator[tuple[Any, list[Any]]]:
-    """Yield a picture and its ``count`` panels: side by side, or stacked if they would be narrow.
+) -> Iterator[tuple[list[Any], Callable[[Sequence[Any]], None]]]:
+    """Yield the ``count`` panels of a picture: side by side, or stacked if they would be narrow.
 
-    The picture has room for the legend that :func:`legend_of` draws, with ``entries`` labels. The
-    font is smaller in narrow pictures, so that labels fit.
+    Also yield a function that draws the legend of the handles in its argument, which contain the
+    labels; the picture has room for ``entries`` labels. The font is smaller in narrow pictures, so
+    that labels fit.
     """
-    usual = PHONE_MM / MM_PER_IN if stacked(width_mm) else 2.2 + 4.4 * count
+    stacked = width_mm is not None and width_mm <= STACKED_MM
+    usual = PHONE_MM / MM_PER_IN if stacked else 2.2 + 4.4 * count
     width = usual if width_mm is None else width_mm / MM_PER_IN
-    if stacked(width_mm):
+    if stacked:
         height = 0.63 * width * count + 0.3 + 0.2 * (-(-entries // LEGEND_COLUMNS))
     else:
         height = max(4.2, 1.0 + 0.19 * entries) * width / usual
     with picture(path, width, height, FONT_PT * min(1.0, width / usual)) as figure:
-        grid = figure.subplots(*((count, 1) if stacked(width_mm) else (1, count)), squeeze=False)
-        yield figure, list(grid.flat)
+        grid = figure.subplots(*((count, 1) if stacked else (1, count)), squeeze=False)
 
+        def legend(handles: Sequence[Any]) -> None:
+            if stacked:
+                figure.legend(handles=handles, loc="outside lower left", ncols=LEGEND_COLUMNS)
+            else:
+                legend_beside(grid.flat[-1], handles=handles)
 
-def stacked(width_mm: float | None) -> bool:
-    """Return whether the panels of a picture of this width are stacked."""
-    return width_mm is not None and width_mm <= STACKED_MM
-
-
-def legend_of(figure: Any, axes: Any, width_mm: float | None, handles: Sequence[Any]) -> None:
-    """Draw the legend of a picture from :func:`panels`; the handles contain the labels."""
-    if stacked(width_mm):
-        figure.legend(handles=handles, loc="outside lower left", ncols=LEGEND_COLUMNS)
-    else:
-        legend_beside(axes, handles=handles)
+        yield list(grid.flat), legend
 
 
 def plain_numbers(axis: Any) -> None:
@@ -153,18 +148,19 @@ Line = tuple[Sequence[float], Sequence[float]]  # steps, values
 _STYLES = ("-", "--", ":")  # line styles, to distinguish more lines than there are colors
 
 
-def _style(number: int) -> dict[str, Any]:
-    return {"color": f"C{number}", "ls": _STYLES[number // len(COLORS) % len(_STYLES)]}
+def _style(number: int, label: str) -> dict[str, Any]:
+    line = _STYLES[number // len(COLORS) % len(_STYLES)]
+    return {"color": f"C{number}", "ls": line, "label": label}
 
 
 def draw_error_cdf(
     errors_m: Mapping[str, Array], path: Path, width_mm: float | None = None
 ) -> None:
     """Draw the distributions (CDF) of contenders' horizontal and vertical errors (..., 3), m."""
-    with panels(path, 2, len(errors_m), width_mm) as (figure, (left, right)):
+    with panels(path, 2, len(errors_m), width_mm) as ((left, right), legend):
         labels = contenders(errors_m)
         for number, (name, errors) in enumerate(errors_m.items()):
-            look = _style(number) | {"label": labels[name]}
+            look = _style(number, labels[name])
             for axes, sizes in ((left, horizontal(errors)), (right, vertical(errors))):
                 values = np.maximum(sizes, SMALLEST_M)  # the error of a known height is 0
                 axes.plot(np.quantile(values, _SHARES), _SHARES, **look)
@@ -176,7 +172,7 @@ def draw_error_cdf(
             axes.set_yticks(SHARES, [f"{100.0 * share:.0f} %" for share in SHARES])
             axes.set_ylabel("share of epochs with a smaller error")
             plain_numbers(axes.xaxis)
-        legend_of(figure, right, width_mm, left.lines[::2])
+        legend(left.lines[::2])
 
 
 def draw_consistency(
@@ -191,12 +187,12 @@ def draw_consistency(
     """
     episodes = len(next(iter(nees.values())))
     low, high = chdtri(episodes * dof, [0.975, 0.025]) / (episodes * dof)
-    with panels(path, 2, len(nees) + 2, width_mm) as (figure, (over_time, whole)):
+    with panels(path, 2, len(nees) + 2, width_mm) as ((over_time, whole), legend):
         bounds = over_time.axhspan(low, high, color="0.7", lw=0.0, label=BOUNDS)
         whole.plot([0.0, 1.0], [0.0, 1.0], color="0.5", lw=4.0, alpha=0.6, label="consistent")
         names = contenders(nees)
         for number, (name, values) in enumerate(nees.items()):
-            look = _style(number) | {"label": names[name]}
+            look = _style(number, names[name])
             over_time.plot(time_s, values.mean(axis=0) / dof, **look)
             inside = np.sort(chdtr(dof, values), axis=None)
             whole.plot(_SHARES, np.searchsorted(inside, _SHARES, "right") / inside.size, **look)
@@ -205,7 +201,7 @@ def draw_consistency(
         plain_numbers(over_time.yaxis)
         whole.set(xlabel="probability p", ylabel="share of NEES below\nthe chi-square p-quantile")
         whole.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0))
-        legend_of(figure, whole, width_mm, [bounds, *whole.lines])
+        legend([bounds, *whole.lines])
 
 
 def draw_learning_curves(label: str, lines: Sequence[Line], path: Path) -> None:
@@ -215,7 +211,7 @@ def draw_learning_curves(label: str, lines: Sequence[Line], path: Path) -> None:
     """
     from matplotlib.ticker import EngFormatter, NullFormatter
 
-    with panels(path, 1, 0, PHONE_MM) as (_, (axes,)):
+    with panels(path, 1, 0, PHONE_MM) as ((axes,), _):
         for steps, values in lines:
             axes.plot(steps, values, color="C0", lw=1.0, alpha=0.8)
         axes.axhline(0.0, color="black", lw=0.8)
@@ -240,33 +236,34 @@ def draw_trajectory(track: Track, truth_m: Array, anchors_m: Array, path: Path, 
     shown = slice(None, None, -(-len(track) // POINTS))
     track = track.part(shown)
     truth_m = truth_m[shown]
-    several = len(np.unique(track.mode)) > 1
-    heights = (5.0, 1.8, 0.3) if several else (5.0, 1.8)
+    heights = [5.0, 1.8]
+    if len(np.unique(track.mode)) > 1:
+        heights.append(0.3)
     with picture(path, 10.0, sum(heights) + 1.2) as figure:
-        panels = figure.subplots(len(heights), 1, height_ratios=heights)
-        _draw_above(panels[0], track, truth_m, anchors_m)
+        above, errors, *ribbon = figure.subplots(len(heights), 1, height_ratios=heights)
+        _draw_above(above, track, truth_m, anchors_m)
         time = track.time_s - track.time_s[0]
         error = np.linalg.norm(track.smooth_x[:, :3] - truth_m, axis=1)
         sigma = np.sqrt(track.smooth_P[:, [0, 2, 5]].sum(axis=1))  # of x, y and z
         style = {"color": "C2", "alpha": 0.35, "lw": 0.0, "label": "2 standard deviations"}
-        panels[1].fill_between(time, 0.0, 2.0 * sigma, **style)
+        errors.fill_between(time, 0.0, 2.0 * sigma, **style)
         if np.isfinite(error).any():
-            panels[1].plot(time, error, color="black", lw=0.8, label="error")
-        panels[1].set(ylabel="position error (m)", ylim=(0.0, None))
-        legend_beside(panels[1])
-        if several:
-            panels[1].tick_params(labelbottom=False)
-            panels[1].sharex(panels[2])
+            errors.plot(time, error, color="black", lw=0.8, label="error")
+        errors.set(ylabel="position error (m)", ylim=(0.0, None))
+        legend_beside(errors)
+        for modes in ribbon:
+            errors.tick_params(labelbottom=False)
+            errors.sharex(modes)
             begins = np.flatnonzero(np.diff(track.mode, prepend=-1))
             ends = np.append(begins[1:], len(track) - 1)
             spans = np.stack([time[begins], time[ends] - time[begins]], axis=1)
             colors = [f"C{number}" for number in track.mode[begins]]
-            panels[2].broken_barh(spans, (0.0, 1.0), facecolors=colors, lw=0.0)
-            panels[2].grid(visible=False)
-            panels[2].spines[:].set_visible(False)
-            panels[2].tick_params(axis="y", length=0)
-            panels[2].set_yticks([0.5], ["mode"])
-        panels[-1].set_xlabel("time since the first epoch (s)")
+            modes.broken_barh(spans, (0.0, 1.0), facecolors=colors, lw=0.0)
+            modes.grid(visible=False)
+            modes.spines[:].set_visible(False)
+            modes.tick_params(axis="y", length=0)
+            modes.set_yticks([0.5], ["mode"])
+        [errors, *ribbon][-1].set_xlabel("time since the first epoch (s)")
         lines = textwrap.wrap(caption(title), TITLE_LETTERS, break_on_hyphens=False)
         figure.suptitle("\n".join(lines), x=0.02, ha="left")
 

@@ -20,8 +20,8 @@ from mmwave_env.io.files import Json, first_line, parse_json
 from mmwave_env.io.lookup import printable, quoted
 from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.location_data import location_data
+from mmwave_env.localization.log_noise import nearest_radio
 from mmwave_env.localization.map_files import origin_of
-from mmwave_env.localization.radio_choice import nearest_radio
 from mmwave_env.localization.tracker import Position, Tracker, Trackers
 from mmwave_env.logs.live_log import LiveEpoch, LiveLog
 from mmwave_env.logs.log import Log

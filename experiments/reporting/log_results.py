@@ -42,6 +42,7 @@ from experiments.reporting.track_report import track_markdown
 from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH
 from mmwave_env.datasets.samples import sample_folder
 from mmwave_env.filters.bank import modes_from
+from mmwave_env.filters.modes import Mode
 from mmwave_env.io.files import Json, require_writable, write_json
 from mmwave_env.io.lookup import as_name
 from mmwave_env.localization.association import associate
@@ -54,10 +55,9 @@ from mmwave_env.localization.contradictions import (
 from mmwave_env.localization.diagnosis import diagnose
 from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.localizer import Track, localize
-from mmwave_env.localization.log_noise import noise_notes, with_range_steps
+from mmwave_env.localization.log_noise import nearest_radio, noise_notes, with_range_steps
 from mmwave_env.localization.map_files import MAP_FILES, origin_of
 from mmwave_env.localization.map_learning import FEW_EXPLAINED, learn_map
-from mmwave_env.localization.radio_choice import nearest_radio
 from mmwave_env.localization.readings import AS_IT_IS
 from mmwave_env.localization.shared_errors import SharedError, find_shared_errors
 from mmwave_env.localization.track_files import require_own_files, table_beside, write_track
@@ -93,35 +93,35 @@ def diagnosed(args: LogArgs, files: "Inputs", scene: Scene) -> None:
         log = read()
     if log is None or not log.visible[:, 0].any():
         log = read(partial=True, snr_db=args.snr)
-    radio = nearest_radio(log, scene) if args.radio == AUTO else args.radio
+    name = nearest_radio(log, scene) if args.radio == AUTO else args.radio
+    radio = radio_of(args, name)
+    mode = modes_of(args, name)[-1]
     with progress("looking for likely mistakes"):
-        log, step_m = with_range_steps(log, scene, radio_of(args, radio))
-        findings = diagnose(log, scene, radio_of(args, radio), modes_of(args, radio)[-1])
+        log, step_m = with_range_steps(log, scene, radio)
+        findings = diagnose(log, scene, radio, mode)
         best = findings[0]
         if best.hypothesis == AS_IT_IS and not best.contradictions:
             work = _work(args, files, scene)
             _, doubts = _consistency(work, _track(args, work))
             findings[0] = best._replace(contradictions=doubts)
         facts = log_facts(log, scene)
-        mode = modes_of(args, radio)[-1]
-        notes = noise_notes(log, scene, radio_of(args, radio), mode, step_m)
+        notes = noise_notes(log, scene, radio, mode, step_m)
     corrected = findings[0].scene
     if args.write and corrected:
         write_json(args.write, scene_json(corrected))
     if args.json:
-        hypotheses = [
-            {
-                **f._asdict(),
-                "contradictions": [c._asdict() for c in f.contradictions],
-                "scene": f.scene and scene_json(f.scene),
-            }
-            for f in findings
-        ]
         figures = {
             "facts": facts,
             "verdict": verdict(findings),
             "notes": notes,
-            "hypotheses": hypotheses,
+            "hypotheses": [
+                {
+                    **f._asdict(),
+                    "contradictions": [c._asdict() for c in f.contradictions],
+                    "scene": f.scene and scene_json(f.scene),
+                }
+                for f in findings
+            ],
         }
         write_json(args.json, provenance("localize", args) | figures)
     show(f"{facts_markdown(facts)}\n{diagnosis_markdown(findings, notes)}")
@@ -202,8 +202,8 @@ def _outputs(args: LogArgs) -> list[tuple[str, Path | None]]:
     tracks = [("out", out) for out in args.out]
     tables = map(table_beside, args.out)
     beside = [("the table of --out", table) for table in tables if table not in args.out]
-    pictures = [("plot", args.plot), ("map-out", args.map_out)]
-    return [*tracks, *beside, *pictures, ("json", args.json), ("write", args.write)]
+    others = [("plot", args.plot), ("map-out", args.map_out), ("json", args.json)]
+    return [*tracks, *beside, *others, ("write", args.write)]
 
 
 class Work(NamedTuple):
@@ -223,20 +223,21 @@ def _work(args: LogArgs, files: Inputs, scene: Scene) -> Work:
     """Read the log and, if there is one, the ground truth; choose the modes."""
     association = None
     learned = None
-    if args.map == "learn":
+    if args.associate or args.map == "learn":
         name = "handset" if args.radio == AUTO else args.radio
-        scene, learned = _learned_map(args, [*files.earlier, files.log], scene, name)
-    if args.associate or learned:
-        paths = read_paths(files.log, scene, args.odometry)
-        name = "handset" if args.radio == AUTO else args.radio
+        radio = radio_of(args, name)
         fast = modes_from(args.modes, name)[-1]
-        log, association = associate(paths, scene, radio_of(args, name), fast)
+        if args.map == "learn":
+            scene, learned = _learned_map(args, [*files.earlier, files.log], scene, radio, fast)
+        paths = read_paths(files.log, scene, args.odometry)
+        log, association = associate(paths, scene, radio, fast)
     else:
         log = read_log(
             files.log, scene, args.odometry, partial=True, snr_db=args.snr,
             clock=args.clock,
         )  # fmt: skip
         name = nearest_radio(log, scene) if args.radio == AUTO else args.radio
+        radio = radio_of(args, name)
     if args.follow == "odometry" and not log.layout.odometry:
         raise ValueError(
             f"follow: odometry needs speeds, and {files.log} has none; use --follow prediction"
@@ -248,21 +249,19 @@ def _work(args: LogArgs, files: Inputs, scene: Scene) -> Work:
             stacklevel=2,
         )
     truth = Truth(files.truth) if files.truth else None
-    radio = radio_of(args, name)
     log, step_m = with_range_steps(log, scene, radio)
     return Work(scene, radio, choice, log, truth, association, step_m, learned)
 
 
 def _learned_map(
-    args: LogArgs, paths: Sequence[Path], scene: Scene, radio: str
+    args: LogArgs, paths: Sequence[Path], scene: Scene, radio: Radio, mode: Mode
 ) -> tuple[Scene, Json]:
     """Return the scene with the images that the paths of logs reveal, and figures about them.
 
     Warn if walls explain few of the paths.
     """
     logs = [read_paths(path, scene, args.odometry) for path in paths]
-    fast = modes_from(args.modes, radio)[-1]
-    scene, learned = learn_map(logs, scene, radio_of(args, radio), fast)
+    scene, learned = learn_map(logs, scene, radio, mode)
     if learned["explained"] < FEW_EXPLAINED * learned["paths"]:
         warnings.warn(
             f"map: found {learned['explained']} of {learned['paths']} paths that come from the "
@@ -360,6 +359,7 @@ def _figures(args: LogArgs, files: Inputs, work: Work, track: Track) -> Json:
         "plot": "picture",
         "map-out": "scene with the learned images",
     }
+    more = {"association": work.association, "map": work.map}
     return {
         "log": str(files.log),
         "scene": work.scene.name,
@@ -370,8 +370,7 @@ def _figures(args: LogArgs, files: Inputs, work: Work, track: Track) -> Json:
         "algorithm_1": args.imm is None and args.policy is None and is_algorithm_1(args),
         **track_statistics(track),
         "groups": groups,
-        **({"association": work.association} if work.association else {}),
-        **({"map": work.map} if work.map else {}),
+        **{name: figures for name, figures in more.items() if figures},
         **scores,
         "contradictions": [d._asdict() for d in doubts],
         "shared_errors": [str(error) for error in errors],

@@ -1,5 +1,7 @@
 """The report that ``localize`` prints about a track."""
 
+from collections.abc import Iterator
+
 from experiments.console.output import escaped, grid
 from experiments.evaluation.positions import KINDS, positions_markdown
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS
@@ -21,62 +23,62 @@ def _times(count: int) -> str:
     return "once" if count == 1 else f"{count} times"
 
 
-def _course(figures: Json) -> list[str]:
-    f = figures
-    speed = figures["speed_mps"]
+def _course(f: Json) -> Iterator[str]:
+    """Yield sentences about the course of a track."""
+    speed = f["speed_mps"]
     epochs = f["epochs"]
-    lines = [
+    yield (
         f"{epochs} epochs, {f['first_s']:.13g} to {f['last_s']:.13g} s; estimated speed "
         f"{speed['mean']:.2f} m/s on average, {speed['max']:.2f} m/s at most"
-    ]
+    )
     if f["skipped"]:
-        lines.append(f"{f['skipped']} epochs before the first position were skipped")
+        yield f"{f['skipped']} epochs before the first position were skipped"
     if f["restarts"] or f["dropped"]:
         event = f"restarted {_times(f['restarts'])} after" if f["restarts"] else "ended at"
         gaps = f"gaps of more than {GAP_S:g} s, or where the next epochs contradicted a start"
         if "association" in f:
             gaps += ", or where another track explained the paths better"
-        lines.append(f"{event} {gaps}; {f['dropped']} epochs skipped")
+        yield f"{event} {gaps}; {f['dropped']} epochs skipped"
     shares = ", ".join(f"{escaped(name)} {_percent(n / epochs)}" for name, n in f["modes"].items())
     switches = f", switched {_times(f['switches'])}" if len(f["modes"]) > 1 else ""
-    lines.append(f"modes {escaped(f['rule'])}: {shares} of the epochs{switches}")
-    lines.append(f"measurement noise of the radio profile {escaped(f['radio'])}")
+    yield f"modes {escaped(f['rule'])}: {shares} of the epochs{switches}"
+    yield f"measurement noise of the radio profile {escaped(f['radio'])}"
     expected = " and ".join(f"{size:.2f} m {axis}" for axis, size in f["expected_rmse_m"].items())
-    lines.append(f"expected error (RMS, by the track's covariances): {expected}")
+    yield f"expected error (RMS, by the track's covariances): {expected}"
     if f["range_step_m"]:
-        step = f["range_step_m"]
-        lines.append(f"ranges come in steps of {step:.3g} m; their noise contains the rounding")
-    height = f["height_m"]
-    lines.append(f"estimated height {height:.2f} m on average, above the zero of the scene")
+        yield (
+            f"ranges come in steps of {f['range_step_m']:.3g} m; their noise contains the rounding"
+        )
+    yield f"estimated height {f['height_m']:.2f} m on average, above the zero of the scene"
     for key, kind in (("trusted", "filtered"), ("smooth_trusted", "smoothed")):
         if key in f:
             weight = _percent(f[key])
-            lines.append(f"weight of the corrections in the {kind} track: {weight} on average")
+            yield f"weight of the corrections in the {kind} track: {weight} on average"
     if "clock" in f:
         ahead = f["clock"]["range_bias_m"] / SPEED_OF_LIGHT * 1e9
         deviation = f["clock"]["deviation_m"] / SPEED_OF_LIGHT * 1e9
         side = "behind" if ahead < 0.0 else "ahead"
-        lines.append(f"in the end the user's clock is {abs(ahead):.1f} ± {deviation:.1f} ns {side}")
+        yield f"in the end the user's clock is {abs(ahead):.1f} ± {deviation:.1f} ns {side}"
     fast = speed["epochs_above_design_limit"]
     if f["algorithm_1"] and len(f["modes"]) > 1 and fast:
-        lines.append(
+        yield (
             f"warning: {fast} epochs are above {DESIGN_LIMIT_MPS:g} m/s, outside the design window "
             f"of the speed rule; {escaped(list(f['modes'])[1])} ran in them"
         )
     if "association" in f:
         counts = f["association"]
         between = counts["without_track"]
-        tracking = f"the track was found {_times(counts['starts'])}"
-        lines.append(f"{counts['paths']} paths, {counts['false']} of them false; {tracking}")
+        yield (
+            f"{counts['paths']} paths, {counts['false']} of them false; the track was found "
+            f"{_times(counts['starts'])}"
+        )
         if counts["incomplete"]:
-            missing = "paths with only some of their values were left out"
-            lines.append(f"{counts['incomplete']} {missing}")
+            yield f"{counts['incomplete']} paths with only some of their values were left out"
         if between["epochs"]:
-            lines.append(
+            yield (
                 f"{between['epochs']} epochs have no track; their {between['paths']} paths were "
                 "assigned to no anchor"
             )
-    return lines
 
 
 def _learned_map(learned: Json) -> str:

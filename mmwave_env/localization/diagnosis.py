@@ -14,6 +14,7 @@ no single mistake explains, is searched for them (:mod:`~mmwave_env.localization
 from collections.abc import Iterator, Sequence, Set
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from itertools import combinations, permutations
 
 import numpy as np
@@ -31,14 +32,15 @@ from mmwave_env.localization.readings import (
     DOPPLER,
     ELEVATION,
     RANGE,
-    Change,
     Finding,
     Fits,
     Mistake,
     Reading,
+    Undo,
     scaled,
     values_of,
 )
+from mmwave_env.localization.sensitivities import bare
 from mmwave_env.localization.shared_errors import (
     SharedError,
     find_shared_errors,
@@ -46,7 +48,6 @@ from mmwave_env.localization.shared_errors import (
 )
 from mmwave_env.localization.starts import POOL_S, start_at
 from mmwave_env.logs.log import Log
-from mmwave_env.models.layout import wrap_angles
 from mmwave_env.models.radio import RADIOS, Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import PI, Array
@@ -74,8 +75,26 @@ _ADVANTAGE = 10.0  # bonus for the log as it is, added to its log-likelihood
 _OUTLIER_QUANTILE = 1e-6  # NIS is capped at the value that chi-square exceeds with this probability
 
 
-def _exchanged(rows: slice, other: slice) -> list[Change]:
-    return [Change(rows, other), Change(other, rows)]
+def _exchanged(rows: slice, other: slice) -> Undo:
+    """Return the function that exchanges values, given their rows."""
+
+    def undo(reading: Reading) -> Reading:
+        log = reading.log
+        place = np.arange(log.layout.size)
+        order = place.copy()
+        order[rows] = place[other]
+        order[other] = place[rows]
+        z = log.measurement[:, order]
+        return reading._replace(log=replace(log, measurement=z, sigma=log.sigma[:, order]))
+
+    return undo
+
+
+def _timed(factor: float) -> Undo:
+    """Return the function that multiplies the times."""
+    return lambda reading: reading._replace(
+        log=replace(reading.log, time_s=factor * reading.log.time_s)
+    )
 
 
 def _orders(anchors: int) -> list[list[int]]:
@@ -98,10 +117,11 @@ def mistakes(scene: Scene, radio: Radio, columns: Set[str]) -> Iterator[Mistake]
         numbers = ", ".join(str(i + 1) for i in order)
         cure = f"list the anchors of the scene in the order {numbers}"
         moved = scene.with_anchors(scene.anchors_m[order])
-        yield Mistake(f"anchors are the scene's {numbers}", cure, scene=moved)
+        undo = partial(Reading._replace, scene=moved)
+        yield Mistake(f"anchors are the scene's {numbers}", cure, undo)
     for name in sorted(RADIOS.keys() - {radio.name}):
         cure = f"use --radio {name}, or radio={name!r}"
-        yield Mistake(f"radio is {name}", cure, radio=name)
+        yield Mistake(f"radio is {name}", cure, partial(Reading._replace, radio=RADIOS[name]))
 
 
 def _conventions(scene: Scene) -> Iterator[Mistake]:
@@ -119,7 +139,7 @@ def _conventions(scene: Scene) -> Iterator[Mistake]:
     yield Mistake(
         "arrival is measured at the user (downlink)",
         f"{swap} aod_azimuth, negate aoa_elevation",
-        [*ends, *turned],
+        lambda reading: turned(ends(reading)),
     )
     yield Mistake(
         "elevation is a zenith angle",
@@ -170,7 +190,7 @@ def _units(scene: Scene, columns: Set[str]) -> Iterator[Mistake]:
         rename = ", or name the column after its true unit, such as"
         flight = f"{cure}{rename} toa_{unit}" if timed else cure
         yield Mistake(f"time of flight is {error}", flight, scaled([RANGE], factor))
-        yield Mistake(f"time is {error}", f"{cure}{rename} time_{unit}", time_factor=factor)
+        yield Mistake(f"time is {error}", f"{cure}{rename} time_{unit}", _timed(factor))
     for unit, suffix, factor in (("m/s", "mps", scene.hz_per_mps), ("kHz", "khz", 1e3)):
         other = f"doppler_{suffix}"
         if "doppler_hz" in columns:
@@ -239,7 +259,7 @@ def diagnose(log: Log, scene: Scene, radio: Radio, mode: Mode) -> list[Finding]:
     single = [as_it_is.without(mistake) for mistake in mistakes(scene, radio, log.columns)]
     single = [reading for reading in single if _has_effect(reading, as_it_is)]
     findings = _findings([as_it_is, *single], mode, first)
-    radios = {r.undone[0].words: r for r in single if r.undone[0].radio}
+    radios = {r.undone[0].words: r for r in single if r.radio is not radio}
     best = findings[0]
     if best.contradictions or best.hypothesis in {AS_IT_IS, *radios}:
         likely = [as_it_is, *filter(None, [radios.get(best.hypothesis)])]
@@ -279,25 +299,20 @@ def _findings(readings: Sequence[Reading], mode: Mode, first: int) -> list[Findi
     for reading in readings:
         why = impossible(reading.log)
         if not why:
-            z = reading.log.measurement.copy()
-            wrap_angles(z, reading.log.layout)
-            log = replace(reading.log, measurement=z)
+            log, scene, radio, *_ = reading.wrapped()
             try:
-                start = start_at(log, first, reading.scene, reading.radio)
+                start = start_at(log, first, scene, radio)
                 if start is None:
                     raise ValueError("the first epochs determine no position")
                 log = log.part(slice(first, None))
-                episodes.append(episode_from(log, reading.scene, reading.radio, start))
+                episodes.append(episode_from(log, scene, radio, start))
                 tracked.append(reading._replace(log=log))
             except ValueError as error:
                 why = [Contradiction("track", f"none ({error})", "a track")]
         if why:
             findings.append(reading.finding(why))
     if episodes:
-        mode = replace(
-            mode, gate=None, recovery=None, adaptive=False, robust=False, blockage_aware=False
-        )
-        tracker = tracks_of(Pipeline((mode,), episodes[0].layout), len(episodes))
+        tracker = tracks_of(Pipeline((bare(mode),), episodes[0].layout), len(episodes))
         tracker.load(episodes)
         results = tracker.run("memory.nis", "log_likelihood").values()
         findings += map(_finding, tracked, episodes, *results)

@@ -22,6 +22,7 @@ from scipy.special import chdtri
 from mmwave_env.filters.modes import Tuning
 from mmwave_env.logs.log_tables import Arrays
 from mmwave_env.models.layout import STATE_SIZE
+from mmwave_env.models.measurement import direction, doppler_group, link_group
 from mmwave_env.models.motion import COUPLED, white_noise_acceleration
 from mmwave_env.models.prior import vector_from_link
 from mmwave_env.numerics.numbers import PI, Array, Mask, wrap
@@ -97,18 +98,15 @@ def block(anchor: int) -> slice:
     return slice(first, first + 3)
 
 
-def angles_of(d: Array) -> tuple[Array, Array]:
-    """Return azimuth and elevation (n, 2) of vectors d (n, 3), and their gradients (n, 2, 3)."""
-    horizontal2 = d[:, 0] ** 2 + d[:, 1] ** 2 + 1e-12
-    horizontal = np.sqrt(horizontal2)
-    full2 = horizontal2 + d[:, 2] ** 2
-    angles = np.column_stack([np.arctan2(d[:, 1], d[:, 0]), np.arctan2(d[:, 2], horizontal)])
-    gradients = np.zeros((len(d), 2, 3))
-    gradients[:, 0, 0] = -d[:, 1] / horizontal2
-    gradients[:, 0, 1] = d[:, 0] / horizontal2
-    gradients[:, 1, :2] = -d[:, :2] * (d[:, 2] / (horizontal * full2))[:, None]
-    gradients[:, 1, 2] = horizontal / full2
-    return angles, gradients
+def links_along(d: Array) -> tuple[Array, Array]:
+    """Return the links h (A, 4) along vectors d (A, 3), and their gradients (A, 4, 3) by d."""
+    still = [0.0] * 4
+    rows = link_group([*d.T, *still], still, still, [1.0] * 4).jacobian
+    gradients = np.zeros((len(d), 4, 3))
+    for k, row in enumerate([*rows, rows[1]]):  # both azimuths have the same gradient
+        gradients[:, k] = np.column_stack(np.broadcast_arrays(*row[:3]))
+    distance, azimuth, elevation = direction(list(d.T))
+    return np.column_stack([distance, azimuth, elevation, azimuth + PI]), gradients
 
 
 def link_rows(p: Array, anchors: Array, at_station: bool) -> tuple[Array, Array, Array]:
@@ -119,10 +117,7 @@ def link_rows(p: Array, anchors: Array, at_station: bool) -> tuple[Array, Array,
     q = d - 2 (d.m) m / m.m with m = a - g.
     """
     d = p - anchors
-    distance = np.linalg.norm(d, axis=1) + 1e-9
-    angles, slopes = angles_of(d)
-    h = np.column_stack([distance, angles, angles[:, 0] + PI])
-    by_p = np.concatenate([(d / distance[:, None])[:, None], slopes, slopes[:, :1]], axis=1)
+    h, by_p = links_along(d)
     by_a = -by_p
     if at_station and len(anchors) > 1:
         m = anchors[1:] - anchors[0]
@@ -132,11 +127,13 @@ def link_rows(p: Array, anchors: Array, at_station: bool) -> tuple[Array, Array,
         dm = (d * m_rows).sum(axis=2, keepdims=True)
         outer = m[:, :, None] * m_rows
         mirror = np.eye(3) - 2.0 * outer / mm
-        h[1:, 1:3], slopes = angles_of((d @ mirror)[:, 0])
+        mirrored, slopes = links_along((d @ mirror)[:, 0])
+        angles = slice(1, 3)
+        h[1:, angles] = mirrored[:, angles]
         # the gradient of q by a, with d and m both changing
         tilt = 4.0 * dm / mm**2 * outer - 2.0 / mm * (dm * np.eye(3) + m[:, :, None] * d)
-        by_p[1:, 1:3] = slopes @ mirror
-        by_a[1:, 1:3] = slopes @ (tilt - mirror)
+        by_p[1:, angles] = slopes[:, angles] @ mirror
+        by_a[1:, angles] = slopes[:, angles] @ (tilt - mirror)
     return h, by_p, by_a
 
 
@@ -148,10 +145,17 @@ def difference(z: Array, h: Array) -> Array:
 
 
 class ImageFilter:
-    """The filter's equations for one base station (3,) and one motion model."""
+    """The filter's equations for one base station (3,) and one motion model.
 
-    def __init__(self, station: Array, hz_per_mps: float, tuning: Tuning) -> None:
+    ``offsets_m`` are the range offsets of the first anchors, of which only differences matter: that
+    of the base station was subtracted from all ranges.
+    """
+
+    def __init__(
+        self, station: Array, hz_per_mps: float, tuning: Tuning, offsets_m: Array | None = None
+    ) -> None:
         self.station = station
+        self._offsets_m = np.zeros(1) if offsets_m is None else offsets_m - offsets_m[0]
         self._hz_per_mps = hz_per_mps
         self._tuning = tuning
 
@@ -180,23 +184,12 @@ class ImageFilter:
         """Return the links (A, 4) to all anchors, and their Jacobians (A, 4, 7 + 3 K)."""
         anchors = np.vstack([self.station, b.places])
         h, by_p, by_a = link_rows(b.x[USER], anchors, at_station)
+        h[: len(self._offsets_m), 0] += self._offsets_m
         H = np.zeros((*h.shape, len(b.x)))
         H[:, :, USER] = by_p
         for anchor in range(1, len(h)):
             H[anchor, :, block(anchor)] = by_a[anchor]
         return h, H
-
-    def doppler_row(self, b: Belief) -> tuple[float, Array]:
-        """Return the Doppler shift of the line of sight (Hz) and its gradient (7 + 3 K,)."""
-        d = b.x[USER] - self.station
-        distance = np.linalg.norm(d)
-        u = d / distance
-        v = b.x[3:6]
-        gradient = np.zeros(len(b.x))
-        gradient[USER] = self._hz_per_mps * (v - u * (u @ v)) / distance
-        gradient[3:6] = self._hz_per_mps * u
-        gradient[6] = 1.0
-        return float(self._hz_per_mps * (u @ v) + b.x[6]), gradient
 
     def nis(self, b: Belief, paths: Paths) -> tuple[Array, Array]:
         """Return NIS and ln det S (A, n) of every pair of an anchor and a path."""
@@ -220,12 +213,17 @@ class ImageFilter:
         chosen = list(labels.values())
         doubtful = np.maximum(1.0, nis[anchors, chosen] / (LINK_ROWS * KNEE)) ** 2
         y = difference(paths.z[chosen], h[anchors]).ravel()
-        R = (self._variances(paths, labels) * doubtful[:, None]).ravel()
+        variances = [(paths.reflected if a else paths.direct)[i] for a, i in labels.items()]
+        R = (np.array(variances) * doubtful[:, None]).ravel()
         H = H[anchors].reshape(len(R), len(b.x))
         if 0 in labels and np.isfinite(paths.doppler[labels[0]]):
-            shift, gradient = self.doppler_row(b)
-            residual = paths.doppler[labels[0]] - shift
+            shift = paths.doppler[labels[0]]
             variance = paths.doppler_variance[labels[0]]
+            group = doppler_group(
+                list(b.x), list(self.station), self._hz_per_mps, [shift], [variance]
+            )
+            (gradient,) = np.array(group.jacobian)
+            (residual,) = group.innovation
             if residual**2 < DOPPLER_GATE * (gradient @ b.P @ gradient + variance):
                 y = np.append(y, residual)
                 H = np.vstack([H, gradient])
@@ -240,12 +238,6 @@ class ImageFilter:
         h, H = self.rows(b, paths.at_station)
         y = difference(paths.z[path], h[anchor])
         return _corrected(b, H[anchor], y, paths.reflected[path], only=block(anchor))
-
-    @staticmethod
-    def _variances(paths: Paths, labels: Mapping[int, int]) -> Array:
-        """Return the variances (m, 4) of m assigned paths."""
-        rows = [(paths.reflected if a else paths.direct)[path] for a, path in labels.items()]
-        return np.array(rows)
 
     def with_image(self, b: Belief, paths: Paths, path: int) -> Belief:
         """Return the belief with a new image, from which this path seems to come.

@@ -60,8 +60,7 @@ def geodetic(origin: Origin, points_m: Array) -> Array:
 
 def _ellipses(origin: Origin, x: Array, P: Array) -> Array:
     """Return 95 % ellipses as closed rings (n, corners + 1, 2) of longitudes and latitudes."""
-    variance = np.array([[P[:, 0], P[:, 1]], [P[:, 1], P[:, 2]]]).transpose(2, 0, 1)
-    size, axes = np.linalg.eigh(variance)
+    size, axes = np.linalg.eigh(P[:, [0, 1, 1, 2]].reshape(-1, 2, 2))
     axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]  # rings are counterclockwise (RFC 7946)
     angle = np.linspace(0.0, 2.0 * np.pi, _CORNERS, endpoint=False)
     circle = np.stack([np.cos(angle), np.sin(angle)])

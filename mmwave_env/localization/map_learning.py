@@ -25,7 +25,7 @@ from scipy.special import chdtri
 
 from mmwave_env.filters.modes import Mode
 from mmwave_env.io.files import Json
-from mmwave_env.localization.association import NO_PATH, assign, disagreement
+from mmwave_env.localization.association import assign, observed
 from mmwave_env.localization.image_filter import (
     LINK_ROWS,
     USER,
@@ -37,10 +37,9 @@ from mmwave_env.localization.image_filter import (
     merged,
     reduced,
 )
-from mmwave_env.localization.starts import gives_fix
-from mmwave_env.logs.log import PathEpoch, PathLog
+from mmwave_env.logs.log import PathLog
 from mmwave_env.logs.log_tables import LogError
-from mmwave_env.models.layout import STATE_SIZE, Layout
+from mmwave_env.models.layout import STATE_SIZE
 from mmwave_env.models.prior import GAP_S, prior_from_fix
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import MOST_ANCHORS, LearnedImage, Scene
@@ -86,7 +85,6 @@ class MapLearner:
 
     def __init__(self, scene: Scene, radio: Radio, mode: Mode) -> None:
         self._scene = scene
-        self._links = replace(scene, range_offset_m=(), range_offset_sigma_m=())
         self._radio = radio
         self._station = np.array(scene.base_station_m)
         self._filter = ImageFilter(self._station, scene.hz_per_mps, mode.tuning)
@@ -109,7 +107,7 @@ class MapLearner:
         ``b`` is the belief after an earlier log, whose map the user also meets in this log.
         """
         b = (b or self.start())._replace(tracked=False)
-        epochs = [self._paths(epoch, log.at_station) for epoch in log.epochs]
+        epochs = observed(log, self._scene, self._radio, STRAIGHT)
         for k, paths in enumerate(epochs):
             if paths.time_s - b.time_s > GAP_S:
                 b = b._replace(tracked=False)
@@ -117,17 +115,6 @@ class MapLearner:
             coming = [later for later in window[1:] if later.time_s <= paths.time_s + GAP_S]
             b = self._advanced(b, paths, coming)
             yield b
-
-    def _paths(self, epoch: PathEpoch, at_station: bool) -> Paths:
-        """Return the paths of an epoch of a log, with their variances at their SNR."""
-        z = epoch.links[0]
-        snr_db = np.column_stack([epoch.snr_db, epoch.snr_db])
-        variance = self._radio.sigma(snr_db, self._links, Layout(2)) ** 2
-        direct, reflected, doppler = np.split(variance, [LINK_ROWS, 2 * LINK_ROWS], axis=1)
-        straight = gives_fix(z) & (disagreement(z, np.sqrt(direct)) < STRAIGHT)
-        return Paths(
-            epoch.time_s, z, epoch.doppler, direct, reflected, doppler[:, 0], straight, at_station
-        )
 
     def _advanced(self, b: Belief, paths: Paths, coming: Sequence[Paths]) -> Belief:
         """Return the belief after an epoch; coming epochs decide what to do if it is doubtful."""
@@ -240,8 +227,7 @@ class MapLearner:
             shortest = length.argmin()
             apart = 3.0 * np.sqrt(variance + variance[shortest])
             cost[0, possible[length > length[shortest] + apart]] = 0.0
-        labels = assign(cost, 0.0).tolist()
-        return {a: i for a, i in enumerate(labels) if i != NO_PATH}, nis, evidence
+        return assign(cost, 0.0), nis, evidence
 
     def _shorter(self, b: Belief, paths: Paths) -> Mask:
         """Tell which paths (n,) are shorter than the line of sight, which is impossible."""

@@ -1,6 +1,6 @@
 """Readings of a log: its values and scene as they are if certain mistakes are undone."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -8,7 +8,8 @@ import numpy as np
 
 from mmwave_env.localization.contradictions import Contradiction
 from mmwave_env.logs.log import Log
-from mmwave_env.models.radio import RADIOS, Radio
+from mmwave_env.models.layout import wrap_angles
+from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Mask
 
@@ -22,15 +23,7 @@ DEPARTURE = slice(3, -1, 4)
 DOPPLER = slice(-1, None)
 
 Fits = dict[str, float | None]
-
-
-class Change(NamedTuple):
-    """A change of values in the log, given their rows: rows = offset + factor * source."""
-
-    rows: slice
-    source: slice
-    factor: float = 1.0
-    offset: float = 0.0
+Undo = Callable[["Reading"], "Reading"]  # what undoes a mistake in a reading
 
 
 class Mistake(NamedTuple):
@@ -38,10 +31,7 @@ class Mistake(NamedTuple):
 
     words: str  # "the log is consistent if WORDS"
     cure: str  # how to correct the log: "to correct it, CURE"
-    changes: Sequence[Change] = ()
-    time_factor: float = 1.0  # factor by which to multiply the times
-    scene: Scene | None = None  # the right scene; None if it was right
-    radio: str = ""  # name of another radio that measured the log
+    undo: Undo
 
 
 class Reading(NamedTuple):
@@ -55,24 +45,19 @@ class Reading(NamedTuple):
     # plus the log-likelihood of the new values is the log-likelihood of the values in the file
     log_scale: float = 0.0
     undone: tuple[Mistake, ...] = ()
+    moved: bool = False  # whether a mistake was one of the scene
 
     def without(self, mistake: Mistake) -> "Reading":
         """Return the reading in which one more mistake is undone."""
-        old = self.log
-        z = old.measurement.copy()
-        sigma = old.sigma.copy()
-        log_scale = self.log_scale
-        for rows, source, factor, offset in mistake.changes:
-            z[:, rows] = offset + factor * old.measurement[:, source]
-            sigma[:, rows] = abs(factor) * old.sigma[:, source]
-            log_scale += float(values_of(old)[:, source].sum() * np.log(abs(factor)))
-        return Reading(
-            replace(old, measurement=z, sigma=sigma, time_s=mistake.time_factor * old.time_s),
-            mistake.scene or self.scene,
-            RADIOS.get(mistake.radio, self.radio),
-            log_scale,
-            (*self.undone, mistake),
-        )
+        new = mistake.undo(self)
+        moved = self.moved or new.scene is not self.scene
+        return new._replace(undone=(*self.undone, mistake), moved=moved)
+
+    def wrapped(self) -> "Reading":
+        """Return the reading with wrapped angles."""
+        z = self.log.measurement.copy()
+        wrap_angles(z, self.log.layout)
+        return self._replace(log=replace(self.log, measurement=z))
 
     def finding(
         self, why: list[Contradiction], fits: Fits | None = None, likelihood: float | None = None
@@ -80,7 +65,7 @@ class Reading(NamedTuple):
         """Return the finding on this reading."""
         words = "; ".join(mistake.words for mistake in self.undone)
         cure = "; then ".join(mistake.cure for mistake in self.undone)
-        scene = self.scene if any(mistake.scene for mistake in self.undone) else None
+        scene = self.scene if self.moved else None
         return Finding(words or AS_IT_IS, fits or {}, likelihood, why, cure, scene)
 
 
@@ -111,6 +96,18 @@ def values_of(log: Log) -> Mask:
     return visible & np.isfinite(log.measurement)
 
 
-def scaled(quantities: Sequence[slice], factor: float, offset: float = 0.0) -> list[Change]:
-    """Return the changes that scale values, given their rows, then add an offset to them."""
-    return [Change(rows, rows, factor, offset) for rows in quantities]
+def scaled(quantities: Sequence[slice], factor: float, offset: float = 0.0) -> Undo:
+    """Return the function that scales values, given their rows, then adds an offset to them."""
+
+    def undo(reading: Reading) -> Reading:
+        z = reading.log.measurement.copy()
+        sigma = reading.log.sigma.copy()
+        log_scale = reading.log_scale
+        for rows in quantities:
+            z[:, rows] = offset + factor * z[:, rows]
+            sigma[:, rows] *= abs(factor)
+            log_scale += float(values_of(reading.log)[:, rows].sum() * np.log(abs(factor)))
+        log = replace(reading.log, measurement=z, sigma=sigma)
+        return reading._replace(log=log, log_scale=log_scale)
+
+    return undo

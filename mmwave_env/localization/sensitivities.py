@@ -7,7 +7,7 @@ Statistics, Sec. 7). Blockages correlate innovations, so the covariance of theta
 blocks of epochs (sandwich estimator, ibid. Sec. 7.6).
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -19,8 +19,7 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.localization.localizer import episode_from
 from mmwave_env.localization.readings import RANGE, Reading
 from mmwave_env.localization.starts import Start, gives_fix, start_at
-from mmwave_env.localization.suspects import Suspect
-from mmwave_env.models.layout import wrap_angles, wrapped
+from mmwave_env.models.layout import wrapped
 from mmwave_env.models.measurement import Group, doppler_group, exact_rows, link_group
 from mmwave_env.numerics.numbers import Array, Vector
 from mmwave_env.world.episode import Episode
@@ -28,7 +27,6 @@ from mmwave_env.world.episode import Episode
 _HUBER = 2.0  # standard deviations
 _BLOCKS = (10, 20, 40)  # epochs in a block; the length with the largest variance counts
 _ROUNDS = 8  # of robust least squares
-_STEP = 0.5  # of a parameter, for finite differences
 
 
 class Fit(NamedTuple):
@@ -53,21 +51,22 @@ class FilterRun(NamedTuple):
         A complete link of the base station gives each reading a start of its own. Other starts take
         long to compute, and a track forgets them soon.
         """
-        bare = replace(
-            mode, gate=None, recovery=None, adaptive=False, robust=False, blockage_aware=False
-        )
         link = first.log.measurement[:1, :4]
         whole = bool(np.isfinite(link).all()) and bool(gives_fix(link)[0])
         alone = len(start.spent) == 1 and start.spent[0].sum() == 1 and start.spent[0, 0]
-        return cls(bare, None if whole and alone and not first.log.layout.has_bias else start)
+        return cls(bare(mode), None if whole and alone and not first.log.layout.has_bias else start)
 
     def episode(self, reading: Reading) -> Episode:
         """Return a reading as an episode that begins with its first epoch."""
-        log = reading.log
-        start = self.start or start_at(log, 0, reading.scene, reading.radio)
-        z = log.measurement.copy()
-        wrap_angles(z, log.layout)
-        return episode_from(replace(log, measurement=z), reading.scene, reading.radio, start)
+        log, scene, radio, *_ = reading.wrapped()
+        return episode_from(log, scene, radio, self.start or start_at(log, 0, scene, radio))
+
+
+def bare(mode: Mode) -> Mode:
+    """Return a mode without safeguards, which would hide what is wrong with measurements."""
+    return replace(
+        mode, gate=None, recovery=None, adaptive=False, robust=False, blockage_aware=False
+    )
 
 
 def innovations(readings: Sequence[Reading], run: FilterRun) -> Array:
@@ -182,17 +181,3 @@ def _growth(scores: Array, inverse: Array, length: int) -> float:
     covariance: Array = n * np.cov(sums.T).reshape(p, p)
     factor: float = np.trace(inverse @ covariance).item() / p
     return factor
-
-
-def scan(reading: Reading, run: FilterRun, among: Collection[Suspect]) -> tuple[Array, list[Fit]]:
-    """Return the whitened innovations (T, rows) of a reading, and the fit of every suspect."""
-    steps = [
-        reading.without(suspect.undo(reading, step))
-        for suspect in among
-        for step in _STEP * np.eye(suspect.parameters)
-    ]
-    w = innovations([reading, *steps], run)
-    J = np.moveaxis(w[0] - w[1:], 0, -1) / _STEP
-    ends = np.cumsum([suspect.parameters for suspect in among])[:-1]
-    parts = zip(among, np.split(J, ends, axis=-1), strict=True)
-    return w[0], [fit(w[0], part, suspect.deviation) for suspect, part in parts]

@@ -7,18 +7,25 @@ corrected log: by how much the sum of Huber's function of the innovations decrea
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from mmwave_env.filters.modes import Mode
-from mmwave_env.localization.readings import Mistake, Reading, values_of
+from mmwave_env.localization.readings import (
+    AZIMUTH,
+    DEPARTURE,
+    ELEVATION,
+    Mistake,
+    Reading,
+    scaled,
+    values_of,
+)
 from mmwave_env.localization.segments import stretches
-from mmwave_env.localization.sensitivities import FilterRun, innovations, rho, scan
+from mmwave_env.localization.sensitivities import FilterRun, Fit, fit, innovations, rho
 from mmwave_env.localization.starts import Start
-from mmwave_env.localization.suspects import Suspect, suspects
 from mmwave_env.logs.log import Log
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.radio import Radio
@@ -30,6 +37,19 @@ LEAST_EPOCHS = 100
 LEAST_S = 10.0
 ENOUGH_S = 100.0  # in shorter logs, an error must be more certain, because blockages look like one
 LONGEST_STEP_S = 2.0
+# Smallest Wald statistic that counts, and what each parameter after the first adds.
+# Blockages make it and the gain too large, those of angles less than those of ranges.
+_SURE = 25.0
+_SURER = 5.0
+_SURE_OF_ANGLES = 8.0
+_GAIN = 15.0
+_GAIN_OF_ELEVATIONS = 10.0
+_JOINT_COST = 15.0  # additional cost of an error of several quantities, and of one anchor
+_ANCHOR_COST = 3.0
+_CAUTION = 1.5  # factor for standard deviations of ranges and elevations, which are too small
+_DEGREE = np.pi / 180.0
+
+_STEP = 0.5  # of a parameter, for finite differences
 _RUNS = 3  # maximum number of runs of the filter that refine an error
 _SETTLED = 0.1  # an error is refined if its last change was less, in standard deviations
 _MOST_DEVIATIONS = 3.0  # largest size of an error, in standard deviations of its prior
@@ -46,6 +66,154 @@ _CERTAIN = 3.0  # standard deviations by which a part of an error differs from 0
 _DIGITS = 3  # decimals of sizes
 _NANOSECOND_M = 1e-9 * SPEED_OF_LIGHT
 
+Correct = Callable[[Reading, Array], Reading]  # what undoes an error theta (p,) of a reading
+
+
+class Suspect(NamedTuple):
+    """A kind of error with p parameters theta, in m, degrees or percent."""
+
+    name: str  # a sentence without the size
+    correct: Correct
+    unit: str  # unit of theta, in words
+    cure: str = ""  # what to do besides correcting the scene; {0} is theta's last component
+    parameters: int = 1  # number p of parameters
+    least: float = 0.2  # smallest length of theta that counts
+    sure: float = _SURE  # smallest Wald statistic that counts
+    gain: float = _GAIN  # smallest gain that counts
+    deviation: float = 30.0  # prior standard deviation of each parameter
+    caution: float = 1.0  # factor for the standard deviations
+    cost: float = 0.0  # additional cost
+    parts: Sequence["Suspect"] = ()  # (p,) suspects that this one combines
+
+
+def _subtracted(*rows: slice) -> Correct:
+    """Return the function that subtracts an angle, in degrees, from these rows."""
+    return lambda reading, theta: scaled(rows, 1.0, -theta[0] * _DEGREE)(reading)
+
+
+def _turned(reading: Reading, theta: Array) -> Reading:
+    scene = replace(reading.scene, bearing_deg=reading.scene.bearing_deg + float(theta[0]))
+    return _subtracted(AZIMUTH, DEPARTURE)(reading._replace(scene=scene), theta)
+
+
+def _shortened(anchors: Sequence[int]) -> Correct:
+    """Return the function that subtracts an offset, in m, from the ranges of anchors, from 0."""
+    rows = [slice(4 * anchor, 4 * anchor + 1) for anchor in anchors]
+
+    def correct(reading: Reading, theta: Array) -> Reading:
+        offsets = reading.scene.offsets_m.copy()
+        offsets[anchors] += theta[0]
+        scene = replace(reading.scene, range_offset_m=tuple(offsets.tolist()))
+        return scaled(rows, 1.0, -theta[0])(reading._replace(scene=scene))
+
+    return correct
+
+
+def _moved(anchor: int, *axes: int) -> Correct:
+    """Return the function that moves an anchor, from 0, along axes by theta (p,)."""
+
+    def correct(reading: Reading, theta: Array) -> Reading:
+        anchors = reading.scene.anchors_m
+        anchors[anchor, list(axes)] += theta
+        return reading._replace(scene=reading.scene.with_anchors(anchors))
+
+    return correct
+
+
+def _moved_with_images(reading: Reading, theta: Array) -> Reading:
+    """Move the base station, of which walls make images, by theta (2,) horizontally."""
+    x, y, z = reading.scene.base_station_m
+    place = (x + float(theta[0]), y + float(theta[1]), z)
+    return reading._replace(scene=replace(reading.scene, base_station_m=place))
+
+
+def _rescaled(reading: Reading, theta: Array) -> Reading:
+    carrier_hz = reading.scene.carrier_hz * (1.0 + 0.01 * float(theta[0]))
+    return reading._replace(scene=replace(reading.scene, carrier_hz=carrier_hz))
+
+
+def _angle(name: str, correct: Correct, column: str = "", caution: float = 1.0) -> Suspect:
+    """Return an error of angles; ``column`` names those that no key of a scene corrects."""
+    cure = f"subtract {{0:.3g}} degrees from {column}" if column else ""
+    return Suspect(name, correct, "degrees", cure, 1, 0.3, _SURE_OF_ANGLES, caution=caution)
+
+
+def _range(name: str, anchors: Sequence[int], cure: str = "", cost: float = 0.0) -> Suspect:
+    name = f"{name} are too long"
+    return Suspect(name, _shortened(anchors), "m", cure, caution=_CAUTION, cost=cost)
+
+
+def _place(name: str, correct: Correct, cost: float = 0.0) -> Suspect:
+    """Return an error of a horizontal position."""
+    name = f"{name} is away from its place"
+    return Suspect(name, correct, "m", "", 2, sure=_SURE + _SURER, deviation=5.0, cost=cost)
+
+
+def _joint(*parts: Suspect) -> Suspect:
+    """Return the error that combines suspects of one parameter each."""
+    p = len(parts)
+
+    def correct(reading: Reading, theta: Array) -> Reading:
+        for part, size in zip(parts, theta, strict=True):
+            reading = part.correct(reading, np.array([size]))
+        return reading
+
+    return Suspect(
+        "several errors", correct, "", parameters=p, least=0.0, sure=_SURE + (p - 1) * _SURER,
+        deviation=10.0, cost=_JOINT_COST, parts=parts,
+    )  # fmt: skip
+
+
+def suspects(reading: Reading) -> dict[str, Suspect]:
+    """Return the errors to look for in a reading, by name.
+
+    Quantities that were not measured have none. A single anchor hides most errors, because the
+    track gives way completely. An unknown clock hides what all ranges share.
+    """
+    measured: Mask = np.any(values_of(reading.log), axis=0)
+    rows = measured[:-1].reshape(-1, 4)
+    some: Mask = np.any(rows, axis=0)
+    distance, arrival, elevation, departure = some
+    turn = _angle("azimuths are turned", _turned)
+    tilt = _angle("elevations are too large", _subtracted(ELEVATION), "aoa_elevation", _CAUTION)
+    tilt = tilt._replace(gain=_GAIN_OF_ELEVATIONS)
+    every = []
+    if arrival and departure:
+        for name, row in (("arrival", AZIMUTH), ("departure", DEPARTURE)):
+            column = f"ao{name[0]}_azimuth"
+            every.append(_angle(f"azimuths of {name} are turned", _subtracted(row), column))
+    if elevation:
+        every.append(tilt)
+    if measured[-1]:
+        every.append(Suspect("Doppler shifts are too large", _rescaled, "%", least=2.0))
+    if rows.any(axis=1).sum() > 1:
+        if arrival or departure:
+            every.append(turn)
+        if distance and not reading.log.layout.has_bias:
+            cure = "or use --clock offset if the user's clock runs ahead, by {1:.3g} ns"
+            late = _range("ranges", range(len(rows)), cure)
+            every.append(late)
+            if arrival and elevation and departure:
+                every.append(_joint(late, turn, tilt))
+        every += _of_anchors(rows)
+        if reading.scene.walls:
+            # more likely than a wrong image, because walls and the base station make the images
+            every.append(_place("the base station with its images", _moved_with_images))
+    return {suspect.name: suspect for suspect in every}
+
+
+def _of_anchors(rows: Mask) -> Iterator[Suspect]:
+    """Yield the errors of each anchor, given which of their rows (L, 4) were measured."""
+    for anchor in np.flatnonzero(rows.any(axis=1)).tolist():
+        name = f"anchor {anchor + 1}"
+        if rows[anchor, 0]:
+            yield _range(f"ranges of {name}", [anchor], cost=_ANCHOR_COST)
+        yield _place(name, _moved(anchor, 0, 1), cost=_ANCHOR_COST)
+        if rows[anchor, [0, 2]].any():
+            words = f"{name} is higher than in the scene"
+            up = _moved(anchor, 2)
+            yield Suspect(words, up, "m", deviation=5.0, caution=_CAUTION, cost=_ANCHOR_COST)
+
 
 class SharedError(NamedTuple):
     """An error that a log shows."""
@@ -53,20 +221,25 @@ class SharedError(NamedTuple):
     suspect: Suspect
     theta: Array  # (p,) its size, in the unit of the suspect
     sigma: Array  # (p,) standard deviations
+    gain: float = 0.0  # gain of the corrected log, minus costs
     rivals: Sequence[str] = ()  # names of other suspects that explain the log about as well
 
     def __str__(self) -> str:
+        numbers = (self.theta, self.sigma)
+        sizes = [", ".join(f"{number:.2f}" for number in each) for each in numbers]
+        if self.suspect.parameters > 1:
+            sizes = [f"({size})" for size in sizes]
         others = f" (or {', or '.join(self.rivals)})" if self.rivals else ""
-        return f"{self.suspect.words(self.theta, self.sigma)}{others}"
+        return f"{self.suspect.name} by {' ± '.join(sizes)} {self.suspect.unit}{others}"
 
     def undone(self, reading: Reading) -> Mistake:
         """Return what undoes the error in a reading, with words and cure."""
-        mistake = self.suspect.undo(reading, self.theta)
         size = float(self.theta[-1])
         cure = self.suspect.cure.format(size, size / _NANOSECOND_M)
-        change = _scene_change(reading.scene, mistake.scene or reading.scene)
+        change = _scene_change(reading.scene, self.suspect.correct(reading, self.theta).scene)
         joint = ", " if cure.startswith("or") else " and "
-        return mistake._replace(words=str(self), cure=joint.join(filter(None, [change, cure])))
+        cure = joint.join(filter(None, [change, cure]))
+        return Mistake(str(self), cure, lambda wrong: self.suspect.correct(wrong, self.theta))
 
 
 def _scene_change(old: Scene, new: Scene) -> str:
@@ -147,14 +320,14 @@ def shared_errors(
     reading: Reading, run: FilterRun, rounds: int = _MOST_ROUNDS
 ) -> list[SharedError]:
     """Return the errors of a reading, the most likely one first, without regard to its length."""
-    among = suspects(reading)
+    among = suspects(reading).values()
     errors: list[SharedError] = []
     corrected = reading
     for _ in range(rounds):
         error = _likeliest(corrected, run, among)
         if error is None:
             break
-        errors += _parts(error, among)
+        errors += _parts(error)
         if len(errors) > 1:
             errors = _again(reading, run, errors)
         corrected = without_errors(reading, errors)
@@ -168,17 +341,29 @@ def without_errors(reading: Reading, errors: Sequence[SharedError]) -> Reading:
     return reading
 
 
-def _likeliest(
-    reading: Reading, run: FilterRun, among: Mapping[str, Suspect]
-) -> SharedError | None:
+def scan(reading: Reading, run: FilterRun, among: Collection[Suspect]) -> tuple[Array, list[Fit]]:
+    """Return the whitened innovations (T, rows) of a reading, and the fit of every suspect."""
+    steps = [
+        suspect.correct(reading, step)
+        for suspect in among
+        for step in _STEP * np.eye(suspect.parameters)
+    ]
+    w = innovations([reading, *steps], run)
+    J = np.moveaxis(w[0] - w[1:], 0, -1) / _STEP
+    ends = np.cumsum([suspect.parameters for suspect in among])[:-1]
+    parts = zip(among, np.split(J, ends, axis=-1), strict=True)
+    return w[0], [fit(w[0], part, suspect.deviation) for suspect, part in parts]
+
+
+def _likeliest(reading: Reading, run: FilterRun, among: Collection[Suspect]) -> SharedError | None:
     """Return the error whose correction gains most; None if none gains enough."""
-    w, fits = scan(reading, run, among.values())
+    w, fits = scan(reading, run, among)
     measured = values_of(reading.log)
     lost = _is_lost(w, measured)  # then the derivatives say little
     time_s = reading.log.time_s
     lasts_s = time_s[-1] - time_s[0] + time_s[1] - time_s[0]
     strict = np.clip(ENOUGH_S / lasts_s, 1.0, _STRICTEST)
-    ranked = sorted(zip(among.values(), fits, strict=True), key=lambda pair: -pair[1].gain)
+    ranked = sorted(zip(among, fits, strict=True), key=lambda pair: -pair[1].gain)
     certain = [
         rough.gain >= strict * suspect.gain
         and (lost or rough.wald >= strict * suspect.sure)
@@ -187,36 +372,35 @@ def _likeliest(
     ]
     if not any(certain):
         return None
-    gains = {}
-    errors = {}
+    candidates = []
     for suspect, rough in ranked if lost else ranked[:_TRIED]:
         error = _refined(reading, run, SharedError(suspect, rough.theta, rough.sigma))
         (new,) = innovations([without_errors(reading, [error])], run)
         limit = _MOST_DEVIATIONS * suspect.deviation
-        single = suspect.parts and len(_parts(error, among)) < 2
+        single = suspect.parts and len(_parts(error)) < 2
         if not (single or _is_lost(new, measured)) and abs(error.theta).max() < limit:
             cost = suspect.cost + _COST * suspect.parameters
-            gains[suspect.name] = float((rho(w) - rho(new)).sum()) - cost
-            errors[suspect.name] = error
-    best = max(gains, key=lambda name: gains[name], default="")
-    if not best or gains[best] < 0.5 * strict * among[best].gain:
+            candidates.append(error._replace(gain=float((rho(w) - rho(new)).sum()) - cost))
+    candidates.sort(key=lambda error: -error.gain)
+    if not candidates or candidates[0].gain < 0.5 * strict * candidates[0].suspect.gain:
         return None
+    best, *others = candidates
     rivals = [
-        name
-        for name in sorted(gains, key=lambda name: -gains[name])
-        if name != best and not among[name].parts and gains[name] > gains[best] - _ALIKE
+        error.suspect.name
+        for error in others
+        if not error.suspect.parts and error.gain > best.gain - _ALIKE
     ]
-    return errors[best]._replace(rivals=rivals[:_MOST_RIVALS])
+    return best._replace(rivals=rivals[:_MOST_RIVALS])
 
 
-def _parts(error: SharedError, among: Mapping[str, Suspect]) -> list[SharedError]:
+def _parts(error: SharedError) -> list[SharedError]:
     """Return the certain parts of an error of several quantities; any other error as it is."""
     if not error.suspect.parts:
         return [error]
     return [
-        SharedError(among[name], error.theta[k : k + 1], error.sigma[k : k + 1])
-        for k, name in enumerate(error.suspect.parts)
-        if abs(error.theta[k]) > max(_CERTAIN * error.sigma[k], among[name].least)
+        SharedError(part, error.theta[k : k + 1], error.sigma[k : k + 1])
+        for k, part in enumerate(error.suspect.parts)
+        if abs(error.theta[k]) > max(_CERTAIN * error.sigma[k], part.least)
     ]
 
 
@@ -234,7 +418,7 @@ def _refined(
     most = _MOST_DEVIATIONS * suspect.deviation
     theta = np.clip(error.theta, -most, most)
     for _ in range(runs):
-        corrected = reading.without(suspect.undo(reading, theta))
+        corrected = suspect.correct(reading, theta)
         _, (rest,) = scan(corrected, run, [suspect])
         theta = np.clip(theta + rest.theta, -most, most)
         if np.linalg.norm(rest.theta / rest.sigma) < _SETTLED:

@@ -8,9 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from mmwave_env.filters.bank import default_modes
 from mmwave_env.filters.textbook import tangent
-from mmwave_env.localization.association import NO_PATH, assign, disagreement, path_nis
-from tests.filters.problems import numbers, problems
+from mmwave_env.localization.association import assign, disagreement
+from mmwave_env.localization.image_filter import Belief, Image, ImageFilter, Paths
+from tests.filters.problems import HZ_PER_MPS, numbers, problems
 
 
 @settings(deadline=None, max_examples=30)
@@ -22,21 +24,22 @@ def test_the_nis_of_a_path_equals_the_textbook_value(problem, data):
     offset = data.draw(numbers(-0.3, 0.3, (n, 4)))
     paths = predicted.mean[np.arange(n)[:, None] % links * 4 + np.arange(4)] + offset
     paths[:, 1:] = (paths[:, 1:] + np.pi) % (2 * np.pi) - np.pi
-    sigma = np.sqrt(problem.R[: 4 * links]).reshape(links, 1, 4).repeat(n, axis=1)
-    nis = path_nis(
-        problem.x.tolist(),
-        problem.P.tolist(),
-        problem.sensor.anchors.tolist(),
-        np.stack([paths] * links),
-        sigma,
-    )
+    direct, reflected = np.tile(problem.R[:8].reshape(2, 1, 4), (n, 1))
+    station, *images = problem.sensor.anchors
+    P = np.pad(problem.P, (0, 3 * len(images)))
+    x = np.append(problem.x, images)
+    belief = Belief(x, P, (Image(exact=True),) * len(images), 0.0)
+    unknown = np.full(n, np.nan)
+    observed = Paths(0.0, paths, unknown, direct, reflected, unknown, unknown > 0.0, False)
+    image_filter = ImageFilter(station, HZ_PER_MPS, default_modes("standard")[0].tuning)
+    nis, _ = image_filter.nis(belief, observed)
     assert nis.shape == (links, n)
     for link, path in np.ndindex(nis.shape):
         rows = slice(4 * link, 4 * link + 4)
         whole = predicted.mean.copy()
         whole[rows] = paths[path]
         innovation = problem.sensor.difference(whole, predicted.mean)[rows]
-        S = predicted.S[rows, rows] + np.diag(sigma[link, path] ** 2)
+        S = predicted.S[rows, rows] + np.diag((reflected if link else direct)[path])
         right = innovation @ np.linalg.solve(S, innovation)
         assert nis[link, path] == pytest.approx(right, rel=1e-6, abs=1e-9)
 
@@ -50,8 +53,7 @@ def test_no_other_assignment_is_better(data):
     nis = data.draw(hnp.arrays(float, (anchors, n), elements=elements))
     gate = 13.3
     assigned = assign(nis, gate)
-    taken = assigned[assigned != NO_PATH]
-    assert len(set(taken.tolist())) == len(taken)
+    assert len(set(assigned.values())) == len(assigned)
 
     def cost(chosen):
         """Return the cost of an assignment; an anchor without a path costs as much as the gate."""
@@ -59,7 +61,7 @@ def test_no_other_assignment_is_better(data):
         return sum(kept) + gate * (anchors - len(kept))
 
     best = min(map(cost, permutations(range(n + anchors), anchors)))
-    assert cost(np.where(assigned == NO_PATH, n, assigned)) == pytest.approx(best)
+    assert cost([assigned.get(anchor, n) for anchor in range(anchors)]) == pytest.approx(best)
 
 
 def test_the_azimuths_of_a_path_disagree_if_departure_is_not_opposite_to_arrival():

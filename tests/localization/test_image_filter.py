@@ -74,6 +74,15 @@ def test_gradients_are_those_of_finite_differences(at_station):
         np.testing.assert_allclose(slope[1:], by_a[1:, :, axis], atol=1e-7)
 
 
+def test_ranges_contain_what_offsets_of_anchors_differ_by():
+    offsets = np.array([2.0, 2.5, 1.0])
+    tuning = default_modes("standard")[-1].tuning
+    h, _ = ImageFilter(STATION, 90.0, tuning, offsets).rows(belief(), at_station=False)
+    expected, _ = FILTER.rows(belief(), at_station=False)
+    np.testing.assert_allclose((h - expected)[:, 0], [0.0, 0.5, -1.0])
+    np.testing.assert_array_equal(h[:, 1:], expected[:, 1:])
+
+
 def test_an_update_with_all_paths_at_once_is_the_textbook_update():
     b = belief()
     paths = paths_from(IMAGES + [[0.3, -0.2, 0.1]], deviation=0.5)

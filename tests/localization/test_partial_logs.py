@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mmwave_env.localization.radio_choice import nearest_radio
+from mmwave_env.localization.log_noise import nearest_radio
 from mmwave_env.localization.starts import start_at
 from mmwave_env.logs.log import read_log
 from mmwave_env.logs.log_tables import LogError

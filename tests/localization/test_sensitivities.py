@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from mmwave_env.localization.sensitivities import FilterRun, fit, innovations, rho, scan
+from mmwave_env.localization.sensitivities import FilterRun, fit, innovations, rho
+from mmwave_env.localization.shared_errors import scan, suspects
 from mmwave_env.localization.starts import start_at
-from mmwave_env.localization.suspects import suspects
 from tests.localization.errors import late, mode_of, readings, turned
 
 

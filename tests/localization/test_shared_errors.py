@@ -9,15 +9,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mmwave_env.localization.radio_choice import nearest_radio
+from mmwave_env.localization.log_noise import nearest_radio
 from mmwave_env.localization.readings import Reading
 from mmwave_env.localization.shared_errors import (
     SCANNED_EPOCHS,
     find_shared_errors,
     scanned,
+    suspects,
     without_errors,
 )
-from mmwave_env.localization.suspects import suspects
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import read_scene

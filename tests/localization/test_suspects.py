@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mmwave_env.localization.readings import Reading
-from mmwave_env.localization.suspects import suspects
+from mmwave_env.localization.shared_errors import SharedError, suspects
 from tests.localization.errors import late, moved, readings, shifted, tilted, turned
 
 READING = readings(1, epochs=10)[0]
@@ -28,31 +28,28 @@ UNDONE = {  # name -> error of size 2
 def test_a_suspect_undoes_its_error(name):
     wrong = UNDONE[name](READING)
     suspect = EVERY[name]
-    mistake = suspect.undo(wrong, np.full(suspect.parameters, 2.0))
-    corrected = wrong.without(mistake)
+    corrected = suspect.correct(wrong, np.full(suspect.parameters, 2.0))
     np.testing.assert_allclose(corrected.log.measurement, READING.log.measurement, atol=1e-12)
     np.testing.assert_allclose(corrected.scene.anchors_m, READING.scene.anchors_m, atol=1e-12)
 
 
 def test_the_corrected_scene_states_bearing_and_offsets():
-    undo = EVERY["several errors"].undo
-    scene = READING.without(undo(READING, np.array([2.0, 3.0, 4.0]))).scene
+    joint = EVERY["several errors"]
+    scene = joint.correct(READING, np.array([2.0, 3.0, 4.0])).scene
     assert scene.bearing_deg == 3.0 and scene.range_offset_m == (2.0, 2.0, 2.0)
-    again = EVERY["ranges of anchor 2 are too long"].undo
-    offset = READING._replace(scene=scene).without(
-        again(READING._replace(scene=scene), np.array([0.5]))
-    )
+    again = EVERY["ranges of anchor 2 are too long"]
+    offset = again.correct(READING._replace(scene=scene), np.array([0.5]))
     assert offset.scene.range_offset_m == (2.0, 2.5, 2.0)
 
 
 def test_a_scaled_doppler_shift_corrects_the_carrier():
-    mistake = EVERY["Doppler shifts are too large"].undo(READING, np.array([10.0]))
-    assert mistake.scene.hz_per_mps == pytest.approx(1.1 * READING.scene.hz_per_mps)
+    corrected = EVERY["Doppler shifts are too large"].correct(READING, np.array([10.0]))
+    assert corrected.scene.hz_per_mps == pytest.approx(1.1 * READING.scene.hz_per_mps)
 
 
 def test_a_base_station_moves_with_its_images():
     name = "the base station with its images is away from its place"
-    scene = EVERY[name].undo(READING, np.array([1.0, 0.0])).scene
+    scene = EVERY[name].correct(READING, np.array([1.0, 0.0])).scene
     x = READING.scene.anchors_m[:, 0]
     assert (scene.anchors_m[:, 0] - x).tolist() == [1.0, 1.0, -1.0]  # one wall across x
 
@@ -80,7 +77,7 @@ def test_what_no_log_can_show_is_not_looked_for():
 
 def test_sentences_give_sizes_deviations_and_units():
     theta = np.array([1.0, -2.125])
-    place = EVERY["anchor 1 is away from its place"]
-    assert place.words(theta, abs(theta)).endswith("by (1.00, -2.12) ± (1.00, 2.12) m")
-    angle = EVERY["azimuths are turned"]
-    assert angle.words(theta[:1], theta[:1]) == "azimuths are turned by 1.00 ± 1.00 degrees"
+    place = SharedError(EVERY["anchor 1 is away from its place"], theta, abs(theta))
+    assert str(place).endswith("by (1.00, -2.12) ± (1.00, 2.12) m")
+    angle = SharedError(EVERY["azimuths are turned"], theta[:1], theta[:1])
+    assert str(angle) == "azimuths are turned by 1.00 ± 1.00 degrees"

@@ -35,6 +35,7 @@ from experiments.reporting.webpage.contents import (
 )
 from mmwave_env.io.files import Json, first_line
 from mmwave_env.io.lookup import printable
+from mmwave_env.localization.position_errors import half_axes
 from mmwave_env.logs.truth import velocity_of
 from mmwave_env.metrics import nees_interval
 from mmwave_env.models.prior import GAP_S
@@ -182,16 +183,14 @@ def _course(history: History, modes: Sequence[str], weighed: bool) -> Json:
     letters = np.where(history.accepted, "a", np.where(history.rejected, "r", "m"))  # m: missing
     estimate = history.estimate
     xx, xy, yy = history.P[:, :3].T
-    mean = (xx + yy) / 2.0
-    spread = np.hypot((xx - yy) / 2.0, xy)
-    axes = [2.0 * np.sqrt(np.maximum(size, 0.0)) for size in (mean + spread, mean - spread)]
+    major, minor = half_axes(history.P)
     turn = -0.5 * np.degrees(np.arctan2(2.0 * xy, xx - yy))  # clockwise from the x axis
     themes = (THEMES[theme].for_modes(modes).modes for theme in ("light", "dark"))
     return {
         "x": _numbers(estimate[:, 0]),
         "y": _numbers(estimate[:, 1]),
         # ellipse of two standard deviations
-        "ellipse": [_numbers(values, ".4g") for values in (*axes, turn)],
+        "ellipse": [_numbers(values, ".4g") for values in (2.0 * major, 2.0 * minor, turn)],
         "speed_mps": _numbers(history.speed_mps),
         "error_m": _numbers(history.error_m),
         "nees": _numbers(history.nees, ".4g"),
