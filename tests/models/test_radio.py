@@ -179,11 +179,6 @@ def test_doppler_spread_of_a_moving_user_is_lognormal_around_0_3_v():
     assert kstest(spread, lognorm(0.2, scale=3.0).cdf).pvalue > 1.0 - CONFIDENCE
 
 
-def test_doppler_spread_of_a_standing_user_is_the_floor():
-    spread = channel(CLEAR, 1, 20_000).doppler_spread_hz[0] / STREET.hz_per_mps
-    assert kstest(spread, "halfnorm", (0.0, 0.3)).pvalue > 1.0 - CONFIDENCE
-
-
 # --- blockage, multipath, outage
 
 
@@ -216,15 +211,6 @@ def test_multipath_comes_and_goes_at_its_rates(dt):
     assert_share(begins, 1.0 - np.exp(-0.008 * dt))
     assert_share(ends, 1.0 - np.exp(-dt / 3.3))
     assert_array_equal(users.snr_db, channel(CLEAR, 2000, 200).snr_db)  # not changed
-
-
-def test_an_outage_affects_every_link():
-    radio = replace(CLEAR, outage_rate_hz=0.003, transmit_dbm=100.0)
-    detected = channel(radio, 1000, 200, links=3).detected
-    assert_array_equal(detected, detected[..., :1].repeat(3, axis=2))
-    ends, begins = changes(~detected[..., 0])
-    assert_share(begins, 1.0 - np.exp(-0.003))
-    assert_share(ends, 1.0 - np.exp(-1.0 / 3.0))
 
 
 # Cause of biases -> radio with this cause alone; minimum of the range biases (m); their mean

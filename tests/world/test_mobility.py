@@ -198,18 +198,6 @@ def test_a_mobility_file_defines_a_kind_of_user(path):
     assert scooter == Mobility("scooter", (Phase(LIMITS, (Gait(3.0, 7.0),)),), blocks=2)
 
 
-def test_a_custom_kind_of_user_stays_within_its_limits(path):
-    source = street_source(path, dt=0.2)
-    assert source.name == "scooter"
-    for seed in range(5):
-        episode = source.sample(np.random.default_rng(seed))
-        speed = np.linalg.norm(episode.truth_velocity_mps, axis=1)
-        assert episode.name == "scooter" and speed.max() <= 7.0 + 1e-9
-        assert 2.0 < speed.max() and np.diff(speed).max() / 0.2 <= 1.5 + 1e-9
-        from_street = 20.0 - np.abs(episode.truth_position_m[:, :2] % 40.0 - 20.0)
-        assert from_street.min(axis=1).max() < 1.0  # a corner of 3 m radius is cut by less than 1 m
-
-
 @pytest.mark.parametrize(
     ("content", "field"),
     [
