@@ -94,17 +94,6 @@ def test_the_json_file_records_a_command_that_reproduces_the_figures(tmp_path):
     assert json_in(again) == results | {"written": {}}
 
 
-def test_the_truth_is_used_only_for_scores(tmp_path):
-    with_truth = tmp_path / "a.tum"
-    without = tmp_path / "b.tum"
-    risk = ("--risk", "0.2", "--levels", "gaussian")
-    scored = figures(RIDE, "--speed", "auto", "--out", with_truth, *risk)
-    assert scored["modes"] == {"ekf": 1, "ukf": 119} and scored["switches"] == 1
-    assert scored["truth"]["risk"] == 0.2
-    results = figures(RIDE, "--speed", "auto", "--out", without, truth=False)
-    assert with_truth.read_bytes() == without.read_bytes() and "truth" not in results
-
-
 @pytest.mark.filterwarnings("ignore:Doppler")  # stretched times contradict the Doppler shifts
 def test_a_late_start_a_restart_and_an_end_at_a_long_gap_are_reported(capsys, tmp_path):
     """Use the walk at a tenth of its rate, without the epochs from 100 to 129 s.
@@ -137,8 +126,10 @@ def test_a_late_start_a_restart_and_an_end_at_a_long_gap_are_reported(capsys, tm
 def test_the_track_equals_the_result_of_the_python_function_localize(tmp_path):
     out = tmp_path / "track.tum"
     more = ("--window", "50", "--radio", "high", "--robust", "--height", "1.5")
+    more += ("--risk", "0.2", "--levels", "gaussian")
     results = figures(RIDE, "--speed", "10", "--out", out, *more)
     assert list(results["modes"]) == ["ukf-robust"] and results["truth"]["nees_expected"] == 2
+    assert results["truth"]["risk"] == 0.2
     scene = read_scene(RIDE / "scene.json")
     modes = (robust(default_modes("high")[1]),)
     log = read_log(RIDE / "log.csv", scene, partial=True)

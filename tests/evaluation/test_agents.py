@@ -121,14 +121,6 @@ def test_an_agent_that_returns_weights_earns_what_it_earns_in_the_environment(mo
         compare({"mine": Weighing()}, episodes=1)
 
 
-def test_an_agent_from_a_module_is_compared_like_any_policy(folder):
-    names = ("fixed-ukf", "my_agents:second", "my_agents:first")
-    shown = succeed("compare", "--policies", *names, "--episodes", 2, cwd=folder)
-    ours, theirs, _ = (row for row in shown.splitlines() if row.count("±") > 2)
-    assert ours.split("|")[2:] == theirs.split("|")[2:]
-    assert "| my_agents:second | 0.000 [0.000, 0.000] |" in shown
-
-
 MISTAKES = {  # name of an agent -> expected message
     "no_such_module:make": "no_such_module:make: ModuleNotFoundError: .*expected module:function",
     "my_agents:gone": "AttributeError: .*'gone'; expected module:function",
