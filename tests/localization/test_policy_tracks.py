@@ -1,4 +1,4 @@
-"""Tests that live tracks and tracks of logs equal the engine's tracks if a policy chooses modes."""
+"""Tests that tracks of logs equal the engine's tracks if a policy chooses modes; of live rows."""
 
 import numpy as np
 import pytest
@@ -24,10 +24,6 @@ from tests.training.actors import write
 EPOCHS = 60
 ROWS = walk(EPOCHS)  # for each epoch, its rows of the log as dicts by column
 
-POLICIES = pytest.mark.parametrize(
-    "name", representative(("guided", "ppo-standard"), "ppo-standard")
-)
-
 
 def first_epochs():
     """Return the first epochs of the walk."""
@@ -39,7 +35,7 @@ def whole_track(switching, window=None):
     return localize(first_epochs(), SCENE, RADIO, switching, window=window)
 
 
-@POLICIES
+@pytest.mark.parametrize("name", representative(("guided", "ppo-standard"), "ppo-standard"))
 @pytest.mark.parametrize("chunk", [7, EPOCHS])
 def test_the_track_equals_the_track_in_the_environment_to_the_last_bit(monkeypatch, name, chunk):
     monkeypatch.setattr("mmwave_env.localization.localizer._CHUNK", chunk)
@@ -57,24 +53,6 @@ def test_the_track_equals_the_track_in_the_environment_to_the_last_bit(monkeypat
         expected.append(engine.read(engine.at.x)[0])
     track = whole_track(switching)
     np.testing.assert_array_equal(track.x, expected)
-
-
-@POLICIES
-def test_a_live_track_equals_the_track_of_the_complete_log_to_the_last_bit(name):
-    switching = load(name, "standard")
-    track = whole_track(switching)
-    tracker = Tracker(SCENE, switching, "standard", lag=5)
-    positions = []
-    late = []
-    for epoch in ROWS:
-        positions.append(tracker.update(epoch))
-        late.append(tracker.smoothed())
-    np.testing.assert_array_equal([p.position_m for p in positions], track.x[:, :3])
-    np.testing.assert_array_equal([p.velocity_mps for p in positions], track.x[:, 3:6])
-    assert [p.begins for p in positions] == [True] + [False] * (EPOCHS - 1)
-    assert late[4] is None and late[5].time_s == positions[0].time_s
-    spread = [np.trace(p.covariance_m2) for p in positions[1:-5]]
-    assert (np.array([np.trace(p.covariance_m2) for p in late[6:]]) < spread).all()
 
 
 # --- correctors: policies that correct beliefs
