@@ -123,13 +123,6 @@ def steps(**kwargs):
     env.close()
 
 
-def test_the_environment_pays_the_tracking_reward():
-    for reward, info in steps():
-        error = min(info["position_error_m"], 10.0)
-        expected = -(error + 0.2 * min(abs(math.log(info["nees"] / 3.0)), 3.0))
-        assert reward == pytest.approx(expected, abs=1e-9)
-
-
 def test_the_environment_pays_a_custom_reward_function():
     for reward, info in steps(reward=capped, modes=["ekf"]):
         assert reward == pytest.approx(max(-info["position_error_m"], -2.0), abs=1e-12)

@@ -95,17 +95,6 @@ def test_an_episode_has_each_kind_of_error_at_its_rate():
     assert binomtest(sum(moved), len(moved), 0.3).pvalue > 1e-4
 
 
-def test_a_survey_without_errors_changes_nothing():
-    plain = MmWaveLocEnv(survey=RandomSurvey(**(NONE | {"rate": 1.0})), episode_steps=20)
-    exact = MmWaveLocEnv(episode_steps=20)
-    for seed in range(3):
-        assert_array_equal(plain.reset(seed=seed)[0], exact.reset(seed=seed)[0])
-        for _ in range(20):
-            a, b = plain.step(1), exact.step(1)
-            assert_array_equal(a[0], b[0])
-            assert a[1] == b[1]
-
-
 def test_observations_depend_on_the_map_and_the_measurements_but_not_on_the_truth():
     """Compare observations with those of a user who is elsewhere, with the same measurements."""
     source = street_source(radio="standard", epochs=21, survey=RandomSurvey(rate=1.0))
