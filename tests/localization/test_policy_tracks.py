@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.engines.engine import Engine
 from mmwave_env.filters.belief import Belief
@@ -52,7 +53,7 @@ def test_the_track_equals_the_track_in_the_environment_to_the_last_bit(monkeypat
         engine.step(policy.act(engine.observations()))
         expected.append(engine.read(engine.at.x)[0])
     track = whole_track(switching)
-    np.testing.assert_array_equal(track.x, expected)
+    assert_array_equal(track.x, expected)
 
 
 # --- correctors: policies that correct beliefs
@@ -87,8 +88,8 @@ def test_a_corrected_track_has_the_corrected_beliefs_of_the_environment(correcto
         )
         trusted.append(correction.trusted[0])
     track = whole_track(switching)
-    np.testing.assert_allclose(track.x, expected, atol=1e-6)
-    np.testing.assert_allclose(track.trusted, trusted, atol=1e-6)
+    assert_allclose(track.x, expected, atol=1e-6)
+    assert_allclose(track.trusted, trusted, atol=1e-6)
     assert (track.trusted > 0.1).mean() > 0.5
 
 
@@ -98,7 +99,7 @@ def test_a_track_is_smoothed_from_beliefs_without_corrections(corrector):
     bank = Switching(switching.bank)
     smooth = whole_track(switching, window=50).smooth_x
     expected = whole_track(bank, window=50).smooth_x
-    np.testing.assert_allclose(smooth, expected, atol=1e-9)
+    assert_allclose(smooth, expected, atol=1e-9)
 
 
 def test_a_live_track_begins_again_after_a_long_gap():

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.io.lookup import MissingExtraError
 from mmwave_env.logs.log import read_log
@@ -132,7 +133,7 @@ def test_ranges_slightly_below_0_and_unwrapped_azimuths_are_used(tmp_path):
     lines[7] |= {"toa_s": "-1e-9", "aod_azimuth_rad": "-810"}
     content = text(lines).replace("aod_azimuth_rad", "aod_azimuth_deg")
     z = read(store(tmp_path, content)).measurement[2]
-    np.testing.assert_allclose(z[[4, 7]], [-1e-9 * SPEED_OF_LIGHT, -np.pi / 2])
+    assert_allclose(z[[4, 7]], [-1e-9 * SPEED_OF_LIGHT, -np.pi / 2])
 
 
 @pytest.mark.parametrize("angle", [np.pi / 2, -np.pi / 2, float(np.float32(np.pi / 2))])
@@ -147,7 +148,7 @@ def test_numbers_beyond_the_limits_are_kept_if_limits_are_off(tmp_path):
     lines[7].update(aoa_azimuth_rad="57.3", aoa_elevation_rad="95.7")
     lines[7].update(aod_azimuth_rad="-360.5", toa_s="1.0")
     block = read(store(tmp_path, text(lines)), limits=False)
-    np.testing.assert_allclose(block.measurement[2, 4:8], [SPEED_OF_LIGHT, 57.3, 95.7, -360.5])
+    assert_allclose(block.measurement[2, 4:8], [SPEED_OF_LIGHT, 57.3, 95.7, -360.5])
 
 
 @pytest.mark.parametrize(
@@ -247,7 +248,7 @@ def test_the_epochs_of_a_gzip_file_that_ends_early_are_returned_before_the_error
     path.write_bytes(packed[: int(left * len(packed))])
     block = delivered(path, "line")
     assert len(block) > (left - 0.1) * 2000
-    np.testing.assert_array_equal(block.time_s, true.time_s[: len(block)])
+    assert_array_equal(block.time_s, true.time_s[: len(block)])
 
 
 @pytest.mark.parametrize("byte", [2, 3, 5000, -6])

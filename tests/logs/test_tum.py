@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from numpy.testing import assert_array_equal
 
 from mmwave_env.logs.tum import read_tum, tum_lines
 from tests.refusals import refuses
@@ -29,8 +30,8 @@ def test_a_written_track_is_read_back_exactly(tmp_path_factory, track, start, st
     time = start + step * np.arange(len(track))
     path = store(tmp_path_factory.mktemp("tum"), tum_lines(time, track))
     poses = read_tum(path)
-    np.testing.assert_array_equal(poses.time_s, time)
-    np.testing.assert_array_equal(poses.position_m, track)
+    assert_array_equal(poses.time_s, time)
+    assert_array_equal(poses.position_m, track)
 
 
 def test_evo_reads_our_files(tmp_path):
@@ -39,8 +40,8 @@ def test_evo_reads_our_files(tmp_path):
     track = np.cumsum(np.random.default_rng(1).standard_normal((300, 3)), axis=0)
     path = store(tmp_path, "# t x y z qx qy qz qw\n" + tum_lines(time, track))
     read = file_interface.read_tum_trajectory_file(str(path))
-    np.testing.assert_array_equal(read.timestamps, time)
-    np.testing.assert_array_equal(read.positions_xyz, track)
+    assert_array_equal(read.timestamps, time)
+    assert_array_equal(read.positions_xyz, track)
 
 
 SPELLINGS = {
