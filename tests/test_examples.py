@@ -32,6 +32,7 @@ from mmwave_env.world.episode import columns_of
 from mmwave_env.world.keys import keys_of
 from tests.cli import environment
 from tests.datasets.deepmimo.scenarios import rays
+from tests.filters.tracks import sampled
 from tests.pages import run_notebook
 from tests.paths import RECORDINGS, ROOT, loaded
 
@@ -227,7 +228,7 @@ def test_trips_are_written_as_trajectories_from_which_episodes_are_drawn(tmp_pat
     assert_array_equal(car.time_s, np.arange(91.0))
     assert_array_equal(car.position_m[[0, -1]], [[60, -40, 1.5], [150, -40, 1.5]])
     source = task_from(scenario=tmp_path / "ways.csv", episode_steps=60).source
-    names = {source.sample(np.random.default_rng(seed)).name for seed in range(9)}
+    names = {sampled(source, seed).name for seed in range(9)}
     assert names == {car.name, walker.name}
 
 
@@ -302,7 +303,7 @@ def test_traced_paths_are_written_to_a_folder_and_read_back(tmp_path):
     assert_allclose(recording.measurement[sight, 0], direct[sight], atol=1e-4)
     loss = 20.0 * np.log10(1e-3 / direct[sight])
     assert_allclose(recording.path_gain_db[sight, 0], loss, atol=1e-4)
-    assert len(task_from(episodes=tmp_path / "way").source.sample(np.random.default_rng(0))) == 21
+    assert len(sampled(task_from(episodes=tmp_path / "way").source)) == 21
 
 
 @pytest.mark.slow

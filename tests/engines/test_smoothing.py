@@ -12,7 +12,7 @@ from mmwave_env.engines.smoothing import smooth
 from mmwave_env.filters import textbook
 from mmwave_env.filters.bank import best_bank
 from mmwave_env.interface.reward import TrackingReward
-from tests.filters.tracks import TRIANGLE, pipeline_of, simulated, street_source, unpacked
+from tests.filters.tracks import TRIANGLE, pipeline_of, sampled, simulated, street_source, unpacked
 
 TOLERANCE = 1e-9
 PARTS = ("x", "P", "x_predicted", "P_predicted")
@@ -68,7 +68,7 @@ def test_smoothed_tracks_equal_a_plain_numpy_smoother(planar):
 @pytest.mark.parametrize("dt", [1.0, 0.1])
 def test_smoothing_a_mixture_equals_plain_numpy(dt):
     source = street_source(dt=dt)
-    episodes = [source.sample(np.random.default_rng(seed)) for seed in range(9)]
+    episodes = [sampled(source, seed) for seed in range(9)]
     x, P, x_predicted, P_predicted = run_imm(
         best_bank(), TrackingReward(), episodes, *PARTS
     ).values()

@@ -22,7 +22,7 @@ from mmwave_env.models.measurement import Epoch, Site
 from mmwave_env.numerics.linalg import pack, unpack
 from mmwave_env.world.keys import keys_of
 from tests.filters.problems import HZ_PER_MPS
-from tests.filters.tracks import assert_same_beliefs, street_source, track
+from tests.filters.tracks import assert_same_beliefs, sampled, street_source, track
 from tests.paths import representative
 
 LIMIT = 6.6349  # 99 % quantile of chi-square with one degree of freedom
@@ -172,7 +172,7 @@ def test_a_range_alone_only_sets_the_clock_and_does_not_end_a_lockout():
 @pytest.mark.parametrize("algorithm", representative(["ekf", "ukf", "ckf"], "ukf"))
 def test_filterpy_tracks_the_same(algorithm):
     source = street_source(radio="standard", epochs=40, clock="free")
-    episodes = [source.sample(np.random.default_rng(seed)) for seed in range(2)]
+    episodes = [sampled(source, seed) for seed in range(2)]
     pipeline = Pipeline(modes_from([algorithm], "standard"), source.layout)
     ours, twin = (
         track(p, episodes, 0, 40, ("x", "P", "memory"), on_floats=True)
@@ -196,7 +196,7 @@ def test_position_errors_agree_with_their_covariance():
 def test_errors_that_last_longer_than_a_step_get_more_noise(clock):
     """Compare 0.3 s of correlation at steps of 0.1 s with noise that is larger by sqrt(3)."""
     source = street_source(radio="standard", epochs=20, dt=0.1, clock=clock)
-    episode = source.sample(np.random.default_rng(3))
+    episode = sampled(source, 3)
     louder = replace(
         episode, sigma=episode.sigma * np.where(np.arange(20) > 0, 3**0.5, 1.0)[:, None]
     )

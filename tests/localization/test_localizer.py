@@ -28,7 +28,7 @@ from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource
 from policies.corrector import TWO_WAY, TwoWayCorrector
 from policies.rules import by_odometry_speed, by_predicted_speed
-from tests.filters.tracks import geometry, track
+from tests.filters.tracks import geometry, sampled, track
 from tests.logs.by_hand import assert_same, damaged, log_with
 from tests.logs.writing import write_log
 from tests.paths import representative
@@ -46,7 +46,7 @@ BANK = best_bank()
 def log(folder, odometry=False):
     """Return a log with uneven time steps; nothing is measured in the first two epochs."""
     source = SimulatedSource(SCENE, RADIO, "walk-ride", epochs=T, odometry=odometry)
-    episode = source.sample(np.random.default_rng(3))
+    episode = sampled(source, 3)
     time = 1.7e9 + np.random.default_rng(0).uniform(0.5, 1.5, T).cumsum()
     visible = episode.visible.copy()
     visible[:2] = False

@@ -9,6 +9,7 @@ from experiments.timing.workloads import EPISODE, FILTERS, filterpy_episode
 from mmwave_env.filters.filterpy_reference import filterpy_pipeline
 from mmwave_env.numerics.numbers import atan2, maximum, sqrt, where
 from mmwave_env.task import task_from
+from tests.filters.tracks import sampled
 
 
 @pytest.mark.parametrize(
@@ -38,7 +39,7 @@ def test_operations_whose_result_is_not_used_are_not_counted():
 
 def test_the_filterpy_loop_earns_the_reward_of_a_good_track():
     task = task_from()
-    episode = task.source.sample(np.random.default_rng(0))
+    episode = sampled(task.source)
     total = filterpy_episode(filterpy_pipeline(task.pipeline), episode)
     assert -5.0 < total / EPISODE < 0.0  # the worst reward of an epoch is -10.6
 

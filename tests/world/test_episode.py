@@ -12,13 +12,15 @@ from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.pytree import unflatten
 from mmwave_env.world.episode import blank_incoming
 from mmwave_env.world.simulated import SimulatedSource
-from tests.filters.tracks import geometry
+from tests.filters.tracks import geometry, sampled
 from tests.refusals import refuses
 
 STREET = SCENES["street"]
 HZ_PER_MPS = 28e9 / 299_792_458.0
+
+
 def draw(seed=0, scene=STREET, radio=RADIOS["handset"], **changes):
-    return SimulatedSource(scene, radio, **changes).sample(np.random.default_rng(seed))
+    return sampled(SimulatedSource(scene, radio, **changes), seed)
 
 
 @pytest.fixture(scope="module")

@@ -24,7 +24,7 @@ from mmwave_env.world.mobility import (
     mobilities_of,
 )
 from mmwave_env.world.simulated import SimulatedSource
-from tests.filters.tracks import street_source
+from tests.filters.tracks import sampled, street_source
 from tests.paths import representative, write_json
 from tests.refusals import refuses
 
@@ -239,5 +239,5 @@ def test_users_of_any_kind_stay_on_the_streets(limits, gaits, blocks, twice):
     phase = Phase(limits, tuple(gaits))
     phases = (replace(phase, duration_s=(5.0, 20.0)), phase) if twice else (phase,)
     source = street_source(Mobility("any", phases, blocks), epochs=60)
-    x, y, _ = source.sample(np.random.default_rng(0)).truth_position_m.T
+    x, y, _ = sampled(source).truth_position_m.T
     assert -5.0 < x.min() and x.max() < 165.0 and -165.0 < y.min() and y.max() < 5.0

@@ -10,7 +10,7 @@ from scipy.stats import binomtest
 from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.models.random_survey import RandomSurvey
 from mmwave_env.world.keys import keys_of
-from tests.filters.tracks import around_a_block, replay, street_source
+from tests.filters.tracks import around_a_block, replay, sampled, street_source
 from tests.refusals import refuses
 
 NONE = dict.fromkeys(["rotation_rad", "tilt_rad", "range_m", "anchors_m", "heights_m", "slow"], 0.0)
@@ -99,7 +99,7 @@ def test_observations_depend_on_the_map_and_the_measurements_but_not_on_the_trut
     """Compare observations with those of a user who is elsewhere, with the same measurements."""
     source = street_source(radio="standard", epochs=21, survey=RandomSurvey(rate=1.0))
     for seed in range(3):
-        episode = source.sample(np.random.default_rng(seed))
+        episode = sampled(source, seed)
         elsewhere = replace(episode, truth_position_m=episode.truth_position_m + 30.0)
         there, here = (MmWaveLocEnv(episodes=replay(e)) for e in (elsewhere, episode))
         assert_array_equal(there.reset(seed=0)[0], here.reset(seed=0)[0])
