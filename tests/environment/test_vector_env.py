@@ -18,7 +18,7 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.vector_env import MmWaveLocVectorEnv
 from mmwave_env.world.simulated import SimulatedSource
-from tests.environment.vector_checker import check_vector_env, rollout, same
+from tests.environment.vector_checker import check_memory, rollout, same
 from tests.filters.tracks import street_source
 from tests.paths import representative
 from tests.refusals import refuses
@@ -107,8 +107,8 @@ def configuration(request):
 
 @pytest.mark.parametrize("mode", AUTORESET)
 @pytest.mark.parametrize("name", representative(CONFIGURATIONS, "recorded"))
-def test_the_vector_environment_passes_the_checker(name, mode):
-    check_vector_env(lambda: native(9, mode, **CONFIGURATIONS[name]))
+def test_results_share_no_memory(name, mode):
+    check_memory(lambda: native(9, mode, **CONFIGURATIONS[name]))
 
 
 def test_make_vec_makes_the_native_vector_environment_without_warnings():
