@@ -116,7 +116,7 @@ def test_seeds_change_the_prior_and_nothing_else():
     assert source.epochs == len(first) == 60 and source.layout == Layout(3)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     known=st.lists(st.booleans(), min_size=1, max_size=30),
     steps=st.lists(st.sampled_from([0.1, 1.0, GAP_S, GAP_S + 0.1]), min_size=29, max_size=29),

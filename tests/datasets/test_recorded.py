@@ -124,7 +124,7 @@ def test_doppler_spread_follows_the_speed():
     assert ratio.std() == pytest.approx(RADIO.spread_sigma, rel=0.05)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(epochs=st.integers(1, 120), seed=st.integers(0, 99))
 def test_an_episode_is_a_contiguous_part_of_the_recording(epochs, seed):
     episode = sampled(TrackSource(VEHICLE, RADIO, epochs=epochs), seed)

@@ -94,7 +94,7 @@ def problems(draw, wild=0):
 
 
 @given(problem=problems(), bias=st.floats(-5e3, 5e3), data=st.data())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_without_doubtful_ranges_the_update_is_that_of_their_differences(problem, bias, data):
     assume(problem.disagreements().max() < LIMIT)
     reference = data.draw(st.integers(0, problem.sensor.links - 1))
@@ -124,7 +124,7 @@ def test_without_doubtful_ranges_the_update_is_that_of_their_differences(problem
 
 
 @given(problem=problems(wild=1))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_a_wild_range_is_doubted_and_costs_likelihood_and_the_others_decide(problem):
     T = problem.disagreements()
     assume(T[1:, 1:].max() < 0.5 * LIMIT and T[0, 1:].min() > 20.0 * LIMIT)

@@ -54,7 +54,7 @@ def iekf(files):
 @pytest.mark.parametrize("gate", GATES, ids=str)
 @pytest.mark.parametrize("iterations", [1, 3])
 @given(data=st.data())
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_the_iekf_equals_the_textbook(iekf, iterations, gate, odometry, data):
     problem = data.draw(problems(odometry))
     s = problem.sensor

@@ -84,7 +84,7 @@ def test_a_reward_is_never_below_its_worst_value(reward):
     assert pays(reward, belief((1e6, 0.0, 0.0), 1e-6)) == reward.worst
 
 
-@settings(derandomize=True, deadline=None)
+@settings(derandomize=True)
 @given(
     hnp.arrays(float, (7, 7), elements=st.floats(-1.0, 1.0)),
     hnp.arrays(float, 3, elements=st.floats(-5.0, 5.0)),

@@ -195,7 +195,7 @@ def test_without_smoothing_the_track_is_the_filtered_track(block):
     [((EKF, UKF), by_predicted_speed, None), (BANK, None, None), (BANK, None, TWO_WAY)],
     ids=["rule", "imm", "two ways"],
 )
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=6)
 @given(size=st.integers(1, T), window=st.integers(2, 300))
 def test_a_track_does_not_depend_on_the_sizes_of_chunks(folder, modes, rule, two_way, size, window):
     block = log(folder)

@@ -275,7 +275,7 @@ def test_separators_line_ends_and_the_order_of_columns_do_not_change_what_is_rea
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     seed=st.integers(0, 50),
     odometry=st.booleans(),

@@ -35,7 +35,7 @@ def expected(pose_s, position, time_s):
 times = st.lists(st.integers(0, 4000), min_size=1, max_size=60, unique=True)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(poses=times, epochs=times, late=st.sampled_from([0.0, 1e-3]))
 def test_poses_are_interpolated_but_not_across_gaps(tmp_path_factory, poses, epochs, late):
     pose_s = np.sort(poses) * 1e-2

@@ -20,7 +20,7 @@ def store(folder, content):
     return path
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     track=arrays(float, st.tuples(st.integers(1, 20), st.just(3)), elements=coordinates),
     start=coordinates,

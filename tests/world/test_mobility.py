@@ -228,7 +228,7 @@ RATES = [ranges(0.3, 10.0)] * 3 + [st.floats(0.5, 30.0)]
 ANY_LIMITS = st.builds(Limits, *RATES, st.floats(0.1, 10.0), st.floats(0.0, 1.0), ranges(0.0, 5.0))
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(
     limits=ANY_LIMITS,
     gaits=ANY_GAITS.filter(lambda gaits: len(gaits) < 4),

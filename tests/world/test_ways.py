@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -153,7 +153,6 @@ def test_columns_may_be_in_any_order_and_other_columns_are_ignored(tmp_path):
     assert_array_equal(read.velocity_mps, np.tile([2.5, 0.1, 0.0], (5, 1)))
 
 
-@settings(deadline=None)  # the first example imports SciPy
 @given(
     dt=st.floats(0.05, 3.0),
     steps=st.lists(st.floats(0.1, 4.0), min_size=4, max_size=30),
