@@ -1,12 +1,13 @@
-"""Tests of kinds of errors: each undoes its own error, and hidden ones are not looked for."""
+"""Tests of kinds of errors, each of which undoes its own, and of readings with mistakes undone."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from mmwave_env.localization.readings import Reading
+from mmwave_env.localization.readings import AS_IT_IS, RANGE, Mistake, Reading, scaled, values_of
 from mmwave_env.localization.suspects import suspects
+from mmwave_env.models.scene import SCENES
 from tests.localization.errors import late, moved, readings, shifted, tilted, turned
 
 READING = readings(1, epochs=10)[0]
@@ -84,3 +85,24 @@ def test_sentences_give_sizes_deviations_and_units():
     assert place.words(theta, abs(theta)).endswith("by (1.00, -2.12) ± (1.00, 2.12) m")
     angle = EVERY["azimuths are turned"]
     assert angle.words(theta[:1], theta[:1]) == "azimuths are turned by 1.00 ± 1.00 degrees"
+
+
+def test_an_undone_mistake_scales_values_and_the_likelihood_of_the_file():
+    halved = READING.without(Mistake("ranges are doubled", "halve them", scaled([RANGE], 0.5, 1.0)))
+    z = READING.log.measurement
+    np.testing.assert_array_equal(halved.log.measurement[:, RANGE], 1.0 + 0.5 * z[:, RANGE])
+    count = values_of(READING.log)[:, RANGE].sum()
+    assert halved.log_scale == count * np.log(0.5)
+    later = halved.without(Mistake("time is in ms", "divide it", time_factor=1e-3, radio="high"))
+    np.testing.assert_array_equal(later.log.time_s, 1e-3 * READING.log.time_s)
+    assert later.radio.name == "high" and READING.radio.name == "standard"
+    finding = later.finding([])
+    assert finding.hypothesis == "ranges are doubled; time is in ms"
+    assert finding.cure == "halve them; then divide it" and finding.scene is None
+
+
+def test_a_finding_contains_the_corrected_scene():
+    moved = replace(SCENES["street"], base_station_m=(1.0, 2.0, 3.0))
+    reading = READING.without(Mistake("it moved", "move it back", scene=moved))
+    assert reading.finding([]).scene == moved
+    assert READING.finding([]).hypothesis == AS_IT_IS and READING.finding([]).worst_anchor is None

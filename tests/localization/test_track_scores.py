@@ -17,7 +17,7 @@ from mmwave_env.localization.track_scores import (
 from mmwave_env.metrics import ate, rmse
 from tests.filters.tracks import unpacked
 from tests.localization.test_track_files import some_track
-from tests.logs.test_truth import truth_of
+from tests.logs.test_tum import truth_of
 
 T = 400
 FEW = pytest.mark.filterwarnings("ignore:.*found a true position for")
