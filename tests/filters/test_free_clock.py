@@ -25,6 +25,7 @@ from tests.filters.problems import HZ_PER_MPS
 from tests.filters.tracks import assert_same_beliefs, sampled, street_source, track
 from tests.paths import representative
 
+STATE = np.array([0.0, 0.0, 1.5, 1.0, 0.0, 0.0, 0.0])
 LIMIT = 6.6349  # 99 % quantile of chi-square with one degree of freedom
 
 
@@ -145,25 +146,22 @@ def test_the_likelihood_of_many_wild_ranges_is_finite():
     rng = np.random.default_rng(0)
     anchors = np.column_stack([rng.uniform(-60, 60, (32, 2)), rng.uniform(4, 12, 32)])
     sensor = textbook.Sensor(anchors, HZ_PER_MPS)
-    x = np.array([0.0, 0.0, 1.5, 1.0, 0.0, 0.0, 0.0])
-    z = sensor.h(x)
+    z = sensor.h(STATE)
     z[8:-1:4] += rng.choice([-1, 1], 30) * rng.uniform(1e5, 1e6, 30)
     measured = np.zeros(len(z), bool)
     measured[0:-1:4] = True
-    result = Problem(sensor, x, 1e-4 * np.eye(7), z, np.full(len(z), 0.01), measured).ours()
+    result = Problem(sensor, STATE, 1e-4 * np.eye(7), z, np.full(len(z), 0.01), measured).ours()
     assert np.isfinite([*result.x, *result.P, *result.nis, result.log_likelihood]).all()
-    assert_allclose(result.x[:3], x[:3], atol=0.05)
+    assert_allclose(result.x[:3], STATE[:3], atol=0.05)
 
 
 def test_a_range_alone_only_sets_the_clock_and_does_not_end_a_lockout():
     anchors = np.array([[40.0, 5.0, 8.0]])
     sensor = textbook.Sensor(anchors, HZ_PER_MPS)
-    x = np.array([0.0, 0.0, 1.5, 1.0, 0.0, 0.0, 0.0])
-    z = sensor.h(x)
+    z = sensor.h(STATE)
     measured = np.array([True, False, False, False, False])
-    problem = Problem(sensor, x, np.eye(7), z, np.full(5, 0.3), measured)
-    result = problem.ours(700.0)
-    assert_allclose(result.x[:7], x)
+    result = Problem(sensor, STATE, np.eye(7), z, np.full(5, 0.3), measured).ours(700.0)
+    assert_allclose(result.x[:7], STATE)
     assert result.x[7] == pytest.approx(700.0)
     assert result.passed == 0.0
     assert result.nis[0] == 1.0

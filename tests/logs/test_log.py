@@ -15,7 +15,7 @@ from mmwave_env.logs.live_log import LiveLog, log_from
 from mmwave_env.logs.log import read_paths
 from mmwave_env.logs.log_columns import QUANTITIES
 from mmwave_env.models.layout import Layout, wrapped
-from mmwave_env.models.measurement import SPEED_OF_LIGHT
+from mmwave_env.models.measurement import SPEED_OF_LIGHT, seen_from_image
 from mmwave_env.models.radio import RADIOS
 from tests.logs.by_hand import (
     COLUMNS,
@@ -55,18 +55,15 @@ def test_angles_of_arrival_at_the_base_station_are_mirrored(tmp_path, suffix):
     ours = episode(epochs=5)
     columns = log_columns(ours)
     path = tmp_path / "station.csv"
-    station = SCENE.anchors_m[0]
-    azimuth = columns.pop("aoa_azimuth_rad")
-    elevation = columns["aoa_elevation_rad"]
-    images = SCENE.anchors_m[columns["anchor"].astype(int) - 1]
-    n = images - station
-    n /= np.maximum(np.linalg.norm(n, axis=1), 1e-300)[:, None]
-    flat = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1) * np.cos(elevation)[:, None]
-    d = np.column_stack([flat, np.sin(elevation)])
-    d -= 2.0 * (d * n).sum(axis=1)[:, None] * n  # the wall mirrors the direction
-    arrival = np.arctan2(d[:, 1], d[:, 0])
+    rays = columns.pop("aoa_azimuth_rad"), columns["aoa_elevation_rad"], columns["anchor"]
+    station, *_ = anchors_m = SCENE.anchors_m.tolist()
+    # What a mirror makes of a mirrored direction is the direction itself.
+    mirrored = [
+        seen_from_image(azimuth, elevation, station, anchors_m[int(anchor) - 1])
+        for azimuth, elevation, anchor in zip(*rays, strict=True)
+    ]
+    arrival, columns["aoa_elevation_rad"] = np.array(mirrored).T
     columns[f"aoa_azimuth_station_{suffix}"] = np.degrees(arrival) if suffix == "deg" else arrival
-    columns["aoa_elevation_rad"] = np.arctan2(d[:, 2], np.hypot(d[:, 0], d[:, 1]))
     path.write_text(log_text(columns))
     write_log(tmp_path / "image.csv", ours)
     block = read(path)
