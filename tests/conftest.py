@@ -3,10 +3,18 @@
 import os
 import subprocess
 import sys
+from contextlib import suppress
 from importlib.util import find_spec
 
 # Tests of pictures need the extra ``render``; without it they are not collected.
 collect_ignore_glob = [] if find_spec("pygame") else ["rendering/test_*.py"]
+
+# Examples of Hypothesis may take any time: some compile. A few environments lack the package.
+with suppress(ImportError):
+    from hypothesis import settings
+
+    settings.register_profile("tests", deadline=None)
+    settings.load_profile("tests")
 
 # Tests run in parallel, one per core, so more threads of torch and BLAS would only wait. Besides,
 # threads do not survive a fork.

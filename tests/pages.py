@@ -28,7 +28,6 @@ from io import StringIO
 from itertools import dropwhile, takewhile
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 from unittest.mock import patch
 
 from tests.cli import environment, succeed
@@ -56,7 +55,7 @@ class Block:
     text: str
     line: int  # number of the page's line that opens the block, counted from 1
     mark: str  # text of the comment above the block; "" if there is none
-    tables: list[re.Match[str]]
+    tables: list
 
     @property
     def words(self):
@@ -189,7 +188,7 @@ def renewed(page):
     return text
 
 
-def run_notebook(path: Path) -> Any:
+def run_notebook(path):
     """Run a notebook in its folder, as Jupyter does; return it with the new outputs.
 
     Details of the run, such as counts, are left out, and so are progress bars.
@@ -211,14 +210,14 @@ def run_notebook(path: Path) -> Any:
     return notebook
 
 
-def _stored(output: Any) -> Any:
+def _stored(output):
     if "data" in output:
         output.data.pop("image/jpeg", None)
         output.execution_count = None
     return output
 
 
-def renew(path: Path) -> None:
+def renew(path):
     """Renew the tables of a page, or the stored outputs of a notebook."""
     if path.suffix == ".md":
         path.write_text(renewed(path), encoding="utf-8")

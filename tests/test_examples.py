@@ -32,8 +32,9 @@ from mmwave_env.world.episode import columns_of
 from mmwave_env.world.keys import keys_of
 from tests.cli import environment
 from tests.datasets.deepmimo.scenarios import rays
+from tests.filters.tracks import sampled
 from tests.pages import run_notebook
-from tests.paths import RECORDINGS, ROOT, json_in, loaded
+from tests.paths import RECORDINGS, ROOT, loaded
 
 FOLDER = ROOT / "examples"
 # Examples without an agent: they make data, draw a Pareto front, or compare or train localizers.
@@ -155,19 +156,7 @@ def test_the_docs_list_every_example_with_pinned_versions():
 
 
 NOTEBOOKS = ROOT / "docs" / "notebooks"
-STORED = {"first_switcher": 3, "corrector": 5}  # number of pictures stored with a notebook
-
-
-@pytest.mark.parametrize("name", STORED)
-def test_notebooks_are_stored_without_details_of_a_run(name):
-    notebook = json_in(NOTEBOOKS / f"{name}.ipynb")
-    code = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
-    assert all(cell["execution_count"] is None for cell in code)
-    assert all(cell["metadata"] == {} for cell in notebook["cells"])
-    assert set(notebook["metadata"]) == {"kernelspec", "language_info"}
-    assert set(notebook["metadata"]["language_info"]) == {"name"}  # without the version of Python
-    outputs = [output for cell in code for output in cell["outputs"]]
-    assert sum("image/png" in output.get("data", ()) for output in outputs) == STORED[name]
+SHOWN = {"first_switcher": 3, "corrector": 5}  # number of pictures that a notebook shows
 
 
 def outputs_of(name):
@@ -182,7 +171,7 @@ def outputs_of(name):
 @pytest.mark.slow
 def test_the_notebook_of_the_corrector_shows_that_every_step_helps():
     _, shown = outputs_of("corrector")
-    assert sum("image/png" in data for data in shown) == STORED["corrector"]
+    assert sum("image/png" in data for data in shown) == SHOWN["corrector"]
     errors = ast.literal_eval(shown[0]["text/plain"])
     assert errors["speed-rule"] > errors["imm-best"] > errors["guided"] > errors["corrector"]
     (table,) = (data["text/markdown"] for data in shown if "text/markdown" in data)
@@ -195,7 +184,7 @@ def test_the_notebook_of_the_corrector_shows_that_every_step_helps():
 def test_the_agent_of_the_first_notebook_beats_the_speed_rule_and_the_ukf():
     printed, shown = outputs_of("first_switcher")
     assert "Warning: speed" not in printed
-    assert sum("image/png" in data for data in shown) == STORED["first_switcher"]
+    assert sum("image/png" in data for data in shown) == SHOWN["first_switcher"]
     (tables,) = (data["text/markdown"] for data in shown if "text/markdown" in data)
     header, mine = (
         [cell.strip() for cell in line.split("|")]
@@ -239,7 +228,7 @@ def test_trips_are_written_as_trajectories_from_which_episodes_are_drawn(tmp_pat
     assert_array_equal(car.time_s, np.arange(91.0))
     assert_array_equal(car.position_m[[0, -1]], [[60, -40, 1.5], [150, -40, 1.5]])
     source = task_from(scenario=tmp_path / "ways.csv", episode_steps=60).source
-    names = {source.sample(np.random.default_rng(seed)).name for seed in range(9)}
+    names = {sampled(source, seed).name for seed in range(9)}
     assert names == {car.name, walker.name}
 
 
@@ -314,7 +303,7 @@ def test_traced_paths_are_written_to_a_folder_and_read_back(tmp_path):
     assert_allclose(recording.measurement[sight, 0], direct[sight], atol=1e-4)
     loss = 20.0 * np.log10(1e-3 / direct[sight])
     assert_allclose(recording.path_gain_db[sight, 0], loss, atol=1e-4)
-    assert len(task_from(episodes=tmp_path / "way").source.sample(np.random.default_rng(0))) == 21
+    assert len(sampled(task_from(episodes=tmp_path / "way").source)) == 21
 
 
 @pytest.mark.slow

@@ -65,7 +65,7 @@ def test_an_example_is_accepted_by_schema_and_reader(name, tmp_path):
 
 
 @every_file
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(data=st.data())
 def test_readers_refuse_what_the_schema_refuses(name, data, tmp_path_factory):
     content = data.draw(changed(EXAMPLES[name]) | changed(EXAMPLES[name] | {"color": 1}))

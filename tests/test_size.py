@@ -20,7 +20,7 @@ BUDGET = {
     "files of source": 199,
     "words of docs": 35_200,
     "pages of docs": 27,
-    "tracked files": 648,
+    "tracked files": 643,
     "tracked MB": 9,
     "commands": 13,
     "extras for users": 8,
@@ -50,7 +50,7 @@ ROOMS = {  # maximum tokens of a room; lines are free
     "mmwave_env/rendering": 8_790,
     "mmwave_env/world": 16_560,
     "policies": 6_800,
-    "tests": 221_210,
+    "tests": 212_560,
 }
 PACKINGS = 3.0  # maximum per 1,000 lines: statements that say several things at once
 SOURCE = ("mmwave_env", "experiments", "policies")

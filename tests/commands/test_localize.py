@@ -12,7 +12,7 @@ from mmwave_env.filters.bank import best_bank, default_modes, robust
 from mmwave_env.interface.policy import Switching
 from mmwave_env.localization.localizer import localize
 from mmwave_env.logs.log import read_log
-from mmwave_env.logs.tum import read_tum, tum_lines
+from mmwave_env.logs.tum import read_tum
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import read_scene
 from tests.cli import succeed
@@ -67,40 +67,6 @@ def test_corrections_do_no_harm_if_the_log_has_no_doppler_spread(tmp_path, missi
 # --- the figures
 
 
-def evo_figures(truth, track, delta):
-    """Return ATE, RMSE and RPE as the package evo computes them from two files."""
-    metrics = pytest.importorskip("evo.core.metrics")
-    sync = pytest.importorskip("evo.core.sync")
-    read = pytest.importorskip("evo.tools.file_interface").read_tum_trajectory_file
-    pair = sync.associate_trajectories(read(str(truth)), read(str(track)))
-    translation = metrics.PoseRelation.translation_part
-    of = metrics.StatisticsType
-    absolute = metrics.APE(translation)
-    absolute.process_data(pair)
-    relative = metrics.RPE(translation, delta=delta, delta_unit=metrics.Unit.frames, all_pairs=True)
-    relative.process_data(pair)
-    ate, rmse = map(absolute.get_statistic, (of.mean, of.rmse))
-    return [ate, rmse, relative.get_statistic(of.mean)]
-
-
-@pytest.mark.parametrize("track", ["filtered", "smoothed"])
-@pytest.mark.parametrize("known", [slice(None), slice(30, 95)])
-def test_the_figures_equal_those_of_evo(tmp_path, track, known):
-    truth = read_tum(RIDE / "truth.tum")
-    part = tmp_path / "part.tum"
-    out = tmp_path / "track.tum"
-    part.write_text(tum_lines(truth.time_s[known], truth.position_m[known]))
-    switch = [] if track == "smoothed" else ["--no-smoothing"]
-    words = ("--speed", "10", "--truth", part, "--out", out, *switch)
-    results = figures(RIDE, *words, truth=False)["truth"]
-    assert results["rpe_s"] == pytest.approx(1.0)
-    assert results["scored"] == len(truth.time_s[known])
-    row = results["tracks"][track]
-    expected = evo_figures(part, out, 10)
-    assert [row["ate_m"], row["rmse_m"], row["rpe_m"]] == pytest.approx(expected, abs=1e-6)
-    assert list(results["tracks"]) == (["filtered", "smoothed"] if not switch else ["filtered"])
-
-
 def test_the_printed_figures_equal_those_in_the_json_file(capsys, tmp_path):
     results = figures(WALK, "--speed", "auto", "--radio", "standard")
     shown = capsys.readouterr().out
@@ -126,17 +92,6 @@ def test_the_json_file_records_a_command_that_reproduces_the_figures(tmp_path):
     assert {"mmwave-loc", "python", "numba"} <= set(results["versions"])
     run(name, [*made, "--json", str(again)])
     assert json_in(again) == results | {"written": {}}
-
-
-def test_the_truth_is_used_only_for_scores(tmp_path):
-    with_truth = tmp_path / "a.tum"
-    without = tmp_path / "b.tum"
-    risk = ("--risk", "0.2", "--levels", "gaussian")
-    scored = figures(RIDE, "--speed", "auto", "--out", with_truth, *risk)
-    assert scored["modes"] == {"ekf": 1, "ukf": 119} and scored["switches"] == 1
-    assert scored["truth"]["risk"] == 0.2
-    results = figures(RIDE, "--speed", "auto", "--out", without, truth=False)
-    assert with_truth.read_bytes() == without.read_bytes() and "truth" not in results
 
 
 @pytest.mark.filterwarnings("ignore:Doppler")  # stretched times contradict the Doppler shifts
@@ -171,8 +126,10 @@ def test_a_late_start_a_restart_and_an_end_at_a_long_gap_are_reported(capsys, tm
 def test_the_track_equals_the_result_of_the_python_function_localize(tmp_path):
     out = tmp_path / "track.tum"
     more = ("--window", "50", "--radio", "high", "--robust", "--height", "1.5")
+    more += ("--risk", "0.2", "--levels", "gaussian")
     results = figures(RIDE, "--speed", "10", "--out", out, *more)
     assert list(results["modes"]) == ["ukf-robust"] and results["truth"]["nees_expected"] == 2
+    assert results["truth"]["risk"] == 0.2
     scene = read_scene(RIDE / "scene.json")
     modes = (robust(default_modes("high")[1]),)
     log = read_log(RIDE / "log.csv", scene, partial=True)

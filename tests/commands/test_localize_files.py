@@ -186,6 +186,7 @@ def test_a_damaged_log_gives_the_track_up_to_the_damage(tmp_path, name, zipped):
     assert len((tmp_path / "track.csv").read_text().splitlines()) == epochs + 1
     results = json_in(tmp_path / "found.json")
     assert results["epochs"] == epochs and message in results["error"]
+    assert list(results["truth"]["tracks"]) == ["filtered"]
     assert f"{epochs} of {epochs} epochs have a true position" in shown
 
 

@@ -11,6 +11,7 @@ from mmwave_env.datasets.samples import source_from
 from mmwave_env.models.scene import read_scene
 from tests.cli import assert_one_clear_line, command, with_json
 from tests.commands.localizing import RIDE, WALK, figures, lines_of, options, refused
+from tests.filters.tracks import sampled
 from tests.localization.mistakes import AZIMUTHS, MISTAKES, linear, read_columns, write_columns
 from tests.logs.by_hand import hide_anchors
 from tests.paths import json_in
@@ -185,7 +186,7 @@ def hidden(tmp_path_factory):
     """Return a log of propagation paths without anchor numbers; false paths belong to no anchor."""
     log = tmp_path_factory.mktemp("hidden") / "log.csv"
     source = source_from(RIDE, "standard")
-    hide_anchors(log, source.sample(np.random.default_rng(0)), false_paths=5)
+    hide_anchors(log, sampled(source), false_paths=5)
     return log
 
 

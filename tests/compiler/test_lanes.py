@@ -114,7 +114,7 @@ FUNCTIONS = {  # function on lanes -> function of numpy, limits of the arguments
 
 
 @pytest.mark.parametrize("function", FUNCTIONS, ids=lambda function: function.__name__)
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(data=st.data())
 def test_functions_on_lanes_agree_with_numpy(function, data):
     expected, limits, rtol, atol = FUNCTIONS[function]

@@ -3,7 +3,7 @@
 import numba
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
@@ -33,7 +33,6 @@ def addresses(table):
 
 
 @pytest.mark.parametrize("gather", [tiles.gather, compiled_gather])
-@settings(deadline=None)
 @given(count=COUNTS, seed=st.integers(0, 99))
 def test_gather_reads_every_lane_from_its_own_address(gather, count, seed):
     table = np.random.default_rng(seed).normal(size=(WIDTH, count + 1))
@@ -53,7 +52,6 @@ def test_gather_reads_every_lane_from_its_own_address(gather, count, seed):
         (compiled_scatter_single, np.float32),
     ],
 )
-@settings(deadline=None)
 @given(rows=st.lists(st.integers(0, SIZE - 1), max_size=30), seed=st.integers(0, 99))
 def test_scatter_writes_the_rows_and_nothing_else(scatter, dtype, rows, seed):
     block = some_block(seed)

@@ -126,9 +126,7 @@ def shown(monkeypatch, capsys):
     return lines
 
 
-@settings(
-    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     names=st.lists(WORDS, max_size=5), cells=st.lists(WORDS, max_size=9), width=st.integers(44, 120)
 )

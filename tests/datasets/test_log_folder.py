@@ -14,7 +14,7 @@ from mmwave_env.logs.tum import tum_lines
 from mmwave_env.models.scene import SCENES, read_scene
 from mmwave_env.world.keys import keys_of
 from tests.cli import assert_one_clear_line, command, succeed
-from tests.filters.tracks import street_source
+from tests.filters.tracks import sampled, street_source
 from tests.localization.mistakes import read_columns, write_columns
 from tests.logs.by_hand import shown
 from tests.logs.writing import write_log
@@ -51,7 +51,7 @@ def test_a_simulated_log_gives_the_simulated_episode(tmp_path, odometry):
     true = simulated(3, odometry)
     write_log_folder(tmp_path, true, STREET, "made by a test")
     assert read_scene(tmp_path / "scene.json") == STREET
-    episode = source_from(tmp_path, "handset").sample(np.random.default_rng(0))
+    episode = sampled(source_from(tmp_path, "handset"))
     assert episode.layout == true.layout and episode.name == tmp_path.name
     for field in ("time_s", "usable", "doppler_spread_hz", "scene_anchors_m", "truth_position_m"):
         assert_array_equal(getattr(episode, field), getattr(true, field))
@@ -75,7 +75,7 @@ def test_epochs_are_matched_to_poses_by_time(folder):
     lines = tum_lines(track.time_s[early], track.position_m[early])
     (folder / "truth.tum").write_text(lines)
     with pytest.warns(UserWarning, match="140 epochs"):
-        episode = source_from(folder, "handset").sample(np.random.default_rng(0))
+        episode = sampled(source_from(folder, "handset"))
     assert_array_equal(episode.truth_position_m, track.position_m[early])
     assert_array_equal(episode.time_s, track.time_s[early])
 
@@ -94,7 +94,7 @@ def test_a_log_with_sigma_columns_and_missing_quantities_can_be_played_and_writt
         own[sigma] = np.where(np.isfinite(own[name]), value, np.nan)
     write_columns(folder / "log.csv", own)
     track = read_log_folder(folder)
-    episode = source_from(track, "handset").sample(np.random.default_rng(0))
+    episode = sampled(source_from(track, "handset"))
     assert track.layout == replace(whole.layout, partial=True)
     seen = shown(whole) & ([True, False, False, True] * 3 + [True])
     assert_array_equal(np.isfinite(episode.measurement), seen)
@@ -103,7 +103,7 @@ def test_a_log_with_sigma_columns_and_missing_quantities_can_be_played_and_writt
     assert_array_equal(episode.sigma[seen], expected[seen])
     assert (episode.doppler_anchor[whole.visible[:, 3]] == 1).all()
     write_log_folder(folder, episode, STREET, "made by a test")
-    again = source_from(read_log_folder(folder), "handset").sample(np.random.default_rng(0))
+    again = sampled(source_from(read_log_folder(folder), "handset"))
     assert_array_max_ulp(again.table(), episode.table(), maxulp=2)
 
 
@@ -116,8 +116,8 @@ def test_samples_are_found_by_name_and_by_folder_and_their_layout_is_not_partial
     log = source_from(LOGS / name, "standard")
     assert isinstance(log.track, MeasuredTrack) and log.name == name
     assert not log.layout.partial and log.track.sigma is log.track.doppler_anchor is None
-    recorded = source_from(name, "standard").sample(np.random.default_rng(0))
-    played = log.sample(np.random.default_rng(0))
+    recorded = sampled(source_from(name, "standard"))
+    played = sampled(log)
     assert_array_equal(played.usable, recorded.usable)
 
 

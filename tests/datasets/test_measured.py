@@ -14,7 +14,7 @@ from mmwave_env.models.layout import LINK, Layout
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import scene_of_anchors
-from tests.filters.tracks import street_source
+from tests.filters.tracks import sampled, street_source
 from tests.logs.by_hand import shown
 from tests.paths import representative
 from tests.refusals import refuses
@@ -22,12 +22,8 @@ from tests.refusals import refuses
 RADIO = "handset"
 
 
-def generator(seed=0):
-    return np.random.default_rng(seed)
-
-
 def simulated(seed=3, epochs=60, radio="handset", scenario="vehicle"):
-    return street_source(scenario, radio, epochs=epochs).sample(generator(seed))
+    return sampled(street_source(scenario, radio, epochs=epochs), seed)
 
 
 def links(record, visible):
@@ -108,9 +104,9 @@ def test_correct_tracks_cause_no_warning(seeds):
 
 def test_seeds_change_the_prior_and_nothing_else():
     source = TrackSource(track(), "handset")
-    first = source.sample(generator(5))
-    same = source.sample(generator(5))
-    other = source.sample(generator(6))
+    first = sampled(source, 5)
+    same = sampled(source, 5)
+    other = sampled(source, 6)
     assert_array_equal(first.table(), other.table())
     assert_array_equal(first.prior_mean, same.prior_mean)
     assert (first.prior_mean[:6] != other.prior_mean[:6]).all() and first.prior_mean[6] == 0.0
@@ -120,7 +116,7 @@ def test_seeds_change_the_prior_and_nothing_else():
     assert source.epochs == len(first) == 60 and source.layout == Layout(3)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     known=st.lists(st.booleans(), min_size=1, max_size=30),
     steps=st.lists(st.sampled_from([0.1, 1.0, GAP_S, GAP_S + 0.1]), min_size=29, max_size=29),
@@ -154,14 +150,14 @@ def broken():
 
 def test_episodes_lie_within_stretches():
     source = TrackSource(broken(), RADIO, epochs=10)
-    starts = {int(source.sample(generator(seed)).time_s[0]) for seed in range(300)}
+    starts = {int(sampled(source, seed).time_s[0]) for seed in range(300)}
     assert starts == {*range(11), *range(22, 41), 70}
 
 
 def test_without_a_number_of_epochs_the_longest_stretch_is_played():
     with pytest.warns(UserWarning, match="28 epochs"):
         source = TrackSource(broken(), RADIO)
-    assert {source.sample(generator(seed)).time_s[0] for seed in range(20)} == {22.0}
+    assert {sampled(source, seed).time_s[0] for seed in range(20)} == {22.0}
     assert source.epochs == 28
 
 

@@ -14,7 +14,7 @@ from mmwave_env.models.layout import Layout, wrapped
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import Scene, Wall
 from mmwave_env.world.episode import EpisodeSource
-from tests.filters.tracks import geometry
+from tests.filters.tracks import geometry, sampled
 from tests.logs.by_hand import shown
 from tests.refusals import refuses
 
@@ -22,10 +22,6 @@ EPOCHS = {"pedestrian": 400, "stop_and_go": 587, "vehicle": 120, "walk_ride_walk
 VEHICLE = recording_from("canyon28_vehicle")
 PEDESTRIAN = recording_from("canyon28_pedestrian")
 RADIO = RADIOS["standard"]
-
-
-def generator(seed=0):
-    return np.random.default_rng(seed)
 
 
 def residuals(episode, recording, cut=slice(None)):
@@ -71,7 +67,7 @@ def test_unknown_names_and_files_are_refused(tmp_path):
 
 def test_a_track_source_gives_the_episode_of_a_recording():
     source: EpisodeSource = TrackSource(VEHICLE, RADIO)
-    episode = source.sample(generator())
+    episode = sampled(source)
     assert source.layout == episode.layout == Layout(3)
     assert source.epochs == len(episode) == 120
     assert source.name == episode.name == "canyon28_vehicle"
@@ -85,7 +81,7 @@ def test_a_track_source_gives_the_episode_of_a_recording():
 
 
 def test_sigmas_follow_from_the_radio_profile_and_the_recorded_gain():
-    episode = TrackSource(VEHICLE, RADIO).sample(generator())
+    episode = sampled(TrackSource(VEHICLE, RADIO))
     visible = VEHICLE.visible[:, :3]
     snr_db = RADIO.snr_db(VEHICLE.path_gain_db, 100e6)
     assert_allclose(episode.snr_db[visible], snr_db[visible])
@@ -98,7 +94,7 @@ def test_noise_divided_by_sigma_has_unit_variance():
     rows = shown(PEDESTRIAN)[:, :-1]
     scores = []
     for seed in range(20):
-        episode = source.sample(generator(seed))
+        episode = sampled(source, seed)
         scores.append((residuals(episode, PEDESTRIAN) / episode.sigma)[:, :-1])
     scores = np.array(scores)
     for row in range(rows.shape[1]):
@@ -111,7 +107,7 @@ def test_the_oscillator_bias_is_a_random_walk_as_in_the_profile():
     recording = track(epochs=200, dt=4.0)
     quiet = replace(RADIO, doppler_floor_mps=1.1e-3, doppler_window_s=1e6)
     source = TrackSource(recording, quiet)
-    drawn = [residuals(source.sample(generator(seed)), recording) for seed in range(200)]
+    drawn = [residuals(sampled(source, seed), recording) for seed in range(200)]
     walks = np.array(drawn)[:, :, -1] / recording.scene.hz_per_mps
     assert np.std(walks[:, 0]) == pytest.approx(RADIO.prior_bias_mps, rel=0.2)
     steps = np.diff(walks, axis=1)
@@ -122,16 +118,16 @@ def test_the_oscillator_bias_is_a_random_walk_as_in_the_profile():
 def test_doppler_spread_follows_the_speed():
     source = TrackSource(VEHICLE, replace(RADIO, spread_floor_mps=0.0))
     speed = np.linalg.norm(VEHICLE.velocity_mps, axis=1)
-    spreads = np.array([source.sample(generator(s)).doppler_spread_hz for s in range(50)])
+    spreads = np.array([sampled(source, s).doppler_spread_hz for s in range(50)])
     ratio = np.log(spreads / (RADIO.spread_gain * speed * VEHICLE.scene.hz_per_mps))
     assert abs(ratio.mean()) < 0.01
     assert ratio.std() == pytest.approx(RADIO.spread_sigma, rel=0.05)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(epochs=st.integers(1, 120), seed=st.integers(0, 99))
 def test_an_episode_is_a_contiguous_part_of_the_recording(epochs, seed):
-    episode = TrackSource(VEHICLE, RADIO, epochs=epochs).sample(generator(seed))
+    episode = sampled(TrackSource(VEHICLE, RADIO, epochs=epochs), seed)
     first = int(np.flatnonzero(VEHICLE.time_s == episode.time_s[0])[0])
     cut = slice(first, first + epochs)
     assert len(episode) == epochs
@@ -144,7 +140,7 @@ def test_an_episode_is_a_contiguous_part_of_the_recording(epochs, seed):
 
 def test_odometry_is_kept_and_its_noise_has_the_standard_deviation_sigma():
     recording = track(odometry=True)
-    episode = TrackSource(recording, RADIO).sample(generator())
+    episode = sampled(TrackSource(recording, RADIO))
     assert episode.visible.shape == (50, 4)
     scores = residuals(episode, recording)[:, -2:] / episode.sigma[:, -2:]
     assert scores.std() == pytest.approx(1.0, rel=0.3)

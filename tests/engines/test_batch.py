@@ -1,4 +1,4 @@
-"""Tests of batches: starting some environments, epochs after an episode ends, and metrics."""
+"""Tests of batches: epochs after an episode ends, and metrics."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,6 @@ from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.metrics import INFO_KEYS, summary
 from tests.filters.tracks import pipeline_of, simulated
 
-N = 11
 T = 12
 
 
@@ -19,31 +18,6 @@ def engine_of(episodes, on_floats=False):
     engine.load(episodes)
     engine.step()
     return engine
-
-
-def everything(engine):
-    return np.array([engine.column(i) for i in range(engine.read(engine.at.reward).size)])
-
-
-@pytest.mark.parametrize("on_floats", [False, True], ids=["SIMD", "plain Python"])
-def test_starting_some_environments_does_not_change_the_others(on_floats):
-    episodes = simulated(N, epochs=T)
-    others = simulated(3, epochs=T + 5)
-    engine = engine_of(episodes, on_floats)
-    for _ in range(4):
-        engine.step(np.int64(0))
-    before = everything(engine)
-    started = np.array([1, 6, 10])
-    engine.load(others, started)
-    engine.step(places=started)
-    expected = engine_of(others, on_floats)
-    rest = np.setdiff1d(np.arange(N), started)
-    np.testing.assert_array_equal(everything(engine)[rest], before[rest])
-    for _ in range(3):
-        observations = engine.observations()
-        np.testing.assert_array_equal(observations[started], expected.observations())
-        for each in (engine, expected):
-            each.step(np.int64(0))
 
 
 @pytest.mark.parametrize("on_floats", [False, True], ids=["SIMD", "plain Python"])

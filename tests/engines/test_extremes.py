@@ -22,7 +22,7 @@ from mmwave_env.models.scene import SCENES, Wall
 from mmwave_env.world.episode import Episode
 from mmwave_env.world.mobility import MOBILITIES
 from mmwave_env.world.simulated import SimulatedSource
-from tests.filters.tracks import TRIANGLE, street_source, unpacked
+from tests.filters.tracks import TRIANGLE, sampled, street_source, unpacked
 from tests.refusals import refuses
 
 ASIDE = 0.01  # tested values differ from a limit of their bound by this share of the limit
@@ -121,7 +121,7 @@ CHANGES = (  # sets of changes that are made to each mode
 
 
 def drawn(seed, epochs):
-    return street_source(epochs=epochs).sample(np.random.default_rng(seed))
+    return sampled(street_source(epochs=epochs), seed)
 
 
 @pytest.fixture(scope="module")

@@ -26,10 +26,10 @@ def in_steps_of(dt, episodes):
     return [replace(episode, time_s=dt * np.arange(len(episode))) for episode in episodes]
 
 
-def played(bank, episodes, actions, *names, planar=False, on_floats=False):
+def played(bank, episodes, actions, *names):
     """Return parts (n, T, ...) of an engine's workspace after each of the actions (n, T)."""
-    pipeline = Pipeline(bank.modes, episodes[0].layout, planar)
-    parts = track(pipeline, episodes, actions.T, actions.shape[1], names, on_floats, bank)
+    pipeline = Pipeline(bank.modes, episodes[0].layout)
+    parts = track(pipeline, episodes, actions.T, actions.shape[1], names, bank=bank)
     return {name: values.swapaxes(0, 1) for name, values in parts.items()}
 
 
@@ -80,13 +80,3 @@ def test_a_mixture_and_trust_in_its_modes_equal_the_textbook(dt, nis_quantile, o
         assert_allclose((unpacked(ours["P"][e]) - P) / scale, 0.0, atol=1e-8)
         assert_allclose(ours["mode_probabilities"][e], probability, rtol=1e-7, atol=1e-9)
         assert_array_equal(ours["memory.mode"][e], probability.argmax(axis=1))
-
-
-def test_simd_kernels_and_plain_python_agree():
-    episodes = simulated(2, epochs=12)
-    actions = np.random.default_rng(2).integers(0, 3, (2, 12))
-    names = ("x", "P", "mode_probabilities", "observation", "reward")
-    lanes = played(BANK, episodes, actions, *names, on_floats=False)
-    floats = played(BANK, episodes, actions, *names, on_floats=True)
-    for name in names:
-        assert_allclose(floats[name], lanes[name], rtol=1e-9, atol=1e-9, err_msg=name)

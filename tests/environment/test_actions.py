@@ -114,21 +114,6 @@ def test_a_weight_of_three_has_the_effect_of_the_discrete_action_of_its_mode(dt)
     assert_allclose(weighted[-1][0], discrete[-1][0], atol=1e-5)
 
 
-def test_corrections_change_the_reported_belief_but_not_the_filters():
-    options = PER_MODE | {"episode_steps": 30}
-    imm = played(gym.make(ID, **options), np.zeros(30, int))
-    env = gym.make(ID, action="correction", **options).unwrapped
-    actions = drawn(env.action_space, 30)
-    actions[1::2] = 0.0  # no correction in every other epoch
-    corrected = played(env, actions)
-    difference = np.abs(rewards(corrected) - rewards(imm))
-    assert difference[1::2].max() < 1e-9 < difference[::2].min()
-    assert corrected[0][1]["truth"].tolist() == imm[0][1]["truth"].tolist()
-    assert env.belief().x == corrected[-1][4]["estimate"].tolist()
-    for key in ("truth", "nis", "accepted", "gamma", "mode_probabilities"):
-        assert_allclose(corrected[9][4][key], imm[9][4][key], rtol=1e-9)
-
-
 def test_a_paired_reward_subtracts_the_reward_of_the_uncorrected_belief():
     options = KINDS["base"] | {"num_envs": 3, "episode_steps": 20}
     envs = [gym.make_vec(ID, reward=reward, **options) for reward in ("tracking", "paired")]
@@ -222,5 +207,6 @@ def test_infos_say_whether_the_error_exceeds_the_protection_level(arguments):
         belief = env.belief()
         level = horizontal_level(np.array([belief.P[0][0], belief.P[1][0], belief.P[1][1]]), RISK)
         costs.append(info["cost"])
+        assert belief.x == info["estimate"].tolist()
         assert costs[-1] == float(math.hypot(*belief.error(info["truth"].tolist())[:2]) > level)
     assert 0.0 < np.mean(costs) < 0.9

@@ -1,8 +1,6 @@
 """Tests of the argument ``clock``, for a user's clock that is not synchronized."""
 
 import re
-from csv import DictReader
-from itertools import groupby
 
 import numpy as np
 import pytest
@@ -14,11 +12,7 @@ from mmwave_env.engines.smoothing import smooth
 from mmwave_env.filters import Pipeline, textbook
 from mmwave_env.filters.bank import Bank, best_bank, modes_from
 from mmwave_env.filters.mode_smoothing import smooth_modes
-from mmwave_env.interface.policy import Switching
 from mmwave_env.interface.reward import TrackingReward
-from mmwave_env.localization.localizer import localize
-from mmwave_env.localization.tracker import Tracker
-from mmwave_env.logs.log import read_log
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.radio import BIAS_SIGMA_M, RADIOS
 from mmwave_env.models.scene import SCENES
@@ -202,24 +196,6 @@ def test_localize_estimates_the_offset(ride):
     ns, deviation = map(float, re.search(r"([\d.]+) ± ([\d.]+)", said).groups())
     true_ns = bias_of(*episodes)[-1] / SPEED_OF_LIGHT * 1e9
     assert ns * (-1.0 if "behind" in said else 1.0) == pytest.approx(true_ns, abs=4.0 * deviation)
-
-
-@pytest.mark.slow  # compiles several programs
-@pytest.mark.parametrize("clock", BIAS_SIGMA_M)
-def test_a_live_track_equals_the_track_of_the_whole_log(ride, clock):
-    log = read_log(ride / "log.csv", STREET, partial=True, clock=clock)
-    switching = Switching(best_bank("standard"))
-    x = localize(log, STREET, RADIOS["standard"], switching, None).x
-    tracker = Tracker(STREET, switching, "standard", clock=clock, lag=3)
-    with (ride / "log.csv").open() as file:
-        rows = [
-            {name: float(v) if v else None for name, v in row.items()} for row in DictReader(file)
-        ]
-    live = [tracker.update(epoch) for _, epoch in groupby(rows, key=lambda row: row["time_s"])]
-    positions = [[*p.position_m, *p.velocity_mps, p.clock_m] for p in live if p]
-    assert len(positions) == len(x)
-    assert_array_equal(positions, x[:, [0, 1, 2, 3, 4, 5, 7]])
-    assert tracker.smoothed().clock_sigma_m < live[-1].clock_sigma_m
 
 
 def test_ranges_below_zero_are_accepted_if_the_clock_may_be_behind(tmp_path, ride):

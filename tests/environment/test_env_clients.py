@@ -161,11 +161,8 @@ NAMED = {"episode_steps": "", "episodes": "", "terminate_on_divergence": "", "mo
         {"scene": "plaza"},
         {"modes": ["ekf", "pf"]},
         {"modes": []},
-        {"reward": "speed"},
-        {"observation": "none"},
         {"backend": "matlab"},
         {"episodes": "canyon29"},
-        {"render_mode": "ascii"},
         {"dt": 0.0},
         {"dt": "1"},
         {"episode_steps": 0},
@@ -184,7 +181,6 @@ NAMED = {"episode_steps": "", "episodes": "", "terminate_on_divergence": "", "mo
     ],
     ids=lambda arguments: ", ".join(arguments),
 )
-@pytest.mark.filterwarnings("ignore:.*render_mode")  # Gymnasium warns first
 def test_the_error_about_a_wrong_argument_names_it(arguments):
     *_, name = arguments
     with refuses(NAMED.get(name, name)):

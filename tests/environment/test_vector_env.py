@@ -9,18 +9,16 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import InvalidAction, ResetNeeded
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
-from numpy.testing import assert_array_equal
 
 import mmwave_env.engines.batch as batch
 from mmwave_env.datasets.samples import sample_folder
-from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.filters import Mode
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.vector_env import MmWaveLocVectorEnv
 from mmwave_env.world.simulated import SimulatedSource
-from tests.environment.vector_checker import check_vector_env, rollout, same
+from tests.environment.vector_checker import check_memory, rollout, same
 from tests.filters.tracks import street_source
 from tests.paths import representative
 from tests.refusals import refuses
@@ -58,6 +56,7 @@ STUBBORN = Mode("ekf", sigma_v=1e-3, sigma_p=1e-3, adaptive=False, recovery=None
 PER_MODE = {"beliefs": "per-mode", "modes": ["ekf", "ukf"]}
 LOSING = {"scenario": "vehicle", "modes": [STUBBORN]}
 OWN = {"modes": ["ckf", Mode("robust", robust=True, cost=0.1), "ekf"]}
+BAD = {"episode_steps": 7, "clock": "free", "survey": "bad"}
 CONFIGURATIONS = {
     "default": {"episode_steps": 6},
     "one step": {"episode_steps": 1} | EKF,
@@ -68,6 +67,8 @@ CONFIGURATIONS = {
     "some rows": {"episode_steps": 6, "measurements": ["range", "azimuth"]} | PER_MODE,
     "clock": {"episode_steps": 7, "clock": "offset", "smoothed": True} | EKF,
     "clock per mode": {"episode_steps": 7, "clock": "offset", "smoothed": True} | PER_MODE,
+    "badly surveyed": BAD | EKF,
+    "badly surveyed per mode": BAD | PER_MODE,
     "recorded": {"episodes": "canyon28_pedestrian", "episode_steps": 11} | EKF,
     "log": {"episodes": sample_folder("canyon28_vehicle"), "episode_steps": 11} | EKF,
     "patchy": {"episodes": Patchy()},
@@ -79,7 +80,7 @@ for infos in ("episode", "none"):
     less = {"smoothed": True, "infos": infos}
     CONFIGURATIONS[f"infos {infos}"] = CONFIGURATIONS["ends early"] | less
 QUICK = ("default", "flat", "per mode", "recorded", "paired", "infos episode", "infos none")
-QUICK += ("some rows", "clock")
+QUICK += ("some rows", "clock", "badly surveyed", "badly surveyed per mode")
 
 
 def native(n=9, mode="NextStep", **arguments):
@@ -106,8 +107,8 @@ def configuration(request):
 
 @pytest.mark.parametrize("mode", AUTORESET)
 @pytest.mark.parametrize("name", representative(CONFIGURATIONS, "recorded"))
-def test_the_vector_environment_passes_the_checker(name, mode):
-    check_vector_env(lambda: native(9, mode, **CONFIGURATIONS[name]))
+def test_results_share_no_memory(name, mode):
+    check_memory(lambda: native(9, mode, **CONFIGURATIONS[name]))
 
 
 def test_make_vec_makes_the_native_vector_environment_without_warnings():
@@ -271,18 +272,3 @@ def test_wrong_seeds_are_refused(seed):
 def test_episode_keys_of_a_wrong_shape_are_refused(keys):
     with refuses("episode_key"):
         native(3, **EKF).reset(options={"episode_key": keys})
-
-
-@pytest.mark.parametrize("beliefs", ["shared", "per-mode"])
-@pytest.mark.parametrize("world", [{"clock": "free"}, {"survey": "bad"}], ids=str)
-def test_jumping_clocks_and_wrong_surveys_are_the_same_alone_and_in_a_batch(beliefs, world):
-    arguments = {"radio": "standard", "beliefs": beliefs, "episode_steps": 30, **world}
-    vector = MmWaveLocVectorEnv(3, **arguments)
-    single = MmWaveLocEnv(**arguments)
-    observations, _ = vector.reset(seed=[5, 6, 7])
-    observation, _ = single.reset(seed=6)
-    for _ in range(30):
-        assert_array_equal(observation, observations[1])
-        observations, rewards, *_ = vector.step(np.array([0, 1, 0]))
-        observation, reward, *_ = single.step(1)
-        assert reward == rewards[1]

@@ -1,16 +1,7 @@
-"""A checker of vector environments; Gymnasium has a checker of single environments only."""
+"""Comparisons of results of environments, and a check of the memory of vector environments."""
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
-
-
-def check_vector_env(make):
-    """Check seeds and shared memory.
-
-    Other tests check all other rules: they compare native with synchronous vector environments.
-    """
-    check_seeds(make)
-    check_memory(make)
 
 
 def same(a, b):
@@ -58,21 +49,6 @@ def rollout(env, seed, steps=40, actions=0):
     return results
 
 
-def check_seeds(make):
-    n = make().num_envs
-    first = rollout(make(), seed=5)
-    assert same(first, rollout(make(), seed=5))
-    assert same(first, rollout(make(), seed=[5 + i for i in range(n)]))
-    env = make()
-    assert not same(first, rollout(env, seed=6))
-    assert same(first, rollout(env, seed=5)), (
-        "the first episode of a seed depends on earlier episodes"
-    )
-    for other in (rollout(make(), seed=6), rollout(make(), seed=None)):
-        assert not same(first[0][0], other[0][0])
-    assert not same(env.reset()[0], first[0][0]), "a reset without a seed repeats the episode"
-
-
 def assert_own_memory(results):
     """Check that no two results share memory. Then overwrite all results, so that a caller can
     check that the environment does not use their arrays.
@@ -85,6 +61,7 @@ def assert_own_memory(results):
 
 
 def check_memory(make):
+    """Check that results share no memory with each other or with the vector environment."""
     env = make()
     twin = make()
     assert_own_memory(rollout(env, seed=0, steps=12))

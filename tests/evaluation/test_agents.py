@@ -121,14 +121,6 @@ def test_an_agent_that_returns_weights_earns_what_it_earns_in_the_environment(mo
         compare({"mine": Weighing()}, episodes=1)
 
 
-def test_an_agent_from_a_module_is_compared_like_any_policy(folder):
-    names = ("fixed-ukf", "my_agents:second", "my_agents:first")
-    shown = succeed("compare", "--policies", *names, "--episodes", 2, cwd=folder)
-    ours, theirs, _ = (row for row in shown.splitlines() if row.count("±") > 2)
-    assert ours.split("|")[2:] == theirs.split("|")[2:]
-    assert "| my_agents:second | 0.000 [0.000, 0.000] |" in shown
-
-
 MISTAKES = {  # name of an agent -> expected message
     "no_such_module:make": "no_such_module:make: ModuleNotFoundError: .*expected module:function",
     "my_agents:gone": "AttributeError: .*'gone'; expected module:function",
@@ -187,11 +179,13 @@ def test_compare_accepts_objects_modules_files_and_loaded_policies(tmp_path):
     mine = Recording()
     agents = {"object": mine, "module": "my_agents:second"}
     agents |= {"file": file, "loaded": LearnedSwitch(file)}
+    agents |= {"named": "fixed-ukf", "function": lambda o: np.ones(len(o), int)}
     comparison = compare(agents, beside=("fixed-ukf",), episodes=3, seed=4)
     assert (comparison.scenario, *comparison.seeds) == ("mixed", 4, 5, 6)
     rows = comparison.policies
-    assert list(rows) == ["object", "module", "file", "loaded", "fixed-ukf"]
-    assert rows["object"] == rows["module"] == rows["fixed-ukf"]
+    assert list(rows) == [*agents, "fixed-ukf"]
+    for name in ("object", "module", "named", "function"):
+        assert rows[name] == rows["fixed-ukf"]
     assert rows["file"] == rows["loaded"] != rows["fixed-ukf"]
     assert all(begins.all() for begins in mine.begins) and len(mine.begins[-1]) == 3
     first = mine.observed[0]
@@ -208,13 +202,6 @@ def test_the_command_line_supports_beliefs_per_mode(folder):
     rows = compare({"mine": "my_agents:second"}, (), beliefs="per-mode", modes=HANDSET, episodes=2)
     mine = str(rows).split("| mine |")[1].partition("\n")[0]
     assert f"| my_agents:second |{mine}" in shown
-
-
-def test_agents_are_names_or_functions_and_need_no_rivals():
-    agents = {"fixed-ukf": "fixed-ukf", "mine": lambda o: np.ones(len(o), int)}
-    alone, mine = [compare({name: agent}, (), episodes=2, seed=3) for name, agent in agents.items()]
-    assert list(alone.policies) == ["fixed-ukf"] and not alone.paired
-    assert mine.policies == {"mine": alone.policies["fixed-ukf"]}
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Tests of bootstrap intervals, against scipy, plain resampling, formulas and simulations."""
+"""Tests of bootstrap intervals, against scipy, plain resampling and formulas."""
 
 from dataclasses import astuple
 
@@ -7,7 +7,6 @@ import pytest
 from scipy.stats import bootstrap as scipy_bootstrap
 from scipy.stats import norm, t
 
-from experiments.evaluation import intervals
 from experiments.evaluation.intervals import (
     RESAMPLES,
     Interval,
@@ -17,7 +16,6 @@ from experiments.evaluation.intervals import (
     few_seeds_factor,
     rounded,
 )
-from tests.paths import representative
 
 # --- over episodes
 
@@ -115,41 +113,3 @@ def test_if_only_seeds_differ_the_interval_follows_student_s_t(K):
 def test_few_seeds_have_wider_intervals():
     assert few_seeds_factor(5) == pytest.approx(np.sqrt(5 / 4) * 2.776445 / 1.959964, rel=1e-6)
     assert few_seeds_factor(1) == 1.0 < few_seeds_factor(1000) < 1.002
-
-
-# A score is the sum of three random numbers: one drawn for the training seed, one for the episode,
-# and one for the pair of both. These are the standard deviations of the three numbers.
-SPREADS = {"seeds": (1.0, 0.0, 0.1), "episodes": (0.0, 1.0, 0.1), "all": (0.2, 0.7, 0.7)}
-
-
-@pytest.fixture
-def fewer_resamples(monkeypatch):
-    """Use 500 instead of 4000 resamples to save time; 500 are enough to measure coverage."""
-    intervals._resamples.cache_clear()
-    monkeypatch.setattr(intervals, "RESAMPLES", 500)
-    yield
-    intervals._resamples.cache_clear()
-
-
-def coverage(K, spread, trials=400, episodes=40):
-    """Return the share of intervals that contain the true mean, zero."""
-    rng = np.random.default_rng(K)
-    held = 0
-    of_seeds, of_episodes, of_both = spread
-    for _ in range(trials):
-        scores = of_seeds * rng.normal(size=(K, 1)) + of_episodes * rng.normal(size=episodes)
-        scores = scores + of_both * rng.normal(size=(K, episodes))
-        interval = crossed_bootstrap(scores)
-        held += interval.low <= 0.0 <= interval.high
-    return held / trials
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("spread", SPREADS)
-@pytest.mark.parametrize("K", representative([3, 5, 10], 5))
-@pytest.mark.usefixtures("fewer_resamples")
-def test_intervals_contain_the_truth_in_about_95_percent_of_trials(K, spread):
-    share = coverage(K, SPREADS[spread])
-    # Over 400 trials, three standard errors of the share are 0.033. Small samples lower the share a
-    # little. The interaction of seeds and episodes counts twice (Owen 2007) and raises the share.
-    assert 0.91 < share < 0.99

@@ -15,7 +15,7 @@ from mmwave_env.localization.image_filter import Belief, Image, ImageFilter, Pat
 from tests.filters.problems import HZ_PER_MPS, numbers, problems
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(problem=problems(anchors=3), data=st.data())
 def test_the_nis_of_a_path_equals_the_textbook_value(problem, data):
     n = data.draw(st.integers(0, 4))
@@ -44,7 +44,6 @@ def test_the_nis_of_a_path_equals_the_textbook_value(problem, data):
         assert nis[link, path] == pytest.approx(right, rel=1e-6, abs=1e-9)
 
 
-@settings(deadline=None)
 @given(st.data())
 def test_no_other_assignment_is_better(data):
     anchors = data.draw(st.integers(1, 4))

@@ -8,8 +8,6 @@ from mmwave_env.filters.modes import ALGORITHMS
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import NEAREST_M, exact_rows
 from tests.filters.problems import HZ_PER_MPS, Problem, assert_same
-from tests.filters.test_filterpy_reference import both
-from tests.filters.tracks import OwnModel, assert_same_beliefs, pipeline_of, process_noise
 
 ANCHORS = np.array([[0.0, 0.0, 10.0], [80.0, 60.0, 12.0], [-50.0, 70.0, 15.0]])
 SILENT = {"vertical": [1, 3], "anchor": [1, 2, 3, 12]}  # position -> rows without information
@@ -66,26 +64,6 @@ def test_jacobian_rows_of_undefined_angles_are_zero_and_other_rows_are_derivativ
         step = 1e-7 * np.eye(7)
         columns = [s.difference(s.h(x + e), s.h(x - e)) / 2e-7 for e in step]
         np.testing.assert_allclose(H, np.array(columns).T, rtol=1e-4, atol=1e-3)
-
-
-def starts_near(where):
-    """Return a model of users who start near the offset ``where`` and walk away; noise is low."""
-    sensor = textbook.Sensor(ANCHORS, HZ_PER_MPS)
-    mean = np.array([*(ANCHORS[0] + OFFSETS[where][0]), 2.0, 1.0, 0.0, 10.0])
-    (mode,) = pipeline_of(algorithms=["ekf"]).modes
-    sigma = np.array([0.5, 0.02, 0.02, 0.02] * 3 + [20.0])
-    prior = np.array([1.0, 1.0, 0.3, 0.5, 0.5, 0.1, 20.0])
-    return OwnModel(sensor, mean, prior, process_noise(mode), sigma, 1.0)
-
-
-@everywhere
-def test_tracks_that_start_near_an_anchor_are_finite_and_agree_with_filterpy(where):
-    episodes = [starts_near(where).draw(np.random.default_rng(seed), 12) for seed in range(3)]
-    for place, algorithm in enumerate(ALGORITHMS):
-        pipeline = pipeline_of(algorithms=[algorithm])
-        ours, twin = both(pipeline, episodes[place : place + 1], 0, ("x", "P", "nees"))
-        assert np.isfinite(ours["x"]).all() and np.isfinite(ours["nees"]).all()
-        assert_same_beliefs(twin, ours, rtol=1e-6)
 
 
 def test_the_exact_measurement_of_a_user_at_an_anchor_is_finite():

@@ -23,7 +23,7 @@ from mmwave_env.world.episode import blank_incoming
 from tests.filters.problems import HZ_PER_MPS, assert_same, assume_clear_of, problems
 from tests.filters.tracks import process_noise, simulated, unpacked
 
-few = settings(max_examples=6, deadline=None)
+few = settings(max_examples=6)
 
 
 def epoch_of(problem, dt=0.7, snr_db=20.0, spread_hz=300.0):

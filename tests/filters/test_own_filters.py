@@ -23,7 +23,7 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from tests.filters import gated_textbook
 from tests.filters.problems import assert_same, assume_clear_of, problems
-from tests.filters.tracks import STREET, street_source
+from tests.filters.tracks import STREET, sampled, street_source
 from tests.logs.writing import write_log
 from tests.paths import ROOT
 
@@ -54,7 +54,7 @@ def iekf(files):
 @pytest.mark.parametrize("gate", GATES, ids=str)
 @pytest.mark.parametrize("iterations", [1, 3])
 @given(data=st.data())
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_the_iekf_equals_the_textbook(iekf, iterations, gate, odometry, data):
     problem = data.draw(problems(odometry))
     s = problem.sensor
@@ -67,7 +67,7 @@ def test_the_iekf_equals_the_textbook(iekf, iterations, gate, odometry, data):
 
 def test_a_custom_filter_can_localize_the_user_of_a_log(iekf, tmp_path):
     scene = SCENES["street"]
-    episode = street_source(epochs=30).sample(np.random.default_rng(0))
+    episode = sampled(street_source(epochs=30))
     write_log(tmp_path / "log.csv", episode)
     tracks = []
     for algorithm in (partial(iekf, iterations=1), "ekf"):

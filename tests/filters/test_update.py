@@ -29,7 +29,7 @@ algorithms = pytest.mark.parametrize("algorithm", ALGORITHMS)
 @algorithms
 @pytest.mark.parametrize("kind", KINDS)
 @given(data=st.data())
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_an_update_equals_the_textbook(algorithm, kind, data):
     """Check also problems with missing rows, in which any anchor may have the Doppler shift."""
     problem = data.draw(problems(**KINDS[kind]))
@@ -46,7 +46,7 @@ def test_an_update_equals_the_textbook(algorithm, kind, data):
     "parameters", [(0.5, 2.0, 0.0), (1.0, 2.0, -4.0), (1.0, 2.0, 3.0)], ids=str
 )
 @given(data=st.data())
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_an_update_with_any_scaled_sigma_points_equals_the_textbook(kind, parameters, data):
     problem = data.draw(problems(**KINDS[kind]))
 
@@ -69,7 +69,7 @@ def test_an_update_with_any_scaled_sigma_points_equals_the_textbook(kind, parame
 )
 @pytest.mark.parametrize("kind", WHOLE)
 @given(data=st.data())
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 def test_a_planar_update_equals_that_of_the_five_free_states(algorithm, moments, kind, data):
     """Compare with six free states if the state includes a clock's range bias."""
     problem = data.draw(problems(**KINDS[kind]))
@@ -116,7 +116,7 @@ def test_fused_azimuths_have_the_nis_of_all_rows_at_180_degrees_too(algorithm, a
 
 
 @given(problem=problems(odometry=True, clock=True))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_the_textbook_jacobian_equals_the_numerical_derivative(problem):
     s = problem.sensor
     x = problem.x

@@ -34,10 +34,15 @@ def street_source(scenario="mixed", radio="handset", **options):
     return SimulatedSource(SCENES["street"], RADIOS[radio], scenario, **options)
 
 
+def sampled(source, seed=0):
+    """Return the episode that a source draws with NumPy's generator of this seed."""
+    return source.sample(np.random.default_rng(seed))
+
+
 def simulated(n, epochs=200, odometry=False, seed=0, scene=SCENES["street"]):
     """Return n episodes of the noisiest radio, with more outliers and missing rows than usual."""
     source = SimulatedSource(scene, RADIOS["handset"], epochs=epochs, odometry=odometry)
-    return [spoiled(source.sample(np.random.default_rng([seed, i])), i) for i in range(n)]
+    return [spoiled(sampled(source, [seed, i]), i) for i in range(n)]
 
 
 def around_a_block(corner=(10.0, -20.0)):

@@ -21,7 +21,7 @@ from mmwave_env.models.envelope import DOPPLER_SPREAD_HZ
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Epoch, blank_site
 from mmwave_env.models.radio import RADIOS, doppler_spread
-from tests.filters.tracks import replay, street_source
+from tests.filters.tracks import replay, sampled, street_source
 
 # group of measurements -> degrees of freedom; the groups are in the order of the layout
 GROUPS = {"anchor 1": 4, "anchor 2": 4, "anchor 3": 4, "Doppler": 1}
@@ -29,7 +29,7 @@ DOF = np.array([*GROUPS.values()])
 
 
 def draw(seed, **changes):
-    return street_source(**changes).sample(np.random.default_rng(seed))
+    return sampled(street_source(**changes), seed)
 
 
 def blinded(episode, first, last):

@@ -2,7 +2,6 @@
 
 import csv
 from itertools import permutations
-from pathlib import Path
 
 import numpy as np
 
@@ -14,14 +13,14 @@ ANGLES = (*AZIMUTHS, "aoa_elevation_rad")
 HZ_PER_MPS = 28e9 / 299_792_458.0
 
 
-def read_columns(path: Path) -> dict[str, np.ndarray]:
+def read_columns(path):
     """Return the columns of a log by name, with NaN for empty cells."""
     with path.open(newline="") as file:
         rows = list(csv.DictReader(file))
     return {name: np.array([float(row[name] or "nan") for row in rows]) for name in rows[0]}
 
 
-def write_columns(path: Path, columns: dict[str, np.ndarray]) -> None:
+def write_columns(path, columns):
     """Write a log with these columns."""
     cells = np.column_stack(list(columns.values())).tolist()
     with path.open("w", newline="") as file:

@@ -17,7 +17,7 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, Scene
 from mmwave_env.world.simulated import SimulatedSource
 from policies.rules import by_predicted_speed
-from tests.filters.tracks import geometry
+from tests.filters.tracks import geometry, sampled
 from tests.logs.by_hand import hide_anchors
 from tests.paths import LOGS, representative
 
@@ -135,7 +135,7 @@ def test_false_paths_alone_do_not_make_a_track():
 
 def test_association_does_not_change_odometry(tmp_path):
     source = SimulatedSource(SCENES["street"], RADIO, "vehicle", epochs=40, odometry=True)
-    episode = source.sample(np.random.default_rng(1))
+    episode = sampled(source, 1)
     path = tmp_path / "log.csv"
     hide_anchors(path, episode, false_paths=2)
     block, _ = associated(read_paths(path, SCENES["street"]), SCENES["street"])

@@ -11,6 +11,7 @@ from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS, TUNED_RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.simulated import SimulatedSource
+from tests.filters.tracks import sampled
 from tests.localization.test_diagnosis import doubts
 from tests.logs.writing import write_log
 
@@ -24,7 +25,7 @@ FINE = {"seen": 200, "rejected_share": 0.1, "nis_per_dof": 1.0}
 
 def log_of(folder, scene, radio, kind, seed):
     """Write a simulated log and read it back."""
-    episode = SimulatedSource(scene, radio, kind).sample(np.random.default_rng(seed))
+    episode = sampled(SimulatedSource(scene, radio, kind), seed)
     write_log(folder / "log.csv", episode)
     return read_log(folder / "log.csv", scene)
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.filters.bank import default_modes
 from mmwave_env.localization.image_filter import (
@@ -48,8 +49,8 @@ def test_links_are_those_of_known_anchors():
     rows = exact_rows(USER.tolist(), [0.0] * 3, ANCHORS.tolist(), 90.0, layout)
     expected = np.reshape(rows[: layout.doppler], (-1, 4))
     h, _, _ = link_rows(USER, ANCHORS, at_station=False)
-    np.testing.assert_allclose(h[:, :3], expected[:, :3], atol=1e-9)
-    np.testing.assert_allclose(np.cos(h[:, 3] - expected[:, 3]), 1.0)
+    assert_allclose(h[:, :3], expected[:, :3], atol=1e-9)
+    assert_allclose(np.cos(h[:, 3] - expected[:, 3]), 1.0)
 
 
 def test_arrivals_at_the_station_are_mirrored_in_the_wall():
@@ -57,7 +58,7 @@ def test_arrivals_at_the_station_are_mirrored_in_the_wall():
     at_image, _, _ = link_rows(USER, ANCHORS, at_station=False)
     for image, angles, expected in zip(IMAGES, at_station[1:], at_image[1:], strict=True):
         arrival = seen_from_image(angles[1], angles[2], STATION.tolist(), image.tolist())
-        np.testing.assert_allclose(arrival, expected[1:3], atol=1e-9)
+        assert_allclose(arrival, expected[1:3], atol=1e-9)
 
 
 @pytest.mark.parametrize("at_station", [False, True])
@@ -67,11 +68,11 @@ def test_gradients_are_those_of_finite_differences(at_station):
         step = np.zeros(3)
         step[axis] = 1e-5
         moved = [link_rows(USER + s, ANCHORS, at_station)[0] for s in (step, -step)]
-        np.testing.assert_allclose((moved[0] - moved[1]) / 2e-5, by_p[:, :, axis], atol=1e-7)
+        assert_allclose((moved[0] - moved[1]) / 2e-5, by_p[:, :, axis], atol=1e-7)
         images = np.vstack([np.zeros(3), [step] * len(IMAGES)])  # the station stays
         moved = [link_rows(USER, ANCHORS + s, at_station)[0] for s in (images, -images)]
         slope = (moved[0] - moved[1]) / 2e-5
-        np.testing.assert_allclose(slope[1:], by_a[1:, :, axis], atol=1e-7)
+        assert_allclose(slope[1:], by_a[1:, :, axis], atol=1e-7)
 
 
 def test_ranges_contain_what_offsets_of_anchors_differ_by():
@@ -92,8 +93,8 @@ def test_an_update_with_all_paths_at_once_is_the_textbook_update():
     H = H[1:].reshape(8, -1)
     S = H @ b.P @ H.T + 0.25 * np.eye(8)
     K = b.P @ H.T @ np.linalg.inv(S)
-    np.testing.assert_allclose(updated.x, b.x + K @ (paths.z - h[1:]).ravel(), atol=1e-9)
-    np.testing.assert_allclose(updated.P, b.P - K @ S @ K.T, atol=1e-9)
+    assert_allclose(updated.x, b.x + K @ (paths.z - h[1:]).ravel(), atol=1e-9)
+    assert_allclose(updated.P, b.P - K @ S @ K.T, atol=1e-9)
 
 
 def test_a_path_of_a_tentative_image_does_not_move_the_user():
@@ -101,12 +102,12 @@ def test_a_path_of_a_tentative_image_does_not_move_the_user():
     paths = paths_from(IMAGES + 1.0)
     updated = FILTER.image_updated(b, paths, anchor=2, path=1)
     others = np.r_[0 : block(2).start]
-    np.testing.assert_allclose(updated.x[others], b.x[others], rtol=1e-12)
+    assert_allclose(updated.x[others], b.x[others], rtol=1e-12)
     kept = np.ix_(others, others)
-    np.testing.assert_allclose(updated.P[kept], b.P[kept], atol=1e-12)
+    assert_allclose(updated.P[kept], b.P[kept], atol=1e-12)
     h, H = FILTER.rows(b, at_station=False)
     gain = b.P[block(2)] @ H[2].T @ np.linalg.inv(H[2] @ b.P @ H[2].T + 0.01**2 * np.eye(4))
-    np.testing.assert_allclose(updated.places[1], IMAGES[1] + gain @ (paths.z[1] - h[2]))
+    assert_allclose(updated.places[1], IMAGES[1] + gain @ (paths.z[1] - h[2]))
     assert np.linalg.eigvalsh(updated.P).min() > 0.0
 
 
@@ -118,7 +119,7 @@ def test_a_new_image_is_where_its_path_seems_to_come_from(at_station):
     P = born.P[block(1), block(1)]
     assert np.linalg.norm(error) < 0.1 and error @ np.linalg.solve(P, error) < 1.0
     assert np.sqrt(P[2, 2]) <= 0.1  # as high as the base station
-    np.testing.assert_allclose(born.P[:7, :7], b.P, rtol=1e-12)
+    assert_allclose(born.P[:7, :7], b.P, rtol=1e-12)
     assert np.linalg.eigvalsh(born.P).min() > 0.0
 
 
@@ -127,15 +128,15 @@ def test_only_images_that_are_to_be_learned_become_less_certain():
         b = belief(exact=exact)
         later = FILTER.predicted(b, 10.0)
         grown = np.diag(later.P - b.P)[7:]
-        np.testing.assert_allclose(grown, 0.0 if exact else 10.0 * 0.02**2, atol=1e-12)
+        assert_allclose(grown, 0.0 if exact else 10.0 * 0.02**2, atol=1e-12)
 
 
 def test_images_are_removed_with_their_part_of_the_state():
     b = belief()._replace(labels={0: 4, 2: 1})
     rest = reduced(b, [False, True])
     kept = np.r_[0:7, 10:13]
-    np.testing.assert_array_equal(rest.x, b.x[kept])
-    np.testing.assert_array_equal(rest.P, b.P[np.ix_(kept, kept)])
+    assert_array_equal(rest.x, b.x[kept])
+    assert_array_equal(rest.P, b.P[np.ix_(kept, kept)])
     assert rest.labels == {0: 4, 1: 1} and len(rest.images) == 1
 
 

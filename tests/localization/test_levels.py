@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.positions import Positions
 from experiments.evaluation.runner import score_contenders
-from mmwave_env.interface.policy import Switching
 from mmwave_env.localization.levels import PARTS, Levels, Network
 from mmwave_env.localization.localizer import localize
 from mmwave_env.localization.position_errors import PositionErrors, gaussian_levels
@@ -66,7 +66,7 @@ def test_a_risk_that_no_calibration_covers_and_an_unknown_kind_are_refused():
     with refuses("levels"):
         Levels(kind="exact")
     factors = Levels(0.05, "gaussian").factors(ANCHORS, True, np.arange(T), *parts())
-    np.testing.assert_array_equal(factors, np.ones((N, T, 2)))
+    assert_array_equal(factors, np.ones((N, T, 2)))
 
 
 @pytest.mark.parametrize("risk", [0.01, 0.001])
@@ -92,24 +92,32 @@ def test_the_factors_of_a_track_do_not_depend_on_its_division_into_pieces():
     levels = Levels()
     cut = [slice(0, 1), slice(1, 25), slice(25, T)]
     pieces = [levels.factors(ANCHORS, True, time_s[i], *(part[:, i] for part in read)) for i in cut]
-    np.testing.assert_allclose(np.concatenate(pieces, axis=1), whole, rtol=1e-9)
+    assert_allclose(np.concatenate(pieces, axis=1), whole, rtol=1e-9)
     levels.reset()
-    np.testing.assert_allclose(levels.factors(ANCHORS, True, time_s, *read), whole, rtol=1e-9)
+    assert_allclose(levels.factors(ANCHORS, True, time_s, *read), whole, rtol=1e-9)
 
 
-@pytest.mark.parametrize("name", representative(["corrector", "ekf"], "ekf"))
-def test_live_tracks_and_tracks_of_logs_have_equal_levels(corrector, name):  # noqa: F811
-    modes = load("ppo-standard", "standard").modes[:1]
-    switching = Switching(modes) if name == "ekf" else load(corrector, "standard")
+@pytest.mark.parametrize(
+    "name", representative(["corrector", "guided", "ppo-standard"], "ppo-standard")
+)
+def test_a_live_track_and_its_levels_equal_those_of_the_log(corrector, name):  # noqa: F811
+    switching = load(corrector if name == "corrector" else name, "standard")
     track = localize(first_epochs(), SCENE, RADIO, switching, window=None, levels=Levels())
-    tracker = Tracker(SCENE, switching, "standard", levels=Levels())
-    live = [tracker.update(epoch) for epoch in ROWS]
-    np.testing.assert_array_equal([p.position_m for p in live], track.x[:, :3])
+    tracker = Tracker(SCENE, switching, "standard", levels=Levels(), lag=5)
+    live = []
+    late = []
+    for epoch in ROWS:
+        live.append(tracker.update(epoch))
+        late.append(tracker.smoothed())
+    assert_array_equal([[*p.position_m, *p.velocity_mps] for p in live], track.x[:, :6])
+    assert late[4] is None and late[5].time_s == live[0].time_s
+    spread = [np.trace(p.covariance_m2) for p in live[1:-5]]
+    assert (np.array([np.trace(p.covariance_m2) for p in late[6:]]) < spread).all()
     if name == "corrector":
-        np.testing.assert_array_equal([p.trusted for p in live], track.trusted)
+        assert_array_equal([p.trusted for p in live], track.trusted)
     expected = gaussian_levels(track.P, 1e-3) * track.level_factors
-    np.testing.assert_allclose([p.levels_m for p in live], expected, rtol=1e-6)
-    assert tracker.smoothed().levels_m[0] > 0.0
+    assert_allclose([p.levels_m for p in live], expected, rtol=1e-6)
+    assert late[-1].levels_m[0] > 0.0
     assert Tracker(SCENE, switching, "standard").update(ROWS[0]).levels_m is None
 
 
@@ -155,7 +163,7 @@ def test_levels_are_infinite_for_a_risk_that_is_too_small_for_the_calibration(tm
     path = tmp_path / "levels.safetensors"
     path.write_bytes(network.to_bytes("mmwave-loc tune --levels"))
     read = Network.read(path)
-    np.testing.assert_array_equal(read.constants, network.constants)
+    assert_array_equal(read.constants, network.constants)
     features = Levels(kind="gaussian").features(ANCHORS, True, np.arange(T), *parts())
     factors = read.log_factors(features)
     assert factors.shape == (N, T, len(RISKS), 2)

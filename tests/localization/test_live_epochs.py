@@ -26,7 +26,7 @@ from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import read_scene
 from policies import load
-from tests.paths import LOGS
+from tests.paths import LOGS, representative
 from tests.refusals import refuses
 
 WALK = LOGS / "canyon28_pedestrian"
@@ -64,33 +64,40 @@ UNITS |= {"toa_s": None, "rtt_ns": of("toa_s", lambda t: 2e9 * t)}
 MOVES = {"speed_mps": lambda row: 1.2, "heading_deg": lambda row: 350.0}
 BODY = MOVES | {DEPARTURE: None, "aod_azimuth_body_rad": of(DEPARTURE, lambda a: a - 6.0)}
 SECOND = {"doppler_hz": lambda row: -20.0 if row["anchor"] == 2 else None}
-LOGGED = {  # name -> changed columns, argument snr_db, whether the quick method loads the epochs
-    "as it is": ({}, None, True),
-    "other units": (UNITS, None, True),
-    "own noise": ({"snr_db": None} | {k: lambda row, v=v: v for k, v in OWN.items()}, None, True),
-    "an SNR as argument": ({"snr_db": None}, 18.0, True),
-    "a Doppler shift of anchor 2": (SECOND, 20.0, True),
-    "odometry": (MOVES, None, True),
-    "angles of the body": (BODY, None, False),
+# name -> changed columns, whether the quick method loads the epochs, arguments of both
+LOGGED = {
+    "as it is": ({}, True, {}),
+    "other units": (UNITS, True, {}),
+    "own noise": ({"snr_db": None} | {k: lambda row, v=v: v for k, v in OWN.items()}, True, {}),
+    "an SNR as argument": ({"snr_db": None}, True, {"snr_db": 18.0}),
+    "a Doppler shift of anchor 2": (SECOND, True, {"snr_db": 20.0}),
+    "odometry": (MOVES, True, {}),
+    "angles of the body": (BODY, False, {}),
+    "a clock with an offset": ({}, True, {"clock": "offset"}),
+    "a free clock": ({}, True, {"clock": "free"}),
 }
 
 
-@pytest.mark.parametrize(("changed", "snr_db", "quick"), LOGGED.values(), ids=LOGGED)
-def test_live_epochs_equal_epochs_of_a_log_to_the_last_bit(tmp_path, changed, snr_db, quick):
+@pytest.mark.parametrize("name", representative(LOGGED, *[*LOGGED][:-2]))
+def test_live_epochs_equal_epochs_of_a_log_to_the_last_bit(tmp_path, name):
+    changed, quick, options = LOGGED[name]
     epochs = walk(**changed)
     path = tmp_path / "log.csv"
     with path.open("w", newline="") as file:
         writer = csv.DictWriter(file, list(epochs[0][0]))
         writer.writeheader()
         writer.writerows(row for epoch in epochs for row in epoch)
-    log = read_log(path, SCENE, partial=True, snr_db=snr_db)
+    log = read_log(path, SCENE, partial=True, **options)
     track = localize(log, SCENE, RADIO, Switching((EKF,)), window=None)
-    tracker = Tracker(SCENE, Switching((EKF,)), RADIO, snr_db=snr_db)
+    tracker = Tracker(SCENE, Switching((EKF,)), RADIO, lag=3, **options)
     with patch.object(
         Localizer, "episode", autospec=True, side_effect=Localizer.episode
     ) as careful:
         positions = [tracker.update(epoch) for epoch in epochs]
     np.testing.assert_array_equal([p.position_m for p in positions if p], track.x[:, :3])
+    if "clock" in options:
+        assert [p.clock_m for p in positions if p] == track.x[:, 7].tolist()
+        assert tracker.smoothed().clock_sigma_m < positions[-1].clock_sigma_m
     assert [len(p.nis) for p in positions if p] == track.visible.sum(axis=1).tolist()
     assert careful.call_count == (1 if quick else len(epochs))  # one to begin
 

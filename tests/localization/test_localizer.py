@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.engines.engine import run_imm
 from mmwave_env.filters.bank import Bank, best_bank, default_modes
@@ -27,7 +28,7 @@ from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource
 from policies.corrector import TWO_WAY, TwoWayCorrector
 from policies.rules import by_odometry_speed, by_predicted_speed
-from tests.filters.tracks import geometry, track
+from tests.filters.tracks import geometry, sampled, track
 from tests.logs.by_hand import assert_same, damaged, log_with
 from tests.logs.writing import write_log
 from tests.paths import representative
@@ -45,7 +46,7 @@ BANK = best_bank()
 def log(folder, odometry=False):
     """Return a log with uneven time steps; nothing is measured in the first two epochs."""
     source = SimulatedSource(SCENE, RADIO, "walk-ride", epochs=T, odometry=odometry)
-    episode = source.sample(np.random.default_rng(3))
+    episode = sampled(source, 3)
     time = 1.7e9 + np.random.default_rng(0).uniform(0.5, 1.5, T).cumsum()
     visible = episode.visible.copy()
     visible[:2] = False
@@ -105,10 +106,10 @@ def assert_engines(result, block, modes, planar=False):
     pipeline = Pipeline(tuple(modes), block.layout, planar)
     theirs = track(pipeline, [episode], result.mode[:, None], T - 2, ours)
     for name, values in ours.items():
-        np.testing.assert_allclose(values, theirs[name][:, 0], rtol=1e-9, atol=1e-9, err_msg=name)
-    np.testing.assert_array_equal(result.time_s, episode.time_s)
-    np.testing.assert_array_equal(result.visible, episode.usable)
-    np.testing.assert_array_equal(result.incomplete, block.incomplete[2:])
+        assert_allclose(values, theirs[name][:, 0], rtol=1e-9, atol=1e-9, err_msg=name)
+    assert_array_equal(result.time_s, episode.time_s)
+    assert_array_equal(result.visible, episode.usable)
+    assert_array_equal(result.incomplete, block.incomplete[2:])
     assert result.skipped == 2 and (~result.visible[0, 0]).all()
 
 
@@ -130,7 +131,7 @@ def test_the_speed_predicted_or_measured_by_odometry_chooses_the_mode(folder, od
         measured = result.visible[:, -1]
         speed = np.where(measured, block.measurement[2:, -2], speed)
         assert measured.any() and not measured.all()
-    np.testing.assert_array_equal(result.mode, speed > 2.0)
+    assert_array_equal(result.mode, speed > 2.0)
     assert 0.1 < result.mode.mean() < 0.9
 
 
@@ -140,7 +141,7 @@ def test_a_track_on_flat_terrain_keeps_its_height(block, modes):
     if modes != BANK:
         assert_engines(result, block, modes, planar=True)
     for x in (result.x, result.smooth_x):
-        np.testing.assert_allclose(x[:, 2], 1.5, rtol=1e-12 if modes == BANK else 0.0)
+        assert_allclose(x[:, 2], 1.5, rtol=1e-12 if modes == BANK else 0.0)
         assert not x[:, 5].any()
 
 
@@ -152,8 +153,8 @@ def test_a_track_of_an_imm_equals_the_track_of_the_imm_engine(monkeypatch, block
     names = (*ours, "mixture.probability")
     theirs = run_imm(BANK, TrackingReward(), [episode_of(block)], *names)
     for name, values in ours.items():
-        np.testing.assert_allclose(values, theirs[name][0], rtol=1e-9, atol=1e-9, err_msg=name)
-    np.testing.assert_array_equal(result.mode, theirs["mixture.probability"][0].argmax(axis=1))
+        assert_allclose(values, theirs[name][0], rtol=1e-9, atol=1e-9, err_msg=name)
+    assert_array_equal(result.mode, theirs["mixture.probability"][0].argmax(axis=1))
     assert not result.nis[~result.visible].any()
     assert len(np.unique(result.mode)) > 2
 
@@ -177,15 +178,15 @@ def test_every_window_is_smoothed_including_a_shorter_last_one(monkeypatch, bloc
         part = slice(first, first + window)
         values = (np.hstack(beliefs.kept), result.time_s, result.doppler_spread_hz)
         x, P = localizer.smoothed(*(v[None, part] for v in values))
-        np.testing.assert_allclose(result.smooth_x[part], x[0], rtol=1e-12, atol=1e-12)
-        np.testing.assert_allclose(result.smooth_P[part], P[0], rtol=1e-12, atol=1e-12)
+        assert_allclose(result.smooth_x[part], x[0], rtol=1e-12, atol=1e-12)
+        assert_allclose(result.smooth_P[part], P[0], rtol=1e-12, atol=1e-12)
     assert not np.array_equal(result.smooth_x, result.x)
 
 
 def test_without_smoothing_the_track_is_the_filtered_track(block):
     result = run(block, window=None)
-    np.testing.assert_array_equal(result.smooth_x, result.x)
-    np.testing.assert_array_equal(result.x, run(block).x)
+    assert_array_equal(result.smooth_x, result.x)
+    assert_array_equal(result.x, run(block).x)
 
 
 @pytest.mark.slow
@@ -194,7 +195,7 @@ def test_without_smoothing_the_track_is_the_filtered_track(block):
     [((EKF, UKF), by_predicted_speed, None), (BANK, None, None), (BANK, None, TWO_WAY)],
     ids=["rule", "imm", "two ways"],
 )
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=6)
 @given(size=st.integers(1, T), window=st.integers(2, 300))
 def test_a_track_does_not_depend_on_the_sizes_of_chunks(folder, modes, rule, two_way, size, window):
     block = log(folder)
@@ -205,7 +206,7 @@ def test_a_track_does_not_depend_on_the_sizes_of_chunks(folder, modes, rule, two
     with patch("mmwave_env.localization.localizer._CHUNK", size):
         result = run(block, modes, rule, **options)
     if two_way:  # the corrector's network computes in single precision
-        np.testing.assert_allclose(result.smooth_x, expected.smooth_x, rtol=0.0, atol=1e-4)
+        assert_allclose(result.smooth_x, expected.smooth_x, rtol=0.0, atol=1e-4)
     else:
         assert_same(result, expected)
     for name in ("skipped", "dropped"):

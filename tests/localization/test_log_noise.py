@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.localization.log_noise import (
     clock_jumps,
@@ -36,14 +37,14 @@ def test_the_step_of_ranges_is_known_and_its_noise_added(step):
     log, known = with_range_steps(rounded(step), STREET, RADIO)
     assert known == pytest.approx(step, rel=1e-3)
     variance = deviations_of(log, STREET, RADIO)[:, :-1:4] ** 2
-    np.testing.assert_allclose(variance - SIGMA[:, :-1:4] ** 2, step**2 / 12.0, rtol=2e-3)
+    assert_allclose(variance - SIGMA[:, :-1:4] ** 2, step**2 / 12.0, rtol=2e-3)
 
 
 def test_standard_deviations_of_the_receiver_get_the_noise_of_rounding_too():
     own = np.full(SIGMA.shape, 0.4)
     log, _ = with_range_steps(replace(rounded(0.7), sigma=own), STREET, RADIO)
-    np.testing.assert_allclose(log.sigma[:, :-1:4], np.sqrt(0.16 + 0.49 / 12.0), rtol=1e-3)
-    np.testing.assert_array_equal(log.sigma[:, 1:-1:4], 0.4)
+    assert_allclose(log.sigma[:, :-1:4], np.sqrt(0.16 + 0.49 / 12.0), rtol=1e-3)
+    assert_array_equal(log.sigma[:, 1:-1:4], 0.4)
 
 
 @pytest.mark.parametrize("log", [LOG, rounded(0.01)], ids=["unrounded", "too short to matter"])

@@ -8,6 +8,7 @@ import numpy as np
 import pymap3d
 import pynmea2
 import pytest
+from numpy.testing import assert_allclose
 
 from mmwave_env.localization.localizer import Track
 from mmwave_env.localization.map_files import MAP_FILES
@@ -56,10 +57,10 @@ def test_gpx_has_every_segment_of_the_track_with_its_times(tmp_path):
     assert [len(segment.points) for segment in track.segments] == [9, 5]
     points = [point for segment in track.segments for point in segment.points]
     shown = [(p.latitude, p.longitude, p.elevation) for p in points]
-    np.testing.assert_allclose(shown, places(parts), atol=1e-3, rtol=0.0)
-    np.testing.assert_allclose(np.array(shown)[:, :2], places(parts)[:, :2], atol=1e-8, rtol=0.0)
+    assert_allclose(shown, places(parts), atol=1e-3, rtol=0.0)
+    assert_allclose(np.array(shown)[:, :2], places(parts)[:, :2], atol=1e-8, rtol=0.0)
     moments = [point.time.timestamp() for point in points]
-    np.testing.assert_allclose(moments, np.concatenate([p.time_s for p in parts]), atol=1e-3)
+    assert_allclose(moments, np.concatenate([p.time_s for p in parts]), atol=1e-3)
 
 
 def test_nmea_has_positions_and_standard_deviations(tmp_path):
@@ -73,12 +74,12 @@ def test_nmea_has_positions_and_standard_deviations(tmp_path):
         sentences[::2], sentences[1::2], expected, P, strict=True
     ):
         shown = position.latitude, position.longitude, float(position.altitude)
-        np.testing.assert_allclose(shown, place, atol=1e-3, rtol=0.0)
-        np.testing.assert_allclose(shown[:2], place[:2], atol=1e-8, rtol=0.0)
+        assert_allclose(shown, place, atol=1e-3, rtol=0.0)
+        assert_allclose(shown[:2], place[:2], atol=1e-8, rtol=0.0)
         horizontal = np.array([[packed[0], packed[1]], [packed[1], packed[2]]])
         size = np.sqrt(np.linalg.eigvalsh(horizontal))
         axes = float(spread.std_dev_minor), float(spread.std_dev_major)
-        np.testing.assert_allclose(axes, size, atol=1e-3)
+        assert_allclose(axes, size, atol=1e-3)
         total = float(spread.std_dev_latitude) ** 2 + float(spread.std_dev_longitude) ** 2
         assert total == pytest.approx(np.trace(horizontal), abs=1e-2)
         assert float(spread.std_dev_altitude) == pytest.approx(np.sqrt(packed[5]), abs=1e-3)
@@ -128,9 +129,7 @@ def test_geojson_has_lines_within_segments_and_95_percent_error_ellipses(tmp_pat
     lines = [f for f in features if f["geometry"]["type"] == "LineString"]
     assert [len(f["geometry"]["coordinates"]) for f in lines] == [9, 5]
     first, second = (f["geometry"]["coordinates"] for f in lines)
-    np.testing.assert_allclose(
-        np.array([*first, *second])[:, [1, 0]], places(parts)[:, :2], atol=1e-8
-    )
+    assert_allclose(np.array([*first, *second])[:, [1, 0]], places(parts)[:, :2], atol=1e-8)
     rings = {f["properties"]["time_s"]: f["geometry"] for f in features if f not in lines}
     by_time = {t: P for p in parts for t, P in zip(p.time_s, p.smooth_P, strict=True)}
     assert list(rings) == [t for p in parts for t in p.time_s[::2]]  # one ellipse per second

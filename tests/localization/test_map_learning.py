@@ -14,6 +14,7 @@ from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, read_scene, scene_json
 from mmwave_env.world.simulated import SimulatedSource
+from tests.filters.tracks import sampled
 from tests.paths import representative
 from tests.refusals import refuses
 
@@ -28,7 +29,7 @@ def paths_of(tmp_path):
 
     def make(seed, radio="standard", false_paths=1.0, scene=STATION, epochs=200, keep=slice(None)):
         source = SimulatedSource(STREET, RADIOS[radio], "mixed", epochs=epochs)
-        episode = source.sample(np.random.default_rng(seed))
+        episode = sampled(source, seed)
         columns = path_columns(episode, false_paths, np.random.default_rng(seed))
         path = tmp_path / "paths.csv"
         path.write_text(log_text({name: values[keep] for name, values in columns.items()}))

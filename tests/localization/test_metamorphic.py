@@ -2,12 +2,9 @@
 
 The correct track of a log is unknown. But we know how the track must change with the description.
 If the scene is moved, turned or mirrored, so are the track and its covariances. If anchors are
-renumbered or columns have other units, the track stays the same. NIS and gate decisions never
-change.
+renumbered, the track stays the same. NIS and gate decisions never change.
 """
 
-import gzip
-from dataclasses import replace
 from itertools import permutations
 
 import numpy as np
@@ -16,7 +13,7 @@ import pytest
 from mmwave_env.filters.bank import named_modes
 from mmwave_env.interface.policy import Switching
 from mmwave_env.localization.localizer import localize
-from mmwave_env.logs.log import Log, read_log
+from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import read_scene, scene_of_anchors
 from tests.filters.tracks import TRIANGLE, assert_same_beliefs, unpacked
@@ -114,38 +111,3 @@ def test_the_order_of_virtual_anchors_does_not_matter(street, tmp_path, pipeline
         for name in ("nis", "visible", "accepted", "incomplete"):
             renamed[name] = renamed[name][:, np.argsort(groups)]
         assert_moved(renamed, plain)
-
-
-UNITS = {  # old name -> new name and factor
-    "time_s": ("time_ms", 1e3),
-    "toa_s": ("toa_ns", 1e9),
-    "aoa_azimuth_rad": ("aoa_azimuth_deg", 180.0 / np.pi),
-    "aoa_elevation_rad": ("aoa_elevation_deg", 180.0 / np.pi),
-    "aod_azimuth_rad": ("aod_azimuth_deg", 180.0 / np.pi),
-    "doppler_hz": ("doppler_khz", 1e-3),
-    "doppler_spread_hz": ("doppler_spread_khz", 1e-3),
-}
-
-
-def test_units_the_order_the_clock_and_the_number_of_files_do_not_matter(street, tmp_path):
-    """Compare a log with a copy in three gzipped files with other units, orders and clock."""
-    (columns, scene) = street
-    modes = [replace(PIPELINES["ukf"][0], spread_gain=0.01)]
-    plain = track(tmp_path, columns, scene, modes)
-    order = np.lexsort((-columns["anchor"], columns["time_s"]))
-    later = columns | {"time_s": columns["time_s"] + 1024.0}
-    written = {}
-    for name in reversed(columns):
-        new, factor = UNITS.get(name, (name, 1.0))
-        written[new] = factor * later[name][order]
-    parts = []
-    for first, last in ((0.0, 0.5), (0.5, 6.4), (6.4, 15.0)):
-        since = 1e-3 * written["time_ms"] - 1024.0
-        rows = (since >= first) & (since < last)
-        write_columns(
-            tmp_path / "part.csv", {name: values[rows] for name, values in written.items()}
-        )
-        parts.append(tmp_path / f"{first}.csv.gz")
-        parts[-1].write_bytes(gzip.compress((tmp_path / "part.csv").read_bytes()))
-    log = Log.joined([read_log(part, scene) for part in parts])
-    assert_moved(localize(log, scene, RADIO, Switching(modes)).arrays(), plain)

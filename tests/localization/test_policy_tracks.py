@@ -1,7 +1,8 @@
-"""Tests that live tracks and tracks of logs equal the engine's tracks if a policy chooses modes."""
+"""Tests that tracks of logs equal the engine's tracks if a policy chooses modes; of live rows."""
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.engines.engine import Engine
 from mmwave_env.filters.belief import Belief
@@ -24,10 +25,6 @@ from tests.training.actors import write
 EPOCHS = 60
 ROWS = walk(EPOCHS)  # for each epoch, its rows of the log as dicts by column
 
-POLICIES = pytest.mark.parametrize(
-    "name", representative(("guided", "ppo-standard"), "ppo-standard")
-)
-
 
 def first_epochs():
     """Return the first epochs of the walk."""
@@ -39,7 +36,7 @@ def whole_track(switching, window=None):
     return localize(first_epochs(), SCENE, RADIO, switching, window=window)
 
 
-@POLICIES
+@pytest.mark.parametrize("name", representative(("guided", "ppo-standard"), "ppo-standard"))
 @pytest.mark.parametrize("chunk", [7, EPOCHS])
 def test_the_track_equals_the_track_in_the_environment_to_the_last_bit(monkeypatch, name, chunk):
     monkeypatch.setattr("mmwave_env.localization.localizer._CHUNK", chunk)
@@ -56,25 +53,7 @@ def test_the_track_equals_the_track_in_the_environment_to_the_last_bit(monkeypat
         engine.step(policy.act(engine.observations()))
         expected.append(engine.read(engine.at.x)[0])
     track = whole_track(switching)
-    np.testing.assert_array_equal(track.x, expected)
-
-
-@POLICIES
-def test_a_live_track_equals_the_track_of_the_complete_log_to_the_last_bit(name):
-    switching = load(name, "standard")
-    track = whole_track(switching)
-    tracker = Tracker(SCENE, switching, "standard", lag=5)
-    positions = []
-    late = []
-    for epoch in ROWS:
-        positions.append(tracker.update(epoch))
-        late.append(tracker.smoothed())
-    np.testing.assert_array_equal([p.position_m for p in positions], track.x[:, :3])
-    np.testing.assert_array_equal([p.velocity_mps for p in positions], track.x[:, 3:6])
-    assert [p.begins for p in positions] == [True] + [False] * (EPOCHS - 1)
-    assert late[4] is None and late[5].time_s == positions[0].time_s
-    spread = [np.trace(p.covariance_m2) for p in positions[1:-5]]
-    assert (np.array([np.trace(p.covariance_m2) for p in late[6:]]) < spread).all()
+    assert_array_equal(track.x, expected)
 
 
 # --- correctors: policies that correct beliefs
@@ -109,8 +88,8 @@ def test_a_corrected_track_has_the_corrected_beliefs_of_the_environment(correcto
         )
         trusted.append(correction.trusted[0])
     track = whole_track(switching)
-    np.testing.assert_allclose(track.x, expected, atol=1e-6)
-    np.testing.assert_allclose(track.trusted, trusted, atol=1e-6)
+    assert_allclose(track.x, expected, atol=1e-6)
+    assert_allclose(track.trusted, trusted, atol=1e-6)
     assert (track.trusted > 0.1).mean() > 0.5
 
 
@@ -120,7 +99,7 @@ def test_a_track_is_smoothed_from_beliefs_without_corrections(corrector):
     bank = Switching(switching.bank)
     smooth = whole_track(switching, window=50).smooth_x
     expected = whole_track(bank, window=50).smooth_x
-    np.testing.assert_allclose(smooth, expected, atol=1e-9)
+    assert_allclose(smooth, expected, atol=1e-9)
 
 
 def test_a_live_track_begins_again_after_a_long_gap():

@@ -49,7 +49,7 @@ def beyond(distance, major, minor):
     return 2.0 * (inside + norm.sf(distance / minor))
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     risk=risks, major=st.floats(0.01, 100.0), ratio=st.floats(0.01, 1.0), angle=st.floats(0.0, 7.0)
 )
@@ -58,7 +58,7 @@ def test_errors_exceed_the_horizontal_level_with_the_stated_probability(risk, ma
     assert beyond(level, major, ratio * major) == pytest.approx(risk, rel=2e-5)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(risk=risks, sigma=st.floats(0.01, 100.0))
 def test_levels_of_a_line_and_of_a_circle_equal_the_textbook(risk, sigma):
     line = horizontal_level(turned(sigma, 0.0, 1.0), risk)
@@ -116,7 +116,7 @@ def assert_figures(figures, size, level):
     assert figures["exceeded"] == (size > level).sum()
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(error=ERRORS, cut=st.integers(0, 60))
 def test_statistics_of_errors_in_any_pieces_equal_statistics_in_numpy(error, cut):
     errors = PositionErrors(risk=0.05)

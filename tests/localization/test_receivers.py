@@ -1,7 +1,6 @@
 """Tests that logs that lack some measured quantities yield the tracks of a textbook EKF."""
 
 import csv
-import json
 
 import numpy as np
 import pytest
@@ -11,11 +10,9 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.textbook import Sensor, tangent
 from mmwave_env.interface.policy import Switching
 from mmwave_env.localization.localizer import localize
-from mmwave_env.logs.tum import tum_lines
 from mmwave_env.models.layout import wrapped
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import scene_of_anchors
-from tests.commands.localizing import figures
 from tests.filters.tracks import process_noise, unpacked
 from tests.logs.by_hand import read
 from tests.paths import representative
@@ -108,8 +105,6 @@ def by_textbook(log, scene, x, P, flat):
     "receiver", representative(RECEIVERS, "all, 1 s", "no Doppler shift", "angles")
 )
 def test_a_track_equals_the_track_of_a_textbook_ekf_and_is_consistent(tmp_path, receiver):
-    ours = []
-    expected = []
     nees = []
     flat = "height" in receiver
     height_m, axes = (1.5, 2) if flat else (None, 3)
@@ -123,34 +118,7 @@ def test_a_track_equals_the_track_of_a_textbook_ekf_and_is_consistent(tmp_path, 
         plain = by_textbook(log.part(slice(begins, None)), scene, track.x[0], P[0], flat)
         np.testing.assert_allclose(track.x[:, :3], plain, atol=1e-6)
         error = track.x[:, :3] - truth[begins:]
-        ours.append(np.linalg.norm(error[SETTLED:], axis=1).mean())
-        expected.append(np.linalg.norm((plain - truth[begins:])[SETTLED:], axis=1).mean())
         settled = error[SETTLED:, :axes, None]
         scaled = np.linalg.solve(P[SETTLED:, :axes, :axes], settled)
         nees.append((settled * scaled).sum(axis=1).mean())
-    assert np.mean(ours) == pytest.approx(np.mean(expected), rel=0.05)
     assert np.mean(nees) == pytest.approx(axes, rel=0.15)
-
-
-@pytest.mark.slow
-def test_points_are_found_from_range_and_azimuth_of_one_anchor_at_the_users_height(tmp_path):
-    """Localize 45 points, 0.5 m apart, with the noise of a 60 GHz access point."""
-    rng = np.random.default_rng(3)
-    anchor = np.array([0.0, 0.0, 1.5])
-    line = 0.5 * np.arange(15)
-    x = np.concatenate([3.0 + line, np.full(15, 10.5), 10.5 - line])
-    y = np.concatenate([np.full(15, 2.0), 2.0 + line, np.full(15, 9.5)])
-    points = np.column_stack([x, y, np.full(45, 1.5)])
-    scene = {"anchors": [anchor.tolist()], "carrier_hz": 60e9, "bandwidth_hz": 2e9}
-    (tmp_path / "scene.json").write_text(json.dumps(scene))
-    lines = ["time_s,anchor,range_m,aoa_azimuth_deg,range_sigma_m,aoa_azimuth_sigma_deg"]
-    for t, (x, y, _) in enumerate(points):
-        distance = np.hypot(x, y) + 0.15 * rng.standard_normal()
-        azimuth = np.degrees(np.arctan2(y, x)) + 2.5 * rng.standard_normal()
-        lines.append(f"{t},1,{distance},{azimuth},0.15,2.5")
-    (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
-    (tmp_path / "truth.tum").write_text(tum_lines(np.arange(45.0), points))
-    tracks = figures(tmp_path, "--height", 1.5)["truth"]["tracks"]
-    assert tracks["smoothed"]["ate_m"] < tracks["filtered"]["ate_m"] < 0.45
-    assert 1.0 < tracks["filtered"]["nees"] < 3.0  # with two axes, 2 is expected
-    assert tracks["filtered"]["in_bounds"] > 0.85

@@ -1,12 +1,10 @@
 """Tests of whitened innovations, of their sensitivities to errors, and of robust least squares."""
 
 import numpy as np
-import pytest
 
 from mmwave_env.localization.sensitivities import FilterRun, fit, innovations, rho
-from mmwave_env.localization.shared_errors import scan, suspects
 from mmwave_env.localization.starts import start_at
-from tests.localization.errors import late, mode_of, readings, turned
+from tests.localization.errors import late, mode_of, readings
 
 
 def run_of(reading):
@@ -57,17 +55,6 @@ def test_innovations_of_a_correct_log_are_white_and_those_of_a_wrong_one_are_not
     assert (right[~used] == 0.0).all()
     assert 0.5 < np.median(abs(right[used])) / 0.6745 < 1.3
     assert rho(wrong).sum() > rho(right).sum() + 50.0
-
-
-@pytest.mark.parametrize(("name", "error"), [
-    ("azimuths are turned", turned), ("ranges are too long", late),
-])  # fmt: skip
-def test_a_small_error_is_fitted_with_its_size(name, error):
-    (reading,) = readings(1)
-    wrong = error(0.8)(reading)
-    suspect = suspects(reading)[name]
-    _, (fitted,) = scan(wrong, run_of(wrong), [suspect])
-    assert abs(fitted.theta[0] - 0.8) < 4.0 * fitted.sigma[0] < 0.8
 
 
 def test_a_start_from_several_links_serves_all_readings():

@@ -16,7 +16,6 @@ from mmwave_env.localization.shared_errors import (
     find_shared_errors,
     scanned,
     suspects,
-    without_errors,
 )
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS
@@ -65,18 +64,11 @@ ERRORS = {  # name -> (error, its size, in the unit of the suspect)
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
 @pytest.mark.parametrize("name", ERRORS)
-def test_an_error_of_a_shipped_log_is_named_sized_and_undone(folder, name):
+def test_an_error_of_a_shipped_log_is_named_and_sized(folder, name):
     error, size = ERRORS[name]
-    right = sample(folder)
-    wrong = error(right)
-    (noticed,) = errors_of(wrong)
+    (noticed,) = errors_of(error(sample(folder)))
     assert noticed.suspect.name == name and not noticed.rivals
     np.testing.assert_array_less(abs(noticed.theta - size), 4.0 * noticed.sigma + 0.05)
-    corrected = without_errors(wrong, [noticed])
-    largest = [0.06, *[np.radians(0.25)] * 3] * 3  # the sizes of the errors that remain
-    apart = abs(corrected.log.measurement - right.log.measurement)[:, :-1]
-    assert (np.nanmax(apart, axis=0) <= largest).all()
-    assert abs(corrected.scene.anchors_m - right.scene.anchors_m).max() < 0.06
 
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from experiments.evaluation.contenders import contender_from
 from mmwave_env.filters.bank import named_modes
@@ -162,7 +163,7 @@ def test_a_first_position_is_found_among_many_anchors_but_not_with_one_range(tmp
     if anchors == 1:
         assert start is None
     else:
-        np.testing.assert_allclose(start.prior[0][:2], [40.0, 30.0], atol=0.3)
+        assert_allclose(start.prior[0][:2], [40.0, 30.0], atol=0.3)
 
 
 @pytest.mark.parametrize("reflected", [(), (0, 1), (1,)])
@@ -179,7 +180,7 @@ def test_live_takes_back_a_start_and_equals_the_log_from_then_on(tmp_path, refle
     begins = [p.begins for p in positions]
     assert begins.index(True) == 0 and any(begins[1:]) == bool(reflected)
     later = slice(0 if not reflected else 8, None)
-    np.testing.assert_array_equal([p.position_m for p in positions[later]], track.x[later, :3])
+    assert_array_equal([p.position_m for p in positions[later]], track.x[later, :3])
 
 
 def test_live_takes_back_wrong_ranges_after_an_outage(tmp_path):
@@ -192,7 +193,7 @@ def test_live_takes_back_wrong_ranges_after_an_outage(tmp_path):
     epochs = [[row for row in rows if row["time_s"] == t] for t in times]
     positions = [tracker.update(epoch) for epoch in epochs]
     last = slice(-12, None)
-    np.testing.assert_array_equal([p.position_m for p in positions[last]], track.x[last, :3])
+    assert_array_equal([p.position_m for p in positions[last]], track.x[last, :3])
 
 
 def test_any_links_of_any_anchors_begin_a_track(tmp_path):
@@ -200,4 +201,4 @@ def test_any_links_of_any_anchors_begin_a_track(tmp_path):
     log = log_of(tmp_path, ROOM, rows)
     (segment,) = segments(log, ROOM, RADIO)
     assert segment.epochs == slice(0, 20)
-    np.testing.assert_allclose(segment.start.prior[0][:2], circle(0.0)[:2], atol=1.0)
+    assert_allclose(segment.start.prior[0][:2], circle(0.0)[:2], atol=1.0)

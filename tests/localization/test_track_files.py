@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.localization.localizer import Track
 from mmwave_env.localization.position_errors import gaussian_levels
@@ -66,21 +67,21 @@ def test_a_track_is_written_as_tum_and_as_a_table(tmp_path, trusted):
     x = track.smooth_x
     P = track.smooth_P
     written = read_tum(out)
-    np.testing.assert_array_equal(written.time_s, track.time_s)
-    np.testing.assert_array_equal(written.position_m, x[:, :3])
+    assert_array_equal(written.time_s, track.time_s)
+    assert_array_equal(written.position_m, x[:, :3])
     with table_beside(out).open(newline="") as file:
         header, *rows = csv.reader(file)
     columns = dict(zip(header, zip(*rows, strict=True), strict=True))
     assert columns.pop("mode") == tuple(SHOWN[m] for m in track.mode)
     numbers = {name: np.array(values, float) for name, values in columns.items()}
-    np.testing.assert_array_equal(numbers.pop("time_s"), track.time_s)
+    assert_array_equal(numbers.pop("time_s"), track.time_s)
     diagonal = np.sqrt(P[:, [0, 2, 5, 9, 14, 20]])
     for i, name in enumerate(("x_m", "y_m", "z_m", "vx_mps", "vy_mps", "vz_mps")):
-        np.testing.assert_allclose(numbers.pop(name), x[:, i], atol=1e-6)
-        np.testing.assert_allclose(numbers.pop(f"sigma_{name}"), diagonal[:, i], rtol=1e-5)
+        assert_allclose(numbers.pop(name), x[:, i], atol=1e-6)
+        assert_allclose(numbers.pop(f"sigma_{name}"), diagonal[:, i], rtol=1e-5)
     levels = gaussian_levels(P, 1e-3) * track.level_factors
     for kind, level in zip(KINDS, levels.T, strict=True):
-        np.testing.assert_allclose(numbers.pop(f"{kind}_level_m"), level, rtol=1e-5)
+        assert_allclose(numbers.pop(f"{kind}_level_m"), level, rtol=1e-5)
     assert [*numbers] == ([] if np.isnan(trusted) else ["trusted"])
 
 

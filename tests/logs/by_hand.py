@@ -13,6 +13,7 @@ from mmwave_env.logs.log_tables import LogError, header_of
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.simulated import SimulatedSource
+from tests.filters.tracks import sampled
 from tests.refusals import refuses
 
 SCENE = SCENES["street"]
@@ -108,7 +109,7 @@ def shown(block):
 @lru_cache
 def episode(seed=0, epochs=25, odometry=False):
     source = SimulatedSource(SCENE, RADIOS["handset"], "mixed", epochs=epochs, odometry=odometry)
-    return source.sample(np.random.default_rng(seed))
+    return sampled(source, seed)
 
 
 def require_pyarrow(suffix):

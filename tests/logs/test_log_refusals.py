@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.io.lookup import MissingExtraError
 from mmwave_env.logs.log import read_log
@@ -132,7 +133,7 @@ def test_ranges_slightly_below_0_and_unwrapped_azimuths_are_used(tmp_path):
     lines[7] |= {"toa_s": "-1e-9", "aod_azimuth_rad": "-810"}
     content = text(lines).replace("aod_azimuth_rad", "aod_azimuth_deg")
     z = read(store(tmp_path, content)).measurement[2]
-    np.testing.assert_allclose(z[[4, 7]], [-1e-9 * SPEED_OF_LIGHT, -np.pi / 2])
+    assert_allclose(z[[4, 7]], [-1e-9 * SPEED_OF_LIGHT, -np.pi / 2])
 
 
 @pytest.mark.parametrize("angle", [np.pi / 2, -np.pi / 2, float(np.float32(np.pi / 2))])
@@ -147,7 +148,7 @@ def test_numbers_beyond_the_limits_are_kept_if_limits_are_off(tmp_path):
     lines[7].update(aoa_azimuth_rad="57.3", aoa_elevation_rad="95.7")
     lines[7].update(aod_azimuth_rad="-360.5", toa_s="1.0")
     block = read(store(tmp_path, text(lines)), limits=False)
-    np.testing.assert_allclose(block.measurement[2, 4:8], [SPEED_OF_LIGHT, 57.3, 95.7, -360.5])
+    assert_allclose(block.measurement[2, 4:8], [SPEED_OF_LIGHT, 57.3, 95.7, -360.5])
 
 
 @pytest.mark.parametrize(
@@ -247,7 +248,7 @@ def test_the_epochs_of_a_gzip_file_that_ends_early_are_returned_before_the_error
     path.write_bytes(packed[: int(left * len(packed))])
     block = delivered(path, "line")
     assert len(block) > (left - 0.1) * 2000
-    np.testing.assert_array_equal(block.time_s, true.time_s[: len(block)])
+    assert_array_equal(block.time_s, true.time_s[: len(block)])
 
 
 @pytest.mark.parametrize("byte", [2, 3, 5000, -6])
@@ -263,111 +264,6 @@ def test_a_gzip_file_with_a_wrong_byte_is_refused(tmp_path, byte):
 def test_the_epochs_before_a_line_without_an_end_are_returned_before_the_error(tmp_path):
     content = text(rows()).encode() + b"\0" * (3 << 20)
     assert len(delivered(store(tmp_path, content), "line 14")) == 4
-
-
-class TestParquet:
-    @pytest.fixture(autouse=True)
-    def arrow(self):
-        self.arrow = pytest.importorskip("pyarrow")
-        self.parquet = pytest.importorskip("pyarrow.parquet")
-
-    def columns(self, **changes):
-        def number(cell):
-            return float(cell) if cell else None
-
-        lines = rows()
-        return {name: [number(line[name]) for line in lines] for name in COLUMNS} | changes
-
-    def store(self, folder, columns):
-        path = folder / "log.parquet"
-        self.parquet.write_table(self.arrow.table(columns), path)
-        return path
-
-    @pytest.mark.parametrize("unit", ["s", "ns"])
-    def test_dates_are_read(self, tmp_path, unit):
-        time = np.datetime64(1_790_000_000, "s") + np.arange(12) // L
-        time = self.arrow.array(time.astype(f"datetime64[{unit}]"))
-        log = read(self.store(tmp_path, self.columns(time_s=time)))
-        np.testing.assert_array_equal(log.time_s, 1.79e9 + np.arange(4))
-
-    @pytest.mark.parametrize("kind", ["int8", "int64", "float32", "decimal"])
-    def test_columns_of_any_numeric_type_are_read(self, tmp_path, kind):
-        kind = self.arrow.decimal128(30, 1) if kind == "decimal" else getattr(self.arrow, kind)()
-        anchor = self.arrow.array([1, 2, 3] * 4).cast(kind)
-        empty = self.arrow.nulls(12)
-        block = read(self.store(tmp_path, self.columns(anchor=anchor, doppler_hz=empty)))
-        assert block.visible[:, :L].all() and not block.visible[:, L].any()
-
-    def test_an_index_of_pandas_is_ignored(self, tmp_path):
-        columns = self.columns()
-        table = self.arrow.table(columns | {"__index_level_0__": range(12)})
-        pandas = {"pandas": '{"index_columns": ["__index_level_0__", "time_s", {}]}'}
-        path = self.store(tmp_path, columns)
-        expected = read(path)
-        self.parquet.write_table(table.replace_schema_metadata(pandas), path)
-        assert_same(read(path), expected)
-
-    def test_a_column_that_occurs_twice_is_refused(self, tmp_path):
-        table = self.arrow.table(self.columns())
-        path = tmp_path / "log.parquet"
-        self.parquet.write_table(table.append_column("snr_db", table["snr_db"]), path)
-        with pytest.raises(LogError, match="columns: found 'snr_db' twice"):
-            read_log(path, SCENE)
-
-    @pytest.mark.parametrize("values", [["1"] * 12, [True] * 12, [[1.0]] * 12])
-    def test_columns_that_are_not_numeric_are_refused(self, tmp_path, values):
-        with refuses("column 'snr_db'", error=LogError):
-            read_log(self.store(tmp_path, self.columns(snr_db=values)), SCENE)
-
-    @pytest.mark.parametrize(
-        ("column", "row", "value"),
-        [
-            ("anchor", 7, 9.0),
-            ("anchor", 7, None),
-            ("time_s", 7, 0.0),
-            ("time_s", 6, None),
-            ("doppler_hz", 4, 1.0),
-        ],
-    )
-    @pytest.mark.parametrize("batch", [2, 5, 1000])
-    def test_the_epochs_before_a_damaged_row_are_returned_before_the_error(
-        self, tmp_path, monkeypatch, column, row, value, batch
-    ):
-        monkeypatch.setattr("mmwave_env.logs.log_tables._BATCH_ROWS", batch)
-        columns = self.columns()
-        columns[column][row] = value
-        log = delivered(self.store(tmp_path, columns), f"row {row + 1}", column)
-        assert (0 if log is None else len(log)) == row // L
-
-    @pytest.mark.parametrize("left", [1, 100, -10])
-    def test_a_file_that_ends_early_is_refused(self, tmp_path, left):
-        path = self.store(tmp_path, self.columns())
-        path.write_bytes(path.read_bytes()[:left])
-        with refuses("log.parquet", error=LogError):
-            read_log(path, SCENE)
-
-    def test_column_names_that_are_not_valid_text_are_refused(self, tmp_path):
-        path = self.store(tmp_path, self.columns(odd_note=[1.0] * len(rows())))
-        path.write_bytes(path.read_bytes().replace(b"odd_note", b"odd\xffnote"))
-        with refuses("log.parquet", error=LogError):
-            read_log(path, SCENE)
-
-    def test_epochs_before_a_broken_page_are_returned_before_the_error(self, tmp_path, monkeypatch):
-        monkeypatch.setattr("mmwave_env.logs.log_tables._BATCH_ROWS", 30)
-        true = episode(epochs=200)
-        path = tmp_path / "log.parquet"
-        write_log(path, true)
-        table = self.parquet.read_table(path)
-        plain = {"compression": "none", "use_dictionary": False}
-        self.parquet.write_table(table, path, write_page_checksum=True, row_group_size=90, **plain)
-        content = bytearray(path.read_bytes())
-        middle = len(content) // 2
-        content[middle : middle + 20] = bytes(20)
-        path.write_bytes(content)
-        block = delivered(path, "row")
-        assert 60 < len(block) <= 120
-        np.testing.assert_array_equal(block.time_s, true.time_s[: len(block)])
-        np.testing.assert_array_equal(block.visible, true.usable[: len(block)])
 
 
 def test_the_error_about_missing_pyarrow_says_what_to_install(tmp_path, monkeypatch):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.logs.log import read_log, read_paths
 from mmwave_env.logs.log_checks import MOST_PATHS
@@ -41,8 +42,8 @@ def test_an_epoch_may_have_any_number_of_paths(tmp_path):
     assert (three.incomplete, three.doppler_spread_hz) == (0, 0.0)
     first = [1e-7 * SPEED_OF_LIGHT, 0.5, -0.1, -2.6]
     second = [2e-7 * SPEED_OF_LIGHT, 4 - 2 * np.pi, 0.1, 2 * np.pi - 4]
-    np.testing.assert_allclose(three.links, [[first, second, first]] * 3, rtol=1e-12)
-    np.testing.assert_array_equal(three.doppler, [12.5, np.nan, 12.5])
+    assert_allclose(three.links, [[first, second, first]] * 3, rtol=1e-12)
+    assert_array_equal(three.doppler, [12.5, np.nan, 12.5])
     assert three.snr_db.tolist() == [20, 21, 20]
 
 
@@ -64,7 +65,7 @@ def test_values_that_apply_to_a_whole_epoch_may_be_in_any_of_its_rows(tmp_path):
     lines = [f"0,{PATH},,,", f"0,{PATH},7,,190", f"0,{PATH},,2.5,", f"1,{PATH},,,"]
     layout, (first, second), *_ = read_paths(store(tmp_path, *lines, header=header), SCENE)
     assert layout == Layout(3, odometry=True) and first.doppler_spread_hz == 7.0
-    np.testing.assert_allclose(first.odometry, [2.5, np.radians(-170.0)])
+    assert_allclose(first.odometry, [2.5, np.radians(-170.0)])
     assert np.isnan(second.odometry).all() and second.doppler_spread_hz == 0.0
     without = read_paths(store(tmp_path, *lines, header=header), SCENE, odometry=False)
     assert without.layout == Layout(3)
@@ -97,13 +98,13 @@ def test_every_usable_link_is_read_as_a_path(tmp_path):
         links = true.measurement[t, :12].reshape(3, 4)[true.usable[t, :3]]
         order = np.argsort(links[:, 0])
         theirs = np.argsort(epoch.links[0, :, 0])
-        np.testing.assert_allclose(epoch.links[0, theirs], links[order], rtol=1e-12)
+        assert_allclose(epoch.links[0, theirs], links[order], rtol=1e-12)
         snr = true.snr_db[t, true.usable[t, :3]]
-        np.testing.assert_array_equal(epoch.snr_db[theirs], snr[order])
+        assert_array_equal(epoch.snr_db[theirs], snr[order])
         assert epoch.time_s == true.time_s[t]
         assert epoch.doppler_spread_hz == true.doppler_spread_hz[t]
         if true.usable[t, -1]:
-            np.testing.assert_array_equal(epoch.odometry, true.measurement[t, 13:])
+            assert_array_equal(epoch.odometry, true.measurement[t, 13:])
 
 
 def test_a_log_of_paths_is_refused_where_anchor_numbers_are_expected(tmp_path):

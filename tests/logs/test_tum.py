@@ -1,11 +1,14 @@
-"""Tests that TUM trajectory files are read back as written, read by evo, and refused if damaged."""
+"""Tests of TUM files: read back as written, read by evo, refused if damaged, and interpolated."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from numpy.testing import assert_array_equal
+from scipy.interpolate import CubicHermiteSpline
 
+from mmwave_env.logs.truth import BRIDGED_S, TOLERANCE_S, Truth
 from mmwave_env.logs.tum import read_tum, tum_lines
 from tests.refusals import refuses
 
@@ -19,7 +22,7 @@ def store(folder, content):
     return path
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     track=arrays(float, st.tuples(st.integers(1, 20), st.just(3)), elements=coordinates),
     start=coordinates,
@@ -29,8 +32,8 @@ def test_a_written_track_is_read_back_exactly(tmp_path_factory, track, start, st
     time = start + step * np.arange(len(track))
     path = store(tmp_path_factory.mktemp("tum"), tum_lines(time, track))
     poses = read_tum(path)
-    np.testing.assert_array_equal(poses.time_s, time)
-    np.testing.assert_array_equal(poses.position_m, track)
+    assert_array_equal(poses.time_s, time)
+    assert_array_equal(poses.position_m, track)
 
 
 def test_evo_reads_our_files(tmp_path):
@@ -39,8 +42,8 @@ def test_evo_reads_our_files(tmp_path):
     track = np.cumsum(np.random.default_rng(1).standard_normal((300, 3)), axis=0)
     path = store(tmp_path, "# t x y z qx qy qz qw\n" + tum_lines(time, track))
     read = file_interface.read_tum_trajectory_file(str(path))
-    np.testing.assert_array_equal(read.timestamps, time)
-    np.testing.assert_array_equal(read.positions_xyz, track)
+    assert_array_equal(read.timestamps, time)
+    assert_array_equal(read.positions_xyz, track)
 
 
 SPELLINGS = {
@@ -102,3 +105,40 @@ def test_a_carriage_return_inside_a_line_is_refused(tmp_path, line):
     path = store(tmp_path, f"# t x y z\r\n{line}\n")
     with refuses(f"{path}, line"):
         read_tum(path)
+
+
+def truth_of(folder, time_s, position_m):
+    path = folder / "truth.tum"
+    path.write_text(tum_lines(time_s, position_m))
+    return Truth(path)
+
+
+def expected(pose_s, position, time_s):
+    """Return positions from SciPy's cubic splines; NaN in gaps."""
+    p = np.full((len(time_s), 3), np.nan)
+    runs = np.split(np.arange(len(pose_s)), np.flatnonzero(np.diff(pose_s) > BRIDGED_S) + 1)
+    for run in runs:
+        t = pose_s[run]
+        x = position[run]
+        away = np.abs(time_s[:, None] - t)
+        near = away.min(axis=1) <= TOLERANCE_S
+        p[near] = x[away[near].argmin(axis=1)]
+        if len(run) > 1:
+            curve = CubicHermiteSpline(t, x, np.gradient(x, t, axis=0))
+            inside = (time_s >= t[0]) & (time_s <= t[-1])
+            p[inside] = curve(time_s[inside])
+    return p
+
+
+times = st.lists(st.integers(0, 4000), min_size=1, max_size=60, unique=True)
+
+
+@settings(max_examples=80)
+@given(poses=times, epochs=times, late=st.sampled_from([0.0, 1e-3]))
+def test_poses_are_interpolated_but_not_across_gaps(tmp_path_factory, poses, epochs, late):
+    pose_s = np.sort(poses) * 1e-2
+    time_s = np.sort(epochs) * 1e-2 + late
+    position = np.random.default_rng(0).standard_normal((len(pose_s), 3))
+    truth = truth_of(tmp_path_factory.mktemp("truth"), pose_s, position)
+    np.testing.assert_allclose(truth.at(time_s), expected(pose_s, position, time_s), atol=1e-9)
+    assert (truth.first_s, truth.last_s) == (pose_s[0], pose_s[-1])

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -37,7 +37,6 @@ def test_the_covariance_of_a_drawn_prior_is_right(radio):
     assert_array_equal(covariance, RADIOS[radio].prior_covariance(SCENE))
 
 
-@settings(deadline=None)
 @given(st.tuples(st.floats(-200, 200), st.floats(-200, 200), st.floats(0, 5)))
 def test_a_fix_without_noise_is_the_true_position_and_leaves_the_velocity_unknown(position):
     if np.hypot(*(np.array(position[:2]) - GNB[:2])) < 1.0:

@@ -35,7 +35,7 @@ walls = st.builds(Wall, normals, coordinates)
 MINIMAL = {"base_station_m": [10, 10, 10]}
 
 
-@settings(derandomize=True, deadline=None)
+@settings(derandomize=True)
 @given(walls, st.sampled_from([1, -1]), *[st.floats(0.1, 500.0)] * 2, points, points)
 def test_a_reflection_is_as_long_as_the_line_from_the_mirror_image(
     wall, side, d_source, d_user, a, b

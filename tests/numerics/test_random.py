@@ -1,4 +1,4 @@
-"""Tests of random numbers against NumPy's generator and against their distributions."""
+"""Tests of random numbers against NumPy's generator, and of the numbers of similar keys."""
 
 import numpy as np
 import pytest
@@ -90,53 +90,6 @@ def test_lanes_draw_the_same_numbers_as_floats_and_numpy():
             pairs = np.stack([lengths * np.cos(angles), lengths * np.sin(angles)], 1)
             for expected in ([dice.normal() for _ in range(EACH)], pairs.ravel()):
                 assert_allclose(normal[now], expected, rtol=1e-12, atol=1e-14)
-
-
-KINDS = {"uniform": stats.uniform(), "exponential": stats.expon(), "normal": stats.norm()}
-
-
-@pytest.fixture(scope="module")
-def many():
-    """Return ten million numbers of each kind (1000, 10_000), drawn with consecutive keys."""
-    return dict(zip(KINDS, drawn(np.arange(1000, dtype=np.uint64), 1250), strict=True))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS)
-def test_numbers_have_their_distributions(many, kind):
-    """Test distributions with 99.9 % confidence, and moments within four standard errors."""
-    values = many[kind].ravel()
-    exact = KINDS[kind]
-    n = values.size
-    assert n == 10_000_000
-    assert stats.kstest(values, exact.cdf).pvalue > 1e-3
-    for order in (1, 2, 3, 4):
-        error = np.sqrt((exact.moment(2 * order) - exact.moment(order) ** 2) / n)
-        assert abs((values**order).mean() - exact.moment(order)) < 4.0 * error
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("sigma", [3.0, 3.5, 4.0, 4.5, 5.0])
-def test_tails_of_normal_numbers_have_the_right_weight(many, sigma):
-    values = many["normal"]
-    for beyond in (values > sigma, values < -sigma):
-        low, high = stats.binom.interval(1.0 - 1e-4, values.size, stats.norm.sf(sigma))
-        assert low <= beyond.sum() <= high
-
-
-@pytest.mark.slow
-def test_nearby_numbers_and_keys_are_not_correlated(many):
-    """Correlate numbers at most 16 draws apart, and the numbers of keys that differ by at most 16.
-
-    The correlation of n pairs has a standard error of 1 / sqrt(n). All correlations together stay
-    within the bound with 99.9 % confidence (Bonferroni).
-    """
-    values = stats.norm.ppf(np.clip(many["uniform"], 1e-12, 1.0))
-    lags = 16
-    bound = stats.norm.isf(0.0005 / (2 * lags))
-    for lag in range(1, lags + 1):
-        for a, b in ((values[:, :-lag], values[:, lag:]), (values[:-lag], values[lag:])):
-            assert abs((a * b).mean()) * np.sqrt(a.size) < bound
 
 
 @pytest.mark.slow

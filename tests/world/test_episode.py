@@ -1,14 +1,10 @@
-"""Tests of episodes: geometry, layout, noise, refused values, and tables, which engines read.
-
-The tests of noise have a confidence of 99.9 %.
-"""
+"""Tests of episodes: geometry, layout, refused values, and tables, which engines read."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.stats import kstest, norm
 
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import RADIOS
@@ -16,19 +12,15 @@ from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.pytree import unflatten
 from mmwave_env.world.episode import blank_incoming
 from mmwave_env.world.simulated import SimulatedSource
-from tests.filters.tracks import geometry
+from tests.filters.tracks import geometry, sampled
 from tests.refusals import refuses
 
 STREET = SCENES["street"]
 HZ_PER_MPS = 28e9 / 299_792_458.0
-SIGNIFICANCE = 0.001
-# A radio whose only errors are noise: blockage, multipath and oscillator add nothing.
-SILENT = {"blockage_scale": 0.0, "multipath_rate_hz": 0.0, "drift_mps": 0.0, "prior_bias_mps": 1e-9}
-NOISE_ONLY = replace(RADIOS["standard"], **SILENT)
 
 
 def draw(seed=0, scene=STREET, radio=RADIOS["handset"], **changes):
-    return SimulatedSource(scene, radio, **changes).sample(np.random.default_rng(seed))
+    return sampled(SimulatedSource(scene, radio, **changes), seed)
 
 
 @pytest.fixture(scope="module")
@@ -60,16 +52,6 @@ def exact(position, velocity, anchors):
     return np.column_stack(columns)
 
 
-def innovations(episode):
-    """Return (measured - exact) / sigma in the epochs in which all links are visible."""
-    z = episode.measurement - exact(
-        episode.truth_position_m, episode.truth_velocity_mps, episode.scene_anchors_m
-    )
-    angles = episode.layout.angles
-    z[:, angles] = wrapped(z[:, angles])
-    return (z / episode.sigma)[episode.visible.all(axis=1)]
-
-
 # --- geometry
 
 
@@ -91,17 +73,6 @@ def test_odometry_rows_are_speed_and_heading():
     velocity = np.array([[3.0, 4.0, 0.0], [-1.0, 0.0, 0.0]])
     z = geometry(np.zeros((2, 3)), velocity, STREET, Layout(odometry=True))
     assert_allclose(z[:, 13:], [[5.0, np.arctan2(4.0, 3.0)], [1.0, np.pi]])
-
-
-def test_noise_divided_by_sigma_is_standard_normal():
-    drawn = [draw(seed, radio=NOISE_ONLY) for seed in range(30)]
-    pooled = np.concatenate([innovations(episode) for episode in drawn])
-    for row in pooled.T:
-        assert kstest(row, "norm").pvalue > SIGNIFICANCE
-    off_diagonal = np.corrcoef(pooled.T)[np.triu_indices(13, 1)]
-    # Rows are independent. The significance is divided by the number of pairs (Bonferroni).
-    z = norm.ppf(1.0 - SIGNIFICANCE / (2.0 * off_diagonal.size))
-    assert np.abs(off_diagonal).max() <= z / np.sqrt(len(pooled))
 
 
 def test_angles_are_wrapped():

@@ -19,7 +19,7 @@ from mmwave_env.world.simulated import SimulatedSource
 from mmwave_env.world.simulation import RECEIVER, USER
 from mmwave_env.world.trajectory import Trajectory
 from mmwave_env.world.travel import attend, draw_phases, set_off, stride_of
-from tests.filters.tracks import around_a_block, geometry, street_source
+from tests.filters.tracks import around_a_block, geometry, sampled, street_source
 from tests.numerics.test_random import theirs
 from tests.paths import representative
 
@@ -233,9 +233,7 @@ def test_a_batch_equals_single_episodes_to_the_last_bit(name, threads):
 def test_a_random_generator_draws_the_key_of_a_sample():
     source = SOURCES["jam"]
     key = np.random.default_rng(7).integers(0, 2**64, dtype=np.uint64)
-    assert_array_equal(
-        source.sample(np.random.default_rng(7)).table(), source.episode(int(key)).table()
-    )
+    assert_array_equal(sampled(source, 7).table(), source.episode(int(key)).table())
 
 
 def test_the_scene_of_a_key_equals_the_scene_of_its_episode():

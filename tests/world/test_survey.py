@@ -10,7 +10,7 @@ from scipy.stats import binomtest
 from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.models.random_survey import RandomSurvey
 from mmwave_env.world.keys import keys_of
-from tests.filters.tracks import around_a_block, replay, street_source
+from tests.filters.tracks import around_a_block, replay, sampled, street_source
 from tests.refusals import refuses
 
 NONE = dict.fromkeys(["rotation_rad", "tilt_rad", "range_m", "anchors_m", "heights_m", "slow"], 0.0)
@@ -95,22 +95,11 @@ def test_an_episode_has_each_kind_of_error_at_its_rate():
     assert binomtest(sum(moved), len(moved), 0.3).pvalue > 1e-4
 
 
-def test_a_survey_without_errors_changes_nothing():
-    plain = MmWaveLocEnv(survey=RandomSurvey(**(NONE | {"rate": 1.0})), episode_steps=20)
-    exact = MmWaveLocEnv(episode_steps=20)
-    for seed in range(3):
-        assert_array_equal(plain.reset(seed=seed)[0], exact.reset(seed=seed)[0])
-        for _ in range(20):
-            a, b = plain.step(1), exact.step(1)
-            assert_array_equal(a[0], b[0])
-            assert a[1] == b[1]
-
-
 def test_observations_depend_on_the_map_and_the_measurements_but_not_on_the_truth():
     """Compare observations with those of a user who is elsewhere, with the same measurements."""
     source = street_source(radio="standard", epochs=21, survey=RandomSurvey(rate=1.0))
     for seed in range(3):
-        episode = source.sample(np.random.default_rng(seed))
+        episode = sampled(source, seed)
         elsewhere = replace(episode, truth_position_m=episode.truth_position_m + 30.0)
         there, here = (MmWaveLocEnv(episodes=replay(e)) for e in (elsewhere, episode))
         assert_array_equal(there.reset(seed=0)[0], here.reset(seed=0)[0])

@@ -74,7 +74,7 @@ def test_a_station_that_is_never_visible_is_not_an_anchor(three_stations):
         read_deepmimo(three_stations)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(lean=st.floats(-0.3, 0.3), turn=st.floats(0.0, 2.0 * np.pi))
 def test_sloping_ground_and_leaning_walls_are_told_apart(tmp_path_factory, lean, turn):
     folder = tmp_path_factory.mktemp("slope")

@@ -26,7 +26,7 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("arrays")
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(
     array=stn.arrays(
         st.sampled_from([">f4", "<f4", "f8", "f2", "i4", ">u2", "u1"]),

@@ -109,7 +109,7 @@ def test_scattered_paths_are_left_out(folder):
     assert recording.visible[40:, 1].any()
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     turn=st.floats(0.0, 2.0 * np.pi),
     offset=st.floats(5.0, 100.0),
