@@ -3,7 +3,7 @@
 import itertools
 import warnings
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import inf, isnan
 from pathlib import Path
@@ -165,7 +165,7 @@ class Tracker:
 
     def step(self, epoch: LiveEpoch) -> Position | None:
         """Process an epoch of a live log, as :meth:`update` does."""
-        revised = self._revised(epoch)
+        revised = self._revised(epoch, epoch.log)
         if revised:
             return self._restart(*revised)
         if self._last_s is None:
@@ -174,8 +174,11 @@ class Tracker:
         self._filter.load_epoch(row, epoch.time_s)
         return self._filtered([epoch.time_s], [visible], [spread_hz])
 
-    def _revised(self, epoch: LiveEpoch) -> tuple[Log, Start] | None:
-        """Return the epochs with which a track begins, or begins anew, and the start; else None."""
+    def _revised(self, epoch: LiveEpoch, row: Callable[[], Log]) -> tuple[Log, Start] | None:
+        """Return the epochs with which a track begins, or begins anew, and the start; else None.
+
+        ``row`` returns the epoch as a log (T = 1).
+        """
         if self._filter is not None and epoch.layout != self._layout:
             self._filter = None
             self._last_s = None
@@ -185,12 +188,12 @@ class Tracker:
             if self._last_s is not None or self._doubt is None:
                 self._doubt = Doubt(self._scene, self._radio)
                 self._last_s = None
-            return self._doubt.begin(epoch)
+            return self._doubt.begin(epoch, row)
         if gap_s > DOUBTFUL_GAP_S:
             self._doubt = Doubt(self._scene, self._radio)
         if self._doubt is None:
             return None
-        revised = self._doubt.revise(epoch)
+        revised = self._doubt.revise(epoch, row)
         if not self._doubt.is_open():
             self._doubt = None
         return revised
@@ -420,7 +423,7 @@ class Trackers:
             user = self._arrived(epoch)
             tracker._last_s = user.last_s
             tracker._doubt = user.doubt
-            revised = tracker._revised(epoch)
+            revised = tracker._revised(epoch, epoch.log)
             if revised:
                 done.append((name, tracker._restart(*revised)))
                 self._keep(user, epoch, tracker._filter, 0)
