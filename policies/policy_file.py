@@ -46,6 +46,7 @@ FORMAT = 2
 # and up, and logarithms of factors for the three standard deviations.
 CORRECTIONS = 6
 MOST_BYTES = 128 << 20  # maximum size of a file: a thousand times the size of our largest policy
+MOST_WEIGHT = 1e9  # largest size of a weight; a hundred thousand times our largest one
 _KEY = "policy"  # only one key, because the library would write several keys in random order
 # fields that older files do not have, with the values for which files leave them out
 _LATER: Json = {"beliefs": "shared", "banks": {}, "base": ""}
@@ -200,11 +201,12 @@ def _require_network(tensors: Tensors, card: Card) -> None:
         raise ValueError(f"tensors: found {sorted(tensors)}, expected {sorted(shapes)}")
     for name, shape in shapes.items():
         tensor = tensors[name]
-        numbers = tensor.dtype == np.float32 and tensor.size and np.isfinite(tensor).all()
-        if tensor.shape != shape or not numbers:
+        limit = np.inf if name in ("low", "high") else MOST_WEIGHT
+        small = np.isfinite(tensor).all() and (abs(tensor) <= limit).all()
+        if tensor.shape != shape or not (tensor.dtype == np.float32 and tensor.size and small):
             raise ValueError(
                 f"tensor {name!r}: found {tensor.dtype} {tensor.shape}, expected finite float32 "
-                f"{shape} for {features} features"
+                f"{shape} for {features} features, and weights up to {MOST_WEIGHT:g}"
             )
     if (tensors["low"] > tensors["high"]).any():
         raise ValueError("tensor 'low': found numbers above tensor 'high', expected none")

@@ -184,7 +184,7 @@ def _lines() -> Iterator[tuple[int, str] | None]:
 
 def _text(line: bytes) -> str:
     """Return a line as text; bytes that are no text become escape codes, which checks refuse."""
-    return line.decode("utf-8-sig", errors="backslashreplace").rstrip()
+    return line.decode(errors="backslashreplace").removeprefix("\ufeff").rstrip()
 
 
 def _epochs(

@@ -296,7 +296,7 @@ def keep(folder: Path, name: str, values: Values, result: Values) -> None:
     if "policy_file" in row:
         write_bytes(folder / f"{name}.safetensors", row.pop("policy_file"))
     with atomic_path(folder / f"{name}.parquet") as temporary:
-        parquet.write_table(pyarrow.Table.from_pylist([row]), temporary)
+        parquet.write_table(pyarrow.Table.from_pylist([row]), temporary, write_page_checksum=True)
 
 
 def read(folder: Path, spec: Spec) -> dict[str, Values]:
@@ -308,7 +308,7 @@ def read(folder: Path, spec: Spec) -> dict[str, Values]:
     for name in filter(names.__contains__, spec.cells):
         path = folder / f"{name}.parquet"
         try:
-            (rows[name],) = parquet.read_table(path).to_pylist()
+            (rows[name],) = parquet.read_table(path, page_checksum_verification=True).to_pylist()
         except (ArrowException, OSError, ValueError) as error:
             raise ValueError(
                 f"{path}: found no row ({first_line(error)}); remove the file"

@@ -11,12 +11,18 @@ some of the first epochs. If a majority agrees on a straight motion that another
 the track begins from this motion instead.
 """
 
-from collections.abc import Iterator, Sequence
-from itertools import combinations
+from collections.abc import Callable
+from functools import cache
+from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
+from numba.extending import register_jitable
 
+from mmwave_env.compiler.advance import call
+from mmwave_env.compiler.disk_cache import compiled
+from mmwave_env.compiler.lanes import WIDTH
+from mmwave_env.compiler.program import Program, blocks_of
 from mmwave_env.logs.live_log import LiveEpoch, log_from
 from mmwave_env.logs.log import Log
 from mmwave_env.logs.log_columns import RANGE_LIMITS_M
@@ -25,7 +31,21 @@ from mmwave_env.models.measurement import link_group
 from mmwave_env.models.prior import STEEPEST_FIX_RAD, prior_from_fix
 from mmwave_env.models.radio import BIAS_SIGMA_M, UNKNOWN_VELOCITY_MPS, Radio
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.numbers import Array, Mask
+from mmwave_env.numerics.linalg import (
+    backward,
+    cholesky,
+    dot,
+    forward,
+    minus,
+    pack,
+    plus,
+    product,
+    symmetric,
+    times,
+    unpack,
+)
+from mmwave_env.numerics.numbers import Array, Mask, Number, Numbers, where
+from mmwave_env.numerics.pytree import flatten, select, unflatten
 
 # Standard deviations of the weak prior: of the height around the height of the streets, and of x
 # and y around the mean position of the anchors.
@@ -37,9 +57,11 @@ _UNKNOWN = [0, 1, 2, 7]  # indices of the state's position and range bias
 # Searches start around some anchors: where an azimuth points to, else in 12 directions; at the
 # measured range, else at three distances.
 _SEARCHED = 4
-_DIRECTIONS = 12
-_STARTS_M = (10.0, 40.0, 160.0)
+_TURNS = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
+_STARTS_M = np.array([10.0, 40.0, 160.0])
 _ROUNDS = 20
+_DAMPING = 1e-3  # before the first round, which divides it by 10
+_SETTLED = 1e-6  # a round that reduces the squared errors by less is the last
 _RANGE_ROW = np.array([[True], [False], [False], [False]])  # the range among the rows of a link
 _SURELY = 3.3  # standard deviations of a difference that noise exceeds once in 1,000 times
 POOL_S = 1.0  # age up to which earlier links help to determine a first position
@@ -95,7 +117,7 @@ def start_at(log: Log, epoch: int, scene: Scene, radio: Radio) -> Start | None:
     if (row.visible[0, :links] & (abs(elevations) > STEEPEST_FIX_RAD)).any():
         return None  # near the vertical, filters can't follow
     spent[0, :links] = row.visible[0, :links]
-    solved = _position_at(log, epoch, scene, radio)
+    solved = _position_at(row, lambda: log.part(slice(epoch + 1)), scene, radio)
     if solved is None:
         return None
     unknown, covariance, _ = solved
@@ -110,39 +132,40 @@ def start_at(log: Log, epoch: int, scene: Scene, radio: Radio) -> Start | None:
 
 
 def _position_at(
-    log: Log, epoch: int, scene: Scene, radio: Radio
+    row: Log, until: Callable[[], Log], scene: Scene, radio: Radio
 ) -> tuple[Array, Array, bool] | None:
     """Return :func:`_solved` for an epoch's links or, if that is None, with earlier ones.
 
-    Also tell whether earlier ones were needed.
+    Also tell whether earlier ones were needed. ``row`` is the epoch (T = 1), and ``until`` returns
+    a log that ends with it.
     """
-    row = log.part(slice(epoch, epoch + 1))
     sigma = deviations_of(row, scene, radio)[0]
-    clock = log.layout.clock
+    clock = row.layout.clock
     solved = _solved(row.measurement[0], sigma, row.visible[0], scene, clock)
     if solved:
         return *solved, False
     if clock == "free":
         return None  # earlier ranges have another bias
-    solved = _solved(*_pooled(log, epoch, scene, radio), scene, clock)
+    solved = _solved(*_pooled(until(), scene, radio), scene, clock)
     return (*solved, True) if solved else None
 
 
 def deviations_of(log: Log, scene: Scene, radio: Radio) -> Array:
     """Return the standard deviations (T, rows): the receiver's own, else the radio's."""
-    modelled = radio.sigma(log.snr_db, scene, log.layout)
-    return np.where(np.isfinite(log.sigma), log.sigma, modelled)
+    known = np.isfinite(log.sigma)
+    if known.all():
+        return log.sigma
+    return np.where(known, log.sigma, radio.sigma(log.snr_db, scene, log.layout))
 
 
-def _pooled(log: Log, epoch: int, scene: Scene, radio: Radio) -> tuple[Array, Array, Mask]:
-    """Return the latest measurement (rows,) of every row in the second before an epoch.
+def _pooled(log: Log, scene: Scene, radio: Radio) -> tuple[Array, Array, Mask]:
+    """Return the latest measurement (rows,) of every row in the second before the last epoch.
 
     Also return standard deviations (rows,), which allow for an unknown motion since then, and the
     groups (groups,) that were measured.
     """
-    now = log.time_s[epoch]
-    first = int(np.searchsorted(log.time_s, now - POOL_S))
-    recent = log.part(slice(first, epoch + 1))
+    now = log.time_s[-1]
+    recent = log.part(slice(int(np.searchsorted(log.time_s, now - POOL_S)), None))
     layout = log.layout
     measurement = np.full(layout.size, np.nan)
     sigma = np.full(layout.size, np.nan)
@@ -219,7 +242,7 @@ def _solved(
         weight=1.0 / np.array(deviation) ** 2,
         synchronized=clock != "free",
     )
-    cost, position, information = _descended(links, np.array(list(_starts(links))))
+    cost, position, information = _descended(links, _starts(links))
     if mirrored:
         sides = _across(points, position) * _across(points, np.array([scene.side]))
         if not (sides > 0.0).any():
@@ -266,65 +289,155 @@ def _across(line: Array, points: Array) -> Array:
     return x * dy - y * dx  # type: ignore[no-any-return]
 
 
-def _starts(links: _Links) -> Iterator[Array]:
-    """Yield positions (3 or 4,) around the nearest anchors, at the height of the streets."""
-    turns = np.linspace(0.0, 2.0 * np.pi, _DIRECTIONS, endpoint=False)
+def _starts(links: _Links) -> Array:
+    """Return positions (S, 3 or 4) around the nearest anchors, at the height of the streets."""
     distance, arrival, _, departure = np.where(links.measured > 0.5, links.z, np.nan)
     azimuth = np.where(np.isnan(arrival), departure + np.pi, arrival)
     order = np.lexsort((distance, np.isnan(azimuth)))  # first those with azimuths, then the nearest
+    around = []
     for link in order[:_SEARCHED]:
-        directions = turns if np.isnan(azimuth[link]) else [azimuth[link]]
+        one = slice(link, link + 1)
+        turns = _TURNS if np.isnan(azimuth[link]) else azimuth[one]
         known = links.synchronized and np.isfinite(distance[link])
-        distances = [distance[link]] if known else _STARTS_M
-        for radius in distances:
-            for turn in directions:
-                aside = radius * np.array([np.cos(turn), np.sin(turn)])
-                yield np.array([*(links.anchors[:2, link] + aside), *links.center[2:]])
+        radii = distance[one] if known else _STARTS_M
+        asides = np.multiply.outer(radii, np.stack([np.cos(turns), np.sin(turns)], axis=1))
+        around.append(links.anchors[:2, link] + asides.reshape(-1, 2))
+    horizontal = np.concatenate(around)
+    starts = np.tile(links.center, (len(horizontal), 1))
+    starts[:, :2] = horizontal
+    return starts
 
 
-def _normal(links: _Links, positions: Array) -> tuple[Array, Array, Array]:
-    """Return, at S positions (S, n), squared errors (S,), -1/2 of their gradients, informations."""
-    S, n = positions.shape
-    unknown = _UNKNOWN[:n]
-    still = [np.zeros((S, 1))] * (STATE_SIZE - 3)
-    columns = [positions[:, i, None] for i in range(n)]
-    x = [*columns[:3], *still, *columns[3:]]
-    group = link_group(x, *(list(part[:, None]) for part in links[:4]))
-    shape = (S, links.anchors.shape[1])
-    e = np.stack([np.broadcast_to(value, shape) for value in group.innovation], axis=-1)
-    w = 1.0 / np.stack([np.broadcast_to(value, shape) for value in group.variance], axis=-1)
-    H = np.empty((*shape, 3, n))
-    for row, gradient in enumerate(group.jacobian):
-        for column, i in enumerate(unknown):
-            H[..., row, column] = gradient[i]
-    away = links.center - positions
-    cost = (w * e * e).sum(axis=(1, 2)) + (links.weight * away * away).sum(axis=1)
-    cost += np.broadcast_to(group.spare_nis, shape).sum(axis=1)  # of azimuth differences
-    weighted = w[..., None] * H
-    gradient = np.einsum("slrn,slr->sn", weighted, e) + links.weight * away
-    information = np.einsum("slrn,slrm->snm", weighted, H) + np.diag(links.weight)
-    return cost, gradient, information
+class _Sums(NamedTuple):
+    """A sum over links of squared errors, -1/2 of its gradient (n,), and the information (n, n)."""
+
+    cost: Number
+    gradient: Numbers
+    information: Numbers  # packed
 
 
-def _descended(links: _Links, position: Array) -> tuple[Array, Array, Array]:
-    """Find minima near S positions (S, n) by Levenberg-Marquardt; return them as _normal does."""
-    cost, gradient, information = _normal(links, position)
-    damping = np.full(len(position), 1e-4)
-    for _ in range(_ROUNDS):
-        scale = np.einsum("snn->sn", information)[:, None] * np.eye(position.shape[1])
-        step = np.linalg.solve(information + damping[:, None, None] * scale, gradient[..., None])
-        new = position + step[..., 0]
-        after = _normal(links, new)
-        better = after[0] <= cost
-        settled = better & (cost - after[0] < 1e-6)
-        position = np.where(better[:, None], new, position)
-        gradient = np.where(better[:, None], after[1], gradient)
-        information = np.where(better[:, None, None], after[2], information)
-        cost = np.where(better, after[0], cost)
-        damping = np.where(better, damping / 10.0, damping * 10.0)
-        if settled.all():
-            break
-    return cost, position, information
+class _Link(NamedTuple):
+    """A link, as for :func:`~mmwave_env.models.measurement.link_group`."""
+
+    anchor: Numbers
+    z: Numbers
+    variance: Numbers
+    measured: Numbers
+
+
+class _Search(NamedTuple):
+    """A search for a minimum by Levenberg-Marquardt, over positions (n,) with n = 3 or 4."""
+
+    link: _Link  # the next link to be added
+    center: Numbers  # (n,) the weak prior
+    weight: Numbers
+    tried: Numbers  # (n,) position, and what was added up there
+    sums: _Sums
+    position: Numbers  # (n,) best position so far, and the sums there
+    best: _Sums
+    damping: Number
+    settled: Number  # 1 if the last round hardly improved the position, else 0
+
+
+def _with_link(search: _Search) -> _Search:
+    """Add a link to the sums at the tried position."""
+    position = search.tried
+    n = len(position)
+    x = [*position[:3], *[0.0] * (STATE_SIZE - 3), *position[3:]]
+    group = link_group(x, *search.link)
+    H = [[row[i] for i in _UNKNOWN[:n]] for row in group.jacobian]
+    weighted = [[d / v for d in row] for row, v in zip(H, group.variance, strict=True)]
+    e = group.innovation
+    squares = [a * a / v for a, v in zip(e, group.variance, strict=True)]
+    columns = list(zip(*weighted, strict=True))
+    gradient = [dot(column, e) for column in columns]
+    information = product(columns, H)
+    own = _Sums(sum(squares, group.spare_nis), gradient, pack(information))
+    return search._replace(sums=_added(search.sums, own))
+
+
+def _added(a: _Sums, b: _Sums) -> _Sums:
+    return unflatten(a, iter(plus(flatten(a), flatten(b))))
+
+
+def _next_round(search: _Search) -> _Search:
+    """Compare the tried position with the best one; try another one, without sums yet."""
+    away = minus(search.center, search.tried)
+    pull = times(search.weight, away)
+    n = len(pull)
+    weak = symmetric(n, lambda i, j: search.weight[i] if i == j else 0.0)
+    now = _added(search.sums, _Sums(dot(pull, away), pull, pack(weak)))
+    cost = search.best.cost
+    better = now.cost <= cost
+    best = select(better, now, search.best)
+    position = select(better, search.tried, search.position)
+    damping = search.damping * where(better, 0.1, 10.0)
+    information = unpack(best.information)
+    damped = symmetric(n, lambda i, j: information[i][j] * (1.0 + damping if i == j else 1.0))
+    factor = cholesky(damped)
+    step = backward(factor, forward(factor, best.gradient))
+    return search._replace(
+        tried=plus(position, step),
+        sums=unflatten(now, repeat(0.0)),
+        position=position,
+        best=best,
+        damping=damping,
+        settled=where(better & (cost - now.cost < _SETTLED), 1.0, 0.0),
+    )
+
+
+@cache
+def _programs(n: int) -> tuple[Program[_Search], Program[_Search]]:
+    """Return :func:`_with_link` and :func:`_next_round`, compiled for positions (n,)."""
+    many = [0.0] * n
+    sums = _Sums(0.0, many, [0.0] * (n * (n + 1) // 2))
+    link = _Link(many[:3], *[[1.0] * 4] * 3)
+    start = _Search(link, many, many, many, sums, many, sums._replace(cost=np.inf), _DAMPING, 0.0)
+    return Program(_with_link, start), Program(_next_round, start)
+
+
+@compiled
+def _run_rounds(add_link, end_round, settled, links, blocks):  # type: ignore[no-untyped-def]
+    """Run rounds of searches until all have settled in the same round.
+
+    Args:
+        add_link, end_round: addresses of compiled programs.
+        settled: row of a workspace.
+        links: (links, numbers) each link's numbers, the first rows of a workspace.
+        blocks: (blocks, rows, 8) workspaces of the searches, changed in place.
+    """
+    for _ in range(1 + _ROUNDS):
+        unsettled = 0
+        for block in blocks:
+            for link in links:
+                for i in range(len(link)):
+                    block[i] = link[i]
+                call(add_link, (block.ctypes.data,))
+            call(end_round, (block.ctypes.data,))
+            for lane in range(WIDTH):
+                unsettled += block[settled, lane] < 0.5
+        if unsettled == 0:
+            return
+
+
+def _descended(links: _Links, starts: Array) -> tuple[Array, Array, Array]:
+    """Find minima near S starts (S, n).
+
+    Return squared errors (S,), positions (S, n) and informations (S, n, n).
+    """
+    S, n = starts.shape
+    add_link, end_round = _programs(n)
+    at = add_link.index
+    blocks = blocks_of(add_link.start, S)
+    searches = blocks.transpose(0, 2, 1).reshape(-1, len(add_link.start))
+    searches[:, at.center] = links.center
+    searches[:, at.weight] = links.weight
+    searches[:, at.tried] = starts[np.arange(len(searches)) % S]
+    blocks = searches.reshape(len(blocks), WIDTH, -1).transpose(0, 2, 1).copy()
+    rows = np.concatenate(links[:4]).T.copy()
+    _run_rounds(add_link.on_lanes(), end_round.on_lanes(), at.settled, rows, blocks)
+    found = blocks.transpose(0, 2, 1).reshape(searches.shape)[:S]
+    return found[:, at.best.cost], found[:, at.position], found[:, unpack(at.best.information)]
 
 
 class Vote(NamedTuple):
@@ -348,6 +461,10 @@ class Ballot:
         self._scene = scene
         self._radio = radio
         self._votes: list[Vote] = []
+        self._jump: int | None = None  # index of the first vote of another motion
+        # the vote that may become this one, if the next one explains the votes less well; its gain
+        self._candidate: int | None = None
+        self._gain = _JUMP_ERROR
 
     def is_open(self, elapsed_s: float) -> bool:
         """Tell whether an epoch so long after the first one may still vote."""
@@ -369,54 +486,68 @@ class Ballot:
         few = len(self._votes) < VOTES and not last.pooled  # pooled votes must not share links
         return time_s - last.time_s >= (_SPACING_S if few else _LATER_SPACING_S)
 
-    def add(self, log: Log, epoch: int) -> bool:
-        """Let an epoch of a log vote, unless it follows another vote at once; tell if it did."""
-        now = float(log.time_s[epoch])
-        if not self.is_due(now):
-            return False
-        solved = _position_at(log, epoch, self._scene, self._radio)
+    def add(self, log: Log, epoch: int) -> None:
+        """Let an epoch of a log vote, unless it follows another vote at once."""
+        if self.is_due(float(log.time_s[epoch])):
+            row = log.part(slice(epoch, epoch + 1))
+            self.vote(row, epoch, lambda: log.part(slice(epoch + 1)))
+
+    def vote(self, row: Log, epoch: int, until: Callable[[], Log]) -> bool:
+        """Let an epoch vote that :meth:`is_due`; tell if it did.
+
+        Args:
+            row: the epoch (T = 1).
+            epoch: its number.
+            until: function that returns a log that ends with this epoch.
+        """
+        solved = _position_at(row, until, self._scene, self._radio)
         if solved is None:
             return False
         position, covariance, pooled = solved
-        self._votes.append(Vote(epoch, now, position[:3], covariance[:3, :3], pooled))
+        time_s = float(row.time_s[0])
+        self._votes.append(Vote(epoch, time_s, position[:3], covariance[:3, :3], pooled))
+        self._look_for_jump()
         return True
+
+    def _look_for_jump(self) -> None:
+        """Look whether another motion begins with the third last vote."""
+        first = len(self._votes) - _JUMP
+        if self._jump is not None or first < VOTES:
+            return
+        near = self._votes[first - _JUMP :]
+        apart = _errors(near[:_JUMP]).min() + _errors(near[_JUMP:]).min()
+        gain = _errors(near).min() - apart
+        if gain > self._gain:
+            self._gain = gain
+            self._candidate = first
+        else:
+            self._jump = self._candidate
 
     def jump(self) -> int | None:
         """Return the epoch, not one of the first, at which another motion begins, or None."""
-        jump = self._jump()
-        return None if jump is None else self._votes[jump].epoch
+        return None if self._jump is None else self._votes[self._jump].epoch
 
-    def _jump(self) -> int | None:
-        """Return the index of the vote of the first jump that the next vote confirms, or None."""
-        votes = self._votes
-        jump = None
-        most = _JUMP_ERROR
-        for first in range(VOTES, len(votes) - _JUMP + 1):
-            before = votes[first - _JUMP : first]
-            after = votes[first : first + _JUMP]
-            gain = _errors(before + after).min() - _errors(before).min() - _errors(after).min()
-            if gain > most:
-                most = gain
-                jump = first
-            elif jump is not None:
-                return jump
-        return None
+    def _first_votes(self) -> list[Vote]:
+        """Return the votes that decide about the start."""
+        return self._votes[: min(VOTES + _JUMP, self._jump or len(self._votes))]
+
+    def contradicts(self) -> bool:
+        """Tell whether a majority agrees on a motion that another vote contradicts."""
+        return len(self._votes) >= VOTES and bool(_wrong(self._first_votes())[0].any())
 
     def start(self, log: Log, first: int) -> Start | None:
-        """Return the start at an epoch on which a majority agrees.
-
-        The result is None if all votes agree, or if there are too few.
-        """
+        """Return the start at an epoch on which a majority agrees; None if nothing contradicts."""
         if len(self._votes) < VOTES:
             return None
-        votes = self._votes[: min(VOTES + _JUMP, self._jump() or len(self._votes))]
-        mean, covariance, wrong = _majority(votes, float(log.time_s[first]))
-        if not wrong:
+        votes = self._first_votes()
+        wrong, walk = _wrong(votes)
+        if not wrong.any():
             return None
-        right = next(vote for i, vote in enumerate(votes) if i not in wrong)
+        right = votes[int(wrong.argmin())]
         usual = start_at(log, right.epoch, self._scene, self._radio)
         if usual is None:
             return None
+        mean, covariance = _motion(votes, wrong, walk, float(log.time_s[first]))
         x, P = (part.copy() for part in usual.prior)
         horizontal = [0, 1, 3, 4]
         among = np.ix_(horizontal, horizontal)
@@ -424,7 +555,7 @@ class Ballot:
         P[horizontal] = 0.0
         P[:, horizontal] = 0.0
         P[among] = _CAUTION * covariance[among]
-        contradicting = [votes[i].epoch - first for i in wrong]
+        contradicting = [votes[i].epoch - first for i in np.flatnonzero(wrong)]
         spent = np.zeros((1 + max(contradicting), len(log.layout.groups)), np.bool_)
         spent[contradicting] = True
         return Start((x, P), spent)
@@ -434,7 +565,7 @@ class Doubt:
     """The epochs since a start or a gap, whose votes may revise a track that is under way.
 
     The epochs arrive one by one; the result is the same as that of ``segments.py``, which knows
-    all epochs of a log.
+    all epochs of a log. Each epoch comes with a function ``row`` that returns it as a log (T = 1).
 
     Args:
         scene, radio: the scene and the radio of the log.
@@ -448,37 +579,40 @@ class Doubt:
         self._ballot = Ballot(scene, radio)
         self._revised = False
 
-    def begin(self, epoch: LiveEpoch) -> tuple[Log, Start] | None:
+    def begin(self, epoch: LiveEpoch, row: Callable[[], Log]) -> tuple[Log, Start] | None:
         """Return an epoch (T = 1), and a start with it and the second before it; or None."""
-        kept = [e for e in self._epochs if epoch.time_s - POOL_S <= e.time_s < epoch.time_s]
-        self._epochs = [e for e in kept if e.layout == epoch.layout] + [epoch]
+        self._epochs = self._until(epoch)
         self._first = len(self._epochs) - 1
-        log = log_from(self._epochs)
+        own = row()
+        log = log_from(self._epochs) if self._first else own
         start = start_at(log, self._first, self._scene, self._radio)
         if start is None:
             return None
         self._ballot.add(log, self._first)
-        return log.part(slice(self._first, None)), start
+        return own, start
 
-    def revise(self, epoch: LiveEpoch) -> tuple[Log, Start] | None:
+    def revise(self, epoch: LiveEpoch, row: Callable[[], Log]) -> tuple[Log, Start] | None:
         """Return the epochs with which to begin again, and their start; None if the track stands.
 
         ``epoch`` is the next epoch, the last one of the epochs that are returned.
         """
+        ballot = self._ballot
         self._epochs.append(epoch)
-        if not self._ballot.is_due(epoch.time_s):
+        if not ballot.is_due(epoch.time_s):
+            return None
+        last = len(self._epochs) - 1
+        if not ballot.vote(row(), last, lambda: log_from(self._until(epoch))):
+            return None
+        jump = ballot.jump()
+        undecided = ballot.is_undecided and (self._revised or ballot.contradicts())
+        if jump is None and not undecided:
             return None
         log = log_from(self._epochs)
-        if not self._ballot.add(log, len(log) - 1):
-            return None
-        jump = self._ballot.jump()
         if jump is not None:
             self._first = jump
             self._ballot = Ballot(self._scene, self._radio)
             for later in range(jump, len(log)):
                 self._ballot.add(log, later)
-        elif not self._ballot.is_undecided:
-            return None
         start = self._ballot.start(log, self._first)
         revised = start is not None
         if start is None and (self._revised or jump is not None):
@@ -486,25 +620,37 @@ class Doubt:
         self._revised = revised
         return (log.part(slice(self._first, None)), start) if start else None
 
+    def _until(self, epoch: LiveEpoch) -> list[LiveEpoch]:
+        """Return the epochs of the second before an epoch, and this epoch."""
+        since_s = epoch.time_s - POOL_S
+        before = [e for e in self._epochs if since_s <= e.time_s < epoch.time_s]
+        return [*[e for e in before if e.layout == epoch.layout], epoch]
+
     def is_open(self) -> bool:
         """Tell whether the next epoch may still revise the track."""
         elapsed_s = self._epochs[-1].time_s - self._epochs[self._first].time_s
         return self._ballot.is_open(elapsed_s)
 
 
-def _majority(votes: list[Vote], time_s: float) -> tuple[Array, Array, tuple[int, ...]]:
-    """Return the most likely motion, and the indices of the votes, less than half, that are wrong.
+def _wrong(votes: list[Vote]) -> tuple[Mask, int]:
+    """Return the votes (n,), less than half, that are most likely wrong, and the index of the walk.
 
-    Only some of the first votes may be wrong. The motion is the position and the velocity (6,) at a
-    time, which is not later than the first vote, and their covariance (6, 6).
+    Only some of the first votes may be wrong.
     """
-    most = min(VOTES, (len(votes) - 1) // 2)
-    counts = range(most + 1)
-    choices = [wrong for count in counts for wrong in combinations(range(VOTES), count)]
+    choices = (np.arange(1 << VOTES)[:, None] >> np.arange(len(votes))) % 2 == 1
+    choices = choices[2 * choices.sum(axis=1) < len(votes)]
     errors = _errors(votes, choices)
     best, walk = np.unravel_index(np.argmin(errors), errors.shape)
-    S = _covariances(votes, choices[best])[walk]
-    t = np.array([vote.time_s for vote in votes]) - votes[0].time_s
+    return choices[best], int(walk)
+
+
+def _motion(votes: list[Vote], wrong: Mask, walk: int, time_s: float) -> tuple[Array, Array]:
+    """Return the most likely motion: position and velocity (6,) at a time, covariance (6, 6).
+
+    The time is not later than the first vote.
+    """
+    t, positions, covariances = _arrays(votes)
+    S = _covariance(t, covariances, wrong, _WALKS[walk])
     now = time_s - votes[0].time_s
     across = np.vstack(
         [np.kron(now * t, _VELOCITY) + np.tile(_POSITION, len(t)), np.kron(t, _VELOCITY)]
@@ -512,43 +658,78 @@ def _majority(votes: list[Vote], time_s: float) -> tuple[Array, Array, tuple[int
     own = np.block(
         [[_POSITION + now**2 * _VELOCITY, now * _VELOCITY], [now * _VELOCITY, _VELOCITY]]
     )
-    mean = across @ np.linalg.solve(S, _positions(votes))
+    mean = across @ np.linalg.solve(S, positions)
     mean[:3] += votes[0].position
-    return mean, own - across @ np.linalg.solve(S, across.T), choices[best]
+    return mean, own - across @ np.linalg.solve(S, across.T)
 
 
-def _errors(votes: list[Vote], choices: Sequence[tuple[int, ...]] = ((),)) -> Array:
+def _arrays(votes: list[Vote]) -> tuple[Array, Array, Array]:
+    """Return times (n,) and positions (3 n,), relative to the first, and covariances (n, 3, 3)."""
+    _, times, positions, covariances, _ = zip(*votes, strict=True)
+    away = np.array(positions) - positions[0]
+    return np.array(times) - times[0], away.ravel(), np.array(covariances)
+
+
+def _errors(votes: list[Vote], choices: Mask | None = None) -> Array:
     """Return -2 times the log-likelihoods (choices, walks) of votes, up to a constant per vote.
 
-    Each choice lists the indices of wrong votes.
+    ``choices`` is a mask (choices, n) of wrong votes; None if none is wrong.
     """
-    S = np.array([_covariances(votes, wrong) for wrong in choices])
-    z = _positions(votes)
-    nis = np.linalg.solve(S, z[:, None])[..., 0] @ z
-    seldom = _SELDOM * np.array([[len(wrong)] for wrong in choices])
-    return nis + np.linalg.slogdet(S)[1] + seldom  # type: ignore[no-any-return]
+    if choices is None:
+        choices = np.zeros((1, len(votes)), np.bool_)
+    return _log_likelihoods(*_arrays(votes), choices)  # type: ignore[no-any-return]
 
 
-def _positions(votes: list[Vote]) -> Array:
-    """Return the positions (3 n,) of votes, relative to the first one."""
-    return np.concatenate([vote.position - votes[0].position for vote in votes])
-
-
-def _covariances(votes: list[Vote], wrong: Sequence[int] = ()) -> Array:
-    """Return the covariances (walks, 3 n, 3 n) of the votes' positions.
+@register_jitable  # type: ignore[untyped-decorator]
+def _covariance(time_s, covariance, wrong, walk):  # type: ignore[no-untyped-def]
+    """Return the covariance (3 n, 3 n) of the positions of n votes (:func:`_arrays`).
 
     The user moves from an unknown position with an unknown velocity, which a random walk changes
-    from the first vote on. A wrong vote is anywhere around the user.
+    from the first vote on. A wrong vote is anywhere around the user. ``wrong`` is a mask (n,).
     """
-    n = len(votes)
-    t = np.array([vote.time_s for vote in votes]) - votes[0].time_s
-    earlier = np.minimum.outer(t, t)
-    walked = earlier**2 * (3.0 * np.maximum.outer(t, t) - earlier) / 6.0
-    walks = np.square(_WALKS)[:, None, None]
-    S = np.zeros((len(_WALKS), n, 3, n, 3))
-    for axis in range(3):
-        steady = _POSITION[axis, axis] + _VELOCITY[axis, axis] * np.outer(t, t)
-        S[:, :, axis, :, axis] = steady + (walks * walked if axis < 2 else 0.0)
-    for i, vote in enumerate(votes):
-        S[:, i, :, i, :] += vote.covariance + (i in wrong) * _WRONG_M**2 * np.eye(3)
-    return S.reshape(len(_WALKS), 3 * n, 3 * n)
+    n = len(time_s)
+    S = np.zeros((3 * n, 3 * n))
+    for i in range(n):
+        for j in range(n):
+            earlier = min(time_s[i], time_s[j])
+            later = max(time_s[i], time_s[j])
+            walked = walk**2 * earlier**2 * (3.0 * later - earlier) / 6.0
+            for axis in range(3):
+                steady = _POSITION[axis, axis] + _VELOCITY[axis, axis] * earlier * later
+                S[3 * i + axis, 3 * j + axis] = steady + (walked if axis < 2 else 0.0)
+        for row in range(3):
+            for column in range(3):
+                S[3 * i + row, 3 * i + column] += covariance[i, row, column]
+            S[3 * i + row, 3 * i + row] += wrong[i] * _WRONG_M**2
+    return S
+
+
+@register_jitable  # type: ignore[untyped-decorator]
+def _nis_and_log_determinant(S, z):  # type: ignore[no-untyped-def]
+    """Return z' S^-1 z + log det S, given S (n, n) and z (n,); S becomes its Cholesky factor."""
+    y = np.empty(len(z))
+    total = 0.0
+    for i in range(len(z)):
+        y[i] = z[i]
+        for j in range(i):
+            for k in range(j):
+                S[i, j] -= S[i, k] * S[j, k]
+            S[i, j] /= S[j, j]
+            S[i, i] -= S[i, j] ** 2
+            y[i] -= S[i, j] * y[j]
+        S[i, i] = np.sqrt(S[i, i])
+        y[i] /= S[i, i]
+        total += y[i] ** 2 + 2.0 * np.log(S[i, i])
+    return total
+
+
+@compiled
+def _log_likelihoods(time_s, positions, covariance, choices):  # type: ignore[no-untyped-def]
+    """Return the result of :func:`_errors`, given :func:`_arrays` and a mask (choices, n)."""
+    errors = np.empty((len(choices), len(_WALKS)))
+    for choice, wrong in enumerate(choices):
+        for walk in range(len(_WALKS)):
+            S = _covariance(time_s, covariance, wrong, _WALKS[walk])
+            error = _nis_and_log_determinant(S, positions)
+            errors[choice, walk] = error + _SELDOM * wrong.sum()
+    return errors

@@ -3,8 +3,9 @@
 import itertools
 import warnings
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
 from math import inf, isnan
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,14 +18,15 @@ from mmwave_env.localization.localizer import Filtered, Localizer
 from mmwave_env.localization.map_files import geodetic
 from mmwave_env.localization.position_errors import gaussian_levels
 from mmwave_env.localization.segments import DOUBTFUL_GAP_S
-from mmwave_env.localization.starts import Doubt, Start
-from mmwave_env.logs.live_log import LiveEpoch, LiveLog
+from mmwave_env.localization.starts import Doubt, Start, deviations_of
+from mmwave_env.logs.live_log import LiveEpoch, LiveLog, log_of_users
 from mmwave_env.logs.log import Log
 from mmwave_env.models.layout import Layout, require_clock
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import SNR_LIMITS_DB, Radio, deviations, radio_from
 from mmwave_env.models.scene import Scene, scene_from
-from mmwave_env.numerics.numbers import Array
+from mmwave_env.numerics.linalg import unpack
+from mmwave_env.numerics.numbers import Array, Mask
 from mmwave_env.numerics.pytree import flatten
 from mmwave_env.world.episode import (
     NEUTRAL_SNR_DB,
@@ -35,6 +37,8 @@ from mmwave_env.world.episode import (
 )
 
 MOST_USERS = 1 << 14
+_POSITION_ROWS = np.array(unpack(range(6)))  # (3, 3) indices in a packed covariance
+_MANY = 24  # epochs that are faster to convert together than one by one
 _TIME_AHEAD_S = 1.0  # by which an epoch may be ahead of all users
 
 
@@ -165,7 +169,7 @@ class Tracker:
 
     def step(self, epoch: LiveEpoch) -> Position | None:
         """Process an epoch of a live log, as :meth:`update` does."""
-        revised = self._revised(epoch)
+        revised = self._revised(epoch, epoch.log)
         if revised:
             return self._restart(*revised)
         if self._last_s is None:
@@ -174,8 +178,11 @@ class Tracker:
         self._filter.load_epoch(row, epoch.time_s)
         return self._filtered([epoch.time_s], [visible], [spread_hz])
 
-    def _revised(self, epoch: LiveEpoch) -> tuple[Log, Start] | None:
-        """Return the epochs with which a track begins, or begins anew, and the start; else None."""
+    def _revised(self, epoch: LiveEpoch, row: Callable[[], Log]) -> tuple[Log, Start] | None:
+        """Return the epochs with which a track begins, or begins anew, and the start; else None.
+
+        ``row`` returns the epoch as a log (T = 1).
+        """
         if self._filter is not None and epoch.layout != self._layout:
             self._filter = None
             self._last_s = None
@@ -185,12 +192,12 @@ class Tracker:
             if self._last_s is not None or self._doubt is None:
                 self._doubt = Doubt(self._scene, self._radio)
                 self._last_s = None
-            return self._doubt.begin(epoch)
+            return self._doubt.begin(epoch, row)
         if gap_s > DOUBTFUL_GAP_S:
             self._doubt = Doubt(self._scene, self._radio)
         if self._doubt is None:
             return None
-        revised = self._doubt.revise(epoch)
+        revised = self._doubt.revise(epoch, row)
         if not self._doubt.is_open():
             self._doubt = None
         return revised
@@ -224,7 +231,7 @@ class Tracker:
             mode = self._names[int(filtered.mode[t])]
             self._late.append((time_s[t], spread_hz[t], mode, own, kept))
         levels = self._levels_m(filtered.P, factors)
-        return self._reported(filtered, -1, time_s[-1], visible[-1], levels, begins)
+        return self._reported(filtered, time_s, visible, levels, begins)[-1]
 
     def _levels_m(self, P: Array, factors: Array | None) -> Array | None:
         """Return protection levels (n, 2) from covariances (n, ...) and factors (n, 2)."""
@@ -239,26 +246,37 @@ class Tracker:
     def _reported(
         self,
         filtered: Filtered,
-        t: int,
-        time_s: float,
-        visible: list[bool],
+        time_s: list[float],
+        visible: list[list[bool]],
         levels_m: Array | None,
         begins: bool = False,
-    ) -> Position:
-        """Return the belief after the filtered epoch t, with what happened in it."""
-        nis = filtered.nis[t].tolist()
-        accepted = filtered.accepted[t].tolist()
+    ) -> list[Position]:
+        """Return the beliefs after n filtered epochs, with what happened in them."""
+        n = len(time_s)
         trusted = filtered.trusted
-        mode = self._names[int(filtered.mode[t])]
-        measured = [g for g, is_seen in enumerate(visible) if is_seen]
-        position = self._position(time_s, filtered.x[t], filtered.P[t], mode)
-        return position._replace(
-            levels_m=None if levels_m is None else levels_m[t].tolist(),
-            nis={self._groups[g]: nis[g] for g in measured},
-            rejected=[self._groups[g] for g in measured if accepted[g] < 0.5],
-            begins=begins,
-            trusted=None if trusted is None else float(trusted[t]),
+        modes = [self._names[mode] for mode in filtered.mode.astype(int).tolist()]
+        positions = self._positions(time_s, filtered.x, filtered.P, modes)
+        happened = (
+            visible,
+            filtered.nis.tolist(),
+            filtered.accepted.tolist(),
+            [None] * n if levels_m is None else levels_m.tolist(),
+            [None] * n if trusted is None else trusted.tolist(),
         )
+        reported = []
+        for position, groups, nis, accepted, level_m, trust in zip(
+            positions, *happened, strict=True
+        ):
+            measured = [g for g, is_seen in enumerate(groups) if is_seen]
+            own = position._replace(
+                levels_m=level_m,
+                nis={self._groups[g]: nis[g] for g in measured},
+                rejected=[self._groups[g] for g in measured if accepted[g] < 0.5],
+                begins=begins,
+                trusted=trust,
+            )
+            reported.append(own)
+        return reported
 
     def _prepare(self, layout: Layout) -> None:
         """Create the filter and everything else that all epochs share."""
@@ -290,9 +308,10 @@ class Tracker:
 
     def _quick_incoming(self, epoch: LiveEpoch) -> tuple[list[float], list[bool], float] | None:
         """Return the same as :meth:`_incoming`, but faster; None if this is impossible."""
-        if not epoch.placed or not self._sound:
+        placed = epoch.placed() if self._sound else None
+        if placed is None:
             return None
-        (numbers, doppler_anchor) = epoch.placed
+        (numbers, doppler_anchor) = placed
         layout = self._layout
         at = self._at
         size = layout.size
@@ -331,25 +350,30 @@ class Tracker:
         times, spreads, modes, factors, kept = zip(*self._late, strict=True)
         late = np.concatenate([np.concatenate(parts, axis=1) for parts in kept])[None]
         x, P = self._localizer.smoothed(late, np.array([times]), np.array([spreads]))
-        position = self._position(times[0], x[0, 0], P[0, 0], modes[0])
+        (position,) = self._positions(times[:1], x[0, :1], P[0, :1], modes[:1])
         levels_m = self._levels_m(P[0, :1], factors[0])
         return position._replace(levels_m=None if levels_m is None else levels_m[0].tolist())
 
-    def _position(self, time_s: float, x: Array, P: Array, mode: str) -> Position:
-        """Return a :class:`Position` without levels and without what happened in the epoch."""
-        xx, yx, yy, zx, zy, zz = P[:6].tolist()
-        covariance = [[xx, yx, zx], [yx, yy, zy], [zx, zy, zz]]
+    def _positions(
+        self, time_s: Sequence[float], x: Array, P: Array, modes: Sequence[str]
+    ) -> list[Position]:
+        """Return beliefs (n, ...) without levels and without what happened in their epochs."""
+        n = len(time_s)
         origin = self._scene.origin
-        place = None
-        if origin is not None:
-            place = geodetic(origin, x[None, :3])[0].tolist()
-        position = Position(
-            time_s, x[:3].tolist(), covariance, x[3:6].tolist(), mode, {}, [], False, place
+        columns = (
+            time_s,
+            x[:, :3].tolist(),
+            P[:, _POSITION_ROWS].tolist(),
+            x[:, 3:6].tolist(),
+            modes,
+            [None] * n if origin is None else geodetic(origin, x[:, :3]).tolist(),
+            x[:, 7].tolist() if self._layout.has_bias else [None] * n,
+            np.sqrt(P[:, 35]).tolist() if self._layout.has_bias else [None] * n,
         )
-        if self._layout.has_bias:
-            clock_sigma_m = float(np.sqrt(P[35]))
-            position = position._replace(clock_m=float(x[7]), clock_sigma_m=clock_sigma_m)
-        return position
+        return [
+            Position(t, position, covariance, velocity, mode, {}, [], False, *rest)
+            for t, position, covariance, velocity, mode, *rest in zip(*columns, strict=True)
+        ]
 
 
 @dataclass(slots=True)
@@ -406,29 +430,51 @@ class Trackers:
 
     def step(self, epochs: Iterable[LiveEpoch]) -> list[tuple[str, Position]]:
         """Process epochs of live logs; return users, and the beliefs after their epochs."""
+        return [done for some in _rounds(epochs) for done in self._step(some)]
+
+    def _step(self, epochs: Sequence[LiveEpoch]) -> list[tuple[str, Position]]:
+        """Process an epoch of each of some users, as :func:`_rounds` returns them."""
         tracker = self._beginner
+        if tracker._filter is not None and epochs[0].layout != tracker._layout:
+            self._users.clear()
+            self._engines.clear()
+        begun: list[tuple[LiveEpoch, _User]] = []
+        starts: list[Start] = []
+        going_on: list[tuple[LiveEpoch, _User]] = []
         done = []
-        ready: dict[str, tuple[_User, LiveEpoch]] = {}
-        for epoch in epochs:
-            name = epoch.user
-            if name in ready:
-                done += self._filtered(ready)
-                ready = {}
-            if tracker._filter is not None and epoch.layout != tracker._layout:
-                self._users.clear()
-                self._engines.clear()
+        for epoch, row in zip(epochs, self._rows(epochs), strict=True):
             user = self._arrived(epoch)
             tracker._last_s = user.last_s
             tracker._doubt = user.doubt
-            revised = tracker._revised(epoch)
-            if revised:
-                done.append((name, tracker._restart(*revised)))
-                self._keep(user, epoch, tracker._filter, 0)
+            revised = tracker._revised(epoch, row)
+            if revised and len(revised[0]) == 1:
+                begun.append((epoch, user))
+                starts.append(revised[1])
+            elif revised:
+                done.append((epoch.user, tracker._restart(*revised)))
+                self._keep([user], [epoch.time_s], tracker._filter)
             elif tracker._last_s is not None:
-                ready[name] = (user, epoch)
+                going_on.append((epoch, user))
             user.last_s = tracker._last_s
             user.doubt = tracker._doubt
-        return [*done, *self._filtered(ready)]
+        return [*done, *self._filtered(begun, starts), *self._filtered(going_on)]
+
+    def _rows(self, epochs: Sequence[LiveEpoch]) -> list[Callable[[], Log]]:
+        """Return functions that return the epochs as logs (T = 1), for votes alone.
+
+        Filters need other logs, because many epochs get the radio's standard deviations here.
+        """
+        if len(epochs) < _MANY:
+            return [epoch.log for epoch in epochs]
+
+        @cache
+        def voting() -> Log:
+            tracker = self._beginner
+            log = log_of_users(epochs)
+            sigma = deviations_of(log, tracker._scene, tracker._radio)
+            return replace(log, sigma=sigma)
+
+        return [lambda i=i: voting().part(slice(i, i + 1)) for i in range(len(epochs))]
 
     def smoothed(self) -> None:
         """Return None: users have no smoothed positions."""
@@ -448,45 +494,88 @@ class Trackers:
                 self.forgotten.append(name)
         return user
 
-    def _filtered(self, ready: Mapping[str, tuple[_User, LiveEpoch]]) -> list[tuple[str, Position]]:
-        """Filter an epoch of each of some users."""
+    def _filtered(
+        self, ready: Sequence[tuple[LiveEpoch, _User]], starts: Sequence[Start] = ()
+    ) -> Iterator[tuple[str, Position]]:
+        """Filter an epoch of each of some users; tracks begin if there are ``starts``."""
         if not ready:
-            return []
+            return
+        epochs, users = zip(*ready, strict=True)
         tracker = self._beginner
+        if tracker._filter is None:
+            tracker._prepare(epochs[0].layout)
         localizer = tracker._localizer
-        users, epochs = zip(*ready.values(), strict=True)
-        n = max(8, 1 << (len(users) - 1).bit_length())
-        if n not in self._engines:
-            self._engines[n] = localizer.tracks(n)
-        engine = self._engines[n]
-        rows, visible, _ = zip(*map(tracker._incoming, epochs), strict=True)
-        times = np.array([epoch.time_s for epoch in epochs])
-        gaps = times - np.array([user.end_s for user in users])
-        states = np.array([user.state for user in users])
-        engine.resume(states, np.array(rows), gaps)
-        memory = _joined([user.memory for user in users])
-        for part, remembered in zip(engine.memory, memory, strict=True):
-            part[: len(users)] = remembered
-        filtered = localizer.run(engine, len(users))
-        if localizer.levels and users[0].levels:
-            localizer.levels.state = LevelState(*_joined([user.levels for user in users]))
-        factors = localizer.level_factors(filtered, np.array(visible), times, False, tracks=True)
-        levels = tracker._levels_m(filtered.P, factors)
-        done = []
-        for i, (name, (user, epoch)) in enumerate(ready.items()):
-            self._keep(user, epoch, engine, i)
-            if tracker._measures(visible[i]):
-                user.last_s = epoch.time_s
-            done.append((name, tracker._reported(filtered, i, epoch.time_s, visible[i], levels)))
-        return done
+        levels = localizer.levels
+        count = len(users)
+        engine = self._engine(count)
+        times = [epoch.time_s for epoch in epochs]
+        if starts:
+            log = log_of_users(epochs)
+            rows = [log.part(slice(i, i + 1)) for i in range(count)]
+            episodes = [localizer.episode(*pair) for pair in zip(rows, starts, strict=True)]
+            engine.load(episodes, np.arange(count))
+            visible = np.concatenate([episode.visible for episode in episodes])
+        else:
+            incoming, visible = self._incoming(epochs)
+            gaps = np.array(times) - np.array([user.end_s for user in users])
+            engine.resume(np.array([user.state for user in users]), incoming, gaps)
+            memory = _joined([user.memory for user in users])
+            for part, remembered in zip(engine.memory, memory, strict=True):
+                part[:count] = remembered
+            if levels and users[0].levels:
+                levels.state = LevelState(*_joined([user.levels for user in users]))
+        filtered = localizer.run(engine, count)
+        factors = localizer.level_factors(filtered, visible, times, bool(starts), tracks=True)
+        levels_m = tracker._levels_m(filtered.P, factors)
+        self._keep(users, times, engine)
+        groups = visible.tolist()
+        for user, time_s, measured in zip(users, times, groups, strict=True):
+            if starts or tracker._measures(measured):
+                user.last_s = time_s
+        positions = tracker._reported(filtered, times, groups, levels_m, bool(starts))
+        yield from zip([epoch.user for epoch in epochs], positions, strict=True)
 
-    def _keep(self, user: _User, epoch: LiveEpoch, engine: Any, track: int) -> None:
-        """Keep what a track's next epoch needs."""
+    def _engine(self, count: int) -> Any:
+        """Return an engine for at least this number of tracks."""
+        n = max(8, 1 << (count - 1).bit_length())
+        if n not in self._engines:
+            self._engines[n] = self._beginner._localizer.tracks(n)
+        return self._engines[n]
+
+    def _incoming(self, epochs: Sequence[LiveEpoch]) -> tuple[Array, Mask]:
+        """Return the epochs' rows of a table (k, columns), and visible groups (k, groups)."""
+        tracker = self._beginner
+        if len(epochs) < _MANY:
+            rows, visible, _ = zip(*map(tracker._incoming, epochs), strict=True)
+            return np.array(rows), np.array(visible)
+        log = log_of_users(epochs)
+        # An episode's times must increase; the gaps of users are set later.
+        episode = tracker._localizer.episode(replace(log, time_s=np.arange(float(len(log)))))
+        return episode.table(), log.visible
+
+    def _keep(self, users: Sequence[_User], times: Sequence[float], engine: Any) -> None:
+        """Keep what the next epochs of tracks need; user i has track i of an engine."""
         levels = self._beginner._localizer.levels
-        user.end_s = epoch.time_s
-        user.state = engine.column(track)
-        user.memory = _row(engine.memory, track)
-        user.levels = _row(levels.state, track) if levels and levels.state else ()
+        states = engine.read(slice(None))
+        for i, (user, time_s) in enumerate(zip(users, times, strict=True)):
+            user.end_s = time_s
+            user.state = states[i].copy()
+            user.memory = _row(engine.memory, i)
+            user.levels = _row(levels.state, i) if levels and levels.state else ()
+
+
+def _rounds(epochs: Iterable[LiveEpoch]) -> Iterator[list[LiveEpoch]]:
+    """Divide epochs into lists in which all have the same columns, and different users."""
+    some: dict[str, LiveEpoch] = {}
+    make = None
+    for epoch in epochs:
+        if some and (epoch.user in some or epoch.make is not make):
+            yield [*some.values()]
+            some = {}
+        some[epoch.user] = epoch
+        make = epoch.make
+    if some:
+        yield [*some.values()]
 
 
 def _row(arrays: Sequence[Array], row: int) -> list[Array]:

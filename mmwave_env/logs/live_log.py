@@ -22,7 +22,7 @@ from mmwave_env.logs.log_tables import LogError, LogFile, Table, log_file, parse
 from mmwave_env.models import envelope
 from mmwave_env.models.layout import Layout, wrapped
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.numbers import PI
+from mmwave_env.numerics.numbers import PI, Index
 
 _NUMBERS = {float, int, np.float64}  # types that need no parsing; others are parsed as text
 _LOST = {-1.0, *LOST, *(-code for code in LOST)}  # numbers that need the full checks
@@ -37,15 +37,21 @@ class LiveEpoch(NamedTuple):
     time_s: float
     layout: Layout
     rows: list[list[float]]  # cells
-    make: Callable[[list[list[float]]], Log]  # turns rows with these columns into a log
-    # None if some angles are not in the map's frame, or if the scene corrects measurements.
-    # Otherwise a pair: all values in the order of :func:`~mmwave_env.logs.log.places` (NaN where
-    # not measured), and the index, from 0, of the anchor with the Doppler shift
-    placed: tuple[list[float], int] | None
+    make: Callable[..., Log]  # turns rows with these columns, and perhaps their users, into a log
+    # function for :meth:`placed`; None if some angles are not in the map's frame, or if the scene
+    # corrects measurements
+    place: Callable[[list[list[float]]], tuple[list[float], int]] | None
 
     def log(self) -> Log:
         """Return the epoch as a log, T = 1."""
         return self.make(self.rows)
+
+    def placed(self) -> tuple[list[float], int] | None:
+        """Return all values, and the index, from 0, of the anchor with the Doppler shift; or None.
+
+        Values are in the order of :func:`~mmwave_env.logs.log.places`, NaN where not measured.
+        """
+        return self.place and self.place(self.rows)
 
 
 def log_from(epochs: Iterable[LiveEpoch]) -> Log:
@@ -55,6 +61,16 @@ def log_from(epochs: Iterable[LiveEpoch]) -> Log:
         parts.append(make([row for epoch in some for row in epoch.rows]))
     joined: Log = Log.joined(parts)
     return joined
+
+
+def log_of_users(epochs: Sequence[LiveEpoch]) -> Log:
+    """Return an epoch of each of T users, all with the same columns, as a log.
+
+    The times of this log need not increase.
+    """
+    rows = [row for epoch in epochs for row in epoch.rows]
+    users = np.repeat(np.arange(len(epochs)), [len(epoch.rows) for epoch in epochs])
+    return epochs[0].make(rows, users)
 
 
 @dataclass(slots=True)
@@ -129,17 +145,19 @@ class LiveLog:
         self._names = [*names]
         columns = self._log.columns
         corrected = bool(scene.bearing_deg or scene.range_offset_m or scene.range_offset_sigma_m)
-        self._turned = STATION in columns or BODY in columns or corrected
+        turned = STATION in columns or BODY in columns or corrected
         cell_of = {of: i for i, of in enumerate(columns)}
         self._time = cell_of["time"]
         self._anchor = cell_of["anchor"]
-        self._slots = [
+        slots = [
             (cell_of[of], *place, columns[of].unit.convert, place[0] in self.layout.angles)
             for of, place in places(self.layout).items()
             if of in columns
         ]
         snr = [nan if self._snr_db is None else self._snr_db] * self.layout.anchors
-        self._blank = [nan] * 2 * self.layout.size + snr + [nan]
+        blank = [nan] * 2 * self.layout.size + snr + [nan]
+        placed = partial(_placed, self._anchor, slots, blank, self.layout.doppler)
+        self._place = None if turned else placed
         self._limits = {column.name: (column.low, column.high) for column in columns.values()}
         self._known = self._ignored | self._limits.keys()
         self._anchors = set(range(1, self.layout.anchors + 1))
@@ -160,7 +178,9 @@ class LiveLog:
         user, cells = self._cells(row, number)
         if not cells:
             return []
-        arrived = self._arrivals.setdefault(user, _Arrivals())
+        arrived = self._arrivals.get(user)
+        if arrived is None:
+            arrived = self._arrivals[user] = _Arrivals()
         over = []
         if not arrived.rows or cells[self._time] != arrived.rows[0][self._time]:
             time_s = self._time_s(cells)
@@ -234,26 +254,7 @@ class LiveLog:
         arrived.last_s = self._time_s(rows[0])
         arrived.rows = []
         arrived.last = rows
-        placed = None if self._turned else self._placed(rows)
-        return [LiveEpoch(user, arrived.last_s, self.layout, rows, self._make, placed)]
-
-    def _placed(self, rows: list[list[float]]) -> tuple[list[float], int]:
-        """Return ``placed`` of a :class:`LiveEpoch`, from the cells of its rows."""
-        placed = self._blank.copy()
-        doppler_anchor = 0
-        doppler = self.layout.doppler
-        for cells in rows:
-            anchor = int(cells[self._anchor]) - 1
-            for i, first, step, convert, is_angle in self._slots:
-                cell = cells[i]
-                place = first + step * anchor
-                if not isnan(cell) and (step or isnan(placed[place])):
-                    number = convert(cell)
-                    turned = is_angle and not -PI <= number < PI
-                    placed[place] = wrapped(number) if turned else number
-                    if first == doppler:
-                        doppler_anchor = anchor
-        return placed, doppler_anchor
+        return [LiveEpoch(user, arrived.last_s, self.layout, rows, self._make, self._place)]
 
     def _time_s(self, cells: list[float]) -> float:
         return float(self._log.columns["time"].unit.convert(cells[self._time]))
@@ -269,29 +270,33 @@ class LiveLog:
 
     def _user_of(self, row: str | Mapping[str, Any]) -> str:
         """Return the user of a row; "" if the row does not name any."""
-        if not isinstance(row, str):
-            return "" if (user := row.get(USER)) is None else str(user)
-        if self._user is None:
-            return ""
-        words = words_of(row, self._delimiter)
-        return words[self._user].strip() if len(words) > self._user else ""
+        if isinstance(row, str):
+            return self._split(row)[0]
+        return "" if (user := row.get(USER)) is None else str(user)
+
+    def _split(self, line: str) -> tuple[str, list[str]]:
+        """Return the user of a line, "" if it does not name any, and its other words."""
+        words = words_of(line, self._delimiter)
+        if self._user is None or len(words) <= self._user:
+            return "", words
+        return words.pop(self._user).strip(), words
 
     def _cells(self, row: str | Mapping[str, Any], number: int) -> tuple[str, list[float]]:
         """Return the user and cells of a row; no cells for a blank line; refuse a damaged row."""
-        user = self._user_of(row)
         if isinstance(row, str):
-            words = words_of(row, self._delimiter)
-            if self._user is not None and len(words) > self._user:
-                words.pop(self._user)
-                row = self._delimiter.join(f'"{word}"' for word in words)
-            cells = self._log.quick_numbers(row, words) or []
+            user, words = self._split(row)
+            line = row if self._user is None else self._delimiter.join(words)
+            cells = self._log.quick_numbers(line, words) or []
         else:
             self._learn_from(row, number)
+            user = self._user_of(row)
+            words = []
             cells = [nan if (cell := row.get(name)) is None else cell for name in self._limits]
         if cells and self._plain(cells):
             return user, cells
         if not isinstance(row, str):
             words = ["" if (cell := row.get(name)) is None else str(cell) for name in self._names]
+        if not isinstance(row, str) or self._user is not None:
             row = self._delimiter.join(f'"{word}"' for word in words)
         table = parse(self._log, [row], number)
         cells = table.cells.ravel().tolist()
@@ -344,14 +349,45 @@ class LiveLog:
             raise damage
 
 
-def _table(file: LogFile, rows: list[list[float]], number: int = 0) -> Table:
-    return Table(file, np.full(len(rows), number), np.array(rows, float))
+def _placed(
+    anchor_cell: int,
+    slots: Sequence[tuple[int, int, int, Callable[[float], float], bool]],
+    blank: list[float],
+    doppler: int,
+    rows: list[list[float]],
+) -> tuple[list[float], int]:
+    """Return :meth:`LiveEpoch.placed` from the cells of rows, each with its slot."""
+    placed = blank.copy()
+    doppler_anchor = 0
+    for cells in rows:
+        anchor = int(cells[anchor_cell]) - 1
+        for i, first, step, convert, is_angle in slots:
+            cell = cells[i]
+            place = first + step * anchor
+            if not isnan(cell) and (step or isnan(placed[place])):
+                number = convert(cell)
+                turned = is_angle and not -PI <= number < PI
+                placed[place] = wrapped(number) if turned else number
+                if first == doppler:
+                    doppler_anchor = anchor
+    return placed, doppler_anchor
+
+
+def _table(
+    file: LogFile, rows: list[list[float]], number: int = 0, users: Index | None = None
+) -> Table:
+    return Table(file, np.full(len(rows), number), np.array(rows, float), user=users)
 
 
 def _log(
-    file: LogFile, scene: Scene, layout: Layout, snr_db: float | None, rows: list[list[float]]
+    file: LogFile,
+    scene: Scene,
+    layout: Layout,
+    snr_db: float | None,
+    rows: list[list[float]],
+    users: Index | None = None,
 ) -> Log:
-    return log_of(_table(file, rows), scene, layout, True, snr_db)
+    return log_of(_table(file, rows, users=users), scene, layout, True, snr_db)
 
 
 def _goes_on_at(arrived: _Arrivals, time_s: float) -> bool:

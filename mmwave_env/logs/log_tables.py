@@ -115,6 +115,7 @@ class Table(Arrays):
     cells: Array  # (n, columns) as in the file, NaN where empty
     # damage in the last row, which ends the log; cells of that row that can't be read are NaN
     damage: LogError | None = None
+    user: Index | None = None  # (n,) number of the user, if there are several
 
     @property
     def columns(self) -> dict[str, Column]:
@@ -136,7 +137,10 @@ class Table(Arrays):
         """Return the index (epochs,) of every epoch's first row; rows of an epoch have one time."""
         # Compare times in the file's unit: different times may become equal in seconds.
         time = self.raw("time")
-        return np.flatnonzero(np.append(True, np.diff(time) != 0.0)[: len(time)])
+        begins = np.append(True, np.diff(time) != 0.0)[: len(time)]
+        if self.user is not None:
+            begins[1:] |= np.diff(self.user) != 0
+        return np.flatnonzero(begins)
 
     @cached_property
     def epoch(self) -> Index:

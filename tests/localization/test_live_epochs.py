@@ -225,7 +225,7 @@ def test_odometry_that_appears_later_begins_a_new_track():
 )
 def test_users_who_come_and_go_have_the_positions_of_trackers_of_their_own(policy):
     epochs = walk(40)
-    begins = {f"user {i}": 3 * i for i in range(12)}  # epoch in which a user comes
+    begins = {f"user_{i}": i for i in range(36)}  # epoch in which a user comes
     trackers = Trackers(Tracker(SCENE, policy, RADIO, levels=Levels()))
     alone = {name: Tracker(SCENE, policy, RADIO, levels=Levels()) for name in begins}
     count = 0
@@ -245,7 +245,7 @@ def test_users_who_come_and_go_have_the_positions_of_trackers_of_their_own(polic
         positions = trackers.update(rows)
         assert positions == expected
         count += len(positions)
-    assert count > 350  # of 12 users with 34 or 35 epochs each
+    assert count > 1_100  # of 36 users with 34 or 35 epochs each
 
 
 def test_users_who_left_are_forgotten_and_memory_stays_flat():

@@ -211,6 +211,7 @@ WRONG_TENSORS = [
     ({"low": np.full(3, 99.0, np.float32)}, ["low"]),
     ({"layer.1.bias": np.zeros(2, np.float32)}, ["layer.1.bias"]),
     ({"layer.0.bias": np.float32([0.0, np.inf])}, ["layer.0.bias"]),
+    ({"layer.0.bias": np.float32([0.0, 1e30])}, ["layer.0.bias"]),
     ({"layer.0.bias": np.zeros(2)}, ["layer.0.bias"]),
     ({"low": np.zeros(0, np.float32)}, ["low"]),
 ]

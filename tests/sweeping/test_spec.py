@@ -3,6 +3,7 @@
 A *cell* is a combination of values: one value of each key of the file.
 """
 
+import numpy as np
 import pytest
 
 from experiments.sweeping.run import keep, kept, read, read_spec
@@ -70,9 +71,13 @@ def test_results_are_kept_per_cell_and_results_of_other_sweeps_are_refused(tmp_p
     other = spec_of(tmp_path, POLICY + "seed = 1\n")
     with refuses(f"{name}.parquet"):
         kept(folder, other)
-    (folder / f"{name}.parquet").write_bytes(b"PAR1 and no more")
-    with refuses(f"{name}.parquet"):
-        read(folder, spec)
+    stored = folder / f"{name}.parquet"
+    content = stored.read_bytes()
+    for damaged in (b"PAR1 and no more", content.replace(np.float64(-1.5).tobytes(), bytes(8))):
+        assert damaged != content
+        stored.write_bytes(damaged)
+        with refuses(f"{name}.parquet"):
+            read(folder, spec)
 
 
 TRAIN = "[train]\ntotal_timesteps = 5\n"
