@@ -5,7 +5,7 @@ import warnings
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from math import inf, isnan
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,7 +26,7 @@ from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import SNR_LIMITS_DB, Radio, deviations, radio_from
 from mmwave_env.models.scene import Scene, scene_from
 from mmwave_env.numerics.linalg import unpack
-from mmwave_env.numerics.numbers import Array, Mask
+from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.numerics.pytree import flatten
 from mmwave_env.world.episode import (
     NEUTRAL_SNR_DB,
@@ -37,7 +37,7 @@ from mmwave_env.world.episode import (
 )
 
 MOST_USERS = 1 << 14
-_POSITION_ROWS = np.array(unpack(range(6)))  # (3, 3) indices in a packed covariance
+_POSITION_ROWS: Index = np.array(unpack([*range(6)]))  # (3, 3) indices in a packed covariance
 _MANY = 24  # epochs that are faster to convert together than one by one
 _TIME_AHEAD_S = 1.0  # by which an epoch may be ahead of all users
 
@@ -474,7 +474,10 @@ class Trackers:
             sigma = deviations_of(log, tracker._scene, tracker._radio)
             return replace(log, sigma=sigma)
 
-        return [lambda i=i: voting().part(slice(i, i + 1)) for i in range(len(epochs))]
+        def row(i: int) -> Log:
+            return voting().part(slice(i, i + 1))
+
+        return [partial(row, i) for i in range(len(epochs))]
 
     def smoothed(self) -> None:
         """Return None: users have no smoothed positions."""
