@@ -296,10 +296,10 @@ def _starts(links: _Links) -> Array:
     order = np.lexsort((distance, np.isnan(azimuth)))  # first those with azimuths, then the nearest
     around = []
     for link in order[:_SEARCHED]:
-        one = slice(link, link + 1)
-        turns = _TURNS if np.isnan(azimuth[link]) else azimuth[one]
+        alone = slice(link, link + 1)
+        turns = _TURNS if np.isnan(azimuth[link]) else azimuth[alone]
         known = links.synchronized and np.isfinite(distance[link])
-        radii = distance[one] if known else _STARTS_M
+        radii = distance[alone] if known else _STARTS_M
         asides = np.multiply.outer(radii, np.stack([np.cos(turns), np.sin(turns)], axis=1))
         around.append(links.anchors[:2, link] + asides.reshape(-1, 2))
     horizontal = np.concatenate(around)
@@ -436,8 +436,8 @@ def _descended(links: _Links, starts: Array) -> tuple[Array, Array, Array]:
     blocks = searches.reshape(len(blocks), WIDTH, -1).transpose(0, 2, 1).copy()
     rows = np.concatenate(links[:4]).T.copy()
     _run_rounds(add_link.on_lanes(), end_round.on_lanes(), at.settled, rows, blocks)
-    found = blocks.transpose(0, 2, 1).reshape(searches.shape)[:S]
-    return found[:, at.best.cost], found[:, at.position], found[:, unpack(at.best.information)]
+    ends = blocks.transpose(0, 2, 1).reshape(searches.shape)[:S]
+    return ends[:, at.best.cost], ends[:, at.position], ends[:, unpack(at.best.information)]
 
 
 class Vote(NamedTuple):
