@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import ModuleType
 from typing import Any, cast
 
 import numpy as np
@@ -25,6 +26,7 @@ Act = Callable[[Array32], Any]  # observations (n, features) -> actions (n,)
 
 MODULE = re.compile(r"[\w.]+:[\w.]+")
 GUIDE = "docs/own-agent.md"
+EXPECTED = "module:function, a function that takes no arguments and returns the agent"
 NO_FILTERS = "which runs no filters and works only in comparisons; expected another policy"
 TRIED = 3  # number of random observations to try an agent on
 
@@ -105,28 +107,27 @@ def agent_from(name: str) -> Act:
     Raises:
         ValueError: the agent can't be made; the message says why.
     """
-    module, _, path = name.partition(":")
-    if os.getcwd() not in sys.path:
-        sys.path.append(os.getcwd())  # last, so that installed modules take precedence
-    expected = "module:function, a function that takes no arguments and returns the agent"
-    with blaming(name, f"; expected {expected} ({GUIDE})"):
-        make: Any = importlib.import_module(module)
-        for part in path.split("."):
+    with blaming(name, f"; expected {EXPECTED} ({GUIDE})"):
+        make: Any = _module_of(name)
+        for part in name.partition(":")[2].split("."):
             make = getattr(make, part)
         return cast(Act, make())
+
+
+def _module_of(name: str) -> ModuleType:
+    if os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())  # last, so that installed modules take precedence
+    return importlib.import_module(name.partition(":")[0])
 
 
 def module_file(name: str) -> Path:
     """Return the file of the module in ``module:function``.
 
     Raises:
-        ValueError: there is no such module, or it has no file.
+        ValueError: there is no such module.
     """
-    agent_from(name)
-    file = sys.modules[name.partition(":")[0]].__file__
-    if file is None:
-        raise ValueError(f"{name}: found a module without a file ({GUIDE})")
-    return Path(file)
+    with blaming(name, f"; expected {EXPECTED} ({GUIDE})"):
+        return Path(str(_module_of(name).__file__))
 
 
 class Checked(Policy):

@@ -123,10 +123,12 @@ def results(args: EpisodeArgs, names: Sequence[str], with_epochs: bool = False) 
     comparison = comparison_of(task, seeds, scores, own)
     text = str(comparison)
     content = comparison.json
+    # the same run by two names is refused here
+    others = [file for run in runs.values() for file in run.policies if file != run.policy]
+    more = [contender_of(args, file) for file in others]
+    trained = score_contenders(more, task.source, seeds, scoring=scoring) if more else {}
     spreads = {}
     for name, run in runs.items():
-        others = [contender_of(args, file) for file in run.policies if file != run.policy]
-        trained = score_contenders(others, task.source, seeds, scoring=scoring)
         trained[run.policy] = scores[name]
         of_seeds = [trained[file] for file in run.policies]
         spreads[name] = over_training_seeds(run, of_seeds, scores)

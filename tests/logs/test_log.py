@@ -358,6 +358,6 @@ def test_live_rows_are_corrected_like_those_of_a_file(tmp_path):
     header, *lines = content.rstrip().split("\n")
     live = LiveLog(header.split(","), CORRECTED)
     epochs = [epoch for line in lines for epoch in live.add(line)]
-    assert all(epoch.placed is None for epoch in epochs)
+    assert all(epoch.placed() is None for epoch in epochs)
     log = log_from([*epochs, *live.end_epoch()])
     assert_same(log, read(store(tmp_path, content), CORRECTED, partial=True), "line")

@@ -171,6 +171,8 @@ def test_a_card_with_any_value_is_read_unchanged_or_refused(path, place, data):
     policy = read_or_refused(path, assembled(PER_MODE_TENSORS, card))
     if policy is not None:
         read = reduce(getitem, place, DEFAULTS | policy[1].as_json())
+        if type(value) is int and isinstance(read[key], float):
+            value = float(value)  # 0 may become 0.0, but True may not become 1
         assert json.dumps(read[key]) == json.dumps(value)
 
 
