@@ -18,9 +18,9 @@ from tests.paths import ROOT
 
 BUDGET = {
     "files of source": 200,
-    "words of docs": 35_500,
+    "words of docs": 35_800,
     "pages of docs": 27,
-    "tracked files": 644,
+    "tracked files": 642,
     "tracked MB": 9,
     "commands": 13,
     "extras for users": 8,
@@ -32,7 +32,7 @@ ROOMS = {  # maximum tokens of a room; lines are free
     "experiments/console": 5_200,
     "experiments/evaluation": 12_140,
     "experiments/paper": 5_430,
-    "experiments/reporting": 15_410,
+    "experiments/reporting": 15_430,
     "experiments/sweeping": 2_610,
     "experiments/timing": 5_030,
     "experiments/training": 17_210,
@@ -43,14 +43,14 @@ ROOMS = {  # maximum tokens of a room; lines are free
     "mmwave_env/filters": 19_150,
     "mmwave_env/interface": 7_170,
     "mmwave_env/io": 2_990,
-    "mmwave_env/localization": 41_150,
+    "mmwave_env/localization": 41_180,
     "mmwave_env/logs": 12_830,
     "mmwave_env/models": 10_540,
     "mmwave_env/numerics": 3_820,
     "mmwave_env/rendering": 8_800,
     "mmwave_env/world": 16_570,
     "policies": 6_840,
-    "tests": 216_770,
+    "tests": 214_370,
 }
 PACKINGS = 3.0  # maximum per 1,000 lines: statements that say several things at once
 SOURCE = ("mmwave_env", "experiments", "policies")
