@@ -111,3 +111,13 @@ def test_the_order_of_virtual_anchors_does_not_matter(street, tmp_path, pipeline
         for name in ("nis", "visible", "accepted", "incomplete"):
             renamed[name] = renamed[name][:, np.argsort(groups)]
         assert_moved(renamed, plain)
+
+
+def test_a_later_clock_in_milliseconds_and_rows_in_another_order_do_not_matter(street, tmp_path):
+    (columns, scene) = street
+    modes = PIPELINES["ukf"]
+    plain = track(tmp_path, columns, scene, modes)
+    order = np.lexsort((-columns["anchor"], columns["time_s"]))
+    written = {name: values[order] for name, values in reversed(columns.items())}
+    written["time_ms"] = 1e3 * (written.pop("time_s") + 1024.0)
+    assert_moved(track(tmp_path, written, scene, modes), plain)
