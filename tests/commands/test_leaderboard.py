@@ -117,7 +117,7 @@ def claimed(own, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.delitem(sys.modules, "cruise", raising=False)
-    return shutil.copy(own / "entries" / "cruise-Cruise.json", tmp_path)
+    return Path(shutil.copy(own / "entries" / "cruise-Cruise.json", tmp_path))
 
 
 @pytest.mark.slow
