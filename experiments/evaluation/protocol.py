@@ -224,7 +224,7 @@ def read_entry(path: Path) -> Json:
 
     def checked(content: Json) -> Json:
         if content != sealed(content):
-            raise ValueError("seal: found an entry that was changed after its command wrote it")
+            raise ValueError("seal: found content that was changed after the command wrote it")
         if missing := [site.name for site in sites() if site.name not in content["sites"]]:
             raise ValueError(f"sites: missing {', '.join(missing)}")
         tables_of([content], content)  # raises if tables can't show the entry

@@ -38,7 +38,10 @@ def verify(path: Path) -> list[str]:
     claimed = read_entry(path)
     policy = fingerprint(claimed["entry"])
     if policy != claimed["policy"]:
-        return [f"policy: found the hash {policy}, expected {claimed['policy']}"]
+        return [
+            f"policy: found the hash {policy}, expected {claimed['policy']}; the policy's file or "
+            "module is not the one that was judged"
+        ]
     differences = [*_inconsistent(claimed)]
     for site in secrets.SystemRandom().sample(sites(), SITES):
         differences += _differences(claimed, site)

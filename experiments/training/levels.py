@@ -54,7 +54,7 @@ STEPS = 6000
 BATCH = 8192
 RATE = 3e-3
 EVERY = 4  # neighboring epochs are alike, so the network learns from one epoch in four
-# What a careful survey leaves: up to about 0.5 degrees and 0.3 m, here two standard deviations. Half
+# What a careful survey leaves: up to about 0.5 degrees and 0.3 m, two standard deviations. Half
 # of the lots have it, the others no error.
 CAREFUL = RandomSurvey(
     rate=1.0,

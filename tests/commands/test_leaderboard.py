@@ -146,7 +146,7 @@ def test_an_entry_with_a_changed_figure_is_refused(change, tmp_path):
     write_json(tmp_path / "changed.json", entry)
     failed = command("leaderboard", "--verify", tmp_path / "changed.json")
     assert failed.returncode == 2
-    assert "changed.json: refused" in failed.stdout and "seal: found an entry" in failed.stdout
+    assert "changed.json: refused" in failed.stdout and "seal: found content" in failed.stdout
 
 
 def better(entry):
