@@ -98,13 +98,14 @@ def verify_entries(files: tuple[Path, ...]) -> None:
     """
     from experiments.console.output import say
     from experiments.evaluation.verification import verify
+    from mmwave_env.io.files import UNEXPECTED, first_line
 
     refused = []
     for file in files:
         try:
             differences = verify(file)
-        except (ValueError, OSError) as error:
-            differences = [str(error)]
+        except (*UNEXPECTED, OSError) as error:
+            differences = [first_line(error)]
         if differences:
             refused.append(str(file))
         outcome = "refused" if differences else "verified, played again at two sites"

@@ -22,7 +22,7 @@ SITES = 2  # number of sites at which an entry plays again
 HIDDEN = 50  # number of episodes of unknown seeds at each of them
 # first and last of the test seeds from which they are drawn; results are published on lower ones
 HIDDEN_SEEDS = (1_000_000, 4_999_950)
-# largest difference of a mean that plays the same episodes again, in widths of its interval: other
+# largest difference of figures on the same episodes, in widths of their interval: other
 # processors round differently, which matters in the few episodes in which filters are lost
 SAME = 0.1
 SURELY = 4.5  # standard deviations that a mean of hidden episodes may differ from the claim
@@ -49,7 +49,11 @@ def verify(path: Path) -> list[str]:
 
 
 def _inconsistent(claimed: Json) -> Iterator[str]:
-    """Yield the mean gains of an entry that do not follow from its figures at the sites."""
+    """Yield what in an entry does not follow from its other figures, or from the protocol."""
+    for site in sites():
+        kind = claimed["sites"][site.name]["kind"]
+        if kind != site.kind:
+            yield f"{site.name}, kind: found {kind!r}, expected {site.kind!r}"
     if claimed["entry"] in (BEST_IMM, CLAIRVOYANT):
         return
     for kind in KINDS:
@@ -67,9 +71,12 @@ def _differences(claimed: Json, site: Site) -> Iterator[str]:
     again = _played(name, site, stated["episodes"], claimed["options"]["seed"])
     for figure, interval in again.items():
         claim = _figures(stated)[figure]
-        width = interval.high - interval.low
-        if not abs(claim.mean - interval.mean) <= SAME * width + 1e-9:
-            yield f"{site.name}, {figure}: found {claim.mean:.4f}, played {interval.mean:.4f}"
+        most = SAME * (interval.high - interval.low) + 1e-9
+        apart = np.subtract(
+            (claim.mean, claim.low, claim.high), (interval.mean, interval.low, interval.high)
+        )
+        if not (abs(apart) <= most).all():
+            yield f"{site.name}, {figure}: found {claim}, played {interval}"
     low, high = HIDDEN_SEEDS
     seed = low + secrets.randbelow(high - low)
     for figure, interval in _played(name, site, HIDDEN, seed).items():
@@ -88,7 +95,7 @@ def _played(name: str, site: Site, episodes: int, seed: int) -> dict[str, Interv
 
 
 def _figures(stated: Json) -> dict[str, Interval]:
-    """Return the figures at a site that are compared: reward, ATE and gains over the IMMs."""
-    named = {"reward": stated["reward"], "ate_m": stated["ate_m"]}
+    """Return the figures at a site: reward, ATE, and gains over the rule (scores) and the IMMs."""
+    named = {figure: stated[figure] for figure in ("reward", "ate_m", "over_rule")}
     named |= {f"minus {imm}": gain for imm, gain in stated["minus"].items()}
     return {figure: Interval.of(of) for figure, of in named.items()}

@@ -56,7 +56,7 @@ OUTSIDE = 2e-4  # share of a feature's values below its lower limit, and also ab
 # limits in the loss, so that lost tracks do not dominate it
 MOST_LENGTH = 20.0
 MOST_SQUARE = 18.0
-# Base's mean error, in standard deviations, from which on an episode counts less; otherwise a few
+# Mean error of the base, in standard deviations, from which on an episode counts less; else a few
 # episodes with a bad survey would outweigh all others
 LARGE = 2.0
 CONSTANT = 1e-3  # added to standard deviations, which are 0 for a feature that never changes
@@ -111,8 +111,8 @@ def loss_of(
     deviation = deviation[BURN_IN:, :, None]
     left = error[BURN_IN:, :, None] / deviation - shift  # remaining error, in standard deviations
     size = deviation.norm(dim=-1).mean(0)
-    base = error[BURN_IN:, :, None].norm(dim=-1).mean(0)
-    size = torch.maximum(size, base / LARGE)
+    base_error = error[BURN_IN:, :, None].norm(dim=-1).mean(0)
+    size = torch.maximum(size, base_error / LARGE)
     length = ((left * deviation).square().sum(-1) + 1e-6).sqrt() / size
     square = (left * (-log_factor).exp()).square().clamp(max=MOST_SQUARE)
     likelihood = (0.5 * square + log_factor).sum(-1)

@@ -87,7 +87,7 @@ class Surveys(NamedTuple):
     at_random: float  # probability in random streets
     survey: RandomSurvey
     worse: RandomSurvey
-    worse_share: float  # probability of the worse survey, if there is one with errors
+    worse_share: float  # share of the worse survey among surveys with errors
 
 
 # three of four episodes of a survey with errors have one or more of them

@@ -157,11 +157,28 @@ def better(entry):
         mean["mean"] += 1.0
 
 
+def better_score(entry):
+    for site in entry["sites"].values():
+        site["over_rule"]["mean"] += 1.0
+
+
+def surer(entry):
+    for site in entry["sites"].values():
+        site["minus"]["imm"]["ci95"] = [site["minus"]["imm"]["mean"]] * 2
+
+
+def unseen(entry):
+    entry["sites"]["street:handset"]["kind"] = "unseen"
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         (better, "reward: found"),
+        (better_score, "over_rule: found"),
+        (surer, "minus imm: found"),
+        (unseen, "street:handset, kind: found 'unseen'"),
         (CHANGES["mean gain"], "mean_gain, hard: found"),
         (CHANGES["hash"], "policy: found the hash"),
     ],
@@ -171,6 +188,15 @@ def test_a_changed_entry_is_refused_even_with_a_new_seal(change, message, claime
     change(entry)
     write_json(claimed, sealed(entry))
     assert any(message in difference for difference in verify(claimed))
+
+
+@pytest.mark.parametrize("missing", ["policy", "options"])
+def test_an_entry_that_lacks_what_verification_needs_is_refused(missing, tmp_path):
+    entry = json_in(FOLDER / f"{GOOD}.json")
+    del entry[missing]
+    write_json(tmp_path / "short.json", sealed(entry))
+    failed = command("leaderboard", "--verify", tmp_path / "short.json")
+    assert failed.returncode == 2 and f"{missing}: found none" in failed.stdout
 
 
 @pytest.mark.slow

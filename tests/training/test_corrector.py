@@ -11,12 +11,21 @@ import torch
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.protocol import judge, sites
 from experiments.training.corrector import CorrectorTrainer, loss_of, mixed
-from experiments.training.corrector_data import WEAVING_BEHIND_M, CorrectorData, weaving
+from experiments.training.corrector_data import (
+    WEAVING_BEHIND_M,
+    CorrectorData,
+    begin_from_a_link,
+    weaving,
+)
 from experiments.training.hyperparameters import CorrectorHyperparameters, TwoWayHyperparameters
 from experiments.training.run import train
 from experiments.training.trainer import Job, Training
 from mmwave_env.metrics import BURN_IN
+from mmwave_env.models.measurement import blank_site
 from mmwave_env.models.random_scene import WIDE_SCENE
+from mmwave_env.numerics.linalg import unpack
+from mmwave_env.numerics.pytree import indices
+from mmwave_env.world.episode import columns_of
 from policies import Corrector
 from policies.corrector import TwoWayCorrector
 from tests.training.test_rollout_env import task
@@ -66,6 +75,21 @@ def test_weaving_users_move_along_both_street_axes_and_their_velocity_fits_their
     moving = rows[np.linalg.norm(rows[:, 3:5], axis=1) > 0.5, 3:5]
     # Other users move along one axis at a time, except in corners.
     assert (np.abs(moving).min(axis=1) > 0.01).mean() > 0.8
+
+
+def test_episodes_begin_from_a_link_that_filters_do_not_use_again():
+    source = task().places[0].source("mixed")
+    batch = source.sample_batch(np.arange(SEED, SEED + 64, dtype=np.uint64))
+    before = batch.table.copy()
+    begin_from_a_link(batch, source)
+    at = columns_of(batch.layout)
+    spent = (before[:, :, at.signed_sigma] > 0.0) & (batch.table[:, :, at.signed_sigma] < 0.0)
+    assert (spent[:, 0].sum(axis=1) == 4).mean() > 0.9 and not spent[:, 1:].any()
+    index = indices(blank_site(batch.layout))
+    P = np.array([unpack([*site[index.prior_P]]) for site in batch.site])[:, :3, :3]
+    error = batch.site[:, index.prior_x[:3]] - batch.table[:, 0, at.truth[:3]]
+    nees = np.einsum("ni,nij,nj->n", error, np.linalg.inv(P), error)
+    assert 1.5 < np.median(nees) < 4.0  # 2.4 if errors are Gaussian; reflections have larger ones
 
 
 @pytest.mark.slow
