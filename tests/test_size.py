@@ -17,10 +17,10 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "files of source": 200,
+    "files of source": 201,
     "words of docs": 35_800,
     "pages of docs": 27,
-    "tracked files": 642,
+    "tracked files": 643,
     "tracked MB": 9,
     "commands": 13,
     "extras for users": 8,
@@ -28,9 +28,9 @@ BUDGET = {
     "lines that ruff may not format": 60,
 }
 ROOMS = {  # maximum tokens of a room; lines are free
-    "experiments": 3_990,
+    "experiments": 4_000,
     "experiments/console": 5_200,
-    "experiments/evaluation": 12_140,
+    "experiments/evaluation": 12_210,
     "experiments/paper": 5_430,
     "experiments/reporting": 15_430,
     "experiments/sweeping": 2_610,
@@ -43,14 +43,14 @@ ROOMS = {  # maximum tokens of a room; lines are free
     "mmwave_env/filters": 19_150,
     "mmwave_env/interface": 7_170,
     "mmwave_env/io": 2_990,
-    "mmwave_env/localization": 41_180,
+    "mmwave_env/localization": 41_240,
     "mmwave_env/logs": 12_830,
     "mmwave_env/models": 10_540,
     "mmwave_env/numerics": 3_820,
     "mmwave_env/rendering": 8_800,
     "mmwave_env/world": 16_570,
     "policies": 6_840,
-    "tests": 214_370,
+    "tests": 214_940,
 }
 PACKINGS = 3.0  # maximum per 1,000 lines: statements that say several things at once
 SOURCE = ("mmwave_env", "experiments", "policies")

@@ -12,65 +12,34 @@ the track begins from this motion instead.
 """
 
 from collections.abc import Callable
-from functools import cache
-from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
 from numba.extending import register_jitable
 
-from mmwave_env.compiler.advance import call
 from mmwave_env.compiler.disk_cache import compiled
-from mmwave_env.compiler.lanes import WIDTH
-from mmwave_env.compiler.program import Program, blocks_of
+from mmwave_env.localization.first_position import (
+    FARTHEST_M,
+    HEIGHT_SIGMA_M,
+    STARTS_M,
+    UNKNOWN,
+    position_from_links,
+)
 from mmwave_env.logs.live_log import LiveEpoch, log_from
 from mmwave_env.logs.log import Log
 from mmwave_env.logs.log_columns import RANGE_LIMITS_M
-from mmwave_env.models.layout import STATE_SIZE
-from mmwave_env.models.measurement import link_group
 from mmwave_env.models.prior import STEEPEST_FIX_RAD, prior_from_fix
-from mmwave_env.models.radio import BIAS_SIGMA_M, UNKNOWN_VELOCITY_MPS, Radio
+from mmwave_env.models.radio import UNKNOWN_VELOCITY_MPS, Radio
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.linalg import (
-    backward,
-    cholesky,
-    dot,
-    forward,
-    minus,
-    pack,
-    plus,
-    product,
-    symmetric,
-    times,
-    unpack,
-)
-from mmwave_env.numerics.numbers import Array, Mask, Number, Numbers, where
-from mmwave_env.numerics.pytree import flatten, select, unflatten
+from mmwave_env.numerics.numbers import Array, Mask
 
-# Standard deviations of the weak prior: of the height around the height of the streets, and of x
-# and y around the mean position of the anchors.
-HEIGHT_SIGMA_M = 2.0
-_FARTHEST_M = 1e3
-_WORST_FIX_M = 50.0  # maximum horizontal standard deviation of a position to begin a track with
-_AMBIGUOUS = 12.0  # minima whose normalized squared errors differ by less than this are ambiguous
-_UNKNOWN = [0, 1, 2, 7]  # indices of the state's position and range bias
-# Searches start around some anchors: where an azimuth points to, else in 12 directions; at the
-# measured range, else at three distances.
-_SEARCHED = 4
-_TURNS = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
-_STARTS_M = np.array([10.0, 40.0, 160.0])
-_ROUNDS = 20
-_DAMPING = 1e-3  # before the first round, which divides it by 10
-_SETTLED = 1e-6  # a round that reduces the squared errors by less is the last
-_RANGE_ROW = np.array([[True], [False], [False], [False]])  # the range among the rows of a link
-_SURELY = 3.3  # standard deviations of a difference that noise exceeds once in 1,000 times
 POOL_S = 1.0  # age up to which earlier links help to determine a first position
 VOTES = 5  # positions that confirm a start
 # minimum time between votes: between the first ones, between later ones
 _SPACING_S = 0.25
 _LATER_SPACING_S = POOL_S
 # The motion between votes: standard deviations of position, velocity and its change in a second
-_POSITION = np.diag([_FARTHEST_M, _FARTHEST_M, HEIGHT_SIGMA_M]) ** 2
+_POSITION = np.diag([FARTHEST_M, FARTHEST_M, HEIGHT_SIGMA_M]) ** 2
 _VELOCITY = np.diag([UNKNOWN_VELOCITY_MPS, UNKNOWN_VELOCITY_MPS, 0.5]) ** 2
 _WALKS = (0.3, 1.5)
 # A vote may be wrong: by this distance (standard deviation per axis), and as seldom as this
@@ -124,7 +93,7 @@ def start_at(log: Log, epoch: int, scene: Scene, radio: Radio) -> Start | None:
     n = row.layout.state_size
     x = np.zeros(n)
     P = radio.prior_covariance(scene, row.layout.clock)
-    among = _UNKNOWN[: len(unknown)]
+    among = UNKNOWN[: len(unknown)]
     x[among] = unknown
     P[np.ix_(among, among)] = covariance
     P[3, 3] = P[4, 4] = radio.start_velocity_mps**2
@@ -134,19 +103,19 @@ def start_at(log: Log, epoch: int, scene: Scene, radio: Radio) -> Start | None:
 def _position_at(
     row: Log, until: Callable[[], Log], scene: Scene, radio: Radio
 ) -> tuple[Array, Array, bool] | None:
-    """Return :func:`_solved` for an epoch's links or, if that is None, with earlier ones.
+    """Return :func:`position_from_links` of an epoch or, if that is None, with earlier links.
 
     Also tell whether earlier ones were needed. ``row`` is the epoch (T = 1), and ``until`` returns
     a log that ends with it.
     """
     sigma = deviations_of(row, scene, radio)[0]
     clock = row.layout.clock
-    solved = _solved(row.measurement[0], sigma, row.visible[0], scene, clock)
+    solved = position_from_links(row.measurement[0], sigma, row.visible[0], scene, clock)
     if solved:
         return *solved, False
     if clock == "free":
         return None  # earlier ranges have another bias
-    solved = _solved(*_pooled(until(), scene, radio), scene, clock)
+    solved = position_from_links(*_pooled(until(), scene, radio), scene, clock)
     return (*solved, True) if solved else None
 
 
@@ -176,7 +145,7 @@ def _pooled(log: Log, scene: Scene, radio: Radio) -> tuple[Array, Array, Mask]:
         for group in np.flatnonzero(recent.visible[t, : layout.anchors]).tolist():
             rows = layout.link(group)
             z = recent.measurement[t, rows]
-            distance = z[0] if np.isfinite(z[0]) else _STARTS_M[0]
+            distance = z[0] if np.isfinite(z[0]) else STARTS_M[0]
             moved = moved_m / np.array([1.0, *[max(distance, 1.0)] * 3])
             some = np.isfinite(z)
             measurement[rows] = np.where(some, z, measurement[rows])
@@ -184,260 +153,6 @@ def _pooled(log: Log, scene: Scene, radio: Radio) -> tuple[Array, Array, Mask]:
             sigma[rows] = np.where(some, grown, sigma[rows])
             visible[group] = True
     return measurement, sigma, visible
-
-
-class _Links(NamedTuple):
-    """The links of an epoch, for least squares: arrays (4, links), and a weak prior."""
-
-    anchors: Array  # (3, links)
-    z: Array
-    variance: Array
-    measured: Array
-    center: Array  # (unknowns,)
-    weight: Array  # (unknowns,) inverse variances around the center
-    synchronized: bool  # whether ranges say roughly how far away the anchors are
-
-
-def _solved(
-    measurement: Array, sigma: Array, visible: Mask, scene: Scene, clock: str
-) -> tuple[Array, Array] | None:
-    """Return the position (3,) and its covariance from links, or None.
-
-    If the clock is not synchronized, its range bias is a fourth unknown, with the filters' prior.
-    Ranges that no position explains, whatever a free clock's bias is, are left out.
-    The search starts in several places, because there may be several minima. The result is None if
-    the best minimum is too uncertain, or if a minimum more than 4 standard deviations away from it
-    fits the links about as well.
-    """
-    every = scene.anchors_m[: len(measurement) // 4]  # four rows per link, and some others
-    visible_links = np.flatnonzero(visible[: len(every)])
-    z = measurement[: 4 * len(every)].reshape(-1, 4)[visible_links].T
-    reach_m = _FARTHEST_M
-    if clock == "free":
-        points = every[visible_links]
-        apart_m = np.linalg.norm(points[:, None] - points, axis=2)
-        reach_m = float(apart_m.max(initial=1.0))
-        wrong = _contradicting(z[0], sigma[4 * visible_links], apart_m)
-        z = np.where(wrong & _RANGE_ROW, np.nan, z)
-    measured = np.isfinite(z)
-    azimuths = measured[[1, 3]].any(axis=0)
-    bias_sigma_m = [BIAS_SIGMA_M[clock]] if clock in BIAS_SIGMA_M else []
-    if measured[0].sum() + azimuths.sum() < 2 + len(bias_sigma_m):
-        return None  # the height of the streets is known only roughly
-    points = every[visible_links[measured[0]], :2]
-    mirrored = not azimuths.any() and _on_a_line(points)
-    if mirrored and scene.side is None:
-        return None  # without azimuths, a mirrored position fits as well
-    n = 3 + len(bias_sigma_m)
-    deviation = [reach_m, reach_m, HEIGHT_SIGMA_M, *bias_sigma_m]
-    center = [*every[:, :2].mean(axis=0), scene.streets.height_m, 0.0]
-    links = _Links(
-        anchors=every[visible_links].T,
-        z=np.where(measured, z, 0.0),
-        variance=np.where(
-            measured, sigma[: 4 * len(every)].reshape(-1, 4)[visible_links].T ** 2, 1.0
-        ),
-        measured=measured.astype(float),
-        center=np.array(center[:n]),
-        weight=1.0 / np.array(deviation) ** 2,
-        synchronized=clock != "free",
-    )
-    cost, position, information = _descended(links, _starts(links))
-    if mirrored:
-        sides = _across(points, position) * _across(points, np.array([scene.side]))
-        if not (sides > 0.0).any():
-            return None
-        cost = np.where(sides > 0.0, cost, np.inf)
-    best = int(np.argmin(cost))
-    covariance = np.linalg.inv(information[best])
-    if not np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]) <= _WORST_FIX_M:
-        return None
-    apart = (position - position[best])[:, :2]
-    distance = np.einsum("si,ij,sj->s", apart, np.linalg.inv(covariance[:2, :2]), apart)
-    if ((cost - cost[best] < _AMBIGUOUS) & (distance > 16.0)).any():
-        return None
-    return position[best], covariance
-
-
-def _contradicting(ranges: Array, sigma: Array, apart_m: Array) -> Mask:
-    """Tell which ranges (n,) differ by more than their anchors, ``apart_m`` (n, n), are apart.
-
-    Of each two that do, the one with more contradictions is wrong.
-    """
-    noise = _SURELY * np.hypot(sigma[:, None], sigma)
-    conflict = np.abs(ranges[:, None] - ranges) > apart_m + noise
-    wrong = np.zeros(len(ranges), np.bool_)
-    while conflict.any():
-        worst = conflict.sum(axis=0).argmax()
-        wrong[worst] = True
-        conflict[worst] = conflict[:, worst] = False
-    return wrong
-
-
-def _on_a_line(points: Array) -> bool:
-    """Tell whether points (n, 2) are on a line, with deviations of at most 1 % of its length."""
-    if len(points) < 3:
-        return True
-    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return bool(spread[1] <= 0.01 * spread[0])
-
-
-def _across(line: Array, points: Array) -> Array:
-    """Return values (n,) whose signs say on which side of a line points (n, 2 or more) are."""
-    dx, dy = line[-1] - line[0]
-    x, y = (points[:, :2] - line[0]).T
-    return x * dy - y * dx  # type: ignore[no-any-return]
-
-
-def _starts(links: _Links) -> Array:
-    """Return positions (S, 3 or 4) around the nearest anchors, at the height of the streets."""
-    distance, arrival, _, departure = np.where(links.measured > 0.5, links.z, np.nan)
-    azimuth = np.where(np.isnan(arrival), departure + np.pi, arrival)
-    order = np.lexsort((distance, np.isnan(azimuth)))  # first those with azimuths, then the nearest
-    around = []
-    for link in order[:_SEARCHED]:
-        alone = slice(link, link + 1)
-        turns = _TURNS if np.isnan(azimuth[link]) else azimuth[alone]
-        known = links.synchronized and np.isfinite(distance[link])
-        radii = distance[alone] if known else _STARTS_M
-        asides = np.multiply.outer(radii, np.stack([np.cos(turns), np.sin(turns)], axis=1))
-        around.append(links.anchors[:2, link] + asides.reshape(-1, 2))
-    horizontal = np.concatenate(around)
-    starts = np.tile(links.center, (len(horizontal), 1))
-    starts[:, :2] = horizontal
-    return starts
-
-
-class _Sums(NamedTuple):
-    """A sum over links of squared errors, -1/2 of its gradient (n,), and the information (n, n)."""
-
-    cost: Number
-    gradient: Numbers
-    information: Numbers  # packed
-
-
-class _Link(NamedTuple):
-    """A link, as for :func:`~mmwave_env.models.measurement.link_group`."""
-
-    anchor: Numbers
-    z: Numbers
-    variance: Numbers
-    measured: Numbers
-
-
-class _Search(NamedTuple):
-    """A search for a minimum by Levenberg-Marquardt, over positions (n,) with n = 3 or 4."""
-
-    link: _Link  # the next link to be added
-    center: Numbers  # (n,) the weak prior
-    weight: Numbers
-    tried: Numbers  # (n,) position, and what was added up there
-    sums: _Sums
-    position: Numbers  # (n,) best position so far, and the sums there
-    best: _Sums
-    damping: Number
-    settled: Number  # 1 if the last round hardly improved the position, else 0
-
-
-def _with_link(search: _Search) -> _Search:
-    """Add a link to the sums at the tried position."""
-    position = search.tried
-    n = len(position)
-    x = [*position[:3], *[0.0] * (STATE_SIZE - 3), *position[3:]]
-    group = link_group(x, *search.link)
-    H = [[row[i] for i in _UNKNOWN[:n]] for row in group.jacobian]
-    weighted = [[d / v for d in row] for row, v in zip(H, group.variance, strict=True)]
-    e = group.innovation
-    squares = [a * a / v for a, v in zip(e, group.variance, strict=True)]
-    columns = list(zip(*weighted, strict=True))
-    gradient = [dot(column, e) for column in columns]
-    information = product(columns, H)
-    own = _Sums(sum(squares, group.spare_nis), gradient, pack(information))
-    return search._replace(sums=_added(search.sums, own))
-
-
-def _added(a: _Sums, b: _Sums) -> _Sums:
-    return unflatten(a, iter(plus(flatten(a), flatten(b))))
-
-
-def _next_round(search: _Search) -> _Search:
-    """Compare the tried position with the best one; try another one, without sums yet."""
-    away = minus(search.center, search.tried)
-    pull = times(search.weight, away)
-    n = len(pull)
-    weak = symmetric(n, lambda i, j: search.weight[i] if i == j else 0.0)
-    now = _added(search.sums, _Sums(dot(pull, away), pull, pack(weak)))
-    cost = search.best.cost
-    better = now.cost <= cost
-    best = select(better, now, search.best)
-    position = select(better, search.tried, search.position)
-    damping = search.damping * where(better, 0.1, 10.0)
-    information = unpack(best.information)
-    damped = symmetric(n, lambda i, j: information[i][j] * (1.0 + damping if i == j else 1.0))
-    factor = cholesky(damped)
-    step = backward(factor, forward(factor, best.gradient))
-    return search._replace(
-        tried=plus(position, step),
-        sums=unflatten(now, repeat(0.0)),
-        position=position,
-        best=best,
-        damping=damping,
-        settled=where(better & (cost - now.cost < _SETTLED), 1.0, 0.0),
-    )
-
-
-@cache
-def _programs(n: int) -> tuple[Program[_Search], Program[_Search]]:
-    """Return :func:`_with_link` and :func:`_next_round`, compiled for positions (n,)."""
-    many = [0.0] * n
-    sums = _Sums(0.0, many, [0.0] * (n * (n + 1) // 2))
-    link = _Link(many[:3], *[[1.0] * 4] * 3)
-    start = _Search(link, many, many, many, sums, many, sums._replace(cost=np.inf), _DAMPING, 0.0)
-    return Program(_with_link, start), Program(_next_round, start)
-
-
-@compiled
-def _run_rounds(add_link, end_round, settled, links, blocks):  # type: ignore[no-untyped-def]
-    """Run rounds of searches until all have settled in the same round.
-
-    Args:
-        add_link, end_round: addresses of compiled programs.
-        settled: row of a workspace.
-        links: (links, numbers) each link's numbers, the first rows of a workspace.
-        blocks: (blocks, rows, 8) workspaces of the searches, changed in place.
-    """
-    for _ in range(1 + _ROUNDS):
-        unsettled = 0
-        for block in blocks:
-            for link in links:
-                for i in range(len(link)):
-                    block[i] = link[i]
-                call(add_link, (block.ctypes.data,))
-            call(end_round, (block.ctypes.data,))
-            for lane in range(WIDTH):
-                unsettled += block[settled, lane] < 0.5
-        if unsettled == 0:
-            return
-
-
-def _descended(links: _Links, starts: Array) -> tuple[Array, Array, Array]:
-    """Find minima near S starts (S, n).
-
-    Return squared errors (S,), positions (S, n) and informations (S, n, n).
-    """
-    S, n = starts.shape
-    add_link, end_round = _programs(n)
-    at = add_link.index
-    blocks = blocks_of(add_link.start, S)
-    searches = blocks.transpose(0, 2, 1).reshape(-1, len(add_link.start))
-    searches[:, at.center] = links.center
-    searches[:, at.weight] = links.weight
-    searches[:, at.tried] = starts[np.arange(len(searches)) % S]
-    blocks = searches.reshape(len(blocks), WIDTH, -1).transpose(0, 2, 1).copy()
-    rows = np.concatenate(links[:4]).T.copy()
-    _run_rounds(add_link.on_lanes(), end_round.on_lanes(), at.settled, rows, blocks)
-    ends = blocks.transpose(0, 2, 1).reshape(searches.shape)[:S]
-    return ends[:, at.best.cost], ends[:, at.position], ends[:, unpack(at.best.information)]
 
 
 class Vote(NamedTuple):
