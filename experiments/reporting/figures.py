@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtr, chdtri
 
-from mmwave_env.io.files import atomic_path, require_writable
+from mmwave_env.io.files import Json, atomic_path, require_writable
 from mmwave_env.io.lookup import printable, require_extra, spelled
 from mmwave_env.localization.localizer import Track
 from mmwave_env.localization.position_errors import SHARES, horizontal, vertical
+from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.rendering.history import ellipse
 from mmwave_env.rendering.theme import THEMES, hex_of
@@ -227,11 +228,23 @@ _ENLARGED = (1, 2, 5, 10, 20, 50, 100)  # factors by which ellipses may be enlar
 _VISIBLE = 0.02  # smallest visible semi-axis of an ellipse, as a share of the track's extent
 
 
-def draw_trajectory(track: Track, truth_m: Array, anchors_m: Array, path: Path, title: str) -> None:
+def draw_trajectory(
+    track: Track,
+    truth_m: Array,
+    scene: Scene,
+    path: Path,
+    title: str,
+    learned: Sequence[Json] = (),
+) -> None:
     """Draw a track from above, its error over time, and its modes, if it has several.
 
-    ``truth_m`` (T, 3) are the true positions, NaN where unknown. ``anchors_m`` (L, 3) are the
-    anchors, the base station first.
+    Args:
+        track: the track.
+        truth_m: (T, 3) true positions, NaN where unknown.
+        scene: scene whose anchors and walls are drawn.
+        path: file to write.
+        title: title of the picture.
+        learned: figures about images of a learned map, as :func:`learn_map` returns them.
     """
     shown = slice(None, None, -(-len(track) // POINTS))
     track = track.part(shown)
@@ -241,7 +254,7 @@ def draw_trajectory(track: Track, truth_m: Array, anchors_m: Array, path: Path, 
         heights.append(0.3)
     with picture(path, 10.0, sum(heights) + 1.2) as figure:
         above, errors, *ribbon = figure.subplots(len(heights), 1, height_ratios=heights)
-        _draw_above(above, track, truth_m, anchors_m)
+        _draw_above(above, track, truth_m, scene, learned)
         time = track.time_s - track.time_s[0]
         error = np.linalg.norm(track.smooth_x[:, :3] - truth_m, axis=1)
         sigma = np.sqrt(track.smooth_P[:, [0, 2, 5]].sum(axis=1))  # of x, y and z
@@ -268,7 +281,9 @@ def draw_trajectory(track: Track, truth_m: Array, anchors_m: Array, path: Path, 
         figure.suptitle("\n".join(lines), x=0.02, ha="left")
 
 
-def _draw_above(axes: Any, track: Track, truth_m: Array, anchors_m: Array) -> None:
+def _draw_above(
+    axes: Any, track: Track, truth_m: Array, scene: Scene, learned: Sequence[Json]
+) -> None:
     from matplotlib.collections import LineCollection
 
     position = track.smooth_x[:, :2]
@@ -284,7 +299,8 @@ def _draw_above(axes: Any, track: Track, truth_m: Array, anchors_m: Array) -> No
         axes.add_collection(lines)
     _draw_ellipses(axes, track)
     axes.plot(*position[0], "o", color="black", ms=5, label="start")
-    draw_anchors(axes, position, anchors_m)
+    draw_anchors(axes, position, scene.anchors_m)
+    _draw_walls(axes, position, scene, learned)
     axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
     axes.set_adjustable("datalim")
     legend_beside(axes)
@@ -305,14 +321,42 @@ def _draw_ellipses(axes: Any, track: Track) -> None:
     axes.plot([], [], "o", mfc="none", mec="black", mew=0.8, ms=8, label=label)
 
 
-def draw_anchors(axes: Any, position: Array, anchors_m: Array) -> None:
-    """Draw those anchors that are near the track: at most its extent, or 30 m, outside its box."""
+def _draw_walls(axes: Any, position: Array, scene: Scene, learned: Sequence[Json]) -> None:
+    """Draw those walls that are near the track; learned ones with their uncertainty."""
+    middle = 0.5 * (position.min(axis=0) + position.max(axis=0))
+
+    def draw(normal: Array, offset_m: float, label: str, **style: Any) -> None:
+        foot = middle + (offset_m - normal @ middle) * normal
+        if _is_near(foot, position):
+            named = any(line.get_label() == label for line in axes.lines)
+            along = [-normal[1], normal[0]]
+            axes.axline(foot, foot + along, label=None if named else label, **style)
+
+    for wall in scene.walls:
+        draw(np.array(wall.unit_normal), wall.offset_m, "wall", color="gray", alpha=0.5, lw=4.0)
+    for image in learned:
+        normal = np.array(image["wall"]["normal"])
+        # the wall is halfway between the base station and its image
+        sigma = 0.5 * float(np.linalg.norm(normal * image["sigma_m"][:2]))
+        for number, width in ((0.0, 1.4), (-2.0, 0.6), (2.0, 0.6)):
+            offset_m = image["wall"]["offset_m"] + number * sigma
+            label = "learned wall,\n± 2 standard deviations"
+            draw(normal, offset_m, label, color="C3", ls="--", lw=width)
+
+
+def _is_near(point: Array, position: Array) -> bool:
+    """Tell whether a point is at most a track's extent, or 30 m, outside the track's box."""
     low = position.min(axis=0)
     high = position.max(axis=0)
     reach = max(float((high - low).max()), 30.0)
-    middle = 0.5 * (low + high)
+    return bool(((point > low - reach) & (point < high + reach)).all())
+
+
+def draw_anchors(axes: Any, position: Array, anchors_m: Array) -> None:
+    """Draw those anchors that are near the track."""
+    middle = 0.5 * (position.min(axis=0) + position.max(axis=0))
     for number, anchor in enumerate(anchors_m[:, :2], start=1):
-        if ((anchor > low - reach) & (anchor < high + reach)).all():
+        if _is_near(anchor, position):
             name = "gNB" if number == 1 else f"anchor {number}"
             marker, fill = ("^", "black") if number == 1 else ("v", "white")
             axes.plot(*anchor, marker, color="black", ms=8, mfc=fill)

@@ -414,7 +414,8 @@ def localized(args: LogArgs) -> None:
             if work.truth:
                 truth_m = work.truth.at(track.time_s)
             title = f"{log}, {_kind(args)} track"
-            draw_trajectory(track, truth_m, work.scene.anchors_m, args.plot, title)
+            learned = work.map["images"] if work.map else []
+            draw_trajectory(track, truth_m, work.scene, args.plot, title, learned)
     finally:  # the results are shown even if a picture fails
         try:
             show(track_markdown(figures))

@@ -18,20 +18,21 @@ from experiments.reporting.figures import (
     draw_trajectory,
 )
 from experiments.reporting.log_results import beginning
+from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.linalg import pack
 
 AWKWARD = "a$b_{^$ | \x1b[31m <b>\n漢字 \u202eق"
 T = 50
 
 
-def draw_track(name, path, position_m):
+def draw_track(name, path, position_m, scene=SCENES["street"], learned=()):
     """Draw a track in which a mode of this name and another one take turns."""
     block, _ = beginning(LogArgs(sample="canyon28_pedestrian", imm="imm"), T)
     P = np.tile(pack(0.01 * np.eye(7)), (T, 1))
     mode = np.arange(T) // 20 % 2
     states = {"smooth_x": position_m, "smooth_P": P, "mode": mode, "segment": np.zeros(T, int)}
     track = replace(block, modes=[name, "ukf"], **states)
-    draw_trajectory(track, position_m + 0.1, np.zeros((2, 3)), path, name)
+    draw_trajectory(track, position_m + 0.1, scene, path, name, learned)
 
 
 def drawn(name, path):
@@ -52,6 +53,20 @@ def test_pictures_with_any_name_are_valid_files(name, tmp_path):
     for path in drawn(name, tmp_path):
         ElementTree.parse(path)
     assert len(list(tmp_path.iterdir())) == 4
+
+
+@pytest.mark.parametrize(("offset_m", "is_drawn"), [(5.0, True), (5000.0, False)])
+def test_learned_walls_are_drawn_near_the_track(tmp_path, offset_m, is_drawn):
+    wall = {"normal": [0.6, 0.8], "offset_m": offset_m}
+    image = {"sigma_m": [1.0, 1.0, 1.0], "wall": wall}
+    walk = np.cumsum(np.ones((T, 3)), axis=0)
+    scene = replace(SCENES["street"], walls=())
+    for name, learned in (("a", []), ("b", [image, image])):
+        draw_track("ekf", tmp_path / f"{name}.svg", walk, scene, learned)
+    without, walls = ((tmp_path / f"{name}.svg").read_text() for name in "ab")
+    assert (without != walls) == is_drawn
+    # three lines for each wall, and one in the legend
+    assert walls.count("stroke-dasharray") - without.count("stroke-dasharray") == 7 * is_drawn
 
 
 def test_names_are_shown_unchanged_except_characters_that_cannot_be_shown():
