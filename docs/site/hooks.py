@@ -1,4 +1,4 @@
-"""Hooks of mkdocs that generate pages and adapt links to the site during the build.
+"""Hooks of ProperDocs that generate pages and adapt links to the site during the build.
 
 Besides the files of docs/, the site shows text whose only source is elsewhere: the README, the
 help of the commands, CITATION.cff, notebooks and the docstrings of the modules.
@@ -71,7 +71,7 @@ def on_config(config: Any) -> Any:
 
 def on_files(files: Any, config: Any) -> Any:
     """Add the pages that are not files of docs/."""
-    from mkdocs.structure.files import File
+    from properdocs.structure.files import File
 
     for path, text in made().items():
         files.append(File.generated(config, path, content=text()))
@@ -264,7 +264,7 @@ def relinked(markdown: str, uri: str, source: Path) -> str:
     def mended(match: re.Match[str]) -> str:
         text, path, anchor = match.groups()
         target = Path(os.path.normpath(source.parent / path))
-        if not target.exists():  # a page made at the build, or a mistake that mkdocs reports
+        if not target.exists():  # a page made at the build, or a mistake that ProperDocs reports
             return match[0]
         address = _address(target, os.path.dirname(uri) or ".")
         return f"[{text}]({address}{anchor or ''})" if address else text

@@ -29,8 +29,8 @@ class Quiet(SimpleHTTPRequestHandler):
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
     folder = tmp_path_factory.mktemp("site")
-    words = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", folder]
-    subprocess.run(words, cwd=ROOT, env=environment() | {"NO_MKDOCS_2_WARNING": "1"}, check=True)
+    words = [sys.executable, "-m", "properdocs", "build", "--strict", "--quiet", "--site-dir", folder]
+    subprocess.run(words, cwd=ROOT, env=environment(), check=True)
     return folder
 
 
