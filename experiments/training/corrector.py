@@ -5,7 +5,8 @@ the network learns the errors of the base from examples. The loss has two terms.
 length of the remaining error, divided by the length of the vector of standard deviations (its mean
 over the episode). The second, with a small weight, is the negative log-likelihood of this error; it
 teaches the network to scale the standard deviations. The base does not depend on corrections, so it
-plays each episode only once. Every update has new *lots* (batches of equally long episodes).
+plays each episode only once, in *lots* (batches of equally long episodes), and the network learns
+from every lot in some successive updates.
 
 The two-way corrector, which corrects smoothed tracks, learns from the same kinds of episodes, but
 after smoothing, and reads every track forwards and backwards. Smoothing takes longer than learning,
