@@ -63,7 +63,7 @@ _BELOW = np.array(
 
 
 @register_jitable  # type: ignore[untyped-decorator]
-def _squash(values):  # type: ignore[no-untyped-def]
+def squash(values):  # type: ignore[no-untyped-def]
     """Replace numbers by their hyperbolic tangents."""
     for j in range(len(values)):
         x = min(max(values[j], np.float32(-TANH_LIMIT)), np.float32(TANH_LIMIT))
@@ -122,7 +122,7 @@ def _read(features, network, front):  # type: ignore[no-untyped-def]
         if outside > beyond or math.isnan(outside):
             beyond = outside  # once NaN, it stays NaN
     _linear(front, inside, network.front)
-    _squash(front)
+    squash(front)
     if math.isnan(beyond):
         return np.float32(0.0)
     return np.float32(math.exp(-RANGE_FADE * beyond))
@@ -140,11 +140,11 @@ def _remember(front, unit, state):  # type: ignore[no-untyped-def]
     half = np.float32(0.5)
     for j in range(2 * units):
         gates[j] = half * (gates[j] + past[j])
-    _squash(gates[: 2 * units])  # the logistic function of 2 z is (1 + tanh z) / 2
+    squash(gates[: 2 * units])  # the logistic function of 2 z is (1 + tanh z) / 2
     for j in range(units):
         reset = half + half * gates[j]
         candidate[j] = gates[2 * units + j] + past[2 * units + j] * reset
-    _squash(candidate)
+    squash(candidate)
     for j in range(units):
         update = half + half * gates[units + j]
         state[j] = (state[j] - candidate[j]) * update + candidate[j]
@@ -156,7 +156,7 @@ def _answer(memory, front, trust, network, answer):  # type: ignore[no-untyped-d
     head = np.empty(len(network.head.bias), np.float32)
     _linear(head, memory, network.head)
     _add_product(head, front, network.head.weight, len(memory))
-    _squash(head)
+    squash(head)
     out = np.empty(len(network.out.bias), np.float32)
     _linear(out, head, network.out)
     for i in range(CORRECTIONS):

@@ -206,12 +206,12 @@ class TrainArgs(TaskArgs):
     """number of training runs, one per seed"""
     total_timesteps: int | None = None
     """length of each training run, rounded up to complete
-    updates: for --algo ppo, corrector or two-way, the number
-    of steps of environments (None: 4000000 for ppo,
-    320000000 for corrector, 64000000 for two-way, which
-    plays every step once and learns from it eight times);
-    for --algo rollouts, the number of states in which every
-    action is tried (None: 1200000)"""
+    updates: for --algo ppo, the number of steps of
+    environments (None: 4000000); for corrector or two-way,
+    the number of epochs that the network learns from, each
+    of them three (corrector) or eight times (None:
+    320000000, 64000000); for rollouts, the number of states
+    in which every action is tried (None: 1200000)"""
     hyperparameters: Path | None = None
     """JSON file of hyperparameters, instead of the
     algorithm's default file in experiments/training, such

@@ -5,7 +5,8 @@ the network learns the errors of the base from examples. The loss has two terms.
 length of the remaining error, divided by the length of the vector of standard deviations (its mean
 over the episode). The second, with a small weight, is the negative log-likelihood of this error; it
 teaches the network to scale the standard deviations. The base does not depend on corrections, so it
-plays each episode only once. Every update has new *lots* (batches of equally long episodes).
+plays each episode only once, in *lots* (batches of equally long episodes), and the network learns
+from every lot in some successive updates.
 
 The two-way corrector, which corrects smoothed tracks, learns from the same kinds of episodes, but
 after smoothing, and reads every track forwards and backwards. Smoothing takes longer than learning,
@@ -33,6 +34,7 @@ from experiments.training.hyperparameters import (
     TwoWayHyperparameters,
     falling,
 )
+from experiments.training.recurrence import RecurrentUnit
 from experiments.training.trainer import Job, Trainer
 from experiments.training.training_task import places_from
 from mmwave_env.engines.smoothing import GATES, smoothed_features
@@ -51,7 +53,9 @@ from mmwave_env.world.episode import EpisodeBatch, columns_of
 from policies.policy_file import CORRECTIONS, Tensors
 from policies.sb3 import Normalization
 
-FIRST = 3  # number of extra rounds of lots in the first update, to measure the features' ranges
+FIRST = 4  # number of rounds of lots in the first update, to measure the features' ranges
+ROUNDS = 2  # number of rounds in every other update
+PASSES = 3  # number of updates that learn from the same lots: playing takes longer than learning
 OUTSIDE = 2e-4  # share of a feature's values below its lower limit, and also above its upper limit
 # limits in the loss, so that lost tracks do not dominate it
 MOST_LENGTH = 20.0
@@ -73,7 +77,7 @@ class CorrectorNetwork(nn.Module):
     ) -> None:
         super().__init__()
         self.front = nn.Linear(features, hyper.front)
-        self.gru = nn.GRU(hyper.front, hyper.units, bidirectional=two_way)
+        self.gru = RecurrentUnit(hyper.front, hyper.units, bidirectional=two_way)
         self.head = nn.Linear((1 + two_way) * hyper.units + hyper.front, hyper.head)
         self.out = nn.Linear(hyper.head, hyper.members * CORRECTIONS)
         with torch.no_grad():
@@ -83,7 +87,7 @@ class CorrectorNetwork(nn.Module):
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
         """Map features (T, n, F) to shifts and log factors of sigmas: (T, n, members, 3) each."""
         front = torch.tanh(self.front(features))
-        memory, _ = self.gru(front)
+        memory = self.gru(front)
         head = torch.tanh(self.head(torch.cat([memory, front], -1)))
         answer = self.out(head).unflatten(-1, (-1, CORRECTIONS))
         return answer[..., :3], answer[..., 3:]
@@ -120,6 +124,17 @@ def loss_of(
     return loss
 
 
+def optimizers_of(network: CorrectorNetwork, rate: float) -> tuple[torch.optim.Optimizer, ...]:
+    """Return Muon (Jordan et al. 2024) for the matrices of hidden layers, and Adam for the rest."""
+    hidden = []
+    others = []
+    for name, weights in network.named_parameters():
+        matrix = weights.ndim == 2 and name != "out.weight"
+        (hidden if matrix else others).append(weights)
+    muon = torch.optim.Muon(hidden, rate, weight_decay=0.0, adjust_lr_fn="match_rms_adamw")
+    return muon, torch.optim.Adam(others, rate)
+
+
 class CorrectorTrainer(Trainer):
     """The updates of a corrector; timesteps are epochs from which it learns.
 
@@ -131,7 +146,7 @@ class CorrectorTrainer(Trainer):
         TWO_WAY, DATA: whether the network also reads tracks backwards, and the source of lots.
     """
 
-    EVERY = 32
+    EVERY = 24
     TWO_WAY = False
     DATA = CorrectorData
 
@@ -149,28 +164,29 @@ class CorrectorTrainer(Trainer):
         table = Observation(pipeline, "signed", "per-mode")
         self.table = table.only(after_update(pipeline, per_mode=True))
         self.network = CorrectorNetwork(len(self.table), self.hyper, self.TWO_WAY)
-        self.optimizer = torch.optim.Adam(self.network.parameters(), self.hyper.learning_rate)
+        self.optimizers = optimizers_of(self.network, self.hyper.learning_rate)
         self.scales = {}
         self._updates = enumerate(self.lots())
 
     def lots(self) -> Iterator[list[Lot]]:
-        """Yield the lots of each update: new episodes at the task's places and in random streets.
+        """Yield the lots of each update: episodes at the task's places and in random streets.
 
         Also set the scales, unless they are restored from a checkpoint.
         """
         if not self.scales:
-            first = list(self.data.lots(1 + FIRST))
+            first = list(self.data.lots(FIRST))
             self.measure(first)
-            yield first
+            yield from [first] * PASSES
         while True:
-            yield list(self.data.lots())
+            yield from [list(self.data.lots(ROUNDS))] * PASSES
 
     def update(self, left: float) -> tuple[int, dict[str, float]]:
         """Mix the episodes of the next lots, and take a gradient step for each new lot."""
         number, lots = next(self._updates)
         rng = np.random.default_rng((self.seed, number))
         rate = self.hyper.learning_rate * falling(self.hyper.final_fraction, left)
-        self.optimizer.param_groups[0]["lr"] = rate
+        for optimizer in self.optimizers:
+            optimizer.param_groups[0]["lr"] = rate
         losses = [self._step(lot) for lot in mixed(lots, self.hyper.batch_size, rng)]
         epochs = sum(lot.features[..., 0].size for lot in lots)
         return epochs, {"loss": float(np.mean(losses))}
@@ -188,17 +204,20 @@ class CorrectorTrainer(Trainer):
         losses = loss_of(self.answer(lot), error, deviation, hyper.likelihood_weight)
         some = torch.rand(losses.shape) < (0.5 if hyper.members > 1 else 1.0)
         loss = (losses * some).sum() / some.sum().clamp(min=1)
-        self.optimizer.zero_grad()
+        self.network.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         nn.utils.clip_grad_norm_(self.network.parameters(), hyper.max_grad_norm)
-        self.optimizer.step()
+        for optimizer in self.optimizers:
+            optimizer.step()
         return loss.item()
 
     def answer(self, lot: Lot) -> tuple[Tensor, Tensor]:
         """Return the network's outputs for a lot; see :meth:`CorrectorNetwork.forward`."""
-        low, high, mean, sigma = Normalization(**self.scales)
-        normal = (np.clip(lot.features, low, high) - mean) / sigma
-        answer: tuple[Tensor, Tensor] = self.network(torch.from_numpy(normal.astype(np.float32)))
+        low, high, mean, sigma = (
+            torch.as_tensor(s, dtype=torch.float32) for s in Normalization(**self.scales)
+        )
+        features = torch.from_numpy(lot.features)
+        answer: tuple[Tensor, Tensor] = self.network((features.clamp(low, high) - mean) / sigma)
         return answer
 
     def tensors(self) -> Tensors:

@@ -130,7 +130,7 @@ class PpoTrainer(Trainer):
         self.model = learner(self.normal, hyper, seed)
         self.model.set_logger(Logger(None, []))
         self.network = self.model.policy
-        self.optimizer = self.model.policy.optimizer
+        self.optimizers = (self.model.policy.optimizer,)
 
     def update(self, left: float) -> tuple[int, dict[str, float]]:
         """Collect steps and learn from them; return their number, and statistics."""

@@ -160,7 +160,7 @@ class RolloutLearner:
         hyper, normal: hyperparameters, and normalization of an observation.
 
     Attributes:
-        network, optimizer: the network and the optimizer of its weights.
+        network, optimizers: the network and the optimizer of its weights.
         scales: the fields of the normalization, by name.
     """
 
@@ -179,7 +179,7 @@ class RolloutLearner:
             last.bias[0] = hyper.first_action_bias
         self.network: nn.Module = nn.Sequential(*layers, last)
         parameters = self.network.parameters()
-        self.optimizer: torch.optim.Optimizer = torch.optim.Adam(parameters, hyper.learning_rate)
+        self.optimizers = (torch.optim.Adam(parameters, hyper.learning_rate),)
         self._observations = torch.empty((hyper.memory, features))
         self._gains = torch.empty((hyper.memory, actions))
         self._seen = 0
@@ -224,7 +224,7 @@ class RolloutLearner:
         """
         hyper = self._hyper
         filled = min(self._seen, len(self._gains))
-        self.optimizer.param_groups[0]["lr"] = hyper.learning_rate * left
+        self.optimizers[0].param_groups[0]["lr"] = hyper.learning_rate * left
         sums = np.zeros(3)
         for _ in range(hyper.gradient_steps):
             some = torch.randint(filled, (hyper.batch_size,))
@@ -234,9 +234,9 @@ class RolloutLearner:
             expected = (p * gains).sum(1).mean()
             entropy = -(p * log_p).sum(1).mean()
             loss = -expected - hyper.ent_coef * left * entropy
-            self.optimizer.zero_grad()
+            self.optimizers[0].zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
-            self.optimizer.step()
+            self.optimizers[0].step()
             sums += expected.item(), gains.amax(1).mean().item(), entropy.item()
         names = ("gain/expected", "gain/possible", "entropy")
         return dict(zip(names, (sums / hyper.gradient_steps).tolist(), strict=True))

@@ -75,7 +75,7 @@ class Trainer(ABC):
         judged: task on which its policies are compared.
         table: features that the network reads.
         base: policy whose beliefs the network corrects; empty if it chooses modes.
-        network, optimizer: the network and the optimizer of its weights.
+        network, optimizers: the network and the optimizers of its weights.
         scales: statistics by which the network's features are normalized.
     """
 
@@ -84,7 +84,7 @@ class Trainer(ABC):
     table: Observation
     base: str = ""
     network: torch.nn.Module
-    optimizer: torch.optim.Optimizer
+    optimizers: tuple[torch.optim.Optimizer, ...]
     scales: dict[str, Any]
 
     @abstractmethod
@@ -149,15 +149,17 @@ class Trainer(ABC):
         return examine
 
     def state(self) -> State:
-        """Return the weights, the optimizer and the normalization, for :meth:`restore`."""
+        """Return the weights, the optimizers and the normalization, for :meth:`restore`."""
         scales = {name: torch.from_numpy(np.asarray(s)) for name, s in self.scales.items()}
         network = self.network.state_dict()
-        return {"network": network, "optimizer": self.optimizer.state_dict(), "scales": scales}
+        optimizers = [optimizer.state_dict() for optimizer in self.optimizers]
+        return {"network": network, "optimizers": optimizers, "scales": scales}
 
     def restore(self, state: State) -> None:
         """Go on from the weights of a :meth:`state`, with new episodes."""
         self.network.load_state_dict(state["network"])
-        self.optimizer.load_state_dict(state["optimizer"])
+        for optimizer, part in zip(self.optimizers, state["optimizers"], strict=True):
+            optimizer.load_state_dict(part)
         self.scales.update({name: scale.numpy() for name, scale in state["scales"].items()})
 
 

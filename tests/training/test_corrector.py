@@ -18,6 +18,7 @@ from experiments.training.corrector_data import (
     weaving,
 )
 from experiments.training.hyperparameters import CorrectorHyperparameters, TwoWayHyperparameters
+from experiments.training.recurrence import RecurrentUnit
 from experiments.training.run import train
 from experiments.training.trainer import Job, Training
 from mmwave_env.metrics import BURN_IN
@@ -90,6 +91,25 @@ def test_episodes_begin_from_a_link_that_filters_do_not_use_again():
     error = batch.site[:, index.prior_x[:3]] - batch.table[:, 0, at.truth[:3]]
     nees = np.einsum("ni,nij,nj->n", error, np.linalg.inv(P), error)
     assert 1.5 < np.median(nees) < 4.0  # 2.4 if errors are Gaussian; reflections have larger ones
+
+
+@pytest.mark.parametrize("two_way", [False, True])
+def test_a_recurrent_unit_and_its_gradients_equal_those_of_pytorch(two_way):
+    torch.manual_seed(0)
+    ours = RecurrentUnit(5, 6, bidirectional=two_way)
+    reference = torch.nn.GRU(5, 6, bidirectional=two_way)
+    reference.load_state_dict(ours.state_dict())
+    x = torch.randn(30, 4, 5, requires_grad=True)
+    weight = torch.randn(6 * (1 + two_way))
+    states = ours(x)
+    expected, _ = reference(x)
+    torch.testing.assert_close(states, expected)
+    slopes = torch.autograd.grad((states * weight).square().sum(), [x, *ours.parameters()])
+    loss = (expected * weight).square().sum()
+    for slope, same in zip(
+        slopes, torch.autograd.grad(loss, [x, *reference.parameters()]), strict=True
+    ):
+        torch.testing.assert_close(slope, same, rtol=1e-4, atol=1e-4)
 
 
 @pytest.mark.slow
