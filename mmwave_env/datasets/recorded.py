@@ -119,7 +119,7 @@ class Track(ABC):
                 (own,) = rng.spawn(1)
                 drift_mps = received.bias_hz / self.scene.hz_per_mps
                 bias_m = clock_bias(self.layout.clock, drift_mps, self.time_s[epochs], own)
-                received.measurement[:, 0 : self.layout.doppler : 4] += bias_m[:, None]
+                received.measurement[:, self.layout.ranges] += bias_m[:, None]
         return Episode.measured(
             self.name,
             self.scene,
@@ -213,7 +213,7 @@ class TrackSource:
         clock: str = "synchronized",
     ) -> None:
         if clock != "synchronized":
-            if not np.isfinite(track.measurement[:, 0 : track.layout.doppler : 4]).any():
+            if not np.isfinite(track.measurement[:, track.layout.ranges]).any():
                 refuse(track.record, "clock", f"{clock}, but no ranges", "a track with ranges")
             partial = track.layout.partial or clock == "free"
             track = replace(track, layout=replace(track.layout, clock=clock, partial=partial))

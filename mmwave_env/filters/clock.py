@@ -144,7 +144,7 @@ def _pivot(x: Vector, P: Matrix, m: Measurement, has_range: Vector, limit: float
         distance = norms(d)[1]
         y.append(m.z[4 * a] - distance)
         u.append([component / maximum(distance, NEAREST_M) for component in d])
-    variance = m.variance[: m.layout.doppler : 4]
+    variance = m.variance[m.layout.ranges]
     T: list[Numbers] = [[0.0] * len(y) for _ in y]
     S: list[Numbers] = [[0.0] * len(y) for _ in y]
     for i in range(len(y)):

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from mmwave_env.filters.modes import Mode
-from mmwave_env.localization.readings import ELEVATION, Reading, values_of
+from mmwave_env.localization.readings import AZIMUTH, DEPARTURE, ELEVATION, Reading, values_of
 from mmwave_env.localization.sensitivities import FilterRun, innovations
 from mmwave_env.localization.shared_errors import (
     LEAST_EPOCHS,
@@ -53,28 +53,33 @@ _FEWEST_CHANGES = 20  # minimum number of second differences for a median
 _ROBUST = 1.4826 / np.sqrt(6.0)  # white noise: standard deviation / median |second difference|
 
 
+def _where_measured(log: Log, values: Array) -> Array:
+    """Return values (T, rows), NaN where nothing was measured."""
+    return np.where(values_of(log), values, np.nan)
+
+
+def _ranges(log: Log) -> Array:
+    """Return the ranges (T, L), NaN where they were not measured."""
+    return _where_measured(log, log.measurement)[:, log.layout.ranges]
+
+
 def range_step(log: Log, sigma: Array) -> float | None:
     """Return the step, m, in which the ranges of a log come; None if there is none that matters.
 
     The differences between neighboring values of an anchor are then multiples of the smallest one.
     ``sigma`` (T, rows) are standard deviations.
     """
-    links = slice(0, log.layout.doppler, 4)
-    measured = values_of(log)[:, links]
-    if not measured.any():
-        return None
-    ranges = log.measurement[:, links]
-    columns = zip(ranges.T, measured.T, strict=True)
-    gaps = np.concatenate([np.diff(np.unique(values[some])) for values, some in columns])
-    gaps = gaps[gaps > _SMALLEST_M]
+    ranges = _ranges(log)
+    gaps = np.concatenate([np.diff(np.unique(column)) for column in ranges.T])
+    gaps = gaps[gaps > _SMALLEST_M]  # not NaN
+    gaps = gaps[gaps < _NEAR_STEPS * gaps.min(initial=np.inf)]
     if len(gaps) < _FEWEST:
         return None
-    gaps = gaps[gaps < _NEAR_STEPS * gaps.min()]
     multiples = np.round(gaps / gaps.min())
     step = float(np.median(gaps / multiples))
     regular = np.mean(abs(gaps / step - multiples) < _OFF) >= _MULTIPLES
-    noticed = step > _NOTICED * np.median(sigma[:, links][measured])
-    return step if len(gaps) >= _FEWEST and regular and noticed else None
+    usual = np.median(sigma[:, log.layout.ranges][np.isfinite(ranges)])
+    return step if regular and step > _NOTICED * usual else None
 
 
 def with_range_steps(log: Log, scene: Scene, radio: Radio) -> tuple[Log, float | None]:
@@ -87,8 +92,8 @@ def with_range_steps(log: Log, scene: Scene, radio: Radio) -> tuple[Log, float |
     if step is None:
         return log, None
     sigma = log.sigma.copy()
-    links = slice(0, log.layout.doppler, 4)
-    sigma[:, links] = np.hypot(deviations[:, links], step / np.sqrt(12.0))
+    rows = log.layout.ranges
+    sigma[:, rows] = np.hypot(deviations[:, rows], step / np.sqrt(12.0))
     return replace(log, sigma=sigma), step
 
 
@@ -97,16 +102,14 @@ def clock_jumps(log: Log, sigma: Array) -> tuple[float, float] | None:
 
     The result is None if jumps are rare. ``sigma`` (T, rows) are standard deviations.
     """
-    links = slice(0, log.layout.doppler, 4)
-    ranges: Array = np.where(values_of(log)[:, links], log.measurement[:, links], np.nan)
-    change = np.diff(ranges, axis=0)
+    change = np.diff(_ranges(log), axis=0)
     several = np.isfinite(change).sum(axis=1) >= 2
     if not several.any():
         return None
     change = change[several]
     usual = np.nanmedian(change, axis=1)
     apart = np.nanmax(abs(change - usual[:, None]), axis=1)
-    noise = _JUMP_SIGMAS * np.nanmedian(sigma[:, links])
+    noise = _JUMP_SIGMAS * np.nanmedian(sigma[:, log.layout.ranges])
     least = _FASTEST_MPS * np.diff(log.time_s)[several] + noise
     jumps = (abs(usual) > least) & (apart < _ALIKE * abs(usual))
     share = float(jumps.mean())
@@ -132,27 +135,24 @@ def noise_notes(
     if step_m:
         notes.append(f"ranges come in steps of {step_m:.3g} m: localize adds the noise of rounding")
     with suppress(ValueError):  # no epoch determines a position, or the track is lost
-        part = scanned(log, scene, radio)
-        if part is None:
-            notes.append(_TOO_SHORT)
+        part = scanned(log, scene, radio, mode)
+        if part:
+            corrected = without_errors(part[0], shared_errors(*part))
+            notes += _notes(corrected, part[1])
         else:
-            reading = Reading(part[0], scene, radio)
-            run = FilterRun.of(mode, reading, part[1])
-            corrected = without_errors(reading, shared_errors(reading, run))
-            (w,) = innovations([corrected], run)
-            notes += _notes(corrected.log, run.episode(corrected).sigma, w)
+            notes.append(_TOO_SHORT)
     return notes
 
 
-def _notes(log: Log, sigma: Array, w: Array) -> Iterator[str]:
-    """Yield sentences on the angles, given standard deviations and innovations w (T, rows)."""
-    measured = values_of(log)
-    n = log.layout.doppler
-    z = log.measurement
-    both = measured[:, 1:n:4] & measured[:, 3:n:4]
-    apart = wrapped(wrapped(z[:, 1:n:4] - z[:, 3:n:4] + np.pi))
-    azimuths = np.where(both, apart / np.hypot(sigma[:, 1:n:4], sigma[:, 3:n:4]), np.nan)
-    elevations = np.where(measured[:, ELEVATION], w[:, ELEVATION], np.nan)
+def _notes(reading: Reading, run: FilterRun) -> Iterator[str]:
+    """Yield sentences on the angles of a reading without errors."""
+    log = reading.log
+    sigma = run.episode(reading).sigma
+    z = _where_measured(log, log.measurement)
+    apart = wrapped(wrapped(z[:, AZIMUTH] - z[:, DEPARTURE] + np.pi))
+    azimuths = apart / np.hypot(sigma[:, AZIMUTH], sigma[:, DEPARTURE])
+    (w,) = innovations([reading], run)
+    elevations = _where_measured(log, w)[:, ELEVATION]
     scaled = []
     for name, column, values in (
         ("azimuths", "aoa_azimuth_sigma and aod_azimuth_sigma", azimuths),
@@ -173,10 +173,8 @@ def _notes(log: Log, sigma: Array, w: Array) -> Iterator[str]:
 
 def _correlation(values: Array, time_s: Array) -> Iterator[str]:
     """Yield a sentence if values (T, k), NaN where missing, are correlated in time."""
-    known = np.isfinite(values)
-    x = np.where(known, values, 0.0)
-    pairs = [max((known[k:] & known[: len(x) - k]).sum(), 1) for k in range(_LAGS + 1)]
-    covariance = [(x[k:] * x[: len(x) - k]).sum() / count for k, count in enumerate(pairs)]
+    products = [values[k:] * values[: len(values) - k] for k in range(_LAGS + 1)]
+    covariance = [np.nansum(of) / max(np.isfinite(of).sum(), 1) for of in products]
     r = np.array(covariance[1:]) / covariance[0]
     decay = (r[1:] * r[:-1]).sum() / max((r[:-1] ** 2).sum(), 1e-9)
     if r[0] > _CORRELATED and 0.0 < decay < 1.0:
@@ -197,14 +195,16 @@ def nearest_radio(log: Log, scene: Scene) -> str:
     these ratios. If no standard deviation can be computed, the result is "handset".
     """
     measured = np.array([_deviation(log, row) for row in range(len(LINK))])
+    if not np.isfinite(measured).any():
+        return "handset"
     snr = log.snr_db[np.isfinite(log.snr_db)]
     snr_db = np.full((1, log.layout.anchors), np.median(snr) if len(snr) else NEUTRAL_SNR_DB)
-    distances = {
-        name: np.nanmean(np.log(measured / radio.sigma(snr_db, scene, log.layout)[0, :4]) ** 2)
-        for name, radio in RADIOS.items()
-        if np.isfinite(measured).any()
-    }
-    return min(distances, key=lambda name: distances[name], default="handset")
+
+    def distance(name: str) -> float:
+        stated = RADIOS[name].sigma(snr_db, scene, log.layout)[0, : len(LINK)]
+        return float(np.nanmean(np.log(measured / stated) ** 2))
+
+    return min(RADIOS, key=distance)
 
 
 def _deviation(log: Log, row: int) -> float:
@@ -214,11 +214,9 @@ def _deviation(log: Log, row: int) -> float:
     if np.isfinite(own).any():
         return float(np.nanmedian(own))
     links = log.visible[:, : log.layout.anchors]
-    values: Array = np.where(links, log.measurement[:, columns], np.nan)
-    change = np.diff(values, axis=0)
+    change = np.diff(np.where(links, log.measurement[:, columns], np.nan), axis=0)
     second = np.diff(wrap(change) if row else change, axis=0)
-    second = second[np.isfinite(second)]
-    deviation = (
-        float(_ROBUST * np.median(np.abs(second))) if len(second) >= _FEWEST_CHANGES else 0.0
-    )
-    return deviation or np.nan  # values may change steadily, without any noise
+    second = abs(second[np.isfinite(second)])
+    if len(second) < _FEWEST_CHANGES:
+        return np.nan
+    return float(_ROBUST * np.median(second)) or np.nan  # values may change without any noise

@@ -7,8 +7,9 @@ Statistics, Sec. 7). Blockages correlate innovations, so the covariance of theta
 blocks of epochs (sandwich estimator, ibid. Sec. 7.6).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -17,11 +18,11 @@ from mmwave_env.engines.engine import tracks_of
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.localization.localizer import episode_from
-from mmwave_env.localization.readings import RANGE, Reading
+from mmwave_env.localization.readings import Reading
 from mmwave_env.localization.starts import Start, gives_fix, start_at
-from mmwave_env.models.layout import wrapped
-from mmwave_env.models.measurement import Group, doppler_group, exact_rows, link_group
-from mmwave_env.numerics.numbers import Array, Vector
+from mmwave_env.models.measurement import doppler_group, link_group
+from mmwave_env.numerics.linalg import unpack
+from mmwave_env.numerics.numbers import Array, Number, Numbers
 from mmwave_env.world.episode import Episode
 
 _HUBER = 2.0  # standard deviations
@@ -52,9 +53,9 @@ class FilterRun(NamedTuple):
         long to compute, and a track forgets them soon.
         """
         link = first.log.measurement[:1, :4]
-        whole = bool(np.isfinite(link).all()) and bool(gives_fix(link)[0])
-        alone = len(start.spent) == 1 and start.spent[0].sum() == 1 and start.spent[0, 0]
-        return cls(bare(mode), None if whole and alone and not first.log.layout.has_bias else start)
+        whole = np.isfinite(link).all() and gives_fix(link)[0] and not first.log.layout.has_bias
+        alone = np.flatnonzero(start.spent).tolist() == [0]
+        return cls(bare(mode), None if whole and alone else start)
 
     def episode(self, reading: Reading) -> Episode:
         """Return a reading as an episode that begins with its first epoch."""
@@ -69,6 +70,13 @@ def bare(mode: Mode) -> Mode:
     )
 
 
+def filtered(episodes: Sequence[Episode], mode: Mode, *names: str) -> Iterable[Array]:
+    """Return parts of the state, by name, of tracks of a mode: arrays (N, epochs, values)."""
+    tracker = tracks_of(Pipeline((mode,), episodes[0].layout), len(episodes))
+    tracker.load(episodes)
+    return tracker.run(*names).values()
+
+
 def innovations(readings: Sequence[Reading], run: FilterRun) -> Array:
     """Return whitened innovations (n, T, rows) of n readings, 0 where nothing was measured.
 
@@ -78,62 +86,42 @@ def innovations(readings: Sequence[Reading], run: FilterRun) -> Array:
         ValueError: measurements are so wrong that a state becomes NaN or infinite.
     """
     episodes = [run.episode(reading) for reading in readings]
-    tracker = tracks_of(Pipeline((run.mode,), episodes[0].layout), len(episodes))
-    tracker.load(episodes)
-    x, P = tracker.run("x_predicted", "P_predicted").values()
+    x, P = filtered(episodes, run.mode, "x_predicted", "P_predicted")
     if not (np.isfinite(x).all() and np.isfinite(P[0]).all()):
         raise ValueError("log: found a track with NaN or infinity, expected plausible values")
-    states = np.moveaxis(x, 2, 1)
-    e = np.stack([_innovation(*pair) for pair in zip(episodes, states, strict=True)])
-    S = _covariance(episodes[0], states[0], P[0])
-    columns = np.moveaxis(np.where(episodes[0].used, e, 0.0), 0, -1)
-    white = np.linalg.solve(np.linalg.cholesky(S), columns)
+    e, gradients = _expanded(episodes, x)
+    used = episodes[0].used
+    H = np.moveaxis(gradients[:, :, 0], -1, 0) * used[..., None]
+    R = np.where(used, episodes[0].sigma ** 2, 1.0)[..., None] * np.eye(len(e))
+    S = H @ np.array(unpack(list(P[0].T))).T @ H.swapaxes(1, 2) + R
+    columns = np.where(used.T[:, None], e, 0.0)
+    white = np.linalg.solve(np.linalg.cholesky(S), np.moveaxis(columns, -1, 0))
     return np.moveaxis(white, -1, 0)
 
 
-def _innovation(episode: Episode, x: Array) -> Array:
-    """Return the innovations z - h(x) (T, rows) at states x (7 or 8, T)."""
-    z = episode.measurement.T
-    layout = episode.layout
-    state = list(x)
-    anchors = episode.scene_anchors_m.tolist()
-    h = exact_rows(state[:3], state[3:6], anchors, episode.hz_per_mps, layout)
-    e: Array = z - np.stack(h)
-    e[layout.angles] = wrapped(e[layout.angles])
-    e[RANGE] -= x[7:].sum(axis=0)
-    e[-1] = _doppler(episode, x).innovation[0]
-    return e.T
+def _expanded(episodes: Sequence[Episode], x: Array) -> tuple[Array, Array]:
+    """Return innovations z - h(x) (rows, n, T), and gradients dh/dx (rows, states, n, T).
 
-
-def _doppler(episode: Episode, x: Array) -> Group:
-    """Return the group of the Doppler shift, from the anchors that have it."""
-    of = 0 if episode.doppler_anchor is None else episode.doppler_anchor
-    anchor = list(episode.scene_anchors_m[of].T)
-    shift = [episode.measurement[:, -1]]
-    return doppler_group(list(x), anchor, episode.hz_per_mps, shift, [1.0])
-
-
-def _covariance(episode: Episode, x: Array, P: Array) -> Array:
-    """Return the covariances S = H P H' + R (T, rows, rows) at states x (7 or 8, T).
-
-    ``P`` (T, 28 or 36) are packed covariances. A row that was not measured has variance 1.
+    They are those of n episodes that differ in values and scenes, at states x (n, T, states).
     """
-    n, T = x.shape
-    unused = [0.0] * 4
-    rows: list[Vector] = []
-    for anchor in episode.scene_anchors_m.tolist():
-        link = link_group(list(x), anchor, unused, [1.0] * 4).jacobian
-        rows += [*link, link[1]]  # both azimuths have the same gradient
-    rows += _doppler(episode, x).jacobian
-    H = np.stack([[np.broadcast_to(d, T) for d in row] for row in rows]).transpose(2, 0, 1)
-    H = H * episode.used[..., None]
-    full = np.zeros((T, n, n))
-    i, j = np.tril_indices(n)
-    full[:, i, j] = P
-    full[:, j, i] = P
-    R = np.where(episode.used, episode.sigma**2, 1.0)
-    S: Array = H @ full @ H.transpose(0, 2, 1) + R[..., None] * np.eye(R.shape[1])
-    return S
+    state = list(np.moveaxis(x, -1, 0))
+    z: Number = np.moveaxis(np.stack([episode.measurement for episode in episodes]), -1, 0)
+    places = np.stack([episode.scene_anchors_m for episode in episodes])
+    anchors: Number = np.moveaxis(places, -1, 0)  # (3, n, L)
+    e: Numbers = []
+    H: Numbers = []
+    for anchor in range(anchors.shape[-1]):
+        link = (state, anchors[..., [anchor]], z[4 * anchor : 4 * anchor + 4], [1.0] * 4)
+        arrival = link_group(*link, [1.0, 1.0, 1.0, 0.0])
+        departure = link_group(*link, [1.0, 0.0, 1.0, 1.0])
+        e += [*arrival.innovation, departure.innovation[1]]
+        H += [*arrival.jacobian, departure.jacobian[1]]
+    of = episodes[0].doppler_anchor
+    hz_per_mps = np.array([[episode.hz_per_mps] for episode in episodes])
+    place = anchors[..., [0] if of is None else of]
+    doppler = doppler_group(state, place, hz_per_mps, z[-1:], [1.0])
+    gradients = np.broadcast_arrays(*chain(*H, *doppler.jacobian))
+    return np.array([*e, *doppler.innovation]), np.reshape(gradients, (-1, *np.shape(state)))
 
 
 def rho(w: Array) -> Array:
@@ -148,21 +136,20 @@ def fit(w: Array, J: Array, deviation: float) -> Fit:
     The prior standard deviation of every parameter is ``deviation``.
     """
     T, _, p = J.shape
-    j = J.reshape(-1, p)
-    y = w.reshape(-1)
+    gradients = np.moveaxis(J, -1, 0)
     ridge = np.eye(p) / deviation**2
     theta: Array = np.zeros(p)
     for _ in range(_ROUNDS):
-        size = np.maximum(abs(y - j @ theta), _HUBER)
-        weighted = j * (_HUBER / size)[:, None]
-        theta = np.linalg.solve(weighted.T @ j + ridge, weighted.T @ y).astype(float)
-    r = y - j @ theta
-    decrease = (rho(y) - rho(r)).reshape(T, -1).sum(axis=1)
+        weighted = gradients * (_HUBER / np.maximum(abs(w - J @ theta), _HUBER))
+        information = np.tensordot(weighted, J) + ridge
+        theta = np.linalg.solve(information, np.tensordot(weighted, w)).astype(float)
+    r = w - J @ theta
+    decrease = (rho(w) - rho(r)).sum(axis=1)
     blocks = np.add.reduceat(decrease, np.arange(0, T, _BLOCKS[0]))
-    usual = np.sort(blocks)[: len(blocks) - max(len(blocks) // 10, 1)]
-    scores = (j * np.clip(r, -_HUBER, _HUBER)[:, None]).reshape(T, -1, p).sum(axis=1)
-    inside = j * (abs(r) < _HUBER)[:, None]
-    inverse = np.linalg.inv(inside.T @ j + ridge).astype(float)
+    usual = np.sort(blocks)[: -max(len(blocks) // 10, 1)]
+    scores = (gradients * np.clip(r, -_HUBER, _HUBER)).sum(axis=2).T
+    inside = gradients * (abs(r) < _HUBER)
+    inverse = np.linalg.inv(np.tensordot(inside, J) + ridge).astype(float)
     V = inverse * max(1.0, *(_growth(scores, inverse, length) for length in _BLOCKS))
     wald = float(theta @ np.linalg.solve(V, theta))
     gain = float(min(blocks.sum(), 2.0 * usual.sum()))
@@ -176,8 +163,7 @@ def _growth(scores: Array, inverse: Array, length: int) -> float:
     """
     T, p = scores.shape
     n = max(T // length, 4)
-    sums = np.zeros((n, p))
-    np.add.at(sums, np.arange(T) * n // T, scores)
+    sums = np.add.reduceat(scores, -(-np.arange(n) * T // n))
     covariance: Array = n * np.cov(sums.T).reshape(p, p)
     factor: float = np.trace(inverse @ covariance).item() / p
     return factor

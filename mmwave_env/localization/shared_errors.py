@@ -9,7 +9,7 @@ corrected log: by how much the sum of Huber's function of the innovations decrea
 import json
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,8 +24,7 @@ from mmwave_env.localization.readings import (
     values_of,
 )
 from mmwave_env.localization.segments import stretches
-from mmwave_env.localization.sensitivities import FilterRun, Fit, fit, innovations, rho
-from mmwave_env.localization.starts import Start
+from mmwave_env.localization.sensitivities import FilterRun, fit, innovations, rho
 from mmwave_env.logs.log import Log
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.radio import Radio
@@ -47,7 +46,6 @@ _GAIN_OF_ELEVATIONS = 10.0
 _JOINT_COST = 15.0  # additional cost of an error of several quantities, and of one anchor
 _ANCHOR_COST = 3.0
 _CAUTION = 1.5  # factor for standard deviations of ranges and elevations, which are too small
-_DEGREE = np.pi / 180.0
 
 _STEP = 0.5  # of a parameter, for finite differences
 _RUNS = 3  # maximum number of runs of the filter that refine an error
@@ -66,15 +64,15 @@ _CERTAIN = 3.0  # standard deviations by which a part of an error differs from 0
 _DIGITS = 3  # decimals of sizes
 _NANOSECOND_M = 1e-9 * SPEED_OF_LIGHT
 
-Correct = Callable[[Reading, Array], Reading]  # what undoes an error theta (p,) of a reading
-
 
 class Suspect(NamedTuple):
     """A kind of error with p parameters theta, in m, degrees or percent."""
 
     name: str  # a sentence without the size
-    correct: Correct
     unit: str  # unit of theta, in words
+    rows: Sequence[slice] = ()  # rows of a measurement that are too large by theta (1,)
+    # the scene as it is if it lacks the error theta
+    scene: Callable[[Scene, Array], Scene] = lambda scene, theta: scene
     cure: str = ""  # what to do besides correcting the scene; {0} is theta's last component
     parameters: int = 1  # number p of parameters
     least: float = 0.2  # smallest length of theta that counts
@@ -83,85 +81,63 @@ class Suspect(NamedTuple):
     deviation: float = 30.0  # prior standard deviation of each parameter
     caution: float = 1.0  # factor for the standard deviations
     cost: float = 0.0  # additional cost
-    parts: Sequence["Suspect"] = ()  # (p,) suspects that this one combines
+    parts: Sequence["Suspect"] = ()  # (p,) suspects with one parameter that this one combines
+
+    def correct(self, reading: Reading, theta: Array) -> Reading:
+        """Return a reading in which the error theta (p,) is undone."""
+        for part, size in zip(self.parts, theta, strict=False):
+            reading = part.correct(reading, np.array([size]))
+        excess = np.radians(theta[0]) if self.unit == "degrees" else theta[0]
+        moved = reading._replace(scene=self.scene(reading.scene, theta))
+        return scaled(self.rows, 1.0, -excess)(moved)
 
 
-def _subtracted(*rows: slice) -> Correct:
-    """Return the function that subtracts an angle, in degrees, from these rows."""
-    return lambda reading, theta: scaled(rows, 1.0, -theta[0] * _DEGREE)(reading)
+_ANGLES = Suspect("", "degrees", least=0.3, sure=_SURE_OF_ANGLES)
+_PLACE = Suspect("", "m", parameters=2, sure=_SURE + _SURER, deviation=5.0)  # horizontal
 
 
-def _turned(reading: Reading, theta: Array) -> Reading:
-    scene = replace(reading.scene, bearing_deg=reading.scene.bearing_deg + float(theta[0]))
-    return _subtracted(AZIMUTH, DEPARTURE)(reading._replace(scene=scene), theta)
+def _turned(scene: Scene, theta: Array) -> Scene:
+    return replace(scene, bearing_deg=scene.bearing_deg + float(theta[0]))
 
 
-def _shortened(anchors: Sequence[int]) -> Correct:
-    """Return the function that subtracts an offset, in m, from the ranges of anchors, from 0."""
-    rows = [slice(4 * anchor, 4 * anchor + 1) for anchor in anchors]
-
-    def correct(reading: Reading, theta: Array) -> Reading:
-        offsets = reading.scene.offsets_m.copy()
-        offsets[anchors] += theta[0]
-        scene = replace(reading.scene, range_offset_m=tuple(offsets.tolist()))
-        return scaled(rows, 1.0, -theta[0])(reading._replace(scene=scene))
-
-    return correct
-
-
-def _moved(anchor: int, *axes: int) -> Correct:
-    """Return the function that moves an anchor, from 0, along axes by theta (p,)."""
-
-    def correct(reading: Reading, theta: Array) -> Reading:
-        anchors = reading.scene.anchors_m
-        anchors[anchor, list(axes)] += theta
-        return reading._replace(scene=reading.scene.with_anchors(anchors))
-
-    return correct
-
-
-def _moved_with_images(reading: Reading, theta: Array) -> Reading:
+def _moved_with_images(scene: Scene, theta: Array) -> Scene:
     """Move the base station, of which walls make images, by theta (2,) horizontally."""
-    x, y, z = reading.scene.base_station_m
-    place = (x + float(theta[0]), y + float(theta[1]), z)
-    return reading._replace(scene=replace(reading.scene, base_station_m=place))
+    x, y, z = np.add(scene.base_station_m, [*theta, 0.0]).tolist()
+    return replace(scene, base_station_m=(x, y, z))
 
 
-def _rescaled(reading: Reading, theta: Array) -> Reading:
-    carrier_hz = reading.scene.carrier_hz * (1.0 + 0.01 * float(theta[0]))
-    return reading._replace(scene=replace(reading.scene, carrier_hz=carrier_hz))
+def _rescaled(scene: Scene, theta: Array) -> Scene:
+    return replace(scene, carrier_hz=scene.carrier_hz * (1.0 + 0.01 * float(theta[0])))
 
 
-def _angle(name: str, correct: Correct, column: str = "", caution: float = 1.0) -> Suspect:
-    """Return an error of angles; ``column`` names those that no key of a scene corrects."""
-    cure = f"subtract {{0:.3g}} degrees from {column}" if column else ""
-    return Suspect(name, correct, "degrees", cure, 1, 0.3, _SURE_OF_ANGLES, caution=caution)
+def _angle(name: str, row: slice, column: str) -> Suspect:
+    """Return an error of angles that no key of a scene corrects."""
+    cure = f"subtract {{0:.3g}} degrees from {column}"
+    return _ANGLES._replace(name=name, rows=[row], cure=cure)
 
 
 def _range(name: str, anchors: Sequence[int], cure: str = "", cost: float = 0.0) -> Suspect:
+    """Return an error of the ranges of anchors, counted from 0."""
+
+    def shortened(scene: Scene, theta: Array) -> Scene:
+        offsets = scene.offsets_m
+        offsets[anchors] += theta[0]
+        return replace(scene, range_offset_m=tuple(offsets.tolist()))
+
+    rows = [slice(4 * anchor, 4 * anchor + 1) for anchor in anchors]
     name = f"{name} are too long"
-    return Suspect(name, _shortened(anchors), "m", cure, caution=_CAUTION, cost=cost)
+    return Suspect(name, "m", rows, shortened, cure, caution=_CAUTION, cost=cost)
 
 
-def _place(name: str, correct: Correct, cost: float = 0.0) -> Suspect:
-    """Return an error of a horizontal position."""
-    name = f"{name} is away from its place"
-    return Suspect(name, correct, "m", "", 2, sure=_SURE + _SURER, deviation=5.0, cost=cost)
+def _moved(anchor: int, *axes: int) -> Callable[[Scene, Array], Scene]:
+    """Return the function that moves an anchor, from 0, along axes by theta (p,)."""
 
+    def moved(scene: Scene, theta: Array) -> Scene:
+        anchors = scene.anchors_m
+        anchors[anchor, axes] += theta
+        return scene.with_anchors(anchors)
 
-def _joint(*parts: Suspect) -> Suspect:
-    """Return the error that combines suspects of one parameter each."""
-    p = len(parts)
-
-    def correct(reading: Reading, theta: Array) -> Reading:
-        for part, size in zip(parts, theta, strict=True):
-            reading = part.correct(reading, np.array([size]))
-        return reading
-
-    return Suspect(
-        "several errors", correct, "", parameters=p, least=0.0, sure=_SURE + (p - 1) * _SURER,
-        deviation=10.0, cost=_JOINT_COST, parts=parts,
-    )  # fmt: skip
+    return moved
 
 
 def suspects(reading: Reading) -> dict[str, Suspect]:
@@ -174,18 +150,17 @@ def suspects(reading: Reading) -> dict[str, Suspect]:
     rows = measured[:-1].reshape(-1, 4)
     some: Mask = np.any(rows, axis=0)
     distance, arrival, elevation, departure = some
-    turn = _angle("azimuths are turned", _turned)
-    tilt = _angle("elevations are too large", _subtracted(ELEVATION), "aoa_elevation", _CAUTION)
-    tilt = tilt._replace(gain=_GAIN_OF_ELEVATIONS)
+    turn = _ANGLES._replace(name="azimuths are turned", rows=(AZIMUTH, DEPARTURE), scene=_turned)
+    tilt = _angle("elevations are too large", ELEVATION, "aoa_elevation")
+    tilt = tilt._replace(gain=_GAIN_OF_ELEVATIONS, caution=_CAUTION)
     every = []
     if arrival and departure:
-        for name, row in (("arrival", AZIMUTH), ("departure", DEPARTURE)):
-            column = f"ao{name[0]}_azimuth"
-            every.append(_angle(f"azimuths of {name} are turned", _subtracted(row), column))
+        every.append(_angle("azimuths of arrival are turned", AZIMUTH, "aoa_azimuth"))
+        every.append(_angle("azimuths of departure are turned", DEPARTURE, "aod_azimuth"))
     if elevation:
         every.append(tilt)
     if measured[-1]:
-        every.append(Suspect("Doppler shifts are too large", _rescaled, "%", least=2.0))
+        every.append(Suspect("Doppler shifts are too large", "%", scene=_rescaled, least=2.0))
     if rows.any(axis=1).sum() > 1:
         if arrival or departure:
             every.append(turn)
@@ -194,11 +169,16 @@ def suspects(reading: Reading) -> dict[str, Suspect]:
             late = _range("ranges", range(len(rows)), cure)
             every.append(late)
             if arrival and elevation and departure:
-                every.append(_joint(late, turn, tilt))
+                several = Suspect(
+                    "several errors", "", parameters=3, least=0.0, sure=_SURE + 2.0 * _SURER,
+                    deviation=10.0, cost=_JOINT_COST, parts=(late, turn, tilt),
+                )  # fmt: skip
+                every.append(several)
         every += _of_anchors(rows)
         if reading.scene.walls:
             # more likely than a wrong image, because walls and the base station make the images
-            every.append(_place("the base station with its images", _moved_with_images))
+            name = "the base station with its images is away from its place"
+            every.append(_PLACE._replace(name=name, scene=_moved_with_images))
     return {suspect.name: suspect for suspect in every}
 
 
@@ -208,11 +188,13 @@ def _of_anchors(rows: Mask) -> Iterator[Suspect]:
         name = f"anchor {anchor + 1}"
         if rows[anchor, 0]:
             yield _range(f"ranges of {name}", [anchor], cost=_ANCHOR_COST)
-        yield _place(name, _moved(anchor, 0, 1), cost=_ANCHOR_COST)
+        yield _PLACE._replace(
+            name=f"{name} is away from its place", scene=_moved(anchor, 0, 1), cost=_ANCHOR_COST
+        )
         if rows[anchor, [0, 2]].any():
             words = f"{name} is higher than in the scene"
             up = _moved(anchor, 2)
-            yield Suspect(words, up, "m", deviation=5.0, caution=_CAUTION, cost=_ANCHOR_COST)
+            yield Suspect(words, "m", (), up, deviation=5.0, caution=_CAUTION, cost=_ANCHOR_COST)
 
 
 class SharedError(NamedTuple):
@@ -221,7 +203,8 @@ class SharedError(NamedTuple):
     suspect: Suspect
     theta: Array  # (p,) its size, in the unit of the suspect
     sigma: Array  # (p,) standard deviations
-    gain: float = 0.0  # gain of the corrected log, minus costs
+    wald: float = 0.0  # theta' V^-1 theta, with the covariance V of theta
+    gain: float = 0.0  # gain of the corrected log, minus costs, if it is known; else the fit's
     rivals: Sequence[str] = ()  # names of other suspects that explain the log about as well
 
     def __str__(self) -> str:
@@ -246,39 +229,38 @@ def _scene_change(old: Scene, new: Scene) -> str:
     """Return what to write into the file of a scene; "" if nothing changes."""
     before = scene_json(old)
     after = scene_json(new)
-    keys = [key for key, value in after.items() if before.get(key) != value]
-    written = [f"{json.dumps(key)}: {json.dumps(_rounded(after[key]))}" for key in keys]
-    instead = [key for key in before if key not in after]
-    if not written:
+    changed = {key: value for key, value in after.items() if before.get(key) != value}
+    if not changed:
         return ""
+    rounded = json.loads(
+        json.dumps(changed), parse_float=lambda number: round(float(number), _DIGITS)
+    )
+    instead = [key for key in before if key not in after]
     places = f", instead of {', '.join(instead)}," if instead else ""
-    return f"write {', '.join(written)}{places} into the scene's file"
+    return f"write {json.dumps(rounded)[1:-1]}{places} into the scene's file"
 
 
-def _rounded(value: Any) -> Any:
-    """Return numbers, or a list of lists of numbers, rounded for people."""
-    if isinstance(value, float):
-        return round(value, _DIGITS)
-    return [_rounded(each) for each in value] if isinstance(value, list | tuple) else value
-
-
-def scanned(log: Log, scene: Scene, radio: Radio) -> tuple[Log, Start] | None:
-    """Return the epochs of a log to look for shared errors in, and their start.
+def scanned(log: Log, scene: Scene, radio: Radio, mode: Mode) -> tuple[Reading, FilterRun] | None:
+    """Return the epochs of a log to look for shared errors in, and how to run a mode on them.
 
     They are the first 1,000 epochs, at least 100, of the first track of at least 10 s. Of a track
     with more epochs in 100 s, epochs in between are left out. The result is None if there is no
     such track, or if its steps are longer than 2 s.
     """
-    if log.layout.odometry:
-        log = _without_odometry(log)
+    log = _without_odometry(log)
     for epochs, start in stretches(log, scene, radio):
         part = log.part(epochs)
-        step_s = float(np.median(np.diff(part.time_s))) if len(part) > 1 else np.inf
+        if len(part) < LEAST_EPOCHS:
+            continue
+        step_s = float(np.median(np.diff(part.time_s)))
         stride = max(1, int(np.ceil(ENOUGH_S / (SCANNED_EPOCHS * step_s) - 1e-9)))
         part = part.part(slice(0, SCANNED_EPOCHS * stride, stride))
-        enough_s = len(part) * step_s * stride >= LEAST_S
-        if len(part) >= LEAST_EPOCHS and enough_s and step_s * stride <= LONGEST_STEP_S:
-            return part, start._replace(spent=start.spent[::stride])
+        step_s *= stride
+        enough = len(part) >= LEAST_EPOCHS and len(part) * step_s >= LEAST_S
+        if enough and step_s <= LONGEST_STEP_S:
+            reading = Reading(part, scene, radio)
+            thinned = start._replace(spent=start.spent[::stride])
+            return reading, FilterRun.of(mode, reading, thinned)
     return None
 
 
@@ -308,12 +290,8 @@ def find_shared_errors(
     Raises:
         ValueError: no epoch determines a position with which a track could begin.
     """
-    part = scanned(log, scene, radio)
-    if part is None:
-        return []
-    epochs, start = part
-    reading = Reading(epochs, scene, radio)
-    return shared_errors(reading, FilterRun.of(mode, reading, start), rounds)
+    part = scanned(log, scene, radio, mode)
+    return shared_errors(*part, rounds) if part else []
 
 
 def shared_errors(
@@ -329,7 +307,9 @@ def shared_errors(
             break
         errors += _parts(error)
         if len(errors) > 1:
-            errors = _again(reading, run, errors)
+            for k in [*range(len(errors))] * 2:  # refine sizes in turn, with the others undone
+                rest = without_errors(reading, errors[:k] + errors[k + 1 :])
+                errors[k] = _refined(rest, run, errors[k], runs=1)
         corrected = without_errors(reading, errors)
     return [error._replace(theta=error.theta.round(_DIGITS)) for error in errors]
 
@@ -341,7 +321,9 @@ def without_errors(reading: Reading, errors: Sequence[SharedError]) -> Reading:
     return reading
 
 
-def scan(reading: Reading, run: FilterRun, among: Collection[Suspect]) -> tuple[Array, list[Fit]]:
+def _scan(
+    reading: Reading, run: FilterRun, among: Collection[Suspect]
+) -> tuple[Array, list[SharedError]]:
     """Return the whitened innovations (T, rows) of a reading, and the fit of every suspect."""
     steps = [
         suspect.correct(reading, step)
@@ -352,45 +334,49 @@ def scan(reading: Reading, run: FilterRun, among: Collection[Suspect]) -> tuple[
     J = np.moveaxis(w[0] - w[1:], 0, -1) / _STEP
     ends = np.cumsum([suspect.parameters for suspect in among])[:-1]
     parts = zip(among, np.split(J, ends, axis=-1), strict=True)
-    return w[0], [fit(w[0], part, suspect.deviation) for suspect, part in parts]
+    return w[0], [SharedError(each, *fit(w[0], part, each.deviation)) for each, part in parts]
 
 
 def _likeliest(reading: Reading, run: FilterRun, among: Collection[Suspect]) -> SharedError | None:
     """Return the error whose correction gains most; None if none gains enough."""
-    w, fits = scan(reading, run, among)
+    w, fits = _scan(reading, run, among)
     measured = values_of(reading.log)
     lost = _is_lost(w, measured)  # then the derivatives say little
     time_s = reading.log.time_s
     lasts_s = time_s[-1] - time_s[0] + time_s[1] - time_s[0]
     strict = np.clip(ENOUGH_S / lasts_s, 1.0, _STRICTEST)
-    ranked = sorted(zip(among, fits, strict=True), key=lambda pair: -pair[1].gain)
-    certain = [
-        rough.gain >= strict * suspect.gain
-        and (lost or rough.wald >= strict * suspect.sure)
-        and np.linalg.norm(rough.theta) >= suspect.least
-        for suspect, rough in ranked
-    ]
-    if not any(certain):
+    if not any(
+        rough.gain >= strict * rough.suspect.gain
+        and (lost or rough.wald >= strict * rough.suspect.sure)
+        and np.linalg.norm(rough.theta) >= rough.suspect.least
+        for rough in fits
+    ):
         return None
     candidates = []
-    for suspect, rough in ranked if lost else ranked[:_TRIED]:
-        error = _refined(reading, run, SharedError(suspect, rough.theta, rough.sigma))
-        (new,) = innovations([without_errors(reading, [error])], run)
+    tried = None if lost else _TRIED
+    for rough in sorted(fits, key=_loss)[:tried]:
+        error = _refined(reading, run, rough)
+        suspect = error.suspect
+        (new,) = innovations([suspect.correct(reading, error.theta)], run)
         limit = _MOST_DEVIATIONS * suspect.deviation
         single = suspect.parts and len(_parts(error)) < 2
         if not (single or _is_lost(new, measured)) and abs(error.theta).max() < limit:
             cost = suspect.cost + _COST * suspect.parameters
             candidates.append(error._replace(gain=float((rho(w) - rho(new)).sum()) - cost))
-    candidates.sort(key=lambda error: -error.gain)
-    if not candidates or candidates[0].gain < 0.5 * strict * candidates[0].suspect.gain:
+    if not candidates:
         return None
-    best, *others = candidates
+    best, *others = sorted(candidates, key=_loss)
     rivals = [
         error.suspect.name
         for error in others
         if not error.suspect.parts and error.gain > best.gain - _ALIKE
     ]
-    return best._replace(rivals=rivals[:_MOST_RIVALS])
+    enough = best.gain >= 0.5 * strict * best.suspect.gain
+    return best._replace(rivals=rivals[:_MOST_RIVALS]) if enough else None
+
+
+def _loss(error: SharedError) -> float:
+    return -error.gain
 
 
 def _parts(error: SharedError) -> list[SharedError]:
@@ -418,18 +404,8 @@ def _refined(
     most = _MOST_DEVIATIONS * suspect.deviation
     theta = np.clip(error.theta, -most, most)
     for _ in range(runs):
-        corrected = suspect.correct(reading, theta)
-        _, (rest,) = scan(corrected, run, [suspect])
+        _, (rest,) = _scan(suspect.correct(reading, theta), run, [suspect])
         theta = np.clip(theta + rest.theta, -most, most)
         if np.linalg.norm(rest.theta / rest.sigma) < _SETTLED:
             break
     return error._replace(theta=theta, sigma=suspect.caution * rest.sigma)
-
-
-def _again(reading: Reading, run: FilterRun, errors: list[SharedError]) -> list[SharedError]:
-    """Return errors whose sizes are refined in turn, twice, with the others undone."""
-    errors = errors.copy()
-    for k in [*range(len(errors))] * 2:
-        rest = without_errors(reading, errors[:k] + errors[k + 1 :])
-        errors[k] = _refined(rest, run, errors[k], runs=1)
-    return errors

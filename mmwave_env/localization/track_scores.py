@@ -133,8 +133,8 @@ def group_statistics(track: Track) -> dict[str, dict[str, float | None]]:
     visible = track.visible
     rows = np.broadcast_to(layout.widths, visible.shape)
     if layout.partial:
-        starts = [group.start for group in layout.groups]
-        rows = np.add.reduceat(np.isfinite(track.measurement).astype(np.int64), starts, axis=1)
+        measured = np.isfinite(track.measurement)
+        rows = np.add.reduceat(measured, layout.starts, axis=1, dtype=np.int64)
     low, high = np.array([nees_interval(max(n, 1)) for n in range(5)]).T[:, rows]
     inside = accepted & (track.nis >= low) & (track.nis <= high)
     counted = (

@@ -206,7 +206,7 @@ def log_of(table: Table, scene: Scene, layout: Layout, wrap: bool, snr_db: float
     measurement, sigma, snr, spread = np.split(
         placed, [size, 2 * size, 2 * size + layout.anchors], axis=1
     )
-    ranges = sigma[:, : layout.doppler : 4]
+    ranges = sigma[:, layout.ranges]
     np.hypot(ranges, scene.offset_sigmas_m, out=ranges)
     if snr_db is not None:
         snr[np.isnan(snr)] = snr_db
@@ -221,8 +221,7 @@ def log_of(table: Table, scene: Scene, layout: Layout, wrap: bool, snr_db: float
         lost = without_noise(measurement, sigma, np.isfinite(snr), shifted, layout)
         measurement[lost] = np.nan
         visible, _ = whole_groups(measurement, np.isfinite(snr), layout)
-        groups = [group.start for group in layout.groups]
-        incomplete = np.logical_or.reduceat(lost, groups, axis=1)
+        incomplete = np.logical_or.reduceat(lost, layout.starts, axis=1)
     return Log(
         layout=layout,
         time_s=table["time"][starts],

@@ -80,6 +80,11 @@ class Layout:
         """Return the row of the Doppler shift."""
         return 4 * self.anchors
 
+    @property
+    def ranges(self) -> slice:
+        """Return the rows of the ranges of all links."""
+        return slice(0, self.doppler, 4)
+
     def link(self, anchor: int) -> slice:
         """Return the rows of the link of an anchor; anchors are counted from 0."""
         return slice(4 * anchor, 4 * anchor + 4)
@@ -92,6 +97,11 @@ class Layout:
         if self.odometry:
             rows.append(slice(self.doppler + 1, self.doppler + 3))
         return rows
+
+    @cached_property
+    def starts(self) -> list[int]:
+        """Return the first row of each group."""
+        return [rows.start for rows in self.groups]
 
     @cached_property
     def widths(self) -> list[int]:
@@ -199,7 +209,7 @@ def whole_groups(measurement: Array, heard: Mask, layout: Layout) -> tuple[Mask,
             rows; the first link's SNR also determines the noise of the Doppler shift.
         layout: layout of the measurements.
     """
-    starts = [group.start for group in layout.groups]
+    starts = layout.starts
     finite = np.isfinite(measurement)
     if layout.partial:
         some = np.logical_or.reduceat(finite, starts, axis=1)

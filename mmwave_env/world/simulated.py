@@ -169,7 +169,6 @@ class SimulatedSource:
         batch = self.sample_batch(keys)
         index = self._sites
         scene = self._example
-        starts = [group.start for group in self.layout.groups]
         episodes = []
         for name, table, site in zip(batch.names, batch.table, batch.site, strict=True):
             columns = [np.ascontiguousarray(table[:, c]) for c in columns_of(self.layout)]
@@ -182,7 +181,7 @@ class SimulatedSource:
                 self.time_s,
                 np.where(measured, rows.z, np.nan) if self.layout.partial else rows.z,
                 np.abs(rows.signed_sigma),
-                np.logical_or.reduceat(measured, starts, axis=1),
+                np.logical_or.reduceat(measured, self.layout.starts, axis=1),
                 rows.snr_db,
                 rows.doppler_spread_hz,
                 site[index.prior_x],
