@@ -126,8 +126,8 @@ def loss_of(
 
 def optimizers_of(network: CorrectorNetwork, rate: float) -> tuple[torch.optim.Optimizer, ...]:
     """Return Muon (Jordan et al. 2024) for the matrices of hidden layers, and Adam for the rest."""
-    hidden = []
-    others = []
+    hidden: list[Tensor] = []
+    others: list[Tensor] = []
     for name, weights in network.named_parameters():
         matrix = weights.ndim == 2 and name != "out.weight"
         (hidden if matrix else others).append(weights)

@@ -128,7 +128,7 @@ class RecurrentUnit(torch.nn.GRU):
         weight = getattr(self, f"weight_ih_{name}")
         bias = getattr(self, f"bias_ih_{name}")
         incoming = torch.nn.functional.linear(x, weight, bias)
-        states: Tensor = _Recurrence.apply(
-            incoming, getattr(self, f"weight_hh_{name}"), getattr(self, f"bias_hh_{name}")
-        )
+        weight = getattr(self, f"weight_hh_{name}")
+        bias = getattr(self, f"bias_hh_{name}")
+        states: Tensor = _Recurrence.apply(incoming, weight, bias)  # type: ignore[no-untyped-call]
         return states

@@ -179,7 +179,8 @@ class RolloutLearner:
             last.bias[0] = hyper.first_action_bias
         self.network: nn.Module = nn.Sequential(*layers, last)
         parameters = self.network.parameters()
-        self.optimizers = (torch.optim.Adam(parameters, hyper.learning_rate),)
+        adam = torch.optim.Adam(parameters, hyper.learning_rate)
+        self.optimizers: tuple[torch.optim.Optimizer, ...] = (adam,)
         self._observations = torch.empty((hyper.memory, features))
         self._gains = torch.empty((hyper.memory, actions))
         self._seen = 0

@@ -29,7 +29,16 @@ class Quiet(SimpleHTTPRequestHandler):
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
     folder = tmp_path_factory.mktemp("site")
-    words = [sys.executable, "-m", "properdocs", "build", "--strict", "--quiet", "--site-dir", folder]
+    words = [
+        sys.executable,
+        "-m",
+        "properdocs",
+        "build",
+        "--strict",
+        "--quiet",
+        "--site-dir",
+        folder,
+    ]
     subprocess.run(words, cwd=ROOT, env=environment(), check=True)
     return folder
 
