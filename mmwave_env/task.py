@@ -125,6 +125,12 @@ class TaskArguments:
     base: Base | None = None
 
 
+# arguments of a single environment beside those of its task
+OF_ENVIRONMENTS = (
+    "observation", "infos", "smoothed", "backend", "render_mode", "render_size", "render_theme",
+)  # fmt: skip
+
+
 def task_from(**arguments: Any) -> Task:
     """Return the task that an environment's arguments define; :class:`TaskArguments` lists them.
 
@@ -135,6 +141,7 @@ def task_from(**arguments: Any) -> Task:
     known = [field.name for field in fields(TaskArguments)]
     for name in arguments:
         if name not in known:
+            known += OF_ENVIRONMENTS
             # mmwave-loc and its function ``compare`` call this argument "data"
             hint = did_you_mean("episodes" if name == "data" else name, known)
             raise TypeError(  # some libraries look for these words, as in Python's own message

@@ -268,6 +268,8 @@ def compare(
         FileNotFoundError: a file that an argument names does not exist.
     """
     _require_valid(policies, episodes, world)
+    if isinstance(beside, str):
+        raise ValueError(f"beside: found {beside!r}, expected a list of names")
     task = task_from(scenario=scenario, radio=radio, episodes=data, **world)
     scoring = Scoring.of(task)
     seeds = seeds_from(episodes, seed, USUAL_EPISODES)

@@ -223,6 +223,8 @@ def read_entry(path: Path) -> Json:
     """
 
     def checked(content: Json) -> Json:
+        if "seal" not in content:
+            raise ValueError("seal: found none, expected an entry of mmwave-loc leaderboard")
         if content != sealed(content):
             raise ValueError("seal: found content that was changed after the command wrote it")
         if missing := [site.name for site in sites() if site.name not in content["sites"]]:

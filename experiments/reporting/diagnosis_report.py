@@ -86,8 +86,9 @@ def verdict(findings: Sequence[Finding]) -> str:
         as_it_is = next(f.contradictions for f in findings if f.hypothesis == AS_IT_IS)
         return (
             f"No hypothesis makes the log consistent. {'; '.join(map(str, as_it_is))}. Check the "
-            "scene, the radio, the receiver's clock (--clock offset if it is its own), and whether "
-            "the angles are in the antenna's frame instead of the map's (docs/data.md, Angles)."
+            "scene, the radio, the receiver's clock (--clock offset if it is its own, --clock free "
+            "if it jumps), and whether the angles are in the antenna's frame instead of the map's "
+            "(docs/data.md, Angles)."
         )
     if best.hypothesis == AS_IT_IS:
         return "The log is consistent as it is."

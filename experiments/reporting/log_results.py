@@ -70,6 +70,7 @@ from mmwave_env.localization.track_scores import (
 from mmwave_env.logs.log import Log, read_log, read_paths
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.logs.truth import Truth
+from mmwave_env.models.layout import require_clock
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene, scene_json
 from mmwave_env.world.episode import NEUTRAL_SNR_DB
@@ -89,8 +90,9 @@ def diagnosed(args: LogArgs, files: "Inputs", scene: Scene) -> None:
     """
     read = partial(read_log, files.log, scene, odometry=False, limits=False, clock=args.clock)
     log = None
-    with suppress(LogError):  # columns may be missing
-        log = read()
+    if args.clock != "free":  # with a free clock, links may always be incomplete
+        with suppress(LogError):  # columns may be missing
+            log = read()
     if log is None or not log.visible[:, 0].any():
         log = read(partial=True, snr_db=args.snr)
     name = nearest_radio(log, scene) if args.radio == AUTO else args.radio
@@ -162,6 +164,7 @@ def inputs(args: LogArgs) -> Inputs:
 
 def _check(args: LogArgs, files: Inputs) -> None:
     """Refuse options that contradict each other, and outputs that would replace other files."""
+    require_clock(args.clock)
     require_alone(args, "diagnose", "out", "plot", "truth", "associate")
     if not args.diagnose:
         require_default(args, "--diagnose", "write")
@@ -170,7 +173,10 @@ def _check(args: LogArgs, files: Inputs) -> None:
     require_alone(args, "associate", "clock")
     require_alone(args, "map", "diagnose", "clock", "snr")
     if args.map == "known":
-        require_default(args, "--map learn", "map_out", "more")
+        require_default(args, "--map learn", "map_out")
+        if args.more:
+            count = 1 + len(args.more)
+            raise ValueError(f"log: found {count} logs without --map learn, expected one")
     if args.map_out is not None and args.map_out.suffix != ".json":
         raise ValueError(f"map-out: found {args.map_out}, expected a .json file")
     require_default(args, "--live", "lag", "format", "accuracy", "confidence")

@@ -117,8 +117,11 @@ class Observation:
 
         The value is as exact as single precision allows; zeros and counts are exact. For a value
         beyond a limit, the limit is returned.
+
+        Raises:
+            ValueError: no feature has this name.
         """
-        i = {feature.name: i for i, feature in enumerate(self.features)}[name]
+        i = choose({feature.name: i for i, feature in enumerate(self.features)}, name, "feature")
         shown = observation[..., i].astype(np.float32)
         feature = self.features[i]
         value = shown.astype(np.float64) * feature.deviation + feature.mean

@@ -45,8 +45,8 @@ _MEDIAN = 0.6745  # median of the absolute value of a standard normal number
 _CLIPPED = 2.0  # largest noise that counts: blockages correlate what is larger
 _LAGS = 8
 _TOO_SHORT = (
-    f"the log is too short to show errors that all links share: this needs {LEAST_EPOCHS} epochs, "
-    f"{LEAST_S:g} s, and steps of up to {LONGEST_STEP_S:g} s"
+    f"errors that all links share were not looked for: no track has {LEAST_EPOCHS} epochs and "
+    f"{LEAST_S:g} s, with steps of up to {LONGEST_STEP_S:g} s"
 )
 _ENOUGH = 100  # minimum number of values for a conclusion
 _FEWEST_CHANGES = 20  # minimum number of second differences for a median
@@ -122,16 +122,17 @@ def noise_notes(
     """Return sentences on the noise of a log, whose ranges come in steps, and on what to do.
 
     The noise of angles is that of the first epochs after errors that all links share are undone.
+    If the clock jumps, nothing is said about other noise, which can't be told from the jumps.
     """
     notes = []
     sigma = deviations_of(log, scene, radio)
     jumps = clock_jumps(log, sigma)
     if jumps and log.layout.clock != "free":
         share, jump_m = jumps
-        notes.append(
+        return [
             f"the user's clock jumps in {share:.0%} of the epochs, by {jump_m:.3g} m in the "
-            "median: use --clock free"
-        )
+            "median: use --clock free, then diagnose the log again"
+        ]
     if step_m:
         notes.append(f"ranges come in steps of {step_m:.3g} m: localize adds the noise of rounding")
     with suppress(ValueError):  # no epoch determines a position, or the track is lost

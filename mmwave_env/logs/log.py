@@ -113,6 +113,8 @@ def read_log(
     layout = layout_of(table.file, scene, partial, clock, snr_db)
     table, damage = sound_epochs(table, layout, limits)
     log = log_of(table, scene, layout, limits, snr_db)
+    if not len(log):
+        raise damage or LogError(f"{path}: found no rows below the header, expected at least one")
     if not log.visible.any():
         raise damage or LogError(
             f"{path}: found {len(log)} epochs without a measurement, and "

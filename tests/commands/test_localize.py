@@ -188,6 +188,8 @@ MISTAKES = {  # name -> options, expected message
     "a negative prior speed": (["--prior-speed", "-1"], "prior-speed: start_velocity_mps"),
     "a diagnosis with --out": (["--diagnose", "--out", "t.tum"], "out: cannot be combined"),
     "--diagnose with --associate": (["--diagnose", "--associate"], "associate: .* with --diagnose"),
+    "two logs": ([str(RIDE / "log.csv")], "log: found 2 logs without --map learn, expected one"),
+    "an unknown clock": (["--clock", "jump"], "clock: found 'jump', expected one of"),
     "a mistyped imm": (["--imm", "imm-bets"], "imm: found 'imm-bets', did you mean imm-best"),
     "a missing bank file": (["--imm", "missing.json"], "missing.json"),
     "window": (["--speed", "1", "--window", "1"], "window: found 1, expected 2 to 20000 epochs"),

@@ -1,5 +1,6 @@
 """Tests of the options --live, --associate and --diagnose of ``mmwave-loc localize``."""
 
+import csv
 import json
 import re
 
@@ -375,3 +376,20 @@ def test_a_log_can_be_diagnosed_with_a_clock_and_a_scene_without_errors_is_not_w
     done = command("localize", *options(RIDE / "log.csv", *words, folder=RIDE))
     assert done.returncode == 0 and "Not written: the scene needs no correction." in done.stdout
     assert not scene.exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("column", ["toa_s", "rstd_s"])
+def test_a_log_can_be_diagnosed_with_a_free_clock(tmp_path, column):
+    with (RIDE / "log.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    first = {row["time_s"]: float(row["toa_s"]) for row in reversed(rows)}
+    for row in rows:
+        reference = first[row["time_s"]] if column == "rstd_s" else 0.0
+        row["toa_s"] = str(float(row["toa_s"]) - reference)
+    header = ",".join(rows[0]).replace("toa_s", column)
+    lines = [",".join(row.values()) for row in rows]
+    (tmp_path / "log.csv").write_text("\n".join([header, *lines]))
+    words = options(tmp_path / "log.csv", "--radio", "standard", "--diagnose", folder=RIDE)
+    done = command("localize", *words, "--clock", "free")
+    assert done.returncode == 0 and "The log is consistent as it is." in done.stdout

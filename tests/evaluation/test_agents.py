@@ -218,6 +218,7 @@ def test_invalid_actions_are_refused(act):
     [
         ("policy", {}, {"beside": ("oracle",)}),
         ("policies", {"imm": np.zeros_like}, {"beside": ("imm",)}),
+        ("beside", {}, {"beside": "imm"}),
         ("policies", len, {}),
         ("scenario", {}, {"scenario": "train"}),
         ("modes", {"mine": np.zeros_like}, {"modes": HANDSET}),

@@ -73,7 +73,7 @@ def test_the_likelihood_rule_chooses_the_mode_with_the_highest_preference(table)
 
 def test_the_likelihood_rule_needs_features_of_the_coming_epoch():
     prior = Observation(Pipeline(modes_from(None), Layout()), "prior")
-    with pytest.raises(KeyError, match="preference fast ekf"):
+    with pytest.raises(ValueError, match="preference fast ekf"):
         LikelihoodRule(prior, ["ekf", "ukf"]).act(np.zeros((1, len(prior)), np.float32))
 
 
