@@ -17,10 +17,10 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "files of source": 201,
-    "words of docs": 35_800,
+    "files of source": 202,
+    "words of docs": 36_200,
     "pages of docs": 27,
-    "tracked files": 643,
+    "tracked files": 650,
     "tracked MB": 9,
     "commands": 13,
     "extras for users": 8,
@@ -29,28 +29,28 @@ BUDGET = {
 }
 ROOMS = {  # maximum tokens of a room; lines are free
     "experiments": 4_000,
-    "experiments/console": 5_200,
-    "experiments/evaluation": 12_210,
+    "experiments/console": 5_190,
+    "experiments/evaluation": 12_240,
     "experiments/paper": 5_430,
-    "experiments/reporting": 15_430,
+    "experiments/reporting": 15_860,
     "experiments/sweeping": 2_610,
     "experiments/timing": 5_030,
-    "experiments/training": 17_210,
-    "mmwave_env": 7_320,
+    "experiments/training": 18_490,
+    "mmwave_env": 7_340,
     "mmwave_env/compiler": 7_830,
-    "mmwave_env/datasets": 9_670,
+    "mmwave_env/datasets": 9_660,
     "mmwave_env/engines": 12_450,
     "mmwave_env/filters": 19_150,
     "mmwave_env/interface": 7_170,
     "mmwave_env/io": 2_990,
-    "mmwave_env/localization": 41_240,
+    "mmwave_env/localization": 40_510,
     "mmwave_env/logs": 12_830,
-    "mmwave_env/models": 10_540,
+    "mmwave_env/models": 10_580,
     "mmwave_env/numerics": 3_820,
     "mmwave_env/rendering": 8_800,
-    "mmwave_env/world": 16_570,
+    "mmwave_env/world": 16_560,
     "policies": 6_840,
-    "tests": 214_940,
+    "tests": 215_660,
 }
 PACKINGS = 3.0  # maximum per 1,000 lines: statements that say several things at once
 SOURCE = ("mmwave_env", "experiments", "policies")
