@@ -56,7 +56,7 @@ supply-chain: .venv/.dev ## unused and undeclared dependencies, and the workflow
 	$(BIN)/zizmor --offline .github/workflows
 
 docs: .venv-tools/.ready ## the documentation site, into site/; its warnings are errors
-	.venv-tools/bin/python -m properdocs build --strict
+	.venv-tools/bin/python -m properdocs build --strict -f mkdocs.yml
 
 LOCKED := plot filterpy render data tune
 lock: .venv-locked/.uv ## requirements.lock anew: every package that the tests without PyTorch need, by its hashes

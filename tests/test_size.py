@@ -21,7 +21,7 @@ BUDGET = {
     "words of docs": 36_200,
     "pages of docs": 27,
     "tracked files": 650,
-    "tracked MB": 9,
+    "tracked MB": 10,
     "commands": 13,
     "extras for users": 8,
     "virtual environments": 6,

@@ -64,7 +64,7 @@ def _retreat(slope, weight, states, gates, own, of_incoming, of_past):  # type: 
             input and with the state.
     """
     epochs, n, units = own.shape
-    one = np.float32(1.0)
+    full = np.float32(1.0)
     later = np.zeros((n, units), np.float32)  # gradient through the product of the next epoch
     kept = np.zeros((n, units), np.float32)  # and through the share that its state keeps
     for t in range(epochs - 1, -1, -1):
@@ -74,9 +74,9 @@ def _retreat(slope, weight, states, gates, own, of_incoming, of_past):  # type: 
                 reset = gates[t, i, j]
                 update = gates[t, i, units + j]
                 candidate = gates[t, i, 2 * units + j]
-                of_candidate = whole * (one - update) * (one - candidate * candidate)
-                of_reset = of_candidate * own[t, i, j] * reset * (one - reset)
-                of_update = whole * (states[t, i, j] - candidate) * update * (one - update)
+                of_candidate = whole * (full - update) * (full - candidate * candidate)
+                of_reset = of_candidate * own[t, i, j] * reset * (full - reset)
+                of_update = whole * (states[t, i, j] - candidate) * update * (full - update)
                 of_incoming[t, i, j] = of_reset
                 of_incoming[t, i, units + j] = of_update
                 of_incoming[t, i, 2 * units + j] = of_candidate
@@ -97,8 +97,8 @@ class _Recurrence(torch.autograd.Function):
         states = incoming.new_zeros(epochs + 1, n, wide // 3)
         gates = torch.empty_like(incoming)
         own = torch.empty_like(states[1:])
-        given = (part.detach() for part in (incoming, weight.t().contiguous(), bias))
-        _advance(*(part.numpy() for part in (*given, states, gates, own)))
+        inputs = (part.detach() for part in (incoming, weight.t().contiguous(), bias))
+        _advance(*(part.numpy() for part in (*inputs, states, gates, own)))
         ctx.save_for_backward(weight, states, gates, own)
         return states[1:]
 
@@ -108,8 +108,8 @@ class _Recurrence(torch.autograd.Function):
         weight, states, gates, own = ctx.saved_tensors
         of_incoming = torch.empty_like(gates)
         of_past = torch.empty_like(gates)
-        given = (slope.contiguous(), weight.detach(), states, gates, own)
-        _retreat(*(part.numpy() for part in (*given, of_incoming, of_past)))
+        inputs = (slope.contiguous(), weight.detach(), states, gates, own)
+        _retreat(*(part.numpy() for part in (*inputs, of_incoming, of_past)))
         flat = of_past.flatten(0, 1)
         return of_incoming, flat.t() @ states[:-1].flatten(0, 1), flat.sum(0)
 

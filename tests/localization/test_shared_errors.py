@@ -103,8 +103,8 @@ def test_only_long_stretches_of_short_steps_are_searched():
     log = reading.log
 
     def part(log):
-        found = scanned(log, reading.scene, reading.radio, mode_of("standard"))
-        return found and found[0].log
+        scan = scanned(log, reading.scene, reading.radio, mode_of("standard"))
+        return scan and scan[0].log
 
     assert len(part(log)) == len(log)
     assert part(log.part(slice(90))) is None

@@ -208,8 +208,8 @@ def test_a_wrong_header_is_refused_before_any_row_is_read(tmp_path, name):
 @pytest.mark.parametrize("lines", [[], ["0,1,,,,,,"], [f"{t},1,1e-7,,,,," for t in range(9)]])
 def test_a_log_without_any_measurement_is_refused(tmp_path, lines):
     path = store(tmp_path, "\n".join([HEADER, *lines]))
-    found = f"{len(lines)} epochs without a measurement" if lines else "no rows below the header"
-    with pytest.raises(LogError, match=f"found {found}"):
+    message = f"{len(lines)} epochs without a measurement" if lines else "no rows below the header"
+    with pytest.raises(LogError, match=f"found {message}"):
         read_log(path, SCENE)
 
 
