@@ -383,8 +383,9 @@ def test_a_log_can_be_diagnosed_with_a_clock_and_a_scene_without_errors_is_not_w
 def test_a_log_can_be_diagnosed_with_a_free_clock(tmp_path, column):
     with (RIDE / "log.csv").open() as file:
         rows = list(csv.DictReader(file))
-    first = {row["time_s"]: float(row["toa_s"]) for row in reversed(rows)}
-    for row in rows:
+    with_times = [row for row in rows if row["toa_s"]]
+    first = {row["time_s"]: float(row["toa_s"]) for row in reversed(with_times)}
+    for row in with_times:
         reference = first[row["time_s"]] if column == "rstd_s" else 0.0
         row["toa_s"] = str(float(row["toa_s"]) - reference)
     header = ",".join(rows[0]).replace("toa_s", column)
