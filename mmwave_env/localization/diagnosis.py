@@ -20,7 +20,9 @@ from itertools import combinations, permutations
 import numpy as np
 from scipy.special import chdtri
 
+from mmwave_env.engines.engine import tracks_of
 from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.localization.contradictions import Contradiction, contradictions, impossible
 from mmwave_env.localization.localizer import episode_from
 from mmwave_env.localization.readings import (
@@ -38,7 +40,7 @@ from mmwave_env.localization.readings import (
     scaled,
     values_of,
 )
-from mmwave_env.localization.sensitivities import bare, filtered
+from mmwave_env.localization.sensitivities import bare
 from mmwave_env.localization.shared_errors import (
     SharedError,
     find_shared_errors,
@@ -73,13 +75,15 @@ _ADVANTAGE = 10.0  # bonus for the log as it is, added to its log-likelihood
 _OUTLIER_QUANTILE = 1e-6  # NIS is capped at the value that chi-square exceeds with this probability
 
 
-def _reordered(*link: int) -> Undo:
-    """Return the function that puts the four rows of each link in this order."""
+def _exchanged(rows: slice, other: slice) -> Undo:
+    """Return the function that exchanges values, given their rows."""
 
     def undo(reading: Reading) -> Reading:
         log = reading.log
-        order = [4 * anchor + row for anchor in range(log.layout.anchors) for row in link]
-        order.append(log.layout.doppler)
+        place = np.arange(log.layout.size)
+        order = place.copy()
+        order[rows] = place[other]
+        order[other] = place[rows]
         z = log.measurement[:, order]
         return reading._replace(log=replace(log, measurement=z, sigma=log.sigma[:, order]))
 
@@ -123,13 +127,13 @@ def mistakes(scene: Scene, radio: Radio, columns: Set[str]) -> Iterator[Mistake]
 def _conventions(scene: Scene) -> Iterator[Mistake]:
     """Yield mistakes about the meaning of a value: exchanged columns, signs and zeros of angles."""
     swap = "exchange the columns of aoa_azimuth and"
-    ends = _reordered(0, 3, 2, 1)
+    ends = _exchanged(AZIMUTH, DEPARTURE)
     turned = scaled([ELEVATION], -1.0)
     yield Mistake("arrival and departure are exchanged", f"{swap} aod_azimuth", ends)
     yield Mistake(
         "azimuth and elevation of arrival are exchanged",
         f"{swap} aoa_elevation",
-        _reordered(0, 2, 1, 3),
+        _exchanged(AZIMUTH, ELEVATION),
     )
     yield Mistake("elevation has the other sign", "negate aoa_elevation", turned)
     yield Mistake(
@@ -183,10 +187,10 @@ def _units(scene: Scene, columns: Set[str]) -> Iterator[Mistake]:
     timed = any(name.startswith(("toa", "rtt")) for name in columns)
     for error, (factor, unit) in _FACTORS.items():
         cure = f"multiply values by {factor:g}"
-        rename = f"{cure}, or name the column after its true unit, such as"
-        flight = f"{rename} toa_{unit}" if timed else cure
+        rename = ", or name the column after its true unit, such as"
+        flight = f"{cure}{rename} toa_{unit}" if timed else cure
         yield Mistake(f"time of flight is {error}", flight, scaled([RANGE], factor))
-        yield Mistake(f"time is {error}", f"{rename} time_{unit}", _timed(factor))
+        yield Mistake(f"time is {error}", f"{cure}{rename} time_{unit}", _timed(factor))
     for unit, suffix, factor in (("m/s", "mps", scene.hz_per_mps), ("kHz", "khz", 1e3)):
         other = f"doppler_{suffix}"
         if "doppler_hz" in columns:
@@ -220,12 +224,13 @@ def _start(log: Log) -> int:
     """
     if log.layout.partial:
         count = values_of(log)[:, : log.layout.doppler].sum(axis=1)
+        first = int(np.argmax(count > 0))
+        begins = count == count[first : first + _SEARCHED_EPOCHS].max()
     else:
-        count = log.visible[:, 0] & (log.measurement[:, 0] > 0.0)
-        if not count.any():
-            raise ValueError(f"log: found no link of anchor 1 in {len(log)} epochs, expected one")
-    first = int(np.argmax(count > 0))
-    return first + int(np.argmax(count[first : first + _SEARCHED_EPOCHS]))
+        begins = log.visible[:, 0] & (log.measurement[:, 0] > 0.0)
+    if not begins.any():
+        raise ValueError(f"log: found no link of anchor 1 in {len(log)} epochs, expected one")
+    return int(np.argmax(begins))
 
 
 def diagnose(log: Log, scene: Scene, radio: Radio, mode: Mode) -> list[Finding]:
@@ -254,10 +259,11 @@ def diagnose(log: Log, scene: Scene, radio: Radio, mode: Mode) -> list[Finding]:
     single = [as_it_is.without(mistake) for mistake in mistakes(scene, radio, log.columns)]
     single = [reading for reading in single if _has_effect(reading, as_it_is)]
     findings = _findings([as_it_is, *single], mode, first)
+    radios = {r.undone[0].words: r for r in single if r.radio is not radio}
     best = findings[0]
-    radios = [r for r in single if r.radio is not radio and r.undone[0].words == best.hypothesis]
-    if best.contradictions or best.hypothesis == AS_IT_IS or radios:
-        shared = [r for reading in [as_it_is, *radios] for r in _corrected(log, reading, mode)]
+    if best.contradictions or best.hypothesis in {AS_IT_IS, *radios}:
+        likely = [as_it_is, *filter(None, [radios.get(best.hypothesis)])]
+        shared = [r for reading in likely for r in _without_shared_errors(log, reading, mode)]
         findings = [f._replace(shared=True) for f in _findings(shared, mode, first)] + findings
     if findings[0].contradictions and not findings[0].shared:
         double = [
@@ -271,13 +277,13 @@ def diagnose(log: Log, scene: Scene, radio: Radio, mode: Mode) -> list[Finding]:
     return findings
 
 
-def _corrected(log: Log, reading: Reading, mode: Mode) -> list[Reading]:
+def _without_shared_errors(log: Log, reading: Reading, mode: Mode) -> list[Reading]:
     """Return the reading of a log's beginning without the errors that the log shows; [] if none.
 
     Values that are impossible, or too wrong for a filter, show no such errors.
     """
     errors: list[SharedError] = []
-    if not any(impossible(log)):
+    if not impossible(log):
         with suppress(ValueError):
             errors = find_shared_errors(log, reading.scene, reading.radio, mode)
     return [without_errors(reading, errors)] if errors else []
@@ -285,36 +291,32 @@ def _corrected(log: Log, reading: Reading, mode: Mode) -> list[Reading]:
 
 def _findings(readings: Sequence[Reading], mode: Mode, first: int) -> list[Finding]:
     """Return a finding on each reading, the best first; tracks begin with the epoch ``first``."""
-    findings = []
-    begun = []
+    findings: list[Finding] = []
+    if not readings:
+        return findings
+    tracked = []
+    episodes = []
     for reading in readings:
-        why = list(impossible(reading.log))
+        why = impossible(reading.log)
         if not why:
+            log, scene, radio, *_ = reading.wrapped()
             try:
-                begun.append(_begun(reading.wrapped(), first))
+                start = start_at(log, first, scene, radio)
+                if start is None:
+                    raise ValueError("the first epochs determine no position")
+                log = log.part(slice(first, None))
+                episodes.append(episode_from(log, scene, radio, start))
+                tracked.append(reading._replace(log=log))
             except ValueError as error:
                 why = [Contradiction("track", f"none ({error})", "a track")]
         if why:
             findings.append(reading.finding(why))
-    if begun:
-        tracked, episodes = zip(*begun, strict=True)
-        results = filtered(episodes, bare(mode), "memory.nis", "log_likelihood")
+    if episodes:
+        tracker = tracks_of(Pipeline((bare(mode),), episodes[0].layout), len(episodes))
+        tracker.load(episodes)
+        results = tracker.run("memory.nis", "log_likelihood").values()
         findings += map(_finding, tracked, episodes, *results)
     return sorted(findings, key=lambda finding: _rank(finding, len(readings[0].log)))
-
-
-def _begun(reading: Reading, first: int) -> tuple[Reading, Episode]:
-    """Return a reading from the epoch ``first`` on, and as an episode that begins there.
-
-    Raises:
-        ValueError: the first epochs determine no position, or values are too wrong for a filter.
-    """
-    log, scene, radio, *_ = reading
-    start = start_at(log, first, scene, radio)
-    if start is None:
-        raise ValueError("the first epochs determine no position")
-    log = log.part(slice(first, None))
-    return reading._replace(log=log), episode_from(log, scene, radio, start)
 
 
 def _rank(finding: Finding, epochs: int) -> tuple[bool, float]:
@@ -322,23 +324,25 @@ def _rank(finding: Finding, epochs: int) -> tuple[bool, float]:
     if not finding.contradictions and finding.log_likelihood is not None:
         advantage = _ADVANTAGE / epochs if finding.hypothesis == AS_IT_IS else 0.0
         return False, -finding.log_likelihood - advantage
-    return True, abs(np.log(finding.worst_anchor or np.inf))
+    worst = finding.worst_anchor
+    return True, np.inf if worst is None else abs(np.log(worst))
 
 
 def _finding(reading: Reading, episode: Episode, nis: Array, likelihood: Array) -> Finding:
     """Return the finding on a reading with a track: NIS (T, groups) and log-likelihoods (T,)."""
-    layout = episode.layout
-    count = np.add.reduceat(episode.used, layout.starts, axis=1, dtype=np.int64)
-    dof = np.maximum(count, 1)
-    ratios = nis / chdtri(dof, 0.5)
+    log = reading.log
+    layout = log.layout
+    starts = [group.start for group in layout.groups]
+    dof = np.add.reduceat(values_of(log), starts, axis=1, dtype=np.int64)
     fits: Fits = {}
     groups = {}
     for g, name in enumerate(layout.group_names):
-        own = ratios[episode.visible[:, g], g]
-        fits[name] = float(np.median(own)) if len(own) else None
-        groups[name] = {"seen": len(own), "rejected_share": 0.0, "nis_per_dof": fits[name]}
+        used = episode.visible[:, g]
+        ratios = nis[used, g] / chdtri(dof[used, g], 0.5)
+        fits[name] = float(np.median(ratios)) if used.any() else None
+        groups[name] = {"seen": used.sum(), "rejected_share": 0.0, "nis_per_dof": fits[name]}
     if not np.isfinite(likelihood).all():
         return reading.finding([Contradiction("track", "NaN or infinity", "numbers")], fits)
-    clipped = np.maximum(nis - chdtri(dof, _OUTLIER_QUANTILE), 0.0).sum()
-    mean = (float(likelihood.sum() + 0.5 * clipped) + reading.log_scale) / len(episode)
-    return reading.finding(contradictions(*reading[:3], groups), fits, mean)
+    clipped = np.maximum(nis - chdtri(np.maximum(dof, 1), _OUTLIER_QUANTILE), 0.0).sum()
+    mean = (float(likelihood.sum() + 0.5 * clipped) + reading.log_scale) / len(log)
+    return reading.finding(contradictions(log, reading.scene, reading.radio, groups), fits, mean)
