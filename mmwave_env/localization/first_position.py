@@ -83,11 +83,12 @@ def position_from_links(
     if clock == "free":
         points = every[visible_links]
         apart_m = np.linalg.norm(points[:, None] - points, axis=2)
-        reach_m = float(apart_m.max(initial=1.0))
         wrong = _contradicting(z[0], sigma[4 * visible_links], apart_m)
         z = np.where(wrong & _RANGE_ROW, np.nan, z)
     measured = np.isfinite(z)
     azimuths = measured[[1, 3]].any(axis=0)
+    if clock == "free" and not azimuths.any():
+        reach_m = float(apart_m.max(initial=1.0))  # far away, differences of ranges say little
     bias_sigma_m = [BIAS_SIGMA_M[clock]] if clock in BIAS_SIGMA_M else []
     if measured[0].sum() + azimuths.sum() < 2 + len(bias_sigma_m):
         return None  # the height of the streets is known only roughly

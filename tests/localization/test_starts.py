@@ -49,11 +49,11 @@ def rows_of(scene, times, path, wrong=lambda t, link: link, seen=None, seed=0, n
     return rows
 
 
-def log_of(tmp_path, scene, rows):
+def log_of(tmp_path, scene, rows, clock="synchronized"):
     path = tmp_path / "log.csv"
     lines = [",".join(rows[0]), *(",".join(map(repr, row.values())) for row in rows)]
     path.write_text("\n".join(lines) + "\n")
-    return read_log(path, scene, partial=True)
+    return read_log(path, scene, partial=True, clock=clock)
 
 
 def places(t):
@@ -164,6 +164,28 @@ def test_a_first_position_is_found_among_many_anchors_but_not_with_one_range(tmp
         assert start is None
     else:
         assert_allclose(start.prior[0][:2], [40.0, 30.0], atol=0.3)
+
+
+def test_a_user_with_a_free_clock_far_beyond_the_anchors_is_not_pulled_towards_them(tmp_path):
+    two = scene_of_anchors("two", np.array([[10.0, 10.0, 10.0], [10.0, 40.0, 10.0]]), 28e9, 1e8)
+    place = np.array([80.0, -100.0, 1.5])
+    rows = rows_of(two, range(100), lambda t: place)
+    for row in rows:
+        row["range_m"] += 100.0 * row["time_s"]
+        east, north, _ = place - two.anchors_m[int(row["anchor"]) - 1]
+        azimuth = float(np.degrees(np.arctan2(north, east)))
+        row["aoa_azimuth_deg"] = azimuth + (row["aoa_azimuth_deg"] - azimuth) / 6.0
+        row["aoa_azimuth_sigma_deg"] = 0.5
+    log = log_of(tmp_path, two, rows, "free")
+    nees = []
+    for epoch in range(100):
+        start = start_at(log, epoch, two, RADIO)
+        if start:
+            mean, covariance = start.prior
+            error = (mean - [*place, *mean[3:]])[:2]
+            nees.append(error @ np.linalg.solve(covariance[:2, :2], error))
+    # the mean of 100 squares of two normal errors is below 2.6 in 99.8 % of the cases
+    assert len(nees) > 50 and np.mean(nees) < 2.6
 
 
 @pytest.mark.parametrize("reflected", [(), (0, 1), (1,)])
