@@ -44,6 +44,9 @@ GROUPS = {
 }
 # line between the parts of tyro's messages, which have frames where the terminal shows UTF-8
 RULE = re.compile("^(?: +-+ *|│ ─+ │|[╭╰].*)$", re.MULTILINE)
+WRONG_TYPE = re.compile(
+    r"^Error parsing (--[\w-]+): no type matching (.+) could be instantiated from \[(.*)\]"
+)
 COMMANDS = {name: about for group in GROUPS.values() for name, about in group.items()}
 RESULTS = {"json": ".json", "episodes-csv": ".csv", "table": ".tex"}  # option -> ending of its file
 EVERYWHERE = {  # options of every command
@@ -89,7 +92,8 @@ def _message(box: str) -> str:
     parts = [" ".join(part.replace("│", "").split()) for part in RULE.split(box)]
     message = parts[1].partition(" Got errors")[0]
     message = re.sub(r"^Missing from .*?: ", "required: ", message).rstrip(".")
-    close = re.match(r"Perhaps you meant: (--[\w-]+)", parts[2])
+    message = WRONG_TYPE.sub(r"\1: found \3, expected \2", message)
+    close = re.match(r"Perhaps you meant: (--[\w-]+(, --[\w-]+)*)", parts[2])
     if close:
         return f"{message}; did you mean {close[1]}?"
     return f"{message}; --help lists all options"

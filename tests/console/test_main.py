@@ -80,7 +80,7 @@ MISTAKES = {  # name -> words typed, expected message
     "unknown option": (("compare", "--color", "red"), "--color"),
     "mistyped option": (("compare", "--episode=3"), "--episode=3; did you mean --episodes[?]"),
     "a word too many": (("speed", "fast"), "fast"),
-    "a word as a number": (("compare", "--seed", "one"), "--seed.*one"),
+    "a word as a number": (("compare", "--seed", "one"), "--seed: found 'one', expected INT"),
     "unknown choice": (("train", "--algo", "pp"), "pp.*--algo.*ppo.*rollouts"),
     "an option without its value": (("compare", "--json"), "--json"),
     "a required option missing": (("simulate",), "--out PATH"),
