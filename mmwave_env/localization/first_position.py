@@ -39,6 +39,7 @@ from mmwave_env.numerics.pytree import flatten, select, unflatten
 HEIGHT_SIGMA_M = 2.0
 FARTHEST_M = 1e3
 _WORST_FIX_M = 50.0  # maximum horizontal standard deviation of a position to begin a track with
+_FAR = 2.0  # standard deviations at which a covariance is compared with the errors
 _AMBIGUOUS = 12.0  # minima whose normalized squared errors differ by less than this are ambiguous
 UNKNOWN = [0, 1, 2, 7]  # indices of the state's position and range bias
 # Searches start around some anchors: where an azimuth points to, else in 12 directions; at the
@@ -118,13 +119,36 @@ def position_from_links(
         cost = np.where(sides > 0.0, cost, np.inf)
     best = int(np.argmin(cost))
     covariance = np.linalg.inv(information[best])
-    if not np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]) <= _WORST_FIX_M:
+    stretched = _stretched(links, position[best], cost[best], covariance)
+    if stretched is None or np.linalg.eigvalsh(stretched[:2, :2])[-1] > _WORST_FIX_M**2:
         return None
     apart = (position - position[best])[:, :2]
     distance = np.einsum("si,ij,sj->s", apart, np.linalg.inv(covariance[:2, :2]), apart)
     if ((cost - cost[best] < _AMBIGUOUS) & (distance > 16.0)).any():
         return None
-    return position[best], covariance
+    return position[best], stretched
+
+
+def _stretched(links: _Links, position: Array, cost: float, covariance: Array) -> Array | None:
+    """Return the covariance, wider along its longest axis if the errors grow less than it says.
+
+    They do where a user is far from anchors that are near each other: directions almost agree, and
+    the user may be much farther away than a Gaussian says. They grow with the square of the inverse
+    distance; if this says that the user may be at infinity, the result is None.
+    """
+    variances, axes = np.linalg.eigh(covariance[:2, :2])
+    axis = axes[:, -1]
+    step = np.zeros(len(position))
+    step[:2] = _FAR * np.sqrt(variances[-1]) * axis
+    step[2:] = step[:2] @ np.linalg.solve(covariance[:2, :2], covariance[:2, 2:])
+    there, _, _ = _descended(links, position + np.stack([step, -step]), rounds=0)
+    growth = float((there - cost).min())
+    if not growth > 0.25 * _FAR**2:
+        return None
+    stretch = max(1.0, 1.0 / (2.0 - _FAR / np.sqrt(growth)))
+    M = np.eye(len(position))
+    M[:2, :2] += (stretch - 1.0) * np.outer(axis, axis)
+    return M @ covariance @ M.T  # type: ignore[no-any-return]
 
 
 def _contradicting(ranges: Array, sigma: Array, apart_m: Array) -> Mask:
@@ -265,7 +289,7 @@ def _programs(n: int) -> tuple[Program[_Search], Program[_Search]]:
 
 
 @compiled
-def _run_rounds(add_link, end_round, settled, links, blocks):  # type: ignore[no-untyped-def]
+def _run_rounds(add_link, end_round, settled, links, blocks, rounds):  # type: ignore[no-untyped-def]
     """Run rounds of searches until all have settled in the same round.
 
     Args:
@@ -273,8 +297,9 @@ def _run_rounds(add_link, end_round, settled, links, blocks):  # type: ignore[no
         settled: row of a workspace.
         links: (links, numbers) each link's numbers, the first rows of a workspace.
         blocks: (blocks, rows, 8) workspaces of the searches, changed in place.
+        rounds: number of rounds; the errors at the starts are added up before the first.
     """
-    for _ in range(1 + _ROUNDS):
+    for _ in range(1 + rounds):
         unsettled = 0
         for block in blocks:
             for link in links:
@@ -288,8 +313,8 @@ def _run_rounds(add_link, end_round, settled, links, blocks):  # type: ignore[no
             return
 
 
-def _descended(links: _Links, starts: Array) -> tuple[Array, Array, Array]:
-    """Find minima near S starts (S, n).
+def _descended(links: _Links, starts: Array, rounds: int = _ROUNDS) -> tuple[Array, Array, Array]:
+    """Find minima near S starts (S, n), in at most this number of rounds.
 
     Return squared errors (S,), positions (S, n) and informations (S, n, n).
     """
@@ -303,6 +328,6 @@ def _descended(links: _Links, starts: Array) -> tuple[Array, Array, Array]:
     searches[:, at.tried] = starts[np.arange(len(searches)) % S]
     blocks = searches.reshape(len(blocks), WIDTH, -1).transpose(0, 2, 1).copy()
     rows = np.concatenate(links[:4]).T.copy()
-    _run_rounds(add_link.on_lanes(), end_round.on_lanes(), at.settled, rows, blocks)
+    _run_rounds(add_link.on_lanes(), end_round.on_lanes(), at.settled, rows, blocks, rounds)
     ends = blocks.transpose(0, 2, 1).reshape(searches.shape)[:S]
     return ends[:, at.best.cost], ends[:, at.position], ends[:, unpack(at.best.information)]

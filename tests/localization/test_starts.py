@@ -166,26 +166,37 @@ def test_a_first_position_is_found_among_many_anchors_but_not_with_one_range(tmp
         assert_allclose(start.prior[0][:2], [40.0, 30.0], atol=0.3)
 
 
-def test_a_user_with_a_free_clock_far_beyond_the_anchors_is_not_pulled_towards_them(tmp_path):
-    two = scene_of_anchors("two", np.array([[10.0, 10.0, 10.0], [10.0, 40.0, 10.0]]), 28e9, 1e8)
-    place = np.array([80.0, -100.0, 1.5])
-    rows = rows_of(two, range(100), lambda t: place)
+TWO = scene_of_anchors("two", np.array([[10.0, 10.0, 10.0], [10.0, 40.0, 10.0]]), 28e9, 1e8)
+# name -> clock, place, deviation of azimuths (degrees), whether there are ranges, fewest starts
+HONEST = {
+    "a free clock, far beyond the anchors": ("free", [80.0, -100.0], 0.5, True, 90),
+    "azimuths alone, nearby": ("synchronized", [40.0, 20.0], 3.0, False, 100),
+    "azimuths alone that almost agree": ("synchronized", [45.0, -140.0], 3.0, False, 0),
+}
+
+
+@pytest.mark.parametrize("case", HONEST)
+def test_starts_with_two_anchors_have_honest_covariances_or_wait(tmp_path, case):
+    clock, horizontal, sigma_deg, ranges, fewest = HONEST[case]
+    place = np.array([*horizontal, 1.5])
+    rows = rows_of(TWO, range(100), lambda t: place)
     for row in rows:
-        row["range_m"] += 100.0 * row["time_s"]
-        east, north, _ = place - two.anchors_m[int(row["anchor"]) - 1]
+        east, north, _ = place - TWO.anchors_m[int(row["anchor"]) - 1]
         azimuth = float(np.degrees(np.arctan2(north, east)))
-        row["aoa_azimuth_deg"] = azimuth + (row["aoa_azimuth_deg"] - azimuth) / 6.0
-        row["aoa_azimuth_sigma_deg"] = 0.5
-    log = log_of(tmp_path, two, rows, "free")
+        row["aoa_azimuth_deg"] = azimuth + (row["aoa_azimuth_deg"] - azimuth) * sigma_deg / 3.0
+        row["aoa_azimuth_sigma_deg"] = sigma_deg
+        row["range_m"] += 100.0 * row["time_s"] * (clock == "free")
+        if not ranges:
+            del row["range_m"], row["range_sigma_m"]
+    log = log_of(tmp_path, TWO, rows, clock)
+    starts = [start_at(log, epoch, TWO, RADIO) for epoch in range(100)]
     nees = []
-    for epoch in range(100):
-        start = start_at(log, epoch, two, RADIO)
-        if start:
-            mean, covariance = start.prior
-            error = (mean - [*place, *mean[3:]])[:2]
-            nees.append(error @ np.linalg.solve(covariance[:2, :2], error))
+    for mean, covariance in (start.prior for start in starts if start):
+        error = mean[:2] - horizontal
+        nees.append(error @ np.linalg.solve(covariance[:2, :2], error))
     # the mean of 100 squares of two normal errors is below 2.6 in 99.8 % of the cases
-    assert len(nees) > 50 and np.mean(nees) < 2.6
+    assert len(nees) >= fewest and (not nees or np.mean(nees) < 2.6)
+    assert fewest or not nees
 
 
 @pytest.mark.parametrize("reflected", [(), (0, 1), (1,)])
