@@ -130,6 +130,9 @@ SHARED = {
     "slow noise": slow_noise,
 }
 STARTS = ("as simulated", "from a link")
+# reward that the corrector may lose where it does not see an error: the published training loses
+# about 0.045 in both kinds of tracks
+LOSSES = {("azimuths 3 degrees off", "handset"): 0.1}
 
 
 def played(name, radio, episodes):
@@ -151,18 +154,28 @@ def against_base(radio, episodes, policy="corrector"):
 def gain(case, n=N):
     """Play n episodes of a case, and return the results of :func:`against_base`."""
     source, radio, wrong = CASES[case]
-    episodes = source.episodes(np.arange(SEED, SEED + n, dtype=np.uint64))
+    episodes = source.episodes(keys(n))
     return against_base(radio, [wrong(e) for e in episodes] if wrong else episodes)
+
+
+def keys(n):
+    """Return the keys of n episodes."""
+    return np.arange(SEED, SEED + n, dtype=np.uint64)
+
+
+def gains_from(start, source, episodes, radio, policy="corrector"):
+    """Return a corrector's gains in mean reward (n,) in tracks that begin as in ``STARTS``."""
+    batch = EpisodeBatch.of(episodes)
+    if start == "from a link":
+        begin_from_a_link(batch, source)
+    return against_base(radio, batch, policy)[0]
 
 
 def shared_gain(policy, error, radio, start, n=N):
     """Play n episodes of a shared error; return a corrector's gains in mean reward (n,)."""
     source = simulated(radio)
-    episodes = source.episodes(np.arange(SEED, SEED + n, dtype=np.uint64))
-    batch = EpisodeBatch.of([SHARED[error](episode) for episode in episodes])
-    if start == "from a link":
-        begin_from_a_link(batch, source)
-    return against_base(radio, batch, policy)[0]
+    episodes = [SHARED[error](episode) for episode in source.episodes(keys(n))]
+    return gains_from(start, source, episodes, radio, policy)
 
 
 def print_shared(policy="corrector", n=300):
@@ -198,17 +211,29 @@ def test_the_corrector_earns_hardly_less_than_its_base_policy_in_any_case(case):
     assert ((trusted >= 0.0) & (trusted <= 1.0)).all()
 
 
+@pytest.mark.parametrize("start", STARTS)
 @pytest.mark.parametrize("radio", ["handset", "standard"])
-def test_the_corrector_earns_hardly_less_in_tracks_that_begin_from_a_link(radio):
-    assert shared_gain("corrector", "no error", radio, "from a link").mean() > -MOST_HARM
+@pytest.mark.parametrize("error", SHARED)
+def test_the_corrector_earns_hardly_less_where_all_links_are_wrong_together(error, radio, start):
+    most = LOSSES.get((error, radio), MOST_HARM)
+    assert shared_gain("corrector", error, radio, start).mean() > -most
+
+
+@pytest.mark.parametrize("radio", ["handset", "standard"])
+@pytest.mark.parametrize("street", ["home", "random"])
+def test_of_tracks_that_begin_from_a_link_at_most_three_in_a_thousand_lose_much(street, radio):
+    source = simulated(radio)
+    if street == "random":
+        source = SimulatedSource(RandomScene(), RADIOS[radio])
+    gains = gains_from("from a link", source, source.episodes(keys(1000)), radio)
+    assert np.mean(gains < -0.5) <= 0.003
 
 
 def trust(exponent):
     """Yield gain and trust for each factor: stated noise = factor**exponent * true noise."""
-    keys = np.arange(SEED, SEED + 20, dtype=np.uint64)
     for factor in FACTORS:
         source = Misstated(SCENES["street"], RADIOS["standard"], stated=factor**exponent)
-        gains, trusted = against_base("standard", source.episodes(keys))
+        gains, trusted = against_base("standard", source.episodes(keys(20)))
         yield gains.mean(), trusted[:, 10:].mean()
 
 
