@@ -141,8 +141,8 @@ def _stretched(links: _Links, position: Array, cost: float, covariance: Array) -
     step = np.zeros(len(position))
     step[:2] = _FAR * np.sqrt(variances[-1]) * axis
     step[2:] = step[:2] @ np.linalg.solve(covariance[:2, :2], covariance[:2, 2:])
-    there, _, _ = _descended(links, position + np.stack([step, -step]), rounds=0)
-    growth = float((there - cost).min())
+    cost_away, _, _ = _descended(links, position + np.stack([step, -step]), rounds=0)
+    growth = float((cost_away - cost).min())
     if not growth > 0.25 * _FAR**2:
         return None
     stretch = max(1.0, 1.0 / (2.0 - _FAR / np.sqrt(growth)))
