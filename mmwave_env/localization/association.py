@@ -22,7 +22,15 @@ from scipy.special import chdtri
 
 from mmwave_env.filters.modes import Mode
 from mmwave_env.io.files import Json
-from mmwave_env.localization.image_filter import LINK_ROWS, Belief, Image, ImageFilter, Paths
+from mmwave_env.localization.first_position import HEIGHT_SIGMA_M
+from mmwave_env.localization.image_filter import (
+    LINK_ROWS,
+    UNKNOWN_RAD,
+    Belief,
+    Image,
+    ImageFilter,
+    Paths,
+)
 from mmwave_env.localization.starts import gives_fix
 from mmwave_env.logs.log import Log, PathEpoch, PathLog
 from mmwave_env.models.layout import STATE_SIZE, Layout
@@ -64,7 +72,7 @@ def disagreement(paths: Array, sigma: Array) -> Array:
 
 
 def observed(log: PathLog, scene: Scene, radio: Radio, straight: float) -> list[Paths]:
-    """Return the paths of each epoch, with their variances at their SNR.
+    """Return the paths of each epoch, with the receiver's variances, else those at their SNR.
 
     The azimuths of a line of sight have a :func:`disagreement` below ``straight``.
     """
@@ -73,7 +81,10 @@ def observed(log: PathLog, scene: Scene, radio: Radio, straight: float) -> list[
     for epoch in log.epochs:
         z = epoch.links[0]
         snr_db = np.column_stack([epoch.snr_db, epoch.snr_db])
+        own = np.tile(np.minimum(epoch.sigma, UNKNOWN_RAD) ** 2, 2)
         variance = radio.sigma(snr_db, links, Layout(2)) ** 2
+        stated = np.isfinite(own)
+        variance[:, : 2 * LINK_ROWS][stated] = own[stated]
         variance[:, [0, LINK_ROWS]] += scene.offset_sigmas_m.max() ** 2
         direct, reflected, doppler = np.split(variance, [LINK_ROWS, 2 * LINK_ROWS], axis=1)
         opposite = gives_fix(z) & (disagreement(z, np.sqrt(direct)) < straight)
@@ -84,6 +95,17 @@ def observed(log: PathLog, scene: Scene, radio: Radio, straight: float) -> list[
             )
         )
     return epochs
+
+
+def fix_of(paths: Paths, path: int, radio: Radio, scene: Scene) -> tuple[Array, Array]:
+    """Return the prior, mean and covariance, of a user whose line of sight is a path.
+
+    If the path has no elevation, the height of the streets is known roughly.
+    """
+    sigma = np.sqrt(paths.direct[path])
+    if sigma[2] >= UNKNOWN_RAD:
+        sigma[2] = HEIGHT_SIGMA_M / paths.z[path, 0]
+    return prior_from_fix(np.array(scene.base_station_m), paths.z[path], sigma, radio, scene)
 
 
 class PathTracker:
@@ -172,10 +194,7 @@ class PathTracker:
     def _begin(self, paths: Paths, path: int) -> Belief | None:
         """Return a track with this path as line of sight; None if a wall would block this path."""
         anchors = self._anchors
-        sigma = np.sqrt(paths.direct[path])
-        mean, covariance = prior_from_fix(
-            anchors[0], paths.z[path], sigma, self._radio, self._scene
-        )
+        mean, covariance = fix_of(paths, path, self._radio, self._scene)
         distance = np.linalg.norm(mean[:3] - anchors, axis=1)
         if distance.argmin() != 0:  # a position behind a wall is nearest to a mirror image
             return None
@@ -209,15 +228,18 @@ def associate(paths: PathLog, scene: Scene, radio: Radio, mode: Mode) -> tuple[L
     layout = paths.layout
     epochs = paths.epochs
     anchors = layout.anchors
-    z = np.zeros((len(epochs), layout.size))
+    z = np.full((len(epochs), layout.size), np.nan)
+    sigma = np.full(z.shape, np.nan)
     visible = np.zeros((len(epochs), len(layout.groups)), np.bool_)
     snr_db = np.full((len(epochs), anchors), -np.inf)
     tracks, restarts = PathTracker(scene, radio, mode).tracks(paths)
     for t, (track, epoch) in enumerate(zip(tracks, epochs, strict=True)):
         labels = track.labels if track else {}
         for anchor, path in labels.items():
-            z[t, layout.link(anchor)] = epoch.links[anchor, path]
-            snr_db[t, anchor] = epoch.snr_db[path]
+            own = epoch.sigma[path]
+            z[t, layout.link(anchor)] = np.where(np.isinf(own), np.nan, epoch.links[anchor, path])
+            sigma[t, layout.link(anchor)] = np.where(np.isinf(own), np.nan, own)
+            snr_db[t, anchor] = np.nan_to_num(epoch.snr_db[path], nan=-np.inf)
             visible[t, anchor] = True
         if 0 in labels and np.isfinite(doppler := epoch.doppler[labels[0]]):
             z[t, layout.doppler] = doppler
@@ -229,7 +251,7 @@ def associate(paths: PathLog, scene: Scene, radio: Radio, mode: Mode) -> tuple[L
         layout=layout,
         time_s=np.array([epoch.time_s for epoch in epochs]),
         measurement=z,
-        sigma=np.full(z.shape, np.nan),
+        sigma=sigma,
         visible=visible,
         incomplete=np.zeros_like(visible),
         doppler_anchor=np.zeros(len(epochs), np.int64),

@@ -117,6 +117,13 @@ def position_from_links(
         if not (sides > 0.0).any():
             return None
         cost = np.where(sides > 0.0, cost, np.inf)
+    return _best(links, cost, position, information)
+
+
+def _best(
+    links: _Links, cost: Array, position: Array, information: Array
+) -> tuple[Array, Array] | None:
+    """Return the best minimum and its covariance; None if it is too uncertain or ambiguous."""
     best = int(np.argmin(cost))
     covariance = np.linalg.inv(information[best])
     stretched = _stretched(links, position[best], cost[best], covariance)

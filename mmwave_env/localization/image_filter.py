@@ -34,7 +34,7 @@ IMAGE_NOISE_M = 0.02  # m / sqrt(s), because errors of reflected paths are corre
 MERGED_BELOW = chdtri(3, 0.01)  # images are equal if their difference is below the 99 % quantile
 MERGED_SIGMA_M = 3.0  # maximum standard deviation of this difference
 DOPPLER_GATE = chdtri(1, 0.01)  # 99 % gate of the Doppler shift
-UNKNOWN_RAD = 1e3  # deviation of an arrival that says nothing about the azimuth at the image
+UNKNOWN_RAD = 1e3  # deviation of an angle about which nothing is known
 _ITERATIONS = 4  # of the first update of an image with an arrival at the base station
 USER = slice(0, 3)  # place of the user's position in the state
 

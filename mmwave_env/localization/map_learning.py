@@ -25,9 +25,10 @@ from scipy.special import chdtri
 
 from mmwave_env.filters.modes import Mode
 from mmwave_env.io.files import Json
-from mmwave_env.localization.association import assign, observed
+from mmwave_env.localization.association import assign, fix_of, observed
 from mmwave_env.localization.image_filter import (
     LINK_ROWS,
+    UNKNOWN_RAD,
     USER,
     Belief,
     Doubt,
@@ -40,7 +41,7 @@ from mmwave_env.localization.image_filter import (
 from mmwave_env.logs.log import PathLog
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.layout import STATE_SIZE
-from mmwave_env.models.prior import GAP_S, prior_from_fix
+from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import MOST_ANCHORS, LearnedImage, Scene
 from mmwave_env.numerics.numbers import PI, Array, Mask
@@ -164,8 +165,7 @@ class MapLearner:
 
     def _begun(self, b: Belief, paths: Paths, path: int) -> Belief:
         """Return a track that begins at a path as line of sight, and keeps the map."""
-        sigma = np.sqrt(paths.direct[path])
-        prior = prior_from_fix(self._station, paths.z[path], sigma, self._radio, self._scene)
+        prior = fix_of(paths, path, self._radio, self._scene)
         b = reduced(b, [trusted(image) for image in b.images])
         x = b.x.copy()
         P = b.P.copy()
@@ -216,7 +216,9 @@ class MapLearner:
         """
         nis, log_det = self._filter.nis(b, paths)
         density = [*DENSITY[:3], STATION_DENSITY if paths.at_station else DENSITY[3]]
-        limit = -2.0 * np.log(density).sum() - LINK_ROWS * np.log(2.0 * PI)
+        unknown = paths.direct >= UNKNOWN_RAD**2  # these rows must not make a path likelier
+        log_density = np.where(unknown, -0.5 * np.log(2.0 * PI * paths.direct), np.log(density))
+        limit = -2.0 * log_density.sum(axis=1) - LINK_ROWS * np.log(2.0 * PI)
         cost = nis + log_det - limit
         evidence = -0.5 * cost
         cost[0] -= SIGHT_BONUS

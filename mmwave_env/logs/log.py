@@ -9,7 +9,8 @@ and odometry belong to the epoch, not to an anchor, so they may be in any row of
 
 A log of paths has the same columns without ``anchor``, and one row for each path that a receiver
 finds in an epoch. The rows of an epoch are in any order and may include false paths. Every path may
-have a Doppler shift, because it is not known yet which path belongs to the base station.
+have a Doppler shift, because it is not known yet which path belongs to the base station. A path
+needs a range and an azimuth of arrival, and an SNR or standard deviations.
 """
 
 import math
@@ -34,7 +35,7 @@ from mmwave_env.logs.log_columns import (
 from mmwave_env.logs.log_tables import Arrays, LogError, LogFile, Table, read_table
 from mmwave_env.models.layout import Layout, whole_groups, without_noise, wrap_angles, wrapped
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.numbers import Array, Index, Mask
+from mmwave_env.numerics.numbers import PI, Array, Index, Mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,14 +242,19 @@ def log_of(table: Table, scene: Scene, layout: Layout, wrap: bool, snr_db: float
 
 
 class PathEpoch(NamedTuple):
-    """The n paths of an epoch; all values were measured, except perhaps the Doppler shift."""
+    """The n paths of an epoch: their ranges and azimuths of arrival were measured."""
 
     time_s: float
     line: int  # number of the first row in the file
-    links: Array  # (L, n, 4) range (m) and angles (rad), as each anchor would have measured them
+    # (L, n, 4) range (m) and angles (rad), as each anchor would have measured them. An elevation
+    # that was not measured is that of a user in the street, a departure opposite to the arrival
+    links: Array
+    # (n, 4) the receiver's own standard deviations; NaN where it states none, infinite where the
+    # value was not measured
+    sigma: Array
     doppler: Array  # (n,) Doppler shift, Hz; NaN where not measured
-    snr_db: Array  # (n,)
-    incomplete: int  # number of paths that are left out because some of their values are missing
+    snr_db: Array  # (n,) NaN where not measured; then all standard deviations are known
+    incomplete: int  # number of paths that are left out because they lack a value or its noise
     doppler_spread_hz: float  # 0 where none was measured
     odometry: Array  # (2,) speed, m/s, and heading, rad; NaN where not measured
 
@@ -272,13 +278,14 @@ def read_paths(path: Path, scene: Scene, odometry: bool = True) -> PathLog:
         OSError: as for :func:`read_log`.
     """
     table = read_table(path, scene.hz_per_mps, odometry=odometry, associated=False)
-    layout = Layout(len(scene.anchors_m), "speed" in table.columns)
     table, damage = sound_epochs(table, None, limits=True)
     epochs = list(_split(table, scene))
     if not any(len(epoch.snr_db) for epoch in epochs):
         raise damage or LogError(
             f"{path}: found no complete path in {len(epochs)} epochs, expected at least one"
         )
+    partial = not all(np.isnan(epoch.sigma).all() for epoch in epochs)
+    layout = Layout(len(scene.anchors_m), "speed" in table.columns, partial)
     return PathLog(layout, epochs, damage, STATION in table.columns)
 
 
@@ -288,9 +295,15 @@ def _split(table: Table, scene: Scene) -> Iterator[PathEpoch]:
     time = table["time"]
     links = table.links(scene)
     doppler = table["doppler"]
-    finite = np.isfinite(np.column_stack([links[0], snr]))
-    whole = finite.all(axis=1)
-    some = finite.any(axis=1)
+    sigma = np.column_stack([table[SIGMA_OF[quantity]] for quantity in LINK_QUANTITIES])
+    missing = np.isnan(links[0])
+    sigma[missing] = np.inf
+    known = ~missing[:, :2].any(axis=1) & ~(missing[:, 3] & (STATION in table.columns))
+    whole = known & (np.isfinite(snr) | ~np.isnan(sigma).any(axis=1))
+    some = ~missing.all(axis=1) | np.isfinite(snr)
+    rise = (scene.streets.height_m - scene.anchors_m[0, 2]) / links[0, :, 0]
+    links[..., 2] = np.where(missing[:, 2], np.arcsin(np.clip(rise, -1.0, 1.0)), links[..., 2])
+    links[..., 3] = np.where(missing[:, 3], links[..., 1] + PI, links[..., 3])
     spread = table.first(table["doppler_spread"])
     speed = table.first(table["speed"])
     heading = table.first(table["heading"])
@@ -304,6 +317,7 @@ def _split(table: Table, scene: Scene) -> Iterator[PathEpoch]:
             time_s=float(time[first]),
             line=int(table.rows[first]),
             links=of_epoch,
+            sigma=sigma[kept],
             doppler=doppler[kept],
             snr_db=snr[kept],
             incomplete=int((some & ~whole)[rows].sum()),

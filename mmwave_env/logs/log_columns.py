@@ -167,6 +167,7 @@ LOST = (999.0, 9999.0, 99999.0, 999999.0, 32767.0, 32768.0, 65535.0)
 ROW_QUANTITIES = (*LINK_QUANTITIES, "doppler")  # quantities that belong to an anchor
 HORIZONTAL = ("toa", "aoa_azimuth", STATION, "aod_azimuth", BODY)  # a log needs one or more of them
 _WHOLE = (*LINK_QUANTITIES, "snr")  # required unless links may lack values
+_OF_PATHS = ("toa", "aoa_azimuth")  # required of paths
 _OTHER_FRAMES = {  # angle: (angle in another frame, quantity required in place of the angle)
     "aoa_azimuth": (STATION, STATION),
     "aod_azimuth": (BODY, "heading"),
@@ -194,8 +195,9 @@ def columns_of(
 
     If ``odometry`` is False, columns of odometry are ignored, except a heading that angles need; if
     ``associated`` is False, a column of anchors is ignored. A Doppler shift in m/s is multiplied by
-    ``hz_per_mps``, f_c / c. If ``partial`` is True, one quantity of :data:`HORIZONTAL` is enough;
-    otherwise the range, the three angles and the SNR are required. Columns named "" are ignored.
+    ``hz_per_mps``, f_c / c. Paths (not ``associated``) need a range and an azimuth of arrival. If
+    ``partial`` is True, one quantity of :data:`HORIZONTAL` is enough; otherwise the range, the
+    three angles and the SNR are required. Columns named "" are ignored.
 
     Raises:
         ValueError: a name is unknown or lacks its unit, or a quantity occurs twice or is
@@ -236,7 +238,10 @@ def _require(
     columns: dict[str, Column], names: Sequence[str], associated: bool, partial: bool
 ) -> None:
     """Refuse columns if some are missing or contradict each other."""
-    required = ["time", *(["anchor"] if associated else []), *(() if partial else _WHOLE)]
+    if associated:
+        required = ["time", "anchor", *(() if partial else _WHOLE)]
+    else:
+        required = ["time", *_OF_PATHS]
     for usual, (other, needed) in _OTHER_FRAMES.items():
         if other in columns:
             if usual in columns:

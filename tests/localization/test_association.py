@@ -53,7 +53,8 @@ def walk(anchors_seen, false_paths=0, seed=0, y_m=-2.0):
         links = np.repeat(paths[None, :, :4], 3, axis=0)
         snr = np.full(len(paths), 25.0)
         odometry = np.full(2, np.nan)
-        yield PathEpoch(time[t], t + 2, links, paths[:, 4], snr, 0, 100.0, odometry)
+        sigma = np.full((len(paths), 4), np.nan)
+        yield PathEpoch(time[t], t + 2, links, sigma, paths[:, 4], snr, 0, 100.0, odometry)
 
 
 ALL = (0, 1, 2)

@@ -6,8 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from experiments.evaluation.contenders import contender_from
 from mmwave_env.datasets.log_folder import log_text, path_columns
 from mmwave_env.filters.bank import default_modes
+from mmwave_env.localization.association import associate
+from mmwave_env.localization.localizer import localize
 from mmwave_env.localization.map_learning import MapLearner, learn_map
 from mmwave_env.logs.log import read_paths
 from mmwave_env.logs.log_tables import LogError
@@ -20,6 +23,7 @@ from tests.refusals import refuses
 
 STREET = SCENES["street"]
 STATION = replace(STREET, walls=())
+ANGLES = ["aoa_elevation_rad", "aod_azimuth_rad"]
 NEES_LIMIT = 7.815  # 95 % quantile of chi-square with 3 degrees of freedom
 
 
@@ -27,10 +31,20 @@ NEES_LIMIT = 7.815  # 95 % quantile of chi-square with 3 degrees of freedom
 def paths_of(tmp_path):
     """Return a function that makes a log of paths; it also returns the episode."""
 
-    def make(seed, radio="standard", false_paths=1.0, scene=STATION, epochs=200, keep=slice(None)):
+    def make(
+        seed,
+        radio="standard",
+        false_paths=1.0,
+        scene=STATION,
+        epochs=200,
+        keep=slice(None),
+        without=(),
+    ):
         source = SimulatedSource(STREET, RADIOS[radio], "mixed", epochs=epochs)
         episode = sampled(source, seed)
         columns = path_columns(episode, false_paths, np.random.default_rng(seed))
+        for name in without:
+            del columns[name]
         path = tmp_path / "paths.csv"
         path.write_text(log_text({name: values[keep] for name, values in columns.items()}))
         return read_paths(path, scene), episode
@@ -69,6 +83,28 @@ def test_the_images_of_a_street_are_learned_from_one_drive(paths_of, radio):
     assert (
         figures["epochs"] == len(log.epochs) and 0.5 < figures["explained"] / figures["paths"] < 1.0
     )
+
+
+@pytest.mark.parametrize("without", [["aoa_elevation_rad"], ["aod_azimuth_rad"], ANGLES])
+def test_paths_without_elevation_or_departure_reveal_the_images_and_the_track(
+    paths_of, tmp_path, without
+):
+    log, episode = paths_of(5, without=without)
+    scene, figures = learned([log])
+    assert len(scene.learned) == 2 and 0.5 < figures["explained"] / figures["paths"] < 1.0
+    horizontal = scene.anchors_m[1:, None, :2] - STREET.anchors_m[None, 1:, :2]
+    assert np.linalg.norm(horizontal, axis=2).min(axis=1).max() < 4.0
+    mode = default_modes("standard")[-1]
+    switching = contender_from("imm-best", "standard")
+    error_m = []
+    for known in (scene, STREET):
+        log = read_paths(tmp_path / "paths.csv", known)
+        associated, _ = associate(log, known, RADIOS["standard"], mode)
+        track = localize(associated, known, RADIOS["standard"], switching, window=None)
+        true = episode.truth_position_m[np.searchsorted(episode.time_s, track.time_s)]
+        error = np.linalg.norm(track.x[:, :2] - true[:, :2], axis=1)
+        error_m.append(error[track.time_s >= 30.0].mean())
+    assert error_m[0] < 1.5 * error_m[1] < 1.5
 
 
 @pytest.mark.slow

@@ -54,10 +54,28 @@ def test_anchor_numbers_are_ignored(tmp_path):
     assert len(epoch.snr_db) == 3
 
 
-def test_a_path_that_lacks_a_value_is_left_out(tmp_path):
-    lines = ["0,1e-7,0.5,,-2.6,12.5,20", "0,1e-7,0.5,-0.1,-2.6,12.5,", f"0,{PATH}", "0,,,,,,"]
-    (epoch,) = read_paths(store(tmp_path, *lines), SCENE).epochs
-    assert len(epoch.snr_db) == 1 and epoch.incomplete == 2
+def test_paths_may_lack_elevation_departure_and_an_snr_beside_deviations(tmp_path):
+    header = HEADER + ",toa_sigma_s,aoa_azimuth_sigma_rad"
+    usable = [
+        "0,1e-7,0.5,,-2.6,12.5,20,,",
+        "0,1e-7,0.5,-0.1,,,20,1e-9,",
+        "0,1e-7,0.5,,,,,1e-9,0.01",
+    ]
+    useless = ["0,1e-7,,-0.1,-2.6,12.5,20,,", "0,1e-7,0.5,-0.1,-2.6,12.5,,1e-9,", "0,,,,,,,,"]
+    log = read_paths(store(tmp_path, *usable, *useless, header=header), SCENE)
+    (epoch,) = log.epochs
+    sigma_m = 1e-9 * SPEED_OF_LIGHT
+    stated = [
+        [np.nan, np.nan, np.inf, np.nan],
+        [sigma_m, np.nan, np.nan, np.inf],
+        [sigma_m, 0.01, np.inf, np.inf],
+    ]
+    assert_allclose(epoch.sigma, stated)
+    assert epoch.incomplete == 2 and log.layout == Layout(3, partial=True)
+    # as if the user were in the street, and the departure opposite to the arrival
+    rise_m = SCENE.streets.height_m - SCENE.anchors_m[0, 2]
+    assert_allclose(np.sin(epoch.links[0, 0, 2]), rise_m / (100.0 * sigma_m))
+    assert_allclose(epoch.links[0, 1, 3], 0.5 - np.pi)
 
 
 def test_values_that_apply_to_a_whole_epoch_may_be_in_any_of_its_rows(tmp_path):
