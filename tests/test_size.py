@@ -18,7 +18,7 @@ from tests.paths import ROOT
 
 BUDGET = {
     "files of source": 202,
-    "words of docs": 36_200,
+    "words of docs": 36_400,
     "pages of docs": 27,
     "tracked files": 650,
     "tracked MB": 10,
@@ -32,7 +32,7 @@ ROOMS = {  # maximum tokens of a room; lines are free
     "experiments/console": 5_190,
     "experiments/evaluation": 12_240,
     "experiments/paper": 5_430,
-    "experiments/reporting": 15_860,
+    "experiments/reporting": 16_330,
     "experiments/sweeping": 2_610,
     "experiments/timing": 5_030,
     "experiments/training": 18_490,
@@ -43,8 +43,8 @@ ROOMS = {  # maximum tokens of a room; lines are free
     "mmwave_env/filters": 19_150,
     "mmwave_env/interface": 7_170,
     "mmwave_env/io": 2_990,
-    "mmwave_env/localization": 41_040,
-    "mmwave_env/logs": 13_050,
+    "mmwave_env/localization": 41_470,
+    "mmwave_env/logs": 13_200,
     "mmwave_env/models": 10_580,
     "mmwave_env/numerics": 3_820,
     "mmwave_env/rendering": 8_800,

@@ -16,18 +16,22 @@ from experiments.console.options import (
 )
 from experiments.console.output import note
 from experiments.reporting.log_choice import choice_of, radio_of, require_one_choice, scene_of
-from mmwave_env.io.files import Json, first_line, parse_json
+from mmwave_env.filters.bank import modes_from
+from mmwave_env.io.files import Json, first_line, parse_json, write_json
 from mmwave_env.io.lookup import printable, quoted
+from mmwave_env.localization.association import observed
+from mmwave_env.localization.image_filter import Paths
 from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.location_data import location_data
 from mmwave_env.localization.log_noise import nearest_radio
-from mmwave_env.localization.map_files import origin_of
+from mmwave_env.localization.map_files import geodetic, origin_of
+from mmwave_env.localization.map_learning import STRAIGHT, MapLearner, learned_scene, trusted
 from mmwave_env.localization.tracker import Position, Tracker, Trackers
 from mmwave_env.logs.live_log import LiveEpoch, LiveLog
 from mmwave_env.logs.log import Log
 from mmwave_env.logs.log_tables import LogError, header_of
 from mmwave_env.models.layout import require_clock
-from mmwave_env.models.scene import Origin, Scene
+from mmwave_env.models.scene import Origin, Scene, scene_json
 
 SOURCE = "standard input"
 _PATIENCE_S = 10.0  # time without a first position after which a warning says so
@@ -52,8 +56,6 @@ def run_live(args: LogArgs) -> None:
         "associate",
         "diagnose",
         "odometry",
-        "map",
-        "map_out",
         "more",
     )
     require_alone(args, "format", "lag")
@@ -62,6 +64,10 @@ def run_live(args: LogArgs) -> None:
     levels = Levels(args.risk, args.levels)
     scene = scene_of(args, args.scene)
     origin = _origin(args, scene)
+    if args.map == "learn":
+        _run_map(args, scene, origin)
+        return
+    require_default(args, "--map learn", "map_out")
     tracker: Tracker | Trackers | None = None
     began = False
     patience = _Patience()
@@ -77,10 +83,7 @@ def run_live(args: LogArgs) -> None:
             if not began or (position.begins and not user):
                 note(f"a track begins, or begins anew, at {position.time_s!r} s: {why}")
             content: Json = {"ue": user} if user else {}
-            if origin:
-                content |= location_data(position, origin, args.confidence, args.accuracy)
-            else:
-                content |= _content(position)
+            content |= _formatted(args, position, origin)
             late = tracker.smoothed() if tracker and args.lag else None
             if late:
                 content["smoothed"] = _content(late)
@@ -92,6 +95,49 @@ def run_live(args: LogArgs) -> None:
         patience.wait(() if began else epochs)
     if not began:
         _warn(f"{SOURCE}: found no epoch that determines a position")
+
+
+def _run_map(args: LogArgs, scene: Scene, origin: Origin | None) -> None:
+    """Learn the map from rows that are paths; print the position after each epoch with a track.
+
+    A doubtful epoch waits for the next ones. At the end, write the map if --map-out asks for it.
+    """
+    alone = ("policy", "imm", "speed", "height", "levels", "risk", "correlation")
+    require_alone(args, "map", "clock", "snr", "lag", *alone)
+    name = "handset" if args.radio == AUTO else args.radio
+    mode = modes_from(args.modes, name)[-1]
+    learner = MapLearner(scene, radio_of(args, name), mode)
+    map_so_far = learner.start()
+    for belief in learner.follow(_paths(args, scene)):
+        map_so_far = belief
+        if not belief.tracked:
+            continue
+        x = belief.x
+        position = Position(
+            belief.time_s, x[:3].tolist(), belief.P[:3, :3].tolist(), x[3:6].tolist(), mode.name,
+            {}, [], belief.begins, geodetic(origin, x[None, :3])[0].tolist() if origin else None,
+        )  # fmt: skip
+        images = sum(map(trusted, belief.images))
+        print(json.dumps(_formatted(args, position, origin) | {"images": images}), flush=True)
+    if args.map_out:
+        write_json(args.map_out, scene_json(learned_scene(scene, map_so_far)))
+
+
+def _paths(args: LogArgs, scene: Scene) -> Iterator[Paths]:
+    """Yield the paths of each epoch of standard input."""
+    radio = radio_of(args, "handset" if args.radio == AUTO else args.radio)
+    for live, epochs in _epochs(scene, None, args.clock, associated=False):
+        if any(epoch.user for epoch in epochs):
+            raise ValueError("map: found rows with users (ue), expected the paths of one user")
+        paths = map(live.paths, epochs)
+        yield from observed(paths, live.at_station, scene, radio, STRAIGHT)
+
+
+def _formatted(args: LogArgs, position: Position, origin: Origin | None) -> Json:
+    """Return the content of an output line in the format that --format asks for."""
+    if origin:
+        return location_data(position, origin, args.confidence, args.accuracy)
+    return _content(position)
 
 
 class _Patience:
@@ -188,7 +234,7 @@ def _text(line: bytes) -> str:
 
 
 def _epochs(
-    scene: Scene, snr_db: float | None, clock: str
+    scene: Scene, snr_db: float | None, clock: str, associated: bool = True
 ) -> Iterator[tuple[LiveLog, list[LiveEpoch]]]:
     """Read rows (CSV below a header, or JSON objects); yield the epochs that they form.
 
@@ -207,7 +253,7 @@ def _epochs(
         delimiter = ","
     else:
         names, delimiter = header_of(first)
-    log = LiveLog(names, scene, snr_db, SOURCE, clock, delimiter)
+    log = LiveLog(names, scene, snr_db, SOURCE, clock, delimiter, associated)
     epochs: list[LiveEpoch] = []
     for line in lines:
         if line is None:

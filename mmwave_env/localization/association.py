@@ -14,7 +14,7 @@ the smallest sum of NIS is chosen; an anchor without a path adds the gate to thi
 an ordinary log, in which every measurement belongs to a known anchor.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -71,14 +71,16 @@ def disagreement(paths: Array, sigma: Array) -> Array:
     return np.asarray(group.spare_nis)
 
 
-def observed(log: PathLog, scene: Scene, radio: Radio, straight: float) -> list[Paths]:
-    """Return the paths of each epoch, with the receiver's variances, else those at their SNR.
+def observed(
+    epochs: Iterable[PathEpoch], at_station: bool, scene: Scene, radio: Radio, straight: float
+) -> Iterator[Paths]:
+    """Yield the paths of each epoch, with the receiver's variances, else those at their SNR.
 
-    The azimuths of a line of sight have a :func:`disagreement` below ``straight``.
+    ``at_station`` is as in :class:`~mmwave_env.logs.log.PathLog`. The azimuths of a line of sight
+    have a :func:`disagreement` below ``straight``.
     """
     links = replace(scene, range_offset_m=(), range_offset_sigma_m=())
-    epochs = []
-    for epoch in log.epochs:
+    for epoch in epochs:
         z = epoch.links[0]
         snr_db = np.column_stack([epoch.snr_db, epoch.snr_db])
         own = np.tile(np.minimum(epoch.sigma, UNKNOWN_RAD) ** 2, 2)
@@ -88,13 +90,9 @@ def observed(log: PathLog, scene: Scene, radio: Radio, straight: float) -> list[
         variance[:, [0, LINK_ROWS]] += scene.offset_sigmas_m.max() ** 2
         direct, reflected, doppler = np.split(variance, [LINK_ROWS, 2 * LINK_ROWS], axis=1)
         opposite = gives_fix(z) & (disagreement(z, np.sqrt(direct)) < straight)
-        doppler = doppler[:, 0]
-        epochs.append(
-            Paths(
-                epoch.time_s, z, epoch.doppler, direct, reflected, doppler, opposite, log.at_station
-            )
+        yield Paths(
+            epoch.time_s, z, epoch.doppler, direct, reflected, doppler[:, 0], opposite, at_station
         )
-    return epochs
 
 
 def fix_of(paths: Paths, path: int, radio: Radio, scene: Scene) -> tuple[Array, Array]:
@@ -119,7 +117,8 @@ class PathTracker:
 
     def tracks(self, log: PathLog) -> tuple[list[Belief | None], list[bool]]:
         """Return every epoch's track (None if there is none), and whether it begins there."""
-        epochs = observed(log, self._scene, self._radio, STRAIGHT)
+        radio = self._radio
+        epochs = [*observed(log.epochs, log.at_station, self._scene, radio, STRAIGHT)]
         track: Belief | None = None
         seen_s = -np.inf
         tracks: list[Belief | None] = []

@@ -17,8 +17,10 @@ station jointly. This module decides which paths it uses, and which images exist
 Beliefs are immutable, so that several ways can be tried side by side.
 """
 
+from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain, islice
 
 import numpy as np
 from scipy.special import chdtri
@@ -107,21 +109,38 @@ class MapLearner:
 
         ``b`` is the belief after an earlier log, whose map the user also meets in this log.
         """
+        epochs = observed(log.epochs, log.at_station, self._scene, self._radio, STRAIGHT)
+        return self.follow(epochs, b)
+
+    def follow(self, epochs: Iterable[Paths], b: Belief | None = None) -> Iterator[Belief]:
+        """Yield the belief after each epoch as soon as it is certain; see :meth:`learn`.
+
+        An epoch in which the track is doubtful waits for the next ``LOOK_AHEAD`` epochs, which
+        decide about it.
+        """
         b = (b or self.start())._replace(tracked=False)
-        epochs = observed(log, self._scene, self._radio, STRAIGHT)
-        for k, paths in enumerate(epochs):
-            if paths.time_s - b.time_s > GAP_S:
-                b = b._replace(tracked=False)
-            window = epochs[k : k + 1 + LOOK_AHEAD]
-            coming = [later for later in window[1:] if later.time_s <= paths.time_s + GAP_S]
-            b = self._advanced(b, paths, coming)
-            yield b
+        waiting: deque[Paths] = deque()
+        for latest in chain(epochs, [None]):
+            if latest is not None:
+                waiting.append(latest)
+            while waiting:
+                paths = waiting[0]
+                if paths.time_s - b.time_s > GAP_S:
+                    b = b._replace(tracked=False)
+                soon_s = paths.time_s + GAP_S
+                coming = [later for later in islice(waiting, 1, None) if later.time_s <= soon_s]
+                decides = len(coming) >= LOOK_AHEAD or len(coming) < len(waiting) - 1
+                if latest is not None and not decides and _is_doubtful(b, paths):
+                    break
+                waiting.popleft()
+                b = self._advanced(b, paths, coming[:LOOK_AHEAD])
+                yield b
 
     def _advanced(self, b: Belief, paths: Paths, coming: Sequence[Paths]) -> Belief:
         """Return the belief after an epoch; coming epochs decide what to do if it is doubtful."""
-        lost = b.tracked and np.linalg.eigvalsh(b.P[:2, :2])[-1] > LOST_M**2
-        if b.tracked and not (len(paths) and (lost or _doubtful(b.doubt))):
+        if b.tracked and not _is_doubtful(b, paths):
             return self._step(b, paths)
+        lost = b.tracked and _is_lost(b)
         best = b._replace(time_s=paths.time_s, labels={}, begins=False)
         score = -np.inf
         if b.tracked:
@@ -248,10 +267,16 @@ class MapLearner:
         return [path for path in free if path not in labels.values()]
 
 
-def _doubtful(doubt: Doubt) -> bool:
-    """Return whether a track may be wrong."""
-    blind = doubt.blind >= 3 and doubt.blind % 5 == 3
-    return doubt.unused >= 2 or doubt.short >= 2 or blind
+def _is_doubtful(b: Belief, paths: Paths) -> bool:
+    """Return whether coming epochs must decide what to do with the paths of an epoch."""
+    blind = b.doubt.blind >= 3 and b.doubt.blind % 5 == 3
+    wrong = blind or b.doubt.unused >= 2 or b.doubt.short >= 2
+    return len(paths) > 0 and (not b.tracked or wrong or _is_lost(b))
+
+
+def _is_lost(b: Belief) -> bool:
+    """Return whether the position of a track is hardly known."""
+    return bool(np.linalg.eigvalsh(b.P[:2, :2])[-1] > LOST_M**2)
 
 
 def _aged(b: Belief, labels: Mapping[int, int], of_tentative: Mapping[int, float]) -> Belief:

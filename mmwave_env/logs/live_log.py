@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mmwave_env.logs.log import Log, layout_of, log_of, places
-from mmwave_env.logs.log_checks import first_damage, without_lost
+from mmwave_env.logs.log import Log, PathEpoch, layout_of, log_of, path_epochs, places
+from mmwave_env.logs.log_checks import MOST_PATHS, first_damage, without_lost
 from mmwave_env.logs.log_columns import BODY, LOST, QUANTITIES, STATION, USER
 from mmwave_env.logs.log_tables import LogError, LogFile, Table, log_file, parse, words_of
 from mmwave_env.models import envelope
@@ -99,11 +99,15 @@ class LiveLog:
     values by column may have a column that no row had before. Columns with unknown names are
     ignored, and the first row with one adds a warning.
 
+    If rows are paths without anchor numbers, every epoch ends with a row of a later time, and
+    :meth:`paths` returns its paths.
+
     Args:
         names: names of the columns, as in the header of a log.
         scene, snr_db, clock: same as for :func:`~mmwave_env.logs.log.read_log`.
         source: name of the source, for messages.
         delimiter: character between the cells of a row that is text.
+        associated: whether rows have anchor numbers; if False, they are ignored.
 
     Attributes:
         warnings: what was ignored; the caller shows and clears them.
@@ -122,8 +126,10 @@ class LiveLog:
         source: str = "rows",
         clock: str = "synchronized",
         delimiter: str = ",",
+        associated: bool = True,
     ) -> None:
         self._source = Path(source)
+        self._associated = associated
         self._delimiter = delimiter
         self._scene = scene
         self._snr_db = snr_db
@@ -138,8 +144,12 @@ class LiveLog:
     def _set_columns(self, names: Sequence[str]) -> None:
         """Set the names of the columns, in any order; refuse wrong ones."""
         scene = self._scene
-        log = log_file(self._source, names, self._delimiter, scene.hz_per_mps, partial=True)
+        log = log_file(
+            self._source, names, self._delimiter, scene.hz_per_mps,
+            associated=self._associated, partial=True,
+        )  # fmt: skip
         self.layout = layout_of(log, scene, True, self._clock, self._snr_db)
+        self._checked = self.layout if self._associated else None
         self._log = log
         self._make = partial(_log, log, scene, self.layout, self._snr_db)
         self._names = [*names]
@@ -148,7 +158,7 @@ class LiveLog:
         turned = STATION in columns or BODY in columns or corrected
         cell_of = {of: i for i, of in enumerate(columns)}
         self._time = cell_of["time"]
-        self._anchor = cell_of["anchor"]
+        self._anchor = cell_of.get("anchor", -1)
         slots = [
             (cell_of[of], *place, columns[of].unit.convert, place[0] in self.layout.angles)
             for of, place in places(self.layout).items()
@@ -157,14 +167,14 @@ class LiveLog:
         snr = [nan if self._snr_db is None else self._snr_db] * self.layout.anchors
         blank = [nan] * 2 * self.layout.size + snr + [nan]
         placed = partial(_placed, self._anchor, slots, blank, self.layout.doppler)
-        self._place = None if turned else placed
+        self._place = None if turned or not self._associated else placed
         self._limits = {column.name: (column.low, column.high) for column in columns.values()}
         self._known = self._ignored | self._limits.keys()
         self._anchors = set(range(1, self.layout.anchors + 1))
         self._of_epoch = [
             (i, of == "doppler")
             for of, i in cell_of.items()
-            if QUANTITIES[of].per_epoch or of == "doppler"
+            if QUANTITIES[of].per_epoch or (of == "doppler" and self._associated)
         ]
 
     def add(self, row: str | Mapping[str, Any], number: int = 0) -> list[LiveEpoch]:
@@ -200,7 +210,21 @@ class LiveLog:
                     return over
                 self._require_sound(_table(self._log, [*arrived.rows, cells], number))
         arrived.rows.append(cells)
-        return [*over, *(self._end(user) if len(arrived.rows) == self.layout.anchors else [])]
+        if self._associated:
+            whole = len(arrived.rows) == self.layout.anchors
+        else:
+            whole = len(arrived.rows) == MOST_PATHS
+        return [*over, *(self._end(user) if whole else [])]
+
+    @property
+    def at_station(self) -> bool:
+        """Tell whether angles of arrival were measured at the base station."""
+        return STATION in self._log.columns
+
+    def paths(self, epoch: LiveEpoch) -> PathEpoch:
+        """Return the paths of an epoch."""
+        (of_epoch,) = path_epochs(_table(self._log, epoch.rows), self._scene)
+        return of_epoch
 
     def forget(self, users: list[str]) -> None:
         """Forget users, who have left; clear the list."""
@@ -266,7 +290,7 @@ class LiveLog:
             b = before[i]
             if not isnan(a) and not isnan(b) and (once or a != b):
                 return False
-        return cells[self._anchor] != before[self._anchor]
+        return not self._associated or cells[self._anchor] != before[self._anchor]
 
     def _user_of(self, row: str | Mapping[str, Any]) -> str:
         """Return the user of a row; "" if the row does not name any."""
@@ -301,7 +325,7 @@ class LiveLog:
         table = parse(self._log, [row], number)
         cells = table.cells.ravel().tolist()
         if cells and (table.damage or not self._plain(cells)):
-            table, notes = without_lost(table, self.layout)
+            table, notes = without_lost(table, self._checked)
             self._require_sound(table)
             for name, note in notes.items():
                 self._report(name, note)
@@ -341,10 +365,11 @@ class LiveLog:
             # NaN is an empty cell
             if type(cell) not in _NUMBERS or cell < low or cell > high or cell in _LOST:
                 return False
-        return cells[self._anchor] in self._anchors and not isnan(cells[self._time])
+        known = not self._associated or cells[self._anchor] in self._anchors
+        return known and not isnan(cells[self._time])
 
     def _require_sound(self, table: Table) -> None:
-        _, damage = first_damage(table, self.layout, limits=True)
+        _, damage = first_damage(table, self._checked, limits=True)
         if damage:
             raise damage
 

@@ -278,18 +278,18 @@ def read_paths(path: Path, scene: Scene, odometry: bool = True) -> PathLog:
         OSError: as for :func:`read_log`.
     """
     table = read_table(path, scene.hz_per_mps, odometry=odometry, associated=False)
+    layout = layout_of(table.file, scene, True, "synchronized", None)
     table, damage = sound_epochs(table, None, limits=True)
-    epochs = list(_split(table, scene))
+    epochs = list(path_epochs(table, scene))
     if not any(len(epoch.snr_db) for epoch in epochs):
         raise damage or LogError(
             f"{path}: found no complete path in {len(epochs)} epochs, expected at least one"
         )
-    partial = not all(np.isnan(epoch.sigma).all() for epoch in epochs)
-    layout = Layout(len(scene.anchors_m), "speed" in table.columns, partial)
-    return PathLog(layout, epochs, damage, STATION in table.columns)
+    whole = all(np.isnan(epoch.sigma).all() for epoch in epochs)
+    return PathLog(replace(layout, partial=not whole), epochs, damage, STATION in table.columns)
 
 
-def _split(table: Table, scene: Scene) -> Iterator[PathEpoch]:
+def path_epochs(table: Table, scene: Scene) -> Iterator[PathEpoch]:
     """Yield the complete paths of every epoch."""
     snr = table["snr"]
     time = table["time"]

@@ -9,6 +9,10 @@ import pytest
 
 from experiments.console.main import run
 from mmwave_env.datasets.samples import source_from
+from mmwave_env.filters.bank import default_modes
+from mmwave_env.localization.map_learning import MapLearner, learned_scene
+from mmwave_env.logs.log import read_paths
+from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import read_scene
 from tests.cli import assert_one_clear_line, command, with_json
 from tests.commands.localizing import RIDE, WALK, figures, lines_of, options, refused
@@ -234,6 +238,30 @@ def test_a_map_is_learned_written_and_used(street, tmp_path):
     assert figures["truth"]["tracks"]["smoothed"]["ate_m"] < 1.0
     share = 100.0 * figures["map"]["explained"] / figures["map"]["paths"]
     assert f"explained {share:.1f} % of" in shown and "| anchor 2 | " in shown
+
+
+def test_a_map_is_learned_live_from_csv_and_json_as_from_the_file(street, tmp_path):
+    words = ("--scene", street / "base-station.json", "--radio", "standard", "--map", "learn")
+    lines = (street / "log.csv").read_text().splitlines()
+    of_csv, errors, code = live("\n".join(lines).encode(), *words, "--map-out", tmp_path / "a.json")
+    assert code == 0 and not errors and of_csv[-1]["images"] == 2
+    assert [line["time_s"] for line in of_csv] == [*range(200)]
+    assert live(as_json(lines, whole=False), *words)[0] == of_csv
+    whole, _, _ = live(as_json(lines, whole=True), *words, "--map-out", tmp_path / "b.json")
+    assert whole == of_csv
+    scene = read_scene(street / "base-station.json")
+    learner = MapLearner(scene, RADIOS["standard"], default_modes("standard")[-1])
+    beliefs = [*learner.learn(read_paths(street / "log.csv", scene))]
+    assert [line["position_m"] for line in of_csv] == [b.x[:3].tolist() for b in beliefs]
+    assert json_in(tmp_path / "a.json") == json_in(tmp_path / "b.json")
+    assert read_scene(tmp_path / "a.json") == learned_scene(scene, beliefs[-1])
+
+
+@pytest.mark.parametrize("more", [("--policy", "guided"), ("--clock", "free"), ("--risk", "0.01")])
+def test_options_without_effect_on_a_map_that_is_learned_live_are_refused(street, more):
+    words = ("--scene", street / "base-station.json", "--map", "learn")
+    _, (line,), code = live((street / "log.csv").read_bytes(), *words, *more)
+    assert code == 2 and f"{more[0].removeprefix('--')}: cannot be combined with --map" in line
 
 
 @pytest.mark.parametrize(

@@ -9,9 +9,9 @@ import pytest
 from experiments.evaluation.contenders import contender_from
 from mmwave_env.datasets.log_folder import log_text, path_columns
 from mmwave_env.filters.bank import default_modes
-from mmwave_env.localization.association import associate
+from mmwave_env.localization.association import associate, observed
 from mmwave_env.localization.localizer import localize
-from mmwave_env.localization.map_learning import MapLearner, learn_map
+from mmwave_env.localization.map_learning import LOOK_AHEAD, STRAIGHT, MapLearner, learn_map
 from mmwave_env.logs.log import read_paths
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.radio import RADIOS
@@ -83,6 +83,22 @@ def test_the_images_of_a_street_are_learned_from_one_drive(paths_of, radio):
     assert (
         figures["epochs"] == len(log.epochs) and 0.5 < figures["explained"] / figures["paths"] < 1.0
     )
+
+
+def test_an_epoch_waits_for_the_next_ones_only_where_the_track_is_doubtful(paths_of):
+    log, _ = paths_of(5)
+    mode = default_modes("standard")[-1]
+    learner = MapLearner(STATION, RADIOS["standard"], mode)
+    read = []
+
+    def arriving():
+        for epoch in observed(log.epochs, False, STATION, RADIOS["standard"], STRAIGHT):
+            read.append(epoch.time_s)
+            yield epoch
+
+    waited = [len(read) - number for number, _ in enumerate(learner.follow(arriving()), start=1)]
+    assert waited[0] == LOOK_AHEAD and max(waited) == LOOK_AHEAD
+    assert waited.count(0) > len(waited) / 3
 
 
 @pytest.mark.parametrize("without", [["aoa_elevation_rad"], ["aod_azimuth_rad"], ANGLES])
