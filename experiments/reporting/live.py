@@ -103,7 +103,7 @@ def _run_map(args: LogArgs, scene: Scene, origin: Origin | None) -> None:
     A doubtful epoch waits for the next ones. At the end, write the map if --map-out asks for it.
     """
     alone = ("policy", "imm", "speed", "height", "levels", "risk", "correlation")
-    require_alone(args, "map", "clock", "snr", "lag", *alone)
+    require_alone(args, "map", "clock", "lag", *alone)
     name = "handset" if args.radio == AUTO else args.radio
     mode = modes_from(args.modes, name)[-1]
     learner = MapLearner(scene, radio_of(args, name), mode)
@@ -126,7 +126,7 @@ def _run_map(args: LogArgs, scene: Scene, origin: Origin | None) -> None:
 def _paths(args: LogArgs, scene: Scene) -> Iterator[Paths]:
     """Yield the paths of each epoch of standard input."""
     radio = radio_of(args, "handset" if args.radio == AUTO else args.radio)
-    for live, epochs in _epochs(scene, None, args.clock, associated=False):
+    for live, epochs in _epochs(scene, args.snr, args.clock, associated=False):
         if any(epoch.user for epoch in epochs):
             raise ValueError("map: found rows with users (ue), expected the paths of one user")
         paths = map(live.paths, epochs)

@@ -171,7 +171,7 @@ def _check(args: LogArgs, files: Inputs) -> None:
     if args.write and args.write.suffix != ".json":
         raise ValueError(f"write: found {args.write}, expected a name that ends in .json")
     require_alone(args, "associate", "clock")
-    require_alone(args, "map", "diagnose", "clock", "snr")
+    require_alone(args, "map", "diagnose", "clock")
     if args.map == "known":
         require_default(args, "--map learn", "map_out")
         if args.more:
@@ -235,7 +235,7 @@ def _work(args: LogArgs, files: Inputs, scene: Scene) -> Work:
         fast = modes_from(args.modes, name)[-1]
         if args.map == "learn":
             scene, learned = _learned_map(args, [*files.earlier, files.log], scene, radio, fast)
-        paths = read_paths(files.log, scene, args.odometry)
+        paths = read_paths(files.log, scene, args.odometry, args.snr)
         log, association = associate(paths, scene, radio, fast)
     else:
         log = read_log(
@@ -266,7 +266,7 @@ def _learned_map(
 
     Warn if walls explain few of the paths.
     """
-    logs = [read_paths(path, scene, args.odometry) for path in paths]
+    logs = [read_paths(path, scene, args.odometry, args.snr) for path in paths]
     scene, learned = learn_map(logs, scene, radio, mode)
     if learned["explained"] < FEW_EXPLAINED * learned["paths"]:
         warnings.warn(

@@ -223,7 +223,7 @@ class LiveLog:
 
     def paths(self, epoch: LiveEpoch) -> PathEpoch:
         """Return the paths of an epoch."""
-        (of_epoch,) = path_epochs(_table(self._log, epoch.rows), self._scene)
+        (of_epoch,) = path_epochs(_table(self._log, epoch.rows), self._scene, self._snr_db)
         return of_epoch
 
     def forget(self, users: list[str]) -> None:

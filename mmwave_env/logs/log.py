@@ -268,7 +268,9 @@ class PathLog(NamedTuple):
     at_station: bool = False  # whether angles of arrival were measured at the base station
 
 
-def read_paths(path: Path, scene: Scene, odometry: bool = True) -> PathLog:
+def read_paths(
+    path: Path, scene: Scene, odometry: bool = True, snr_db: float | None = None
+) -> PathLog:
     """Read the epochs of a log of paths; see :func:`read_log`.
 
     A column of anchors is ignored, so that a log with anchor numbers can be read, too.
@@ -278,9 +280,9 @@ def read_paths(path: Path, scene: Scene, odometry: bool = True) -> PathLog:
         OSError: as for :func:`read_log`.
     """
     table = read_table(path, scene.hz_per_mps, odometry=odometry, associated=False)
-    layout = layout_of(table.file, scene, True, "synchronized", None)
+    layout = layout_of(table.file, scene, True, "synchronized", snr_db)
     table, damage = sound_epochs(table, None, limits=True)
-    epochs = list(path_epochs(table, scene))
+    epochs = list(path_epochs(table, scene, snr_db))
     if not any(len(epoch.snr_db) for epoch in epochs):
         raise damage or LogError(
             f"{path}: found no complete path in {len(epochs)} epochs, expected at least one"
@@ -289,9 +291,11 @@ def read_paths(path: Path, scene: Scene, odometry: bool = True) -> PathLog:
     return PathLog(replace(layout, partial=not whole), epochs, damage, STATION in table.columns)
 
 
-def path_epochs(table: Table, scene: Scene) -> Iterator[PathEpoch]:
-    """Yield the complete paths of every epoch."""
+def path_epochs(table: Table, scene: Scene, snr_db: float | None) -> Iterator[PathEpoch]:
+    """Yield the complete paths of every epoch; ``snr_db`` is as for :func:`read_log`."""
     snr = table["snr"]
+    if snr_db is not None:
+        snr = np.where(np.isnan(snr), snr_db, snr)
     time = table["time"]
     links = table.links(scene)
     doppler = table["doppler"]

@@ -78,6 +78,14 @@ def test_paths_may_lack_elevation_departure_and_an_snr_beside_deviations(tmp_pat
     assert_allclose(epoch.links[0, 1, 3], 0.5 - np.pi)
 
 
+def test_paths_without_an_snr_may_get_one(tmp_path):
+    path = store(tmp_path, "0,1e-7,0.5", header="time_s,toa_s,aoa_azimuth_rad")
+    with refuses(path, "columns", error=LogError):
+        read_paths(path, SCENE)
+    (epoch,) = read_paths(path, SCENE, snr_db=18.0).epochs
+    assert epoch.snr_db.tolist() == [18.0]
+
+
 def test_values_that_apply_to_a_whole_epoch_may_be_in_any_of_its_rows(tmp_path):
     header = HEADER + ",doppler_spread_hz,speed_mps,heading_deg"
     lines = [f"0,{PATH},,,", f"0,{PATH},7,,190", f"0,{PATH},,2.5,", f"1,{PATH},,,"]
