@@ -3,7 +3,7 @@
 import json
 import sys
 from collections.abc import Iterator, Sequence
-from itertools import chain
+from itertools import chain, tee
 from math import inf
 from typing import Any
 
@@ -16,6 +16,7 @@ from experiments.console.options import (
 )
 from experiments.console.output import note
 from experiments.reporting.log_choice import choice_of, radio_of, require_one_choice, scene_of
+from experiments.reporting.log_results import warn_of_few_explained
 from mmwave_env.filters.bank import modes_from
 from mmwave_env.io.files import Json, first_line, parse_json, write_json
 from mmwave_env.io.lookup import printable, quoted
@@ -34,6 +35,7 @@ from mmwave_env.models.layout import require_clock
 from mmwave_env.models.scene import Origin, Scene, scene_json
 
 SOURCE = "standard input"
+_ENOUGH_PATHS = 400  # paths after which a warning says if a learned map explains few of them
 _PATIENCE_S = 10.0  # time without a first position after which a warning says so
 
 
@@ -100,7 +102,8 @@ def run_live(args: LogArgs) -> None:
 def _run_map(args: LogArgs, scene: Scene, origin: Origin | None) -> None:
     """Learn the map from rows that are paths; print the position after each epoch with a track.
 
-    A doubtful epoch waits for the next ones. At the end, write the map if --map-out asks for it.
+    A doubtful epoch waits for the next ones. If the map explains few paths, a warning says so. At
+    the end, write the map if --map-out asks for it.
     """
     alone = ("policy", "imm", "speed", "height", "levels", "risk", "correlation")
     require_alone(args, "map", "clock", "lag", *alone)
@@ -108,8 +111,17 @@ def _run_map(args: LogArgs, scene: Scene, origin: Origin | None) -> None:
     mode = modes_from(args.modes, name)[-1]
     learner = MapLearner(scene, radio_of(args, name), mode)
     map_so_far = learner.start()
-    for belief in learner.follow(_paths(args, scene)):
+    paths = 0
+    explained = 0
+    judged = False
+    ours, theirs = tee(_paths(args, scene))
+    for of_epoch, belief in zip(ours, learner.follow(theirs), strict=True):
         map_so_far = belief
+        paths += len(of_epoch)
+        explained += len(belief.labels)
+        if paths >= _ENOUGH_PATHS and not judged:
+            warn_of_few_explained(explained, paths)
+            judged = True
         if not belief.tracked:
             continue
         x = belief.x

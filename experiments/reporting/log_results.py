@@ -268,14 +268,19 @@ def _learned_map(
     """
     logs = [read_paths(path, scene, args.odometry, args.snr) for path in paths]
     scene, learned = learn_map(logs, scene, radio, mode)
-    if learned["explained"] < FEW_EXPLAINED * learned["paths"]:
-        warnings.warn(
-            f"map: found {learned['explained']} of {learned['paths']} paths that come from the "
-            f"base station or a learned image, expected {FEW_EXPLAINED:.0%} or more. Other things "
-            "than flat walls reflect here, as usual indoors, so do not trust the map or the track",
-            stacklevel=2,
-        )
+    warn_of_few_explained(learned["explained"], learned["paths"])
     return scene, learned
+
+
+def warn_of_few_explained(explained: int, paths: int) -> None:
+    """Warn if a learned map explains few paths."""
+    if explained < FEW_EXPLAINED * paths:
+        warnings.warn(
+            f"map: found {explained} of {paths} paths that come from the base station or a learned "
+            f"image, expected {FEW_EXPLAINED:.0%} or more. Other things than flat walls reflect "
+            "here, as usual indoors, so do not trust the map or the track",
+            stacklevel=3,
+        )
 
 
 def _track(

@@ -37,6 +37,7 @@ DOPPLER_GATE = chdtri(1, 0.01)  # 99 % gate of the Doppler shift
 UNKNOWN_RAD = 1e3  # deviation of an angle about which nothing is known
 _ITERATIONS = 4  # of the first update of an image with an arrival at the base station
 USER = slice(0, 3)  # place of the user's position in the state
+VELOCITY = slice(3, 6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,8 +164,11 @@ class ImageFilter:
         """Return the belief at a later time: x' = F x, P' = F P F' + Q."""
         dt = time_s - b.time_s
         t = self._tuning
-        F = np.eye(len(b.x))
-        F[0:3, 3:6] = dt * np.eye(3)
+        x = b.x.copy()
+        P = b.P.copy()
+        x[USER] += dt * x[VELOCITY]
+        P[USER] += dt * P[VELOCITY]
+        P[:, USER] += dt * P[:, VELOCITY]
         Q = white_noise_acceleration(
             [t.sigma_p**2, t.sigma_p**2, t.sigma_pz**2],
             [t.sigma_v**2, t.sigma_v**2, t.sigma_vz**2],
@@ -173,12 +177,11 @@ class ImageFilter:
             t.coupling,
         )
         learned = np.repeat([not image.exact for image in b.images], 3)
-        P = F @ b.P @ F.T
-        P[np.diag_indices(len(b.x))] += np.append(Q.diagonal, IMAGE_NOISE_M**2 * dt * learned)
+        P[np.diag_indices(len(x))] += np.append(Q.diagonal, IMAGE_NOISE_M**2 * dt * learned)
         for (i, j), covariance in zip(COUPLED, Q.coupling, strict=False):
             P[i, j] += covariance
             P[j, i] += covariance
-        return b._replace(x=F @ b.x, P=P, time_s=time_s, labels={}, evidence=0.0, begins=False)
+        return b._replace(x=x, P=P, time_s=time_s, labels={}, evidence=0.0, begins=False)
 
     def rows(self, b: Belief, at_station: bool) -> tuple[Array, Array]:
         """Return the links (A, 4) to all anchors, and their Jacobians (A, 4, 7 + 3 K)."""
@@ -280,16 +283,17 @@ class ImageFilter:
 def _corrected(b: Belief, H: Array, y: Array, R: Array, only: slice | None = None) -> Belief:
     """Return the belief after a Kalman update with innovation y (m,) and variances R (m,).
 
-    The gain is zero outside of ``only``, a part of the state; Joseph's form holds for any gain.
+    The gain is zero outside of ``only``, a part of the state. For any gain K, the covariance is
+    P - K H P - (K H P)' + K S K' with S = H P H' + R, which takes fewer steps than Joseph's form.
     """
     PH = b.P @ H.T
-    K = np.linalg.solve(H @ PH + np.diag(R), PH.T).T
+    S = H @ PH + np.diag(R)
+    K = np.linalg.solve(S, PH.T).T
     if only is not None:
         K[: only.start] = 0.0
         K[only.stop :] = 0.0
-    A = np.eye(len(b.x)) - K @ H
-    P = A @ b.P @ A.T + (K * R) @ K.T
-    return b._replace(x=b.x + K @ y, P=(P + P.T) / 2.0)
+    half = K @ (PH - 0.5 * K @ S).T
+    return b._replace(x=b.x + K @ y, P=b.P - half - half.T)
 
 
 def reduced(b: Belief, keep: Sequence[bool]) -> Belief:
@@ -307,20 +311,20 @@ def reduced(b: Belief, keep: Sequence[bool]) -> Belief:
 def merged(b: Belief) -> Belief:
     """Return the belief without images that may be equal to another one with more paths."""
     keep = [True] * len(b.images)
-    for j in range(1, len(keep)):
-        for k in range(j):
-            if keep[j] and keep[k] and _equal(b, j + 1, k + 1):
-                older = b.images[k].exact or b.images[k].paths >= b.images[j].paths
-                keep[j if older else k] = False
+    for j, k in np.argwhere(np.tril(_equal(b), -1)).tolist():
+        if keep[j] and keep[k]:
+            older = b.images[k].exact or b.images[k].paths >= b.images[j].paths
+            keep[j if older else k] = False
     return reduced(b, keep)
 
 
-def _equal(b: Belief, one_anchor: int, other: int) -> bool:
-    """Return whether two images are equal, as far as their covariance can tell."""
-    s = block(one_anchor)
-    t = block(other)
-    D = b.P[s, s] + b.P[t, t] - b.P[s, t] - b.P[t, s] + 1e-9 * np.eye(3)
-    if np.trace(D) >= MERGED_SIGMA_M**2:
-        return False
-    e = b.x[s] - b.x[t]
-    return bool(e @ np.linalg.solve(D, e) < MERGED_BELOW)
+def _equal(b: Belief) -> Mask:
+    """Tell which images (K, K) are equal, as far as their covariance can tell."""
+    K = len(b.images)
+    P = b.P[STATE_SIZE:, STATE_SIZE:].reshape(K, 3, K, 3).transpose(0, 2, 1, 3)
+    own = np.einsum("kkij->kij", P)
+    D = own[:, None] + own - P - P.transpose(1, 0, 2, 3) + 1e-9 * np.eye(3)
+    e = b.places[:, None] - b.places
+    distance = (e * np.linalg.solve(D, e[..., None])[..., 0]).sum(axis=-1)
+    known = np.trace(D, axis1=-2, axis2=-1) < MERGED_SIGMA_M**2
+    return known & (distance < MERGED_BELOW)  # type: ignore[no-any-return]

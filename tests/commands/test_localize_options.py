@@ -257,6 +257,16 @@ def test_a_map_is_learned_live_from_csv_and_json_as_from_the_file(street, tmp_pa
     assert read_scene(tmp_path / "a.json") == learned_scene(scene, beliefs[-1])
 
 
+@pytest.mark.slow
+def test_a_live_map_that_explains_few_paths_causes_one_warning(tmp_path):
+    words = ["--paths", "--false-paths", "12", "--episode-steps", "50", "--seed", "5"]
+    run("simulate", [*words, "--radio", "standard", "--out", str(tmp_path)])
+    scene = ("--scene", tmp_path / "base-station.json", "--radio", "standard", "--map", "learn")
+    positions, (warning,), code = live((tmp_path / "log.csv").read_bytes(), *scene)
+    assert code == 0 and len(positions) > 30
+    assert re.search(r"map: found \d+ of \d+ paths .* expected 25% or more", warning)
+
+
 @pytest.mark.parametrize("more", [("--policy", "guided"), ("--clock", "free"), ("--risk", "0.01")])
 def test_options_without_effect_on_a_map_that_is_learned_live_are_refused(street, more):
     words = ("--scene", street / "base-station.json", "--map", "learn")
