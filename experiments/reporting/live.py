@@ -16,17 +16,16 @@ from experiments.console.options import (
 )
 from experiments.console.output import note
 from experiments.reporting.log_choice import choice_of, radio_of, require_one_choice, scene_of
-from experiments.reporting.log_results import warn_of_few_explained
+from experiments.reporting.log_results import require_map_file, warn_of_few_explained
 from mmwave_env.filters.bank import modes_from
-from mmwave_env.io.files import Json, first_line, parse_json, write_json
+from mmwave_env.io.files import Json, first_line, parse_json, require_writable, write_json
 from mmwave_env.io.lookup import printable, quoted
-from mmwave_env.localization.association import observed
-from mmwave_env.localization.image_filter import Paths
+from mmwave_env.localization.image_filter import Belief, Paths
 from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.location_data import location_data
 from mmwave_env.localization.log_noise import nearest_radio
 from mmwave_env.localization.map_files import geodetic, origin_of
-from mmwave_env.localization.map_learning import STRAIGHT, MapLearner, learned_scene, trusted
+from mmwave_env.localization.map_learning import MapLearner, learned_scene, trusted
 from mmwave_env.localization.tracker import Position, Tracker, Trackers
 from mmwave_env.logs.live_log import LiveEpoch, LiveLog
 from mmwave_env.logs.log import Log
@@ -103,46 +102,62 @@ def _run_map(args: LogArgs, scene: Scene, origin: Origin | None) -> None:
     """Learn the map from rows that are paths; print the position after each epoch with a track.
 
     A doubtful epoch waits for the next ones. If the map explains few paths, a warning says so. At
-    the end, write the map if --map-out asks for it.
+    the end, also after a signal, the map is written if --map-out asks for it.
     """
     alone = ("policy", "imm", "speed", "height", "levels", "risk", "correlation")
     require_alone(args, "map", "clock", "lag", *alone)
+    require_map_file(args)
+    if args.map_out:
+        require_writable(args.map_out)
     name = "handset" if args.radio == AUTO else args.radio
     mode = modes_from(args.modes, name)[-1]
     learner = MapLearner(scene, radio_of(args, name), mode)
-    map_so_far = learner.start()
+    latest: Belief | None = None  # with a track
     paths = 0
     explained = 0
     judged = False
-    ours, theirs = tee(_paths(args, scene))
-    for of_epoch, belief in zip(ours, learner.follow(theirs), strict=True):
-        map_so_far = belief
-        paths += len(of_epoch)
-        explained += len(belief.labels)
-        if paths >= _ENOUGH_PATHS and not judged:
-            warn_of_few_explained(explained, paths)
-            judged = True
-        if not belief.tracked:
-            continue
-        x = belief.x
-        position = Position(
-            belief.time_s, x[:3].tolist(), belief.P[:3, :3].tolist(), x[3:6].tolist(), mode.name,
-            {}, [], belief.begins, geodetic(origin, x[None, :3])[0].tolist() if origin else None,
-        )  # fmt: skip
-        images = sum(map(trusted, belief.images))
-        print(json.dumps(_formatted(args, position, origin) | {"images": images}), flush=True)
-    if args.map_out:
-        write_json(args.map_out, scene_json(learned_scene(scene, map_so_far)))
+    ours, theirs = tee(_paths(args, scene, learner))
+    try:
+        for of_epoch, belief in zip(ours, learner.follow(theirs), strict=True):
+            paths += len(of_epoch)
+            explained += len(belief.labels)
+            if paths >= _ENOUGH_PATHS and not judged:
+                warn_of_few_explained(explained, paths)
+                judged = True
+            if belief.tracked:
+                latest = belief
+                images = {"images": sum(map(trusted, belief.images))}
+                position = _of_map(belief, mode.name, origin)
+                print(json.dumps(_formatted(args, position, origin) | images), flush=True)
+    finally:
+        if args.map_out and latest:
+            write_json(args.map_out, scene_json(learned_scene(scene, latest)))
+    if latest is None:
+        _warn(f"{SOURCE}: found no path with which a track can begin, so there is no map")
 
 
-def _paths(args: LogArgs, scene: Scene) -> Iterator[Paths]:
+def _of_map(belief: Belief, mode: str, origin: Origin | None) -> Position:
+    """Return the position in a belief about the user and the map."""
+    x = belief.x
+    return Position(
+        time_s=belief.time_s,
+        position_m=x[:3].tolist(),
+        covariance_m2=belief.P[:3, :3].tolist(),
+        velocity_mps=x[3:6].tolist(),
+        mode=mode,
+        nis={},
+        rejected=[],
+        begins=belief.begins,
+        geodetic=geodetic(origin, x[None, :3])[0].tolist() if origin else None,
+    )
+
+
+def _paths(args: LogArgs, scene: Scene, learner: MapLearner) -> Iterator[Paths]:
     """Yield the paths of each epoch of standard input."""
-    radio = radio_of(args, "handset" if args.radio == AUTO else args.radio)
     for live, epochs in _epochs(scene, args.snr, args.clock, associated=False):
         if any(epoch.user for epoch in epochs):
             raise ValueError("map: found rows with users (ue), expected the paths of one user")
-        paths = map(live.paths, epochs)
-        yield from observed(paths, live.at_station, scene, radio, STRAIGHT)
+        yield from learner.observed(map(live.paths, epochs), live.at_station)
 
 
 def _formatted(args: LogArgs, position: Position, origin: Origin | None) -> Json:

@@ -177,8 +177,7 @@ def _check(args: LogArgs, files: Inputs) -> None:
         if args.more:
             count = 1 + len(args.more)
             raise ValueError(f"log: found {count} logs without --map learn, expected one")
-    if args.map_out is not None and args.map_out.suffix != ".json":
-        raise ValueError(f"map-out: found {args.map_out}, expected a .json file")
+    require_map_file(args)
     require_default(args, "--live", "lag", "format", "accuracy", "confidence")
     require_alone(args, "two_way", "height", "smoothing")
     require_one_choice(args)
@@ -270,6 +269,12 @@ def _learned_map(
     scene, learned = learn_map(logs, scene, radio, mode)
     warn_of_few_explained(learned["explained"], learned["paths"])
     return scene, learned
+
+
+def require_map_file(args: LogArgs) -> None:
+    """Refuse a wrong name for --map-out."""
+    if args.map_out is not None and args.map_out.suffix != ".json":
+        raise ValueError(f"map-out: found {args.map_out}, expected a .json file")
 
 
 def warn_of_few_explained(explained: int, paths: int) -> None:

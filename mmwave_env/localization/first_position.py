@@ -152,6 +152,8 @@ def _stretched(links: _Links, position: Array, cost: float, covariance: Array) -
     growth = float((cost_away - cost).min())
     if not growth > 0.25 * _FAR**2:
         return None
+    # With a relative deviation r of the distance, growth = (FAR / (1 + FAR r))^2; on the other side
+    # of the minimum, the same growth is reached in FAR / (1 - FAR r) deviations.
     stretch = max(1.0, 1.0 / (2.0 - _FAR / np.sqrt(growth)))
     M = np.eye(len(position))
     M[:2, :2] += (stretch - 1.0) * np.outer(axis, axis)

@@ -40,7 +40,7 @@ from mmwave_env.localization.image_filter import (
     merged,
     reduced,
 )
-from mmwave_env.logs.log import PathLog
+from mmwave_env.logs.log import PathEpoch, PathLog
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.layout import STATE_SIZE
 from mmwave_env.models.prior import GAP_S
@@ -109,8 +109,11 @@ class MapLearner:
 
         ``b`` is the belief after an earlier log, whose map the user also meets in this log.
         """
-        epochs = observed(log.epochs, log.at_station, self._scene, self._radio, STRAIGHT)
-        return self.follow(epochs, b)
+        return self.follow(self.observed(log.epochs, log.at_station), b)
+
+    def observed(self, epochs: Iterable[PathEpoch], at_station: bool) -> Iterator[Paths]:
+        """Yield the paths of each epoch of a log as :meth:`follow` needs them."""
+        return observed(epochs, at_station, self._scene, self._radio, STRAIGHT)
 
     def follow(self, epochs: Iterable[Paths], b: Belief | None = None) -> Iterator[Belief]:
         """Yield the belief after each epoch as soon as it is certain; see :meth:`learn`.
@@ -125,10 +128,11 @@ class MapLearner:
                 waiting.append(latest)
             while waiting:
                 paths = waiting[0]
-                if paths.time_s - b.time_s > GAP_S:
+                now_s = paths.time_s
+                if not 0.0 < now_s - b.time_s <= GAP_S:  # live, a clock may be set back
                     b = b._replace(tracked=False)
-                soon_s = paths.time_s + GAP_S
-                coming = [later for later in islice(waiting, 1, None) if later.time_s <= soon_s]
+                others = islice(waiting, 1, None)
+                coming = [later for later in others if now_s < later.time_s <= now_s + GAP_S]
                 decides = len(coming) >= LOOK_AHEAD or len(coming) < len(waiting) - 1
                 if latest is not None and not decides and _is_doubtful(b, paths):
                     break

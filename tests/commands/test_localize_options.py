@@ -3,6 +3,8 @@
 import csv
 import json
 import re
+import signal
+import subprocess
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from mmwave_env.localization.map_learning import MapLearner, learned_scene
 from mmwave_env.logs.log import read_paths
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import read_scene
-from tests.cli import assert_one_clear_line, command, with_json
+from tests.cli import assert_one_clear_line, command, started, with_json
 from tests.commands.localizing import RIDE, WALK, figures, lines_of, options, refused
 from tests.filters.tracks import sampled
 from tests.localization.mistakes import AZIMUTHS, MISTAKES, linear, read_columns, write_columns
@@ -218,11 +220,15 @@ def street(tmp_path_factory):
     return folder
 
 
+def learning(folder):
+    """Return the options that learn the map of a folder."""
+    return "--scene", folder / "base-station.json", "--radio", "standard", "--map", "learn"
+
+
 def map_options(folder, *more, logs=("log.csv",)):
     """Return the words after ``localize`` that learn the map of a folder."""
     files = [folder / log for log in logs]
-    scene = ("--scene", folder / "base-station.json", "--radio", "standard", "--map", "learn")
-    return [str(word) for word in (*files, *scene, *more)]
+    return [str(word) for word in (*files, *learning(folder), *more)]
 
 
 @pytest.mark.slow
@@ -241,27 +247,58 @@ def test_a_map_is_learned_written_and_used(street, tmp_path):
 
 
 def test_a_map_is_learned_live_from_csv_and_json_as_from_the_file(street, tmp_path):
-    words = ("--scene", street / "base-station.json", "--radio", "standard", "--map", "learn")
+    words = learning(street)
     lines = (street / "log.csv").read_text().splitlines()
     of_csv, errors, code = live("\n".join(lines).encode(), *words, "--map-out", tmp_path / "a.json")
     assert code == 0 and not errors and of_csv[-1]["images"] == 2
     assert [line["time_s"] for line in of_csv] == [*range(200)]
-    assert live(as_json(lines, whole=False), *words)[0] == of_csv
-    whole, _, _ = live(as_json(lines, whole=True), *words, "--map-out", tmp_path / "b.json")
-    assert whole == of_csv
+    for whole in (False, True):
+        assert live(as_json(lines, whole), *words)[0] == of_csv
     scene = read_scene(street / "base-station.json")
     learner = MapLearner(scene, RADIOS["standard"], default_modes("standard")[-1])
     beliefs = [*learner.learn(read_paths(street / "log.csv", scene))]
     assert [line["position_m"] for line in of_csv] == [b.x[:3].tolist() for b in beliefs]
-    assert json_in(tmp_path / "a.json") == json_in(tmp_path / "b.json")
     assert read_scene(tmp_path / "a.json") == learned_scene(scene, beliefs[-1])
+
+
+def test_a_live_map_without_a_track_is_not_written_and_a_wrong_name_is_refused_first(
+    street, tmp_path
+):
+    words = learning(street)
+    # on a line of sight, arrival and departure are opposite
+    head = b"time_s,range_m,aoa_azimuth_deg,aod_azimuth_deg,snr_db\n0,100,10,10,20\n"
+    positions, (warning,), code = live(head, *words, "--map-out", tmp_path / "map.json")
+    assert code == 0 and not positions and "no path with which a track can begin" in warning
+    _, (line,), code = live(head, *words, "--map-out", tmp_path / "map.csv")
+    assert code == 2 and "map-out" in line and not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_live_map_is_written_if_the_program_is_ended(street, tmp_path, number):
+    words = learning(street)
+    file = tmp_path / "map.json"
+    pipes = {
+        "stdin": subprocess.PIPE,
+        "stdout": subprocess.PIPE,
+        "stderr": subprocess.DEVNULL,
+        "text": False,
+    }
+    child = started("localize", "-", "--live", *words, "--map-out", file, **pipes)
+    with child:
+        child.stdin.write((street / "log.csv").read_bytes())
+        child.stdin.flush()
+        for _ in range(150):
+            child.stdout.readline()
+        child.send_signal(number)
+        child.stdout.read()
+    assert child.returncode in (130, 143) and len(read_scene(file).learned) == 2
 
 
 @pytest.mark.slow
 def test_a_live_map_that_explains_few_paths_causes_one_warning(tmp_path):
     words = ["--paths", "--false-paths", "12", "--episode-steps", "50", "--seed", "5"]
     run("simulate", [*words, "--radio", "standard", "--out", str(tmp_path)])
-    scene = ("--scene", tmp_path / "base-station.json", "--radio", "standard", "--map", "learn")
+    scene = learning(tmp_path)
     positions, (warning,), code = live((tmp_path / "log.csv").read_bytes(), *scene)
     assert code == 0 and len(positions) > 30
     assert re.search(r"map: found \d+ of \d+ paths .* expected 25% or more", warning)
@@ -269,7 +306,7 @@ def test_a_live_map_that_explains_few_paths_causes_one_warning(tmp_path):
 
 @pytest.mark.parametrize("more", [("--policy", "guided"), ("--clock", "free"), ("--risk", "0.01")])
 def test_options_without_effect_on_a_map_that_is_learned_live_are_refused(street, more):
-    words = ("--scene", street / "base-station.json", "--map", "learn")
+    words = learning(street)
     _, (line,), code = live((street / "log.csv").read_bytes(), *words, *more)
     assert code == 2 and f"{more[0].removeprefix('--')}: cannot be combined with --map" in line
 

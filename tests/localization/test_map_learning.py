@@ -9,9 +9,9 @@ import pytest
 from experiments.evaluation.contenders import contender_from
 from mmwave_env.datasets.log_folder import log_text, path_columns
 from mmwave_env.filters.bank import default_modes
-from mmwave_env.localization.association import associate, observed
+from mmwave_env.localization.association import associate
 from mmwave_env.localization.localizer import localize
-from mmwave_env.localization.map_learning import LOOK_AHEAD, STRAIGHT, MapLearner, learn_map
+from mmwave_env.localization.map_learning import LOOK_AHEAD, MapLearner, learn_map
 from mmwave_env.logs.log import read_paths
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.radio import RADIOS
@@ -92,13 +92,25 @@ def test_an_epoch_waits_for_the_next_ones_only_where_the_track_is_doubtful(paths
     read = []
 
     def arriving():
-        for epoch in observed(log.epochs, False, STATION, RADIOS["standard"], STRAIGHT):
+        for epoch in learner.observed(log.epochs, at_station=False):
             read.append(epoch.time_s)
             yield epoch
 
     waited = [len(read) - number for number, _ in enumerate(learner.follow(arriving()), start=1)]
     assert waited[0] == LOOK_AHEAD and max(waited) == LOOK_AHEAD
     assert waited.count(0) > len(waited) / 3
+
+
+def test_a_clock_that_is_set_back_begins_a_new_track_on_the_same_map(paths_of):
+    log, episode = paths_of(5, epochs=60)
+    learner = MapLearner(STATION, RADIOS["standard"], default_modes("standard")[-1])
+    epochs = [*learner.observed(log.epochs, at_station=False)]
+    once = [*learner.follow(epochs)]
+    twice = [*learner.follow([*epochs, *epochs])]
+    assert len(twice) == 120 and any(b.begins for b in twice[60:])
+    assert sum(image.paths for image in twice[-1].images) > sum(i.paths for i in once[-1].images)
+    error = twice[-1].x[:3] - episode.truth_position_m[59]
+    assert np.linalg.norm(error) < 3.0 and np.linalg.eigvalsh(twice[-1].P).min() > 0.0
 
 
 @pytest.mark.parametrize("without", [["aoa_elevation_rad"], ["aod_azimuth_rad"], ANGLES])
