@@ -46,6 +46,7 @@ OTHERS = {
     "recurrent_localizer",
     "rivals",
     "stone_soup",
+    "unknown_map",
 }
 EXAMPLES = {path.stem: path for path in sorted(FOLDER.glob("*.py")) if path.stem not in OTHERS}
 
@@ -111,6 +112,20 @@ def test_along_the_pareto_front_a_smaller_error_costs_consistency(tmp_path):
     points = np.array(re.findall(r"error (\S+), inconsistency (\S+):", printed), float)
     assert len(points) > 2 and (np.diff(points[:, 0]) < 0).all()
     assert (np.diff(points[:, 1]) >= 0).all()
+
+
+@pytest.mark.slow
+def test_without_a_map_an_entry_is_worth_more_than_the_line_of_sight_alone():
+    names = loaded("examples/unknown_map.py")
+    seeds = range(5_000_000, 5_000_003)
+    *_, score = names.row(names.learned, "standard", seeds)
+    assert float(score.split()[0]) > 50.0
+
+    def late(log, scene, radio):
+        return names.learned(log, scene, radio)[60:]
+
+    with pytest.raises(ValueError, match="found no position"):
+        names.row(late, "standard", seeds)
 
 
 @pytest.fixture

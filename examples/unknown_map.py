@@ -1,0 +1,124 @@
+"""The benchmark's site without a map (docs/benchmark.md): localize by paths and a base station.
+
+``PYTHONPATH=. python examples/unknown_map.py`` judges :func:`learned`. Your own entry is
+``my_module:function`` with the same arguments and result.
+"""
+
+import argparse
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+
+from experiments.console.output import grid
+from experiments.evaluation.intervals import bootstrap
+from mmwave_env.datasets.log_folder import log_text, path_columns
+from mmwave_env.filters.bank import default_modes
+from mmwave_env.io.files import write_json
+from mmwave_env.localization.map_learning import MapLearner
+from mmwave_env.logs.log import read_paths
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES, Scene, read_scene, scene_json
+from mmwave_env.numerics.numbers import Array
+from mmwave_env.world.episode import Episode
+from mmwave_env.world.keys import keys_of
+from mmwave_env.world.simulated import SimulatedSource
+
+STREET = SCENES["street"]
+FALSE_PATHS = 1.0  # mean number per epoch
+SETTLED_S = 30.0  # errors count from this time on
+
+Entry = Callable[[Path, Path, str], Array]
+
+
+def learned(log: Path, scene: Path, radio: str) -> Array:
+    """Localize a user by paths while learning the map; this is what an entry does.
+
+    Args:
+        log: CSV file with a row for each path, as ``localize --map learn`` reads it. An epoch must
+            not use later rows than those of the ten next epochs.
+        scene: JSON file with the position of the base station, carrier and bandwidth.
+        radio: name of the radio, "standard" or "handset".
+
+    Returns:
+        Rows (n, 4) of times (s) and positions (m), one for each epoch with a position.
+    """
+    station = read_scene(scene)
+    learner = MapLearner(station, RADIOS[radio], default_modes(radio)[-1])
+    beliefs = learner.learn(read_paths(log, station))
+    return np.array([[b.time_s, *b.x[:3]] for b in beliefs if b.tracked])
+
+
+def error_m(entry: Entry, episode: Episode, scene: Scene, false_paths: float, seed: int) -> float:
+    """Return the mean error (m) of an entry in an episode whose log is made of paths.
+
+    Raises:
+        ValueError: an epoch has no position.
+    """
+    columns = path_columns(episode, false_paths, np.random.default_rng(seed))
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder, "log.csv")
+        station = Path(folder, "base-station.json")
+        log.write_text(log_text(columns))
+        write_json(station, scene_json(scene))
+        rows = np.asarray(entry(log, station, episode.name))
+    times = np.unique(columns["time_s"])
+    times = times[times >= SETTLED_S]
+    rows = rows[rows[:, 0] >= SETTLED_S]
+    missing = np.setdiff1d(times, rows[:, 0])
+    if len(missing):
+        raise ValueError(f"seed {seed}: found no position at {missing[0]:g} s, expected one")
+    true = episode.truth_position_m[np.searchsorted(episode.time_s, rows[:, 0])]
+    return float(np.linalg.norm(rows[:, 1:] - true, axis=1).mean())
+
+
+def errors_m(entry: Entry, radio: str, seed: int) -> list[float]:
+    """Return mean errors of the line of sight alone, of an entry, and with the true images."""
+    source = SimulatedSource(STREET, RADIOS[radio])
+    episode = replace(source.episode(int(keys_of([seed])[0])), name=radio)
+    only_sight = replace(episode, visible=episode.visible.copy())
+    only_sight.visible[:, 1 : episode.layout.anchors] = False
+    station = STREET.with_anchors(STREET.anchors_m[:1])
+    return [
+        error_m(learned, only_sight, station, 0.0, seed),
+        error_m(entry, episode, station, FALSE_PATHS, seed),
+        error_m(learned, episode, STREET, FALSE_PATHS, seed),
+    ]
+
+
+def row(entry: Entry, radio: str, seeds: range) -> list[object]:
+    """Return a row of the table: errors, and the score with its interval over episodes."""
+    errors = np.array([errors_m(entry, radio, seed) for seed in seeds])
+    sight, own, known = errors.mean(axis=0)
+    # The score's numerator and denominator are means over episodes, so its interval is that of
+    # a ratio: linearized at the means (delta method).
+    gain = sight - known
+    score = 100.0 * (sight - own) / gain
+    influence = 100.0 * (errors[:, 0] - errors[:, 1]) / gain
+    influence -= score * ((errors[:, 0] - errors[:, 2]) / gain - 1.0)
+    (interval,) = bootstrap(influence[:, None])
+    half = (interval.high - interval.low) / 2.0
+    return [radio, f"{sight:.3f}", f"{own:.3f}", f"{known:.3f}", f"{score:.0f} ± {half:.0f}"]
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Judge an entry, and print a table; ``words`` are the arguments of the command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("entry", nargs="?", help="module:function; by default, MapLearner")
+    parser.add_argument("--episodes", type=int, default=100, help="number, at least 2")
+    parser.add_argument("--seed", type=int, default=0, help="of the first episode")
+    args = parser.parse_args(words)
+    entry: Entry = learned
+    if args.entry:
+        module, _, name = args.entry.partition(":")
+        entry = getattr(import_module(module), name)
+    seeds = range(args.seed, args.seed + args.episodes)
+    header = ["radio", "line of sight alone m", "entry m", "true images m", "score"]
+    print(grid(header, [row(entry, radio, seeds) for radio in ("standard", "handset")]))
+
+
+if __name__ == "__main__":
+    main()
