@@ -201,5 +201,5 @@ if __name__ == "__main__":
         print()
     print("| features | minus guided |\n|---|---|")
     for label, gain in without_groups("handset"):
-        (interval,) = bootstrap(gain[:, None])
+        (interval,) = bootstrap([gain])
         print(f"| {label} | {interval} |")

@@ -50,7 +50,7 @@ def figures_at(site: Site) -> Array:
             over = 100.0 * ~(error[:, counts] <= both)
             width = np.median(both[1], axis=(0, 1)) / np.median(both[0], axis=(0, 1))
             for i, row in enumerate(rows):
-                promised, share = bootstrap(over.mean(axis=2)[..., i].T)
+                promised, share = bootstrap(over.mean(axis=2)[..., i])
                 row.append([promised.mean, share.mean, share.high, width[i]])
 
     with warnings.catch_warnings():

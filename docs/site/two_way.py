@@ -50,7 +50,7 @@ def row(site: Site, network: TwoWayCorrector) -> list[object]:
     better = track.error + (np.stack(belief.x[:3], axis=-1) - track.x[..., :3])
     raw = unpack(list(np.moveaxis(track.P, -1, 0)))
     errors = [np.linalg.norm(e[:, counts], axis=-1).mean(axis=1) for e in (track.error, better)]
-    before, after, less = bootstrap(np.stack([*errors, errors[1] - errors[0]], axis=1))
+    before, after, less = bootstrap([*errors, errors[1] - errors[0]])
     ratios = (nees(*of)[:, counts].mean() for of in ((track.error, raw), (better, belief.P)))
     figures = [f"{before.mean:.3f}", f"{after.mean:.3f}", less]
     return [site.name, *figures, *(f"{r:.2f}" for r in ratios), f"{100 * trusted.mean():.0f} %"]

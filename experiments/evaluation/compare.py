@@ -184,13 +184,10 @@ def compare_scores(scores: dict[str, Scores], own: Sequence[str] = (), **more: A
     metrics = [*METRICS, *TERMS]
 
     def rows(table: dict[str, Array]) -> dict[str, dict[str, Interval]]:
-        intervals = bootstrap(np.concatenate(list(table.values()), axis=1))
-        return {
-            name: dict(zip(metrics, intervals[i * len(metrics) :], strict=False))
-            for i, name in enumerate(table)
-        }
+        intervals = iter(bootstrap(np.concatenate(list(table.values()))))
+        return {name: dict(zip(metrics, intervals, strict=False)) for name in table}
 
-    stacked = {name: np.stack([s[m] for m in metrics], axis=1) for name, s in scores.items()}
+    stacked = {name: np.stack([s[m] for m in metrics]) for name, s in scores.items()}
     pairs = {}
     everyones = references(scores) or list(scores)
     for reference in dict.fromkeys([*everyones, *(scores if own else ())]):

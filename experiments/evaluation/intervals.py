@@ -7,8 +7,9 @@ that each score has its own policy, and would count K policies on n episodes as 
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +22,7 @@ RESAMPLES = 4000
 BLOCK = 100  # number of resamples that are computed together, to bound the memory
 
 
-@dataclass(frozen=True)
-class Interval:
+class Interval(NamedTuple):
     """A mean with its 95 % bootstrap interval, whose ends are NaN for a single value."""
 
     mean: float
@@ -62,24 +62,24 @@ def rounded(interval: Interval) -> str:
 def _resamples(n: int, seed: int = 0) -> list[NDArray[np.uint16]]:
     """Return how often each resample draws each of n episodes or seeds, in blocks (BLOCK, n)."""
     rng = np.random.default_rng(seed)
-    blocks = np.split(np.empty((RESAMPLES, n), np.uint16), RESAMPLES // BLOCK)
-    for block in blocks:
-        block[:] = rng.multinomial(n, np.full(n, 1.0 / n), size=BLOCK)
-    return blocks
+    share = np.full(n, 1.0 / n)
+    blocks = range(RESAMPLES // BLOCK)
+    return [rng.multinomial(n, share, size=BLOCK).astype(np.uint16) for _ in blocks]
 
 
 def _resampled_means(values: Array) -> Array:
-    """Return means (resamples, k) of columns (episodes, k); all columns use the same resamples."""
-    n = len(values)
-    return np.concatenate([block / n @ values for block in _resamples(n)])
+    """Return means (resamples, k) of rows (k, episodes); all rows use the same resamples."""
+    n = values.shape[1]
+    return np.concatenate([block / n @ values.T for block in _resamples(n)])
 
 
-def bootstrap(values: Array) -> list[Interval]:
-    """Return means of columns (episodes, k) with 95 % percentile intervals over episodes."""
-    low = high = np.full(values.shape[1], np.nan)
-    if len(values) > 1:
+def bootstrap(rows: Array | Sequence[Array]) -> list[Interval]:
+    """Return means of rows (k, episodes) with 95 % percentile intervals over episodes."""
+    values = np.asarray(rows)
+    low = high = np.full(len(values), np.nan)
+    if values.shape[1] > 1:
         low, high = np.percentile(_resampled_means(values), [2.5, 97.5], axis=0)
-    return _intervals(values.mean(axis=0), low, high)
+    return _intervals(values.mean(axis=1), low, high)
 
 
 def _intervals(*columns: Array) -> list[Interval]:
@@ -87,21 +87,19 @@ def _intervals(*columns: Array) -> list[Interval]:
     return [Interval(*row) for row in np.transpose(columns).tolist()]
 
 
-def bootstrap_ratio(over: Array, under: Array) -> list[Interval]:
-    """Return ratios of the column means of two arrays (episodes, k), with 95 % intervals.
+def bootstrap_ratio(over: Sequence[Array], under: Sequence[Array]) -> list[Interval]:
+    """Return ratios of the row means of two arrays (k, episodes), with 95 % intervals.
 
     A ratio is NaN if its denominator is 0. Its interval is NaN if any resample's denominator is 0.
     """
 
     def ratios(means: Array) -> Array:
         above, below = np.split(means, 2, axis=-1)
-        quotients = np.full(above.shape, np.nan)
-        np.divide(above, below, out=quotients, where=below != 0.0)
-        return quotients
+        return above / np.where(below == 0.0, np.nan, below)
 
-    both = np.concatenate([over, under], axis=1)
+    both = np.concatenate([over, under])
     low, high = np.percentile(ratios(_resampled_means(both)), [2.5, 97.5], axis=0)
-    return _intervals(ratios(both.mean(axis=0)), low, high)
+    return _intervals(ratios(both.mean(axis=1)), low, high)
 
 
 def few_seeds_factor(seeds: int) -> float:

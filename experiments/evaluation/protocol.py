@@ -160,10 +160,9 @@ class Judged:
         """Return a contender's figures at this site: means, and gains over the rule and IMMs."""
         gains = {imm: self.gain(name, imm) for imm in IMMS if imm in self.scores and imm != name}
         own = [self.scores[name][metric] for metric in ("reward", "ate_m")]
-        columns = np.stack([*own, *gains.values()], axis=1)
-        reward, ate_m, *minus = (interval.json for interval in bootstrap(columns))
-        counted = {"kind": self.site.kind, "episodes": len(columns)}
-        (over_rule,) = bootstrap(self.gain(name, RULE)[: scored_over(counted), None])
+        reward, ate_m, *minus = (mean.json for mean in bootstrap([*own, *gains.values()]))
+        counted = {"kind": self.site.kind, "episodes": len(own[0])}
+        (over_rule,) = bootstrap([self.gain(name, RULE)[: scored_over(counted)]])
         return {
             **counted,
             "reward": reward,
@@ -198,12 +197,12 @@ def entry(name: str, judged: Sequence[Judged]) -> Json:
     gains: dict[str, list[Array]] = {}
     for at in judged:
         gains.setdefault(at.site.kind, []).append(at.gain(name, BEST_IMM))
-    means = {kind: bootstrap(np.mean(gain, axis=0)[:, None])[0] for kind, gain in gains.items()}
+    means = {kind: bootstrap([np.mean(gain, axis=0)])[0] for kind, gain in gains.items()}
     return {
         "entry": name,
         "policy": fingerprint(name),
         "sites": {at.site.name: at.figures(name) for at in judged},
-        "mean_gain": {kind: means[kind].json for kind in KINDS if kind in means},
+        "mean_gain": {kind: mean.json for kind, mean in means.items()},
     }
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from experiments.evaluation.branches import CLAIRVOYANT
 from experiments.evaluation.contenders import BEST_IMM, fingerprint
 from experiments.evaluation.intervals import Interval
-from experiments.evaluation.protocol import KINDS, Site, entry, judge, read_entry, sites
+from experiments.evaluation.protocol import KINDS, Site, judge, read_entry, sites
 from mmwave_env.io.files import Json
 
 SITES = 2  # number of sites at which an entry plays again
@@ -72,10 +72,7 @@ def _differences(claimed: Json, site: Site) -> Iterator[str]:
     for figure, interval in again.items():
         claim = _figures(stated)[figure]
         most = SAME * (interval.high - interval.low) + 1e-9
-        apart = np.subtract(
-            (claim.mean, claim.low, claim.high), (interval.mean, interval.low, interval.high)
-        )
-        if not (abs(apart) <= most).all():
+        if not (abs(np.subtract(claim, interval)) <= most).all():
             yield f"{site.name}, {figure}: found {claim}, played {interval}"
     low, high = HIDDEN_SEEDS
     seed = low + secrets.randbelow(high - low)
@@ -90,8 +87,7 @@ def _differences(claimed: Json, site: Site) -> Iterator[str]:
 
 
 def _played(name: str, site: Site, episodes: int, seed: int) -> dict[str, Interval]:
-    judged = judge([name], site, episodes, seed)
-    return _figures(entry(name, [judged])["sites"][site.name])
+    return _figures(judge([name], site, episodes, seed).figures(name))
 
 
 def _figures(stated: Json) -> dict[str, Interval]:

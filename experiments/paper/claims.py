@@ -40,10 +40,6 @@ HEADLINE = {
 }
 
 
-def _means(*columns: np.ndarray) -> list[Interval]:
-    return bootstrap(np.stack(columns, axis=1))
-
-
 def _ates(runs: Sequence[Errors]) -> list[np.ndarray]:
     return [errors.scores["ate_m"] for errors in runs]
 
@@ -62,7 +58,7 @@ def algorithms(bench: Bench) -> Iterator[Row]:
             setting = replace(street, walls=walls)
             modes = [replace(setting.tuned(), algorithm=a) for a in ALGORITHMS]
             ekf, ukf, ckf = bench.ates(modes, setting)
-            figures = _means(ekf, ukf, ckf, ukf - ekf, ckf - ukf)
+            figures = bootstrap([ekf, ukf, ckf, ukf - ekf, ckf - ukf])
             yield [setting.scenario, setting.radio, anchors, *figures]
 
 
@@ -93,7 +89,7 @@ def steps(bench: Bench) -> Iterator[Row]:
             scores = run.filtered.scores
             ate, smoothed = _ates(run)
             figures = [ate, ate - paper, scores["nees"], scores["in_bounds"], smoothed]
-            cells: Row = [*_means(*figures)]
+            cells: Row = [*bootstrap(figures)]
             if variant is mode:
                 cells[1] = ""
             yield [setting.scenario, setting.radio, name, *cells]
@@ -117,7 +113,7 @@ def adaptation(bench: Bench) -> Iterator[Row]:
             columns = [
                 scores[name] for name in ("ate_m", "in_bounds") for scores in (fixed, scaled)
             ]
-            yield [scenario, f"{factor:g}", *_means(*columns)]
+            yield [scenario, f"{factor:g}", *bootstrap(columns)]
 
 
 @section(
@@ -132,8 +128,8 @@ def smoothing(bench: Bench) -> Iterator[Row]:
     for setting in SETTINGS:
         for coupling, name in ((False, "plain diagonal"), (True, "coupled")):
             before, after = _ates(bench.run(setting.tuned(coupling), setting))
-            ratio = bootstrap_ratio(after[:, None], before[:, None])
-            yield [setting.scenario, setting.radio, name, *_means(before, after), *ratio]
+            ratio = bootstrap_ratio([after], [before])
+            yield [setting.scenario, setting.radio, name, *bootstrap([before, after]), *ratio]
 
 
 @section(
@@ -150,8 +146,8 @@ def improvement(bench: Bench) -> Iterator[Row]:
     for setting in SETTINGS:
         tuned, best = _ates(bench.run(setting.tuned(), setting))
         before = bench.ates([untuned(a, True) for a in ALGORITHMS], setting)
-        row: Row = [setting.scenario, setting.radio, *_means(before[0], tuned, best)]
-        for ratio in bootstrap_ratio(np.stack([best] * len(before), 1), np.stack(before, 1)):
+        row: Row = [setting.scenario, setting.radio, *bootstrap([before[0], tuned, best])]
+        for ratio in bootstrap_ratio([best] * len(before), before):
             saved = [100.0 * (1.0 - value) for value in (ratio.mean, ratio.high, ratio.low)]
             row.append(Interval(*saved))
         yield row
@@ -173,7 +169,7 @@ def process_noise(bench: Bench) -> Iterator[Row]:
         modes = [replace(mode, gate=None, recovery=None) for mode in both]
         modes += [replace(mode, recovery=None) for mode in both]
         modes += both
-        yield [f"{sigma_v:g}", *_means(*bench.ates(modes, setting))]
+        yield [f"{sigma_v:g}", *bootstrap(bench.ates(modes, setting))]
 
 
 @section(
@@ -203,7 +199,7 @@ def units(bench: Bench) -> Iterator[Row]:
             track(_drifting_in_hz(ungated, episodes[0]), printed),
             track(ungated, read_as_mps),
         ]
-        figures = _means(*_ates([run.filtered for run in runs]))
+        figures = bootstrap(_ates([run.filtered for run in runs]))
         yield [setting.scenario, setting.radio, *figures]
 
 
@@ -247,7 +243,7 @@ def consistency_gate(bench: Bench) -> Iterator[Row]:
     nees = bench.run(replace(setting.tuned(), adaptive=False), setting).filtered.nees
     for gate in (float(chi2.ppf(0.95, 2)), float(chi2.ppf(0.95, 3)), nees_interval()[1]):
         nominal = [100.0 * float(chi2.sf(gate, axes)) for axes in (3, 2)]
-        yield [f"{gate:.2f}", *nominal, *_means(100.0 * (nees > gate).mean(axis=1))]
+        yield [f"{gate:.2f}", *nominal, *bootstrap([100.0 * (nees > gate).mean(axis=1)])]
 
 
 @section(
@@ -274,7 +270,7 @@ def contradictions(_: Bench) -> Iterator[Row]:
 def _accuracy(errors: Errors) -> Row:
     """Return ATE, median NEES, share of epochs with NEES in its 95 % bounds, and mean NEES."""
     scores = errors.scores
-    ate, share, nees = _means(scores["ate_m"], scores["in_bounds"], scores["nees"])
+    ate, share, nees = bootstrap([scores["ate_m"], scores["in_bounds"], scores["nees"]])
     return [ate, float(np.median(errors.nees)), share, nees]
 
 
@@ -328,7 +324,7 @@ def error_budget(bench: Bench) -> Iterator[Row]:
         for name, changes in improvements.items():
             setting = Setting(scenario, "high", changes=tuple(changes.items()))
             errors = bench.run(robust(setting.tuned()), setting).smoothed
-            yield [scenario, name, *_means(*_ates([errors])), *map(float, errors.axis_rms_m)]
+            yield [scenario, name, *bootstrap(_ates([errors])), *map(float, errors.axis_rms_m)]
 
 
 CLAIMS = (  # in the order of docs/paper.md

@@ -219,7 +219,7 @@ def _row(name: str, printed: Published | None, forms: Sequence[Scores]) -> Row:
     row: Row = [name]
     for metric in PRINTED:
         row.append("" if printed is None else getattr(printed, metric))
-        row += bootstrap(np.stack([scores[metric] for scores in forms], axis=1))
+        row += bootstrap([scores[metric] for scores in forms])
     return row
 
 
@@ -275,7 +275,7 @@ def table_three(bench: Bench) -> Iterator[Row]:
         row: Row = [name, scenario, printed["optimized"].ate_m]
         for setting in (Setting(scenario, radio) for radio in TUNED_RADIOS):
             smoothed = bench.run(setting.tuned(), setting).smoothed
-            row += bootstrap(smoothed.scores["ate_m"][:, None])
+            row += bootstrap([smoothed.scores["ate_m"]])
         yield row
 
 
@@ -326,10 +326,7 @@ STYLES = {"no gates": ":", "gates, no recovery": "-", "gates, recovery": "--"}
 
 
 def _errorbars(axes: Any, x: Any, rows: Sequence[Row], column: int, **style: Any) -> None:
-    cells = [row[column] for row in rows]
-    mean, low, high = np.array(
-        [[c.mean, c.low, c.high] for c in cells if isinstance(c, Interval)]
-    ).T
+    mean, low, high = np.array([row[column] for row in rows]).T
     axes.errorbar(x, mean, yerr=[mean - low, high - mean], capsize=2, **style)
 
 

@@ -52,7 +52,7 @@ def _figures(run: Run, values: Array) -> Json:
 
     "above_zero" is the number of seeds whose interval is above zero.
     """
-    each = bootstrap(values.T)
+    each = bootstrap(values)
     return {
         "seeds": {str(seed): mean.json for seed, mean in zip(run.seeds, each, strict=True)},
         "above_zero": sum(mean.low > 0.0 for mean in each),

@@ -232,9 +232,9 @@ def evaluated(values: Values) -> Row:
             [contender], task.source, seeds, scoring=Scoring.of(task)
         ).values()
     row = {"warnings": "; ".join(sorted({str(warning.message) for warning in warned}))}
-    intervals = bootstrap(np.stack([*scores.values()], axis=1))
+    intervals = bootstrap([*scores.values()])
     for (metric, each), interval in zip(scores.items(), intervals, strict=True):
-        row |= {f"{metric}_{part}": number for part, number in vars(interval).items()}
+        row |= {f"{metric}_{part}": number for part, number in interval._asdict().items()}
         row[f"{metric}_each"] = each.tolist()
     return row
 

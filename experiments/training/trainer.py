@@ -138,7 +138,7 @@ class Trainer(ABC):
         def examine(path: Path) -> Json:
             scores = scores_of(str(path))
             reward = scores["reward"]
-            gains = bootstrap(np.stack([reward - other for other in rewards.values()], axis=1))
+            gains = bootstrap([reward - other for other in rewards.values()])
             return {
                 "seed": TUNING_SEED,
                 "episodes": len(reward),

@@ -136,7 +136,7 @@ def tuned_modes(args: TuneArgs) -> tuple[Json, Json]:
         objective = objective_of(started, episodes)
         best = tune(started, args.free, objective)
         tuned.append(as_written(best))
-        (value,) = bootstrap(objective(best)[:, None])
+        (value,) = bootstrap([objective(best)])
         numbers = ", ".join(f"{name} {getattr(best, name):g}" for name in args.free)
         say(f"{mode.name} on {source.name}, {radio.name}: {numbers}: {title} {value}")
         figures.append({"mode": mode.name, "scenario": scenario, "objective": title} | value.json)
@@ -192,7 +192,7 @@ def tuned_bank(args: TuneArgs) -> Json:
     radio = radio_from(args.radio)
     imm_reward, _ = scores(Bank(default_modes(radio.base)), held_out)
     columns = {"reward": reward, "minus imm": reward - imm_reward, "lost": lost}
-    figures = bootstrap(np.stack([*columns.values()], axis=1))
+    figures = bootstrap([*columns.values()])
     say(
         f"{radio.name}, on new episodes (as many as for tuning): reward {figures[0]}, "
         f"gain over imm {figures[1]}"

@@ -54,7 +54,7 @@ def test_paired_differences_are_taken_episode_by_episode():
     result = compare_scores(table, **SETTING)
     assert list(result.paired) == ["ppo - speed-rule"]
     difference = table["ppo"]["ate_m"] - table["speed-rule"]["ate_m"]
-    (expected,) = bootstrap(difference[:, None])
+    (expected,) = bootstrap([difference])
     gain = result.paired["ppo - speed-rule"]["ate_m"]
     assert gain.mean == pytest.approx(difference.mean())
     assert (gain.low, gain.high) == pytest.approx((expected.low, expected.high))

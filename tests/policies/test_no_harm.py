@@ -183,9 +183,7 @@ def print_shared(policy="corrector", n=300):
     print(f"| error | radio | {' | '.join(STARTS)} |\n|---|---|---|---|")
     for error in SHARED:
         for radio in ("handset", "standard"):
-            gains = np.stack(
-                [shared_gain(policy, error, radio, start, n) for start in STARTS], axis=1
-            )
+            gains = [shared_gain(policy, error, radio, start, n) for start in STARTS]
             means = " | ".join(map(str, bootstrap(gains)))
             print(f"| {error} | {radio} | {means} |")
 
@@ -195,7 +193,7 @@ def print_table(n=300):
     print("| case | radio | minus guided | trusted |\n|---|---|---|---|")
     for case, (_, radio, _) in CASES.items():
         gains, trusted = gain(case, n)
-        (mean,) = bootstrap(gains[:, None])
+        (mean,) = bootstrap([gains])
         share = trusted[:, 10:].mean()
         print(f"| {case} | {radio} | {mean} | {share:.2f} |")
     print("\n| stated noise / noise | trusted |\n|---|---|")

@@ -44,7 +44,7 @@ def test_differences_are_paired_by_episode(compared, scores, trained):
         assert list(content["minus"]) == ["fixed-ukf", "speed-rule", "imm", "imm-best"]
         for rival, figures in content["minus"].items():
             differences = trained[run] - scores[rival]["reward"]
-            each = bootstrap(differences.T)
+            each = bootstrap(differences)
             assert list(map(Interval.of, figures["seeds"].values())) == each
             assert figures["above_zero"] == sum(i.low > 0.0 for i in each)
             mean = Interval.of(figures["mean"])

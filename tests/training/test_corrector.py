@@ -175,5 +175,5 @@ def test_a_short_training_beats_its_base(tmp_path):
         policies.append(str(folder / "policy.safetensors"))
     base, trained = policies
     gain = judge(policies, sites()[0], 200, seed=5_000_000).gain(trained, base)
-    (interval,) = bootstrap(gain[:, None])
+    (interval,) = bootstrap([gain])
     assert 0.0 < interval.low
