@@ -9,15 +9,16 @@ from scipy.stats import chi2
 
 from experiments.evaluation.intervals import Interval, bootstrap, bootstrap_ratio
 from experiments.paper.printed import (
+    ALGORITHMS,
     CLEAN,
-    HIGH_MOBILITY,
-    LOW_MOBILITY,
     TUNED_ON,
     Bench,
     Errors,
     Row,
     Section,
     Setting,
+    published,
+    read_table,
     section,
     table_three,
     tables_one_and_two,
@@ -33,11 +34,7 @@ from mmwave_env.models.scene import SCENES
 from mmwave_env.world.episode import Episode
 
 SETTINGS = [Setting(scenario, radio) for scenario in TUNED_ON for radio in TUNED_RADIOS]
-ALGORITHMS = ("ekf", "ukf", "ckf")
-HEADLINE = {
-    "pedestrian": LOW_MOBILITY["optimized"].ate_m,
-    "vehicle": HIGH_MOBILITY["optimized"].ate_m,
-}
+HEADLINE = {scenario: published(scenario)["optimized"]["ate_m"] for scenario in TUNED_ON}
 
 
 def _ates(runs: Sequence[Errors]) -> list[np.ndarray]:
@@ -148,8 +145,8 @@ def improvement(bench: Bench) -> Iterator[Row]:
         before = bench.ates([untuned(a, True) for a in ALGORITHMS], setting)
         row: Row = [setting.scenario, setting.radio, *bootstrap([before[0], tuned, best])]
         for ratio in bootstrap_ratio([best] * len(before), before):
-            saved = [100.0 * (1.0 - value) for value in (ratio.mean, ratio.high, ratio.low)]
-            row.append(Interval(*saved))
+            mean, high, low = (100.0 * (1.0 - np.array(ratio))).tolist()
+            row.append(Interval(mean, low, high))
         yield row
 
 
@@ -255,16 +252,13 @@ def consistency_gate(bench: Bench) -> Iterator[Row]:
 )
 def contradictions(_: Bench) -> Iterator[Row]:
     """Find printed figures that contradict each other."""
-    for number, rows in {"I": LOW_MOBILITY, "II": HIGH_MOBILITY}.items():
-        for name, row in rows.items():
-            doubts = []
-            if row.rmse_m < row.ate_m:
-                doubts.append("RMSE < ATE")
-            if row.rpe_m > 2.0 * row.ate_m:
-                doubts.append("RPE > 2 ATE")
-            if doubts:
-                figures = row.ate_m, row.rmse_m, row.rpe_m
-                yield [f"Table {number}, {name}", *figures, ", ".join(doubts)]
+    for row in read_table("published.csv"):
+        figures = [float(row[metric]) for metric in ("ate_m", "rmse_m", "rpe_m")]
+        ate_m, rmse_m, rpe_m = figures
+        doubts = {"RMSE < ATE": rmse_m < ate_m, "RPE > 2 ATE": rpe_m > 2.0 * ate_m}
+        if any(doubts.values()):
+            contradiction = ", ".join(doubt for doubt, holds in doubts.items() if holds)
+            yield [f"Table {row['table']}, {row['filter']}", *figures, contradiction]
 
 
 def _accuracy(errors: Errors) -> Row:

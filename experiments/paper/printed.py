@@ -1,7 +1,9 @@
 """Tables I, II and III with the paper's printed values (arXiv 2510.06861) and our values.
 
-First come cached runs of modes on the episodes of a setting, and the tables that show results. At
-the end are short forms of the tables, whose last one has the rows of verdicts.csv, and a picture.
+The printed values are in published.csv (Tables I and II) and others.csv (other authors' results in
+Table III). First come cached runs of modes on the episodes of a setting, and the tables that show
+results. At the end are short forms of the tables, whose last one has the rows of verdicts.csv, and
+a picture.
 """
 
 import csv
@@ -17,9 +19,8 @@ from experiments.console.output import grid
 from experiments.evaluation.contenders import draw_episodes
 from experiments.evaluation.intervals import Interval, bootstrap, rounded
 from experiments.evaluation.runner import Scores
-from experiments.reporting.figures import picture, plain_numbers
-from mmwave_env.engines.engine import tracks_of
-from mmwave_env.engines.smoothing import smooth
+from experiments.reporting.figures import COLORS, picture, plain_numbers
+from mmwave_env.engines.smoothing import smoothed_again
 from mmwave_env.filters.bank import shipped_modes
 from mmwave_env.filters.modes import Mode, robust
 from mmwave_env.filters.pipeline import Pipeline
@@ -27,10 +28,11 @@ from mmwave_env.metrics import scored, summary
 from mmwave_env.models.radio import TUNED_RADIOS, radio_from
 from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.numbers import Array
-from mmwave_env.world.episode import Episode
+from mmwave_env.world.episode import Episode, EpisodeBatch
 from mmwave_env.world.simulated import SimulatedSource
 
-TUNED_ON = {"pedestrian": 0, "vehicle": 1}  # kind of user -> index of the mode tuned for it
+TUNED_ON = ("pedestrian", "vehicle")  # kinds of users, in the order of the modes tuned for them
+ALGORITHMS = ("ekf", "ukf", "ckf")
 # changes of a radio that leave out blockage and multipath
 CLEAN = (("blockage_scale", 0.0), ("multipath_rate_hz", 0.0))
 
@@ -53,7 +55,7 @@ class Setting:
 
     def tuned(self, coupling: bool = True) -> Mode:
         """Return the mode that was tuned for this kind of user and radio."""
-        return shipped_modes(self.radio, coupling)[TUNED_ON[self.scenario]]
+        return shipped_modes(self.radio, coupling)[TUNED_ON.index(self.scenario)]
 
 
 class Errors(NamedTuple):
@@ -99,14 +101,10 @@ class Bench:
 def track(mode: Mode, episodes: Sequence[Episode], planar: bool = False) -> TrackRun:
     """Filter and smooth episodes of the same length with a mode."""
     pipeline = Pipeline((mode,), episodes[0].layout, planar)
-    tracker = tracks_of(pipeline, len(episodes))
-    tracker.load(episodes)
-    run = tracker.run("x", "P", "x_predicted", "P_predicted", "error", "nees")
-    x, P, x_predicted, P_predicted, error, nees = run.values()
-    better_x, better_P = smooth(x, P, x_predicted, P_predicted, np.diff(episodes[0].time_s), planar)
-    better = error + better_x[..., :3] - x[..., :3]
+    only = np.zeros((len(episodes), len(episodes[0])), np.int64)  # the number of the only mode
+    error, nees, better, P = smoothed_again(pipeline, None, EpisodeBatch.of(episodes), only)
     # NEES depends only on state minus truth: pass the error as the state, and 0 as the truth.
-    offset = pipeline.belief(list(np.moveaxis(better, -1, 0)), list(np.moveaxis(better_P, -1, 0)))
+    offset = pipeline.belief(list(np.moveaxis(better, -1, 0)), list(np.moveaxis(P, -1, 0)))
     axes = len(pipeline.position_axes)
     smoothed = _errors(better, offset.nees([0.0] * 3), axes)
     return TrackRun(_errors(error, nees, axes), smoothed)
@@ -177,33 +175,24 @@ def shown(cell: Cell) -> str:
     return cell if isinstance(cell, str) else f"{cell:.3g}" if cell < 1e4 else f"{cell:.2e}"
 
 
-class Published(NamedTuple):
-    """The values in a row of the paper's Table I or II, in the printed order."""
+def read_table(name: str) -> list[dict[str, str]]:
+    """Return the rows of a CSV file in this folder."""
+    with Path(__file__).with_name(name).open(encoding="utf-8") as file:
+        return [*csv.DictReader(file)]
 
-    ate_m: float
-    rpe_m: float
-    nees: float
-    rmse_m: float
-
-
-LOW_MOBILITY = {  # Table I
-    "EKF": Published(0.67, 0.10, 2.40e-4, 0.30),
-    "UKF": Published(0.35, 0.11, 6779.6, 0.22),
-    "CKF": Published(2.72, 0.11, 2.06e5, 1.24),
-    "optimized": Published(0.19, 0.02, 0.75, 0.06),
-}
-HIGH_MOBILITY = {  # Table II
-    "EKF": Published(158.3, 2.751, 1704.3, 198.76),
-    "UKF": Published(8.69, 33.99, 5.08e5, 22.32),
-    "CKF": Published(12.868, 4.684, 2.59e7, 47.72),
-    "optimized": Published(1.74, 0.17, 1.36e5, 0.60),
-}
-OTHERS = {  # Table III: method -> (scenario, ATE in meters)
-    "Indoor mmWave (Karttunen et al. 2025)": ("indoor", "0.2 to 0.3"),
-    "RadarSLAM (Hong et al. 2020)": ("outdoor, adverse", "5 to 13"),
-}
 
 PRINTED = {"ate_m": "ATE m", "rpe_m": "RPE m", "nees": "NEES", "rmse_m": "RMSE m"}
+
+
+def published(scenario: str) -> dict[str, dict[str, float]]:
+    """Return the rows of the paper's Table I or II, by filter: the value of each metric."""
+    return {
+        row["filter"]: {metric: float(row[metric]) for metric in PRINTED}
+        for row in read_table("published.csv")
+        if row["scenario"] == scenario
+    }
+
+
 COUPLINGS = (False, True)  # forms of the process noise: plain diagonal, coupled
 UNTUNED_SIGMA_V = 1.0  # m/s; our choice, because the paper states no value
 
@@ -214,11 +203,11 @@ def untuned(algorithm: str, coupling: bool) -> Mode:
     return Mode(algorithm, algorithm, sigma_v=UNTUNED_SIGMA_V, coupling=coupling, **off)  # type: ignore[arg-type]
 
 
-def _row(name: str, printed: Published | None, forms: Sequence[Scores]) -> Row:
+def _row(name: str, printed: Mapping[str, float], forms: Sequence[Scores]) -> Row:
     """Return a row: per metric, the paper's value, then our value per form of process noise."""
     row: Row = [name]
     for metric in PRINTED:
-        row.append("" if printed is None else getattr(printed, metric))
+        row.append(printed.get(metric, ""))
         row += bootstrap([scores[metric] for scores in forms])
     return row
 
@@ -228,10 +217,8 @@ def tables_one_and_two(bench: Bench) -> Iterator[Section]:
     forms = ("paper", "plain Q", "coupled Q")
     metrics = (f"{metric}: {form}" for metric in PRINTED.values() for form in forms)
     header = " | ".join(["filter", *metrics])
-    for number, scenario, printed in (
-        ("I", "pedestrian", LOW_MOBILITY),
-        ("II", "vehicle", HIGH_MOBILITY),
-    ):
+    for number, scenario in zip(("I", "II"), TUNED_ON, strict=True):
+        printed = published(scenario)
         note = (
             f"{bench.count} {scenario} episodes. Untuned: sigma_v {UNTUNED_SIGMA_V:g} m/s, no "
             "gates, no adaptive scaling, no smoothing. Optimized: tuned, gated, scaled and "
@@ -242,7 +229,7 @@ def tables_one_and_two(bench: Bench) -> Iterator[Section]:
         for radio in TUNED_RADIOS:
             setting = Setting(scenario, radio)
             rows = []
-            for algorithm in ("ekf", "ukf", "ckf"):
+            for algorithm in ALGORITHMS:
                 runs = [bench.run(untuned(algorithm, coupling), setting) for coupling in COUPLINGS]
                 name = algorithm.upper()
                 rows.append(_row(name, printed[name], [run.filtered.scores for run in runs]))
@@ -253,7 +240,7 @@ def tables_one_and_two(bench: Bench) -> Iterator[Section]:
             for variant, (modes, measured) in variants.items():
                 smoothed = [bench.run(mode, measured).smoothed.scores for mode in modes]
                 name = f"Optimized {str(tuned[0].algorithm).upper()}{variant}"
-                rows.append(_row(name, None if variant else printed["optimized"], smoothed))
+                rows.append(_row(name, {} if variant else printed["optimized"], smoothed))
             yield Section(f"Table {number}: {scenario}, {radio}", note, header, rows=rows)
 
 
@@ -266,13 +253,10 @@ def tables_one_and_two(bench: Bench) -> Iterator[Section]:
 )
 def table_three(bench: Bench) -> Iterator[Row]:
     """Yield the rows of Table III, with our results for coupled process noise."""
-    for method, (environment, ate) in OTHERS.items():
-        yield [method, environment, ate, *[""] * len(TUNED_RADIOS)]
-    for name, scenario, printed in (
-        ("Proposed EKF", "pedestrian", LOW_MOBILITY),
-        ("Proposed UKF", "vehicle", HIGH_MOBILITY),
-    ):
-        row: Row = [name, scenario, printed["optimized"].ate_m]
+    for other in read_table("others.csv"):
+        yield [*other.values(), *[""] * len(TUNED_RADIOS)]
+    for name, scenario in zip(("Proposed EKF", "Proposed UKF"), TUNED_ON, strict=True):
+        row: Row = [name, scenario, published(scenario)["optimized"]["ate_m"]]
         for setting in (Setting(scenario, radio) for radio in TUNED_RADIOS):
             smoothed = bench.run(setting.tuned(), setting).smoothed
             row += bootstrap([smoothed.scores["ate_m"]])
@@ -281,8 +265,8 @@ def table_three(bench: Bench) -> Iterator[Row]:
 
 def summaries(sections: Mapping[str, Section]) -> str:
     """Return short forms of Tables I and II and of the claims as Markdown, from all sections."""
-    with Path(__file__).with_name("verdicts.csv").open(encoding="utf-8") as file:
-        rows = [_span(wanted, sections[wanted["section"]]) for wanted in csv.DictReader(file)]
+    wanted = read_table("verdicts.csv")
+    rows = [_span(row, sections[row["section"]]) for row in wanted]
     claims = grid(["quantity", "paper", "ours, least", "ours, most"], rows)
     return (
         f"### Table I\n\n{_beside('Table I: pedestrian', sections)}\n\n"
@@ -321,8 +305,6 @@ def _span(wanted: Mapping[str, str], of: Section) -> list[str]:
 
 COUPLED = 3  # column of our ATE with coupled process noise; column 1 has the paper's ATE
 FILTERS = 4  # number of rows of the paper's tables; our tables begin with the same rows
-COLORS = {"EKF": "C0", "UKF": "C1"}
-STYLES = {"no gates": ":", "gates, no recovery": "-", "gates, recovery": "--"}
 
 
 def _errorbars(axes: Any, x: Any, rows: Sequence[Row], column: int, **style: Any) -> None:
@@ -344,11 +326,12 @@ def _bars(axes: Any, sections: Mapping[str, Section], title: str) -> None:
 
 def _sweep(axes: Any, section: Section) -> None:
     """Draw the ATE against the process noise, with and without gates."""
+    from matplotlib.rcsetup import cycler
+
     x = [float(str(row[0])) for row in section.rows]
+    axes.set_prop_cycle(cycler(ls=[":", "-", "--"]) * cycler(color=COLORS[:2]))
     for column, name in enumerate(section.columns[1:], start=1):
-        algorithm, gates = name.split(", ", 1)
-        style = {"color": COLORS[algorithm], "ls": STYLES[gates], "label": name}
-        _errorbars(axes, x, section.rows, column, **style)
+        _errorbars(axes, x, section.rows, column, label=name)
     axes.set(xscale="log", xlabel="process noise sigma_v (m/s)")
     plain_numbers(axes.xaxis)
     axes.set_title("Vehicle, standard: process noise")
