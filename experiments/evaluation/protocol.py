@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -34,17 +35,13 @@ from experiments.evaluation.runner import Scores, score_contenders
 from mmwave_env.datasets.samples import sample_names
 from mmwave_env.io.files import Json, read_json
 from mmwave_env.models.radio import RADIOS, TUNED_RADIOS
-from mmwave_env.models.random_survey import RandomSurvey
 from mmwave_env.models.scene import SCENES, TRAINED_SCENES
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode, EpisodeSource
 from mmwave_env.world.keys import Keys
 from mmwave_env.world.simulated import SimulatedSource
-from mmwave_env.world.trajectory import Trajectory
 
-DURATION_S = 800  # duration of a trajectory, s; an episode is a random window of 200 s
-STREET = SCENES["street"]
-HANDSET = RADIOS["handset"]
+HERE = Path(__file__).parent
 
 
 @dataclass(frozen=True)
@@ -59,41 +56,30 @@ class Misstated(SimulatedSource):
         return [replace(episode, sigma=self.stated * episode.sigma) for episode in episodes]
 
 
-def corners() -> Trajectory:
-    """Return the path of a car at 10 m/s that turns at every crossing of the default scene."""
-    crossings = np.array([(0, 0), (1, 0), (1, 1), (2, 1), (2, 2), (1, 2), (1, 1), (0, 1)])
-    block_s = round(STREET.streets.block_m / 10.0)
-    nodes = STREET.streets.block_m * np.resize(crossings, (DURATION_S // block_s + 1, 2))
-    x, y = (np.interp(np.arange(DURATION_S), block_s * np.arange(len(nodes)), n) for n in nodes.T)
-    return _trajectory("corners", x, y + STREET.streets.y_m[0])
+def played_on(**options: Any) -> Callable[[], EpisodeSource]:
+    """Return a function that returns the source of episodes for options of ``compare``."""
+    return partial(source_of, WorldArgs(**options))
 
 
-def bus() -> Trajectory:
-    """Return the path of a bus that goes back and forth and stops for 15 s every 300 m."""
-    speed_mps = np.interp(np.arange(50), [0, 10, 25, 35], [0, 12, 12, 0])
-    gone = np.cumsum(np.resize(speed_mps, DURATION_S)) % 600.0
-    x = np.minimum(gone, 600.0 - gone) - 150.0
-    return _trajectory("bus", x, np.zeros(len(x)))
-
-
-def _trajectory(name: str, x: Array, y: Array) -> Trajectory:
-    height_m = np.full(len(x), STREET.streets.height_m)
-    return Trajectory(name, np.arange(len(x), dtype=float), np.stack([x, y, height_m], axis=1))
-
-
-HARD_SOURCES: dict[str, Callable[[], SimulatedSource]] = {
-    "corners:handset": lambda: SimulatedSource(STREET, HANDSET, corners()),
-    "bus:standard": lambda: SimulatedSource(SCENES["dynamic-doppler"], RADIOS["standard"], bus()),
-    "noise-twice:handset": lambda: Misstated(STREET, HANDSET, stated=0.5),
-    "clock-offset:handset": lambda: SimulatedSource(STREET, HANDSET, clock="offset"),
-    "surveyed-badly:handset": lambda: SimulatedSource(STREET, HANDSET, survey=RandomSurvey()),
-    "range-azimuth:handset": lambda: SimulatedSource(
-        STREET, HANDSET, measurements=("range", "azimuth")
-    ),
+# a car that turns at every crossing, and a bus that goes back and forth; each takes 800 s, and an
+# episode is a random window of 200 s
+_CORNERS = str(HERE / "hard" / "corners.csv")
+_BUS = str(HERE / "hard" / "bus.csv")
+HARD_SOURCES: dict[str, Callable[[], EpisodeSource]] = {
+    "corners:handset": played_on(scenario=_CORNERS),
+    "bus:standard": played_on(scenario=_BUS, scene="dynamic-doppler", radio="standard"),
+    "noise-twice:handset": lambda: Misstated(SCENES["street"], RADIOS["handset"], stated=0.5),
+    "clock-offset:handset": played_on(clock="offset"),
+    "surveyed-badly:handset": played_on(survey="bad"),
+    "range-azimuth:handset": played_on(measurements=("range", "azimuth")),
 }
 
 
-TRAINED, UNSEEN_KIND, RECORDED, HARD = KINDS = ("to train in", "unseen", "recorded", "hard")
+TRAINED = "to train in"
+UNSEEN_KIND = "unseen"
+RECORDED = "recorded"
+HARD = "hard"
+KINDS = (TRAINED, UNSEEN_KIND, RECORDED, HARD)
 IMMS = ("imm", BEST_IMM)
 UNSEEN_SCENES = ("avenue", "plaza", "alley")
 UNSEEN_RADIOS = ("tablet",)
@@ -105,13 +91,13 @@ DRAWS = 200
 # a score uses at most so many episodes and draws
 CEILING_EPISODES = 400
 CEILING_DRAWS = 20
-SHIPPED = Path(__file__).with_name("entries")  # folder of the published entries
+SHIPPED = HERE / "entries"  # folder of the published entries
 BESIDE = (CLAIRVOYANT, "corrector", "guided", "imm-best")  # entries to show beside a user's entries
 
 
 def unseen_file(name: str) -> str:
     """Return the JSON file of an unseen scene or radio."""
-    return str(Path(__file__).with_name("unseen") / f"{name}.json")
+    return str(HERE / "unseen" / f"{name}.json")
 
 
 @dataclass(frozen=True)
@@ -135,11 +121,11 @@ def sites() -> list[Site]:
     ):
         for scene, radio in product(scenes, radios):
             file = files.get(radio, radio)
-            options = WorldArgs(scene=files.get(scene, scene), radio=file)
-            made.append(Site(f"{scene}:{radio}", kind, file, partial(source_of, options)))
+            source = played_on(scene=files.get(scene, scene), radio=file)
+            made.append(Site(f"{scene}:{radio}", kind, file, source))
     for name, radio in product(sample_names(), OTHER_RADIOS):
-        options = WorldArgs(data=name, radio=radio)
-        made.append(Site(f"{name}:{radio}", RECORDED, radio, partial(source_of, options)))
+        source = played_on(data=name, radio=radio)
+        made.append(Site(f"{name}:{radio}", RECORDED, radio, source))
     for name, source in HARD_SOURCES.items():
         made.append(Site(name, HARD, name.split(":")[1], source))
     return made
