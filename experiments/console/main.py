@@ -13,7 +13,7 @@ import textwrap
 import traceback
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext, redirect_stderr, redirect_stdout, suppress
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from io import StringIO, TextIOWrapper
 from typing import Any, NoReturn
 
@@ -99,19 +99,6 @@ def _message(box: str) -> str:
     return f"{message}; --help lists all options"
 
 
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Suppress, within the block, progress bars and all printing but warnings and errors."""
-    from experiments.console.output import QUIET
-
-    token = QUIET.set(True)
-    try:
-        with open(os.devnull, "w", encoding="utf-8") as nowhere, redirect_stdout(nowhere):
-            yield
-    finally:
-        QUIET.reset(token)
-
-
 def _print_problem(text: str) -> None:
     """Print one line on standard error, in printable characters."""
     from mmwave_env.io.lookup import printable
@@ -171,7 +158,10 @@ def run(name: str, words: Sequence[str]) -> None:
             if isinstance(stream, TextIOWrapper):  # its encoding may lack a character
                 stream.reconfigure(errors="backslashreplace")
         args = read_arguments(name, words)
-        with _quiet() if quiet else nullcontext():
+        from experiments.console.output import QUIET
+
+        QUIET.set(quiet)
+        with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere if quiet else sys.stdout):
             for option, ending in RESULTS.items():
                 path = getattr(args, option.replace("-", "_"), None)  # not every command has it
                 if path is None:

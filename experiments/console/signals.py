@@ -3,7 +3,7 @@
 import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from threading import Timer
 from types import FrameType
 from typing import Any
@@ -26,15 +26,11 @@ def answered(
     numbers: Sequence[int], answer: Callable[[int, Any], None] | signal.Handlers
 ) -> Iterator[None]:
     """Handle signals in the block with ``answer``; already ignored signals (nohup) stay ignored."""
-    before = {number: signal.getsignal(number) for number in numbers}
-    heeded = {number: old for number, old in before.items() if old is not signal.SIG_IGN}
-    for number in heeded:
-        signal.signal(number, answer)
-    try:
+    with ExitStack() as restored:
+        for number in numbers:
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                restored.callback(signal.signal, number, signal.signal(number, answer))
         yield
-    finally:
-        for number, old in heeded.items():
-            signal.signal(number, old)
 
 
 @contextmanager

@@ -45,7 +45,7 @@ def self_test() -> list[Json]:
     """Return each kernel's name, largest deviation from Python floats, and whether it passed."""
     shared = task_from(episode_steps=_EPOCHS, beliefs="shared")
     own = task_from(episode_steps=_EPOCHS, beliefs="per-mode")
-    episodes = EpisodeBatch.of(shared.simulated.episodes(_KEYS))
+    episodes = shared.simulated.sample_batch(_KEYS)
     on_floats = _stepped(own, episodes, on_floats=True)
     assert own.bank is not None
     imm = run_imm(own.bank, TrackingReward(), episodes, "x")["x"]
