@@ -16,16 +16,20 @@ import numba
 import numpy as np
 
 from experiments.console.output import grid, tracked
-from experiments.timing import workloads
 from experiments.timing.fresh import fresh
 from experiments.timing.roofline import Operations, count, limit_s
 from experiments.timing.workloads import (
     FILTERS,
     LATENCIES,
     PERCENTILES,
+    RADIO,
     SYNC,
     SYNC_NAME,
+    Laps,
+    environments,
+    filters,
     latency_us,
+    native_name,
 )
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.engines.engine import Engine
@@ -40,12 +44,12 @@ from mmwave_env.world.travel import stride_of
 FRESH_RUNS = 3  # maximum number of new processes per environment; each takes seconds
 FRESH_SIZES = 3  # number of vector environments that also run in new processes: the largest ones
 STEP = "step"  # name of the kernel (compiled function) that computes an environment's whole step
-BASES = ("filterpy", workloads.SYNC_NAME)  # workloads with which our environments are compared
+BASES = ("filterpy", SYNC_NAME)  # workloads with which our environments are compared
 
 Rounds = dict[str, list[float]]
 
 
-def rate(laps: workloads.Laps, seconds: float) -> tuple[float, float]:
+def rate(laps: Laps, seconds: float) -> tuple[float, float]:
     """Run complete episodes for at least ``seconds``, without garbage collection.
 
     Return the steps per second, and the number of busy cores (processor time / elapsed time).
@@ -88,13 +92,13 @@ class Measured:
         """
         rounds = self.rounds
         processes = [("single", 0)]
-        processes += [(workloads.native_name(n), n) for n in self.sizes[-FRESH_SIZES:]]
+        processes += [(native_name(n), n) for n in self.sizes[-FRESH_SIZES:]]
         for name, n in tracked(processes * min(FRESH_RUNS, repeats), "new processes"):
             first_step_s, peak_mb = fresh(n)
             rounds["cold_start_s"][name].append(first_step_s)
             rounds["peak_rss_mb"][name].append(peak_mb)
         running = {}
-        makes = workloads.environments(self.sizes) | workloads.filters()
+        makes = environments(self.sizes) | filters()
         for name in tracked(makes, "compilation"):
             running[name] = makes[name]()
             rate(running[name], seconds)  # the first run compiles
@@ -112,7 +116,7 @@ class Measured:
     @property
     def ours(self) -> list[str]:
         """Return names of our environments, the single environment first."""
-        return [name for name in workloads.environments(self.sizes) if name not in BASES]
+        return [name for name in environments(self.sizes) if name not in BASES]
 
     def ratios(self) -> Rounds:
         """Return our steps per second divided by the rate of each workload in :data:`BASES`."""
@@ -125,16 +129,16 @@ class Measured:
 
     def fractions(self) -> Rounds:
         """Return the minimum time of a step on a core, divided by the measured time of the step."""
-        alone = [workloads.native_name(n, 1) for n in self.sizes]
+        alone = [native_name(n, 1) for n in self.sizes]
         rates = self.rounds["steps_per_s"]
         return {
             name: np.multiply(self.limits_of(name), rates[name]).tolist()
-            for name in (*workloads.FILTERS, *alone)
+            for name in (*FILTERS, *alone)
         }
 
     def limits_of(self, name: str) -> list[float]:
         """Return the minimum time of a workload's step on one core, s, per round."""
-        return self.rounds["limit_s"][name if name in workloads.FILTERS else STEP]
+        return self.rounds["limit_s"][name if name in FILTERS else STEP]
 
     def json(self) -> Json:
         """Return medians over the rounds and, under "spread", minima and maxima."""
@@ -160,9 +164,9 @@ def kernels() -> dict[str, Operations]:
     """
     task = task_from()
     drawn = task.simulated
-    modes = named_modes(workloads.RADIO)
+    modes = named_modes(RADIO)
     programs = {STEP: Engine(task.pipeline, 1, TrackingReward()).program}
-    for name in workloads.FILTERS:
+    for name in FILTERS:
         alone = untuned(Pipeline((modes[name],), task.pipeline.layout))
         programs[name] = program_of(Asked(alone, predicted=True), (filter_epoch, decide))
     counted = {name: count(made.function, made.template) for name, made in programs.items()}

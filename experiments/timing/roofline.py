@@ -58,7 +58,7 @@ class _Recorder:
 
     def __init__(self) -> None:
         self.module = ir.Module()
-        self._known: dict[tuple[Any, ...], _Instruction] = {}
+        self.known: dict[tuple[Any, ...], _Instruction] = {}
 
     def call(self, function: Any, operands: Sequence[Any], **_: Any) -> _Instruction:
         """Record a vector intrinsic, llvm.<name>.v8f64."""
@@ -80,7 +80,7 @@ class _Recorder:
         if name in _COMMUTE:
             values.sort(key=lambda value: value if isinstance(value, str) else str(id(value)))
         made = _Instruction(_KINDS.get(name, "select"), tuple(values))
-        return self._known.setdefault((name, *values), made)
+        return self.known.setdefault((name, *values), made)
 
 
 def _operand(value: Any) -> Any:
@@ -99,12 +99,10 @@ def count(function: Callable[[Any], Any], template: Any) -> Operations:
     after = flatten(function(unflatten(template, iter(before))))
     stored = [new for old, new in zip(before, after, strict=True) if new is not old]
     results = [new.value for new in stored if isinstance(new, Tracer)]
-    needed = dict.fromkeys(results)  # every instruction on which the results depend
-    waiting = list(needed)
-    while waiting:
-        new = [source for source in waiting.pop().sources() if source not in needed]
-        needed |= dict.fromkeys(new)
-        waiting += new
+    needed = set(results)  # every instruction on which the results depend
+    for step in reversed(recorder.known.values()):
+        if step in needed:
+            needed.update(step.sources())
     kinds = Counter(step.kind for step in needed)
     uses = Counter(source for step in needed for source in step.sources()) + Counter(results)
     fused = sum(
