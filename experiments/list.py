@@ -33,19 +33,16 @@ def main(args: Args) -> None:
     from mmwave_env.datasets.samples import recording_from, sample_names
     from mmwave_env.filters.bank import as_written, named_modes
     from mmwave_env.interface.reward import REWARDS
-    from mmwave_env.models.radio import RADIOS, radio_from
+    from mmwave_env.models.radio import RADIOS
     from mmwave_env.models.random_scene import RANDOM
     from mmwave_env.models.scene import SCENES
     from mmwave_env.world.mobility import SCENARIOS
 
-    radio_from(args.radio)  # refuses an unknown radio
-    modes = {name: as_written(mode).items() for name, mode in named_modes(args.radio).items()}
     samples = {}
     for name in sample_names():
         log = "; also as a log, for localize --sample" if name in sample_names("log") else ""
         epochs = len(recording_from(name).time_s)
         samples[name] = f"ray-traced street, {epochs} epochs, for --data{log}"
-    scenes = {name: _description(scene) for name, scene in SCENES.items()}
     kinds = {
         "policies": {
             name: DESCRIPTIONS.get(name, f"mode {name.removeprefix('fixed-')} in every epoch")
@@ -57,11 +54,11 @@ def main(args: Args) -> None:
             f"{r.ue_elements} x {r.ue_elements} at the user"
             for name, r in RADIOS.items()
         },
-        "scenes": scenes
+        "scenes": {name: _description(scene) for name, scene in SCENES.items()}
         | {RANDOM: "a new scene in each episode: random blocks, base station and walls"},
         "modes": {
-            name: ", ".join(f"{key} {value}" for key, value in written if key != "name")
-            for name, written in modes.items()
+            name: ", ".join(f"{key} {v}" for key, v in as_written(mode).items() if key != "name")
+            for name, mode in named_modes(args.radio).items()
         },
         "samples": samples,
         "rewards": {

@@ -58,12 +58,11 @@ def main(args: Args) -> None:
             f"episode, 0 to {time_s[-1]:g} s"
         )
     say(f"{episode.name}, seed {args.seed}, {time_s[rows[0]]:g} to {time_s[rows[-1]]:g} s")
-    names = [contender.name for contender in contenders]
-    for name, history in zip(names, histories, strict=True):
+    for name, history in zip(args.policies, histories, strict=True):
         error = history.error_m[rows]
         say(f"{name}: {error.mean():.1f} m off on average, {error.max():.1f} m at most")
     modes = [contender.actions for contender in contenders]
-    playback = Playback(histories, modes, names, args.render_size, args.render_theme)
+    playback = Playback(histories, modes, args.policies, args.render_size, args.render_theme)
     if args.out:
         with progress("drawing") as report:
             write_video(args.out, playback.draw, rows, args.fps, report)

@@ -75,8 +75,8 @@ class Estimator(Policy):
                     f"numbers, expected {T} of {size} (mean) + {layout.triangle} (covariance)"
                 )
             full = np.array([np.broadcast_arrays(site.hz_per_mps, *row)[1:] for row in beliefs])
-            tracks.append(np.moveaxis(full, -1, 0) if self.at_once else full)
-        made = np.reshape(np.array(tracks, float), (n, T, -1))
+            tracks.append(np.moveaxis(np.atleast_3d(full), -1, 0))
+        made = np.concatenate(tracks)
         return made[..., :size], made[..., size:]
 
     def act(self, observation: Array32) -> Index:

@@ -6,12 +6,12 @@ different noise.
 """
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments.evaluation.agents import Act
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import rows_of
 from mmwave_env.engines.batch import Batch
@@ -26,8 +26,6 @@ BLIND = (
     f"policy: found {CLAIRVOYANT} where the truth is unknown, expected another policy; "
     f"{CLAIRVOYANT} works only in comparisons on episodes with true positions"
 )
-
-Act = Callable[[Array32], Index]
 
 
 class Branches:

@@ -33,7 +33,7 @@ from mmwave_env.interface.reward import reward_name
 from mmwave_env.io.files import AnyPath, Json
 from mmwave_env.io.lookup import as_cell, printable
 from mmwave_env.io.records import require
-from mmwave_env.metrics import HEADERS, METRICS, TERMS
+from mmwave_env.metrics import HEADERS, METRICS
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.task import Task, task_from
 from mmwave_env.world.episode import EpisodeSource
@@ -90,7 +90,7 @@ class Comparison:
         """
         rows = _each(content["policies"], Interval.of)
         policies = dict(sorted(rows.items(), key=lambda row: -row[1]["reward"].mean))
-        seeds = seeds_from(content["episodes"], content["seed"], 0)
+        seeds = seeds_from(content["episodes"], content["seed"])
         names = content["scenario"], content["radio"]
         return cls(*names, seeds, policies, _each(content["paired"], Interval.of))
 
@@ -116,10 +116,8 @@ class Comparison:
         """Return a table of the policies' means, then a table of paired reward differences."""
         # Rewards of different kinds are not comparable. So the title names any kind but "tracking".
         reward = "" if self.reward == "tracking" else f", reward {escaped(self.reward)}"
-        parts = [
-            f"### {escaped(self.scenario)}, {escaped(self.radio)}, {named(self.seeds)}{reward}\n"
-        ]
-        parts.append(grid(*self.table()))
+        title = f"{escaped(self.scenario)}, {escaped(self.radio)}, {named(self.seeds)}{reward}"
+        parts = [f"### {title}\n", grid(*self.table())]
         if self.paired:
             intervals = ", 95 % intervals" if len(self.seeds) > 1 else ""
             pairs = {f"{a} - {b}": b for a, b in product(self.policies, repeat=2)}
@@ -157,12 +155,11 @@ def episodes_csv(scores: dict[str, Scores], seeds: Sequence[int], source: Episod
     A row also has the key of its episode, if the episode is simulated. ``seeds`` and ``source`` say
     which episodes were scored.
     """
-    columns = (*METRICS, *TERMS)
-    rows: list[Sequence[object]] = [["policy", "seed", "key", *columns]]
+    rows: list[Sequence[object]] = [["policy", "seed", "key", *HEADERS]]
     keys = keys_for(source, seeds)
     written = [None] * len(seeds) if keys is None else keys.tolist()
     for name, metrics in scores.items():
-        values = (metrics[metric].tolist() for metric in columns)
+        values = (metrics[metric].tolist() for metric in HEADERS)
         rows += zip([as_cell(name)] * len(seeds), seeds, written, *values, strict=True)
     return csv_text(rows)
 
@@ -181,13 +178,12 @@ def compare_scores(scores: dict[str, Scores], own: Sequence[str] = (), **more: A
     a user's contenders, which are paired with all others, references or not; ``more`` are the
     remaining attributes of :class:`Comparison`.
     """
-    metrics = [*METRICS, *TERMS]
 
     def rows(table: dict[str, Array]) -> dict[str, dict[str, Interval]]:
         intervals = iter(bootstrap(np.concatenate(list(table.values()))))
-        return {name: dict(zip(metrics, intervals, strict=False)) for name in table}
+        return {name: dict(zip(HEADERS, intervals, strict=False)) for name in table}
 
-    stacked = {name: np.stack([s[m] for m in metrics]) for name, s in scores.items()}
+    stacked = {name: np.stack([s[m] for m in HEADERS]) for name, s in scores.items()}
     pairs = {}
     everyones = references(scores) or list(scores)
     for reference in dict.fromkeys([*everyones, *(scores if own else ())]):

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import cast
+from typing import Any
 
 import numpy as np
 
@@ -36,8 +36,7 @@ from mmwave_env.filters.bank import (
 )
 from mmwave_env.filters.modes import Mode
 from mmwave_env.interface.actions import MODE
-from mmwave_env.interface.observation import Observation
-from mmwave_env.interface.policy import FixedMode, Policy, Switching, policy_from
+from mmwave_env.interface.policy import FixedMode, Switching, policy_from
 from mmwave_env.io.files import AnyPath, Json, read_json
 from mmwave_env.io.lookup import unknown
 from mmwave_env.models.radio import radio_from
@@ -74,6 +73,12 @@ class Run:
     seeds: tuple[int, ...]  # training seeds, ordered by reward on tuning seeds, best first
     median: int  # training seed of the policy with the median reward, which represents the run
 
+    def __post_init__(self) -> None:
+        if not self.seeds or len(set(self.seeds)) < len(self.seeds):
+            raise ValueError(f"seeds: found {list(self.seeds)}, expected different numbers")
+        if self.median not in self.seeds:
+            raise ValueError(f"median: found {self.median!r}, expected one of {list(self.seeds)}")
+
     @classmethod
     def read(cls, name: str) -> "Run":
         """Read the run in a folder.
@@ -88,31 +93,23 @@ class Run:
                 f"{path}: found no file, expected the summary of a finished run; "
                 "mmwave-loc train --resume continues an unfinished run"
             )
-        return read_json(path, "the summary of a run", partial(cls._of, name))
 
-    @classmethod
-    def _of(cls, name: str, summary: Json) -> "Run":
-        """Return the run that a summary describes."""
-        seeds = tuple(outcome["seed"] for outcome in summary["seeds"])
-        median = summary["median"]
-        if not seeds or len(set(seeds)) < len(seeds):
-            raise ValueError(f"seeds: found {list(seeds)}, expected different numbers")
-        if median not in seeds:
-            raise ValueError(f"median: found {median!r}, expected one of {list(seeds)}")
-        return cls(name, seeds, median)
+        def made(summary: Json) -> Run:
+            seeds = tuple(outcome["seed"] for outcome in summary["seeds"])
+            return cls(name, seeds, summary["median"])
+
+        return read_json(path, "the summary of a run", made)
 
     @property
     def policies(self) -> list[str]:
         """Return the policy file of every training seed."""
-        return [self._policy(seed) for seed in self.seeds]
+        folder = Path(self.name)
+        return [str(folder / f"seed-{seed}" / "policy.safetensors") for seed in self.seeds]
 
     @property
     def policy(self) -> str:
         """Return the policy file of the median seed."""
-        return self._policy(self.median)
-
-    def _policy(self, seed: int) -> str:
-        return str(Path(self.name) / f"seed-{seed}" / "policy.safetensors")
+        return self.policies[self.seeds.index(self.median)]
 
 
 def outcomes_markdown(outcomes: Sequence[Json]) -> str:
@@ -186,23 +183,6 @@ class Contender(Switching):
 Make = Callable[[], Contender]
 
 
-def _of_any_modes(bank: Bank) -> dict[str, Make]:
-    """Return functions that make a bank's contenders: each mode alone, the rules and the IMM."""
-    names = [mode.name for mode in bank.modes]
-    policies: dict[str, Callable[[Observation], Policy]] = {
-        f"fixed-{name}": lambda table, i=i: FixedMode(i)  # type: ignore[misc]
-        for i, name in enumerate(names)
-    }
-    if len(names) == 2:
-        policies[RULE] = SpeedRule
-    if len(names) > 1:
-        policies["likelihood-rule"] = lambda table: LikelihoodRule(table, names)
-    makes: dict[str, Make] = {
-        n: partial(Contender, bank.modes, policy=p, name=n) for n, p in policies.items()
-    }
-    return makes | {"imm": partial(Contender, bank, name="imm")}
-
-
 def contenders(radio: str, modes: Modes = None) -> dict[str, Make]:
     """Return functions that make the contenders, by name; they read files only when called.
 
@@ -213,17 +193,31 @@ def contenders(radio: str, modes: Modes = None) -> dict[str, Make]:
             profile's EKF and UKF, and three kinds of contenders are added: the CKF, the IMM of the
             profile's best bank, and the learned policies that are shipped for the profile.
     """
+    bank = Bank(default_modes(radio)) if modes is None else bank_over(modes, radio)
+    names = [mode.name for mode in bank.modes]
+    # (name, modes or bank, function that makes the policy)
+    rows: list[tuple[str, Any, Any]] = [
+        (f"fixed-{name}", bank.modes, lambda table, i=i: FixedMode(i))
+        for i, name in enumerate(names)
+    ]
+    if modes is None:
+        rows.append(("fixed-ckf", (named_modes(radio)["ckf"],), lambda table: FixedMode(0)))
+    if len(names) == 2:
+        rows.append((RULE, bank.modes, SpeedRule))
+    if len(names) > 1:
+        rows.append(("likelihood-rule", bank.modes, lambda table: LikelihoodRule(table, names)))
+    rows.append(("imm", bank, None))
+    makes: dict[str, Make] = {
+        name: partial(Contender, filters, policy=policy, name=name)
+        for name, filters, policy in rows
+    }
     if modes is not None:
-        return _of_any_modes(bank_over(modes, radio))
-    ckf = Bank((named_modes(radio)["ckf"],))
-    ekf, ukf, *others = _of_any_modes(Bank(default_modes(radio))).items()
-    alone = dict([ekf, ukf, next(iter(_of_any_modes(ckf).items()))])
-    best = {BEST_IMM: lambda: Contender(best_bank(radio), name=BEST_IMM)}
+        return makes
+    makes[BEST_IMM] = lambda: Contender(best_bank(radio), name=BEST_IMM)
     shipped = shipped_policies()
     base = radio_from(radio).base
     files = ((name, file) for name in SHIPPED for file in (name, f"{name}-{base}"))
-    learned = {n: partial(Contender.learned, f, n, radio) for n, f in files if f in shipped}
-    return alone | dict(others) | best | learned
+    return makes | {n: partial(Contender.learned, f, n, radio) for n, f in files if f in shipped}
 
 
 def contender_from(
@@ -245,15 +239,12 @@ def contender_from(
         FileNotFoundError: there is no such file.
     """
     known = contenders(radio, modes)
-    shipped = shipped_policies()
     if name in known:
         return known[name]()
     if name == CLAIRVOYANT:
         return Contender(bank_from(modes, radio), policy=lambda table: Clairvoyant(), name=name)
-    if name in shipped or name.endswith(".safetensors"):
-        return Contender.learned(name, radio=radio)
-    if Path(name).is_dir():
-        return Contender.learned(Run.read(name).policy, name, radio)
+    if file := _policy_file(name):
+        return Contender.learned(file, name, radio)
     if is_agent(name):
         return Contender.own(name, agent_from(name), radio, modes, observation, beliefs)
     if name.endswith(".zip"):
@@ -262,8 +253,18 @@ def contender_from(
             f"policies.save_sb3(model, path) writes one ({GUIDE})"
         )
     # A dict drops repeated names: some shipped policies are also among the known contenders.
-    everything = dict.fromkeys([*known, *shipped, CLAIRVOYANT, *OTHERS])
+    everything = dict.fromkeys([*known, *shipped_policies(), CLAIRVOYANT, *OTHERS])
     raise ValueError(unknown("policy", name, everything))
+
+
+def _policy_file(name: str) -> Path | None:
+    """Return the policy file of a shipped policy, a file's path or a run; None for other names."""
+    shipped = shipped_policies()
+    if name in shipped:
+        return shipped[name]
+    if Path(name).is_dir():
+        return Path(Run.read(name).policy)
+    return Path(name) if name.endswith(".safetensors") else None
 
 
 def fingerprint(name: str) -> str:
@@ -274,16 +275,8 @@ def fingerprint(name: str) -> str:
     Raises:
         ValueError, FileNotFoundError: there is no such file.
     """
-    shipped = shipped_policies()
-    if name in shipped:
-        path = shipped[name]
-    elif Path(name).is_dir():
-        path = Path(Run.read(name).policy)
-    elif is_agent(name):
-        path = module_file(name)
-    elif name.endswith(".safetensors"):
-        path = Path(name)
-    else:
+    path = _policy_file(name) or (module_file(name) if is_agent(name) else None)
+    if path is None:
         return f"mmwave-loc {__version__}"
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
@@ -349,7 +342,6 @@ def keys_for(source: EpisodeSource, seeds: Sequence[int]) -> Keys | None:
 
 def draw_episodes(source: EpisodeSource, seeds: Sequence[int]) -> list[Episode]:
     """Draw one episode per seed; ``env.reset(seed=...)`` draws the same episodes."""
-    keys = keys_for(source, seeds)
-    if keys is None:
-        return [source.sample(np.random.default_rng(seed)) for seed in seeds]
-    return cast(SimulatedSource, source).episodes(keys)
+    if type(source) is SimulatedSource:
+        return source.episodes(keys_of(seeds))
+    return [source.sample(np.random.default_rng(seed)) for seed in seeds]

@@ -100,8 +100,8 @@ def exceeded(figures: Json) -> str:
     """Return the share of epochs whose error exceeds its level, with a 95 % interval."""
     if figures["share"] is None:
         return "-"
-    low, high = (percent(end).removesuffix(" %") for end in figures["ci95"])
-    return f"{percent(figures['share'])} [{low}, {high}]"
+    ends = ", ".join(percent(end).removesuffix(" %") for end in figures["ci95"])
+    return f"{percent(figures['share'])} [{ends}]"
 
 
 def meters(value: float | None) -> str:

@@ -1,8 +1,9 @@
 """Runs of contenders on the same episodes, and their metrics (protocol: docs/results.md)."""
 
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple, cast
+from collections.abc import Callable, Sequence
+from itertools import product
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,16 +11,17 @@ from numpy.typing import NDArray
 from experiments.console.output import tracked
 from experiments.evaluation.agents import NO_FILTERS, Estimator
 from experiments.evaluation.branches import Clairvoyant
-from experiments.evaluation.contenders import Contender, draw_episodes, keys_for
+from experiments.evaluation.contenders import Contender, draw_episodes
 from mmwave_env.engines.engine import Engine, play, run_imm
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import CORRECTION
 from mmwave_env.interface.policy import Policy
 from mmwave_env.interface.reward import Reward, TrackingReward, terms_of, total
-from mmwave_env.metrics import BURN_IN, METRICS, TERMS, scored, summary
+from mmwave_env.metrics import BURN_IN, HEADERS, TERMS, scored, summary
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.task import Task
 from mmwave_env.world.episode import Episode, EpisodeBatch, EpisodeSource, columns_of
+from mmwave_env.world.keys import keys_of
 from mmwave_env.world.simulated import SimulatedSource
 
 PARTS = ("reward", "nees", "error")
@@ -51,22 +53,16 @@ PLAIN = Scoring()
 Watch = Callable[[Contender, Array, EpochResults], None]
 
 
-def score(
-    contender: Contender, episodes: Sequence[Episode], policy: Policy | None = None
-) -> Scores:
-    """Run a contender on equally long episodes; return metrics of each episode.
-
-    ``policy`` is the contender's policy; None to start a new one.
-    """
-    results = run_contender(contender, _scorable(episodes), policy=policy)
-    return _summary(results, episodes[0].time_s, PLAIN)
+def score(contender: Contender, episodes: Sequence[Episode]) -> Scores:
+    """Run a contender on equally long episodes; return metrics of each episode."""
+    return _summary(run_contender(contender, _scorable(episodes)), episodes[0].time_s, PLAIN)
 
 
-def _scorable(episodes: Sequence[Episode]) -> Sequence[Episode]:
-    """Return the episodes; refuse episodes without ground truth."""
+def _scorable(episodes: Sequence[Episode]) -> EpisodeBatch:
+    """Return a batch of episodes; refuse episodes without ground truth."""
     for episode in episodes:
         episode.require_truth()
-    return episodes
+    return EpisodeBatch.of(episodes)
 
 
 def run_contender(
@@ -92,8 +88,6 @@ def run_contender(
         "reward", "nees" and "error" are NaN. If the policy corrects beliefs, results are those of
         the corrected beliefs, and "trusted" (n, T) has the factors that scaled the corrections.
     """
-    if scoring.planar and not isinstance(episodes, EpisodeBatch):
-        _scorable(episodes)
     batch = EpisodeBatch.of(episodes)
     if scoring.planar:
         batch = batch.on_flat_ground()
@@ -190,6 +184,14 @@ def _summary(results: EpochResults, time_s: Array, scoring: Scoring) -> Scores:
     }
 
 
+def _drawn(source: EpisodeSource, seeds: Sequence[int]) -> tuple[EpisodeBatch, Array]:
+    """Return the episodes of some seeds as a batch, and the times (T,) of their epochs."""
+    if type(source) is SimulatedSource:
+        return source.sample_batch(keys_of(seeds)), source.time_s
+    episodes = draw_episodes(source, seeds)
+    return _scorable(episodes), episodes[0].time_s
+
+
 def score_contenders(
     contenders: Sequence[Contender],
     source: EpisodeSource,
@@ -213,34 +215,18 @@ def score_contenders(
     if len(parts) < len(contenders):
         listed = ", ".join(contender.name for contender in contenders)
         raise ValueError(f"policies: found {listed}, expected different names")
-    policies = [contender.start(source.layout, scoring.planar) for contender in contenders]
-    chunks = range(0, len(seeds), CHUNK)
-
-    def runs() -> Iterator[tuple[Contender, Policy, EpisodeBatch, Array]]:
-        for first in chunks:
-            some = seeds[first : first + CHUNK]
-            keys = keys_for(source, some)
-            if keys is None:
-                episodes = draw_episodes(source, some)
-                batch = EpisodeBatch.of(_scorable(episodes))
-                time_s = episodes[0].time_s
-            else:
-                simulated = cast(SimulatedSource, source)
-                batch = simulated.sample_batch(keys)
-                time_s = simulated.time_s
-            if not first:
-                _warn_of_short(time_s)
-            for contender, policy in zip(contenders, policies, strict=True):
-                yield contender, policy, batch, time_s
-
-    total = len(chunks) * len(contenders)
-    for contender, policy, batch, time_s in tracked(runs(), source.name, total):
+    started = [(c, c.start(source.layout, scoring.planar)) for c in contenders]
+    chunks = [seeds[first : first + CHUNK] for first in range(0, len(seeds), CHUNK)]
+    for some, (contender, policy) in tracked([*product(chunks, started)], source.name):
+        if contender is contenders[0]:  # all contenders play the same episodes, one after another
+            batch, time_s = _drawn(source, some)
+            _warn_of_short(time_s)
         results = run_contender(contender, batch, scoring, after, policy)
         _warn_of_nonfinite(contender, results)
         parts[contender.name].append(_summary(results, time_s, scoring))
         for callback in watch:
             callback(contender, time_s, results)
     return {
-        name: {m: np.concatenate([part[m] for part in scores]) for m in (*METRICS, *TERMS)}
+        name: {m: np.concatenate([part[m] for part in scores]) for m in HEADERS}
         for name, scores in parts.items()
     }

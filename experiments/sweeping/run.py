@@ -348,7 +348,7 @@ def sweep(file: Path, folder: Path, address: str | None, workers: int | None) ->
         for row in rows.values():
             table.append([str(row[axis]) for axis in axes])
             for metric in SHOWN:
-                ends = (row.get(f"{metric}_{part}", np.nan) for part in ("mean", "low", "high"))
+                ends = (row.get(f"{metric}_{part}", np.nan) for part in Interval._fields)
                 table[-1].append(rounded(Interval(*ends)))
         show(grid(header, table) + "\n")
         if spec.kind == "train":

@@ -15,7 +15,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from experiments.evaluation.branches import Act, Branches
+from experiments.evaluation.agents import Act
+from experiments.evaluation.branches import Branches
 from experiments.training.hyperparameters import RolloutHyperparameters, falling
 from experiments.training.trainer import Job, Trainer
 from experiments.training.training_task import TrainingTask
