@@ -26,13 +26,15 @@ def command_line(name: str, args: Any) -> str:
     options = []
     for field in fields(args):
         value = getattr(args, field.name)
+        if value == field.default:
+            continue
         texts = [*map(str, value if isinstance(value, tuple) else (value,))]
         option = field.name.replace("_", "-")
         if Positional in get_args(kinds[field.name]):
-            words += [] if value is None else texts
-        elif isinstance(value, bool) and value != field.default:
+            words += texts
+        elif isinstance(value, bool):
             options.append(f"--{option}" if value else f"--no-{option}")
-        elif value != field.default:
+        else:
             options += [f"--{option}", *texts]
     return shlex.join([*words, *options])
 

@@ -16,7 +16,7 @@ from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import rows_of
 from mmwave_env.engines.batch import Batch
 from mmwave_env.engines.engine import Engine
-from mmwave_env.interface.policy import Policy
+from mmwave_env.interface.policy import FixedMode, Policy
 from mmwave_env.numerics.numbers import Array, Array32, Index
 from mmwave_env.world.episode import columns_of
 
@@ -48,13 +48,13 @@ class Branches:
         self._copies.state.length[:] = horizon
         self._io = self._copies.io(output_rows=rows_of(at.reward), obs_rows=rows_of(at.observation))
 
-    def values(self, act: Act, weights: NDArray[np.floating[Any]]) -> Array:
+    def values(self, act: Act, weights: NDArray[np.floating[Any]] | float) -> Array:
         """Try every action in the current state of every environment.
 
         Args:
             act: function from observations (copies, features) to actions, for all epochs but the
                 first. Copies are ordered by their first actions: all copies with 0, then 1, ...
-            weights: (n, horizon) weights of the rewards.
+            weights: (n, horizon) weights of the rewards, or one weight.
 
         Returns:
             The sums (n, actions) of weighted rewards; nothing is added after an episode's end.
@@ -108,7 +108,5 @@ class Clairvoyant(Policy):
         """Return actions (n,)."""
         if self._branches is None:
             raise ValueError(BLIND)
-        weights = np.ones(self._branches.horizon)
-        values = self._branches.values(lambda shown: np.zeros(len(shown), np.int64), weights)
-        best: Index = values.argmax(axis=1)
+        best: Index = self._branches.values(FixedMode().act, 1.0).argmax(axis=1)
         return best

@@ -68,20 +68,20 @@ def _differences(claimed: Json, site: Site) -> Iterator[str]:
     """Let the policy play at a site again; yield what differs from the entry."""
     name = claimed["entry"]
     stated = claimed["sites"][site.name]
+    claims = _figures(stated)
     again = _played(name, site, stated["episodes"], claimed["options"]["seed"])
-    for figure, interval in again.items():
-        claim = _figures(stated)[figure]
-        most = SAME * (interval.high - interval.low) + 1e-9
-        if not (abs(np.subtract(claim, interval)) <= most).all():
-            yield f"{site.name}, {figure}: found {claim}, played {interval}"
-    low, high = HIDDEN_SEEDS
-    seed = low + secrets.randbelow(high - low)
-    for figure, interval in _played(name, site, HIDDEN, seed).items():
-        claim = _figures(stated)[figure]
-        sigma = math.hypot(claim.high - claim.low, interval.high - interval.low) / (2.0 * 1.96)
-        if not abs(claim.mean - interval.mean) <= SURELY * sigma + 1e-9:
+    seed = secrets.choice(range(*HIDDEN_SEEDS))
+    hidden = _played(name, site, HIDDEN, seed)
+    for figure, same in again.items():
+        claim = claims[figure]
+        most = SAME * (same.high - same.low) + 1e-9
+        if not (abs(np.subtract(claim, same)) <= most).all():
+            yield f"{site.name}, {figure}: found {claim}, played {same}"
+        other = hidden[figure]
+        sigma = math.hypot(claim.high - claim.low, other.high - other.low) / (2.0 * 1.96)
+        if not abs(claim.mean - other.mean) <= SURELY * sigma + 1e-9:
             yield (
-                f"{site.name}, {figure}: found {claim.mean:.4f}, played {interval.mean:.4f} on "
+                f"{site.name}, {figure}: found {claim.mean:.4f}, played {other.mean:.4f} on "
                 f"{HIDDEN} episodes from seed {seed} on"
             )
 
