@@ -42,7 +42,7 @@ class Positions:
         parts = [*(results[part] for part in PARTS), results.get("trusted")]
         self.levels.reset()
         factors = self.levels.factors(self.anchors, contender.bank is not None, time_s, *parts)
-        errors.add(*(v[:, counts] for v in (results["error"], results["P"], factors)))
+        errors.add(results["error"][:, counts], results["P"][:, counts], factors[:, counts])
 
     def figures(self) -> Json:
         """Return errors and levels in the form that results files store."""

@@ -183,12 +183,12 @@ def entry(name: str, judged: Sequence[Judged]) -> Json:
     gains: dict[str, list[Array]] = {}
     for at in judged:
         gains.setdefault(at.site.kind, []).append(at.gain(name, BEST_IMM))
-    means = {kind: bootstrap([np.mean(gain, axis=0)])[0] for kind, gain in gains.items()}
+    means = {kind: bootstrap([np.mean(gain, axis=0)])[0].json for kind, gain in gains.items()}
     return {
         "entry": name,
         "policy": fingerprint(name),
         "sites": {at.site.name: at.figures(name) for at in judged},
-        "mean_gain": {kind: mean.json for kind, mean in means.items()},
+        "mean_gain": means,
     }
 
 

@@ -128,14 +128,14 @@ def _run_estimator(
         ValueError: a name is neither a score nor a part of the belief.
     """
     x, P = estimator.estimate(pipeline, episodes)
-    belief = pipeline.belief(list(np.moveaxis(x, -1, 0)), list(np.moveaxis(P, -1, 0)))
-    truth = list(np.moveaxis(episodes.table[:, :, columns_of(episodes.layout).truth], -1, 0))
+    belief = pipeline.belief([*x.T], [*P.T])
+    truth = [*episodes.table[:, :, columns_of(episodes.layout).truth].T]
     results = {
         "x": x,
         "P": P,
-        "error": np.stack(belief.error(truth), axis=-1),
-        "nees": belief.nees(truth),
-        "reward": total(terms_of(reward, belief, truth)),
+        "error": np.array(belief.error(truth)).T,
+        "nees": belief.nees(truth).T,
+        "reward": total(terms_of(reward, belief, truth)).T,
     }
     if not {*names} <= {*results}:
         raise ValueError(f"policy: found {type(estimator).__name__}, {NO_FILTERS}")

@@ -104,9 +104,9 @@ def track(mode: Mode, episodes: Sequence[Episode], planar: bool = False) -> Trac
     only = np.zeros((len(episodes), len(episodes[0])), np.int64)  # the number of the only mode
     error, nees, better, P = smoothed_again(pipeline, None, EpisodeBatch.of(episodes), only)
     # NEES depends only on state minus truth: pass the error as the state, and 0 as the truth.
-    offset = pipeline.belief(list(np.moveaxis(better, -1, 0)), list(np.moveaxis(P, -1, 0)))
+    offset = pipeline.belief([*better.T], [*P.T])
     axes = len(pipeline.position_axes)
-    smoothed = _errors(better, offset.nees([0.0] * 3), axes)
+    smoothed = _errors(better, offset.nees([0.0] * 3).T, axes)
     return TrackRun(_errors(error, nees, axes), smoothed)
 
 
