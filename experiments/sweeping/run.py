@@ -181,13 +181,14 @@ def connected(address: str | None, workers: int | None) -> Iterator[None]:
         folders = [str(root / package) for package in ("mmwave_env", "policies", "experiments")]
         options = {"address": address, "runtime_env": {"py_modules": folders}}
     options |= {"include_dashboard": False, "log_to_driver": False, "logging_level": logging.ERROR}
-    ray.init(**options)
-    try:
-        # Replace the signal handlers that Ray has just installed, and hide what Ray prints.
-        with ended_by_signals(), open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
-            yield
-    finally:
-        ray.shutdown()
+    # Replace the signal handlers that Ray installs as it starts, and hide what Ray prints.
+    with (
+        ray.init(**options),
+        ended_by_signals(),
+        open(os.devnull, "w") as nowhere,
+        redirect_stdout(nowhere),
+    ):
+        yield
 
 
 def computed(
