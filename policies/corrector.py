@@ -10,11 +10,9 @@ corrections are scaled down: the farther outside the features are, the closer to
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 
-from mmwave_env.filters.correction import MOST_LOG_FACTOR, MOST_SHIFT
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import CORRECTION
 from mmwave_env.interface.observation import Observation, observation_columns
@@ -22,7 +20,7 @@ from mmwave_env.interface.policy import Correction, FixedMode, Policy, Switching
 from mmwave_env.interface.signed import after_update
 from mmwave_env.io.files import AnyPath
 from mmwave_env.numerics.numbers import Array32, Index, Mask
-from policies.learned import LearnedPolicy, LearnedSwitch, policy_file, taken
+from policies.learned import LearnedPolicy, LearnedSwitch, policy_file
 from policies.network import (
     Network,
     Unit,
@@ -38,42 +36,40 @@ BASE_IMM = "imm-best"  # the name of the base if it is the IMM of the policy's b
 TWO_WAY = Path(str(files("policies").joinpath("data", "smoothing", "two-way.safetensors")))
 
 
-class CorrectionNetwork(LearnedPolicy):
-    """The network of a policy file that corrects beliefs.
+def base_policy(base: str, observation: Observation | None = None) -> Policy:
+    """Return the policy of a base, which reads these observations; an IMM stays as it is."""
+    return FixedMode() if base == BASE_IMM else LearnedSwitch(base, observation)
 
-    Arguments, attributes and errors: same as for :class:`~policies.learned.LearnedPolicy`.
+
+def network_of(file: PolicyFile, *recurrent: str) -> Network:
+    """Return the network of a file that has the recurrent units with these names.
+
+    Raises:
+        ValueError: the file is for a switcher, or for the other kind of tracks.
     """
-
-    recurrent: ClassVar[tuple[str, ...]] = ("gru",)  # names of the recurrent units in the file
-
-    def __init__(self, path: AnyPath | PolicyFile) -> None:
-        super().__init__(path)
-        tensors = self._tensors
-        if not self.card.base:
-            raise ValueError(f"{self._path}: found a switcher, expected a corrector")
-        reads_back = "back.bias_hh" in tensors
-        if reads_back != ("back" in self.recurrent):
-            kinds = ["filtered", "smoothed"]
-            raise ValueError(
-                f"{self._path}: found a corrector of {kinds[reads_back]} tracks, expected one of "
-                f"{kinds[not reads_back]} tracks"
-            )
-        out = layer_in(tensors, "out")
-        self._network = Network(
-            low=self._low,
-            high=self._high,
-            front=layer_in(tensors, "front"),
-            units=tuple(
-                Unit(layer_in(tensors, name, "_ih"), layer_in(tensors, name, "_hh"))
-                for name in self.recurrent
-            ),
-            head=layer_in(tensors, "head"),
-            out=mean_and_differences(out.weight, out.bias),
-            most=np.array([MOST_SHIFT] * 3 + [MOST_LOG_FACTOR] * 3, np.float32),
+    tensors, card, path = file
+    if not card.base:
+        raise ValueError(f"{path}: found a switcher, expected a corrector")
+    reads_back = "back.bias_hh" in tensors
+    if reads_back != ("back" in recurrent):
+        kinds = ["filtered", "smoothed"]
+        raise ValueError(
+            f"{path}: found a corrector of {kinds[reads_back]} tracks, expected one of "
+            f"{kinds[not reads_back]} tracks"
         )
+    units = [Unit(layer_in(tensors, u, "_ih"), layer_in(tensors, u, "_hh")) for u in recurrent]
+    out = layer_in(tensors, "out")
+    return Network(
+        low=tensors["low"],
+        high=tensors["high"],
+        front=layer_in(tensors, "front"),
+        units=tuple(units),
+        head=layer_in(tensors, "head"),
+        out=mean_and_differences(out.weight, out.bias),
+    )
 
 
-class Corrector(CorrectionNetwork, Policy):
+class Corrector(LearnedPolicy, Policy):
     """A policy that chooses the same actions as its base, and corrects the base's beliefs.
 
     ```python
@@ -92,33 +88,30 @@ class Corrector(CorrectionNetwork, Policy):
     action = CORRECTION
 
     def __init__(self, path: AnyPath | PolicyFile, observation: Observation | None = None) -> None:
-        super().__init__(path)
-        base = self.card.base
-        self._base = FixedMode() if base == BASE_IMM else LearnedSwitch(base)
-        self._hidden = np.zeros((0, len(self._network.units[0].of_state.weight)), np.float32)
-        self._trust = np.zeros(0, np.float32)
-        if observation is not None:
-            self.read_from(observation)
+        file = policy_file(path)
+        self._network = network_of(file, "gru")
+        self._base = base_policy(file.card.base)
+        self._forget(0)
+        super().__init__(file, observation)
 
     def read_from(self, observation: Observation) -> None:
         """Find the features of the corrector and of its base in the observations."""
         super().read_from(observation)
-        if isinstance(self._base, LearnedSwitch):
-            self._base.read_from(observation)
+        self._base = base_policy(self.card.base, observation)
 
     def reset(self, mask: Mask) -> None:
         """Forget the past of environments where ``mask`` is True, as a new episode begins."""
-        if len(mask) != len(self._hidden):
-            self._hidden = np.zeros((len(mask), self._hidden.shape[1]), np.float32)
-            self._trust = np.ones(len(mask), np.float32)
-        self._hidden[mask] = 0.0
-        self._trust[mask] = 1.0
-        self._base.reset(mask)
+        hidden, trust = self.memory
+        if len(mask) != len(trust):
+            self._forget(len(mask))
+            return
+        hidden[mask] = 0.0
+        trust[mask] = 1.0
 
-    @property
-    def memory(self) -> tuple[Array32, ...]:  # type: ignore[override]
-        """Return the memory of the network: its hidden units, and its trust."""
-        return self._hidden, self._trust
+    def _forget(self, n: int) -> None:
+        """Make the memory of n new tracks: the network's hidden units, and its trust."""
+        units = len(self._network.units[0].of_state.weight)
+        self.memory = np.zeros((n, units), np.float32), np.ones(n, np.float32)
 
     def act(self, observation: Array32) -> Index:
         """Return the base's actions (n,) for observations (n, features)."""
@@ -133,19 +126,20 @@ class Corrector(CorrectionNetwork, Policy):
         n = len(features)
         answers = np.empty((n, CORRECTIONS), np.float32)
         trusted = np.empty(n, np.float32)
-        correct_epoch(features, self._network, self._hidden, self._trust, answers, trusted)
+        correct_epoch(features, self._network, *self.memory, answers, trusted)
         return Correction(answers[:, :3], answers[:, 3:], trusted)
 
 
-class TwoWayCorrector(CorrectionNetwork):
+class TwoWayCorrector(LearnedPolicy):
     """A corrector of smoothed tracks, which reads each track forwards and backwards."""
 
-    recurrent = ("gru", "back")
+    def __init__(self, path: AnyPath | PolicyFile) -> None:
+        super().__init__(path)
+        self._network = network_of(self._file, "gru", "back")
 
     def read_from_track(self, pipeline: Pipeline) -> None:
         """Find the policy's features among the features that tracks of a pipeline compute."""
-        columns = observation_columns(after_update(pipeline, per_mode=True))
-        self._of_track = self._found_in(columns)
+        self._find_in(observation_columns(after_update(pipeline, per_mode=True)))
 
     def correct_tracks(self, features: Array32) -> Correction:
         """Return corrections (n, T, 3) of n smoothed tracks, given all their features.
@@ -153,8 +147,8 @@ class TwoWayCorrector(CorrectionNetwork):
         :func:`~mmwave_env.engines.smoothing.smoothed_features` computes the features
         (n, T, features); :meth:`read_from_track` must have been called for their pipeline.
         """
-        n, epochs, width = features.shape
-        read = taken(features.reshape(-1, width), *self._of_track).reshape(n, epochs, -1)
+        read = self._features_of(features)
+        n, epochs, _ = read.shape
         answers = np.empty((n, epochs, CORRECTIONS), np.float32)
         trusted = np.empty((n, epochs), np.float32)
         for track in zip(read, answers, trusted, strict=True):
@@ -168,7 +162,7 @@ def learned_policy(path: AnyPath | PolicyFile) -> LearnedSwitch | Corrector:
     return Corrector(file) if file.card.base else LearnedSwitch(file)
 
 
-def load(path: AnyPath, radio: str = "handset") -> Switching:
+def load(path: AnyPath | PolicyFile, radio: str = "handset") -> Switching:
     """Return the policy in a file, or a shipped policy, with its modes for a radio profile.
 
     ```python

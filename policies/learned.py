@@ -44,12 +44,11 @@ class LearnedPolicy:
     """
 
     def __init__(self, path: AnyPath | PolicyFile, observation: Observation | None = None) -> None:
-        self._path, self._tensors, self.card = policy_file(path)
+        self._file = policy_file(path)
+        self.card = self._file.card
         self.modes = self.card.modes
         self.beliefs = self.card.beliefs
-        self._low = self._tensors["low"]
-        self._high = self._tensors["high"]
-        self._width = len(self._low)  # number of columns in the environment's observations
+        self._width = len(self.card.features)  # number of columns in the observations
         # columns that the policy reads; None if it reads all of them in order
         self._columns: Index | None = None
         # for each feature: the value to use if the scene lacks its anchor; NaN if the scene has it
@@ -70,7 +69,7 @@ class LearnedPolicy:
         banks = self.card.banks
         if not banks:
             raise ValueError(
-                f"{self._path}: found no banks, because the policy was trained with "
+                f"{self._file.path}: found no banks, because the policy was trained with "
                 "beliefs='shared'; use policy.modes"
             )
         if radio in banks:
@@ -94,46 +93,38 @@ class LearnedPolicy:
         banks = [card.modes, *(bank.modes for bank in card.banks.values())]
         if observation.beliefs != card.beliefs or observation.modes not in banks:
             raise ValueError(
-                f"{self._path}: trained with beliefs={card.beliefs!r} and the modes "
+                f"{self._file.path}: trained with beliefs={card.beliefs!r} and the modes "
                 f"{', '.join(mode.name for mode in card.modes)}, found {observation.made_with} (if "
                 "the names agree, the tuning differs); make the environment as in training: "
                 f"{self._made_with}"
             )
-        self._width = len(observation.columns)
-        self._columns, self._unseen = self._found_in(observation.columns)
+        self._find_in(observation.columns)
 
-    def _found_in(self, shown: Sequence[Column]) -> tuple[Index | None, Array32 | None]:
-        """Find the policy's features, by name, in the columns of an environment's observations.
-
-        Returns:
-            Two arrays (features,). The first has the index of each feature's column; it is None if
-            the columns are exactly the features. The second has the value to use for each feature
-            whose anchor is missing, and NaN for the others; it is None if no anchor is missing.
-        """
+    def _find_in(self, columns: Sequence[Column]) -> None:
+        """Find the policy's features, by name, in the columns of an environment's observations."""
         features = self.card.features
-        columns = {column.name: column for column in shown}
-        anchors = {
-            name.rpartition(" anchor ")[2] for name in columns if " SNR anchor " in f" {name}"
-        }
+        names = [column.name for column in columns]
+        anchors = {name.rpartition(" anchor ")[2] for name in names if " SNR anchor " in f" {name}"}
         unseen = np.full(len(features), np.nan, np.float32)
+        read = np.zeros(len(features), np.int64)
         for i, feature in enumerate(features):
-            column = columns.get(feature.name)
             kind, anchor, rest = feature.name.partition(" anchor ")
             if anchor and kind != "distance" and rest.split()[0] not in anchors:
                 unseen[i] = (UNSEEN.get(kind, 0.0) - feature.mean) / feature.deviation
-            elif column != feature:
-                values = f"{column[1:]}" if column else "none (fewer anchors, or a known height?)"
+            elif feature in columns:
+                read[i] = columns.index(feature)
+            else:
+                values = "none (fewer anchors, or a known height?)"
+                if feature.name in names:
+                    values = f"{columns[names.index(feature.name)][1:]}"
                 raise ValueError(
-                    f"{self._path}: feature {feature.name!r}: found {values}, expected unit, mean "
-                    f"and deviation {feature[1:]}; make the environment as in training: "
+                    f"{self._file.path}: feature {feature.name!r}: found {values}, expected unit, "
+                    f"mean and deviation {feature[1:]}; make the environment as in training: "
                     f"{self._made_with}"
                 )
-        order = {feature: i for i, feature in enumerate(shown)}
-        read = np.array([order.get(feature, 0) for feature in features])
-        return (
-            None if features == tuple(shown) else read,
-            None if np.isnan(unseen).all() else unseen,
-        )
+        self._width = len(columns)
+        self._columns = None if features == columns else read
+        self._unseen = None if np.isnan(unseen).all() else unseen
 
     @property
     def _made_with(self) -> str:
@@ -153,10 +144,19 @@ class LearnedPolicy:
             raise ValueError(
                 f"observation: found shape {observation.shape}, expected (n, {self._width}); for a "
                 "single environment pass observation[None]; if an observation has more features "
-                f"than those of {self._made_with}, use {type(self).__name__}({str(self._path)!r}, "
-                "env.unwrapped.observation)"
+                f"than those of {self._made_with}, use "
+                f"{type(self).__name__}({str(self._file.path)!r}, env.unwrapped.observation)"
             )
-        return taken(observation, self._columns, self._unseen)
+        return self._features_of(observation)
+
+    def _features_of(self, observation: Array32) -> Array32:
+        """Return the features (..., features) that the network reads, of columns (..., columns)."""
+        if self._columns is None:
+            return observation
+        read = np.take(observation, self._columns, axis=-1)
+        return (
+            read if self._unseen is None else np.where(np.isnan(self._unseen), read, self._unseen)
+        )
 
 
 class LearnedSwitch(LearnedPolicy, Policy):
@@ -188,10 +188,10 @@ class LearnedSwitch(LearnedPolicy, Policy):
         super().__init__(path, observation)
         if self.card.base:
             raise ValueError(
-                f"{self._path}: found a corrector, expected a switcher; use policies.Corrector"
+                f"{self._file.path}: found a corrector, expected a switcher; use policies.Corrector"
             )
-        tensors = self._tensors
-        layers = sum(name.startswith("layer.") for name in self._tensors)
+        tensors = self._file.tensors
+        layers = sum(name.startswith("layer.") for name in tensors)
         self._layers = [
             (tensors[f"layer.{i}.weight"].T, tensors[f"layer.{i}.bias"]) for i in range(layers // 2)
         ]
@@ -211,20 +211,12 @@ class LearnedSwitch(LearnedPolicy, Policy):
             ValueError: the number of features is wrong.
         """
         observation = self.features_in(observation)
-        x = np.minimum(np.maximum(observation, self._low), self._high)
+        tensors = self._file.tensors
+        x = np.minimum(np.maximum(observation, tensors["low"]), tensors["high"])
         *hidden, (weight, bias) = self._layers
         for w, b in hidden:
             x = np.tanh(x @ w + b)
         return x @ weight + bias
-
-
-def taken(observation: Array32, columns: Index | None, unseen: Array32 | None) -> Array32:
-    """Return the features that a policy reads; ``unseen`` has the values for missing anchors."""
-    if columns is not None:
-        observation = np.take(observation, columns, axis=1)
-        if unseen is not None:
-            observation = np.where(np.isnan(unseen), observation, unseen)
-    return observation
 
 
 def policy_file(path: AnyPath | PolicyFile) -> PolicyFile:
@@ -232,14 +224,11 @@ def policy_file(path: AnyPath | PolicyFile) -> PolicyFile:
     if isinstance(path, PolicyFile):
         return path
     if not isinstance(path, str) or path.endswith(".safetensors"):
-        return PolicyFile(Path(path), *read_policy(path))
+        return read_policy(path)
     shipped = shipped_policies()
     if path not in shipped:
         raise ValueError(unknown("policy", path, [*shipped, "a .safetensors file"]))
-    return _shipped_file(shipped[path])
+    return _read_once(shipped[path])
 
 
-@cache
-def _shipped_file(path: Path) -> PolicyFile:
-    """Return the content of a shipped file, which is read only once."""
-    return PolicyFile(path, *read_policy(path))
+_read_once = cache(read_policy)  # of shipped files, which do not change

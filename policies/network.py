@@ -11,17 +11,21 @@ import numpy as np
 from numba.extending import register_jitable
 
 from mmwave_env.compiler.disk_cache import compiled
+from mmwave_env.filters.correction import MOST_LOG_FACTOR, MOST_SHIFT
 from mmwave_env.numerics.numbers import Array32
 from policies.policy_file import CORRECTIONS, Tensors
 
 # "Trust" is the factor, 0 to 1, by which corrections are scaled.
 RANGE_FADE = 2.0  # trust is exp(-2 d) if a feature is d standard deviations outside its range
-RECOVERY = 0.1  # maximum growth of trust per epoch; slow, as unusual features stay in the memory
+RECOVERY = np.float32(
+    0.1
+)  # maximum growth of trust per epoch; slow, as unusual features stay in the memory
 # The network is an ensemble, whose members compute different shifts. If the spread of the shifts,
 # in corrected standard deviations, is at most SPREAD[0], trust is not reduced; from SPREAD[1] on,
 # trust is 0.
 SPREAD = (0.5, 1.0)
 TANH_LIMIT = 9.0  # tanh of larger numbers is 1 in single precision
+_MOST = np.repeat(np.array([MOST_SHIFT, MOST_LOG_FACTOR], np.float32), 3)  # limits of an answer
 
 
 class Layer(NamedTuple):
@@ -47,7 +51,6 @@ class Network(NamedTuple):
     units: tuple[Unit, ...]  # one, or a second that reads the track backwards
     head: Layer  # of the units' states and the front layer's output
     out: Layer  # see :func:`mean_and_differences`
-    most: Array32  # (CORRECTIONS,) limits of an answer
 
 
 # tanh(x) = x P(x^2) / Q(x^2): Lambert's continued fraction x / (1 + x^2 / (3 + x^2 / ...)) (DLMF
@@ -99,8 +102,7 @@ def _add_product(out, x, weight, first):  # type: ignore[no-untyped-def]
 @register_jitable  # type: ignore[untyped-decorator]
 def _linear(out, x, layer):  # type: ignore[no-untyped-def]
     """Set ``out`` to a layer's outputs for an input."""
-    for j in range(len(out)):
-        out[j] = layer.bias[j]
+    out[:] = layer.bias
     _add_product(out, x, layer.weight, 0)
 
 
@@ -136,18 +138,14 @@ def _remember(front, unit, state):  # type: ignore[no-untyped-def]
     past = np.empty(3 * units, np.float32)
     _linear(gates, front, unit.of_input)
     _linear(past, state, unit.of_state)
-    candidate = np.empty(units, np.float32)
     half = np.float32(0.5)
-    for j in range(2 * units):
-        gates[j] = half * (gates[j] + past[j])
-    squash(gates[: 2 * units])  # the logistic function of 2 z is (1 + tanh z) / 2
-    for j in range(units):
-        reset = half + half * gates[j]
-        candidate[j] = gates[2 * units + j] + past[2 * units + j] * reset
+    both = half * (gates[: 2 * units] + past[: 2 * units])
+    squash(both)  # the logistic function of 2 z is (1 + tanh z) / 2
+    reset = half + half * both[:units]
+    update = half + half * both[units:]
+    candidate = gates[2 * units :] + past[2 * units :] * reset
     squash(candidate)
-    for j in range(units):
-        update = half + half * gates[units + j]
-        state[j] = (state[j] - candidate[j]) * update + candidate[j]
+    state[:] = (state - candidate) * update + candidate
 
 
 @register_jitable  # type: ignore[untyped-decorator]
@@ -160,7 +158,7 @@ def _answer(memory, front, trust, network, answer):  # type: ignore[no-untyped-d
     out = np.empty(len(network.out.bias), np.float32)
     _linear(out, head, network.out)
     for i in range(CORRECTIONS):
-        answer[i] = min(max(out[i], -network.most[i]), network.most[i])
+        answer[i] = min(max(out[i], -_MOST[i]), _MOST[i])
     members = (len(out) - CORRECTIONS) // 3
     widest = 0.0
     for direction in range(3):
@@ -170,8 +168,7 @@ def _answer(memory, front, trust, network, answer):  # type: ignore[no-untyped-d
         widest = max(widest, variance * math.exp(-2.0 * answer[3 + direction]))
     agreed = (SPREAD[1] - math.sqrt(widest)) / (SPREAD[1] - SPREAD[0])
     trusted = np.float32(trust * min(max(agreed, 0.0), 1.0))
-    for i in range(CORRECTIONS):
-        answer[i] *= trusted
+    answer *= trusted
     return trusted
 
 
@@ -188,9 +185,8 @@ def correct_epoch(features, network, state, trust, answers, trusted):  # type: i
         trusted: (n,) filled with the factors that scaled them.
     """
     front = np.empty(len(network.front.bias), np.float32)
-    recovery = np.float32(RECOVERY)
     for i in range(len(features)):
-        trust[i] = min(_read(features[i], network, front), trust[i] + recovery)
+        trust[i] = min(_read(features[i], network, front), trust[i] + RECOVERY)
         _remember(front, network.units[0], state[i])
         trusted[i] = _answer(state[i], front, trust[i], network, answers[i])
 
@@ -210,7 +206,6 @@ def correct_track(features, network, answers, trusted):  # type: ignore[no-untyp
     front = np.empty((T, len(network.front.bias)), np.float32)
     memory = np.empty((T, 2 * units), np.float32)
     strange = np.empty(T, np.float32)
-    recovery = np.float32(RECOVERY)
     for t in range(T):
         strange[t] = _read(features[t], network, front[t])
     trust = strange.copy()
@@ -221,7 +216,7 @@ def correct_track(features, network, answers, trusted):  # type: ignore[no-untyp
             t = T - 1 - step if direction else step
             _remember(front[t], network.units[direction], state)
             memory[t, direction * units : (direction + 1) * units] = state
-            so_far = min(strange[t], so_far + recovery)
+            so_far = min(strange[t], so_far + RECOVERY)
             trust[t] = min(trust[t], so_far)
     for t in range(T):
         trusted[t] = _answer(memory[t], front[t], trust[t], network, answers[t])

@@ -125,9 +125,9 @@ class _Document(Record):
 class PolicyFile(NamedTuple):
     """The content of a policy file."""
 
-    path: Path
     tensors: Tensors
     card: Card
+    path: Path
 
 
 def _column(row: Any) -> Column:
@@ -152,8 +152,8 @@ def to_bytes(tensors: Tensors, card: Card) -> bytes:
     return save(tensors, {_KEY: json.dumps(document)})
 
 
-def read_policy(path: AnyPath) -> tuple[Tensors, Card]:
-    """Read tensors and card of a policy file.
+def read_policy(path: AnyPath) -> PolicyFile:
+    """Read a policy file.
 
     Raises:
         ValueError: the file is invalid; the message names the file and what is wrong in it.
@@ -167,7 +167,7 @@ def read_policy(path: AnyPath) -> tuple[Tensors, Card]:
             written = dict(content["card"])
             content["card"] = written | {"features": tuple(map(_column, written["features"]))}
             document = object_from(_Document, content)
-            tensors = {name: _tensor(file, name) for name in file.keys()}  # noqa: SIM118
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         _require_network(tensors, document.card)
         expected = _checksum(tensors, written)
         if document.sha256 != expected:
@@ -177,16 +177,7 @@ def read_policy(path: AnyPath) -> tuple[Tensors, Card]:
             )
     except (*UNEXPECTED, SafetensorError) as error:
         raise ValueError(f"{path}: not a policy file: {first_line(error)}") from error
-    return tensors, document.card
-
-
-def _tensor(file: Any, name: str) -> Array32:
-    """Return a tensor of an open file; refuse types except float32, as numpy lacks some of them."""
-    dtype = file.get_slice(name).get_dtype()
-    if dtype != "F32":
-        raise ValueError(f"tensor {name!r}: found type {dtype}, expected F32")
-    tensor: Array32 = file.get_tensor(name)
-    return tensor
+    return PolicyFile(tensors, document.card, path)
 
 
 def _require_network(tensors: Tensors, card: Card) -> None:

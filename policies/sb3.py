@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mmwave_env import __version__
 from mmwave_env.io.files import AnyPath, atomic_path
-from mmwave_env.numerics.numbers import Array
+from mmwave_env.numerics.numbers import Array, Array32
 from policies.learned import LearnedSwitch
 from policies.policy_file import Card, Tensors, to_bytes
 
@@ -29,6 +30,11 @@ class Normalization(NamedTuple):
     def clipped(cls, mean: Array, sigma: Array, clip: float) -> "Normalization":
         """Return the normalization that clips at ``clip`` standard deviations from the mean."""
         return cls(mean - clip * sigma, mean + clip * sigma, mean, sigma)
+
+    def normalized(self, observations: NDArray[Any]) -> Array32:
+        """Return observations (..., features) as the network reads them in training."""
+        inside = np.clip(observations, self.low.astype(np.float32), self.high.astype(np.float32))
+        return (inside - self.mean.astype(np.float32)) / self.sigma.astype(np.float32)  # type: ignore[no-any-return]
 
     def folded(self, weight: Array, bias: Array) -> tuple[Array, Array]:
         """Return weight (out, features) and bias (out,) of a layer for observations as they are.
@@ -53,6 +59,17 @@ class Normalization(NamedTuple):
         return cls.clipped(moments.mean, sigma, normal.clip_obs)
 
 
+def folded_layers(layers: Iterable[Any], normal: Normalization) -> list[tuple[Array, Array]]:
+    """Return weight and bias of each linear layer; the first includes the normalization."""
+    linear = [layer for layer in layers if type(layer).__name__ == "Linear"]
+    folded = [
+        (layer.weight.detach().double().numpy(), layer.bias.detach().double().numpy())
+        for layer in linear
+    ]
+    folded[0] = normal.folded(*folded[0])
+    return folded
+
+
 def actor_tensors(layers: Iterable[Any], normal: Normalization) -> Tensors:
     """Return the tensors of an actor in the form that a policy file stores.
 
@@ -63,11 +80,7 @@ def actor_tensors(layers: Iterable[Any], normal: Normalization) -> Tensors:
         normal: normalization of an observation; its ``low`` and ``high`` become tensors, too.
     """
     tensors = {"low": normal.low, "high": normal.high}
-    for i, layer in enumerate(layer for layer in layers if type(layer).__name__ == "Linear"):
-        weight = layer.weight.detach().numpy().astype(np.float64)
-        bias = layer.bias.detach().numpy().astype(np.float64)
-        if not i:
-            weight, bias = normal.folded(weight, bias)
+    for i, (weight, bias) in enumerate(folded_layers(layers, normal)):
         tensors |= {f"layer.{i}.weight": weight, f"layer.{i}.bias": bias}
     return {name: tensor.astype(np.float32) for name, tensor in tensors.items()}
 
@@ -152,12 +165,11 @@ def _attribute(model: Any, name: str) -> Any:
 
 def _require_same_actions(model: Any, policy: LearnedSwitch) -> None:
     """Refuse a file that, on random observations, chooses other actions than its model."""
-    low, high, mean, sigma = Normalization.of(model)
-    spread = np.random.default_rng(0).uniform(-2.0, 2.0, (DECISIONS, len(mean)))
-    observations = np.clip(mean + sigma * spread, low, high)
-    normalized = ((observations - mean) / sigma).astype(np.float32)
-    chosen, _ = model.predict(normalized, deterministic=True)
-    alike = policy.act(observations.astype(np.float32)) == chosen
+    normal = Normalization.of(model)
+    spread = np.random.default_rng(0).uniform(-2.0, 2.0, (DECISIONS, len(normal.mean)))
+    observations = (normal.mean + normal.sigma * spread).astype(np.float32)
+    chosen, _ = model.predict(normal.normalized(observations), deterministic=True)
+    alike = policy.act(observations) == chosen
     if alike.mean() < 1.0 - TIES:
         raise ValueError(
             "model: its layers alone choose the same action as the model for "

@@ -76,12 +76,8 @@ RETUNED = (replace(MODES[0], sigma_v=9.0), *MODES[1:])
 
 @pytest.mark.parametrize("modes", [MODES[:2], MODES[::-1], RENAMED, RETUNED])
 def test_an_environment_with_other_modes_is_refused(shared, modes):
-    policy = LearnedSwitch(shared, TABLE)
-    other = Observation(Pipeline(modes, Layout()))
     with refuses(shared):
-        policy.read_from(other)
-    with refuses(shared):
-        LearnedSwitch(shared, other)
+        LearnedSwitch(shared, Observation(Pipeline(modes, Layout())))
 
 
 def test_a_radio_without_its_own_bank_gets_the_bank_of_the_standard_radio(per_mode, tmp_path):

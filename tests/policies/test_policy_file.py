@@ -18,7 +18,6 @@ from policies import shipped_policies
 from policies.policy_file import (
     FORMAT,
     MOST_BYTES,
-    Card,
     _checksum,
     read_policy,
     to_bytes,
@@ -52,9 +51,8 @@ def path(tmp_path):
 
 def same(policy, tensors, card):
     """Return whether a policy that was read has exactly these tensors and this card."""
-    read, read_card = policy
-    equal = all(np.array_equal(read[name], tensors[name]) for name in tensors)
-    return read_card == card and read.keys() == tensors.keys() and equal
+    equal = all(np.array_equal(policy.tensors[name], tensors[name]) for name in tensors)
+    return policy.card == card and policy.tensors.keys() == tensors.keys() and equal
 
 
 def refused(path, content, *fields):
@@ -81,7 +79,7 @@ def test_a_policy_file_is_read_back_as_it_was_written(path, kind):
     tensors, card = KINDS[kind]
     policy = read_policy(write(path, tensors, card))
     assert same(policy, tensors, card)
-    assert all(tensor.dtype == np.float32 for tensor in policy[0].values())
+    assert all(tensor.dtype == np.float32 for tensor in policy.tensors.values())
 
 
 def test_the_same_policy_makes_the_same_file_for_any_order_in_memory():
@@ -93,16 +91,16 @@ def test_custom_modes_and_evaluations_of_any_form_are_read_back(path):
     modes = (Mode("slow", "ckf", gate=None, cost=3.0), Mode("fast", sigma_v=0.1 + 0.2))
     figures = {"mixed": {"reward": [-1.7, 0.1 + 0.2]}, "seeds": None, "10": 1, "9": 2}
     card = card_of(modes=modes, evaluation=figures, features=READ)
-    assert read_policy(write(path, actor(3, actions=2), card))[1] == card
+    assert read_policy(write(path, actor(3, actions=2), card)).card == card
     numbered = replace(card, evaluation={10: 1, 9: (2, 3)})
-    read = read_policy(write(path, actor(3, actions=2), numbered))[1]
-    assert read.evaluation == {"10": 1, "9": [2, 3]}
+    read = read_policy(write(path, actor(3, actions=2), numbered))
+    assert read.card.evaluation == {"10": 1, "9": [2, 3]}
 
 
 @pytest.mark.parametrize("name", shipped_policies())
 def test_a_shipped_file_that_is_written_again_has_the_same_bytes(name):
-    path = shipped_policies()[name]
-    assert to_bytes(*read_policy(path)) == path.read_bytes()
+    policy = read_policy(shipped_policies()[name])
+    assert to_bytes(policy.tensors, policy.card) == policy.path.read_bytes()
 
 
 def test_a_policy_with_beliefs_per_mode_has_one_more_action_than_modes(path):
@@ -170,7 +168,7 @@ def test_a_card_with_any_value_is_read_unchanged_or_refused(path, place, data):
     reduce(getitem, place, card)[key] = value
     policy = read_or_refused(path, assembled(PER_MODE_TENSORS, card))
     if policy is not None:
-        read = reduce(getitem, place, DEFAULTS | policy[1].as_json())
+        read = reduce(getitem, place, DEFAULTS | policy.card.as_json())
         if type(value) is int and isinstance(read[key], float):
             value = float(value)  # 0 may become 0.0, but True may not become 1
         assert json.dumps(read[key]) == json.dumps(value)
@@ -201,11 +199,9 @@ def test_a_file_that_is_not_a_policy_file_is_refused(path, content, fields):
     refused(path, content, *fields)
 
 
-@pytest.mark.parametrize(("dtype", "size"), [("F64", 8), ("I32", 4)])
-def test_tensors_that_are_not_float32_are_refused(path, dtype, size):
-    low = {"dtype": dtype, "shape": [3], "data_offsets": [0, 3 * size]}
-    content = raw({"__metadata__": document(), "low": low}, bytes(3 * size))
-    refused(path, content, "tensor 'low'")
+def test_a_tensor_of_a_type_that_numpy_lacks_is_refused(path):
+    low = {"dtype": "BF16", "shape": [3], "data_offsets": [0, 6]}
+    refused(path, raw({"__metadata__": document(), "low": low}, bytes(6)))
 
 
 WRONG_TENSORS = [
@@ -215,6 +211,7 @@ WRONG_TENSORS = [
     ({"layer.0.bias": np.float32([0.0, np.inf])}, ["layer.0.bias"]),
     ({"layer.0.bias": np.float32([0.0, 1e30])}, ["layer.0.bias"]),
     ({"layer.0.bias": np.zeros(2)}, ["layer.0.bias"]),
+    ({"layer.0.bias": np.zeros(2, np.int32)}, ["layer.0.bias"]),
     ({"low": np.zeros(0, np.float32)}, ["low"]),
 ]
 
@@ -227,19 +224,6 @@ def test_wrong_tensors_are_neither_read_nor_written(path, changes, fields):
 
 
 @pytest.mark.parametrize(
-    ("field", "value"),
-    [
-        ("seed", "1"),
-        ("observation", "all"),
-    ],
-)
-def test_a_card_with_a_wrong_field_is_neither_read_nor_made(path, field, value):
-    refused(path, assembled(card=CARD.as_json() | {field: value}), field)
-    with refuses(field):
-        Card(**vars(CARD) | {field: value})
-
-
-@pytest.mark.parametrize(
     "rows",
     [[], [["a", "m", 0.0]], [["a", 1, 0.0, 1.0]], [["a", "m", 0.0, 0.0]], [["a", "m", 1e999, 1.0]]],
 )
@@ -249,32 +233,24 @@ def test_missing_features_and_invalid_names_units_and_scales_are_refused(path, r
     refused(path, assembled(card=content | {"features": features}), "features")
 
 
-@pytest.mark.parametrize(
-    ("changes", "field"),
-    [
-        ({"beliefs": "mine"}, "beliefs"),
-        ({"beliefs": "shared"}, "banks"),
-        ({"banks": {}}, "banks"),
-    ],
-)
-def test_banks_that_do_not_fit_the_card_are_refused(changes, field):
-    with refuses(field):
-        replace(PER_MODE_CARD, **changes)
-
-
 BANK = PER_MODE_CARD.as_json()["banks"]["handset"]
 
 
 @pytest.mark.parametrize(
     ("change", "field"),
     [
+        ({"seed": "1"}, "seed"),
+        ({"observation": "all"}, "observation"),
+        ({"beliefs": "mine"}, "beliefs"),
+        ({"beliefs": "shared"}, "banks"),
+        ({"banks": {}}, "banks"),
         ({"banks": [BANK]}, "banks"),
         ({"banks": {"lab": None}}, "banks"),
         ({"banks": {"lab": BANK | {"cap": 1}}}, "'lab'"),
         ({"banks": {"lab": BANK | {"transition": [[1.0]]}}}, "'lab'].transition"),
     ],
 )
-def test_damaged_banks_are_refused(path, change, field):
+def test_a_card_with_a_wrong_field_is_refused(path, change, field):
     refused(path, assembled(PER_MODE_TENSORS, PER_MODE_CARD.as_json() | change), field)
 
 
@@ -284,10 +260,3 @@ def test_a_file_that_is_too_large_is_refused_before_its_tensors_are_read(path):
         file.truncate(MOST_BYTES + 1)
     with refuses(path, error=OSError):
         read_policy(path)
-
-
-def test_the_error_about_a_missing_file_names_the_file(path, tmp_path):
-    with refuses(path, error=FileNotFoundError):
-        read_policy(path)
-    with refuses(tmp_path, error=IsADirectoryError):
-        read_policy(tmp_path)

@@ -231,7 +231,7 @@ def test_a_policy_trained_at_two_places_with_beliefs_per_mode_plays_at_a_third(t
     assert abs(best["minus imm-best"]["mean"]) < 0.05  # the policy starts near the IMM
 
     policy = tmp_path / "run/policy.safetensors"
-    _, card = read_policy(policy)
+    card = read_policy(policy).card
     assert card.beliefs == "per-mode" and list(card.banks) == ["handset", "standard"]
     words = ("--radio", "high", "--scene", "dynamic-doppler", "--episodes", 5)
     assert f"| {policy} |" in succeed("compare", "--policy", policy, *words)
