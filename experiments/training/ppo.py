@@ -1,6 +1,5 @@
 """Training of a policy with Stable-Baselines3's PPO."""
 
-from collections.abc import Sequence
 from inspect import signature
 from typing import Any, NoReturn, cast
 
@@ -60,17 +59,14 @@ class PlacesVecEnv(VecEnv):
         first = self._parts[0]
         super().__init__(count, first.observation_space, first.action_space)
 
-    def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Give environment i, counted across all places, the seed ``seed + i``."""
-        seeds = super().seed(seed)
-        for part, here in zip(self._parts, self._here, strict=True):
-            part.seed(seeds[here[0]])
-        return seeds
-
     def reset(self) -> NDArray[Any]:
-        """Begin episodes in all environments; return observations (n, features)."""
+        """Begin episodes in all environments; return observations (n, features).
+
+        Environment i, counted across all places, has the seed of :meth:`seed` plus i.
+        """
         observations = []
         for k, (part, env) in enumerate(zip(self._parts, self.envs, strict=True)):
+            part.seed(self._seeds[self._here[k][0]])
             table = part.reset()
             for _ in range(k * cast(SimulatedSource, env.source).epochs // len(self._parts)):
                 table, *_ = part.step(np.zeros(part.num_envs, np.int64))
@@ -88,21 +84,15 @@ class PlacesVecEnv(VecEnv):
         observations, rewards, over = map(np.concatenate, arrays)
         return observations, rewards, over, [info for part in infos for info in part]
 
-    def close(self) -> None:
-        """Close all environments."""
-        for part in self._parts:
-            part.close()
-
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """Return an attribute of each environment, or only of those at ``indices``."""
-        every = [value for part in self._parts for value in part.get_attr(attr_name)]
-        return [every[i] for i in self._get_indices(indices)]
+        """Return an attribute, which is the same in all environments, once for each of them."""
+        return [getattr(self.envs[0], attr_name)] * self.num_envs
 
     def _unused(self, *_: Any, **__: Any) -> NoReturn:
         """Raise an error, since no training calls this method of a ``VecEnv``."""
         raise NotImplementedError
 
-    set_attr = env_method = env_is_wrapped = _unused
+    close = set_attr = env_method = env_is_wrapped = _unused
 
 
 class PpoTrainer(Trainer):
@@ -113,7 +103,6 @@ class PpoTrainer(Trainer):
         seed: seed of all random numbers.
 
     Attributes:
-        normal: environments of all places (scenes with a radio), with normalized observations.
         model: the algorithm and its network.
     """
 
@@ -125,9 +114,9 @@ class PpoTrainer(Trainer):
         hyper: PpoHyperparameters = job.hyperparameters
         env = PlacesVecEnv(job.task, hyper)
         self.table = env.observation
-        self.normal = VecNormalize(env, norm_reward=False, clip_obs=hyper.clip_observation)
-        self.scales = vars(self.normal.obs_rms)
-        self.model = learner(self.normal, hyper, seed)
+        normal = VecNormalize(env, norm_reward=False, clip_obs=hyper.clip_observation)
+        self.scales = vars(normal.obs_rms)
+        self.model = learner(normal, hyper, seed)
         self.model.set_logger(Logger(None, []))
         self.network = self.model.policy
         self.optimizers = (self.model.policy.optimizer,)
@@ -136,13 +125,12 @@ class PpoTrainer(Trainer):
         """Collect steps and learn from them; return their number, and statistics."""
         model = self.model
         hyper: PpoHyperparameters = self._job.hyperparameters
-        if model._last_obs is None:
-            _, self._callback = model._setup_learn(self._job.timesteps, None)
         steps = hyper.num_envs * hyper.n_steps
-        model.ent_coef = hyper.ent_coef * falling(hyper.final_fraction, left)
-        model.collect_rollouts(self.normal, self._callback, model.rollout_buffer, hyper.n_steps)
-        model._current_progress_remaining = left - steps / self._job.timesteps
-        model.train()
+        last = hyper.final_fraction
+        rate = hyper.learning_rate * falling(last, left - steps / self._job.timesteps)
+        model.lr_schedule = lambda _: rate
+        model.ent_coef = hyper.ent_coef * falling(last, left)
+        model.learn(steps, log_interval=None, reset_num_timesteps=False)  # type: ignore[arg-type]
         figures = {key: float(value) for key, value in model.logger.name_to_value.items()}
         model.logger.dump()  # forgets the values
         ended = [episode["r"] for episode in model.ep_info_buffer or ()]  # the latest 100 episodes
@@ -163,8 +151,6 @@ def learner(venv: VecNormalize, hyper: PpoHyperparameters, seed: int) -> PPO:
     layers = list(hyper.hidden)
     accepted = signature(PPO).parameters
     options = {name: value for name, value in vars(hyper).items() if name in accepted}
-    rate = hyper.learning_rate
-    last = hyper.final_fraction
     model = PPO(
         "MlpPolicy",
         venv,
@@ -175,7 +161,7 @@ def learner(venv: VecNormalize, hyper: PpoHyperparameters, seed: int) -> PPO:
         },
         seed=seed,
         device="cpu",
-        **options | {"learning_rate": lambda left: rate * falling(last, left)},
+        **options,
     )
     with torch.no_grad():
         cast(torch.nn.Linear, model.policy.action_net).bias[0] += hyper.first_action_bias
