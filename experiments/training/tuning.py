@@ -276,7 +276,11 @@ def search_space(modes: Sequence[Mode]) -> SearchSpace:
     first = n * (n - 1)  # number of odds, which come first in a point
     change = np.log((1.0 - DEFAULT_STAY) / (n - 1) / DEFAULT_STAY)
     free = [(i, field) for i, field in product(range(n), FREE) if getattr(modes[i], field)]
-    noise = [np.log(abs(getattr(modes[i], field))) for i, field in free]
+    rows = [(change, _PROBABILITY_STEP, *ODDS)] * first
+    for i, field in free:
+        rows.append((np.log(abs(getattr(modes[i], field))), _NOISE_STEP, *np.log(FREE[field])))
+    rows.append((3.0, _NINES_STEP, *NINES))
+    table = np.array(rows)
 
     def bank_at(point: Array) -> Bank:
         logits = np.zeros((n, n))
@@ -291,12 +295,7 @@ def search_space(modes: Sequence[Mode]) -> SearchSpace:
         rows = tuple(map(tuple, transition.tolist()))
         return Bank(tuple(tuned), rows, 1.0 - float(f"{10.0 ** -point[-1]:.2g}"))
 
-    return SearchSpace(
-        np.array([*[change] * first, *noise, 3.0]),
-        np.repeat([_PROBABILITY_STEP, _NOISE_STEP, _NINES_STEP], [first, len(free), 1]),
-        np.array([*[ODDS] * first, *(np.log(FREE[field]) for _, field in free), NINES]),
-        bank_at,
-    )
+    return SearchSpace(table[:, 0], table[:, 1], table[:, 2:], bank_at)
 
 
 def best_bank_of(space: SearchSpace, value: Callable[[Bank, int], float], evaluations: int) -> Bank:
