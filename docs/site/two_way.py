@@ -12,7 +12,7 @@ from experiments.console.output import grid
 from experiments.evaluation.contenders import draw_episodes
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.protocol import HARD, RECORDED, Site, sites
-from experiments.training.corrector import smoothed
+from experiments.training.corrector_data import smoothed
 from mmwave_env.filters.correction import corrected_all
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.metrics import scored

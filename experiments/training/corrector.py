@@ -16,9 +16,7 @@ so all episodes are played first; then the network learns from each of them seve
 import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from functools import partial
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -26,31 +24,28 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from experiments.console.options import TUNING_SEED
-from experiments.evaluation.contenders import Contender
-from experiments.evaluation.runner import run_contender
-from experiments.training.corrector_data import CorrectorData, Lot, base_policy, lot_of
+from experiments.training.corrector_data import (
+    Lot,
+    TrainingEpisodes,
+    filtered,
+    lot_of,
+    smoothed,
+)
 from experiments.training.hyperparameters import (
     CorrectorHyperparameters,
     TwoWayHyperparameters,
     falling,
 )
-from experiments.training.recurrence import RecurrentUnit
+from experiments.training.networks import CorrectorNetwork
 from experiments.training.trainer import Job, Trainer
-from experiments.training.training_task import places_from
-from mmwave_env.engines.smoothing import GATES, smoothed_features
-from mmwave_env.filters.bank import Bank
-from mmwave_env.filters.mode_smoothing import smooth_modes
+from experiments.training.training_task import TrainingTask, places_from
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.signed import after_update
 from mmwave_env.io.files import Json
 from mmwave_env.metrics import BURN_IN
 from mmwave_env.models.layout import Layout
-from mmwave_env.models.measurement import blank_site
-from mmwave_env.numerics.numbers import Array, Array32
-from mmwave_env.numerics.pytree import unflatten
-from mmwave_env.world.episode import EpisodeBatch, columns_of
-from policies.policy_file import CORRECTIONS, Tensors
+from policies.policy_file import PolicyFile, Tensors
 from policies.sb3 import Normalization
 
 FIRST = 4  # number of rounds of lots in the first update, to measure the features' ranges
@@ -64,33 +59,6 @@ MOST_SQUARE = 18.0
 # episodes with a bad survey would outweigh all others
 LARGE = 2.0
 CONSTANT = 1e-3  # added to standard deviations, which are 0 for a feature that never changes
-
-
-class CorrectorNetwork(nn.Module):
-    """A network: a tanh layer, a gated recurrent unit, and a head with outputs for an ensemble.
-
-    With ``two_way``, a second recurrent unit reads the epochs backwards.
-    """
-
-    def __init__(
-        self, features: int, hyper: CorrectorHyperparameters, two_way: bool = False
-    ) -> None:
-        super().__init__()
-        self.front = nn.Linear(features, hyper.front)
-        self.gru = RecurrentUnit(hyper.front, hyper.units, bidirectional=two_way)
-        self.head = nn.Linear((1 + two_way) * hyper.units + hyper.front, hyper.head)
-        self.out = nn.Linear(hyper.head, hyper.members * CORRECTIONS)
-        with torch.no_grad():
-            self.out.weight *= 0.1  # at first, corrections are small
-            self.out.bias.zero_()
-
-    def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        """Map features (T, n, F) to shifts and log factors of sigmas: (T, n, members, 3) each."""
-        front = torch.tanh(self.front(features))
-        memory = self.gru(front)
-        head = torch.tanh(self.head(torch.cat([memory, front], -1)))
-        answer = self.out(head).unflatten(-1, (-1, CORRECTIONS))
-        return answer[..., :3], answer[..., 3:]
 
 
 def normalization_of(rows: NDArray[Any]) -> Normalization:
@@ -126,13 +94,11 @@ def loss_of(
 
 def optimizers_of(network: CorrectorNetwork, rate: float) -> tuple[torch.optim.Optimizer, ...]:
     """Return Muon (Jordan et al. 2024) for the matrices of hidden layers, and Adam for the rest."""
-    hidden: list[Tensor] = []
-    others: list[Tensor] = []
-    for name, weights in network.named_parameters():
-        matrix = weights.ndim == 2 and name != "out.weight"
-        (hidden if matrix else others).append(weights)
+    others = dict(network.named_parameters())
+    names = [name for name, weights in others.items() if weights.ndim == 2 and name != "out.weight"]
+    hidden = [others.pop(name) for name in names]
     muon = torch.optim.Muon(hidden, rate, weight_decay=0.0, adjust_lr_fn="match_rms_adamw")
-    return muon, torch.optim.Adam(others, rate)
+    return muon, torch.optim.Adam(others.values(), rate)
 
 
 class CorrectorTrainer(Trainer):
@@ -143,12 +109,13 @@ class CorrectorTrainer(Trainer):
         seed: seed of all random numbers.
 
     Attributes:
-        TWO_WAY, DATA: whether the network also reads tracks backwards, and the source of lots.
+        TWO_WAY, BELIEFS: whether the network also reads tracks backwards, and the function that
+            computes the beliefs to correct.
     """
 
     EVERY = 24
     TWO_WAY = False
-    DATA = CorrectorData
+    BELIEFS = staticmethod(filtered)
 
     def __init__(self, job: Job, seed: int) -> None:
         torch.manual_seed(seed)
@@ -159,7 +126,7 @@ class CorrectorTrainer(Trainer):
         self.judged = replace(job.task, places=places, banks=banks)
         self.base = self.hyper.base
         self.seed = seed
-        self.data = self.DATA(job.task, self.hyper, seed)
+        self.play = self.player(job.task, seed, self.hyper.random_share)
         pipeline = Pipeline(job.task.bank.modes, Layout())
         table = Observation(pipeline, "signed", "per-mode")
         self.table = table.only(after_update(pipeline, per_mode=True))
@@ -168,17 +135,35 @@ class CorrectorTrainer(Trainer):
         self.scales = {}
         self._updates = enumerate(self.lots())
 
+    def player(self, task: TrainingTask, seed: int, share: float) -> Callable[[int], list[Lot]]:
+        """Return a function that plays some rounds of new episodes of a task.
+
+        Args:
+            task, seed: task, and the seed from which all episodes follow.
+            share: share of random episodes.
+        """
+        hyper = self.hyper
+        episodes = TrainingEpisodes(
+            task.scenario, task.places, seed, hyper.num_envs, share, hyper.long_epochs
+        )
+
+        def play(rounds: int) -> list[Lot]:
+            batches = episodes.batches(rounds)
+            return [lot_of(self.BELIEFS(b, task.banks[radio], self.base)) for radio, b in batches]
+
+        return play
+
     def lots(self) -> Iterator[list[Lot]]:
         """Yield the lots of each update: episodes at the task's places and in random streets.
 
         Also set the scales, unless they are restored from a checkpoint.
         """
         if not self.scales:
-            first = list(self.data.lots(FIRST))
+            first = self.play(FIRST)
             self.measure(first)
             yield from [first] * PASSES
         while True:
-            yield from [list(self.data.lots(ROUNDS))] * PASSES
+            yield from [self.play(ROUNDS)] * PASSES
 
     def update(self, left: float) -> tuple[int, dict[str, float]]:
         """Mix the episodes of the next lots, and take a gradient step for each new lot."""
@@ -213,11 +198,8 @@ class CorrectorTrainer(Trainer):
 
     def answer(self, lot: Lot) -> tuple[Tensor, Tensor]:
         """Return the network's outputs for a lot; see :meth:`CorrectorNetwork.forward`."""
-        low, high, mean, sigma = (
-            torch.as_tensor(s, dtype=torch.float32) for s in Normalization(**self.scales)
-        )
-        features = torch.from_numpy(lot.features)
-        answer: tuple[Tensor, Tensor] = self.network((features.clamp(low, high) - mean) / sigma)
+        features = Normalization(**self.scales).normalized(lot.features)
+        answer: tuple[Tensor, Tensor] = self.network(torch.from_numpy(features))
         return answer
 
     def tensors(self) -> Tensors:
@@ -255,44 +237,6 @@ def mixed(lots: list[Lot], size: int, rng: np.random.Generator) -> Iterator[Lot]
 
 
 TOGETHER = 18  # number of lots whose episodes are mixed
-PARTS = ("x", "mixture", *(f"memory.{gate}" for gate in GATES))
-
-
-class Smoothed(NamedTuple):
-    """Smoothed tracks of n episodes of T epochs each.
-
-    Attributes:
-        features: (n, T, features) features for the network.
-        x, P: (n, T, 7) means and (n, T, 28) packed covariances.
-        error: (n, T, 3) estimate minus truth, m.
-    """
-
-    features: Array32
-    x: Array
-    P: Array
-    error: Array
-
-
-def smoothed(batch: EpisodeBatch, bank: Bank, base: str) -> Smoothed:
-    """Filter episodes with the policy ``base`` and a bank, and smooth the tracks."""
-    pipeline = Pipeline(bank.modes, batch.layout)
-    at = columns_of(batch.layout)
-    contender = Contender(bank, policy=partial(base_policy, base), name=base)
-    of = run_contender(contender, batch, after=PARTS)
-    hz_per_mps = float(unflatten(blank_site(batch.layout), iter(batch.site[0])).hz_per_mps)
-    dt = batch.table[:, :, at.dt]
-    spread_hz = batch.table[:, :, at.doppler_spread_hz]
-    x, P = smooth_modes(bank, pipeline, of["mixture"], dt, spread_hz, hz_per_mps)
-    gates = [of[f"memory.{gate}"] for gate in GATES]
-    features = smoothed_features(pipeline, batch, x, P, of["mixture"], gates)
-    return Smoothed(features, x, P, of["error"] + (x - of["x"])[..., :3])
-
-
-class SmoothedData(CorrectorData):
-    """A source of lots of smoothed tracks, with their features, errors and deviations."""
-
-    def _play(self, batch: EpisodeBatch, bank: Bank) -> Lot:
-        return lot_of(*smoothed(batch, bank, self._hyper.base))
 
 
 class TwoWayTrainer(CorrectorTrainer):
@@ -304,30 +248,29 @@ class TwoWayTrainer(CorrectorTrainer):
 
     EVERY = 16
     TWO_WAY = True
-    DATA = SmoothedData
+    BELIEFS = staticmethod(smoothed)
 
     def lots(self) -> Iterator[list[Lot]]:
         """Yield the lots of each update, pass after pass, each time in a new order."""
         assert isinstance(self.hyper, TwoWayHyperparameters)
         rng = np.random.default_rng(self.seed)
-        lots = list(self.data.lots(self.hyper.rounds))
+        lots = self.play(self.hyper.rounds)
         if not self.scales:
             self.measure(lots[: 4 * TOGETHER])
         while True:
             for some in np.array_split(rng.permutation(len(lots)), -(-len(lots) // TOGETHER)):
                 yield [lots[i] for i in some]
 
-    def examiner(self, episodes: int) -> Callable[[Path], Json]:
+    def examiner(self, episodes: int) -> Callable[[PolicyFile], Json]:
         """Return a function that evaluates the network by the errors of new tracks.
 
         Its results are "reward", the negative mean error (m) of corrected tracks, and "smoothed_m",
         the mean error before the correction.
         """
-        hyper = replace(self.hyper, random_share=0.0)
-        lots = list(SmoothedData(self.judged, hyper, TUNING_SEED).lots())
+        lots = self.player(self.judged, TUNING_SEED, 0.0)(1)
 
         @torch.no_grad()
-        def examine(_: Path) -> Json:
+        def examine(_: PolicyFile) -> Json:
             shifts = [self.answer(lot)[0].mean(dim=2).numpy() * lot.deviation for lot in lots]
             left = [lot.error - shift for lot, shift in zip(lots, shifts, strict=True)]
             return {

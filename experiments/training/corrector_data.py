@@ -10,39 +10,38 @@ the prior of simulated episodes knows well, so a network would learn to trust fi
 a log's first fix does not justify. So half of the episodes begin as a log does: from a link.
 """
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from experiments.training.hyperparameters import CorrectorHyperparameters
-from experiments.training.training_task import TrainingTask
+from experiments.training.training_task import Place
 from mmwave_env.compiler.program import rows_of
-from mmwave_env.engines.engine import Engine, play
+from mmwave_env.engines.engine import Engine, Played, play
+from mmwave_env.engines.smoothing import GATES, smoothed_features
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.correction import deviations_of
+from mmwave_env.filters.mode_smoothing import smooth_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import CORRECTION
-from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.interface.signed import after_update
 from mmwave_env.localization.starts import gives_fix
 from mmwave_env.models.measurement import blank_site
 from mmwave_env.models.prior import prior_from_fix
-from mmwave_env.models.radio import RandomRadio
+from mmwave_env.models.radio import RandomRadio, radio_from
 from mmwave_env.models.random_scene import WIDE_SCENE, RandomScene
 from mmwave_env.models.random_survey import RandomSurvey
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array, Array32
-from mmwave_env.numerics.pytree import flatten, indices
+from mmwave_env.numerics.pytree import flatten, indices, unflatten
 from mmwave_env.world.episode import EpisodeBatch, columns_of
 from mmwave_env.world.keys import keys_at, stream_of
 from mmwave_env.world.simulated import SimulatedSource
 from mmwave_env.world.trajectory import Trajectory, Ways
-from policies import FixedMode, LearnedSwitch, Policy
-from policies.corrector import BASE_IMM
+from policies.corrector import base_policy
 
 # times between epochs to draw from, s
 STEPS_S = (1.0, 1.0, 1.0, 1.0, 1.0, 0.5, 0.25, 0.1, 0.1, 0.1, 2.0)
@@ -109,91 +108,66 @@ BAD_SURVEYS = Surveys(
 )
 
 
-class Lot(NamedTuple):
-    """A lot, or batch: n episodes of T epochs each.
+@dataclass
+class TrainingEpisodes:
+    """A source of batches of episodes, in which no episode occurs twice.
 
     Attributes:
-        features: (T, n, features) input of a corrector after every epoch.
-        error: (T, n, 3) truth minus estimate, m: along the motion, across it, and up.
-        deviation: (T, n, 3) standard deviations of the belief in the same directions, m.
-    """
-
-    features: Array32
-    error: Array32
-    deviation: Array32
-
-
-class CorrectorData:
-    """A source of lots (:class:`Lot`), in which no episode occurs twice.
-
-    Args:
-        task, hyper: task and hyperparameters of the training.
+        scenario, places: kind of user, and places of the training.
         seed: seed from which all episodes and all random choices follow.
+        n: number of episodes in a batch; long episodes are fewer.
+        random_share: share of batches with random streets, radio and receiver.
+        long_epochs: length of long episodes, epochs.
         surveys: errors of surveys.
-
-    Attributes:
-        played: number of episodes played so far; :meth:`lots` goes on with the next ones.
+        drawn: number of episodes drawn so far; :meth:`batches` goes on with the next ones.
     """
 
-    def __init__(
-        self,
-        task: TrainingTask,
-        hyper: CorrectorHyperparameters,
-        seed: int,
-        surveys: Surveys = BAD_SURVEYS,
-    ) -> None:
-        self._task = task
-        self._surveys = surveys
-        self._hyper = hyper
-        self._seed = seed
-        self._stream = np.array([stream_of(seed)], np.uint64)
-        self._radios = {p.profile: p.source(task.scenario).radio for p in task.places}
-        self.played = 0
-
-    def lots(self, rounds: int = 1) -> Iterator[Lot]:
-        """Yield a played lot for every place, then random lots (``random_share`` of all lots)."""
-        for radio, batch in self.batches(rounds):
-            yield self._play(batch, self._task.banks[radio])
+    scenario: str
+    places: Sequence[Place]
+    seed: int
+    n: int
+    random_share: float
+    long_epochs: int
+    surveys: Surveys = BAD_SURVEYS
+    drawn: int = 0
 
     def batches(self, rounds: int = 1) -> Iterator[tuple[str, EpisodeBatch]]:
-        """Yield the name of a radio profile and unplayed episodes for each lot of :meth:`lots`."""
-        places = self._task.places
-        share = self._hyper.random_share
-        for _ in range(rounds):
-            for place in places:
-                rng = self._rng()
-                source = place.source(self._task.scenario)
-                if place.dt == 1.0:
-                    source = self._at_some_rate(source, rng)
-                source = self._surveyed(source, self._surveys.at_places, rng)
-                yield place.profile, self._begun(self._draw(source), source, rng)
-            for _ in range(round(len(places) * share / (1.0 - share))):
-                yield self._at_random(self._rng())
+        """Yield batches, each with the name of its radio profile.
 
-    def _rng(self) -> np.random.Generator:
-        """Return the random generator with which the next lot makes its choices."""
-        return np.random.default_rng((self._seed, self.played))
-
-    def _at_some_rate(self, source: SimulatedSource, rng: np.random.Generator) -> SimulatedSource:
-        """Return a source with a random time between epochs.
-
-        If this time is at most 0.2 s, half of the lots have long episodes.
+        A round has a batch for every place, then random batches.
         """
-        dt = float(rng.choice(STEPS_S))
-        long = rng.random() < 0.5
-        return replace(
-            source, dt=dt, epochs=self._hyper.long_epochs if dt <= 0.2 and long else EPOCHS
-        )
+        surveys = self.surveys
+        count = round(len(self.places) * self.random_share / (1.0 - self.random_share))
+        for place in [*self.places, *[None] * count] * rounds:
+            rng = np.random.default_rng((self.seed, self.drawn))
+            if place is None:
+                profile, source = self._at_random(rng)
+            else:
+                profile = place.profile
+                source = place.source(self.scenario)
+            if place and place.dt == 1.0:
+                source = self._at_some_rate(source, rng)
+            erring = rng.random() < (surveys.at_places if place else surveys.at_random)
+            survey = surveys.worse if rng.random() < surveys.worse_share else surveys.survey
+            if erring:
+                source = replace(source, survey=survey)
+            batch = self._draw(source)
+            if place is None:
+                degrade(batch, rng)
+            if rng.random() < FROM_A_LINK:
+                begin_from_a_link(batch, source)
+            yield profile, batch
 
-    def _at_random(self, rng: np.random.Generator) -> tuple[str, EpisodeBatch]:
-        """Return the radio of a random receiver, and its episodes in random streets."""
-        profile = self._radios[str(rng.choice(list(self._radios)))]
+    def _at_random(self, rng: np.random.Generator) -> tuple[str, SimulatedSource]:
+        """Return the radio of a random receiver, and its source of episodes in random streets."""
+        places = {place.profile: place for place in self.places}
+        profile = str(rng.choice(list(places)))
         scene = replace(
             WIDE_SCENE,
             carrier_hz=float(rng.uniform(24e9, 60e9)),
             bandwidth_hz=float(rng.choice([100e6, 200e6, 400e6])),
         )
-        radio = RandomRadio(profile).draw(rng)
+        radio = RandomRadio(radio_from(places[profile].radio)).draw(rng)
         if rng.random() < CLEAR:
             radio = replace(radio, blockage_scale=0.0, multipath_rate_hz=0.0, outage_rate_hz=0.0)
         lacks = rng.random() < LACKING
@@ -202,57 +176,28 @@ class CorrectorData:
         clock = "synchronized"
         if drifts < DRIFTING + FREE and (subset is None or "range" in subset):
             clock = "offset" if drifts < DRIFTING else "free"
-        source = SimulatedSource(
-            scene, radio, self._task.scenario, measurements=subset, clock=clock
-        )
+        source = SimulatedSource(scene, radio, self.scenario, measurements=subset, clock=clock)
         source = self._at_some_rate(source, rng)
         if rng.random() < WEAVING:
             source = weaving(replace(source, scene=replace(scene, behind_m=WEAVING_BEHIND_M)), rng)
-        source = self._surveyed(source, self._surveys.at_random, rng)
-        batch = self._draw(source)
-        degrade(batch, rng)
-        return profile.name, self._begun(batch, source, rng)
+        return profile, source
+
+    def _at_some_rate(self, source: SimulatedSource, rng: np.random.Generator) -> SimulatedSource:
+        """Return a source with a random time between epochs.
+
+        If this time is at most 0.2 s, half of the batches have long episodes.
+        """
+        dt = float(rng.choice(STEPS_S))
+        long = rng.random() < 0.5
+        return replace(source, dt=dt, epochs=self.long_epochs if dt <= 0.2 and long else EPOCHS)
 
     def _draw(self, source: SimulatedSource) -> EpisodeBatch:
-        """Draw ``num_envs`` new episodes, or fewer if they are longer than EPOCHS."""
-        n = max(1, self._hyper.num_envs * EPOCHS // max(source.epochs, EPOCHS))
-        keys = keys_at(self._stream, np.arange(self.played, self.played + n, dtype=np.uint64))
-        self.played += n
+        """Draw ``n`` new episodes, or fewer if they are longer than EPOCHS."""
+        n = max(1, self.n * EPOCHS // max(source.epochs, EPOCHS))
+        stream = np.array([stream_of(self.seed)], np.uint64)
+        keys = keys_at(stream, np.arange(self.drawn, self.drawn + n, dtype=np.uint64))
+        self.drawn += n
         return source.sample_batch(keys)
-
-    def _surveyed(
-        self, source: SimulatedSource, probability: float, rng: np.random.Generator
-    ) -> SimulatedSource:
-        """Return the source, with a probability with errors of its survey."""
-        surveys = self._surveys
-        erring = rng.random() < probability
-        survey = surveys.worse if rng.random() < surveys.worse_share else surveys.survey
-        return replace(source, survey=survey) if erring else source
-
-    def _begun(
-        self, batch: EpisodeBatch, source: SimulatedSource, rng: np.random.Generator
-    ) -> EpisodeBatch:
-        """Return a batch of a source; half of all batches begin from a link."""
-        if rng.random() < FROM_A_LINK:
-            begin_from_a_link(batch, source)
-        return batch
-
-    def _play(self, batch: EpisodeBatch, bank: Bank) -> Lot:
-        """Play episodes with the base; return what a corrector learns from them."""
-        n, epochs, _ = batch.table.shape
-        pipeline = Pipeline(bank.modes, batch.layout)
-        engine = Engine(pipeline, n, TrackingReward(), "signed", bank, action=CORRECTION)
-        engine.load(batch)
-        after = [feature.name for feature in after_update(pipeline, per_mode=True)]
-        columns = np.array([engine.observation.names.index(name) for name in after])
-        policy = base_policy(self._hyper.base, engine.observation)
-        track = play(engine, policy, epochs, ("x", "P", "error"), columns)
-        return lot_of(track.features, *track.outputs.values())
-
-
-def base_policy(base: str, table: Observation) -> Policy:
-    """Return the policy of a base, which acts on a table of features; an IMM stays as it is."""
-    return FixedMode() if base == BASE_IMM else LearnedSwitch(base, table)
 
 
 def begin_from_a_link(batch: EpisodeBatch, source: SimulatedSource) -> None:
@@ -304,21 +249,6 @@ def weaving(source: SimulatedSource, rng: np.random.Generator) -> SimulatedSourc
     return replace(source, scenario=Ways("weaving", ways))
 
 
-def lot_of(features: Array32, x: Array, P: Array, error: Array) -> Lot:
-    """Return a lot, given the features, and the base's beliefs and errors in the scene's axes.
-
-    All arrays are (n, T, ...); P is packed, and errors are estimates minus truth. Episodes in which
-    the base's belief became NaN or infinite (docs/reliability.md) are left out.
-    """
-    belief = Belief(list(np.moveaxis(x, -1, 0)), unpack(list(np.moveaxis(P, -1, 0))))
-    frame, deviations = deviations_of(belief)
-    along, across = frame.into(-error[..., 0], -error[..., 1])
-    truth = np.stack([along, across, -error[..., 2]], axis=-1).astype(np.float32)
-    parts = (features, truth, np.stack(deviations, axis=-1).astype(np.float32))
-    sound = np.logical_and.reduce([np.isfinite(part).all(axis=(1, 2)) for part in parts])
-    return Lot(*(np.swapaxes(part[sound], 0, 1) for part in parts))
-
-
 def degrade(batch: EpisodeBatch, rng: np.random.Generator) -> None:
     """Make the receiver, at random, misjudge noise or orientation, or miss some anchors."""
     at = columns_of(batch.layout)
@@ -327,9 +257,87 @@ def degrade(batch: EpisodeBatch, rng: np.random.Generator) -> None:
     if rng.random() < MISJUDGING:
         sigma *= 2.0 ** rng.uniform(-1.0, 1.0, (len(sigma), 1, 1))
     if layout.anchors > 1 and rng.random() < FEWER:
-        for anchor in range(int(rng.integers(1, layout.anchors)), layout.anchors):
-            sigma[:, :, layout.link(anchor)] = -np.abs(sigma[:, :, layout.link(anchor)])
+        first = layout.link(int(rng.integers(1, layout.anchors))).start
+        links = sigma[:, :, first : layout.doppler]
+        np.negative(np.abs(links), out=links)
     batch.table[:, :, rows_of(at.signed_sigma)] = sigma
     if rng.random() < TURNED:
         azimuths = rows_of(at.z)[1 : layout.doppler : 4]
         batch.table[:, :, azimuths] += rng.normal(0.0, ORIENTATION_RAD, (len(sigma), 1, 1))
+
+
+class Beliefs(NamedTuple):
+    """Beliefs about n tracks of T epochs each, and what a corrector sees of them.
+
+    Attributes:
+        features: (n, T, features) features for the network.
+        x, P: (n, T, 7) means and (n, T, 28) packed covariances.
+        error: (n, T, 3) estimate minus truth, m.
+    """
+
+    features: Array32
+    x: Array
+    P: Array
+    error: Array
+
+
+def _played(batch: EpisodeBatch, bank: Bank, base: str, *names: str) -> Played:
+    """Play episodes with the policy ``base``; record parts of the state, and features after it."""
+    n, epochs, _ = batch.table.shape
+    pipeline = Pipeline(bank.modes, batch.layout)
+    engine = Engine(pipeline, n, TrackingReward(), "signed", bank, action=CORRECTION)
+    engine.load(batch)
+    after = [feature.name for feature in after_update(pipeline, per_mode=True)]
+    columns = np.array([engine.observation.names.index(name) for name in after])
+    return play(engine, base_policy(base, engine.observation), epochs, names, columns)
+
+
+def filtered(batch: EpisodeBatch, bank: Bank, base: str) -> Beliefs:
+    """Filter episodes with the policy ``base`` and a bank."""
+    track = _played(batch, bank, base, "x", "P", "error")
+    return Beliefs(track.features, *track.outputs.values())
+
+
+def smoothed(batch: EpisodeBatch, bank: Bank, base: str) -> Beliefs:
+    """Filter episodes with the policy ``base`` and a bank, and smooth the tracks."""
+    gates = [f"memory.{gate}" for gate in GATES]
+    parts = _played(batch, bank, base, "x", "error", "mixture", *gates).outputs
+    pipeline = Pipeline(bank.modes, batch.layout)
+    at = columns_of(batch.layout)
+    hz_per_mps = float(unflatten(blank_site(batch.layout), iter(batch.site[0])).hz_per_mps)
+    dt = batch.table[:, :, at.dt]
+    spread_hz = batch.table[:, :, at.doppler_spread_hz]
+    mixture = parts["mixture"]
+    x, P = smooth_modes(bank, pipeline, mixture, dt, spread_hz, hz_per_mps)
+    features = smoothed_features(pipeline, batch, x, P, mixture, [parts[gate] for gate in gates])
+    return Beliefs(features, x, P, parts["error"] + (x - parts["x"])[..., :3])
+
+
+class Lot(NamedTuple):
+    """A lot, or batch: n episodes of T epochs each.
+
+    Attributes:
+        features: (T, n, features) input of a corrector after every epoch.
+        error: (T, n, 3) truth minus estimate, m: along the motion, across it, and up.
+        deviation: (T, n, 3) standard deviations of the belief in the same directions, m.
+    """
+
+    features: Array32
+    error: Array32
+    deviation: Array32
+
+
+def lot_of(beliefs: Beliefs) -> Lot:
+    """Return what a corrector learns from beliefs.
+
+    Episodes in which a belief became NaN or infinite (docs/reliability.md) are left out.
+    """
+    x = list(np.moveaxis(beliefs.x, -1, 0))
+    P = unpack(list(np.moveaxis(beliefs.P, -1, 0)))
+    frame, deviations = deviations_of(Belief(x, P))
+    left = -beliefs.error
+    truth = [*frame.into(left[..., 0], left[..., 1]), left[..., 2]]
+    rows = [np.stack(part, axis=-1).astype(np.float32) for part in (truth, deviations)]
+    parts = (beliefs.features, *rows)
+    sound = np.logical_and.reduce([np.isfinite(part).all(axis=(1, 2)) for part in parts])
+    return Lot(*(np.swapaxes(part[sound], 0, 1) for part in parts))

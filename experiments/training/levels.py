@@ -8,24 +8,19 @@ correctors of beliefs. Constants, calibrated on other episodes, are added to the
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
-from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import torch
-from torch import nn
 
 from experiments.console.options import SEEDS_EACH, TRAINING_SEED
 from experiments.console.output import say
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.runner import run_contender
 from experiments.training.corrector import normalization_of
-from experiments.training.corrector_data import CorrectorData, Surveys
-from experiments.training.hyperparameters import read_hyperparameters, shipped_hyperparameters
-from experiments.training.training_task import TrainingTask, banks_of, places_from
+from experiments.training.corrector_data import Surveys, TrainingEpisodes
+from experiments.training.networks import perceptron
+from experiments.training.training_task import places_from
 from mmwave_env.compiler.program import rows_of
-from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.localization.levels import GAUSSIAN, PARTS, Levels, Network
 from mmwave_env.localization.position_errors import gaussian_levels, horizontal, vertical
 from mmwave_env.models.radio import TUNED_RADIOS
@@ -33,6 +28,7 @@ from mmwave_env.models.random_survey import RandomSurvey
 from mmwave_env.models.scene import TRAINED_SCENES
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import columns_of
+from policies.sb3 import folded_layers
 
 RISKS = (1e-2, 1e-3)
 SINGLE = ("speed-rule", "fixed-ekf", "fixed-ukf")  # policies that run one filter at a time
@@ -45,6 +41,7 @@ SEED = TRAINING_SEED + 9 * SEEDS_EACH  # seed of episodes that no corrector was 
 # ENVS: episodes per place in a round. ROUNDS: training rounds. CALIBRATION: calibration rounds.
 # RANDOM_SHARE: share of random episodes among the training episodes.
 ENVS = 64
+LONG_EPOCHS = 400  # length of long episodes, epochs
 RANDOM_SHARE = 0.5
 ROUNDS = 48
 CALIBRATION = 30
@@ -81,14 +78,11 @@ def _played(
     and the vertical error, each divided by its Gaussian level. The episodes are drawn as for a
     corrector; ``random_share`` is the share of random episodes.
     """
-    places = places_from(PLACES)
-    banks = banks_of((), places, "per-mode")
-    task = TrainingTask("mixed", places, banks, "signed", TrackingReward(), "per-mode")
-    hyper: Any = read_hyperparameters(shipped_hyperparameters("corrector"), "corrector")
-    hyper = replace(hyper, num_envs=ENVS, random_share=random_share)
-    data = CorrectorData(task, hyper, seed, CAREFUL_SURVEYS)
+    episodes = TrainingEpisodes(
+        "mixed", places_from(PLACES), seed, ENVS, random_share, LONG_EPOCHS, CAREFUL_SURVEYS
+    )
     rng = np.random.default_rng(seed)
-    for radio, batch in data.batches(rounds):
+    for radio, batch in episodes.batches(rounds):
         time_s = batch.table[0, :, rows_of([columns_of(batch.layout).dt])[0]].cumsum()
         for names in policies:
             contender = contender_from(str(rng.choice(names)), radio)
@@ -116,12 +110,10 @@ def _trained(features: Array, logs: Array, steps: int) -> Network:
     torch.set_num_threads(1)
     torch.manual_seed(0)
     normal = normalization_of(features[::16].astype(float))
-    low, high, mean, sigma = [part.astype(np.float32) for part in normal]
-    x = torch.from_numpy((np.clip(features, low, high) - mean) / sigma)
+    x = torch.from_numpy(normal.normalized(features))
     y = torch.from_numpy(logs)
     risk = torch.tensor(RISKS)[:, None]
-    linear = [nn.Linear(*ends) for ends in pairwise([x.shape[1], HIDDEN, HIDDEN, 2 * len(RISKS)])]
-    network = nn.Sequential(linear[0], nn.Tanh(), linear[1], nn.Tanh(), linear[2])
+    network = perceptron(x.shape[1], HIDDEN, HIDDEN, 2 * len(RISKS))
     optimizer = torch.optim.Adam(network.parameters(), RATE)
     for step in range(steps):
         optimizer.param_groups[0]["lr"] = RATE * (1.0 - step / steps)
@@ -132,8 +124,7 @@ def _trained(features: Array, logs: Array, steps: int) -> Network:
         optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         optimizer.step()
-    layers = [tuple(part.detach().double().numpy() for part in f.parameters()) for f in linear]
-    layers[0] = normal.folded(*layers[0])
+    layers = folded_layers(network, normal)
     constants = np.zeros((len(KINDS), len(RISKS), 2))
     return Network([*RISKS], constants, normal.low, normal.high, layers)
 
@@ -184,9 +175,8 @@ def trained_levels(
     calibrated on ``calibration`` rounds.
     """
     lots = [_finite(lot) for lot in _played(SEED, rounds, LEARNED_FROM, RANDOM_SHARE)]
-    features = np.concatenate([features for features, _ in lots])
-    logs = np.concatenate([logs for _, logs in lots])
-    network = _trained(features, logs, steps)
+    features, logs = zip(*lots, strict=True)
+    network = _trained(np.concatenate(features), np.concatenate(logs), steps)
     network = network._replace(constants=_constants(network, seed, calibration))
     for kind, constants in zip(("filter", "bank", "corrector"), network.constants, strict=True):
         for risk, (h, v) in zip(RISKS, np.exp(constants), strict=True):

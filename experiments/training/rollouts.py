@@ -8,8 +8,7 @@ policy iteration (Bertsekas, Rollout, Policy Iteration, and Distributed Reinforc
 A *place* is a scene with a radio.
 """
 
-from itertools import pairwise
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 import torch
@@ -18,6 +17,7 @@ from torch import Tensor, nn
 from experiments.evaluation.agents import Act
 from experiments.evaluation.branches import Branches
 from experiments.training.hyperparameters import RolloutHyperparameters, falling
+from experiments.training.networks import perceptron
 from experiments.training.trainer import Job, Trainer
 from experiments.training.training_task import TrainingTask
 from mmwave_env.compiler.lanes import WIDTH
@@ -70,7 +70,6 @@ class RolloutEnv:
     ) -> None:
         places = task.places
         self._sources = [place.source(task.scenario) for place in places]
-        self._horizon = horizon
         self._everyone = np.arange(n)
         block = self._everyone // WIDTH
         self._place = block % len(places)
@@ -96,8 +95,7 @@ class RolloutEnv:
         step_s = np.array([place.dt for place in places])[self._place]
         self._weights = discount ** (step_s[:, None] * np.arange(horizon))
         self._streams = Streams(n)
-        for i in range(n):
-            self._streams.seed(i, seed + i)
+        self._streams.seed_some(seed, self._everyone)
         self.observations = np.zeros((n, len(self.observation)), np.float32)
         self._begin(self._everyone)
         length = self._engine.state.length
@@ -145,7 +143,7 @@ class RolloutEnv:
         """
         values = self._branches.values(act, self._weights)
         state = self._engine.state
-        whole = state.epoch - 1 + self._horizon <= state.length
+        whole = state.epoch - 1 + self._branches.horizon <= state.length
         return Tried(self.observations[whole], values[whole])
 
 
@@ -170,15 +168,13 @@ class RolloutLearner:
     ) -> None:
         self._hyper = hyper
         self.scales = normal._asdict()
-        layers = []
-        for width, neurons in pairwise((features, *hyper.hidden)):
-            layers += [nn.Linear(width, neurons), nn.Tanh()]
-        last = nn.Linear(hyper.hidden[-1], actions)
+        network = perceptron(features, *hyper.hidden, actions)
+        last = cast(nn.Linear, network[-1])
         with torch.no_grad():
             last.weight *= 0.1
             last.bias.zero_()
             last.bias[0] = hyper.first_action_bias
-        self.network: nn.Module = nn.Sequential(*layers, last)
+        self.network: nn.Module = network
         parameters = self.network.parameters()
         adam = torch.optim.Adam(parameters, hyper.learning_rate)
         self.optimizers: tuple[torch.optim.Optimizer, ...] = (adam,)
@@ -191,9 +187,7 @@ class RolloutLearner:
         return logits
 
     def _normal(self, observations: Array32) -> Tensor:
-        scales = [torch.from_numpy(part.astype(np.float32)) for part in self.scales.values()]
-        low, high, mean, sigma = scales
-        return (torch.clamp(torch.from_numpy(observations), low, high) - mean) / sigma
+        return torch.from_numpy(Normalization(**self.scales).normalized(observations))
 
     @torch.no_grad()
     def greedy(self, observations: Array32) -> Index:

@@ -21,7 +21,7 @@ from experiments.training.corrector import CorrectorTrainer, TwoWayTrainer
 from experiments.training.hyperparameters import Hyperparameters, hyperparameters_as_written
 from experiments.training.ppo import PpoTrainer
 from experiments.training.rollouts import RolloutTrainer
-from experiments.training.trainer import Job, Tell, Trainer, Training
+from experiments.training.trainer import Job, Tell, Trainer, run_training
 from experiments.training.training_task import hyperparameters, training_task
 from mmwave_env.filters.bank import Bank, bank_as_written
 from mmwave_env.io.files import Json, read_json, write_bytes, write_json
@@ -99,7 +99,7 @@ def train(job: Job, tell: Tell) -> Json:
     Raises:
         ValueError: the checkpoint is damaged.
     """
-    return Training(job, TRAINERS[job.hyperparameters.algorithm], tell).run()
+    return run_training(job, TRAINERS[job.hyperparameters.algorithm], tell)
 
 
 def side_by_side(

@@ -5,7 +5,8 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any, ClassVar
@@ -16,13 +17,14 @@ import torch
 from experiments.console.options import SEEDS_EACH, TRAINING_SEED, TUNING_SEED
 from experiments.console.output import csv_text
 from experiments.console.provenance import versions_of
-from experiments.evaluation.contenders import contender_from, draw_episodes
+from experiments.evaluation.contenders import Contender, contender_from, draw_episodes
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.runner import Scores, score
 from experiments.training.training_task import TrainingTask
 from mmwave_env.interface.observation import Observation
 from mmwave_env.io.files import Json, atomic_path, first_line, write_bytes, write_json, write_text
-from policies.policy_file import Card, Tensors, to_bytes
+from policies import load
+from policies.policy_file import Card, PolicyFile, Tensors, to_bytes
 
 RIVALS = ("speed-rule", "imm")  # rivals in every training
 EPISODES = 500  # number of episodes to evaluate a policy on
@@ -102,8 +104,8 @@ class Trainer(ABC):
     def tensors(self) -> Tensors:
         """Return the network in the form that a policy file stores."""
 
-    def examiner(self, episodes: int) -> Callable[[Path], Json]:
-        """Return the function that evaluates the latest policy, given its file.
+    def examiner(self, episodes: int) -> Callable[[PolicyFile], Json]:
+        """Return the function that evaluates the latest policy.
 
         It scores policies on the same episodes, by the default reward. Its results are the first
         seed, the number of episodes, the mean of every metric and, as "minus NAME", the mean gain
@@ -121,22 +123,19 @@ class Trainer(ABC):
             seeds = (TUNING_SEED + here).tolist()
             drawn.append((place.radio, draw_episodes(place.source(task.scenario), seeds)))
 
-        def scores_of(name: str) -> Scores:
-            """Score a contender, given its name or file, on all episodes."""
-            parts = []
-            for radio, some in drawn:
-                contender = contender_from(name, radio)
-                parts.append(score(contender, some))
+        def scores_of(contender: Callable[[str], Contender]) -> Scores:
+            """Score a contender, given its function of the radio, on all episodes."""
+            parts = [score(contender(radio), some) for radio, some in drawn]
             return {metric: np.concatenate([part[metric] for part in parts]) for metric in parts[0]}
 
         # if every mode keeps its own belief, the IMM over the same modes is a rival, too
         rivals = (*RIVALS, "imm-best") if task.beliefs == "per-mode" else RIVALS
         # The rule warns at speeds outside its design window, which occur here on purpose.
         with warnings.catch_warnings(action="ignore"):
-            rewards = {name: scores_of(name)["reward"] for name in rivals}
+            rewards = {name: scores_of(partial(contender_from, name))["reward"] for name in rivals}
 
-        def examine(path: Path) -> Json:
-            scores = scores_of(str(path))
+        def examine(file: PolicyFile) -> Json:
+            scores = scores_of(lambda radio: Contender(**vars(load(file, radio)), name="latest"))
             reward = scores["reward"]
             gains = bootstrap([reward - other for other in rewards.values()])
             return {
@@ -150,10 +149,11 @@ class Trainer(ABC):
 
     def state(self) -> State:
         """Return the weights, the optimizers and the normalization, for :meth:`restore`."""
-        scales = {name: torch.from_numpy(np.asarray(s)) for name, s in self.scales.items()}
-        network = self.network.state_dict()
-        optimizers = [optimizer.state_dict() for optimizer in self.optimizers]
-        return {"network": network, "optimizers": optimizers, "scales": scales}
+        return {
+            "network": self.network.state_dict(),
+            "optimizers": [optimizer.state_dict() for optimizer in self.optimizers],
+            "scales": {name: torch.from_numpy(np.asarray(s)) for name, s in self.scales.items()},
+        }
 
     def restore(self, state: State) -> None:
         """Go on from the weights of a :meth:`state`, with new episodes."""
@@ -163,131 +163,94 @@ class Trainer(ABC):
         self.scales.update({name: scale.numpy() for name, scale in state["scales"].items()})
 
 
-@dataclass
-class Progress:
-    """The progress of a training.
+def run_training(job: Job, algorithm: Callable[[Job, int], Trainer], tell: Tell) -> Json:
+    """Run a training to its end; return its outcome, which is also written to a file.
 
-    Attributes:
-        updates, timesteps: numbers of updates and of timesteps so far.
-        seconds: wall time until the last checkpoint.
-        best: results of the best policy so far.
-        rows: rows of the log, which have statistics of an update.
-    """
-
-    updates: int = 0
-    timesteps: int = 0
-    seconds: float = 0.0
-    best: Json | None = None
-    rows: list[dict[str, float]] = field(default_factory=list)
-
-
-class Training:
-    """A training in progress.
+    If the folder of the job has a checkpoint, the training goes on from it.
 
     Args:
-        job: training to run; if its folder has a checkpoint, the training goes on from it.
+        job: training to run.
         algorithm: function that makes a trainer, given the job and the seed of the first
             environment; the other seeds count up from it.
         tell: function that hears of the progress.
 
-    Attributes:
-        progress: progress of the training.
-        trainer: the algorithm.
-
     Raises:
         ValueError: the checkpoint is damaged.
     """
+    torch.set_num_threads(1)  # networks this small gain nothing from more threads
+    begun_s = time.monotonic()
+    timesteps = 0
+    rows: list[dict[str, float]] = []
+    best: Json | None = None
+    state: State | None = None
+    if job.checkpoint.exists():
+        rows, best, state = read_checkpoint(job.checkpoint)
+        timesteps = int(rows[-1]["timesteps"])
+        begun_s -= rows[-1]["seconds"]
+    # after an interruption, the environments get new episodes
+    new = len(rows) * job.hyperparameters.num_envs
+    trainer = algorithm(job, TRAINING_SEED + SEEDS_EACH * job.seed + new)
+    if state is not None:
+        with going_on_from(job.checkpoint):
+            trainer.restore(state)
+    examine = trainer.examiner(job.episodes)
+    while timesteps < job.timesteps:
+        steps, row = trainer.update(1.0 - timesteps / job.timesteps)
+        timesteps += steps
+        rows.append({"timesteps": timesteps} | row)
+        over = timesteps >= job.timesteps
+        text = ""
+        if over or len(rows) % trainer.EVERY == 0:
+            file = PolicyFile(trainer.tensors(), card_of(job, trainer, timesteps), job.policy)
+            evaluation = examine(file)
+            rows[-1] |= means_of(evaluation)
+            text = f"reward {evaluation['reward']:.3f}"
+            if best is None or evaluation["reward"] > best["reward"]:
+                best = {"timesteps": timesteps, **evaluation}
+                card = replace(file.card, evaluation=best)
+                write_bytes(job.policy, to_bytes(file.tensors, card))
+        rows[-1]["seconds"] = time.monotonic() - begun_s
+        if over or len(rows) % job.checkpoint_every == 0:
+            write_text(job.folder / "progress.csv", as_csv(rows))
+            saved = {"rows": rows, "best": best, "trainer": trainer.state()}
+            with atomic_path(job.checkpoint) as temporary:
+                torch.save(saved, temporary)
+        tell(timesteps, text)
+    seconds = round(time.monotonic() - begun_s, 1)
+    outcome = {"seed": job.seed, "timesteps": timesteps, "seconds": seconds, "best": best}
+    write_json(job.outcome, outcome)
+    job.checkpoint.unlink(missing_ok=True)
+    return outcome
 
-    def __init__(self, job: Job, algorithm: Callable[[Job, int], Trainer], tell: Tell) -> None:
-        torch.set_num_threads(1)  # networks this small gain nothing from more threads
-        self._job = job
-        self._tell = tell
-        self.progress = Progress()
-        state = None
-        if job.checkpoint.exists():
-            self.progress, state = read_checkpoint(job.checkpoint)
-        self._begun_s = time.monotonic() - self.progress.seconds
-        # after an interruption, the environments get new episodes
-        new = self.progress.updates * job.hyperparameters.num_envs
-        seed = TRAINING_SEED + SEEDS_EACH * job.seed + new
-        self.trainer = algorithm(job, seed)
-        if state is not None:
-            with going_on_from(job.checkpoint):
-                self.trainer.restore(state)
-        self._examine = self.trainer.examiner(job.episodes)
 
-    @property
-    def seconds(self) -> float:
-        """Return the wall time of the training, including time before an interruption."""
-        return time.monotonic() - self._begun_s
+def means_of(evaluation: Json) -> dict[str, float]:
+    """Return the means in an evaluation, for the log."""
+    return {
+        f"tuning/{key}": float(value["mean"] if isinstance(value, dict) else value)
+        for key, value in evaluation.items()
+    }
 
-    def run(self) -> Json:
-        """Train to the end; return the outcome, which is also written to a file."""
-        job = self._job
-        progress = self.progress
-        while progress.timesteps < job.timesteps:
-            steps, figures = self.trainer.update(1.0 - progress.timesteps / job.timesteps)
-            progress.timesteps += steps
-            progress.updates += 1
-            over = progress.timesteps >= job.timesteps
-            if over or progress.updates % self.trainer.EVERY == 0:
-                figures |= self._evaluate()
-            row = {"timesteps": progress.timesteps, **figures, "seconds": self.seconds}
-            progress.rows.append(row)
-            if over or progress.updates % job.checkpoint_every == 0:
-                progress.seconds = self.seconds
-                write_text(job.folder / "progress.csv", as_csv(progress.rows))
-                saved = {"progress": asdict(progress), "trainer": self.trainer.state()}
-                with atomic_path(job.checkpoint) as temporary:
-                    torch.save(saved, temporary)
-            self._tell(progress.timesteps, "")
-        outcome = {
-            "seed": job.seed,
-            "timesteps": progress.timesteps,
-            "seconds": round(self.seconds, 1),
-            "best": progress.best,
-        }
-        write_json(job.outcome, outcome)
-        job.checkpoint.unlink(missing_ok=True)
-        return outcome
 
-    def _evaluate(self) -> dict[str, float]:
-        """Evaluate the policy; keep its file if it is the best so far; return means for the log."""
-        progress = self.progress
-        tensors = self.trainer.tensors()
-        latest = self._job.folder / "latest.safetensors"
-        write_bytes(latest, to_bytes(tensors, self._card({})))
-        figures = self._examine(latest)
-        timesteps = progress.timesteps
-        if progress.best is None or figures["reward"] > progress.best["reward"]:
-            progress.best = {"timesteps": timesteps, **figures}
-            write_bytes(self._job.policy, to_bytes(tensors, self._card(progress.best)))
-        self._tell(timesteps, f"reward {figures['reward']:.3f}")
-        return {
-            f"tuning/{key}": float(value["mean"] if isinstance(value, dict) else value)
-            for key, value in figures.items()
-        }
-
-    def _card(self, evaluation: Json) -> Card:
-        job = self._job
-        table = self.trainer.table
-        task = job.task
-        return Card(
-            modes=table.modes,
-            observation=table.kind,
-            features=table.columns,
-            scenario=task.scenario,
-            radio=", ".join(task.banks),
-            algorithm=job.hyperparameters.algorithm,
-            seed=job.seed,
-            timesteps=self.progress.timesteps,
-            command=job.command,
-            evaluation=evaluation,
-            versions=versions_of("gymnasium", "numpy", "numba", "torch", "stable-baselines3"),
-            beliefs=table.beliefs,
-            banks=dict(task.banks) if table.beliefs == "per-mode" else {},
-            base=self.trainer.base,
-        )
+def card_of(job: Job, trainer: Trainer, timesteps: int) -> Card:
+    """Return the card of a trainer's policy, without an evaluation."""
+    table = trainer.table
+    task = job.task
+    return Card(
+        modes=table.modes,
+        observation=table.kind,
+        features=table.columns,
+        scenario=task.scenario,
+        radio=", ".join(task.banks),
+        algorithm=job.hyperparameters.algorithm,
+        seed=job.seed,
+        timesteps=timesteps,
+        command=job.command,
+        evaluation={},
+        versions=versions_of("gymnasium", "numpy", "numba", "torch", "stable-baselines3"),
+        beliefs=table.beliefs,
+        banks=dict(task.banks) if table.beliefs == "per-mode" else {},
+        base=trainer.base,
+    )
 
 
 def as_csv(rows: list[dict[str, float]]) -> str:
@@ -298,15 +261,15 @@ def as_csv(rows: list[dict[str, float]]) -> str:
     return csv_text([names, *texts])
 
 
-def read_checkpoint(path: Path) -> tuple[Progress, State]:
-    """Read a checkpoint: the progress of a training, and the state of its trainer.
+def read_checkpoint(path: Path) -> tuple[list[dict[str, float]], Json | None, State]:
+    """Read a checkpoint: log, best results so far, and state of the trainer.
 
     Raises:
         ValueError: the file is damaged; nothing in it is executed.
     """
     with going_on_from(path):
         saved = torch.load(path, map_location="cpu", weights_only=True)
-        return Progress(**saved["progress"]), saved["trainer"]
+        return saved["rows"], saved["best"], saved["trainer"]
 
 
 @contextmanager

@@ -11,16 +11,11 @@ import torch
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.protocol import judge, sites
 from experiments.training.corrector import CorrectorTrainer, loss_of, mixed
-from experiments.training.corrector_data import (
-    WEAVING_BEHIND_M,
-    CorrectorData,
-    begin_from_a_link,
-    weaving,
-)
+from experiments.training.corrector_data import WEAVING_BEHIND_M, begin_from_a_link, weaving
 from experiments.training.hyperparameters import CorrectorHyperparameters, TwoWayHyperparameters
-from experiments.training.recurrence import RecurrentUnit
+from experiments.training.networks import RecurrentUnit
 from experiments.training.run import train
-from experiments.training.trainer import Job, Training
+from experiments.training.trainer import Job
 from mmwave_env.metrics import BURN_IN
 from mmwave_env.models.measurement import blank_site
 from mmwave_env.models.random_scene import WIDE_SCENE
@@ -30,7 +25,7 @@ from mmwave_env.world.episode import columns_of
 from policies import Corrector
 from policies.corrector import TwoWayCorrector
 from tests.training.test_rollout_env import task
-from tests.training.test_train_interrupted import assert_goes_on, silent
+from tests.training.test_train_interrupted import assert_goes_on, silent, trained
 
 pytestmark = pytest.mark.torch
 
@@ -51,7 +46,7 @@ def job_of(folder, hyper=HYPER, **changes):
 
 @pytest.fixture(scope="module")
 def lots():
-    return list(CorrectorData(task(), HYPER, SEED).lots())
+    return CorrectorTrainer(job_of(None), SEED).play(1)
 
 
 @pytest.mark.slow
@@ -114,8 +109,8 @@ def test_a_recurrent_unit_and_its_gradients_equal_those_of_pytorch(two_way):
 
 @pytest.mark.slow
 def test_no_episode_is_played_twice():
-    data = CorrectorData(task(), HYPER, SEED)
-    first, second = (next(iter(data.lots())) for _ in range(2))
+    trainer = CorrectorTrainer(job_of(None), SEED)
+    first, second = (trainer.play(1)[0] for _ in range(2))
     epochs, n, _ = np.minimum(first.error.shape, second.error.shape)
     assert (first.error[:epochs, :n] != second.error[:epochs, :n]).all()
 
@@ -130,14 +125,14 @@ def test_an_interrupted_training_goes_on(tmp_path, hyper, reader):
 
 @pytest.mark.slow
 def test_the_policy_file_gives_the_corrections_of_the_network(tmp_path, lots):
-    training = Training(job_of(tmp_path), CorrectorTrainer, silent)
-    training.run()
-    corrector = Corrector(tmp_path / "latest.safetensors")
+    job = job_of(tmp_path)
+    trainer = trained(job, CorrectorTrainer)
+    corrector = Corrector(job.policy)
     assert corrector.card.base == "imm-best"
     lot = lots[0]
     corrector.reset(np.ones(lot.features.shape[1], bool))
     with torch.no_grad():
-        shift, _ = training.trainer.answer(lot)
+        shift, _ = trainer.answer(lot)
     for features, expected in zip(lot.features, shift.mean(2).numpy(), strict=True):
         answer = corrector.correct(features)
         np.testing.assert_allclose(

@@ -11,14 +11,14 @@ import torch
 from experiments.training.hyperparameters import RolloutHyperparameters
 from experiments.training.rollouts import RolloutLearner, RolloutTrainer, Tried
 from experiments.training.run import train
-from experiments.training.trainer import Job, Training
+from experiments.training.trainer import Job
 from experiments.training.training_task import TrainingTask
 from mmwave_env.filters.bank import Bank, default_modes
 from mmwave_env.interface.reward import TrackingReward
 from policies import LearnedSwitch
 from policies.sb3 import Normalization
 from tests.training.test_rollout_env import PLACES, task
-from tests.training.test_train_interrupted import assert_goes_on, silent
+from tests.training.test_train_interrupted import assert_goes_on, silent, trained
 
 pytestmark = pytest.mark.torch
 
@@ -41,12 +41,11 @@ def test_an_interrupted_training_goes_on(tmp_path):
 
 
 def test_the_policy_file_chooses_the_actions_of_the_network(tmp_path):
-    training = Training(job_of(tmp_path), RolloutTrainer, silent)
-    training.run()
-    env = training.trainer.env
-    learner = training.trainer
-    policy = LearnedSwitch(tmp_path / "latest.safetensors", env.observation)
-    assert policy.card.timesteps >= UPDATES * HYPER.states and policy.card.algorithm == "rollouts"
+    job = job_of(tmp_path, timesteps=RolloutTrainer.EVERY * HYPER.states)  # evaluated at the end
+    learner = trained(job, RolloutTrainer)
+    env = learner.env
+    policy = LearnedSwitch(job.policy, env.observation)
+    assert policy.card.timesteps >= job.timesteps and policy.card.algorithm == "rollouts"
     assert set(policy.card.banks) == {place.radio for place in PLACES}
     alike = []
     taken = set()

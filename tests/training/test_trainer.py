@@ -19,13 +19,14 @@ from tests.training.test_train_interrupted import silent
 
 pytestmark = pytest.mark.torch
 
-PROGRESS = {"updates": 3, "timesteps": 96, "best": {"reward": -1.5}, "rows": [{"loss": 0.25}]}
+
+ROWS = [{"timesteps": 96, "loss": 0.25, "seconds": 1.5}]
 
 
 def written(path, trainer):
     """Write a checkpoint with a trainer's state to a file; return the path."""
     memory = io.BytesIO()
-    torch.save({"progress": PROGRESS, "trainer": trainer}, memory)
+    torch.save({"rows": ROWS, "best": {"reward": -1.5}, "trainer": trainer}, memory)
     path.write_bytes(memory.getvalue())
     return path
 

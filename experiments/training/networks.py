@@ -1,18 +1,22 @@
-"""A gated recurrent unit for training: its epochs one after another, its gradient by hand.
+"""Networks to train: of correctors, with a fast recurrent unit, and of tanh layers.
 
-PyTorch's own unit calls some fifty small functions per epoch, and spends more time on the calls
-than on the numbers. Here the epochs are one compiled loop, forwards and backwards. The products
-with the input, and the gradients of all weights, take all epochs at once.
+PyTorch's own recurrent unit calls some fifty small functions per epoch, and spends more time on the
+calls than on the numbers. Here the epochs are one compiled loop, forwards and backwards, with the
+gradient by hand. The products with the input, and the gradients of all weights, take all epochs at
+once.
 """
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
+from experiments.training.hyperparameters import CorrectorHyperparameters
 from mmwave_env.compiler.disk_cache import compiled
 from policies.network import squash
+from policies.policy_file import CORRECTIONS
 
 
 @compiled
@@ -114,21 +118,54 @@ class _Recurrence(torch.autograd.Function):
         return of_incoming, flat.t() @ states[:-1].flatten(0, 1), flat.sum(0)
 
 
-class RecurrentUnit(torch.nn.GRU):
+class RecurrentUnit(nn.GRU):
     """A gated recurrent unit of one layer: ``torch.nn.GRU`` to rounding, in half the time."""
 
     def forward(self, x: Tensor) -> Tensor:  # type: ignore[override]
         """Return the states (T, n, units), or (T, n, 2 units) if bidirectional, for inputs."""
-        forwards = self._states(x, "l0")
-        if not self.bidirectional:
-            return forwards
-        return torch.cat([forwards, self._states(x.flip(0), "l0_reverse").flip(0)], -1)
-
-    def _states(self, x: Tensor, name: str) -> Tensor:
-        weight = getattr(self, f"weight_ih_{name}")
-        bias = getattr(self, f"bias_ih_{name}")
-        incoming = torch.nn.functional.linear(x, weight, bias)
-        weight = getattr(self, f"weight_hh_{name}")
-        bias = getattr(self, f"bias_hh_{name}")
-        states: Tensor = _Recurrence.apply(incoming, weight, bias)  # type: ignore[no-untyped-call]
+        forwards, *backwards = self.all_weights
+        states = _states(x, *forwards)
+        for weights in backwards:
+            states = torch.cat([states, _states(x.flip(0), *weights).flip(0)], -1)
         return states
+
+
+def _states(
+    x: Tensor, of_input: Tensor, of_state: Tensor, input_bias: Tensor, state_bias: Tensor
+) -> Tensor:
+    """Return the states (T, n, units) of a unit with these weights and biases."""
+    incoming = nn.functional.linear(x, of_input, input_bias)
+    return _Recurrence.apply(incoming, of_state, state_bias)  # type: ignore[no-untyped-call,no-any-return]
+
+
+class CorrectorNetwork(nn.Module):
+    """A network: a tanh layer, a gated recurrent unit, and a head with outputs for an ensemble.
+
+    With ``two_way``, a second recurrent unit reads the epochs backwards.
+    """
+
+    def __init__(self, features: int, hyper: CorrectorHyperparameters, two_way: bool) -> None:
+        super().__init__()
+        self.front = nn.Linear(features, hyper.front)
+        self.gru = RecurrentUnit(hyper.front, hyper.units, bidirectional=two_way)
+        self.head = nn.Linear((1 + two_way) * hyper.units + hyper.front, hyper.head)
+        self.out = nn.Linear(hyper.head, hyper.members * CORRECTIONS)
+        with torch.no_grad():
+            self.out.weight *= 0.1  # at first, corrections are small
+            self.out.bias.zero_()
+
+    def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        """Map features (T, n, F) to shifts and log factors of sigmas: (T, n, members, 3) each."""
+        front = torch.tanh(self.front(features))
+        memory = self.gru(front)
+        head = torch.tanh(self.head(torch.cat([memory, front], -1)))
+        answer = self.out(head).unflatten(-1, (-1, CORRECTIONS))
+        return answer[..., :3], answer[..., 3:]
+
+
+def perceptron(*sizes: int) -> nn.Sequential:
+    """Return linear layers, with tanh between them, for these numbers of inputs and neurons."""
+    layers: list[nn.Module] = []
+    for ends in pairwise(sizes):
+        layers += [nn.Linear(*ends), nn.Tanh()]
+    return nn.Sequential(*layers[:-1])
