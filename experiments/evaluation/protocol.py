@@ -40,8 +40,11 @@ from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode, EpisodeSource
 from mmwave_env.world.keys import Keys
 from mmwave_env.world.simulated import SimulatedSource
+from mmwave_env.world.trajectory import Trajectory
 
 HERE = Path(__file__).parent
+DURATION_S = 800  # duration of a trajectory, s; an episode is a random window of 200 s
+STREET = SCENES["street"]
 
 
 @dataclass(frozen=True)
@@ -56,19 +59,37 @@ class Misstated(SimulatedSource):
         return [replace(episode, sigma=self.stated * episode.sigma) for episode in episodes]
 
 
+def corners() -> Trajectory:
+    """Return the path of a car at 10 m/s that turns at every crossing of the default scene."""
+    crossings = np.array([(0, 0), (1, 0), (1, 1), (2, 1), (2, 2), (1, 2), (1, 1), (0, 1)])
+    block_s = round(STREET.streets.block_m / 10.0)
+    nodes = STREET.streets.block_m * np.resize(crossings, (DURATION_S // block_s + 1, 2))
+    x, y = (np.interp(np.arange(DURATION_S), block_s * np.arange(len(nodes)), n) for n in nodes.T)
+    return _trajectory("corners", x, y + STREET.streets.y_m[0])
+
+
+def bus() -> Trajectory:
+    """Return the path of a bus that goes back and forth and stops for 15 s every 300 m."""
+    speed_mps = np.interp(np.arange(50), [0, 10, 25, 35], [0, 12, 12, 0])
+    gone = np.cumsum(np.resize(speed_mps, DURATION_S)) % 600.0
+    x = np.minimum(gone, 600.0 - gone) - 150.0
+    return _trajectory("bus", x, np.zeros(len(x)))
+
+
+def _trajectory(name: str, x: Array, y: Array) -> Trajectory:
+    height_m = np.full(len(x), STREET.streets.height_m)
+    return Trajectory(name, np.arange(len(x), dtype=float), np.stack([x, y, height_m], axis=1))
+
+
 def played_on(**options: Any) -> Callable[[], EpisodeSource]:
     """Return a function that returns the source of episodes for options of ``compare``."""
     return partial(source_of, WorldArgs(**options))
 
 
-# a car that turns at every crossing, and a bus that goes back and forth; each takes 800 s, and an
-# episode is a random window of 200 s
-_CORNERS = str(HERE / "hard" / "corners.csv")
-_BUS = str(HERE / "hard" / "bus.csv")
 HARD_SOURCES: dict[str, Callable[[], EpisodeSource]] = {
-    "corners:handset": played_on(scenario=_CORNERS),
-    "bus:standard": played_on(scenario=_BUS, scene="dynamic-doppler", radio="standard"),
-    "noise-twice:handset": lambda: Misstated(SCENES["street"], RADIOS["handset"], stated=0.5),
+    "corners:handset": lambda: SimulatedSource(STREET, RADIOS["handset"], corners()),
+    "bus:standard": lambda: SimulatedSource(SCENES["dynamic-doppler"], RADIOS["standard"], bus()),
+    "noise-twice:handset": lambda: Misstated(STREET, RADIOS["handset"], stated=0.5),
     "clock-offset:handset": played_on(clock="offset"),
     "surveyed-badly:handset": played_on(survey="bad"),
     "range-azimuth:handset": played_on(measurements=("range", "azimuth")),
