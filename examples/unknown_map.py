@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from experiments.console.output import grid
-from experiments.evaluation.intervals import bootstrap
+from experiments.evaluation.intervals import bootstrap_ratio, rounded
 from mmwave_env.datasets.log_folder import log_text, path_columns
 from mmwave_env.filters.bank import default_modes
 from mmwave_env.io.files import write_json
@@ -92,16 +92,9 @@ def errors_m(entry: Entry, radio: str, seed: int) -> list[float]:
 def row(entry: Entry, radio: str, seeds: range) -> list[object]:
     """Return a row of the table: errors, and the score with its interval over episodes."""
     errors = np.array([errors_m(entry, radio, seed) for seed in seeds])
-    sight, own, known = errors.mean(axis=0)
-    # The score's numerator and denominator are means over episodes, so its interval is that of
-    # a ratio: linearized at the means (delta method).
-    gain = sight - known
-    score = 100.0 * (sight - own) / gain
-    influence = 100.0 * (errors[:, 0] - errors[:, 1]) / gain
-    influence -= score * ((errors[:, 0] - errors[:, 2]) / gain - 1.0)
-    (interval,) = bootstrap(influence[:, None])
-    half = (interval.high - interval.low) / 2.0
-    return [radio, f"{sight:.3f}", f"{own:.3f}", f"{known:.3f}", f"{score:.0f} ± {half:.0f}"]
+    sight, own, known = errors.T
+    (score,) = bootstrap_ratio([100.0 * (sight - own)], [sight - known])
+    return [radio, *(f"{mean:.3f}" for mean in errors.mean(axis=0)), rounded(score)]
 
 
 def main(words: Sequence[str] | None = None) -> None:
