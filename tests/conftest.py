@@ -21,7 +21,7 @@ with suppress(ImportError):
 os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 # The loops that draw episodes and that step and reset environments take half a minute to compile,
-# unless the disk cache has them. Until they are compiled, they run as plain Python.
+# unless the disk cache has them.
 LOOPS = """
 import gymnasium as gym
 env = gym.make_vec("mmwave_env:MmWaveLoc-v0", num_envs=8192, episode_steps=3)

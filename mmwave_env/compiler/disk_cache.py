@@ -1,8 +1,5 @@
 """A disk cache that keeps compiled functions for later processes and is never out of date.
 
-A process that steps one environment a few hundred times would spend most of its time compiling, so
-small amounts of work run as plain Python (:class:`LazyJit`).
-
 numba's ``cache=True`` checks only the file of the function itself. If another file, whose code the
 function calls, is edited, numba returns stale code. Some versions of numba also miss an edit
 that leaves the file's time and size unchanged. Processes that start at the same time can mix up
@@ -38,7 +35,6 @@ import numpy as np
 from numba.core.caching import NullCache
 from numba.core.ccallback import CFunc
 from numba.core.compiler import CompileResult
-from numba.core.registry import cpu_target
 from numba.core.serialize import dumps
 from numba.core.sigutils import normalize_signature
 from platformdirs import user_cache_path
@@ -77,13 +73,6 @@ def _with_cache(compiler: Any, function: Function) -> Any:
         with suppress(OSError):  # the function may not come from a file
             compiler._cache = _OnDisk(function, folder)
     return compiler
-
-
-def is_compiled(function: Any, arguments: tuple[Any, ...]) -> bool:
-    """Return whether a :func:`compiled` function for these arguments is in memory or on disk."""
-    signature = tuple(map(numba.typeof, arguments))
-    cache = function._cache
-    return signature in function.overloads or (isinstance(cache, _OnDisk) and cache.has(signature))
 
 
 @cache  # so the process keeps its folder, even if a source is edited while it runs
@@ -210,13 +199,6 @@ class _OnDisk(NullCache):  # type: ignore[misc]
     def cache_path(self) -> str:
         return str(self._folder)
 
-    def has(self, signature: Any) -> bool:
-        """Return whether a readable file with this version of the function exists."""
-        with suppress(OSError):
-            _opened(self._entry(signature, cpu_target.target_context.codegen())[1]).close()
-            return True
-        return False
-
     def load_overload(self, signature: Any, context: Any) -> Any:
         context.refresh()
         if _edited():
@@ -245,29 +227,3 @@ class _OnDisk(NullCache):  # type: ignore[misc]
         """Return the key (text that identifies this version of the function) and the file."""
         key = f"{self._name} {self._source} {signature} {codegen.magic_tuple()}"
         return key, self._folder / f"{self._name}-{sha256(key.encode()).hexdigest()[:20]}"
-
-
-class LazyJit:
-    """A function that runs as plain Python until it has done a given amount of work.
-
-    After that, or as soon as its compiled form is found on disk, the compiled form runs. All
-    functions that ``function`` calls must run in both forms, as with numba's ``register_jitable``.
-    ``plain_work`` is the amount of work that each process does in plain Python before it compiles
-    the function; the unit is the caller's, such as epochs.
-    """
-
-    def __init__(self, function: Function, plain_work: int) -> None:
-        self.plain = function
-        self.compiled: Any = compiled(function)
-        self._left = plain_work
-
-    def choice(self, work: int, *arguments: Any) -> Any:
-        """Return the form, plain or compiled, to use for an amount of work with these arguments.
-
-        If threads share the work, call this once for all threads.
-        """
-        if work <= self._left and not is_compiled(self.compiled, arguments):
-            self._left -= work
-            return self.plain
-        self._left = 0
-        return self.compiled

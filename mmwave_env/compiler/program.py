@@ -18,7 +18,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from numpy.typing import NDArray
 
 from mmwave_env.compiler.advance import advance
-from mmwave_env.compiler.disk_cache import LazyJit, compiled_callback
+from mmwave_env.compiler.disk_cache import compiled, compiled_callback
 from mmwave_env.compiler.lanes import WIDTH, kernel
 from mmwave_env.compiler.threads import share, spans
 from mmwave_env.numerics.numbers import Array, Index
@@ -29,9 +29,6 @@ Columns = tuple[Index, dict[str, int | slice]]  # rows, and the output columns o
 Workspace = TypeVar("Workspace", bound=tuple[Any, ...])
 
 NO_ROWS = np.empty(0, np.int64)
-# Number of epochs, summed over blocks, that run in plain Python before the loop is compiled.
-# Compiling takes as long as 4000 of these epochs.
-PLAIN_BLOCK_EPOCHS = 1000
 
 # numba holds a lock while it compiles. A child that is forked meanwhile would wait forever for the
 # lock, because the child lacks the thread that releases it. So a fork first waits for the lock.
@@ -196,9 +193,11 @@ class Program(Generic[Workspace]):
     def run_on_lanes(self, state: BatchState, io: StepIO, threads: int = 1) -> None:
         """Run epoch after epoch, eight environments at a time, on at most ``threads`` threads."""
         blocks = len(state.rows)
-        parts = spans(blocks, min(threads, blocks))
-        work = blocks * io.outputs.shape[1]
-        Repeated(run_blocks)(work, parts, threads, self.on_lanes(), self.blank, state, io)
+        jobs = [
+            (*part, self.on_lanes(), self.blank, state, io)
+            for part in spans(blocks, min(threads, blocks))
+        ]
+        share(run_blocks, jobs, threads)
 
     def run_on_floats(self, begin: int, end: int, state: BatchState, io: StepIO) -> None:
         """Run the tracks of some blocks one by one in plain Python: slow, for reference."""
@@ -238,27 +237,26 @@ class Program(Generic[Workspace]):
         return compiled_callback(types.void(types.int64), on_address)
 
 
-run_blocks = LazyJit(advance, PLAIN_BLOCK_EPOCHS)
+run_blocks = compiled(advance)
 
 
 class Repeated:
-    """A :class:`LazyJit` whose arguments have the same types in every call.
+    """A :func:`compiled` loop over ranges of blocks, with the same types in every call.
 
-    Calls of the compiled function skip numba's check of types, which takes microseconds. ``work``
-    is the number of blocks in all jobs times the number of epochs; it decides whether to compile.
+    After the first call, numba's check of types, which takes microseconds, is skipped.
     """
 
-    def __init__(self, function: LazyJit) -> None:
+    def __init__(self, function: Any) -> None:
         self._function = function
         self._unchecked: Callable[..., Any] | None = None
 
     def __call__(
-        self, work: int, parts: Sequence[tuple[int, int]], threads: int, *arguments: Any
+        self, parts: Sequence[tuple[int, int]], threads: int, *arguments: Any
     ) -> list[Any]:
         """Run ranges of blocks on at most ``threads`` threads; return the results, in order."""
         jobs = [(*part, *arguments) for part in parts]
-        run: Any = self._unchecked or self._function.choice(work, *jobs[0])
-        results = share(run, jobs, threads)
-        if run is self._function.compiled:
-            self._unchecked = run.overloads[tuple(map(typeof, jobs[0]))].entry_point
+        results = share(self._unchecked or self._function, jobs, threads)
+        if self._unchecked is None:
+            kinds = tuple(map(typeof, jobs[0]))
+            self._unchecked = self._function.overloads[kinds].entry_point
         return results

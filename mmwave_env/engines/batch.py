@@ -235,8 +235,7 @@ class Batch:
             for begin, end in parts:
                 program.run_on_floats(begin, end, state, io)
             return
-        work = len(state.rows) * io.outputs.shape[1]
-        self._run(work, parts, len(self.parts), program.on_lanes(), program.blank, state, io)
+        self._run(parts, len(self.parts), program.on_lanes(), program.blank, state, io)
 
     def steps_s(self, places: Index) -> Array:
         """Return the median time (n,) in seconds between the epochs of each loaded episode."""

@@ -16,9 +16,9 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from mmwave_env.compiler.advance import advance
-from mmwave_env.compiler.disk_cache import LazyJit
+from mmwave_env.compiler.disk_cache import compiled
 from mmwave_env.compiler.lanes import WIDTH
-from mmwave_env.compiler.program import PLAIN_BLOCK_EPOCHS, Repeated, StepIO, laid_out
+from mmwave_env.compiler.program import Repeated, StepIO, laid_out
 from mmwave_env.engines.engine import Engine
 from mmwave_env.interface.info import (
     COST_KEY,
@@ -257,9 +257,8 @@ class Stepper:
             engine.advance(io)
             ended = _step_blocks(0, blocks, 0, *records)
         else:
-            run = engine.program.on_lanes()
             parts = engine.parts
-            ended = sum(self._run(blocks, parts, len(parts), run, *records))
+            ended = sum(self._run(parts, len(parts), engine.program.on_lanes(), *records))
         engine.trust(io)
         if not self._info_keys:
             return result, ended, {}
@@ -337,4 +336,4 @@ def _step_blocks(  # type: ignore[no-untyped-def]
     return ended
 
 
-_step = LazyJit(_step_blocks, PLAIN_BLOCK_EPOCHS)
+_step = compiled(_step_blocks)
