@@ -74,7 +74,7 @@ class _Filtered(NamedTuple):
 
 
 class _Ekf:
-    """The EKF of filterpy. In this and the following classes, ``predict`` computes F x, F P F' + Q.
+    """The EKF of filterpy. In this and the following class, ``predict`` computes F x, F P F' + Q.
 
     ``update`` conditions N(0, P) on the chosen rows, whose noise covariance is R.
     """
@@ -105,9 +105,15 @@ class _Ekf:
 
 
 class _PointFilter:
-    """A filter of filterpy with sigma points, which are relative to the mean."""
+    """A filter of filterpy with sigma points, which are relative to the mean.
 
-    _filter: Any
+    ``points`` returns the sigma points of a mean and a covariance. filterpy's CKF needs column
+    vectors, which its mean is from the beginning.
+    """
+
+    def __init__(self, filter_: Any, points: Callable[[Array, Array], Array]) -> None:
+        self._filter = filter_
+        self._points = points
 
     def predict(self, x: Array, P: Array, Q: Array, F: Array) -> tuple[Array, Array]:
         f = self._filter
@@ -118,40 +124,30 @@ class _PointFilter:
         f.predict()
         return x + f.x.ravel(), f.P
 
-
-class _Ukf(_PointFilter):
-    def __init__(self, size: int) -> None:
-        self._points: Any = MerweScaledSigmaPoints(size, alpha=1.0, beta=2.0, kappa=0.0)
-        self._filter = UnscentedKalmanFilter(size, 1, 1.0, None, None, self._points)
-
     def update(self, P: Array, relative: _Relative, rows: Index, R: Array) -> _Filtered:
         f = self._filter
-        f.x = np.zeros(len(P))
+        f.x = np.zeros_like(f.x)
         f.P = P
-        f.sigmas_f = self._points.sigma_points(f.x, P)
-        f.update(relative.innovation[rows], R=R, hx=lambda dx: relative.change(dx)[rows])
-        return _Filtered(f.x, f.P, f.y, f.S)
-
-
-class _Ckf(_PointFilter):
-    """The CKF of filterpy, which needs column vectors. ``update`` sets its sigma points."""
-
-    def __init__(self, size: int) -> None:
-        self._filter = CubatureKalmanFilter(size, 1, 1.0, None, None)
-
-    def update(self, P: Array, relative: _Relative, rows: Index, R: Array) -> _Filtered:
-        f = self._filter
-        f.x = np.zeros((len(P), 1))
-        f.P = P
-        f.sigmas_f = spherical_radial_sigmas(f.x, P)
-        f.sigmas_h = np.zeros((2 * len(P), len(R)))
+        f.sigmas_f = self._points(f.x, P)
+        f.sigmas_h = np.zeros((len(f.sigmas_f), len(R)))
         f.hx = lambda dx: relative.change(dx)[rows]
-        f.update(relative.innovation[rows, None], R=R)
+        f.update(relative.innovation[rows].reshape(-1, *f.x.shape[1:]), R=R)
         return _Filtered(f.x.ravel(), f.P, f.y.ravel(), f.S)
 
 
-_Filter = _Ekf | _Ukf | _Ckf
-_FILTERS: dict[str, Callable[[int], _Filter]] = {"ekf": _Ekf, "ukf": _Ukf, "ckf": _Ckf}
+def _ukf(size: int) -> _PointFilter:
+    points: Any = MerweScaledSigmaPoints(size, alpha=1.0, beta=2.0, kappa=0.0)
+    ukf = UnscentedKalmanFilter(size, 1, 1.0, None, None, points)
+    return _PointFilter(ukf, points.sigma_points)
+
+
+def _ckf(size: int) -> _PointFilter:
+    ckf = CubatureKalmanFilter(size, 1, 1.0, None, None)
+    return _PointFilter(ckf, spherical_radial_sigmas)
+
+
+_Filter = _Ekf | _PointFilter
+_FILTERS: dict[str, Callable[[int], _Filter]] = {"ekf": _Ekf, "ukf": _ukf, "ckf": _ckf}
 
 
 def filterpy_pipeline(pipeline: Pipeline) -> Pipeline:
