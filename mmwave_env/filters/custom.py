@@ -122,7 +122,7 @@ def check_algorithm(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> 
     if algorithm in ALGORITHMS.values():
         return
     subject = f"algorithm {name_of(algorithm)} of mode {mode.name!r}"
-    arguments = _arguments(mode, layout, known_axes, taped(_numbers(layout, 0.0), []))
+    arguments = _arguments(mode, layout, known_axes, 0.0, hidden=True)
     before = [flatten(argument) for argument in arguments]
     result = try_out(algorithm, arguments, subject, AlgorithmError)
     names = "x", "P", "measurement", "gate"
@@ -135,7 +135,7 @@ def check_algorithm(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> 
         raise AlgorithmError(complaint(subject, algorithm, f"returned {problem}"))
     likelihoods = []
     for sigmas in (0.0, 1.0):
-        example = _arguments(mode, layout, known_axes, _numbers(layout, sigmas))
+        example = _arguments(mode, layout, known_axes, sigmas)
         posterior = try_out(algorithm, example, subject, AlgorithmError)
         likelihoods.append(posterior.log_likelihood)
     if not likelihoods[1] < likelihoods[0]:
@@ -147,10 +147,13 @@ def check_algorithm(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> 
         raise AlgorithmError(complaint(subject, algorithm, problem))
 
 
-def _numbers(layout: Layout, sigmas: float) -> list[Any]:
-    """Return numbers for :func:`_arguments`; values are ``sigmas`` deviations off their prediction.
+def _arguments(
+    mode: Mode, layout: Layout, known_axes: tuple[int, ...], sigmas: float, hidden: bool = False
+) -> tuple[Numbers, Matrix, Measurement, Gate]:
+    """Return arguments for the algorithm of a mode: x (7,), P (7, 7), a measurement, a gate.
 
-    The prior is almost exact, so the innovation's standard deviation is that of the noise.
+    Measured values are ``sigmas`` deviations off their prediction. The prior is almost exact, so
+    the innovation's standard deviation is that of the noise. Numbers may hide their values.
     """
     n = layout.state_size
     anchors = [[40.0 + 10.0 * anchor, 15.0, 10.0] for anchor in range(layout.anchors)]
@@ -161,16 +164,10 @@ def _numbers(layout: Layout, sigmas: float) -> list[Any]:
     visible = [1.0] * len(layout.groups)
     first = [1.0] + [0.0] * (layout.anchors - 1)
     partial_rows = [[1.0] * layout.size, first] if layout.partial else [(), ()]
-    measured = [anchors, 1.0, z.tolist(), [0.01] * layout.size, visible, *partial_rows]
-    return [x, P, 0.0, measured]
-
-
-def _arguments(
-    mode: Mode, layout: Layout, known_axes: tuple[int, ...], numbers: list[Any]
-) -> tuple[Numbers, Matrix, Measurement, Gate]:
-    """Return arguments for the algorithm of a mode: x (7,), P (7, 7), a measurement, a gate."""
-    x, P, force, measured = numbers
-    measurement = Measurement._make([*measured[:5], layout, *measured[5:]])
+    rows = [z.tolist(), [0.01] * layout.size, visible]
+    numbers: Any = [x, P, 0.0, [anchors, 1.0, *rows], partial_rows]
+    x, P, force, measured, present = taped(numbers, []) if hidden else numbers
+    measurement = Measurement._make([*measured, layout, *present])
     gate = Gate(mode.gate, 0.0 if mode.recovery is None else force, mode.robust)
     return x, unpack(P, zero=known_axes), measurement, gate
 
