@@ -16,20 +16,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.compiler.program import BatchState, Program, StepIO, blocks_of, rows_of
+from mmwave_env.compiler.program import BatchState, Program, StepIO, blocks_of, fill, rows_of
 from mmwave_env.engines.engine import tracks_of
 from mmwave_env.engines.epoch import with_expected_spread
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.imm import begin
 from mmwave_env.filters.memory import initial_memory
 from mmwave_env.filters.pipeline import VERTICAL, Pipeline
-from mmwave_env.filters.smoother import (
-    BackwardState,
-    ForwardEpoch,
-    blank_epoch,
-    smooth_epoch,
-    track_end,
-)
+from mmwave_env.filters.smoother import TrackEpoch, blank_epoch, smooth_epoch
 from mmwave_env.interface.features import View
 from mmwave_env.interface.observation import standardized
 from mmwave_env.interface.signed import LastEpoch, after_update
@@ -76,8 +70,8 @@ def smoothed_again(
 class SmoothingState(NamedTuple):
     """The state of the smoother between two epochs of the backward pass."""
 
-    incoming: ForwardEpoch  # the current epoch
-    after: BackwardState  # the following epoch, smoothed
+    incoming: TrackEpoch  # the current epoch
+    after: TrackEpoch  # the following epoch, smoothed
 
 
 @lru_cache(maxsize=4)
@@ -85,7 +79,8 @@ def _program(known_axes: tuple[int, ...], size: int, driven: bool) -> Program[Sm
     def function(w: SmoothingState) -> SmoothingState:
         return w._replace(after=smooth_epoch(w.incoming, w.after, known_axes))
 
-    return Program(function, SmoothingState(blank_epoch(size, driven), track_end(size)))
+    blank = blank_epoch(size, driven)
+    return Program(function, SmoothingState(blank, blank))
 
 
 def smooth(
@@ -117,11 +112,13 @@ def smooth(
     parts = [since[..., None], x, P, x_predicted, P_predicted]
     if driven:
         parts.append(np.full((N, T, 1), hz_per_mps))
-    forwards = np.concatenate(parts, axis=2)
-    rows = blocks_of(program.start, N)
-    io = StepIO.of(N, T, output_rows=rows_of([program.index.after.x, program.index.after.P]))
-    program.run_on_lanes(BatchState.of(np.ascontiguousarray(forwards[:, ::-1]), rows), io)
-    smoothed = io.outputs[:, ::-1]
+    backwards = np.concatenate(parts, axis=2)[:, ::-1]
+    at = program.index.after
+    rows = fill(blocks_of(program.start, N), rows_of(at), backwards[:, 0])
+    io = StepIO.of(N, T - 1, output_rows=rows_of([at.x, at.P]))
+    program.run_on_lanes(BatchState.of(np.ascontiguousarray(backwards[:, 1:]), rows), io)
+    last = np.concatenate([x, P], axis=2)[:, -1:]
+    smoothed = np.concatenate([io.outputs[:, ::-1], last], axis=1)
     return smoothed[..., :size].copy(), smoothed[..., size:].copy()
 
 

@@ -6,7 +6,6 @@ is :func:`mmwave_env.filters.textbook.rts`.
 
 from typing import NamedTuple
 
-from mmwave_env.models.layout import STATE_SIZE
 from mmwave_env.models.motion import transition_times
 from mmwave_env.numerics.linalg import (
     backward,
@@ -21,60 +20,40 @@ from mmwave_env.numerics.linalg import (
     unpack,
 )
 from mmwave_env.numerics.numbers import Number, Numbers, Vector
-from mmwave_env.numerics.pytree import select
 
 SMOOTHING_WINDOW = 200  # epochs; N_w of the paper, Sec. III-F
 
 
-class ForwardEpoch(NamedTuple):
-    """An epoch of the forward pass, after the filter's update."""
+class TrackEpoch(NamedTuple):
+    """An epoch of a track, filtered or smoothed."""
 
     dt: Number  # seconds since the previous epoch
-    # x, P: mean (7,) and packed covariance (28,), its lower triangle, after the epoch
+    # x, P: mean (7,) and packed covariance (28,), its lower triangle
     x: Numbers
     P: Numbers
-    # x_predicted, P_predicted: mean and covariance before the epoch's update
+    # x_predicted, P_predicted: mean and covariance before the filter's update
     x_predicted: Numbers
     P_predicted: Numbers
     hz_per_mps: Vector = ()  # (1,) f_c / c if the oscillator drives a range bias; else empty
 
 
-class BackwardState(NamedTuple):
-    """The following epoch, already smoothed; the backward pass needs it for the current epoch."""
-
-    is_last: Number  # 1 if there is no following epoch, because the track ends
-    # dt, x_predicted, P_predicted: values of the following epoch, as in :class:`ForwardEpoch`
-    dt: Number
-    x_predicted: Numbers
-    P_predicted: Numbers
-    # x, P: smoothed mean (7,) and packed covariance (28,) of the following epoch
-    x: Numbers
-    P: Numbers
-
-
-def blank_epoch(size: int = STATE_SIZE, driven: bool = False) -> ForwardEpoch:
+def blank_epoch(size: int, driven: bool) -> TrackEpoch:
     """Return a placeholder epoch with valid numbers, to be overwritten.
 
     ``driven`` tells whether the state has a range bias that the oscillator drives.
     """
     identity = [float(i == j) for i in range(size) for j in range(i + 1)]
     nothing = [0.0] * size
-    return ForwardEpoch(1.0, nothing, identity, nothing, identity, [1.0] * driven)
-
-
-def track_end(size: int = STATE_SIZE) -> BackwardState:
-    """Return the state from which the backward pass begins."""
-    blank = blank_epoch(size)
-    return BackwardState(1.0, blank.dt, blank.x_predicted, blank.P_predicted, blank.x, blank.P)
+    return TrackEpoch(1.0, nothing, identity, nothing, identity, [1.0] * driven)
 
 
 def smooth_epoch(
-    now: ForwardEpoch, after: BackwardState, known_axes: tuple[int, ...] = ()
-) -> BackwardState:
-    """Smooth the belief of an epoch, with the gain C = P F' P_predicted^-1.
+    now: TrackEpoch, after: TrackEpoch, known_axes: tuple[int, ...] = ()
+) -> TrackEpoch:
+    """Smooth the belief of a filtered epoch, with the gain C = P F' P_predicted^-1.
 
     The mean is x + C (x_after - x_predicted), the covariance is P + C (P_after - P_predicted) C'.
-    ``after`` is the following epoch, smoothed. Pass the result as ``after`` for the previous epoch.
+    ``after`` is the following epoch, smoothed; the last epoch of a track needs no smoothing.
     """
     P = unpack(now.P, zero=known_axes)
     P_predicted = unpack(after.P_predicted, zero=known_axes)
@@ -88,5 +67,4 @@ def smooth_epoch(
     smoothed = symmetric(n, lambda i, j: P[i][j] + dot(half[i], gain[j]))
     y = backward(factor, forward(factor, minus(after.x, after.x_predicted)))
     mean = plus(now.x, product([y], FP)[0])
-    x, packed = select(after.is_last > 0.5, [now.x, now.P], [mean, pack(smoothed)])
-    return BackwardState(0.0, now.dt, now.x_predicted, now.P_predicted, x, packed)
+    return now._replace(x=mean, P=pack(smoothed))
