@@ -41,7 +41,6 @@ from platformdirs import user_cache_path
 
 Function = Callable[..., Any]
 _PACKAGE = Path(__file__).parents[1]  # an edit anywhere in the package makes a new version
-_SOURCES = "**/*.py"
 _READ = time.time()  # if a source is edited later, this process may have read either version
 _KEPT = 8  # number of versions of the sources whose compiled functions are kept
 _CHECKSUM = sha256().digest_size  # length, in bytes, of the checksum with which a file begins
@@ -126,24 +125,28 @@ def _prune(parent: Path) -> None:
             shutil.rmtree(old, ignore_errors=True)
 
 
+def _sources() -> list[str]:
+    """Return the names of all source files of the package."""
+    # Unlike rglob, glob passes over folders that another process has just removed.
+    return sorted(glob("**/*.py", root_dir=_PACKAGE, recursive=True))
+
+
 def _version() -> str | None:
     """Return a hash of everything that affects compiled code; None if the sources are not files."""
-    # Unlike rglob, glob passes over folders that another process has just removed.
-    sources = sorted(_PACKAGE / name for name in glob(_SOURCES, root_dir=_PACKAGE, recursive=True))
+    sources = _sources()
     if not sources:
         return None
     whole = sha256(f"{sys.version} {numba.__version__} {np.__version__}".encode())
-    for path in sources:
-        whole.update(str(path.relative_to(_PACKAGE)).encode())
-        whole.update(sha256(path.read_bytes()).digest())
+    for name in sources:
+        whole.update(name.encode())
+        whole.update(sha256((_PACKAGE / name).read_bytes()).digest())
     return whole.hexdigest()[:20]
 
 
 def _edited() -> bool:
     """Return whether a source has changed since this process began to read the sources."""
     with suppress(OSError):
-        sources = glob(_SOURCES, root_dir=_PACKAGE, recursive=True)
-        files = (os.stat(_PACKAGE / name) for name in sources)
+        files = (os.stat(_PACKAGE / name) for name in _sources())
         return any(max(file.st_mtime, file.st_ctime) > _READ for file in files)
     return True
 
