@@ -158,16 +158,16 @@ class TracerWord(Traced):
 
 def _settled(op: str, a: Any, b: Any) -> Any:
     """Return the result if a constant 0 or 1 makes the instruction unnecessary; else None."""
+    first = None if isinstance(a, Tracer) else a
+    second = None if isinstance(b, Tracer) else b
     if op == "mul":
-        for u, v in ((a, b), (b, a)):
-            if not isinstance(u, Tracer) and u in (0.0, 1.0):
-                return v if u else 0.0
-    if op in ("add", "sub") and not isinstance(b, Tracer) and b == 0.0:
+        for constant, other in ((first, b), (second, a)):
+            if constant in (0.0, 1.0):
+                return other if constant else 0.0
+    if op in ("add", "sub") and second == 0.0:
         return a
-    if op == "add" and not isinstance(a, Tracer) and a == 0.0:
-        return b
-    if op == "div" and not isinstance(a, Tracer) and a == 0.0:
-        return 0.0
+    if op in ("add", "div") and first == 0.0:
+        return b if op == "add" else 0.0
     return None
 
 

@@ -55,12 +55,8 @@ def damaged(episode, rng):
 
 def unsound(engine):
     """Return names of nonfinite parts; add "indefinite P" unless P is positive definite."""
-    kinds = []
-    for name in PARTS:
-        part = getattr(engine.at, name)
-        if not np.isfinite(engine.read(part if isinstance(part, int) else engine.span(part))).all():
-            kinds.append(name)
-    P = unpack(list(np.ascontiguousarray(engine.read(engine.span(engine.at.P)).T)))
+    kinds = [name for name in PARTS if not np.isfinite(engine.read(getattr(engine.at, name))).all()]
+    P = unpack(list(np.ascontiguousarray(engine.read(engine.at.P).T)))
     with np.errstate(invalid="ignore", divide="ignore"):
         factor = cholesky(P)
         if not all((factor[i][i] > 0.0).all() for i in range(len(P))):

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
-from mmwave_env.compiler.program import BatchState, Program, StepIO, rows_of
+from mmwave_env.compiler.program import BatchState, Program, StepIO, blocks_of, fill, rows_of
 from mmwave_env.numerics.random import Dice, next_word, seeded, word_of
 
 _BITS = 2 ** np.arange(64, dtype=np.uint64)
@@ -60,12 +60,10 @@ DRAWER = Program(_draw, [[], [0.0] * 4, *[[0.0] * EACH] * 3])
 def drawn(keys, runs):
     """Draw uniform, exponential and normal numbers (3, keys, runs * 8) on SIMD lanes."""
     n = len(keys)
-    rows = np.tile(SEEDER.start[None, :, None], (-(-n // 8), 1, 8))
+    rows = blocks_of(SEEDER.start, n)
     io = StepIO.of(n, 1, output_rows=rows_of(SEEDER.index[1]))
     SEEDER.run_on_lanes(BatchState.of(keys.view(np.float64).reshape(n, 1, 1), rows), io)
-    rows = np.tile(DRAWER.start[None, :, None], (-(-n // 8), 1, 8))
-    block, lane = np.divmod(np.arange(n), 8)
-    rows[block[:, None], rows_of(DRAWER.index[1]), lane[:, None]] = io.outputs[:, 0]
+    rows = fill(blocks_of(DRAWER.start, n), rows_of(DRAWER.index[1]), io.outputs[:, 0])
     io = StepIO.of(n, runs, output_rows=rows_of(DRAWER.index[2:]))
     DRAWER.run_on_lanes(BatchState.of(np.empty((n, runs, 0)), rows), io)
     return io.outputs.reshape(n, runs, 3, EACH).transpose(2, 0, 1, 3).reshape(3, n, -1)
