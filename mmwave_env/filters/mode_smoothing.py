@@ -12,8 +12,7 @@ Barber 2006, "Expectation correction for smoothed inference in switching linear 
 JMLR 7. With one mode, the result is the same as in :func:`mmwave_env.filters.textbook.rts`.
 """
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -21,12 +20,13 @@ from mmwave_env.filters.bank import Bank, settings_of
 from mmwave_env.filters.imm import begin, over_step
 from mmwave_env.filters.pipeline import Pipeline, predict
 from mmwave_env.models.measurement import Epoch
-from mmwave_env.models.motion import transition_times
-from mmwave_env.numerics.linalg import cholesky, inverse, is_zero, unpack
-from mmwave_env.numerics.numbers import Array, Number
+from mmwave_env.models.motion import move
+from mmwave_env.numerics.linalg import cholesky, inverse, pack, unpack
+from mmwave_env.numerics.numbers import Array
 from mmwave_env.numerics.pytree import indices
 
 _EPOCHS_TOGETHER = 800  # number of epochs whose predictions are computed together
+Parts = TypeVar("Parts", bound=tuple[Array, ...])
 
 
 class ModeBeliefs(NamedTuple):
@@ -82,33 +82,31 @@ def smooth_modes(
         ]
         means, covariances = zip(*parts, strict=True)
         return np.concatenate(means), np.concatenate(covariances)
-    filtered, gamma = _beliefs(mixtures, pipeline)
-    transition = settings_of(bank, pipeline.layout).transition
+    layout = pipeline.layout
+    at = indices(begin(pipeline, [0.0] * layout.state_size, [0.0] * layout.triangle))
+    filtered = ModeBeliefs(
+        mixtures[..., np.array([track.x for track in at.tracks])],
+        np.take(mixtures, [unpack(track.P) for track in at.tracks], axis=-1),
+        mixtures[..., np.array(at.probability)],
+    )
+    gamma = mixtures[..., np.array([track.memory.gamma for track in at.tracks])]
+    transition = settings_of(bank, layout).transition
     coming = Epoch(dt[:, 1:, None], [], [], [], [], spread_hz[:, 1:, None])
-    before = ModeBeliefs(*(part[:, :-1] for part in filtered))
+    before = _epochs(filtered, slice(-1))
     moves = _predicted(pipeline, before, gamma[:, :-1], coming, hz_per_mps, transition)
-    after = ModeBeliefs(*(part[:, -1] for part in filtered))
+    after = _epochs(filtered, -1)
     smoothed = [merged(after)]
-    for t in range(dt.shape[1] - 2, -1, -1):
-        now = ModeBeliefs(*(part[:, t] for part in filtered))
-        after = _backwards(now, _Moves(*(part[:, t] for part in moves)), after)
+    for t in reversed(range(dt.shape[1] - 1)):
+        after = _backwards(_epochs(filtered, t), _epochs(moves, t), after)
         smoothed.append(merged(after))
     means, covariances = zip(*reversed(smoothed), strict=True)
     P = np.stack(covariances, axis=1)
     return np.stack(means, axis=1), P[..., *np.tril_indices(P.shape[-1])]
 
 
-def _beliefs(mixtures: Array, pipeline: Pipeline) -> tuple[ModeBeliefs, Array]:
-    """Return the modes' beliefs, and gamma (N, T, modes), the scale of Q in adaptive modes."""
-    n = pipeline.layout.state_size
-    at = indices(begin(pipeline, [0.0] * n, [0.0] * pipeline.layout.triangle))
-    packed = mixtures[..., np.array([track.P for track in at.tracks])]
-    P = np.empty((*packed.shape[:-1], n, n))
-    row, column = np.tril_indices(n)
-    P[..., row, column] = P[..., column, row] = packed
-    x = mixtures[..., np.array([track.x for track in at.tracks])]
-    gamma = mixtures[..., np.array([track.memory.gamma for track in at.tracks])]
-    return ModeBeliefs(x, P, mixtures[..., np.array(at.probability)]), gamma
+def _epochs(parts: Parts, epochs: int | slice) -> Parts:
+    """Return some epochs, or a single one, of a tuple of arrays (N, T, ...)."""
+    return type(parts)(*(part[:, epochs] for part in parts))
 
 
 class _Moves(NamedTuple):
@@ -150,25 +148,27 @@ def _predicted(
     """
     shape = now.probability.shape
     n = now.x.shape[-1]
-    x_now = [now.x[..., i] for i in range(n)]
-    packed = [now.P[..., i, j] for i in range(n) for j in range(i + 1)]
-    pairs = (*shape, shape[-1])
-    FP = np.zeros((*shape, n, n))
+    x_now = list(np.moveaxis(now.x, -1, 0))
+    entries: Any = np.moveaxis(now.P, (-2, -1), (0, 1))
+    P_now = pack(entries)
+    rows = list(np.moveaxis(now.P, -2, 0))
     drive = pipeline.layout.bias_drive(hz_per_mps)
-    _fill(FP, transition_times(unpack(packed), coming.dt, drive))
+    FP = np.stack(np.broadcast_arrays(*move(rows, coming.dt[..., None], drive)), axis=-2)
+    pairs = (*shape, shape[-1])
     x = np.empty((*pairs, n))
     whitener = np.zeros((*pairs, n, n))
     log_scale = np.empty(pairs)  # logarithms of square roots of det P
     for i, mode in enumerate(pipeline.modes):
-        mean, P = predict(pipeline, mode, x_now, packed, gamma[..., i, None], coming, hz_per_mps)
+        mean, P = predict(pipeline, mode, x_now, P_now, gamma[..., i, None], coming, hz_per_mps)
         covariance = [list(row) for row in P]
         for axis in pipeline.known_axes:  # 1 instead of 0, so that the matrix has an inverse
             covariance[axis][axis] = np.ones(shape)
         factor = cholesky(covariance)
         log_scale[..., i] = sum(np.log(factor[k][k]) for k in range(n))
-        _fill(whitener[..., i, :, :], inverse(factor))
-        for k, values in enumerate(mean):
-            x[..., i, k] = values
+        x[..., i, :] = np.stack(np.broadcast_arrays(*mean), axis=-1)
+        for j, row in enumerate(inverse(factor)):
+            for k in range(j + 1):
+                whitener[..., i, j, k] = row[k]
     whitened = whitener @ FP[..., None, :, :]
     gain = np.swapaxes(whitened, -1, -2) @ whitener  # 0 for known axes
     rest = now.P[..., None, :, :] - np.swapaxes(whitened, -1, -2) @ whitened
@@ -195,11 +195,3 @@ def _backwards(now: ModeBeliefs, move: _Moves, after: ModeBeliefs) -> ModeBelief
     P = move.rest + move.gain @ after.P[:, None] @ np.swapaxes(move.gain, -1, -2)
     pairs = ModeBeliefs(x, P, joint / probability[..., None])
     return ModeBeliefs(*merged(pairs), probability / probability.sum(axis=1, keepdims=True))
-
-
-def _fill(target: Array, matrix: Sequence[Sequence[Number]]) -> None:
-    """Copy the entries of a matrix, except structural zeros, into an array (..., 7, 7) of zeros."""
-    for i, row in enumerate(matrix):
-        for j, values in enumerate(row):
-            if not is_zero(values):
-                target[..., i, j] = values
