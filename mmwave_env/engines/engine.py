@@ -118,10 +118,8 @@ class Engine(Batch):
                 modes share a belief and there are no observations, one :class:`Tuning` per mode.
             places: indices of the tracks.
         """
-        numbers: Any = list(tuning) if not isinstance(tuning, Bank) else tuning
-        if isinstance(tuning, Bank):
-            numbers = settings_of(tuning, self.pipeline.layout)
-        self.write(self.at.settings, np.array(flatten(numbers), float), places)
+        settings = settings_of(tuning) if isinstance(tuning, Bank) else list(tuning)
+        self.write(self.at.settings, np.array(flatten(settings), float), places)
         self.restart(places)
 
     def show(self, features: Sequence[Feature]) -> None:

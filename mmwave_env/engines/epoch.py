@@ -386,7 +386,7 @@ def _start(asked: Asked) -> EpochState:
         state = state._replace(x_predicted=x, P_predicted=P)
     if asked.per_mode:
         state = state._replace(
-            settings=settings_of(Bank(pipeline.modes), layout),
+            settings=settings_of(Bank(pipeline.modes)),
             mixture=begin(pipeline, x, P),
             mode_probabilities=[1.0 / modes] * modes,
         )

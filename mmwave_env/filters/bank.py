@@ -14,12 +14,11 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any
 
-from mmwave_env.filters.gating import at_degrees, chi_square_limits
+from mmwave_env.filters.gating import chi_square_limits
 from mmwave_env.filters.imm import ImmSettings, stay_matrix
 from mmwave_env.filters.modes import Mode, robust
 from mmwave_env.io.lookup import choose
 from mmwave_env.io.records import Bound, Probability, Record, Size, object_from, read_object
-from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import TUNED_RADIOS, Radio, radio_from
 
 MOST_MODES = 32  # maximum number of modes; each is compiled, and runs in every epoch
@@ -78,13 +77,12 @@ class Bank(Record):
 Modes = Bank | Sequence[Mode | str] | Mapping[str, Any] | str | os.PathLike[str] | None
 
 
-def settings_of(bank: Bank, layout: Layout) -> ImmSettings:
-    """Return the parameters of a bank as numbers, for measurements with this layout."""
-    limits = chi_square_limits(bank.nis_quantile)
+def settings_of(bank: Bank) -> ImmSettings:
+    """Return the parameters of a bank as numbers."""
     return ImmSettings(
         [list(row) for row in bank.transition or stay_matrix(len(bank.modes))],
         [mode.tuning for mode in bank.modes],
-        limits if layout.partial else [at_degrees(limits, rows) for rows in layout.widths],
+        chi_square_limits(bank.nis_quantile),
     )
 
 

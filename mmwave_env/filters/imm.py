@@ -6,7 +6,6 @@ Sources: Blom and Bar-Shalom 1988; Bar-Shalom, Li and Kirubarajan 2001, Sec. 11.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import reduce
 from typing import NamedTuple
 
@@ -40,8 +39,8 @@ class ImmSettings(NamedTuple):
 
     transition: Matrix  # (modes, modes) probabilities over one second, [from, to]
     tunings: list[Tuning]  # motion model of every mode
-    # limits of the NIS in :func:`~mmwave_env.filters.update.limited_likelihood`: one per group of
-    # measurements; if rows may be missing, four limits, for groups with 1, 2, 3 and 4 rows
+    # (4,) limits of the NIS in :func:`~mmwave_env.filters.update.limited_likelihood`, for groups of
+    # measurements with 1, 2, 3 and 4 rows
     limits: Numbers
 
 
@@ -148,15 +147,12 @@ def imm_epoch(
     for mode, tuning, track, (x, P) in zip(
         pipeline.modes, settings.tunings, mixture.tracks, mixed, strict=True
     ):
-        alone = replace(pipeline, modes=(mode,))
-        result = predict_update(alone, mode, x, P, track.memory, epoch, site, tuning)
+        result = predict_update(pipeline, mode, x, P, track.memory, epoch, site, tuning)
         memory = memory_before(track.memory, [result], epoch, layout)
         memory = memory_after(layout, 0.0, x, result, memory, epoch)
         tracks.append(ModeTrack(result.x, result.P, memory))
         results.append(result)
-    limits = settings.limits
-    if layout.partial:
-        limits = [at_degrees(limits, rows) for rows in layout.degrees(epoch.measured)]
+    limits = [at_degrees(settings.limits, rows) for rows in layout.degrees(epoch.measured)]
     likelihoods = [limited_likelihood(result, limits) for result in results]
     best = reduce(maximum, likelihoods)
     weights = [
@@ -197,19 +193,16 @@ def _normalized(weights: Sequence[Number]) -> Numbers:
     return [weight / total for weight in held]
 
 
-def most_probable(mixture: Mixture) -> Number:
-    """Return the most probable mode, counted from 0; if several are equally probable, the first."""
+def most_probable_memory(mixture: Mixture) -> Memory:
+    """Return the memory of the most probable mode; this mode then counts as the last that ran.
+
+    If several modes are equally probable, the first counts.
+    """
     number: Number = 0.0
     best = mixture.probability[0]
     for m, probability in enumerate(mixture.probability[1:], start=1):
         number = where(probability > best, float(m), number)
         best = maximum(best, probability)
-    return number
-
-
-def most_probable_memory(mixture: Mixture) -> Memory:
-    """Return the memory of the most probable mode; this mode then counts as the last that ran."""
-    number = most_probable(mixture)
     memory: Memory = tree_at(number, [track.memory for track in mixture.tracks])
     return memory._replace(mode=number)
 

@@ -90,7 +90,7 @@ def smooth_modes(
         mixtures[..., np.array(at.probability)],
     )
     gamma = mixtures[..., np.array([track.memory.gamma for track in at.tracks])]
-    transition = settings_of(bank, layout).transition
+    transition = settings_of(bank).transition
     coming = Epoch(dt[:, 1:, None], [], [], [], [], spread_hz[:, 1:, None])
     before = _epochs(filtered, slice(-1))
     moves = _predicted(pipeline, before, gamma[:, :-1], coming, hz_per_mps, transition)
