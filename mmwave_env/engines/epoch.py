@@ -57,7 +57,6 @@ from mmwave_env.numerics.pytree import select, tree_at
 from mmwave_env.world.episode import Incoming, blank_incoming
 
 SPREAD_MEMORIES = (0.6, 0.9, 0.97)  # weights of the past in averages of the Doppler spread
-NOISES = ("sigma_p", "sigma_v", "sigma_pz", "sigma_vz", "sigma_b_mps", "spread_gain")
 
 
 class Asked(NamedTuple):
@@ -427,8 +426,8 @@ def untuned(pipeline: Pipeline) -> Pipeline:
     """Return the pipeline without tunings, so that modes that differ only in tuning are equal."""
     modes = []
     for i, mode in enumerate(pipeline.modes):
-        tuning: dict[str, Any] = dict.fromkeys(NOISES, 0.0)
+        tuning: dict[str, Any] = dict.fromkeys(Tuning._fields, 0.0) | {"coupling": False}
         for name in ("acceleration_mps2", "turn_rate_radps"):
             tuning[name] = float(getattr(mode, name) != 0.0)
-        modes.append(replace(mode, name=str(i), coupling=False, **tuning))
+        modes.append(replace(mode, name=str(i), **tuning))
     return replace(pipeline, modes=tuple(modes))
