@@ -103,7 +103,7 @@ class RolloutEnv:
 
     def step(self, actions: Index) -> None:
         """Take the actions (n,), one in every environment; start a new episode where one ends."""
-        self.observations, _ = self._engine.step(actions)
+        self.observations = self._engine.step(actions)
         state = self._engine.state
         over = np.flatnonzero(state.epoch > state.length)
         if len(over):
@@ -115,7 +115,7 @@ class RolloutEnv:
             here = some[self._place[some] == i]
             if len(here):
                 self._engine.load(source.sample_batch(self._streams.keys(here)), here)
-        begun, _ = self._engine.step(places=some)
+        begun = self._engine.step(places=some)
         self.observations[some] = begun[some]
 
     def measured_normalization(self, clip: float) -> Normalization:

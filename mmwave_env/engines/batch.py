@@ -253,11 +253,8 @@ class Batch:
 
     def read(self, tree: Any, dtype: DTypeLike = np.float64) -> NDArray[Any]:
         """Return numbers: (n,) for a leaf of ``at``, (n, k) for a subtree or a slice of k rows."""
-        rows = self.state.rows
-        if isinstance(tree, int):
-            return rows[:, tree, :].reshape(-1)[: self.n].astype(dtype)
-        chosen = rows[:, self.span(tree), :].transpose(0, 2, 1).astype(dtype, order="C")
-        return chosen.reshape(-1, chosen.shape[2])[: self.n]
+        blocks = np.moveaxis(self.state.rows[:, self.span(tree)], -1, 1).astype(dtype, order="C")
+        return blocks.reshape(-1, *blocks.shape[2:])[: self.n]
 
     def column(self, environment: int) -> Array:
         """Return a copy of an environment's numbers (size,), in the order of the rows."""

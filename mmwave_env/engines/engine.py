@@ -1,6 +1,6 @@
 """The engine: N tracks that run the verbs of :mod:`mmwave_env.engines.epoch` together.
 
-The same engine serves everybody. Environments call :meth:`Engine.run_step`. Where a policy is asked
+The same engine serves everybody. Environments call :meth:`Engine.step`. Where a policy is asked
 in every epoch of a track, :func:`play` calls :meth:`Engine.filter`, :meth:`Engine.decide` and
 perhaps :meth:`Engine.correct`. Where all actions are known, or a rule or an IMM needs none,
 :meth:`Engine.run` filters all epochs in one call of compiled code.
@@ -196,11 +196,8 @@ class Engine(Batch):
         return io.outputs[:, 0]
 
     def step(
-        self,
-        actions: NDArray[np.integer[Any]] | int = 0,
-        output_rows: Index = NO_ROWS,
-        places: Index | None = None,
-    ) -> tuple[Array32, Array]:
+        self, actions: NDArray[np.integer[Any]] | int = 0, places: Index | None = None
+    ) -> Array32:
         """Apply actions (n,), or one action to all; run the modes on the next epoch.
 
         An environment that was just loaded ignores its action and starts its episode.
@@ -208,22 +205,17 @@ class Engine(Batch):
         Args:
             actions: numbers of modes, counted from 0; if every mode has its own belief, modes are
                 counted from 1, and action 0 leaves all probabilities as they are.
-            output_rows: (k,) indices of the rows to return, for example from :func:`rows_of`.
             places: indices of the environments to step; None for all. The others stay unchanged,
                 and their results are meaningless.
 
         Returns:
-            The observations (n, features) and the output rows (n, k), in new arrays.
+            The observations (n, features), in a new array.
         """
-        io = self.step_io(output_rows)
+        io = self.step_io()
         io.inputs[:, 0, 0] = actions
-        self.run_step(io, places)
-        return io.observations[:, 0], io.outputs[:, 0]
-
-    def run_step(self, io: StepIO, places: Index | None = None) -> None:
-        """Make a step of all environments, or of those with indices ``places``."""
         self.advance(io, places)
         self.trust(io, places)
+        return io.observations[:, 0]
 
     def trust(self, io: StepIO, places: Index | None = None) -> None:
         """Let the agent ``base``, if there is one, act between filter and decide of a step."""

@@ -206,17 +206,16 @@ class Stepper:
 
     def __init__(self, engine: Engine, tally: Tally, infos: str) -> None:
         at = engine.at
-        self._known = {} if infos == "none" else info_rows(at)
-        shown = self._known if infos == "all" else {}
+        shown = {} if infos == "none" else info_rows(at)
         parts = {"reward": at.reward, "nees": at.nees, "error": at.error}
         parts["covariance"] = reported(at).P[:3]
         parts |= {key: [] for key in FLAGS} | shown
-        self._rows, columns = laid_out(parts)
-        self._columns = {name: (slice(None), 0, at) for name, at in columns.items()}
+        rows, columns = laid_out(parts)
+        self._columns = {key: (slice(None), 0, columns[key]) for key in shown if key not in FLAGS}
         self._engine = engine
-        self._info_keys = tuple(key for key in shown if key not in FLAGS)
+        self._in_steps = infos == "all"
         self._groups = len(at.memory.accepted) if shown else 0
-        self._io = engine.step_io(self._rows)
+        self._io = engine.step_io(rows)
         self.mask_keys = mask_keys([*shown, "mode", COST_KEY])  # of infos from steps
         self._tally = tally
         self._run = Repeated(_step)
@@ -236,47 +235,48 @@ class Stepper:
         engine = self._engine
         io = self._io
         n = len(actions)
-        features = len(io.obs_rows)
         if numbers is not None:
             io.inputs[:, 0, 1:] = numbers
         ends = np.zeros((2, n), np.bool_)
         flags = np.empty((2, n, self._groups), np.bool_)
-        observations = np.empty((n, 1, features), np.float32)
-        self._costs = costs = np.empty(n if self._known else 0)
+        observations = np.empty((n, 1, len(io.obs_rows)), np.float32)
+        costs = np.empty(n if self._columns else 0)
         result = StepResult(
             observations[:, 0], np.empty(n), ends[0], ends[1], flags[0], flags[1], costs
         )
-        # Info need new arrays of outputs, as earlier infos are views of the previous arrays.
-        outputs = np.empty_like(io.outputs) if self._info_keys else io.outputs
-        io = StepIO(io.input_rows, io.inputs, self._rows, outputs, io.obs_rows, observations)
+        # Infos need new arrays of outputs, as earlier infos are views of the previous arrays.
+        outputs = np.empty_like(io.outputs) if self._in_steps else io.outputs
+        io = StepIO(io.input_rows, io.inputs, io.output_rows, outputs, io.obs_rows, observations)
         self._io = io
+        self._result = result
         records = (engine.program.blank, engine.state, io, actions, result, self._tally.counts)
-        blocks = len(engine.state.rows)
+        run = 0
         if engine.on_floats:
             io.inputs[:, 0, 0] = actions
             engine.advance(io)
-            ended = _step_blocks(0, blocks, 0, *records)
         else:
-            parts = engine.parts
-            ended = sum(self._run(parts, len(parts), engine.program.on_lanes(), *records))
+            run = engine.program.on_lanes()
+        ended = sum(self._run(engine.parts, len(engine.parts), run, *records))
         engine.trust(io)
-        if not self._info_keys:
-            return result, ended, {}
-        infos: Info = {key: outputs[self._columns[key]] for key in self._info_keys}
-        infos |= {"accepted": result.accepted, "rejected": result.rejected, "mode": actions}
-        infos[COST_KEY] = result.cost
-        return result, ended, infos
+        return result, ended, self._infos(actions) if self._in_steps else {}
 
     def look(self, actions: Index) -> Info:
         """Return the infos about the last step, for steppers whose steps return no infos."""
-        infos = {key: self._engine.read(part) for key, part in self._known.items()}
-        infos |= {key: infos[key] > 0.5 for key in FLAGS if infos}
-        return infos and infos | {"mode": actions, COST_KEY: self._costs.copy()}
+        return {key: values.copy() for key, values in self._infos(actions).items()}
+
+    def _infos(self, actions: Index) -> Info:
+        """Return views of the infos about the last step."""
+        outputs = self._io.outputs
+        infos: Info = {key: outputs[columns] for key, columns in self._columns.items()}
+        result = self._result
+        infos |= {"accepted": result.accepted, "rejected": result.rejected, "mode": actions}
+        infos[COST_KEY] = result.cost
+        return infos
 
     @property
     def distances_m(self) -> Array:
         """Return the lengths (n,) of the position errors in the last step."""
-        error = self._io.outputs[self._columns["error"]]
+        error = self._io.outputs[:, 0, AT_ERROR:AT_COVARIANCE]
         return np.sqrt((error * error).sum(axis=1))  # type: ignore[no-any-return]
 
     def start(self, places: Index) -> tuple[NDArray[np.float32], Info]:
@@ -286,11 +286,10 @@ class Stepper:
             Observations (n, features) and the infos of :data:`STATE_KEYS` (n, ...), valid only for
             the environments ``places``.
         """
-        observations, outputs = self._engine.step(0, self._rows, places)
-        if self._info_keys:
-            return observations, {key: outputs[:, None][self._columns[key]] for key in STATE_KEYS}
-        known = [key for key in STATE_KEYS if key in self._known]
-        return observations, {key: self._engine.read(self._known[key]) for key in known}
+        engine = self._engine
+        observations = engine.step(0, places)
+        rows = info_rows(engine.at) if self._columns else {}
+        return observations, {key: engine.read(rows[key]) for key in STATE_KEYS if rows}
 
 
 @register_jitable  # type: ignore[untyped-decorator]

@@ -48,7 +48,7 @@ def played(episodes, actions):
     observed = []
     x = []
     for now in actions.T:
-        observations, _ = engine.step(now)
+        observations = engine.step(now)
         observed.append(observations[:, columns])
         x.append(engine.read(engine.at.x))
     return np.stack(observed, 1), np.stack(x, 1)

@@ -79,7 +79,7 @@ def test_a_corrected_track_has_the_corrected_beliefs_of_the_environment(correcto
     trusted = []
     policy.reset(np.ones(1, bool))
     for _ in range(EPOCHS):
-        observation, _ = engine.step(policy.act(engine.observations()))
+        observation = engine.step(policy.act(engine.observations()))
         correction = policy.correct(observation)
         P = unpack(engine.read(engine.at.P)[0].tolist())
         belief = Belief(engine.read(engine.at.x)[0].tolist(), P)
