@@ -110,28 +110,15 @@ class Batch:
         self.write(self.at.site, packed.site, places)
         self.restart(places)
 
-    def load_epoch(self, incoming: Sequence[float], time_s: float) -> None:
-        """Load one more epoch, at a time in seconds, of a single track that was loaded before.
-
-        ``incoming`` (columns,) is a row of :meth:`~mmwave_env.world.episode.Episode.table`.
-        """
-        self.state.table[0, 0] = incoming
-        self.state.table[0, 0, columns_of(self.layout).dt] = time_s - self._end_s
-        self.state.length[0] = 1
-        self.state.epoch[0] = 0
-        self._end_s = time_s
-
-    def resume(self, columns: Array, incoming: Array, gap_s: Array) -> None:
-        """Go on with k tracks of other batches of the program, each with one more epoch.
+    def load_epoch(self, incoming: Sequence[Any] | Array, gap_s: Any) -> None:
+        """Load one more epoch of the first k tracks.
 
         Args:
-            columns: (k, size) states of the tracks, as :meth:`read` returns them; k is at most n.
-            incoming: (k, columns) rows of tables, as in :meth:`load_epoch`.
+            incoming: (k, columns) rows of :meth:`~mmwave_env.world.episode.Episode.table`.
             gap_s: (k,) seconds since the previous epochs.
         """
-        k = len(columns)
+        k = len(incoming)
         self.make_room(1)
-        self.write(slice(None), columns, np.arange(k))
         self.state.table[:k, 0] = incoming
         self.state.table[:k, 0, columns_of(self.layout).dt] = gap_s
         self.state.length[:] = 1

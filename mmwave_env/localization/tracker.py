@@ -175,7 +175,7 @@ class Tracker:
         if self._last_s is None:
             return None
         row, visible, spread_hz = self._incoming(epoch)
-        self._filter.load_epoch(row, epoch.time_s)
+        self._filter.load_epoch([row], epoch.time_s - self._late[-1][0])
         return self._filtered([epoch.time_s], [visible], [spread_hz])
 
     def _revised(self, epoch: LiveEpoch, row: Callable[[], Log]) -> tuple[Log, Start] | None:
@@ -521,7 +521,8 @@ class Trackers:
         else:
             incoming, visible = self._incoming(epochs)
             gaps = np.array(times) - np.array([user.end_s for user in users])
-            engine.resume(np.array([user.state for user in users]), incoming, gaps)
+            engine.load_epoch(incoming, gaps)
+            engine.write(slice(None), np.array([user.state for user in users]), np.arange(count))
             memory = _joined([user.memory for user in users])
             for part, remembered in zip(engine.memory, memory, strict=True):
                 part[:count] = remembered
