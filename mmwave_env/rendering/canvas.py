@@ -8,15 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mmwave_env.io.lookup import MissingExtraError
+from mmwave_env.io.lookup import MissingExtraError, printable
 from mmwave_env.numerics.numbers import Array
-from mmwave_env.rendering.theme import SMALLEST, Color, Pixels, Theme
+from mmwave_env.rendering.theme import SMALLEST, Paint, Pixels, Theme
 
 os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # otherwise pygame prints a greeting
 import pygame
 
 Point = tuple[float, float]
-Paint = str | int | Color  # a color's name in the theme, a mode's number, or a color
 if not hasattr(pygame, "FRect"):
     raise MissingExtraError(
         "pictures need pygame-ce, whose files pygame has overwritten: pip uninstall pygame "
@@ -26,6 +25,7 @@ Rect = pygame.FRect  # a part of a picture, in units (see Canvas) from the upper
 UNITS = float(SMALLEST)  # height and width of a picture, in units
 _TIMES = 2  # factor of supersampling, for smooth edges
 _FAR = 2e4  # limit of coordinates in the supersampled picture, px
+_DASH = 5.0  # length of dashes and of the gaps between them, units
 
 
 class Canvas:
@@ -35,27 +35,20 @@ class Canvas:
     """
 
     def __init__(self, size: int, theme: Theme) -> None:
-        pygame.font.init()
-        self._theme = theme
+        self.color = theme.color
         self._unit = size / UNITS
         self._scale = _TIMES * size / UNITS
         self._large = pygame.Surface((size * _TIMES, size * _TIMES), 0, 32)
-        self._surface = pygame.Surface((size, size), 0, 32)
         self._words: list[tuple[Any, Point]] = []
-
-    def color(self, paint: Paint) -> Color:
-        """Return the red, green and blue of a color."""
-        if isinstance(paint, str):
-            return getattr(self._theme, paint)  # type: ignore[no-any-return]
-        return paint if isinstance(paint, tuple) else self._theme.mode(paint)
+        self._large.fill(self.color("paper"))
 
     def clip(self, part: Rect | None) -> None:
         """Draw the following shapes only inside a part of the picture; None removes the limit."""
         self._large.set_clip(part and self._scaled(part))
 
-    def fill(self, paint: Paint, part: Rect | None = None) -> None:
-        """Fill a part of the picture, or all of it."""
-        self._large.fill(self.color(paint), part and self._scaled(part))
+    def fill(self, paint: Paint, part: Rect) -> None:
+        """Fill a part of the picture."""
+        self._large.fill(self.color(paint), self._scaled(part))
 
     def polygon(self, points: ArrayLike, paint: Paint, opacity: float = 1.0) -> None:
         """Fill a polygon (n, 2)."""
@@ -81,52 +74,50 @@ class Canvas:
     def dashes(self, start: Point, end: Point, paint: Paint, width: float = 1.0) -> None:
         """Draw a dashed line between two points in the picture."""
         way = np.subtract(end, start)
-        dash = 5.0
         length = math.hypot(*way)
-        for i in range(math.ceil(length / (2.0 * dash))):
-            shares = 2.0 * i * dash / length, min((2.0 * i + 1.0) * dash / length, 1.0)
+        for begin in np.arange(0.0, length, 2.0 * _DASH):
+            shares = np.divide([begin, min(begin + _DASH, length)], length)
             self.line(start + np.outer(shares, way), paint, width)
 
-    def disc(self, center: Point, radius: float, paint: Paint) -> None:
+    def disc(self, center: Point | Array, radius: float, paint: Paint) -> None:
         """Draw a filled circle."""
-        (middle,) = self._enlarged([center]).tolist()
+        middle = self._enlarged(center).tolist()
         pygame.draw.circle(self._large, self.color(paint), middle, radius * self._scale)
 
     def words(
-        self, text: str, at: Point, paint: Paint, size: float = 15.0, align: float = 0.0
-    ) -> Rect:
-        """Write one line of text, centered vertically at a point; return the part it covers.
+        self,
+        text: str,
+        at: Point,
+        paint: Paint,
+        size: float = 14.0,
+        align: float = 0.0,
+        room: float = math.inf,
+    ) -> float:
+        """Write one line of text, centered vertically at a point; return its right end.
 
-        Text from users must have passed :func:`~mmwave_env.io.lookup.printable`. ``align`` is the
-        fraction of the text's width that is left of the point.
+        ``align`` is the fraction of the text's width that is left of the point. If the text is
+        wider than ``room``, its end is replaced by "...".
         """
-        drawn = _font(round(size * self._unit)).render(text, True, self.color(paint))
-        width = drawn.get_width() / self._unit
-        height = drawn.get_height() / self._unit
-        place = Rect(at[0] - align * width, at[1] - height / 2.0, width, height)
-        corner = round(place.left * self._unit), round(place.top * self._unit)
-        self._words.append((drawn, corner))
-        return place
+        text = printable(text)
+        shown = text
+        while text and self.width_of(shown, size) > room:
+            text = text[:-1]
+            shown = f"{text}..."
+        drawn = _font(round(size * self._unit)).render(shown, True, self.color(paint))
+        width, height = drawn.get_size()
+        left = at[0] * self._unit - align * width
+        self._words.append((drawn, (round(left), round(at[1] * self._unit - height / 2.0))))
+        return float(left + width) / self._unit
 
-    def width_of(self, text: str, size: float = 15.0) -> float:
+    def width_of(self, text: str, size: float = 14.0) -> float:
         """Return the width of a line of words."""
         return float(_font(round(size * self._unit)).size(text)[0] / self._unit)
 
-    def fitting(self, text: str, width: float, size: float = 15.0) -> str:
-        """Return the text, with its end replaced by "..." if it is wider than ``width``."""
-        if self.width_of(text, size) <= width:
-            return text
-        cut = (f"{text[:kept]}..." for kept in range(len(text), -1, -1))
-        return next((words for words in cut if self.width_of(words, size) <= width), "...")
-
     def finish(self) -> Pixels:
         """Combine shapes and words; return the picture (height, width, 3)."""
-        size = self._surface.get_size()
-        pygame.transform.smoothscale(self._large, size, self._surface)
-        self._surface.blits(self._words, False)
-        self._words = []
-        pixels = np.frombuffer(pygame.image.tobytes(self._surface, "RGB"), np.uint8)
-        return pixels.reshape(*size, 3).copy()
+        surface = pygame.transform.smoothscale_by(self._large, 1.0 / _TIMES)
+        surface.blits(self._words, False)
+        return np.ascontiguousarray(pygame.surfarray.array3d(surface).swapaxes(0, 1))
 
     def _enlarged(self, points: ArrayLike) -> Array:
         """Return points (n, 2) in the coordinates of the large surface."""

@@ -1,6 +1,7 @@
 """Pictures of the first environments of a vector environment, for Gymnasium's vector wrappers."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,59 +15,49 @@ from mmwave_env.rendering.theme import Pixels
 DRAWN = 16  # maximum number of pictures; more would be too small to read and need much memory
 
 
+@dataclass
 class Recorder:
     """A recorder that copies epochs from a workspace, the array of all numbers of an environment.
 
-    It begins with the prior.
+    The first epoch to record is the prior.
 
-    Args:
+    Attributes:
         rows: by name, the slices of the workspace that contain ``anchors``, ``truth``,
             ``estimate``, ``P`` (of the position, packed), ``accepted`` and ``rejected``, and the
             indices of ``nees`` and ``dt`` (seconds until the next epoch).
         axes: number of position axes that NEES covers.
         name: name of the episode.
         scene: scene whose streets and walls the map shows; None if unknown.
-        workspace: (size,) workspace with the prior.
+        epochs: the recorded values, and the mode of each epoch as ``modes``.
     """
 
-    def __init__(
-        self,
-        rows: Mapping[str, Any],
-        axes: int,
-        name: str,
-        scene: Scene | None,
-        workspace: Array,
-    ) -> None:
-        self._rows = rows
-        anchors_m = workspace[rows["anchors"]].reshape(-1, 3).copy()
-        self._episode = (name, anchors_m, scene, axes)
-        self._modes: list[int] = []
-        self._epochs: list[dict[str, Array]] = []
-        self.add(workspace, NO_MODE)
+    rows: Mapping[str, Any]
+    axes: int
+    name: str
+    scene: Scene | None
+    epochs: list[dict[str, Any]] = field(default_factory=list)
 
     def add(self, workspace: Array, mode: int) -> None:
         """Record the epoch that a mode just processed."""
-        self._modes.append(mode)
-        self._epochs.append({key: workspace[rows].copy() for key, rows in self._rows.items()})
+        values = {key: workspace[rows].copy() for key, rows in self.rows.items()}
+        self.epochs.append(values | {"modes": mode})
 
     @property
     def history(self) -> History:
         """Return all epochs so far."""
-        part = {key: np.array([epoch[key] for epoch in self._epochs]) for key in self._rows}
+        part = {key: np.array([epoch[key] for epoch in self.epochs]) for key in self.epochs[0]}
         part["nees"][0] = np.nan  # the workspace still has the previous episode's NEES
-        return History(
-            *self._episode,
-            np.cumsum(np.append(0.0, part["dt"][:-1])),
-            np.array(self._modes),
-            *(part[key] for key in ("truth", "estimate", "P", "nees")),
-            *(part[key] > 0.5 for key in ("accepted", "rejected")),
-        )
+        for gate in ("accepted", "rejected"):
+            part[gate] = part[gate] > 0.5
+        anchors_m = part.pop("anchors")[0].reshape(-1, 3)
+        time_s = np.cumsum(np.append(0.0, part.pop("dt")[:-1]))
+        return History(self.name, anchors_m, self.scene, self.axes, time_s, **part)
 
 
 class Gallery:
     """Recorder and painter of n environments, or only of the first :data:`DRAWN` if n is larger.
 
-    :class:`Recorder` and :class:`~mmwave_env.rendering.picture.Picture` describe the arguments.
+    :class:`Recorder` and :func:`~mmwave_env.rendering.picture.draw_picture` describe the arguments.
     """
 
     def __init__(
@@ -82,12 +73,11 @@ class Gallery:
         self._recorded = (rows, axes)
         self._drawn_by = (modes, size, theme)
         self.recorders: dict[int, Recorder] = {}  # by the environment's index
-        self._picture: Any = None
         self._window: Any = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the state for a copy, without surfaces and windows, which can't be copied."""
-        return vars(self) | {"_picture": None, "_window": None}
+        """Return the state for a copy, without the window, which can't be copied."""
+        return vars(self) | {"_window": None}
 
     def begin(
         self,
@@ -102,9 +92,8 @@ class Gallery:
         returns the scene of its episode; ``workspace`` returns its state, an array (size,).
         """
         for index in indices[indices < DRAWN].tolist():
-            self.recorders[index] = Recorder(
-                *self._recorded, names[index], scene(index), workspace(index)
-            )
+            self.recorders[index] = Recorder(*self._recorded, names[index], scene(index))
+            self.recorders[index].add(workspace(index), NO_MODE)
 
     def add(self, indices: Index, actions: NDArray[Any], workspace: Callable[[int], Array]) -> None:
         """Record the epoch that some environments just processed with their ``actions`` (n,)."""
@@ -113,11 +102,9 @@ class Gallery:
 
     def draw(self) -> tuple[Pixels, ...]:
         """Draw n pictures, one per environment; pictures after the first DRAWN are black."""
-        if self._picture is None:
-            from mmwave_env.rendering.picture import Picture
+        from mmwave_env.rendering.picture import draw_picture  # needs pygame
 
-            self._picture = Picture(*self._drawn_by)
-        drawn = [self._picture.draw(recorder.history) for recorder in self.recorders.values()]
+        drawn = [draw_picture(each.history, *self._drawn_by) for each in self.recorders.values()]
         drawn += [np.zeros_like(drawn[0])] * (self._n - len(drawn))
         return tuple(drawn)
 

@@ -3,6 +3,7 @@
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Index, Mask
@@ -50,6 +51,11 @@ class History(NamedTuple):
         """Return the estimated speed (k + 1,), m/s."""
         with np.errstate(over="ignore"):  # the speed of a lost track may be arbitrarily large
             return np.linalg.norm(self.estimate[:, 3:6], axis=1)  # type: ignore[no-any-return]
+
+    @property
+    def fates(self) -> NDArray[np.str_]:
+        """Return whether groups (k + 1, groups) were "accepted", "rejected" or "missing"."""
+        return np.select([self.accepted, self.rejected], ["accepted", "rejected"], "missing")
 
     def part(self, rows: slice) -> "History":
         """Return a history with only these rows."""

@@ -5,17 +5,27 @@ The strips show speed, error and NEES; a ribbon below them shows the mode of eac
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mmwave_env.io.lookup import choose, printable
+from mmwave_env.io.lookup import choose
 from mmwave_env.metrics import nees_interval
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.rendering.canvas import UNITS, Canvas, Rect
 from mmwave_env.rendering.history import History
-from mmwave_env.rendering.street_map import draw_by_mode, draw_map, follow, nice, runs
+from mmwave_env.rendering.street_map import (
+    LINKS,
+    draw_by_mode,
+    draw_estimate,
+    draw_link,
+    draw_map,
+    follow,
+    nice,
+    runs,
+)
 from mmwave_env.rendering.theme import SMALLEST, THEMES, Pixels
 
 # maximum numbers of columns and rows in the legend of modes
@@ -24,142 +34,116 @@ _ROWS = 3
 _PAD = 8.0  # space to the left and right of words, units
 
 
-def legend_rows(modes: int) -> int:
-    """Return the number of rows, at most ``_ROWS``, in a legend of this number of modes."""
-    return min(_ROWS, -(-modes // _COLUMNS))
+def draw_picture(
+    history: History,
+    modes: Sequence[str],
+    size: int = SMALLEST,
+    theme: str = "light",
+    title: str = "",
+    beside: Sequence[History] = (),
+    entries: int = 0,
+) -> Pixels:
+    """Draw a history's last epoch and the trajectory so far; return pixels (size, size, 3).
 
+    The picture depends only on the arguments: the same history gives the same picture.
 
-class Picture:
-    """Painter of the epochs of an episode.
-
-    The picture is ``size`` px high and wide, with a ``title``, which may be empty. Its legend shows
-    ``modes``, the names of the actions, and has room for at least ``rows`` rows.
+    Args:
+        history: the history.
+        modes: names of the actions, which the legend shows.
+        size: height and width, px.
+        theme: "light" or "dark".
+        title: title, which may be empty.
+        beside: histories of the same episode whose pictures are shown next to this one; the scales
+            of speed and error fit all histories.
+        entries: number of modes for which the legend has room at least.
     """
+    canvas = Canvas(size, choose(THEMES, theme, "render_theme").for_modes(modes))
+    headline = 24.0 if title else 0.0
+    canvas.words(title, (_PAD, 14.0), "ink", 22, room=UNITS - 2.0 * _PAD)
+    _draw_header(canvas, history, headline + 10.0)
+    top = headline + 20.0
+    rows = min(_ROWS, -(-max(entries, len(modes)) // _COLUMNS))
+    legend = UNITS - 15.0 * rows - 4.0
+    strips = legend - 160.0
+    frame = Rect(0.0, top, UNITS, strips - 17.0 - top)
+    draw_map(canvas, follow(history, frame), history)
+    _draw_legend(canvas, history, strips - 8.5)
+    draw_strips(canvas, strips, history, beside)
+    _draw_modes(canvas, history, modes, legend)
+    return canvas.finish()
 
-    def __init__(
-        self,
-        modes: Sequence[str],
-        size: int = SMALLEST,
-        theme: str = "light",
-        title: str = "",
-        rows: int = 0,
-    ) -> None:
-        self._canvas = Canvas(size, choose(THEMES, theme, "render_theme").for_modes(modes))
-        self._modes = [f"{number} {printable(name)}" for number, name in enumerate(modes)]
-        self._title = printable(title)
-        self._rows = max(rows, legend_rows(len(modes)))
 
-    def draw(self, history: History, beside: Sequence[History] = ()) -> Pixels:
-        """Draw a history's last epoch and the trajectory so far; return pixels (size, size, 3).
+def _draw_header(canvas: Canvas, history: History, y: float) -> None:
+    """Draw the episode's name and the epoch's values in one line."""
+    error = f"error {history.error_m[-1]:.2f} m"
+    if history.epochs == 0:
+        numbers = f"prior   {error}"
+    else:
+        links = len(history.anchors_m)
+        numbers = (
+            f"epoch {history.epochs}   {history.time_s[-1]:g} s   "
+            f"true {history.true_mps[-1]:.1f} m/s   "
+            f"{error}   NEES {history.nees[-1]:.3g}   "
+            f"links {history.accepted[-1, :links].sum()} of {links}"
+        )
+    room = UNITS - 3.0 * _PAD - canvas.width_of(numbers, 15)
+    canvas.words(history.name, (_PAD, y), "ink", 15, room=room)
+    canvas.words(numbers, (UNITS - _PAD, y), "ink", 15, align=1.0)
 
-        The picture depends only on the arguments: the same history gives the same picture. The
-        histories ``beside`` belong to the same episode, and their pictures are shown next to this
-        one; the scales of speed and error fit all histories.
-        """
-        canvas = self._canvas
-        canvas.fill("paper")
-        title = 24.0 if self._title else 0.0
-        if self._title:
-            words = canvas.fitting(self._title, UNITS - 2.0 * _PAD, 22)
-            canvas.words(words, (_PAD, 14.0), "ink", 22)
-        self._draw_header(history, title + 10.0)
-        top = title + 20.0
-        legend = UNITS - 15.0 * self._rows - 4.0
-        strips = legend - 160.0
-        frame = Rect(0.0, top, UNITS, strips - 17.0 - top)
-        draw_map(canvas, follow(history, frame), history)
-        self._draw_legend(history, strips - 8.5)
-        draw_strips(canvas, strips, history, beside)
-        self._draw_modes(history, legend)
-        return canvas.finish()
 
-    def _draw_header(self, history: History, y: float) -> None:
-        """Draw the episode's name and the epoch's values in one line."""
-        canvas = self._canvas
-        error = f"error {history.error_m[-1]:.2f} m"
-        if history.epochs == 0:
-            numbers = f"prior   {error}"
-        else:
-            links = len(history.anchors_m)
-            numbers = (
-                f"epoch {history.epochs}   {history.time_s[-1]:g} s   "
-                f"true {history.true_mps[-1]:.1f} m/s   "
-                f"{error}   NEES {history.nees[-1]:.3g}   "
-                f"links {history.accepted[-1, :links].sum()} of {links}"
-            )
-        room = UNITS - 3.0 * _PAD - canvas.width_of(numbers)
-        name = canvas.fitting(printable(history.name), room)
-        canvas.words(name, (_PAD, y), "ink")
-        canvas.words(numbers, (UNITS - _PAD, y), "ink", align=1.0)
+def _draw_legend(canvas: Canvas, history: History, y: float) -> None:
+    """Draw the legend of the map's symbols and lines."""
+    x = 12.0
+    canvas.disc((x, y), 4.0, "truth")
+    x = canvas.words("user", (x + 8.0, y), "quiet") + 16.0
+    draw_estimate(canvas, (x, y), history.modes[-1])
+    x = canvas.words("estimate, 2σ", (x + 8.0, y), "quiet") + 16.0
+    canvas.words("links:", (x, y), "quiet")
+    x += canvas.width_of("links: ")
+    for fate in LINKS:
+        draw_link(canvas, (x, y), (x + 22.0, y), fate)
+        x = canvas.words(fate, (x + 26.0, y), "quiet") + 12.0
 
-    def _draw_legend(self, history: History, y: float) -> None:
-        """Draw the legend of the map's symbols and lines."""
-        canvas = self._canvas
-        x = 12.0
-        canvas.disc((x, y), 4.0, "truth")
-        x = canvas.words("user", (x + 8.0, y), "quiet", 14).right + 16.0
-        canvas.disc((x, y), 4.0, history.modes[-1])
-        canvas.disc((x, y), 2.0, "paper")
-        x = canvas.words("estimate, 2σ", (x + 8.0, y), "quiet", 14).right
-        canvas.words("links:", (x + 16.0, y), "quiet", 14)
-        x += 16.0 + canvas.width_of("links: ", 14)
-        for meaning in ("accepted", "rejected", "missing"):
-            start = (x, y)
-            end = (x + 22.0, y)
-            if meaning == "rejected":
-                canvas.dashes(start, end, meaning, 1.6)
-            else:
-                canvas.line([start, end], meaning, 1.4)
-            x = canvas.words(meaning, (x + 26.0, y), "quiet", 14).right + 12.0
 
-    def _draw_modes(self, history: History, top: float) -> None:
-        """Draw the legend of modes, with the name of the current mode highlighted."""
-        canvas = self._canvas
-        columns = min(_COLUMNS, len(self._modes))
-        width = (UNITS - 2.0 * _PAD) / columns
-        shown = self._modes[: _COLUMNS * _ROWS]
-        for mode, name in enumerate(shown):
-            left = _PAD + mode % columns * width
-            y = top + mode // columns * 15.0 + 8.0
-            now = history.modes[-1] == mode
-            canvas.fill(mode, Rect(left, y - 5.0, 14.0, 10.0))
-            words = canvas.fitting(name, width - 24.0, 14)
-            canvas.words(words, (left + 19.0, y), "ink" if now else "quiet", 14)
+def _draw_modes(canvas: Canvas, history: History, modes: Sequence[str], top: float) -> None:
+    """Draw the legend of modes, with the name of the current mode highlighted."""
+    columns = min(_COLUMNS, len(modes))
+    width = (UNITS - 2.0 * _PAD) / columns
+    for mode, name in enumerate(modes[: _COLUMNS * _ROWS]):
+        left = _PAD + mode % columns * width
+        y = top + mode // columns * 15.0 + 8.0
+        canvas.fill(mode, Rect(left, y - 5.0, 14.0, 10.0))
+        paint = "ink" if history.modes[-1] == mode else "quiet"
+        canvas.words(f"{mode} {name}", (left + 19.0, y), paint, room=width - 24.0)
 
 
 _GAP_SHARE = 1 / 120  # gap between two pictures, as a share of a picture's width
 
 
+@dataclass
 class Playback:
     """A painter of several histories of an episode, side by side at the same epoch.
 
-    Each history has its own ``modes`` (names of actions) and its own title; see :class:`Picture`.
+    Each history has its own ``modes`` (names of actions) and its own title; ``size`` is the height
+    and width of a picture, px.
     """
 
-    def __init__(
-        self,
-        histories: Sequence[History],
-        modes: Sequence[Sequence[str]],
-        titles: Sequence[str],
-        size: int,
-        theme: str,
-    ) -> None:
-        rows = max(legend_rows(len(names)) for names in modes)  # to align the strips of pictures
-        pictures = [
-            Picture(names, size, theme, title, rows)
-            for names, title in zip(modes, titles, strict=True)
-        ]
-        self._parts = list(zip(histories, pictures, strict=True))
+    histories: Sequence[History]
+    modes: Sequence[Sequence[str]]
+    titles: Sequence[str]
+    size: int
+    theme: str
 
     def draw(self, epochs: int) -> Pixels:
         """Draw all histories after ``epochs`` epochs; return pixels (size, sum of widths, 3)."""
-        known = [history.part(slice(epochs + 1)) for history, _ in self._parts]
+        known = [history.part(slice(epochs + 1)) for history in self.histories]
+        entries = max(map(len, self.modes))  # to align the strips of pictures
         drawn = [
-            picture.draw(history, known)
-            for history, (_, picture) in zip(known, self._parts, strict=True)
+            draw_picture(history, modes, self.size, self.theme, title, known, entries)
+            for history, modes, title in zip(known, self.modes, self.titles, strict=True)
         ]
         for picture in drawn[1:]:
-            picture[:, : round(_GAP_SHARE * len(picture))] = picture[0, 0]
+            picture[:, : round(_GAP_SHARE * self.size)] = picture[0, 0]
         return np.concatenate(drawn, axis=1)
 
 
@@ -189,14 +173,19 @@ def draw_strips(canvas: Canvas, top: float, history: History, beside: Sequence[H
     """Draw all strips below ``top``, with scales that also fit the histories ``beside``."""
     rows = slice(max(1, history.epochs - _WINDOW + 1), None)
     modes = history.modes[rows]
-    first, last = _times(history, rows)
-    x = _LEFT + (history.time_s[rows] - first) / (last - first) * _WIDTH
+    times_s = _times(history, rows)
+    x = _across(history.time_s[rows], times_s)
     for i, strip in enumerate(_strips(history, rows, [history, *beside])):
         plot = Rect(_LEFT, top + i * (_HEIGHT + _GAP) + _GAP / 2.0, _WIDTH, _HEIGHT)
         _draw_strip(canvas, plot, strip, x, modes)
     lane = Rect(_LEFT, top + 3.0 * (_HEIGHT + _GAP) + 1.0, _WIDTH, _RIBBON)
     _draw_ribbon(canvas, lane, x, modes)
-    _draw_clock(canvas, lane, (first, last))
+    _draw_clock(canvas, lane.bottom, times_s)
+
+
+def _across(time_s: Array, times_s: tuple[float, float]) -> Array:
+    """Return the horizontal positions of times in strips with these times at their edges."""
+    return np.interp(time_s, times_s, (_LEFT, _LEFT + _WIDTH))
 
 
 def _times(history: History, rows: slice) -> tuple[float, float]:
@@ -230,8 +219,7 @@ def _strips(history: History, rows: slice, together: Sequence[History]) -> list[
 
 def _nees_height(nees: ArrayLike) -> Array:
     """Return the heights of NEES values in their strip, whose scale is logarithmic."""
-    low, high = np.log(_NEES)
-    return (np.log(np.maximum(nees, 1e-9)) - low) / (high - low)  # type: ignore[no-any-return]
+    return np.interp(np.log(np.maximum(nees, 1e-9)), np.log(_NEES), (0.0, 1.0))
 
 
 def _top(values: Sequence[Array]) -> float:
@@ -272,7 +260,7 @@ def _draw_ribbon(canvas: Canvas, lane: Rect, x: Array, modes: Index) -> None:
     canvas.fill("ground", lane)
     if len(x) == 0:
         return
-    ends = np.r_[x, 2.0 * x[-1] - x[-2] if len(x) > 1 else x[-1] + lane.width / _WINDOW]
+    ends = np.append(x, 2.0 * x[-1] - x[-2] if len(x) > 1 else x[-1] + lane.width / _WINDOW)
     for begin, end in runs(modes):
         left = float(ends[begin])
         right = min(float(ends[end]), lane.right)
@@ -280,16 +268,15 @@ def _draw_ribbon(canvas: Canvas, lane: Rect, x: Array, modes: Index) -> None:
         canvas.fill(modes[begin], part)
         if part.width > 12.0:
             light = np.dot(canvas.color(modes[begin]), (0.299, 0.587, 0.114)) > 140.0
-            ink = (0, 0, 0) if light else (255, 255, 255)  # the color that contrasts more
+            ink = "black" if light else "white"  # the color that contrasts more
             canvas.words(str(modes[begin]), part.center, ink, 13, 0.5)
 
 
-def _draw_clock(canvas: Canvas, lane: Rect, times_s: tuple[float, float]) -> None:
+def _draw_clock(canvas: Canvas, y: float, times_s: tuple[float, float]) -> None:
     """Draw the time axis below the ribbon."""
     first, last = times_s
     step = nice((last - first) / 4.0)
-    y = lane.bottom
-    for time in np.arange(math.ceil(first / step), last / step + 1e-9) * step:
-        x = lane.left + (time - first) / (last - first) * lane.width
+    ticks = np.arange(math.ceil(first / step), last / step + 1e-9) * step
+    for time, x in zip(ticks, _across(ticks, times_s), strict=True):
         canvas.line([[x, y], [x, y + 3.0]], "quiet", 0.8)
         canvas.words(f"{time:g} s", (x, y + 9.0), "quiet", 13, 0.5)

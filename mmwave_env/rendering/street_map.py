@@ -4,15 +4,16 @@ The visible part of the map follows the user and the estimate without jumps.
 """
 
 import math
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import NamedTuple
 
 import numpy as np
 
 from mmwave_env.models.scene import Scene, Streets
 from mmwave_env.numerics.numbers import Array, Index
-from mmwave_env.rendering.canvas import Canvas, Paint, Point, Rect
+from mmwave_env.rendering.canvas import Canvas, Point, Rect
 from mmwave_env.rendering.history import History, ellipse
+from mmwave_env.rendering.theme import Paint
 
 # length of moving averages, and time constant of their weights
 _MEMORY_S = 20.0
@@ -22,6 +23,7 @@ _LEAST_M = 25.0  # minimum distance from the center to the upper edge
 _INNER = 0.5  # user and estimate stay within this central fraction of the map's height and width
 _STREET_M = 14.0  # width of streets in the picture, if blocks leave enough room
 _FACADE_M = 4.0  # depth of a wall in the picture
+LINKS = {"accepted": 1.2, "rejected": 1.6, "missing": 1.0}  # widths of the lines of links
 _TRAIL = 1500  # maximum number of epochs of a trajectory that are drawn
 
 
@@ -94,26 +96,18 @@ def draw_map(canvas: Canvas, view: View, history: History) -> None:
 
 def _draw_streets(canvas: Canvas, view: View, streets: Streets) -> None:
     """Draw streets with an assumed width, and the blocks of houses between them."""
-    half = min(_STREET_M, streets.block_m / 4.0) / 2.0
-    west, east = streets.x_m
-    south, north = streets.y_m
-    net = np.array([[west - half, south - half], [east + half, north + half]])
-    canvas.fill("street", _box(view, net))
-    low, high = view.extent_m
-    if streets.block_m * view.scale < 4.0:  # blocks would be too small to see
+    block_m = streets.block_m
+    half = min(_STREET_M, block_m / 4.0) / 2.0
+    extents = streets.x_m, streets.y_m
+    canvas.fill("street", _box(view, np.transpose(extents) + [[-half], [half]]))
+    if block_m * view.scale < 4.0:  # blocks would be too small to see
         return
-    columns = _blocks(streets.x_m, streets.block_m, low[0], high[0])
-    rows = _blocks(streets.y_m, streets.block_m, low[1], high[1])
-    for x in columns:
-        for y in rows:
-            block = np.array([[x, y], [x, y]]) + [[half], [streets.block_m - half]]
-            canvas.fill("building", _box(view, block))
-
-
-def _blocks(extent_m: tuple[float, float], block_m: float, low: float, high: float) -> Array:
-    """Return the start (n,), m, of each block that is visible between ``low`` and ``high``."""
-    begins = np.arange(extent_m[0], extent_m[1] - 1e-6, block_m)
-    return begins[(begins > low - block_m) & (begins < high)]  # type: ignore[no-any-return]
+    visible = []  # starts of the visible blocks, m, on each axis
+    for (first, last), low, high in zip(extents, *view.extent_m, strict=True):
+        starts = np.arange(first, last - 1e-6, block_m)
+        visible.append(starts[(starts > low - block_m) & (starts < high)])
+    for corner in product(*visible):
+        canvas.fill("building", _box(view, np.add(corner, [[half], [block_m - half]])))
 
 
 def _box(view: View, corners_m: Array) -> Rect:
@@ -140,17 +134,20 @@ def _draw_links(canvas: Canvas, view: View, history: History) -> None:
     """Draw each link, a line from the user to an anchor, as accepted, rejected or missing."""
     if history.epochs == 0:
         return
-    user = _point(view, history.truth[-1])
-    for link, anchor in enumerate(view.pixels(history.anchors_m)):
-        ends = view.frame.clipline(user, anchor.tolist())
-        if not ends:
-            continue
-        if history.rejected[-1, link]:
-            canvas.dashes(*ends, "rejected", 1.6)
-        elif history.accepted[-1, link]:
-            canvas.line(ends, "accepted", 1.2)
-        else:
-            canvas.line(ends, "missing")
+    (user,) = view.pixels(history.truth[-1:]).tolist()
+    anchors = view.pixels(history.anchors_m).tolist()
+    for anchor, fate in zip(anchors, history.fates[-1].tolist(), strict=False):
+        ends = view.frame.clipline(user, anchor)
+        if ends:
+            draw_link(canvas, *ends, fate)
+
+
+def draw_link(canvas: Canvas, start: Point, end: Point, fate: str) -> None:
+    """Draw a link that was "accepted" (solid), "rejected" (dashed) or "missing" (faint)."""
+    if fate == "rejected":
+        canvas.dashes(start, end, fate, LINKS[fate])
+    else:
+        canvas.line([start, end], fate, LINKS[fate])
 
 
 def _draw_tracks(canvas: Canvas, view: View, history: History) -> None:
@@ -168,9 +165,14 @@ def _draw_tracks(canvas: Canvas, view: View, history: History) -> None:
         canvas.line(truth, "truth", 1.4)
     if len(track) > 1:
         draw_by_mode(canvas, track, history.modes[rows], 2.2)
-    canvas.disc(_point(view, history.truth[-1]), 4.0, "truth")
+    canvas.disc(truth[-1], 4.0, "truth")
+    draw_estimate(canvas, track[-1], color)
+
+
+def draw_estimate(canvas: Canvas, at: Point | Array, color: Paint) -> None:
+    """Draw the symbol of the estimate."""
     for radius, filled in ((5.0, "paper"), (4.0, color), (2.0, "paper")):
-        canvas.disc(_point(view, history.estimate[-1]), radius, filled)
+        canvas.disc(at, radius, filled)
 
 
 def draw_by_mode(canvas: Canvas, points: Array, modes: Index, width: float) -> None:
@@ -195,31 +197,33 @@ def _draw_scale(canvas: Canvas, view: View) -> Rect:
     ends = np.array([bar.bottomleft, bar.bottomright])
     above = ends - (0.0, 5.0)
     canvas.line(np.vstack([above[:1], ends, above[1:]]), "ink", 1.2)
-    canvas.words(f"{length:g} m", (bar.centerx, bar.bottom - 10.0), "ink", 14, 0.5)
+    canvas.words(f"{length:g} m", (bar.centerx, bar.bottom - 10.0), "ink", align=0.5)
     return place
 
 
 def _draw_anchors(canvas: Canvas, view: View, history: History) -> None:
     """Draw scale bar and anchors; if an anchor is out of view, draw an arrow and its distance."""
     inner = view.frame.inflate(-14.0, -14.0)
-    user = _point(view, history.truth[-1])
     here = history.truth[-1, :3]
+    beliefs = np.stack([here, history.estimate[-1, :3]])
+    user, estimate = view.pixels(beliefs).tolist()
     around = 9.0
     names = []
-    for number, anchor in enumerate(history.anchors_m):
-        at = _point(view, anchor)
+    places = view.pixels(history.anchors_m).tolist()
+    for number, (anchor, place) in enumerate(zip(history.anchors_m, places, strict=True)):
         name = f"anchor {number + 1}" if number else "gNB"
-        if inner.collidepoint(at):
+        if inner.collidepoint(place):
+            at = place
             # the base station is a filled triangle; its mirror images are hollow triangles
-            shape = at + np.array([[0.0, -7.0], [6.0, 5.0], [-6.0, 5.0]])
+            shape = np.add(at, [[0.0, -7.0], [6.0, 5.0], [-6.0, 5.0]])
             canvas.polygon(shape, "paper" if number else "ink")
             canvas.line(shape, "wall" if number else "ink", 1.5, closed=True)
         else:
-            _, at = inner.clipline(user, at) or (user, user)
+            _, at = inner.clipline(user, place) or (user, user)
             _draw_arrow(canvas, user, at, "wall" if number else "ink")
             name += f", {np.linalg.norm(anchor - here):.0f} m"
         names.append((name, at))
-    symbols = [user, _point(view, history.estimate[-1]), *(at for _, at in names)]
+    symbols = [user, estimate, *(at for _, at in names)]
     taken = [Rect(x - around, y - around, 2.0 * around, 2.0 * around) for x, y in symbols]
     taken.append(_draw_scale(canvas, view))
     for name, at in names:
@@ -236,7 +240,7 @@ def _draw_arrow(canvas: Canvas, start: Point, tip: Point, color: Paint) -> None:
 
 def _label(canvas: Canvas, text: str, at: Point, frame: Rect, taken: list[Rect]) -> None:
     """Draw a name near a point, inside the frame and, if possible, beside the ``taken`` parts."""
-    width = canvas.width_of(text, 14) + 6.0
+    width = canvas.width_of(text) + 6.0
     height = 15.0
     gap = 10.0
     places = [
@@ -247,15 +251,10 @@ def _label(canvas: Canvas, text: str, at: Point, frame: Rect, taken: list[Rect])
     place = next((place for place in places if place.collidelist(taken) < 0), places[0])
     taken.append(place)
     _draw_plate(canvas, place)
-    canvas.words(text, (place.left + 3.0, place.centery), "ink", 14)
+    canvas.words(text, (place.left + 3.0, place.centery), "ink")
 
 
 def _draw_plate(canvas: Canvas, place: Rect) -> None:
     """Draw a translucent background for words."""
     corners = [place.topleft, place.topright, place.bottomright, place.bottomleft]
     canvas.polygon(corners, "paper", 0.8)
-
-
-def _point(view: View, position_m: Array) -> Point:
-    ((x, y),) = view.pixels(position_m[None])
-    return float(x), float(y)

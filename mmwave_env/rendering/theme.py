@@ -16,6 +16,7 @@ from mmwave_env.io.lookup import choose, require_extra
 
 Pixels = NDArray[np.uint8]  # (height, width, 3) red, green and blue
 Color = tuple[int, ...]  # red, green and blue, 0 to 255
+Paint = str | int  # the name of a color in the theme, or the number of a mode
 
 # Name, light color, dark color. "quiet" is for explanations, "none" for the action "none".
 _COLORS = """\
@@ -33,6 +34,8 @@ _COLORS = """\
     missing   d4d3ce 3e424a
     band      cdd3dc 3e4858
     none      bebeba 5a5e66
+    black     000000 000000
+    white     ffffff ffffff
     mode      0072b2 56b4e9
     mode      e69f00 e69f00
     mode      009e73 00b282
@@ -57,12 +60,16 @@ class Theme(SimpleNamespace):
         modes = tuple(self.none if name == "none" else next(colors) for name in names)
         return Theme(**vars(self) | {"modes": modes})
 
-    def mode(self, number: int) -> Color:
-        """Return the color of a mode; the colors repeat if there are more modes than colors.
+    def color(self, paint: Paint) -> Color:
+        """Return the color of this name, or of the mode with this number.
 
-        The prior, which no mode computed and whose number is negative, is quiet.
+        Colors repeat if there are more modes than colors. The prior, which no mode computed and
+        whose number is negative, is quiet.
         """
-        color: Color = self.modes[number % len(self.modes)] if number >= 0 else self.quiet
+        if isinstance(paint, str):
+            color: Color = getattr(self, paint)
+        else:
+            color = self.modes[paint % len(self.modes)] if paint >= 0 else self.quiet
         return color
 
 

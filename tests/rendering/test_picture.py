@@ -14,7 +14,7 @@ from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.models.scene import Scene, Streets, Wall
 from mmwave_env.rendering.canvas import Rect
 from mmwave_env.rendering.history import NO_MODE, History
-from mmwave_env.rendering.picture import Picture
+from mmwave_env.rendering.picture import draw_picture
 from mmwave_env.rendering.street_map import follow
 from mmwave_env.rendering.theme import THEMES
 from tests.refusals import refuses
@@ -54,7 +54,7 @@ def history(truth=HERE, estimate=HERE, modes=(0,), accepted=NOTHING, rejected=NO
 
 
 def drawn(names=("ekf", "ukf"), **arguments):
-    return Picture(names).draw(history(**arguments))
+    return draw_picture(history(**arguments), names)
 
 
 def played(steps, seed=0, action=lambda k: k % 2, **arguments):
@@ -173,12 +173,12 @@ def test_an_estimate_that_is_not_finite_can_be_drawn():
         lost.estimate[-1] = broken
         lost.P[-1] = broken
         lost.nees[-1] = broken
-        Picture(["ekf"]).draw(lost)
+        draw_picture(lost, ["ekf"])
 
 
 @pytest.mark.parametrize("name", ["$x^2$\n two", "a\x00b\x1b[31m", "Привет λ", "中", "\ud800", ""])
 def test_any_name_and_any_title_can_be_drawn(name):
-    picture = Picture([name, "x" * 500], title=name * 50).draw(history(name=name * 50))
+    picture = draw_picture(history(name=name * 50), [name, "x" * 500], title=name * 50)
     assert picture.shape == (480, 480, 3)
 
 

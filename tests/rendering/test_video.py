@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from mmwave_env.rendering.picture import Picture, Playback
+from mmwave_env.rendering.picture import Playback, draw_picture
 from mmwave_env.rendering.video import require_video, write_video
 from tests.refusals import refuses
 from tests.rendering.test_picture import history
@@ -93,7 +93,7 @@ def test_pictures_side_by_side_equal_the_single_pictures():
         known = [each.part(slice(epochs + 1)) for each in histories]
         for number, title in enumerate(titles):
             part = whole[:, number * 480 : (number + 1) * 480]
-            alone = Picture(["ekf"], 480, "dark", title).draw(known[number], known)
+            alone = draw_picture(known[number], ["ekf"], 480, "dark", title, known)
             assert_array_equal(part[:, 4:], alone[:, 4:])  # without the gap at the left
 
 
@@ -105,5 +105,5 @@ def test_errors_side_by_side_have_the_same_scale():
     of_near = whole[:, :480][ticks]
     of_far = whole[:, 480:][ticks]
     assert_array_equal(of_near, of_far)
-    alone = Picture(["ekf"], 480, "light", "near").draw(near)
+    alone = draw_picture(near, ["ekf"], 480, "light", "near")
     assert (alone[ticks] != of_near).any()
