@@ -35,11 +35,14 @@ class Args(ModeArgs):
 
 MOST = 3  # maximum number of policies to show
 FASTEST = 50  # maximum number of pictures per second in a GIF
+SAMPLES = 6  # number of pictures from which the colors of a GIF are computed
 
 
 def main(args: Args) -> None:
     """Run the command."""
-    from experiments.console.output import progress, say
+    import numpy as np
+
+    from experiments.console.output import progress, say, tracked
     from experiments.evaluation.contenders import contender_of, seeds_from, task_of
     from experiments.reporting.histories import histories_of
     from mmwave_env.rendering.video import write_video
@@ -64,8 +67,10 @@ def main(args: Args) -> None:
     modes = [contender.actions for contender in contenders]
     playback = Playback(histories, modes, args.policies, args.render_size, args.render_theme)
     if args.out:
-        with progress("drawing") as report:
-            write_video(args.out, playback.draw, rows, args.fps, report)
+        some = np.linspace(0, len(rows) - 1, SAMPLES).astype(int)
+        samples = [playback.draw(rows[i]) for i in some]
+        pictures = map(playback.draw, tracked(rows, "drawing"))
+        write_video(args.out, pictures, samples, args.fps)
         say(f"written to {args.out}: {len(rows)} pictures")
         return
     from mmwave_env.rendering.window import Window

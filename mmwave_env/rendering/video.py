@@ -1,9 +1,8 @@
 """Video files (.gif or .mp4) of a sequence of pictures; needs the extra ``render``."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -11,11 +10,8 @@ from mmwave_env.io.files import atomic_path, require_writable
 from mmwave_env.io.lookup import require_extra
 from mmwave_env.rendering.theme import Pixels
 
-Draw = Callable[[int], Pixels]
-Pictures = Iterator[Pixels]
 _PACKAGES = {".gif": "PIL", ".mp4": "imageio_ffmpeg"}  # package that writes each format
 _COLORS = 256  # maximum number of colors in a GIF
-_SAMPLES = 6  # number of pictures from which the palette is computed
 _LAST_S = 2.0  # time for which a GIF shows its last picture, before it repeats
 
 
@@ -35,28 +31,19 @@ def require_video(option: str, path: Path) -> None:
 
 
 def write_video(
-    path: Path, draw: Draw, numbers: Sequence[int], fps: int, report: Callable[[float], None]
+    path: Path, pictures: Iterable[Pixels], samples: Sequence[Pixels], fps: int
 ) -> None:
     """Write a complete video; if that fails, an older file at ``path`` remains unchanged.
 
-    The video shows the picture (height, width, 3) that ``draw`` returns for each of the
-    ``numbers``. ``report`` receives the fraction of pictures drawn. Call ``require_video`` first.
+    The video shows the ``pictures`` (height, width, 3), each when it is drawn. A GIF has the colors
+    of the ``samples``, some of the pictures. Call ``require_video`` first.
     """
-
-    def pictures() -> Pictures:
-        for done, number in enumerate(numbers, start=1):
-            yield draw(number)
-            report(done / len(numbers))
-
+    write = _write_mp4 if path.suffix.lower() == ".mp4" else _write_gif
     with atomic_path(path) as temporary:
-        if path.suffix.lower() == ".mp4":
-            _write_mp4(temporary, pictures(), draw(numbers[0]), fps)
-        else:
-            some = np.linspace(0, len(numbers) - 1, _SAMPLES).astype(int).tolist()
-            _write_gif(temporary, pictures(), [draw(numbers[i]) for i in some], fps)
+        write(temporary, pictures, samples, fps)
 
 
-def _write_gif(path: Path, pictures: Pictures, samples: list[Any], fps: int) -> None:
+def _write_gif(path: Path, pictures: Iterable[Pixels], samples: Sequence[Pixels], fps: int) -> None:
     """Write a GIF with a single palette, so that unchanged pixels take no space."""
     from PIL import Image
 
@@ -70,10 +57,10 @@ def _write_gif(path: Path, pictures: Pictures, samples: list[Any], fps: int) -> 
     frames[0].save(path, "GIF", save_all=True, append_images=frames[1:], duration=lasts, loop=0)
 
 
-def _write_mp4(path: Path, pictures: Pictures, first: Pixels, fps: int) -> None:
+def _write_mp4(path: Path, pictures: Iterable[Pixels], samples: Sequence[Pixels], fps: int) -> None:
     import imageio_ffmpeg
 
-    size = first.shape[1::-1]
+    size = samples[0].shape[1::-1]
     writer = imageio_ffmpeg.write_frames(str(path), size, fps=fps, quality=8, macro_block_size=2)
     with closing(writer):  # stops ffmpeg, even if a picture can't be drawn
         writer.send(None)  # starts the generator
