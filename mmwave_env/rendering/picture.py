@@ -4,9 +4,9 @@ The strips show speed, error and NEES; a ribbon below them shows the mode of eac
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -160,13 +160,15 @@ _RIBBON = 12.0
 
 
 class Strip(NamedTuple):
-    """A diagram of a quantity over n epochs; heights are 0 at its lower edge, 1 at its upper."""
+    """A diagram of a quantity over n epochs; values beyond the ends are drawn at the edges."""
 
     title: str  # quantity and unit
-    curve: Array  # (n,) heights of the values of the estimate, drawn in the colors of the modes
-    ticks: dict[float, Any]  # values that label the scale -> their heights
-    truth: Array | None = None  # (n,) heights of the true values, if known
-    band: Array | None = None  # (2,) heights of the ends of the interval of expected values
+    values: Array  # (n,) values of the estimate, drawn in the colors of the modes; NaN at the top
+    ends: tuple[float, float]  # values at the lower and at the upper edge
+    ticks: tuple[float, ...]  # values that label the scale
+    scale: Callable[[ArrayLike], Array] = np.asarray  # np.log for a logarithmic scale
+    truth: Array | None = None  # (n,) true values, if known
+    band: tuple[float, float] | None = None  # ends of the interval of expected values
 
 
 def draw_strips(canvas: Canvas, top: float, history: History, beside: Sequence[History]) -> None:
@@ -192,41 +194,29 @@ def _times(history: History, rows: slice) -> tuple[float, float]:
     """Return the times at the left and right edge of strips with room for ``_WINDOW`` epochs."""
     time_s = history.time_s[rows]
     step = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0
-    first = float(time_s[0]) if len(time_s) else 0.0
-    return first, float(max([first + (_WINDOW - 1) * step, *time_s[-1:]]))
+    latest = float(history.time_s[-1])
+    first = float(time_s[0]) if len(time_s) else latest
+    return first, max(first + (_WINDOW - 1) * step, latest)
 
 
 def _strips(history: History, rows: slice, together: Sequence[History]) -> list[Strip]:
     """Return the strips of some rows of a history, with scales that fit all histories."""
     true = history.true_mps[rows]
     most = 2.0 * float(true.max(initial=1.0))  # a larger estimate is drawn at the upper edge
-    fastest = _top([true, *(np.fmin(drawn.speed_mps[rows], most) for drawn in together)])
-    farthest = _top([drawn.error_m[rows] for drawn in together])
-    axes = history.axes
+    speeds = (0.0, _top([true, *(np.fmin(drawn.speed_mps[rows], most) for drawn in together)]))
+    errors = (0.0, _top([drawn.error_m[rows] for drawn in together]))
+    band = nees_interval(history.axes)
     return [
-        Strip(
-            "speed, m/s", history.speed_mps[rows] / fastest, {0.0: 0.0, fastest: 1.0},
-            truth=true / fastest,
-        ),
-        Strip("error, m", history.error_m[rows] / farthest, {0.0: 0.0, farthest: 1.0}),
-        Strip(
-            "NEES, 95 % band", _nees_height(history.nees[rows]),
-            {tick: _nees_height(tick) for tick in _NEES_TICKS},
-            band=_nees_height(nees_interval(axes)),
-        ),
-    ]  # fmt: skip
-
-
-def _nees_height(nees: ArrayLike) -> Array:
-    """Return the heights of NEES values in their strip, whose scale is logarithmic."""
-    return np.interp(np.log(np.maximum(nees, 1e-9)), np.log(_NEES), (0.0, 1.0))
+        Strip("speed, m/s", history.speed_mps[rows], speeds, speeds, truth=true),
+        Strip("error, m", history.error_m[rows], errors, errors),
+        Strip("NEES, 95 % band", history.nees[rows], _NEES, _NEES_TICKS, np.log, band=band),
+    ]
 
 
 def _top(values: Sequence[Array]) -> float:
     """Return a round number, >= 2 and above all finite values, for the upper edge of a strip."""
     known = np.concatenate(values)
-    known = known[np.isfinite(known)]
-    largest = max(2.0, 1.05 * float(known.max(initial=0.0)))
+    largest = max(2.0, 1.05 * float(known.max(initial=0.0, where=np.isfinite(known))))
     below = nice(largest)
     return next(step * below for step in (1.0, 2.0, 2.5) if step * below >= largest)
 
@@ -234,24 +224,23 @@ def _top(values: Sequence[Array]) -> float:
 def _draw_strip(canvas: Canvas, plot: Rect, strip: Strip, x: Array, modes: Index) -> None:
     """Draw background, ticks, band and lines of a strip, and its title to the left."""
 
-    def y(heights: Any) -> Any:
-        # np.clip would keep NaN, which is drawn at the upper edge
-        return plot.bottom - np.fmax(np.fmin(heights, 1.0), 0.0) * plot.height
+    def y(values: ArrayLike) -> Array:
+        inside = np.clip(np.nan_to_num(values, nan=np.inf), *strip.ends)
+        return np.interp(strip.scale(inside), strip.scale(strip.ends), (plot.bottom, plot.top))
 
     canvas.fill("ground", plot)
     canvas.words(strip.title, (_PAD, plot.centery), "ink", 15)
     if strip.band is not None:
         lower, upper = y(strip.band)
         canvas.fill("band", Rect(plot.left, upper, plot.width, lower - upper))
-    for tick, height in strip.ticks.items():
-        level = float(y(height))
+    for tick, level in zip(strip.ticks, y(strip.ticks), strict=True):
         canvas.line([[plot.left, level], [plot.right, level]], "grid", 0.6)
         inside = min(max(level, plot.top + 5.0), plot.bottom - 5.0)
         canvas.words(f"{tick:g}", (plot.right + 4.0, inside), "quiet", 13)
     if len(x) > 1:
         if strip.truth is not None:
             canvas.line(np.stack([x, y(strip.truth)], axis=1), "truth", 1.4)
-        draw_by_mode(canvas, np.stack([x, y(strip.curve)], axis=1), modes, 1.8)
+        draw_by_mode(canvas, np.stack([x, y(strip.values)], axis=1), modes, 1.8)
 
 
 def _draw_ribbon(canvas: Canvas, lane: Rect, x: Array, modes: Index) -> None:
@@ -260,7 +249,7 @@ def _draw_ribbon(canvas: Canvas, lane: Rect, x: Array, modes: Index) -> None:
     canvas.fill("ground", lane)
     if len(x) == 0:
         return
-    ends = np.append(x, 2.0 * x[-1] - x[-2] if len(x) > 1 else x[-1] + lane.width / _WINDOW)
+    ends = np.append(x, x[-1] + lane.width / _WINDOW)
     for begin, end in runs(modes):
         left = float(ends[begin])
         right = min(float(ends[end]), lane.right)
