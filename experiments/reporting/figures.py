@@ -5,7 +5,7 @@ of a track from above, with its errors and modes (filters) over time.
 """
 
 import textwrap
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from scipy.special import chdtr, chdtri
 from mmwave_env.io.files import Json, atomic_path, require_writable
 from mmwave_env.io.lookup import printable, require_extra, spelled
 from mmwave_env.localization.localizer import Track
-from mmwave_env.localization.position_errors import SHARES, horizontal, vertical
+from mmwave_env.localization.position_errors import SHARES, half_axes, horizontal, vertical
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.rendering.history import ellipse
@@ -91,44 +91,52 @@ def contenders(names: Iterable[str]) -> dict[str, str]:
     parts = {name: Path(name).parts for name in names}
     shown = {}
     for name, own in parts.items():
-        others = [parts[other] for other in parts if other != name]
-        alone = (k for k in range(1, len(own)) if all(o[-k:] != own[-k:] for o in others))
-        shown[name] = caption(str(Path(*own[-next(alone, len(own)) :])))
+        for k in range(1, len(own) + 1):
+            ends = [other[-k:] for other in parts.values()]
+            if ends.count(own[-k:]) == 1:
+                break
+        shown[name] = caption(str(Path(*own[-k:])))
     return shown
 
 
-def legend_beside(axes: Any, **options: Any) -> None:
-    """Draw a legend to the right of a panel, where it does not cover data."""
-    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.02), borderaxespad=0.0, **options)
+def labelled(axes: Sequence[Any]) -> list[Any]:
+    """Return one artist in panels for each label, in the order of the labels."""
+    artists = {
+        label: artist
+        for panel in axes
+        for artist, label in zip(*panel.get_legend_handles_labels(), strict=True)
+    }
+    return [*artists.values()]
+
+
+def legend_beside(*axes: Any) -> None:
+    """Draw a legend of some panels to the right of the last, where it does not cover data."""
+    place = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.02), "borderaxespad": 0.0}
+    axes[-1].legend(handles=labelled(axes), **place)
 
 
 @contextmanager
-def panels(
-    path: Path, count: int, entries: int, width_mm: float | None
-) -> Iterator[tuple[list[Any], Callable[[Sequence[Any]], None]]]:
+def panels(path: Path, count: int, width_mm: float | None) -> Iterator[list[Any]]:
     """Yield the ``count`` panels of a picture: side by side, or stacked if they would be narrow.
 
-    Also yield a function that draws the legend of the handles in its argument, which contain the
-    labels; the picture has room for ``entries`` labels. The font is smaller in narrow pictures, so
-    that labels fit.
+    At the end, draw one legend of all labels. The font is smaller in narrow pictures, so that
+    labels fit.
     """
     stacked = width_mm is not None and width_mm <= STACKED_MM
     usual = PHONE_MM / MM_PER_IN if stacked else 2.2 + 4.4 * count
     width = usual if width_mm is None else width_mm / MM_PER_IN
-    if stacked:
-        height = 0.63 * width * count + 0.3 + 0.2 * (-(-entries // LEGEND_COLUMNS))
-    else:
-        height = max(4.2, 1.0 + 0.19 * entries) * width / usual
-    with picture(path, width, height, FONT_PT * min(1.0, width / usual)) as figure:
+    with picture(path, width, width, FONT_PT * min(1.0, width / usual)) as figure:
         grid = figure.subplots(*((count, 1) if stacked else (1, count)), squeeze=False)
-
-        def legend(handles: Sequence[Any]) -> None:
-            if stacked:
-                figure.legend(handles=handles, loc="outside lower left", ncols=LEGEND_COLUMNS)
-            else:
-                legend_beside(grid.flat[-1], handles=handles)
-
-        yield list(grid.flat), legend
+        axes = list(grid.flat)
+        yield axes
+        artists = labelled(axes)
+        if stacked:
+            height = 0.63 * width * count + 0.3 + 0.2 * (-(-len(artists) // LEGEND_COLUMNS))
+            figure.legend(handles=artists, loc="outside lower left", ncols=LEGEND_COLUMNS)
+        else:
+            height = max(4.2, 1.0 + 0.19 * len(artists)) * width / usual
+            legend_beside(*axes)
+        figure.set_figheight(height)
 
 
 def plain_numbers(axis: Any) -> None:
@@ -149,22 +157,21 @@ Line = tuple[Sequence[float], Sequence[float]]  # steps, values
 _STYLES = ("-", "--", ":")  # line styles, to distinguish more lines than there are colors
 
 
-def _style(number: int, label: str) -> dict[str, Any]:
-    line = _STYLES[number // len(COLORS) % len(_STYLES)]
-    return {"color": f"C{number}", "ls": line, "label": label}
+def _style(number: int) -> dict[str, Any]:
+    return {"color": f"C{number}", "ls": _STYLES[number // len(COLORS) % len(_STYLES)]}
 
 
 def draw_error_cdf(
     errors_m: Mapping[str, Array], path: Path, width_mm: float | None = None
 ) -> None:
     """Draw the distributions (CDF) of contenders' horizontal and vertical errors (..., 3), m."""
-    with panels(path, 2, len(errors_m), width_mm) as ((left, right), legend):
+    with panels(path, 2, width_mm) as (left, right):
         labels = contenders(errors_m)
         for number, (name, errors) in enumerate(errors_m.items()):
-            look = _style(number, labels[name])
+            look = _style(number)
             for axes, sizes in ((left, horizontal(errors)), (right, vertical(errors))):
                 values = np.maximum(sizes, SMALLEST_M)  # the error of a known height is 0
-                axes.plot(np.quantile(values, _SHARES), _SHARES, **look)
+                axes.plot(np.quantile(values, _SHARES), _SHARES, label=labels[name], **look)
                 axes.plot(np.quantile(values, SHARES), SHARES, "o", ms=3.5, color=look["color"])
         for axes, kind in ((left, "horizontal"), (right, "vertical")):
             low = min(np.interp(0.03, line.get_ydata(), line.get_xdata()) for line in axes.lines)
@@ -173,7 +180,6 @@ def draw_error_cdf(
             axes.set_yticks(SHARES, [f"{100.0 * share:.0f} %" for share in SHARES])
             axes.set_ylabel("share of epochs with a smaller error")
             plain_numbers(axes.xaxis)
-        legend(left.lines[::2])
 
 
 def draw_consistency(
@@ -188,21 +194,21 @@ def draw_consistency(
     """
     episodes = len(next(iter(nees.values())))
     low, high = chdtri(episodes * dof, [0.975, 0.025]) / (episodes * dof)
-    with panels(path, 2, len(nees) + 2, width_mm) as ((over_time, whole), legend):
-        bounds = over_time.axhspan(low, high, color="0.7", lw=0.0, label=BOUNDS)
+    with panels(path, 2, width_mm) as (over_time, whole):
+        over_time.axhspan(low, high, color="0.7", lw=0.0, label=BOUNDS)
         whole.plot([0.0, 1.0], [0.0, 1.0], color="0.5", lw=4.0, alpha=0.6, label="consistent")
         names = contenders(nees)
         for number, (name, values) in enumerate(nees.items()):
-            look = _style(number, names[name])
+            look = _style(number)
             over_time.plot(time_s, values.mean(axis=0) / dof, **look)
             inside = np.sort(chdtr(dof, values), axis=None)
-            whole.plot(_SHARES, np.searchsorted(inside, _SHARES, "right") / inside.size, **look)
+            shares = np.searchsorted(inside, _SHARES, "right") / inside.size
+            whole.plot(_SHARES, shares, label=names[name], **look)
         label = f"mean NEES / {dof}, of {episodes:,} episodes"
         over_time.set(xlabel="time since the start (s)", yscale="log", ylabel=label)
         plain_numbers(over_time.yaxis)
         whole.set(xlabel="probability p", ylabel="share of NEES below\nthe chi-square p-quantile")
         whole.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0))
-        legend([bounds, *whole.lines])
 
 
 def draw_learning_curves(label: str, lines: Sequence[Line], path: Path) -> None:
@@ -212,7 +218,9 @@ def draw_learning_curves(label: str, lines: Sequence[Line], path: Path) -> None:
     """
     from matplotlib.ticker import EngFormatter, NullFormatter
 
-    with panels(path, 1, 0, PHONE_MM) as ((axes,), _):
+    width = PHONE_MM / MM_PER_IN
+    with picture(path, width, 0.63 * width + 0.3) as figure:
+        axes = figure.subplots()
         for steps, values in lines:
             axes.plot(steps, values, color="C0", lw=1.0, alpha=0.8)
         axes.axhline(0.0, color="black", lw=0.8)
@@ -258,8 +266,8 @@ def draw_trajectory(
         time = track.time_s - track.time_s[0]
         error = np.linalg.norm(track.smooth_x[:, :3] - truth_m, axis=1)
         sigma = np.sqrt(track.smooth_P[:, [0, 2, 5]].sum(axis=1))  # of x, y and z
-        style = {"color": "C2", "alpha": 0.35, "lw": 0.0, "label": "2 standard deviations"}
-        errors.fill_between(time, 0.0, 2.0 * sigma, **style)
+        label = "2 standard deviations"
+        errors.fill_between(time, 0.0, 2.0 * sigma, color="C2", alpha=0.35, lw=0.0, label=label)
         if np.isfinite(error).any():
             errors.plot(time, error, color="black", lw=0.8, label="error")
         errors.set(ylabel="position error (m)", ylim=(0.0, None))
@@ -299,8 +307,7 @@ def _draw_above(
         axes.add_collection(lines)
     _draw_ellipses(axes, track)
     axes.plot(*position[0], "o", color="black", ms=5, label="start")
-    draw_anchors(axes, position, scene.anchors_m)
-    _draw_walls(axes, position, scene, learned)
+    _draw_scene(axes, position, scene, learned)
     axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
     axes.set_adjustable("datalim")
     legend_beside(axes)
@@ -309,54 +316,38 @@ def _draw_above(
 def _draw_ellipses(axes: Any, track: Track) -> None:
     """Draw 95 % ellipses at a few epochs, enlarged if they are too small to be visible."""
     at = np.unique(np.linspace(0, len(track.time_s) - 1, ELLIPSES).astype(int))
-    covariance_m2 = track.smooth_P[at][:, [0, 1, 1, 2]].reshape(-1, 2, 2)  # of x and y
+    P = track.smooth_P[at]
     deviations = np.sqrt(chdtri(2, 0.05))
-    longest = deviations * np.sqrt(np.linalg.eigvalsh(covariance_m2)[:, 1])  # semi-axes
+    longest = deviations * half_axes(P)[0]
     extent = float(np.ptp(track.smooth_x[:, :2], axis=0).max())
     wanted = _VISIBLE * extent / max(float(np.median(longest)), 1e-9)
     enlarged = next((n for n in _ENLARGED if n >= wanted), _ENLARGED[-1])
-    for center, P in zip(track.smooth_x[at, :2], covariance_m2, strict=True):
-        axes.fill(*ellipse(center, P, enlarged * deviations).T, fc="none", ec="black", lw=0.8)
+    for center, each in zip(track.smooth_x[at, :2], P, strict=True):
+        axes.fill(*ellipse(center, each, enlarged * deviations).T, fc="none", ec="black", lw=0.8)
     label = "95 % ellipses" + (f",\nenlarged {enlarged} times" if enlarged > 1 else "")
     axes.plot([], [], "o", mfc="none", mec="black", mew=0.8, ms=8, label=label)
 
 
-def _draw_walls(axes: Any, position: Array, scene: Scene, learned: Sequence[Json]) -> None:
-    """Draw those walls that are near the track; learned ones with their uncertainty."""
-    middle = 0.5 * (position.min(axis=0) + position.max(axis=0))
+def _draw_scene(axes: Any, position: Array, scene: Scene, learned: Sequence[Json]) -> None:
+    """Draw anchors and walls, learned ones with their uncertainty.
 
-    def draw(normal: Array, offset_m: float, label: str, **style: Any) -> None:
-        foot = middle + (offset_m - normal @ middle) * normal
-        if _is_near(foot, position):
-            named = any(line.get_label() == label for line in axes.lines)
-            along = [-normal[1], normal[0]]
-            axes.axline(foot, foot + along, label=None if named else label, **style)
-
-    for wall in scene.walls:
-        draw(np.array(wall.unit_normal), wall.offset_m, "wall", color="gray", alpha=0.5, lw=4.0)
-    for image in learned:
-        normal = np.array(image["wall"]["normal"])
-        # the wall is halfway between the base station and its image
-        sigma = 0.5 * float(np.linalg.norm(normal * image["sigma_m"][:2]))
-        for number, width in ((0.0, 1.4), (-2.0, 0.6), (2.0, 0.6)):
-            offset_m = image["wall"]["offset_m"] + number * sigma
-            label = "learned wall,\n± 2 standard deviations"
-            draw(normal, offset_m, label, color="C3", ls="--", lw=width)
-
-
-def _is_near(point: Array, position: Array) -> bool:
-    """Tell whether a point is at most a track's extent, or 30 m, outside the track's box."""
+    Those that are farther outside the track's box than its extent, or 30 m, are left out.
+    """
     low = position.min(axis=0)
-    high = position.max(axis=0)
-    reach = max(float((high - low).max()), 30.0)
-    return bool(((point > low - reach) & (point < high + reach)).all())
+    size = position.max(axis=0) - low
+    middle = low + 0.5 * size
+    reach = 0.5 * size + max(float(size.max()), 30.0)
 
+    def is_near(point: Array) -> bool:
+        return bool((abs(point - middle) < reach).all())
 
-def draw_anchors(axes: Any, position: Array, anchors_m: Array) -> None:
-    """Draw those anchors that are near the track."""
-    middle = 0.5 * (position.min(axis=0) + position.max(axis=0))
-    for number, anchor in enumerate(anchors_m[:, :2], start=1):
-        if _is_near(anchor, position):
+    def draw_wall(normal: Array, offset_m: float, label: str, **style: Any) -> None:
+        foot = middle + (offset_m - normal @ middle) * normal
+        if is_near(foot):
+            axes.axline(foot, foot + [-normal[1], normal[0]], label=label, **style)
+
+    for number, anchor in enumerate(scene.anchors_m[:, :2], start=1):
+        if is_near(anchor):
             name = "gNB" if number == 1 else f"anchor {number}"
             marker, fill = ("^", "black") if number == 1 else ("v", "white")
             axes.plot(*anchor, marker, color="black", ms=8, mfc=fill)
@@ -364,3 +355,14 @@ def draw_anchors(axes: Any, position: Array, anchors_m: Array) -> None:
             offset, side = (-7, "right") if anchor[0] > middle[0] else (7, "left")
             place = {"textcoords": "offset points", "va": "center", "ha": side}
             axes.annotate(name, anchor, (offset, 0), **place)
+    for wall in scene.walls:
+        normal = np.array(wall.unit_normal)
+        draw_wall(normal, wall.offset_m, "wall", color="gray", alpha=0.5, lw=4.0)
+    label = "learned wall,\n± 2 standard deviations"
+    for image in learned:
+        normal = np.array(image["wall"]["normal"])
+        # the wall is halfway between the base station and its image
+        sigma = 0.5 * float(np.linalg.norm(normal * image["sigma_m"][:2]))
+        for deviations, width in ((-2.0, 0.6), (2.0, 0.6), (0.0, 1.4)):
+            offset_m = image["wall"]["offset_m"] + deviations * sigma
+            draw_wall(normal, offset_m, label, color="C3", ls="--", lw=width)

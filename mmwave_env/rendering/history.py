@@ -38,19 +38,17 @@ class History(NamedTuple):
     @property
     def error_m(self) -> Array:
         """Return the length (k + 1,) of the position error."""
-        with np.errstate(over="ignore"):  # the error of a lost track may be arbitrarily large
-            return np.linalg.norm(self.estimate[:, :3] - self.truth[:, :3], axis=1)  # type: ignore[no-any-return]
+        return _lengths(self.estimate[:, :3] - self.truth[:, :3])
 
     @property
     def true_mps(self) -> Array:
         """Return the true speed (k + 1,), m/s."""
-        return np.linalg.norm(self.truth[:, 3:], axis=1)  # type: ignore[no-any-return]
+        return _lengths(self.truth[:, 3:])
 
     @property
     def speed_mps(self) -> Array:
         """Return the estimated speed (k + 1,), m/s."""
-        with np.errstate(over="ignore"):  # the speed of a lost track may be arbitrarily large
-            return np.linalg.norm(self.estimate[:, 3:6], axis=1)  # type: ignore[no-any-return]
+        return _lengths(self.estimate[:, 3:6])
 
     @property
     def fates(self) -> NDArray[np.str_]:
@@ -63,10 +61,16 @@ class History(NamedTuple):
         return History(*self[:4], *(array[rows] for array in arrays))
 
 
+def _lengths(vectors: Array) -> Array:
+    """Return the lengths (n,) of vectors (n, 3); those of a lost track may be arbitrarily large."""
+    with np.errstate(over="ignore"):
+        return np.linalg.norm(vectors, axis=1)  # type: ignore[no-any-return]
+
+
 def ellipse(center: Array, P: Array, deviations: float) -> Array:
-    """Return the ellipse (n, 2) at ``deviations`` times the standard deviations of covariance P."""
+    """Return the ellipse (n, 2) at ``deviations`` times the standard deviations of packed P."""
     angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
-    variances, axes = np.linalg.eigh(P)
+    variances, axes = np.linalg.eigh(P[[[0, 1], [1, 2]]])
     lengths = np.sqrt(np.maximum(variances, 0.0))
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     return center + deviations * (circle * lengths) @ axes.T  # type: ignore[no-any-return]

@@ -39,12 +39,6 @@ class View(NamedTuple):
         offset = (points_m[:, :2] - self.center_m) * self.scale
         return self.frame.center + offset * (1.0, -1.0)
 
-    @property
-    def extent_m(self) -> tuple[Array, Array]:
-        """Return the south-west and north-east corners (2,) of the visible part."""
-        half = np.array(self.frame.size) / (2.0 * self.scale)
-        return self.center_m - half, self.center_m + half
-
 
 def follow(history: History, frame: Rect) -> View:
     """Return the view of the last epoch.
@@ -102,10 +96,11 @@ def _draw_streets(canvas: Canvas, view: View, streets: Streets) -> None:
     canvas.fill("street", _box(view, np.transpose(extents) + [[-half], [half]]))
     if block_m * view.scale < 4.0:  # blocks would be too small to see
         return
+    reach_m = np.divide(view.frame.size, 2.0 * view.scale) + block_m
     visible = []  # starts of the visible blocks, m, on each axis
-    for (first, last), low, high in zip(extents, *view.extent_m, strict=True):
+    for (first, last), center, reach in zip(extents, view.center_m, reach_m, strict=True):
         starts = np.arange(first, last - 1e-6, block_m)
-        visible.append(starts[(starts > low - block_m) & (starts < high)])
+        visible.append(starts[abs(starts - center) < reach])
     for corner in product(*visible):
         canvas.fill("building", _box(view, np.add(corner, [[half], [block_m - half]])))
 
@@ -156,7 +151,7 @@ def _draw_tracks(canvas: Canvas, view: View, history: History) -> None:
     truth = view.pixels(history.truth[rows])
     track = view.pixels(history.estimate[rows])
     color = history.modes[-1]
-    P = history.P[-1][[[0, 1], [1, 2]]]
+    P = history.P[-1]
     if np.isfinite(P).all():
         outline = view.pixels(ellipse(history.estimate[-1, :2], P, 2.0))
         canvas.polygon(outline, color, 0.18)
@@ -194,9 +189,9 @@ def _draw_scale(canvas: Canvas, view: View) -> Rect:
     place.bottomright = view.frame.right - 4.0, view.frame.bottom - 2.0
     _draw_plate(canvas, place)
     bar = place.inflate(-12.0, -12.0)
-    ends = np.array([bar.bottomleft, bar.bottomright])
-    above = ends - (0.0, 5.0)
-    canvas.line(np.vstack([above[:1], ends, above[1:]]), "ink", 1.2)
+    y = bar.bottom - 5.0
+    outline = [(bar.left, y), bar.bottomleft, bar.bottomright, (bar.right, y)]
+    canvas.line(outline, "ink", 1.2)
     canvas.words(f"{length:g} m", (bar.centerx, bar.bottom - 10.0), "ink", align=0.5)
     return place
 
