@@ -4,11 +4,10 @@ With ``--diagnose``, it reports facts about the log, and its likely mistakes.
 """
 
 import warnings
-from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -42,7 +41,6 @@ from experiments.reporting.track_report import track_markdown
 from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH
 from mmwave_env.datasets.samples import sample_folder
 from mmwave_env.filters.bank import modes_from
-from mmwave_env.filters.modes import Mode
 from mmwave_env.io.files import Json, require_writable, write_json
 from mmwave_env.io.lookup import as_name
 from mmwave_env.localization.association import associate
@@ -73,10 +71,9 @@ from mmwave_env.logs.truth import Truth
 from mmwave_env.models.layout import require_clock
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene, scene_json
+from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import NEUTRAL_SNR_DB
 from policies.corrector import TWO_WAY, TwoWayCorrector
-
-_NOT_WRITTEN = "Not written: the scene needs no correction.\n"
 
 
 def diagnosed(args: LogArgs, files: "Inputs", scene: Scene) -> None:
@@ -109,8 +106,12 @@ def diagnosed(args: LogArgs, files: "Inputs", scene: Scene) -> None:
         facts = log_facts(log, scene)
         notes = noise_notes(log, scene, radio, mode, step_m)
     corrected = findings[0].scene
+    text = f"{facts_markdown(facts)}\n{diagnosis_markdown(findings, notes)}"
     if args.write and corrected:
         write_json(args.write, scene_json(corrected))
+        text += f"\nWritten: {args.write} (corrected scene)\n"
+    elif args.write:
+        text += "\nNot written: the scene needs no correction.\n"
     if args.json:
         figures = {
             "facts": facts,
@@ -126,9 +127,7 @@ def diagnosed(args: LogArgs, files: "Inputs", scene: Scene) -> None:
             ],
         }
         write_json(args.json, provenance("localize", args) | figures)
-    show(f"{facts_markdown(facts)}\n{diagnosis_markdown(findings, notes)}")
-    if args.write:
-        show(f"Written: {args.write} (corrected scene)\n" if corrected else _NOT_WRITTEN)
+    show(text)
     if log.damage:
         raise log.damage
 
@@ -195,26 +194,34 @@ def _check(args: LogArgs, files: Inputs) -> None:
     owners: dict[Path, str] = {}
     earlier = {f"log {number}": log for number, log in enumerate(files.earlier, start=1)}
     read = {**earlier, "the log": files.log, "scene": Path(files.scene), "truth": files.truth}
-    banks = {"modes": args.modes, "imm": Path(args.imm) if args.imm else None}
-    for name, path in (*read.items(), *banks.items(), *_outputs(args)):
-        if path is not None and (owner := owners.setdefault(path.resolve(), name)) != name:
+    read |= {"modes": args.modes, "imm": Path(args.imm) if args.imm else None}
+    written = ((option, path) for option, path, _ in _outputs(args))
+    for name, path in (*read.items(), *written):
+        if path and (owner := owners.setdefault(path.resolve(), name)) != name:
             raise ValueError(f"{name}: found {path}, which is also {owner}; expected another file")
     for out in args.out:
         require_own_files(out)
 
 
-def _outputs(args: LogArgs) -> list[tuple[str, Path | None]]:
-    tracks = [("out", out) for out in args.out]
-    tables = map(table_beside, args.out)
-    beside = [("the table of --out", table) for table in tables if table not in args.out]
-    others = [("plot", args.plot), ("map-out", args.map_out), ("json", args.json)]
-    return [*tracks, *beside, *others, ("write", args.write)]
+def _outputs(args: LogArgs) -> list[tuple[str, Path, str]]:
+    """Return the option, the path and the content of every file to write."""
+    tables = [table for table in map(table_beside, args.out) if table not in args.out]
+    files = [
+        *(("out", out, f"{_kind(args)} track") for out in args.out),
+        *(("the table of --out", t, "table of standard deviations and modes") for t in tables),
+        ("plot", args.plot, "picture"),
+        ("map-out", args.map_out, "scene with the learned images"),
+        ("json", args.json, ""),
+        ("write", args.write, ""),
+    ]
+    return [(option, path, content) for option, path, content in files if path]
 
 
 class Work(NamedTuple):
     """A log to localize, and the choice of modes to localize it with."""
 
     scene: Scene
+    profile: str  # name or file of the radio profile
     radio: Radio
     choice: Choice
     log: Log
@@ -222,6 +229,10 @@ class Work(NamedTuple):
     association: Json | None  # counts of associated paths
     range_step_m: float | None = None  # step in which ranges come; their noise contains it
     map: Json | None = None  # learned images, and counts of paths they explain
+
+    def truth_m(self, time_s: Array) -> Array:
+        """Return true positions (n, 3), m, at some times; NaN where they are not known."""
+        return self.truth.at(time_s) if self.truth else np.full((len(time_s), 3), np.nan)
 
 
 def _work(args: LogArgs, files: Inputs, scene: Scene) -> Work:
@@ -233,7 +244,10 @@ def _work(args: LogArgs, files: Inputs, scene: Scene) -> Work:
         radio = radio_of(args, name)
         fast = modes_from(args.modes, name)[-1]
         if args.map == "learn":
-            scene, learned = _learned_map(args, [*files.earlier, files.log], scene, radio, fast)
+            places = (*files.earlier, files.log)
+            logs = [read_paths(path, scene, args.odometry, args.snr) for path in places]
+            scene, learned = learn_map(logs, scene, radio, fast)
+            warn_of_few_explained(learned["explained"], learned["paths"])
         paths = read_paths(files.log, scene, args.odometry, args.snr)
         log, association = associate(paths, scene, radio, fast)
     else:
@@ -255,20 +269,7 @@ def _work(args: LogArgs, files: Inputs, scene: Scene) -> Work:
         )
     truth = Truth(files.truth) if files.truth else None
     log, step_m = with_range_steps(log, scene, radio)
-    return Work(scene, radio, choice, log, truth, association, step_m, learned)
-
-
-def _learned_map(
-    args: LogArgs, paths: Sequence[Path], scene: Scene, radio: Radio, mode: Mode
-) -> tuple[Scene, Json]:
-    """Return the scene with the images that the paths of logs reveal, and figures about them.
-
-    Warn if walls explain few of the paths.
-    """
-    logs = [read_paths(path, scene, args.odometry, args.snr) for path in paths]
-    scene, learned = learn_map(logs, scene, radio, mode)
-    warn_of_few_explained(learned["explained"], learned["paths"])
-    return scene, learned
+    return Work(scene, name, radio, choice, log, truth, association, step_m, learned)
 
 
 def require_map_file(args: LogArgs) -> None:
@@ -288,12 +289,7 @@ def warn_of_few_explained(explained: int, paths: int) -> None:
         )
 
 
-def _track(
-    args: LogArgs,
-    work: Work,
-    window: int | None = None,
-    report: Callable[[float], None] = lambda share: None,
-) -> Track:
+def _track(args: LogArgs, work: Work, window: int | None = None, **more: Any) -> Track:
     switching = work.choice.switching
     if args.two_way and not switching.bank:
         raise ValueError("two-way: found modes with a shared belief, expected an IMM (--imm)")
@@ -306,8 +302,8 @@ def _track(
         args.height,
         Levels(args.risk, args.levels),
         TwoWayCorrector(TWO_WAY) if args.two_way else None,
-        report,
-        args.correlation,
+        correlation_s=args.correlation,
+        **more,
     )
 
 
@@ -317,11 +313,10 @@ def _consistency(work: Work, track: Track) -> tuple[Json, list[Contradiction]]:
     return groups, contradictions(work.log.whole(), work.scene, work.radio, groups)
 
 
-def _shared_errors(args: LogArgs, work: Work) -> list[SharedError]:
+def _shared_errors(work: Work) -> list[SharedError]:
     """Return the most likely error that all links of a log share; [] if there is none."""
-    radio = work.radio.name if args.radio == AUTO else args.radio
     with suppress(ValueError):  # measurements may be too wrong for a filter without gates
-        mode = modes_from(None, radio)[-1]
+        mode = modes_from(None, work.profile)[-1]
         return find_shared_errors(work.log, work.scene, work.radio, mode, rounds=1)
     return []
 
@@ -351,35 +346,25 @@ def _figures(args: LogArgs, files: Inputs, work: Work, track: Track) -> Json:
     if track.damage:
         scores["error"] = str(track.damage)
     groups, doubts = _consistency(work, track)
-    for doubt in doubts:
-        warnings.warn(f"{doubt}; --diagnose looks for a likely mistake", stacklevel=2)
+    odd = [f"{doubt}; --diagnose looks for a likely mistake" for doubt in doubts]
     for name, group in groups.items():
         nis = group["nis_per_dof"] or 0.0
         inside = group["nis_in_bounds"] or 0.0
         if nis > NIS_LIMITS[1] and inside >= FEW_WRONG and name != "all":
-            warnings.warn(
+            odd.append(
                 f"{name}: found NIS / dof {nis:.3g}, although {inside:.0%} of the values are in "
                 "their 95 % bounds: a few are far off, such as reflections (--imm imm-best rejects "
-                "more of them)",
-                stacklevel=2,
+                "more of them)"
             )
-    errors = _shared_errors(args, work)
-    for each in errors:
-        warnings.warn(
-            f"the log looks as if {each}; {UNSEEN}; --diagnose says how to correct it",
-            stacklevel=2,
-        )
-    written = {
-        "out": f"{_kind(args)} track",
-        "the table of --out": "table of standard deviations and modes",
-        "plot": "picture",
-        "map-out": "scene with the learned images",
-    }
+    errors = _shared_errors(work)
+    odd += [f"the log looks as if {e}; {UNSEEN}; --diagnose says how to correct it" for e in errors]
+    for message in odd:
+        warnings.warn(message, stacklevel=2)
     more = {"association": work.association, "map": work.map}
     return {
         "log": str(files.log),
         "scene": work.scene.name,
-        "radio": f"{work.radio.name}, chosen by auto" if args.radio == AUTO else args.radio,
+        "radio": work.profile + (", chosen by auto" if args.radio == AUTO else ""),
         "imm": args.imm,
         "rule": work.choice.why,
         "range_step_m": work.range_step_m,
@@ -390,9 +375,7 @@ def _figures(args: LogArgs, files: Inputs, work: Work, track: Track) -> Json:
         **scores,
         "contradictions": [d._asdict() for d in doubts],
         "shared_errors": [str(error) for error in errors],
-        "written": {
-            str(path): written[of] for of, path in _outputs(args) if path and of in written
-        },
+        "written": {str(path): content for _, path, content in _outputs(args) if content},
     }
 
 
@@ -410,12 +393,11 @@ def localized(args: LogArgs) -> None:
     for out in args.out:
         if out.suffix in MAP_FILES:
             origin_of(scene, f"out: {out}")
-    for _, path in _outputs(args):
-        if path:
-            require_writable(path)
+    for _, path, _ in _outputs(args):
+        require_writable(path)
     work = _work(args, files, scene)
     with progress("localizing") as report:
-        track = _track(args, work, args.window if args.smoothing else None, report)
+        track = _track(args, work, args.window if args.smoothing else None, report=report)
     name = as_name(Path(files.log.name.removesuffix(".gz")).stem)
     write_track(track, args.out, scene, name, args.risk)
     if args.map_out:
@@ -426,12 +408,10 @@ def localized(args: LogArgs) -> None:
     try:
         if args.plot:
             log = "/".join(files.log.parts[-2:])
-            truth_m = np.full((len(track), 3), np.nan)
-            if work.truth:
-                truth_m = work.truth.at(track.time_s)
             title = f"{log}, {_kind(args)} track"
             learned = work.map["images"] if work.map else []
-            draw_trajectory(track, truth_m, work.scene, args.plot, title, learned)
+            known = work.truth_m(track.time_s)
+            draw_trajectory(track, known, work.scene, args.plot, title, learned)
     finally:  # the results are shown even if a picture fails
         try:
             show(track_markdown(figures))

@@ -3,7 +3,6 @@
 import csv
 from base64 import b64encode
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
 from html import escape
 from importlib.util import find_spec
 from io import StringIO
@@ -65,16 +64,17 @@ def html_of(markdown: str) -> str:
     return "".join(parts)
 
 
-def drawn(caption: str, draw: Callable[[Path], None]) -> str:
-    """Return a picture as HTML; without matplotlib, return a note.
+def drawn(caption: str, draw: Callable[..., None], *data: Any, **options: Any) -> str:
+    """Return a picture of data as HTML; without matplotlib, return a note.
 
-    ``draw`` writes the picture to an .svg file. In dark mode, the page's style inverts the picture.
+    ``draw`` gets the data, the path of an .svg file to write, and the options. In dark mode, the
+    page's style inverts the picture.
     """
     if not find_spec("matplotlib"):
         return element("p", f"{caption}: pictures need mmwave-loc[plot]", "note")
     with TemporaryDirectory() as folder:
         path = Path(folder) / "picture.svg"
-        draw(path)
+        draw(*data, path, **options)
         svg = b64encode(path.read_bytes()).decode("ascii")
     image = f'<img src="data:image/svg+xml;base64,{svg}" alt="{text(caption)}">'
     return f"<figure>{image}{element('figcaption', caption)}</figure>"
@@ -181,9 +181,9 @@ def verdict_on(source: Source) -> Verdict:
             tables = element("p", about, "caption") + html_of(outcomes_markdown(seeds))
         for rival in dict.fromkeys(rival for curve in curves for rival in curve):
             lines = [curve[rival] for curve in curves if rival in curve]
-            draw = partial(draw_learning_curves, f"reward minus reward of {rival}", lines)
             caption = f"Gain in reward over {rival} on tuning seeds, a line per training seed"
-            tables += drawn(caption, draw)
+            label = f"reward minus reward of {rival}"
+            tables += drawn(caption, draw_learning_curves, label, lines)
         sentence = f"{title}{'' if len(seeds) == len(curves) else more}."
         return Verdict(source.path, title, sentence, tables)
     comparison = Comparison.from_json(content)

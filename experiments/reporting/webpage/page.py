@@ -7,7 +7,6 @@ import json
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from importlib.resources import files
 
 import numpy as np
@@ -54,8 +53,7 @@ class Played:
     epochs: EpochErrors = field(default_factory=EpochErrors)  # of scored epochs
     axes: int = 3  # number of axes that the NEES covers
     shown: list[Json] = field(default_factory=list)  # episodes to watch, as JSON
-    # name of a missing contender -> reason; the name "" stands for all contenders
-    missing: dict[str, str] = field(default_factory=dict)
+    missing: list[str] = field(default_factory=list)  # notes on what was not played again
 
 
 def play(source: Source, most: int, watched: int) -> Played:
@@ -72,8 +70,8 @@ def play(source: Source, most: int, watched: int) -> Played:
         if most:
             return _play_episodes(source, most, watched)
     except (ValueError, OSError) as error:
-        return Played(missing={"": str(error)})
-    return Played(missing={"": "no episodes were asked for"})
+        return Played(missing=[f"no episode was played again: {error}"])
+    return Played(missing=["no episode was played again: no episodes were asked for"])
 
 
 def _play_episodes(source: Source, most: int, watched: int) -> Played:
@@ -84,35 +82,32 @@ def _play_episodes(source: Source, most: int, watched: int) -> Played:
     seeds = seeds_from(args.episodes, args.seed)
     scoring = Scoring.of(task)
     chosen = []
-    missing = {}
+    missing = []
     for name in names:
         try:
             if is_agent(name):
                 raise ValueError("it is a user's code, which is not run for a report")
             chosen.append(contender_of(args, name))
         except (ValueError, OSError) as error:
-            missing[name] = str(error)
+            missing.append(f"{name} was not played again: {error}")
     axes = 2 if scoring.planar else 3
     played = Played(named(seeds), axes=axes, missing=missing)
     score_contenders(chosen, task.source, seeds, watch=[played.epochs.add], scoring=scoring)
     some = seeds[:watched] if chosen else ()
     for seed, (episode, histories) in zip(some, histories_of(task, some, chosen), strict=True):
         name = f"{task.source.name}: {episode.name}, seed {seed}"
-        parts = [history.part(slice(1, LONGEST + 1)) for history in histories]  # without the prior
-        shown = _episode(name, parts[0], episode.layout.group_names)
-        for contender, part in zip(chosen, parts, strict=True):
-            course = _course(part, contender.actions, contender.policy is None)
-            shown["contenders"][printable(contender.name)] = course
-        played.shown.append(shown)
+        courses = {}
+        for contender, history in zip(chosen, histories, strict=True):
+            part = history.part(slice(1, LONGEST + 1))  # without the prior
+            courses[contender.name] = _course(part, contender.actions, contender.policy is None)
+        played.shown.append(_episode(name, part, episode.layout.group_names, courses))
     return played
 
 
 def _play_log(source: Source) -> Played:
     """Localize the first epochs of a log again."""
     block, work = beginning(options_from(LogArgs, source.content), LONGEST)
-    known = np.full((len(block), 3), np.nan)
-    if work.truth:
-        known = work.truth.at(block.time_s)
+    known = work.truth_m(block.time_s)
     velocity = velocity_of(block.time_s, known, GAP_S)
     log = source.content["log"]
     scene = work.scene
@@ -133,9 +128,8 @@ def _play_log(source: Source) -> Played:
         accepted=block.accepted,
         rejected=block.visible & ~block.accepted,
     )
-    shown = _episode(log, history, block.layout.group_names)
-    weighed = switching.bank is not None
-    shown["contenders"]["track"] = _course(history, switching.names, weighed)
+    course = _course(history, switching.names, switching.bank is not None)
+    shown = _episode(log, history, block.layout.group_names, {"track": course})
     return Played(shown=[shown])
 
 
@@ -143,18 +137,18 @@ def errors_of(played: Played) -> Iterator[str]:
     """Yield HTML pictures of the errors in a comparison's episodes; nothing for other sources."""
     epochs = played.epochs
     if epochs.errors_m:
-        draw = partial(draw_error_cdf, epochs.errors_m, width_mm=PHONE_MM)
-        yield drawn(f"Distribution of errors (CDF), {played.which}", draw)
-        axes = played.axes
-        draw = partial(draw_consistency, epochs.time_s, epochs.nees, axes, width_mm=PHONE_MM)
-        yield drawn(f"NEES and its chi-square bounds, {played.which}", draw)
+        caption = f"Distribution of errors (CDF), {played.which}"
+        yield drawn(caption, draw_error_cdf, epochs.errors_m, width_mm=PHONE_MM)
+        caption = f"NEES and its chi-square bounds, {played.which}"
+        nees = (epochs.time_s, epochs.nees, played.axes)
+        yield drawn(caption, draw_consistency, *nees, width_mm=PHONE_MM)
 
 
-def _episode(name: str, history: History, groups: Sequence[str]) -> Json:
-    """Return an episode's data for the player, still without contenders.
+def _episode(name: str, history: History, groups: Sequence[str], courses: Json) -> Json:
+    """Return an episode's data for the player.
 
     ``history`` is the history of any contender, since the truth is the same in all; ``groups`` are
-    names of groups of measurements.
+    names of groups of measurements; ``courses`` are the results by contender.
     """
     truth = history.truth
     scene = history.scene
@@ -170,7 +164,7 @@ def _episode(name: str, history: History, groups: Sequence[str]) -> Json:
         "images": len(scene.walls) if scene else 0,
         "groups": ["gNB", *groups[1:]],
         "nees_bounds": [*nees_interval(history.axes)],
-        "contenders": {},
+        "contenders": {printable(name): course for name, course in courses.items()},
     }
 
 
@@ -180,7 +174,7 @@ def _course(history: History, modes: Sequence[str], weighed: bool) -> Json:
     If ``weighed``, the contender weights all modes, and "mode" contains the most probable mode of
     every epoch; otherwise, "mode" contains the chosen mode or action.
     """
-    letters = np.where(history.accepted, "a", np.where(history.rejected, "r", "m"))  # m: missing
+    letters = history.fates.astype("U1")  # a: accepted, r: rejected, m: missing
     estimate = history.estimate
     xx, xy, yy = history.P[:, :3].T
     major, minor = half_axes(history.P)
@@ -273,10 +267,7 @@ def _player(verdicts: Sequence[Verdict], played: Sequence[Played]) -> str:
     if any(source.shown for source in played):
         parts = ['<div id="player"><noscript>Only this section needs JavaScript.</noscript></div>']
     for verdict, source in zip(verdicts, played, strict=True):
-        for name, why in source.missing.items():
-            subject = f"{name} was not" if name else "no episode was"
-            note = f"{verdict.name}: {subject} played again: {why}"
-            parts.append(element("p", note, "note"))
+        parts += [element("p", f"{verdict.name}: {note}", "note") for note in source.missing]
     return "".join(parts)
 
 
