@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
+from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.rendering.gallery import DRAWN
 
 ID = "mmwave_env:MmWaveLoc-v0"
@@ -70,10 +71,11 @@ def test_of_many_environments_only_the_first_few_are_drawn():
     assert len({picture.tobytes() for picture in pictures}) == DRAWN + 1
 
 
-def test_there_is_no_picture_before_a_reset_or_without_a_render_mode():
+@pytest.mark.parametrize("make", [MmWaveLocEnv, many])
+def test_there_is_no_picture_before_a_reset_or_without_a_render_mode(make):
     with pytest.raises(gym.error.ResetNeeded):
-        many().render()
-    assert many(render_mode=None).render() is None
+        make(render_mode="rgb_array").render()
+    assert make(render_mode=None).render() is None
 
 
 @pytest.mark.slow

@@ -53,8 +53,8 @@ def history(truth=HERE, estimate=HERE, modes=(0,), accepted=NOTHING, rejected=NO
     return History(*place, 3, time, ran, *beliefs, *gates)
 
 
-def drawn(names=("ekf", "ukf"), **arguments):
-    return draw_picture(history(**arguments), names)
+def drawn(**arguments):
+    return draw_picture(history(**arguments), ["ekf", "ukf"])
 
 
 def played(steps, seed=0, action=lambda k: k % 2, **arguments):
@@ -189,14 +189,6 @@ def test_any_name_and_any_title_can_be_drawn(name):
 def test_wrong_render_options_are_refused(name, value):
     with refuses(name):
         MmWaveLocEnv(**{"render_mode": "rgb_array"} | {name: value})
-
-
-def test_there_is_no_picture_before_a_reset_or_without_a_render_mode():
-    with pytest.raises(gym.error.ResetNeeded):
-        MmWaveLocEnv(render_mode="rgb_array").render()
-    env = MmWaveLocEnv()
-    env.reset(seed=0)
-    assert env.render() is None
 
 
 @pytest.mark.parametrize("theme", THEMES)

@@ -13,12 +13,12 @@ ID = "mmwave_env:MmWaveLoc-v0"
 @pytest.fixture
 def window(monkeypatch):
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    window = Window(480, 480, 100)
+    window = Window(960, 480, 100)
     yield window
     window.close()
 
 
-PICTURE = np.zeros((480, 480, 3), np.uint8)
+PICTURE = np.random.default_rng(0).integers(0, 256, (480, 960, 3), np.uint8)
 
 
 def press_space():
@@ -43,7 +43,7 @@ def test_space_begins_and_ends_a_pause(window, monkeypatch):
 def test_a_closed_window_stays_closed_and_does_not_wait(window):
     pygame.event.post(pygame.event.Event(pygame.QUIT))
     window.show(PICTURE)
-    assert not pygame.display.get_init()
+    assert not pygame.display.get_init() and not window.is_open
     window.paused = True
     window.show(PICTURE)
 
@@ -63,12 +63,7 @@ def test_an_environment_shows_every_epoch_from_the_prior_on(monkeypatch):
     assert not pygame.display.get_init()
 
 
-def test_a_picture_is_shown_unchanged(monkeypatch):
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    wide = Window(960, 480)
-    picture = np.random.default_rng(0).integers(0, 256, (480, 960, 3), np.uint8)
-    wide.show(picture)
+def test_a_picture_is_shown_unchanged(window):
+    window.show(PICTURE)
     shown = pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
-    np.testing.assert_array_equal(shown, picture)
-    wide.close()
-    assert not wide.is_open
+    np.testing.assert_array_equal(shown, PICTURE)
