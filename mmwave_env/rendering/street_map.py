@@ -47,16 +47,18 @@ def follow(history: History, frame: Rect) -> View:
     Center and scale are averages over the last seconds, so that they change smoothly. They change
     faster only if the user or the estimate would otherwise leave the middle of the picture.
     """
-    recent = history.time_s >= history.time_s[-1] - _MEMORY_S
-    weights = np.exp((history.time_s[recent] - history.time_s[-1]) / _LAG_S)
+    begin = np.searchsorted(history.time_s, history.time_s[-1] - _MEMORY_S)
+    recent = history.part(slice(begin, None))
+    weights = np.exp((recent.time_s - recent.time_s[-1]) / _LAG_S)
     weights /= weights.sum()
-    truth = history.truth[recent, :2]
-    speed = history.true_mps[recent]
-    estimate = history.estimate[recent, :2]
+    truth = recent.truth[:, :2]
+    estimate = recent.estimate[:, :2]
     estimate = np.where(np.isfinite(estimate), estimate, truth)
     gap = abs(truth - estimate).max(axis=1)
-    deviation = np.sqrt(np.maximum(np.nan_to_num(history.P[recent][:, [0, 2]]).max(axis=1), 0.0))
-    wanted = np.maximum.reduce([_AHEAD_S * speed, 1.2 * gap, 3.0 * deviation], initial=_LEAST_M)
+    deviation = np.sqrt(np.maximum(np.nan_to_num(recent.P[:, [0, 2]]).max(axis=1), 0.0))
+    wanted = np.maximum.reduce(
+        [_AHEAD_S * recent.true_mps, 1.2 * gap, 3.0 * deviation], initial=_LEAST_M
+    )
     shape = np.array([frame.width / frame.height, 1.0])
     half = max(
         float(weights @ wanted),
