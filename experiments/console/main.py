@@ -48,7 +48,13 @@ WRONG_TYPE = re.compile(
     r"^Error parsing (--[\w-]+): no type matching (.+) could be instantiated from \[(.*)\]"
 )
 COMMANDS = {name: about for group in GROUPS.values() for name, about in group.items()}
-RESULTS = {"json": ".json", "episodes-csv": ".csv", "table": ".tex"}  # option -> ending of its file
+RESULTS = {  # option -> ending of its file
+    "json": ".json",
+    "episodes-csv": ".csv",
+    "table": ".tex",
+    "map-out": ".json",
+    "write": ".json",
+}
 EVERYWHERE = {  # options of every command
     "--quiet": "show neither tables nor progress, only warnings and errors",
     "--debug": "if something fails, show where in the program (a traceback)",

@@ -16,9 +16,9 @@ from experiments.console.options import (
 )
 from experiments.console.output import note
 from experiments.reporting.log_choice import choice_of, radio_of, require_one_choice, scene_of
-from experiments.reporting.log_results import require_map_file, warn_of_few_explained
+from experiments.reporting.log_results import warn_of_few_explained
 from mmwave_env.filters.bank import modes_from
-from mmwave_env.io.files import Json, first_line, parse_json, require_writable, write_json
+from mmwave_env.io.files import Json, first_line, parse_json, write_json
 from mmwave_env.io.lookup import printable, quoted
 from mmwave_env.localization.image_filter import Belief, Paths
 from mmwave_env.localization.levels import Levels
@@ -106,9 +106,6 @@ def _run_map(args: LogArgs, scene: Scene, origin: Origin | None) -> None:
     """
     alone = ("policy", "imm", "speed", "height", "levels", "risk", "correlation")
     require_alone(args, "map", "clock", "lag", *alone)
-    require_map_file(args)
-    if args.map_out:
-        require_writable(args.map_out)
     name = "handset" if args.radio == AUTO else args.radio
     mode = modes_from(args.modes, name)[-1]
     learner = MapLearner(scene, radio_of(args, name), mode)

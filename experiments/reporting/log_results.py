@@ -167,8 +167,6 @@ def _check(args: LogArgs, files: Inputs) -> None:
     require_alone(args, "diagnose", "out", "plot", "truth", "associate")
     if not args.diagnose:
         require_default(args, "--diagnose", "write")
-    if args.write and args.write.suffix != ".json":
-        raise ValueError(f"write: found {args.write}, expected a name that ends in .json")
     require_alone(args, "associate", "clock")
     require_alone(args, "map", "diagnose", "clock")
     if args.map == "known":
@@ -176,7 +174,6 @@ def _check(args: LogArgs, files: Inputs) -> None:
         if args.more:
             count = 1 + len(args.more)
             raise ValueError(f"log: found {count} logs without --map learn, expected one")
-    require_map_file(args)
     require_default(args, "--live", "lag", "format", "accuracy", "confidence")
     require_alone(args, "two_way", "height", "smoothing")
     require_one_choice(args)
@@ -270,12 +267,6 @@ def _work(args: LogArgs, files: Inputs, scene: Scene) -> Work:
     truth = Truth(files.truth) if files.truth else None
     log, step_m = with_range_steps(log, scene, radio)
     return Work(scene, name, radio, choice, log, truth, association, step_m, learned)
-
-
-def require_map_file(args: LogArgs) -> None:
-    """Refuse a wrong name for --map-out."""
-    if args.map_out is not None and args.map_out.suffix != ".json":
-        raise ValueError(f"map-out: found {args.map_out}, expected a .json file")
 
 
 def warn_of_few_explained(explained: int, paths: int) -> None:
