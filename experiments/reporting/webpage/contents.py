@@ -195,11 +195,12 @@ def _verdict(comparison: Comparison, tables: str) -> Verdict:
     best, *others = comparison.policies
     name = f"{comparison.scenario}, {comparison.radio}, {named(comparison.seeds)}"
     title = f"{best} has a reward of {comparison.policies[best]['reward']}"
-    paired = ((other, comparison.margin(best, other)) for other in others)
-    other, by = next(((other, margin) for other, margin in paired if margin), ("", None))
-    if by:
-        level = by.low <= 0.0
-        title = f"{best} and {other} are level" if level else f"{best} beats {other} by {by}"
+    for other in others:
+        by = comparison.margin(best, other)
+        if by:
+            level = by.low <= 0.0
+            title = f"{best} and {other} are level" if level else f"{best} beats {other} by {by}"
+            break
     sentence = f"{title}, in rewards per epoch: {len(comparison.policies)} policies on {name}."
     return Verdict(name, title, sentence, tables)
 
