@@ -35,17 +35,14 @@ class Args(ModeArgs):
 
 MOST = 3  # maximum number of policies to show
 FASTEST = 50  # maximum number of pictures per second in a GIF
-SAMPLES = 6  # number of pictures from which the colors of a GIF are computed
 
 
 def main(args: Args) -> None:
     """Run the command."""
-    import numpy as np
-
     from experiments.console.output import progress, say, tracked
     from experiments.evaluation.contenders import contender_of, seeds_from, task_of
     from experiments.reporting.histories import histories_of
-    from mmwave_env.rendering.video import write_video
+    from mmwave_env.rendering.video import some_of, write_video
 
     _check(args)
     from mmwave_env.rendering.picture import Playback  # needs pygame
@@ -67,8 +64,7 @@ def main(args: Args) -> None:
     modes = [contender.actions for contender in contenders]
     playback = Playback(histories, modes, args.policies, args.render_size, args.render_theme)
     if args.out:
-        some = np.linspace(0, len(rows) - 1, SAMPLES).astype(int)
-        samples = [playback.draw(rows[i]) for i in some]
+        samples = [playback.draw(row) for row in some_of(rows)]
         pictures = map(playback.draw, tracked(rows, "drawing"))
         write_video(args.out, pictures, samples, args.fps)
         say(f"written to {args.out}: {len(rows)} pictures")

@@ -12,6 +12,7 @@ from mmwave_env.rendering.theme import Pixels
 
 _PACKAGES = {".gif": "PIL", ".mp4": "imageio_ffmpeg"}  # package that writes each format
 _COLORS = 256  # maximum number of colors in a GIF
+_SAMPLES = 6  # number of pictures from which the palette is computed
 _LAST_S = 2.0  # time for which a GIF shows its last picture, before it repeats
 
 
@@ -28,6 +29,11 @@ def require_video(option: str, path: Path) -> None:
         raise ValueError(f"{option}: found {path}, expected a name that ends with .gif or .mp4")
     require_extra(_PACKAGES[kind], "render", f"{option}, a {kind} file,")
     require_writable(path)
+
+
+def some_of(numbers: Sequence[int]) -> list[int]:
+    """Return the numbers of those pictures from which the palette of a GIF is computed."""
+    return [numbers[i] for i in np.linspace(0, len(numbers) - 1, _SAMPLES).astype(int)]
 
 
 def write_video(
