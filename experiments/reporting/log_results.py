@@ -56,8 +56,8 @@ from mmwave_env.localization.localizer import Track, localize
 from mmwave_env.localization.log_noise import nearest_radio, noise_notes, with_range_steps
 from mmwave_env.localization.map_files import MAP_FILES, origin_of
 from mmwave_env.localization.map_learning import FEW_EXPLAINED, learn_map
-from mmwave_env.localization.readings import AS_IT_IS
-from mmwave_env.localization.shared_errors import SharedError, find_shared_errors
+from mmwave_env.localization.readings import AS_IT_IS, Reading
+from mmwave_env.localization.shared_errors import SharedError, scanned, shared_errors
 from mmwave_env.localization.track_files import require_own_files, table_beside, write_track
 from mmwave_env.localization.track_scores import (
     group_statistics,
@@ -97,15 +97,16 @@ def diagnosed(args: LogArgs, files: "Inputs", scene: Scene) -> None:
     mode = modes_of(args, name)[-1]
     with progress("looking for likely mistakes"):
         log, step_m = with_range_steps(log, scene, radio)
-        findings = diagnose(log, scene, radio, mode)
+        reading = Reading(log, scene, radio, mode)
+        findings = diagnose(reading)
         best = findings[0]
         if best.hypothesis == AS_IT_IS and not best.contradictions:
             work = _work(args, files, scene)
             _, doubts = _consistency(work, _track(args, work))
             findings[0] = best._replace(contradictions=doubts)
         facts = log_facts(log, scene)
-        notes = noise_notes(log, scene, radio, mode, step_m)
-    corrected = findings[0].scene
+        notes = list(noise_notes(reading, step_m))
+    corrected = None if findings[0].scene is scene else findings[0].scene
     text = f"{facts_markdown(facts)}\n{diagnosis_markdown(findings, notes)}"
     if args.write and corrected:
         write_json(args.write, scene_json(corrected))
@@ -121,7 +122,7 @@ def diagnosed(args: LogArgs, files: "Inputs", scene: Scene) -> None:
                 {
                     **f._asdict(),
                     "contradictions": [c._asdict() for c in f.contradictions],
-                    "scene": f.scene and scene_json(f.scene),
+                    "scene": None if f.scene is scene else scene_json(f.scene),
                 }
                 for f in findings
             ],
@@ -308,7 +309,7 @@ def _shared_errors(work: Work) -> list[SharedError]:
     """Return the most likely error that all links of a log share; [] if there is none."""
     with suppress(ValueError):  # measurements may be too wrong for a filter without gates
         mode = modes_from(None, work.profile)[-1]
-        return find_shared_errors(work.log, work.scene, work.radio, mode, rounds=1)
+        return shared_errors(scanned(Reading(work.log, work.scene, work.radio, mode)), rounds=1)
     return []
 
 

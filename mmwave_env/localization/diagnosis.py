@@ -11,7 +11,7 @@ NIS does not show small errors that all links share. So a log that is consistent
 no single mistake explains, is searched for them (:mod:`~mmwave_env.localization.shared_errors`).
 """
 
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Iterable, Iterator, Sequence, Set
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -20,11 +20,7 @@ from itertools import combinations, permutations
 import numpy as np
 from scipy.special import chdtri
 
-from mmwave_env.engines.engine import tracks_of
-from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.localization.contradictions import Contradiction, contradictions, impossible
-from mmwave_env.localization.localizer import episode_from
 from mmwave_env.localization.readings import (
     AS_IT_IS,
     AZIMUTH,
@@ -40,13 +36,14 @@ from mmwave_env.localization.readings import (
     scaled,
     values_of,
 )
-from mmwave_env.localization.sensitivities import bare
+from mmwave_env.localization.sensitivities import filtered
 from mmwave_env.localization.shared_errors import (
     SharedError,
-    find_shared_errors,
+    scanned,
+    shared_errors,
     without_errors,
 )
-from mmwave_env.localization.starts import POOL_S, start_at
+from mmwave_env.localization.starts import POOL_S, deviations_of, start_at
 from mmwave_env.logs.log import Log
 from mmwave_env.models.radio import RADIOS, Radio
 from mmwave_env.models.scene import Scene
@@ -75,21 +72,6 @@ _ADVANTAGE = 10.0  # bonus for the log as it is, added to its log-likelihood
 _OUTLIER_QUANTILE = 1e-6  # NIS is capped at the value that chi-square exceeds with this probability
 
 
-def _exchanged(rows: slice, other: slice) -> Undo:
-    """Return the function that exchanges values, given their rows."""
-
-    def undo(reading: Reading) -> Reading:
-        log = reading.log
-        place = np.arange(log.layout.size)
-        order = place.copy()
-        order[rows] = place[other]
-        order[other] = place[rows]
-        z = log.measurement[:, order]
-        return reading._replace(log=replace(log, measurement=z, sigma=log.sigma[:, order]))
-
-    return undo
-
-
 def _timed(factor: float) -> Undo:
     """Return the function that multiplies the times."""
     return lambda reading: reading._replace(
@@ -97,16 +79,15 @@ def _timed(factor: float) -> Undo:
     )
 
 
-def _orders(anchors: int) -> list[list[int]]:
+def _orders(anchors: int) -> Iterable[tuple[int, ...]]:
     """Return orders of the anchors in which all are rotated by one place, or two are exchanged."""
-    right = list(range(anchors))
-    orders = [right[1:] + right[:1], right[-1:] + right[:-1]]
-    for i, j in combinations(right, 2):
+    right = np.arange(anchors)
+    orders = [np.roll(right, -1), np.roll(right, 1)]
+    for pair in combinations(right, 2):
         order = right.copy()
-        order[i] = j
-        order[j] = i
+        order[[*pair]] = pair[::-1]
         orders.append(order)
-    return [order for n, order in enumerate(orders) if order not in (right, *orders[:n])]
+    return dict.fromkeys(tuple(order.tolist()) for order in orders)
 
 
 def mistakes(scene: Scene, radio: Radio, columns: Set[str]) -> Iterator[Mistake]:
@@ -116,7 +97,7 @@ def mistakes(scene: Scene, radio: Radio, columns: Set[str]) -> Iterator[Mistake]
     for order in _orders(len(scene.anchors_m)):
         numbers = ", ".join(str(i + 1) for i in order)
         cure = f"list the anchors of the scene in the order {numbers}"
-        moved = scene.with_anchors(scene.anchors_m[order])
+        moved = scene.with_anchors(scene.anchors_m[[*order]])
         undo = partial(Reading._replace, scene=moved)
         yield Mistake(f"anchors are the scene's {numbers}", cure, undo)
     for name in sorted(RADIOS.keys() - {radio.name}):
@@ -127,13 +108,13 @@ def mistakes(scene: Scene, radio: Radio, columns: Set[str]) -> Iterator[Mistake]
 def _conventions(scene: Scene) -> Iterator[Mistake]:
     """Yield mistakes about the meaning of a value: exchanged columns, signs and zeros of angles."""
     swap = "exchange the columns of aoa_azimuth and"
-    ends = _exchanged(AZIMUTH, DEPARTURE)
+    ends = scaled([AZIMUTH, DEPARTURE], sources=[DEPARTURE, AZIMUTH])
     turned = scaled([ELEVATION], -1.0)
     yield Mistake("arrival and departure are exchanged", f"{swap} aod_azimuth", ends)
     yield Mistake(
         "azimuth and elevation of arrival are exchanged",
         f"{swap} aoa_elevation",
-        _exchanged(AZIMUTH, ELEVATION),
+        scaled([AZIMUTH, ELEVATION], sources=[ELEVATION, AZIMUTH]),
     )
     yield Mistake("elevation has the other sign", "negate aoa_elevation", turned)
     yield Mistake(
@@ -149,7 +130,7 @@ def _conventions(scene: Scene) -> Iterator[Mistake]:
     yield Mistake(
         "elevation is a nadir angle",
         "subtract 90 degrees from aoa_elevation",
-        scaled([ELEVATION], 1.0, -PI / 2.0),
+        scaled([ELEVATION], offset=-PI / 2.0),
     )
     yield Mistake(
         "azimuths are clockwise from north",
@@ -167,7 +148,7 @@ def _conventions(scene: Scene) -> Iterator[Mistake]:
         yield Mistake(
             "azimuths are counterclockwise from east",
             f"add {bearing - 90.0:g} degrees to aoa_azimuth and to aod_azimuth",
-            scaled(_AZIMUTHS, 1.0, np.radians(bearing - 90.0)),
+            scaled(_AZIMUTHS, offset=np.radians(bearing - 90.0)),
         )
 
 
@@ -201,15 +182,17 @@ def _units(scene: Scene, columns: Set[str]) -> Iterator[Mistake]:
             yield Mistake(words, f"rename {other} to doppler_hz", scaled([DOPPLER], 1.0 / factor))
 
 
-def _has_effect(reading: Reading, original: Reading) -> bool:
-    """Tell whether a hypothesis changes any number that the filters read."""
-    new = reading.log
-    old = original.log
-    if reading.radio is not original.radio:
-        return bool((values_of(old) & np.isnan(old.sigma)).any())
-    if reading.scene is not original.scene or (new.time_s != old.time_s).any():
-        return True
-    return not np.array_equal(new.measurement, old.measurement, equal_nan=True)
+def _numbers(reading: Reading) -> Array:
+    """Return all numbers that the filters read; a hypothesis that changes none has no effect."""
+    log = reading.log
+    sigma = deviations_of(log, reading.scene, reading.radio)
+    parts = (
+        log.time_s,
+        log.measurement,
+        np.where(values_of(log), sigma, np.nan),
+        reading.scene.anchors_m,
+    )
+    return np.concatenate([part.ravel() for part in parts])
 
 
 def _start(log: Log) -> int:
@@ -222,22 +205,19 @@ def _start(log: Log) -> int:
     Raises:
         ValueError: no epoch has a link of the base station, and the layout is not partial.
     """
-    if log.layout.partial:
-        count = values_of(log)[:, : log.layout.doppler].sum(axis=1)
-        first = int(np.argmax(count > 0))
-        begins = count == count[first : first + _SEARCHED_EPOCHS].max()
-    else:
-        begins = log.visible[:, 0] & (log.measurement[:, 0] > 0.0)
-    if not begins.any():
-        raise ValueError(f"log: found no link of anchor 1 in {len(log)} epochs, expected one")
-    return int(np.argmax(begins))
+    count = values_of(log)[:, : log.layout.doppler].sum(axis=1)
+    if not log.layout.partial:
+        count = log.visible[:, 0] & (log.measurement[:, 0] > 0.0)
+        if not count.any():
+            raise ValueError(f"log: found no link of anchor 1 in {len(log)} epochs, expected one")
+    first = int(np.argmax(count > 0))
+    return first + int(np.argmax(count[first : first + _SEARCHED_EPOCHS]))
 
 
-def diagnose(log: Log, scene: Scene, radio: Radio, mode: Mode) -> list[Finding]:
+def diagnose(reading: Reading) -> list[Finding]:
     """Test which likely mistakes would explain the first epochs of a log.
 
-    ``scene`` and ``radio`` may be wrong. The filter has the tuning and algorithm of ``mode``,
-    but not its safeguards, such as gates. The log must come from
+    The scene and the radio of ``reading``, the log as it is, may be wrong. The log must come from
     :func:`~mmwave_env.logs.log.read_log` with ``limits=False`` and ``odometry=False``.
 
     Returns:
@@ -250,21 +230,25 @@ def diagnose(log: Log, scene: Scene, radio: Radio, mode: Mode) -> list[Finding]:
     Raises:
         ValueError: there is no link with which a track could begin.
     """
+    log = reading.log
+    radio = reading.radio
     begin = _start(log)
     first = 0
-    if start_at(log, begin, scene, radio) is None:  # the links of a second may begin a track
+    alone = start_at(log, begin, reading.scene, radio)
+    if alone is None:  # the links of a second may begin a track
         first = int(np.searchsorted(log.time_s, log.time_s[begin] + POOL_S)) - begin
     epochs = slice(begin, begin + first + DIAGNOSED_EPOCHS)
-    as_it_is = Reading(log.part(epochs), scene, radio)
-    single = [as_it_is.without(mistake) for mistake in mistakes(scene, radio, log.columns)]
-    single = [reading for reading in single if _has_effect(reading, as_it_is)]
-    findings = _findings([as_it_is, *single], mode, first)
+    as_it_is = reading._replace(log=log.part(epochs))
+    numbers = _numbers(as_it_is)
+    single = [as_it_is.without(mistake) for mistake in mistakes(reading.scene, radio, log.columns)]
+    single = [r for r in single if not np.array_equal(_numbers(r), numbers, equal_nan=True)]
+    findings = _findings([as_it_is, *single], first)
     radios = {r.undone[0].words: r for r in single if r.radio is not radio}
     best = findings[0]
     if best.contradictions or best.hypothesis in {AS_IT_IS, *radios}:
         likely = [as_it_is, *filter(None, [radios.get(best.hypothesis)])]
-        shared = [r for reading in likely for r in _without_shared_errors(log, reading, mode)]
-        findings = [f._replace(shared=True) for f in _findings(shared, mode, first)] + findings
+        shared = [r for reading in likely for r in _without_shared_errors(log, reading)]
+        findings = [f._replace(shared=True) for f in _findings(shared, first)] + findings
     if findings[0].contradictions and not findings[0].shared:
         double = [
             reading.without(*other.undone)
@@ -272,12 +256,12 @@ def diagnose(log: Log, scene: Scene, radio: Radio, mode: Mode) -> list[Finding]:
             # computing a first position from incomplete links takes too long for all pairs
             if not (log.layout.partial or log.layout.has_bias) or reading.radio is not radio
         ]
-        consistent = [f for f in _findings(double, mode, first) if not f.contradictions]
+        consistent = [f for f in _findings(double, first) if not f.contradictions]
         findings = consistent[:1] + findings
     return findings
 
 
-def _without_shared_errors(log: Log, reading: Reading, mode: Mode) -> list[Reading]:
+def _without_shared_errors(log: Log, reading: Reading) -> list[Reading]:
     """Return the reading of a log's beginning without the errors that the log shows; [] if none.
 
     Values that are impossible, or too wrong for a filter, show no such errors.
@@ -285,11 +269,11 @@ def _without_shared_errors(log: Log, reading: Reading, mode: Mode) -> list[Readi
     errors: list[SharedError] = []
     if not impossible(log):
         with suppress(ValueError):
-            errors = find_shared_errors(log, reading.scene, reading.radio, mode)
+            errors = shared_errors(scanned(reading._replace(log=log)))
     return [without_errors(reading, errors)] if errors else []
 
 
-def _findings(readings: Sequence[Reading], mode: Mode, first: int) -> list[Finding]:
+def _findings(readings: Sequence[Reading], first: int) -> list[Finding]:
     """Return a finding on each reading, the best first; tracks begin with the epoch ``first``."""
     findings: list[Finding] = []
     if not readings:
@@ -299,22 +283,18 @@ def _findings(readings: Sequence[Reading], mode: Mode, first: int) -> list[Findi
     for reading in readings:
         why = impossible(reading.log)
         if not why:
-            log, scene, radio, *_ = reading.wrapped()
             try:
-                start = start_at(log, first, scene, radio)
-                if start is None:
+                begun = reading.with_start(first)
+                if begun.start is None:
                     raise ValueError("the first epochs determine no position")
-                log = log.part(slice(first, None))
-                episodes.append(episode_from(log, scene, radio, start))
-                tracked.append(reading._replace(log=log))
+                episodes.append(begun.episode)
+                tracked.append(begun)
             except ValueError as error:
                 why = [Contradiction("track", f"none ({error})", "a track")]
         if why:
             findings.append(reading.finding(why))
     if episodes:
-        tracker = tracks_of(Pipeline((bare(mode),), episodes[0].layout), len(episodes))
-        tracker.load(episodes)
-        results = tracker.run("memory.nis", "log_likelihood").values()
+        results = filtered(episodes, tracked[0].mode, "memory.nis", "log_likelihood")
         findings += map(_finding, tracked, episodes, *results)
     return sorted(findings, key=lambda finding: _rank(finding, len(readings[0].log)))
 
@@ -332,8 +312,7 @@ def _finding(reading: Reading, episode: Episode, nis: Array, likelihood: Array) 
     """Return the finding on a reading with a track: NIS (T, groups) and log-likelihoods (T,)."""
     log = reading.log
     layout = log.layout
-    starts = [group.start for group in layout.groups]
-    dof = np.add.reduceat(values_of(log), starts, axis=1, dtype=np.int64)
+    dof = np.add.reduceat(values_of(log), layout.starts, axis=1, dtype=np.int64)
     fits: Fits = {}
     groups = {}
     for g, name in enumerate(layout.group_names):

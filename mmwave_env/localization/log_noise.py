@@ -9,9 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from mmwave_env.filters.modes import Mode
 from mmwave_env.localization.readings import AZIMUTH, DEPARTURE, ELEVATION, Reading, values_of
-from mmwave_env.localization.sensitivities import FilterRun, innovations
+from mmwave_env.localization.sensitivities import innovations
 from mmwave_env.localization.shared_errors import (
     LEAST_EPOCHS,
     LEAST_S,
@@ -58,42 +57,27 @@ def _where_measured(log: Log, values: Array) -> Array:
     return np.where(values_of(log), values, np.nan)
 
 
-def _ranges(log: Log) -> Array:
-    """Return the ranges (T, L), NaN where they were not measured."""
-    return _where_measured(log, log.measurement)[:, log.layout.ranges]
+def with_range_steps(log: Log, scene: Scene, radio: Radio) -> tuple[Log, float | None]:
+    """Return a log with the noise of rounding added to its ranges, and the step (m) of the ranges.
 
-
-def range_step(log: Log, sigma: Array) -> float | None:
-    """Return the step, m, in which the ranges of a log come; None if there is none that matters.
-
-    The differences between neighboring values of an anchor are then multiples of the smallest one.
-    ``sigma`` (T, rows) are standard deviations.
+    The step is None if the ranges come in no step that matters; else the differences between
+    neighboring values of an anchor are multiples of the smallest one. The error of rounding to
+    steps of length q has the variance q^2 / 12.
     """
-    ranges = _ranges(log)
+    deviations = deviations_of(log, scene, radio)[:, log.layout.ranges]
+    ranges = _where_measured(log, log.measurement)[:, log.layout.ranges]
     gaps = np.concatenate([np.diff(np.unique(column)) for column in ranges.T])
     gaps = gaps[gaps > _SMALLEST_M]  # not NaN
     gaps = gaps[gaps < _NEAR_STEPS * gaps.min(initial=np.inf)]
     if len(gaps) < _FEWEST:
-        return None
+        return log, None
     multiples = np.round(gaps / gaps.min())
     step = float(np.median(gaps / multiples))
     regular = np.mean(abs(gaps / step - multiples) < _OFF) >= _MULTIPLES
-    usual = np.median(sigma[:, log.layout.ranges][np.isfinite(ranges)])
-    return step if regular and step > _NOTICED * usual else None
-
-
-def with_range_steps(log: Log, scene: Scene, radio: Radio) -> tuple[Log, float | None]:
-    """Return a log with the noise of rounding added to its ranges, and the step of the ranges.
-
-    The error of rounding to steps of length q has the variance q^2 / 12.
-    """
-    deviations = deviations_of(log, scene, radio)
-    step = range_step(log, deviations)
-    if step is None:
+    if not regular or step <= _NOTICED * np.median(deviations[np.isfinite(ranges)]):
         return log, None
     sigma = log.sigma.copy()
-    rows = log.layout.ranges
-    sigma[:, rows] = np.hypot(deviations[:, rows], step / np.sqrt(12.0))
+    sigma[:, log.layout.ranges] = np.hypot(deviations, step / np.sqrt(12.0))
     return replace(log, sigma=sigma), step
 
 
@@ -102,7 +86,7 @@ def clock_jumps(log: Log, sigma: Array) -> tuple[float, float] | None:
 
     The result is None if jumps are rare. ``sigma`` (T, rows) are standard deviations.
     """
-    change = np.diff(_ranges(log), axis=0)
+    change = np.diff(_where_measured(log, log.measurement)[:, log.layout.ranges], axis=0)
     several = np.isfinite(change).sum(axis=1) >= 2
     if not several.any():
         return None
@@ -116,43 +100,43 @@ def clock_jumps(log: Log, sigma: Array) -> tuple[float, float] | None:
     return (share, float(np.median(abs(usual[jumps])))) if share >= _JUMPS else None
 
 
-def noise_notes(
-    log: Log, scene: Scene, radio: Radio, mode: Mode, step_m: float | None = None
-) -> list[str]:
-    """Return sentences on the noise of a log, whose ranges come in steps, and on what to do.
+def noise_notes(reading: Reading, step_m: float | None = None) -> Iterator[str]:
+    """Yield sentences on the noise of a log, whose ranges come in steps, and on what to do.
 
     The noise of angles is that of the first epochs after errors that all links share are undone.
     If the clock jumps, nothing is said about other noise, which can't be told from the jumps.
     """
-    notes = []
-    sigma = deviations_of(log, scene, radio)
-    jumps = clock_jumps(log, sigma)
-    if jumps and log.layout.clock != "free":
+    jumps = clock_jumps(reading.log, _deviations(reading))
+    if jumps and reading.log.layout.clock != "free":
         share, jump_m = jumps
-        return [
+        yield (
             f"the user's clock jumps in {share:.0%} of the epochs, by {jump_m:.3g} m in the "
             "median: use --clock free, then diagnose the log again"
-        ]
+        )
+        return
     if step_m:
-        notes.append(f"ranges come in steps of {step_m:.3g} m: localize adds the noise of rounding")
+        yield f"ranges come in steps of {step_m:.3g} m: localize adds the noise of rounding"
     with suppress(ValueError):  # no epoch determines a position, or the track is lost
-        part = scanned(log, scene, radio, mode)
+        part = scanned(reading)
         if part:
-            corrected = without_errors(part[0], shared_errors(*part))
-            notes += _notes(corrected, part[1])
+            yield from _notes_on_angles(without_errors(part, shared_errors(part)))
         else:
-            notes.append(_TOO_SHORT)
-    return notes
+            yield _TOO_SHORT
 
 
-def _notes(reading: Reading, run: FilterRun) -> Iterator[str]:
+def _deviations(reading: Reading) -> Array:
+    """Return the standard deviations (T, rows) of a reading."""
+    return deviations_of(reading.log, reading.scene, reading.radio)
+
+
+def _notes_on_angles(reading: Reading) -> Iterator[str]:
     """Yield sentences on the angles of a reading without errors."""
     log = reading.log
-    sigma = run.episode(reading).sigma
+    sigma = _deviations(reading)
     z = _where_measured(log, log.measurement)
-    apart = wrapped(wrapped(z[:, AZIMUTH] - z[:, DEPARTURE] + np.pi))
+    apart = wrapped(z[:, AZIMUTH] - z[:, DEPARTURE] + np.pi)
     azimuths = apart / np.hypot(sigma[:, AZIMUTH], sigma[:, DEPARTURE])
-    (w,) = innovations([reading], run)
+    (w,) = innovations([reading])
     elevations = _where_measured(log, w)[:, ELEVATION]
     scaled = []
     for name, column, values in (
@@ -214,8 +198,7 @@ def _deviation(log: Log, row: int) -> float:
     own = log.sigma[:, columns]
     if np.isfinite(own).any():
         return float(np.nanmedian(own))
-    links = log.visible[:, : log.layout.anchors]
-    change = np.diff(np.where(links, log.measurement[:, columns], np.nan), axis=0)
+    change = np.diff(_where_measured(log, log.measurement)[:, columns], axis=0)
     second = np.diff(wrap(change) if row else change, axis=0)
     second = abs(second[np.isfinite(second)])
     if len(second) < _FEWEST_CHANGES:

@@ -6,12 +6,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mmwave_env.filters.modes import Mode
 from mmwave_env.localization.contradictions import Contradiction
+from mmwave_env.localization.localizer import episode_from
+from mmwave_env.localization.starts import Start, start_at
 from mmwave_env.logs.log import Log
 from mmwave_env.models.layout import wrap_angles
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Mask
+from mmwave_env.world.episode import Episode
 
 AS_IT_IS = "as it is"
 
@@ -41,23 +45,32 @@ class Reading(NamedTuple):
     # scene, radio: according to the hypothesis, the log was measured in this scene by this radio
     scene: Scene
     radio: Radio
+    mode: Mode  # the mode that filters the epochs, without its safeguards
+    start: Start | None = None  # None if the track begins with a start from the reading's own links
     # sum of the logarithms of the factors by which values of the file were multiplied; this sum
     # plus the log-likelihood of the new values is the log-likelihood of the values in the file
     log_scale: float = 0.0
     undone: tuple[Mistake, ...] = ()
-    moved: bool = False  # whether a mistake was one of the scene
 
     def without(self, mistake: Mistake) -> "Reading":
         """Return the reading in which one more mistake is undone."""
-        new = mistake.undo(self)
-        moved = self.moved or new.scene is not self.scene
-        return new._replace(undone=(*self.undone, mistake), moved=moved)
+        return mistake.undo(self)._replace(undone=(*self.undone, mistake))
 
-    def wrapped(self) -> "Reading":
-        """Return the reading with wrapped angles."""
+    def with_start(self, epoch: int = 0) -> "Reading":
+        """Return the reading from an epoch on, with wrapped angles, and with a start if it has one.
+
+        Epochs before this one may help to determine the start.
+        """
         z = self.log.measurement.copy()
         wrap_angles(z, self.log.layout)
-        return self._replace(log=replace(self.log, measurement=z))
+        log = replace(self.log, measurement=z)
+        start = self.start or start_at(log, epoch, self.scene, self.radio)
+        return self._replace(log=log.part(slice(epoch, None)), start=start)
+
+    @property
+    def episode(self) -> Episode:
+        """Return the epochs as an episode that begins with the start."""
+        return episode_from(self.log, self.scene, self.radio, self.start)
 
     def finding(
         self, why: list[Contradiction], fits: Fits | None = None, likelihood: float | None = None
@@ -65,8 +78,7 @@ class Reading(NamedTuple):
         """Return the finding on this reading."""
         words = "; ".join(mistake.words for mistake in self.undone)
         cure = "; then ".join(mistake.cure for mistake in self.undone)
-        scene = self.scene if self.moved else None
-        return Finding(words or AS_IT_IS, fits or {}, likelihood, why, cure, scene)
+        return Finding(words or AS_IT_IS, fits or {}, likelihood, why, cure, self.scene)
 
 
 class Finding(NamedTuple):
@@ -80,7 +92,7 @@ class Finding(NamedTuple):
     log_likelihood: float | None
     contradictions: list[Contradiction]  # empty if the hypothesis makes the log consistent
     cure: str  # how to correct the log if the hypothesis is right; empty for the log as it is
-    scene: Scene | None = None  # the corrected scene, if the cure corrects it
+    scene: Scene  # the scene, corrected if the cure corrects it
     shared: bool = False  # whether links share the error, so that NIS and levels do not show it
 
     @property
@@ -96,18 +108,26 @@ def values_of(log: Log) -> Mask:
     return visible & np.isfinite(log.measurement)
 
 
-def scaled(quantities: Sequence[slice], factor: float, offset: float = 0.0) -> Undo:
-    """Return the function that scales values, given their rows, then adds an offset to them."""
+def scaled(
+    quantities: Sequence[slice],
+    factor: float = 1.0,
+    offset: float = 0.0,
+    sources: Sequence[slice] = (),
+) -> Undo:
+    """Return the function that scales values, given their rows, then adds an offset to them.
+
+    The values are in the rows ``sources`` if these differ from their rows.
+    """
 
     def undo(reading: Reading) -> Reading:
-        z = reading.log.measurement.copy()
-        sigma = reading.log.sigma.copy()
+        old = reading.log
+        z = old.measurement.copy()
+        sigma = old.sigma.copy()
         log_scale = reading.log_scale
-        for rows in quantities:
-            z[:, rows] = offset + factor * z[:, rows]
-            sigma[:, rows] *= abs(factor)
-            log_scale += float(values_of(reading.log)[:, rows].sum() * np.log(abs(factor)))
-        log = replace(reading.log, measurement=z, sigma=sigma)
-        return reading._replace(log=log, log_scale=log_scale)
+        for rows, source in zip(quantities, sources or quantities, strict=True):
+            z[:, rows] = offset + factor * old.measurement[:, source]
+            sigma[:, rows] = abs(factor) * old.sigma[:, source]
+            log_scale += float(values_of(old)[:, rows].sum() * np.log(abs(factor)))
+        return reading._replace(log=replace(old, measurement=z, sigma=sigma), log_scale=log_scale)
 
     return undo

@@ -9,7 +9,6 @@ blocks of epochs (sandwich estimator, ibid. Sec. 7.6).
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -17,12 +16,12 @@ import numpy as np
 from mmwave_env.engines.engine import tracks_of
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.localization.localizer import episode_from
-from mmwave_env.localization.readings import Reading
-from mmwave_env.localization.starts import Start, gives_fix, start_at
-from mmwave_env.models.measurement import doppler_group, link_group
+from mmwave_env.localization.image_filter import LINK_ROWS, difference, links_along
+from mmwave_env.localization.readings import RANGE, Reading
+from mmwave_env.models.layout import STATE_SIZE
+from mmwave_env.models.measurement import doppler_group
 from mmwave_env.numerics.linalg import unpack
-from mmwave_env.numerics.numbers import Array, Number, Numbers
+from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode
 
 _HUBER = 2.0  # standard deviations
@@ -39,45 +38,20 @@ class Fit(NamedTuple):
     gain: float  # decrease of the sum of rho, but not more than the usual blocks of epochs show
 
 
-class FilterRun(NamedTuple):
-    """A mode and a start with which to run the filter on readings of a log."""
+def filtered(episodes: Sequence[Episode], mode: Mode, *names: str) -> Iterable[Array]:
+    """Return parts of the state, by name, of tracks of a mode: arrays (N, epochs, values).
 
-    mode: Mode  # without safeguards
-    start: Start | None  # None if every reading begins with a start from its own first link
-
-    @classmethod
-    def of(cls, mode: Mode, first: Reading, start: Start) -> "FilterRun":
-        """Return how to run a mode on readings like the first, which has this start.
-
-        A complete link of the base station gives each reading a start of its own. Other starts take
-        long to compute, and a track forgets them soon.
-        """
-        link = first.log.measurement[:1, :4]
-        whole = np.isfinite(link).all() and gives_fix(link)[0] and not first.log.layout.has_bias
-        alone = np.flatnonzero(start.spent).tolist() == [0]
-        return cls(bare(mode), None if whole and alone else start)
-
-    def episode(self, reading: Reading) -> Episode:
-        """Return a reading as an episode that begins with its first epoch."""
-        log, scene, radio, *_ = reading.wrapped()
-        return episode_from(log, scene, radio, self.start or start_at(log, 0, scene, radio))
-
-
-def bare(mode: Mode) -> Mode:
-    """Return a mode without safeguards, which would hide what is wrong with measurements."""
-    return replace(
+    The mode runs without safeguards, which would hide what is wrong with measurements.
+    """
+    bare = replace(
         mode, gate=None, recovery=None, adaptive=False, robust=False, blockage_aware=False
     )
-
-
-def filtered(episodes: Sequence[Episode], mode: Mode, *names: str) -> Iterable[Array]:
-    """Return parts of the state, by name, of tracks of a mode: arrays (N, epochs, values)."""
-    tracker = tracks_of(Pipeline((mode,), episodes[0].layout), len(episodes))
+    tracker = tracks_of(Pipeline((bare,), episodes[0].layout), len(episodes))
     tracker.load(episodes)
     return tracker.run(*names).values()
 
 
-def innovations(readings: Sequence[Reading], run: FilterRun) -> Array:
+def innovations(readings: Sequence[Reading]) -> Array:
     """Return whitened innovations (n, T, rows) of n readings, 0 where nothing was measured.
 
     The covariance is always that of the first reading, so that innovations can be compared.
@@ -85,43 +59,42 @@ def innovations(readings: Sequence[Reading], run: FilterRun) -> Array:
     Raises:
         ValueError: measurements are so wrong that a state becomes NaN or infinite.
     """
-    episodes = [run.episode(reading) for reading in readings]
-    x, P = filtered(episodes, run.mode, "x_predicted", "P_predicted")
+    episodes = [reading.with_start().episode for reading in readings]
+    x, P = filtered(episodes, readings[0].mode, "x_predicted", "P_predicted")
     if not (np.isfinite(x).all() and np.isfinite(P[0]).all()):
         raise ValueError("log: found a track with NaN or infinity, expected plausible values")
-    e, gradients = _expanded(episodes, x)
+    e, H = _expanded(episodes, x)
     used = episodes[0].used
-    H = np.moveaxis(gradients[:, :, 0], -1, 0) * used[..., None]
-    R = np.where(used, episodes[0].sigma ** 2, 1.0)[..., None] * np.eye(len(e))
+    H *= used[..., None]
+    R = np.where(used, episodes[0].sigma ** 2, 1.0)[..., None] * np.eye(used.shape[1])
     S = H @ np.array(unpack(list(P[0].T))).T @ H.swapaxes(1, 2) + R
-    columns = np.where(used.T[:, None], e, 0.0)
-    white = np.linalg.solve(np.linalg.cholesky(S), np.moveaxis(columns, -1, 0))
-    return np.moveaxis(white, -1, 0)
+    columns = np.moveaxis(np.where(used, e, 0.0), 0, -1)
+    return np.moveaxis(np.linalg.solve(np.linalg.cholesky(S), columns), -1, 0)
 
 
 def _expanded(episodes: Sequence[Episode], x: Array) -> tuple[Array, Array]:
-    """Return innovations z - h(x) (rows, n, T), and gradients dh/dx (rows, states, n, T).
+    """Return innovations z - h(x) (n, T, rows), and the first gradients dh/dx (T, rows, states).
 
     They are those of n episodes that differ in values and scenes, at states x (n, T, states).
     """
-    state = list(np.moveaxis(x, -1, 0))
-    z: Number = np.moveaxis(np.stack([episode.measurement for episode in episodes]), -1, 0)
-    places = np.stack([episode.scene_anchors_m for episode in episodes])
-    anchors: Number = np.moveaxis(places, -1, 0)  # (3, n, L)
-    e: Numbers = []
-    H: Numbers = []
-    for anchor in range(anchors.shape[-1]):
-        link = (state, anchors[..., [anchor]], z[4 * anchor : 4 * anchor + 4], [1.0] * 4)
-        arrival = link_group(*link, [1.0, 1.0, 1.0, 0.0])
-        departure = link_group(*link, [1.0, 0.0, 1.0, 1.0])
-        e += [*arrival.innovation, departure.innovation[1]]
-        H += [*arrival.jacobian, departure.jacobian[1]]
+    epochs = x.shape[:2]
+    z = np.stack([episode.measurement for episode in episodes])
+    anchors = np.stack([episode.scene_anchors_m for episode in episodes])
+    d = x[:, :, None, :3] - anchors[:, None]
+    h, slopes = links_along(d.reshape(-1, 3))
+    h = h.reshape(*epochs, -1, LINK_ROWS)
+    h[..., 0] += x[..., STATE_SIZE:].sum(axis=-1, keepdims=True)
+    links = difference(z[..., :-1].reshape(h.shape), h).reshape(*epochs, -1)
     of = episodes[0].doppler_anchor
+    place = anchors[:, [0] if of is None else of]
     hz_per_mps = np.array([[episode.hz_per_mps] for episode in episodes])
-    place = anchors[..., [0] if of is None else of]
-    doppler = doppler_group(state, place, hz_per_mps, z[-1:], [1.0])
-    gradients = np.broadcast_arrays(*chain(*H, *doppler.jacobian))
-    return np.array([*e, *doppler.innovation]), np.reshape(gradients, (-1, *np.shape(state)))
+    state = list(np.moveaxis(x, -1, 0))
+    doppler = doppler_group(state, list(place.T.swapaxes(1, 2)), hz_per_mps, [z[..., -1]], [1.0])
+    H = np.zeros((*z.shape[1:], len(state)))
+    H[:, :-1, :3] = slopes.reshape(*epochs, -1, 3)[0]
+    H[:, RANGE, STATE_SIZE:] = 1.0
+    H[:, -1] = np.array(np.broadcast_arrays(*doppler.jacobian[0]))[:, 0].T
+    return np.append(links, doppler.innovation[0][..., None], axis=-1), H
 
 
 def rho(w: Array) -> Array:

@@ -9,11 +9,11 @@ corrected log: by how much the sum of Huber's function of the innovations decrea
 import json
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from mmwave_env.filters.modes import Mode
 from mmwave_env.localization.readings import (
     AZIMUTH,
     DEPARTURE,
@@ -24,10 +24,11 @@ from mmwave_env.localization.readings import (
     values_of,
 )
 from mmwave_env.localization.segments import stretches
-from mmwave_env.localization.sensitivities import FilterRun, fit, innovations, rho
+from mmwave_env.localization.sensitivities import fit, innovations, rho
+from mmwave_env.localization.starts import gives_fix
 from mmwave_env.logs.log import Log
+from mmwave_env.models.layout import LINK
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
-from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene, scene_json
 from mmwave_env.numerics.numbers import Array, Mask
 
@@ -71,8 +72,8 @@ class Suspect(NamedTuple):
     name: str  # a sentence without the size
     unit: str  # unit of theta, in words
     rows: Sequence[slice] = ()  # rows of a measurement that are too large by theta (1,)
-    # the scene as it is if it lacks the error theta
-    scene: Callable[[Scene, Array], Scene] = lambda scene, theta: scene
+    # the scene as it is if it lacks the error; the arguments are the scene and each of theta
+    scene: Callable[..., Scene] = lambda scene, *theta: scene
     cure: str = ""  # what to do besides correcting the scene; {0} is theta's last component
     parameters: int = 1  # number p of parameters
     least: float = 0.2  # smallest length of theta that counts
@@ -88,40 +89,34 @@ class Suspect(NamedTuple):
         for part, size in zip(self.parts, theta, strict=False):
             reading = part.correct(reading, np.array([size]))
         excess = np.radians(theta[0]) if self.unit == "degrees" else theta[0]
-        moved = reading._replace(scene=self.scene(reading.scene, theta))
-        return scaled(self.rows, 1.0, -excess)(moved)
+        moved = reading._replace(scene=self.scene(reading.scene, *theta.tolist()))
+        return scaled(self.rows, offset=-excess)(moved)
 
 
 _ANGLES = Suspect("", "degrees", least=0.3, sure=_SURE_OF_ANGLES)
 _PLACE = Suspect("", "m", parameters=2, sure=_SURE + _SURER, deviation=5.0)  # horizontal
 
 
-def _turned(scene: Scene, theta: Array) -> Scene:
-    return replace(scene, bearing_deg=scene.bearing_deg + float(theta[0]))
+def _turned(scene: Scene, degrees: float) -> Scene:
+    return replace(scene, bearing_deg=scene.bearing_deg + degrees)
 
 
-def _moved_with_images(scene: Scene, theta: Array) -> Scene:
-    """Move the base station, of which walls make images, by theta (2,) horizontally."""
-    x, y, z = np.add(scene.base_station_m, [*theta, 0.0]).tolist()
-    return replace(scene, base_station_m=(x, y, z))
+def _moved_with_images(scene: Scene, east_m: float, north_m: float) -> Scene:
+    """Move the base station, of which walls make images."""
+    x, y, z = scene.base_station_m
+    return replace(scene, base_station_m=(x + east_m, y + north_m, z))
 
 
-def _rescaled(scene: Scene, theta: Array) -> Scene:
-    return replace(scene, carrier_hz=scene.carrier_hz * (1.0 + 0.01 * float(theta[0])))
-
-
-def _angle(name: str, row: slice, column: str) -> Suspect:
-    """Return an error of angles that no key of a scene corrects."""
-    cure = f"subtract {{0:.3g}} degrees from {column}"
-    return _ANGLES._replace(name=name, rows=[row], cure=cure)
+def _rescaled(scene: Scene, percent: float) -> Scene:
+    return replace(scene, carrier_hz=scene.carrier_hz * (1.0 + 0.01 * percent))
 
 
 def _range(name: str, anchors: Sequence[int], cure: str = "", cost: float = 0.0) -> Suspect:
     """Return an error of the ranges of anchors, counted from 0."""
 
-    def shortened(scene: Scene, theta: Array) -> Scene:
+    def shortened(scene: Scene, excess_m: float) -> Scene:
         offsets = scene.offsets_m
-        offsets[anchors] += theta[0]
+        offsets[anchors] += excess_m
         return replace(scene, range_offset_m=tuple(offsets.tolist()))
 
     rows = [slice(4 * anchor, 4 * anchor + 1) for anchor in anchors]
@@ -129,68 +124,70 @@ def _range(name: str, anchors: Sequence[int], cure: str = "", cost: float = 0.0)
     return Suspect(name, "m", rows, shortened, cure, caution=_CAUTION, cost=cost)
 
 
-def _moved(anchor: int, *axes: int) -> Callable[[Scene, Array], Scene]:
-    """Return the function that moves an anchor, from 0, along axes by theta (p,)."""
+def _moved(anchor: int, *axes: int) -> Callable[..., Scene]:
+    """Return the function that moves an anchor, from 0, along axes by some meters."""
 
-    def moved(scene: Scene, theta: Array) -> Scene:
+    def moved(scene: Scene, *away_m: float) -> Scene:
         anchors = scene.anchors_m
-        anchors[anchor, axes] += theta
+        anchors[anchor, axes] += away_m
         return scene.with_anchors(anchors)
 
     return moved
 
 
-def suspects(reading: Reading) -> dict[str, Suspect]:
-    """Return the errors to look for in a reading, by name.
+def suspects(reading: Reading) -> Iterator[Suspect]:
+    """Yield the errors to look for in a reading.
 
     Quantities that were not measured have none. A single anchor hides most errors, because the
     track gives way completely. An unknown clock hides what all ranges share.
     """
     measured: Mask = np.any(values_of(reading.log), axis=0)
     rows = measured[:-1].reshape(-1, 4)
-    some: Mask = np.any(rows, axis=0)
-    distance, arrival, elevation, departure = some
+    distance, arrival, elevation, departure = np.any(rows, axis=0)
     turn = _ANGLES._replace(name="azimuths are turned", rows=(AZIMUTH, DEPARTURE), scene=_turned)
-    tilt = _angle("elevations are too large", ELEVATION, "aoa_elevation")
-    tilt = tilt._replace(gain=_GAIN_OF_ELEVATIONS, caution=_CAUTION)
-    every = []
+    tilt = _ANGLES._replace(
+        name="elevations are too large",
+        rows=[ELEVATION],
+        cure="subtract {0:.3g} degrees from aoa_elevation",
+        gain=_GAIN_OF_ELEVATIONS,
+        caution=_CAUTION,
+    )
     if arrival and departure:
-        every.append(_angle("azimuths of arrival are turned", AZIMUTH, "aoa_azimuth"))
-        every.append(_angle("azimuths of departure are turned", DEPARTURE, "aod_azimuth"))
+        for name, row, column in (("arrival", AZIMUTH, "aoa"), ("departure", DEPARTURE, "aod")):
+            cure = f"subtract {{0:.3g}} degrees from {column}_azimuth"
+            yield _ANGLES._replace(name=f"azimuths of {name} are turned", rows=[row], cure=cure)
     if elevation:
-        every.append(tilt)
+        yield tilt
     if measured[-1]:
-        every.append(Suspect("Doppler shifts are too large", "%", scene=_rescaled, least=2.0))
-    if rows.any(axis=1).sum() > 1:
-        if arrival or departure:
-            every.append(turn)
-        if distance and not reading.log.layout.has_bias:
-            cure = "or use --clock offset if the user's clock runs ahead, by {1:.3g} ns"
-            late = _range("ranges", range(len(rows)), cure)
-            every.append(late)
-            if arrival and elevation and departure:
-                several = Suspect(
-                    "several errors", "", parameters=3, least=0.0, sure=_SURE + 2.0 * _SURER,
-                    deviation=10.0, cost=_JOINT_COST, parts=(late, turn, tilt),
-                )  # fmt: skip
-                every.append(several)
-        every += _of_anchors(rows)
-        if reading.scene.walls:
-            # more likely than a wrong image, because walls and the base station make the images
-            name = "the base station with its images is away from its place"
-            every.append(_PLACE._replace(name=name, scene=_moved_with_images))
-    return {suspect.name: suspect for suspect in every}
+        yield Suspect("Doppler shifts are too large", "%", scene=_rescaled, least=2.0)
+    if rows.any(axis=1).sum() < 2:
+        return
+    if arrival or departure:
+        yield turn
+    if distance and not reading.log.layout.has_bias:
+        cure = ", or use --clock offset if the user's clock runs ahead, by {1:.3g} ns"
+        late = _range("ranges", range(len(rows)), cure)
+        yield late
+        if arrival and elevation and departure:
+            yield Suspect(
+                "several errors", "", parameters=3, least=0.0, sure=_SURE + 2.0 * _SURER,
+                deviation=10.0, cost=_JOINT_COST, parts=(late, turn, tilt),
+            )  # fmt: skip
+    yield from _of_anchors(rows)
+    if reading.scene.walls:
+        # more likely than a wrong image, because walls and the base station make the images
+        name = "the base station with its images is away from its place"
+        yield _PLACE._replace(name=name, scene=_moved_with_images)
 
 
 def _of_anchors(rows: Mask) -> Iterator[Suspect]:
     """Yield the errors of each anchor, given which of their rows (L, 4) were measured."""
+    place = _PLACE._replace(cost=_ANCHOR_COST)
     for anchor in np.flatnonzero(rows.any(axis=1)).tolist():
         name = f"anchor {anchor + 1}"
         if rows[anchor, 0]:
             yield _range(f"ranges of {name}", [anchor], cost=_ANCHOR_COST)
-        yield _PLACE._replace(
-            name=f"{name} is away from its place", scene=_moved(anchor, 0, 1), cost=_ANCHOR_COST
-        )
+        yield place._replace(name=f"{name} is away from its place", scene=_moved(anchor, 0, 1))
         if rows[anchor, [0, 2]].any():
             words = f"{name} is higher than in the scene"
             up = _moved(anchor, 2)
@@ -215,40 +212,43 @@ class SharedError(NamedTuple):
         others = f" (or {', or '.join(self.rivals)})" if self.rivals else ""
         return f"{self.suspect.name} by {' ± '.join(sizes)} {self.suspect.unit}{others}"
 
-    def undone(self, reading: Reading) -> Mistake:
-        """Return what undoes the error in a reading, with words and cure."""
+    def undone(self, reading: Reading) -> Reading:
+        """Return a reading in which the error is undone, with words and cure."""
         size = float(self.theta[-1])
-        cure = self.suspect.cure.format(size, size / _NANOSECOND_M)
         change = _scene_change(reading.scene, self.suspect.correct(reading, self.theta).scene)
-        joint = ", " if cure.startswith("or") else " and "
-        cure = joint.join(filter(None, [change, cure]))
-        return Mistake(str(self), cure, lambda wrong: self.suspect.correct(wrong, self.theta))
+        cure = change + self.suspect.cure.format(size, size / _NANOSECOND_M)
+        undo = partial(self.suspect.correct, theta=self.theta)
+        return reading.without(Mistake(str(self), cure, undo))
 
 
 def _scene_change(old: Scene, new: Scene) -> str:
     """Return what to write into the file of a scene; "" if nothing changes."""
     before = scene_json(old)
     after = scene_json(new)
-    changed = {key: value for key, value in after.items() if before.get(key) != value}
+    changed = {
+        key: np.round(value, _DIGITS).tolist()
+        for key, value in after.items()
+        if before.get(key) != value
+    }
     if not changed:
         return ""
-    rounded = json.loads(
-        json.dumps(changed), parse_float=lambda number: round(float(number), _DIGITS)
-    )
     instead = [key for key in before if key not in after]
     places = f", instead of {', '.join(instead)}," if instead else ""
-    return f"write {json.dumps(rounded)[1:-1]}{places} into the scene's file"
+    return f"write {json.dumps(changed)[1:-1]}{places} into the scene's file"
 
 
-def scanned(log: Log, scene: Scene, radio: Radio, mode: Mode) -> tuple[Reading, FilterRun] | None:
-    """Return the epochs of a log to look for shared errors in, and how to run a mode on them.
+def scanned(reading: Reading) -> Reading | None:
+    """Return the epochs of a reading to look for shared errors in.
 
     They are the first 1,000 epochs, at least 100, of the first track of at least 10 s. Of a track
     with more epochs in 100 s, epochs in between are left out. The result is None if there is no
     such track, or if its steps are longer than 2 s.
+
+    A complete link of the base station gives each of their readings a start of its own. Other
+    starts take long to compute, and a track forgets them soon; so readings share them.
     """
-    log = _without_odometry(log)
-    for epochs, start in stretches(log, scene, radio):
+    log = _without_odometry(reading.log)
+    for epochs, start in stretches(log, reading.scene, reading.radio):
         part = log.part(epochs)
         if len(part) < LEAST_EPOCHS:
             continue
@@ -258,9 +258,10 @@ def scanned(log: Log, scene: Scene, radio: Radio, mode: Mode) -> tuple[Reading, 
         step_s *= stride
         enough = len(part) >= LEAST_EPOCHS and len(part) * step_s >= LEAST_S
         if enough and step_s <= LONGEST_STEP_S:
-            reading = Reading(part, scene, radio)
-            thinned = start._replace(spent=start.spent[::stride])
-            return reading, FilterRun.of(mode, reading, thinned)
+            link = part.measurement[:1, : len(LINK)]
+            whole = start.spent[0, 0] and np.isfinite(link).all() and gives_fix(link)[0]
+            own = whole and not part.layout.has_bias
+            return reading._replace(log=part, start=None if own else start)
     return None
 
 
@@ -278,38 +279,29 @@ def _without_odometry(log: Log) -> Log:
     )
 
 
-def find_shared_errors(
-    log: Log, scene: Scene, radio: Radio, mode: Mode, rounds: int = _MOST_ROUNDS
-) -> list[SharedError]:
-    """Return the errors of a log that all links share, or that one anchor has.
+def shared_errors(reading: Reading | None, rounds: int = _MOST_ROUNDS) -> list[SharedError]:
+    """Return the errors of :func:`scanned` epochs that all links share, or that one anchor has.
 
-    The first error is the most likely one. The list is empty if the log is too short
-    (:func:`scanned`). Of ``mode``, tuning and algorithm are used, but not its safeguards, such as
-    gates: they would reject what shows the error. A round looks for one more error.
+    The first error is the most likely one. The list is empty if there are no such epochs. A round
+    looks for one more error.
 
     Raises:
-        ValueError: no epoch determines a position with which a track could begin.
+        ValueError: values are too wrong for a filter.
     """
-    part = scanned(log, scene, radio, mode)
-    return shared_errors(*part, rounds) if part else []
-
-
-def shared_errors(
-    reading: Reading, run: FilterRun, rounds: int = _MOST_ROUNDS
-) -> list[SharedError]:
-    """Return the errors of a reading, the most likely one first, without regard to its length."""
-    among = suspects(reading).values()
+    if reading is None:
+        return []
+    among = list(suspects(reading))
     errors: list[SharedError] = []
     corrected = reading
     for _ in range(rounds):
-        error = _likeliest(corrected, run, among)
+        error = _likeliest(corrected, among)
         if error is None:
             break
         errors += _parts(error)
         if len(errors) > 1:
             for k in [*range(len(errors))] * 2:  # refine sizes in turn, with the others undone
                 rest = without_errors(reading, errors[:k] + errors[k + 1 :])
-                errors[k] = _refined(rest, run, errors[k], runs=1)
+                errors[k] = _refined(rest, errors[k], runs=1)
         corrected = without_errors(reading, errors)
     return [error._replace(theta=error.theta.round(_DIGITS)) for error in errors]
 
@@ -317,31 +309,28 @@ def shared_errors(
 def without_errors(reading: Reading, errors: Sequence[SharedError]) -> Reading:
     """Return a reading in which errors are undone, one after the other."""
     for error in errors:
-        reading = reading.without(error.undone(reading))
+        reading = error.undone(reading)
     return reading
 
 
-def _scan(
-    reading: Reading, run: FilterRun, among: Collection[Suspect]
-) -> tuple[Array, list[SharedError]]:
+def _scan(reading: Reading, among: Collection[Suspect]) -> tuple[Array, list[SharedError]]:
     """Return the whitened innovations (T, rows) of a reading, and the fit of every suspect."""
     steps = [
         suspect.correct(reading, step)
         for suspect in among
         for step in _STEP * np.eye(suspect.parameters)
     ]
-    w = innovations([reading, *steps], run)
+    w = innovations([reading, *steps])
     J = np.moveaxis(w[0] - w[1:], 0, -1) / _STEP
     ends = np.cumsum([suspect.parameters for suspect in among])[:-1]
     parts = zip(among, np.split(J, ends, axis=-1), strict=True)
     return w[0], [SharedError(each, *fit(w[0], part, each.deviation)) for each, part in parts]
 
 
-def _likeliest(reading: Reading, run: FilterRun, among: Collection[Suspect]) -> SharedError | None:
+def _likeliest(reading: Reading, among: Collection[Suspect]) -> SharedError | None:
     """Return the error whose correction gains most; None if none gains enough."""
-    w, fits = _scan(reading, run, among)
-    measured = values_of(reading.log)
-    lost = _is_lost(w, measured)  # then the derivatives say little
+    w, fits = _scan(reading, among)
+    lost = _is_lost(w)  # then the derivatives say little
     time_s = reading.log.time_s
     lasts_s = time_s[-1] - time_s[0] + time_s[1] - time_s[0]
     strict = np.clip(ENOUGH_S / lasts_s, 1.0, _STRICTEST)
@@ -355,12 +344,12 @@ def _likeliest(reading: Reading, run: FilterRun, among: Collection[Suspect]) -> 
     candidates = []
     tried = None if lost else _TRIED
     for rough in sorted(fits, key=_loss)[:tried]:
-        error = _refined(reading, run, rough)
+        error = _refined(reading, rough)
         suspect = error.suspect
-        (new,) = innovations([suspect.correct(reading, error.theta)], run)
+        (new,) = innovations([suspect.correct(reading, error.theta)])
         limit = _MOST_DEVIATIONS * suspect.deviation
         single = suspect.parts and len(_parts(error)) < 2
-        if not (single or _is_lost(new, measured)) and abs(error.theta).max() < limit:
+        if not (single or _is_lost(new)) and abs(error.theta).max() < limit:
             cost = suspect.cost + _COST * suspect.parameters
             candidates.append(error._replace(gain=float((rho(w) - rho(new)).sum()) - cost))
     if not candidates:
@@ -390,21 +379,19 @@ def _parts(error: SharedError) -> list[SharedError]:
     ]
 
 
-def _is_lost(w: Array, measured: Mask) -> bool:
+def _is_lost(w: Array) -> bool:
     """Tell whether a track with these whitened innovations (T, rows) is lost in many epochs."""
-    nis: Array = (w * w).sum(axis=1)
-    return bool(np.mean(nis > _LOST_NIS * np.maximum(measured.sum(axis=1), 1)) > _LOST_SHARE)
+    dof = np.maximum(np.count_nonzero(w, axis=1), 1)
+    return bool(np.mean((w * w).sum(axis=1) > _LOST_NIS * dof) > _LOST_SHARE)
 
 
-def _refined(
-    reading: Reading, run: FilterRun, error: SharedError, runs: int = _RUNS
-) -> SharedError:
+def _refined(reading: Reading, error: SharedError, runs: int = _RUNS) -> SharedError:
     """Return an error whose size is refined by undoing it and running the filter again."""
     suspect = error.suspect
     most = _MOST_DEVIATIONS * suspect.deviation
     theta = np.clip(error.theta, -most, most)
     for _ in range(runs):
-        _, (rest,) = _scan(suspect.correct(reading, theta), run, [suspect])
+        _, (rest,) = _scan(suspect.correct(reading, theta), [suspect])
         theta = np.clip(theta + rest.theta, -most, most)
         if np.linalg.norm(rest.theta / rest.sigma) < _SETTLED:
             break

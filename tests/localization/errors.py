@@ -16,7 +16,7 @@ STREET = SCENES["street"]
 
 
 def mode_of(radio):
-    """Return the mode that the search uses."""
+    """Return the mode with which logs are diagnosed."""
     return default_modes(radio)[-1]
 
 
@@ -28,7 +28,7 @@ def readings(count, radio="standard", scenario="pedestrian", seed=500_000, dt=1.
         log = log_with(e.layout, e.time_s, e.measurement, e.visible, e.snr_db)
         log = replace(log, doppler_spread_hz=e.doppler_spread_hz)
         logs.append(log.part(slice(int(np.argmax(log.visible[:, 0])), None)))
-    return [Reading(log, STREET, RADIOS[radio]) for log in logs]
+    return [Reading(log, STREET, RADIOS[radio], mode_of(radio)) for log in logs]
 
 
 def shifted(*rows, by):

@@ -12,6 +12,7 @@ from mmwave_env.interface.policy import Switching
 from mmwave_env.localization.contradictions import contradictions
 from mmwave_env.localization.diagnosis import AS_IT_IS, diagnose, mistakes
 from mmwave_env.localization.localizer import localize
+from mmwave_env.localization.readings import Reading
 from mmwave_env.localization.track_scores import group_statistics
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS
@@ -47,7 +48,7 @@ def doubts(log, scene, radio=RADIO):
 def findings(path, scene, partial=False):
     """Diagnose a log; return the findings, the most likely finding first."""
     block = read_log(path, scene, odometry=False, limits=False, partial=partial)
-    return diagnose(block, scene, RADIO, MODES[1])
+    return diagnose(Reading(block, scene, RADIO, MODES[1]))
 
 
 def reordered(scene, order):
@@ -163,9 +164,9 @@ def test_the_radio_of_a_log_is_diagnosed_and_the_log_is_not_changed():
     scene = read_scene(FOLDERS[0] / "scene.json")
     block = read_log(FOLDERS[0] / "log.csv", scene, limits=False)
     before = deepcopy(block)
-    best = diagnose(block, scene, RADIOS["handset"], MODES[1])[0]
+    best = diagnose(Reading(block, scene, RADIOS["handset"], MODES[1]))[0]
     assert best.hypothesis == "radio is standard" and not best.contradictions
     assert_same(block, before)
     block.visible[:, 0] = False
     with refuses("log"):
-        diagnose(block, scene, RADIO, MODES[1])
+        diagnose(Reading(block, scene, RADIO, MODES[1]))

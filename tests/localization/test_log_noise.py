@@ -7,14 +7,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from mmwave_env.localization.log_noise import (
-    clock_jumps,
-    noise_notes,
-    range_step,
-    with_range_steps,
-)
+from mmwave_env.localization.log_noise import clock_jumps, noise_notes, with_range_steps
 from mmwave_env.localization.starts import deviations_of
-from tests.localization.errors import STREET, mode_of, readings
+from tests.localization.errors import STREET, readings
 
 READING = readings(1)[0]
 LOG = READING.log
@@ -47,13 +42,13 @@ def test_standard_deviations_of_the_receiver_get_the_noise_of_rounding_too():
     assert_array_equal(log.sigma[:, 1:-1:4], 0.4)
 
 
-@pytest.mark.parametrize("log", [LOG, rounded(0.01)], ids=["unrounded", "too short to matter"])
+@pytest.mark.parametrize(
+    "log",
+    [LOG, rounded(0.01), with_ranges(np.nan)],
+    ids=["unrounded", "too short to matter", "without ranges"],
+)
 def test_other_ranges_keep_their_noise(log):
     assert with_range_steps(log, STREET, RADIO) == (log, None)
-
-
-def test_a_log_without_ranges_has_no_step():
-    assert range_step(with_ranges(np.nan), SIGMA) is None
 
 
 def test_jumps_that_all_ranges_share_are_those_of_a_clock():
@@ -67,7 +62,7 @@ def test_jumps_that_all_ranges_share_are_those_of_a_clock():
 
 
 def notes(log, step_m=None):
-    return noise_notes(log, STREET, RADIO, mode_of("standard"), step_m)
+    return list(noise_notes(READING._replace(log=log), step_m))
 
 
 def test_a_correct_log_needs_no_note():

@@ -2,14 +2,8 @@
 
 import numpy as np
 
-from mmwave_env.localization.sensitivities import FilterRun, fit, innovations, rho
-from mmwave_env.localization.starts import start_at
-from tests.localization.errors import late, mode_of, readings
-
-
-def run_of(reading):
-    start = start_at(reading.log, 0, reading.scene, reading.radio)
-    return FilterRun.of(mode_of("standard"), reading, start)
+from mmwave_env.localization.sensitivities import fit, innovations, rho
+from tests.localization.errors import late, readings
 
 
 def test_least_squares_finds_an_error_despite_outliers():
@@ -49,19 +43,9 @@ def test_the_function_of_innovations_is_quadratic_then_linear():
 
 def test_innovations_of_a_correct_log_are_white_and_those_of_a_wrong_one_are_not():
     (reading,) = readings(1)
-    right, wrong = innovations([reading, late(3.0)(reading)], run_of(reading))
+    right, wrong = innovations([reading, late(3.0)(reading)])
     used = np.repeat(reading.log.visible, reading.log.layout.widths, axis=1)
     used[0, :4] = False  # spent for the start
     assert (right[~used] == 0.0).all()
     assert 0.5 < np.median(abs(right[used])) / 0.6745 < 1.3
     assert rho(wrong).sum() > rho(right).sum() + 50.0
-
-
-def test_a_start_from_several_links_serves_all_readings():
-    (reading,) = readings(1)
-    start = start_at(reading.log, 0, reading.scene, reading.radio)
-    assert run_of(reading).start is None
-    both = np.array([[True, True, False, False]])
-    shared = FilterRun.of(mode_of("standard"), reading, start._replace(spent=both))
-    assert shared.start is not None
-    assert shared.mode.gate is None and not shared.mode.adaptive

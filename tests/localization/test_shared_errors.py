@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from mmwave_env.localization.log_noise import nearest_radio
-from mmwave_env.localization.readings import Reading
+from mmwave_env.localization.readings import ELEVATION, Reading
 from mmwave_env.localization.shared_errors import (
     SCANNED_EPOCHS,
-    find_shared_errors,
     scanned,
+    shared_errors,
     suspects,
 )
 from mmwave_env.logs.log import read_log
@@ -34,8 +34,8 @@ from tests.localization.mistakes import FOLDERS
 AWAY = "is away from its place"
 
 
-def errors_of(reading, radio="standard"):
-    return find_shared_errors(reading.log, reading.scene, reading.radio, mode_of(radio))
+def errors_of(reading):
+    return shared_errors(scanned(reading))
 
 
 def names(errors):
@@ -48,7 +48,7 @@ def sample(folder):
     scene = read_scene(folder / "scene.json")
     log = read_log(folder / "log.csv", scene, partial=True)
     assert nearest_radio(log, scene) == "standard"
-    return Reading(log, scene, RADIOS["standard"])
+    return Reading(log, scene, RADIOS["standard"], mode_of("standard"))
 
 
 ERRORS = {  # name -> (error, its size, in the unit of the suspect)
@@ -87,14 +87,14 @@ def test_several_errors_are_found_together():
 def test_what_to_write_names_the_values_that_the_scene_needs():
     reading = turned(4.0)(sample(FOLDERS[0]))
     (error,) = errors_of(reading)
-    mistake = error.undone(reading)
+    (mistake,) = error.undone(reading).undone
     bearing = round(float(error.theta[0]), 3)
     assert mistake.cure == f'write "bearing_deg": {bearing} into the scene\'s file'
     assert mistake.words.startswith("azimuths are turned by 4.0")
     (street,) = readings(1)
-    suspect = suspects(street)[f"anchor 2 {AWAY}"]
+    suspect = next(s for s in suspects(street) if s.name == f"anchor 2 {AWAY}")
     moved_anchor = error._replace(suspect=suspect, theta=np.array([1.0, 0.0]))
-    cure = moved_anchor.undone(street).cure
+    cure = moved_anchor.undone(street).undone[0].cure
     assert "anchors" in cure and "instead of base_station_m, walls" in cure
 
 
@@ -103,8 +103,8 @@ def test_only_long_stretches_of_short_steps_are_searched():
     log = reading.log
 
     def part(log):
-        scan = scanned(log, reading.scene, reading.radio, mode_of("standard"))
-        return scan and scan[0].log
+        scan = scanned(reading._replace(log=log))
+        return scan and scan.log
 
     assert len(part(log)) == len(log)
     assert part(log.part(slice(90))) is None
@@ -115,10 +115,19 @@ def test_only_long_stretches_of_short_steps_are_searched():
     assert part(replace(gap.log, time_s=time_s)).time_s[0] >= 110.0
 
 
+def test_only_a_complete_link_of_the_base_station_gives_each_reading_its_own_start():
+    (reading,) = readings(1)
+    assert scanned(reading).start is None
+    z = reading.log.measurement.copy()
+    z[0, ELEVATION] = np.nan
+    log = replace(reading.log, measurement=z, layout=replace(reading.log.layout, partial=True))
+    shared = scanned(reading._replace(log=log))
+    assert shared.start is not None and late(1.0)(shared).with_start().start is shared.start
+
+
 def test_a_fast_log_is_thinned_to_100_s():
     (reading,) = readings(1, dt=0.02, epochs=6000)
-    thinned, _ = scanned(reading.log, reading.scene, reading.radio, mode_of("standard"))
-    time_s = thinned.log.time_s
+    time_s = scanned(reading).log.time_s
     assert len(time_s) == SCANNED_EPOCHS
     assert time_s[-1] - time_s[0] == pytest.approx(99.9)
 
@@ -152,5 +161,5 @@ def test_most_errors_in_simulated_logs_are_named(case, scenario):
 @pytest.mark.parametrize("radio", ["handset", "standard"])
 @pytest.mark.parametrize("scenario", ["pedestrian", "vehicle"])
 def test_correct_logs_seldom_show_an_error(radio, scenario):
-    alarms = [bool(errors_of(r, radio)) for r in readings(100, radio, scenario)]
+    alarms = [bool(errors_of(r)) for r in readings(100, radio, scenario)]
     assert sum(alarms) <= 3

@@ -8,6 +8,7 @@ from experiments.evaluation.contenders import contender_from
 from mmwave_env.filters.bank import named_modes
 from mmwave_env.localization.diagnosis import AS_IT_IS, diagnose
 from mmwave_env.localization.localizer import localize
+from mmwave_env.localization.readings import Reading
 from mmwave_env.localization.segments import segments
 from mmwave_env.localization.starts import start_at
 from mmwave_env.localization.tracker import Tracker
@@ -147,7 +148,7 @@ def test_wrong_ranges_one_after_the_other_seldom_begin_a_track_anew(tmp_path, se
         row["range_m"] += abs(4.0 * rng.standard_normal()) * (rng.random() < 0.08)
     log = log_of(tmp_path, ROOM, rows)
     assert len(segments(log, ROOM, RADIO)) == 1
-    findings = diagnose(log, ROOM, RADIO, named_modes("standard")["ukf"])
+    findings = diagnose(Reading(log, ROOM, RADIO, named_modes("standard")["ukf"]))
     (as_it_is,) = (f for f in findings if f.hypothesis == AS_IT_IS)
     assert not any(c.group == "track" for c in as_it_is.contradictions)
 

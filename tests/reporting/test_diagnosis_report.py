@@ -5,13 +5,14 @@ import pytest
 from experiments.reporting.diagnosis_report import diagnosis_markdown, verdict
 from mmwave_env.localization.contradictions import Contradiction
 from mmwave_env.localization.readings import AS_IT_IS, Finding
+from mmwave_env.models.scene import SCENES
 
 DOUBT = Contradiction("anchor 2", "NIS / dof 9", "0.2 to 5")
 FITS = {"anchor 1": 1.1, "anchor 2": 0.6, "Doppler": None}
-AS_IS = Finding(AS_IT_IS, FITS, -1.0, [], "")
+AS_IS = Finding(AS_IT_IS, FITS, -1.0, [], "", SCENES["street"])
 WRONG = AS_IS._replace(contradictions=[DOUBT])
-TURNED = Finding("azimuths are turned", FITS, 0.0, [], "write it", shared=True)
-NEGATED = Finding("signs differ", FITS, 0.0, [], "negate")
+TURNED = AS_IS._replace(hypothesis="azimuths are turned", cure="write it", shared=True)
+NEGATED = AS_IS._replace(hypothesis="signs differ", cure="negate")
 CASES = {  # words of the verdict -> findings
     "The log is consistent as it is.": [AS_IS],
     "The log is consistent if signs differ. It was not changed. To correct it, negate": [
