@@ -46,7 +46,7 @@ from mmwave_env.io.lookup import as_name
 from mmwave_env.localization.association import associate
 from mmwave_env.localization.contradictions import (
     FEW_WRONG,
-    NIS_LIMITS,
+    LARGEST_NIS,
     Contradiction,
     contradictions,
 )
@@ -342,7 +342,7 @@ def _figures(args: LogArgs, files: Inputs, work: Work, track: Track) -> Json:
     for name, group in groups.items():
         nis = group["nis_per_dof"] or 0.0
         inside = group["nis_in_bounds"] or 0.0
-        if nis > NIS_LIMITS[1] and inside >= FEW_WRONG and name != "all":
+        if nis > LARGEST_NIS and inside >= FEW_WRONG and name != "all":
             odd.append(
                 f"{name}: found NIS / dof {nis:.3g}, although {inside:.0%} of the values are in "
                 "their 95 % bounds: a few are far off, such as reflections (--imm imm-best rejects "

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mmwave_env.io.records import Bound
 from mmwave_env.logs.log import Log
 from mmwave_env.logs.log_columns import RANGE_LIMITS_M, WIDEST_ELEVATION_DEG
 from mmwave_env.models.envelope import STEP_S
@@ -21,20 +22,30 @@ from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import PI, Array
 
-NIS_LIMITS = (0.2, 5.0)  # limits of the NIS per degree of freedom
-SNR_LIMITS_DB = (-60.0, 90.0)
+LARGEST_NIS = 5.0  # per degree of freedom
 FEW_WRONG = 0.85  # if more of the NIS are in their 95 % bounds, a large mean comes from a few links
-REJECTED_LIMIT = 1.0 / 3.0  # largest fraction of a group's measurements that gates may reject
 _ENOUGH = 20  # minimum number of epochs for a conclusion
 _ENOUGH_IF_BLOCKED = 100  # minimum number if a blockage of a few seconds may distort a conclusion
 _WINDOW_S = 30.0  # length of a window of epochs, in which the oscillator's offset hardly changes
 _FEWEST = 4  # minimum number of epochs in a window
 _MOST_APART_S = 3.0  # longest gap over which the Doppler shift is integrated
-_SLOPE_LIMITS = (0.5, 1.5)  # limits of the slope: measured / predicted growth of the range
+# limits of the slope: measured / predicted growth of the range
+_LEAST_SLOPE = 0.5
+_LARGEST_SLOPE = 1.5
 # A slope is reported only if it differs from 1 by more than this many standard errors. The number
 # is large: standard errors assume independent range errors, but a blockage correlates the errors.
 _SURE = 10.0
 _SURE_SIGN = 5.0  # number of standard errors by which a slope must differ from 0 to count
+
+_USUAL_STEP_S = Bound(f"at most {GAP_S:g} s: is the unit right?", most=GAP_S)
+_SHORTEST_STEP_S = STEP_S._replace(most=inf)
+_RANGE_M = Bound("0.001 to 1e+06 m", least=RANGE_LIMITS_M[0], most=RANGE_LIMITS_M[1])
+_AZIMUTH = Bound("up to 2 pi", most=2.0 * PI)
+_ELEVATION_DEG = Bound(f"up to {WIDEST_ELEVATION_DEG:g}", most=WIDEST_ELEVATION_DEG)
+_SNR_DB = Bound("-60 to 90 dB", least=-60.0, most=90.0)
+_NIS = Bound(f"0.2 to {LARGEST_NIS:g}", least=0.2, most=LARGEST_NIS)  # of anchors
+_NIS_OF_OTHERS = Bound(f"at most {LARGEST_NIS:g}", most=LARGEST_NIS)
+_REJECTED = Bound("at most a third", most=1.0 / 3.0)  # fraction that gates may reject
 
 
 class Contradiction(NamedTuple):
@@ -49,13 +60,12 @@ class Contradiction(NamedTuple):
 
 
 class Check(NamedTuple):
-    """A statistic of a log, its limits, and the words of the contradiction if it is beyond them."""
+    """A statistic of a log, and the contradiction if it is beyond its bound."""
 
     group: str
-    statistic: Any  # a number, or an array of numbers that must all be within the limits
-    limits: tuple[float, float]
+    statistic: Any  # a number, or an array of numbers that must all be within the bound
+    bound: Bound
     found: str
-    expected: str
 
 
 def contradictions(
@@ -65,7 +75,8 @@ def contradictions(
 
     ``log`` is the beginning of the log. ``groups`` maps the name of each group of measurements to
     its statistics: ``seen`` (number of epochs with it), ``rejected_share`` (fraction of these
-    epochs in which a gate rejected it) and ``nis_per_dof``. ``track_scores.Groups`` computes them.
+    epochs in which a gate rejected it) and ``nis_per_dof``. ``track_scores.group_statistics``
+    computes them.
     """
     checks = chain(_likelihood_checks(log, scene, radio), _fit_checks(groups))
     return impossible(log) + _failed(checks)
@@ -78,9 +89,9 @@ def impossible(log: Log) -> list[Contradiction]:
 
 def _failed(checks: Iterable[Check]) -> list[Contradiction]:
     return [
-        Contradiction(group, value, expected)
-        for group, statistic, (low, high), value, expected in checks
-        if np.any((statistic < low) | (statistic > high))
+        Contradiction(group, value, bound.expected)
+        for group, statistic, bound, value in checks
+        if not np.all(bound.holds(statistic) | np.isnan(statistic))
     ]
 
 
@@ -88,52 +99,48 @@ def _physical_checks(log: Log) -> Iterator[Check]:
     """Yield checks of values that can't be right in any scene."""
     steps = np.diff(log.time_s)
     if len(steps):
-        usual = np.median(steps)
-        expected = f"at most {GAP_S:g} s: is the unit right?"
-        yield Check("time", usual, (0.0, GAP_S), f"epochs {usual:.3g} s apart", expected)
-        shortest = steps.min()
-        value = f"epochs {shortest:.3g} s apart"
-        yield Check("time", shortest, (STEP_S.least or 0.0, inf), value, STEP_S.expected)
+        for step, bound in ((np.median(steps), _USUAL_STEP_S), (steps.min(), _SHORTEST_STEP_S)):
+            yield Check("time", step, bound, f"epochs {step:.3g} s apart")
     visible = log.visible[:, : log.layout.anchors]
     links = log.measurement[:, : log.layout.doppler].reshape(*visible.shape, 4)[visible]
     ranges, arrivals, elevations, departures = links.T
     ranges = ranges[ranges > 0.0]
     if len(ranges):
-        low, high = RANGE_LIMITS_M
         middle = np.median(ranges)
-        yield Check("range", middle, (low, high), f"{middle:.3g} m", f"{low:g} to {high:g} m")
-    widest = f"up to {WIDEST_ELEVATION_DEG:g}"
-    for group, angles, limit, unit, expected in (
-        ("azimuth of arrival", arrivals, 2.0 * PI, "rad", "up to 2 pi"),
-        ("azimuth of departure", departures, 2.0 * PI, "rad", "up to 2 pi"),
-        ("elevation", np.degrees(elevations), WIDEST_ELEVATION_DEG, "degrees", widest),
+        yield Check("range", middle, _RANGE_M, f"{middle:.3g} m")
+    for group, angles, bound, unit in (
+        ("azimuth of arrival", arrivals, _AZIMUTH, "rad"),
+        ("azimuth of departure", departures, _AZIMUTH, "rad"),
+        ("elevation", np.degrees(elevations), _ELEVATION_DEG, "degrees"),
     ):
         sizes = np.sort(abs(angles[np.isfinite(angles)]))
         if len(sizes):
-            middle = sizes[(len(sizes) - 1) // 2]  # beyond the limit if most sizes are
-            yield Check(group, middle, (0.0, limit), f"{sizes[-1]:.3g} {unit}", expected)
+            middle = sizes[(len(sizes) - 1) // 2]  # beyond the bound if most sizes are
+            yield Check(group, middle, bound, f"{sizes[-1]:.3g} {unit}")
 
 
 def _likelihood_checks(log: Log, scene: Scene, radio: Radio) -> Iterator[Check]:
     """Yield checks of values that are possible but unlikely, such as odd SNRs."""
-    low, high = SNR_LIMITS_DB
     for anchor, column in enumerate(log.snr_db.T, start=1):
         snr = column[np.isfinite(column)]
         if len(snr):
             value = f"SNR of {snr.min():.3g} to {snr.max():.3g} dB"
-            yield Check(f"anchor {anchor}", snr, (low, high), value, f"{low:g} to {high:g} dB")
+            yield Check(f"anchor {anchor}", snr, _SNR_DB, value)
     elevation = log.measurement[log.visible[:, 0], 2]
     if len(elevation) >= _ENOUGH:
         above = np.mean(elevation > 0.0)
         most = 0.5 + 1.5 / np.sqrt(len(elevation))  # a half plus three standard errors
+        bound = Bound("a user below this anchor (with negative elevations)", most=most)
         value = f"a user above this anchor in {100.0 * above:.0f} % of epochs"
-        expected = "a user below this anchor (with negative elevations)"
-        yield Check("anchor 1", above, (0.0, most), value, expected)
+        yield Check("anchor 1", above, bound, value)
     slope, error = _range_per_doppler(log, scene, radio)
-    low, high = _SLOPE_LIMITS
-    limits = (min(low, 1.0 - _SURE * error), max(high, 1.0 + _SURE * error))
+    bound = Bound(
+        "1 m: are the sign and the unit right?",
+        least=min(_LEAST_SLOPE, 1.0 - _SURE * error),
+        most=max(_LARGEST_SLOPE, 1.0 + _SURE * error),
+    )
     value = f"a range that grows by {slope:.3g} m where the shift predicts 1 m"
-    yield Check("Doppler", slope, limits, value, "1 m: are the sign and the unit right?")
+    yield Check("Doppler", slope, bound, value)
 
 
 def _fit_checks(groups: Mapping[str, Mapping[str, Any]]) -> Iterator[Check]:
@@ -142,21 +149,16 @@ def _fit_checks(groups: Mapping[str, Mapping[str, Any]]) -> Iterator[Check]:
         if name == "all" or group["seen"] < _ENOUGH:
             continue
         nis = group["nis_per_dof"]
-        low, high = NIS_LIMITS
-        expected = f"{low:g} to {high:g}"
-        if (group.get("nis_in_bounds") or 0.0) >= FEW_WRONG:
-            high = inf  # a few links are wrong, such as reflections: that is no mistake
         # With large process noise, a filter predicts Doppler shift and odometry far better than its
         # covariance says. Even in correct logs, their NIS is often a tenth of the expected value.
-        if not name.startswith("anchor"):
-            low = 0.0
-            expected = f"at most {high:g}"
+        bound = _NIS if name.startswith("anchor") else _NIS_OF_OTHERS
+        if (group.get("nis_in_bounds") or 0.0) >= FEW_WRONG:
+            bound = bound._replace(most=inf)  # such as reflections: that is no mistake
         if nis is not None:
-            yield Check(name, nis, (low, high), f"NIS / dof {nis:.3g}", expected)
+            yield Check(name, nis, bound, f"NIS / dof {nis:.3g}")
         if group["seen"] >= _ENOUGH_IF_BLOCKED:
             share = group["rejected_share"]
-            value = f"{100.0 * share:.0f} % rejected"
-            yield Check(name, share, (0.0, REJECTED_LIMIT), value, "at most a third")
+            yield Check(name, share, _REJECTED, f"{100.0 * share:.0f} % rejected")
 
 
 def _range_per_doppler(log: Log, scene: Scene, radio: Radio) -> tuple[float, float]:
@@ -170,12 +172,11 @@ def _range_per_doppler(log: Log, scene: Scene, radio: Radio) -> tuple[float, flo
     Noise of the shift makes this slope too small, noise of the range makes the slope of the reverse
     regression too large. Of the slopes between both, the result is the one nearest to 1.
     """
-    direct = log.visible[:, 0] & log.visible[:, log.layout.anchors]
-    direct &= log.doppler_anchor == 0
-    time = log.time_s[direct]
-    z = log.measurement[direct]
-    rate = z[:, log.layout.doppler] / scene.hz_per_mps
-    sigma = radio.sigma(log.snr_db[direct], scene, log.layout)[:, 0]
+    direct = log.visible[:, 0] & log.visible[:, log.layout.anchors] & (log.doppler_anchor == 0)
+    log = log.part(direct)
+    time = log.time_s
+    rate = log.measurement[:, log.layout.doppler] / scene.hz_per_mps
+    sigma = radio.sigma(log.snr_db, scene, log.layout)[:, 0]
     # windows without a long gap
     window = np.floor((time - time[:1]) / _WINDOW_S)
     edges = np.flatnonzero((np.diff(time) > _MOST_APART_S) | (np.diff(window) > 0.0)) + 1
@@ -184,7 +185,8 @@ def _range_per_doppler(log: Log, scene: Scene, radio: Radio) -> tuple[float, flo
     for part in np.split(np.arange(len(time)), edges):
         if len(part) >= _FEWEST:
             usual = float(np.median(sigma[part]))
-            products += _products(time[part], z[part, 0], rate[part], usual, radio)
+            ranges = log.measurement[part, 0]
+            products += _products(time[part], ranges, rate[part], usual, radio)
             dof += len(part) - 3
     (moved, product), (_, square) = products.tolist()
     if dof < _ENOUGH_IF_BLOCKED or moved <= 0.0:
