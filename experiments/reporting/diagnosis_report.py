@@ -21,13 +21,13 @@ def log_facts(log: Log, scene: Scene) -> Json:
     links = log.visible[:, : log.layout.anchors]
     steps = np.diff(log.time_s)
     step_s = float(np.median(steps)) if len(steps) else None
+    usual_s = step_s or 0.0
     irregular: dict[str, Any] = {
-        f"gaps of more than {GAP_S:g} s, after which a new track begins": steps > GAP_S
+        f"gaps of more than {GAP_S:g} s, after which a new track begins": steps > GAP_S,
+        f"steps that differ from {usual_s:.4g} s by more than 10 %": abs(steps - usual_s)
+        > _UNEVEN * usual_s,
+        "epochs in which no anchor was measured": ~links.any(axis=1),
     }
-    if step_s:
-        words = f"steps that differ from {step_s:.4g} s by more than 10 %"
-        irregular[words] = abs(steps - step_s) > _UNEVEN * step_s
-    irregular["epochs in which no anchor was measured"] = ~links.any(axis=1)
     for name, incomplete in zip(log.layout.group_names, log.incomplete.T, strict=True):
         irregular[f"epochs in which {name} lacks some values and so counts as missing"] = incomplete
     problems = [f"{words}: {epochs.sum()}" for words, epochs in irregular.items() if epochs.any()]

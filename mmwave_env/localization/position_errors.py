@@ -118,9 +118,9 @@ def percentiles(sizes: Array) -> dict[str, float | None]:
 
     A percentile is None if it is not finite: if n is 0, or if too many errors are NaN.
     """
-    largest = np.where(np.isnan(sizes), np.inf, sizes)
+    largest = np.where(np.isnan(sizes), np.inf, sizes) if sizes.size else [np.nan]
     with np.errstate(invalid="ignore"):  # interpolation between two infinities is invalid
-        quantiles = np.quantile(largest, SHARES) if sizes.size else np.full(len(SHARES), np.nan)
+        quantiles = np.quantile(largest, SHARES)
     return {
         f"{100.0 * share:.0f}": float(value) if np.isfinite(value) else None
         for share, value in zip(SHARES, quantiles, strict=True)
