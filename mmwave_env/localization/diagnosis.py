@@ -43,9 +43,9 @@ from mmwave_env.localization.shared_errors import (
     shared_errors,
     without_errors,
 )
-from mmwave_env.localization.starts import POOL_S, deviations_of, start_at
+from mmwave_env.localization.starts import POOL_S, start_at
 from mmwave_env.logs.log import Log
-from mmwave_env.models.radio import RADIOS, Radio
+from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import PI, Array
 from mmwave_env.world.episode import Episode
@@ -90,17 +90,18 @@ def _orders(anchors: int) -> Iterable[tuple[int, ...]]:
     return dict.fromkeys(tuple(order.tolist()) for order in orders)
 
 
-def mistakes(scene: Scene, radio: Radio, columns: Set[str]) -> Iterator[Mistake]:
-    """Yield likely mistakes in the log of a scene and of a radio that has these columns."""
+def mistakes(reading: Reading) -> Iterator[Mistake]:
+    """Yield likely mistakes in a log, its scene and its radio."""
+    scene = reading.scene
     yield from _conventions(scene)
-    yield from _units(scene, columns)
+    yield from _units(scene, reading.log.columns)
     for order in _orders(len(scene.anchors_m)):
         numbers = ", ".join(str(i + 1) for i in order)
         cure = f"list the anchors of the scene in the order {numbers}"
         moved = scene.with_anchors(scene.anchors_m[[*order]])
         undo = partial(Reading._replace, scene=moved)
         yield Mistake(f"anchors are the scene's {numbers}", cure, undo)
-    for name in sorted(RADIOS.keys() - {radio.name}):
+    for name in sorted(RADIOS.keys() - {reading.radio.name}):
         cure = f"use --radio {name}, or radio={name!r}"
         yield Mistake(f"radio is {name}", cure, partial(Reading._replace, radio=RADIOS[name]))
 
@@ -185,11 +186,10 @@ def _units(scene: Scene, columns: Set[str]) -> Iterator[Mistake]:
 def _numbers(reading: Reading) -> Array:
     """Return all numbers that the filters read; a hypothesis that changes none has no effect."""
     log = reading.log
-    sigma = deviations_of(log, reading.scene, reading.radio)
     parts = (
         log.time_s,
         log.measurement,
-        np.where(values_of(log), sigma, np.nan),
+        np.where(values_of(log), reading.sigma, np.nan),
         reading.scene.anchors_m,
     )
     return np.concatenate([part.ravel() for part in parts])
@@ -240,7 +240,7 @@ def diagnose(reading: Reading) -> list[Finding]:
     epochs = slice(begin, begin + first + DIAGNOSED_EPOCHS)
     as_it_is = reading._replace(log=log.part(epochs))
     numbers = _numbers(as_it_is)
-    single = [as_it_is.without(mistake) for mistake in mistakes(reading.scene, radio, log.columns)]
+    single = [as_it_is.without(mistake) for mistake in mistakes(as_it_is)]
     single = [r for r in single if not np.array_equal(_numbers(r), numbers, equal_nan=True)]
     findings = _findings([as_it_is, *single], first)
     radios = {r.undone[0].words: r for r in single if r.radio is not radio}
@@ -312,16 +312,15 @@ def _finding(reading: Reading, episode: Episode, nis: Array, likelihood: Array) 
     """Return the finding on a reading with a track: NIS (T, groups) and log-likelihoods (T,)."""
     log = reading.log
     layout = log.layout
-    dof = np.add.reduceat(values_of(log), layout.starts, axis=1, dtype=np.int64)
+    dof = np.add.reduceat(values_of(log), layout.starts, axis=1, dtype=np.int64).clip(1)
+    ratios = nis / chdtri(dof, 0.5)
     fits: Fits = {}
     groups = {}
-    for g, name in enumerate(layout.group_names):
-        used = episode.visible[:, g]
-        ratios = nis[used, g] / chdtri(dof[used, g], 0.5)
-        fits[name] = float(np.median(ratios)) if used.any() else None
+    for name, used, column in zip(layout.group_names, episode.visible.T, ratios.T, strict=True):
+        fits[name] = float(np.median(column[used])) if used.any() else None
         groups[name] = {"seen": used.sum(), "rejected_share": 0.0, "nis_per_dof": fits[name]}
     if not np.isfinite(likelihood).all():
         return reading.finding([Contradiction("track", "NaN or infinity", "numbers")], fits)
-    clipped = np.maximum(nis - chdtri(np.maximum(dof, 1), _OUTLIER_QUANTILE), 0.0).sum()
+    clipped = np.maximum(nis - chdtri(dof, _OUTLIER_QUANTILE), 0.0).sum()
     mean = (float(likelihood.sum() + 0.5 * clipped) + reading.log_scale) / len(log)
     return reading.finding(contradictions(log, reading.scene, reading.radio, groups), fits, mean)

@@ -106,7 +106,7 @@ def noise_notes(reading: Reading, step_m: float | None = None) -> Iterator[str]:
     The noise of angles is that of the first epochs after errors that all links share are undone.
     If the clock jumps, nothing is said about other noise, which can't be told from the jumps.
     """
-    jumps = clock_jumps(reading.log, _deviations(reading))
+    jumps = clock_jumps(reading.log, reading.sigma)
     if jumps and reading.log.layout.clock != "free":
         share, jump_m = jumps
         yield (
@@ -124,15 +124,10 @@ def noise_notes(reading: Reading, step_m: float | None = None) -> Iterator[str]:
             yield _TOO_SHORT
 
 
-def _deviations(reading: Reading) -> Array:
-    """Return the standard deviations (T, rows) of a reading."""
-    return deviations_of(reading.log, reading.scene, reading.radio)
-
-
 def _notes_on_angles(reading: Reading) -> Iterator[str]:
     """Yield sentences on the angles of a reading without errors."""
     log = reading.log
-    sigma = _deviations(reading)
+    sigma = reading.sigma
     z = _where_measured(log, log.measurement)
     apart = wrapped(z[:, AZIMUTH] - z[:, DEPARTURE] + np.pi)
     azimuths = apart / np.hypot(sigma[:, AZIMUTH], sigma[:, DEPARTURE])

@@ -53,16 +53,12 @@ def horizontal_level(P: Array, risk: float) -> Array:
     return major * np.interp(ratio, _RATIOS, _multiples(risk))  # type: ignore[no-any-return]
 
 
-def vertical_level(P: Array, risk: float) -> Array:
-    """Compute vertical levels (...,), m, from packed P (..., 6 or more) with x, y, z first."""
-    from scipy.special import ndtri
-
-    return -ndtri(0.5 * risk) * np.sqrt(np.maximum(P[..., 5], 0.0))  # type: ignore[no-any-return]
-
-
 def gaussian_levels(P: Array, risk: float) -> Array:
     """Compute horizontal and vertical levels (..., 2), m, from packed P (..., 6 or more)."""
-    return np.stack([horizontal_level(P, risk), vertical_level(P, risk)], axis=-1)
+    from scipy.special import ndtri
+
+    vertical = -ndtri(0.5 * risk) * np.sqrt(np.maximum(P[..., 5], 0.0))
+    return np.stack([horizontal_level(P, risk), vertical], axis=-1)
 
 
 @lru_cache(maxsize=16)
@@ -87,10 +83,10 @@ def exceedance(error: Array, level: Array) -> dict[str, Any]:
     """
     from scipy.stats import binomtest
 
-    count = int((~(error <= level)).sum())
     n = len(error)
     if not n:
         return {"exceeded": 0, "share": None, "ci95": None}
+    count = int((~(error <= level)).sum())
     interval = binomtest(count, n).proportion_ci(CONFIDENCE, method="exact")
     return {
         "exceeded": count,

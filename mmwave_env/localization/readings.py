@@ -9,12 +9,12 @@ import numpy as np
 from mmwave_env.filters.modes import Mode
 from mmwave_env.localization.contradictions import Contradiction
 from mmwave_env.localization.localizer import episode_from
-from mmwave_env.localization.starts import Start, start_at
+from mmwave_env.localization.starts import Start, deviations_of, start_at
 from mmwave_env.logs.log import Log
 from mmwave_env.models.layout import wrap_angles
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.numbers import Mask
+from mmwave_env.numerics.numbers import Array, Mask
 from mmwave_env.world.episode import Episode
 
 AS_IT_IS = "as it is"
@@ -66,6 +66,11 @@ class Reading(NamedTuple):
         log = replace(self.log, measurement=z)
         start = self.start or start_at(log, epoch, self.scene, self.radio)
         return self._replace(log=log.part(slice(epoch, None)), start=start)
+
+    @property
+    def sigma(self) -> Array:
+        """Return the standard deviations (T, rows) of the measurements."""
+        return deviations_of(self.log, self.scene, self.radio)
 
     @property
     def episode(self) -> Episode:

@@ -9,14 +9,16 @@ blocks of epochs (sandwich estimator, ibid. Sec. 7.6).
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import huber
 
 from mmwave_env.engines.engine import tracks_of
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.localization.image_filter import LINK_ROWS, difference, links_along
+from mmwave_env.localization.image_filter import difference, links_along
 from mmwave_env.localization.readings import RANGE, Reading
 from mmwave_env.models.layout import STATE_SIZE
 from mmwave_env.models.measurement import doppler_group
@@ -25,6 +27,7 @@ from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode
 
 _HUBER = 2.0  # standard deviations
+rho = partial(huber, _HUBER)  # function of whitened innovations: quadratic at 0, linear far away
 _BLOCKS = (10, 20, 40)  # epochs in a block; the length with the largest variance counts
 _ROUNDS = 8  # of robust least squares
 
@@ -63,44 +66,34 @@ def innovations(readings: Sequence[Reading]) -> Array:
     x, P = filtered(episodes, readings[0].mode, "x_predicted", "P_predicted")
     if not (np.isfinite(x).all() and np.isfinite(P[0]).all()):
         raise ValueError("log: found a track with NaN or infinity, expected plausible values")
-    e, H = _expanded(episodes, x)
+    e, gradients = zip(*map(_expanded, episodes, x), strict=True)
     used = episodes[0].used
-    H *= used[..., None]
+    H = gradients[0] * used[..., None]
     R = np.where(used, episodes[0].sigma ** 2, 1.0)[..., None] * np.eye(used.shape[1])
     S = H @ np.array(unpack(list(P[0].T))).T @ H.swapaxes(1, 2) + R
     columns = np.moveaxis(np.where(used, e, 0.0), 0, -1)
     return np.moveaxis(np.linalg.solve(np.linalg.cholesky(S), columns), -1, 0)
 
 
-def _expanded(episodes: Sequence[Episode], x: Array) -> tuple[Array, Array]:
-    """Return innovations z - h(x) (n, T, rows), and the first gradients dh/dx (T, rows, states).
+def _expanded(episode: Episode, x: Array) -> tuple[Array, Array]:
+    """Return innovations z - h(x) (T, rows), and gradients dh/dx (T, rows, states).
 
-    They are those of n episodes that differ in values and scenes, at states x (n, T, states).
+    ``x`` (T, states) are the states in the epochs of the episode.
     """
-    epochs = x.shape[:2]
-    z = np.stack([episode.measurement for episode in episodes])
-    anchors = np.stack([episode.scene_anchors_m for episode in episodes])
-    d = x[:, :, None, :3] - anchors[:, None]
+    z = episode.measurement
+    d = x[:, None, :3] - episode.scene_anchors_m
     h, slopes = links_along(d.reshape(-1, 3))
-    h = h.reshape(*epochs, -1, LINK_ROWS)
-    h[..., 0] += x[..., STATE_SIZE:].sum(axis=-1, keepdims=True)
-    links = difference(z[..., :-1].reshape(h.shape), h).reshape(*epochs, -1)
-    of = episodes[0].doppler_anchor
-    place = anchors[:, [0] if of is None else of]
-    hz_per_mps = np.array([[episode.hz_per_mps] for episode in episodes])
-    state = list(np.moveaxis(x, -1, 0))
-    doppler = doppler_group(state, list(place.T.swapaxes(1, 2)), hz_per_mps, [z[..., -1]], [1.0])
-    H = np.zeros((*z.shape[1:], len(state)))
-    H[:, :-1, :3] = slopes.reshape(*epochs, -1, 3)[0]
+    h = h.reshape(*d.shape[:2], -1)
+    h[..., 0] += x[:, STATE_SIZE:].sum(axis=1, keepdims=True)
+    links = difference(z[:, :-1].reshape(h.shape), h).reshape(len(x), -1)
+    of = 0 if episode.doppler_anchor is None else episode.doppler_anchor
+    place = list(episode.scene_anchors_m[of].T)
+    doppler = doppler_group(list(x.T), place, episode.hz_per_mps, [z[:, -1]], [1.0])
+    H = np.zeros((*z.shape, x.shape[1]))
+    H[:, :-1, :3] = slopes.reshape(len(x), -1, 3)
     H[:, RANGE, STATE_SIZE:] = 1.0
-    H[:, -1] = np.array(np.broadcast_arrays(*doppler.jacobian[0]))[:, 0].T
-    return np.append(links, doppler.innovation[0][..., None], axis=-1), H
-
-
-def rho(w: Array) -> Array:
-    """Return Huber's function of whitened innovations: quadratic at 0, linear far away."""
-    size = abs(w)
-    return np.where(size <= _HUBER, 0.5 * w * w, _HUBER * size - 0.5 * _HUBER**2)
+    H[:, -1] = np.stack(np.broadcast_arrays(*doppler.jacobian[0]), axis=1)
+    return np.column_stack([links, *doppler.innovation]), H
 
 
 def fit(w: Array, J: Array, deviation: float) -> Fit:

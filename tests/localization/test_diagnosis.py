@@ -53,8 +53,7 @@ def findings(path, scene, partial=False):
 
 def reordered(scene, order):
     """Return the scene with its anchors in another order; the first anchor is the base station."""
-    gnb, *others = [tuple(scene.anchors_m[n - 1].tolist()) for n in order]
-    return replace(scene, base_station_m=gnb, virtual_anchors_m=tuple(others))
+    return scene.with_anchors(scene.anchors_m[np.subtract(order, 1)])
 
 
 def wrong_log(tmp_path, folder, mistake):
@@ -67,11 +66,12 @@ def wrong_log(tmp_path, folder, mistake):
 @both
 def test_a_correct_log_is_diagnosed_as_consistent(folder):
     scene = read_scene(folder / "scene.json")
-    assert not doubts(read_log(folder / "log.csv", scene), scene)
+    log = read_log(folder / "log.csv", scene)
+    assert not doubts(log, scene)
     best, *others = findings(folder / "log.csv", scene)
     assert best.hypothesis == AS_IT_IS and not best.contradictions
     assert {f.hypothesis for f in others} == {
-        m.words for m in mistakes(scene, RADIO, read_columns(folder / "log.csv").keys())
+        m.words for m in mistakes(Reading(log, scene, RADIO, MODES[1]))
     }
     for group, nis in best.nis_per_dof.items():
         assert (0.0 if group == "Doppler" else 0.5) < nis < 2.0

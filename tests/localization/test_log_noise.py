@@ -8,38 +8,40 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.localization.log_noise import clock_jumps, noise_notes, with_range_steps
+from mmwave_env.localization.readings import AZIMUTH, DEPARTURE, RANGE
 from mmwave_env.localization.starts import deviations_of
 from tests.localization.errors import STREET, readings
 
 READING = readings(1)[0]
 LOG = READING.log
+RANGES = LOG.measurement[:, RANGE]
 RADIO = READING.radio
 SIGMA = deviations_of(LOG, STREET, RADIO)
 
 
 def with_ranges(ranges):
     z = LOG.measurement.copy()
-    z[:, :-1:4] = ranges
+    z[:, RANGE] = ranges
     return replace(LOG, measurement=z)
 
 
 def rounded(step):
-    return with_ranges(step * np.round(LOG.measurement[:, :-1:4] / step))
+    return with_ranges(step * np.round(RANGES / step))
 
 
 @pytest.mark.parametrize("step", [0.3, 0.7, 2.44])
 def test_the_step_of_ranges_is_known_and_its_noise_added(step):
     log, known = with_range_steps(rounded(step), STREET, RADIO)
     assert known == pytest.approx(step, rel=1e-3)
-    variance = deviations_of(log, STREET, RADIO)[:, :-1:4] ** 2
-    assert_allclose(variance - SIGMA[:, :-1:4] ** 2, step**2 / 12.0, rtol=2e-3)
+    variance = deviations_of(log, STREET, RADIO)[:, RANGE] ** 2
+    assert_allclose(variance - SIGMA[:, RANGE] ** 2, step**2 / 12.0, rtol=2e-3)
 
 
 def test_standard_deviations_of_the_receiver_get_the_noise_of_rounding_too():
     own = np.full(SIGMA.shape, 0.4)
     log, _ = with_range_steps(replace(rounded(0.7), sigma=own), STREET, RADIO)
-    assert_allclose(log.sigma[:, :-1:4], np.sqrt(0.16 + 0.49 / 12.0), rtol=1e-3)
-    assert_array_equal(log.sigma[:, 1:-1:4], 0.4)
+    assert_allclose(log.sigma[:, RANGE], np.sqrt(0.16 + 0.49 / 12.0), rtol=1e-3)
+    assert_array_equal(log.sigma[:, AZIMUTH], 0.4)
 
 
 @pytest.mark.parametrize(
@@ -54,10 +56,10 @@ def test_other_ranges_keep_their_noise(log):
 def test_jumps_that_all_ranges_share_are_those_of_a_clock():
     rng = np.random.default_rng(8)
     clock = np.where(rng.random(len(LOG)) < 0.3, rng.uniform(500.0, 5000.0, len(LOG)), 0.0)
-    share, jump_m = clock_jumps(with_ranges(LOG.measurement[:, :-1:4] + clock[:, None]), SIGMA)
+    share, jump_m = clock_jumps(with_ranges(RANGES + clock[:, None]), SIGMA)
     assert 0.3 < share < 0.6 and 1000.0 < jump_m < 4000.0
     assert clock_jumps(LOG, SIGMA) is None
-    single = LOG.measurement[:, :-1:4] + np.array([1.0, 0.0, 0.0]) * clock[:, None]
+    single = RANGES + np.array([1.0, 0.0, 0.0]) * clock[:, None]
     assert clock_jumps(with_ranges(single), SIGMA) is None
 
 
@@ -71,8 +73,8 @@ def test_a_correct_log_needs_no_note():
 
 def test_noise_that_is_not_as_stated_is_noted():
     sigma = SIGMA.copy()
-    sigma[:, 1:-1:4] /= 3.0
-    sigma[:, 3:-1:4] /= 3.0
+    sigma[:, AZIMUTH] /= 3.0
+    sigma[:, DEPARTURE] /= 3.0
     (note,) = notes(replace(LOG, sigma=sigma))
     assert note.startswith("the noise of azimuths is ") and "times as large as stated" in note
     assert 2.4 < float(note.split()[5]) < 3.8
@@ -100,7 +102,7 @@ def test_a_log_too_short_for_shared_errors_is_noted():
 
 def test_jumps_are_noted_alone_and_steps_even_if_no_track_can_begin():
     clock = 3000.0 * (np.arange(len(LOG)) % 3 == 0)
-    log = with_ranges(LOG.measurement[:, :-1:4] + clock[:, None])
+    log = with_ranges(RANGES + clock[:, None])
     ranges = np.where(np.isin(np.arange(13), [0, 4, 8]), log.measurement, np.nan)
     partial = replace(log, measurement=ranges, layout=replace(LOG.layout, partial=True))
     (jumps,) = notes(partial, step_m=2.5)

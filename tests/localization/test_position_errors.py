@@ -16,8 +16,8 @@ from mmwave_env.localization.position_errors import (
     SHARES,
     PositionErrors,
     exceedance,
+    gaussian_levels,
     horizontal_level,
-    vertical_level,
 )
 from tests.refusals import refuses
 
@@ -66,7 +66,7 @@ def test_levels_of_a_line_and_of_a_circle_equal_the_textbook(risk, sigma):
     assert line == pytest.approx(sigma * norm.isf(0.5 * risk), rel=1e-6)
     assert circle == pytest.approx(sigma * np.sqrt(-2.0 * np.log(risk)), rel=1e-6)  # Rayleigh
     upwards = packed(np.diag([9.0, 4.0, sigma**2]))
-    assert vertical_level(upwards, risk) == pytest.approx(sigma * norm.isf(0.5 * risk))
+    assert gaussian_levels(upwards, risk)[1] == pytest.approx(sigma * norm.isf(0.5 * risk))
 
 
 def test_levels_of_many_covariances_equal_the_levels_of_single_covariances():
@@ -125,10 +125,9 @@ def test_statistics_of_errors_in_any_pieces_equal_statistics_in_numpy(error, cut
         errors.add(error[part], P[part])
     figures = errors.figures()
     assert figures == errors.figures()
-    across = np.hypot(error[:, 0], error[:, 1])
-    upwards = np.abs(error[:, 2])
-    assert_figures(figures["horizontal"], across, horizontal_level(P, 0.05))
-    assert_figures(figures["vertical"], upwards, vertical_level(P, 0.05))
+    sizes = {"horizontal": np.hypot(error[:, 0], error[:, 1]), "vertical": np.abs(error[:, 2])}
+    for (kind, size), level in zip(sizes.items(), gaussian_levels(P, 0.05).T, strict=True):
+        assert_figures(figures[kind], size, level)
 
 
 @pytest.mark.parametrize("lost", [np.nan, np.inf])

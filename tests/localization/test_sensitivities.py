@@ -35,12 +35,6 @@ def test_the_gain_of_few_blocks_does_not_count():
     assert fit(w, np.where(w[..., None] > 0.0, 1.0, 0.0), 100.0).gain == 0.0
 
 
-def test_the_function_of_innovations_is_quadratic_then_linear():
-    np.testing.assert_allclose(
-        rho(np.array([0.0, -1.0, 2.0, 4.0, -6.0])), [0.0, 0.5, 2.0, 6.0, 10.0]
-    )
-
-
 def test_innovations_of_a_correct_log_are_white_and_those_of_a_wrong_one_are_not():
     (reading,) = readings(1)
     right, wrong = innovations([reading, late(3.0)(reading)])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mmwave_env.localization.log_noise import nearest_radio
-from mmwave_env.localization.readings import ELEVATION, Reading
+from mmwave_env.localization.readings import AZIMUTH, ELEVATION, Reading
 from mmwave_env.localization.shared_errors import (
     SCANNED_EPOCHS,
     scanned,
@@ -53,7 +53,7 @@ def sample(folder):
 
 ERRORS = {  # name -> (error, its size, in the unit of the suspect)
     "azimuths are turned": (turned(3.0), [3.0]),
-    "azimuths of arrival are turned": (shifted(slice(1, -1, 4), by=np.radians(-4.0)), [-4.0]),
+    "azimuths of arrival are turned": (shifted(AZIMUTH, by=np.radians(-4.0)), [-4.0]),
     "elevations are too large": (tilted(3.0), [3.0]),
     "ranges are too long": (late(30.0), [30.0]),
     "ranges of anchor 2 are too long": (shifted(slice(4, 5), by=12.0), [12.0]),
