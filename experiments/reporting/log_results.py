@@ -5,7 +5,6 @@ With ``--diagnose``, it reports facts about the log, and its likely mistakes.
 
 import warnings
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -66,7 +65,6 @@ from mmwave_env.localization.track_scores import (
     warn_if_far,
 )
 from mmwave_env.logs.log import Log, read_log, read_paths
-from mmwave_env.logs.log_tables import LogError
 from mmwave_env.logs.truth import Truth
 from mmwave_env.models.layout import require_clock
 from mmwave_env.models.radio import Radio
@@ -85,13 +83,13 @@ def diagnosed(args: LogArgs, files: "Inputs", scene: Scene) -> None:
         LogError: the log is damaged.
         ValueError: no epoch determines a position with which a track could begin.
     """
-    read = partial(read_log, files.log, scene, odometry=False, limits=False, clock=args.clock)
-    log = None
-    if args.clock != "free":  # with a free clock, links may always be incomplete
-        with suppress(LogError):  # columns may be missing
-            log = read()
-    if log is None or not log.visible[:, 0].any():
-        log = read(partial=True, snr_db=args.snr)
+    log = read_log(
+        files.log, scene, odometry=False, limits=False, snr_db=args.snr, clock=args.clock
+    )
+    if args.clock != "free" and "snr_db" in log.columns:
+        whole = log.whole()
+        if whole.visible[:, 0].any():  # with some columns, links are always incomplete
+            log = whole
     name = nearest_radio(log, scene) if args.radio == AUTO else args.radio
     radio = radio_of(args, name)
     mode = modes_of(args, name)[-1]
@@ -250,8 +248,7 @@ def _work(args: LogArgs, files: Inputs, scene: Scene) -> Work:
         log, association = associate(paths, scene, radio, fast)
     else:
         log = read_log(
-            files.log, scene, args.odometry, partial=True, snr_db=args.snr,
-            clock=args.clock,
+            files.log, scene, args.odometry, snr_db=args.snr, clock=args.clock,
         )  # fmt: skip
         name = nearest_radio(log, scene) if args.radio == AUTO else args.radio
         radio = radio_of(args, name)

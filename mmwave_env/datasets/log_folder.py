@@ -46,7 +46,7 @@ def read_log_folder(folder: Path, clock: str = "synchronized") -> MeasuredTrack:
     path = log_of(folder)
     scene = read_scene(folder / SCENE)
     truth = Truth(folder / TRUTH)
-    log = read_log(path, scene, partial=True, clock=clock)
+    log = read_log(path, scene, clock=clock)
     if log.damage:
         raise log.damage
     whole = log.whole()

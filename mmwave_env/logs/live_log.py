@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mmwave_env.logs.log import Log, PathEpoch, layout_of, log_of, path_epochs, places
+from mmwave_env.logs.log import Log, PathEpoch, log_of, path_epochs, places
 from mmwave_env.logs.log_checks import MOST_PATHS, first_damage, without_lost
 from mmwave_env.logs.log_columns import BODY, LOST, QUANTITIES, STATION, USER
 from mmwave_env.logs.log_tables import LogError, LogFile, Table, log_file, parse, words_of
@@ -145,13 +145,12 @@ class LiveLog:
         """Set the names of the columns, in any order; refuse wrong ones."""
         scene = self._scene
         log = log_file(
-            self._source, names, self._delimiter, scene.hz_per_mps,
-            associated=self._associated, partial=True,
+            self._source, names, self._delimiter, scene, snr_db=self._snr_db, clock=self._clock,
+            associated=self._associated,
         )  # fmt: skip
-        self.layout = layout_of(log, scene, True, self._clock, self._snr_db)
-        self._checked = self.layout if self._associated else None
+        self.layout = log.layout
         self._log = log
-        self._make = partial(_log, log, scene, self.layout, self._snr_db)
+        self._make = partial(_log, log)
         self._names = [*names]
         columns = self._log.columns
         corrected = bool(scene.bearing_deg or scene.range_offset_m or scene.range_offset_sigma_m)
@@ -223,7 +222,7 @@ class LiveLog:
 
     def paths(self, epoch: LiveEpoch) -> PathEpoch:
         """Return the paths of an epoch."""
-        (of_epoch,) = path_epochs(_table(self._log, epoch.rows), self._scene, self._snr_db)
+        (of_epoch,) = path_epochs(_table(self._log, epoch.rows))
         return of_epoch
 
     def forget(self, users: list[str]) -> None:
@@ -325,7 +324,7 @@ class LiveLog:
         table = parse(self._log, [row], number)
         cells = table.cells.ravel().tolist()
         if cells and (table.damage or not self._plain(cells)):
-            table, notes = without_lost(table, self._checked)
+            table, notes = without_lost(table)
             self._require_sound(table)
             for name, note in notes.items():
                 self._report(name, note)
@@ -369,7 +368,7 @@ class LiveLog:
         return known and not isnan(cells[self._time])
 
     def _require_sound(self, table: Table) -> None:
-        _, damage = first_damage(table, self._checked, limits=True)
+        _, damage = first_damage(table)
         if damage:
             raise damage
 
@@ -404,15 +403,8 @@ def _table(
     return Table(file, np.full(len(rows), number), np.array(rows, float), user=users)
 
 
-def _log(
-    file: LogFile,
-    scene: Scene,
-    layout: Layout,
-    snr_db: float | None,
-    rows: list[list[float]],
-    users: Index | None = None,
-) -> Log:
-    return log_of(_table(file, rows, users=users), scene, layout, True, snr_db)
+def _log(file: LogFile, rows: list[list[float]], users: Index | None = None) -> Log:
+    return log_of(_table(file, rows, users=users))
 
 
 def _goes_on_at(arrived: _Arrivals, time_s: float) -> bool:

@@ -13,7 +13,6 @@ have a Doppler shift, because it is not known yet which path belongs to the base
 needs a range and an azimuth of arrival, and an SNR or standard deviations.
 """
 
-import math
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -24,15 +23,12 @@ import numpy as np
 
 from mmwave_env.logs.log_checks import sound_epochs
 from mmwave_env.logs.log_columns import (
-    BODY,
     DIFFERENCE,
     LINK_QUANTITIES,
-    QUANTITIES,
-    ROW_QUANTITIES,
     SIGMA_OF,
     STATION,
 )
-from mmwave_env.logs.log_tables import Arrays, LogError, LogFile, Table, read_table
+from mmwave_env.logs.log_tables import Arrays, LogError, Table, read_table
 from mmwave_env.models.layout import Layout, whole_groups, without_noise, wrap_angles, wrapped
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import PI, Array, Index, Mask
@@ -40,17 +36,20 @@ from mmwave_env.numerics.numbers import PI, Array, Index, Mask
 
 @dataclass(frozen=True, eq=False)
 class Log(Arrays):
-    """T epochs of a log; values in groups that are not visible are meaningless."""
+    """T epochs of a log; values in groups that are not visible are meaningless.
+
+    The layout of a log that was read is partial: single values may be missing.
+    """
 
     layout: Layout  # a measurement's values, in order; groups are links, Doppler shift, odometry
     time_s: Array  # (T,) increasing
     measurement: Array  # (T, rows) m, rad, Hz, m/s; angles in [-pi, pi)
     sigma: Array  # (T, rows) the receiver's own standard deviations; NaN where it states none
-    # (T, groups) whether the group can be used. All its values must be measured; links and the
-    # Doppler shift also need an SNR. In a partial layout, one value with known noise is enough
+    # (T, groups) whether the group can be used: a value with known noise was measured. If the
+    # layout is not partial, all values must be measured; links and Doppler shift also need an SNR
     visible: Mask
-    # (T, groups) whether the group is left out because a value or the SNR is missing. In a partial
-    # layout, whether a value of the group is left out because its noise is unknown
+    # (T, groups) whether a value of the group is left out because its noise is unknown. If the
+    # layout is not partial, whether the group is left out because a value or the SNR is missing
     incomplete: Mask
     doppler_anchor: Index  # (T,) index, from 0, of the anchor with the Doppler shift
     snr_db: Array  # (T, L); -inf (no signal) where no SNR was measured
@@ -66,9 +65,10 @@ class Log(Arrays):
     def whole(self) -> "Log":
         """Return the log in the plain (not partial) layout; incomplete groups are not visible."""
         layout = replace(self.layout, partial=False)
-        visible, _ = whole_groups(self.measurement, np.isfinite(self.snr_db), layout)
+        visible, lost = whole_groups(self.measurement, np.isfinite(self.snr_db), layout)
         visible[:, layout.anchors] &= self.doppler_anchor == 0
-        return replace(self, layout=layout, visible=visible & self.visible)
+        incomplete = self.incomplete | lost
+        return replace(self, layout=layout, visible=visible & self.visible, incomplete=incomplete)
 
 
 def read_log(
@@ -76,7 +76,6 @@ def read_log(
     scene: Scene,
     odometry: bool = True,
     limits: bool = True,
-    partial: bool = False,
     snr_db: float | None = None,
     clock: str = "synchronized",
 ) -> Log:
@@ -96,8 +95,6 @@ def read_log(
             has it.
         limits: whether to refuse values beyond physical limits, and to wrap angles; False to
             diagnose a log.
-        partial: whether a link may lack some of its values, in some epochs or everywhere, and
-            any anchor may have the Doppler shift.
         snr_db: SNR to assume for links without an SNR.
         clock: state of the user's clock, one of :data:`~mmwave_env.models.layout.CLOCKS`.
 
@@ -110,10 +107,9 @@ def read_log(
             or its first damaged row.
         OSError: the file can't be read, or needs more memory than there is.
     """
-    table = read_table(path, scene.hz_per_mps, odometry=odometry, partial=partial)
-    layout = layout_of(table.file, scene, partial, clock, snr_db)
-    table, damage = sound_epochs(table, layout, limits)
-    log = log_of(table, scene, layout, limits, snr_db)
+    table = read_table(path, scene, snr_db=snr_db, clock=clock, odometry=odometry)
+    table, damage = sound_epochs(table, limits)
+    log = log_of(table, limits)
     if not len(log):
         raise damage or LogError(f"{path}: found no rows below the header, expected at least one")
     if not log.visible.any():
@@ -142,40 +138,6 @@ def _warn_without_reference(table: Table) -> None:
         )
 
 
-def layout_of(
-    file: LogFile, scene: Scene, partial: bool, clock: str, snr_db: float | None
-) -> Layout:
-    """Return the layout of a log; :func:`read_log` describes the arguments.
-
-    Raises:
-        LogError: a partial log has measurements with neither a standard deviation nor an SNR, or
-            no range contains the bias of the clock, as round-trip times do not.
-    """
-    if snr_db is not None and not math.isfinite(snr_db):
-        raise LogError(f"snr: found {snr_db} dB, expected a finite number")
-    columns = file.columns
-    for quantity in (*ROW_QUANTITIES, STATION, BODY) if partial and snr_db is None else ():
-        if quantity in columns and columns.keys().isdisjoint(("snr", SIGMA_OF[quantity])):
-            own = next(iter(QUANTITIES[SIGMA_OF[quantity]].columns))
-            raise LogError(
-                f"{file.path}: columns: found {columns[quantity].name} without its noise, "
-                f"expected {own} or snr_db, or --snr DB for all links"
-            )
-    if clock != "synchronized" and ("toa" not in columns or columns["toa"].name.startswith("rtt")):
-        times = columns.get("toa")
-        problem = f"round-trip times ({times.name})" if times else "no range"
-        raise LogError(
-            f"{file.path}: clock: found the setting {clock!r}, but the log has {problem}; expected "
-            "one-way times or ranges, such as toa_s, or the setting 'synchronized'"
-        )
-    if clock != "free" and "toa" in columns and columns["toa"].name.startswith(DIFFERENCE):
-        raise LogError(
-            f"{file.path}: clock: found time differences ({columns['toa'].name}) and the setting "
-            f"{clock!r}, expected the setting 'free', in which only differences of ranges count"
-        )
-    return Layout(len(scene.anchors_m), "speed" in columns, partial, clock)
-
-
 def places(layout: Layout) -> dict[str, tuple[int, int]]:
     """Return the place of every quantity in an array that contains all numbers of an epoch.
 
@@ -192,11 +154,13 @@ def places(layout: Layout) -> dict[str, tuple[int, int]]:
     return rows | sigmas | more
 
 
-def log_of(table: Table, scene: Scene, layout: Layout, wrap: bool, snr_db: float | None) -> Log:
-    """Convert the rows of complete epochs to a log."""
+def log_of(table: Table, wrap: bool = True) -> Log:
+    """Convert the rows of complete epochs to a log; wrap its angles unless ``wrap`` is False."""
+    file = table.file
+    layout = file.layout
     epoch = table.epoch
     anchor = table["anchor"].astype(np.int64) - 1
-    links = table.links(scene)[anchor, np.arange(len(anchor))]
+    links = table.links()[anchor, np.arange(len(anchor))]
     starts = table.starts
     T = len(starts)
     size = layout.size
@@ -210,28 +174,24 @@ def log_of(table: Table, scene: Scene, layout: Layout, wrap: bool, snr_db: float
         placed, [size, 2 * size, 2 * size + layout.anchors], axis=1
     )
     ranges = sigma[:, layout.ranges]
-    np.hypot(ranges, scene.offset_sigmas_m, out=ranges)
-    if snr_db is not None:
-        snr[np.isnan(snr)] = snr_db
+    np.hypot(ranges, file.scene.offset_sigmas_m, out=ranges)
+    if file.snr_db is not None:
+        snr[np.isnan(snr)] = file.snr_db
     if wrap:
         wrap_angles(measurement, layout)
     of_doppler = table.first(np.where(np.isnan(table["doppler"]), np.nan, anchor))
     shifted = np.nan_to_num(of_doppler).astype(np.int64)
-    visible, incomplete = whole_groups(measurement, np.isfinite(snr), layout)
-    if not layout.partial:
-        visible[:, layout.anchors] &= shifted == 0
-    else:
-        lost = without_noise(measurement, sigma, np.isfinite(snr), shifted, layout)
-        measurement[lost] = np.nan
-        visible, _ = whole_groups(measurement, np.isfinite(snr), layout)
-        incomplete = np.logical_or.reduceat(lost, layout.starts, axis=1)
+    heard = np.isfinite(snr)
+    lost = without_noise(measurement, sigma, heard, shifted, layout)
+    measurement[lost] = np.nan
+    visible, _ = whole_groups(measurement, heard, layout)
     return Log(
         layout=layout,
         time_s=table["time"][starts],
         measurement=measurement,
         sigma=sigma,
         visible=visible,
-        incomplete=incomplete,
+        incomplete=np.logical_or.reduceat(lost, layout.starts, axis=1),
         doppler_anchor=shifted,
         snr_db=np.where(np.isnan(snr), -np.inf, snr),
         doppler_spread_hz=np.nan_to_num(spread[:, 0]),
@@ -279,25 +239,26 @@ def read_paths(
         LogError: as for :func:`read_log`; also for too many paths in an epoch.
         OSError: as for :func:`read_log`.
     """
-    table = read_table(path, scene.hz_per_mps, odometry=odometry, associated=False)
-    layout = layout_of(table.file, scene, True, "synchronized", snr_db)
-    table, damage = sound_epochs(table, None, limits=True)
-    epochs = list(path_epochs(table, scene, snr_db))
+    table = read_table(path, scene, snr_db=snr_db, odometry=odometry, associated=False)
+    table, damage = sound_epochs(table, limits=True)
+    epochs = list(path_epochs(table))
     if not any(len(epoch.snr_db) for epoch in epochs):
         raise damage or LogError(
             f"{path}: found no complete path in {len(epochs)} epochs, expected at least one"
         )
     whole = all(np.isnan(epoch.sigma).all() for epoch in epochs)
-    return PathLog(replace(layout, partial=not whole), epochs, damage, STATION in table.columns)
+    layout = replace(table.file.layout, partial=not whole)
+    return PathLog(layout, epochs, damage, STATION in table.columns)
 
 
-def path_epochs(table: Table, scene: Scene, snr_db: float | None) -> Iterator[PathEpoch]:
-    """Yield the complete paths of every epoch; ``snr_db`` is as for :func:`read_log`."""
+def path_epochs(table: Table) -> Iterator[PathEpoch]:
+    """Yield the complete paths of every epoch."""
+    scene = table.file.scene
     snr = table["snr"]
-    if snr_db is not None:
-        snr = np.where(np.isnan(snr), snr_db, snr)
+    if table.file.snr_db is not None:
+        snr = np.where(np.isnan(snr), table.file.snr_db, snr)
     time = table["time"]
-    links = table.links(scene)
+    links = table.links()
     doppler = table["doppler"]
     sigma = np.column_stack([table[SIGMA_OF[quantity]] for quantity in LINK_QUANTITIES])
     missing = np.isnan(links[0])

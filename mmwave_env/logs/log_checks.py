@@ -11,7 +11,6 @@ import numpy as np
 from mmwave_env.logs.log_columns import DEVIATIONS, LOST, QUANTITIES, SIGMA_OF, STATION
 from mmwave_env.logs.log_tables import LogError, Table
 from mmwave_env.models import envelope
-from mmwave_env.models.layout import Layout
 from mmwave_env.numerics.numbers import Array, Mask
 
 MOST_PATHS = 1000  # maximum number of paths in an epoch of a log without anchor numbers
@@ -19,34 +18,30 @@ _UNKNOWN = 1e9  # deviations of this size, in any unit, say that the noise is no
 _WRONG_UNIT = 0.5  # with a larger share of values beyond its limits, a column has a wrong unit
 
 
-def sound_epochs(
-    table: Table, layout: Layout | None, limits: bool
-) -> tuple[Table, LogError | None]:
+def sound_epochs(table: Table, limits: bool) -> tuple[Table, LogError | None]:
     """Check the rows of a log; return those of all epochs before the first damage, and its error.
 
     Repeated rows are left out. They, and cells that :func:`without_lost` empties, cause a warning.
 
     Args:
         table: the rows.
-        layout: layout of the log; None if rows are paths without anchor numbers.
         limits: whether to refuse columns that are mostly beyond physical limits.
     """
-    table, notes = without_lost(table, layout, _WRONG_UNIT if limits else 0.0)
-    if layout and (repeated := _repeated(table)).any():
-        first = table.file.place(table.rows[np.argmax(repeated)])
+    table, notes = without_lost(table, _WRONG_UNIT if limits else 0.0)
+    file = table.file
+    if file.associated and (repeated := _repeated(table)).any():
+        first = file.place(table.rows[np.argmax(repeated)])
         notes["repeated rows"] = f"repeated rows: {repeated.sum()} ({first})"
         table = table.part(~repeated)
     if notes:
         listed = "; ".join(notes.values())
-        warnings.warn(f"{table.file.path}: left out: {listed}", stacklevel=3)
-    damaged, error = first_damage(table, layout, limits)
-    anchors = layout.anchors if layout else None
+        warnings.warn(f"{file.path}: left out: {listed}", stacklevel=3)
+    damaged, error = first_damage(table, limits)
+    anchors = file.layout.anchors if file.associated else None
     return table.part(slice(_end_of_epochs(table.raw("time"), damaged, anchors))), error
 
 
-def without_lost(
-    table: Table, layout: Layout | None, most: float = 1.0
-) -> tuple[Table, dict[str, str]]:
+def without_lost(table: Table, most: float = 1.0) -> tuple[Table, dict[str, str]]:
     """Empty the cells that mean "lost", are infinite, or are beyond physical limits.
 
     If a standard deviation is emptied, its value is, too. If more than a share ``most`` of a column
@@ -68,7 +63,7 @@ def without_lost(
         lost = np.isinf(raw) | np.isin(abs(raw), LOST) | (minus_one & (raw == -1.0))
         if quantity in DEVIATIONS:  # many drivers write such numbers if they don't know it
             lost |= (raw <= 0.0) | (raw >= _UNKNOWN)
-        beyond = _beyond(table, quantity, layout) & ~lost
+        beyond = _beyond(table, quantity) & ~lost
         if beyond.sum() <= most * (~np.isnan(raw) & ~lost).sum():
             lost |= beyond
         if lost.any():
@@ -113,14 +108,14 @@ class _Check(NamedTuple):
     words: Callable[[int], str] | None = None  # row -> what was found; if None, the cell is shown
 
 
-def first_damage(table: Table, layout: Layout | None, limits: bool) -> tuple[int, LogError | None]:
+def first_damage(table: Table, limits: bool = True) -> tuple[int, LogError | None]:
     """Return the first damaged row's index and error; if there is none, the row count and None."""
     n = len(table)
     first, error = (n - 1, table.damage) if table.damage else (n, None)
     if not n:
         return first, error
     with np.errstate(invalid="ignore", over="ignore"):  # times may be infinite
-        for check in chain(_checks(table, layout), _limits(table, layout) if limits else ()):
+        for check in chain(_checks(table), _limits(table) if limits else ()):
             row = int(np.argmax(check.wrong))
             if check.wrong[row] and row < first:
                 number = _show(table.raw(check.quantity)[row])
@@ -130,7 +125,7 @@ def first_damage(table: Table, layout: Layout | None, limits: bool) -> tuple[int
     return first, error
 
 
-def _checks(table: Table, layout: Layout | None) -> Iterator[_Check]:
+def _checks(table: Table) -> Iterator[_Check]:
     """Yield the checks that every log must pass."""
     time = table.raw("time")
     epoch = table.epoch
@@ -141,7 +136,9 @@ def _checks(table: Table, layout: Layout | None) -> Iterator[_Check]:
         "times in increasing order, and the rows of an epoch together",
         lambda row: f"{_show(time[row])} after {_show(time[row - 1])}",
     )
-    if layout is None:
+    if table.file.associated:
+        yield from _anchor_checks(table, table.file.layout.anchors)
+    else:
         number = np.arange(len(epoch)) - np.searchsorted(epoch, epoch)  # path's index in its epoch
         yield _Check(
             "time",
@@ -149,8 +146,6 @@ def _checks(table: Table, layout: Layout | None) -> Iterator[_Check]:
             f"at most {MOST_PATHS}",
             lambda row: f"{number[row] + 1} paths at the same time",
         )
-    else:
-        yield from _anchor_checks(table, layout.anchors)
     for quantity in table.columns:
         if QUANTITIES[quantity].per_epoch:
             yield _one_value(table, quantity)
@@ -189,18 +184,18 @@ def _one_value(table: Table, quantity: str) -> _Check:
     )
 
 
-def _beyond(table: Table, quantity: str, layout: Layout | None) -> Mask:
+def _beyond(table: Table, quantity: str) -> Mask:
     """Tell which values (n,) are beyond the limits of their quantity."""
     column = table.columns[quantity]
     raw = table.raw(quantity)
-    negative = quantity == "toa" and layout and layout.has_bias  # the user's clock may be behind
+    negative = quantity == "toa" and table.file.layout.has_bias  # the user's clock may be behind
     return (raw < (-column.high if negative else column.low)) | (raw > column.high)
 
 
-def _limits(table: Table, layout: Layout | None) -> Iterator[_Check]:
+def _limits(table: Table) -> Iterator[_Check]:
     """Yield the checks that values are within physical limits."""
     for quantity in table.columns:
-        yield _limit(table, quantity, _beyond(table, quantity, layout))
+        yield _limit(table, quantity, _beyond(table, quantity))
     step_s = np.diff(table["time"], prepend=np.nan)
     shortest = envelope.STEP_S.least or 0.0
     yield _Check(

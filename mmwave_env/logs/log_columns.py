@@ -164,9 +164,7 @@ DEVIATIONS = list(SIGMA_OF.values())
 # numbers that mean "lost" in the files of some receivers, with either sign, in any unit
 USER = "ue"  # name of the column that names the users of live rows
 LOST = (999.0, 9999.0, 99999.0, 999999.0, 32767.0, 32768.0, 65535.0)
-ROW_QUANTITIES = (*LINK_QUANTITIES, "doppler")  # quantities that belong to an anchor
 HORIZONTAL = ("toa", "aoa_azimuth", STATION, "aod_azimuth", BODY)  # a log needs one or more of them
-_WHOLE = (*LINK_QUANTITIES, "snr")  # required unless links may lack values
 _OF_PATHS = ("toa", "aoa_azimuth")  # required of paths
 _OTHER_FRAMES = {  # angle: (angle in another frame, quantity required in place of the angle)
     "aoa_azimuth": (STATION, STATION),
@@ -187,17 +185,15 @@ class Column(NamedTuple):
 def columns_of(
     names: Sequence[str],
     hz_per_mps: float,
-    odometry: bool = True,
-    associated: bool = True,
-    partial: bool = False,
+    odometry: bool,
+    associated: bool,
 ) -> dict[str, Column]:
     """Return the columns of a log by quantity, from the names of all its columns.
 
     If ``odometry`` is False, columns of odometry are ignored, except a heading that angles need; if
     ``associated`` is False, a column of anchors is ignored. A Doppler shift in m/s is multiplied by
-    ``hz_per_mps``, f_c / c. Paths (not ``associated``) need a range and an azimuth of arrival. If
-    ``partial`` is True, one quantity of :data:`HORIZONTAL` is enough; otherwise the range, the
-    three angles and the SNR are required. Columns named "" are ignored.
+    ``hz_per_mps``, f_c / c. Paths (not ``associated``) need a range and an azimuth of arrival;
+    otherwise, one quantity of :data:`HORIZONTAL` is enough. Columns named "" are ignored.
 
     Raises:
         ValueError: a name is unknown or lacks its unit, or a quantity occurs twice or is
@@ -224,7 +220,7 @@ def columns_of(
     ignored = () if odometry else ("speed",) if BODY in columns else ODOMETRY_QUANTITIES
     for quantity in ignored if associated else (*ignored, "anchor"):
         columns.pop(quantity, None)
-    _require(columns, names, associated, partial)
+    _require(columns, names, associated)
     return columns
 
 
@@ -234,20 +230,15 @@ def _twice(name: str, other: str, expected: str) -> ValueError:
     return ValueError(f"columns: found {both}, expected {expected}")
 
 
-def _require(
-    columns: dict[str, Column], names: Sequence[str], associated: bool, partial: bool
-) -> None:
+def _require(columns: dict[str, Column], names: Sequence[str], associated: bool) -> None:
     """Refuse columns if some are missing or contradict each other."""
-    if associated:
-        required = ["time", "anchor", *(() if partial else _WHOLE)]
-    else:
-        required = ["time", *_OF_PATHS]
+    required = ["time", "anchor"] if associated else ["time", *_OF_PATHS]
     for usual, (other, needed) in _OTHER_FRAMES.items():
         if other in columns:
             if usual in columns:
                 raise _twice(columns[usual].name, columns[other].name, f"{usual} in only one frame")
             required = [*(quantity for quantity in required if quantity != usual), needed]
-    if partial and columns.keys().isdisjoint(HORIZONTAL):
+    if associated and columns.keys().isdisjoint(HORIZONTAL):
         known = ", ".join(next(iter(QUANTITIES[quantity].columns)) for quantity in HORIZONTAL)
         raise ValueError(
             f"columns: found {', '.join(names)}, which say nothing about the horizontal position, "
@@ -262,6 +253,29 @@ def _require(
                 f"columns: found no {quantity} in {', '.join(names)}, expected "
                 f"{_one_of(row.columns)}, {row.meaning}"
             )
+
+
+def require_clock_and_noise(columns: dict[str, Column], clock: str, has_snr: bool) -> None:
+    """Refuse a clock that contradicts the ranges, and measurements without deviation or SNR."""
+    for quantity, sigma in SIGMA_OF.items():
+        if quantity in columns and not (has_snr or "snr" in columns or sigma in columns):
+            own = next(iter(QUANTITIES[sigma].columns))
+            raise ValueError(
+                f"columns: found {columns[quantity].name} without its noise, expected {own} or "
+                "snr_db, or --snr DB for all links"
+            )
+    times = columns["toa"].name if "toa" in columns else ""
+    if clock != "synchronized" and (not times or times.startswith("rtt")):
+        problem = f"round-trip times ({times})" if times else "no range"
+        raise ValueError(
+            f"clock: found the setting {clock!r}, but the log has {problem}; expected one-way "
+            "times or ranges, such as toa_s, or the setting 'synchronized'"
+        )
+    if clock != "free" and times.startswith(DIFFERENCE):
+        raise ValueError(
+            f"clock: found time differences ({times}) and the setting {clock!r}, expected the "
+            "setting 'free', in which only differences of ranges count"
+        )
 
 
 def _problem(name: str) -> str:

@@ -14,14 +14,23 @@ from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from mmwave_env.io.files import open_regular
 from mmwave_env.io.lookup import quoted, require_extra
 from mmwave_env.logs.lines import number, read_lines, require_memory
-from mmwave_env.logs.log_columns import BODY, QUANTITY_OF, STATION, Column, Unit, columns_of
+from mmwave_env.logs.log_columns import (
+    BODY,
+    QUANTITY_OF,
+    STATION,
+    Column,
+    Unit,
+    columns_of,
+    require_clock_and_noise,
+)
+from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import seen_from_image
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Index, Mask
@@ -69,20 +78,28 @@ class Arrays:
         return replace(last, **{n: np.concatenate([getattr(p, n) for p in parts]) for n in names})
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LogFile:
     """A log of which only the header was read."""
 
     path: Path  # path of the file
     columns: dict[str, Column]  # the columns that are used, by quantity
     names: Sequence[str]  # names of all columns in the file; "" if a column has none
-    unnamed: list[int]  # indices of the columns without a name, which may number the rows
-    delimiter: str = ","  # character between the cells of a CSV file
+    delimiter: str  # character between the cells of a CSV file
+    scene: Scene  # scene whose anchors were measured
+    layout: Layout  # layout of an epoch
+    snr_db: float | None  # SNR to assume for links without an SNR
+    associated: bool  # whether rows belong to anchors; if False, they are paths
 
     @cached_property
     def numbers(self) -> list[int]:
         """Return the indices of the columns that are used."""
         return [column.number for column in self.columns.values()]
+
+    @cached_property
+    def unnamed(self) -> list[int]:
+        """Return the indices of the columns without a name, which may number the rows."""
+        return [i for i, name in enumerate(self.names) if not name]
 
     def quick_numbers(self, line: str, words: Sequence[str]) -> list[float] | None:
         """Return the numbers of a line, NaN for empty cells; None if it needs a closer look."""
@@ -154,7 +171,7 @@ class Table(Arrays):
         first[self.epoch[some]] = values[some]  # backwards, so that the first row's value remains
         return first
 
-    def links(self, scene: Scene) -> Array:
+    def links(self) -> Array:
         """Return (L, n, 4) ranges (m) and angles (rad), as each anchor would have measured them.
 
         The scene's ``range_offset_m`` and ``bearing_deg`` are subtracted; but a departure relative
@@ -162,6 +179,7 @@ class Table(Arrays):
         :data:`STATION`, all angles of arrival were measured at the base station, anchor 1. If a
         path belongs to a mirror image of the base station, its angles at the image are different.
         """
+        scene = self.file.scene
         bearing = math.radians(scene.bearing_deg)
         departure = self["aod_azimuth"] - bearing
         if BODY in self.columns:  # departures are NaN in epochs without a heading
@@ -181,27 +199,39 @@ class Table(Arrays):
 
 
 def log_file(
-    path: Path, names: Sequence[str], delimiter: str, hz_per_mps: float, **options: bool
+    path: Path,
+    names: Sequence[str],
+    delimiter: str,
+    scene: Scene,
+    snr_db: float | None = None,
+    clock: str = "synchronized",
+    odometry: bool = True,
+    associated: bool = True,
 ) -> LogFile:
     """Return the description of a log with these columns.
 
-    :func:`~mmwave_env.logs.log_columns.columns_of` describes ``hz_per_mps`` and ``options``.
+    :func:`~mmwave_env.logs.log.read_log` describes the other arguments. If ``associated`` is False,
+    rows are paths, and a column of anchors is ignored.
 
     Raises:
-        LogError: a column is wrong or missing.
+        LogError: a column is wrong or missing, a measurement has neither a standard deviation nor
+            an SNR, or no range contains the bias of the clock, as round-trip times do not.
     """
+    if snr_db is not None and not math.isfinite(snr_db):
+        raise LogError(f"snr: found {snr_db} dB, expected a finite number")
     try:
-        columns = columns_of(names, hz_per_mps, **options)
+        columns = columns_of(names, scene.hz_per_mps, odometry, associated)
+        require_clock_and_noise(columns, clock, snr_db is not None)
     except ValueError as error:
         raise LogError(f"{path}: {error}") from error
-    unnamed = [i for i, name in enumerate(names) if not name]
-    return LogFile(path, columns, names, unnamed, delimiter)
+    layout = Layout(len(scene.anchors_m), "speed" in columns, True, clock)
+    return LogFile(path, columns, names, delimiter, scene, layout, snr_db, associated)
 
 
-def read_table(path: Path, hz_per_mps: float, **options: bool) -> Table:
+def read_table(path: Path, scene: Scene, **options: Any) -> Table:
     """Read the rows of a CSV (plain or gzipped) or Parquet file, up to the first damage, if any.
 
-    :func:`~mmwave_env.logs.log_columns.columns_of` describes ``hz_per_mps`` and ``options``.
+    The ``options`` are those of :func:`log_file`.
 
     Raises:
         LogError: the file has another format, or a column is wrong or missing.
@@ -211,7 +241,7 @@ def read_table(path: Path, hz_per_mps: float, **options: bool) -> Table:
     if not path.name.lower().endswith(SUFFIXES):
         raise LogError(f"{path}: found {path.suffix!r}, expected one of {', '.join(SUFFIXES)}")
     if _is_parquet(path):
-        return _read_parquet(path, hz_per_mps, **options)
+        return _read_parquet(path, scene, **options)
     lines, problem = read_lines(path)
     if not lines:
         raise LogError(f"{path}: found {problem or 'an empty file'}, expected a measurement log")
@@ -222,7 +252,7 @@ def read_table(path: Path, hz_per_mps: float, **options: bool) -> Table:
     first = words_of(lines[1], delimiter) if len(lines) > 1 else []
     if len(first) == len(names) + 1 and first[0].isdigit() and first[-1]:
         names = ["", *names]  # R names the rows, but not their column
-    file = log_file(path, names, delimiter, hz_per_mps, **options)
+    file = log_file(path, names, delimiter, scene, **options)
     table = parse(file, lines[1:], 2)
     if problem and not table.damage:
         return _ending(table, len(lines) + 1, problem)
@@ -336,7 +366,7 @@ def _ending(table: Table, row: int, problem: str) -> Table:
     return Table(table.file, np.append(table.rows, row), cells, damage)
 
 
-def _read_parquet(path: Path, hz_per_mps: float, **options: bool) -> Table:
+def _read_parquet(path: Path, scene: Scene, **options: Any) -> Table:
     require_extra("pyarrow", "data", f"{path}: Parquet")
     import pyarrow
     from pyarrow import parquet
@@ -354,7 +384,7 @@ def _read_parquet(path: Path, hz_per_mps: float, **options: bool) -> Table:
             "" if name in index and name not in QUANTITY_OF else _UNNAMED.sub("", name)
             for name in schema.names
         ]
-        file = log_file(path, known, "", hz_per_mps, **options)
+        file = log_file(path, known, "", scene, **options)
         names = [column.name for column in file.columns.values()]
         types = pyarrow.types
         numeric = [types.is_floating, types.is_integer, types.is_decimal, types.is_null]

@@ -132,7 +132,7 @@ def test_the_track_equals_the_result_of_the_python_function_localize(tmp_path):
     assert results["truth"]["risk"] == 0.2
     scene = read_scene(RIDE / "scene.json")
     modes = (robust(default_modes("high")[1]),)
-    log = read_log(RIDE / "log.csv", scene, partial=True)
+    log = read_log(RIDE / "log.csv", scene)
     track = localize(log, scene, RADIOS["high"], Switching(modes), window=50, height_m=1.5)
     np.testing.assert_array_equal(read_tum(out).position_m, track.smooth_x[:, :3])
 

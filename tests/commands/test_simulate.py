@@ -36,7 +36,7 @@ def test_simulate_writes_the_episode_that_evaluate_draws_with_the_same_seed(tmp_
 def test_odometry_is_written_and_the_options_are_recorded_in_the_truth_file(tmp_path):
     options = ["--scenario", "jam", "--seed", "3", "--odometry", "--scene", "o1", "--radio", "high"]
     simulate(tmp_path, *options)
-    block = read_log(tmp_path / "log.csv", read_scene(tmp_path / "scene.json"))
+    block = read_log(tmp_path / "log.csv", read_scene(tmp_path / "scene.json")).whole()
     assert block.layout == Layout(3, odometry=True) and block.visible[:, -1].any()
     header, *poses = (tmp_path / "truth.tum").read_text().splitlines()
     made_by = re.fullmatch(r"# t x y z qx qy qz qw; mmwave-loc simulate (.*)", header).group(1)
@@ -58,8 +58,8 @@ def test_the_command_reproduces_the_shipped_sample_logs(tmp_path, name):
     for a, b in zip(*(read_tum(folder / "truth.tum") for folder in (ours, theirs)), strict=True):
         assert_array_equal(a, b)
     # Bytes are not compared, because another libm may round the last digit differently.
-    a = read_log(ours / "log.csv", scene)
-    b = read_log(theirs / "log.csv", scene)
+    a = read_log(ours / "log.csv", scene).whole()
+    b = read_log(theirs / "log.csv", scene).whole()
     assert_array_equal(a.visible, b.visible)
     for field in ("time_s", "measurement", "snr_db", "doppler_spread_hz"):
         assert_allclose(getattr(a, field), getattr(b, field), rtol=1e-9, atol=1e-9, equal_nan=True)

@@ -72,7 +72,7 @@ def test_a_custom_filter_can_localize_the_user_of_a_log(iekf, tmp_path):
     tracks = []
     for algorithm in (partial(iekf, iterations=1), "ekf"):
         switching = Switching((Mode("m", algorithm),))
-        log = read_log(tmp_path / "log.csv", scene)
+        log = read_log(tmp_path / "log.csv", scene).whole()
         tracks.append(localize(log, scene, RADIOS["handset"], switching))
     own, ours = tracks
     assert_allclose(own.smooth_x, ours.smooth_x, rtol=1e-6, atol=1e-6)

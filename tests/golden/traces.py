@@ -60,7 +60,7 @@ def smoother(log, mode):
 def _localized(log, mode, window=None):
     scene = read_scene(LOGS / log / "scene.json")
     modes = Bank(default_modes(RADIO)) if mode == "imm" else (named_modes(RADIO)[mode],)
-    rows = read_log(LOGS / log / "log.csv", scene)
+    rows = read_log(LOGS / log / "log.csv", scene).whole()
     return localize(rows, scene, radio_from(RADIO), Switching(modes), window=window)
 
 

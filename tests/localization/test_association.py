@@ -82,7 +82,7 @@ def test_a_shipped_log_without_anchor_numbers_gives_nearly_the_same_track(tmp_pa
     episode = track.episode("standard", np.random.default_rng(0))
     hide_anchors(path, episode, false_paths=5, seed=1)
     block, figures = associated(read_paths(path, track.scene), track.scene)
-    true = read_log(LOGS / name / "log.csv", track.scene)
+    true = read_log(LOGS / name / "log.csv", track.scene).whole()
     ours = block.visible[:, :3]
     links = true.visible[:, :3]
     same = (block.measurement == true.measurement)[:, :12].reshape(-1, 3, 4).all(axis=2)

@@ -27,7 +27,7 @@ def log_of(folder, scene, radio, kind, seed):
     """Write a simulated log and read it back."""
     episode = sampled(SimulatedSource(scene, radio, kind), seed)
     write_log(folder / "log.csv", episode)
-    return read_log(folder / "log.csv", scene)
+    return read_log(folder / "log.csv", scene).whole()
 
 
 @pytest.fixture(scope="module")

@@ -47,8 +47,8 @@ def doubts(log, scene, radio=RADIO):
 
 def findings(path, scene, partial=False):
     """Diagnose a log; return the findings, the most likely finding first."""
-    block = read_log(path, scene, odometry=False, limits=False, partial=partial)
-    return diagnose(Reading(block, scene, RADIO, MODES[1]))
+    log = read_log(path, scene, odometry=False, limits=False)
+    return diagnose(Reading(log if partial else log.whole(), scene, RADIO, MODES[1]))
 
 
 def reordered(scene, order):
@@ -66,7 +66,7 @@ def wrong_log(tmp_path, folder, mistake):
 @both
 def test_a_correct_log_is_diagnosed_as_consistent(folder):
     scene = read_scene(folder / "scene.json")
-    log = read_log(folder / "log.csv", scene)
+    log = read_log(folder / "log.csv", scene).whole()
     assert not doubts(log, scene)
     best, *others = findings(folder / "log.csv", scene)
     assert best.hypothesis == AS_IT_IS and not best.contradictions
@@ -85,7 +85,7 @@ def test_a_mistake_is_refused_or_causes_a_warning_and_is_diagnosed(tmp_path, fol
     scene = read_scene(folder / "scene.json")
     path = wrong_log(tmp_path, folder, MISTAKES[name])
     with suppress(ValueError, UserWarning):
-        log = read_log(path, scene)
+        log = read_log(path, scene).whole()
         assert log.damage or doubts(log, scene)
     best, second, *_ = findings(path, scene)
     assert best.hypothesis == name and not best.contradictions and best.cure
@@ -97,7 +97,7 @@ def test_a_mistake_is_refused_or_causes_a_warning_and_is_diagnosed(tmp_path, fol
 def test_a_wrong_order_of_anchors_causes_a_warning_and_is_diagnosed(folder, order):
     right = read_scene(folder / "scene.json")
     scene = reordered(right, order)
-    assert doubts(read_log(folder / "log.csv", scene), scene)
+    assert doubts(read_log(folder / "log.csv", scene).whole(), scene)
     best = findings(folder / "log.csv", scene)[0]
     # These are the numbers that the log's anchors 1, 2 and 3 have in the wrong scene.
     names = ", ".join(str(order.index(n) + 1) for n in (1, 2, 3))
@@ -140,12 +140,12 @@ def test_a_rotated_frame_is_diagnosed_with_its_angle_and_the_corrected_scene(tmp
     folder = FOLDERS[0]
     scene = read_scene(folder / "scene.json")
     path = wrong_log(tmp_path, folder, linear(1.0, *AZIMUTHS, offset=0.7))
-    assert doubts(read_log(path, scene), scene)
+    assert doubts(read_log(path, scene).whole(), scene)
     best, second, *_ = findings(path, scene)
     assert best.shared and not best.contradictions and second.contradictions
     assert best.hypothesis.startswith("azimuths are turned by 40.")
     assert best.scene.bearing_deg == pytest.approx(np.degrees(0.7), abs=0.2)
-    assert not doubts(read_log(path, best.scene), best.scene)
+    assert not doubts(read_log(path, best.scene).whole(), best.scene)
 
 
 @pytest.mark.parametrize(("name", "sign", "degrees"), [
@@ -162,7 +162,7 @@ def test_compass_bearings_are_diagnosed_if_the_x_axis_is_known(tmp_path, name, s
 
 def test_the_radio_of_a_log_is_diagnosed_and_the_log_is_not_changed():
     scene = read_scene(FOLDERS[0] / "scene.json")
-    block = read_log(FOLDERS[0] / "log.csv", scene, limits=False)
+    block = read_log(FOLDERS[0] / "log.csv", scene, limits=False).whole()
     before = deepcopy(block)
     best = diagnose(Reading(block, scene, RADIOS["handset"], MODES[1]))[0]
     assert best.hypothesis == "radio is standard" and not best.contradictions

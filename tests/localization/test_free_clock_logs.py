@@ -87,7 +87,7 @@ def test_a_clock_that_jumps_and_a_fifth_of_wild_ranges_cost_little(tmp_path, see
     radio = replace(RADIOS["handset"], start_velocity_mps=1.0)
     medians = []
     for name in ("all.csv", "right.csv"):
-        log = read_log(tmp_path / name, scene, partial=True, snr_db=20.0, clock="free")
+        log = read_log(tmp_path / name, scene, snr_db=20.0, clock="free")
         track = localize(log, scene, radio, switching, None, HEIGHT_M, correlation_s=0.3)
         assert len(track) > 0.97 * len(log)
         true = np.array([truth[round(t, 3)] for t in track.time_s])

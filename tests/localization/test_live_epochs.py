@@ -87,7 +87,7 @@ def test_live_epochs_equal_epochs_of_a_log_to_the_last_bit(tmp_path, name):
         writer = csv.DictWriter(file, list(epochs[0][0]))
         writer.writeheader()
         writer.writerows(row for epoch in epochs for row in epoch)
-    log = read_log(path, SCENE, partial=True, **options)
+    log = read_log(path, SCENE, **options)
     track = localize(log, SCENE, RADIO, Switching((EKF,)), window=None)
     tracker = Tracker(SCENE, Switching((EKF,)), RADIO, lag=3, **options)
     with patch.object(

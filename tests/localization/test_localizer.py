@@ -53,7 +53,7 @@ def log(folder, odometry=False):
     visible[2, 0] = True
     path = folder / f"log{odometry}.csv"
     write_log(path, replace(episode, time_s=time, visible=visible))
-    block = read_log(path, SCENE)
+    block = read_log(path, SCENE).whole()
     assert len(block) == T and not block.visible[:2].any() and block.visible[2, 0]
     return block
 

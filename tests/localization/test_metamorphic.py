@@ -45,7 +45,7 @@ def with_anchors(scene, anchors_m):
 def track(folder, columns, scene, modes):
     """Write a log and localize it; return every array of the track by name."""
     write_columns(folder / "log.csv", columns)
-    log = read_log(folder / "log.csv", scene)
+    log = read_log(folder / "log.csv", scene).whole()
     return localize(log, scene, RADIO, Switching(modes)).arrays()
 
 

@@ -32,7 +32,7 @@ def written(folder, names, **others):
 
 
 def read(path, **options):
-    return read_log(path, SCENE, partial=True, **options)
+    return read_log(path, SCENE, **options)
 
 
 def test_a_link_that_lacks_one_value_is_used_with_its_other_values(tmp_path):

@@ -28,7 +28,7 @@ ROWS = walk(EPOCHS)  # for each epoch, its rows of the log as dicts by column
 
 def first_epochs():
     """Return the first epochs of the walk."""
-    return read_log(WALK / "log.csv", SCENE, partial=True).part(slice(EPOCHS))
+    return read_log(WALK / "log.csv", SCENE).part(slice(EPOCHS))
 
 
 def whole_track(switching, window=None):

@@ -46,7 +46,7 @@ def names(errors):
 def sample(folder):
     """Return a shipped log as a reading."""
     scene = read_scene(folder / "scene.json")
-    log = read_log(folder / "log.csv", scene, partial=True)
+    log = read_log(folder / "log.csv", scene)
     assert nearest_radio(log, scene) == "standard"
     return Reading(log, scene, RADIOS["standard"], mode_of("standard"))
 

@@ -54,7 +54,7 @@ def log_of(tmp_path, scene, rows, clock="synchronized"):
     path = tmp_path / "log.csv"
     lines = [",".join(rows[0]), *(",".join(map(repr, row.values())) for row in rows)]
     path.write_text("\n".join(lines) + "\n")
-    return read_log(path, scene, partial=True, clock=clock)
+    return read_log(path, scene, clock=clock)
 
 
 def places(t):

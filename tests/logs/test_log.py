@@ -39,7 +39,7 @@ from tests.logs.writing import write_log
 
 def test_every_number_is_read_into_its_array(tmp_path):
     block = read(store(tmp_path, text(rows())))
-    assert block.layout == Layout(L) and len(block) == 4
+    assert block.layout == Layout(L, partial=True) and len(block) == 4
     assert_array_equal(block.time_s, [0.0, 1.0, 2.0, 3.0])
     assert block.visible.all() and not block.incomplete.any()
     assert_allclose(block.measurement[2, 4], 4e-7 * SPEED_OF_LIGHT, rtol=1e-15)
@@ -90,12 +90,12 @@ def test_angles_of_departure_in_the_frame_of_the_body_are_turned_by_the_heading(
     departures = np.degrees(block.measurement[:, 3:12:4])
     assert_allclose(departures, [[-170.0] * 3, [-20.0] * 3])
     assert block.visible.all()
-    assert block.layout == Layout(L, odometry and bool(speed))
+    assert block.layout == Layout(L, odometry and bool(speed), partial=True)
 
 
 def test_a_link_is_incomplete_if_its_departure_needs_a_missing_heading(tmp_path):
     lines = [line | {"heading_deg": "90" if line["time_s"] == "1" else ""} for line in rows(2)]
-    block = read(store(tmp_path, in_body(text(lines))))
+    block = read(store(tmp_path, in_body(text(lines)))).whole()
     assert_array_equal(block.visible[:, :L], [[False] * 3, [True] * 3])
     assert_array_equal(block.incomplete[:, :L], [[True] * 3, [False] * 3])
 
@@ -146,7 +146,7 @@ def test_odometry_and_doppler_spread_may_be_in_any_or_all_rows_of_an_epoch(tmp_p
     for line in lines[place]:
         line.update(values)
     block = read(store(tmp_path, text(lines)))
-    assert block.layout == Layout(L, odometry=True)
+    assert block.layout == Layout(L, odometry=True, partial=True)
     assert_allclose(block.measurement[0, -2:], [2.0, -np.pi / 2])
     assert block.visible[:, -1].tolist() == [True, False]
     assert_allclose(block.doppler_spread_hz, [0.5 * SCENE.hz_per_mps, 0.0])
@@ -155,7 +155,7 @@ def test_odometry_and_doppler_spread_may_be_in_any_or_all_rows_of_an_epoch(tmp_p
 def test_columns_of_odometry_can_be_ignored(tmp_path):
     lines = [line | {"speed_mps": "fast"} for line in rows(2)]
     block = read(store(tmp_path, text(lines)), odometry=False)
-    assert block.layout == Layout(L) and block.visible.all()
+    assert block.layout == Layout(L, partial=True) and block.visible.all()
 
 
 def test_anchors_may_be_missing_and_in_any_order(tmp_path):
@@ -180,7 +180,7 @@ LINK_COLUMNS = ("toa_s", "aoa_azimuth_rad", "aoa_elevation_rad", "aod_azimuth_ra
 def test_a_link_that_lacks_a_value_is_incomplete(tmp_path, column, empty):
     lines = rows(2)
     lines[0][column] = lines[4][column] = empty
-    block = read(store(tmp_path, text(lines)))
+    block = read(store(tmp_path, text(lines))).whole()
     wrong = np.zeros((2, 4), bool)
     wrong[0, 0] = wrong[1, 1] = True
     wrong[0, 3] = column == "snr_db"  # the Doppler shift's noise follows from the SNR
@@ -244,7 +244,7 @@ def test_rows_that_r_has_numbered_are_read(tmp_path):
 def test_dates_become_seconds_since_1970_in_files_and_live(tmp_path, moment, unit):
     lines = [line | {"time_s": f'"{moment.format(line["time_s"])}"'} for line in rows()]
     content = text(lines).replace("time_s", f"time_{unit}")
-    log = read(store(tmp_path, content), partial=True)
+    log = read(store(tmp_path, content))
     assert_array_equal(log.time_s, 1_795_166_100.25 + np.arange(4))
     assert_same(read_live(content)[0], log, "line")
 
@@ -253,8 +253,8 @@ def test_equal_rows_are_left_out_and_counted_in_files_and_live(tmp_path):
     lines = rows()
     twice = [lines[0], lines[1], lines[0], *lines[2:6], lines[5], lines[4], *lines[6:]]
     with pytest.warns(UserWarning, match=r"left out: repeated rows: 3 \(line 4\)"):
-        log = read(store(tmp_path, text(twice)), partial=True)
-    assert_same(log, read(store(tmp_path, text(lines), "once.csv"), partial=True), "line")
+        log = read(store(tmp_path, text(twice)))
+    assert_same(log, read(store(tmp_path, text(lines), "once.csv")), "line")
     live, warnings = read_live(text(twice))
     assert_same(live, log, "line")
     assert warnings == ["left out: repeated rows (line 4)"]
@@ -265,8 +265,8 @@ def test_separators_line_ends_and_the_order_of_columns_do_not_change_what_is_rea
     plain = text(rows())
     other = VARIANTS[name](text(rows()))
     assert other != plain
-    same = read(store(tmp_path, other, "other.csv"), partial=True)
-    expected = read(store(tmp_path, plain), partial=True)
+    same = read(store(tmp_path, other, "other.csv"))
+    expected = read(store(tmp_path, plain))
     assert_same(same, expected, "line")
     assert_same(read_live(other)[0], expected, "line")
 
@@ -286,7 +286,7 @@ def test_an_episode_written_to_a_log_is_read_back(suffix, seed, odometry, hidden
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"log{suffix}"
         write_log(path, true)
-        block = read(path)
+        block = read(path).whole()
     assert block.layout == true.layout
     assert_array_equal(block.time_s, true.time_s)
     assert_array_equal(block.visible, true.usable)
@@ -343,7 +343,7 @@ def test_a_departure_relative_to_the_body_has_no_bearing(tmp_path):
 
 def test_the_uncertainty_of_offsets_adds_to_own_and_modelled_noise(tmp_path):
     lines = [line | {"range_sigma_m": "0.4"} for line in rows()]
-    log = read(store(tmp_path, text(lines)), CORRECTED, partial=True)
+    log = read(store(tmp_path, text(lines)), CORRECTED)
     own = np.hypot(0.4, [0.3, 0.0, 0.4])
     assert_allclose(log.sigma[:, 0:12:4], np.tile(own, (len(log), 1)))
     snr = np.full((1, L), 20.0)
@@ -360,4 +360,4 @@ def test_live_rows_are_corrected_like_those_of_a_file(tmp_path):
     epochs = [epoch for line in lines for epoch in live.add(line)]
     assert all(epoch.placed() is None for epoch in epochs)
     log = log_from([*epochs, *live.end_epoch()])
-    assert_same(log, read(store(tmp_path, content), CORRECTED, partial=True), "line")
+    assert_same(log, read(store(tmp_path, content), CORRECTED), "line")
