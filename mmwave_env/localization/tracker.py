@@ -571,13 +571,13 @@ class Trackers:
 def _rounds(epochs: Iterable[LiveEpoch]) -> Iterator[list[LiveEpoch]]:
     """Divide epochs into lists in which all have the same columns, and different users."""
     some: dict[str, LiveEpoch] = {}
-    make = None
+    columns = None
     for epoch in epochs:
-        if some and (epoch.user in some or epoch.make is not make):
+        if some and (epoch.user in some or epoch.columns is not columns):
             yield [*some.values()]
             some = {}
         some[epoch.user] = epoch
-        make = epoch.make
+        columns = epoch.columns
     if some:
         yield [*some.values()]
 

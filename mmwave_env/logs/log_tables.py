@@ -8,7 +8,7 @@ import csv
 import math
 import re
 from array import array
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
@@ -101,8 +101,9 @@ class LogFile:
         """Return the indices of the columns without a name, which may number the rows."""
         return [i for i, name in enumerate(self.names) if not name]
 
-    def quick_numbers(self, line: str, words: Sequence[str]) -> list[float] | None:
+    def quick_numbers(self, words: Sequence[str]) -> list[float] | None:
         """Return the numbers of a line, NaN for empty cells; None if it needs a closer look."""
+        line = "".join(words)
         if len(words) != len(self.names) or self.unnamed or "_" in line or not line.isascii():
             return None
         try:
@@ -253,7 +254,7 @@ def read_table(path: Path, scene: Scene, **options: Any) -> Table:
     if len(first) == len(names) + 1 and first[0].isdigit() and first[-1]:
         names = ["", *names]  # R names the rows, but not their column
     file = log_file(path, names, delimiter, scene, **options)
-    table = parse(file, lines[1:], 2)
+    table = parse(file, (words_of(line, delimiter) for line in lines[1:]), 2)
     if problem and not table.damage:
         return _ending(table, len(lines) + 1, problem)
     return table
@@ -288,19 +289,18 @@ def words_of(line: str, delimiter: str) -> list[str]:
     return line.split(delimiter)
 
 
-def parse(file: LogFile, lines: Sequence[str], first: int) -> Table:
+def parse(file: LogFile, lines: Iterable[list[str]], first: int) -> Table:
     """Parse lines up to the first damage; skip lines without content, and read blank cells as NaN.
 
-    ``first`` is the number of the first line.
+    ``first`` is the number of the first line. Lines are lists of cells.
     """
     cells = array("d")
     rows = array("q")
     damage = None
-    for row, line in enumerate(lines, start=first):
-        words = words_of(line, file.delimiter)
-        values = file.quick_numbers(line, words)
+    for row, words in enumerate(lines, start=first):
+        values = file.quick_numbers(words)
         if values is None:
-            values, damage = _careful(file, row, line, words)
+            values, damage = _careful(file, row, words)
         if values:
             cells.extend(values)
             rows.append(row)
@@ -310,9 +310,7 @@ def parse(file: LogFile, lines: Sequence[str], first: int) -> Table:
     return Table(file, np.array(rows), table, damage)
 
 
-def _careful(
-    file: LogFile, row: int, line: str, words: list[str]
-) -> tuple[list[float], LogError | None]:
+def _careful(file: LogFile, row: int, words: list[str]) -> tuple[list[float], LogError | None]:
     """Return the numbers of a line, none if it has no content, and its first damage, if any."""
     width = len(file.names)
     damage = None
@@ -336,7 +334,7 @@ def _careful(
                 damage = file.error(row, "", problem, "a name, or only numbers of rows")
     else:
         values = [math.nan] * len(file.columns)
-        count = f"{len(words)} cells" if len(words) > 1 else f"one cell, {line[:40]!r}"
+        count = f"{len(words)} cells" if len(words) > 1 else f"one cell, {words[0][:40]!r}"
         damage = file.error(row, "", count, f"{width}, as in the header")
     return values, damage
 
