@@ -166,15 +166,15 @@ class _Arrivals:
     late_s: list[float] = field(default_factory=list)  # increasing times of the latest, late rows
 
     def copy(self) -> "_Arrivals":
-        """Return the same with a copy of the rows, as it was before rows that are refused."""
+        """Return the same, as it was before rows that are refused; late ones still count."""
         return _Arrivals(self.rows.copy(), self.last, self.last_s, self.late_s)
 
     def goes_on_at(self, time_s: float) -> bool:
         """Tell whether so many late rows came in order that the log goes on at their time."""
+        if self.late_s and time_s < self.late_s[-1]:
+            self.late_s.clear()
         if not self.late_s or time_s > self.late_s[-1]:
             self.late_s.append(time_s)
-        elif time_s < self.late_s[-1]:
-            self.late_s = [time_s]
         if len(self.late_s) < _LATE:
             return False
         self.rows = []
@@ -320,7 +320,7 @@ class LiveLog:
         return [*over, *(epoch for user in users for epoch in self._end(user))]
 
     def end_epoch(self, rows: Iterable[Any] = ()) -> list[LiveEpoch]:
-        """End the epochs of the users of rows (mappings), or of all; return those that have rows."""
+        """End the epochs of the users of these mappings, or of all; return those that have rows."""
         users = dict.fromkeys(map(_user_of, rows)) or self._arrivals
         return [epoch for user in list(users) for epoch in self._end(user)]
 

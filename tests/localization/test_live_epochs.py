@@ -157,6 +157,7 @@ STREAMS = {  # name -> change of the time of an epoch, given its number; epochs 
     "one time in the future": (lambda n, t: t + 1e9 if n == 20 else t, 3),
     "a minute ahead for one epoch": (lambda n, t: t + 60.0 if n == 20 else t, 3),
     "a clock set back": (lambda n, t: t + 3600.0 if n < 30 else t, 2),
+    "a clock set back twice": (lambda n, t: t - 3600.0 * (n >= 30) - 1800.0 * (n >= 32), 4),
     "a week that wraps": (lambda n, t: (604_770.0 + t) % 604_800.0, 2),
     "a receiver that restarts": (lambda n, t: t - 30.0 * (n >= 30), 2),
 }
