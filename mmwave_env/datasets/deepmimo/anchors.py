@@ -34,19 +34,20 @@ REFLECTION = 1.0
 
 
 class StationPaths(NamedTuple):
-    """The paths between one base station and E receivers, at most P for each receiver.
+    """The n lines of sight and single reflections between one base station and E receivers.
 
-    All values of a reflection (``interactions`` 1) are finite, and so are all values of a line of
-    sight (``interactions`` 0) except ``bounce_m``. The values of other paths are meaningless.
+    All values are finite, except ``bounce_m`` of a line of sight. Other paths are left out.
     """
 
     position_m: Array  # (3,) position of the station
-    interactions: Array  # (E, P) 0 for a line of sight, 1 for one reflection, ...; NaN for no path
-    bounce_m: Array  # (E, P, 3) first point of interaction
-    gain_db: Array  # (E, P) 20 log10 of the amplitude
-    delay_s: Array  # (E, P) absolute delay
-    # arrival (at the receiver), departure (at the station): (E, P, 2) azimuth and zenith angle,
-    # rad, of the direction of propagation or of its opposite (see :func:`propagation`)
+    epoch: Index  # (n,) the receiver's epoch, from 0 to E - 1
+    path: Index  # (n,) number of the path among those of its receiver in the file, from 0
+    is_reflected: Mask  # (n,) whether it is a reflection, not a line of sight
+    bounce_m: Array  # (n, 3) point of reflection
+    gain_db: Array  # (n,) 20 log10 of the amplitude
+    delay_s: Array  # (n,) absolute delay
+    # arrival (at the receiver), departure (at the station): (n, 2) azimuth and zenith angle, rad,
+    # of the direction of propagation or of its opposite (see :func:`propagation`)
     arrival: Array
     departure: Array
     # function that takes an array's name and an epoch, and returns the array's file and a row in it
@@ -57,19 +58,23 @@ class StationPaths(NamedTuple):
         file, receiver = self.source(key, epoch)
         refuse_in(file, key, f"{value} of receiver {receiver}", expected)
 
+    def refuse_path(self, key: str, n: int, value: str, expected: str) -> NoReturn:
+        """Raise a ValueError about a path, which also names the path."""
+        self.refuse(key, self.epoch[n], f"{value} on path {self.path[n]}", expected)
+
 
 def propagation(angles: Array, sight: Array, direct: Mask) -> Array:
-    """Compute unit vectors (E, P, 3) along propagation from azimuths and zenith angles (E, P, 2).
+    """Compute unit vectors (n, 3) along propagation from azimuths and zenith angles (n, 2).
 
     Some converters store the direction of propagation, others its opposite. Paths on the line of
-    sight (``direct``) propagate along ``sight`` (E, 1, 3), so they show which direction is stored.
+    sight (``direct``) propagate along ``sight`` (n, 3), so they show which direction is stored.
     """
-    azimuth, zenith = np.moveaxis(angles, -1, 0)
+    azimuth, zenith = angles.T
     horizontal = np.sin(zenith)
-    unit = np.stack(
-        [horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), np.cos(zenith)], axis=-1
+    unit = np.column_stack(
+        [horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), np.cos(zenith)]
     )
-    along = np.sum(unit * sight, axis=-1)[direct]
+    along = np.sum(unit * sight, axis=1)[direct]
     return unit if np.median(along) > 0.0 else -unit
 
 
@@ -81,10 +86,10 @@ _TOLERANCES = (2.0 * TOLERANCE_M, 0.02, 0.02, 0.02)  # m, rad; wrong conventions
 class StationLinks(NamedTuple):
     """The anchors that the paths of a station lead to, and the paths' noise-free measurements."""
 
-    paths: StationPaths  # paths of the station, for E receivers, P paths each
+    paths: StationPaths  # n paths of the station
     anchors_m: Array  # (K, 3) position of the station, then of its images, in the order found
-    member: Index  # (E, P) index of the anchor that a path leads to; -1 for none
-    rows: Array  # (E, P, 4) values in the order of ``LINK``, m, rad; meaningless without an anchor
+    member: Index  # (n,) index of the anchor that a path leads to
+    rows: Array  # (n, 4) values in the order of ``LINK``, m, rad
 
     @property
     def is_ground(self) -> Mask:
@@ -95,14 +100,15 @@ class StationLinks(NamedTuple):
     @property
     def epochs_seen(self) -> Index:
         """Count the epochs in which each anchor (K,) is seen."""
-        epoch, path = np.nonzero(self.member >= 0)
-        pairs = np.unique(np.column_stack([epoch, self.member[epoch, path]]), axis=0)
+        pairs = np.unique(np.column_stack([self.paths.epoch, self.member]), axis=0)
         return np.bincount(pairs[:, 1], minlength=len(self.anchors_m))
 
-    def strongest(self, anchor: int) -> tuple[Mask, Index]:
-        """Return (E,) whether an anchor is seen, and (E,) the index of its strongest path."""
-        leads = self.member == anchor
-        return leads.any(axis=1), np.argmax(np.where(leads, self.paths.gain_db, -np.inf), axis=1)
+    def strongest(self, anchor: int) -> Index:
+        """Return the indices of the strongest paths to an anchor, one for each epoch with any."""
+        own = np.flatnonzero(self.member == anchor)
+        own = own[np.argsort(-self.paths.gain_db[own], kind="stable")]
+        _, first = np.unique(self.paths.epoch[own], return_index=True)
+        return own[first]
 
 
 def find_links(paths: StationPaths, position_m: Array) -> StationLinks:
@@ -112,39 +118,42 @@ def find_links(paths: StationPaths, position_m: Array) -> StationLinks:
         ValueError: a path contradicts the positions of receiver and anchor, or has a gain above
             0 dB, or there is no line of sight; the message names the file.
     """
-    anchors, member = _anchors(paths, position_m)
+    position = position_m[paths.epoch]
+    anchors, member = _anchors(paths, position)
     with np.errstate(all="ignore"):  # values that overflow are refused below
-        rows = _measure(paths, position_m, anchors, member)
-        _require_geometry(paths, position_m, anchors, member, rows)
-    gain = (member >= 0) & (paths.gain_db > 0.0)
-    if gain.any():
-        n, p = np.argwhere(gain)[0].tolist()
+        rows = _measure(paths, position, anchors, member)
+        _require_geometry(paths, position, anchors[member], rows)
+    loud = paths.gain_db > 0.0
+    if loud.any():
+        n = int(np.argmax(loud))
         expected = "a gain of at most 0 dB: are the values linear powers instead of dB?"
-        paths.refuse("power", n, f"{paths.gain_db[n, p]:.4g} dB on path {p}", expected)
+        paths.refuse_path("power", n, f"{paths.gain_db[n]:.4g} dB", expected)
     return StationLinks(paths, anchors, member, rows)
 
 
-def _anchors(paths: StationPaths, position_m: Array) -> tuple[Array, Index]:
-    """Return the station and its images (K, 3), and the anchor that each path (E, P) leads to."""
+def _anchors(paths: StationPaths, position: Array) -> tuple[Array, Index]:
+    """Return the station and its images (K, 3), and the anchor that each path (n,) leads to.
+
+    ``position`` (n, 3) is the position of each path's receiver, here and below.
+    """
     from scipy.spatial import cKDTree
 
     station = paths.position_m
-    q = paths.bounce_m
-    member = np.where(paths.interactions == LINE_OF_SIGHT, 0, -1)
-    if not (member == 0).any():
+    reflected = paths.is_reflected
+    if reflected.all():
         expected = "a line of sight in this epoch or a later one"
         paths.refuse("inter", 0, "no line of sight (0)", expected)
-    reflected = paths.interactions == REFLECTION
-    back = q - position_m[:, None]
+    q = paths.bounce_m[reflected]
+    back = q - position[reflected]
     with np.errstate(all="ignore"):  # a reflection at the receiver itself is refused below
-        away = np.linalg.norm(station - q, axis=-1, keepdims=True)
-        image = q + away * back / np.linalg.norm(back, axis=-1, keepdims=True)
-    nowhere = reflected & ~np.isfinite(image).all(axis=-1)
+        away = np.linalg.norm(station - q, axis=1, keepdims=True)
+        images = q + away * back / np.linalg.norm(back, axis=1, keepdims=True)
+    nowhere = ~np.isfinite(images).all(axis=1)
     if nowhere.any():
-        n, p = np.argwhere(nowhere)[0].tolist()
-        paths.refuse("inter_pos", n, f"a reflection at {q[n, p]}, the place", "another point")
+        n = int(np.argmax(nowhere))
+        epoch = paths.epoch[reflected][n]
+        paths.refuse("inter_pos", epoch, f"a reflection at {q[n]}, the place", "another point")
     anchors = [station]
-    images = image[reflected]
     leads = np.full(len(images), -1)
     tree = cKDTree(images)
     for i in range(len(images)):
@@ -153,39 +162,35 @@ def _anchors(paths: StationPaths, position_m: Array) -> tuple[Array, Index]:
             near = np.sort(near[leads[near] < 0])
             leads[near] = len(anchors)
             anchors.append(np.median(images[near], axis=0))
+    member = np.zeros(len(reflected), np.int64)
     member[reflected] = leads
     return np.array(anchors), member
 
 
-def _measure(paths: StationPaths, position_m: Array, anchors: Array, member: Index) -> Array:
-    """Compute the values (E, P, 4) of links, m and rad, as if each path came from its anchor."""
-    sight = (position_m - paths.position_m)[:, None]
-    direct = member == 0
+def _measure(paths: StationPaths, position: Array, anchors: Array, member: Index) -> Array:
+    """Compute the values (n, 4) of links, m and rad, as if each path came from its anchor."""
+    sight = position - paths.position_m
+    direct = ~paths.is_reflected
     arrival = propagation(paths.arrival, sight, direct)
     departure = propagation(paths.departure, sight, direct)
     normal = (anchors[0] - anchors)[member]  # normal of the mirror; zero for the line of sight
-    squared = np.maximum(np.sum(normal * normal, axis=-1, keepdims=True), np.finfo(float).tiny)
-    departure -= 2.0 * np.sum(departure * normal, axis=-1, keepdims=True) / squared * normal
-    _, azimuth, elevation = direction(list(np.moveaxis(arrival, -1, 0)))
-    _, leaving, _ = direction(list(np.moveaxis(departure, -1, 0)))
+    squared = np.maximum(np.sum(normal * normal, axis=1, keepdims=True), np.finfo(float).tiny)
+    departure -= 2.0 * np.sum(departure * normal, axis=1, keepdims=True) / squared * normal
+    _, azimuth, elevation = direction(list(arrival.T))
+    _, leaving, _ = direction(list(departure.T))
     rows = [SPEED_OF_LIGHT * paths.delay_s, azimuth, elevation, wrap(leaving + PI)]
-    return np.stack(rows, axis=-1)
+    return np.column_stack(rows)
 
 
-def _require_geometry(
-    paths: StationPaths, position_m: Array, anchors: Array, member: Index, rows: Array
-) -> None:
-    """Refuse links whose values (E, P, 4) contradict the positions of receiver and anchor."""
-    offset = position_m[:, None] - anchors[member]
-    distance, azimuth, elevation = direction(list(np.moveaxis(offset, -1, 0)))
-    exact = np.stack([distance, azimuth, elevation, wrap(azimuth + PI)], axis=-1)
+def _require_geometry(paths: StationPaths, position: Array, anchor: Array, rows: Array) -> None:
+    """Refuse links whose values (n, 4) contradict the positions of receiver and anchor (n, 3)."""
+    distance, azimuth, elevation = direction(list((position - anchor).T))
+    exact = np.column_stack([distance, azimuth, elevation, wrap(azimuth + PI)])
     error = np.abs(rows - exact)
-    error[..., 1:] = np.abs(wrap(rows[..., 1:] - exact[..., 1:]))
-    error[..., [1, 3]] *= np.cos(elevation)[..., None]  # azimuths are undefined at the zenith
-    wrong = (member >= 0)[..., None] & ~(error <= _TOLERANCES)
+    error[:, 1:] = np.abs(wrap(rows[:, 1:] - exact[:, 1:]))
+    error[:, [1, 3]] *= np.cos(elevation)[:, None]  # azimuths are undefined at the zenith
+    wrong = ~(error <= _TOLERANCES)
     if wrong.any():
-        n, p, row = np.argwhere(wrong)[0].tolist()
-        key = _ROW_KEYS[row]
-        seen_from = anchors[member[n, p]].round(4)
-        expected = f"{exact[n, p, row]:.4f}, seen from the anchor {seen_from}"
-        paths.refuse(key, n, f"{LINK[row]} {rows[n, p, row]:.4f} on path {p}", expected)
+        n, row = np.argwhere(wrong)[0].tolist()
+        expected = f"{exact[n, row]:.4f}, seen from the anchor {anchor[n].round(4)}"
+        paths.refuse_path(_ROW_KEYS[row], n, f"{LINK[row]} {rows[n, row]:.4f}", expected)

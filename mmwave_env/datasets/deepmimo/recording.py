@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from mmwave_env.datasets.deepmimo.anchors import (
-    LINE_OF_SIGHT,
     TOLERANCE_M,
     StationLinks,
     StationPaths,
@@ -86,10 +85,10 @@ def _recording(
     rows = np.full((*shape, len(LINK)), np.nan)
     gain_db = np.full(shape, np.nan)
     for a, (station, k) in enumerate(links):
-        visible, strongest = station.strongest(k)
-        paths = visible.nonzero()[0], strongest[visible]
-        rows[visible, a] = station.rows[paths]
-        gain_db[visible, a] = station.paths.gain_db[paths]
+        strongest = station.strongest(k)
+        epochs = station.paths.epoch[strongest]
+        rows[epochs, a] = station.rows[strongest]
+        gain_db[epochs, a] = station.paths.gain_db[strongest]
     return Recording.from_arrays(
         time_s=way.time_s,
         anchors_m=[station.anchors_m[k] for station, k in links],
@@ -155,7 +154,7 @@ def _links(
         epochs_seen = links.epochs_seen
         images.sort(key=lambda k: -epochs_seen[k])
         return [(links, k) for k in [0, *images[:virtual_anchors]]]
-    in_sight = [s for s in stations if (s.interactions == LINE_OF_SIGHT).any()]
+    in_sight = [station for station in stations if not station.is_reflected.all()]
     if not in_sight:
         expected = "a line of sight in this file or in the file of another station"
         stations[0].refuse("inter", 0, "no line of sight (0)", expected)

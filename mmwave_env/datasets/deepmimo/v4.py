@@ -81,7 +81,8 @@ class Scenario(NamedTuple):
     def positions(self, epochs: Index) -> Array:
         """Return the receivers' positions (E, 3), m, in ``epochs`` (E, 2) from :meth:`epochs`."""
         parts = []
-        for scene, rows in _by_scene(epochs):
+        for scene, own in _by_scene(epochs):
+            rows = epochs[own, 1]
             file = self.file(scene, "rx_pos", self.stations[0])
             parts.append(read_array(file, "rx_pos", (self.receivers, 3), rows))
             _require_finite(file, "rx_pos", parts[-1], rows)
@@ -181,43 +182,52 @@ def _stations(scene: Path, receiver_set: int | None) -> tuple[str, tuple[str, ..
 
 
 def _by_scene(epochs: Index) -> list[tuple[int, Index]]:
-    """Return the scenes of epochs (E, 2), each with the rows of its receivers."""
-    scenes, rows = epochs.T
-    return [(int(scene), rows[scenes == scene]) for scene in np.unique(scenes)]
+    """Return the scenes of epochs (E, 2), each with the indices of its epochs."""
+    scenes = epochs[:, 0]
+    return [(int(scene), np.flatnonzero(scenes == scene)) for scene in np.unique(scenes)]
 
 
 def _read_station(scenario: Scenario, epochs: Index, station: str) -> StationPaths:
-    scenes = [_read_scene(scenario, scene, station, rows) for scene, rows in _by_scene(epochs)]
-    here = scenes[0].pop("tx_pos")
-    for scene, arrays in enumerate(scenes[1:], start=1):
-        moved = arrays.pop("tx_pos")
-        if np.linalg.norm(moved - here) > TOLERANCE_M:
-            expected = f"{here[0].tolist()}, as in the first scene: stations must not move"
-            file = scenario.file(scene, "tx_pos", station)
-            refuse_in(file, "tx_pos", moved[0].tolist(), expected)
-    path = {key: _stacked([arrays[key] for arrays in scenes]) for key in scenes[0]}
+    scenes = [_read_scene(scenario, station, epochs, *part) for part in _by_scene(epochs)]
+    path = {key: np.concatenate([arrays[key] for arrays in scenes]) for key in scenes[0]}
+    places = path["tx_pos"]
+    moved = np.linalg.norm(places - places[0], axis=1) > TOLERANCE_M
+    if moved.any():
+        scene = int(np.argmax(moved))
+        expected = f"{places[0].tolist()}, as in the first scene: stations must not move"
+        file = scenario.file(scene, "tx_pos", station)
+        refuse_in(file, "tx_pos", places[scene].tolist(), expected)
 
     def source(key: str, epoch: int) -> tuple[Path, int]:
         scene, row = epochs[epoch].tolist()
         return scenario.file(scene, key, station), row
 
     return StationPaths(
-        position_m=here[0],
-        interactions=path["inter"],
+        position_m=places[0],
+        epoch=path["epoch"],
+        path=path["path"],
+        is_reflected=path["inter"] == REFLECTION,
         bounce_m=path["inter_pos"],
         gain_db=path["power"],
         delay_s=path["delay"],
-        arrival=np.radians(np.stack([path["aoa_az"], path["aoa_el"]], axis=-1)),
-        departure=np.radians(np.stack([path["aod_az"], path["aod_el"]], axis=-1)),
+        arrival=np.radians(np.column_stack([path["aoa_az"], path["aoa_el"]])),
+        departure=np.radians(np.column_stack([path["aod_az"], path["aod_el"]])),
         source=source,
     )
 
 
-def _read_scene(scenario: Scenario, scene: int, station: str, rows: Index) -> dict[str, Array]:
-    """Read the arrays (R, P, ...) of some receivers in a scene, and ``tx_pos`` (1, 3)."""
+def _read_scene(
+    scenario: Scenario, station: str, epochs: Index, scene: int, own: Index
+) -> dict[str, Array]:
+    """Read the arrays (n, ...) of the paths in a scene, and ``tx_pos`` (1, 3).
 
-    def read(key: str, *shape: int | str, rows: Index | None = rows) -> Array:
-        return read_array(scenario.file(scene, key, station), key, shape, rows)
+    Paths that are neither lines of sight nor single reflections are left out. ``own`` are the
+    indices of the scene's epochs.
+    """
+    receivers = epochs[own, 1]
+
+    def read(key: str, *shape: int | str) -> Array:
+        return read_array(scenario.file(scene, key, station), key, shape, receivers)
 
     N = scenario.receivers
     inter = read("inter", N, "P")
@@ -225,18 +235,22 @@ def _read_scene(scenario: Scenario, scene: int, station: str, rows: Index) -> di
     points = read("inter_pos", N, P, "I", 3)  # the largest array; refused if it is too large
     bounce = points[:, :, 0] if points.shape[2] else np.full((*inter.shape, 3), np.nan)
     reflected = inter == REFLECTION
+    used = reflected | (inter == LINE_OF_SIGHT)
     keys = ("power", "delay", "aoa_az", "aoa_el", "aod_az", "aod_el")
-    arrays = {key: read(key, N, P) for key in keys}
-    arrays |= {"tx_pos": read("tx_pos", 1, 3, rows=None), "inter_pos": bounce}
-    used: dict[str, Mask | bool] = dict.fromkeys(keys, (inter == LINE_OF_SIGHT) | reflected)
-    used |= {"tx_pos": True, "inter_pos": reflected[..., None]}
-    for key, needed in used.items():
-        _require_finite(scenario.file(scene, key, station), key, arrays[key], rows, needed)
-    return arrays | {"inter": inter}
+    arrays = {key: read(key, N, P) for key in keys} | {"inter_pos": bounce}
+    for key, array in arrays.items():
+        needed = reflected[..., None] if key == "inter_pos" else used
+        _require_finite(scenario.file(scene, key, station), key, array, receivers, needed)
+    file = scenario.file(scene, "tx_pos", station)
+    here = read_array(file, "tx_pos", (1, 3))
+    _require_finite(file, "tx_pos", here, range(1))
+    epoch, path = np.nonzero(used)
+    of_paths = {key: array[used] for key, array in (arrays | {"inter": inter}).items()}
+    return of_paths | {"tx_pos": here, "epoch": own[epoch], "path": path}
 
 
 def _require_finite(
-    file: Path, key: str, array: Array, rows: Index, needed: Mask | bool = True
+    file: Path, key: str, array: Array, rows: Index | range, needed: Mask | bool = True
 ) -> None:
     """Refuse NaN and infinity in an array (R, ...) of receivers' ``rows``, where it is needed."""
     bad = ~np.isfinite(array) & needed
@@ -244,17 +258,6 @@ def _require_finite(
         row, *rest = index = np.argwhere(bad)[0].tolist()
         place = ", ".join(map(str, [rows[row], *rest]))
         refuse_in(file, f"{key}[{place}]", array[tuple(index)], "a finite number")
-
-
-def _stacked(scenes: Sequence[Array]) -> Array:
-    """Stack the arrays (R, P, ...) of scenes, padded with NaN to the largest number of paths."""
-    most = max(array.shape[1] for array in scenes)
-    padded = []
-    for array in scenes:
-        missing = np.zeros((array.ndim, 2), int)
-        missing[1, 1] = most - array.shape[1]
-        padded.append(np.pad(array, missing, constant_values=np.nan))
-    return np.concatenate(padded)
 
 
 Shape = tuple[int | str, ...]
