@@ -9,21 +9,25 @@ from mmwave_env.datasets.deepmimo.v4 import PARAMS
 from mmwave_env.datasets.recorded import MeasuredTrack
 from mmwave_env.io.files import write_json, write_text
 from mmwave_env.io.lookup import as_name
-from mmwave_env.logs.log import read_log
+from mmwave_env.logs.log import places, read_log
+from mmwave_env.logs.log_columns import DEVIATIONS, QUANTITIES, QUANTITY_OF
 from mmwave_env.logs.log_tables import SUFFIXES
 from mmwave_env.logs.truth import Truth, velocity_of
 from mmwave_env.logs.tum import COLUMNS, tum_lines
 from mmwave_env.models.layout import LINK, sigma_name, wrapped
-from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.scene import Scene, read_scene, scene_json
-from mmwave_env.numerics.numbers import PI, Array, Index
+from mmwave_env.numerics.numbers import PI, Array
 from mmwave_env.world.episode import NEUTRAL_SNR_DB, Episode
 
 LOG = "log.csv"
 SCENE = "scene.json"
 TRUTH = "truth.tum"
 _LOGS = tuple(f"log{suffix}" for suffix in SUFFIXES)
+_COLUMNS = (  # written besides times and anchors, in this order
+    "toa_s", *LINK[1:], "doppler_hz", "snr_db", "doppler_spread_hz",
+    *map(sigma_name, (*LINK, "doppler_hz")), "speed_mps", "heading_rad",
+)  # fmt: skip
 
 
 def read_log_folder(folder: Path, clock: str = "synchronized") -> MeasuredTrack:
@@ -138,29 +142,26 @@ def log_columns(episode: Episode) -> dict[str, Array]:
     if layout.partial:
         heard &= episode.snr_db != NEUTRAL_SNR_DB  # this value means that no SNR was measured
 
-    def of_links(values: Array, row: int) -> Array:
-        return values[:, row : layout.doppler : 4].ravel()
-
-    def of_epochs(values: Array, anchor: Index | int = 0) -> Array:
-        out = np.full((T, L), np.nan)
-        out[epochs, anchor] = values
-        return out.ravel()
-
-    columns = {
+    heard_db = np.where(heard, episode.snr_db, np.nan)
+    numbers = np.column_stack([measured, sigma, heard_db, episode.doppler_spread_hz])
+    columns: dict[str, Array] = {
         "time_s": np.repeat(episode.time_s, L),
         "anchor": np.tile(np.arange(1, L + 1), T),
-        "toa_s": of_links(measured, 0) / SPEED_OF_LIGHT,
-        **{name: of_links(measured, row) for row, name in enumerate(LINK) if row},
-        "doppler_hz": of_epochs(measured[:, layout.doppler], shifted),
-        "snr_db": np.where(heard, episode.snr_db, np.nan).ravel(),
-        "doppler_spread_hz": of_epochs(episode.doppler_spread_hz),
     }
-    if layout.partial:
-        columns |= {sigma_name(name): of_links(sigma, row) for row, name in enumerate(LINK)}
-        columns[sigma_name("doppler_hz")] = of_epochs(sigma[:, layout.doppler], shifted)
-    if layout.odometry:
-        columns["speed_mps"] = of_epochs(measured[:, layout.doppler + 1])
-        columns["heading_rad"] = of_epochs(measured[:, layout.doppler + 2])
+    at = places(layout)
+    for name in _COLUMNS:
+        quantity = QUANTITY_OF[name]
+        if quantity not in at or (quantity in DEVIATIONS and not layout.partial):
+            continue
+        first, step = at[quantity]
+        values = np.full((T, L), np.nan)
+        if step:
+            values[:] = numbers[:, first + step * np.arange(L)]
+        else:
+            owner = shifted if name.startswith(("doppler_hz", "doppler_sigma")) else 0
+            values[epochs, owner] = numbers[:, first]
+        unit = QUANTITIES[quantity].columns[name]
+        columns[name] = values.ravel() * unit.divide / unit.multiply
     return columns
 
 
