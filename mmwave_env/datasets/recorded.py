@@ -41,7 +41,10 @@ _ENOUGH = 20  # minimum number of epochs for a median
 
 
 class Received(NamedTuple):
-    """The measurements of T epochs."""
+    """The measurements of T epochs.
+
+    The ranges of a receiver whose clock has an unknown offset contain the offset's bias.
+    """
 
     measurement: Array  # (T, rows)
     snr_db: Array  # (T, L)
@@ -115,11 +118,6 @@ class Track(ABC):
         if self.layout.has_bias:
             mean = np.append(mean, 0.0)
             covariance = radio.prior_covariance(self.scene, self.layout.clock)
-            if received.bias_hz is not None:
-                (own,) = rng.spawn(1)
-                drift_mps = received.bias_hz / self.scene.hz_per_mps
-                bias_m = clock_bias(self.layout.clock, drift_mps, self.time_s[epochs], own)
-                received.measurement[:, self.layout.ranges] += bias_m[:, None]
         return Episode.measured(
             self.name,
             self.scene,
@@ -376,6 +374,10 @@ class Recording(Track):
         measurement = self.measurement[epochs] + sigma * rng.standard_normal(sigma.shape)
         bias = oscillator_bias(radio, scene.hz_per_mps, self.time_s[epochs], rng)
         measurement[:, layout.doppler] += bias
+        if layout.has_bias:
+            (own,) = rng.spawn(1)
+            bias_m = clock_bias(layout.clock, bias / scene.hz_per_mps, self.time_s[epochs], own)
+            measurement[:, layout.ranges] += bias_m[:, None]
         wrap_angles(measurement, layout)
         speed = np.linalg.norm(self.velocity_mps[epochs], axis=1)
         spread_hz = doppler_spread(radio, scene.hz_per_mps, speed, rng)

@@ -12,6 +12,7 @@ import numpy as np
 from mmwave_env.io.files import AnyPath, read_text
 from mmwave_env.io.lookup import is_name, quoted
 from mmwave_env.io.records import Printable
+from mmwave_env.logs.lines import number
 from mmwave_env.world.checks import refuse_in
 from mmwave_env.world.trajectory import Scenario, Trajectory, Ways
 
@@ -68,20 +69,14 @@ def _rows(file: Path) -> Iterator[tuple[int, str, list[float]]]:
             user = row.get(ID, "")
             if ID in row and not is_name(user):
                 refuse_in(file, f"{line}, column {ID}", quoted(user), Printable.expected)
-            numbers = [_number(file, f"{line}, column {name}", row[name]) for name in names]
+            numbers = [number(row[name]) for name in names]
+            for name, value in zip(names, numbers, strict=True):
+                if not math.isfinite(value):
+                    cell = f"{line}, column {name}"
+                    refuse_in(file, cell, quoted(row[name]), "a finite number")
             yield reader.line_num, user, numbers
     except csv.Error as error:
         raise ValueError(f"{file}: found text that is not CSV ({error}), expected CSV") from error
-
-
-def _number(file: Path, cell: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        refuse_in(file, cell, quoted(text), "a finite number")
-    return value
 
 
 def scenario_from(scenario: Scenario) -> Scenario:

@@ -30,8 +30,6 @@ class Truth:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._poses = read_tum(path)
-        self.first_s = float(self._poses.time_s[0])
-        self.last_s = float(self._poses.time_s[-1])
 
     @cached_property
     def _spline(self) -> Any:
@@ -65,10 +63,11 @@ class Truth:
         """
         if 2 * matched >= len(time_s):
             return
+        own_s = self._poses.time_s
         problem = (
             f"{self.path}: found a true position for {matched} of the log's {len(time_s)} epochs, "
             f"expected at least half; the log's times are {time_s[0]:.13g} to {time_s[-1]:.13g} s, "
-            f"those of this file {self.first_s:.13g} to {self.last_s:.13g} s: are both in seconds "
+            f"those of this file {own_s[0]:.13g} to {own_s[-1]:.13g} s: are both in seconds "
             f"and by the same clock, and are there gaps of more than {BRIDGED_S:g} s in this file?"
         )
         if not matched:

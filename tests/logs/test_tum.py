@@ -141,4 +141,3 @@ def test_poses_are_interpolated_but_not_across_gaps(tmp_path_factory, poses, epo
     position = np.random.default_rng(0).standard_normal((len(pose_s), 3))
     truth = truth_of(tmp_path_factory.mktemp("truth"), pose_s, position)
     np.testing.assert_allclose(truth.at(time_s), expected(pose_s, position, time_s), atol=1e-9)
-    assert (truth.first_s, truth.last_s) == (pose_s[0], pose_s[-1])
