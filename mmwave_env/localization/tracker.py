@@ -19,7 +19,7 @@ from mmwave_env.localization.map_files import geodetic
 from mmwave_env.localization.position_errors import gaussian_levels
 from mmwave_env.localization.segments import DOUBTFUL_GAP_S
 from mmwave_env.localization.starts import Doubt, Start, deviations_of
-from mmwave_env.logs.live_log import LiveEpoch, LiveLog, log_of_users
+from mmwave_env.logs.live_log import LiveEpoch, LiveLog, log_from
 from mmwave_env.logs.log import Log
 from mmwave_env.models.layout import Layout, require_clock
 from mmwave_env.models.prior import GAP_S
@@ -470,7 +470,7 @@ class Trackers:
         @cache
         def voting() -> Log:
             tracker = self._beginner
-            log = log_of_users(epochs)
+            log = log_from(epochs)
             sigma = deviations_of(log, tracker._scene, tracker._radio)
             return replace(log, sigma=sigma)
 
@@ -513,7 +513,7 @@ class Trackers:
         engine = self._engine(count)
         times = [epoch.time_s for epoch in epochs]
         if starts:
-            log = log_of_users(epochs)
+            log = log_from(epochs)
             rows = [log.part(slice(i, i + 1)) for i in range(count)]
             episodes = [localizer.episode(*pair) for pair in zip(rows, starts, strict=True)]
             engine.load(episodes, np.arange(count))
@@ -552,7 +552,7 @@ class Trackers:
         if len(epochs) < _MANY:
             rows, visible, _ = zip(*map(tracker._incoming, epochs), strict=True)
             return np.array(rows), np.array(visible)
-        log = log_of_users(epochs)
+        log = log_from(epochs)
         # An episode's times must increase; the gaps of users are set later.
         episode = tracker._localizer.episode(replace(log, time_s=np.arange(float(len(log)))))
         return episode.table(), log.visible

@@ -21,7 +21,7 @@ from mmwave_env.logs.log_tables import LogError, LogFile, Table, log_file, parse
 from mmwave_env.models import envelope
 from mmwave_env.models.layout import Layout, wrapped
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.numbers import PI, Index
+from mmwave_env.numerics.numbers import PI
 
 _NUMBERS = {float, int, np.float64}  # types that need no parsing; others are parsed as text
 _LOST = {-1.0, *LOST, *(-code for code in LOST)}  # numbers that need the full checks
@@ -85,9 +85,12 @@ class LiveColumns:
         """Return the time of a row."""
         return float(self.file.columns["time"].unit.convert(cells[self.time]))
 
-    def table(self, rows: list[list[float]], number: int = 0, users: Index | None = None) -> Table:
-        """Return rows as a table; ``users`` (n,) are the numbers of their users, if several."""
-        return Table(self.file, np.full(len(rows), number), np.array(rows, float), user=users)
+    def table(self, epochs: list[list[list[float]]], number: int = 0) -> Table:
+        """Return the rows of epochs as a table; ``number`` is that of the rows in the source."""
+        rows = [row for rows in epochs for row in rows]
+        epoch_of_row = np.repeat(np.arange(len(epochs)), list(map(len, epochs)))
+        numbers = np.full(len(rows), number)
+        return Table(self.file, numbers, np.array(rows, float), epoch_of_row=epoch_of_row)
 
     def placed(self, rows: list[list[float]]) -> tuple[list[float], int] | None:
         """Return :meth:`LiveEpoch.placed` of an epoch's rows."""
@@ -125,7 +128,7 @@ class LiveEpoch(NamedTuple):
 
     def log(self) -> Log:
         """Return the epoch as a log, T = 1."""
-        return log_of(self.columns.table(self.rows))
+        return log_of(self.columns.table([self.rows]))
 
     def placed(self) -> tuple[list[float], int] | None:
         """Return all values, and the index, from 0, of the anchor with the Doppler shift.
@@ -138,22 +141,15 @@ class LiveEpoch(NamedTuple):
 
 
 def log_from(epochs: Iterable[LiveEpoch]) -> Log:
-    """Return epochs of a user as a log."""
+    """Return epochs of a user, or an epoch of each of T users, as a log.
+
+    The times of users need not increase.
+    """
     parts = []
     for columns, some in groupby(epochs, key=lambda epoch: epoch.columns):
-        parts.append(log_of(columns.table([row for epoch in some for row in epoch.rows])))
+        parts.append(log_of(columns.table([epoch.rows for epoch in some])))
     joined: Log = Log.joined(parts)
     return joined
-
-
-def log_of_users(epochs: Sequence[LiveEpoch]) -> Log:
-    """Return an epoch of each of T users, all with the same columns, as a log.
-
-    The times of this log need not increase.
-    """
-    rows = [row for epoch in epochs for row in epoch.rows]
-    users = np.repeat(np.arange(len(epochs)), [len(epoch.rows) for epoch in epochs])
-    return log_of(epochs[0].columns.table(rows, users=users))
 
 
 @dataclass(slots=True)
@@ -162,12 +158,11 @@ class _Arrivals:
 
     rows: list[list[float]] = field(default_factory=list)  # of the current epoch
     last: list[list[float]] = field(default_factory=list)  # rows of the last epoch
-    last_s: float = -inf
     late_s: list[float] = field(default_factory=list)  # increasing times of the latest, late rows
 
     def copy(self) -> "_Arrivals":
         """Return the same, as it was before rows that are refused; late ones still count."""
-        return _Arrivals(self.rows.copy(), self.last, self.last_s, self.late_s)
+        return _Arrivals(self.rows.copy(), self.last, self.late_s)
 
     def goes_on_at(self, time_s: float) -> bool:
         """Tell whether so many late rows came in order that the log goes on at their time."""
@@ -251,7 +246,8 @@ class LiveLog:
         over = []
         if not arrived.rows or cells[columns.time] != arrived.rows[0][columns.time]:
             time_s = columns.time_s(cells)
-            latest_s = columns.time_s(arrived.rows[0]) if arrived.rows else arrived.last_s
+            latest = arrived.rows or arrived.last
+            latest_s = columns.time_s(latest[0]) if latest else -inf
             is_late = time_s - latest_s < _SHORTEST_S
             if is_late and self._repeats(cells, arrived.last, number):
                 return []
@@ -265,7 +261,7 @@ class LiveLog:
             if not columns.agree(cells, before):
                 if self._repeats(cells, [before], number):
                     return over
-                _require_sound(columns.table([*arrived.rows, cells], number))
+                _require_sound(columns.table([[*arrived.rows, cells]], number))
         arrived.rows.append(cells)
         whole = len(arrived.rows) == columns.most_rows
         return [*over, *(self._end(user) if whole else [])]
@@ -277,7 +273,7 @@ class LiveLog:
 
     def paths(self, epoch: LiveEpoch) -> PathEpoch:
         """Return the paths of an epoch."""
-        (of_epoch,) = path_epochs(epoch.columns.table(epoch.rows))
+        (of_epoch,) = path_epochs(epoch.columns.table([epoch.rows]))
         return of_epoch
 
     def forget(self, users: list[str]) -> None:
@@ -330,9 +326,9 @@ class LiveLog:
         if arrived is None or not arrived.rows:
             return []
         arrived.last = arrived.rows
-        arrived.last_s = self._columns.time_s(arrived.rows[0])
         arrived.rows = []
-        return [LiveEpoch(user, arrived.last_s, arrived.last, self._columns)]
+        time_s = self._columns.time_s(arrived.last[0])
+        return [LiveEpoch(user, time_s, arrived.last, self._columns)]
 
     def _words(self, row: str | Mapping[str, Any]) -> tuple[str, list[Any]]:
         """Return the user of a row, "" if it does not name any, and its other cells."""
@@ -386,12 +382,9 @@ class LiveLog:
         else:
             self._names += names
             self._columns = LiveColumns(file)
-            place = {of: i for i, of in enumerate(before.columns)}
+            empty = [nan] * (len(file.columns) - len(before.columns))
             for arrived in self._arrivals.values():
-                arrived.rows = [
-                    [row[place[of]] if of in place else nan for of in file.columns]
-                    for row in arrived.rows
-                ]
+                arrived.rows = [row + empty for row in arrived.rows]
         self._known.update(names)
 
 

@@ -161,8 +161,8 @@ ODOMETRY_QUANTITIES = ("speed", "heading")
 SIGMA_OF = {quantity: f"{quantity}_sigma" for quantity in (*LINK_QUANTITIES, "doppler")}
 SIGMA_OF |= {STATION: "aoa_azimuth_sigma", BODY: "aod_azimuth_sigma"}
 DEVIATIONS = list(SIGMA_OF.values())
-# numbers that mean "lost" in the files of some receivers, with either sign, in any unit
 USER = "ue"  # name of the column that names the users of live rows
+# numbers that mean "lost" in the files of some receivers, with either sign, in any unit
 LOST = (999.0, 9999.0, 99999.0, 999999.0, 32767.0, 32768.0, 65535.0)
 HORIZONTAL = ("toa", "aoa_azimuth", STATION, "aod_azimuth", BODY)  # a log needs one or more of them
 _OF_PATHS = ("toa", "aoa_azimuth")  # required of paths

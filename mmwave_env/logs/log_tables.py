@@ -133,7 +133,8 @@ class Table(Arrays):
     cells: Array  # (n, columns) as in the file, NaN where empty
     # damage in the last row, which ends the log; cells of that row that can't be read are NaN
     damage: LogError | None = None
-    user: Index | None = None  # (n,) number of the user, if there are several
+    # (n,) number of each row's epoch, if it is known; otherwise rows of an epoch have one time
+    epoch_of_row: Index | None = None
 
     @property
     def columns(self) -> dict[str, Column]:
@@ -152,13 +153,10 @@ class Table(Arrays):
 
     @cached_property
     def starts(self) -> Index:
-        """Return the index (epochs,) of every epoch's first row; rows of an epoch have one time."""
+        """Return the index (epochs,) of every epoch's first row."""
         # Compare times in the file's unit: different times may become equal in seconds.
-        time = self.raw("time")
-        begins = np.append(True, np.diff(time) != 0.0)[: len(time)]
-        if self.user is not None:
-            begins[1:] |= np.diff(self.user) != 0
-        return np.flatnonzero(begins)
+        of_epoch = self.raw("time") if self.epoch_of_row is None else self.epoch_of_row
+        return np.flatnonzero(np.append(True, np.diff(of_epoch) != 0)[: len(self)])
 
     @cached_property
     def epoch(self) -> Index:
@@ -318,24 +316,23 @@ def _careful(file: LogFile, row: int, words: list[str]) -> tuple[list[float], Lo
     if not any(map(str.strip, words)):
         return [], None
     # Some programs write more delimiters than cells.
-    if len(words) == width or (len(words) > width and not "".join(words[width:]).strip()):
-        for quantity, column in file.columns.items():
-            word = words[column.number]
-            value = number(word)
-            if math.isnan(value) and not _says_nothing(word):
-                value = _other_number(file, quantity, word)
-                if math.isnan(value) and not damage:
-                    expected = _EXPECTED.get(quantity, _NUMBER)
-                    damage = file.error(row, quantity, quoted(word.strip()), expected)
-            values.append(value)
-        for i in file.unnamed:
-            if not (damage or words[i].strip().isdigit() or _says_nothing(words[i])):
-                problem = f"{quoted(words[i])} in a column without a name"
-                damage = file.error(row, "", problem, "a name, or only numbers of rows")
-    else:
-        values = [math.nan] * len(file.columns)
+    if len(words) < width or "".join(words[width:]).strip():
         count = f"{len(words)} cells" if len(words) > 1 else f"one cell, {words[0][:40]!r}"
         damage = file.error(row, "", count, f"{width}, as in the header")
+        return [math.nan] * len(file.columns), damage
+    for quantity, column in file.columns.items():
+        word = words[column.number]
+        value = number(word)
+        if math.isnan(value) and not _says_nothing(word):
+            value = _other_number(file, quantity, word)
+            if math.isnan(value) and not damage:
+                expected = _EXPECTED.get(quantity, _NUMBER)
+                damage = file.error(row, quantity, quoted(word.strip()), expected)
+        values.append(value)
+    for i in file.unnamed:
+        if not (damage or words[i].strip().isdigit() or _says_nothing(words[i])):
+            problem = f"{quoted(words[i])} in a column without a name"
+            damage = file.error(row, "", problem, "a name, or only numbers of rows")
     return values, damage
 
 
