@@ -44,7 +44,9 @@ def in_body(content):
 
 
 def store(folder, content, name="log.csv"):
+    """Write a log, given as rows, as text or as bytes; return its path."""
     path = folder / name
+    content = text(content) if isinstance(content, list) else content
     path.write_bytes(content.encode() if isinstance(content, str) else content)
     return path
 
@@ -85,11 +87,11 @@ def damaged(log):
     return replace(log, damage=LogError("log.csv, line 7: found 'x'"))
 
 
-def delivered(path, *fields, **options):
+def delivered(path, *fields, reader=read_log):
     """Read a damaged log, whose error must name file and fields; return the epochs before it."""
     log = None
     with refuses(path, *fields, error=LogError):
-        log = read_log(path, SCENE, **options)
+        log = reader(path, SCENE)
         if log.damage:
             raise log.damage
     return log

@@ -38,7 +38,7 @@ from tests.logs.writing import write_log
 
 
 def test_every_number_is_read_into_its_array(tmp_path):
-    block = read(store(tmp_path, text(rows())))
+    block = read(store(tmp_path, rows()))
     assert block.layout == Layout(L, partial=True) and len(block) == 4
     assert_array_equal(block.time_s, [0.0, 1.0, 2.0, 3.0])
     assert block.visible.all() and not block.incomplete.any()
@@ -128,7 +128,7 @@ def test_units_are_converted(tmp_path, name, value, row, expected):
     (names,) = [row.columns for row in QUANTITIES.values() if name in row.columns]
     cells = dict.fromkeys(COLUMNS, "0.5") | {"time_s": "1", "anchor": "1", "toa_s": "1e-7"}
     cells = {column: cell for column, cell in cells.items() if column not in names}
-    block = read(store(tmp_path, text([cells | {name: str(value)}])))
+    block = read(store(tmp_path, [cells | {name: str(value)}]))
     number = block.time_s[0] if row is None else block.measurement[0, row]
     assert number == pytest.approx(expected, rel=1e-14)
 
@@ -145,7 +145,7 @@ def test_odometry_and_doppler_spread_may_be_in_any_or_all_rows_of_an_epoch(tmp_p
     lines = [line | dict.fromkeys(values, "") for line in rows(2)]
     for line in lines[place]:
         line.update(values)
-    block = read(store(tmp_path, text(lines)))
+    block = read(store(tmp_path, lines))
     assert block.layout == Layout(L, odometry=True, partial=True)
     assert_allclose(block.measurement[0, -2:], [2.0, -np.pi / 2])
     assert block.visible[:, -1].tolist() == [True, False]
@@ -154,15 +154,15 @@ def test_odometry_and_doppler_spread_may_be_in_any_or_all_rows_of_an_epoch(tmp_p
 
 def test_columns_of_odometry_can_be_ignored(tmp_path):
     lines = [line | {"speed_mps": "fast"} for line in rows(2)]
-    block = read(store(tmp_path, text(lines)), odometry=False)
+    block = read(store(tmp_path, lines), odometry=False)
     assert block.layout == Layout(L, partial=True) and block.visible.all()
 
 
 def test_anchors_may_be_missing_and_in_any_order(tmp_path):
     lines = rows(3)
     shuffled = [lines[2], lines[0], lines[1], lines[4], lines[8], lines[6]]
-    block = read(store(tmp_path, text(shuffled)))
-    whole = read(store(tmp_path, text(lines), "w.csv"))
+    block = read(store(tmp_path, shuffled))
+    whole = read(store(tmp_path, lines, "w.csv"))
     links = [[True] * 3, [False, True, False], [True, False, True]]
     assert_array_equal(block.visible[:, :L], links)
     assert_array_equal(block.visible[:, L], [True, False, True])
@@ -180,7 +180,7 @@ LINK_COLUMNS = ("toa_s", "aoa_azimuth_rad", "aoa_elevation_rad", "aod_azimuth_ra
 def test_a_link_that_lacks_a_value_is_incomplete(tmp_path, column, empty):
     lines = rows(2)
     lines[0][column] = lines[4][column] = empty
-    block = read(store(tmp_path, text(lines))).whole()
+    block = read(store(tmp_path, lines)).whole()
     wrong = np.zeros((2, 4), bool)
     wrong[0, 0] = wrong[1, 1] = True
     wrong[0, 3] = column == "snr_db"  # the Doppler shift's noise follows from the SNR
@@ -191,7 +191,7 @@ def test_a_link_that_lacks_a_value_is_incomplete(tmp_path, column, empty):
 def test_a_doppler_shift_needs_only_the_snr_of_its_link(tmp_path):
     lines = rows(2)
     lines[0].update(dict.fromkeys(LINK_COLUMNS, ""))
-    block = read(store(tmp_path, text(lines)))
+    block = read(store(tmp_path, lines))
     assert block.visible[0].tolist() == [False, True, True, True]
     assert not block.incomplete.any()  # a link without any value is missing, not incomplete
 
@@ -200,7 +200,7 @@ def test_the_doppler_shift_is_missing_if_the_log_has_no_doppler_column(tmp_path)
     lines = rows(2)
     for line in lines:
         del line["doppler_hz"]
-    block = read(store(tmp_path, text(lines)))
+    block = read(store(tmp_path, lines))
     assert block.visible[:, :L].all() and not block.visible[:, L].any()
 
 
@@ -253,8 +253,8 @@ def test_equal_rows_are_left_out_and_counted_in_files_and_live(tmp_path):
     lines = rows()
     twice = [lines[0], lines[1], lines[0], *lines[2:6], lines[5], lines[4], *lines[6:]]
     with pytest.warns(UserWarning, match=r"left out: repeated rows: 3 \(line 4\)"):
-        log = read(store(tmp_path, text(twice)))
-    assert_same(log, read(store(tmp_path, text(lines), "once.csv")), "line")
+        log = read(store(tmp_path, twice))
+    assert_same(log, read(store(tmp_path, lines, "once.csv")), "line")
     live, warnings = read_live(text(twice))
     assert_same(live, log, "line")
     assert warnings == ["left out: repeated rows (line 4)"]
@@ -324,7 +324,7 @@ CORRECTED = replace(
 
 
 def test_the_corrections_of_a_scene_are_subtracted_from_ranges_and_azimuths(tmp_path):
-    path = store(tmp_path, text(rows()))
+    path = store(tmp_path, rows())
     expected = read(path).measurement
     expected[:, 0:12:4] -= [1.0, 2.0, 3.0]
     for row in (1, 3):
@@ -343,7 +343,7 @@ def test_a_departure_relative_to_the_body_has_no_bearing(tmp_path):
 
 def test_the_uncertainty_of_offsets_adds_to_own_and_modelled_noise(tmp_path):
     lines = [line | {"range_sigma_m": "0.4"} for line in rows()]
-    log = read(store(tmp_path, text(lines)), CORRECTED)
+    log = read(store(tmp_path, lines), CORRECTED)
     own = np.hypot(0.4, [0.3, 0.0, 0.4])
     assert_allclose(log.sigma[:, 0:12:4], np.tile(own, (len(log), 1)))
     snr = np.full((1, L), 20.0)

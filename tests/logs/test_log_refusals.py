@@ -95,7 +95,7 @@ def test_epochs_before_a_damaged_row_are_read_before_an_error_names_the_row(tmp_
     if log is None:
         assert not epochs
     else:
-        whole = read(store(tmp_path, text(rows()), "whole.csv"))
+        whole = read(store(tmp_path, rows(), "whole.csv"))
         assert_same(replace(log, line=whole.line[:epochs]), whole.part(slice(epochs)))
 
 
@@ -119,9 +119,9 @@ def test_values_that_mean_lost_or_are_impossible_are_left_out_of_files_and_live(
     lines[6] |= cells
     empty = deepcopy(lines)
     empty[6] |= dict.fromkeys(columns.split(), "")
-    expected = read(store(tmp_path, text(empty), "empty.csv"))
+    expected = read(store(tmp_path, empty, "empty.csv"))
     with pytest.warns(UserWarning, match=f"left out: 1 of '{columns.split()[0]}'.*line 8"):
-        log = read(store(tmp_path, text(lines)))
+        log = read(store(tmp_path, lines))
     assert_same(log, expected)
     live, warnings = read_live(text(lines))
     assert_same(live, log, "line")
@@ -140,14 +140,14 @@ def test_ranges_slightly_below_0_and_unwrapped_azimuths_are_used(tmp_path):
 def test_elevations_of_straight_up_and_down_are_accepted(tmp_path, angle):
     lines = rows()
     lines[7]["aoa_elevation_rad"] = repr(angle)
-    assert read(store(tmp_path, text(lines))).measurement[2, 6] == angle
+    assert read(store(tmp_path, lines)).measurement[2, 6] == angle
 
 
 def test_numbers_beyond_the_limits_are_kept_if_limits_are_off(tmp_path):
     lines = rows()
     lines[7].update(aoa_azimuth_rad="57.3", aoa_elevation_rad="95.7")
     lines[7].update(aod_azimuth_rad="-360.5", toa_s="1.0")
-    block = read(store(tmp_path, text(lines)), limits=False)
+    block = read(store(tmp_path, lines), limits=False)
     assert_allclose(block.measurement[2, 4:8], [SPEED_OF_LIGHT, 57.3, 95.7, -360.5])
 
 
@@ -164,7 +164,7 @@ def test_numbers_beyond_the_limits_are_kept_if_limits_are_off(tmp_path):
 def test_wrong_values_that_apply_to_a_whole_epoch_are_refused(tmp_path, column, cells, line):
     of_epochs = dict.fromkeys(("doppler_spread_hz", "speed_mps", "heading_rad"), "")
     lines = [row | of_epochs | {column: cell} for row, cell in zip(rows(1), cells, strict=True)]
-    assert not delivered(store(tmp_path, text(lines)), f"line {line}", column)
+    assert not delivered(store(tmp_path, lines), f"line {line}", column)
 
 
 HEADERS = {  # name -> header, fields that the message names

@@ -4,16 +4,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from mmwave_env.logs.log import read_log, read_paths
+from mmwave_env.logs.log import read_paths
 from mmwave_env.logs.log_checks import MOST_PATHS
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
-from mmwave_env.models.scene import SCENES
 from tests.logs import by_hand
+from tests.logs.by_hand import SCENE
 from tests.refusals import refuses
 
-SCENE = SCENES["street"]
 HEADER = "time_s,toa_s,aoa_azimuth_rad,aoa_elevation_rad,aod_azimuth_rad,doppler_hz,snr_db"
 PATH = "1e-7,0.5,-0.1,-2.6,12.5,20"
 
@@ -25,11 +24,8 @@ def store(folder, *lines, header=HEADER):
 
 
 def delivered(path, *fields):
-    """Read a damaged log, whose error must name file and fields; return the epochs before it."""
-    log = read_paths(path, SCENE)
-    with refuses(path, *fields, error=LogError):
-        raise log.damage
-    return log.epochs
+    """Return the epochs before the damage of a log, whose error must name file and fields."""
+    return by_hand.delivered(path, *fields, reader=read_paths).epochs
 
 
 def test_an_epoch_may_have_any_number_of_paths(tmp_path):
@@ -131,10 +127,3 @@ def test_every_usable_link_is_read_as_a_path(tmp_path):
         assert epoch.doppler_spread_hz == true.doppler_spread_hz[t]
         if true.usable[t, -1]:
             assert_array_equal(epoch.odometry, true.measurement[t, 13:])
-
-
-def test_a_log_of_paths_is_refused_where_anchor_numbers_are_expected(tmp_path):
-    path = tmp_path / "log.csv"
-    by_hand.hide_anchors(path, by_hand.episode())
-    with refuses("columns"):
-        read_log(path, SCENE)
