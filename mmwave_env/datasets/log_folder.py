@@ -129,7 +129,6 @@ def log_columns(episode: Episode) -> dict[str, Array]:
     usable = episode.usable
     T = len(episode)
     L = layout.anchors
-    epochs = np.arange(T)
     shifted = episode.doppler_anchor
     if shifted is None:
         shifted = np.zeros(T, np.int64)
@@ -138,30 +137,25 @@ def log_columns(episode: Episode) -> dict[str, Array]:
     np.clip(elevations, -PI / 2, PI / 2, out=elevations)
     sigma = np.where(np.isnan(measured), np.nan, episode.sigma)
     heard = usable[:, :L].copy()
-    heard[epochs, shifted] |= usable[:, L]
+    heard[np.arange(T), shifted] |= usable[:, L]
     if layout.partial:
         heard &= episode.snr_db != NEUTRAL_SNR_DB  # this value means that no SNR was measured
-
     heard_db = np.where(heard, episode.snr_db, np.nan)
     numbers = np.column_stack([measured, sigma, heard_db, episode.doppler_spread_hz])
-    columns: dict[str, Array] = {
-        "time_s": np.repeat(episode.time_s, L),
-        "anchor": np.tile(np.arange(1, L + 1), T),
-    }
+    epoch, anchor = np.divmod(np.arange(T * L), L)
+    columns: dict[str, Array] = {"time_s": episode.time_s[epoch], "anchor": anchor + 1}
     at = places(layout)
     for name in _COLUMNS:
         quantity = QUANTITY_OF[name]
         if quantity not in at or (quantity in DEVIATIONS and not layout.partial):
             continue
         first, step = at[quantity]
-        values = np.full((T, L), np.nan)
-        if step:
-            values[:] = numbers[:, first + step * np.arange(L)]
-        else:
-            owner = shifted if name.startswith(("doppler_hz", "doppler_sigma")) else 0
-            values[epochs, owner] = numbers[:, first]
+        values = numbers[epoch, first + step * anchor]
+        if not step:
+            owner = shifted[epoch] if quantity in ("doppler", "doppler_sigma") else 0
+            values[anchor != owner] = np.nan
         unit = QUANTITIES[quantity].columns[name]
-        columns[name] = values.ravel() * unit.divide / unit.multiply
+        columns[name] = values * unit.divide / unit.multiply
     return columns
 
 
