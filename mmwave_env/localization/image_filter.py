@@ -8,23 +8,34 @@ images are unknown, they are appended to the user's state, with the complete cov
 The user (7) is the paper's state. Each image (3,) is a position in m. A path of image k measures
 the same four rows as a link of a known anchor at a_k, so dh/da = -dh/dp. This is simultaneous
 localization and mapping (Durrant-Whyte and Bailey 2006) with a map of images.
-:mod:`mmwave_env.localization.map_learning` decides which path belongs to which image.
+
+Two subclasses decide which path belongs to which image: ``PathTracker`` in ``association.py``,
+where the images are known, and ``MapLearner`` in ``map_learning.py``, where they are not. Beliefs
+are immutable, so that several ways can be tried side by side.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import compress
 from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtri
 
-from mmwave_env.filters.modes import Tuning
+from mmwave_env.filters.modes import Mode
+from mmwave_env.localization.first_position import HEIGHT_SIGMA_M
+from mmwave_env.localization.starts import gives_fix
+from mmwave_env.logs.log import PathEpoch
 from mmwave_env.logs.log_tables import Arrays
-from mmwave_env.models.layout import STATE_SIZE
+from mmwave_env.models.layout import STATE_SIZE, Layout
 from mmwave_env.models.measurement import direction, doppler_group, link_group
 from mmwave_env.models.motion import COUPLED, white_noise_acceleration
-from mmwave_env.models.prior import vector_from_link
+from mmwave_env.models.prior import prior_from_fix, vector_from_link
+from mmwave_env.models.radio import Radio
+from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import PI, Array, Mask, wrap
 
 LINK_ROWS = 4
@@ -47,8 +58,7 @@ class Paths(Arrays):
     time_s: float
     z: Array  # (n, 4) links: range (m), azimuth and elevation of arrival, departure (rad)
     doppler: Array  # (n,) Doppler shift, Hz; NaN where not measured
-    direct: Array  # (n, 4) variances if the path is the line of sight
-    reflected: Array  # (n, 4) variances if a wall reflected it
+    variance: Array  # (n, 2, 4) if the path is the line of sight; if a wall reflected it
     doppler_variance: Array  # (n,) Hz^2
     straight: Mask  # (n,) whether departure and arrival are opposite, as on the line of sight
     at_station: bool  # whether angles of arrival were measured at the base station
@@ -58,7 +68,7 @@ class Image(NamedTuple):
     """The history of a mirror image (virtual anchor) of the base station."""
 
     paths: int = 0  # number of its paths
-    recent: tuple[bool, ...] = ()  # whether it had a path in the last epochs
+    epochs: int = 0  # since its birth
     missed: int = 0  # epochs since its last path
     nis: float = 0.0  # sum of NIS while tentative
     confirmed: bool = False
@@ -103,11 +113,11 @@ def links_along(d: Array) -> tuple[Array, Array]:
     """Return the links h (A, 4) along vectors d (A, 3), and their gradients (A, 4, 3) by d."""
     still = [0.0] * 4
     rows = link_group([*d.T, *still], still, still, [1.0] * 4).jacobian
-    gradients = np.zeros((len(d), 4, 3))
-    for k, row in enumerate([*rows, rows[1]]):  # both azimuths have the same gradient
-        gradients[:, k] = np.column_stack(np.broadcast_arrays(*row[:3]))
+    rows = [*rows, rows[1]]  # both azimuths have the same gradient
+    gradients = [np.column_stack(np.broadcast_arrays(*row[:3])) for row in rows]
     distance, azimuth, elevation = direction(list(d.T))
-    return np.column_stack([distance, azimuth, elevation, azimuth + PI]), gradients
+    h = np.column_stack([distance, azimuth, elevation, azimuth + PI])
+    return h, np.stack(gradients, axis=1)
 
 
 def link_rows(p: Array, anchors: Array, at_station: bool) -> tuple[Array, Array, Array]:
@@ -138,6 +148,16 @@ def link_rows(p: Array, anchors: Array, at_station: bool) -> tuple[Array, Array,
     return h, by_p, by_a
 
 
+def disagreement(paths: Array, variance: Array) -> Array:
+    """Compute the NIS (n,) of the difference between the two azimuths of paths (n, 4).
+
+    The variances are (n, 4). The NIS has 1 degree of freedom. The user's position is not needed,
+    because the azimuths of arrival and departure measure the same bearing (paper, Sec. II-B).
+    """
+    apart = wrap(wrap(paths[:, 3] - paths[:, 1] + PI))
+    return apart**2 / (variance[:, 1] + variance[:, 3])  # type: ignore[no-any-return]
+
+
 def difference(z: Array, h: Array) -> Array:
     """Return z - h (..., 4), with wrapped angles."""
     y = z - h
@@ -145,20 +165,98 @@ def difference(z: Array, h: Array) -> Array:
     return y
 
 
-class ImageFilter:
-    """The filter's equations for one base station (3,) and one motion model.
+class ImageFilter(ABC):
+    """The filter's equations; a subclass decides which path belongs to which image.
 
-    ``offsets_m`` are the range offsets of the first anchors, of which only differences matter: that
-    of the base station was subtracted from all ranges.
+    Args:
+        scene: scene with the base station, and perhaps with known or learned images.
+        radio: profile of the receiver; it determines the noise at each SNR, and the prior.
+        mode: filter mode whose process noise is used. Choose a mode for high mobility: the gates
+            around its uncertain predictions are wide enough for any user.
     """
 
-    def __init__(
-        self, station: Array, hz_per_mps: float, tuning: Tuning, offsets_m: Array | None = None
-    ) -> None:
-        self.station = station
-        self._offsets_m = np.zeros(1) if offsets_m is None else offsets_m - offsets_m[0]
-        self._hz_per_mps = hz_per_mps
-        self._tuning = tuning
+    # a path may be the line of sight if the NIS of the difference of its azimuths is smaller
+    straight = float(chdtri(1, 0.01))
+
+    def __init__(self, scene: Scene, radio: Radio, mode: Mode) -> None:
+        self._scene = scene
+        self._radio = radio
+        self._tuning = mode.tuning
+        self.station = scene.anchors_m[0]
+        # The base station's offset was subtracted from all ranges; learned images have the same.
+        known = len(scene.offsets_m) - len(scene.learned)
+        self._offsets_m = (scene.offsets_m - scene.offsets_m[0])[:known]
+
+    def observed(self, epochs: Iterable[PathEpoch], at_station: bool) -> Iterator[Paths]:
+        """Yield the paths of each epoch, with the receiver's variances, else those at their SNR.
+
+        ``at_station`` is as in :class:`~mmwave_env.logs.log.PathLog`.
+        """
+        scene = replace(self._scene, range_offset_m=(), range_offset_sigma_m=())
+        for epoch in epochs:
+            z = epoch.links[0]
+            snr_db = np.column_stack([epoch.snr_db, epoch.snr_db])
+            usual = self._radio.sigma(snr_db, scene, Layout(2)) ** 2
+            own = np.minimum(epoch.sigma, UNKNOWN_RAD)[:, None] ** 2
+            variance = np.where(np.isfinite(own), own, usual[:, :-1].reshape(-1, 2, LINK_ROWS))
+            variance[..., 0] += self._scene.offset_sigmas_m.max() ** 2
+            straight = gives_fix(z) & (disagreement(z, variance[:, 0]) < self.straight)
+            yield Paths(
+                epoch.time_s, z, epoch.doppler, variance, usual[:, -1], straight, at_station
+            )
+
+    @cached_property
+    def start(self) -> Belief:
+        """Return the belief about the scene's images, before a track begins."""
+        learned = self._scene.learned
+        exact = len(self._offsets_m) - 1
+        histories = [Image(confirmed=True, exact=True)] * exact
+        histories += [Image(image.paths, confirmed=True) for image in learned]
+        sigma = np.append(np.zeros(STATE_SIZE + 3 * exact), [image.sigma_m for image in learned])
+        x = np.append(np.zeros(STATE_SIZE), self._scene.anchors_m[1:])
+        return Belief(x, np.diag(sigma**2), tuple(histories), -np.inf, tracked=False)
+
+    def prior(self, b: Belief, paths: Paths, path: int) -> Belief:
+        """Return a belief about a user whose line of sight is a path; the images stay.
+
+        If the path has no elevation, the height of the streets is known roughly.
+        """
+        z = paths.z[path]
+        sigma = np.sqrt(paths.variance[path, 0])
+        if sigma[2] >= UNKNOWN_RAD:
+            sigma[2] = HEIGHT_SIGMA_M / z[0]
+        mean, covariance = prior_from_fix(self.station, z, sigma, self._radio, self._scene)
+        x = b.x.copy()
+        P = b.P.copy()
+        P[:STATE_SIZE] = 0.0
+        P[:, :STATE_SIZE] = 0.0
+        x[:STATE_SIZE] = mean
+        P[:STATE_SIZE, :STATE_SIZE] = covariance
+        return Belief(x, P, b.images, paths.time_s)
+
+    def begun(self, prior: Belief, paths: Paths, path: int) -> Belief:
+        """Return a track that begins with a :meth:`prior`, after an update with the other paths."""
+        others = np.arange(len(paths)) != path
+        b = self.step(prior, paths.part(others), sight_used=True)
+        labels = {anchor: i + (i >= path) for anchor, i in b.labels.items()}
+        return b._replace(labels={**labels, 0: path}, begins=True)
+
+    @abstractmethod
+    def step(self, b: Belief, paths: Paths, sight_used: bool = False) -> Belief:
+        """Return the belief after an epoch.
+
+        With ``sight_used``, the base station's path was used before, and is not among the paths.
+        """
+
+    def ahead(self, b: Belief, coming: Iterable[Paths]) -> tuple[float, int]:
+        """Return the evidence and the number of used paths in coming epochs."""
+        evidence = 0.0
+        used = 0
+        for paths in coming:
+            b = self.step(b, paths)
+            evidence += b.evidence
+            used += len(b.labels)
+        return evidence, used
 
     def predicted(self, b: Belief, time_s: float) -> Belief:
         """Return the belief at a later time: x' = F x, P' = F P F' + Q."""
@@ -172,7 +270,7 @@ class ImageFilter:
         Q = white_noise_acceleration(
             [t.sigma_p**2, t.sigma_p**2, t.sigma_pz**2],
             [t.sigma_v**2, t.sigma_v**2, t.sigma_vz**2],
-            (t.sigma_b_mps * self._hz_per_mps) ** 2,
+            (t.sigma_b_mps * self._scene.hz_per_mps) ** 2,
             dt,
             t.coupling,
         )
@@ -199,15 +297,24 @@ class ImageFilter:
         h, H = self.rows(b, paths.at_station)
         y = difference(paths.z[None], h[:, None])
         S = np.repeat((H @ b.P @ H.transpose(0, 2, 1))[:, None], len(paths), axis=1)
-        S[0] += paths.direct[:, :, None] * np.eye(LINK_ROWS)
-        S[1:] += paths.reflected[:, :, None] * np.eye(LINK_ROWS)
+        direct, reflected = paths.variance.swapaxes(0, 1)[..., None] * np.eye(LINK_ROWS)
+        S[0] += direct
+        S[1:] += reflected
         weighted = np.linalg.solve(S, y[..., None])[..., 0]
         return (y * weighted).sum(axis=-1), np.linalg.slogdet(S)[1]
 
-    def updated(self, b: Belief, paths: Paths, labels: Mapping[int, int], nis: Array) -> Belief:
+    def updated(
+        self,
+        b: Belief,
+        paths: Paths,
+        labels: Mapping[int, int],
+        nis: Array,
+        only: slice | None = None,
+    ) -> Belief:
         """Return the belief after an EKF update with all assigned paths at once.
 
-        The noise of a path whose NIS is large is inflated. ``nis`` is (A, n).
+        The noise of a path whose NIS is large is inflated. ``nis`` is (A, n). With ``only``, no
+        other part of the state changes (Schmidt-Kalman).
         """
         if not labels:
             return b
@@ -216,31 +323,20 @@ class ImageFilter:
         chosen = list(labels.values())
         doubtful = np.maximum(1.0, nis[anchors, chosen] / (LINK_ROWS * KNEE)) ** 2
         y = difference(paths.z[chosen], h[anchors]).ravel()
-        variances = [(paths.reflected if a else paths.direct)[i] for a, i in labels.items()]
-        R = (np.array(variances) * doubtful[:, None]).ravel()
+        R = (paths.variance[chosen, np.sign(anchors)] * doubtful[:, None]).ravel()
         H = H[anchors].reshape(len(R), len(b.x))
         if 0 in labels and np.isfinite(paths.doppler[labels[0]]):
             shift = paths.doppler[labels[0]]
             variance = paths.doppler_variance[labels[0]]
-            group = doppler_group(
-                list(b.x), list(self.station), self._hz_per_mps, [shift], [variance]
-            )
+            hz_per_mps = self._scene.hz_per_mps
+            group = doppler_group(list(b.x), list(self.station), hz_per_mps, [shift], [variance])
             (gradient,) = np.array(group.jacobian)
             (residual,) = group.innovation
             if residual**2 < DOPPLER_GATE * (gradient @ b.P @ gradient + variance):
                 y = np.append(y, residual)
                 H = np.vstack([H, gradient])
                 R = np.append(R, variance)
-        return _corrected(b, H, y, R)
-
-    def image_updated(self, b: Belief, paths: Paths, anchor: int, path: int) -> Belief:
-        """Return the belief after a path updated only its image (Schmidt-Kalman).
-
-        The gain is zero elsewhere, so a false image cannot move the user.
-        """
-        h, H = self.rows(b, paths.at_station)
-        y = difference(paths.z[path], h[anchor])
-        return _corrected(b, H[anchor], y, paths.reflected[path], only=block(anchor))
+        return _corrected(b, H, y, R, only)
 
     def with_image(self, b: Belief, paths: Paths, path: int) -> Belief:
         """Return the belief with a new image, from which this path seems to come.
@@ -249,7 +345,7 @@ class ImageFilter:
         user. So P_aa = P_pp + P_dd and P_ax = P_px. The image is as high as the base station, as
         walls are vertical.
         """
-        sigma = np.sqrt(paths.reflected[path])
+        sigma = np.sqrt(paths.variance[path, 1])
         if paths.at_station:
             sigma[1] = UNKNOWN_RAD
         away, covariance = vector_from_link(paths.z[path], sigma)
@@ -272,7 +368,7 @@ class ImageFilter:
         """
         newest = block(len(b.images))
         prior = b
-        variance = paths.reflected[path, 1:2]
+        variance = paths.variance[path, 1, 1:2]
         for _ in range(_ITERATIONS):
             h, H = self.rows(b, at_station=True)
             y = wrap(wrap(paths.z[path, 1:2] - h[-1, 1])) - H[-1, 1:2] @ (prior.x - b.x)
@@ -300,12 +396,11 @@ def reduced(b: Belief, keep: Sequence[bool]) -> Belief:
     """Return the belief with only some of its images."""
     if all(keep):
         return b
-    kept = [anchor for anchor, keeps in enumerate(keep, start=1) if keeps]
-    index = np.concatenate([np.arange(STATE_SIZE), *(np.r_[block(a)] for a in kept)])
-    numbers = {0: 0} | {old: new for new, old in enumerate(kept, start=1)}
-    labels = {numbers[a]: path for a, path in b.labels.items() if a in numbers}
-    images = tuple(b.images[a - 1] for a in kept)
-    return b._replace(x=b.x[index], P=b.P[np.ix_(index, index)], images=images, labels=labels)
+    some = np.append(np.ones(STATE_SIZE, np.bool_), np.repeat(keep, 3))
+    kept = [0, *np.flatnonzero(keep) + 1]
+    labels = {new: b.labels[old] for new, old in enumerate(kept) if old in b.labels}
+    images = tuple(compress(b.images, keep))
+    return b._replace(x=b.x[some], P=b.P[np.ix_(some, some)], images=images, labels=labels)
 
 
 def merged(b: Belief) -> Belief:

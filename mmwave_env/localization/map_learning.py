@@ -13,21 +13,18 @@ station jointly. This module decides which paths it uses, and which images exist
     paths in eight epochs confirm it.
 4.  *Doubt.* If the track may be wrong, an epoch is processed in several ways (use its paths, ignore
     them, begin anew at one of them), and the coming epochs decide which way is the likeliest.
-
-Beliefs are immutable, so that several ways can be tried side by side.
 """
 
-from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import chain, islice
+from itertools import chain
 
 import numpy as np
 from scipy.special import chdtri
 
 from mmwave_env.filters.modes import Mode
 from mmwave_env.io.files import Json
-from mmwave_env.localization.association import assign, fix_of, observed
+from mmwave_env.localization.association import assign
 from mmwave_env.localization.image_filter import (
     LINK_ROWS,
     UNKNOWN_RAD,
@@ -37,10 +34,11 @@ from mmwave_env.localization.image_filter import (
     Image,
     ImageFilter,
     Paths,
+    block,
     merged,
     reduced,
 )
-from mmwave_env.logs.log import PathEpoch, PathLog
+from mmwave_env.logs.log import PathLog
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.layout import STATE_SIZE
 from mmwave_env.models.prior import GAP_S
@@ -60,7 +58,6 @@ CONFIRM_TAIL = 0.001  # the sum of NIS of a tentative image must not be in this 
 FREE = float(chdtri(LINK_ROWS, 1e-4))  # a path begins an image only if all its NIS are larger
 KEEP = 20  # epochs that a confirmed image may be missed, or 4 for each of its paths
 TRUSTED = 30  # an image with so many paths survives a new beginning, and belongs to the map
-STRAIGHT = 9.0  # NIS of the difference between departure and arrival on a line of sight
 LONGER_M = 1.0  # a reflection is longer than the line of sight by at least this length
 LOOK_AHEAD = 10  # epochs that decide about a doubtful track
 LOST_M = 6.0  # standard deviation of the position from which a track is doubtful
@@ -77,170 +74,108 @@ def trusted(image: Image) -> bool:
     return image.exact or (image.confirmed and image.paths >= TRUSTED)
 
 
-class MapLearner:
-    """A tracker of a user and of the images from which paths seem to come.
+class MapLearner(ImageFilter):
+    """A tracker of a user and of the images from which paths seem to come."""
 
-    Args:
-        scene: scene with the base station, and perhaps with known or learned images.
-        radio: profile of the receiver; it determines the noise at each SNR, and the prior.
-        mode: filter mode whose process noise is used. Choose a mode for high mobility.
-    """
-
-    def __init__(self, scene: Scene, radio: Radio, mode: Mode) -> None:
-        self._scene = scene
-        self._radio = radio
-        self._station = np.array(scene.base_station_m)
-        self._filter = ImageFilter(self._station, scene.hz_per_mps, mode.tuning)
-
-    def start(self) -> Belief:
-        """Return the belief about the scene's images, before a track begins."""
-        images = self._scene.anchors_m[1:]
-        learned = self._scene.learned
-        known = len(images) - len(learned)
-        histories = [Image(confirmed=True, exact=True)] * known
-        histories += [Image(image.paths, confirmed=True) for image in learned]
-        sigma = np.zeros(STATE_SIZE + 3 * len(images))
-        sigma[STATE_SIZE + 3 * known :] = np.ravel([image.sigma_m for image in learned])
-        x = np.append(np.zeros(STATE_SIZE), images)
-        return Belief(x, np.diag(sigma**2), tuple(histories), -np.inf, tracked=False)
-
-    def learn(self, log: PathLog, b: Belief | None = None) -> Iterator[Belief]:
-        """Yield the belief after each epoch of a log.
-
-        ``b`` is the belief after an earlier log, whose map the user also meets in this log.
-        """
-        return self.follow(self.observed(log.epochs, log.at_station), b)
-
-    def observed(self, epochs: Iterable[PathEpoch], at_station: bool) -> Iterator[Paths]:
-        """Yield the paths of each epoch of a log as :meth:`follow` needs them."""
-        return observed(epochs, at_station, self._scene, self._radio, STRAIGHT)
+    straight = 9.0
 
     def follow(self, epochs: Iterable[Paths], b: Belief | None = None) -> Iterator[Belief]:
-        """Yield the belief after each epoch as soon as it is certain; see :meth:`learn`.
+        """Yield the belief after each epoch of a log as soon as it is certain.
 
-        An epoch in which the track is doubtful waits for the next ``LOOK_AHEAD`` epochs, which
-        decide about it.
+        ``b`` is the belief after an earlier log, whose map the user also meets in this log. An
+        epoch in which the track is doubtful waits for the next ``LOOK_AHEAD`` epochs, which decide
+        about it.
         """
-        b = (b or self.start())._replace(tracked=False)
-        waiting: deque[Paths] = deque()
+        b = (b or self.start)._replace(tracked=False)
+        waiting: list[Paths] = []
         for latest in chain(epochs, [None]):
             if latest is not None:
                 waiting.append(latest)
             while waiting:
-                paths = waiting[0]
+                paths, *others = waiting
                 now_s = paths.time_s
                 if not 0.0 < now_s - b.time_s <= GAP_S:  # live, a clock may be set back
                     b = b._replace(tracked=False)
-                others = islice(waiting, 1, None)
                 coming = [later for later in others if now_s < later.time_s <= now_s + GAP_S]
-                decides = len(coming) >= LOOK_AHEAD or len(coming) < len(waiting) - 1
+                decides = len(coming) >= LOOK_AHEAD or len(coming) < len(others)
                 if latest is not None and not decides and _is_doubtful(b, paths):
                     break
-                waiting.popleft()
+                waiting = others
                 b = self._advanced(b, paths, coming[:LOOK_AHEAD])
                 yield b
 
     def _advanced(self, b: Belief, paths: Paths, coming: Sequence[Paths]) -> Belief:
         """Return the belief after an epoch; coming epochs decide what to do if it is doubtful."""
         if b.tracked and not _is_doubtful(b, paths):
-            return self._step(b, paths)
-        lost = b.tracked and _is_lost(b)
+            return self.step(b, paths)
         best = b._replace(time_s=paths.time_s, labels={}, begins=False)
         score = -np.inf
         if b.tracked:
-            best, score = self._continued(b, paths, coming, lost)
+            best, score = self._continued(b, paths, coming)
+        of_map = reduced(b, [trusted(image) for image in b.images])
         shortest = np.argsort(paths.z[:, 0])
-        for path in shortest[paths.straight[shortest]][:BEGINNINGS]:
-            rival = self._begun(b, paths, int(path))
-            likelihood, used = self._follow(rival, coming)
+        for path in shortest[paths.straight[shortest]][:BEGINNINGS].tolist():
+            rival = self.begun(self.prior(of_map, paths, path), paths, path)
+            likelihood, used = self.ahead(rival, coming)
             # A wrong beginning may fit later paths, when its prediction has grown uncertain.
-            _, prompt = self._follow(rival, coming[:1])
+            _, prompt = self.ahead(rival, coming[:1])
             fits = used >= len(coming) and prompt >= len(coming[:1])
             if fits and likelihood > score + CLEARLY:
                 best = rival
                 score = likelihood
         return best
 
-    def _continued(
-        self, b: Belief, paths: Paths, coming: Sequence[Paths], lost: bool
-    ) -> tuple[Belief, float]:
+    def _continued(self, b: Belief, paths: Paths, coming: Sequence[Paths]) -> tuple[Belief, float]:
         """Use or ignore the paths of an epoch; also return the log-likelihood of this decision."""
-        using = self._step(b, paths)
-        ignoring = self._step(b, paths.part(slice(0)))
-        likelihood, used = self._follow(using, coming)
-        of_ignoring, _ = self._follow(ignoring, coming)
-        if not lost:
+        using = self.step(b, paths)
+        ignoring = self.step(b, paths.part(slice(0)))
+        likelihood, used = self.ahead(using, coming)
+        of_ignoring, _ = self.ahead(ignoring, coming)
+        too_few = False
+        if _is_lost(b):
+            too_few = used < FITS * len(coming)
+        else:
             likelihood += using.evidence
-        too_few = lost and used < FITS * len(coming)
         if likelihood < of_ignoring or too_few:
             return ignoring, of_ignoring
         return using, likelihood
 
-    def _follow(self, b: Belief, coming: Iterable[Paths]) -> tuple[float, int]:
-        """Return the evidence and the number of used paths in coming epochs."""
-        evidence = 0.0
-        used = 0
-        for paths in coming:
-            b = self._step(b, paths)
-            evidence += b.evidence
-            used += len(b.labels)
-        return evidence, used
-
-    def _begun(self, b: Belief, paths: Paths, path: int) -> Belief:
-        """Return a track that begins at a path as line of sight, and keeps the map."""
-        prior = fix_of(paths, path, self._radio, self._scene)
-        b = reduced(b, [trusted(image) for image in b.images])
-        x = b.x.copy()
-        P = b.P.copy()
-        P[:STATE_SIZE] = 0.0
-        P[:, :STATE_SIZE] = 0.0
-        x[:STATE_SIZE], P[:STATE_SIZE, :STATE_SIZE] = prior
-        others = np.arange(len(paths)) != path
-        begun = Belief(x, P, b.images, paths.time_s)
-        begun = self._step(begun, paths.part(others), sight_used=True)
-        rest = np.flatnonzero(others)
-        labels = {anchor: int(rest[i]) for anchor, i in begun.labels.items()}
-        return begun._replace(labels={**labels, 0: path}, begins=True)
-
-    def _step(self, b: Belief, paths: Paths, sight_used: bool = False) -> Belief:
-        """Return the belief after an epoch.
-
-        With ``sight_used``, the base station's path was used before, and is not among the paths.
-        """
-        b = self._filter.predicted(b, paths.time_s)
+    def step(self, b: Belief, paths: Paths, sight_used: bool = False) -> Belief:
+        """Return the belief after an epoch, as :meth:`ImageFilter.step` says."""
+        b = self.predicted(b, paths.time_s)
         if not len(paths):
-            return _aged(b, {}, {})
+            return _aged(b, {})
         labels, nis, evidence = self._assign(b, paths)
         used = {a: i for a, i in labels.items() if a == 0 or b.images[a - 1].confirmed}
-        b = self._filter.updated(b, paths, used, nis)
+        b = self.updated(b, paths, used, nis)
         short = bool(self._shorter(b, paths).any())
         # Also count paths of tentative images: a new track has no others besides the line of sight.
         likelihood = sum(evidence[a, i] for a, i in labels.items()) - SHORT_PENALTY * short
-        b = b._replace(labels=used, evidence=float(likelihood))
-        of_tentative = {}
-        for anchor, path in labels.items():
-            if anchor not in used:
-                b = self._filter.image_updated(b, paths, anchor, path)
-                of_tentative[anchor] = float(nis[anchor, path])
-        for path in self._unexplained(b, paths, labels):
-            b = self._filter.with_image(b, paths, path)
-            labels[len(b.images)] = path
         doubt = Doubt(
             unused=0 if used else b.doubt.unused + 1,
             blind=0 if sight_used or 0 in used else b.doubt.blind + 1,
             short=b.doubt.short + 1 if short else 0,
         )
-        return _aged(b._replace(doubt=doubt), labels, of_tentative)
+        b = b._replace(labels=used, evidence=float(likelihood), doubt=doubt)
+        for anchor, path in labels.items():
+            if anchor not in used:  # its noise is not inflated
+                b = self.updated(b, paths, {anchor: path}, np.zeros_like(nis), block(anchor))
+        hits = {a: float(nis[a, i]) for a, i in labels.items()}
+        for path in self._unexplained(b, paths, labels):
+            b = self.with_image(b, paths, path)
+            hits[len(b.images)] = 0.0
+        return _aged(b, hits)
 
     def _assign(self, b: Belief, paths: Paths) -> tuple[dict[int, int], Array, Array]:
         """Return the path of each anchor that has one; NIS (A, n); and evidence (A, n), in nats.
 
         The assignment is a global nearest neighbor (Blackman and Popoli 1999, Sec. 6.4).
         """
-        nis, log_det = self._filter.nis(b, paths)
+        nis, log_det = self.nis(b, paths)
         density = [*DENSITY[:3], STATION_DENSITY if paths.at_station else DENSITY[3]]
-        unknown = paths.direct >= UNKNOWN_RAD**2  # these rows must not make a path likelier
-        log_density = np.where(unknown, -0.5 * np.log(2.0 * PI * paths.direct), np.log(density))
+        direct = paths.variance[:, 0]
+        unknown = direct >= UNKNOWN_RAD**2  # these rows must not make a path likelier
+        log_density = np.where(unknown, -0.5 * np.log(2.0 * PI * direct), np.log(density))
         limit = -2.0 * log_density.sum(axis=1) - LINK_ROWS * np.log(2.0 * PI)
         cost = nis + log_det - limit
         evidence = -0.5 * cost
@@ -248,7 +183,7 @@ class MapLearner:
         possible = np.flatnonzero(cost[0] < 0.0)
         if len(possible):  # of the paths that may be the line of sight, only the shortest may
             length = paths.z[possible, 0]
-            variance = paths.direct[possible, 0]
+            variance = direct[possible, 0]
             shortest = length.argmin()
             apart = 3.0 * np.sqrt(variance + variance[shortest])
             cost[0, possible[length > length[shortest] + apart]] = 0.0
@@ -256,25 +191,24 @@ class MapLearner:
 
     def _shorter(self, b: Belief, paths: Paths) -> Mask:
         """Tell which paths (n,) are shorter than the line of sight, which is impossible."""
-        d = b.x[USER] - self._station
+        d = b.x[USER] - self.station
         distance = np.linalg.norm(d)
         u = d / distance
-        sigma = np.sqrt(u @ b.P[USER, USER] @ u + paths.direct[:, 0])
+        sigma = np.sqrt(u @ b.P[USER, USER] @ u + paths.variance[:, 0, 0])
         shorter = paths.z[:, 0] < distance - SHORT_SIGMAS * sigma - LONGER_M
         return paths.straight & shorter  # type: ignore[no-any-return]
 
     def _unexplained(self, b: Belief, paths: Paths, labels: Mapping[int, int]) -> list[int]:
         """Return the paths that may come from images that are still unknown."""
-        nis, _ = self._filter.nis(b, paths)
-        longer = paths.z[:, 0] > np.linalg.norm(b.x[USER] - self._station) + LONGER_M
+        nis, _ = self.nis(b, paths)
+        longer = paths.z[:, 0] > np.linalg.norm(b.x[USER] - self.station) + LONGER_M
         free = np.flatnonzero(longer & (nis.min(axis=0) > FREE)).tolist()
         return [path for path in free if path not in labels.values()]
 
 
 def _is_doubtful(b: Belief, paths: Paths) -> bool:
     """Return whether coming epochs must decide what to do with the paths of an epoch."""
-    blind = b.doubt.blind >= 3 and b.doubt.blind % 5 == 3
-    wrong = blind or b.doubt.unused >= 2 or b.doubt.short >= 2
+    wrong = b.doubt.blind % 5 == 3 or b.doubt.unused >= 2 or b.doubt.short >= 2
     return len(paths) > 0 and (not b.tracked or wrong or _is_lost(b))
 
 
@@ -283,40 +217,36 @@ def _is_lost(b: Belief) -> bool:
     return bool(np.linalg.eigvalsh(b.P[:2, :2])[-1] > LOST_M**2)
 
 
-def _aged(b: Belief, labels: Mapping[int, int], of_tentative: Mapping[int, float]) -> Belief:
+def _aged(b: Belief, hits: Mapping[int, float]) -> Belief:
     """Return the belief with images confirmed, removed and merged.
 
-    ``labels`` are the paths of all images in this epoch; ``of_tentative`` are NIS.
+    ``hits`` are the NIS of all images that had a path in this epoch; 0 for a new image.
     """
-    images = []
-    for anchor, image in enumerate(b.images, start=1):
-        hit = anchor in labels
-        images.append(
-            _judged(
-                image._replace(
-                    paths=image.paths + hit,
-                    recent=(*image.recent, hit)[-EPOCHS:],
-                    missed=0 if hit else image.missed + 1,
-                    nis=image.nis + of_tentative.get(anchor, 0.0),
-                )
-            )
-        )
-    keep = [image is not None for image in images]
-    b = b._replace(images=tuple(image or Image() for image in images))
-    return merged(reduced(b, keep))
+    images = [_later(image, hits.get(anchor)) for anchor, image in enumerate(b.images, start=1)]
+    b = b._replace(images=tuple(images))
+    return merged(reduced(b, [_is_kept(image) for image in images]))
 
 
-def _judged(image: Image) -> Image | None:
-    """Return the image, perhaps confirmed; None if it is to be removed."""
-    if image.exact:
-        return image
+def _later(image: Image, nis: float | None) -> Image:
+    """Return an image after an epoch with a path of this NIS, or without a path (None)."""
+    later = image._replace(
+        paths=image.paths + (nis is not None),
+        epochs=image.epochs + 1,
+        missed=image.missed + 1 if nis is None else 0,
+        nis=image.nis + (nis or 0.0),
+    )
+    if image.confirmed or later.paths < CONFIRM:
+        return later
+    fits = later.nis < chdtri(LINK_ROWS * (later.paths - 1), CONFIRM_TAIL)
+    return later._replace(confirmed=bool(fits))
+
+
+def _is_kept(image: Image) -> bool:
+    """Return whether an image may still be one; a tentative one has few epochs to be confirmed."""
     if image.confirmed:
-        return image if image.missed <= KEEP * max(1.0, image.paths / CONFIRM) else None
-    if sum(image.recent) >= CONFIRM:
-        fits = image.nis < chdtri(LINK_ROWS * (image.paths - 1), CONFIRM_TAIL)
-        return image._replace(confirmed=True) if fits else None
-    hopeless = image.missed > EPOCHS - CONFIRM or len(image.recent) >= EPOCHS
-    return None if hopeless else image
+        return image.exact or image.missed <= KEEP * max(1.0, image.paths / CONFIRM)
+    fresh = image.missed <= EPOCHS - CONFIRM and image.epochs < EPOCHS
+    return fresh and image.paths < CONFIRM
 
 
 def learn_map(
@@ -332,13 +262,12 @@ def learn_map(
         LogError: no track begins in one of the logs.
     """
     learner = MapLearner(scene, radio, mode)
-    belief = learner.start()
+    belief = learner.start
     counts = {"epochs": 0, "paths": 0, "explained": 0, "starts": 0}
     for number, log in enumerate(logs, start=1):
         before = counts["starts"]
-        beliefs = learner.learn(log, belief)
-        for epoch in log.epochs:
-            belief = next(beliefs)
+        beliefs = learner.follow(learner.observed(log.epochs, log.at_station), belief)
+        for epoch, belief in zip(log.epochs, beliefs, strict=True):
             counts["epochs"] += 1
             counts["paths"] += len(epoch.snr_db)
             counts["explained"] += len(belief.labels)

@@ -10,9 +10,11 @@ from hypothesis.extra import numpy as hnp
 
 from mmwave_env.filters.bank import default_modes
 from mmwave_env.filters.textbook import tangent
-from mmwave_env.localization.association import assign, disagreement
-from mmwave_env.localization.image_filter import Belief, Image, ImageFilter, Paths
-from tests.filters.problems import HZ_PER_MPS, numbers, problems
+from mmwave_env.localization.association import PathTracker, assign
+from mmwave_env.localization.image_filter import Belief, Image, Paths, disagreement
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import scene_of_anchors
+from tests.filters.problems import numbers, problems
 
 
 @settings(max_examples=30)
@@ -24,22 +26,23 @@ def test_the_nis_of_a_path_equals_the_textbook_value(problem, data):
     offset = data.draw(numbers(-0.3, 0.3, (n, 4)))
     paths = predicted.mean[np.arange(n)[:, None] % links * 4 + np.arange(4)] + offset
     paths[:, 1:] = (paths[:, 1:] + np.pi) % (2 * np.pi) - np.pi
-    direct, reflected = np.tile(problem.R[:8].reshape(2, 1, 4), (n, 1))
-    station, *images = problem.sensor.anchors
+    variance = np.tile(problem.R[:8].reshape(2, 4), (n, 1, 1))
+    _, *images = problem.sensor.anchors
     P = np.pad(problem.P, (0, 3 * len(images)))
     x = np.append(problem.x, images)
     belief = Belief(x, P, (Image(exact=True),) * len(images), 0.0)
     unknown = np.full(n, np.nan)
-    observed = Paths(0.0, paths, unknown, direct, reflected, unknown, unknown > 0.0, False)
-    image_filter = ImageFilter(station, HZ_PER_MPS, default_modes("standard")[0].tuning)
-    nis, _ = image_filter.nis(belief, observed)
+    observed = Paths(0.0, paths, unknown, variance, unknown, unknown > 0.0, False)
+    scene = scene_of_anchors("problem", np.array(problem.sensor.anchors), 28e9, 400e6)
+    tracker = PathTracker(scene, RADIOS["standard"], default_modes("standard")[0])
+    nis, _ = tracker.nis(belief, observed)
     assert nis.shape == (links, n)
     for link, path in np.ndindex(nis.shape):
         rows = slice(4 * link, 4 * link + 4)
         whole = predicted.mean.copy()
         whole[rows] = paths[path]
         innovation = problem.sensor.difference(whole, predicted.mean)[rows]
-        S = predicted.S[rows, rows] + np.diag((reflected if link else direct)[path])
+        S = predicted.S[rows, rows] + np.diag(variance[path, min(link, 1)])
         right = innovation @ np.linalg.solve(S, innovation)
         assert nis[link, path] == pytest.approx(right, rel=1e-6, abs=1e-9)
 
@@ -69,4 +72,4 @@ def test_the_azimuths_of_a_path_disagree_if_departure_is_not_opposite_to_arrival
     apart = np.array([0.0, 0.1, -0.05, -0.02])
     departures = (arrivals + apart) % (2.0 * np.pi) - np.pi
     paths = np.column_stack([np.full(4, 9.0), arrivals, np.full(4, 0.1), departures])
-    np.testing.assert_allclose(disagreement(paths, sigma), (apart / 0.05) ** 2, atol=1e-12)
+    np.testing.assert_allclose(disagreement(paths, sigma**2), (apart / 0.05) ** 2, atol=1e-12)

@@ -1,28 +1,34 @@
 """Tests of the joint filter of a user and mirror images, against numbers that it does not use."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.filters.bank import default_modes
+from mmwave_env.localization.association import PathTracker
 from mmwave_env.localization.image_filter import (
     Belief,
     Image,
-    ImageFilter,
     Paths,
     block,
     link_rows,
     merged,
     reduced,
 )
-from mmwave_env.models.layout import Layout
-from mmwave_env.models.measurement import exact_rows, seen_from_image
+from mmwave_env.localization.map_learning import MapLearner
+from mmwave_env.models.measurement import seen_from_image
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import scene_of_anchors
 
 STATION = np.array([0.0, 3.0, 8.0])
 IMAGES = np.array([[0.0, 17.0, 8.0], [-30.0, 40.0, 8.0]])
 ANCHORS = np.vstack([STATION, IMAGES])
 USER = np.array([21.0, -4.0, 1.5])
-FILTER = ImageFilter(STATION, 90.0, default_modes("standard")[-1].tuning)
+SCENE = scene_of_anchors("yard", ANCHORS, 28e9, 400e6)
+RECEIVER = (RADIOS["standard"], default_modes("standard")[-1])
+FILTER = PathTracker(SCENE, *RECEIVER)
 
 
 def belief(places=IMAGES, sigma_m=0.5, **image):
@@ -38,19 +44,10 @@ def paths_from(anchors, at_station=False, deviation=0.01):
     """Return exact paths of the user at ``USER`` from these anchors."""
     h, _, _ = link_rows(USER, np.vstack([STATION, anchors]), at_station)
     n = len(anchors)
-    variance = np.full((n, 4), deviation**2)
+    variance = np.full((n, 2, 4), deviation**2)
     shift = np.full(n, np.nan)
     straight = np.ones(n, bool)
-    return Paths(0.0, h[1:], shift, variance, variance, shift, straight, at_station)
-
-
-def test_links_are_those_of_known_anchors():
-    layout = Layout(len(ANCHORS))
-    rows = exact_rows(USER.tolist(), [0.0] * 3, ANCHORS.tolist(), 90.0, layout)
-    expected = np.reshape(rows[: layout.doppler], (-1, 4))
-    h, _, _ = link_rows(USER, ANCHORS, at_station=False)
-    assert_allclose(h[:, :3], expected[:, :3], atol=1e-9)
-    assert_allclose(np.cos(h[:, 3] - expected[:, 3]), 1.0)
+    return Paths(0.0, h[1:], shift, variance, shift, straight, at_station)
 
 
 def test_arrivals_at_the_station_are_mirrored_in_the_wall():
@@ -75,10 +72,10 @@ def test_gradients_are_those_of_finite_differences(at_station):
         assert_allclose(slope[1:], by_a[1:, :, axis], atol=1e-7)
 
 
-def test_ranges_contain_what_offsets_of_anchors_differ_by():
-    offsets = np.array([2.0, 2.5, 1.0])
-    tuning = default_modes("standard")[-1].tuning
-    h, _ = ImageFilter(STATION, 90.0, tuning, offsets).rows(belief(), at_station=False)
+@pytest.mark.parametrize("kind", [PathTracker, MapLearner])
+def test_ranges_contain_what_offsets_of_anchors_differ_by(kind):
+    scene = replace(SCENE, range_offset_m=(2.0, 2.5, 1.0))
+    h, _ = kind(scene, *RECEIVER).rows(belief(), at_station=False)
     expected, _ = FILTER.rows(belief(), at_station=False)
     np.testing.assert_allclose((h - expected)[:, 0], [0.0, 0.5, -1.0])
     np.testing.assert_array_equal(h[:, 1:], expected[:, 1:])
@@ -100,7 +97,7 @@ def test_an_update_with_all_paths_at_once_is_the_textbook_update():
 def test_a_path_of_a_tentative_image_does_not_move_the_user():
     b = belief()
     paths = paths_from(IMAGES + 1.0)
-    updated = FILTER.image_updated(b, paths, anchor=2, path=1)
+    updated = FILTER.updated(b, paths, {2: 1}, np.zeros((3, 2)), only=block(2))
     others = np.r_[0 : block(2).start]
     assert_allclose(updated.x[others], b.x[others], rtol=1e-12)
     kept = np.ix_(others, others)
@@ -114,7 +111,8 @@ def test_a_path_of_a_tentative_image_does_not_move_the_user():
 @pytest.mark.parametrize("at_station", [False, True])
 def test_a_new_image_is_where_its_path_seems_to_come_from(at_station):
     b = belief(places=np.zeros((0, 3)), sigma_m=0.1)
-    born = FILTER.with_image(b, paths_from(IMAGES, at_station), 0)
+    alone = PathTracker(SCENE.with_anchors(ANCHORS[:1]), *RECEIVER)
+    born = alone.with_image(b, paths_from(IMAGES, at_station), 0)
     error = born.places[0] - IMAGES[0]
     P = born.P[block(1), block(1)]
     assert np.linalg.norm(error) < 0.1 and error @ np.linalg.solve(P, error) < 1.0

@@ -56,12 +56,16 @@ def learned(logs, radio="standard", scene=STATION):
     return learn_map(logs, scene, RADIOS[radio], default_modes(radio)[-1])
 
 
+def learner(radio="standard", scene=STATION):
+    return MapLearner(scene, RADIOS[radio], default_modes(radio)[-1])
+
+
 def scores(log, episode, radio, scene):
     """Return ATE, mean NEES and share of NEES in their 95 % from 30 s on."""
-    learner = MapLearner(scene, RADIOS[radio], default_modes(radio)[-1])
+    tracker = learner(radio, scene)
     errors = []
     nees = []
-    for b in learner.learn(log):
+    for b in tracker.follow(tracker.observed(log.epochs, log.at_station)):
         if b.tracked and b.time_s >= 30.0:
             error = b.x[:3] - episode.truth_position_m[np.searchsorted(episode.time_s, b.time_s)]
             errors.append(np.linalg.norm(error))
@@ -87,26 +91,23 @@ def test_the_images_of_a_street_are_learned_from_one_drive(paths_of, radio):
 
 def test_an_epoch_waits_for_the_next_ones_only_where_the_track_is_doubtful(paths_of):
     log, _ = paths_of(5)
-    mode = default_modes("standard")[-1]
-    learner = MapLearner(STATION, RADIOS["standard"], mode)
     read = []
 
     def arriving():
-        for epoch in learner.observed(log.epochs, at_station=False):
+        for epoch in learner().observed(log.epochs, at_station=False):
             read.append(epoch.time_s)
             yield epoch
 
-    waited = [len(read) - number for number, _ in enumerate(learner.follow(arriving()), start=1)]
+    waited = [len(read) - number for number, _ in enumerate(learner().follow(arriving()), start=1)]
     assert waited[0] == LOOK_AHEAD and max(waited) == LOOK_AHEAD
     assert waited.count(0) > len(waited) / 3
 
 
 def test_a_clock_that_is_set_back_begins_a_new_track_on_the_same_map(paths_of):
     log, episode = paths_of(5, epochs=60)
-    learner = MapLearner(STATION, RADIOS["standard"], default_modes("standard")[-1])
-    epochs = [*learner.observed(log.epochs, at_station=False)]
-    once = [*learner.follow(epochs)]
-    twice = [*learner.follow([*epochs, *epochs])]
+    epochs = [*learner().observed(log.epochs, at_station=False)]
+    once = [*learner().follow(epochs)]
+    twice = [*learner().follow([*epochs, *epochs])]
     assert len(twice) == 120 and any(b.begins for b in twice[60:])
     assert sum(image.paths for image in twice[-1].images) > sum(i.paths for i in once[-1].images)
     error = twice[-1].x[:3] - episode.truth_position_m[59]
