@@ -141,21 +141,28 @@ def summary(
     nees = nees[..., counted]
     error = error[..., counted, :]
     delta = max(1, round(epochs_per_s))
+    change = error[..., delta:, :] - error[..., :-delta, :]
+    metrics = running_summary(sums_of(error, nees, change, axes))
+    return metrics if reward is None else {"reward": reward[..., counted].mean(axis=-1)} | metrics
+
+
+def sums_of(error: Array, nees: Array, change: Array, axes: int) -> Sums:
+    """Sum up errors (..., T, 3), NEES (..., T) of position ``axes``, and changes (..., pairs, 3).
+
+    All epochs count. The changes are differences of errors, m.
+    """
     low, high = nees_interval(axes)
     squared = _squared(error)
-    change = _squared(error[..., delta:, :] - error[..., :-delta, :])
-    sums = Sums(
+    return Sums(
         epochs=nees.shape[-1],
-        changes=change.shape[-1],
+        changes=change.shape[-2],
         distance=np.sqrt(squared).sum(axis=-1),
         squared=squared.sum(axis=-1),
-        change=np.sqrt(change).sum(axis=-1),
+        change=np.sqrt(_squared(change)).sum(axis=-1),
         nees=nees.sum(axis=-1),
         inside=((nees >= low) & (nees <= high)).sum(axis=-1),
         largest=squared.max(axis=-1),
     )
-    metrics = running_summary(sums)
-    return metrics if reward is None else {"reward": reward[..., counted].mean(axis=-1)} | metrics
 
 
 def running_summary(sums: Sums) -> dict[str, Array]:

@@ -330,7 +330,7 @@ def _figures(args: LogArgs, files: Inputs, work: Work, track: Track) -> Json:
         except ValueError as error:
             scores["error"] = str(error)
         else:
-            warn_if_far(truth, accuracy, "filtered")
+            warn_if_far(truth, accuracy)
             scores["truth"] = accuracy | {"levels": args.levels}
     if track.damage:
         scores["error"] = str(track.damage)

@@ -12,7 +12,7 @@ from mmwave_env.filters.pipeline import VERTICAL
 from mmwave_env.localization.localizer import Track
 from mmwave_env.localization.position_errors import PositionErrors
 from mmwave_env.logs.truth import Truth
-from mmwave_env.metrics import RISK, ate, nees_interval, rmse
+from mmwave_env.metrics import RISK, nees_interval, running_summary, sums_of
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array, Index
 
@@ -46,7 +46,6 @@ def truth_scores(
     known = np.flatnonzero(~np.isnan(position[:, 0]))
     truth.require_match(len(known), track.time_s)
     axes = (0, 1) if track.planar else (0, 1, 2)
-    interval = nees_interval(len(axes))
     pairs, apart_s = _pairs(track.time_s[known], track.segment[known], track.time_s[:_ENOUGH])
     where = list(position[known].T)
     rows: dict[str, Any] = {}
@@ -58,21 +57,26 @@ def truth_scores(
         error = np.column_stack(belief.error(where))
         errors = PositionErrors(risk, track.planar)
         errors.add(error, P, track.level_factors[known])
-        accuracy = _accuracy(error, np.asarray(belief.nees(where)), pairs, interval)
-        rows[name] = accuracy | errors.figures()
+        change = error[pairs[:, 1]] - error[pairs[:, 0]]
+        sums = sums_of(error, np.asarray(belief.nees(where)), change, len(axes))
+        rows[name] = {metric: float(value) for metric, value in running_summary(sums).items()}
+        del rows[name]["divergence_rate"]
+        if not len(pairs):
+            rows[name]["rpe_m"] = None
+        rows[name] |= errors.figures()
     return {
         "scored": len(known),
         "rpe_s": apart_s if len(pairs) else None,
         "nees_expected": len(axes),
-        "nees_interval": interval,
+        "nees_interval": nees_interval(len(axes)),
         "risk": risk,
         "tracks": rows,
     }
 
 
-def warn_if_far(truth: Truth, scores: dict[str, Any], name: str) -> None:
-    """Warn if the true positions are far from the beliefs of a track, given its scores."""
-    nees = scores["tracks"][name]["nees"]
+def warn_if_far(truth: Truth, scores: dict[str, Any]) -> None:
+    """Warn if the true positions are far from the filtered beliefs, given a track's scores."""
+    nees = scores["tracks"]["filtered"]["nees"]
     if not nees <= FAR_NEES:
         warnings.warn(
             f"{truth.path}: found a mean NEES of {nees:.3g}, expected about "
@@ -89,41 +93,16 @@ def _pairs(time_s: Array, segment: Index, first_s: Array) -> tuple[Index, float 
     the multiple of the time step that is nearest to a second, or None if epochs are too few. Epochs
     of different segments are not paired. The time step is estimated from the times ``first_s``.
     """
-    if len(first_s) < 2 or not len(time_s):
+    if len(first_s) < 2:
         return np.empty((0, 2), np.int64), None
     step = float(np.median(np.diff(first_s)))
     apart_s = max(1, round(1.0 / step)) * step
     later = time_s + apart_s
-    after = np.minimum(np.searchsorted(time_s, later), len(time_s) - 1)
-    before = np.maximum(after - 1, 0)
-    nearer = np.abs(time_s[before] - later) < np.abs(time_s[after] - later)
-    second = np.where(nearer, before, after)
     first = np.arange(len(time_s))
+    second = np.floor(np.interp(later, time_s, first) + 0.5).astype(np.int64)  # the nearest epochs
     paired = (np.abs(time_s[second] - later) <= 0.5 * step) & (second > first)
     paired &= segment[second] == segment
     return np.column_stack([first, second])[paired], apart_s
-
-
-def _accuracy(
-    error: Array, nees: Array, pairs: Index, interval: tuple[float, float]
-) -> dict[str, float | None]:
-    """Return the accuracy of the scored epochs; the RPE is None if there are no pairs.
-
-    Args:
-        error: (n, 3) errors of the scored epochs, m.
-        nees: (n,) their NEES.
-        pairs: (pairs, 2) indices of epochs, as :func:`_pairs` returns them.
-        interval: interval of the NEES of a consistent filter.
-    """
-    low, high = interval
-    change = error[pairs[:, 1]] - error[pairs[:, 0]]
-    return {
-        "ate_m": float(ate(error)),
-        "rmse_m": float(rmse(error)),
-        "rpe_m": float(ate(change)) if len(pairs) else None,
-        "nees": float(nees.mean()),
-        "in_bounds": float(((nees >= low) & (nees <= high)).mean()),
-    }
 
 
 def group_statistics(track: Track) -> dict[str, dict[str, float | None]]:
@@ -131,10 +110,8 @@ def group_statistics(track: Track) -> dict[str, dict[str, float | None]]:
     layout = track.layout
     accepted = track.accepted
     visible = track.visible
-    rows = np.broadcast_to(layout.widths, visible.shape)
-    if layout.partial:
-        measured = np.isfinite(track.measurement)
-        rows = np.add.reduceat(measured, layout.starts, axis=1, dtype=np.int64)
+    measured = np.isfinite(track.measurement)
+    rows = np.add.reduceat(measured, layout.starts, axis=1, dtype=np.int64)
     low, high = np.array([nees_interval(max(n, 1)) for n in range(5)]).T[:, rows]
     inside = accepted & (track.nis >= low) & (track.nis <= high)
     counted = (

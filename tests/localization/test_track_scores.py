@@ -65,7 +65,7 @@ def test_only_a_ground_truth_in_another_frame_causes_a_warning(tmp_path, recwarn
         truth = truth_of(tmp_path, block.time_s, block.x[:, [x, y, 2]] + 0.01)
         scores = truth_scores(block, truth, ["filtered"])
         assert not recwarn
-        warn_if_far(truth, scores, "filtered")
+        warn_if_far(truth, scores)
     (warning,) = recwarn
     assert "truth.tum: found a mean NEES" in str(warning.message)
 
@@ -107,14 +107,6 @@ def test_rpe_of_slow_logs_pairs_only_neighboring_epochs_of_a_segment(tmp_path, s
     rpe_m, apart, x = scored_at(tmp_path, time, known, second_segment=100)
     pairs = [(k, k + 1) for k in range(T - 1) if k not in (49, 69, 70, 99)]
     assert rpe_m == pytest.approx(mean_change(x, pairs), rel=1e-9) and apart == step
-
-
-def test_epochs_between_poses_are_scored(tmp_path):
-    block = replace(some_track(T), time_s=np.arange(T) * 0.001)
-    truth = truth_of(tmp_path, np.arange(0.0, 0.3, 0.1), np.zeros((3, 3)))
-    figures = truth_scores(block, truth, ["filtered"])
-    # Epochs up to 10 ms after the last pose are scored, too.
-    assert figures["scored"] == 211
 
 
 def test_statistics_of_groups_equal_statistics_of_the_complete_track():
