@@ -22,7 +22,7 @@ from experiments.training.networks import perceptron
 from experiments.training.training_task import places_from
 from mmwave_env.compiler.program import rows_of
 from mmwave_env.localization.levels import GAUSSIAN, PARTS, Levels, Network
-from mmwave_env.localization.position_errors import gaussian_levels, horizontal, vertical
+from mmwave_env.localization.position_errors import error_sizes, gaussian_levels
 from mmwave_env.models.radio import TUNED_RADIOS
 from mmwave_env.models.random_survey import RandomSurvey
 from mmwave_env.models.scene import TRAINED_SCENES
@@ -91,9 +91,8 @@ def _played(
             features = Levels(kind=GAUSSIAN).features(
                 batch.layout.anchors, contender.bank is not None, time_s, *parts
             )
-            error = np.stack([horizontal(of["error"]), vertical(of["error"])], axis=-1)
             levels = np.stack([gaussian_levels(of["P"], risk) for risk in RISKS], axis=-2)
-            ratio = np.maximum(error, LEAST_M)[..., None, :] / levels
+            ratio = np.maximum(error_sizes(of["error"]), LEAST_M)[..., None, :] / levels
             yield features.astype(np.float32), np.log(ratio).astype(np.float32)
 
 

@@ -24,7 +24,7 @@ from safetensors import safe_open
 from safetensors.numpy import save
 
 from mmwave_env.io.lookup import choose
-from mmwave_env.localization.position_errors import gaussian_levels, horizontal
+from mmwave_env.localization.position_errors import error_sizes, gaussian_levels, horizontal
 from mmwave_env.metrics import RISK
 from mmwave_env.numerics.numbers import Array
 
@@ -65,10 +65,8 @@ class Network(NamedTuple):
         with safe_open(path, "np") as file:
             risks = json.loads(file.metadata()["levels"])["risks"]
             tensors = {name: file.get_tensor(name).astype(float) for name in file.keys()}  # noqa: SIM118
-        layers: list[tuple[Array, ...]] = []
-        while f"layer.{len(layers)}.weight" in tensors:
-            name = f"layer.{len(layers)}"
-            layers.append((tensors[f"{name}.weight"], tensors[f"{name}.bias"]))
+        count = sum(name.endswith("weight") for name in tensors)
+        layers = [(tensors[f"layer.{i}.weight"], tensors[f"layer.{i}.bias"]) for i in range(count)]
         return cls(risks, tensors["constants"], tensors["low"], tensors["high"], layers)
 
     def to_bytes(self, command: str) -> bytes:
@@ -175,7 +173,7 @@ class Levels:
         moved = x[..., :3] - past[..., :3] - dt[..., None] * past[..., 3:6]
         sizes = _sizes(P)
         gates = _gates(anchors, nis, accepted, rejected)
-        now = np.stack([*gates, *sizes, *_relative(moved, sizes)], axis=-1)
+        now = np.concatenate([gates, sizes, _relative(moved, sizes)], axis=-1)
         averaged = np.concatenate([now, moved, x[..., 3:5]], axis=-1)
         mean = before.means
         if self.state is None:
@@ -184,7 +182,7 @@ class Levels:
         for t, keep in enumerate(_MEMORY ** dt.T[..., None, None]):
             means[:, t] = mean = keep * mean + (1.0 - keep) * averaged[:, t, None]
         self.state = LevelState(mean, x[:, -1:], before.first_s, time_s[:, -1])
-        lag = _relative(means[..., -5:-2], [size[..., None] for size in sizes])
+        lag = np.moveaxis(_relative(means[..., -5:-2], sizes[..., None, :]), -1, 0)
         turn = np.log1p(horizontal(means[..., -2:] - x[..., None, 3:5]))
         clocks = np.log(np.maximum(dt, _LEAST_S)), np.log1p(time_s - before.first_s[:, None])
         known = np.full(now.shape[:2], np.nan) if trusted is None else trusted
@@ -195,12 +193,12 @@ class Levels:
         return np.concatenate([now, alone, steady, *lag, turn], axis=-1)
 
 
-def _gates(anchors: int, nis: Any, accepted: Any, rejected: Any) -> list[Array]:
-    """Return eight features (n, T) of innovations and gates, whatever the number of anchors."""
+def _gates(anchors: int, nis: Any, accepted: Any, rejected: Any) -> Array:
+    """Return features (n, T, 8) of innovations and gates, whatever the number of anchors."""
     measured = accepted + rejected
     links = measured[..., :anchors].sum(axis=-1)
     nis = nis * measured
-    return [
+    features = [
         np.log1p(nis[..., :anchors].max(axis=-1)),
         np.log1p(nis[..., :anchors].sum(axis=-1) / np.maximum(links, 1.0)),
         rejected[..., :anchors].mean(axis=-1),
@@ -210,31 +208,31 @@ def _gates(anchors: int, nis: Any, accepted: Any, rejected: Any) -> list[Array]:
         rejected[..., anchors],
         1.0 - measured[..., anchors],
     ]
+    return np.stack(features, axis=-1)
 
 
-def _sizes(P: Array) -> list[Array]:
-    """Return the logarithms (n, T) of the horizontal and of the vertical Gaussian level.
+def _sizes(P: Array) -> Array:
+    """Return the logarithms (n, T, 2) of the horizontal and of the vertical Gaussian level.
 
     If the height is known exactly, the horizontal level is returned instead of the vertical one.
     """
-    horizontal, vertical = np.moveaxis(gaussian_levels(P, RISK), -1, 0)
-    vertical = np.where(P[..., 5] > 0.0, vertical, horizontal)
-    return [np.log(np.maximum(level, _LEAST)) for level in (horizontal, vertical)]
+    levels = gaussian_levels(P, RISK)
+    levels[..., 1] = np.where(P[..., 5] > 0.0, levels[..., 1], levels[..., 0])
+    return np.log(np.maximum(levels, _LEAST))  # type: ignore[no-any-return]
 
 
-def _relative(moved: Array, sizes: Sequence[Array]) -> list[Array]:
-    """Return log(1 + 10 length / level) in x-y and in z, given vectors (..., 3) and log(level)."""
-    lengths = horizontal(moved), np.abs(moved[..., 2])
-    return [np.log1p(10.0 * a * np.exp(-b)) for a, b in zip(lengths, sizes, strict=True)]
+def _relative(moved: Array, sizes: Array) -> Array:
+    """Return log(1 + 10 length / level) in x-y and in z, (..., 2), given log(level) (..., 2).
+
+    The vectors are (..., 3).
+    """
+    return np.log1p(10.0 * error_sizes(moved) * np.exp(-sizes))  # type: ignore[no-any-return]
 
 
 def _shape(x: Array, P: Array) -> list[Array]:
     """Return four features (n, T) of the position's error ellipse and of the velocity."""
-    xx = P[..., 0]
-    xy = P[..., 1]
-    yy = P[..., 2]
-    vx = x[..., 3]
-    vy = x[..., 4]
+    xx, xy, yy = np.moveaxis(P[..., :3], -1, 0)
+    vx, vy = np.moveaxis(x[..., 3:5], -1, 0)
     mean = np.maximum(0.5 * (xx + yy), _LEAST)
     square = vx * vx + vy * vy
     along = vx * vx * xx + 2.0 * vx * vy * xy + vy * vy * yy

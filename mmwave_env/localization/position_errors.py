@@ -109,6 +109,11 @@ def vertical(error: Array) -> Array:
     return np.abs(error[..., 2])  # type: ignore[no-any-return]
 
 
+def error_sizes(error: Array) -> Array:
+    """Compute the horizontal and the vertical size (..., 2) of errors (..., 3), m."""
+    return np.stack([horizontal(error), vertical(error)], axis=-1)
+
+
 def percentiles(sizes: Array) -> dict[str, float | None]:
     """Compute percentiles of errors (n,), m, as :func:`numpy.quantile` interpolates them.
 
@@ -140,7 +145,7 @@ class PositionErrors:
 
         Gaussian levels are multiplied by ``factors`` (..., 2): see ``levels.py``.
         """
-        sizes = np.stack([horizontal(error), vertical(error)], axis=-1)
+        sizes = error_sizes(error)
         levels = gaussian_levels(P, self.risk) * factors
         self._parts.append(np.stack([sizes, levels]).reshape(2, -1, 2))
 
