@@ -26,7 +26,7 @@ from mmwave_env.localization.location_data import location_data
 from mmwave_env.localization.log_noise import nearest_radio
 from mmwave_env.localization.map_files import geodetic, origin_of
 from mmwave_env.localization.map_learning import MapLearner, learned_scene, trusted
-from mmwave_env.localization.tracker import Position, Tracker, Trackers
+from mmwave_env.localization.tracker import Position, Tracker
 from mmwave_env.logs.live_log import LiveEpoch, LiveLog
 from mmwave_env.logs.log import Log
 from mmwave_env.logs.log_tables import LogError, header_of
@@ -69,18 +69,19 @@ def run_live(args: LogArgs) -> None:
         _run_map(args, scene, origin)
         return
     require_default(args, "--map learn", "map_out")
-    tracker: Tracker | Trackers | None = None
+    tracker: Tracker | None = None
     began = False
     patience = _Patience()
     require_clock(args.clock)
     for live, epochs in _epochs(scene, args.snr, args.clock):
-        users = any(epoch.user for epoch in epochs)
-        if tracker is None or (users and isinstance(tracker, Tracker)):
+        if args.lag and any(epoch.user for epoch in epochs):
+            raise ValueError(f"lag: found {args.lag} and rows with users (ue), expected 0 for them")
+        if tracker is None:
             logs = (epoch.log() for epoch in epochs)
             log = next((e for e in logs if e.visible[:, : e.layout.anchors].any()), None)
             if log:
-                tracker, why = _tracker(args, scene, log, levels, users)
-        for user, position in _positions(tracker, epochs):
+                tracker, why = _tracker(args, scene, log, levels)
+        for user, position in tracker.step(epochs) if tracker else ():
             if not began or (position.begins and not user):
                 note(f"a track begins, or begins anew, at {position.time_s!r} s: {why}")
             content: Json = {"ue": user} if user else {}
@@ -90,8 +91,8 @@ def run_live(args: LogArgs) -> None:
                 content["smoothed"] = _content(late)
             print(json.dumps(content), flush=not user)
             began = True
-        if isinstance(tracker, Trackers):
-            sys.stdout.flush()
+        sys.stdout.flush()
+        if tracker:
             live.forget(tracker.forgotten)
         patience.wait(() if began else epochs)
     if not began:
@@ -188,23 +189,15 @@ class _Patience:
                 )
 
 
-def _tracker(
-    args: LogArgs, scene: Scene, log: Log, levels: Levels, users: bool
-) -> tuple[Tracker | Trackers, str]:
+def _tracker(args: LogArgs, scene: Scene, log: Log, levels: Levels) -> tuple[Tracker, str]:
     """Return a tracker for a log that begins like this, and its modes and radio in words."""
     radio = nearest_radio(log, scene) if args.radio == AUTO else args.radio
     choice = choice_of(args, radio, log)
-    lag = max(args.lag, 1)
     tracker = Tracker(
-        scene, choice.switching, radio_of(args, radio), height_m=args.height, lag=lag,
+        scene, choice.switching, radio_of(args, radio), height_m=args.height, lag=args.lag,
         levels=levels, correlation_s=args.correlation,
     )  # fmt: skip
-    why = f"modes {choice.why}, radio {radio}"
-    if not users:
-        return tracker, why
-    if args.lag:
-        raise ValueError(f"lag: found {args.lag} and rows with users (ue), expected 0 for them")
-    return Trackers(tracker), why
+    return tracker, f"modes {choice.why}, radio {radio}"
 
 
 def _origin(args: LogArgs, scene: Scene) -> Origin | None:
@@ -217,19 +210,6 @@ def _origin(args: LogArgs, scene: Scene) -> Origin | None:
     if args.accuracy is not None and not args.accuracy > 0.0:
         raise ValueError(f"accuracy: found {args.accuracy}, expected meters above 0")
     return origin_of(scene, "format: 3gpp")
-
-
-def _positions(
-    tracker: Tracker | Trackers | None, epochs: Sequence[LiveEpoch]
-) -> Iterator[tuple[str, Position]]:
-    """Yield users ("" if there is only one), and the beliefs after their epochs."""
-    if isinstance(tracker, Trackers):
-        yield from tracker.step(epochs)
-        return
-    for epoch in epochs:
-        position = tracker.step(epoch) if tracker else None
-        if position:
-            yield "", position
 
 
 def _content(position: Position) -> Json:

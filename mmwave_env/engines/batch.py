@@ -110,17 +110,14 @@ class Batch:
         self.write(self.at.site, packed.site, places)
         self.restart(places)
 
-    def load_epoch(self, incoming: Sequence[Any] | Array, gap_s: Any) -> None:
-        """Load one more epoch of the first k tracks.
+    def load_epoch(self, incoming: Any) -> None:
+        """Load one more epoch of each of the first k tracks.
 
-        Args:
-            incoming: (k, columns) rows of :meth:`~mmwave_env.world.episode.Episode.table`.
-            gap_s: (k,) seconds since the previous epochs.
+        ``incoming`` (k, columns) are rows of :meth:`~mmwave_env.world.episode.Episode.table`, with
+        the time since each track's previous epoch.
         """
-        k = len(incoming)
         self.make_room(1)
-        self.state.table[:k, 0] = incoming
-        self.state.table[:k, 0, columns_of(self.layout).dt] = gap_s
+        self.state.table[: len(incoming), 0] = incoming
         self.state.length[:] = 1
         self.state.epoch[:] = 0
 

@@ -50,7 +50,6 @@ STARTS_M = np.array([10.0, 40.0, 160.0])
 _ROUNDS = 20
 _DAMPING = 1e-3  # before the first round, which divides it by 10
 _SETTLED = 1e-6  # a round that reduces the squared errors by less is the last
-_RANGE_ROW = np.array([[True], [False], [False], [False]])  # the range among the rows of a link
 _SURELY = 3.3  # standard deviations of a difference that noise exceeds once in 1,000 times
 
 
@@ -67,9 +66,9 @@ class _Links(NamedTuple):
 
 
 def position_from_links(
-    measurement: Array, sigma: Array, visible: Mask, scene: Scene, clock: str
+    links: Array, sigma: Array, scene: Scene, clock: str
 ) -> tuple[Array, Array] | None:
-    """Return the position (3,) and its covariance from links, or None.
+    """Return the position (3,) and its covariance from links (L, 4), NaN if unmeasured; or None.
 
     If the clock is not synchronized, its range bias is a fourth unknown, with the filters' prior.
     Ranges that no position explains, whatever a free clock's bias is, are left out.
@@ -77,15 +76,15 @@ def position_from_links(
     the best minimum is too uncertain, or if a minimum more than 4 standard deviations away from it
     fits the links about as well.
     """
-    every = scene.anchors_m[: len(measurement) // 4]  # four rows per link, and some others
-    visible_links = np.flatnonzero(visible[: len(every)])
-    z = measurement[: 4 * len(every)].reshape(-1, 4)[visible_links].T
+    every = scene.anchors_m[: len(links)]
+    visible = np.isfinite(links).any(axis=1)
+    z = links[visible].T
+    sigma = sigma[visible].T
+    anchors = every[visible]
     reach_m = FARTHEST_M
     if clock == "free":
-        points = every[visible_links]
-        apart_m = np.linalg.norm(points[:, None] - points, axis=2)
-        wrong = _contradicting(z[0], sigma[4 * visible_links], apart_m)
-        z = np.where(wrong & _RANGE_ROW, np.nan, z)
+        apart_m = np.linalg.norm(anchors[:, None] - anchors, axis=2)
+        z[0, _contradicting(z[0], sigma[0], apart_m)] = np.nan
     measured = np.isfinite(z)
     azimuths = measured[[1, 3]].any(axis=0)
     if clock == "free" and not azimuths.any():
@@ -93,31 +92,29 @@ def position_from_links(
     bias_sigma_m = [BIAS_SIGMA_M[clock]] if clock in BIAS_SIGMA_M else []
     if measured[0].sum() + azimuths.sum() < 2 + len(bias_sigma_m):
         return None  # the height of the streets is known only roughly
-    points = every[visible_links[measured[0]], :2]
+    points = anchors[measured[0], :2]
     mirrored = not azimuths.any() and _on_a_line(points)
     if mirrored and scene.side is None:
         return None  # without azimuths, a mirrored position fits as well
     n = 3 + len(bias_sigma_m)
     deviation = [reach_m, reach_m, HEIGHT_SIGMA_M, *bias_sigma_m]
     center = [*every[:, :2].mean(axis=0), scene.streets.height_m, 0.0]
-    links = _Links(
-        anchors=every[visible_links].T,
+    problem = _Links(
+        anchors=anchors.T,
         z=np.where(measured, z, 0.0),
-        variance=np.where(
-            measured, sigma[: 4 * len(every)].reshape(-1, 4)[visible_links].T ** 2, 1.0
-        ),
+        variance=np.where(measured, sigma**2, 1.0),
         measured=measured.astype(float),
         center=np.array(center[:n]),
         weight=1.0 / np.array(deviation) ** 2,
         synchronized=clock != "free",
     )
-    cost, position, information = _descended(links, _starts(links))
+    cost, position, information = _descended(problem, _starts(problem))
     if mirrored:
         sides = _across(points, position) * _across(points, np.array([scene.side]))
         if not (sides > 0.0).any():
             return None
         cost = np.where(sides > 0.0, cost, np.inf)
-    return _best(links, cost, position, information)
+    return _best(problem, cost, position, information)
 
 
 def _best(

@@ -78,15 +78,15 @@ class Track(Log):
 
 
 class Filtered(NamedTuple):
-    """Filtered beliefs in T epochs, and what :class:`Track` holds beside them, as floats."""
+    """Filtered beliefs in T epochs of N tracks, and what :class:`Track` holds beside them."""
 
-    x: Array
+    x: Array  # (N, T, 7 or 8), and so on; all are floats
     P: Array
     mode: Array
     nis: Array
     accepted: Array
     trusted: Array | None  # None without a corrector
-    kept: tuple[Array, ...]  # input of the smoother, arrays (T, values)
+    kept: Array  # (N, T, values) input of the smoother
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,52 +130,40 @@ class Localizer:
         episode = episode_from(log, self.scene, self.radio, start)
         return episode if self.height_m is None else episode.on_flat_ground(self.height_m)
 
-    def load(self, log: Log, start: Start | None = None) -> Mask:
-        """Load epochs with which a track begins, or goes on if ``start`` is None.
+    def load(self, log: Log, start: Start | None = None) -> None:
+        """Load epochs with which a track begins, or goes on if ``start`` is None."""
+        self.engine.load([self.episode(log, start)], go_on=start is None)
 
-        Return the groups (T, groups) that are visible and were not spent for the start.
-        """
-        episode = self.episode(log, start)
-        self.engine.load([episode], go_on=start is None)
-        return episode.visible
-
-    def run(self, engine: Engine | None = None, count: int = 0) -> Filtered:
-        """Filter the loaded epochs, or an epoch of the first ``count`` tracks of another engine."""
+    def run(self, engine: Engine, count: int = 1) -> Filtered:
+        """Filter the loaded epochs of the first tracks of an engine; N is their ``count``."""
         names = _MIXTURE if self.switching.bank else _PREDICTED
-        outputs = (engine or self.engine).run(*_FILTERED, *names)
-        chosen: Any = (slice(count), 0) if engine else 0
-        parts = {name: of[chosen] for name, of in outputs.items()}
+        outputs = engine.run(*_FILTERED, *names)
+        parts = {name: of[:count] for name, of in outputs.items()}
         x = parts["x"]
         P = parts["P"]
         return Filtered(
-            parts.get("corrected_x", x),
-            parts.get("corrected_P", P),
+            parts.get("reported.x", x),
+            parts.get("reported.P", P),
             parts["memory.mode"],
             parts["memory.nis"],
             parts["memory.accepted"],
             parts.get("trusted"),
-            (x, P, *(parts[name] for name in names)),
+            np.concatenate([x, P, *(parts[name] for name in names)], axis=2),
         )
 
-    def level_factors(
-        self, filtered: Filtered, visible: Any, time_s: Any, begins: bool, tracks: bool = False
-    ) -> Array | None:
-        """Return factors (T, 2) of Gaussian levels; None if no levels are computed.
+    def level_factors(self, filtered: Filtered, visible: Any, time_s: Any, begins: bool) -> Array:
+        """Return factors (N, T, 2) of Gaussian levels; 1 if no others are computed.
 
-        ``visible`` (T, groups) and the times (T,) are arrays or lists. If ``tracks``, they are one
-        epoch of each of T tracks.
+        ``visible`` (N, T, groups) and the times (N, T) are arrays or lists.
         """
+        x, P, _, nis, accepted, trusted, _ = filtered
         if self.levels is None:
-            return None
+            return np.ones((*x.shape[:2], 2))
         if begins:
             self.levels.reset()
-        x, P, _, nis, accepted, trusted, _ = filtered
-        parts = (x, P, nis, accepted, visible - accepted, trusted)
-        axis = 1 if tracks else 0
-        of_tracks = [np.expand_dims(part, axis) for part in parts if part is not None]
-        times = np.expand_dims(time_s, axis)
         mixes = self.switching.bank is not None
-        return self.levels.factors(self.layout.anchors, mixes, times, *of_tracks).squeeze(axis)  # type: ignore[no-any-return]
+        gates = (nis, accepted, visible - accepted)
+        return self.levels.factors(self.layout.anchors, mixes, time_s, x, P, *gates, trusted)
 
     def smoothed(self, kept: Array, time_s: Array, spread_hz: Array) -> tuple[Array, Array]:
         """Return smoothed means (N, T, 7 or 8), packed covariances (N, T, 28 or 36) of N windows.
@@ -234,9 +222,7 @@ def localize(
     parts = segments(log, scene, radio)
     visible = log.visible.copy()
     for part in parts:  # here, because a chunk may have fewer epochs than a start spends
-        of_part = visible[part.epochs]
-        spent = part.start.spent[: len(of_part)]
-        of_part[: len(spent)] &= ~spent
+        visible[part.epochs] = part.start.unspent(visible[part.epochs])
     log = replace(log, visible=visible)
     tracks: list[Track] = []
     for segment, epochs, start in _chunks(parts, window or 1):
@@ -277,14 +263,16 @@ def _track(
 
     ``segment`` is the segment's number; it begins here if there is a ``start``.
     """
-    visible = localizer.load(log, start)
-    filtered = localizer.run()
-    x, P, mode, nis, accepted, trusted, parts = filtered
-    kept = np.concatenate(parts, axis=1)
+    localizer.load(log, start)
+    filtered = localizer.run(localizer.engine)
+    begins = start is not None
+    factors = localizer.level_factors(filtered, log.visible[None], log.time_s[None], begins)
+    x = filtered.x[0]
+    P = filtered.P[0]
+    kept = filtered.kept[0]
     unknown = np.full(len(log), np.nan)
-    factors = localizer.level_factors(filtered, visible, log.time_s, start is not None)
     track = Track(
-        **vars(replace(log, visible=visible)),
+        **vars(log),
         modes=localizer.switching.names,
         planar=localizer.planar,
         skipped=0,
@@ -294,12 +282,12 @@ def _track(
         P=P,
         smooth_x=x,
         smooth_P=P,
-        mode=mode.astype(np.int64),
-        nis=nis,
-        accepted=accepted > 0.5,
-        trusted=unknown if trusted is None else trusted,
+        mode=filtered.mode[0].astype(np.int64),
+        nis=filtered.nis[0],
+        accepted=filtered.accepted[0] > 0.5,
+        trusted=unknown if filtered.trusted is None else filtered.trusted[0],
         smooth_trusted=unknown,
-        level_factors=np.ones((len(log), 2)) if factors is None else factors,
+        level_factors=factors[0],
     )
     sound = np.isfinite(x).all(axis=1) & np.isfinite(P).all(axis=1)
     if not sound.all():
@@ -326,12 +314,6 @@ def episode_from(log: Log, scene: Scene, radio: Radio, start: Start | None) -> E
     prior is meaningless.
     """
     n = log.layout.state_size
-    prior = (np.zeros(n), np.eye(n))
-    visible = log.visible
-    if start:
-        prior = start.prior
-        visible = visible.copy()
-        visible[: len(start.spent)] &= ~start.spent[: len(visible)]
     return Episode.measured(
         "log",
         scene,
@@ -340,11 +322,11 @@ def episode_from(log: Log, scene: Scene, radio: Radio, start: Start | None) -> E
         time_s=log.time_s,
         measurement=log.measurement,
         sigma=log.sigma,
-        visible=visible,
+        visible=start.unspent(log.visible) if start else log.visible,
         snr_db=log.snr_db,
         doppler_spread_hz=log.doppler_spread_hz,
         doppler_anchor=log.doppler_anchor if log.layout.partial else None,
-        prior=prior,
+        prior=start.prior if start else (np.zeros(n), np.eye(n)),
     )
 
 

@@ -62,16 +62,12 @@ class PolicyTracker(Engine):
     def run(self, *names: str, actions: Any = None) -> dict[str, Array]:
         """Filter the loaded episodes once, in the same way as :meth:`Engine.run`.
 
-        If the policy corrects beliefs, the parts "corrected_x" and "corrected_P" are the corrected
-        belief, and "trusted" is the factor by which the correction was scaled.
+        If the policy corrects beliefs, "reported.x" and "reported.P" are the corrected belief, and
+        "trusted" is the factor by which the correction was scaled.
         """
         corrects = self._policy.action == CORRECTION
-        corrected = {"reported.x": "corrected_x", "reported.P": "corrected_P"}
-        wanted = (*names, *corrected) if corrects else names
-        epochs = int(self.state.length[0])
-        played = play(self, self._policy, epochs, wanted, scored=False)
-        parts = played.outputs
+        wanted = (*names, "reported.x", "reported.P") if corrects else names
+        played = play(self, self._policy, int(self.state.length[0]), wanted, scored=False)
         if corrects:
-            parts |= {to: parts.pop(name) for name, to in corrected.items()}
-            parts["trusted"] = played.trusted.astype(float)
-        return parts
+            played.outputs["trusted"] = played.trusted.astype(float)
+        return played.outputs

@@ -8,6 +8,7 @@ compared: a track that they contradict ends, and another one begins.
 """
 
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -39,16 +40,13 @@ def segments(log: Log, scene: Scene, radio: Radio) -> list[Segment]:
         LogError: the log is damaged, and no epoch before the damage determines a position.
         ValueError: no epoch determines a position with which a track could begin.
     """
-    gap_s = _gaps(log)
-    ends = _ends(log, gap_s)
     links = log.visible[:, : log.layout.anchors].any(axis=1)
-    doubtful = np.flatnonzero((gap_s > DOUBTFUL_GAP_S) & links)
-    parts: list[Segment] = []
-    first = 0
-    while first < len(log):
-        end = int(ends[np.searchsorted(ends, first, side="right")])
-        parts.extend(_divided(log, first, end, doubtful, scene, radio))
-        first = end
+    doubtful = np.flatnonzero((_gaps(log) > DOUBTFUL_GAP_S) & links)
+    parts = [
+        part
+        for stretch in stretches(log, scene, radio)
+        for part in _divided(log, stretch, doubtful, scene, radio)
+    ]
     if not parts:
         raise log.damage or ValueError(
             f"log: found {len(log)} epochs, none of which determines a position, expected links "
@@ -64,27 +62,21 @@ def stretches(log: Log, scene: Scene, radio: Radio) -> Iterator[Segment]:
 
     Other than :func:`segments`, these may contain epochs that contradict a start.
     """
-    first = 0
-    for end in _ends(log, _gaps(log)).tolist():
+    ends = np.flatnonzero((_gaps(log) > GAP_S) | log.restarts).tolist()
+    for first, end in pairwise([0, *ends, len(log)]):
         begin, start = _begun(log, first, end, scene, radio)
         if start:
             yield Segment(slice(begin, end), start)
-        first = end
-
-
-def _ends(log: Log, gap_s: Index) -> Index:
-    """Return the indices at which parts end, because of long gaps or of ``restarts``."""
-    return np.append(np.flatnonzero((gap_s > GAP_S) | log.restarts), len(log))
 
 
 def _divided(
-    log: Log, first: int, end: int, doubtful: Index, scene: Scene, radio: Radio
+    log: Log, stretch: Segment, doubtful: Index, scene: Scene, radio: Radio
 ) -> Iterator[Segment]:
     """Yield the segments of epochs without a long gap."""
-    while first < end:
-        begin, start = _begun(log, first, end, scene, radio)
-        if start is None:
-            return
+    begin = stretch.epochs.start
+    end = stretch.epochs.stop
+    start: Start | None = stretch.start
+    while start:
         ballot = _ballot(log, begin, end, scene, radio)
         start = ballot.start(log, begin) or start
         cut = ballot.jump()
@@ -96,6 +88,7 @@ def _divided(
             cut = later if cut is None else cut
         first = end if cut is None else cut
         yield Segment(slice(begin, first), start)
+        begin, start = _begun(log, first, end, scene, radio)
 
 
 def _begun(log: Log, first: int, end: int, scene: Scene, radio: Radio) -> tuple[int, Start | None]:
@@ -114,7 +107,7 @@ def _ballot(log: Log, first: int, end: int, scene: Scene, radio: Radio) -> Ballo
     for epoch in range(first, end):
         if not ballot.is_open(float(log.time_s[epoch] - log.time_s[first])):
             break
-        ballot.add(log, epoch)
+        ballot.vote(log, epoch)
     return ballot
 
 

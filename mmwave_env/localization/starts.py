@@ -11,7 +11,6 @@ some of the first epochs. If a majority agrees on a straight motion that another
 the track begins from this motion instead.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -51,6 +50,7 @@ _DOUBTED_S = 10.0  # time after a start or a long gap in which votes may end a t
 _PATIENCE_S = 60.0  # time in which the first votes must come
 _JUMP = 3  # votes on each side of a jump
 _JUMP_ERROR = 16.0  # minimum reduction of the error by a jump
+_RANGE_ROW = np.array([True, False, False, False])  # the range among the rows of a link
 
 
 class Start(NamedTuple):
@@ -60,6 +60,13 @@ class Start(NamedTuple):
     # (k, groups) which groups of the first k epochs the filters must leave out, because the prior
     # was computed from them, or because they contradict it
     spent: Mask
+
+    def unspent(self, visible: Mask) -> Mask:
+        """Return which groups (T, groups) are left of those visible in the first T epochs."""
+        left = visible.copy()
+        spent = self.spent[: len(left)]
+        left[: len(spent)] &= ~spent
+        return left
 
 
 def gives_fix(links: Array) -> Mask:
@@ -74,19 +81,19 @@ def gives_fix(links: Array) -> Mask:
 def start_at(log: Log, epoch: int, scene: Scene, radio: Radio) -> Start | None:
     """Return a state to begin a track with at an epoch of a log; None if there is none."""
     row = log.part(slice(epoch, epoch + 1))
-    sigma = deviations_of(row, scene, radio)[0]
     link = row.measurement[0, :4]
     spent = np.zeros((1, len(row.layout.groups)), np.bool_)
     whole = bool(np.isfinite(link).all()) and bool(row.visible[0, 0]) and not row.layout.has_bias
     if whole and gives_fix(row.measurement)[0]:
         spent[0, 0] = True
-        return Start(prior_from_fix(scene.anchors_m[0], link, sigma[:4], radio, scene), spent)
+        sigma = deviations_of(row, scene, radio)[0, :4]
+        return Start(prior_from_fix(scene.anchors_m[0], link, sigma, radio, scene), spent)
     links = row.layout.anchors
     elevations = row.measurement[0, 2 : row.layout.doppler : 4]
     if (row.visible[0, :links] & (abs(elevations) > STEEPEST_FIX_RAD)).any():
         return None  # near the vertical, filters can't follow
     spent[0, :links] = row.visible[0, :links]
-    solved = _position_at(row, lambda: log.part(slice(epoch + 1)), scene, radio)
+    solved = _position_at(log, epoch, scene, radio)
     if solved is None:
         return None
     unknown, covariance, _ = solved
@@ -101,22 +108,20 @@ def start_at(log: Log, epoch: int, scene: Scene, radio: Radio) -> Start | None:
 
 
 def _position_at(
-    row: Log, until: Callable[[], Log], scene: Scene, radio: Radio
+    log: Log, epoch: int, scene: Scene, radio: Radio
 ) -> tuple[Array, Array, bool] | None:
     """Return :func:`position_from_links` of an epoch or, if that is None, with earlier links.
 
-    Also tell whether earlier ones were needed. ``row`` is the epoch (T = 1), and ``until`` returns
-    a log that ends with it.
+    Also tell whether earlier ones were needed.
     """
-    sigma = deviations_of(row, scene, radio)[0]
-    clock = row.layout.clock
-    solved = position_from_links(row.measurement[0], sigma, row.visible[0], scene, clock)
-    if solved:
-        return *solved, False
-    if clock == "free":
-        return None  # earlier ranges have another bias
-    solved = position_from_links(*_pooled(until(), scene, radio), scene, clock)
-    return (*solved, True) if solved else None
+    clock = log.layout.clock
+    for age_s in (0.0, POOL_S):
+        solved = position_from_links(*_latest(log, epoch, age_s, scene, radio), scene, clock)
+        if solved:
+            return *solved, age_s > 0.0
+        if clock == "free":
+            break  # earlier ranges have another bias
+    return None
 
 
 def deviations_of(log: Log, scene: Scene, radio: Radio) -> Array:
@@ -127,32 +132,26 @@ def deviations_of(log: Log, scene: Scene, radio: Radio) -> Array:
     return np.where(known, log.sigma, radio.sigma(log.snr_db, scene, log.layout))
 
 
-def _pooled(log: Log, scene: Scene, radio: Radio) -> tuple[Array, Array, Mask]:
-    """Return the latest measurement (rows,) of every row in the second before the last epoch.
+def _latest(log: Log, epoch: int, age_s: float, scene: Scene, radio: Radio) -> tuple[Array, Array]:
+    """Return the links (L, 4) at an epoch: the latest value of each row that is not older.
 
-    Also return standard deviations (rows,), which allow for an unknown motion since then, and the
-    groups (groups,) that were measured.
+    Values are NaN where not measured. Also return standard deviations (L, 4), which allow for an
+    unknown motion since then.
     """
-    now = log.time_s[-1]
-    recent = log.part(slice(int(np.searchsorted(log.time_s, now - POOL_S)), None))
-    layout = log.layout
-    measurement = np.full(layout.size, np.nan)
-    sigma = np.full(layout.size, np.nan)
-    visible = np.zeros(len(layout.groups), np.bool_)
-    deviations = deviations_of(recent, scene, radio)
-    for t in range(len(recent)):
-        moved_m = radio.start_velocity_mps * (now - recent.time_s[t])
-        for group in np.flatnonzero(recent.visible[t, : layout.anchors]).tolist():
-            rows = layout.link(group)
-            z = recent.measurement[t, rows]
-            distance = z[0] if np.isfinite(z[0]) else STARTS_M[0]
-            moved = moved_m / np.array([1.0, *[max(distance, 1.0)] * 3])
-            some = np.isfinite(z)
-            measurement[rows] = np.where(some, z, measurement[rows])
-            grown = np.hypot(deviations[t, rows], moved)
-            sigma[rows] = np.where(some, grown, sigma[rows])
-            visible[group] = True
-    return measurement, sigma, visible
+    now = log.time_s[epoch]
+    log = log.part(slice(int(np.searchsorted(log.time_s, now - age_s)), epoch + 1))
+    anchors = log.layout.anchors
+    links = slice(4 * anchors)
+    shape = (-1, anchors, 4)
+    z = log.measurement[:, links].reshape(shape)
+    measured = np.isfinite(z) & log.visible[:, :anchors, None]
+    distance = np.where(np.isfinite(z[..., :1]), np.maximum(z[..., :1], 1.0), STARTS_M[0])
+    moved_m = radio.start_velocity_mps * (now - log.time_s)[:, None, None]
+    moved = moved_m / np.where(_RANGE_ROW, 1.0, distance)
+    sigma = np.hypot(deviations_of(log, scene, radio)[:, links].reshape(shape), moved)
+    last = len(log) - 1 - measured[::-1].argmax(axis=0, keepdims=True)
+    latest = np.take_along_axis(np.where(measured, z, np.nan), last, axis=0)[0]
+    return latest, np.take_along_axis(sigma, last, axis=0)[0]
 
 
 class Vote(NamedTuple):
@@ -201,26 +200,17 @@ class Ballot:
         few = len(self._votes) < VOTES and not last.pooled  # pooled votes must not share links
         return time_s - last.time_s >= (_SPACING_S if few else _LATER_SPACING_S)
 
-    def add(self, log: Log, epoch: int) -> None:
-        """Let an epoch of a log vote, unless it follows another vote at once."""
-        if self.is_due(float(log.time_s[epoch])):
-            row = log.part(slice(epoch, epoch + 1))
-            self.vote(row, epoch, lambda: log.part(slice(epoch + 1)))
+    def vote(self, log: Log, epoch: int, before: int = 0) -> bool:
+        """Let an epoch of a log vote, unless it follows another vote at once; tell if it did.
 
-    def vote(self, row: Log, epoch: int, until: Callable[[], Log]) -> bool:
-        """Let an epoch vote that :meth:`is_due`; tell if it did.
-
-        Args:
-            row: the epoch (T = 1).
-            epoch: its number.
-            until: function that returns a log that ends with this epoch.
+        ``before`` is the number of epochs before the first one of the log.
         """
-        solved = _position_at(row, until, self._scene, self._radio)
+        time_s = float(log.time_s[epoch])
+        solved = _position_at(log, epoch, self._scene, self._radio) if self.is_due(time_s) else None
         if solved is None:
             return False
         position, covariance, pooled = solved
-        time_s = float(row.time_s[0])
-        self._votes.append(Vote(epoch, time_s, position[:3], covariance[:3, :3], pooled))
+        self._votes.append(Vote(before + epoch, time_s, position[:3], covariance[:3, :3], pooled))
         self._look_for_jump()
         return True
 
@@ -252,18 +242,17 @@ class Ballot:
 
     def start(self, log: Log, first: int) -> Start | None:
         """Return the start at an epoch on which a majority agrees; None if nothing contradicts."""
-        if len(self._votes) < VOTES:
+        if not self.contradicts():
             return None
         votes = self._first_votes()
         wrong, walk = _wrong(votes)
-        if not wrong.any():
-            return None
         right = votes[int(wrong.argmin())]
         usual = start_at(log, right.epoch, self._scene, self._radio)
         if usual is None:
             return None
         mean, covariance = _motion(votes, wrong, walk, float(log.time_s[first]))
-        x, P = (part.copy() for part in usual.prior)
+        x = usual.prior[0].copy()
+        P = usual.prior[1].copy()
         horizontal = [0, 1, 3, 4]
         among = np.ix_(horizontal, horizontal)
         x[horizontal] = mean[horizontal]
@@ -279,8 +268,8 @@ class Ballot:
 class Doubt:
     """The epochs since a start or a gap, whose votes may revise a track that is under way.
 
-    The epochs arrive one by one; the result is the same as that of ``segments.py``, which knows
-    all epochs of a log. Each epoch comes with a function ``row`` that returns it as a log (T = 1).
+    The epochs have one layout and arrive one by one; the result is the same as that of
+    ``segments.py``, which knows all epochs of a log.
 
     Args:
         scene, radio: the scene and the radio of the log.
@@ -294,19 +283,18 @@ class Doubt:
         self._ballot = Ballot(scene, radio)
         self._revised = False
 
-    def begin(self, epoch: LiveEpoch, row: Callable[[], Log]) -> tuple[Log, Start] | None:
+    def begin(self, epoch: LiveEpoch) -> tuple[Log, Start] | None:
         """Return an epoch (T = 1), and a start with it and the second before it; or None."""
         self._epochs = self._until(epoch)
         self._first = len(self._epochs) - 1
-        own = row()
-        log = log_from(self._epochs) if self._first else own
+        log = log_from(self._epochs)
         start = start_at(log, self._first, self._scene, self._radio)
         if start is None:
             return None
-        self._ballot.add(log, self._first)
-        return own, start
+        self._ballot.vote(log, self._first)
+        return log.part(slice(self._first, None)), start
 
-    def revise(self, epoch: LiveEpoch, row: Callable[[], Log]) -> tuple[Log, Start] | None:
+    def revise(self, epoch: LiveEpoch) -> tuple[Log, Start] | None:
         """Return the epochs with which to begin again, and their start; None if the track stands.
 
         ``epoch`` is the next epoch, the last one of the epochs that are returned.
@@ -315,8 +303,9 @@ class Doubt:
         self._epochs.append(epoch)
         if not ballot.is_due(epoch.time_s):
             return None
-        last = len(self._epochs) - 1
-        if not ballot.vote(row(), last, lambda: log_from(self._until(epoch))):
+        recent = self._until(epoch)
+        before = len(self._epochs) - len(recent)
+        if not ballot.vote(log_from(recent), len(recent) - 1, before):
             return None
         jump = ballot.jump()
         undecided = ballot.is_undecided and (self._revised or ballot.contradicts())
@@ -327,7 +316,7 @@ class Doubt:
             self._first = jump
             self._ballot = Ballot(self._scene, self._radio)
             for later in range(jump, len(log)):
-                self._ballot.add(log, later)
+                self._ballot.vote(log, later)
         start = self._ballot.start(log, self._first)
         revised = start is not None
         if start is None and (self._revised or jump is not None):
@@ -338,8 +327,7 @@ class Doubt:
     def _until(self, epoch: LiveEpoch) -> list[LiveEpoch]:
         """Return the epochs of the second before an epoch, and this epoch."""
         since_s = epoch.time_s - POOL_S
-        before = [e for e in self._epochs if since_s <= e.time_s < epoch.time_s]
-        return [*[e for e in before if e.layout == epoch.layout], epoch]
+        return [*[e for e in self._epochs if since_s <= e.time_s < epoch.time_s], epoch]
 
     def is_open(self) -> bool:
         """Tell whether the next epoch may still revise the track."""
