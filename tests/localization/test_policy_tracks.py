@@ -36,17 +36,22 @@ def whole_track(switching, window=None):
     return localize(first_epochs(), SCENE, RADIO, switching, window=window)
 
 
+def environment(switching, observation):
+    """Return an engine that has filtered the first of the walk's first epochs."""
+    whole = first_epochs()
+    pipeline = switching.pipeline(whole.layout, planar=False)
+    engine = Engine(pipeline, 1, TrackingReward(), observation, switching.bank)
+    engine.load([episode_from(whole, SCENE, RADIO, start_at(whole, 0, SCENE, RADIO))])
+    engine.step()
+    return engine
+
+
 @pytest.mark.parametrize("name", representative(("guided", "ppo-standard"), "ppo-standard"))
 @pytest.mark.parametrize("chunk", [7, EPOCHS])
 def test_the_track_equals_the_track_in_the_environment_to_the_last_bit(monkeypatch, name, chunk):
     monkeypatch.setattr("mmwave_env.localization.localizer._CHUNK", chunk)
     switching = load(name, "standard")
-    whole = first_epochs()
-    episode = episode_from(whole, SCENE, RADIO, start_at(whole, 0, SCENE, RADIO))
-    pipeline = switching.pipeline(whole.layout, planar=False)
-    engine = Engine(pipeline, 1, TrackingReward(), switching.observation, switching.bank)
-    engine.load([episode])
-    engine.step()
+    engine = environment(switching, switching.observation)
     policy = LearnedSwitch(name, engine.observation)
     expected = []
     for _ in range(EPOCHS):
@@ -69,11 +74,7 @@ def corrector(tmp_path_factory):
 @pytest.mark.slow  # compiles large programs
 def test_a_corrected_track_has_the_corrected_beliefs_of_the_environment(corrector):
     switching = load(corrector, "standard")
-    whole = first_epochs()
-    pipeline = switching.pipeline(whole.layout, planar=False)
-    engine = Engine(pipeline, 1, TrackingReward(), "signed", switching.bank)
-    engine.load([episode_from(whole, SCENE, RADIO, start_at(whole, 0, SCENE, RADIO))])
-    engine.step()
+    engine = environment(switching, "signed")
     policy = Corrector(corrector, engine.observation)
     expected = []
     trusted = []
@@ -102,18 +103,12 @@ def test_a_track_is_smoothed_from_beliefs_without_corrections(corrector):
     assert_allclose(smooth, expected, atol=1e-9)
 
 
-def test_a_live_track_begins_again_after_a_long_gap():
-    tracker = Tracker(SCENE, Switching(LearnedSwitch("ppo-standard").modes[:1]), "standard")
-    later = [[{**row, "time_s": row["time_s"] + 100.0} for row in epoch] for epoch in ROWS[50:60]]
-    begins = [tracker.update(epoch).begins for epoch in [*ROWS[:10], *later]]
-    assert begins == [True, *[False] * 9, True, *[False] * 9]
+WRONG = [("aoa_azimuth_rad", "north"), ("anchor", 9), ("toa_s", "1e"), ("time_s", -1.0)]
+WRONG.append(("time_s", ROWS[3][0]["time_s"] + 1e-9))  # a step that is too short
 
 
-WRONG = {"aoa_azimuth_rad": "north", "anchor": 9, "time_s": -1.0, "toa_s": "1e"}
-
-
-@pytest.mark.parametrize("field", WRONG)
-def test_an_error_names_the_field_of_a_damaged_row_and_the_epoch_can_be_sent_again(field):
+@pytest.mark.parametrize(("field", "wrong"), WRONG)
+def test_an_error_names_the_field_of_a_damaged_row_and_the_epoch_can_be_sent_again(field, wrong):
     switching = Switching(LearnedSwitch("ppo-standard").modes[:1])
     tracker, undisturbed = (Tracker(SCENE, switching, "standard") for _ in range(2))
     for epoch in ROWS[:3]:
@@ -121,5 +116,5 @@ def test_an_error_names_the_field_of_a_damaged_row_and_the_epoch_can_be_sent_aga
         undisturbed.update(epoch)
     first, second, *_ = ROWS[3]
     with refuses(field, error=LogError):
-        tracker.update([first, second | {field: WRONG[field]}])
+        tracker.update([first, second | {field: wrong}])
     assert tracker.update(ROWS[3]) == undisturbed.update(ROWS[3])

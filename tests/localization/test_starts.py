@@ -1,5 +1,7 @@
 """Tests of the beginnings of tracks: from any links, in spite of reflections, and after outages."""
 
+from itertools import groupby
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -200,34 +202,32 @@ def test_starts_with_two_anchors_have_honest_covariances_or_wait(tmp_path, case)
     assert fewest or not nees
 
 
+def live_as_in_log(tmp_path, scene, rows, policy, first):
+    """Return the live positions of rows; check that from ``first`` on, they are those of a log."""
+    switching = contender_from(policy, "standard")
+    track = localize(log_of(tmp_path, scene, rows), scene, RADIO, switching, window=None)
+    tracker = Tracker(scene, switching, RADIO)
+    epochs = groupby(rows, lambda row: row["time_s"])
+    positions = [tracker.update(epoch) for _, epoch in epochs]
+    assert_array_equal([p.position_m for p in positions[first:]], track.x[first:, :3])
+    return positions
+
+
 @pytest.mark.parametrize("reflected", [(), (0, 1), (1,)])
 @pytest.mark.parametrize("policy", ["imm-best", "corrector"])
 def test_live_takes_back_a_start_and_equals_the_log_from_then_on(tmp_path, reflected, policy):
     def wrong(t, link):
         return [link[0] + 3.0, link[1] + 30.0] if t in reflected else link
 
-    rows = rows_of(ONE, range(30), places, wrong)
-    switching = contender_from(policy, "standard")
-    track = localize(log_of(tmp_path, ONE, rows), ONE, RADIO, switching, window=None)
-    tracker = Tracker(ONE, switching, RADIO)
-    positions = [tracker.update([row]) for row in rows]
+    first = 8 if reflected else 0
+    positions = live_as_in_log(tmp_path, ONE, rows_of(ONE, range(30), places, wrong), policy, first)
     begins = [p.begins for p in positions]
     assert begins.index(True) == 0 and any(begins[1:]) == bool(reflected)
-    later = slice(0 if not reflected else 8, None)
-    assert_array_equal([p.position_m for p in positions[later]], track.x[later, :3])
 
 
 def test_live_takes_back_wrong_ranges_after_an_outage(tmp_path):
     times = [*range(60), *range(74, 100)]
-    rows = rows_of(ROOM, times, street, outage)
-    log = log_of(tmp_path, ROOM, rows)
-    switching = contender_from("imm-best", "standard")
-    track = localize(log, ROOM, RADIO, switching, window=None)
-    tracker = Tracker(ROOM, switching, RADIO)
-    epochs = [[row for row in rows if row["time_s"] == t] for t in times]
-    positions = [tracker.update(epoch) for epoch in epochs]
-    last = slice(-12, None)
-    assert_array_equal([p.position_m for p in positions[last]], track.x[last, :3])
+    live_as_in_log(tmp_path, ROOM, rows_of(ROOM, times, street, outage), "imm-best", -12)
 
 
 def test_any_links_of_any_anchors_begin_a_track(tmp_path):
