@@ -92,10 +92,12 @@ class _User:
 
 
 class Tracker:
-    """A live tracker of one user; ``localize`` computes bit-identical filtered tracks from logs.
+    """A live tracker of users; ``localize`` computes bit-identical filtered tracks from logs.
 
-    It can also track many users, whose epochs are filtered together (:class:`Trackers`). Their
-    tracks stay in an engine as long as the epochs of the same users arrive together.
+    Many users are filtered together, with the results of trackers of their own; a policy's memory
+    must be in its ``memory``. Tracks stay in an engine as long as the epochs of the same users
+    arrive together. Users come and go: whoever is silent for longer than a track can last is
+    forgotten, and whoever has been silent longest if there are more than ``MOST_USERS``.
 
     Only ``localize`` knows from the beginning what the first epochs say together: where these
     contradict a start, a live track is different until it takes the start back
@@ -169,6 +171,13 @@ class Tracker:
         """
         positions = [position for _, position in self.step(self.arrived(rows))]
         return positions[-1] if positions else None
+
+    def update_users(self, rows: Iterable[Mapping[str, Any]]) -> dict[str, Position]:
+        """Process rows with a key ``ue``, an epoch of each user; return the beliefs by user.
+
+        Arguments and errors are the same as for :meth:`update`.
+        """
+        return dict(self.step(self.arrived(rows)))
 
     def arrived(self, rows: Iterable[Mapping[str, Any]]) -> list[LiveEpoch]:
         """Return the epochs that rows form; :meth:`update` describes arguments and errors."""
@@ -452,36 +461,6 @@ class Tracker:
             (gaussian_levels(P, levels.risk) * factors).tolist() if levels else unknown,
         ]
         return list(map(Position, *columns))
-
-
-class Trackers:
-    """Live trackers of many users, whose epochs are filtered together.
-
-    Each user's positions are, to the bit, those of a :class:`Tracker` of its own. Users come and
-    go: whoever is silent for longer than a track can last is forgotten, and whoever has been silent
-    longest if there are more than ``MOST_USERS``. A policy's memory must be in its ``memory``.
-
-    ```python
-    >>> trackers = Trackers(Tracker("street", policy=policies.load("corrector")))
-    >>> rows = [{"ue": "a", "time_s": 0.0, "anchor": 1, "range_m": 71.2, "aoa_azimuth_deg": -45.1,
-    ...          "aoa_elevation_deg": -6.9, "aod_azimuth_deg": 134.8, "snr_db": 22.0}]
-    >>> trackers.update(rows)["a"].position_m  # doctest: +SKIP
-
-    ```
-
-    Args:
-        tracker: a tracker without a track; it tracks all users.
-    """
-
-    def __init__(self, tracker: Tracker) -> None:
-        self._tracker = tracker
-
-    def update(self, rows: Iterable[Mapping[str, Any]]) -> dict[str, Position]:
-        """Process rows with a key ``ue``, an epoch of each user; return the beliefs by user.
-
-        Arguments and errors are the same as for :meth:`Tracker.update`.
-        """
-        return dict(self._tracker.step(self._tracker.arrived(rows)))
 
 
 def _rounds(epochs: Iterable[LiveEpoch]) -> Iterator[list[LiveEpoch]]:

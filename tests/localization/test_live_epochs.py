@@ -20,7 +20,7 @@ from mmwave_env.filters.bank import named_modes
 from mmwave_env.interface.policy import Switching
 from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.localizer import Localizer, localize
-from mmwave_env.localization.tracker import Tracker, Trackers
+from mmwave_env.localization.tracker import Tracker
 from mmwave_env.logs.live_log import LiveLog
 from mmwave_env.logs.log import read_log
 from mmwave_env.logs.log_tables import LogError
@@ -221,7 +221,7 @@ def test_odometry_that_appears_later_or_a_long_gap_begins_a_new_track(name):
 def test_users_who_come_and_go_have_the_positions_of_trackers_of_their_own(policy):
     epochs = walk(40)
     begins = {f"user_{i}": i for i in range(36)}  # epoch in which a user comes
-    trackers = Trackers(Tracker(SCENE, policy, RADIO, levels=Levels()))
+    trackers = Tracker(SCENE, policy, RADIO, levels=Levels())
     alone = {name: Tracker(SCENE, policy, RADIO, levels=Levels()) for name in begins}
     count = 0
     for t in range(75):
@@ -237,7 +237,7 @@ def test_users_who_come_and_go_have_the_positions_of_trackers_of_their_own(polic
                 position = alone[name].update(moved)
                 if position:
                     expected[name] = position
-        positions = trackers.update(rows)
+        positions = trackers.update_users(rows)
         assert positions == expected
         count += len(positions)
     assert count > 1_100  # of 36 users with 34 or 35 epochs each
@@ -245,12 +245,11 @@ def test_users_who_come_and_go_have_the_positions_of_trackers_of_their_own(polic
 
 def test_users_who_left_are_forgotten_and_memory_stays_flat():
     tracker = Tracker(SCENE, Switching((EKF,)), RADIO)
-    trackers = Trackers(tracker)
     first, *_ = walk(1)
     for t in range(200):  # a new user every second, of whom each sends a single epoch
         rows = [row | {"ue": f"user {t}", "time_s": float(t)} for row in first]
-        (position,) = trackers.update(rows).values()
+        (position,) = tracker.update_users(rows).values()
         assert position.begins and len(tracker._users) <= 20
     ahead = [row | {"ue": "user 199", "time_s": 1e9} for row in first]  # a wrong clock
-    trackers.update(ahead)
+    tracker.update_users(ahead)
     assert len(tracker._users) > 10
