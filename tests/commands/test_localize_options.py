@@ -284,6 +284,11 @@ def test_a_live_map_is_written_if_the_program_is_ended(street, tmp_path, number)
         "stderr": subprocess.DEVNULL,
         "text": False,
     }
+
+    def heed_interrupts():  # a process that a shell starts in the background ignores them
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+    pipes["preexec_fn"] = heed_interrupts
     child = started("localize", "-", "--live", *words, "--map-out", file, **pipes)
     with child:
         child.stdin.write((street / "log.csv").read_bytes())

@@ -110,7 +110,7 @@ def test_a_track_equals_the_track_of_a_textbook_ekf_and_is_consistent(tmp_path, 
     height_m, axes = (1.5, 2) if flat else (None, 3)
     for seed in range(WALKS):
         scene, truth = walk(tmp_path / "log.csv", receiver, seed)
-        log = read(tmp_path / "log.csv", scene, partial=True)
+        log = read(tmp_path / "log.csv", scene)
         switching = Switching((MODE,))
         track = localize(log, scene, RADIO, switching, window=None, height_m=height_m)
         begins = EPOCHS - len(track)
