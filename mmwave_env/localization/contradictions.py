@@ -173,7 +173,8 @@ def _range_per_doppler(log: Log, scene: Scene, radio: Radio) -> tuple[float, flo
     regression too large. Of the slopes between both, the result is the one nearest to 1.
     """
     direct = log.visible[:, 0] & log.visible[:, log.layout.anchors] & (log.doppler_anchor == 0)
-    log = log.part(direct)
+    known = np.isfinite(log.measurement[:, [0, log.layout.doppler]]).all(axis=1)
+    log = log.part(direct & known)
     time = log.time_s
     rate = log.measurement[:, log.layout.doppler] / scene.hz_per_mps
     sigma = radio.sigma(log.snr_db, scene, log.layout)[:, 0]
