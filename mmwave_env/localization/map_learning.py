@@ -145,7 +145,7 @@ class MapLearner(ImageFilter):
         b = self.predicted(b, paths.time_s)
         if not len(paths):
             return _aged(b, {})
-        labels, nis, evidence = self._assign(b, paths)
+        labels, nis, evidence = self._assign(b, paths, sight_used)
         used = {a: i for a, i in labels.items() if a == 0 or b.images[a - 1].confirmed}
         b = self.updated(b, paths, used, nis)
         short = bool(self._shorter(b, paths).any())
@@ -166,7 +166,9 @@ class MapLearner(ImageFilter):
             hits[len(b.images)] = 0.0
         return _aged(b, hits)
 
-    def _assign(self, b: Belief, paths: Paths) -> tuple[dict[int, int], Array, Array]:
+    def _assign(
+        self, b: Belief, paths: Paths, sight_used: bool
+    ) -> tuple[dict[int, int], Array, Array]:
         """Return the path of each anchor that has one; NIS (A, n); and evidence (A, n), in nats.
 
         The assignment is a global nearest neighbor (Blackman and Popoli 1999, Sec. 6.4).
@@ -179,7 +181,7 @@ class MapLearner(ImageFilter):
         limit = -2.0 * log_density.sum(axis=1) - LINK_ROWS * np.log(2.0 * PI)
         cost = nis + log_det - limit
         evidence = -0.5 * cost
-        cost[0] -= SIGHT_BONUS
+        cost[0] = np.inf if sight_used else cost[0] - SIGHT_BONUS
         possible = np.flatnonzero(cost[0] < 0.0)
         if len(possible):  # of the paths that may be the line of sight, only the shortest may
             length = paths.z[possible, 0]

@@ -114,6 +114,18 @@ def test_a_clock_that_is_set_back_begins_a_new_track_on_the_same_map(paths_of):
     assert np.linalg.norm(error) < 3.0 and np.linalg.eigvalsh(twice[-1].P).min() > 0.0
 
 
+def test_at_a_beginning_no_second_path_is_the_line_of_sight(paths_of):
+    log, _ = paths_of(1, epochs=20)
+    learner = MapLearner(STATION, RADIOS["standard"], default_modes("standard")[-1])
+    paths = next(learner.observed(log.epochs, at_station=False))
+    sight = int(np.flatnonzero(paths.straight)[0])
+    twice = paths.part(np.array([sight, sight]))
+    prior = learner.prior(learner.start, twice, 0)
+    begun = learner.begun(prior, twice, 0)
+    assert begun.labels == {0: 0}
+    np.testing.assert_array_equal(begun.x, prior.x)
+
+
 @pytest.mark.parametrize("without", [["aoa_elevation_rad"], ["aod_azimuth_rad"], ANGLES])
 def test_paths_without_elevation_or_departure_reveal_the_images_and_the_track(
     paths_of, tmp_path, without
