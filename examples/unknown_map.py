@@ -48,7 +48,8 @@ def learned(log: Path, scene: Path, radio: str) -> Array:
     """
     station = read_scene(scene)
     learner = MapLearner(station, RADIOS[radio], default_modes(radio)[-1])
-    beliefs = learner.learn(read_paths(log, station))
+    paths = read_paths(log, station)
+    beliefs = learner.follow(learner.observed(paths.epochs, paths.at_station))
     return np.array([[b.time_s, *b.x[:3]] for b in beliefs if b.tracked])
 
 
