@@ -160,6 +160,8 @@ def associate(paths: PathLog, scene: Scene, radio: Radio, mode: Mode) -> tuple[L
         if np.isfinite(epoch.odometry).all():
             z[t, layout.doppler + 1 :] = epoch.odometry
             visible[t, -1] = True
+    ranges = sigma[:, layout.ranges]
+    np.hypot(ranges, scene.offset_sigmas_m, out=ranges)
     log = Log(
         layout=layout,
         time_s=np.array([epoch.time_s for epoch in epochs]),

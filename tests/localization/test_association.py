@@ -1,5 +1,7 @@
 """Tests of associating paths with anchors, of where tracks begin, and of counts of paths."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -143,6 +145,15 @@ def test_association_does_not_change_odometry(tmp_path):
     shown = block.visible[:, -1]
     np.testing.assert_array_equal(shown, episode.usable[:, -1])
     np.testing.assert_array_equal(block.measurement[shown, 13:], episode.measurement[shown, 13:])
+
+
+def test_ranges_with_their_own_deviations_are_as_uncertain_as_offsets_of_anchors():
+    scene = replace(SCENE, range_offset_sigma_m=(0.4, 0.0, 0.3))
+    own = [0.3, 0.02, 0.02, 0.03]
+    epochs = [epoch._replace(sigma=np.tile(own, (3, 1))) for epoch in walk([ALL] * 12)]
+    log, _ = associated(epochs, scene)
+    expected = np.tile([0.5, 0.3, np.hypot(0.3, 0.3)], (12, 1))
+    np.testing.assert_allclose(log.sigma[:, LAYOUT.ranges], expected)
 
 
 def test_epochs_before_a_damaged_line_are_returned():
