@@ -6,8 +6,7 @@
 
 import argparse
 import tempfile
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
 
@@ -18,10 +17,11 @@ from experiments.evaluation.intervals import bootstrap_ratio, rounded
 from mmwave_env.datasets.log_folder import log_text, path_columns
 from mmwave_env.filters.bank import default_modes
 from mmwave_env.io.files import write_json
+from mmwave_env.localization.image_filter import Paths
 from mmwave_env.localization.map_learning import MapLearner
 from mmwave_env.logs.log import read_paths
 from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import SCENES, Scene, read_scene, scene_json
+from mmwave_env.models.scene import SCENES, read_scene, scene_json
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode
 from mmwave_env.world.keys import keys_of
@@ -46,32 +46,41 @@ def learned(log: Path, scene: Path, radio: str) -> Array:
     Returns:
         Rows (n, 4) of times (s) and positions (m), one for each epoch with a position.
     """
-    station = read_scene(scene)
-    learner = MapLearner(station, RADIOS[radio], default_modes(radio)[-1])
-    paths = read_paths(log, station)
-    beliefs = learner.follow(learner.observed(paths.epochs, paths.at_station))
-    return np.array([[b.time_s, *b.x[:3]] for b in beliefs if b.tracked])
+    learner = MapLearner(read_scene(scene), RADIOS[radio], default_modes(radio)[-1])
+    return followed(learner, observed(learner, log, scene))
 
 
-def error_m(entry: Entry, episode: Episode, scene: Scene, false_paths: float, seed: int) -> float:
-    """Return the mean error (m) of an entry in an episode whose log is made of paths.
+def observed(learner: MapLearner, log: Path, scene: Path) -> Iterator[Paths]:
+    """Yield the paths of each epoch of a log."""
+    paths = read_paths(log, read_scene(scene))
+    return learner.observed(paths.epochs, paths.at_station)
+
+
+def followed(learner: MapLearner, epochs: Iterable[Paths]) -> Array:
+    """Return times and positions as :func:`learned` does."""
+    return np.array([[b.time_s, *b.x[:3]] for b in learner.follow(epochs) if b.tracked])
+
+
+def by_sight(log: Path, scene: Path, radio: str, episode: Episode) -> Array:
+    """Localize a user as :func:`learned` does, by the true line of sight alone."""
+    learner = MapLearner(read_scene(scene), RADIOS[radio], default_modes(radio)[-1])
+    epochs = []
+    for paths in observed(learner, log, scene):
+        (t,) = np.flatnonzero(episode.time_s == paths.time_s)
+        epochs.append(paths.part(np.isclose(paths.z[:, 0], episode.measurement[t, 0])))
+    return followed(learner, epochs)
+
+
+def error_m(rows: Array, episode: Episode, times: Array) -> float:
+    """Return the mean error (m) of the rows of an entry at these times.
 
     Raises:
-        ValueError: an epoch has no position.
+        ValueError: there is no row for one of the times.
     """
-    columns = path_columns(episode, false_paths, np.random.default_rng(seed))
-    with tempfile.TemporaryDirectory() as folder:
-        log = Path(folder, "log.csv")
-        station = Path(folder, "base-station.json")
-        log.write_text(log_text(columns))
-        write_json(station, scene_json(scene))
-        rows = np.asarray(entry(log, station, episode.name))
-    times = np.unique(columns["time_s"])
-    times = times[times >= SETTLED_S]
-    rows = rows[rows[:, 0] >= SETTLED_S]
+    rows = rows[np.isin(rows[:, 0], times)]
     missing = np.setdiff1d(times, rows[:, 0])
     if len(missing):
-        raise ValueError(f"seed {seed}: found no position at {missing[0]:g} s, expected one")
+        raise ValueError(f"{episode.name}: found no position at {missing[0]:g} s, expected one")
     true = episode.truth_position_m[np.searchsorted(episode.time_s, rows[:, 0])]
     return float(np.linalg.norm(rows[:, 1:] - true, axis=1).mean())
 
@@ -79,15 +88,22 @@ def error_m(entry: Entry, episode: Episode, scene: Scene, false_paths: float, se
 def errors_m(entry: Entry, radio: str, seed: int) -> list[float]:
     """Return mean errors of the line of sight alone, of an entry, and with the true images."""
     source = SimulatedSource(STREET, RADIOS[radio])
-    episode = replace(source.episode(int(keys_of([seed])[0])), name=radio)
-    only_sight = replace(episode, visible=episode.visible.copy())
-    only_sight.visible[:, 1 : episode.layout.anchors] = False
-    station = STREET.with_anchors(STREET.anchors_m[:1])
-    return [
-        error_m(learned, only_sight, station, 0.0, seed),
-        error_m(entry, episode, station, FALSE_PATHS, seed),
-        error_m(learned, episode, STREET, FALSE_PATHS, seed),
-    ]
+    episode = source.episode(int(keys_of([seed])[0]))
+    columns = path_columns(episode, FALSE_PATHS, np.random.default_rng(seed))
+    times = np.unique(columns["time_s"])
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder, "log.csv")
+        station = Path(folder, "base-station.json")
+        street = Path(folder, "street.json")
+        log.write_text(log_text(columns))
+        write_json(station, scene_json(STREET.with_anchors(STREET.anchors_m[:1])))
+        write_json(street, scene_json(STREET))
+        rivals = [
+            by_sight(log, station, radio, episode),
+            np.asarray(entry(log, station, radio)),
+            learned(log, street, radio),
+        ]
+    return [error_m(rows, episode, times[times >= SETTLED_S]) for rows in rivals]
 
 
 def row(entry: Entry, radio: str, seeds: range) -> list[object]:
