@@ -74,10 +74,10 @@ def by_sight(log: Path, scene: Path, radio: str, episode: Episode) -> Array:
 
 def error_m(rows: Array, episode: Episode, times: Array) -> float:
     """Return the mean error (m) of the rows of an entry at these times."""
-    given = rows[np.isin(rows[:, 0], times)]
-    true = episode.truth_position_m[np.searchsorted(episode.time_s, given[:, 0])]
-    missing = np.setdiff1d(times, given[:, 0])
-    errors = np.linalg.norm(given[:, 1:] - true, axis=1)
+    scored = rows[np.isin(rows[:, 0], times)]
+    true = episode.truth_position_m[np.searchsorted(episode.time_s, scored[:, 0])]
+    missing = np.setdiff1d(times, scored[:, 0])
+    errors = np.linalg.norm(scored[:, 1:] - true, axis=1)
     return float(np.append(errors, np.full(len(missing), MISSING_M)).mean())
 
 
