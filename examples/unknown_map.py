@@ -59,7 +59,8 @@ def observed(learner: MapLearner, log: Path, scene: Path) -> Iterator[Paths]:
 
 def followed(learner: MapLearner, epochs: Iterable[Paths]) -> Array:
     """Return times and positions as :func:`learned` does."""
-    return np.array([[b.time_s, *b.x[:3]] for b in learner.follow(epochs) if b.tracked])
+    rows = [[b.time_s, *b.x[:3]] for b in learner.follow(epochs) if b.tracked]
+    return np.reshape(rows, (-1, 4))
 
 
 def by_sight(log: Path, scene: Path, radio: str, episode: Episode) -> Array:
@@ -96,7 +97,7 @@ def errors_m(entry: Entry, radio: str, seed: int) -> list[float]:
         write_json(street, scene_json(STREET))
         rivals = [
             by_sight(log, station, radio, episode),
-            np.asarray(entry(log, station, radio)),
+            np.reshape(entry(log, station, radio), (-1, 4)),
             learned(log, street, radio),
         ]
     return [error_m(rows, episode, times[times >= SETTLED_S]) for rows in rivals]

@@ -209,6 +209,11 @@ def test_the_command_reports_how_many_paths_were_associated_with_each_anchor(hid
         assert paths + association["missed"][name] == 120
 
 
+def test_a_log_of_paths_needs_the_option_that_finds_their_anchors(hidden):
+    _, line = refused(options(hidden, "--radio", "standard", folder=RIDE))
+    assert "found no anchor" in line and "--associate" in line
+
+
 # --- a place without a map
 
 
