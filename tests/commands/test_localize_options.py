@@ -456,6 +456,7 @@ def test_an_error_that_all_links_share_is_warned_of_and_corrected(tmp_path, name
     assert done.returncode == 0 and done.stderr == ""
 
 
+@pytest.mark.slow
 def test_a_log_can_be_diagnosed_with_a_clock_and_a_scene_without_errors_is_not_written(tmp_path):
     scene = tmp_path / "corrected.json"
     words = ("--radio", "standard", "--diagnose", "--clock", "offset", "--write", scene)

@@ -75,7 +75,7 @@ CONFIGURATIONS = {
     "default": {},
     "vehicle": {"scenario": "vehicle", "radio": "standard", "scene": "o1"} | EKF,
     "prior": {"observation": "prior", "reward": "log-score"} | EKF,
-    "signed": {"beliefs": "per-mode", "observation": "signed"},
+    "signed": {"beliefs": "per-mode", "observation": "signed", "modes": ["ekf", "ukf"]},
     "flat": {"planar": True, "odometry": True, "dt": 0.5} | EKF,
     "own modes": {"modes": [ROBUST, Mode("re-acquire", gate=None, recovery=None)]},
     "recorded": {"episodes": "canyon28_vehicle", "episode_steps": 40} | EKF,
