@@ -9,6 +9,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic, register_jitable
 
+from mmwave_env.compiler.disk_cache import compiled
 from mmwave_env.compiler.lanes import WIDTH
 
 NEAR = 2**16  # if all blocks together have up to this many numbers, a core's own caches hold them
@@ -72,7 +73,7 @@ def _give_out(b, step, state, io):  # type: ignore[no-untyped-def]
             io.observations[first + lane, step, i] = block[io.obs_rows[i], lane]
 
 
-@register_jitable  # type: ignore[untyped-decorator]
+@compiled
 def advance(begin, end, run, blank, state, io):  # type: ignore[no-untyped-def]
     """Run the tracks of blocks ``begin`` to ``end``.
 

@@ -18,7 +18,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from numpy.typing import NDArray
 
 from mmwave_env.compiler.advance import advance
-from mmwave_env.compiler.disk_cache import compiled, compiled_callback
+from mmwave_env.compiler.disk_cache import compiled_callback
 from mmwave_env.compiler.lanes import WIDTH, kernel
 from mmwave_env.compiler.threads import share, spans
 from mmwave_env.numerics.numbers import Array, Index
@@ -197,7 +197,7 @@ class Program(Generic[Workspace]):
             (*part, self.on_lanes(), self.blank, state, io)
             for part in spans(blocks, min(threads, blocks))
         ]
-        share(run_blocks, jobs, threads)
+        share(advance, jobs, threads)
 
     def run_on_floats(self, begin: int, end: int, state: BatchState, io: StepIO) -> None:
         """Run the tracks of some blocks one by one in plain Python: slow, for reference."""
@@ -235,9 +235,6 @@ class Program(Generic[Workspace]):
 
         on_address.__qualname__ = f"Program.{fingerprint(self.function, self.template)}"
         return compiled_callback(types.void(types.int64), on_address)
-
-
-run_blocks = compiled(advance)
 
 
 class Repeated:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from mmwave_env.compiler.advance import advance
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import (
     NO_ROWS,
@@ -21,7 +22,6 @@ from mmwave_env.compiler.program import (
     Repeated,
     StepIO,
     blocks_of,
-    run_blocks,
 )
 from mmwave_env.compiler.threads import spans
 from mmwave_env.models.layout import Layout
@@ -71,7 +71,7 @@ class Batch:
         self._input_rows = input_rows
         self._end_s = 0.0  # time of the epoch that was loaded last
         self.on_floats = on_floats
-        self._run = Repeated(run_blocks)
+        self._run = Repeated(advance)
         self._over = np.zeros(n, np.int64)  # epochs and lengths of tracks that load no epoch
         self.parts = spans(blocks, max(1, min(threads, blocks // BLOCKS_PER_THREAD)))
 

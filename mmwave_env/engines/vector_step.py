@@ -218,7 +218,7 @@ class Stepper:
         self._io = engine.step_io(rows)
         self.mask_keys = mask_keys([*shown, "mode", COST_KEY])  # of infos from steps
         self._tally = tally
-        self._run = Repeated(_step)
+        self._run = Repeated(_step_blocks)
 
     def step(self, actions: Index, numbers: Array | None) -> tuple[StepResult, int, Info]:
         """Apply all actions and run the modes on the next epoch, as :meth:`Engine.step` does.
@@ -292,7 +292,7 @@ class Stepper:
         return observations, {key: engine.read(rows[key]) for key in STATE_KEYS if rows}
 
 
-@register_jitable  # type: ignore[untyped-decorator]
+@compiled
 def _step_blocks(  # type: ignore[no-untyped-def]
     begin, end, run, blank, state, io, actions, result, counts
 ):
@@ -333,6 +333,3 @@ def _step_blocks(  # type: ignore[no-untyped-def]
         truncated[e] = epoch[e] > length[e]
         ended += truncated[e]
     return ended
-
-
-_step = compiled(_step_blocks)
