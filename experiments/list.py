@@ -39,10 +39,13 @@ def main(args: Args) -> None:
     from mmwave_env.world.mobility import SCENARIOS
 
     samples = {}
+    logs = sample_names("log")
     for name in sample_names():
-        log = "; also as a log, for localize --sample" if name in sample_names("log") else ""
+        log = "; also as a log, for localize --sample" if name in logs else ""
         epochs = len(recording_from(name).time_s)
         samples[name] = f"ray-traced street, {epochs} epochs, for --data{log}"
+    for name in logs:
+        samples.setdefault(name, "log of paths, for localize --sample with --map learn")
     kinds = {
         "policies": {
             name: DESCRIPTIONS.get(name, f"mode {name.removeprefix('fixed-')} in every epoch")

@@ -5,7 +5,6 @@ from pathlib import Path
 
 from experiments.console.options import WorldArgs, require_alone, require_default
 
-STATION = "base-station.json"
 MOST_FALSE_PATHS = 100.0  # mean number per epoch
 
 
@@ -37,7 +36,14 @@ def main(args: Args) -> None:
     from experiments.console.output import say
     from experiments.console.provenance import command_line
     from experiments.evaluation.contenders import draw_episodes, source_of
-    from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH, path_columns, write_log_folder
+    from mmwave_env.datasets.log_folder import (
+        LOG,
+        SCENE,
+        STATION,
+        TRUTH,
+        path_columns,
+        write_log_folder,
+    )
     from mmwave_env.datasets.recorded import TrackSource
     from mmwave_env.io.files import write_json
     from mmwave_env.models.random_scene import RandomScene

@@ -371,9 +371,9 @@ class LogArgs(IntegrityArgs, JsonArgs):
     scene: str | None = None
     """scene of the log: a JSON file with the anchors; or street, o1, dynamic-doppler"""
     sample: str | None = None
-    """sample to use instead of a log: canyon28_vehicle or
-    canyon28_pedestrian, which have a scene and ground
-    truth"""
+    """sample to use instead of a log, with a scene and
+    ground truth: canyon28_vehicle, canyon28_pedestrian
+    or, with --map learn or --associate, street_paths"""
     live: bool = False
     """read rows from standard input (log -) as CSV or JSON
     lines, and print a JSON line immediately after each

@@ -37,7 +37,7 @@ from experiments.reporting.log_choice import (
     scene_of,
 )
 from experiments.reporting.track_report import track_markdown
-from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH
+from mmwave_env.datasets.log_folder import LOG, SCENE, STATION, TRUTH
 from mmwave_env.datasets.samples import sample_folder
 from mmwave_env.filters.bank import modes_from
 from mmwave_env.io.files import Json, require_writable, write_json
@@ -157,7 +157,9 @@ def inputs(args: LogArgs) -> Inputs:
         return Inputs(log, args.scene, args.truth, tuple(earlier))
     require_alone(args, "sample", "log", "scene")
     folder = sample_folder(args.sample)
-    return Inputs(folder / LOG, str(folder / SCENE), args.truth or folder / TRUTH)
+    station = folder / STATION
+    scene = station if args.map == "learn" and station.exists() else folder / SCENE
+    return Inputs(folder / LOG, str(scene), args.truth or folder / TRUTH)
 
 
 def _check(args: LogArgs, files: Inputs) -> None:

@@ -23,6 +23,7 @@ from mmwave_env.world.episode import NEUTRAL_SNR_DB, Episode
 LOG = "log.csv"
 SCENE = "scene.json"
 TRUTH = "truth.tum"
+STATION = "base-station.json"  # scene without mirror images, beside a log of paths
 _LOGS = tuple(f"log{suffix}" for suffix in SUFFIXES)
 _COLUMNS = (  # written besides times and anchors, in this order
     "toa_s", *LINK[1:], "doppler_hz", "snr_db", "doppler_spread_hz",

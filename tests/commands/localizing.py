@@ -9,6 +9,7 @@ from tests.paths import LOGS, ROOT, json_in
 
 WALK = LOGS / "canyon28_pedestrian"
 RIDE = LOGS / "canyon28_vehicle"
+STREET = LOGS / "street_paths"
 EPOCHS = {WALK: 400, RIDE: 120}  # number of epochs in each log
 
 

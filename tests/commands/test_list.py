@@ -18,7 +18,7 @@ NAMES = {
     "radios": RADIOS,
     "scenes": [*SCENES, RANDOM],
     "modes": named_modes(),
-    "samples": sample_names(),
+    "samples": [*sample_names(), "street_paths"],
     "rewards": REWARDS,
 }
 

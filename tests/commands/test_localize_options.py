@@ -17,7 +17,7 @@ from mmwave_env.logs.log import read_paths
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import read_scene
 from tests.cli import assert_one_clear_line, command, started, with_json
-from tests.commands.localizing import RIDE, WALK, figures, lines_of, options, refused
+from tests.commands.localizing import RIDE, STREET, WALK, figures, lines_of, options, refused
 from tests.filters.tracks import sampled
 from tests.localization.mistakes import AZIMUTHS, MISTAKES, linear, read_columns, write_columns
 from tests.logs.by_hand import hide_anchors
@@ -217,14 +217,6 @@ def test_a_log_of_paths_needs_the_option_that_finds_their_anchors(hidden):
 # --- a place without a map
 
 
-@pytest.fixture(scope="module")
-def street(tmp_path_factory):
-    """Return a folder with a simulated log of paths, and the scene of its base station."""
-    folder = tmp_path_factory.mktemp("street")
-    run("simulate", ["--paths", "--radio", "standard", "--seed", "5", "--out", str(folder)])
-    return folder
-
-
 def learning(folder):
     """Return the options that learn the map of a folder."""
     return "--scene", folder / "base-station.json", "--radio", "standard", "--map", "learn"
@@ -237,10 +229,11 @@ def map_options(folder, *more, logs=("log.csv",)):
 
 
 @pytest.mark.slow
-def test_a_map_is_learned_written_and_used(street, tmp_path):
+def test_a_map_is_learned_from_the_sample_written_and_used(tmp_path):
     file = tmp_path / "learned.json"
-    options = map_options(street, "--imm", "imm-best", "--truth", street / "truth.tum")
-    shown, figures = with_json("localize", *options, "--map-out", str(file))
+    options = ("--sample", STREET.name, "--radio", "standard", "--map", "learn")
+    words = (*options, "--imm", "imm-best", "--map-out", str(file))
+    shown, figures = with_json("localize", *words)
     scene = read_scene(file)
     images = figures["map"]["images"]
     assert [image["position_m"] for image in images] == scene.anchors_m[1:].tolist()
@@ -251,26 +244,24 @@ def test_a_map_is_learned_written_and_used(street, tmp_path):
     assert f"explained {share:.1f} % of" in shown and "| anchor 2 | " in shown
 
 
-def test_a_map_is_learned_live_from_csv_and_json_as_from_the_file(street, tmp_path):
-    words = learning(street)
-    lines = (street / "log.csv").read_text().splitlines()
+def test_a_map_is_learned_live_from_csv_and_json_as_from_the_file(tmp_path):
+    words = learning(STREET)
+    lines = (STREET / "log.csv").read_text().splitlines()
     of_csv, errors, code = live("\n".join(lines).encode(), *words, "--map-out", tmp_path / "a.json")
     assert code == 0 and not errors and of_csv[-1]["images"] == 2
     assert [line["time_s"] for line in of_csv] == [*range(200)]
     for whole in (False, True):
         assert live(as_json(lines, whole), *words)[0] == of_csv
-    scene = read_scene(street / "base-station.json")
+    scene = read_scene(STREET / "base-station.json")
     learner = MapLearner(scene, RADIOS["standard"], default_modes("standard")[-1])
-    log = read_paths(street / "log.csv", scene)
+    log = read_paths(STREET / "log.csv", scene)
     beliefs = [*learner.follow(learner.observed(log.epochs, log.at_station))]
     assert [line["position_m"] for line in of_csv] == [b.x[:3].tolist() for b in beliefs]
     assert read_scene(tmp_path / "a.json") == learned_scene(scene, beliefs[-1])
 
 
-def test_a_live_map_without_a_track_is_not_written_and_a_wrong_name_is_refused_first(
-    street, tmp_path
-):
-    words = learning(street)
+def test_a_live_map_without_a_track_is_not_written_and_a_wrong_name_is_refused_first(tmp_path):
+    words = learning(STREET)
     # on a line of sight, arrival and departure are opposite
     head = b"time_s,range_m,aoa_azimuth_deg,aod_azimuth_deg,snr_db\n0,100,10,10,20\n"
     positions, (warning,), code = live(head, *words, "--map-out", tmp_path / "map.json")
@@ -280,8 +271,8 @@ def test_a_live_map_without_a_track_is_not_written_and_a_wrong_name_is_refused_f
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_live_map_is_written_if_the_program_is_ended(street, tmp_path, number):
-    words = learning(street)
+def test_a_live_map_is_written_if_the_program_is_ended(tmp_path, number):
+    words = learning(STREET)
     file = tmp_path / "map.json"
     pipes = {
         "stdin": subprocess.PIPE,
@@ -296,7 +287,7 @@ def test_a_live_map_is_written_if_the_program_is_ended(street, tmp_path, number)
     pipes["preexec_fn"] = heed_interrupts
     child = started("localize", "-", "--live", *words, "--map-out", file, **pipes)
     with child:
-        child.stdin.write((street / "log.csv").read_bytes())
+        child.stdin.write((STREET / "log.csv").read_bytes())
         child.stdin.flush()
         for _ in range(150):
             child.stdout.readline()
@@ -316,9 +307,9 @@ def test_a_live_map_that_explains_few_paths_causes_one_warning(tmp_path):
 
 
 @pytest.mark.parametrize("more", [("--policy", "guided"), ("--clock", "free"), ("--risk", "0.01")])
-def test_options_without_effect_on_a_map_that_is_learned_live_are_refused(street, more):
-    words = learning(street)
-    _, (line,), code = live((street / "log.csv").read_bytes(), *words, *more)
+def test_options_without_effect_on_a_map_that_is_learned_live_are_refused(more):
+    words = learning(STREET)
+    _, (line,), code = live((STREET / "log.csv").read_bytes(), *words, *more)
     assert code == 2 and f"{more[0].removeprefix('--')}: cannot be combined with --map" in line
 
 
@@ -331,20 +322,20 @@ def test_options_without_effect_on_a_map_that_is_learned_live_are_refused(street
         ("clock", ("--clock", "offset")),
     ],
 )
-def test_options_that_do_not_fit_a_map_are_refused(street, tmp_path, field, more):
-    _, line = refused(map_options(street, *more), cwd=tmp_path)
+def test_options_that_do_not_fit_a_map_are_refused(tmp_path, field, more):
+    _, line = refused(map_options(STREET, *more), cwd=tmp_path)
     assert field in line and not list(tmp_path.iterdir())
 
 
-def test_a_log_in_which_no_track_begins_is_refused_and_nothing_is_written(street, tmp_path):
-    header, *rows = [line.split(",") for line in (street / "log.csv").read_text().splitlines()]
+def test_a_log_in_which_no_track_begins_is_refused_and_nothing_is_written(tmp_path):
+    header, *rows = [line.split(",") for line in (STREET / "log.csv").read_text().splitlines()]
     arrival = header.index("aoa_azimuth_rad")
     departure = header.index("aod_azimuth_rad")
     for row in rows:  # on a line of sight they are opposite
         row[departure] = row[arrival]
     content = [",".join(row) + "\n" for row in (header, *rows)]
     (tmp_path / "log.csv").write_text("".join(content))
-    (tmp_path / "base-station.json").write_text((street / "base-station.json").read_text())
+    (tmp_path / "base-station.json").write_text((STREET / "base-station.json").read_text())
     _, line = refused(map_options(tmp_path, "--map-out", tmp_path / "learned.json"), cwd=tmp_path)
     assert "log 1 of 1: " in line and not (tmp_path / "learned.json").exists()
 
