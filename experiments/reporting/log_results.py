@@ -42,7 +42,7 @@ from mmwave_env.datasets.samples import sample_folder
 from mmwave_env.filters.bank import modes_from
 from mmwave_env.io.files import Json, require_writable, write_json
 from mmwave_env.io.lookup import as_name
-from mmwave_env.localization.association import associate
+from mmwave_env.localization.association import MOST_FALSE, MOST_MISSED, associate
 from mmwave_env.localization.contradictions import (
     FEW_WRONG,
     LARGEST_NIS,
@@ -56,7 +56,7 @@ from mmwave_env.localization.log_noise import nearest_radio, noise_notes, with_r
 from mmwave_env.localization.map_files import MAP_FILES, origin_of
 from mmwave_env.localization.map_learning import FEW_EXPLAINED, learn_map
 from mmwave_env.localization.readings import AS_IT_IS, Reading
-from mmwave_env.localization.shared_errors import SharedError, scanned, shared_errors
+from mmwave_env.localization.shared_errors import scanned, shared_errors
 from mmwave_env.localization.track_files import require_own_files, table_beside, write_track
 from mmwave_env.localization.track_scores import (
     group_statistics,
@@ -248,6 +248,7 @@ def _work(args: LogArgs, files: Inputs, scene: Scene) -> Work:
             warn_of_few_explained(learned["explained"], learned["paths"])
         paths = read_paths(files.log, scene, args.odometry, args.snr)
         log, association = associate(paths, scene, radio, fast)
+        warn_of_poor_association(association)
     else:
         log = read_log(
             files.log, scene, args.odometry, snr_db=args.snr, clock=args.clock,
@@ -280,6 +281,23 @@ def warn_of_few_explained(explained: int, paths: int) -> None:
         )
 
 
+def warn_of_poor_association(association: Json) -> None:
+    """Warn if many paths belong to no anchor, and an anchor lacks a path in many epochs."""
+    paths = association["paths"]
+    false = association["false"]
+    missed = association["missed"]
+    rarest = max(missed, key=lambda name: missed[name])
+    epochs = missed[rarest] + association["associated"][rarest]
+    if false > MOST_FALSE * paths and missed[rarest] > MOST_MISSED * epochs:
+        warnings.warn(
+            f"paths: found {false} of {paths} that belong to no anchor, and {rarest} without a "
+            f"path in {missed[rarest]} of {epochs} epochs, expected less than {MOST_FALSE:.0%} or "
+            f"{MOST_MISSED:.0%}. The map, the frame of the angles or the receiver's clock may be "
+            "off, so do not trust the track",
+            stacklevel=3,
+        )
+
+
 def _track(args: LogArgs, work: Work, window: int | None = None, **more: Any) -> Track:
     switching = work.choice.switching
     if args.two_way and not switching.bank:
@@ -304,12 +322,20 @@ def _consistency(work: Work, track: Track) -> tuple[Json, list[Contradiction]]:
     return groups, contradictions(work.log.whole(), work.scene, work.radio, groups)
 
 
-def _shared_errors(work: Work) -> list[SharedError]:
-    """Return the most likely error that all links of a log share; [] if there is none."""
+def _shared_errors(work: Work) -> dict[str, str]:
+    """Return the most likely error that all links of a log share, with advice; {} if none."""
+    advice = {}
     with suppress(ValueError):  # measurements may be too wrong for a filter without gates
-        mode = modes_from(None, work.profile)[-1]
-        return shared_errors(scanned(Reading(work.log, work.scene, work.radio, mode)), rounds=1)
-    return []
+        reading = Reading(work.log, work.scene, work.radio, modes_from(None, work.profile)[-1])
+        for error in shared_errors(scanned(reading), rounds=1):
+            change = error.change(reading)
+            if work.map:
+                advice[str(error)] = "a frame or a clock that is off distorts a learned map, too"
+            elif work.association and change:
+                advice[str(error)] = f"to correct it, {change}"
+            else:
+                advice[str(error)] = "--diagnose says how to correct it"
+    return advice
 
 
 def beginning(args: LogArgs, epochs: int) -> tuple[Track, Work]:
@@ -348,7 +374,7 @@ def _figures(args: LogArgs, files: Inputs, work: Work, track: Track) -> Json:
                 "more of them)"
             )
     errors = _shared_errors(work)
-    odd += [f"the log looks as if {e}; {UNSEEN}; --diagnose says how to correct it" for e in errors]
+    odd += [f"the log looks as if {e}; {UNSEEN}; {advice}" for e, advice in errors.items()]
     for message in odd:
         warnings.warn(message, stacklevel=2)
     more = {"association": work.association, "map": work.map}
@@ -365,7 +391,7 @@ def _figures(args: LogArgs, files: Inputs, work: Work, track: Track) -> Json:
         **{name: figures for name, figures in more.items() if figures},
         **scores,
         "contradictions": [d._asdict() for d in doubts],
-        "shared_errors": [str(error) for error in errors],
+        "shared_errors": [*errors],
         "written": {str(path): content for _, path, content in _outputs(args) if content},
     }
 

@@ -31,6 +31,10 @@ from mmwave_env.numerics.numbers import Array, Mask
 
 LOOK_AHEAD = 10  # number of epochs whose paths decide whether a track begins in the first of them
 GATE = float(chdtri(LINK_ROWS, 0.01))  # a path may belong to an anchor if its NIS is below
+# An association is doubtful if more of the paths are false, and some anchor lacks paths more often.
+# With a right map, either few paths are false or all anchors are seen often.
+MOST_FALSE = 0.4
+MOST_MISSED = 0.6
 CLEARLY_MORE = 0.5  # additional paths per epoch that a new track must explain to replace another
 
 

@@ -215,26 +215,24 @@ class SharedError(NamedTuple):
     def undone(self, reading: Reading) -> Reading:
         """Return a reading in which the error is undone, with words and cure."""
         size = float(self.theta[-1])
-        change = _scene_change(reading.scene, self.suspect.correct(reading, self.theta).scene)
-        cure = change + self.suspect.cure.format(size, size / _NANOSECOND_M)
+        cure = self.change(reading) + self.suspect.cure.format(size, size / _NANOSECOND_M)
         undo = partial(self.suspect.correct, theta=self.theta)
         return reading.without(Mistake(str(self), cure, undo))
 
-
-def _scene_change(old: Scene, new: Scene) -> str:
-    """Return what to write into the file of a scene; "" if nothing changes."""
-    before = scene_json(old)
-    after = scene_json(new)
-    changed = {
-        key: np.round(value, _DIGITS).tolist()
-        for key, value in after.items()
-        if before.get(key) != value
-    }
-    if not changed:
-        return ""
-    instead = [key for key in before if key not in after]
-    places = f", instead of {', '.join(instead)}," if instead else ""
-    return f"write {json.dumps(changed)[1:-1]}{places} into the scene's file"
+    def change(self, reading: Reading) -> str:
+        """Return what to write into the file of the reading's scene; "" if nothing."""
+        before = scene_json(reading.scene)
+        after = scene_json(self.suspect.correct(reading, self.theta).scene)
+        changed = {
+            key: np.round(value, _DIGITS).tolist()
+            for key, value in after.items()
+            if before.get(key) != value
+        }
+        if not changed:
+            return ""
+        instead = [key for key in before if key not in after]
+        places = f", instead of {', '.join(instead)}," if instead else ""
+        return f"write {json.dumps(changed)[1:-1]}{places} into the scene's file"
 
 
 def scanned(reading: Reading) -> Reading | None:

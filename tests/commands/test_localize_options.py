@@ -214,6 +214,27 @@ def test_a_log_of_paths_needs_the_option_that_finds_their_anchors(hidden):
     assert "found no anchor" in line and "--associate" in line
 
 
+@pytest.mark.parametrize(
+    ("mistake", "advice"),
+    [
+        (linear(1.0), None),
+        (linear(1.0, "toa_s", offset=50e-9), ""),
+        (linear(1.0, *AZIMUTHS, offset=np.radians(8.0)), 'to correct it, write "bearing_deg": '),
+    ],
+    ids=["right", "clock ahead", "azimuths turned"],
+)
+def test_paths_that_do_not_fit_the_map_cause_a_warning(tmp_path, mistake, advice):
+    log = tmp_path / "log.csv"
+    write_columns(log, mistake(read_columns(STREET / "log.csv")))
+    words = options(log, "--radio", "standard", "--associate", "--imm", "imm-best", folder=STREET)
+    done = command("localize", *words)
+    assert done.returncode == 0
+    if advice is None:
+        assert done.stderr == ""
+    else:
+        assert "do not trust the track" in done.stderr and advice in done.stderr
+
+
 # --- a place without a map
 
 
