@@ -13,7 +13,7 @@ from typing import Any
 from rich.progress import TimeElapsedColumn
 
 from experiments.console.options import TrainArgs, require_at_least
-from experiments.console.output import bars, say, show
+from experiments.console.output import bars, note, say, show
 from experiments.console.provenance import command_line
 from experiments.console.signals import answered, ended_by_signals
 from experiments.evaluation.contenders import outcomes_markdown
@@ -31,7 +31,7 @@ from mmwave_env.io.files import Json, read_json, write_bytes, write_json
 TIMESTEPS = {
     "ppo": 4_000_000,
     "rollouts": 1_200_000,
-    "corrector": 320_000_000,
+    "corrector": 110_000_000,
     "two-way": 64_000_000,
 }
 
@@ -194,7 +194,11 @@ def run(args: TrainArgs) -> None:
                 line = f"seed {job.seed}, {timesteps} steps: {text}"
                 bar.console.print(line, soft_wrap=True)
 
-        outcomes = side_by_side(jobs, args.jobs, tell)
+        try:
+            outcomes = side_by_side(jobs, args.jobs, tell)
+        except KeyboardInterrupt:
+            note(f"repeat the command with --resume to go on with {args.out}")
+            raise
     outcomes.sort(key=lambda outcome: -outcome["best"]["reward"])
     median = outcomes[len(outcomes) // 2]
     policy = jobs[median["seed"]].policy

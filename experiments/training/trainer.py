@@ -194,28 +194,35 @@ def run_training(job: Job, algorithm: Callable[[Job, int], Trainer], tell: Tell)
         with going_on_from(job.checkpoint):
             trainer.restore(state)
     examine = trainer.examiner(job.episodes)
-    while timesteps < job.timesteps:
-        steps, row = trainer.update(1.0 - timesteps / job.timesteps)
-        timesteps += steps
-        rows.append({"timesteps": timesteps} | row)
-        over = timesteps >= job.timesteps
-        text = ""
-        if over or len(rows) % trainer.EVERY == 0:
-            file = PolicyFile(trainer.tensors(), card_of(job, trainer, timesteps), job.policy)
-            evaluation = examine(file)
-            rows[-1] |= means_of(evaluation)
-            text = f"reward {evaluation['reward']:.3f}"
-            if best is None or evaluation["reward"] > best["reward"]:
-                best = {"timesteps": timesteps, **evaluation}
-                card = replace(file.card, evaluation=best)
-                write_bytes(job.policy, to_bytes(file.tensors, card))
-        rows[-1]["seconds"] = time.monotonic() - begun_s
-        if over or len(rows) % job.checkpoint_every == 0:
-            write_text(job.folder / "progress.csv", as_csv(rows))
-            saved = {"rows": rows, "best": best, "trainer": trainer.state()}
-            with atomic_path(job.checkpoint) as temporary:
-                torch.save(saved, temporary)
-        tell(timesteps, text)
+
+    def keep() -> None:
+        write_text(job.folder / "progress.csv", as_csv(rows))
+        saved = {"rows": rows, "best": best, "trainer": trainer.state()}
+        with atomic_path(job.checkpoint) as temporary:
+            torch.save(saved, temporary)
+
+    try:
+        while timesteps < job.timesteps:
+            steps, row = trainer.update(1.0 - timesteps / job.timesteps)
+            timesteps += steps
+            seconds = time.monotonic() - begun_s
+            rows.append({"timesteps": timesteps, "seconds": seconds} | row)
+            text = ""
+            if timesteps >= job.timesteps or len(rows) % trainer.EVERY == 0:
+                file = PolicyFile(trainer.tensors(), card_of(job, trainer, timesteps), job.policy)
+                evaluation = examine(file)
+                rows[-1] |= means_of(evaluation)
+                text = f"reward {evaluation['reward']:.3f}"
+                if best is None or evaluation["reward"] > best["reward"]:
+                    best = {"timesteps": timesteps, **evaluation}
+                    card = replace(file.card, evaluation=best)
+                    write_bytes(job.policy, to_bytes(file.tensors, card))
+            if len(rows) % job.checkpoint_every == 0:
+                keep()
+            tell(timesteps, text)
+    finally:  # also after a signal
+        if rows:
+            keep()
     seconds = round(time.monotonic() - begun_s, 1)
     outcome = {"seed": job.seed, "timesteps": timesteps, "seconds": seconds, "best": best}
     write_json(job.outcome, outcome)

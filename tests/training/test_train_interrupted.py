@@ -69,7 +69,8 @@ def interrupt_after(calls):
 
 
 def assert_goes_on(job):
-    """Interrupt a training that saves after every update twice, let it finish, and check it."""
+    """Interrupt a training twice, long before a checkpoint, let it finish, and check it."""
+    job = replace(job, checkpoint_every=1000)
     for calls in (0, 1):
         with pytest.raises(Interrupted):
             train(job, interrupt_after(calls))
