@@ -48,13 +48,14 @@ def run_live(args: LogArgs) -> None:
     """
     if str(args.log) != "-" or args.scene is None:
         raise ValueError('live: needs "-" (standard input) as the log, and --scene')
+    if args.associate:
+        raise ValueError("associate: found --live, for which --map learn assigns paths to anchors")
     files = ("sample", "truth", "out", "plot", "json")
     require_alone(
         args,
         "live",
         *files,
         "two_way",
-        "associate",
         "diagnose",
         "odometry",
         "more",
@@ -83,7 +84,8 @@ def run_live(args: LogArgs) -> None:
                 tracker, why = _tracker(args, scene, log, levels)
         for user, position in tracker.step(epochs) if tracker else ():
             if not began or (position.begins and not user):
-                note(f"a track begins, or begins anew, at {position.time_s!r} s: {why}")
+                of = f" of {user}" if user else ""
+                note(f"a track{of} begins, or begins anew, at {position.time_s!r} s: {why}")
             content: Json = {"ue": user} if user else {}
             content |= _formatted(args, position, origin)
             late = tracker.smoothed() if tracker and args.lag else None

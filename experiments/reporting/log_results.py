@@ -110,7 +110,8 @@ def diagnosed(args: LogArgs, files: "Inputs", scene: Scene) -> None:
         write_json(args.write, scene_json(corrected))
         text += f"\nWritten: {args.write} (corrected scene)\n"
     elif args.write:
-        text += "\nNot written: the scene needs no correction.\n"
+        why = "correct the log, not the scene" if findings[0].cure else "nothing is wrong"
+        text += f"\nNot written: {why}.\n"
     if args.json:
         figures = {
             "facts": facts,

@@ -155,6 +155,7 @@ def track_statistics(track: Track) -> dict[str, Any]:
         "epochs": len(track),
         "skipped": track.skipped,
         "restarts": int(track.segment[-1]),
+        "restarted_s": track.time_s[1:][np.diff(track.segment) > 0].tolist(),
         "dropped": track.dropped,
         "first_s": float(track.time_s[0]),
         "last_s": float(track.time_s[-1]),

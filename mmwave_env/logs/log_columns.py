@@ -259,9 +259,11 @@ def require_clock_and_noise(columns: dict[str, Column], clock: str, has_snr: boo
     """Refuse a clock that contradicts the ranges, and measurements without deviation or SNR."""
     for quantity, sigma in SIGMA_OF.items():
         if quantity in columns and not (has_snr or "snr" in columns or sigma in columns):
-            own = next(iter(QUANTITIES[sigma].columns))
+            name = columns[quantity].name
+            unit = name.rpartition("_")[2]
+            own = next(n for n in QUANTITIES[sigma].columns if n.endswith(f"_{unit}"))
             raise ValueError(
-                f"columns: found {columns[quantity].name} without its noise, expected {own} or "
+                f"columns: found {name} without its noise, expected {own} or "
                 "snr_db, or --snr DB for all links"
             )
     times = columns["toa"].name if "toa" in columns else ""
