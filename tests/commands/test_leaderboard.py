@@ -56,6 +56,7 @@ def test_a_file_that_is_not_an_entry_is_refused(tmp_path):
     good = json_in(FOLDER / f"{GOOD}.json")
     for damage, message in (
         ({"sites": {}}, "sites: missing street:handset, "),
+        ({"sites": good["sites"] | {"mine": good["sites"]["o1:handset"]}}, "sites: found mine, "),
         ({"mean_gain": {}}, "not an entry: "),
     ):
         write_json(tmp_path / "bad.json", sealed(good | damage))
