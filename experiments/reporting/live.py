@@ -34,6 +34,7 @@ from mmwave_env.models.layout import require_clock
 from mmwave_env.models.scene import Origin, Scene, scene_json
 
 SOURCE = "standard input"
+_MOST_INCOMPLETE = 20  # first lines that may lack columns before the log is refused
 _ENOUGH_PATHS = 400  # paths after which a warning says if a learned map explains few of them
 _PATIENCE_S = 10.0  # time without a first position after which a warning says so
 
@@ -254,12 +255,12 @@ def _epochs(
         raise ValueError(f"log: found nothing on {SOURCE}, expected a header or JSON lines")
     as_json = first.lstrip().startswith("{")
     if as_json:
-        names = [*dict.fromkeys(name for row in _objects(first, number)[0] for name in row)]
-        lines = chain([(number, first)], lines)
-        delimiter = ","
+        read = chain([(number, first)], lines)
+        log, first_lines = _begun(read, scene, snr_db, clock, associated)
+        lines = chain(first_lines, lines)
     else:
         names, delimiter = header_of(first)
-    log = LiveLog(names, scene, snr_db, SOURCE, clock, delimiter, associated)
+        log = LiveLog(names, scene, snr_db, SOURCE, clock, delimiter, associated)
     epochs: list[LiveEpoch] = []
     for line in lines:
         if line is None:
@@ -271,6 +272,38 @@ def _epochs(
     if log.left_out:
         counts = ", ".join(f"{name}: {count}" for name, count in log.left_out.items())
         _warn(f"{SOURCE}: left out in all: {counts}")
+
+
+def _begun(
+    lines: Iterator[tuple[int, str] | None],
+    scene: Scene,
+    snr_db: float | None,
+    clock: str,
+    associated: bool,
+) -> tuple[LiveLog, list[tuple[int, str]]]:
+    """Return a log with the columns of the first JSON lines, and these lines, which it lacks.
+
+    A row may lack columns, so they are as many lines as a log needs.
+
+    Raises:
+        LogError: the lines lack a column.
+    """
+    names: dict[str, None] = {}
+    first_lines = []
+    problem: LogError | None = None
+    for number, line in filter(None, lines):
+        names |= dict.fromkeys(name for row in _objects(line, number)[0] for name in row)
+        first_lines.append((number, line))
+        try:
+            log = LiveLog(list(names), scene, snr_db, SOURCE, clock, associated=associated)
+        except LogError as error:
+            problem = problem or error
+            if len(first_lines) == _MOST_INCOMPLETE:
+                break
+        else:
+            return log, first_lines
+    assert problem
+    raise problem
 
 
 def _added(log: LiveLog, number: int, line: str, as_json: bool) -> Iterator[LiveEpoch]:

@@ -16,7 +16,15 @@ import numpy as np
 
 from mmwave_env.logs.log import Log, PathEpoch, log_of, path_epochs, places
 from mmwave_env.logs.log_checks import MOST_PATHS, first_damage, without_lost
-from mmwave_env.logs.log_columns import BODY, LOST, QUANTITIES, STATION, USER
+from mmwave_env.logs.log_columns import (
+    BODY,
+    LOST,
+    ODOMETRY_QUANTITIES,
+    QUANTITIES,
+    QUANTITY_OF,
+    STATION,
+    USER,
+)
 from mmwave_env.logs.log_tables import LogError, LogFile, Table, log_file, parse, words_of
 from mmwave_env.models import envelope
 from mmwave_env.models.layout import Layout, wrapped
@@ -223,6 +231,7 @@ class LiveLog:
         self._user = names.index(USER) if USER in names else None
         self._names = [name for name in names if name != USER]
         self._known = {"", USER, *names}  # also names of columns that are ignored
+        self._halves: list[str] = []  # columns of odometry that are ignored without the others
         file = log_file(
             Path(source), self._names, delimiter, scene, snr_db, clock, associated=associated
         )
@@ -371,16 +380,19 @@ class LiveLog:
         before = self._columns.file
         try:
             file = log_file(
-                before.path, [*self._names, *names], before.delimiter, before.scene,
+                before.path, [*self._names, *self._halves, *names], before.delimiter, before.scene,
                 before.snr_db, before.layout.clock, associated=before.associated,
             )  # fmt: skip
         except LogError as error:
             if len(names) == 1:
                 self.warnings.append(f"row {number}, column {names[0]!r} is ignored: {error}")
+                if QUANTITY_OF.get(names[0]) in ODOMETRY_QUANTITIES:
+                    self._halves += names
             for name in names if len(names) > 1 else ():
                 self._learn([name], number)
         else:
-            self._names += names
+            self._names += self._halves + names
+            self._halves.clear()
             self._columns = LiveColumns(file)
             empty = [nan] * (len(file.columns) - len(before.columns))
             for arrived in self._arrivals.values():

@@ -73,6 +73,18 @@ def test_json_lines_give_the_same_positions_as_csv(whole):
     assert late[:3] == [None] * 3 and late[3]["time_s"] == csv_lines[0]["time_s"]
 
 
+@pytest.mark.parametrize("kept", [["snr_db"], ["doppler_hz"], ["toa_s"]])
+def test_the_first_json_rows_may_lack_columns(kept):
+    """The first row may also have odometry in part, which is used once it is complete."""
+    first, *others = (json.loads(line) for line in as_json(lines_of()[:61], False).splitlines())
+    sparse = {name: first[name] for name in ("time_s", "anchor", *kept)} | {"speed_mps": 1.0}
+    moving = [row | {"speed_mps": 1.0, "heading_rad": 0.0} for row in others]
+    lines = "\n".join(map(json.dumps, [sparse, *moving])).encode()
+    positions, _, code = live(lines, "--speed", "1")
+    assert code == 0 and len(positions) == len({row["time_s"] for row in others})
+    assert "odometry" in positions[-1]["nis"]
+
+
 def test_rows_of_several_users_give_the_lines_of_each_alone():
     alone, _, _ = live(first_rows(60), "--speed", "1")
     header, *rows = lines_of()[:61]
