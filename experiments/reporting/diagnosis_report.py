@@ -13,6 +13,7 @@ from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.scene import Scene
 
 UNSEEN = "protection levels do not hold, even where NIS is near 1"
+_ALIKE = 0.02  # difference of mean log-likelihoods of hypotheses that can't be told apart
 _UNEVEN = 0.1  # tolerated difference between a time step and the usual step, as a fraction
 
 
@@ -92,10 +93,24 @@ def verdict(findings: Sequence[Finding]) -> str:
         )
     if best.hypothesis == AS_IT_IS:
         return "The log is consistent as it is."
+    others = [f" It fits as well if {f.hypothesis}; then, {f.cure}." for f in _alike(findings)]
     return (
         f"The log is consistent if {best.hypothesis}. It was not changed. To correct it, "
-        f"{best.cure} (docs/data.md)."
+        f"{best.cure} (docs/data.md).{''.join(others)}"
     )
+
+
+def _alike(findings: Sequence[Finding]) -> list[Finding]:
+    """Return the findings that are as consistent and likely as the first one."""
+    best = findings[0].log_likelihood
+    return [
+        f
+        for f in findings[1:]
+        if not f.contradictions
+        and best is not None
+        and f.log_likelihood is not None
+        and abs(f.log_likelihood - best) < _ALIKE
+    ]
 
 
 def diagnosis_markdown(findings: Sequence[Finding], notes: Sequence[str]) -> str:

@@ -68,6 +68,7 @@ _FACTORS = {  # mistake -> the factor that undoes it, and the unit that the colu
     "1e9 times too small (s?)": (1e9, "s"),
 }
 _SEARCHED_EPOCHS = 50  # number of epochs among which the track's first epoch is chosen
+_DECIMALS = 2  # of mean log-likelihoods; of hypotheses that fit equally well, the first is chosen
 _ADVANTAGE = 10.0  # bonus for the log as it is, added to its log-likelihood
 _OUTLIER_QUANTILE = 1e-6  # NIS is capped at the value that chi-square exceeds with this probability
 
@@ -138,6 +139,17 @@ def _conventions(scene: Scene) -> Iterator[Mistake]:
         "subtract aoa_azimuth and aod_azimuth from 90 degrees",
         scaled(_AZIMUTHS, -1.0, PI / 2.0),
     )
+    yield Mistake(
+        "azimuths are counterclockwise from north",
+        "add 90 degrees to aoa_azimuth and to aod_azimuth",
+        scaled(_AZIMUTHS, offset=PI / 2.0),
+    )
+    for name, column, rows in (
+        ("azimuths have", "aoa_azimuth and aod_azimuth", _AZIMUTHS),
+        ("azimuth of arrival has", "aoa_azimuth", [AZIMUTH]),
+        ("azimuth of departure has", "aod_azimuth", [DEPARTURE]),
+    ):
+        yield Mistake(f"{name} the other sign", f"negate {column}", scaled(rows, -1.0))
     yield Mistake("times are round-trip times", "halve the time of flight", scaled([RANGE], 0.5))
     yield Mistake("Doppler shift has the other sign", "negate doppler", scaled([DOPPLER], -1.0))
     if scene.origin and (bearing := scene.origin.bearing_deg) != 90.0:
@@ -303,7 +315,7 @@ def _rank(finding: Finding, epochs: int) -> tuple[bool, float]:
     """Return a sort key: consistent findings by likelihood, then inconsistent ones by fit."""
     if not finding.contradictions and finding.log_likelihood is not None:
         advantage = _ADVANTAGE / epochs if finding.hypothesis == AS_IT_IS else 0.0
-        return False, -finding.log_likelihood - advantage
+        return False, -round(finding.log_likelihood + advantage, _DECIMALS)
     worst = finding.worst_anchor
     return True, np.inf if worst is None else abs(np.log(worst))
 
