@@ -52,6 +52,7 @@ _STEP = 0.5  # of a parameter, for finite differences
 _RUNS = 3  # maximum number of runs of the filter that refine an error
 _SETTLED = 0.1  # an error is refined if its last change was less, in standard deviations
 _MOST_DEVIATIONS = 3.0  # largest size of an error, in standard deviations of its prior
+_ENOUGH_ANCHORS = 4  # with fewer, errors of an anchor need links with all angles
 _COST = 3.0  # gain that each parameter must bring
 _TRIED = 6  # suspects, those with the largest gains, that are refined if one of all is certain
 _ALIKE = 6.0  # errors whose gains differ by less can't be told apart
@@ -160,7 +161,9 @@ def suspects(reading: Reading) -> Iterator[Suspect]:
         yield tilt
     if measured[-1]:
         yield Suspect("Doppler shifts are too large", "%", scene=_rescaled, least=2.0)
-    if rows.any(axis=1).sum() < 2:
+    anchors = rows.any(axis=1).sum()
+    whole = arrival and elevation and departure
+    if anchors < 2:
         return
     if arrival or departure:
         yield turn
@@ -168,11 +171,13 @@ def suspects(reading: Reading) -> Iterator[Suspect]:
         cure = ", or use --clock offset if the user's clock runs ahead, by {1:.3g} ns"
         late = _range("ranges", range(len(rows)), cure)
         yield late
-        if arrival and elevation and departure:
+        if whole:
             yield Suspect(
                 "several errors", "", parameters=3, least=0.0, sure=_SURE + 2.0 * _SURER,
                 deviation=10.0, cost=_JOINT_COST, parts=(late, turn, tilt),
             )  # fmt: skip
+    if not whole and anchors < _ENOUGH_ANCHORS:
+        return  # a track that gives way explains a few anchors' errors, and blockages look like them
     yield from _of_anchors(rows)
     if reading.scene.walls:
         # more likely than a wrong image, because walls and the base station make the images

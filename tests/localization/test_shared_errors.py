@@ -163,3 +163,23 @@ def test_most_errors_in_simulated_logs_are_named(case, scenario):
 def test_correct_logs_seldom_show_an_error(radio, scenario):
     alarms = [bool(errors_of(r)) for r in readings(100, radio, scenario)]
     assert sum(alarms) <= 3
+
+
+def only(reading, rows):
+    """Return a reading whose log lacks the other rows, and the Doppler shift."""
+    log = reading.log
+    z = np.where(np.isin(np.arange(log.layout.size), rows), log.measurement, np.nan)
+    visible = log.visible.copy()
+    visible[:, -1] = False
+    layout = replace(log.layout, partial=True)
+    return reading._replace(log=replace(log, layout=layout, measurement=z, visible=visible))
+
+
+@pytest.mark.parametrize("rows", [[0, 4, 8], [0, 1, 4, 5, 8, 9]], ids=["ranges", "with azimuths"])
+@pytest.mark.parametrize("scenario", ["pedestrian", "vehicle"])
+def test_logs_that_lack_quantities_seldom_show_an_error(rows, scenario):
+    logs = [only(r, rows) for r in readings(12, scenario=scenario)]
+    assert sum(bool(errors_of(r)) for r in logs) <= 1
+    if len(rows) > 3:
+        turns = [names(errors_of(turned(4.0)(r))) for r in logs]
+        assert sum("azimuths are turned" in turn for turn in turns) >= 10

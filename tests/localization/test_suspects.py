@@ -81,8 +81,7 @@ def test_what_no_log_can_show_is_not_looked_for():
     clock = replace(log, layout=replace(log.layout, clock="offset"))
     assert named(log) - named(clock) == {"ranges are too long", "several errors"}
     z = np.where(np.isin(np.arange(13), [0, 4, 8]), log.measurement, np.nan)
-    ranges = named(replace(log, measurement=z))
-    assert {name.split(" of ")[0].split(" ")[0] for name in ranges} == {"ranges", "anchor", "the"}
+    assert named(replace(log, measurement=z)) == {"ranges are too long"}
 
 
 def test_sentences_give_sizes_deviations_and_units():
