@@ -28,7 +28,6 @@ from mmwave_env.localization.map_files import geodetic, origin_of
 from mmwave_env.localization.map_learning import MapLearner, learned_scene, trusted
 from mmwave_env.localization.tracker import Position, Tracker
 from mmwave_env.logs.live_log import LiveEpoch, LiveLog
-from mmwave_env.logs.log import Log
 from mmwave_env.logs.log_tables import LogError, header_of
 from mmwave_env.models.layout import require_clock
 from mmwave_env.models.scene import Origin, Scene, scene_json
@@ -79,10 +78,9 @@ def run_live(args: LogArgs) -> None:
         if args.lag and any(epoch.user for epoch in epochs):
             raise ValueError(f"lag: found {args.lag} and rows with users (ue), expected 0 for them")
         if tracker is None:
-            logs = (epoch.log() for epoch in epochs)
-            log = next((e for e in logs if e.visible[:, : e.layout.anchors].any()), None)
-            if log:
-                tracker, why = _tracker(args, scene, log, levels)
+            first = next(filter(_has_link, epochs), None)
+            if first:
+                tracker, why = _tracker(args, scene, first, levels)
         for user, position in tracker.step(epochs) if tracker else ():
             if not began or (position.begins and not user):
                 of = f" of {user}" if user else ""
@@ -192,10 +190,14 @@ class _Patience:
                 )
 
 
-def _tracker(args: LogArgs, scene: Scene, log: Log, levels: Levels) -> tuple[Tracker, str]:
-    """Return a tracker for a log that begins like this, and its modes and radio in words."""
-    radio = nearest_radio(log, scene) if args.radio == AUTO else args.radio
-    choice = choice_of(args, radio, log)
+def _has_link(epoch: LiveEpoch) -> bool:
+    return bool(epoch.log().visible[:, : epoch.layout.anchors].any())
+
+
+def _tracker(args: LogArgs, scene: Scene, first: LiveEpoch, levels: Levels) -> tuple[Tracker, str]:
+    """Return a tracker for a log with this first epoch, and its modes and radio in words."""
+    radio = nearest_radio(first.log(), scene) if args.radio == AUTO else args.radio
+    choice = choice_of(args, radio, "aoa_elevation" in first.columns.file.columns)
     tracker = Tracker(
         scene, choice.switching, radio_of(args, radio), height_m=args.height, lag=args.lag,
         levels=levels, correlation_s=args.correlation,

@@ -13,7 +13,6 @@ from mmwave_env.filters.modes import DESIGN_LIMIT_MPS, Mode, robust
 from mmwave_env.interface.policy import Rule, Switching
 from mmwave_env.io.lookup import choose
 from mmwave_env.logs.lines import number
-from mmwave_env.logs.log import Log
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.scene import Scene, scene_from
 from policies.rules import SLOW_MPS, by_odometry_speed, by_predicted_speed, mode_at
@@ -73,7 +72,7 @@ def radio_of(args: LogArgs, name: str) -> Radio:
         raise ValueError(f"prior-speed: {error}") from error
 
 
-def choice_of(args: LogArgs, radio: str, log: Log) -> Choice:
+def choice_of(args: LogArgs, radio: str, elevations: bool) -> Choice:
     """Return the choice that options describe.
 
     The default is a policy, or an IMM if the log has no elevations.
@@ -87,8 +86,7 @@ def choice_of(args: LogArgs, radio: str, log: Log) -> Choice:
             bank = replace(bank, modes=tuple(map(robust, bank.modes)))
         return Choice(Switching(bank), f"of {args.imm}, weighted by their probability")
     if args.policy is not None or not is_algorithm_1(args):
-        elevations = log.measurement[:, 2 : log.layout.doppler : 4]
-        if args.policy is None and not np.isfinite(elevations).any():
+        if args.policy is None and not elevations:
             why = f"of {WITHOUT_ELEVATIONS} (no elevations), weighted by their probability"
             return Choice(Switching(_bank(WITHOUT_ELEVATIONS, radio)), why)
         # "corrector" needs an uncertain height; a known height has the standard deviation 0.

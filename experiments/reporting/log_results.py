@@ -260,7 +260,8 @@ def _work(args: LogArgs, files: Inputs, scene: Scene) -> Work:
         raise ValueError(
             f"follow: odometry needs speeds, and {files.log} has none; use --follow prediction"
         )
-    choice = choice_of(args, name, log)
+    elevations = log.measurement[:, 2 : log.layout.doppler : 4]
+    choice = choice_of(args, name, bool(np.isfinite(elevations).any()))
     if choice.switching.policy and not np.isfinite(log.snr_db).any():
         warnings.warn(
             f"{files.log}: found no SNR, so the policy gets {NEUTRAL_SNR_DB:g} dB for every link",

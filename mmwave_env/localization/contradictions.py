@@ -26,6 +26,9 @@ LARGEST_NIS = 5.0  # per degree of freedom
 FEW_WRONG = 0.85  # if more of the NIS are in their 95 % bounds, a large mean comes from a few links
 _ENOUGH = 20  # minimum number of epochs for a conclusion
 _ENOUGH_IF_BLOCKED = 100  # minimum number if a blockage of a few seconds may distort a conclusion
+# minimum number if gates reject nearly all values, as a blockage of a few seconds does not
+_ENOUGH_IF_ALL = 50
+_ALL = 0.95
 _WINDOW_S = 30.0  # length of a window of epochs, in which the oscillator's offset hardly changes
 _FEWEST = 4  # minimum number of epochs in a window
 _MOST_APART_S = 3.0  # longest gap over which the Doppler shift is integrated
@@ -156,8 +159,8 @@ def _fit_checks(groups: Mapping[str, Mapping[str, Any]]) -> Iterator[Check]:
             bound = bound._replace(most=inf)  # such as reflections: that is no mistake
         if nis is not None:
             yield Check(name, nis, bound, f"NIS / dof {nis:.3g}")
-        if group["seen"] >= _ENOUGH_IF_BLOCKED:
-            share = group["rejected_share"]
+        share = group["rejected_share"]
+        if group["seen"] >= (_ENOUGH_IF_ALL if share > _ALL else _ENOUGH_IF_BLOCKED):
             yield Check(name, share, _REJECTED, f"{100.0 * share:.0f} % rejected")
 
 

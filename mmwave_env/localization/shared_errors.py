@@ -177,7 +177,7 @@ def suspects(reading: Reading) -> Iterator[Suspect]:
                 deviation=10.0, cost=_JOINT_COST, parts=(late, turn, tilt),
             )  # fmt: skip
     if not whole and anchors < _ENOUGH_ANCHORS:
-        return  # a track that gives way explains a few anchors' errors, and blockages look like them
+        return  # a track that gives way explains them, and blockages look like them
     yield from _of_anchors(rows)
     if reading.scene.walls:
         # more likely than a wrong image, because walls and the base station make the images

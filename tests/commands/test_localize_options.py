@@ -85,6 +85,19 @@ def test_the_first_json_rows_may_lack_columns(kept):
     assert "odometry" in positions[-1]["nis"]
 
 
+def test_the_default_policy_depends_on_the_columns_and_not_on_the_first_epoch(tmp_path):
+    columns = read_columns(WALK / "log.csv")
+    columns = {name: values[:60] for name, values in columns.items()}
+    columns["aoa_elevation_rad"][:3] = np.nan
+    log = tmp_path / "log.csv"
+    write_columns(log, columns)
+    track = tmp_path / "t.tum"
+    figures(WALK, "--radio", "standard", "--no-smoothing", "--out", track, log=log, truth=False)
+    positions, _, _ = live(log.read_bytes())
+    last = [float(word) for word in track.read_text().splitlines()[-1].split()]
+    assert positions[-1]["position_m"] == pytest.approx(last[1:4], abs=1e-9)
+
+
 def test_rows_of_several_users_give_the_lines_of_each_alone():
     alone, _, _ = live(first_rows(60), "--speed", "1")
     header, *rows = lines_of()[:61]

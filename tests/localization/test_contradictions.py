@@ -70,6 +70,7 @@ def test_at_most_ten_of_a_thousand_correct_logs_cause_a_warning(tmp_path):
         ("anchor 1", {"rejected_share": 0.34}, "34 % rejected"),
         ("anchor 1", {"rejected_share": 0.34, "seen": 99}, None),
         ("anchor 1", {"rejected_share": 1.0, "nis_per_dof": None}, "100 % rejected"),
+        ("anchor 1", {"rejected_share": 1.0, "seen": 50}, "100 % rejected"),
         ("anchor 1", {"seen": 0, "rejected_share": None, "nis_per_dof": None}, None),
         # a Doppler shift may fit better, but not worse than its noise predicts
         ("Doppler", {"nis_per_dof": 0.01}, None),
