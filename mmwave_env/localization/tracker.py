@@ -275,14 +275,12 @@ class Tracker:
         times = log.time_s.tolist()
         user.last_s = times[0]
         user.late.clear()
-        visible = start.unspent(log.visible).tolist()
-        spreads = log.doppler_spread_hz.tolist()
-        (position,) = self._filtered([times], [visible], [spreads], begins=True)
+        (position,) = self._filtered([times], [log.doppler_spread_hz.tolist()], begins=True)
         return position
 
     def _continued(self, users: list[_User], epochs: Sequence[LiveEpoch]) -> list[Position]:
         """Filter an epoch of each of k users with tracks; return the beliefs after them."""
-        rows, visible = self._incoming(epochs)
+        rows = self._incoming(epochs)
         if users != self._loaded:
             self._store()
             self._restore(users)
@@ -291,9 +289,8 @@ class Tracker:
         self._engine.load_epoch(rows)
         spread = self._at.doppler_spread_hz
         return self._filtered(
-            [[epoch.time_s] for epoch in epochs], [[groups] for groups in visible],
-            [[float(row[spread])] for row in rows],
-        )  # fmt: skip
+            [[epoch.time_s] for epoch in epochs], [[float(row[spread])] for row in rows]
+        )
 
     def _arrays(self) -> Iterator[NDArray[Any]]:
         """Yield what tracks in the engine need to go on: arrays (n, ...)."""
@@ -328,17 +325,17 @@ class Tracker:
     def _filtered(
         self,
         time_s: list[list[float]],
-        visible: list[list[list[bool]]],
         spread_hz: list[list[float]],
         begins: bool = False,
     ) -> list[Position]:
         """Filter T loaded epochs of each of k users; return the beliefs after the last ones."""
         filtered = self._localizer.run(self._engine, len(self._loaded))
-        factors = self._localizer.level_factors(filtered, visible, time_s, begins)
+        factors = self._localizer.level_factors(filtered, time_s, begins)
         kept = filtered.kept
+        measured = (filtered.accepted + filtered.rejected > 0.5).tolist()
         for i, user in enumerate(self._loaded):
             user.end_s = time_s[i][-1]
-            for t, groups in enumerate(visible[i]):
+            for t, groups in enumerate(measured[i]):
                 if self._measures(groups):
                     user.last_s = time_s[i][t]
                 mode = filtered.mode[i, t]
@@ -346,10 +343,10 @@ class Tracker:
         nis: list[dict[str, float]] = []
         rejected: list[list[str]] = []
         gates = zip(filtered.nis[:, -1].tolist(), filtered.accepted[:, -1].tolist(), strict=True)
-        for epochs, (values, accepted) in zip(visible, gates, strict=True):
-            measured = [g for g, is_seen in enumerate(epochs[-1]) if is_seen]
-            nis.append({self._groups[g]: values[g] for g in measured})
-            rejected.append([self._groups[g] for g in measured if accepted[g] < 0.5])
+        for epochs, (values, accepted) in zip(measured, gates, strict=True):
+            seen = [g for g, is_seen in enumerate(epochs[-1]) if is_seen]
+            nis.append({self._groups[g]: values[g] for g in seen})
+            rejected.append([self._groups[g] for g in seen if accepted[g] < 0.5])
         trusted = None if filtered.trusted is None else filtered.trusted[:, -1].tolist()
         return self._positions(
             [times[-1] for times in time_s], filtered.x[:, -1], filtered.P[:, -1],
@@ -361,18 +358,17 @@ class Tracker:
         layout = self._localizer.layout
         return any(visible[: layout.anchors]) or (layout.odometry and visible[-1])
 
-    def _incoming(self, epochs: Sequence[LiveEpoch]) -> tuple[Any, Any]:
-        """Return k epochs as rows of a table (k, columns), and their visible groups (k, groups)."""
+    def _incoming(self, epochs: Sequence[LiveEpoch]) -> Any:
+        """Return k epochs as rows of a table (k, columns)."""
         quick = [] if len(epochs) >= _MANY else list(map(self._quick_incoming, epochs))
         if quick and all(quick):
-            rows, visible = zip(*quick, strict=True)
-            return rows, visible
+            return quick
         log = log_from(epochs)
         # An episode's times must increase; the users' time steps are set later.
         episode = self._localizer.episode(replace(log, time_s=np.arange(float(len(log)))))
-        return episode.table(), log.visible.tolist()
+        return episode.table()
 
-    def _quick_incoming(self, epoch: LiveEpoch) -> tuple[list[float], list[bool]] | None:
+    def _quick_incoming(self, epoch: LiveEpoch) -> list[float] | None:
         """Return the same as :meth:`_incoming` for one epoch; None if this is impossible."""
         placed = epoch.placed() if self._sound else None
         if placed is None:
@@ -403,7 +399,7 @@ class Tracker:
             row[at.doppler_of[link]] = float(link == doppler_anchor)
         if not isnan(numbers[-1]):
             row[at.doppler_spread_hz] = numbers[-1]
-        return row, visible
+        return row
 
     def smoothed(self) -> Position | None:
         """Return the position ``lag`` epochs ago, smoothed with the epochs since then.
