@@ -340,18 +340,19 @@ class Tracker:
                     user.last_s = time_s[i][t]
                 mode = filtered.mode[i, t]
                 user.late.append((time_s[i][t], spread_hz[i][t], mode, factors[i, t], kept[i, t]))
-        nis: list[dict[str, float]] = []
-        rejected: list[list[str]] = []
-        gates = zip(filtered.nis[:, -1].tolist(), filtered.accepted[:, -1].tolist(), strict=True)
-        for epochs, (values, accepted) in zip(measured, gates, strict=True):
-            seen = [g for g, is_seen in enumerate(epochs[-1]) if is_seen]
-            nis.append({self._groups[g]: values[g] for g in seen})
-            rejected.append([self._groups[g] for g in seen if accepted[g] < 0.5])
-        trusted = None if filtered.trusted is None else filtered.trusted[:, -1].tolist()
-        return self._positions(
-            [times[-1] for times in time_s], filtered.x[:, -1], filtered.P[:, -1],
-            filtered.mode[:, -1], factors[:, -1], nis, rejected, begins, trusted,
-        )  # fmt: skip
+        last_s = [times[-1] for times in time_s]
+        x, P, mode, nis, accepted, _, trusted, _ = filtered
+        positions = self._positions(last_s, x[:, -1], P[:, -1], mode[:, -1], factors[:, -1])
+        gates = zip(measured, nis[:, -1].tolist(), accepted[:, -1].tolist(), strict=True)
+        for i, (epochs, values, verdicts) in enumerate(gates):
+            present = [g for g, is_seen in enumerate(epochs[-1]) if is_seen]
+            positions[i] = positions[i]._replace(
+                nis={self._groups[g]: values[g] for g in present},
+                rejected=[self._groups[g] for g in present if verdicts[g] < 0.5],
+                begins=begins,
+                trusted=None if trusted is None else float(trusted[i, -1]),
+            )
+        return positions
 
     def _measures(self, visible: list[bool]) -> bool:
         """Tell whether an epoch measured a link or odometry."""
@@ -370,7 +371,7 @@ class Tracker:
 
     def _quick_incoming(self, epoch: LiveEpoch) -> list[float] | None:
         """Return the same as :meth:`_incoming` for one epoch; None if this is impossible."""
-        placed = epoch.placed() if self._sound else None
+        placed = epoch.columns.placed(epoch.rows) if self._sound else None
         if placed is None:
             return None
         numbers, doppler_anchor = placed
@@ -414,13 +415,7 @@ class Tracker:
         x, P = self._localizer.smoothed(np.stack(kept)[None], *spans)
         first = slice(1)
         (position,) = self._positions(
-            times[first],
-            x[0, first],
-            P[0, first],
-            modes[first],
-            np.array(factors[first]),
-            [{}],
-            [[]],
+            times[first], x[0, first], P[0, first], modes[first], np.array(factors[first])
         )
         return position
 
@@ -431,12 +426,8 @@ class Tracker:
         P: Array,
         mode: Iterable[float],
         factors: Array,
-        nis: list[dict[str, float]],
-        rejected: list[list[str]],
-        begins: bool = False,
-        trusted: list[float] | None = None,
     ) -> list[Position]:
-        """Return n beliefs (n, ...), with what happened in their epochs."""
+        """Return n beliefs (n, ...), without what happened in their epochs."""
         unknown = [None] * len(x)
         origin = self._scene.origin
         has_bias = self._localizer.layout.has_bias
@@ -447,13 +438,13 @@ class Tracker:
             P[:, _POSITION_ROWS].tolist(),
             x[:, 3:6].tolist(),
             [self._switching.names[int(number)] for number in mode],
-            nis,
-            rejected,
-            [begins] * len(x),
+            [{}] * len(x),
+            [[]] * len(x),
+            [False] * len(x),
             geodetic(origin, x[:, :3]).tolist() if origin else unknown,
             x[:, 7].tolist() if has_bias else unknown,
             np.sqrt(P[:, 35]).tolist() if has_bias else unknown,
-            trusted or unknown,
+            unknown,
             (gaussian_levels(P, levels.risk) * factors).tolist() if levels else unknown,
         ]
         return list(map(Position, *columns))
