@@ -27,7 +27,7 @@ from mmwave_env.localization.log_noise import nearest_radio
 from mmwave_env.localization.map_files import geodetic, origin_of
 from mmwave_env.localization.map_learning import MapLearner, learned_scene, trusted
 from mmwave_env.localization.tracker import Position, Tracker
-from mmwave_env.logs.live_log import LiveEpoch, LiveLog
+from mmwave_env.logs.live_log import LiveEpoch, LiveLog, log_from
 from mmwave_env.logs.log import Log
 from mmwave_env.logs.log_tables import LogError, header_of
 from mmwave_env.models.layout import require_clock
@@ -77,7 +77,7 @@ def run_live(args: LogArgs) -> None:
         if args.lag and any(epoch.user for epoch in epochs):
             raise ValueError(f"lag: found {args.lag} and rows with users (ue), expected 0 for them")
         if tracker is None:
-            logs = (epoch.log() for epoch in epochs)
+            logs = (log_from([epoch]) for epoch in epochs)
             log = next((e for e in logs if e.visible[:, : e.layout.anchors].any()), None)
             if log:
                 tracker, why = _tracker(args, scene, log, levels)
@@ -152,10 +152,11 @@ def _of_map(belief: Belief, mode: str, origin: Origin | None) -> Position:
 
 def _paths(args: LogArgs, scene: Scene, learner: MapLearner) -> Iterator[Paths]:
     """Yield the paths of each epoch of standard input."""
-    for live, epochs in _epochs(scene, args.snr, args.clock, associated=False):
+    for _, epochs in _epochs(scene, args.snr, args.clock, associated=False):
         if any(epoch.user for epoch in epochs):
             raise ValueError("map: found rows with users (ue), expected the paths of one user")
-        yield from learner.observed(map(live.paths, epochs), live.at_station)
+        for epoch in epochs:
+            yield from learner.observed(epoch.paths())
 
 
 def _formatted(args: LogArgs, position: Position, origin: Origin | None) -> Json:
@@ -175,7 +176,7 @@ class _Patience:
 
     def wait(self, epochs: Sequence[LiveEpoch]) -> None:
         """Note epochs without a position; warn once if there is still none."""
-        for log in (epoch.log() for epoch in epochs if not self._warned):
+        for log in (log_from([epoch]) for epoch in epochs if not self._warned):
             names = zip(log.layout.group_names, log.visible[0], strict=True)
             self._groups |= {name for name, visible in names if visible}
             self._first_s = min(self._first_s, float(log.time_s[0]))

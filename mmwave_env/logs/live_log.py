@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mmwave_env.logs.log import Log, PathEpoch, log_of, path_epochs, places
+from mmwave_env.logs.log import Log, PathLog, log_of, paths_of, places
 from mmwave_env.logs.log_checks import MOST_PATHS, first_damage, without_lost
 from mmwave_env.logs.log_columns import BODY, LOST, QUANTITIES, STATION, USER
 from mmwave_env.logs.log_tables import LogError, LogFile, Table, log_file, parse, words_of
@@ -93,7 +93,12 @@ class LiveColumns:
         return Table(self.file, numbers, np.array(rows, float), epoch_of_row=epoch_of_row)
 
     def placed(self, rows: list[list[float]]) -> tuple[list[float], int] | None:
-        """Return :meth:`LiveEpoch.placed` of an epoch's rows."""
+        """Return all values of an epoch, and the index of the anchor with the Doppler shift.
+
+        Values are in the order of :func:`~mmwave_env.logs.log.places`, NaN where not measured;
+        anchors are counted from 0. The result is None if some angles are not in the map's frame, or
+        if the scene corrects measurements.
+        """
         if not self._is_quick:
             return None
         placed = self._blank.copy()
@@ -126,18 +131,9 @@ class LiveEpoch(NamedTuple):
         """Return the layout of the epoch's values."""
         return self.columns.file.layout
 
-    def log(self) -> Log:
-        """Return the epoch as a log, T = 1."""
-        return log_of(self.columns.table([self.rows]))
-
-    def placed(self) -> tuple[list[float], int] | None:
-        """Return all values, and the index, from 0, of the anchor with the Doppler shift.
-
-        Values are in the order of :func:`~mmwave_env.logs.log.places`, NaN where not measured. The
-        result is None if some angles are not in the map's frame, or if the scene corrects
-        measurements.
-        """
-        return self.columns.placed(self.rows)
+    def paths(self) -> PathLog:
+        """Return the epoch, whose rows are paths, as a log."""
+        return paths_of(self.columns.table([self.rows]))
 
 
 def log_from(epochs: Iterable[LiveEpoch]) -> Log:
@@ -188,8 +184,7 @@ class LiveLog:
     values by column may have a column that no row had before. Columns with unknown names are
     ignored, and the first row with one adds a warning.
 
-    If rows are paths without anchor numbers, every epoch ends with a row of a later time, and
-    :meth:`paths` returns its paths.
+    If rows are paths without anchor numbers, every epoch ends with a row of a later time.
 
     Args:
         names: names of the columns, as in the header of a log.
@@ -265,16 +260,6 @@ class LiveLog:
         arrived.rows.append(cells)
         whole = len(arrived.rows) == columns.most_rows
         return [*over, *(self._end(user) if whole else [])]
-
-    @property
-    def at_station(self) -> bool:
-        """Tell whether angles of arrival were measured at the base station."""
-        return STATION in self._columns.file.columns
-
-    def paths(self, epoch: LiveEpoch) -> PathEpoch:
-        """Return the paths of an epoch."""
-        (of_epoch,) = path_epochs(epoch.columns.table([epoch.rows]))
-        return of_epoch
 
     def forget(self, users: list[str]) -> None:
         """Forget users, who have left; clear the list."""

@@ -23,6 +23,7 @@ from mmwave_env.io.lookup import quoted, require_extra
 from mmwave_env.logs.lines import number, read_lines, require_memory
 from mmwave_env.logs.log_columns import (
     BODY,
+    QUANTITIES,
     QUANTITY_OF,
     STATION,
     Column,
@@ -64,7 +65,7 @@ class Arrays:
     def __len__(self) -> int:
         return len(next(iter(self.arrays().values())))
 
-    def part(self: AnyArrays, rows: slice | Mask) -> AnyArrays:
+    def part(self: AnyArrays, rows: slice | Mask | Index) -> AnyArrays:
         """Return only these rows or epochs."""
         return replace(self, **{name: values[rows] for name, values in self.arrays().items()})
 
@@ -169,6 +170,23 @@ class Table(Arrays):
         some = np.flatnonzero(~np.isnan(values))[::-1]
         first[self.epoch[some]] = values[some]  # backwards, so that the first row's value remains
         return first
+
+    def associated(self, anchor: Array) -> "Table":
+        """Return rows that are paths, each with its anchor's number (n,); NaN if it has none.
+
+        Rows without an anchor keep only the values of their epoch. Only the Doppler shift of anchor
+        1 is kept.
+        """
+        cells = self.cells.copy()
+        for i, quantity in enumerate(self.columns):
+            if quantity in ("doppler", "doppler_sigma"):
+                cells[anchor != 1.0, i] = np.nan
+            elif quantity != "time" and not QUANTITIES[quantity].per_epoch:
+                cells[np.isnan(anchor), i] = np.nan
+        number = Column("anchor", len(self.file.names), Unit(), 1.0, self.file.layout.anchors)
+        file = replace(self.file, columns=self.columns | {"anchor": number}, associated=True)
+        cells = np.column_stack([cells, np.nan_to_num(anchor, nan=1.0)])
+        return replace(self, file=file, cells=cells)
 
     def links(self) -> Array:
         """Return (L, n, 4) ranges (m) and angles (rad), as each anchor would have measured them.

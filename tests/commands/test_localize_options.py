@@ -262,7 +262,7 @@ def test_a_map_is_learned_live_from_csv_and_json_as_from_the_file(street, tmp_pa
     scene = read_scene(street / "base-station.json")
     learner = MapLearner(scene, RADIOS["standard"], default_modes("standard")[-1])
     log = read_paths(street / "log.csv", scene)
-    beliefs = [*learner.follow(learner.observed(log.epochs, log.at_station))]
+    beliefs = [*learner.follow(learner.observed(log))]
     assert [line["position_m"] for line in of_csv] == [b.x[:3].tolist() for b in beliefs]
     assert read_scene(tmp_path / "a.json") == learned_scene(scene, beliefs[-1])
 

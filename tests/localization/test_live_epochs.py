@@ -21,7 +21,7 @@ from mmwave_env.interface.policy import Switching
 from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.localizer import Localizer, localize
 from mmwave_env.localization.tracker import Tracker
-from mmwave_env.logs.live_log import LiveLog
+from mmwave_env.logs.live_log import LiveLog, log_from
 from mmwave_env.logs.log import read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.radio import RADIOS
@@ -115,7 +115,7 @@ def outcome(rows):
     log = LiveLog(list(ROW), SCENE)
     try:
         epochs = [epoch for row in rows for epoch in log.add(row, 7)]
-        last = [*epochs, *log.end_epoch()][-1].log()
+        last = log_from([*epochs, *log.end_epoch()][-1:])
     except LogError as error:
         return str(error)
     return repr([last.measurement, last.sigma, last.snr_db, last.doppler_spread_hz])

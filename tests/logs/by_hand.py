@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mmwave_env.datasets.log_folder import log_columns, log_text
-from mmwave_env.logs.live_log import LiveLog
+from mmwave_env.logs.live_log import LiveLog, log_from
 from mmwave_env.logs.log import Log, read_log
 from mmwave_env.logs.log_tables import LogError, header_of
 from mmwave_env.models.radio import RADIOS
@@ -61,7 +61,7 @@ def read_live(content):
     names, delimiter = header_of(header)
     live = LiveLog(names, SCENE, delimiter=delimiter)
     epochs = [epoch for n, line in enumerate(lines, start=2) for epoch in live.add(line, n)]
-    return Log.joined([epoch.log() for epoch in [*epochs, *live.end_epoch()]]), live.warnings
+    return log_from([*epochs, *live.end_epoch()]), live.warnings
 
 
 def log_with(layout, time_s, measurement, visible, snr_db=20.0):
