@@ -289,7 +289,7 @@ class LiveLog:
         """
         rows = list(rows)
         for row in rows:
-            self._learn_from(row, 0)
+            self._learn(row, 0)
         users = dict.fromkeys(map(_user_of, rows))
         before = {user: self._arrivals[user].copy() for user in users if user in self._arrivals}
         try:
@@ -298,7 +298,7 @@ class LiveLog:
             self.forget([*users])
             self._arrivals |= before
             raise
-        return [*over, *(epoch for user in users for epoch in self._end(user))]
+        return [*over, *self.end_epoch(rows)]
 
     def end_epoch(self, rows: Iterable[Any] = ()) -> list[LiveEpoch]:
         """End the epochs of the users of these mappings, or of all; return those that have rows."""
@@ -327,7 +327,7 @@ class LiveLog:
     def _cells(self, row: str | Mapping[str, Any], number: int) -> tuple[str, list[float]]:
         """Return the user and cells of a row; no cells for a blank line; refuse a damaged row."""
         if not isinstance(row, str):
-            self._learn_from(row, number)
+            self._learn(row, number)
         user, words = self._words(row)
         columns = self._columns
         if isinstance(row, str):
@@ -346,13 +346,11 @@ class LiveLog:
                 self._report(name, note)
         return user, table.cells.ravel().tolist()
 
-    def _learn_from(self, row: Mapping[str, Any], number: int) -> None:
-        """Add the columns of a row that no row had before."""
-        if not row.keys() <= self._known:
-            self._learn([name for name in row if name not in self._known], number)
-
-    def _learn(self, names: list[str], number: int) -> None:
-        """Add columns; ignore those that are unknown from now on."""
+    def _learn(self, row: Iterable[str], number: int) -> None:
+        """Add the columns of a row that no row had before; from now on, ignore unknown ones."""
+        names = [name for name in row if name not in self._known]
+        if not names:
+            return
         before = self._columns.file
         try:
             file = log_file(
