@@ -5,6 +5,7 @@ from itertools import permutations
 
 import numpy as np
 
+from mmwave_env.datasets.log_folder import log_text
 from tests.paths import LOGS
 
 FOLDERS = [LOGS / "canyon28_vehicle", LOGS / "canyon28_pedestrian"]
@@ -22,11 +23,7 @@ def read_columns(path):
 
 def write_columns(path, columns):
     """Write a log with these columns."""
-    cells = np.column_stack(list(columns.values())).tolist()
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(columns)
-        writer.writerows([["" if v != v else repr(v) for v in row] for row in cells])
+    path.write_text(log_text(columns))
 
 
 def linear(factor, *names, offset=0.0):

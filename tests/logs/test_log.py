@@ -195,14 +195,6 @@ def test_a_doppler_shift_needs_only_the_snr_of_its_link(tmp_path):
     assert not block.incomplete.any()  # a link without any value is missing, not incomplete
 
 
-def test_the_doppler_shift_is_missing_if_the_log_has_no_doppler_column(tmp_path):
-    lines = rows(2)
-    for line in lines:
-        del line["doppler_hz"]
-    block = read(store(tmp_path, lines))
-    assert block.visible[:, :L].all() and not block.visible[:, L].any()
-
-
 def numbered(content, name):
     """Return a log's text with a first column that has this name and numbers of rows."""
     first, *lines = content.rstrip().split("\n")
