@@ -85,18 +85,6 @@ def test_factors_are_positive_and_finite_for_any_outputs_of_a_filter(risk):
         assert factors.shape == (N, T, 2) and np.isfinite(factors).all() and (factors > 0.0).all()
 
 
-def test_the_factors_of_a_track_do_not_depend_on_its_division_into_pieces():
-    read = parts()
-    time_s = np.cumsum(np.random.default_rng(1).random(T))
-    whole = Levels().factors(ANCHORS, True, time_s, *read)
-    levels = Levels()
-    cut = [slice(0, 1), slice(1, 25), slice(25, T)]
-    pieces = [levels.factors(ANCHORS, True, time_s[i], *(part[:, i] for part in read)) for i in cut]
-    assert_allclose(np.concatenate(pieces, axis=1), whole, rtol=1e-9)
-    levels.reset()
-    assert_allclose(levels.factors(ANCHORS, True, time_s, *read), whole, rtol=1e-9)
-
-
 @pytest.mark.parametrize(
     "name", representative(["corrector", "guided", "ppo-standard"], "ppo-standard")
 )

@@ -115,12 +115,12 @@ def test_a_clock_that_is_set_back_begins_a_new_track_on_the_same_map(paths_of):
 
 def test_at_a_beginning_no_second_path_is_the_line_of_sight(paths_of):
     log, _ = paths_of(1, epochs=20)
-    learner = MapLearner(STATION, RADIOS["standard"], default_modes("standard")[-1])
-    paths = next(learner.observed(log))
+    tracker = learner()
+    paths = next(tracker.observed(log))
     sight = int(np.flatnonzero(paths.straight)[0])
     twice = paths.part(np.array([sight, sight]))
-    prior = learner.prior(learner.start, twice, 0)
-    begun = learner.begun(prior, twice, 0)
+    prior = tracker.prior(tracker.start, twice, 0)
+    begun = tracker.begun(prior, twice, 0)
     assert begun.labels == {0: 0}
     np.testing.assert_array_equal(begun.x, prior.x)
 

@@ -17,6 +17,7 @@ from mmwave_env.localization.tracker import Tracker
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import scene_of_anchors
+from tests.filters.tracks import unpacked
 
 RADIO = RADIOS["standard"]
 ONE = scene_of_anchors("one", np.array([[0.0, 0.0, 2.5]]), 60e9, 1.76e9)
@@ -80,7 +81,7 @@ def rms(errors):
 
 def nees(errors, P):
     """Return the normalized squared errors (T,) of horizontal positions."""
-    S = np.array([[[xx, yx], [yx, yy]] for xx, yx, yy in P[:, :3]])
+    S = unpacked(P)[:, :2, :2]
     return np.einsum("ti,tij,tj->t", errors, np.linalg.inv(S), errors)
 
 
