@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.engines.engine import Engine
 from mmwave_env.interface.policy import Switching
 from mmwave_env.localization.levels import Levels, LevelState
 from mmwave_env.localization.localizer import Localizer
@@ -220,7 +219,7 @@ class Tracker:
             self._correlation_s,
         )  # fmt: skip
         self._users.clear()
-        self._engines: dict[int, Engine] = {}  # by number of tracks
+        self._engines = {1: self._localizer.engine}  # by number of tracks
         self._loaded: list[_User] = []  # users whose tracks are in the engine that ran last
         self._layout = layout
         self._groups = layout.group_names
@@ -270,7 +269,7 @@ class Tracker:
         """Begin a track with the first of T epochs; return the belief after the last one."""
         self._store()
         self._loaded = [user]
-        self._engine = self._localizer.engine
+        self._engine = self._engines[1]
         self._localizer.load(log, start)
         times = log.time_s.tolist()
         user.last_s = times[0]
@@ -310,7 +309,7 @@ class Tracker:
         count = len(users)
         n = 1 if count == 1 else max(8, 1 << (count - 1).bit_length())
         if n not in self._engines:
-            self._engines[n] = self._localizer.engine if n == 1 else self._localizer.tracks(n)
+            self._engines[n] = self._localizer.tracks(n)
         self._engine = self._engines[n]
         tracks = zip(*[user.track for user in users], strict=True)
         states, *others = [np.concatenate(parts) for parts in tracks]

@@ -4,7 +4,7 @@ A row whose cells are well within their limits passes quick checks. All other ro
 checks of ``log_checks.py``, which are slower and also find out what is wrong.
 """
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
@@ -214,12 +214,12 @@ class LiveLog:
     ) -> None:
         self.warnings: list[str] = []
         self.left_out: Counter[str] = Counter()
-        self._arrivals: dict[str, _Arrivals] = {}  # by user
+        self._arrivals = defaultdict[str, _Arrivals](_Arrivals)  # by user
         self._user = names.index(USER) if USER in names else None
-        self._names = [name for name in names if name != USER]
         self._known = {"", USER, *names}  # also names of columns that are ignored
+        others = [name for name in names if name != USER]
         file = log_file(
-            Path(source), self._names, delimiter, scene, snr_db, clock, associated=associated
+            Path(source), others, delimiter, scene, snr_db, clock, associated=associated
         )
         self._columns = LiveColumns(file)
 
@@ -234,9 +234,7 @@ class LiveLog:
         user, cells = self._cells(row, number)
         if not cells:
             return []
-        arrived = self._arrivals.get(user)
-        if arrived is None:
-            arrived = self._arrivals[user] = _Arrivals()
+        arrived = self._arrivals[user]
         columns = self._columns
         over = []
         if not arrived.rows or cells[columns.time] != arrived.rows[0][columns.time]:
@@ -315,24 +313,21 @@ class LiveLog:
         time_s = self._columns.time_s(arrived.last[0])
         return [LiveEpoch(user, time_s, arrived.last, self._columns)]
 
-    def _words(self, row: str | Mapping[str, Any]) -> tuple[str, list[Any]]:
-        """Return the user of a row, "" if it does not name any, and its other cells."""
-        if not isinstance(row, str):
-            return _user_of(row), [row.get(name) for name in self._names]
-        words = words_of(row, self._columns.file.delimiter)
-        if self._user is None or len(words) <= self._user:
-            return "", words
-        return words.pop(self._user).strip(), words
-
     def _cells(self, row: str | Mapping[str, Any], number: int) -> tuple[str, list[float]]:
-        """Return the user and cells of a row; no cells for a blank line; refuse a damaged row."""
-        if not isinstance(row, str):
-            self._learn(row, number)
-        user, words = self._words(row)
-        columns = self._columns
+        """Return a row's user ("" if unnamed) and cells (none if blank); refuse a damaged row."""
+        words: list[Any]
         if isinstance(row, str):
+            user = ""
+            columns = self._columns
+            words = words_of(row, columns.file.delimiter)
+            if self._user is not None and len(words) > self._user:
+                user = words.pop(self._user).strip()
             cells = columns.file.quick_numbers(words) or []
         else:
+            user = _user_of(row)
+            self._learn(row, number)
+            columns = self._columns
+            words = [row.get(name) for name in columns.file.names]
             cells = [nan if words[i] is None else words[i] for i in columns.file.numbers]
         if cells and columns.are_plain(cells):
             return user, cells
@@ -354,7 +349,7 @@ class LiveLog:
         before = self._columns.file
         try:
             file = log_file(
-                before.path, [*self._names, *names], before.delimiter, before.scene,
+                before.path, [*before.names, *names], before.delimiter, before.scene,
                 before.snr_db, before.layout.clock, associated=before.associated,
             )  # fmt: skip
         except LogError as error:
@@ -363,7 +358,6 @@ class LiveLog:
             for name in names if len(names) > 1 else ():
                 self._learn([name], number)
         else:
-            self._names += names
             self._columns = LiveColumns(file)
             empty = [nan] * (len(file.columns) - len(before.columns))
             for arrived in self._arrivals.values():
