@@ -14,6 +14,7 @@ from itertools import groupby, product
 from unittest.mock import patch
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from mmwave_env.filters.bank import named_modes
@@ -83,10 +84,7 @@ def test_live_epochs_equal_epochs_of_a_log_to_the_last_bit(tmp_path, name):
     changed, quick, options = LOGGED[name]
     epochs = walk(**changed)
     path = tmp_path / "log.csv"
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(epochs[0][0]))
-        writer.writeheader()
-        writer.writerows(row for epoch in epochs for row in epoch)
+    pd.DataFrame([row for epoch in epochs for row in epoch]).to_csv(path, index=False)
     log = read_log(path, SCENE, **options)
     track = localize(log, SCENE, RADIO, Switching((EKF,)), window=None)
     tracker = Tracker(SCENE, Switching((EKF,)), RADIO, lag=3, **options)

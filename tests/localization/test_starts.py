@@ -3,6 +3,7 @@
 from itertools import groupby
 
 import numpy as np
+import pandas as pd
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -55,8 +56,7 @@ def rows_of(scene, times, path, wrong=lambda t, link: link, seen=None, seed=0, n
 
 def log_of(tmp_path, scene, rows, clock="synchronized"):
     path = tmp_path / "log.csv"
-    lines = [",".join(rows[0]), *(",".join(map(repr, row.values())) for row in rows)]
-    path.write_text("\n".join(lines) + "\n")
+    pd.DataFrame(rows).to_csv(path, index=False)
     return read_log(path, scene, clock=clock)
 
 
