@@ -159,7 +159,7 @@ def log_of(table: Table, wrap: bool = True) -> Log:
     layout = file.layout
     epoch = table.epoch
     anchor = table["anchor"].astype(np.int64) - 1
-    links = table.links()[anchor, np.arange(len(anchor))]
+    links = table.links(anchor)
     starts = table.starts
     T = len(starts)
     size = layout.size
@@ -249,7 +249,7 @@ def paths_of(table: Table, damage: LogError | None = None) -> PathLog:
     snr_db = table["snr"]
     if file.snr_db is not None:
         snr_db = np.where(np.isnan(snr_db), file.snr_db, snr_db)
-    links = table.links()[0]
+    links = table.links(0)
     sigma = np.column_stack([table[SIGMA_OF[quantity]] for quantity in LINK_QUANTITIES])
     missing = np.isnan(links)
     sigma[missing] = np.inf

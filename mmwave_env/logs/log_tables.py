@@ -188,13 +188,14 @@ class Table(Arrays):
         cells = np.column_stack([cells, np.nan_to_num(anchor, nan=1.0)])
         return replace(self, file=file, cells=cells)
 
-    def links(self) -> Array:
-        """Return (L, n, 4) ranges (m) and angles (rad), as each anchor would have measured them.
+    def links(self, anchor: Index | int) -> Array:
+        """Return (n, 4) ranges (m) and angles (rad), as each row's anchor would have measured them.
 
-        The scene's ``range_offset_m`` and ``bearing_deg`` are subtracted; but a departure relative
-        to the user's body has no bearing. Angles are in the map's frame. In a log with a column
-        :data:`STATION`, all angles of arrival were measured at the base station, anchor 1. If a
-        path belongs to a mirror image of the base station, its angles at the image are different.
+        Anchors are counted from 0. The scene's ``range_offset_m`` and ``bearing_deg`` are
+        subtracted; but a departure relative to the user's body has no bearing. Angles are in the
+        map's frame. In a log with a column :data:`STATION`, all angles of arrival were measured at
+        the base station. If a path belongs to a mirror image of the base station, its angles at the
+        image are different.
         """
         scene = self.file.scene
         bearing = math.radians(scene.bearing_deg)
@@ -203,16 +204,12 @@ class Table(Arrays):
             departure = self[BODY] + self.first(self["heading"])[self.epoch]
         elevation = self["aoa_elevation"]
         arrival = self["aoa_azimuth"] - bearing
-        links = np.column_stack([self["toa"], arrival, elevation, departure])
-        anchors = scene.anchors_m
-        of_anchors = np.repeat(links[None], len(anchors), axis=0)
-        of_anchors[:, :, 0] -= scene.offsets_m[:, None]
         if STATION in self.columns:
-            for link, image in zip(of_anchors, anchors, strict=True):
-                station = self[STATION] - bearing
-                direction = seen_from_image(station, elevation, anchors[0], image)
-                link[:, 1:3] = np.column_stack(direction)
-        return of_anchors
+            images = list(scene.anchors_m[anchor].T)
+            station = self[STATION] - bearing
+            arrival, elevation = seen_from_image(station, elevation, scene.anchors_m[0], images)
+        distance = self["toa"] - scene.offsets_m[anchor]
+        return np.column_stack([distance, arrival, elevation, departure])
 
 
 def log_file(
