@@ -9,7 +9,7 @@ from experiments.evaluation.positions import Positions
 from experiments.evaluation.runner import score_contenders
 from mmwave_env.localization.levels import PARTS, Levels, Network
 from mmwave_env.localization.localizer import localize
-from mmwave_env.localization.position_errors import PositionErrors, gaussian_levels
+from mmwave_env.localization.position_errors import PositionErrors, error_sizes, gaussian_levels
 from mmwave_env.localization.tracker import Tracker
 from mmwave_env.task import task_from
 from policies import load
@@ -51,9 +51,7 @@ def watched(levels, policies, source, radio, seeds):
         read = [*(results[part] for part in PARTS), results.get("trusted")]
         factors = levels.factors(ANCHORS, contender.bank is not None, time_s, *read)
         bounds = gaussian_levels(results["P"], levels.risk) * factors
-        error = results["error"]
-        sizes = np.stack([np.hypot(error[..., 0], error[..., 1]), abs(error[..., 2])], axis=-1)
-        over[contender.name] = sizes / bounds
+        over[contender.name] = error_sizes(results["error"]) / bounds
 
     chosen = [contender_from(name, radio) for name in policies]
     score_contenders(chosen, source, seeds, watch=[keep], after=PARTS)
