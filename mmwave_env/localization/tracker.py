@@ -1,10 +1,10 @@
 """Live localization: a position for every epoch as soon as its rows have arrived."""
 
-import itertools
 import warnings
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import compress, islice
 from math import inf, isnan
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -242,7 +242,7 @@ class Tracker:
         self._now_s = max(self._now_s, min(epoch.time_s, self._now_s + _TIME_AHEAD_S))
         user.seen_s = self._now_s
         self._users[epoch.user] = user
-        for name, other in [*itertools.islice(self._users.items(), 2)]:
+        for name, other in [*islice(self._users.items(), 2)]:
             if self._now_s - other.seen_s > GAP_S or len(self._users) > MOST_USERS:
                 del self._users[name]
                 self.forgotten.append(name)
@@ -330,24 +330,25 @@ class Tracker:
         """Filter T loaded epochs of each of k users; return the beliefs after the last ones."""
         filtered = self._localizer.run(self._engine, len(self._loaded))
         factors = self._localizer.level_factors(filtered, time_s, begins)
-        kept = filtered.kept
-        measured = (filtered.accepted + filtered.rejected > 0.5).tolist()
-        for i, user in enumerate(self._loaded):
-            user.end_s = time_s[i][-1]
-            for t, groups in enumerate(measured[i]):
-                if self._measures(groups):
-                    user.last_s = time_s[i][t]
-                mode = filtered.mode[i, t]
-                user.late.append((time_s[i][t], spread_hz[i][t], mode, factors[i, t], kept[i, t]))
+        x, P, mode, nis, _, _, trusted, kept = filtered
         last_s = [times[-1] for times in time_s]
-        x, P, mode, nis, accepted, _, trusted, _ = filtered
         positions = self._positions(last_s, x[:, -1], P[:, -1], mode[:, -1], factors[:, -1])
-        gates = zip(measured, nis[:, -1].tolist(), accepted[:, -1].tolist(), strict=True)
-        for i, (epochs, values, verdicts) in enumerate(gates):
-            present = [g for g, is_seen in enumerate(epochs[-1]) if is_seen]
+        last_nis = nis[:, -1].tolist()
+        accepted = filtered.accepted.tolist()
+        rejected = filtered.rejected.tolist()
+        for i, user in enumerate(self._loaded):
+            user.end_s = last_s[i]
+            for t, verdicts in enumerate(zip(accepted[i], rejected[i], strict=True)):
+                measured = [yes + no > 0.5 for yes, no in zip(*verdicts, strict=True)]
+                if self._measures(measured):
+                    user.last_s = time_s[i][t]
+                user.late.append(
+                    (time_s[i][t], spread_hz[i][t], mode[i, t], factors[i, t], kept[i, t])
+                )
+            by_name = zip(self._groups, last_nis[i], strict=True)
             positions[i] = positions[i]._replace(
-                nis={self._groups[g]: values[g] for g in present},
-                rejected=[self._groups[g] for g in present if verdicts[g] < 0.5],
+                nis=dict(compress(by_name, measured)),
+                rejected=[*compress(self._groups, [no > 0.5 for no in rejected[i][-1]])],
                 begins=begins,
                 trusted=None if trusted is None else float(trusted[i, -1]),
             )

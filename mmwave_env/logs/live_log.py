@@ -343,9 +343,9 @@ class LiveLog:
 
     def _learn(self, row: Iterable[str], number: int) -> None:
         """Add the columns of a row that no row had before; from now on, ignore unknown ones."""
-        names = [name for name in row if name not in self._known]
-        if not names:
+        if self._known.issuperset(row):
             return
+        names = [name for name in row if name not in self._known]
         before = self._columns.file
         try:
             file = log_file(
