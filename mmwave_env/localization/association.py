@@ -54,7 +54,9 @@ class PathTracker(ImageFilter):
         """Return every epoch's track; one that is not ``tracked`` means that there is none."""
         epochs = [*self.observed(log)]
         table = log.table
-        odometry = table.first(table["speed"]) + table.first(table["heading"])
+        speed = table.first(table["speed"])
+        heading = table.first(table["heading"])
+        moved = np.isfinite(speed) & np.isfinite(heading)
         track = self.start
         seen_s = -np.inf
         tracks = []
@@ -64,7 +66,7 @@ class PathTracker(ImageFilter):
             if track.tracked:
                 track = self.step(track, paths)
             track = self.chosen(track, epochs[number : number + LOOK_AHEAD])
-            if track.labels or (track.tracked and np.isfinite(odometry[number])):
+            if track.labels or (track.tracked and moved[number]):
                 seen_s = paths.time_s
             tracks.append(track)
         return tracks
