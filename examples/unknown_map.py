@@ -53,8 +53,7 @@ def learned(log: Path, scene: Path, radio: str) -> Array:
 
 def observed(learner: MapLearner, log: Path, scene: Path) -> Iterator[Paths]:
     """Yield the paths of each epoch of a log."""
-    paths = read_paths(log, read_scene(scene))
-    return learner.observed(paths.epochs, paths.at_station)
+    return learner.observed(read_paths(log, read_scene(scene)))
 
 
 def followed(learner: MapLearner, epochs: Iterable[Paths]) -> Array:

@@ -27,7 +27,7 @@ from mmwave_env.localization.log_noise import nearest_radio
 from mmwave_env.localization.map_files import geodetic, origin_of
 from mmwave_env.localization.map_learning import MapLearner, learned_scene, trusted
 from mmwave_env.localization.tracker import Position, Tracker
-from mmwave_env.logs.live_log import LiveEpoch, LiveLog
+from mmwave_env.logs.live_log import LiveEpoch, LiveLog, log_from
 from mmwave_env.logs.log_tables import LogError, header_of
 from mmwave_env.models.layout import require_clock
 from mmwave_env.models.scene import Origin, Scene, scene_json
@@ -153,10 +153,11 @@ def _of_map(belief: Belief, mode: str, origin: Origin | None) -> Position:
 
 def _paths(args: LogArgs, scene: Scene, learner: MapLearner) -> Iterator[Paths]:
     """Yield the paths of each epoch of standard input."""
-    for live, epochs in _epochs(scene, args.snr, args.clock, associated=False):
+    for _, epochs in _epochs(scene, args.snr, args.clock, associated=False):
         if any(epoch.user for epoch in epochs):
             raise ValueError("map: found rows with users (ue), expected the paths of one user")
-        yield from learner.observed(map(live.paths, epochs), live.at_station)
+        for epoch in epochs:
+            yield from learner.observed(epoch.paths())
 
 
 def _formatted(args: LogArgs, position: Position, origin: Origin | None) -> Json:
@@ -176,7 +177,7 @@ class _Patience:
 
     def wait(self, epochs: Sequence[LiveEpoch]) -> None:
         """Note epochs without a position; warn once if there is still none."""
-        for log in (epoch.log() for epoch in epochs if not self._warned):
+        for log in (log_from([epoch]) for epoch in epochs if not self._warned):
             names = zip(log.layout.group_names, log.visible[0], strict=True)
             self._groups |= {name for name, visible in names if visible}
             self._first_s = min(self._first_s, float(log.time_s[0]))
@@ -191,12 +192,12 @@ class _Patience:
 
 
 def _has_link(epoch: LiveEpoch) -> bool:
-    return bool(epoch.log().visible[:, : epoch.layout.anchors].any())
+    return bool(log_from([epoch]).visible[:, : epoch.layout.anchors].any())
 
 
 def _tracker(args: LogArgs, scene: Scene, first: LiveEpoch, levels: Levels) -> tuple[Tracker, str]:
     """Return a tracker for a log with this first epoch, and its modes and radio in words."""
-    radio = nearest_radio(first.log(), scene) if args.radio == AUTO else args.radio
+    radio = nearest_radio(log_from([first]), scene) if args.radio == AUTO else args.radio
     choice = choice_of(args, radio, "aoa_elevation" in first.columns.file.columns)
     tracker = Tracker(
         scene, choice.switching, radio_of(args, radio), height_m=args.height, lag=args.lag,

@@ -23,7 +23,7 @@ from scipy.special import chdtri
 from mmwave_env.filters.modes import Mode
 from mmwave_env.io.files import Json
 from mmwave_env.localization.image_filter import LINK_ROWS, USER, Belief, ImageFilter, Paths
-from mmwave_env.logs.log import Log, PathEpoch, PathLog
+from mmwave_env.logs.log import Log, PathLog, log_of
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
@@ -56,7 +56,11 @@ class PathTracker(ImageFilter):
 
     def tracks(self, log: PathLog) -> list[Belief]:
         """Return every epoch's track; one that is not ``tracked`` means that there is none."""
-        epochs = [*self.observed(log.epochs, log.at_station)]
+        epochs = [*self.observed(log)]
+        table = log.table
+        speed = table.first(table["speed"])
+        heading = table.first(table["heading"])
+        moved = np.isfinite(speed) & np.isfinite(heading)
         track = self.start
         seen_s = -np.inf
         tracks = []
@@ -66,8 +70,7 @@ class PathTracker(ImageFilter):
             if track.tracked:
                 track = self.step(track, paths)
             track = self.chosen(track, epochs[number : number + LOOK_AHEAD])
-            moved = np.isfinite(log.epochs[number].odometry).all()
-            if track.labels or (track.tracked and moved):
+            if track.labels or (track.tracked and moved[number]):
                 seen_s = paths.time_s
             tracks.append(track)
         return tracks
@@ -141,56 +144,28 @@ def associate(paths: PathLog, scene: Scene, radio: Radio, mode: Mode) -> tuple[L
     Returns:
         The resulting log; and the counts of associated, false and missed paths.
     """
-    layout = paths.layout
-    epochs = paths.epochs
-    anchors = layout.anchors
-    z = np.full((len(epochs), layout.size), np.nan)
-    sigma = np.full(z.shape, np.nan)
-    visible = np.zeros((len(epochs), len(layout.groups)), np.bool_)
-    snr_db = np.full((len(epochs), anchors), -np.inf)
     known = replace(scene, learned=())  # learned images count as exactly known
     tracks = PathTracker(known, radio, mode).tracks(paths)
-    for t, (track, epoch) in enumerate(zip(tracks, epochs, strict=True)):
-        labels = track.labels
-        for anchor, path in labels.items():
-            own = epoch.sigma[path]
-            z[t, layout.link(anchor)] = np.where(np.isinf(own), np.nan, epoch.links[anchor, path])
-            sigma[t, layout.link(anchor)] = np.where(np.isinf(own), np.nan, own)
-            snr_db[t, anchor] = np.nan_to_num(epoch.snr_db[path], nan=-np.inf)
-            visible[t, anchor] = True
-        if 0 in labels and np.isfinite(doppler := epoch.doppler[labels[0]]):
-            z[t, layout.doppler] = doppler
-            visible[t, anchors] = True
-        if np.isfinite(epoch.odometry).all():
-            z[t, layout.doppler + 1 :] = epoch.odometry
-            visible[t, -1] = True
-    ranges = sigma[:, layout.ranges]
-    np.hypot(ranges, scene.offset_sigmas_m, out=ranges)
-    log = Log(
-        layout=layout,
-        time_s=np.array([epoch.time_s for epoch in epochs]),
-        measurement=z,
-        sigma=sigma,
-        visible=visible,
-        incomplete=np.zeros_like(visible),
-        doppler_anchor=np.zeros(len(epochs), np.int64),
-        snr_db=snr_db,
-        doppler_spread_hz=np.array([epoch.doppler_spread_hz for epoch in epochs]),
-        line=np.array([epoch.line for epoch in epochs]),
-        restarts=np.array([track.begins for track in tracks]),
-        damage=paths.damage,
-    )
+    anchor = np.full(len(paths.table), np.nan)
+    for track, rows in zip(tracks, paths.epochs, strict=True):
+        for number, path in track.labels.items():
+            anchor[rows[path]] = number + 1
+    log = log_of(paths.table.associated(anchor))
+    if not paths.layout.partial:
+        log = log.whole()
+    begins = np.array([track.begins for track in tracks])
+    log = replace(log, restarts=begins, damage=paths.damage)
     tracked = np.array([track.tracked for track in tracks])
-    return log, _counts(log, epochs, tracked)
+    return log, _counts(log, paths, tracked)
 
 
-def _counts(log: Log, epochs: Sequence[PathEpoch], tracked: Mask) -> Json:
-    """Count paths of an associated log, given its T epochs and which of them (T,) have a track.
+def _counts(log: Log, of: PathLog, tracked: Mask) -> Json:
+    """Count the paths ``of`` an associated log, given which of its T epochs (T,) have a track.
 
     While a track exists, each path that is assigned to no anchor counts as a false path, and each
     anchor without a path in an epoch counts as a missed path.
     """
-    paths = np.array([len(epoch.snr_db) for epoch in epochs])
+    paths = np.array([len(rows) for rows in of.epochs])
     anchors = log.layout.anchors
     links = log.visible[tracked, :anchors]
     associated = links.sum(axis=0).tolist()
@@ -198,7 +173,7 @@ def _counts(log: Log, epochs: Sequence[PathEpoch], tracked: Mask) -> Json:
     names = log.layout.group_names[:anchors]
     return {
         "paths": int(paths.sum()),
-        "incomplete": sum(epoch.incomplete for epoch in epochs),
+        "incomplete": of.incomplete,
         "associated": dict(zip(names, associated, strict=True)),
         "missed": dict(zip(names, missed, strict=True)),
         "false": int(paths[tracked].sum()) - sum(associated),

@@ -28,7 +28,7 @@ from scipy.special import chdtri
 from mmwave_env.filters.modes import Mode
 from mmwave_env.localization.first_position import HEIGHT_SIGMA_M
 from mmwave_env.localization.starts import gives_fix
-from mmwave_env.logs.log import PathEpoch
+from mmwave_env.logs.log import PathLog
 from mmwave_env.logs.log_tables import Arrays
 from mmwave_env.models.layout import STATE_SIZE, Layout
 from mmwave_env.models.measurement import direction, doppler_group, link_group
@@ -187,23 +187,19 @@ class ImageFilter(ABC):
         known = len(scene.offsets_m) - len(scene.learned)
         self._offsets_m = (scene.offsets_m - scene.offsets_m[0])[:known]
 
-    def observed(self, epochs: Iterable[PathEpoch], at_station: bool) -> Iterator[Paths]:
-        """Yield the paths of each epoch, with the receiver's variances, else those at their SNR.
-
-        ``at_station`` is as in :class:`~mmwave_env.logs.log.PathLog`.
-        """
+    def observed(self, log: PathLog) -> Iterator[Paths]:
+        """Yield the paths of each epoch, with the receiver's variances, else those at their SNR."""
         scene = replace(self._scene, range_offset_m=(), range_offset_sigma_m=())
-        for epoch in epochs:
-            z = epoch.links[0]
-            snr_db = np.column_stack([epoch.snr_db, epoch.snr_db])
-            usual = self._radio.sigma(snr_db, scene, Layout(2)) ** 2
-            own = np.minimum(epoch.sigma, UNKNOWN_RAD)[:, None] ** 2
-            variance = np.where(np.isfinite(own), own, usual[:, :-1].reshape(-1, 2, LINK_ROWS))
-            variance[..., 0] += self._scene.offset_sigmas_m.max() ** 2
-            straight = gives_fix(z) & (disagreement(z, variance[:, 0]) < self.straight)
-            yield Paths(
-                epoch.time_s, z, epoch.doppler, variance, usual[:, -1], straight, at_station
-            )
+        usual = self._radio.sigma(np.column_stack([log.snr_db] * 2), scene, Layout(2)) ** 2
+        own = np.minimum(log.sigma, UNKNOWN_RAD)[:, None] ** 2
+        variance = np.where(np.isfinite(own), own, usual[:, :-1].reshape(-1, 2, LINK_ROWS))
+        variance[..., 0] += self._scene.offset_sigmas_m.max() ** 2
+        z = log.links
+        straight = gives_fix(z) & (disagreement(z, variance[:, 0]) < self.straight)
+        doppler = log.table["doppler"]
+        every = Paths(0.0, z, doppler, variance, usual[:, -1], straight, log.at_station)
+        for time_s, rows in zip(log.time_s.tolist(), log.epochs, strict=True):
+            yield replace(every.part(rows), time_s=time_s)
 
     @cached_property
     def start(self) -> Belief:

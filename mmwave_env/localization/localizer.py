@@ -35,7 +35,7 @@ from mmwave_env.numerics.linalg import pack
 from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.world.episode import Episode, EpisodeBatch, columns_of
 
-_FILTERED = ("x", "P", "memory.mode", "memory.nis", "memory.accepted")
+_FILTERED = ("x", "P", "memory.mode", "memory.nis", "memory.accepted", "memory.rejected")
 # parts of the state that the smoother needs in addition to x and P: without and with a bank
 _PREDICTED = ("x_predicted", "P_predicted")
 _MIXTURE = ("mixture",)
@@ -85,6 +85,7 @@ class Filtered(NamedTuple):
     mode: Array
     nis: Array
     accepted: Array
+    rejected: Array
     trusted: Array | None  # None without a corrector
     kept: Array  # (N, T, values) input of the smoother
 
@@ -147,22 +148,19 @@ class Localizer:
             parts["memory.mode"],
             parts["memory.nis"],
             parts["memory.accepted"],
+            parts["memory.rejected"],
             parts.get("trusted"),
             np.concatenate([x, P, *(parts[name] for name in names)], axis=2),
         )
 
-    def level_factors(self, filtered: Filtered, visible: Any, time_s: Any, begins: bool) -> Array:
-        """Return factors (N, T, 2) of Gaussian levels; 1 if no others are computed.
-
-        ``visible`` (N, T, groups) and the times (N, T) are arrays or lists.
-        """
-        x, P, _, nis, accepted, trusted, _ = filtered
+    def level_factors(self, filtered: Filtered, time_s: Any, begins: bool) -> Array:
+        """Return factors (N, T, 2) of Gaussian levels, given times (N, T); 1 if there are none."""
+        x, P, _, *gates, trusted, _ = filtered
         if self.levels is None:
             return np.ones((*x.shape[:2], 2))
         if begins:
             self.levels.reset()
         mixes = self.switching.bank is not None
-        gates = (nis, accepted, visible - accepted)
         return self.levels.factors(self.layout.anchors, mixes, time_s, x, P, *gates, trusted)
 
     def smoothed(self, kept: Array, time_s: Array, spread_hz: Array) -> tuple[Array, Array]:
@@ -265,8 +263,7 @@ def _track(
     """
     localizer.load(log, start)
     filtered = localizer.run(localizer.engine)
-    begins = start is not None
-    factors = localizer.level_factors(filtered, log.visible[None], log.time_s[None], begins)
+    factors = localizer.level_factors(filtered, log.time_s[None], start is not None)
     x = filtered.x[0]
     P = filtered.P[0]
     kept = filtered.kept[0]

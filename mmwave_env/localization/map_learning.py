@@ -268,12 +268,12 @@ def learn_map(
     counts = {"epochs": 0, "paths": 0, "explained": 0, "starts": 0}
     for number, log in enumerate(logs, start=1):
         before = counts["starts"]
-        beliefs = learner.follow(learner.observed(log.epochs, log.at_station), belief)
-        for epoch, belief in zip(log.epochs, beliefs, strict=True):
-            counts["epochs"] += 1
-            counts["paths"] += len(epoch.snr_db)
-            counts["explained"] += len(belief.labels)
-            counts["starts"] += belief.begins
+        counts["epochs"] += len(log.epochs)
+        counts["paths"] += sum(map(len, log.epochs))
+        for later in learner.follow(learner.observed(log), belief):
+            counts["explained"] += len(later.labels)
+            counts["starts"] += later.begins
+            belief = later
         if counts["starts"] == before:
             raise LogError(
                 f"log {number} of {len(logs)}: found no path with which a track can begin, "

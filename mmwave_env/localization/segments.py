@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mmwave_env.localization.starts import Ballot, Start, start_at
+from mmwave_env.localization.starts import Start, ballot_of, start_at
 from mmwave_env.logs.log import Log
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import Radio
@@ -77,13 +77,13 @@ def _divided(
     end = stretch.epochs.stop
     start: Start | None = stretch.start
     while start:
-        ballot = _ballot(log, begin, end, scene, radio)
+        ballot = ballot_of(log, begin, end, scene, radio)
         start = ballot.start(log, begin) or start
         cut = ballot.jump()
         for gap in doubtful[(doubtful > begin) & (doubtful < end)].tolist():
             if cut is not None and cut <= gap:
                 break
-            ballot = _ballot(log, gap, end, scene, radio)
+            ballot = ballot_of(log, gap, end, scene, radio)
             later = gap if ballot.start(log, gap) else ballot.jump()
             cut = later if cut is None else cut
         first = end if cut is None else cut
@@ -99,16 +99,6 @@ def _begun(log: Log, first: int, end: int, scene: Scene, radio: Radio) -> tuple[
         if start:
             return epoch, start
     return end, None
-
-
-def _ballot(log: Log, first: int, end: int, scene: Scene, radio: Radio) -> Ballot:
-    """Return the votes of the epochs from ``first`` on, before ``end``."""
-    ballot = Ballot(scene, radio)
-    for epoch in range(first, end):
-        if not ballot.is_open(float(log.time_s[epoch] - log.time_s[first])):
-            break
-        ballot.vote(log, epoch)
-    return ballot
 
 
 def _gaps(log: Log) -> Index:

@@ -265,6 +265,16 @@ class Ballot:
         return Start((x, P), spent)
 
 
+def ballot_of(log: Log, first: int, end: int, scene: Scene, radio: Radio) -> Ballot:
+    """Return the votes of the epochs from ``first`` on, before ``end``."""
+    ballot = Ballot(scene, radio)
+    for epoch in range(first, end):
+        if not ballot.is_open(float(log.time_s[epoch] - log.time_s[first])):
+            break
+        ballot.vote(log, epoch)
+    return ballot
+
+
 class Doubt:
     """The epochs since a start or a gap, whose votes may revise a track that is under way.
 
@@ -314,9 +324,7 @@ class Doubt:
         log = log_from(self._epochs)
         if jump is not None:
             self._first = jump
-            self._ballot = Ballot(self._scene, self._radio)
-            for later in range(jump, len(log)):
-                self._ballot.vote(log, later)
+            self._ballot = ballot_of(log, jump, len(log), self._scene, self._radio)
         start = self._ballot.start(log, self._first)
         revised = start is not None
         if start is None and (self._revised or jump is not None):

@@ -1,10 +1,10 @@
 """Live localization: a position for every epoch as soon as its rows have arrived."""
 
-import itertools
 import warnings
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import compress, islice
 from math import inf, isnan
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.engines.engine import Engine
 from mmwave_env.interface.policy import Switching
 from mmwave_env.localization.levels import Levels, LevelState
 from mmwave_env.localization.localizer import Localizer
@@ -220,7 +219,7 @@ class Tracker:
             self._correlation_s,
         )  # fmt: skip
         self._users.clear()
-        self._engines: dict[int, Engine] = {}  # by number of tracks
+        self._engines = {1: self._localizer.engine}  # by number of tracks
         self._loaded: list[_User] = []  # users whose tracks are in the engine that ran last
         self._layout = layout
         self._groups = layout.group_names
@@ -243,7 +242,7 @@ class Tracker:
         self._now_s = max(self._now_s, min(epoch.time_s, self._now_s + _TIME_AHEAD_S))
         user.seen_s = self._now_s
         self._users[epoch.user] = user
-        for name, other in [*itertools.islice(self._users.items(), 2)]:
+        for name, other in [*islice(self._users.items(), 2)]:
             if self._now_s - other.seen_s > GAP_S or len(self._users) > MOST_USERS:
                 del self._users[name]
                 self.forgotten.append(name)
@@ -270,19 +269,17 @@ class Tracker:
         """Begin a track with the first of T epochs; return the belief after the last one."""
         self._store()
         self._loaded = [user]
-        self._engine = self._localizer.engine
+        self._engine = self._engines[1]
         self._localizer.load(log, start)
         times = log.time_s.tolist()
         user.last_s = times[0]
         user.late.clear()
-        visible = start.unspent(log.visible).tolist()
-        spreads = log.doppler_spread_hz.tolist()
-        (position,) = self._filtered([times], [visible], [spreads], begins=True)
+        (position,) = self._filtered([times], [log.doppler_spread_hz.tolist()], begins=True)
         return position
 
     def _continued(self, users: list[_User], epochs: Sequence[LiveEpoch]) -> list[Position]:
         """Filter an epoch of each of k users with tracks; return the beliefs after them."""
-        rows, visible = self._incoming(epochs)
+        rows = self._incoming(epochs)
         if users != self._loaded:
             self._store()
             self._restore(users)
@@ -291,9 +288,8 @@ class Tracker:
         self._engine.load_epoch(rows)
         spread = self._at.doppler_spread_hz
         return self._filtered(
-            [[epoch.time_s] for epoch in epochs], [[groups] for groups in visible],
-            [[float(row[spread])] for row in rows],
-        )  # fmt: skip
+            [[epoch.time_s] for epoch in epochs], [[float(row[spread])] for row in rows]
+        )
 
     def _arrays(self) -> Iterator[NDArray[Any]]:
         """Yield what tracks in the engine need to go on: arrays (n, ...)."""
@@ -313,7 +309,7 @@ class Tracker:
         count = len(users)
         n = 1 if count == 1 else max(8, 1 << (count - 1).bit_length())
         if n not in self._engines:
-            self._engines[n] = self._localizer.engine if n == 1 else self._localizer.tracks(n)
+            self._engines[n] = self._localizer.tracks(n)
         self._engine = self._engines[n]
         tracks = zip(*[user.track for user in users], strict=True)
         states, *others = [np.concatenate(parts) for parts in tracks]
@@ -328,53 +324,54 @@ class Tracker:
     def _filtered(
         self,
         time_s: list[list[float]],
-        visible: list[list[list[bool]]],
         spread_hz: list[list[float]],
         begins: bool = False,
     ) -> list[Position]:
         """Filter T loaded epochs of each of k users; return the beliefs after the last ones."""
         filtered = self._localizer.run(self._engine, len(self._loaded))
-        factors = self._localizer.level_factors(filtered, visible, time_s, begins)
-        kept = filtered.kept
+        factors = self._localizer.level_factors(filtered, time_s, begins)
+        x, P, mode, nis, _, _, trusted, kept = filtered
+        last_s = [times[-1] for times in time_s]
+        positions = self._positions(last_s, x[:, -1], P[:, -1], mode[:, -1], factors[:, -1])
+        last_nis = nis[:, -1].tolist()
+        accepted = filtered.accepted.tolist()
+        rejected = filtered.rejected.tolist()
         for i, user in enumerate(self._loaded):
-            user.end_s = time_s[i][-1]
-            for t, groups in enumerate(visible[i]):
-                if self._measures(groups):
+            user.end_s = last_s[i]
+            for t, verdicts in enumerate(zip(accepted[i], rejected[i], strict=True)):
+                measured = [yes + no > 0.5 for yes, no in zip(*verdicts, strict=True)]
+                if self._measures(measured):
                     user.last_s = time_s[i][t]
-                mode = filtered.mode[i, t]
-                user.late.append((time_s[i][t], spread_hz[i][t], mode, factors[i, t], kept[i, t]))
-        nis: list[dict[str, float]] = []
-        rejected: list[list[str]] = []
-        gates = zip(filtered.nis[:, -1].tolist(), filtered.accepted[:, -1].tolist(), strict=True)
-        for epochs, (values, accepted) in zip(visible, gates, strict=True):
-            measured = [g for g, is_seen in enumerate(epochs[-1]) if is_seen]
-            nis.append({self._groups[g]: values[g] for g in measured})
-            rejected.append([self._groups[g] for g in measured if accepted[g] < 0.5])
-        trusted = None if filtered.trusted is None else filtered.trusted[:, -1].tolist()
-        return self._positions(
-            [times[-1] for times in time_s], filtered.x[:, -1], filtered.P[:, -1],
-            filtered.mode[:, -1], factors[:, -1], nis, rejected, begins, trusted,
-        )  # fmt: skip
+                user.late.append(
+                    (time_s[i][t], spread_hz[i][t], mode[i, t], factors[i, t], kept[i, t])
+                )
+            by_name = zip(self._groups, last_nis[i], strict=True)
+            positions[i] = positions[i]._replace(
+                nis=dict(compress(by_name, measured)),
+                rejected=[*compress(self._groups, [no > 0.5 for no in rejected[i][-1]])],
+                begins=begins,
+                trusted=None if trusted is None else float(trusted[i, -1]),
+            )
+        return positions
 
     def _measures(self, visible: list[bool]) -> bool:
         """Tell whether an epoch measured a link or odometry."""
         layout = self._localizer.layout
         return any(visible[: layout.anchors]) or (layout.odometry and visible[-1])
 
-    def _incoming(self, epochs: Sequence[LiveEpoch]) -> tuple[Any, Any]:
-        """Return k epochs as rows of a table (k, columns), and their visible groups (k, groups)."""
+    def _incoming(self, epochs: Sequence[LiveEpoch]) -> Any:
+        """Return k epochs as rows of a table (k, columns)."""
         quick = [] if len(epochs) >= _MANY else list(map(self._quick_incoming, epochs))
         if quick and all(quick):
-            rows, visible = zip(*quick, strict=True)
-            return rows, visible
+            return quick
         log = log_from(epochs)
         # An episode's times must increase; the users' time steps are set later.
         episode = self._localizer.episode(replace(log, time_s=np.arange(float(len(log)))))
-        return episode.table(), log.visible.tolist()
+        return episode.table()
 
-    def _quick_incoming(self, epoch: LiveEpoch) -> tuple[list[float], list[bool]] | None:
+    def _quick_incoming(self, epoch: LiveEpoch) -> list[float] | None:
         """Return the same as :meth:`_incoming` for one epoch; None if this is impossible."""
-        placed = epoch.placed() if self._sound else None
+        placed = epoch.columns.placed(epoch.rows) if self._sound else None
         if placed is None:
             return None
         numbers, doppler_anchor = placed
@@ -403,7 +400,7 @@ class Tracker:
             row[at.doppler_of[link]] = float(link == doppler_anchor)
         if not isnan(numbers[-1]):
             row[at.doppler_spread_hz] = numbers[-1]
-        return row, visible
+        return row
 
     def smoothed(self) -> Position | None:
         """Return the position ``lag`` epochs ago, smoothed with the epochs since then.
@@ -418,13 +415,7 @@ class Tracker:
         x, P = self._localizer.smoothed(np.stack(kept)[None], *spans)
         first = slice(1)
         (position,) = self._positions(
-            times[first],
-            x[0, first],
-            P[0, first],
-            modes[first],
-            np.array(factors[first]),
-            [{}],
-            [[]],
+            times[first], x[0, first], P[0, first], modes[first], np.array(factors[first])
         )
         return position
 
@@ -435,12 +426,8 @@ class Tracker:
         P: Array,
         mode: Iterable[float],
         factors: Array,
-        nis: list[dict[str, float]],
-        rejected: list[list[str]],
-        begins: bool = False,
-        trusted: list[float] | None = None,
     ) -> list[Position]:
-        """Return n beliefs (n, ...), with what happened in their epochs."""
+        """Return n beliefs (n, ...), without what happened in their epochs."""
         unknown = [None] * len(x)
         origin = self._scene.origin
         has_bias = self._localizer.layout.has_bias
@@ -451,13 +438,13 @@ class Tracker:
             P[:, _POSITION_ROWS].tolist(),
             x[:, 3:6].tolist(),
             [self._switching.names[int(number)] for number in mode],
-            nis,
-            rejected,
-            [begins] * len(x),
+            [{}] * len(x),
+            [[]] * len(x),
+            [False] * len(x),
             geodetic(origin, x[:, :3]).tolist() if origin else unknown,
             x[:, 7].tolist() if has_bias else unknown,
             np.sqrt(P[:, 35]).tolist() if has_bias else unknown,
-            trusted or unknown,
+            unknown,
             (gaussian_levels(P, levels.risk) * factors).tolist() if levels else unknown,
         ]
         return list(map(Position, *columns))

@@ -4,7 +4,7 @@ A row whose cells are well within their limits passes quick checks. All other ro
 checks of ``log_checks.py``, which are slower and also find out what is wrong.
 """
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mmwave_env.logs.log import Log, PathEpoch, log_of, path_epochs, places
+from mmwave_env.logs.log import Log, PathLog, log_of, paths_of, places
 from mmwave_env.logs.log_checks import MOST_PATHS, first_damage, without_lost
 from mmwave_env.logs.log_columns import (
     BODY,
@@ -101,7 +101,12 @@ class LiveColumns:
         return Table(self.file, numbers, np.array(rows, float), epoch_of_row=epoch_of_row)
 
     def placed(self, rows: list[list[float]]) -> tuple[list[float], int] | None:
-        """Return :meth:`LiveEpoch.placed` of an epoch's rows."""
+        """Return all values of an epoch, and the index of the anchor with the Doppler shift.
+
+        Values are in the order of :func:`~mmwave_env.logs.log.places`, NaN where not measured;
+        anchors are counted from 0. The result is None if some angles are not in the map's frame, or
+        if the scene corrects measurements.
+        """
         if not self._is_quick:
             return None
         placed = self._blank.copy()
@@ -134,18 +139,9 @@ class LiveEpoch(NamedTuple):
         """Return the layout of the epoch's values."""
         return self.columns.file.layout
 
-    def log(self) -> Log:
-        """Return the epoch as a log, T = 1."""
-        return log_of(self.columns.table([self.rows]))
-
-    def placed(self) -> tuple[list[float], int] | None:
-        """Return all values, and the index, from 0, of the anchor with the Doppler shift.
-
-        Values are in the order of :func:`~mmwave_env.logs.log.places`, NaN where not measured. The
-        result is None if some angles are not in the map's frame, or if the scene corrects
-        measurements.
-        """
-        return self.columns.placed(self.rows)
+    def paths(self) -> PathLog:
+        """Return the epoch, whose rows are paths, as a log."""
+        return paths_of(self.columns.table([self.rows]))
 
 
 def log_from(epochs: Iterable[LiveEpoch]) -> Log:
@@ -196,8 +192,7 @@ class LiveLog:
     values by column may have a column that no row had before. Columns with unknown names are
     ignored, and the first row with one adds a warning.
 
-    If rows are paths without anchor numbers, every epoch ends with a row of a later time, and
-    :meth:`paths` returns its paths.
+    If rows are paths without anchor numbers, every epoch ends with a row of a later time.
 
     Args:
         names: names of the columns, as in the header of a log.
@@ -227,13 +222,13 @@ class LiveLog:
     ) -> None:
         self.warnings: list[str] = []
         self.left_out: Counter[str] = Counter()
-        self._arrivals: dict[str, _Arrivals] = {}  # by user
+        self._arrivals = defaultdict[str, _Arrivals](_Arrivals)  # by user
         self._user = names.index(USER) if USER in names else None
-        self._names = [name for name in names if name != USER]
         self._known = {"", USER, *names}  # also names of columns that are ignored
         self._halves: list[str] = []  # columns of odometry that are ignored without the others
+        others = [name for name in names if name != USER]
         file = log_file(
-            Path(source), self._names, delimiter, scene, snr_db, clock, associated=associated
+            Path(source), others, delimiter, scene, snr_db, clock, associated=associated
         )
         self._columns = LiveColumns(file)
 
@@ -248,9 +243,7 @@ class LiveLog:
         user, cells = self._cells(row, number)
         if not cells:
             return []
-        arrived = self._arrivals.get(user)
-        if arrived is None:
-            arrived = self._arrivals[user] = _Arrivals()
+        arrived = self._arrivals[user]
         columns = self._columns
         over = []
         if not arrived.rows or cells[columns.time] != arrived.rows[0][columns.time]:
@@ -274,16 +267,6 @@ class LiveLog:
         arrived.rows.append(cells)
         whole = len(arrived.rows) == columns.most_rows
         return [*over, *(self._end(user) if whole else [])]
-
-    @property
-    def at_station(self) -> bool:
-        """Tell whether angles of arrival were measured at the base station."""
-        return STATION in self._columns.file.columns
-
-    def paths(self, epoch: LiveEpoch) -> PathEpoch:
-        """Return the paths of an epoch."""
-        (of_epoch,) = path_epochs(epoch.columns.table([epoch.rows]))
-        return of_epoch
 
     def forget(self, users: list[str]) -> None:
         """Forget users, who have left; clear the list."""
@@ -313,7 +296,7 @@ class LiveLog:
         """
         rows = list(rows)
         for row in rows:
-            self._learn_from(row, 0)
+            self._learn(row, 0)
         users = dict.fromkeys(map(_user_of, rows))
         before = {user: self._arrivals[user].copy() for user in users if user in self._arrivals}
         try:
@@ -322,7 +305,7 @@ class LiveLog:
             self.forget([*users])
             self._arrivals |= before
             raise
-        return [*over, *(epoch for user in users for epoch in self._end(user))]
+        return [*over, *self.end_epoch(rows)]
 
     def end_epoch(self, rows: Iterable[Any] = ()) -> list[LiveEpoch]:
         """End the epochs of the users of these mappings, or of all; return those that have rows."""
@@ -339,24 +322,21 @@ class LiveLog:
         time_s = self._columns.time_s(arrived.last[0])
         return [LiveEpoch(user, time_s, arrived.last, self._columns)]
 
-    def _words(self, row: str | Mapping[str, Any]) -> tuple[str, list[Any]]:
-        """Return the user of a row, "" if it does not name any, and its other cells."""
-        if not isinstance(row, str):
-            return _user_of(row), [row.get(name) for name in self._names]
-        words = words_of(row, self._columns.file.delimiter)
-        if self._user is None or len(words) <= self._user:
-            return "", words
-        return words.pop(self._user).strip(), words
-
     def _cells(self, row: str | Mapping[str, Any], number: int) -> tuple[str, list[float]]:
-        """Return the user and cells of a row; no cells for a blank line; refuse a damaged row."""
-        if not isinstance(row, str):
-            self._learn_from(row, number)
-        user, words = self._words(row)
-        columns = self._columns
+        """Return a row's user ("" if unnamed) and cells (none if blank); refuse a damaged row."""
+        words: list[Any]
         if isinstance(row, str):
+            user = ""
+            columns = self._columns
+            words = words_of(row, columns.file.delimiter)
+            if self._user is not None and len(words) > self._user:
+                user = words.pop(self._user).strip()
             cells = columns.file.quick_numbers(words) or []
         else:
+            user = _user_of(row)
+            self._learn(row, number)
+            columns = self._columns
+            words = [row.get(name) for name in columns.file.names]
             cells = [nan if words[i] is None else words[i] for i in columns.file.numbers]
         if cells and columns.are_plain(cells):
             return user, cells
@@ -370,17 +350,15 @@ class LiveLog:
                 self._report(name, note)
         return user, table.cells.ravel().tolist()
 
-    def _learn_from(self, row: Mapping[str, Any], number: int) -> None:
-        """Add the columns of a row that no row had before."""
-        if not row.keys() <= self._known:
-            self._learn([name for name in row if name not in self._known], number)
-
-    def _learn(self, names: list[str], number: int) -> None:
-        """Add columns; ignore those that are unknown from now on."""
+    def _learn(self, row: Iterable[str], number: int) -> None:
+        """Add the columns of a row that no row had before; from now on, ignore unknown ones."""
+        if self._known.issuperset(row):
+            return
+        names = [name for name in row if name not in self._known]
         before = self._columns.file
         try:
             file = log_file(
-                before.path, [*self._names, *self._halves, *names], before.delimiter, before.scene,
+                before.path, [*before.names, *self._halves, *names], before.delimiter, before.scene,
                 before.snr_db, before.layout.clock, associated=before.associated,
             )  # fmt: skip
         except LogError as error:
@@ -391,7 +369,6 @@ class LiveLog:
             for name in names if len(names) > 1 else ():
                 self._learn([name], number)
         else:
-            self._names += self._halves + names
             self._halves.clear()
             self._columns = LiveColumns(file)
             empty = [nan] * (len(file.columns) - len(before.columns))

@@ -14,7 +14,6 @@ needs a range and an azimuth of arrival, and an SNR or standard deviations.
 """
 
 import warnings
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -160,7 +159,7 @@ def log_of(table: Table, wrap: bool = True) -> Log:
     layout = file.layout
     epoch = table.epoch
     anchor = table["anchor"].astype(np.int64) - 1
-    links = table.links()[anchor, np.arange(len(anchor))]
+    links = table.links(anchor)
     starts = table.starts
     T = len(starts)
     size = layout.size
@@ -201,31 +200,27 @@ def log_of(table: Table, wrap: bool = True) -> Log:
     )
 
 
-class PathEpoch(NamedTuple):
-    """The n paths of an epoch: their ranges and azimuths of arrival were measured."""
+class PathLog(NamedTuple):
+    """The complete paths of a log, among its n rows: range and azimuth of arrival were measured."""
 
-    time_s: float
-    line: int  # number of the first row in the file
-    # (L, n, 4) range (m) and angles (rad), as each anchor would have measured them. An elevation
+    layout: Layout  # layout of the scene's anchors, with or without odometry
+    time_s: Array  # (T,) increasing
+    epochs: list[Index]  # (T,) for each epoch, the numbers, from 0, of the rows with its paths
+    # (n, 4) range (m) and angles (rad), as the base station would have measured them. An elevation
     # that was not measured is that of a user in the street, a departure opposite to the arrival
     links: Array
     # (n, 4) the receiver's own standard deviations; NaN where it states none, infinite where the
     # value was not measured
     sigma: Array
-    doppler: Array  # (n,) Doppler shift, Hz; NaN where not measured
     snr_db: Array  # (n,) NaN where not measured; then all standard deviations are known
     incomplete: int  # number of paths that are left out because they lack a value or its noise
-    doppler_spread_hz: float  # 0 where none was measured
-    odometry: Array  # (2,) speed, m/s, and heading, rad; NaN where not measured
-
-
-class PathLog(NamedTuple):
-    """The epochs of a log of paths."""
-
-    layout: Layout  # layout of the scene's anchors, with or without odometry
-    epochs: list[PathEpoch]
+    table: Table  # the rows
     damage: LogError | None  # what is damaged after these epochs; None if the whole log is sound
-    at_station: bool = False  # whether angles of arrival were measured at the base station
+
+    @property
+    def at_station(self) -> bool:
+        """Tell whether angles of arrival were measured at the base station."""
+        return STATION in self.table.columns
 
 
 def read_paths(
@@ -240,52 +235,40 @@ def read_paths(
         OSError: as for :func:`read_log`.
     """
     table = read_table(path, scene, snr_db=snr_db, odometry=odometry, associated=False)
-    table, damage = sound_epochs(table, limits=True)
-    epochs = list(path_epochs(table))
-    if not any(len(epoch.snr_db) for epoch in epochs):
-        raise damage or LogError(
-            f"{path}: found no complete path in {len(epochs)} epochs, expected at least one"
+    log = paths_of(*sound_epochs(table, limits=True))
+    if not any(map(len, log.epochs)):
+        raise log.damage or LogError(
+            f"{path}: found no complete path in {len(log.time_s)} epochs, expected at least one"
         )
-    whole = all(np.isnan(epoch.sigma).all() for epoch in epochs)
-    layout = replace(table.file.layout, partial=not whole)
-    return PathLog(layout, epochs, damage, STATION in table.columns)
+    return log
 
 
-def path_epochs(table: Table) -> Iterator[PathEpoch]:
-    """Yield the complete paths of every epoch."""
-    scene = table.file.scene
-    snr = table["snr"]
-    if table.file.snr_db is not None:
-        snr = np.where(np.isnan(snr), table.file.snr_db, snr)
-    time = table["time"]
-    links = table.links()
-    doppler = table["doppler"]
+def paths_of(table: Table, damage: LogError | None = None) -> PathLog:
+    """Return the paths in rows without anchor numbers."""
+    file = table.file
+    snr_db = table["snr"]
+    if file.snr_db is not None:
+        snr_db = np.where(np.isnan(snr_db), file.snr_db, snr_db)
+    links = table.links(0)
     sigma = np.column_stack([table[SIGMA_OF[quantity]] for quantity in LINK_QUANTITIES])
-    missing = np.isnan(links[0])
+    missing = np.isnan(links)
     sigma[missing] = np.inf
     known = ~missing[:, :2].any(axis=1) & ~(missing[:, 3] & (STATION in table.columns))
-    whole = known & (np.isfinite(snr) | ~np.isnan(sigma).any(axis=1))
-    some = ~missing.all(axis=1) | np.isfinite(snr)
-    rise = (scene.streets.height_m - scene.anchors_m[0, 2]) / links[0, :, 0]
-    links[..., 2] = np.where(missing[:, 2], np.arcsin(np.clip(rise, -1.0, 1.0)), links[..., 2])
-    links[..., 3] = np.where(missing[:, 3], links[..., 1] + PI, links[..., 3])
-    spread = table.first(table["doppler_spread"])
-    speed = table.first(table["speed"])
-    heading = table.first(table["heading"])
-    odometry = np.column_stack([speed, wrapped(heading)])
+    whole = known & (np.isfinite(snr_db) | ~np.isnan(sigma).any(axis=1))
+    some = ~missing.all(axis=1) | np.isfinite(snr_db)
+    rise = (file.scene.streets.height_m - file.scene.anchors_m[0, 2]) / links[:, 0]
+    links[:, 2] = np.where(missing[:, 2], np.arcsin(np.clip(rise, -1.0, 1.0)), links[:, 2])
+    links[:, 3] = np.where(missing[:, 3], links[:, 1] + PI, links[:, 3])
+    links[:, 1:] = wrapped(links[:, 1:])
     of_epochs = np.split(np.arange(len(table)), table.starts[1:])
-    for epoch, (first, rows) in enumerate(zip(table.starts, of_epochs, strict=False)):
-        kept = rows[whole[rows]]
-        of_epoch = links[:, kept]
-        of_epoch[..., 1:] = wrapped(of_epoch[..., 1:])
-        yield PathEpoch(
-            time_s=float(time[first]),
-            line=int(table.rows[first]),
-            links=of_epoch,
-            sigma=sigma[kept],
-            doppler=doppler[kept],
-            snr_db=snr[kept],
-            incomplete=int((some & ~whole)[rows].sum()),
-            doppler_spread_hz=float(np.nan_to_num(spread[epoch])),
-            odometry=odometry[epoch],
-        )
+    return PathLog(
+        layout=replace(file.layout, partial=not np.isnan(sigma[whole]).all()),
+        time_s=table["time"][table.starts],
+        epochs=[rows[whole[rows]] for rows in of_epochs],
+        links=links,
+        sigma=sigma,
+        snr_db=snr_db,
+        incomplete=int((some & ~whole).sum()),
+        table=table,
+        damage=damage,
+    )

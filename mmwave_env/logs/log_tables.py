@@ -23,6 +23,7 @@ from mmwave_env.io.lookup import quoted, require_extra
 from mmwave_env.logs.lines import number, read_lines, require_memory
 from mmwave_env.logs.log_columns import (
     BODY,
+    QUANTITIES,
     QUANTITY_OF,
     STATION,
     Column,
@@ -64,7 +65,7 @@ class Arrays:
     def __len__(self) -> int:
         return len(next(iter(self.arrays().values())))
 
-    def part(self: AnyArrays, rows: slice | Mask) -> AnyArrays:
+    def part(self: AnyArrays, rows: slice | Mask | Index) -> AnyArrays:
         """Return only these rows or epochs."""
         return replace(self, **{name: values[rows] for name, values in self.arrays().items()})
 
@@ -170,13 +171,31 @@ class Table(Arrays):
         first[self.epoch[some]] = values[some]  # backwards, so that the first row's value remains
         return first
 
-    def links(self) -> Array:
-        """Return (L, n, 4) ranges (m) and angles (rad), as each anchor would have measured them.
+    def associated(self, anchor: Array) -> "Table":
+        """Return rows that are paths, each with its anchor's number (n,); NaN if it has none.
 
-        The scene's ``range_offset_m`` and ``bearing_deg`` are subtracted; but a departure relative
-        to the user's body has no bearing. Angles are in the map's frame. In a log with a column
-        :data:`STATION`, all angles of arrival were measured at the base station, anchor 1. If a
-        path belongs to a mirror image of the base station, its angles at the image are different.
+        Rows without an anchor keep only the values of their epoch. Only the Doppler shift of anchor
+        1 is kept.
+        """
+        cells = self.cells.copy()
+        for i, quantity in enumerate(self.columns):
+            if quantity in ("doppler", "doppler_sigma"):
+                cells[anchor != 1.0, i] = np.nan
+            elif quantity != "time" and not QUANTITIES[quantity].per_epoch:
+                cells[np.isnan(anchor), i] = np.nan
+        number = Column("anchor", len(self.file.names), Unit(), 1.0, self.file.layout.anchors)
+        file = replace(self.file, columns=self.columns | {"anchor": number}, associated=True)
+        cells = np.column_stack([cells, np.nan_to_num(anchor, nan=1.0)])
+        return replace(self, file=file, cells=cells)
+
+    def links(self, anchor: Index | int) -> Array:
+        """Return (n, 4) ranges (m) and angles (rad), as each row's anchor would have measured them.
+
+        Anchors are counted from 0. The scene's ``range_offset_m`` and ``bearing_deg`` are
+        subtracted; but a departure relative to the user's body has no bearing. Angles are in the
+        map's frame. In a log with a column :data:`STATION`, all angles of arrival were measured at
+        the base station. If a path belongs to a mirror image of the base station, its angles at the
+        image are different.
         """
         scene = self.file.scene
         bearing = math.radians(scene.bearing_deg)
@@ -185,16 +204,12 @@ class Table(Arrays):
             departure = self[BODY] + self.first(self["heading"])[self.epoch]
         elevation = self["aoa_elevation"]
         arrival = self["aoa_azimuth"] - bearing
-        links = np.column_stack([self["toa"], arrival, elevation, departure])
-        anchors = scene.anchors_m
-        of_anchors = np.repeat(links[None], len(anchors), axis=0)
-        of_anchors[:, :, 0] -= scene.offsets_m[:, None]
         if STATION in self.columns:
-            for link, image in zip(of_anchors, anchors, strict=True):
-                station = self[STATION] - bearing
-                direction = seen_from_image(station, elevation, anchors[0], image)
-                link[:, 1:3] = np.column_stack(direction)
-        return of_anchors
+            images = list(scene.anchors_m[anchor].T)
+            station = self[STATION] - bearing
+            arrival, elevation = seen_from_image(station, elevation, scene.anchors_m[0], images)
+        distance = self["toa"] - scene.offsets_m[anchor]
+        return np.column_stack([distance, arrival, elevation, departure])
 
 
 def log_file(

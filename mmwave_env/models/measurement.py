@@ -119,7 +119,8 @@ def seen_from_image(azimuth: Number, elevation: Number, station: Vector, image: 
     (cos_az, sin_az) = cos_sin(azimuth)
     (cos_el, sin_el) = cos_sin(elevation)
     d = [cos_el * cos_az, cos_el * sin_az, sin_el]
-    along = 2.0 * dot(d, n) / (dot(n, n) or 1.0)
+    square = dot(n, n)
+    along = 2.0 * dot(d, n) / where(square > 0.0, square, 1.0)
     _, *mirrored = direction([d[i] - along * n[i] for i in range(3)])
     return mirrored[0], mirrored[1]
 

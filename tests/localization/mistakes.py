@@ -1,10 +1,10 @@
 """Mistakes in logs, as functions from correct columns (arrays by name) to wrong columns."""
 
-import csv
 from itertools import permutations
 
 import numpy as np
 
+from mmwave_env.datasets.log_folder import log_text
 from tests.paths import LOGS
 
 FOLDERS = [LOGS / "canyon28_vehicle", LOGS / "canyon28_pedestrian"]
@@ -15,18 +15,13 @@ HZ_PER_MPS = 28e9 / 299_792_458.0
 
 def read_columns(path):
     """Return the columns of a log by name, with NaN for empty cells."""
-    with path.open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    return {name: np.array([float(row[name] or "nan") for row in rows]) for name in rows[0]}
+    table = np.genfromtxt(path, delimiter=",", names=True)
+    return {name: table[name].copy() for name in table.dtype.names}
 
 
 def write_columns(path, columns):
     """Write a log with these columns."""
-    cells = np.column_stack(list(columns.values())).tolist()
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(columns)
-        writer.writerows([["" if v != v else repr(v) for v in row] for row in cells])
+    path.write_text(log_text(columns))
 
 
 def linear(factor, *names, offset=0.0):

@@ -9,7 +9,7 @@ from experiments.evaluation.positions import Positions
 from experiments.evaluation.runner import score_contenders
 from mmwave_env.localization.levels import PARTS, Levels, Network
 from mmwave_env.localization.localizer import localize
-from mmwave_env.localization.position_errors import PositionErrors, gaussian_levels
+from mmwave_env.localization.position_errors import PositionErrors, error_sizes, gaussian_levels
 from mmwave_env.localization.tracker import Tracker
 from mmwave_env.task import task_from
 from policies import load
@@ -42,24 +42,6 @@ def parts(seed=0):
     return [x, P, nis, fate == 0, fate == 1, trusted]
 
 
-def watched(levels, policies, source, radio, seeds):
-    """Return ratios of errors to levels (episodes, epochs, [horizontal, vertical]) by policy."""
-    over = {}
-
-    def keep(contender, time_s, results):
-        levels.reset()
-        read = [*(results[part] for part in PARTS), results.get("trusted")]
-        factors = levels.factors(ANCHORS, contender.bank is not None, time_s, *read)
-        bounds = gaussian_levels(results["P"], levels.risk) * factors
-        error = results["error"]
-        sizes = np.stack([np.hypot(error[..., 0], error[..., 1]), abs(error[..., 2])], axis=-1)
-        over[contender.name] = sizes / bounds
-
-    chosen = [contender_from(name, radio) for name in policies]
-    score_contenders(chosen, source, seeds, watch=[keep], after=PARTS)
-    return over
-
-
 def test_a_risk_that_no_calibration_covers_and_an_unknown_kind_are_refused():
     with pytest.raises(ValueError, match="risk: found 0.05, expected 0.01 or 0.001"):
         Levels(0.05)
@@ -83,18 +65,6 @@ def test_factors_are_positive_and_finite_for_any_outputs_of_a_filter(risk):
         with np.errstate(invalid="ignore"):
             factors = levels.factors(ANCHORS, True, 0.1 * np.arange(T), *extreme)
         assert factors.shape == (N, T, 2) and np.isfinite(factors).all() and (factors > 0.0).all()
-
-
-def test_the_factors_of_a_track_do_not_depend_on_its_division_into_pieces():
-    read = parts()
-    time_s = np.cumsum(np.random.default_rng(1).random(T))
-    whole = Levels().factors(ANCHORS, True, time_s, *read)
-    levels = Levels()
-    cut = [slice(0, 1), slice(1, 25), slice(25, T)]
-    pieces = [levels.factors(ANCHORS, True, time_s[i], *(part[:, i] for part in read)) for i in cut]
-    assert_allclose(np.concatenate(pieces, axis=1), whole, rtol=1e-9)
-    levels.reset()
-    assert_allclose(levels.factors(ANCHORS, True, time_s, *read), whole, rtol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -143,13 +113,24 @@ def test_gaussian_levels_follow_from_the_covariances():
 def test_errors_exceed_levels_at_most_as_often_as_stated(pair, risk):
     """Fail only if 300 episodes show with 99.9 % confidence that errors exceed levels too often."""
     scene, radio = pair.split(":")
+    levels = Levels(risk)
+    shares = {}  # of epochs whose errors exceed their levels, (episodes, [horizontal, vertical])
+
+    def keep(contender, time_s, results):
+        levels.reset()
+        read = [*(results[part] for part in PARTS), results.get("trusted")]
+        factors = levels.factors(ANCHORS, contender.bank is not None, time_s, *read)
+        bounds = gaussian_levels(results["P"], risk) * factors
+        shares[contender.name] = (error_sizes(results["error"]) > bounds).mean(axis=1)
+
     source = task_from(scene=scene, radio=radio).source
     seeds = range(FRESH, FRESH + 300)
-    policies = ("guided", "corrector", "imm-best")
-    for name, over in watched(Levels(risk), policies, source, radio, seeds).items():
-        shares = (over > 1.0).mean(axis=1)
-        deviation = shares.std(axis=0) / np.sqrt(len(shares))
-        assert (shares.mean(axis=0) - 3.1 * deviation <= risk).all(), name
+    chosen = [contender_from(name, radio) for name in ("guided", "corrector", "imm-best")]
+    score_contenders(chosen, source, seeds, watch=[keep], after=PARTS)
+    assert len(shares) == 3
+    for name, share in shares.items():
+        deviation = share.std(axis=0) / np.sqrt(len(share))
+        assert (share.mean(axis=0) - 3.1 * deviation <= risk).all(), name
 
 
 @pytest.mark.slow

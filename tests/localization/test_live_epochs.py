@@ -14,6 +14,7 @@ from itertools import groupby, product
 from unittest.mock import patch
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from mmwave_env.filters.bank import named_modes
@@ -21,7 +22,7 @@ from mmwave_env.interface.policy import Switching
 from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.localizer import Localizer, localize
 from mmwave_env.localization.tracker import Tracker
-from mmwave_env.logs.live_log import LiveLog
+from mmwave_env.logs.live_log import LiveLog, log_from
 from mmwave_env.logs.log import read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.radio import RADIOS
@@ -83,10 +84,7 @@ def test_live_epochs_equal_epochs_of_a_log_to_the_last_bit(tmp_path, name):
     changed, quick, options = LOGGED[name]
     epochs = walk(**changed)
     path = tmp_path / "log.csv"
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(epochs[0][0]))
-        writer.writeheader()
-        writer.writerows(row for epoch in epochs for row in epoch)
+    pd.DataFrame([row for epoch in epochs for row in epoch]).to_csv(path, index=False)
     log = read_log(path, SCENE, **options)
     track = localize(log, SCENE, RADIO, Switching((EKF,)), window=None)
     tracker = Tracker(SCENE, Switching((EKF,)), RADIO, lag=3, **options)
@@ -115,7 +113,7 @@ def outcome(rows):
     log = LiveLog(list(ROW), SCENE)
     try:
         epochs = [epoch for row in rows for epoch in log.add(row, 7)]
-        last = [*epochs, *log.end_epoch()][-1].log()
+        last = log_from([*epochs, *log.end_epoch()][-1:])
     except LogError as error:
         return str(error)
     return repr([last.measurement, last.sigma, last.snr_db, last.doppler_spread_hz])

@@ -37,7 +37,6 @@ def paths_of(tmp_path):
         false_paths=1.0,
         scene=STATION,
         epochs=200,
-        keep=slice(None),
         without=(),
     ):
         source = SimulatedSource(STREET, RADIOS[radio], "mixed", epochs=epochs)
@@ -46,7 +45,7 @@ def paths_of(tmp_path):
         for name in without:
             del columns[name]
         path = tmp_path / "paths.csv"
-        path.write_text(log_text({name: values[keep] for name, values in columns.items()}))
+        path.write_text(log_text(columns))
         return read_paths(path, scene), episode
 
     return make
@@ -65,7 +64,7 @@ def scores(log, episode, radio, scene):
     tracker = learner(radio, scene)
     errors = []
     nees = []
-    for b in tracker.follow(tracker.observed(log.epochs, log.at_station)):
+    for b in tracker.follow(tracker.observed(log)):
         if b.tracked and b.time_s >= 30.0:
             error = b.x[:3] - episode.truth_position_m[np.searchsorted(episode.time_s, b.time_s)]
             errors.append(np.linalg.norm(error))
@@ -94,7 +93,7 @@ def test_an_epoch_waits_for_the_next_ones_only_where_the_track_is_doubtful(paths
     read = []
 
     def arriving():
-        for epoch in learner().observed(log.epochs, at_station=False):
+        for epoch in learner().observed(log):
             read.append(epoch.time_s)
             yield epoch
 
@@ -105,7 +104,7 @@ def test_an_epoch_waits_for_the_next_ones_only_where_the_track_is_doubtful(paths
 
 def test_a_clock_that_is_set_back_begins_a_new_track_on_the_same_map(paths_of):
     log, episode = paths_of(5, epochs=60)
-    epochs = [*learner().observed(log.epochs, at_station=False)]
+    epochs = [*learner().observed(log)]
     once = [*learner().follow(epochs)]
     twice = [*learner().follow([*epochs, *epochs])]
     assert len(twice) == 120 and any(b.begins for b in twice[60:])
@@ -116,12 +115,12 @@ def test_a_clock_that_is_set_back_begins_a_new_track_on_the_same_map(paths_of):
 
 def test_at_a_beginning_no_second_path_is_the_line_of_sight(paths_of):
     log, _ = paths_of(1, epochs=20)
-    learner = MapLearner(STATION, RADIOS["standard"], default_modes("standard")[-1])
-    paths = next(learner.observed(log.epochs, at_station=False))
+    tracker = learner()
+    paths = next(tracker.observed(log))
     sight = int(np.flatnonzero(paths.straight)[0])
     twice = paths.part(np.array([sight, sight]))
-    prior = learner.prior(learner.start, twice, 0)
-    begun = learner.begun(prior, twice, 0)
+    prior = tracker.prior(tracker.start, twice, 0)
+    begun = tracker.begun(prior, twice, 0)
     assert begun.labels == {0: 0}
     np.testing.assert_array_equal(begun.x, prior.x)
 
@@ -203,22 +202,18 @@ def test_learned_images_have_the_range_offset_of_their_base_station(paths_of):
 
 def test_the_map_outlives_a_gap(paths_of):
     log, _ = paths_of(1)
-    epochs = [epoch for epoch in log.epochs if not 120.0 <= epoch.time_s < 150.0]
-    scene, figures = learned([log._replace(epochs=epochs)])
+    kept = np.flatnonzero((log.time_s < 120.0) | (log.time_s >= 150.0))
+    epochs = [log.epochs[epoch] for epoch in kept]
+    scene, figures = learned([log._replace(time_s=log.time_s[kept], epochs=epochs)])
     assert figures["starts"] >= 2 and len(scene.learned) == 2 and errors_of(scene).max() < 2.0
 
 
 def test_false_paths_alone_make_no_map_and_are_refused(paths_of):
     log, _ = paths_of(1, false_paths=3.0)
-    rng = np.random.default_rng(0)
-    epochs = []
-    for epoch in log.epochs:
-        links = epoch.links.copy()
-        links[..., 1] = rng.uniform(-np.pi, np.pi, links.shape[1])
-        links[..., 3] = rng.uniform(-np.pi, np.pi, links.shape[1])
-        epochs.append(epoch._replace(links=links))
+    links = log.links.copy()
+    links[:, [1, 3]] = np.random.default_rng(0).uniform(-np.pi, np.pi, (len(links), 2))
     with refuses("log 1 of 1", error=LogError):
-        learned([log._replace(epochs=epochs)])
+        learned([log._replace(links=links)])
 
 
 def test_a_wall_is_halfway_between_the_station_and_its_image(paths_of):

@@ -69,13 +69,6 @@ def test_levels_of_a_line_and_of_a_circle_equal_the_textbook(risk, sigma):
     assert gaussian_levels(upwards, risk)[1] == pytest.approx(sigma * norm.isf(0.5 * risk))
 
 
-def test_levels_of_many_covariances_equal_the_levels_of_single_covariances():
-    P = np.stack([turned(3.0, 1.0, 0.3), turned(1.0, 1.0, 0.0), turned(2.0, 0.0, 1.0)])
-    many = horizontal_level(P.reshape(3, 1, 6), 1e-3)
-    assert many.shape == (3, 1)
-    assert many[:, 0].tolist() == [float(horizontal_level(single, 1e-3)) for single in P]
-
-
 @pytest.mark.parametrize(("exceeded", "epochs"), [(0, 50), (3, 200), (7, 7)])
 def test_the_share_of_exceeded_levels_has_the_clopper_pearson_interval(exceeded, epochs):
     error = np.zeros(epochs)

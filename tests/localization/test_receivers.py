@@ -1,8 +1,7 @@
 """Tests that logs that lack some measured quantities yield the tracks of a textbook EKF."""
 
-import csv
-
 import numpy as np
+import pandas as pd
 import pytest
 
 from mmwave_env.filters import textbook
@@ -64,24 +63,22 @@ def walk(path, receiver, seed):
     x = np.array([25.0, 30.0, 1.5, *rng.uniform(0.1, 0.8, 2), 0.0, rng.normal(0.0, 50.0)])
     Q = noise(dt, scene.hz_per_mps, "height" in receiver)
     truth = []
-    names = [f"{name}_{ROWS[name][1]}" for name in measured]
     sigmas = {f"{name}_sigma_{ROWS[name][1]}": ROWS[name][2] for name in measured}
-    with path.open("w", newline="") as file:
-        table = csv.DictWriter(file, ["time_s", "anchor", *names, *sigmas])
-        table.writeheader()
-        for epoch in range(EPOCHS):
-            truth.append(x[:3])
-            exact = sensor.h(x)
-            for anchor in range(anchors):
-                row = {"time_s": epoch * dt, "anchor": anchor + 1, **sigmas}
-                for name, column in zip(measured, names, strict=True):
-                    place, unit, sigma = ROWS[name]
-                    value = exact[4 * anchors if place == 4 else 4 * anchor + place]
-                    value = np.degrees(wrapped(value)) if unit == "deg" else value
-                    if rng.random() < 0.9 and (place < 4 or not anchor):
-                        row[column] = value + sigma * rng.standard_normal()
-                table.writerow(row)
-            x = rng.multivariate_normal(textbook.F(dt) @ x, Q)
+    rows = []
+    for epoch in range(EPOCHS):
+        truth.append(x[:3])
+        exact = sensor.h(x)
+        for anchor in range(anchors):
+            row = {"time_s": epoch * dt, "anchor": anchor + 1, **sigmas}
+            for name in measured:
+                place, unit, sigma = ROWS[name]
+                value = exact[4 * anchors if place == 4 else 4 * anchor + place]
+                value = np.degrees(wrapped(value)) if unit == "deg" else value
+                if rng.random() < 0.9 and (place < 4 or not anchor):
+                    row[f"{name}_{unit}"] = value + sigma * rng.standard_normal()
+            rows.append(row)
+        x = rng.multivariate_normal(textbook.F(dt) @ x, Q)
+    pd.DataFrame(rows).to_csv(path, index=False)
     return scene, np.array(truth)
 
 

@@ -3,6 +3,7 @@
 from itertools import groupby
 
 import numpy as np
+import pandas as pd
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -17,6 +18,7 @@ from mmwave_env.localization.tracker import Tracker
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import scene_of_anchors
+from tests.filters.tracks import unpacked
 
 RADIO = RADIOS["standard"]
 ONE = scene_of_anchors("one", np.array([[0.0, 0.0, 2.5]]), 60e9, 1.76e9)
@@ -54,8 +56,7 @@ def rows_of(scene, times, path, wrong=lambda t, link: link, seen=None, seed=0, n
 
 def log_of(tmp_path, scene, rows, clock="synchronized"):
     path = tmp_path / "log.csv"
-    lines = [",".join(rows[0]), *(",".join(map(repr, row.values())) for row in rows)]
-    path.write_text("\n".join(lines) + "\n")
+    pd.DataFrame(rows).to_csv(path, index=False)
     return read_log(path, scene, clock=clock)
 
 
@@ -80,7 +81,7 @@ def rms(errors):
 
 def nees(errors, P):
     """Return the normalized squared errors (T,) of horizontal positions."""
-    S = np.array([[[xx, yx], [yx, yy]] for xx, yx, yy in P[:, :3]])
+    S = unpacked(P)[:, :2, :2]
     return np.einsum("ti,tij,tj->t", errors, np.linalg.inv(S), errors)
 
 

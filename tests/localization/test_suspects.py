@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from mmwave_env.localization.readings import (
-    AS_IT_IS,
     AZIMUTH,
     DEPARTURE,
     ELEVATION,
@@ -16,7 +15,6 @@ from mmwave_env.localization.readings import (
     values_of,
 )
 from mmwave_env.localization.shared_errors import SharedError, suspects
-from mmwave_env.models.scene import SCENES
 from tests.localization.errors import late, moved, readings, shifted, tilted, turned
 
 READING = readings(1, epochs=10)[0]
@@ -106,12 +104,3 @@ def test_an_undone_mistake_scales_values_and_the_likelihood_of_the_file():
     finding = later.finding([])
     assert finding.hypothesis == "ranges are doubled; angles are in degrees"
     assert finding.cure == "halve them; then divide" and finding.scene is READING.scene
-
-
-def test_a_finding_contains_the_corrected_scene():
-    moved = replace(SCENES["street"], base_station_m=(1.0, 2.0, 3.0))
-    reading = READING.without(
-        Mistake("it moved", "move it back", lambda r: r._replace(scene=moved))
-    )
-    assert reading.finding([]).scene == moved
-    assert READING.finding([]).hypothesis == AS_IT_IS and READING.finding([]).worst_anchor is None

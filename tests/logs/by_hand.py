@@ -6,8 +6,8 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from mmwave_env.datasets.log_folder import log_columns, log_text
-from mmwave_env.logs.live_log import LiveLog
+from mmwave_env.datasets.log_folder import log_text, path_columns
+from mmwave_env.logs.live_log import LiveLog, log_from
 from mmwave_env.logs.log import Log, read_log
 from mmwave_env.logs.log_tables import LogError, header_of
 from mmwave_env.models.radio import RADIOS
@@ -61,7 +61,7 @@ def read_live(content):
     names, delimiter = header_of(header)
     live = LiveLog(names, SCENE, delimiter=delimiter)
     epochs = [epoch for n, line in enumerate(lines, start=2) for epoch in live.add(line, n)]
-    return Log.joined([epoch.log() for epoch in [*epochs, *live.end_epoch()]]), live.warnings
+    return log_from([*epochs, *live.end_epoch()]), live.warnings
 
 
 def log_with(layout, time_s, measurement, visible, snr_db=20.0):
@@ -120,16 +120,7 @@ def require_pyarrow(suffix):
         pytest.importorskip("pyarrow")
 
 
-def hide_anchors(path, episode, false_paths=0, seed=0):
-    """Write an episode as a log of paths in random order; add ``false_paths`` to every epoch."""
-    columns = log_columns(episode)
-    rng = np.random.default_rng(seed)
-    del columns["anchor"]
-    n = false_paths * len(episode)
-    false = {name: np.full(n, np.nan) for name in columns}
-    false["time_s"] = np.repeat(episode.time_s, false_paths)
-    for name in COLUMNS[2:]:
-        false[name] = rng.uniform(np.nanmin(columns[name]), np.nanmax(columns[name]), n)
-    columns = {name: np.concatenate([values, false[name]]) for name, values in columns.items()}
-    order = np.lexsort([rng.random(len(columns["time_s"])), columns["time_s"]])
-    path.write_text(log_text({name: values[order] for name, values in columns.items()}))
+def hide_anchors(path, episode, false_paths=0.0, seed=0):
+    """Write an episode as a log of paths, with ``false_paths`` per epoch on average."""
+    columns = path_columns(episode, false_paths, np.random.default_rng(seed))
+    path.write_text(log_text(columns))

@@ -70,12 +70,11 @@ def test_angles_of_arrival_at_the_base_station_are_mirrored(tmp_path, suffix):
     image = read(tmp_path / "image.csv")
     assert_array_equal(block.visible, image.visible)
     assert_allclose(block.measurement, image.measurement, rtol=1e-9)
-    paths = read_paths(path, SCENE).epochs[0]
-    anchors = columns["anchor"][: len(paths.snr_db)].astype(int) - 1
-    links = paths.links[anchors, np.arange(len(anchors))]
-    expected = read_paths(tmp_path / "image.csv", SCENE).epochs[0].links[0]
-    assert len(links) == L
-    assert_allclose(links, expected, rtol=1e-9)
+    ours = read_paths(path, SCENE)
+    theirs = read_paths(tmp_path / "image.csv", SCENE)
+    direct = columns["anchor"] == 1
+    assert ours.at_station and not theirs.at_station
+    assert_allclose(ours.links[direct], theirs.links[direct], rtol=1e-9)
 
 
 @pytest.mark.parametrize("odometry", [True, False])
@@ -194,14 +193,6 @@ def test_a_doppler_shift_needs_only_the_snr_of_its_link(tmp_path):
     block = read(store(tmp_path, lines))
     assert block.visible[0].tolist() == [False, True, True, True]
     assert not block.incomplete.any()  # a link without any value is missing, not incomplete
-
-
-def test_the_doppler_shift_is_missing_if_the_log_has_no_doppler_column(tmp_path):
-    lines = rows(2)
-    for line in lines:
-        del line["doppler_hz"]
-    block = read(store(tmp_path, lines))
-    assert block.visible[:, :L].all() and not block.visible[:, L].any()
 
 
 def numbered(content, name):
@@ -358,6 +349,6 @@ def test_live_rows_are_corrected_like_those_of_a_file(tmp_path):
     header, *lines = content.rstrip().split("\n")
     live = LiveLog(header.split(","), CORRECTED)
     epochs = [epoch for line in lines for epoch in live.add(line)]
-    assert all(epoch.placed() is None for epoch in epochs)
+    assert all(epoch.columns.placed(epoch.rows) is None for epoch in epochs)
     log = log_from([*epochs, *live.end_epoch()])
     assert_same(log, read(store(tmp_path, content), CORRECTED), "line")

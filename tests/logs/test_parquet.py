@@ -77,11 +77,9 @@ def test_columns_that_are_not_numeric_are_refused(tmp_path, values):
         ("doppler_hz", 4, 1.0),
     ],
 )
-@pytest.mark.parametrize("batch", [2, 5, 1000])
 def test_the_epochs_before_a_damaged_row_are_returned_before_the_error(
-    tmp_path, monkeypatch, column, row, value, batch
+    tmp_path, column, row, value
 ):
-    monkeypatch.setattr("mmwave_env.logs.log_tables._BATCH_ROWS", batch)
     columns = columns_of()
     columns[column][row] = value
     log = delivered(stored(tmp_path, columns), f"row {row + 1}", column)
