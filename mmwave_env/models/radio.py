@@ -32,7 +32,7 @@ from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.motion import CLOCK_SIGMA_M, FREE_BIAS_M
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.numbers import Array, Numbers, Vector, clip, exp, sqrt
+from mmwave_env.numerics.numbers import Array, Number, Numbers, Vector, clip, exp, sqrt
 
 SHIPPED = ("handset", "standard", "high")
 DEGREE = math.pi / 180.0
@@ -176,7 +176,7 @@ class Radio:
         """Return the thermal noise power of the receiver, including its noise figure."""
         return -174.0 + 10.0 * math.log10(bandwidth_hz) + self.noise_figure_db
 
-    def snr_db(self, path_gain_db: Array, bandwidth_hz: float) -> Array:
+    def snr_db(self, path_gain_db: Number, bandwidth_hz: float) -> Number:
         """Return the SNR of links with the given path gain (negative, dB)."""
         return self.link_budget_db + path_gain_db - self.thermal_noise_dbm(bandwidth_hz)
 
