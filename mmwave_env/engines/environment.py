@@ -145,7 +145,7 @@ class Environment:
             pipeline, n, task.reward, kind, bank, on_floats, threads, task.action, base=task.base
         )
         if corrections:  # leave out the features that depend on the coming epoch
-            self._engine.show(after_update(pipeline, per_mode=True))
+            self._engine.show(after_update(pipeline))
         self.modes = pipeline.modes
         self.bank = task.bank
         self.observation = self._engine.observation

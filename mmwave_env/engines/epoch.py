@@ -217,7 +217,7 @@ def decide(w: EpochState, asked: Asked) -> EpochState:
 def refresh(w: EpochState, asked: Asked) -> EpochState:
     """Renew the columns of the observation that describe the belief after its update."""
     columns = {name: i for i, name in enumerate(asked.table.names)}
-    after = after_update(asked.pipeline, asked.per_mode)
+    after = after_update(asked.pipeline)
     features = [feature for feature in after if feature.name in columns]
     epoch = w.incoming.epoch(asked.pipeline.layout)  # no feature here depends on it
     view = _view(w, asked, epoch, [])
@@ -327,7 +327,7 @@ def _view(
         decided = with_expected_spread(decided, w.velocity, w.site)
         last = LastEpoch(decided, w.is_first, w.velocity, w.mode_probabilities)
     covariance = unpack(w.P, zero=pipeline.known_axes)
-    return View(w.x, covariance, w.memory, results, epoch, w.site, shown, last)
+    return View(w.x, covariance, w.memory, results, epoch, w.site, pipeline.layout, shown, last)
 
 
 def with_expected_spread(epoch: Epoch, velocity: Vector, site: Site) -> Epoch:

@@ -32,7 +32,7 @@ def episodes():
 
 def names_of(pipeline):
     """Return the names of the features that a policy gets in order to correct a belief."""
-    return [feature.name for feature in after_update(pipeline, per_mode=True)]
+    return [feature.name for feature in after_update(pipeline)]
 
 
 def played(episodes, actions):
