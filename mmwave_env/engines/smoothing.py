@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.compiler.program import BatchState, Program, StepIO, blocks_of, fill, rows_of
-from mmwave_env.engines.engine import tracks_of
+from mmwave_env.engines.engine import Engine
 from mmwave_env.engines.epoch import with_expected_spread
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.imm import begin
@@ -57,7 +57,7 @@ def smoothed_again(
         (n, T, 3) and packed covariances (n, T, 28 or 36) of the smoothed tracks.
     """
     n, T = actions.shape
-    engine = tracks_of(pipeline, n, bank)
+    engine = Engine(pipeline, n, observation="", bank=bank)
     engine.load(episodes._replace(table=episodes.table[:, :T], length=np.full(n, T)))
     x, P, x_predicted, P_predicted, error, nees = engine.run(*_KEPT, actions=actions).values()
     dt = episodes.table[:, 1:T, columns_of(pipeline.layout).dt]
