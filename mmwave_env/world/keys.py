@@ -78,23 +78,6 @@ def options_of(options: Any, *known: str) -> list[Any]:
     return [(options or {}).get(name) for name in known]
 
 
-class Stream:
-    """The stream of one environment, and the number of keys drawn from it."""
-
-    def __init__(self) -> None:
-        self._state = np.zeros(2, np.uint64)  # stream, and number of keys drawn from it
-        self._from: np.random.Generator | None = None
-
-    def next(self, rng: np.random.Generator, seed: int) -> int:
-        """Return the next episode's key, given the environment's current generator and seed."""
-        if rng is not self._from:  # a reset was seeded, or the user set another rng (seed -1)
-            self._from = rng
-            self._state[:] = draw_key(rng) if seed == -1 else stream_of(seed), 0
-        (key,) = keys_at(*self._state)
-        self._state[1] += np.uint64(1)
-        return int(key)
-
-
 class Streams:
     """The streams of n environments (random until seeded), and the numbers of keys drawn."""
 
@@ -112,6 +95,16 @@ class Streams:
         self._seeds[place] = seed
         self._generators[place] = None
         self._states[place] = stream_of(seed), 0
+
+    def follow(self, place: int, rng: np.random.Generator, seed: int) -> None:
+        """Start the stream of environment number ``place`` if it has another generator than before.
+
+        After a seeded reset, a stream follows from the ``seed``. If the user set the generator,
+        ``seed`` is -1, and the stream is drawn.
+        """
+        if rng is not self._generators[place]:
+            self._generators[place] = rng
+            self._states[place] = draw_key(rng) if seed == -1 else stream_of(seed), 0
 
     def seed_some(self, seed: int | Sequence[int | None] | None, places: Index) -> None:
         """Start the streams of the environments ``places``, as a vector environment's reset does.
