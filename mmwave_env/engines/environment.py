@@ -264,7 +264,7 @@ class Environment:
             prior = engine.at.site.prior_x
             engine.write(prior[2], starts.first[:, 2], places)
             engine.write(prior[5], 0.0, places)
-        return [source.names[kind] for kind in starts.kinds]
+        return starts.names
 
     def _episodes(self, places: Index) -> EpisodeBatch:
         """Return the complete current episodes of some environments (n,)."""
