@@ -87,15 +87,6 @@ class Streams:
         self._seeds = [-1] * n
         self._generators: list[np.random.Generator | None] = [None] * n
 
-    def seed(self, place: int, seed: int) -> None:
-        """Start the stream of environment number ``place`` with a seed >= 0, as Env.reset does."""
-        seed = operator.index(seed)
-        if seed < 0:
-            raise ValueError(f"seed: found {seed}, expected 0 or more")
-        self._seeds[place] = seed
-        self._generators[place] = None
-        self._states[place] = stream_of(seed), 0
-
     def follow(self, place: int, rng: np.random.Generator, seed: int) -> None:
         """Start the stream of environment number ``place`` if it has another generator than before.
 
@@ -114,16 +105,22 @@ class Streams:
         Raises:
             ValueError: seeds and environments differ in number, or a seed is negative.
         """
+        if seed is None:
+            return
         n = len(self._seeds)
         if isinstance(seed, (int, np.integer)):
             seed = range(int(seed), int(seed) + n)
-        elif seed is not None and len(seed) != n:
+        elif len(seed) != n:
             raise ValueError(f"seed: found {len(seed)} seeds, expected {n}, one per environment")
-        if seed is None:
-            return
         for place in places:
-            if seed[place] is not None:
-                self.seed(place, seed[place])
+            if seed[place] is None:
+                continue
+            own = operator.index(seed[place])
+            if own < 0:
+                raise ValueError(f"seed: found {own}, expected 0 or more")
+            self._seeds[place] = own
+            self._generators[place] = None
+            self._states[place] = stream_of(own), 0
 
     def seeds(self) -> tuple[int, ...]:
         """Return the seeds (n,) of the streams; -1 where the seed is unknown."""
