@@ -11,7 +11,6 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import InvalidAction, ResetNeeded
 
 from mmwave_env.engines.environment import Environment
-from mmwave_env.engines.vector_step import Stepper
 from mmwave_env.interface.actions import numbers_in, space_of
 from mmwave_env.interface.info import (
     INFOS,
@@ -25,7 +24,7 @@ from mmwave_env.numerics.numbers import Array, Array32, Index
 from mmwave_env.rendering.gallery import Gallery
 from mmwave_env.rendering.theme import FRAMES_PER_SECOND, SMALLEST, Pixels, require_drawable
 from mmwave_env.task import task_from
-from mmwave_env.world.keys import Stream, key_from, options_of
+from mmwave_env.world.keys import Streams, key_from, options_of
 
 _INTEGERS = (int, np.int64)  # usual types of actions
 _HERE = np.zeros(1, np.int64)  # index of the environment in a batch of one
@@ -268,7 +267,7 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         self._infos = infos
         self._take_task(task_from(**arguments), observation, smoothed)
         self._over = True
-        self._stream = Stream()
+        self._streams = Streams(1)
         self._set_up_noting()
         drawn = (*self._drawn, render_size, render_theme)
         self._gallery = Gallery(1, *drawn) if render_mode else None
@@ -285,7 +284,6 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
 
             pipeline = filterpy_pipeline(pipeline)
         self._start_engine(pipeline, on_floats=on_floats)
-        self._stepper = Stepper(self._engine, self._tally, self._infos)
         self._mode = np.zeros(1, np.int64)
 
     @property  # type: ignore[override]
@@ -323,7 +321,7 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         super().reset(seed=seed, options=options)
         info = self._begin(key)
         self._begin_tracks(_HERE)
-        observations, state = self._stepper.start(_HERE)
+        observations, state = self._run_first_epoch(_HERE)
         self._begun = True
         self._over = False
         if self._gallery:
@@ -342,7 +340,8 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
             self._engine.load([episode])
             return {"episode_name": episode.name, "nonfinite": episode.nonfinite}
         if key is None:
-            key = self._stream.next(self.np_random, self.np_random_seed)
+            self._streams.follow(0, self.np_random, self.np_random_seed)
+            (key,) = self._streams.keys(_HERE).tolist()
         (name,) = self._begin_keys(np.array([key], np.uint64), _HERE)
         return {"episode_name": name, "episode_key": np.uint64(key), "nonfinite": 0}
 
@@ -351,17 +350,17 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         if self._over:
             raise ResetNeeded("Call reset before step: there is no episode under way.")
         actions, numbers = self._checked(action)
-        result, ended, infos = self._stepper.step(actions, numbers)
-        if self._baseline:
-            self._baseline.subtract(result.rewards, _HERE)
+        result, ended, infos = self._step_engine(actions, numbers)
+        if self._task.baseline:
+            self._subtract_baseline(result.rewards, _HERE)
         terminated = False
         if self._task.worst is not None:
-            terminated = not self._stepper.distances_m[0] <= DIVERGENCE_M
+            terminated = not self._engine.read(self._engine.at.distance)[0] <= DIVERGENCE_M
         if terminated:
             self._charge(result.rewards, _HERE)
         self._over = terminated or bool(ended)
         if self._over and self._infos == "episode":
-            infos = self._stepper.look(actions)
+            infos = self._last_infos(result, actions)
         info = {key: values[0] for key, values in infos.items()}
         if self._over:
             info |= self._episode_info()

@@ -13,7 +13,6 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from mmwave_env.engines.environment import Environment
-from mmwave_env.engines.vector_step import Stepper
 from mmwave_env.interface.actions import numbers_in, space_of
 from mmwave_env.interface.info import (
     INFOS,
@@ -107,8 +106,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
             "autoreset_mode": self.autoreset_mode,
         }
         self.num_envs = num_envs
-        self._threads = threads
-        self._take_task(task_from(**arguments), observation, smoothed, num_envs)
+        self._take_task(task_from(**arguments), observation, smoothed, num_envs, threads)
         epochs = getattr(self._task.source, "epochs", None)
         if max_episode_steps not in {None, epochs}:
             raise ValueError(
@@ -133,10 +131,8 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
 
     def _set_up(self) -> None:
         """Create everything that follows from the arguments, for a new environment or a copy."""
-        self._start_engine(self._task.pipeline, self.num_envs, threads=self._threads)
-        engine = self._engine
-        self.batch = engine
-        self._stepper = Stepper(engine, self._tally, self._infos)
+        self._start_engine(self._task.pipeline)
+        self.batch = self._engine
 
     def render(self) -> tuple[Pixels, ...] | None:  # type: ignore[override]
         """Draw pictures (size, size, 3) of the first 16 environments; None without a render mode.
@@ -180,7 +176,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         self._begun &= not chosen.all()  # while all are being reset, no episode is under way
         self._streams.seed_some(seed, places)
         drawn = self._draw(places, keys)
-        _, state = self._stepper.start(places)
+        _, state = self._run_first_epoch(places)
         self._begun = True
         self._begin_pictures(places)
         return self._engine.observations(), masked(drawn | state, chosen)
@@ -224,7 +220,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
             keys = self._streams.keys(places) if keys is None else keys
             for first in range(0, len(places), BEGUN):
                 now = slice(first, first + BEGUN)
-                names = self._begin_keys(keys[now], places[now], self._threads)
+                names = self._begin_keys(keys[now], places[now])
                 infos["episode_name"][places[now]] = names
             infos["episode_key"] = self._keys.copy()
         else:
@@ -246,20 +242,21 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         fresh = self._over
         resets = self._ended
         drawn = self._draw(np.flatnonzero(fresh)) if resets else {}
-        result, self._ended, infos = self._stepper.step(actions, numbers)
+        result, self._ended, infos = self._step_engine(actions, numbers)
         if infos:
-            infos |= dict.fromkeys(self._stepper.mask_keys, self._everywhere.copy())
+            infos |= dict.fromkeys(self._mask_keys, self._everywhere.copy())
         observations, rewards, terminated, truncated, *_ = result
         if self._gallery:
             self._begin_pictures(np.flatnonzero(fresh))
             self._gallery.add(np.flatnonzero(~fresh), actions, self._engine.column)
-        if self._baseline:
-            self._baseline.subtract(rewards, np.flatnonzero(~fresh))
+        if self._task.baseline:
+            self._subtract_baseline(rewards, np.flatnonzero(~fresh))
         if resets:
             rewards[fresh] = 0.0
             infos = stepped(infos, ~fresh) | masked(drawn, fresh)
         if self._task.worst is not None:
-            terminated[:] = ~(fresh | (self._stepper.distances_m <= DIVERGENCE_M))
+            distance = self._engine.read(self._engine.at.distance)
+            terminated[:] = ~(fresh | (distance <= DIVERGENCE_M))
             self._charge(rewards, np.flatnonzero(terminated))
             truncated &= ~terminated
             self._ended = int(np.count_nonzero(terminated | truncated))
@@ -267,7 +264,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         if self._ended:
             self._over = terminated | truncated
         if self._infos == "episode" and (resets or self._ended):
-            last = self._stepper.look(actions)
+            last = self._last_infos(result, actions)
             state = masked({key: last.pop(key) for key in STATE_KEYS}, fresh | self._over)
             infos |= masked(last, self._over) | state
         if self._ended:
@@ -283,7 +280,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
             warn_of_nonfinite()
         if self._infos != "none":
             metrics = {}
-            for key, values in self._metrics_of(ended, self._threads).items():
+            for key, values in self._metrics_of(ended).items():
                 metrics[key] = np.zeros(self.num_envs)
                 metrics[key][ended] = values
             infos |= masked(metrics, self._over) | masked({NONFINITE_KEY: lost}, lost > 0)
@@ -331,7 +328,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
             (mask,) = mask_keys([NONFINITE_KEY])
             final[mask] = final[NONFINITE_KEY] > 0
         drawn = self._draw(ended)
-        first, begun = self._stepper.start(ended)
+        first, begun = self._run_first_epoch(ended)
         observations[ended] = first[ended]
         self._begin_pictures(ended)
         for key, anew in begun.items():

@@ -139,7 +139,7 @@ class TwoWayCorrector(LearnedPolicy):
 
     def read_from_track(self, pipeline: Pipeline) -> None:
         """Find the policy's features among the features that tracks of a pipeline compute."""
-        self._find_in(observation_columns(after_update(pipeline, per_mode=True)))
+        self._find_in(observation_columns(after_update(pipeline)))
 
     def correct_tracks(self, features: Array32) -> Correction:
         """Return corrections (n, T, 3) of n smoothed tracks, given all their features.

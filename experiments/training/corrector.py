@@ -129,7 +129,7 @@ class CorrectorTrainer(Trainer):
         self.play = self.player(job.task, seed, self.hyper.random_share)
         pipeline = Pipeline(job.task.bank.modes, Layout())
         table = Observation(pipeline, "signed", "per-mode")
-        self.table = table.only(after_update(pipeline, per_mode=True))
+        self.table = table.only(after_update(pipeline))
         self.network = CorrectorNetwork(len(self.table), self.hyper, self.TWO_WAY)
         self.optimizers = optimizers_of(self.network, self.hyper.learning_rate)
         self.scales = {}

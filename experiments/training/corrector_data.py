@@ -287,7 +287,7 @@ def _played(batch: EpisodeBatch, bank: Bank, base: str, *names: str) -> Played:
     pipeline = Pipeline(bank.modes, batch.layout)
     engine = Engine(pipeline, n, TrackingReward(), "signed", bank, action=CORRECTION)
     engine.load(batch)
-    after = [feature.name for feature in after_update(pipeline, per_mode=True)]
+    after = [feature.name for feature in after_update(pipeline)]
     columns = np.array([engine.observation.names.index(name) for name in after])
     return play(engine, base_policy(base, engine.observation), epochs, names, columns)
 

@@ -20,7 +20,7 @@ from experiments.console.options import TuneArgs, WorldArgs
 from experiments.console.output import progress, say, tracked
 from experiments.evaluation.contenders import draw_episodes, source_of
 from experiments.evaluation.intervals import bootstrap
-from mmwave_env.engines.engine import run_imm, tracks_of
+from mmwave_env.engines.engine import Engine, run_imm
 from mmwave_env.filters.bank import Bank, as_written, bank_as_written, default_modes, modes_from
 from mmwave_env.filters.imm import DEFAULT_STAY
 from mmwave_env.filters.modes import Mode
@@ -71,7 +71,7 @@ def likelihood(history: dict[str, Array], layout: Layout) -> Array:
 def objective_of(mode: Mode, episodes: Sequence[Episode]) -> Objective:
     """Return a function that maps a variant of ``mode`` to likelihoods (episodes,) of episodes."""
     layout = episodes[0].layout
-    tracker = tracks_of(Pipeline((mode,), layout), len(episodes))
+    tracker = Engine(Pipeline((mode,), layout), len(episodes), observation="")
     tracker.load(episodes)
 
     def evaluate(tried: Mode) -> Array:

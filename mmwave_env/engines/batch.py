@@ -130,9 +130,7 @@ class Batch:
             places: indices of the environments that begin.
         """
         if not self.state.feed.run:
-            blank = source.begin(np.zeros(1, np.uint64)).worlds
-            feed = source.feed(np.tile(blank, (self.n, 1)))
-            self.state = self.state._replace(feed=feed)
+            self.state = self.state._replace(feed=source.feed(self.n))
         block, lane = np.divmod(places, WIDTH)
         self.state.feed.kept[block, :, lane] = starts.worlds
         self.state.length[places] = source.epochs

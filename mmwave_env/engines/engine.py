@@ -49,13 +49,15 @@ class Engine(Batch):
         pipeline: modes and layout.
         n: number of tracks.
         reward: function of (belief, truth); None to compute only errors and NEES.
-        observation: kind of observation: "full", "prior" or "signed"; "" if there is no policy.
+        observation: kind of observation: "full", "prior" or "signed"; "" if there is no policy, so
+            that :meth:`run` filters whole episodes.
         bank: the pipeline's modes and their transition probabilities, if every mode keeps its own
             belief; None if the modes share a belief.
         on_floats: whether to run in plain Python, as filterpy requires, instead of on SIMD lanes.
         threads: maximum number of threads in use; results do not depend on it.
         action: kind of actions (:mod:`mmwave_env.interface.actions`); "" if an IMM gets none.
-        predicted: whether to keep beliefs before their updates, which smoothing needs.
+        predicted: whether to keep beliefs before their updates, which smoothing needs. Tracks
+            without a policy always keep them.
         rule: function that chooses modes that share a belief; None if actions choose them.
         base: function that makes the agent that trusts modes while the environment's actions
             correct beliefs, given the table of its observations; None if an IMM weighs the modes.
@@ -85,7 +87,7 @@ class Engine(Batch):
         tuned = bank is not None or not observation
         self._asked = Asked(
             untuned(pipeline) if tuned else pipeline,
-            bank is not None, observation, reward, action, predicted, rule,
+            bank is not None, observation, reward, action, predicted or not observation, rule,
         )  # fmt: skip
         self._programs: dict[tuple[Verb, ...], Program[EpochState]] = {}
         verbs = [decide, score, filter_epoch]  # of a step
@@ -244,19 +246,6 @@ class Engine(Batch):
         return self.read(self.at.observation, np.float32)[:, self._shown]
 
 
-def tracks_of(
-    pipeline: Pipeline,
-    n: int,
-    bank: Bank | None = None,
-    rule: Rule | None = None,
-    reward: Reward | None = None,
-    action: str = MODE,
-    on_floats: bool = False,
-) -> Engine:
-    """Return an engine without observations, whose :meth:`Engine.run` filters whole episodes."""
-    return Engine(pipeline, n, reward, "", bank, on_floats, 1, action, True, rule)
-
-
 def run_imm(
     bank: Bank,
     reward: Reward | None,
@@ -278,7 +267,7 @@ def run_imm(
     """
     packed = EpisodeBatch.of(episodes)
     pipeline = Pipeline(bank.modes, packed.layout, planar)
-    engine = tracks_of(pipeline, len(packed.length), bank, reward=reward, action="")
+    engine = Engine(pipeline, len(packed.length), reward, "", bank, action="")
     engine.load(packed)
     return engine.run(*names)
 

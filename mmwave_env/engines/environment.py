@@ -11,21 +11,31 @@ from typing import Any, Self
 import numpy as np
 from gymnasium.error import ResetNeeded
 
+from mmwave_env.compiler.program import Repeated, StepIO, laid_out
 from mmwave_env.compiler.threads import portions, share
-from mmwave_env.engines.batch import Batch
 from mmwave_env.engines.engine import Engine, run_imm
 from mmwave_env.engines.smoothing import smoothed_again
-from mmwave_env.engines.vector_step import Tally
+from mmwave_env.engines.vector_step import StepResult, Tally, step_blocks
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import CORRECTION, MODE, limits_of
-from mmwave_env.interface.info import SMOOTHED_KEY, drawn_rows, reported
+from mmwave_env.interface.info import (
+    COST_KEY,
+    FLAGS,
+    SMOOTHED_KEY,
+    STATE_KEYS,
+    Info,
+    drawn_rows,
+    info_rows,
+    mask_keys,
+    reported,
+)
 from mmwave_env.interface.reward import term_names
 from mmwave_env.interface.signed import after_update
 from mmwave_env.io.lookup import choose
 from mmwave_env.metrics import INFO_KEYS, ate, scored
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.numbers import Array, Index
+from mmwave_env.numerics.numbers import Array, Array32, Index
 from mmwave_env.task import Task
 from mmwave_env.world.episode import EpisodeBatch
 from mmwave_env.world.keys import Keys
@@ -33,71 +43,6 @@ from mmwave_env.world.keys import Keys
 # maximum numbers of episodes that a job replays (REPLAYED) or filters (FILTERED), to save memory
 REPLAYED = 8
 FILTERED = 256
-
-
-class Baseline:
-    """The baseline of a paired reward, which is subtracted from the agent's rewards.
-
-    If actions are corrections, each step computes the baseline: the reward of the uncorrected
-    belief. Otherwise, it is an IMM's rewards, known as soon as an episode is loaded.
-
-    Args:
-        task: the task, whose ``baseline`` is the bank of the IMM.
-        batch: the batch that runs the episodes.
-        threads: maximum number of threads in use; results do not depend on it.
-    """
-
-    def __init__(self, task: Task, batch: Batch, threads: int = 1) -> None:
-        self._task = task
-        self._batch = batch
-        self._threads = threads
-        self._rewards = np.zeros((batch.n, 0), np.float32)
-
-    def begin(self, places: Index, episodes: Callable[[Index], EpisodeBatch]) -> None:
-        """Run the IMM on the episodes that begin in some environments (n,).
-
-        Args:
-            places: indices of these environments.
-            episodes: function that returns episodes, given the indices of their environments.
-        """
-        task = self._task
-        if task.action == CORRECTION:
-            return
-        planar = task.pipeline.planar
-        missing = self._batch.state.length.max() - self._rewards.shape[1]
-        self._rewards = np.pad(self._rewards, ((0, 0), (0, max(0, missing))))
-
-        def run(some: Index) -> None:
-            assert task.baseline is not None
-            played = run_imm(task.baseline, task.reward, episodes(some), "reward", planar=planar)
-            rewards = played["reward"]
-            self._rewards[some, : rewards.shape[1]] = rewards
-
-        parts = portions(len(places), self._threads, FILTERED)
-        share(run, [(places[part],) for part in parts], self._threads)
-
-    def subtract(self, rewards: Array, places: Index) -> None:
-        """Subtract the baseline from the rewards (N,) of the epoch that was just scored.
-
-        The result is rounded to single precision, in which agents receive rewards, so that
-        recorded training runs can be repeated exactly.
-
-        Args:
-            rewards: (N,) rewards of all environments, changed in place.
-            places: (n,) indices of the environments whose rewards change.
-        """
-        batch = self._batch
-        if self._task.action == CORRECTION:
-            earned = batch.read(batch.at.reported.reward, np.float32)[places]
-        else:
-            earned = self._rewards[places, batch.state.epoch[places] - 2]
-        rewards[places] = rewards[places].astype(np.float32) - earned
-
-    def rest(self, places: Index) -> Array:
-        """Return the IMM's total reward (n,) in the remaining epochs of each environment."""
-        tracks = self._batch.state
-        spans = zip(places, tracks.epoch[places] - 1, tracks.length[places], strict=True)
-        return np.array([fsum(self._rewards[place, now:end]) for place, now, end in spans])
 
 
 class Environment:
@@ -108,10 +53,12 @@ class Environment:
     """
 
     _engine: Engine
-    _baseline: Baseline | None
+    _infos: str  # "all" if steps return infos; "episode" if only last steps do; or "none"
     _set_up: Callable[[], None]  # creates the attributes that are not copied
 
-    def _take_task(self, task: Task, observation: str, smoothed: bool, n: int = 1) -> None:
+    def _take_task(
+        self, task: Task, observation: str, smoothed: bool, n: int = 1, threads: int = 1
+    ) -> None:
         """Store the task of n environments, which have no episode yet."""
         if smoothed and task.action != MODE:
             raise ValueError(
@@ -124,12 +71,11 @@ class Environment:
         self._limits = limits_of(task.action, modes)
         self._tally = Tally(n, len(task.pipeline.position_axes), smoothed, modes + 1)
         self._keys = np.zeros(n, np.uint64)  # of the episodes, if they have keys
+        self._threads = threads  # maximum number in use; results do not depend on it
         self._begun = False
 
-    def _start_engine(
-        self, pipeline: Pipeline, n: int = 1, on_floats: bool = False, threads: int = 1
-    ) -> None:
-        """Make the engine of n environments, its replay and its baseline."""
+    def _start_engine(self, pipeline: Pipeline, on_floats: bool = False) -> None:
+        """Make the engine of the environments, and room for the rewards of an IMM."""
         task = self._task
         kind = self._observation_kind
         self.source = task.source
@@ -140,16 +86,97 @@ class Environment:
         if corrections:
             choose({"full": None}, kind, 'observation, with action="correction",')
             kind = "signed"
-        bank = task.bank
+        n = len(self._keys)
         self._engine = Engine(
-            pipeline, n, task.reward, kind, bank, on_floats, threads, task.action, base=task.base
-        )
+            pipeline, n, task.reward, kind, task.bank, on_floats, self._threads, task.action,
+            base=task.base,
+        )  # fmt: skip
         if corrections:  # leave out the features that depend on the coming epoch
-            self._engine.show(after_update(pipeline, per_mode=True))
+            self._engine.show(after_update(pipeline))
         self.modes = pipeline.modes
         self.bank = task.bank
         self.observation = self._engine.observation
-        self._baseline = Baseline(task, self._engine, threads) if task.baseline else None
+        self._imm_rewards = np.zeros((n, 0), np.float32)
+        self._lay_out_steps()
+
+    def _lay_out_steps(self) -> None:
+        """Choose the outputs of a step, and make its buffers."""
+        at = self._engine.at
+        shown = {} if self._infos == "none" else info_rows(at)
+        parts = {"reward": at.reward, "nees": at.nees, "error": at.error}
+        parts["covariance"] = reported(at).P[:3]
+        parts |= {key: [] for key in FLAGS} | shown
+        rows, columns = laid_out(parts)
+        self._info_columns = {
+            key: (slice(None), 0, columns[key]) for key in shown if key not in FLAGS
+        }
+        self._groups = len(at.memory.accepted) if shown else 0
+        self._step_io = self._engine.step_io(rows)
+        self._mask_keys = mask_keys([*shown, "mode", COST_KEY])  # of infos from steps
+        self._run_step = Repeated(step_blocks)
+
+    def _step_engine(self, actions: Index, numbers: Array | None) -> tuple[StepResult, int, Info]:
+        """Apply all actions and run the modes on the next epoch, as :meth:`Engine.step` does.
+
+        Args:
+            actions: (n,) numbers of the modes; infos contain this array itself, not a copy.
+            numbers: (n, k) the agents' weights of the modes or corrections of the beliefs;
+                ``actions`` must then be zeros. None if the agents choose modes.
+
+        Returns:
+            New results; the number of environments that have no epoch left; and new infos about all
+            environments, without Gymnasium's masks, or {} if steps return no infos.
+        """
+        engine = self._engine
+        io = self._step_io
+        n = len(actions)
+        if numbers is not None:
+            io.inputs[:, 0, 1:] = numbers
+        ends = np.zeros((2, n), np.bool_)
+        flags = np.empty((2, n, self._groups), np.bool_)
+        observations = np.empty((n, 1, len(io.obs_rows)), np.float32)
+        costs = np.empty(n if self._info_columns else 0)
+        result = StepResult(
+            observations[:, 0], np.empty(n), ends[0], ends[1], flags[0], flags[1], costs
+        )
+        # Infos need new arrays of outputs, as earlier infos are views of the previous arrays.
+        outputs = np.empty_like(io.outputs) if self._infos == "all" else io.outputs
+        io = StepIO(io.input_rows, io.inputs, io.output_rows, outputs, io.obs_rows, observations)
+        self._step_io = io
+        records = (engine.program.blank, engine.state, io, actions, result, self._tally.counts)
+        run = 0
+        if engine.on_floats:
+            io.inputs[:, 0, 0] = actions
+            engine.advance(io)
+        else:
+            run = engine.program.on_lanes()
+        ended = sum(self._run_step(engine.parts, len(engine.parts), run, *records))
+        engine.trust(io)
+        return result, ended, self._views(result, actions) if self._infos == "all" else {}
+
+    def _last_infos(self, result: StepResult, actions: Index) -> Info:
+        """Return the infos about the last step, if steps return no infos."""
+        return {key: values.copy() for key, values in self._views(result, actions).items()}
+
+    def _views(self, result: StepResult, actions: Index) -> Info:
+        """Return views of the infos about the last step."""
+        outputs = self._step_io.outputs
+        infos: Info = {key: outputs[columns] for key, columns in self._info_columns.items()}
+        infos |= {"accepted": result.accepted, "rejected": result.rejected, "mode": actions}
+        infos[COST_KEY] = result.cost
+        return infos
+
+    def _run_first_epoch(self, places: Index) -> tuple[Array32, Info]:
+        """Run the modes on the next epoch in environments just loaded; leave the others unchanged.
+
+        Returns:
+            Observations (n, features) and the infos of :data:`STATE_KEYS` (n, ...), valid only for
+            the environments ``places``.
+        """
+        engine = self._engine
+        observations = engine.step(0, places)
+        rows = info_rows(engine.at) if self._info_columns else {}
+        return observations, {key: engine.read(rows[key]) for key in STATE_KEYS if rows}
 
     @property
     def _drawn(self) -> tuple[dict[str, Any], int, list[str]]:
@@ -180,21 +207,55 @@ class Environment:
             raise ResetNeeded(f"Call reset before {call}: there is no episode under way.")
 
     def _begin_baseline(self, places: Index) -> None:
-        if self._baseline:
-            self._baseline.begin(places, self._episodes)
+        """Run the IMM of a paired reward on the episodes that begin in some environments (n,).
 
-    def _begin_keys(self, keys: Keys, places: Index, threads: int = 1) -> list[str]:
+        If actions are corrections, the baseline is the reward of the uncorrected belief instead,
+        which each step computes.
+        """
+        task = self._task
+        bank = task.baseline
+        if bank is None or task.action == CORRECTION:
+            return
+        missing = self._engine.state.length.max() - self._imm_rewards.shape[1]
+        self._imm_rewards = np.pad(self._imm_rewards, ((0, 0), (0, max(0, missing))))
+
+        def run(some: Index) -> None:
+            episodes = self._episodes(some)
+            played = run_imm(bank, task.reward, episodes, "reward", planar=task.pipeline.planar)
+            rewards = played["reward"]
+            self._imm_rewards[some, : rewards.shape[1]] = rewards
+
+        parts = portions(len(places), self._threads, FILTERED)
+        share(run, [(places[part],) for part in parts], self._threads)
+
+    def _subtract_baseline(self, rewards: Array, places: Index) -> None:
+        """Subtract the baseline from the rewards (N,) of the epoch that was just scored.
+
+        The result is rounded to single precision, in which agents receive rewards, so that
+        recorded training runs can be repeated exactly.
+
+        Args:
+            rewards: (N,) rewards of all environments, changed in place.
+            places: (n,) indices of the environments whose rewards change.
+        """
+        engine = self._engine
+        if self._task.action == CORRECTION:
+            earned = engine.read(engine.at.reported.reward, np.float32)[places]
+        else:
+            earned = self._imm_rewards[places, engine.state.epoch[places] - 2]
+        rewards[places] = rewards[places].astype(np.float32) - earned
+
+    def _begin_keys(self, keys: Keys, places: Index) -> list[str]:
         """Begin the episodes with given keys (n,) in some environments (n,); return their names.
 
         Episodes are simulated while the environments step. If users follow given trajectories, or
-        if the engine runs in plain Python, complete episodes are drawn here instead, on at most
-        ``threads`` threads.
+        if the engine runs in plain Python, complete episodes are drawn here instead.
         """
         self._keys[places] = keys
         source = self._task.simulated
         engine = self._engine
         if engine.on_floats or not source.travels:
-            episodes = self._task.tables(keys, threads)
+            episodes = self._task.tables(keys, self._threads)
             engine.load(episodes, places)
             return episodes.names
         starts = source.begin(keys)
@@ -203,7 +264,7 @@ class Environment:
             prior = engine.at.site.prior_x
             engine.write(prior[2], starts.first[:, 2], places)
             engine.write(prior[5], 0.0, places)
-        return [source.names[kind] for kind in starts.kinds]
+        return starts.names
 
     def _episodes(self, places: Index) -> EpisodeBatch:
         """Return the complete current episodes of some environments (n,)."""
@@ -222,7 +283,7 @@ class Environment:
             step_s = engine.steps_s(places)
         self._tally.begin(places, step_s, engine.state.length[places])
 
-    def _metrics_of(self, ended: Index, threads: int = 1) -> dict[str, Array]:
+    def _metrics_of(self, ended: Index) -> dict[str, Array]:
         """Compute the final metrics of episodes that ended in some environments (k,)."""
         epochs = self._engine.state.epoch[ended] - 1
         figures = self._tally.metrics(ended, epochs)
@@ -232,26 +293,28 @@ class Environment:
         jobs = []
         for steps in set(epochs.tolist()):
             alike = np.flatnonzero(epochs == steps)
-            jobs += [(alike[part], steps) for part in portions(len(alike), threads, REPLAYED)]
+            jobs += [(alike[part], steps) for part in portions(len(alike), self._threads, REPLAYED)]
         smoothed = np.zeros(len(ended))
         task = self._task
 
         def smooth(some: Index, steps: int) -> None:
             episodes = self._episodes(ended[some])
             actions = self._tally.counts.modes[:steps, ended[some]].T
-            _, _, errors, _ = smoothed_again(task.pipeline, task.bank, episodes, actions)
+            _, _, errors = smoothed_again(task.pipeline, task.bank, episodes, actions)
             smoothed[some] = ate(errors[:, scored(steps)])
 
-        share(smooth, jobs, threads)
+        share(smooth, jobs, self._threads)
         return metrics | {SMOOTHED_KEY: smoothed}
 
     def _charge(self, rewards: Array, places: Index) -> None:
         """Add (worst reward - baseline) for each epoch that is missing because of an early end."""
         assert self._task.worst is not None
-        engine = self._engine
-        rewards[places] += self._task.worst * (engine.state.length - engine.state.epoch + 1)[places]
-        if self._baseline:
-            rewards[places] -= self._baseline.rest(places)
+        first = self._engine.state.epoch[places] - 1
+        end = self._engine.state.length[places]
+        rewards[places] += self._task.worst * (end - first)
+        if self._task.baseline:
+            spans = zip(places, first, end, strict=True)
+            rewards[places] -= [fsum(self._imm_rewards[place, a:b]) for place, a, b in spans]
 
     def _set_up_noting(self) -> None:
         """Call ``_set_up``; remember which attributes it creates, as they are not copied."""

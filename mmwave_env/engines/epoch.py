@@ -178,9 +178,11 @@ def filter_epoch(w: EpochState, asked: Asked) -> EpochState:
         ]
         w = w._replace(candidates=[_kept(result, asked) for result in results])
     if asked.observation:
-        w = _observed(w, asked, epoch, results, predicted)
-    elif not asked.per_mode:
+        epoch = with_expected_spread(epoch, w.x[3:6], w.site)
+    if asked.observation or not asked.per_mode:
         w = w._replace(memory=memory_before(w.memory, results, epoch, layout))
+    if asked.observation:
+        w = _observed(w, asked, epoch, results, predicted)
     last = w.incoming if asked.signed else ()
     pending = PendingEpoch(epoch.dt, epoch.visible, w.incoming.truth, epoch.measured, last)
     return w._replace(is_first=0.0, pending=pending)
@@ -198,10 +200,10 @@ def decide(w: EpochState, asked: Asked) -> EpochState:
             mixture = reweighted(mixture, w.numbers, pending.dt)
         elif asked.action:
             mixture = trusting(mixture, w.action, pending.dt)
-        x, covariance = estimate(mixture)
+        x, P = estimate(mixture)
         memory = most_probable_memory(mixture)._replace(preference=w.memory.preference)
         w = w._replace(mixture=mixture, mode_probabilities=mixture.probability)
-        return w._replace(x=x, P=pack(covariance), memory=memory)
+        return w._replace(x=x, P=P, memory=memory)
     chosen: ModeResult = tree_at(w.action, w.candidates)
     memory = memory_after(asked.pipeline.layout, w.action, w.x, chosen, w.memory, pending)
     w = w._replace(x=chosen.x, P=chosen.P, memory=memory)
@@ -217,7 +219,7 @@ def decide(w: EpochState, asked: Asked) -> EpochState:
 def refresh(w: EpochState, asked: Asked) -> EpochState:
     """Renew the columns of the observation that describe the belief after its update."""
     columns = {name: i for i, name in enumerate(asked.table.names)}
-    after = after_update(asked.pipeline, asked.per_mode)
+    after = after_update(asked.pipeline)
     features = [feature for feature in after if feature.name in columns]
     epoch = w.incoming.epoch(asked.pipeline.layout)  # no feature here depends on it
     view = _view(w, asked, epoch, [])
@@ -288,7 +290,7 @@ def _observed(
     results: list[ModeResult],
     predicted: Numbers,
 ) -> EpochState:
-    """Return the state with its observation of the modes' results, and with its memory of them.
+    """Return the state with its observation of the modes' results.
 
     Args:
         w: the state after the modes have run.
@@ -297,8 +299,6 @@ def _observed(
         results: one result per mode.
         predicted: (modes,) probabilities before the epoch, if every mode keeps its own belief.
     """
-    epoch = with_expected_spread(epoch, w.x[3:6], w.site)
-    w = w._replace(memory=memory_before(w.memory, results, epoch, asked.pipeline.layout))
     shown = None
     if asked.per_mode:
         spread = epoch.doppler_spread_hz
@@ -327,7 +327,7 @@ def _view(
         decided = with_expected_spread(decided, w.velocity, w.site)
         last = LastEpoch(decided, w.is_first, w.velocity, w.mode_probabilities)
     covariance = unpack(w.P, zero=pipeline.known_axes)
-    return View(w.x, covariance, w.memory, results, epoch, w.site, shown, last)
+    return View(w.x, covariance, w.memory, results, epoch, w.site, pipeline.layout, shown, last)
 
 
 def with_expected_spread(epoch: Epoch, velocity: Vector, site: Site) -> Epoch:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.compiler.program import BatchState, Program, StepIO, blocks_of, fill, rows_of
-from mmwave_env.engines.engine import tracks_of
+from mmwave_env.engines.engine import Engine
 from mmwave_env.engines.epoch import with_expected_spread
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.imm import begin
@@ -54,17 +54,17 @@ def smoothed_again(
 
     Returns:
         Position errors (n, T, 3), m, and NEES (n, T) of the filtered tracks; position errors
-        (n, T, 3) and packed covariances (n, T, 28 or 36) of the smoothed tracks.
+        (n, T, 3) of the smoothed tracks.
     """
     n, T = actions.shape
-    engine = tracks_of(pipeline, n, bank)
+    engine = Engine(pipeline, n, observation="", bank=bank)
     engine.load(episodes._replace(table=episodes.table[:, :T], length=np.full(n, T)))
     x, P, x_predicted, P_predicted, error, nees = engine.run(*_KEPT, actions=actions).values()
     dt = episodes.table[:, 1:T, columns_of(pipeline.layout).dt]
     hz_per_mps = float(engine.read(engine.at.site.hz_per_mps)[0])
     drive = pipeline.layout.bias_drive(hz_per_mps)
-    smoothed, better_P = smooth(x, P, x_predicted, P_predicted, dt, pipeline.planar, drive)
-    return error, nees, error + (smoothed - x)[..., :3], better_P
+    smoothed, _ = smooth(x, P, x_predicted, P_predicted, dt, pipeline.planar, drive)
+    return error, nees, error + (smoothed - x)[..., :3]
 
 
 class SmoothingState(NamedTuple):
@@ -154,9 +154,9 @@ def smoothed_features(
     before = _leaves(np.concatenate([x[:, :1], x[:, :-1]], axis=1))[3:6]
     last = LastEpoch(with_expected_spread(epoch, before, site), 0.0, before, probabilities)
     covariance = unpack(_leaves(P), zero=pipeline.known_axes)
-    view = View(_leaves(x), covariance, memory, [], epoch, site, None, last)
+    view = View(_leaves(x), covariance, memory, [], epoch, site, layout, None, last)
     with np.errstate(all="ignore"):  # values of missing rows are not used
-        values = standardized(after_update(pipeline, per_mode=True), view)
+        values = standardized(after_update(pipeline), view)
     return np.stack(np.broadcast_arrays(*values), axis=-1).astype(np.float32)
 
 

@@ -1,7 +1,7 @@
 """The step of many environments, from actions to infos, in one call of compiled code.
 
-With few environments, the Python code around that call takes a third of a step's time or more. So
-the Python code neither assembles nor splits arrays.
+With few environments, the Python code around that call (:mod:`mmwave_env.engines.environment`)
+takes a third of a step's time or more. So the Python code neither assembles nor splits arrays.
 
 A step also keeps the records that are used when an episode ends (:class:`Tally`): sums for metrics,
 and modes for a replay.
@@ -18,17 +18,6 @@ from numpy.typing import NDArray
 from mmwave_env.compiler.advance import advance
 from mmwave_env.compiler.disk_cache import compiled
 from mmwave_env.compiler.lanes import WIDTH
-from mmwave_env.compiler.program import Repeated, StepIO, laid_out
-from mmwave_env.engines.engine import Engine
-from mmwave_env.interface.info import (
-    COST_KEY,
-    FLAGS,
-    STATE_KEYS,
-    Info,
-    info_rows,
-    mask_keys,
-    reported,
-)
 from mmwave_env.metrics import BURN_IN, RISK, Sums, nees_interval, running_summary
 from mmwave_env.numerics.numbers import Array, Index, Mask
 
@@ -194,106 +183,8 @@ AT_COVARIANCE = 5
 AT_VERDICTS = 8
 
 
-class Stepper:
-    """An object that steps the environments of an engine and returns infos about them.
-
-    Args:
-        engine: the environments.
-        tally: records of current episodes.
-        infos: "all" if :meth:`step` returns infos, "episode" if :meth:`look` does, "none" if
-            neither does.
-    """
-
-    def __init__(self, engine: Engine, tally: Tally, infos: str) -> None:
-        at = engine.at
-        shown = {} if infos == "none" else info_rows(at)
-        parts = {"reward": at.reward, "nees": at.nees, "error": at.error}
-        parts["covariance"] = reported(at).P[:3]
-        parts |= {key: [] for key in FLAGS} | shown
-        rows, columns = laid_out(parts)
-        self._columns = {key: (slice(None), 0, columns[key]) for key in shown if key not in FLAGS}
-        self._engine = engine
-        self._in_steps = infos == "all"
-        self._groups = len(at.memory.accepted) if shown else 0
-        self._io = engine.step_io(rows)
-        self.mask_keys = mask_keys([*shown, "mode", COST_KEY])  # of infos from steps
-        self._tally = tally
-        self._run = Repeated(_step_blocks)
-
-    def step(self, actions: Index, numbers: Array | None) -> tuple[StepResult, int, Info]:
-        """Apply all actions and run the modes on the next epoch, as :meth:`Engine.step` does.
-
-        Args:
-            actions: (n,) numbers of the modes; infos contain this array itself, not a copy.
-            numbers: (n, k) the agents' weights of the modes or corrections of the beliefs;
-                ``actions`` must then be zeros. None if the agents choose modes.
-
-        Returns:
-            New results; the number of environments that have no epoch left; and new infos about all
-            environments, without Gymnasium's masks, or {} if steps return no infos.
-        """
-        engine = self._engine
-        io = self._io
-        n = len(actions)
-        if numbers is not None:
-            io.inputs[:, 0, 1:] = numbers
-        ends = np.zeros((2, n), np.bool_)
-        flags = np.empty((2, n, self._groups), np.bool_)
-        observations = np.empty((n, 1, len(io.obs_rows)), np.float32)
-        costs = np.empty(n if self._columns else 0)
-        result = StepResult(
-            observations[:, 0], np.empty(n), ends[0], ends[1], flags[0], flags[1], costs
-        )
-        # Infos need new arrays of outputs, as earlier infos are views of the previous arrays.
-        outputs = np.empty_like(io.outputs) if self._in_steps else io.outputs
-        io = StepIO(io.input_rows, io.inputs, io.output_rows, outputs, io.obs_rows, observations)
-        self._io = io
-        self._result = result
-        records = (engine.program.blank, engine.state, io, actions, result, self._tally.counts)
-        run = 0
-        if engine.on_floats:
-            io.inputs[:, 0, 0] = actions
-            engine.advance(io)
-        else:
-            run = engine.program.on_lanes()
-        ended = sum(self._run(engine.parts, len(engine.parts), run, *records))
-        engine.trust(io)
-        return result, ended, self._infos(actions) if self._in_steps else {}
-
-    def look(self, actions: Index) -> Info:
-        """Return the infos about the last step, for steppers whose steps return no infos."""
-        return {key: values.copy() for key, values in self._infos(actions).items()}
-
-    def _infos(self, actions: Index) -> Info:
-        """Return views of the infos about the last step."""
-        outputs = self._io.outputs
-        infos: Info = {key: outputs[columns] for key, columns in self._columns.items()}
-        result = self._result
-        infos |= {"accepted": result.accepted, "rejected": result.rejected, "mode": actions}
-        infos[COST_KEY] = result.cost
-        return infos
-
-    @property
-    def distances_m(self) -> Array:
-        """Return the lengths (n,) of the position errors in the last step."""
-        error = self._io.outputs[:, 0, AT_ERROR:AT_COVARIANCE]
-        return np.sqrt((error * error).sum(axis=1))  # type: ignore[no-any-return]
-
-    def start(self, places: Index) -> tuple[NDArray[np.float32], Info]:
-        """Run the modes on the next epoch in environments just loaded; leave the others unchanged.
-
-        Returns:
-            Observations (n, features) and the infos of :data:`STATE_KEYS` (n, ...), valid only for
-            the environments ``places``.
-        """
-        engine = self._engine
-        observations = engine.step(0, places)
-        rows = info_rows(engine.at) if self._columns else {}
-        return observations, {key: engine.read(rows[key]) for key in STATE_KEYS if rows}
-
-
 @compiled
-def _step_blocks(  # type: ignore[no-untyped-def]
+def step_blocks(  # type: ignore[no-untyped-def]
     begin, end, run, blank, state, io, actions, result, counts
 ):
     """Step the environments of blocks ``begin`` to ``end`` - 1; return how many episodes ended.

@@ -180,7 +180,7 @@ def best_bank(radio: str | Radio = "handset") -> Bank:
     return _shipped(f"banks/{_tuned_profile(radio_from(radio))}")
 
 
-def bank_over(modes: Modes, radio: str | Radio = "handset") -> Bank:
+def bank_over(modes: Modes, radio: str | Radio) -> Bank:
     """Return the bank that a ``modes=`` argument describes; it may have a single mode.
 
     Args:

@@ -90,9 +90,7 @@ class ClockSet(NamedTuple):
         )
 
 
-def set_clock(
-    x: Vector, P: Matrix, m: Measurement, locked_s: Number, repeats: Number = 1.0
-) -> ClockSet:
+def set_clock(x: Vector, P: Matrix, m: Measurement, locked_s: Number, repeats: Number) -> ClockSet:
     """Let the range that most others agree with define the clock; doubt those that do not agree.
 
     Args:

@@ -14,7 +14,7 @@ the CKF's covariance from raw second moments, where large values would cancel an
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from filterpy.kalman import (
@@ -64,19 +64,11 @@ class _Relative:
             return np.nan_to_num(self._sensor.jacobian(self._mean))
 
 
-class _Filtered(NamedTuple):
-    """The result of an update: step of the mean, covariance P, innovation y, covariance S of y."""
-
-    step: Array
-    P: Array
-    y: Array
-    S: Array
-
-
 class _Ekf:
     """The EKF of filterpy. In this and the following class, ``predict`` computes F x, F P F' + Q.
 
-    ``update`` conditions N(0, P) on the chosen rows, whose noise covariance is R.
+    ``update`` conditions N(0, P) on the chosen rows, whose noise covariance is R. It returns
+    filterpy's filter, with the step x of the mean, P, the innovation y and its covariance S.
     """
 
     def __init__(self, size: int) -> None:
@@ -91,7 +83,7 @@ class _Ekf:
         f.predict()
         return f.x, f.P
 
-    def update(self, P: Array, relative: _Relative, rows: Index, R: Array) -> _Filtered:
+    def update(self, P: Array, relative: _Relative, rows: Index, R: Array) -> Any:
         f = self._filter
         f.x = np.zeros(len(P))
         f.P = P
@@ -101,7 +93,7 @@ class _Ekf:
             Hx=lambda dx: relative.change(dx)[rows],
             R=R,
         )
-        return _Filtered(f.x, f.P, f.y, f.S)
+        return f
 
 
 class _PointFilter:
@@ -124,7 +116,7 @@ class _PointFilter:
         f.predict()
         return x + f.x.ravel(), f.P
 
-    def update(self, P: Array, relative: _Relative, rows: Index, R: Array) -> _Filtered:
+    def update(self, P: Array, relative: _Relative, rows: Index, R: Array) -> Any:
         f = self._filter
         f.x = np.zeros_like(f.x)
         f.P = P
@@ -132,7 +124,7 @@ class _PointFilter:
         f.sigmas_h = np.zeros((len(f.sigmas_f), len(R)))
         f.hx = lambda dx: relative.change(dx)[rows]
         f.update(relative.innovation[rows].reshape(-1, *f.x.shape[1:]), R=R)
-        return _Filtered(f.x.ravel(), f.P, f.y.ravel(), f.S)
+        return f
 
 
 def _ukf(size: int) -> _PointFilter:
@@ -204,17 +196,16 @@ def _update(
     visible = [g for g, rows in enumerate(groups) if measurement.visible[g] > 0.5 and len(rows)]
     log_likelihood = 0.0
 
-    def conditioned(chosen: list[int]) -> _Filtered:
+    def conditioned(chosen: list[int]) -> Any:
         rows = np.concatenate([groups[g] for g in chosen])
         return filter_.update(P, relative, rows, R[np.ix_(rows, rows)])
 
-    posterior = conditioned(visible) if visible else None
+    posterior: Any = conditioned(visible) if visible else None
     first = 0
     doubted = False
     for g in visible:
-        assert posterior
         part = slice(first, first := first + len(groups[g]))
-        y = posterior.y[part]
+        y = posterior.y.ravel()[part]
         S = posterior.S[part, part]
         nis[g] = float(y @ np.linalg.solve(S, y))
         lenient = g < layout.anchors and (gate.robust or gate.force > 0.5)
@@ -226,8 +217,8 @@ def _update(
     kept = [g for g in visible if accepted[g]]
     if kept and (doubted or kept != visible):
         posterior = conditioned(kept)
-    if kept and posterior:
-        x = x + posterior.step
+    if kept:
+        x = x + posterior.x.ravel()
         P = _symmetric(posterior.P)
     return Posterior(x.tolist(), P.tolist(), nis, accepted, log_likelihood)
 

@@ -16,7 +16,7 @@ from mmwave_env.filters.pipeline import Pipeline, predict_update
 from mmwave_env.filters.update import ModeResult, limited_likelihood
 from mmwave_env.models.measurement import Epoch, Site
 from mmwave_env.models.motion import move
-from mmwave_env.numerics.linalg import dot, minus, plus, product, unpack
+from mmwave_env.numerics.linalg import dot, minus, plus, product
 from mmwave_env.numerics.numbers import (
     Matrix,
     Number,
@@ -207,11 +207,10 @@ def most_probable_memory(mixture: Mixture) -> Memory:
     return memory._replace(mode=number)
 
 
-def estimate(mixture: Mixture) -> tuple[Numbers, Matrix]:
-    """Return the mean (7,) and the covariance (7, 7) of a mixture."""
+def estimate(mixture: Mixture) -> tuple[Numbers, Numbers]:
+    """Return the mean (7,) and the packed covariance (28,) of a mixture."""
     means, covariances, _ = zip(*mixture.tracks, strict=True)
-    x, P = moments(mixture.probability, means, covariances)
-    return x, unpack(P)
+    return moments(mixture.probability, means, covariances)
 
 
 def prediction(now: ImmEpoch, dt: Number, hz_per_mps: Number | None) -> tuple[Numbers, Numbers]:

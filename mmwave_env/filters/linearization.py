@@ -37,7 +37,7 @@ from mmwave_env.numerics.numbers import Matrix, Number, Vector
 class Tangent:
     """The first-order expansion at the prior mean, which the extended Kalman filter uses."""
 
-    def latents(self, curved: int, size: int = STATE_SIZE) -> "Latents":
+    def latents(self, curved: int, size: int) -> "Latents":
         """Return the moments of the latents; the tangent has no curvature latents."""
         return Latents(0, 0.0, 0.0, size)
 

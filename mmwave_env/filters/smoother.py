@@ -47,9 +47,7 @@ def blank_epoch(size: int, driven: bool) -> TrackEpoch:
     return TrackEpoch(1.0, nothing, identity, nothing, identity, [1.0] * driven)
 
 
-def smooth_epoch(
-    now: TrackEpoch, after: TrackEpoch, known_axes: tuple[int, ...] = ()
-) -> TrackEpoch:
+def smooth_epoch(now: TrackEpoch, after: TrackEpoch, known_axes: tuple[int, ...]) -> TrackEpoch:
     """Smooth the belief of a filtered epoch, with the gain C = P F' P_predicted^-1.
 
     The mean is x + C (x_after - x_predicted), the covariance is P + C (P_after - P_predicted) C'.

@@ -44,6 +44,7 @@ class View(NamedTuple):
     candidates: list[ModeResult]  # each mode's result for the coming epoch
     epoch: Epoch  # the coming epoch
     site: Site  # anchors and carrier
+    layout: Layout  # which quantity is in which row of a measurement
     mixture: Any = None  # a MixtureView if each mode has its own belief, else None
     last: Any = None  # a ``signed.LastEpoch`` if there are signed features (residuals)
 
@@ -83,7 +84,7 @@ def feature(kind: str, value: Callable[..., Number], of: str = "", **limits: flo
     return Feature(f"{kind} {of}".rstrip(), value, kind, **feature_kinds()[kind] | limits)
 
 
-def context(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
+def context(pipeline: Pipeline, per_mode: bool) -> list[Feature]:
     """Return the features that are known before any mode has processed the coming epoch.
 
     Args:
@@ -214,7 +215,7 @@ def _mixture(pipeline: Pipeline) -> list[Feature]:
     ]
 
 
-def coming(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
+def coming(pipeline: Pipeline, per_mode: bool) -> list[Feature]:
     """Return features of each mode's result for the coming epoch, such as its likelihood.
 
     The list begins with the Doppler innovation and the NIS of the pipeline's last mode. Features of
@@ -225,23 +226,24 @@ def coming(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
     layout = pipeline.layout
     names = [mode.name for mode in pipeline.modes]
     table = [
-        feature("coming Doppler innovation", lambda v: _doppler_innovation(v, layout)),
+        feature("coming Doppler innovation", _doppler_innovation),
         *_of_groups(
             "coming NIS", layout, lambda v, g: log(1.0 + v.candidates[-1].nis[g]), names[-1]
         ),
     ]
     for m, name in enumerate(names):
-        table += _candidate(layout, m, name)
+        table += _candidate(m, name, layout.anchors)
         if name != names[-1]:
-            table += _against(layout, m, name)
+            table += _against(m, name)
     if per_mode:
         for m, name in enumerate(names):
             table += _posterior(m, name)
     return table
 
 
-def _doppler_innovation(view: View, layout: Layout) -> Number:
+def _doppler_innovation(view: View) -> Number:
     """Compute the measured minus the predicted radial velocity, m/s; 0 without a measurement."""
+    layout = view.layout
     x = move(view.x[:7], view.epoch.dt)
     step = minus(x, doppler_anchor(view.site.anchors, view.epoch.doppler_of))
     measured = (view.epoch.z[layout.doppler] - x[6]) / view.site.hz_per_mps
@@ -249,31 +251,30 @@ def _doppler_innovation(view: View, layout: Layout) -> Number:
     return where(view.epoch.visible[layout.anchors] > 0.5, innovation, 0.0)
 
 
-def _mean_nis(layout: Layout, candidate: ModeResult, epoch: Epoch) -> Number:
-    rows = dot(epoch.visible, layout.degrees(epoch.measured))
-    return dot(epoch.visible, candidate.nis) / where(rows > 0.5, rows, 1.0)
+def _mean_nis(view: View, m: int) -> Number:
+    epoch = view.epoch
+    rows = dot(epoch.visible, view.layout.degrees(epoch.measured))
+    return dot(epoch.visible, view.candidates[m].nis) / where(rows > 0.5, rows, 1.0)
 
 
-def _candidate(layout: Layout, m: int, name: str) -> list[Feature]:
-    links = slice(layout.anchors)
+def _log_variance(view: View, m: int, i: int, j: int) -> Number:
+    """Compute ln of the sum of two variances, by their indices in a mode's packed covariance."""
+    P = view.candidates[m].P
+    return log(P[i] + P[j] + 1e-12)
 
+
+def _candidate(m: int, name: str, anchors: int) -> list[Feature]:
     def rejected(view: View) -> Number:
-        visible = sum(view.epoch.visible[links], 0.0)
-        return visible - sum(view.candidates[m].accepted[links], 0.0)
-
-    def variance(view: View) -> Number:
-        P = view.candidates[m].P
-        return log(P[0] + P[2] + 1e-12)
+        visible = sum(view.epoch.visible[:anchors], 0.0)
+        return visible - sum(view.candidates[m].accepted[:anchors], 0.0)
 
     def correction(view: View, first: int, i: int) -> Number:
         return correction_of(view.x, view.candidates[m], view.epoch.dt, first)[i]
 
     return [
-        feature(
-            "coming NIS", lambda v: log(1.0 + _mean_nis(layout, v.candidates[m], v.epoch)), name
-        ),
-        feature("coming rejected", rejected, name, high=layout.anchors),
-        feature("coming variance", variance, name),
+        feature("coming NIS", lambda v: log(1.0 + _mean_nis(v, m)), name),
+        feature("coming rejected", rejected, name, high=anchors),
+        feature("coming variance", partial(_log_variance, m=m, i=0, j=2), name),
         *(
             feature(f"coming {of} correction {way}", partial(correction, first=first, i=i), name)
             for of, first in (("position", 0), ("velocity", 3))
@@ -282,9 +283,10 @@ def _candidate(layout: Layout, m: int, name: str) -> list[Feature]:
     ]
 
 
-def _against(layout: Layout, m: int, name: str) -> list[Feature]:
+def _against(m: int, name: str) -> list[Feature]:
     def likelihood(view: View, mode: int) -> Number:
-        return capped_log_likelihood(view.candidates[mode], layout.degrees(view.epoch.measured))
+        degrees = view.layout.degrees(view.epoch.measured)
+        return capped_log_likelihood(view.candidates[mode], degrees)
 
     return [
         feature("coming log-likelihood", lambda v: likelihood(v, m) - likelihood(v, -1), name),
@@ -300,12 +302,8 @@ def _posterior(m: int, name: str) -> list[Feature]:
         v = view.candidates[m].x[3:5]
         return log(0.05 + sqrt(dot(v, v) + 1e-9))
 
-    def variance(view: View) -> Number:
-        P = view.candidates[m].P
-        return log(P[9] + P[14] + 1e-12)
-
     return [
         feature("coming log-odds", lambda v: _log_odds(v.mixture.posterior[m]), name),
         feature("coming speed", speed, name),
-        feature("coming velocity variance", variance, name),
+        feature("coming velocity variance", partial(_log_variance, m=m, i=9, j=14), name),
     ]

@@ -65,7 +65,6 @@ class Observation:
         self.kind = kind
         self.modes = pipeline.modes
         self.beliefs = beliefs
-        choose(BELIEFS, beliefs, "beliefs")
         per_mode = beliefs == "per-mode"
         self.features = context(pipeline, per_mode)
         if kind != "prior":

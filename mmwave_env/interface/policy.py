@@ -133,24 +133,18 @@ class Switching:
 
     Attributes:
         filters: one or several modes, of which one runs at a time; or a bank, whose modes interact.
-        rule: function of (mean (7,) before the epoch, epoch) that returns the number of a mode.
+        rule: function of (mean (7,) before the epoch, epoch) that returns the number of a mode;
+            None with a bank or a policy.
         policy: function that makes a policy, given the table of features that the policy observes.
             The policy chooses the mode to run or, in a bank, the mode whose probability is raised.
             None for a rule, for a single mode, and for an IMM.
         observation: kind of observation that the policy reads: "full", "prior" or "signed".
-
-    Raises:
-        ValueError: a rule is combined with a bank or a policy.
     """
 
     filters: tuple[Mode, ...] | Bank
     rule: Rule | None = None
     policy: Callable[[Observation], Policy] | None = None
     observation: str = "full"
-
-    def __post_init__(self) -> None:
-        if self.rule and (self.bank or self.policy):
-            raise ValueError("rule: found a rule with a bank or a policy, expected None")
 
     @property
     def bank(self) -> Bank | None:
@@ -179,7 +173,7 @@ class Switching:
             return self.names
         return action_names(self.modes, self.beliefs)
 
-    def pipeline(self, layout: Layout, planar: bool = False) -> Pipeline:
+    def pipeline(self, layout: Layout, planar: bool) -> Pipeline:
         """Return the pipeline of the modes."""
         return Pipeline(self.modes, layout, planar)
 

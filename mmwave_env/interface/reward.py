@@ -42,7 +42,7 @@ class TrackingReward:
         """Return the lowest possible reward."""
         return -(self.error_weight * self.error_limit_m + self.nees_weight * self.nees_limit)
 
-    def costs(self, distance_m: Number, nees: Number, axes: int = 3) -> Pair:
+    def costs(self, distance_m: Number, nees: Number, axes: int) -> Pair:
         """Compute the costs (...,) of error and NEES in each epoch; the reward is minus their sum.
 
         Args:

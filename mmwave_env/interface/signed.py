@@ -12,7 +12,6 @@ from typing import NamedTuple
 from mmwave_env.filters.correction import Frame
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.features import WAYS, Feature, View, feature, last_epoch
-from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Epoch, direction, norms
 from mmwave_env.numerics.linalg import dot, minus
 from mmwave_env.numerics.numbers import (
@@ -46,12 +45,15 @@ class LastEpoch(NamedTuple):
     probabilities: Vector  # (modes,) probabilities after the update; empty with a shared belief
 
 
-def after_update(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
-    """Return all features that use only the last epoch, for policies that correct beliefs."""
-    return [*last_epoch(pipeline.layout), *signed(pipeline, per_mode)]
+def after_update(pipeline: Pipeline) -> list[Feature]:
+    """Return all features that use only the last epoch, for policies that correct beliefs.
+
+    Every mode keeps its own belief.
+    """
+    return [*last_epoch(pipeline.layout), *signed(pipeline, per_mode=True)]
 
 
-def signed(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
+def signed(pipeline: Pipeline, per_mode: bool) -> list[Feature]:
     """Return the signed features; their ``View`` must have a :class:`LastEpoch`.
 
     Args:
@@ -60,11 +62,8 @@ def signed(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
     """
     modes = pipeline.modes if per_mode else ()
     return [
-        *(part for a in range(pipeline.layout.anchors) for part in _link(pipeline.layout, a)),
-        *(
-            feature(f"mean {name} residual", partial(_mean_residual, pipeline.layout, name))
-            for name in _ROWS
-        ),
+        *(part for a in range(pipeline.layout.anchors) for part in _link(a)),
+        *(feature(f"mean {name} residual", partial(_mean_residual, name)) for name in _ROWS),
         *_belief(2 not in pipeline.known_axes),
         feature("turn sine", lambda v: _turn(v)[1]),
         feature("turn cosine", lambda v: _turn(v)[0]),
@@ -98,10 +97,10 @@ def _spread(view: View) -> Number:
     return present * log(1.0 + view.last.epoch.doppler_spread_hz / view.site.hz_per_mps)
 
 
-def _measured(view: View, layout: Layout, anchor: int, row: int) -> Number:
+def _measured(view: View, anchor: int, row: int) -> Number:
     """Return 1 if a row of a link was measured in the last epoch, else 0."""
     epoch = view.last.epoch
-    here = epoch.measured[4 * anchor + row] if layout.partial else epoch.visible[anchor]
+    here = epoch.measured[4 * anchor + row] if view.layout.partial else epoch.visible[anchor]
     return here * _present(view)
 
 
@@ -120,7 +119,7 @@ class _Residual(NamedTuple):
     deviation_m: Number  # standard deviation of the measurement, m at the user
 
 
-def _residual(view: View, layout: Layout, anchor: int, name: str) -> _Residual:
+def _residual(view: View, anchor: int, name: str) -> _Residual:
     step = minus(view.x, view.site.anchors[anchor])
     flat = norms(step)[0]
     distance, azimuth, elevation = direction(step)
@@ -135,7 +134,7 @@ def _residual(view: View, layout: Layout, anchor: int, name: str) -> _Residual:
         in_meters = maximum(sigma * distance, _LEAST_M)
         return _Residual(wrap(z - elevation), deviation, (0.0, 0.0), in_meters)
     if name == "range":
-        value = z - distance - (view.x[7] if layout.has_bias else 0.0)
+        value = z - distance - (view.x[7] if view.layout.has_bias else 0.0)
         deviation = maximum(sigma, _LEAST_M)
         return _Residual(value, deviation, (ux, uy), deviation)
     opposite = PI if name == "departure" else 0.0
@@ -144,14 +143,14 @@ def _residual(view: View, layout: Layout, anchor: int, name: str) -> _Residual:
     return _Residual(value, deviation, (0.0 - uy, ux), deviation)
 
 
-def _row(view: View, layout: Layout, anchor: int, name: str) -> tuple[Number, Number, Number]:
+def _row(view: View, anchor: int, name: str) -> tuple[Number, Number, Number]:
     """Return two components of a row's residual, and ln of its deviation in meters at the user.
 
     The residual, :func:`_squashed`, has components along and across the velocity; that of an
     elevation has only one, and the second is 0. All numbers are 0 if the row was not measured.
     """
-    measured = _measured(view, layout, anchor, _ROWS[name])
-    row = _residual(view, layout, anchor, name)
+    measured = _measured(view, anchor, _ROWS[name])
+    row = _residual(view, anchor, name)
     q = _squashed(row.value / row.deviation) * measured
     size = log(row.deviation_m) * measured
     if name == "elevation":
@@ -160,7 +159,7 @@ def _row(view: View, layout: Layout, anchor: int, name: str) -> tuple[Number, Nu
     return q * along, q * across, size
 
 
-def _mean_residual(layout: Layout, name: str, view: View) -> Number:
+def _mean_residual(name: str, view: View) -> Number:
     """Return the mean residual of a row over the links that measured it, in standard deviations.
 
     Errors that all links share, such as a turned frame or a clock that is ahead, give it the same
@@ -168,9 +167,9 @@ def _mean_residual(layout: Layout, name: str, view: View) -> Number:
     """
     total: Number = 0.0
     count: Number = 0.0
-    for anchor in range(layout.anchors):
-        measured = _measured(view, layout, anchor, _ROWS[name])
-        row = _residual(view, layout, anchor, name)
+    for anchor in range(view.layout.anchors):
+        measured = _measured(view, anchor, _ROWS[name])
+        row = _residual(view, anchor, name)
         share = maximum(minimum(row.value / row.deviation, _MOST_SHARE), -_MOST_SHARE)
         total = total + share * measured
         count = count + measured
@@ -182,12 +181,12 @@ def _turned(angle: Number) -> Number:
     return wrap(where(angle < -PI, angle + 2.0 * PI, angle))
 
 
-def _link(layout: Layout, a: int) -> list[Feature]:
+def _link(a: int) -> list[Feature]:
     def share(v: View) -> Number:
-        return 0.25 * sum(_measured(v, layout, a, row) for row in range(4))
+        return 0.25 * sum(_measured(v, a, row) for row in range(4))
 
     def part(name: str, i: int, v: View) -> Number:
-        return _row(v, layout, a, name)[i]
+        return _row(v, a, name)[i]
 
     def snr(v: View) -> Number:
         return v.last.epoch.snr_db[a] * v.last.epoch.visible[a] * _present(v)

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mmwave_env.engines.engine import Engine, tracks_of
+from mmwave_env.engines.engine import Engine
 from mmwave_env.engines.smoothing import smooth, smoothed_features
 from mmwave_env.filters.correction import corrected_all
 from mmwave_env.filters.mode_smoothing import smooth_modes
@@ -123,8 +123,8 @@ class Localizer:
         if self.switching.policy:
             return PolicyTracker(self.pipeline, self.switching, n)
         if self.switching.bank:
-            return tracks_of(self.pipeline, n, self.switching.bank, action="")
-        return tracks_of(self.pipeline, n, rule=self.switching.rule)
+            return Engine(self.pipeline, n, None, "", self.switching.bank, action="")
+        return Engine(self.pipeline, n, None, "", rule=self.switching.rule)
 
     def episode(self, log: Log, start: Start | None = None) -> Episode:
         """Return epochs with which a track begins, or goes on if ``start`` is None."""

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import huber
 
-from mmwave_env.engines.engine import tracks_of
+from mmwave_env.engines.engine import Engine
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.localization.image_filter import difference, links_along
@@ -49,7 +49,7 @@ def filtered(episodes: Sequence[Episode], mode: Mode, *names: str) -> Iterable[A
     bare = replace(
         mode, gate=None, recovery=None, adaptive=False, robust=False, blockage_aware=False
     )
-    tracker = tracks_of(Pipeline((bare,), episodes[0].layout), len(episodes))
+    tracker = Engine(Pipeline((bare,), episodes[0].layout), len(episodes), observation="")
     tracker.load(episodes)
     return tracker.run(*names).values()
 

@@ -32,9 +32,10 @@ from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.motion import CLOCK_SIGMA_M, FREE_BIAS_M
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.numbers import Array, Numbers, Vector, clip, exp, sqrt
+from mmwave_env.numerics.numbers import Array, Number, Numbers, Vector, clip, exp, sqrt
 
-SHIPPED = ("handset", "standard", "high")
+# Radios for which filter modes were tuned; the benchmark and the paper's tables cover all three.
+TUNED_RADIOS = ("handset", "standard", "high")
 DEGREE = math.pi / 180.0
 # Standard deviation per axis of an unknown horizontal velocity: half of the paper's 20 m/s limit.
 UNKNOWN_VELOCITY_MPS = 10.0
@@ -163,8 +164,8 @@ class Radio:
     base: str = "standard"
 
     def __post_init__(self) -> None:
-        if self.base not in SHIPPED:
-            raise ValueError(unknown("base", self.base, SHIPPED))
+        if self.base not in TUNED_RADIOS:
+            raise ValueError(unknown("base", self.base, TUNED_RADIOS))
         require_fields(self, f" of radio {quoted(self.name)}")
 
     @property
@@ -176,7 +177,7 @@ class Radio:
         """Return the thermal noise power of the receiver, including its noise figure."""
         return -174.0 + 10.0 * math.log10(bandwidth_hz) + self.noise_figure_db
 
-    def snr_db(self, path_gain_db: Array, bandwidth_hz: float) -> Array:
+    def snr_db(self, path_gain_db: Number, bandwidth_hz: float) -> Number:
         """Return the SNR of links with the given path gain (negative, dB)."""
         return self.link_budget_db + path_gain_db - self.thermal_noise_dbm(bandwidth_hz)
 
@@ -224,10 +225,6 @@ def _azimuth_bound(elements: int) -> float:
     A single element cannot measure angles (infinite bound); it gets the bound of two elements.
     """
     return 6.0 / ((max(elements, 2) ** 2 - 1.0) * math.pi**2)
-
-
-# Radios for which filter modes were tuned; the benchmark and the paper's tables cover all three.
-TUNED_RADIOS = SHIPPED
 
 
 def radio_from(radio: AnyPath | Radio) -> Radio:

@@ -290,8 +290,8 @@ TRAINED_SCENES = ("street", "o1", "dynamic-doppler")
 
 def scene_of_anchors(name: str, anchors_m: Array, carrier_hz: float, bandwidth_hz: float) -> Scene:
     """Return a scene of anchors (L, 3), the physical gNB first, with default streets, no walls."""
-    gnb, *virtual = [(float(x), float(y), float(z)) for x, y, z in anchors_m]
-    return Scene(name, gnb, (), Streets(), carrier_hz, bandwidth_hz, tuple(virtual))
+    scene = Scene(name, (0.0, 0.0, 0.0), carrier_hz=carrier_hz, bandwidth_hz=bandwidth_hz)
+    return scene.with_anchors(anchors_m)
 
 
 def scene_from(scene: "str | Path | Scene") -> Scene:
@@ -375,12 +375,9 @@ def _scene(content: dict[str, Any]) -> Scene:
     """Make a scene from the content of a file in one of the two forms."""
     if "anchors" not in content:
         return object_from(Scene, content)
-    s = object_from(AnchorScene, content)
-    gnb, *virtual = s.anchors
-    return Scene(
-        s.name, gnb, (), s.streets, s.carrier_hz, s.bandwidth_hz, tuple(virtual), s.origin, s.side,
-        s.bearing_deg, s.range_offset_m, s.range_offset_sigma_m, s.learned,
-    )  # fmt: skip
+    values = dict(vars(object_from(AnchorScene, content)))
+    gnb, *virtual = values.pop("anchors")
+    return Scene(base_station_m=gnb, virtual_anchors_m=tuple(virtual), **values)
 
 
 # the scenes of the package, by name; their file says where they come from

@@ -72,7 +72,7 @@ def channel_of(radio: Radio, scene: Scene, layout: Layout, dt: float) -> Channel
     """Return the channel of a radio in a scene, for steps of ``dt`` seconds."""
     floor, bound = radio.variances(scene, layout)
     loss = 32.4 + 20.0 * math.log10(scene.carrier_hz / 1e9)  # 3GPP TR 38.901, UMi, at 1 m
-    at_1_m = radio.link_budget_db - loss - radio.thermal_noise_dbm(scene.bandwidth_hz)
+    at_1_m = radio.snr_db(-loss, scene.bandwidth_hz)
     blockage_end = -math.expm1(-dt / radio.blockage_mean_s)
     multipath_end = -math.expm1(-dt / radio.multipath_mean_s)
     return Channel(

@@ -162,8 +162,8 @@ class Episode:
         if layout.partial:
             snr_db = np.where(known, snr_db, NEUTRAL_SNR_DB)  # observations must be finite
             if doppler_anchor is not None:
-                shifted = np.repeat(snr_db[np.arange(len(snr_db)), doppler_anchor], layout.anchors)
-                of_doppler = radio.sigma(shifted.reshape(snr_db.shape), scene, layout)
+                own = np.take_along_axis(snr_db, doppler_anchor[:, None], axis=1)
+                of_doppler = radio.sigma(np.repeat(own, layout.anchors, axis=1), scene, layout)
                 stated[:, layout.doppler] = of_doppler[:, layout.doppler]
         if sigma is not None:
             stated = np.where(np.isfinite(sigma), sigma, stated)
@@ -296,15 +296,11 @@ class EpisodeBatch(NamedTuple):
             ValueError: a layout differs from ``layout`` (if None: from the first episode's layout).
         """
         if isinstance(episodes, EpisodeBatch):
-            layouts = [(episodes.names[0], episodes.layout)]
-        else:
-            layouts = [(episode.name, episode.layout) for episode in episodes]
-        layout = layout or layouts[0][1]
-        for name, other in layouts:
-            if other != layout:
-                refuse(f"episode {name!r}", "layout", other, str(layout))
-        if isinstance(episodes, EpisodeBatch):
             return episodes
+        layout = layout or episodes[0].layout
+        for episode in episodes:
+            if episode.layout != layout:
+                refuse(f"episode {episode.name!r}", "layout", episode.layout, str(layout))
         tables = [episode.table() for episode in episodes]
         length = np.array([len(table) for table in tables])
         table = np.empty((len(tables), length.max(), tables[0].shape[1]))

@@ -78,23 +78,6 @@ def options_of(options: Any, *known: str) -> list[Any]:
     return [(options or {}).get(name) for name in known]
 
 
-class Stream:
-    """The stream of one environment, and the number of keys drawn from it."""
-
-    def __init__(self) -> None:
-        self._state = np.zeros(2, np.uint64)  # stream, and number of keys drawn from it
-        self._from: np.random.Generator | None = None
-
-    def next(self, rng: np.random.Generator, seed: int) -> int:
-        """Return the next episode's key, given the environment's current generator and seed."""
-        if rng is not self._from:  # a reset was seeded, or the user set another rng (seed -1)
-            self._from = rng
-            self._state[:] = draw_key(rng) if seed == -1 else stream_of(seed), 0
-        (key,) = keys_at(*self._state)
-        self._state[1] += np.uint64(1)
-        return int(key)
-
-
 class Streams:
     """The streams of n environments (random until seeded), and the numbers of keys drawn."""
 
@@ -104,14 +87,15 @@ class Streams:
         self._seeds = [-1] * n
         self._generators: list[np.random.Generator | None] = [None] * n
 
-    def seed(self, place: int, seed: int) -> None:
-        """Start the stream of environment number ``place`` with a seed >= 0, as Env.reset does."""
-        seed = operator.index(seed)
-        if seed < 0:
-            raise ValueError(f"seed: found {seed}, expected 0 or more")
-        self._seeds[place] = seed
-        self._generators[place] = None
-        self._states[place] = stream_of(seed), 0
+    def follow(self, place: int, rng: np.random.Generator, seed: int) -> None:
+        """Start the stream of environment number ``place`` if it has another generator than before.
+
+        After a seeded reset, a stream follows from the ``seed``. If the user set the generator,
+        ``seed`` is -1, and the stream is drawn.
+        """
+        if rng is not self._generators[place]:
+            self._generators[place] = rng
+            self._states[place] = draw_key(rng) if seed == -1 else stream_of(seed), 0
 
     def seed_some(self, seed: int | Sequence[int | None] | None, places: Index) -> None:
         """Start the streams of the environments ``places``, as a vector environment's reset does.
@@ -121,16 +105,22 @@ class Streams:
         Raises:
             ValueError: seeds and environments differ in number, or a seed is negative.
         """
+        if seed is None:
+            return
         n = len(self._seeds)
         if isinstance(seed, (int, np.integer)):
             seed = range(int(seed), int(seed) + n)
-        elif seed is not None and len(seed) != n:
+        elif len(seed) != n:
             raise ValueError(f"seed: found {len(seed)} seeds, expected {n}, one per environment")
-        if seed is None:
-            return
         for place in places:
-            if seed[place] is not None:
-                self.seed(place, seed[place])
+            if seed[place] is None:
+                continue
+            own = operator.index(seed[place])
+            if own < 0:
+                raise ValueError(f"seed: found {own}, expected 0 or more")
+            self._seeds[place] = own
+            self._generators[place] = None
+            self._states[place] = stream_of(own), 0
 
     def seeds(self) -> tuple[int, ...]:
         """Return the seeds (n,) of the streams; -1 where the seed is unknown."""

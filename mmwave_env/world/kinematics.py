@@ -78,6 +78,9 @@ class Traveler(NamedTuple):
     node_y: Number
 
 
+STILL = Traveler(*[0.0] * len(Traveler._fields))  # a placeholder, to be overwritten
+
+
 def unit(heading: Number) -> Pair:
     """Return the unit vector (east, north) of a heading of 0 to 3 quarter turns."""
     odd = where(abs(heading - 2.0) > 0.5, 0.0, -1.0)

@@ -1,12 +1,12 @@
 """Kinds of users: their target speeds, their limits and their phases of walking or driving."""
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, dataclass
 from math import inf
 from pathlib import Path
 from typing import Annotated
 
-from mmwave_env.io.files import AnyPath
+from mmwave_env.io.files import AnyPath, shipped_json
 from mmwave_env.io.lookup import as_name, choose, quoted
 from mmwave_env.io.records import (
     Bound,
@@ -126,28 +126,10 @@ class Mobility:
             )
 
 
-_ON_FOOT = Limits((0.5, 1.0), (0.8, 1.5), (1.0, 2.0), 2.0, 1.0)
-_WALK = (Gait(0.4, 1.9, 20.0, 3.0), Gait(0.0, 0.0, 10.0, 1.0))
-_DRIVING = Limits((1.5, 3.0), (2.0, 3.5), (2.0, 3.5), 4.0, 8.0, 0.4)
-_DRIVE = (Gait(9.0, 20.0),)
-_JAM = (Gait(0.0, 0.0, 8.0, 1.0), Gait(0.5, 2.5, 8.0, 1.5), Gait(3.0, 7.0, 6.0, 1.0))
-_CYCLING = Limits((0.6, 1.2), (1.5, 2.5), (1.5, 2.5), 2.0, 4.0, 0.2, (5.0, 15.0))
-_CYCLE = (Gait(2.0, 6.5, 25.0),)
-
-# More kinds would change the results of "mixed", the default scenario.
+# The kinds of the package, by name. More kinds would change "mixed", the default scenario.
 MOBILITIES = {
-    kind.name: kind
-    for kind in (
-        Mobility("pedestrian", (Phase(_ON_FOOT, _WALK),), blocks=4),
-        Mobility("vehicle", (Phase(_DRIVING, _DRIVE),)),
-        Mobility(
-            "walk-ride",
-            (Phase(_ON_FOOT, _WALK, (45.0, 75.0)), Phase(_DRIVING, _DRIVE)),
-            ends_as_it_began=True,
-        ),
-        Mobility("jam", (Phase(replace(_DRIVING, red_light_probability=0.0), _JAM),)),
-        Mobility("cyclist", (Phase(_CYCLING, _CYCLE),)),
-    )
+    name: object_from(Mobility, {"name": name} | content)
+    for name, content in shipped_json("mobilities").items()
 }
 MIXED = "mixed"
 SCENARIOS = {  # names and meanings

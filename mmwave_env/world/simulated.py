@@ -22,7 +22,7 @@ from mmwave_env.models.radio import SNR_LIMITS_DB, Radio
 from mmwave_env.models.random_scene import RandomScene
 from mmwave_env.models.random_survey import RandomSurvey
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.numbers import Array, Index
+from mmwave_env.numerics.numbers import Array
 from mmwave_env.numerics.pytree import flatten, indices
 from mmwave_env.numerics.random import Dice, seeded
 from mmwave_env.world.channel import channel_of
@@ -50,7 +50,7 @@ class EpisodeStarts(NamedTuple):
     """The beginnings of n episodes, whose users are simulated or follow given ways (trajectories).
 
     Attributes:
-        kinds: (n,) index of the kind of user, or of the given way.
+        names: (n,) names of the kinds of users, or of the given ways.
         worlds: (n, numbers) state of receiver and user before the first epoch; if ways are given,
             only the state of the receiver.
         truth: (n, epochs, 6) true positions and velocities on given ways; else (n, epochs, 0).
@@ -58,7 +58,7 @@ class EpisodeStarts(NamedTuple):
         sites: (n, numbers) anchors, carrier and prior, each row as :meth:`Episode.site` returns it.
     """
 
-    kinds: Index
+    names: list[str]
     worlds: Array
     truth: Array
     first: Array
@@ -208,18 +208,20 @@ class SimulatedSource:
         io = StepIO.of(n, self.epochs, output_rows=rows_of(program.index.measured))
         program.run_on_lanes(state, io, threads)
         return EpisodeBatch(
-            names=[self.names[kind] for kind in starts.kinds],
+            names=starts.names,
             length=np.full(n, self.epochs),
             table=io.outputs,
             site=starts.sites,
             layout=self.layout,
         )
 
-    def feed(self, worlds: Array) -> Feed:
-        """Return compiled code that simulates n episodes from :attr:`EpisodeStarts.worlds` on."""
-        _, _, receiver, user = self.world.template  # numbers that fill unused SIMD lanes
-        kept = blocks_of(np.array(flatten([receiver, user]), float), len(worlds))
-        fill(kept, np.arange(kept.shape[1]), worlds)
+    def feed(self, n: int) -> Feed:
+        """Return compiled code that simulates n episodes, with room for their worlds.
+
+        The worlds are placeholders, which :attr:`EpisodeStarts.worlds` must replace.
+        """
+        _, _, receiver, user = self.world.template
+        kept = blocks_of(np.array(flatten([receiver, user]), float), n)
         return Feed(self.world.on_lanes(), self._settings_rows, kept)
 
     def _simulation(self, starts: EpisodeStarts) -> tuple[Program[Any], BatchState]:
@@ -228,7 +230,9 @@ class SimulatedSource:
         if self.travels:
             program: Program[Any] = as_measured(self.layout)
             state = BatchState.of(starts.truth, blocks_of(program.start, len(worlds)))
-            return program, state._replace(feed=self.feed(worlds))
+            feed = self.feed(len(worlds))
+            fill(feed.kept, np.arange(worlds.shape[1]), worlds)
+            return program, state._replace(feed=feed)
         program = on_a_way(self.layout, self.survey is not None)
         rows = fill(blocks_of(program.start, len(worlds)), rows_of(program.index.receiver), worlds)
         rows[:, rows_of(program.index.settings)] = self._settings_rows
@@ -260,7 +264,8 @@ class SimulatedSource:
         sites = np.tile(self._extreme.site(), (n, 1))
         sites[:, index.prior_x] = first + noise
         sites[:, flatten(index.anchors)] = anchors
-        return EpisodeStarts(kinds, worlds, truth, first, sites)
+        names = [self.names[kind] for kind in kinds]
+        return EpisodeStarts(names, worlds, truth, first, sites)
 
     @cached_property
     def _users(self) -> Users:

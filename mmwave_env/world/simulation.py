@@ -15,7 +15,7 @@ from mmwave_env.compiler.disk_cache import compiled_callback
 from mmwave_env.compiler.lanes import WIDTH, number_at
 from mmwave_env.compiler.program import Program, tree_kernel
 from mmwave_env.models.layout import Layout
-from mmwave_env.models.measurement import exact_rows
+from mmwave_env.models.measurement import blank_site, exact_rows
 from mmwave_env.models.radio import Radio, deviations
 from mmwave_env.models.random_scene import RandomScene
 from mmwave_env.models.random_survey import RandomSurvey
@@ -33,7 +33,7 @@ from mmwave_env.world.channel import (
     initial_state,
 )
 from mmwave_env.world.episode import Incoming, blank_incoming
-from mmwave_env.world.kinematics import Net, Traveler, move, state_of
+from mmwave_env.world.kinematics import STILL, Net, Traveler, move, state_of
 from mmwave_env.world.travel import (
     TravelPhase,
     TravelPlan,
@@ -108,13 +108,26 @@ class WorldState(NamedTuple):
     user: UserState
 
 
-def measure(
-    truth: Numbers, settings: WorldSettings, receiver: ReceiverState, layout: Layout
-) -> tuple[Incoming, ReceiverState]:
-    """Simulate channel and measurement; return the epoch and the receiver's next state.
+class OnAWay(NamedTuple):
+    """The state of a simulated episode of a user on a given way (trajectory)."""
 
-    ``truth`` (6,) is the true position (m) and velocity (m/s).
+    truth: Numbers  # (6,) true position and velocity, loaded from a table
+    # measured, settings, receiver: as in :class:`WorldState`
+    measured: Incoming
+    settings: WorldSettings
+    receiver: ReceiverState
+
+
+def measure(w: Any, truth: Numbers, layout: Layout) -> Any:
+    """Simulate channel and measurement of an epoch, and the receiver's next state.
+
+    Args:
+        w: a :class:`WorldState` or an :class:`OnAWay`; the result is of the same type.
+        truth: (6,) true position (m) and velocity (m/s).
+        layout: which quantity is in which row of a measurement.
     """
+    settings: WorldSettings = w.settings
+    receiver: ReceiverState = w.receiver
     is_first = receiver.is_first > 0.5
     dice = Dice(receiver.dice)
     position = truth[:3]
@@ -154,11 +167,12 @@ def measure(
         doppler_of=blank_incoming(layout).doppler_of,
     )
     bias_hz = receiver.bias_hz + settings.drift_hz * dice.normal()
-    return measured, receiver._replace(
+    receiver = receiver._replace(
         dice=dice.state, is_first=0.0, channel=channel, bias_hz=bias_hz,
         clock=_run_on(receiver, bias_hz, settings.clock),
         survey=_slowly_changed(receiver, settings.slow),
     )  # fmt: skip
+    return w._replace(measured=measured, receiver=receiver)
 
 
 def _run_on(receiver: ReceiverState, bias_hz: Number, clock: Vector) -> Clock | tuple[()]:
@@ -194,9 +208,7 @@ def _where_measured(measured: Vector, rows: Vector, otherwise: float) -> Numbers
 def _observe(w: WorldState, layout: Layout) -> WorldState:
     """Measure an epoch at the traveler's position."""
     (x, y), (vx, vy) = state_of(w.user.traveler)
-    truth = [x, y, w.user.net.height, vx, vy, 0.0]
-    measured, receiver = measure(truth, w.settings, w.receiver, layout)
-    return w._replace(measured=measured, receiver=receiver)
+    return measure(w, [x, y, w.user.net.height, vx, vy, 0.0], layout)  # type: ignore[no-any-return]
 
 
 def _apply_events(w: WorldState) -> WorldState:
@@ -214,15 +226,15 @@ def _move(w: WorldState) -> WorldState:
     return w._replace(user=w.user._replace(traveler=traveler))
 
 
-def blank_world(layout: Layout, phases: int, gaits: int, inexact: bool = False) -> WorldState:
+def blank_world(layout: Layout, phases: int, gaits: int, inexact: bool) -> WorldState:
     """Return a placeholder world with valid numbers, to be overwritten.
 
     ``inexact`` tells whether the survey may have errors.
     """
-    still = Traveler(*[0.0] * len(Traveler._fields))._replace(radius=1.0, jerk=1.0)
+    still = STILL._replace(radius=1.0, jerk=1.0)
     acts = [plan.phase for plan in blank_plan(phases, gaits).phases]
     channel = channel_of(Radio("blank"), Scene("blank", (0.0, 0.0, 10.0)), layout, 1.0)
-    anchors = [[0.0, 0.0, 10.0 + a] for a in range(layout.anchors)]
+    anchors = blank_site(layout).anchors
     dice = [0.0] * STATE_WORDS
     clock = Clock(dice, 0.0) if layout.has_bias else ()
     offered = [1.0] * layout.size if layout.partial else []
@@ -245,7 +257,7 @@ class World:
     speeds) in a phase. ``inexact`` tells whether the survey may have errors.
     """
 
-    def __init__(self, layout: Layout, phases: int, gaits: int, inexact: bool = False) -> None:
+    def __init__(self, layout: Layout, phases: int, gaits: int, inexact: bool) -> None:
         self._layout = layout
         self.template = blank_world(layout, phases, gaits, inexact)
         self.index: WorldState = indices(self.template)  # the row of each float in the workspace
@@ -290,31 +302,17 @@ class World:
         return compiled_callback(signature, on_addresses)
 
 
-@cache  # never dropped, because a Feed holds only the address of the compiled code
-def world_of(layout: Layout, phases: int, gaits: int, inexact: bool) -> World:
-    """Return the world of simulated users, shared by all sources with the same arguments."""
-    return World(layout, phases, gaits, inexact)
-
-
-class OnAWay(NamedTuple):
-    """The state of a simulated episode of a user on a given way (trajectory)."""
-
-    truth: Numbers  # (6,) true position and velocity, loaded from a table
-    measured: Incoming  # as in :class:`WorldState`
-    settings: WorldSettings
-    receiver: ReceiverState
+# The world that all sources with the same arguments share. It is never dropped, because a Feed
+# holds only the address of the compiled code.
+world_of = cache(World)
 
 
 @lru_cache(maxsize=8)
 def on_a_way(layout: Layout, inexact: bool) -> Program[OnAWay]:
     """Return the program that simulates an epoch of a user on a given way."""
-
-    def function(w: OnAWay) -> OnAWay:
-        measured, receiver = measure(w.truth, w.settings, w.receiver, layout)
-        return w._replace(measured=measured, receiver=receiver)
-
     measured, settings, receiver, _ = blank_world(layout, 1, 1, inexact)
-    return Program(function, OnAWay(measured.truth, measured, settings, receiver))
+    template = OnAWay(measured.truth, measured, settings, receiver)
+    return Program(lambda w: measure(w, w.truth, layout), template)
 
 
 class AsMeasured(NamedTuple):

@@ -15,7 +15,7 @@ from typing import NamedTuple
 from mmwave_env.numerics.numbers import Number, Numbers, Pair, floor, maximum, where
 from mmwave_env.numerics.pytree import select, tree_at
 from mmwave_env.numerics.random import Dice
-from mmwave_env.world.kinematics import FAR, STANDING_MPS, Net, Traveler, around, unit
+from mmwave_env.world.kinematics import FAR, STANDING_MPS, STILL, Net, Traveler, around, unit
 
 FINEST_STEP_S = 0.1  # approximate length of a substep
 STOPPING_S = 5.0  # time reserved at the end of a ride for braking to a standstill
@@ -219,7 +219,7 @@ def set_off(dice: Dice, phases: Sequence[TravelPhase], net: Net) -> Traveler:
     heading = around(heading + _draw_turn(dice, x, y, heading, net))
     first = phases[0]
     target, lasts = _draw_gait(dice, first.gaits)
-    t = Traveler(*[0.0] * len(Traveler._fields))._replace(
+    t = STILL._replace(
         due=1.0,
         x=net.origin_x + net.block * x,
         y=net.origin_y + net.block * y,

@@ -10,7 +10,7 @@ from typing import Annotated, get_args, get_origin
 import numpy as np
 import pytest
 
-from mmwave_env.engines.engine import tracks_of
+from mmwave_env.engines.engine import Engine
 from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.filters import Pipeline
 from mmwave_env.filters.bank import named_modes
@@ -22,7 +22,7 @@ from mmwave_env.models.scene import SCENES, Wall
 from mmwave_env.world.episode import Episode
 from mmwave_env.world.mobility import MOBILITIES
 from mmwave_env.world.simulated import SimulatedSource
-from tests.filters.tracks import TRIANGLE, sampled, street_source, unpacked
+from tests.filters.tracks import TRIANGLE, drawn, street_source, unpacked
 from tests.refusals import refuses
 
 ASIDE = 0.01  # tested values differ from a limit of their bound by this share of the limit
@@ -120,10 +120,6 @@ CHANGES = (  # sets of changes that are made to each mode
 )  # fmt: skip
 
 
-def drawn(seed, epochs):
-    return sampled(street_source(epochs=epochs), seed)
-
-
 @pytest.fixture(scope="module")
 def episode():
     return drawn(3, epochs=5)
@@ -154,7 +150,7 @@ def test_beliefs_are_sound_if_one_or_two_quantities_are_at_the_ends_of_their_bou
     assert len(cases) > 400 * len(SEEDS)
     for change in CHANGES:
         mode = replace(named_modes()[name], **change)
-        tracker = tracks_of(Pipeline((mode,), ordinary[0].layout), len(cases))
+        tracker = Engine(Pipeline((mode,), ordinary[0].layout), len(cases), observation="")
         tracker.load(list(cases.values()))
         good = sound(**tracker.run("x", "P"))
         assert [case for case, fine in zip(cases, good, strict=True) if not fine] == [], change

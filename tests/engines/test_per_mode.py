@@ -12,7 +12,7 @@ from mmwave_env.filters.bank import Bank, best_bank
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.radio import TUNED_RADIOS
 from tests.filters.gated_textbook import textbook_imm
-from tests.filters.tracks import simulated, track, unpacked
+from tests.filters.tracks import process_noise, simulated, track, unpacked
 
 PLAIN = {"gate": None, "adaptive": False, "coupling": False}
 BANK = Bank(
@@ -57,9 +57,8 @@ def test_a_mixture_and_trust_in_its_modes_equal_the_textbook(dt, nis_quantile, o
     bank = replace(BANK, nis_quantile=nis_quantile)
     ours = played(bank, episodes, actions, "x", "P", "mode_probabilities", "memory.mode")
     for e, episode in enumerate(episodes):
-        drift = BANK.modes[0].sigma_b_mps * episode.hz_per_mps
         modes = [
-            (mode.algorithm, np.diag(np.square([0.1, 0.1, 0.02, *[mode.sigma_v] * 2, 0.03, drift])))
+            (mode.algorithm, process_noise(mode, hz_per_mps=episode.hz_per_mps))
             for mode in BANK.modes
         ]
 

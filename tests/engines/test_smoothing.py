@@ -7,7 +7,7 @@ import pytest
 from filterpy.kalman import KalmanFilter
 from numpy.testing import assert_allclose, assert_array_equal
 
-from mmwave_env.engines.engine import run_imm, tracks_of
+from mmwave_env.engines.engine import Engine, run_imm
 from mmwave_env.engines.smoothing import smooth
 from mmwave_env.filters import textbook
 from mmwave_env.filters.bank import best_bank
@@ -46,39 +46,38 @@ def tracks(planar, n=9, epochs=120):
     """Return random times (n, epochs), and the PARTS of an EKF's tracks at these times."""
     time_s = np.random.default_rng(0).uniform(0.2, 2.0, (n, epochs)).cumsum(axis=1)
     episodes = [replace(e, time_s=t) for e, t in zip(simulated(n, epochs), time_s, strict=True)]
-    tracker = tracks_of(pipeline_of(algorithms=["ekf"], planar=planar), n)
+    tracker = Engine(pipeline_of(algorithms=["ekf"], planar=planar), n, observation="")
     tracker.load(episodes)
     return time_s, list(tracker.run(*PARTS).values())
 
 
+def assert_smoothed_as_in_the_textbook(parts, time_s, tolerance, planar=False):
+    """Smooth tracks at times (n, T), and compare them with the textbook's smoother, in numpy."""
+    free = [0, 1, 3, 4, 6] if planar else list(range(7))
+    tracks = zip(*smooth(*parts, np.diff(time_s), planar), *parts, time_s, strict=True)
+    for smooth_x, smooth_P, x, P, x_predicted, P_predicted, times in tracks:
+        filtered = x, unpacked(P), unpacked(P_predicted)
+        expected_x, expected_P = textbook.rts(*filtered, times, free, x_predicted)
+        assert_allclose(smooth_x, expected_x, rtol=tolerance, atol=tolerance)
+        block = np.ix_(range(len(x)), free, free)
+        assert_allclose(
+            unpacked(smooth_P)[block], expected_P[block], rtol=10.0 * tolerance, atol=tolerance
+        )
+
+
 @pytest.mark.parametrize("planar", [False, True])
 def test_smoothed_tracks_equal_a_plain_numpy_smoother(planar):
-    time_s, (x, P, x_predicted, P_predicted) = tracks(planar)
-    free = [0, 1, 3, 4, 6] if planar else list(range(7))
-    found_x, found_P = smooth(x, P, x_predicted, P_predicted, np.diff(time_s), planar)
-    for e in range(len(x)):
-        expected_x, expected_P = textbook.rts(
-            x[e], unpacked(P[e]), unpacked(P_predicted[e]), time_s[e], free
-        )
-        assert_allclose(found_x[e], expected_x, rtol=TOLERANCE, atol=TOLERANCE)
-        block = np.ix_(range(len(x[e])), free, free)
-        assert_allclose(unpacked(found_P[e])[block], expected_P[block], rtol=1e-8, atol=TOLERANCE)
+    time_s, parts = tracks(planar)
+    assert_smoothed_as_in_the_textbook(parts, time_s, TOLERANCE, planar)
 
 
 @pytest.mark.parametrize("dt", [1.0, 0.1])
 def test_smoothing_a_mixture_equals_plain_numpy(dt):
     source = street_source(dt=dt)
     episodes = [sampled(source, seed) for seed in range(9)]
-    x, P, x_predicted, P_predicted = run_imm(
-        best_bank(), TrackingReward(), episodes, *PARTS
-    ).values()
-    time_s = dt * np.arange(x.shape[1])
-    found_x, found_P = smooth(x, P, x_predicted, P_predicted, np.diff(time_s))
-    for e in range(len(x)):
-        track = x[e], unpacked(P[e]), unpacked(P_predicted[e]), time_s
-        expected = textbook.rts(*track, x_predicted=x_predicted[e])
-        assert_allclose(found_x[e], expected[0], rtol=1e-7, atol=1e-7)
-        assert_allclose(unpacked(found_P[e]), expected[1], rtol=1e-6, atol=1e-6)
+    parts = run_imm(best_bank(), TrackingReward(), episodes, *PARTS)
+    time_s = np.tile(source.time_s, (9, 1))
+    assert_smoothed_as_in_the_textbook(parts.values(), time_s, 1e-7)
 
 
 def test_smoothing_does_not_change_a_single_epoch():

@@ -42,7 +42,7 @@ def engine_of(episodes, **arguments):
 
 def after(engine):
     """Return the columns of observations that describe the belief after its update."""
-    features = after_update(engine.pipeline, per_mode=True)
+    features = after_update(engine.pipeline)
     return [engine.observation.names.index(feature.name) for feature in features]
 
 
@@ -91,7 +91,7 @@ class Given:
 def test_corrections_in_an_environment_are_those_of_a_track_with_the_same_choices(episodes):
     choices = [*ACTIONS, np.zeros(N, np.int64)]
     environment = engine_of(episodes, action=CORRECTION, base=lambda table: Given(choices))
-    environment.show(after_update(environment.pipeline, per_mode=True))
+    environment.show(after_update(environment.pipeline))
     environment.load(episodes)
     environment.step()
     track = engine_of(episodes, action=CORRECTION)

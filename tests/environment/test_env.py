@@ -13,7 +13,7 @@ from gymnasium.utils.env_checker import check_env
 from numpy.testing import assert_allclose
 
 import mmwave_env  # noqa: F401  registers the environment
-from mmwave_env.engines.engine import tracks_of
+from mmwave_env.engines.engine import Engine
 from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.filters import Mode, Pipeline
 from mmwave_env.filters.bank import modes_from
@@ -290,7 +290,7 @@ def test_the_last_info_contains_the_metrics_of_the_episode(dt):
     assert set(expected) == END_KEYS
 
     episode = draw(2, dt=dt)
-    tracker = tracks_of(Pipeline(modes_from(None), episode.layout), 1)
+    tracker = Engine(Pipeline(modes_from(None), episode.layout), 1, observation="")
     tracker.load([episode])
     track = tracker.run("x", "P", "P_predicted", actions=np.arange(200)[None] % 2)
     P = unpacked(track["P"][0])

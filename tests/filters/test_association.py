@@ -15,6 +15,7 @@ from mmwave_env.localization.image_filter import Belief, Image, Paths, disagreem
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import scene_of_anchors
 from tests.filters.problems import numbers, problems
+from tests.filters.tracks import wrapped
 
 
 @settings(max_examples=30)
@@ -25,7 +26,7 @@ def test_the_nis_of_a_path_equals_the_textbook_value(problem, data):
     predicted = tangent(problem.sensor, problem.x, problem.P)
     offset = data.draw(numbers(-0.3, 0.3, (n, 4)))
     paths = predicted.mean[np.arange(n)[:, None] % links * 4 + np.arange(4)] + offset
-    paths[:, 1:] = (paths[:, 1:] + np.pi) % (2 * np.pi) - np.pi
+    paths[:, 1:] = wrapped(paths[:, 1:])
     variance = np.tile(problem.R[:8].reshape(2, 4), (n, 1, 1))
     _, *images = problem.sensor.anchors
     P = np.pad(problem.P, (0, 3 * len(images)))
@@ -70,6 +71,6 @@ def test_the_azimuths_of_a_path_disagree_if_departure_is_not_opposite_to_arrival
     sigma = np.tile([0.2, 0.03, 0.01, 0.04], (4, 1))
     arrivals = np.array([1.0, 3.0, -3.1, -0.75 * np.pi])
     apart = np.array([0.0, 0.1, -0.05, -0.02])
-    departures = (arrivals + apart) % (2.0 * np.pi) - np.pi
+    departures = wrapped(arrivals + apart - np.pi)
     paths = np.column_stack([np.full(4, 9.0), arrivals, np.full(4, 0.1), departures])
     np.testing.assert_allclose(disagreement(paths, sigma**2), (apart / 0.05) ** 2, atol=1e-12)

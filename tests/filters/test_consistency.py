@@ -41,22 +41,17 @@ def runs():
     engine = Engine(pipeline, RUNS, TrackingReward())
     results = {}
     for m, algorithm in enumerate(ALGORITHMS):
-        nees = []
-        nis = []
-        rejected = []
-        errors = []
-        P = []
         engine.load(episodes)
         engine.step()
+        at = engine.at
+        epochs = []
         for _ in range(EPOCHS):
-            candidates = engine.at.candidates
-            nis.append(engine.read(candidates[m].nis))
-            rejected.append(1.0 - engine.read(candidates[m + len(ALGORITHMS)].accepted))
+            nis = engine.read(at.candidates[m].nis)
+            rejected = 1.0 - engine.read(at.candidates[m + len(ALGORITHMS)].accepted)
             engine.step(np.full(RUNS, m))
-            nees.append(engine.read(engine.at.nees))
-            errors.append(engine.read(engine.at.error))
-            P.append(engine.read(engine.at.P))
-        results[algorithm] = tuple(map(np.array, (nees, nis, rejected, errors, P)))
+            after = [engine.read(part) for part in (at.error, at.P)]
+            epochs.append((engine.read(at.nees), nis, rejected, *after))
+        results[algorithm] = tuple(map(np.array, zip(*epochs, strict=True)))
     return results
 
 

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.correction import Frame, corrected, deviations_of
@@ -23,17 +24,10 @@ def belief_of(seed=0, angle=0.5, speed=3.0, axes=(0, 1, 2)):
     return Belief(x.tolist(), (root @ root.T + 0.1 * np.eye(7)).tolist(), axes)
 
 
-def rotation(angle):
-    """Return the matrix whose columns are the directions along the motion, across it and up."""
-    c = np.cos(angle)
-    s = np.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
 @given(ANGLE, SHIFT, LOG_FACTOR, st.integers(0, 20))
 def test_a_correction_is_a_shift_and_a_scaling_in_the_frame_of_motion(angle, shift, factors, seed):
     belief = belief_of(seed, angle)
-    R = rotation(angle)
+    R = Rotation.from_euler("z", angle).as_matrix()  # columns: along the motion, across, up
     P = np.array(belief.P)
     deviations = np.sqrt(np.diag(R.T @ P[:3, :3] @ R))
     M = np.eye(7)

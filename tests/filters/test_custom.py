@@ -2,16 +2,13 @@
 
 import importlib.util
 import linecache
-from dataclasses import replace
 from functools import partial
 
 import gymnasium as gym
 import pytest
 
-from mmwave_env.engines.engine import Engine
 from mmwave_env.filters import Mode, Pipeline, Posterior, SigmaPoints, ckf, ekf, ukf, update
 from mmwave_env.filters.custom import AlgorithmError
-from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.layout import Layout
 from tests.filters.tracks import STREET
 
@@ -180,20 +177,6 @@ def test_valid_algorithms_are_accepted_with_any_layout(layout, planar, ours, opt
         return ours(x, P, measurement, gate)
 
     Pipeline((Mode("own", own, **options),), layout, planar)
-
-
-def test_equal_pipelines_share_their_trials():
-    calls = []
-
-    def counting(x, P, measurement, gate):
-        calls.append(1)
-        return ekf(x, P, measurement, gate)
-
-    pipeline = Pipeline((Mode("own", counting),), STREET)
-    once = len(calls)
-    replace(pipeline, modes=pipeline.modes)
-    Engine(pipeline, 1, TrackingReward())
-    assert len(calls) == once
 
 
 def fuses_nothing(x, P, measurement, gate):

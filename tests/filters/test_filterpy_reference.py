@@ -95,8 +95,3 @@ def test_switching_between_filters_gives_the_same_beliefs_as_with_filterpy():
 def test_pipelines_that_filterpy_does_not_support_are_refused(pipeline, field):
     with refuses(field):
         filterpy_pipeline(pipeline)
-
-
-def test_filterpys_filters_do_not_run_on_simd_lanes():
-    with pytest.raises(Exception, match="numpy needs the value"):
-        track(filterpy_pipeline(pipeline_of()), simulated(1, epochs=2), 0, 1, ("x",))

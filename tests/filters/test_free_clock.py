@@ -21,8 +21,14 @@ from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Epoch, Site
 from mmwave_env.numerics.linalg import pack, unpack
 from mmwave_env.world.keys import keys_of
-from tests.filters.problems import HZ_PER_MPS
-from tests.filters.tracks import assert_same_beliefs, sampled, street_source, track
+from tests.filters.tracks import (
+    HZ_PER_MPS,
+    assert_same_beliefs,
+    sampled,
+    street_source,
+    track,
+    wrapped,
+)
 from tests.paths import representative
 
 STATE = np.array([0.0, 0.0, 1.5, 1.0, 0.0, 0.0, 0.0])
@@ -88,7 +94,7 @@ def problems(draw, wild=0):
     sigma = np.append(np.tile([0.4, 0.05, 0.05, 0.05], links), 3.0)
     z = sensor.h(truth) + sigma * rng.normal(0, 0.5, len(sigma))
     z[0 : 4 * wild : 4] += rng.uniform(60.0, 300.0, wild)
-    z[sensor.angles] = np.remainder(z[sensor.angles] + np.pi, 2 * np.pi) - np.pi
+    z[sensor.angles] = wrapped(z[sensor.angles])
     measured = rng.random(len(z)) < 0.7
     measured[0:-1:4] = True
     return Problem(sensor, x, root @ root.T, z, sigma, measured)

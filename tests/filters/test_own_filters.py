@@ -10,11 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
-from scipy.stats import chi2
 
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.runner import score_contenders
-from mmwave_env.filters import Gate, Mode, Pipeline
+from mmwave_env.filters import Mode, Pipeline
 from mmwave_env.filters.custom import AlgorithmError
 from mmwave_env.interface.policy import Switching
 from mmwave_env.localization.localizer import localize
@@ -22,14 +21,13 @@ from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from tests.filters import gated_textbook
-from tests.filters.problems import assert_same, assume_clear_of, problems
+from tests.filters.problems import GATES, assert_same, assume_clear_of, problems
 from tests.filters.tracks import STREET, sampled, street_source
 from tests.logs.writing import write_log
 from tests.paths import ROOT
 
 PAGE = (ROOT / "docs" / "own-filters.md").read_text()
 IEKF, USE, HASTY, TESTS, _ = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
-GATES = [Gate(None), Gate(0.99), Gate(0.5, force=1.0), Gate(0.99, robust=True)]
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -60,8 +58,7 @@ def test_the_iekf_equals_the_textbook(iekf, iterations, gate, odometry, data):
     s = problem.sensor
     rule = gate.quantile, gate.force, gate.robust
     expected = gated_textbook.iterated(iterations, s, *problem.update, *rule)
-    if gate.quantile is not None:
-        assume_clear_of(expected.nis, s, [lambda n: chi2.ppf(gate.quantile, n)])
+    assume_clear_of(expected.nis, s, gate.quantile)
     assert_same(problem.ours(partial(iekf, iterations=iterations), gate), expected)
 
 

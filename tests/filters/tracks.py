@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 
-from mmwave_env.engines.engine import Engine, tracks_of
+from mmwave_env.engines.engine import Engine
 from mmwave_env.filters import Mode, Pipeline, textbook
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.layout import MEASUREMENTS, Layout
@@ -21,6 +21,11 @@ from mmwave_env.world.trajectory import Trajectory
 STREET = Layout(3)
 TRIANGLE = np.tril_indices(7)
 HZ_PER_MPS = 93.4
+
+
+def wrapped(angles):
+    """Return angles moved into [-pi, pi)."""
+    return np.remainder(angles + np.pi, 2.0 * np.pi) - np.pi
 
 
 def geometry(position, velocity, scene, layout):
@@ -37,6 +42,11 @@ def street_source(scenario="mixed", radio="handset", **options):
 def sampled(source, seed=0):
     """Return the episode that a source draws with NumPy's generator of this seed."""
     return source.sample(np.random.default_rng(seed))
+
+
+def drawn(seed, **options):
+    """Return the episode of a seed in the default street."""
+    return sampled(street_source(**options), seed)
 
 
 def simulated(n, epochs=200, odometry=False, seed=0, scene=SCENES["street"]):
@@ -69,7 +79,7 @@ def spoiled(episode, seed):
     far = rng.random(episode.measurement.shape) < 0.01
     measurement = episode.measurement + 20.0 * far * episode.sigma
     angles = episode.layout.angles
-    measurement[:, angles] = np.remainder(measurement[:, angles] + np.pi, 2 * np.pi) - np.pi
+    measurement[:, angles] = wrapped(measurement[:, angles])
     visible = episode.visible & (rng.random(episode.visible.shape) < 0.9)
     return replace(episode, measurement=measurement, visible=visible)
 
@@ -125,7 +135,7 @@ class OwnModel:
         shape = (epochs, len(self.sigma))
         sigma = self.sigma * np.exp(self.fading * rng.standard_normal(shape))
         z = np.array([sensor.h(state) for state in x]) + sigma * rng.standard_normal(shape)
-        z[:, sensor.angles] = np.remainder(z[:, sensor.angles] + np.pi, 2 * np.pi) - np.pi
+        z[:, sensor.angles] = wrapped(z[:, sensor.angles])
         visible = rng.random((epochs, len(sensor.groups))) < self.detection
         received = visible, np.full((epochs, sensor.links), 30.0), np.zeros(epochs)
         belief = (self.start, np.diag(self.prior**2))
@@ -176,7 +186,7 @@ def track(pipeline, episodes, actions, epochs, parts, on_floats=False, bank=None
             values.append(engine.read(attrgetter(name)(engine.at)))
     arrays = {name: np.array(values) for name, values in history.items()}
     if "P_predicted" in parts:
-        tracker = tracks_of(pipeline, n, on_floats=on_floats)
+        tracker = Engine(pipeline, n, observation="", on_floats=on_floats)
         tracker.load(episodes)
         predicted = tracker.run("P_predicted", actions=actions.T)["P_predicted"]
         arrays["P_predicted"] = predicted.swapaxes(0, 1)

@@ -21,15 +21,11 @@ from mmwave_env.models.envelope import DOPPLER_SPREAD_HZ
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Epoch, blank_site
 from mmwave_env.models.radio import RADIOS, doppler_spread
-from tests.filters.tracks import replay, sampled, street_source
+from tests.filters.tracks import drawn, replay
 
 # group of measurements -> degrees of freedom; the groups are in the order of the layout
 GROUPS = {"anchor 1": 4, "anchor 2": 4, "anchor 3": 4, "Doppler": 1}
 DOF = np.array([*GROUPS.values()])
-
-
-def draw(seed, **changes):
-    return sampled(street_source(**changes), seed)
 
 
 def blinded(episode, first, last):
@@ -53,9 +49,9 @@ def absurd(episode):
 
 
 def test_values_are_within_their_finite_bounds_even_in_absurd_episodes():
-    episodes = [draw(seed) for seed in range(12)]
-    episodes += [blinded(draw(seed), first, 200) for seed, first in ((12, 0), (13, 0), (14, 50))]
-    episodes += [blinded(draw(15), 50, 190), absurd(draw(16)), absurd(blinded(draw(17), 0, 9))]
+    episodes = [drawn(seed) for seed in range(12)]
+    episodes += [blinded(drawn(seed), first, 200) for seed, first in ((12, 0), (13, 0), (14, 50))]
+    episodes += [blinded(drawn(15), 50, 190), absurd(drawn(16)), absurd(blinded(drawn(17), 0, 9))]
     engine = Engine(Pipeline(modes_from(None), Layout()), len(episodes), TrackingReward())
     engine.load(episodes)
     engine.step()
@@ -103,7 +99,7 @@ class Rollout(NamedTuple):
 
 @pytest.fixture(scope="module", params=["as drawn", "2 Hz, with a gap"])
 def rollout(request):
-    return roll(draw(0) if request.param == "as drawn" else blinded(draw(0, dt=0.5), 60, 130))
+    return roll(drawn(0) if request.param == "as drawn" else blinded(drawn(0, dt=0.5), 60, 130))
 
 
 def roll(episode, **kwargs):
@@ -168,8 +164,12 @@ def test_a_missing_doppler_spread_is_replaced_by_the_mean_at_the_estimated_speed
     site = blank_site(Layout())._replace(hz_per_mps=93.4)
     velocity = [0.6 * speed_mps, 0.8 * speed_mps, 0.0]
     speeds = np.full(100_000, speed_mps)
-    drawn = doppler_spread(RADIOS["handset"], 93.4, speeds, np.random.default_rng(0))
-    for visible, measured_hz, expected in ((1.0, 0.0, drawn.mean()), (1.0, 7.0, 7.0), (0.0, 0, 0)):
+    spreads = doppler_spread(RADIOS["handset"], 93.4, speeds, np.random.default_rng(0))
+    for visible, measured_hz, expected in (
+        (1.0, 0.0, spreads.mean()),
+        (1.0, 7.0, 7.0),
+        (0.0, 0, 0),
+    ):
         epoch = Epoch(1.0, [], [], [0.0, visible], [], measured_hz)
         spread_hz = with_expected_spread(epoch, velocity, site).doppler_spread_hz
         assert spread_hz == pytest.approx(expected, rel=0.03)
@@ -312,7 +312,7 @@ def test_preferences_are_averages_of_the_log_likelihood_difference(rollout):
 
 
 def test_odometry_speed_is_measured_if_visible_and_otherwise_predicted():
-    done = roll(draw(0, odometry=True), modes=["ekf"])
+    done = roll(drawn(0, odometry=True), modes=["ekf"])
     visible = done.episode.usable[:, -1]
     speed = done.episode.measurement[:, 13]
     assert visible.any() and not visible.all()

@@ -8,7 +8,7 @@ import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.filters import Pipeline
 from mmwave_env.filters.bank import modes_from
 from mmwave_env.interface.features import feature_kinds
-from mmwave_env.interface.observation import BELIEFS, Observation
+from mmwave_env.interface.observation import BELIEFS, OBSERVATIONS, Observation
 from mmwave_env.models.layout import Layout
 
 PIPELINES = {
@@ -20,7 +20,7 @@ PIPELINES = {
 COMING = ("coming ", "preference ")  # features whose names begin like this use the coming epoch
 
 every_pipeline = pytest.mark.parametrize("pipeline", PIPELINES.values(), ids=PIPELINES)
-every_kind = pytest.mark.parametrize("kind", ["full", "prior"])
+every_kind = pytest.mark.parametrize("kind", OBSERVATIONS)
 
 
 @every_kind

@@ -7,15 +7,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.spatial.transform import Rotation
 
-from mmwave_env.engines.engine import Engine, tracks_of
+from mmwave_env.engines.engine import Engine
 from mmwave_env.engines.smoothing import GATES, smoothed_features
 from mmwave_env.filters import Mode, Pipeline
 from mmwave_env.filters.bank import Bank
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.interface.signed import after_update
-from mmwave_env.models.layout import Layout
 from mmwave_env.task import task_from
 from mmwave_env.world.episode import EpisodeBatch
 
@@ -32,7 +32,7 @@ def episodes():
 
 def names_of(pipeline):
     """Return the names of the features that a policy gets in order to correct a belief."""
-    return [feature.name for feature in after_update(pipeline, per_mode=True)]
+    return [feature.name for feature in after_update(pipeline)]
 
 
 def played(episodes, actions):
@@ -63,7 +63,7 @@ def test_features_of_a_track_that_smoothing_did_not_change_are_those_of_the_filt
     pipeline = Pipeline(BANK.modes, episodes[0].layout)
     observed, _ = played(episodes, actions)
     names = ("x", "P", "mixture", *(f"memory.{gate}" for gate in GATES))
-    engine = tracks_of(pipeline, len(episodes), BANK)
+    engine = Engine(pipeline, len(episodes), observation="", bank=BANK)
     engine.load(episodes)
     x, P, mixtures, *gates = engine.run(*names, actions=actions).values()
     features = smoothed_features(pipeline, EpisodeBatch.of(episodes), x, P, mixtures, gates)
@@ -73,9 +73,7 @@ def test_features_of_a_track_that_smoothing_did_not_change_are_those_of_the_filt
 
 def turned(episode, angle, offset):
     """Return an episode whose world is turned by an angle (rad), then moved by an offset (m)."""
-    c = np.cos(angle)
-    s = np.sin(angle)
-    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    R = Rotation.from_euler("z", angle).as_matrix()
     whole = np.eye(7)  # the rotation of a whole state
     whole[:3, :3] = whole[3:6, 3:6] = R
     z = episode.measurement.copy()
@@ -151,11 +149,3 @@ def test_features_do_not_depend_on_the_coming_epoch(episodes):
     after = played(spoiled, actions)[0]
     assert_array_equal(before[:, :changed], after[:, :changed])
     assert (before[:, changed] != after[:, changed]).any()
-
-
-def test_the_signed_observation_begins_with_all_features_of_the_full_observation():
-    pipeline = Pipeline(BANK.modes, Layout())
-    full = Observation(pipeline, "full", "per-mode")
-    signed = Observation(pipeline, "signed", "per-mode")
-    assert signed.columns[: len(full)] == full.columns
-    assert len(set(signed.names)) == len(signed)

@@ -32,7 +32,6 @@ from tests.filters.tracks import geometry, sampled, track
 from tests.logs.by_hand import assert_same, damaged, log_with
 from tests.logs.writing import write_log
 from tests.paths import representative
-from tests.refusals import refuses
 
 SCENE = SCENES["street"]
 RADIO = RADIOS["handset"]
@@ -157,11 +156,6 @@ def test_a_track_of_an_imm_equals_the_track_of_the_imm_engine(monkeypatch, block
     assert_array_equal(result.mode, theirs["mixture.probability"][0].argmax(axis=1))
     assert not result.nis[~result.visible].any()
     assert len(np.unique(result.mode)) > 2
-
-
-def test_an_imm_with_a_rule_is_refused(block):
-    with refuses("rule"):
-        run(block, BANK, by_predicted_speed)
 
 
 # --- smoothed

@@ -18,6 +18,7 @@ from mmwave_env.models.motion import (
 )
 
 variances = hnp.arrays(float, 3, elements=st.floats(0.0, 10.0))
+states = hnp.arrays(float, 7, elements=st.floats(-300.0, 300.0))
 steps = st.sampled_from([0.0, 0.1, 0.5, 1.0, 2.5])
 
 
@@ -55,7 +56,7 @@ def test_process_noise_equals_the_textbook_and_is_semidefinite(
 
 
 @given(
-    x=hnp.arrays(float, 7, elements=st.floats(-300.0, 300.0)),
+    x=states,
     factor=hnp.arrays(float, (7, 7), elements=st.floats(-3.0, 3.0)),
     diagonal=hnp.arrays(float, 7, elements=st.floats(0.0, 10.0)),
     coupling=hnp.arrays(float, 3, elements=st.floats(-5.0, 5.0)),
@@ -71,7 +72,6 @@ def test_prediction_equals_the_textbook_kalman_prediction(x, factor, diagonal, c
     assert_array_equal(predicted, predicted.T)
 
 
-states = hnp.arrays(float, 7, elements=st.floats(-300.0, 300.0))
 headings = st.floats(-np.pi, np.pi)
 
 

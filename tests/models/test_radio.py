@@ -76,11 +76,6 @@ def test_the_prior_covariance_is_diagonal_with_the_variances_of_the_profile(name
 # --- arguments
 
 
-def test_a_radio_is_given_by_name_or_as_an_object():
-    own = Radio("own")
-    assert radio_from("high") is RADIOS["high"] and radio_from(own) is own
-
-
 def test_a_radio_file_lists_the_differences_from_its_base(tmp_path):
     own = {"base": "handset", "shadowing_db": 6, "range_floor_m": [1, 2.5], "gnb_elements": 16}
     assert radio_from(write_json(tmp_path / "phone.json", own)) == replace(

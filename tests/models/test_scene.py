@@ -9,14 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.random_scene import RandomScene, scenes_from
+from mmwave_env.models.random_scene import RandomScene
 from mmwave_env.models.scene import (
     SCENES,
     LearnedImage,
     Scene,
     Streets,
     Wall,
-    read_scene,
     scene_from,
     scene_json,
 )
@@ -107,6 +106,12 @@ def test_surveyed_virtual_anchors_are_listed_after_mirror_images():
     )
 
 
+# corrections of a log's frame and ranges
+CORRECTED = {"bearing_deg": 2.5, "range_offset_m": (1.0, -2.0), "range_offset_sigma_m": (0.1, 0.2)}
+LEARNED = (LearnedImage((0.1, 0.2, 0.3), 42),)
+IMAGE = {"virtual_anchors_m": ((4.0, 5.0, 6.0),), "learned": LEARNED}
+
+
 @pytest.mark.parametrize(
     "scene",
     [
@@ -114,6 +119,9 @@ def test_surveyed_virtual_anchors_are_listed_after_mirror_images():
         replace(SCENES["o1"], name="both", virtual_anchors_m=((1.0, 2.0, 3.0),)),
         Scene("surveyed", (1.0, 2.0, 3.0), virtual_anchors_m=((4.0, 5.0, 6.0),)),
         Scene("alone", (1.0, 2.0, 3.0), (), Streets(y_m=(0.0, 80.0)), 39e9, 4e8),
+        replace(SCENES["street"], name="learned", **IMAGE),
+        Scene("learned and corrected", (1.0, 2.0, 3.0), **IMAGE, **CORRECTED),
+        Scene("corrected", (1.0, 2.0, 3.0), (Wall((0.0, 1.0), 25.0),), **CORRECTED),
     ],
     ids=lambda scene: scene.name,
 )
@@ -121,6 +129,10 @@ def test_a_written_scene_reads_back_equal(tmp_path, scene):
     written = scene_json(scene)
     assert scene_from(write_json(tmp_path / "plaza.json", written)) == scene
     assert ("anchors" in written) == (not scene.walls)
+    for key in (*CORRECTED, "learned"):
+        assert (key in written) == bool(getattr(scene, key))
+    offsets = list(scene.range_offset_m) or [0.0] * len(scene.anchors_m)
+    assert scene.offsets_m.tolist() == offsets
 
 
 @pytest.mark.parametrize(
@@ -210,32 +222,6 @@ def test_a_given_trajectory_in_random_scenes_is_refused():
         gym.make("mmwave_env:MmWaveLoc-v0", scene="random", scenario=around_a_block())
 
 
-def test_scenes_are_chosen_by_name():
-    assert scenes_from("random") == RandomScene()
-    assert scenes_from("o1") is SCENES["o1"]
-    with refuses("scene"):
-        scenes_from("randm")
-
-
-CORRECTED = {"bearing_deg": 2.5, "range_offset_m": [1.0, -2.0], "range_offset_sigma_m": [0.1, 0.2]}
-FORMS = {
-    "walls": MINIMAL | {"walls": [{"normal": [0, 1], "offset_m": 25.0}]},
-    "anchors": {"anchors": [[0, 0, 5], [9, 0, 5]], "carrier_hz": 28e9, "bandwidth_hz": 1e8},
-}
-
-
-@pytest.mark.parametrize("form", FORMS)
-def test_corrections_of_a_log_are_read_and_written(tmp_path, form):
-    scene = scene_from(write_json(tmp_path / "scene.json", FORMS[form] | CORRECTED))
-    assert scene.bearing_deg == 2.5
-    assert scene.offsets_m.tolist() == [1.0, -2.0]
-    assert scene.offset_sigmas_m.tolist() == [0.1, 0.2]
-    assert scene_from(write_json(tmp_path / "again.json", scene_json(scene))) == scene
-    plain = scene_from(write_json(tmp_path / "plain.json", FORMS[form]))
-    assert not CORRECTED.keys() & scene_json(plain).keys()
-    assert plain.offsets_m.tolist() == plain.offset_sigmas_m.tolist() == [0.0, 0.0]
-
-
 @pytest.mark.parametrize(("key", "value"), [
     ("bearing_deg", 400.0),
     ("range_offset_m", [1.0]),
@@ -244,7 +230,7 @@ def test_corrections_of_a_log_are_read_and_written(tmp_path, form):
     ("range_offset_sigma_m", [-0.1, 0.1]),
 ])  # fmt: skip
 def test_corrections_for_other_anchors_or_beyond_limits_are_refused(tmp_path, key, value):
-    path = write_json(tmp_path / "scene.json", FORMS["anchors"] | {key: value})
+    path = write_json(tmp_path / "scene.json", ANCHORS | {key: value})
     with refuses(path, key):
         scene_from(path)
 
@@ -255,17 +241,6 @@ def test_a_scene_with_other_anchors_has_no_walls():
     assert moved.anchors_m.tolist() == anchors.tolist() and moved.walls == ()
 
 
-def test_what_was_learned_about_images_is_stored_with_a_scene(tmp_path):
-    learned = (LearnedImage((0.1, 0.2, 0.3), 42),)
-    for walls in ((), SCENES["street"].walls):
-        scene = replace(
-            SCENES["street"], walls=walls, virtual_anchors_m=((4.0, 5.0, 6.0),), learned=learned
-        )
-        path = write_json(tmp_path / "street.json", scene_json(scene))
-        assert read_scene(path) == scene
-    assert "learned" not in scene_json(SCENES["street"])
-
-
 def test_more_learned_images_than_virtual_anchors_are_refused():
     with refuses("learned"):
-        replace(SCENES["street"], learned=(LearnedImage((0.1, 0.2, 0.3), 42),))
+        replace(SCENES["street"], learned=LEARNED)

@@ -13,7 +13,7 @@ from experiments.evaluation.runner import score
 from experiments.paper.claims import contradictions, resolution
 from experiments.paper.printed import CLEAN, Bench, Setting, track
 from experiments.tables import FIELDS
-from mmwave_env.engines.engine import tracks_of
+from mmwave_env.engines.engine import Engine
 from mmwave_env.engines.smoothing import smooth
 from mmwave_env.filters import Pipeline
 from mmwave_env.filters.bank import default_modes
@@ -46,7 +46,7 @@ def test_smoothed_scores_equal_scores_computed_from_the_smoothed_track(bench, pl
     if planar:
         episodes = [episode.on_flat_ground(1.5) for episode in episodes]
     smoothed = track(mode, episodes, planar).smoothed
-    tracker = tracks_of(Pipeline((mode,), episodes[0].layout, planar), len(episodes))
+    tracker = Engine(Pipeline((mode,), episodes[0].layout, planar), len(episodes), observation="")
     tracker.load(episodes)
     run = tracker.run("x", "P", "x_predicted", "P_predicted")
     x, P = smooth(*run.values(), np.diff(episodes[0].time_s), planar)

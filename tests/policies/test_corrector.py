@@ -16,7 +16,7 @@ from tests.refusals import refuses
 from tests.training.actors import MODES, PER_MODE, PER_MODE_TABLE, card_of, write, write_per_mode
 
 TABLE = Observation(Pipeline(MODES, Layout()), "signed", "per-mode")
-NAMES = [feature.name for feature in after_update(Pipeline(MODES, Layout()), per_mode=True)]
+NAMES = [feature.name for feature in after_update(Pipeline(MODES, Layout()))]
 COLUMNS = tuple(column for column in TABLE.columns if column.name in NAMES)
 # sizes of the network's layers
 FEATURES = len(NAMES)

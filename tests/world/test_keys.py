@@ -70,11 +70,6 @@ def test_a_custom_random_generator_begins_a_stream():
     assert env.reset(seed=2)[1]["episode_key"] == keys_of([2])[0]
 
 
-@pytest.mark.parametrize("key", [0, 7, np.int32(5), np.uint64(2**64 - 1), 2**64 - 1])
-def test_an_integer_of_64_bits_is_a_key(key):
-    assert key_from(key) == int(key)
-
-
 @pytest.mark.parametrize("key", [-1, 2**64, 0.0, "1", None, True, np.array([1, 2])])
 def test_a_key_that_is_not_an_integer_of_64_bits_is_refused(key):
     with refuses("episode_key"):

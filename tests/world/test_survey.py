@@ -10,7 +10,7 @@ from scipy.stats import binomtest
 from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.models.random_survey import RandomSurvey
 from mmwave_env.world.keys import keys_of
-from tests.filters.tracks import around_a_block, replay, sampled, street_source
+from tests.filters.tracks import around_a_block, replay, sampled, street_source, wrapped
 from tests.refusals import refuses
 
 NONE = dict.fromkeys(["rotation_rad", "tilt_rad", "range_m", "anchors_m", "heights_m", "slow"], 0.0)
@@ -30,7 +30,7 @@ def changes(right, wrong):
     """Return what an inexact survey adds to ranges, azimuths, elevations, departures (T, L, 4)."""
     step = wrong.measurement - right.measurement
     links = np.where(right.visible[:, :3, None], step[:, :12].reshape(-1, 3, 4), np.nan)
-    links[..., 1:] = (links[..., 1:] + np.pi) % (2 * np.pi) - np.pi
+    links[..., 1:] = wrapped(links[..., 1:])
     return links
 
 
