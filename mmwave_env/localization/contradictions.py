@@ -26,9 +26,9 @@ LARGEST_NIS = 5.0  # per degree of freedom
 FEW_WRONG = 0.85  # if more of the NIS are in their 95 % bounds, a large mean comes from a few links
 _ENOUGH = 20  # minimum number of epochs for a conclusion
 _ENOUGH_IF_BLOCKED = 100  # minimum number if a blockage of a few seconds may distort a conclusion
-# minimum number if gates reject nearly all values, as a blockage of a few seconds does not
+# minimum number if gates reject more than this share, as they seldom do in a blockage
 _ENOUGH_IF_ALL = 50
-_ALL = 0.95
+_ALL = 0.8
 _WINDOW_S = 30.0  # length of a window of epochs, in which the oscillator's offset hardly changes
 _FEWEST = 4  # minimum number of epochs in a window
 _MOST_APART_S = 3.0  # longest gap over which the Doppler shift is integrated
