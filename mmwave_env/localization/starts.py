@@ -45,6 +45,7 @@ _WALKS = (0.3, 1.5)
 # penalty, -2 times the logarithm of a probability of 10 %, says.
 _WRONG_M = 5.0
 _SELDOM = 4.6
+_FAR = 6.0  # squared deviations of a first vote from the motion of all beyond which it misleads
 _CAUTION = 4.0  # factor for the covariance of a start from votes, whose links are used again
 _DOUBTED_S = 10.0  # time after a start or a long gap in which votes may end a track
 _PATIENCE_S = 60.0  # time in which the first votes must come
@@ -237,11 +238,24 @@ class Ballot:
         return self._votes[: min(VOTES + _JUMP, self._jump or len(self._votes))]
 
     def contradicts(self) -> bool:
-        """Tell whether a majority agrees on a motion that another vote contradicts."""
-        return len(self._votes) >= VOTES and bool(_wrong(self._first_votes())[0].any())
+        """Tell whether a majority agrees on a motion that another vote contradicts.
+
+        A first vote from links of several epochs is less sure than the motion, and another may be
+        far from it without contradicting it. But a filter that begins there is linear only near
+        the user, so then the track begins from the motion, too.
+        """
+        if len(self._votes) < VOTES:
+            return False
+        votes = self._first_votes()
+        wrong, walk = _wrong(votes)
+        first = votes[0]
+        mean, _ = _motion(votes, wrong, walk, first.time_s)
+        away = (mean[:3] - first.position)[:2]
+        nis = away @ np.linalg.solve(first.covariance[:2, :2], away)
+        return bool(first.pooled or wrong.any() or nis > _FAR)
 
     def start(self, log: Log, first: int) -> Start | None:
-        """Return the start at an epoch on which a majority agrees; None if nothing contradicts."""
+        """Return the start at an epoch on which a majority agrees; None if none is needed."""
         if not self.contradicts():
             return None
         votes = self._first_votes()
@@ -260,7 +274,7 @@ class Ballot:
         P[:, horizontal] = 0.0
         P[among] = _CAUTION * covariance[among]
         contradicting = [votes[i].epoch - first for i in np.flatnonzero(wrong)]
-        spent = np.zeros((1 + max(contradicting), len(log.layout.groups)), np.bool_)
+        spent = np.zeros((1 + max(contradicting, default=0), len(log.layout.groups)), np.bool_)
         spent[contradicting] = True
         return Start((x, P), spent)
 
@@ -311,7 +325,7 @@ class Doubt:
         """
         ballot = self._ballot
         self._epochs.append(epoch)
-        if not ballot.is_due(epoch.time_s):
+        if not (self.is_open() and ballot.is_due(epoch.time_s)):
             return None
         recent = self._until(epoch)
         before = len(self._epochs) - len(recent)
@@ -338,7 +352,7 @@ class Doubt:
         return [*[e for e in self._epochs if since_s <= e.time_s < epoch.time_s], epoch]
 
     def is_open(self) -> bool:
-        """Tell whether the next epoch may still revise the track."""
+        """Tell whether the last epoch, or a later one, may still revise the track."""
         elapsed_s = self._epochs[-1].time_s - self._epochs[self._first].time_s
         return self._ballot.is_open(elapsed_s)
 

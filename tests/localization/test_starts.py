@@ -24,7 +24,11 @@ RADIO = RADIOS["standard"]
 ONE = scene_of_anchors("one", np.array([[0.0, 0.0, 2.5]]), 60e9, 1.76e9)
 FOUR = np.array([[0.0, 0.0, 2.5], [10.0, 0.0, 2.5], [10.0, 8.0, 2.0], [0.0, 8.0, 1.8]])
 ROOM = scene_of_anchors("room", FOUR, 6.5e9, 5e8)
+WIDE = scene_of_anchors(
+    "wide", np.array([[10.0, 10.0, 10.0], [10.0, 60.0, 10.0], [160.0, 10.0, 10.0]]), 28e9, 1e8
+)
 RANGES = {"range_sigma_m": 0.1}
+FAINT = {"range_sigma_m": 0.5}
 BOTH = RANGES | {"aoa_azimuth_sigma_deg": 3.0}
 
 
@@ -47,7 +51,7 @@ def rows_of(scene, times, path, wrong=lambda t, link: link, seen=None, seed=0, n
             distance, azimuth = wrong(t, link)
             row = {"time_s": float(t), "anchor": anchor + 1.0}
             row["range_m"] = float(distance + 0.1 * rng.standard_normal())
-            if noise is BOTH:
+            if "aoa_azimuth_sigma_deg" in noise:
                 azimuth += 3.0 * rng.standard_normal()
                 row["aoa_azimuth_deg"] = float((azimuth + 180.0) % 360.0 - 180.0)
             rows.append(row | noise)
@@ -142,6 +146,33 @@ def test_sequential_ranges_begin_a_track_within_two_seconds(tmp_path):
     assert rms(errors(track, circle, track.smooth_x)[late]) < 0.08
 
 
+def stroll(t):
+    return np.array([20.0 + 1.2 * t, 30.0 + 3.0 * np.sin(t / 9.0), 1.5])
+
+
+def test_an_ekf_survives_a_reflected_range_in_the_first_second(tmp_path):
+    """Check ranges that are measured one after the other, the second one 8 m too long."""
+    times = [second + later for second in range(60) for later in (0.0, 0.1, 0.2)]
+    for seed in (0, 6, 7):
+        rows = rows_of(WIDE, times, stroll, seen=lambda n: [n % 3], seed=seed, noise=FAINT)
+        rows[1]["range_m"] += 8.0
+        log = log_of(tmp_path, WIDE, rows)
+        track = localize(log, WIDE, RADIO, contender_from("speed-rule", "standard"))
+        assert rms(errors(track, stroll, track.x)[track.time_s > 20.0]) < 1.0
+
+
+def test_an_ekf_survives_a_wrong_azimuth_in_the_first_epoch(tmp_path):
+    """Check the azimuths of two anchors, one of which is 25 degrees aside at first."""
+    for seed in (0, 3, 4):
+        rows = rows_of(WIDE, range(60), stroll, seen=lambda n: [0, 1], seed=seed)
+        for row in rows:
+            del row["range_m"], row["range_sigma_m"]
+        rows[0]["aoa_azimuth_deg"] += 25.0
+        log = log_of(tmp_path, WIDE, rows)
+        track = localize(log, WIDE, RADIO, contender_from("speed-rule", "standard"))
+        assert rms(errors(track, stroll, track.x)[track.time_s > 20.0]) < 10.0
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_wrong_ranges_one_after_the_other_seldom_begin_a_track_anew(tmp_path, seed):
     rng = np.random.default_rng(seed)
@@ -224,6 +255,16 @@ def test_live_takes_back_a_start_and_equals_the_log_from_then_on(tmp_path, refle
     positions = live_as_in_log(tmp_path, ONE, rows_of(ONE, range(30), places, wrong), policy, first)
     begins = [p.begins for p in positions]
     assert begins.index(True) == 0 and any(begins[1:]) == bool(reflected)
+
+
+def test_live_equals_the_log_if_votes_come_until_the_last_moment(tmp_path):
+    def seen(number):
+        return [a for a in range(3) if (number + a) % 3 or number < 2]
+
+    rows = rows_of(WIDE, range(0, 120, 2), stroll, seen=seen, noise=BOTH | FAINT)
+    rows[1]["range_m"] += 15.0
+    rows[1]["aoa_azimuth_deg"] += 20.0
+    live_as_in_log(tmp_path, WIDE, rows, "speed-rule", 8)
 
 
 def test_live_takes_back_wrong_ranges_after_an_outage(tmp_path):
