@@ -37,12 +37,15 @@ class Window:
     """A window that shows one picture after another, ``speed`` per second.
 
     Space begins or ends a pause. After the user closes the window, :meth:`show` returns
-    immediately.
+    immediately. Several objects share the one window that pygame has.
     """
+
+    _sharing = 0  # number of objects whose window is open
 
     def __init__(self, width: int, height: int, speed: int = FRAMES_PER_SECOND) -> None:
         require_display()
         self._screen: Any = pygame.display.set_mode((width, height))
+        Window._sharing += 1
         pygame.display.set_caption("MmWaveLoc-v0 (space: pause)")
         self._shown_s = 0.0
         self._speed = speed
@@ -72,6 +75,9 @@ class Window:
 
     def close(self) -> None:
         """Close the window if it is open."""
-        if self._screen is not None:
+        if self._screen is None:
+            return
+        self._screen = None
+        Window._sharing -= 1
+        if not Window._sharing:
             pygame.display.quit()
-            self._screen = None

@@ -67,3 +67,10 @@ def test_a_picture_is_shown_unchanged(window):
     window.show(PICTURE)
     shown = pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
     np.testing.assert_array_equal(shown, PICTURE)
+
+
+def test_a_window_outlives_another(window):
+    other = Window(960, 480, 100)
+    other.close()
+    window.show(PICTURE)
+    assert window.is_open and not other.is_open
