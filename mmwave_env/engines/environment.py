@@ -300,7 +300,7 @@ class Environment:
         def smooth(some: Index, steps: int) -> None:
             episodes = self._episodes(ended[some])
             actions = self._tally.counts.modes[:steps, ended[some]].T
-            _, _, errors = smoothed_again(task.pipeline, task.bank, episodes, actions)
+            _, _, errors, _ = smoothed_again(task.pipeline, task.bank, episodes, actions)
             smoothed[some] = ate(errors[:, scored(steps)])
 
         share(smooth, jobs, self._threads)

@@ -54,7 +54,7 @@ def smoothed_again(
 
     Returns:
         Position errors (n, T, 3), m, and NEES (n, T) of the filtered tracks; position errors
-        (n, T, 3) of the smoothed tracks.
+        (n, T, 3) and packed covariances (n, T, 28 or 36) of the smoothed tracks.
     """
     n, T = actions.shape
     engine = Engine(pipeline, n, observation="", bank=bank)
@@ -63,8 +63,8 @@ def smoothed_again(
     dt = episodes.table[:, 1:T, columns_of(pipeline.layout).dt]
     hz_per_mps = float(engine.read(engine.at.site.hz_per_mps)[0])
     drive = pipeline.layout.bias_drive(hz_per_mps)
-    smoothed, _ = smooth(x, P, x_predicted, P_predicted, dt, pipeline.planar, drive)
-    return error, nees, error + (smoothed - x)[..., :3]
+    smoothed, better_P = smooth(x, P, x_predicted, P_predicted, dt, pipeline.planar, drive)
+    return error, nees, error + (smoothed - x)[..., :3], better_P
 
 
 class SmoothingState(NamedTuple):

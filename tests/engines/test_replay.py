@@ -32,7 +32,7 @@ def test_a_replay_repeats_the_results_of_the_engine(planar, bank):
     pipeline = Pipeline(bank.modes if bank else default_modes(), STREET, planar)
     actions = FAVORED if bank else ACTIONS
     played = track(pipeline, episodes, actions.T, T, ("error", "nees"), bank=bank)
-    error, nees, smoothed = smoothed_again(pipeline, bank, EpisodeBatch.of(episodes), actions)
+    error, nees, smoothed, _ = smoothed_again(pipeline, bank, EpisodeBatch.of(episodes), actions)
     assert_allclose(error, played["error"].swapaxes(0, 1), rtol=1e-9, atol=1e-9)
     assert_allclose(nees, played["nees"].swapaxes(0, 1), rtol=1e-9, atol=1e-9)
     assert_array_equal(smoothed[:, -1], error[:, -1])
@@ -48,9 +48,9 @@ def test_two_equal_modes_with_their_own_beliefs_are_smoothed_as_a_single_filter(
     twins = Bank((mode, replace(mode, name="b")))
     pipeline = Pipeline(twins.modes, STREET)
     batch = EpisodeBatch.of(episodes)
-    _, _, smoothed = smoothed_again(pipeline, twins, batch, FAVORED)
+    _, _, smoothed, _ = smoothed_again(pipeline, twins, batch, FAVORED)
     alone = Pipeline((mode,), STREET)
-    _, _, expected = smoothed_again(alone, None, batch, np.zeros((N, T), int))
+    _, _, expected, _ = smoothed_again(alone, None, batch, np.zeros((N, T), int))
     assert_allclose(smoothed, expected, rtol=1e-7, atol=1e-7)
 
 
@@ -58,7 +58,7 @@ def test_an_episode_that_ends_early_is_smoothed_back_from_its_last_epoch():
     episodes = simulated(2, epochs=T)
     replay = partial(smoothed_again, Pipeline(default_modes(), STREET), None)
     whole, *_ = replay(EpisodeBatch.of(episodes), ACTIONS[:2])
-    error, nees, smoothed = replay(EpisodeBatch.of(episodes), ACTIONS[:2, :9])
+    error, nees, smoothed, _ = replay(EpisodeBatch.of(episodes), ACTIONS[:2, :9])
     assert error.shape == smoothed.shape == (2, 9, 3) and nees.shape == (2, 9)
     assert_array_equal(error, whole[:, :9])
     assert_array_equal(smoothed[:, -1], error[:, -1])
