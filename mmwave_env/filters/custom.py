@@ -31,6 +31,10 @@ _LANES_KNOW = (
     "a number on lanes supports only +, -, *, /, <, <=, >, >=, abs and the functions of "
     "mmwave_env.numerics.numbers"
 )
+# An own algorithm's log-likelihood must fall by at least this share of what the EKF's falls by, and
+# must not be farther from it.
+LEAST_FALL = 0.05
+LARGEST_DIFFERENCE = 100.0
 _LIBRARIES = (
     f"{Path(__file__).parents[1]}{os.sep}",
     *(sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")),
@@ -134,15 +138,19 @@ def check_algorithm(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> 
     if problem := next(_wrong_shapes(layout, result), ""):
         raise AlgorithmError(complaint(subject, algorithm, f"returned {problem}"))
     likelihoods = []
+    usual = []
     for sigmas in (0.0, 1.0):
         example = _arguments(mode, layout, known_axes, sigmas)
         posterior = try_out(algorithm, example, subject, AlgorithmError)
         likelihoods.append(posterior.log_likelihood)
-    if not likelihoods[1] < likelihoods[0]:
+        usual.append(ALGORITHMS["ekf"](*example).log_likelihood)
+    falls = likelihoods[0] - likelihoods[1] >= LEAST_FALL * (usual[0] - usual[1])
+    if not (falls and abs(likelihoods[0] - usual[0]) < LARGEST_DIFFERENCE):
         problem = (
             f"returned log_likelihood {likelihoods[0]:g} without any innovation and "
-            f"{likelihoods[1]:g} with innovations of one standard deviation, expected less; an IMM "
-            "would trust the mode however wrong it is"
+            f"{likelihoods[1]:g} with innovations of one standard deviation, expected about "
+            f"{usual[0]:g} and {usual[1]:g}, as of the EKF; an IMM would trust the mode however "
+            "wrong it is"
         )
         raise AlgorithmError(complaint(subject, algorithm, problem))
 

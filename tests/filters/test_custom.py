@@ -188,7 +188,21 @@ def constant_likelihood(x, P, measurement, gate):
     return ekf(x, P, measurement, gate)._replace(log_likelihood=-3.0)
 
 
-@pytest.mark.parametrize("algorithm", [fuses_nothing, constant_likelihood])
+def nearly_constant_likelihood(x, P, measurement, gate):
+    posterior = fuses_nothing(x, P, measurement, gate)
+    likelihood = ekf(x, P, measurement, gate).log_likelihood
+    return posterior._replace(log_likelihood=30.0 + 1e-9 * likelihood)
+
+
+def enormous_likelihood(x, P, measurement, gate):
+    posterior = ekf(x, P, measurement, gate)
+    return posterior._replace(log_likelihood=1e6 + posterior.log_likelihood)
+
+
+@pytest.mark.parametrize(
+    "algorithm",
+    [fuses_nothing, constant_likelihood, nearly_constant_likelihood, enormous_likelihood],
+)
 @pytest.mark.parametrize(
     "layout", [STREET, Layout(1), Layout(2, partial=True), Layout(3, odometry=True, clock="offset")]
 )
