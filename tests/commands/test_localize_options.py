@@ -248,7 +248,7 @@ def test_a_log_of_paths_needs_the_option_that_finds_their_anchors(hidden):
     ("mistake", "advice"),
     [
         (linear(1.0), None),
-        (linear(1.0, "toa_s", offset=50e-9), ""),
+        pytest.param(linear(1.0, "toa_s", offset=50e-9), "", marks=pytest.mark.slow),
         (linear(1.0, *AZIMUTHS, offset=np.radians(8.0)), 'to correct it, write "bearing_deg": '),
     ],
     ids=["right", "clock ahead", "azimuths turned"],
@@ -301,8 +301,7 @@ def test_a_map_is_learned_live_from_csv_and_json_as_from_the_file(tmp_path):
     of_csv, errors, code = live("\n".join(lines).encode(), *words, "--map-out", tmp_path / "a.json")
     assert code == 0 and not errors and of_csv[-1]["images"] == 2
     assert [line["time_s"] for line in of_csv] == [*range(200)]
-    for whole in (False, True):
-        assert live(as_json(lines, whole), *words)[0] == of_csv
+    assert live(as_json(lines, True), *words)[0] == of_csv
     scene = read_scene(STREET / "base-station.json")
     learner = MapLearner(scene, RADIOS["standard"], default_modes("standard")[-1])
     log = read_paths(STREET / "log.csv", scene)
@@ -321,7 +320,9 @@ def test_a_live_map_without_a_track_is_not_written_and_a_wrong_name_is_refused_f
     assert code == 2 and "map-out" in line and not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
+)
 def test_a_live_map_is_written_if_the_program_is_ended(tmp_path, number):
     words = learning(STREET)
     file = tmp_path / "map.json"

@@ -15,7 +15,6 @@ from mmwave_env.filters.bank import Bank, best_bank, default_modes
 from mmwave_env.filters.modes import robust
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.policy import Switching
-from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.localization.localizer import Localizer, localize
 from mmwave_env.localization.starts import start_at
 from mmwave_env.logs.log import Log, read_log
@@ -150,7 +149,7 @@ def test_a_track_of_an_imm_equals_the_track_of_the_imm_engine(monkeypatch, block
     result = run(block, BANK, window=None)
     ours = {"x": result.x, "P": result.P, "memory.nis": result.nis}
     names = (*ours, "mixture.probability")
-    theirs = run_imm(BANK, TrackingReward(), [episode_of(block)], *names)
+    theirs = run_imm(BANK, None, [episode_of(block)], *names)
     for name, values in ours.items():
         assert_allclose(values, theirs[name][0], rtol=1e-9, atol=1e-9, err_msg=name)
     assert_array_equal(result.mode, theirs["mixture.probability"][0].argmax(axis=1))

@@ -78,7 +78,7 @@ def errors_of(scene):
     return np.linalg.norm(apart, axis=2).min(axis=1)
 
 
-@pytest.mark.parametrize("radio", ["standard", "handset"])
+@pytest.mark.parametrize("radio", representative(["standard", "handset"], "standard"))
 def test_the_images_of_a_street_are_learned_from_one_drive(paths_of, radio):
     log, _ = paths_of(1, radio)
     scene, figures = learned([log], radio)
@@ -125,7 +125,9 @@ def test_at_a_beginning_no_second_path_is_the_line_of_sight(paths_of):
     np.testing.assert_array_equal(begun.x, prior.x)
 
 
-@pytest.mark.parametrize("without", [["aoa_elevation_rad"], ["aod_azimuth_rad"], ANGLES])
+@pytest.mark.parametrize(
+    "without", representative([["aoa_elevation_rad"], ["aod_azimuth_rad"], ANGLES], ANGLES)
+)
 def test_paths_without_elevation_or_departure_reveal_the_images_and_the_track(
     paths_of, tmp_path, without
 ):
