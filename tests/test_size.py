@@ -50,7 +50,7 @@ ROOMS = {  # maximum tokens of a room; lines are free
     "mmwave_env/rendering": 8_260,
     "mmwave_env/world": 16_080,
     "policies": 6_650,
-    "tests": 213_000,
+    "tests": 212_900,
 }
 PACKINGS = 3.0  # maximum per 1,000 lines: statements that say several things at once
 SOURCE = ("mmwave_env", "experiments", "policies")

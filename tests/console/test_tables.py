@@ -15,7 +15,6 @@ from experiments.console.output import (
     escaped,
     grid,
     progress,
-    say,
     show,
     tracked,
     unescaped,
@@ -91,11 +90,6 @@ def screen(monkeypatch):
 
     monkeypatch.setattr(terminal, "Console", console)
     return shown
-
-
-def test_say_prints_one_line_for_each_text(capsys):
-    say(f"written to {AWKWARD}", "done")
-    assert capsys.readouterr().out == f"written to {SPELLED}\ndone\n"
 
 
 def test_bars_show_names_literally(screen):

@@ -20,11 +20,10 @@ from experiments.evaluation.contenders import (
     draw_episodes,
 )
 from experiments.evaluation.runner import run_contender, score, score_contenders
-from mmwave_env.filters.bank import bank_as_written, best_bank, modes_from
+from mmwave_env.filters.bank import bank_as_written, modes_from
 from mmwave_env.interface.observation import BELIEFS
 from mmwave_env.metrics import BURN_IN, INFO_KEYS, METRICS
 from mmwave_env.models.layout import Layout
-from mmwave_env.models.radio import TUNED_RADIOS
 from policies import LearnedSwitch, learned, shipped_policies
 from tests.filters.tracks import street_source
 from tests.paths import ROOT, write_json
@@ -85,16 +84,6 @@ def test_scores_depend_neither_on_the_chunk_size_nor_on_other_seeds_or_contender
     last = {metric: values[3:] for metric, values in whole["fixed-ukf"].items()}
     assert_equal(alone, {"fixed-ukf": last})
     assert (whole["fixed-ekf"]["ate_m"] != whole["fixed-ukf"]["ate_m"]).all()
-
-
-@pytest.mark.parametrize("radio", TUNED_RADIOS)
-def test_every_radio_has_the_expected_contenders(radio):
-    made = {name: make() for name, make in contenders(radio).items()}
-    plain = ["fixed-ekf", "fixed-ukf", "fixed-ckf", "speed-rule", "likelihood-rule"]
-    learned = [*(["ppo"] if radio != "high" else []), "guided", "guided-ppo", "corrector"]
-    assert list(made) == [*plain, "imm", "imm-best", *learned]
-    assert all(c.name == name and c.modes for name, c in made.items())
-    assert made["imm-best"] == Contender(best_bank(radio), name="imm-best")
 
 
 def test_episodes_without_truth_are_refused():
