@@ -45,6 +45,7 @@ from mmwave_env.localization.shared_errors import (
 )
 from mmwave_env.localization.starts import POOL_S, start_at
 from mmwave_env.logs.log import Log
+from mmwave_env.logs.log_columns import QUANTITIES
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import PI, Array
@@ -178,6 +179,17 @@ def _units(scene: Scene, columns: Set[str]) -> Iterator[Mistake]:
         if any(f"{column}_{other}" in columns for column, _ in _COLUMNS.values()):
             cure = f"name the columns of angles after their unit, such as aoa_azimuth_{suffix}"
             yield Mistake(f"angles are in {unit}", cure, scaled(_ANGLES, factor))
+    flights = QUANTITIES["toa"].columns
+    if "range_m" in columns:
+        feet = scaled([RANGE], flights["range_ft"].convert(1.0))
+        yield Mistake("ranges are in feet", "rename range_m to range_ft", feet)
+    for name in flights.keys() & columns:
+        if name.startswith("toa"):
+            meters = scaled([RANGE], 1.0 / flights[name].convert(1.0))
+            yield Mistake(f"{name} is in meters", f"rename {name} to range_m", meters)
+        if name.startswith("rtt"):
+            cure = f"rename {name} to {name.replace('rtt', 'toa')}"
+            yield Mistake(f"{name} is a one-way time", cure, scaled([RANGE], 2.0))
     timed = any(name.startswith(("toa", "rtt")) for name in columns)
     for error, (factor, unit) in _FACTORS.items():
         cure = f"multiply values by {factor:g}"

@@ -62,6 +62,11 @@ MISTAKES = {  # text of a hypothesis of the diagnosis -> the mistake that it exp
     "azimuth of departure is in degrees": linear(180.0 / np.pi, AZIMUTHS[1]),
     "elevation is in degrees": linear(180.0 / np.pi, "aoa_elevation_rad"),
     "times are round-trip times": linear(2.0, "toa_s"),
+    "toa_s is in meters": linear(299_792_458.0, "toa_s"),
+    "rtt_s is a one-way time": renamed({"toa_s": "rtt_s"}),
+    "ranges are in feet": lambda c: renamed({"toa_s": "range_m"})(
+        linear(299_792_458.0 / 0.3048, "toa_s")(c)
+    ),
     **{
         f"{quantity} is {mistake}": linear(factor, column)
         for quantity, column in (("time of flight", "toa_s"), ("time", "time_s"))
