@@ -197,6 +197,9 @@ def _help() -> str:
 def main() -> None:
     """Run the program: the first argument names the command."""
     words = sys.argv[1:]
+    for stream, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, stream) is None:  # closed by a shell, as by <&-
+            setattr(sys, stream, open(os.devnull, mode))  # noqa: SIM115
     if not os.environ.get("COLUMNS", "80").strip("0"):  # some terminals claim a width of 0
         del os.environ["COLUMNS"]
     if words[:1] == ["help"]:  # the same as --help, for the program or for a command

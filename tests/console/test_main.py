@@ -5,6 +5,8 @@ import os
 import pty
 import re
 import shlex
+import subprocess
+import sys
 
 import pytest
 
@@ -150,6 +152,13 @@ def test_a_terminal_that_reports_zero_columns_gets_the_output():
     done.communicate()
     assert done.returncode == 0 and b"tracking" in os.read(ours, 10_000)
     os.close(ours)
+
+
+def test_a_closed_standard_input_is_an_empty_one():
+    words = [sys.executable, "-m", "experiments.console", "localize", "-", "--live"]
+    line = f"{shlex.join(words)} --scene street <&-"
+    done = subprocess.run(line, shell=True, capture_output=True, text=True, cwd=ROOT)
+    assert_one_clear_line(done, "found nothing on standard input")
 
 
 def test_the_error_names_a_deleted_working_folder(tmp_path):
