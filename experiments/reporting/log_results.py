@@ -4,6 +4,7 @@ With ``--diagnose``, it reports facts about the log, and its likely mistakes.
 """
 
 import warnings
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -55,7 +56,7 @@ from mmwave_env.localization.localizer import Track, localize
 from mmwave_env.localization.log_noise import nearest_radio, noise_notes, with_range_steps
 from mmwave_env.localization.map_files import MAP_FILES, origin_of
 from mmwave_env.localization.map_learning import FEW_EXPLAINED, learn_map
-from mmwave_env.localization.readings import AS_IT_IS, Reading
+from mmwave_env.localization.readings import AS_IT_IS, Finding, Reading
 from mmwave_env.localization.shared_errors import scanned, shared_errors
 from mmwave_env.localization.track_files import require_own_files, table_beside, write_track
 from mmwave_env.localization.track_scores import (
@@ -67,11 +68,22 @@ from mmwave_env.localization.track_scores import (
 from mmwave_env.logs.log import Log, read_log, read_paths
 from mmwave_env.logs.truth import Truth
 from mmwave_env.models.layout import require_clock
-from mmwave_env.models.radio import Radio
+from mmwave_env.models.radio import TUNED_RADIOS, Radio
 from mmwave_env.models.scene import Scene, scene_json
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import NEUTRAL_SNR_DB
 from policies.corrector import TWO_WAY, TwoWayCorrector
+
+
+def _diagnosed_first(readings: Sequence[Reading]) -> tuple[Reading, list[Finding]]:
+    """Return the first reading that becomes consistent, or the first one, with its findings."""
+    tried = []
+    for reading in readings:
+        findings = diagnose(reading)
+        if not findings[0].contradictions:
+            return reading, findings
+        tried.append(findings)
+    return readings[0], tried[0]
 
 
 def diagnosed(args: LogArgs, files: "Inputs", scene: Scene) -> None:
@@ -90,13 +102,16 @@ def diagnosed(args: LogArgs, files: "Inputs", scene: Scene) -> None:
         whole = log.whole()
         if whole.visible[:, 0].any():  # with some columns, links are always incomplete
             log = whole
-    name = nearest_radio(log, scene) if args.radio == AUTO else args.radio
-    radio = radio_of(args, name)
-    mode = modes_of(args, name)[-1]
+    names = [args.radio]
+    if args.radio == AUTO:  # wrong values may be nearest to another radio
+        nearest = nearest_radio(log, scene)
+        names = [nearest, *(name for name in TUNED_RADIOS if name != nearest)]
     with progress("looking for likely mistakes"):
-        log, step_m = with_range_steps(log, scene, radio)
-        reading = Reading(log, scene, radio, mode)
-        findings = diagnose(reading)
+        log, step_m = with_range_steps(log, scene, radio_of(args, names[0]))
+        readings = [
+            Reading(log, scene, radio_of(args, name), modes_of(args, name)[-1]) for name in names
+        ]
+        reading, findings = _diagnosed_first(readings)
         best = findings[0]
         if best.hypothesis == AS_IT_IS and not best.contradictions:
             work = _work(args, files, scene)

@@ -443,6 +443,16 @@ def test_a_log_that_is_refused_can_be_diagnosed(tmp_path):
     assert "\nThe log is consistent if angles are in degrees." in done.stdout
 
 
+def test_two_mistakes_are_diagnosed_although_wrong_values_suggest_another_radio(tmp_path):
+    names = ("times are round-trip times", "angles are in degrees")
+    columns = read_columns(RIDE / "log.csv")
+    for name in names:
+        columns = MISTAKES[name](columns)
+    write_columns(tmp_path / "log.csv", columns)
+    words = options(tmp_path / "log.csv", "--diagnose", folder=RIDE)
+    assert f"consistent if {'; '.join(names)}." in command("localize", *words).stdout
+
+
 def test_a_log_whose_track_does_not_fit_is_not_called_consistent(tmp_path):
     columns = read_columns(WALK / "log.csv")
     columns["toa_s"][columns["time_s"] > columns["time_s"][-1] / 2.0] += 1e-6
