@@ -209,14 +209,9 @@ def run_training(job: Job, algorithm: Callable[[Job, int], Trainer], tell: Tell)
             rows.append({"timesteps": timesteps, "seconds": seconds} | row)
             text = ""
             if timesteps >= job.timesteps or len(rows) % trainer.EVERY == 0:
-                file = PolicyFile(trainer.tensors(), card_of(job, trainer, timesteps), job.policy)
-                evaluation = examine(file)
+                evaluation, best = judged(job, trainer, timesteps, examine, best)
                 rows[-1] |= means_of(evaluation)
                 text = f"reward {evaluation['reward']:.3f}"
-                if best is None or evaluation["reward"] > best["reward"]:
-                    best = {"timesteps": timesteps, **evaluation}
-                    card = replace(file.card, evaluation=best)
-                    write_bytes(job.policy, to_bytes(file.tensors, card))
             if len(rows) % job.checkpoint_every == 0:
                 keep()
             tell(timesteps, text)
@@ -228,6 +223,23 @@ def run_training(job: Job, algorithm: Callable[[Job, int], Trainer], tell: Tell)
     write_json(job.outcome, outcome)
     job.checkpoint.unlink(missing_ok=True)
     return outcome
+
+
+def judged(
+    job: Job,
+    trainer: Trainer,
+    timesteps: int,
+    examine: Callable[[PolicyFile], Json],
+    best: Json | None,
+) -> tuple[Json, Json]:
+    """Evaluate the latest policy; return its evaluation and the best one, whose policy is kept."""
+    file = PolicyFile(trainer.tensors(), card_of(job, trainer, timesteps), job.policy)
+    evaluation = examine(file)
+    if best is None or evaluation["reward"] > best["reward"]:
+        best = {"timesteps": timesteps, **evaluation}
+        card = replace(file.card, evaluation=best)
+        write_bytes(job.policy, to_bytes(file.tensors, card))
+    return evaluation, best
 
 
 def means_of(evaluation: Json) -> dict[str, float]:
