@@ -27,8 +27,8 @@ FEW_WRONG = 0.85  # if more of the NIS are in their 95 % bounds, a large mean co
 _ENOUGH = 20  # minimum number of epochs for a conclusion
 _ENOUGH_IF_BLOCKED = 100  # minimum number if a blockage of a few seconds may distort a conclusion
 # minimum number if gates reject more than this share, as they seldom do in a blockage
-_ENOUGH_IF_ALL = 50
-_ALL = 0.8
+_ENOUGH_IF_MOST = 50
+_MOST = 0.8
 _WINDOW_S = 30.0  # length of a window of epochs, in which the oscillator's offset hardly changes
 _FEWEST = 4  # minimum number of epochs in a window
 _MOST_APART_S = 3.0  # longest gap over which the Doppler shift is integrated
@@ -160,7 +160,7 @@ def _fit_checks(groups: Mapping[str, Mapping[str, Any]]) -> Iterator[Check]:
         if nis is not None:
             yield Check(name, nis, bound, f"NIS / dof {nis:.3g}")
         share = group["rejected_share"]
-        if group["seen"] >= (_ENOUGH_IF_ALL if share > _ALL else _ENOUGH_IF_BLOCKED):
+        if group["seen"] >= (_ENOUGH_IF_MOST if share > _MOST else _ENOUGH_IF_BLOCKED):
             yield Check(name, share, _REJECTED, f"{100.0 * share:.0f} % rejected")
 
 

@@ -8,7 +8,7 @@ alone determines no position, the latest links of the second before it help.
 The first epochs may be wrong: a receiver that sees the base station only by a reflection measures
 a range that is too long, and other angles. So a start is confirmed by *votes*, the positions in
 some of the first epochs. If a majority agrees on a straight motion that another vote contradicts,
-the track begins from this motion instead.
+the track begins from this motion instead. It also does if the first vote is much less sure.
 """
 
 from typing import NamedTuple
@@ -237,26 +237,27 @@ class Ballot:
         """Return the votes that decide about the start."""
         return self._votes[: min(VOTES + _JUMP, self._jump or len(self._votes))]
 
-    def contradicts(self) -> bool:
-        """Tell whether a majority agrees on a motion that another vote contradicts.
+    def overrules(self) -> bool:
+        """Tell whether the track begins at the motion of the votes, not at the first one.
 
-        A first vote from links of several epochs is less sure than the motion, and another may be
-        far from it without contradicting it. But a filter that begins there is linear only near
-        the user, so then the track begins from the motion, too.
+        It does if a majority agrees on a motion that another vote contradicts. A first vote that
+        is less sure than the motion, as from links of several epochs, may be far from it without
+        contradicting it. But a filter that begins there is linear only near the user.
         """
         if len(self._votes) < VOTES:
             return False
         votes = self._first_votes()
-        wrong, walk = _wrong(votes)
         first = votes[0]
+        wrong, walk = _wrong(votes)
+        if first.pooled or wrong.any():
+            return True
         mean, _ = _motion(votes, wrong, walk, first.time_s)
         away = (mean[:3] - first.position)[:2]
-        nis = away @ np.linalg.solve(first.covariance[:2, :2], away)
-        return bool(first.pooled or wrong.any() or nis > _FAR)
+        return bool(away @ np.linalg.solve(first.covariance[:2, :2], away) > _FAR)
 
     def start(self, log: Log, first: int) -> Start | None:
         """Return the start at an epoch on which a majority agrees; None if none is needed."""
-        if not self.contradicts():
+        if not self.overrules():
             return None
         votes = self._first_votes()
         wrong, walk = _wrong(votes)
@@ -332,7 +333,7 @@ class Doubt:
         if not ballot.vote(log_from(recent), len(recent) - 1, before):
             return None
         jump = ballot.jump()
-        undecided = ballot.is_undecided and (self._revised or ballot.contradicts())
+        undecided = ballot.is_undecided and (self._revised or ballot.overrules())
         if jump is None and not undecided:
             return None
         log = log_from(self._epochs)
