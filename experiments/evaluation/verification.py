@@ -51,9 +51,12 @@ def verify(path: Path) -> list[str]:
 def _inconsistent(claimed: Json) -> Iterator[str]:
     """Yield what in an entry does not follow from its other figures, or from the protocol."""
     for site in sites():
-        kind = claimed["sites"][site.name]["kind"]
-        if kind != site.kind:
-            yield f"{site.name}, kind: found {kind!r}, expected {site.kind!r}"
+        stated = claimed["sites"][site.name]
+        if stated["kind"] != site.kind:
+            yield f"{site.name}, kind: found {stated['kind']!r}, expected {site.kind!r}"
+        for figure, claim in _figures(stated).items():
+            if not math.isfinite(claim.mean):
+                yield f"{site.name}, {figure}: found {claim.mean}, expected a finite number"
     if claimed["entry"] in (BEST_IMM, CLAIRVOYANT):
         return
     for kind in KINDS:

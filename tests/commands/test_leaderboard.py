@@ -166,10 +166,15 @@ def unseen(entry):
     entry["sites"]["street:handset"]["kind"] = "unseen"
 
 
+def unknown(entry):
+    entry["sites"]["o1:handset"]["over_rule"]["mean"] = float("nan")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "message"),
     [
+        (unknown, "o1:handset, over_rule: found nan"),
         (better, "reward: found"),
         (better_score, "over_rule: found"),
         (surer, "minus imm: found"),
