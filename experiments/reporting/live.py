@@ -295,9 +295,9 @@ def _begun(
     first_lines = []
     problem: LogError | None = None
     for number, line in filter(None, lines):
-        names |= dict.fromkeys(name for row in _objects(line, number)[0] for name in row)
         first_lines.append((number, line))
         try:
+            names |= dict.fromkeys(name for row in _objects(line, number)[0] for name in row)
             log = LiveLog(list(names), scene, snr_db, SOURCE, clock, associated=associated)
         except LogError as error:
             problem = problem or error

@@ -79,8 +79,9 @@ def test_the_first_json_rows_may_lack_columns(kept):
     first, *others = (json.loads(line) for line in as_json(lines_of()[:61], False).splitlines())
     sparse = {name: first[name] for name in ("time_s", "anchor", *kept)} | {"speed_mps": 1.0}
     moving = [row | {"speed_mps": 1.0, "heading_rad": 0.0} for row in others]
-    lines = "\n".join(map(json.dumps, [sparse, *moving])).encode()
-    positions, _, code = live(lines, "--speed", "1")
+    lines = [json.dumps(sparse), "{damaged", *map(json.dumps, moving)]
+    positions, errors, code = live("\n".join(lines).encode(), "--speed", "1")
+    assert "line 2: found '{damaged'" in errors[0]
     assert code == 0 and len(positions) == len({row["time_s"] for row in others})
     assert "odometry" in positions[-1]["nis"]
 
