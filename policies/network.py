@@ -102,7 +102,8 @@ def _add_product(out, x, weight, first):  # type: ignore[no-untyped-def]
 @register_jitable  # type: ignore[untyped-decorator]
 def _linear(out, x, layer):  # type: ignore[no-untyped-def]
     """Set ``out`` to a layer's outputs for an input."""
-    out[:] = layer.bias
+    for j in range(len(out)):
+        out[j] = layer.bias[j]
     _add_product(out, x, layer.weight, 0)
 
 
@@ -134,18 +135,24 @@ def _read(features, network, front):  # type: ignore[no-untyped-def]
 def _remember(front, unit, state):  # type: ignore[no-untyped-def]
     """Replace the state (units,) of a recurrent unit by its next state, given its input."""
     units = len(state)
+    # Loops over numbers: numba takes twice as long to compile operations on whole arrays.
     gates = np.empty(3 * units, np.float32)
     past = np.empty(3 * units, np.float32)
+    both = np.empty(2 * units, np.float32)
+    candidate = np.empty(units, np.float32)
     _linear(gates, front, unit.of_input)
     _linear(past, state, unit.of_state)
     half = np.float32(0.5)
-    both = half * (gates[: 2 * units] + past[: 2 * units])
+    for j in range(2 * units):
+        both[j] = half * (gates[j] + past[j])
     squash(both)  # the logistic function of 2 z is (1 + tanh z) / 2
-    reset = half + half * both[:units]
-    update = half + half * both[units:]
-    candidate = gates[2 * units :] + past[2 * units :] * reset
+    for j in range(units):
+        reset = half + half * both[j]
+        candidate[j] = gates[2 * units + j] + past[2 * units + j] * reset
     squash(candidate)
-    state[:] = (state - candidate) * update + candidate
+    for j in range(units):
+        update = half + half * both[units + j]
+        state[j] = (state[j] - candidate[j]) * update + candidate[j]
 
 
 @register_jitable  # type: ignore[untyped-decorator]
@@ -168,7 +175,8 @@ def _answer(memory, front, trust, network, answer):  # type: ignore[no-untyped-d
         widest = max(widest, variance * math.exp(-2.0 * answer[3 + direction]))
     agreed = (SPREAD[1] - math.sqrt(widest)) / (SPREAD[1] - SPREAD[0])
     trusted = np.float32(trust * min(max(agreed, 0.0), 1.0))
-    answer *= trusted
+    for i in range(CORRECTIONS):
+        answer[i] *= trusted
     return trusted
 
 
@@ -215,7 +223,8 @@ def correct_track(features, network, answers, trusted):  # type: ignore[no-untyp
         for step in range(T):
             t = T - 1 - step if direction else step
             _remember(front[t], network.units[direction], state)
-            memory[t, direction * units : (direction + 1) * units] = state
+            for j in range(units):
+                memory[t, direction * units + j] = state[j]
             so_far = min(strange[t], so_far + RECOVERY)
             trust[t] = min(trust[t], so_far)
     for t in range(T):
