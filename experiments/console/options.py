@@ -210,7 +210,7 @@ class TrainArgs(TaskArgs):
     environments (None: 4000000); for corrector or two-way,
     the number of epochs that the network learns from, each
     of them three (corrector) or eight times (None:
-    320000000, 64000000); for rollouts, the number of states
+    110000000, 64000000); for rollouts, the number of states
     in which every action is tried (None: 1200000)"""
     hyperparameters: Path | None = None
     """JSON file of hyperparameters, instead of the

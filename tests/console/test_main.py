@@ -142,6 +142,14 @@ def test_defaults_of_options_equal_the_constants_of_the_library():
     assert (judged.episodes, judged.draws) == (protocol.EPISODES, protocol.DRAWS)
 
 
+@pytest.mark.torch
+def test_the_help_of_train_says_the_default_lengths():
+    from experiments.training.run import TIMESTEPS
+
+    shown = command("train", "--help").stdout
+    assert all(str(steps) in shown for steps in TIMESTEPS.values())
+
+
 # --- output
 
 
