@@ -171,7 +171,7 @@ class Program(Generic[Workspace]):
         self._columns: dict[Sequence[str], Columns] = {}
 
     def rows(self, names: Sequence[str]) -> Index:
-        """Return the row numbers of parts of ``index``, such as "x" or "memory.nis"."""
+        """Return the row numbers of parts of ``index``, such as "x", "memory.nis" or "x P"."""
         return self._found(tuple(names))[0]
 
     def by_name(self, names: Sequence[str], outputs: Array) -> dict[str, Array]:
@@ -186,7 +186,7 @@ class Program(Generic[Workspace]):
     def _found(self, names: tuple[str, ...]) -> Columns:
         """Return :func:`laid_out` for the parts with these names."""
         if names not in self._columns:
-            parts = {name: attrgetter(name)(self.index) for name in names}
+            parts = {name: attrgetter(*name.split())(self.index) for name in names}
             self._columns[names] = laid_out(parts)
         return self._columns[names]
 

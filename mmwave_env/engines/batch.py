@@ -212,7 +212,7 @@ class Batch:
         """Run the next epochs of some ranges of blocks; arguments are as for :meth:`advance`."""
         state = self.state
         if again:
-            state = state._replace(feed=_NO_FEED, length=self._over, epoch=self._over)
+            state = BatchState(state.rows, _NO_FEED, state.table, self._over, self._over)
         if self.on_floats:
             for begin, end in parts:
                 program.run_on_floats(begin, end, state, io)

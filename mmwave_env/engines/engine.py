@@ -319,16 +319,16 @@ def play(
     for t in range(epochs):
         acted = policy.act(engine.filter())
         actions[:, t] = 1 + acted.argmax(axis=1) if policy.action == WEIGHTS else acted
-        if policy.action != CORRECTION:
+        if policy.action == CORRECTION:
+            observations, _ = engine.decide(acted)  # the corrected belief is scored instead
+            correction = policy.correct(observations)
+            assert correction is not None
+            numbers = np.concatenate([correction.shift, correction.log_factor], axis=1)
+            outputs[:, t] = engine.correct(numbers, output_rows)
+            trusted[:, t] = correction.trusted
+        else:
             observations, outputs[:, t] = engine.decide(acted, output_rows, scored)
+        if len(columns):
             features[:, t] = observations[:, columns]
-            continue
-        observations, _ = engine.decide(acted)  # the corrected belief is scored instead
-        features[:, t] = observations[:, columns]
-        correction = policy.correct(observations)
-        assert correction is not None
-        numbers = np.concatenate([correction.shift, correction.log_factor], axis=1)
-        outputs[:, t] = engine.correct(numbers, output_rows)
-        trusted[:, t] = correction.trusted
     parts = engine.program.by_name(names, outputs)
     return Played(actions, parts, features, trusted)

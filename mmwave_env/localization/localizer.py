@@ -36,9 +36,9 @@ from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.world.episode import Episode, EpisodeBatch, columns_of
 
 _FILTERED = ("x", "P", "memory.mode", "memory.nis", "memory.accepted", "memory.rejected")
-# parts of the state that the smoother needs in addition to x and P: without and with a bank
-_PREDICTED = ("x_predicted", "P_predicted")
-_MIXTURE = ("mixture",)
+# parts of the state that the smoother needs: without and with a bank
+_PREDICTED = "x P x_predicted P_predicted"
+_MIXTURE = "x P mixture"
 _CHUNK = 1 << 14  # epochs that are filtered and smoothed together
 
 
@@ -137,20 +137,18 @@ class Localizer:
 
     def run(self, engine: Engine, count: int = 1) -> Filtered:
         """Filter the loaded epochs of the first tracks of an engine; N is their ``count``."""
-        names = _MIXTURE if self.switching.bank else _PREDICTED
-        outputs = engine.run(*_FILTERED, *names)
+        kept = _MIXTURE if self.switching.bank else _PREDICTED
+        outputs = engine.run(*_FILTERED, kept)
         parts = {name: of[:count] for name, of in outputs.items()}
-        x = parts["x"]
-        P = parts["P"]
         return Filtered(
-            parts.get("reported.x", x),
-            parts.get("reported.P", P),
+            parts.get("reported.x", parts["x"]),
+            parts.get("reported.P", parts["P"]),
             parts["memory.mode"],
             parts["memory.nis"],
             parts["memory.accepted"],
             parts["memory.rejected"],
             parts.get("trusted"),
-            np.concatenate([x, P, *(parts[name] for name in names)], axis=2),
+            parts[kept],
         )
 
     def level_factors(self, filtered: Filtered, time_s: Any, begins: bool) -> Array:

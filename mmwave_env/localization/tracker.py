@@ -226,7 +226,9 @@ class Tracker:
         self._variances = self._radio.variances(self._scene, layout)
         self._at = columns_of(layout)
         self._blank = flatten(blank_incoming(layout))
-        self._group_of = np.repeat(np.arange(len(layout.groups)), layout.widths).tolist()
+        # for each value of a measurement: its group, and the columns of the value and its noise
+        group_of = np.repeat(np.arange(len(layout.groups)), layout.widths).tolist()
+        self._values = [*zip(group_of, self._at.z, self._at.signed_sigma, strict=True)]
         ends = np.repeat(np.array([SNR_LIMITS_DB]).T, layout.anchors, axis=1)
         sigma = self._radio.sigma(ends, self._scene, layout)
         self._sound = all(bound.holds(sigma[:, rows]).all() for rows, bound in sigma_bounds(layout))
@@ -332,7 +334,8 @@ class Tracker:
         factors = self._localizer.level_factors(filtered, time_s, begins)
         x, P, mode, nis, _, _, trusted, kept = filtered
         last_s = [times[-1] for times in time_s]
-        positions = self._positions(last_s, x[:, -1], P[:, -1], mode[:, -1], factors[:, -1])
+        of_groups: list[dict[str, float]] = []
+        rejected_groups: list[list[str]] = []
         last_nis = nis[:, -1].tolist()
         accepted = filtered.accepted.tolist()
         rejected = filtered.rejected.tolist()
@@ -346,13 +349,12 @@ class Tracker:
                     (time_s[i][t], spread_hz[i][t], mode[i, t], factors[i, t], kept[i, t])
                 )
             by_name = zip(self._groups, last_nis[i], strict=True)
-            positions[i] = positions[i]._replace(
-                nis=dict(compress(by_name, measured)),
-                rejected=[*compress(self._groups, [no > 0.5 for no in rejected[i][-1]])],
-                begins=begins,
-                trusted=None if trusted is None else float(trusted[i, -1]),
-            )
-        return positions
+            of_groups.append(dict(compress(by_name, measured)))
+            rejected_groups.append([*compress(self._groups, [no > 0.5 for no in rejected[i][-1]])])
+        return self._positions(
+            last_s, x[:, -1], P[:, -1], mode[:, -1], factors[:, -1], of_groups, rejected_groups,
+            begins, None if trusted is None else trusted[:, -1].tolist(),
+        )  # fmt: skip
 
     def _measures(self, visible: list[bool]) -> bool:
         """Tell whether an epoch measured a link or odometry."""
@@ -386,13 +388,13 @@ class Tracker:
         if doppler_anchor:
             shifted = deviations(*self._variances, [snr[doppler_anchor]] * layout.anchors, layout)
             sigma[doppler] = shifted[doppler]
-        for i, group in enumerate(self._group_of):
+        for i, (group, z, signed_sigma) in enumerate(self._values):
             own = numbers[size + i]
             link = doppler_anchor if i == doppler else group
             has_noise = i > doppler or not isnan(own) or not isnan(snr[link])
             if has_noise and not isnan(numbers[i]):
-                row[at.z[i]] = numbers[i]
-                row[at.signed_sigma[i]] = sigma[i] if isnan(own) else own
+                row[z] = numbers[i]
+                row[signed_sigma] = sigma[i] if isnan(own) else own
                 visible[group] = True
         for link, snr_db in enumerate(snr):
             if visible[link]:
@@ -415,8 +417,9 @@ class Tracker:
         x, P = self._localizer.smoothed(np.stack(kept)[None], *spans)
         first = slice(1)
         (position,) = self._positions(
-            times[first], x[0, first], P[0, first], modes[first], np.array(factors[first])
-        )
+            times[first], x[0, first], P[0, first], modes[first], np.array(factors[first]),
+            nis=[{}], rejected=[[]],
+        )  # fmt: skip
         return position
 
     def _positions(
@@ -426,8 +429,12 @@ class Tracker:
         P: Array,
         mode: Iterable[float],
         factors: Array,
+        nis: Iterable[dict[str, float]],
+        rejected: Iterable[list[str]],
+        begins: bool = False,
+        trusted: list[float] | None = None,
     ) -> list[Position]:
-        """Return n beliefs (n, ...), without what happened in their epochs."""
+        """Return n beliefs (n, ...)."""
         unknown = [None] * len(x)
         origin = self._scene.origin
         has_bias = self._localizer.layout.has_bias
@@ -438,13 +445,13 @@ class Tracker:
             P[:, _POSITION_ROWS].tolist(),
             x[:, 3:6].tolist(),
             [self._switching.names[int(number)] for number in mode],
-            [{}] * len(x),
-            [[]] * len(x),
-            [False] * len(x),
+            nis,
+            rejected,
+            [begins] * len(x),
             geodetic(origin, x[:, :3]).tolist() if origin else unknown,
             x[:, 7].tolist() if has_bias else unknown,
             np.sqrt(P[:, 35]).tolist() if has_bias else unknown,
-            unknown,
+            trusted or unknown,
             (gaussian_levels(P, levels.risk) * factors).tolist() if levels else unknown,
         ]
         return list(map(Position, *columns))

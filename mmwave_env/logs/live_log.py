@@ -54,6 +54,7 @@ class LiveColumns:
         self._is_quick = file.associated and not corrected and not turned
         self.most_rows = layout.anchors if file.associated else MOST_PATHS
         cell_of = {of: i for i, of in enumerate(columns)}
+        self.names = [file.names[i] for i in file.numbers]
         self.time = cell_of["time"]
         self._anchor = cell_of.get("anchor", -1)
         self._anchors = set(range(1, layout.anchors + 1))
@@ -295,7 +296,7 @@ class LiveLog:
             LogError: a row is damaged or late; all these rows are ignored.
         """
         rows = list(rows)
-        for row in rows:
+        for row in rows:  # before the first is added
             self._learn(row, 0)
         users = dict.fromkeys(map(_user_of, rows))
         before = {user: self._arrivals[user].copy() for user in users if user in self._arrivals}
@@ -324,7 +325,7 @@ class LiveLog:
 
     def _cells(self, row: str | Mapping[str, Any], number: int) -> tuple[str, list[float]]:
         """Return a row's user ("" if unnamed) and cells (none if blank); refuse a damaged row."""
-        words: list[Any]
+        words: list[str]
         if isinstance(row, str):
             user = ""
             columns = self._columns
@@ -336,11 +337,12 @@ class LiveLog:
             user = _user_of(row)
             self._learn(row, number)
             columns = self._columns
-            words = [row.get(name) for name in columns.file.names]
-            cells = [nan if words[i] is None else words[i] for i in columns.file.numbers]
+            cells = [nan if (cell := row.get(name)) is None else cell for name in columns.names]
         if cells and columns.are_plain(cells):
             return user, cells
-        words = ["" if word is None else str(word) for word in words]
+        if not isinstance(row, str):
+            read = [row.get(name) for name in columns.file.names]
+            words = ["" if word is None else str(word) for word in read]
         table = parse(columns.file, [words], number)
         cells = table.cells.ravel().tolist()
         if cells and (table.damage or not columns.are_plain(cells)):
