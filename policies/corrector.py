@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mmwave_env.compiler.program import Repeated
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import CORRECTION
 from mmwave_env.interface.observation import Observation, observation_columns
@@ -90,6 +91,7 @@ class Corrector(LearnedPolicy, Policy):
     def __init__(self, path: AnyPath | PolicyFile, observation: Observation | None = None) -> None:
         file = policy_file(path)
         self._network = network_of(file, "gru")
+        self._run = Repeated(correct_epoch)
         self._base = base_policy(file.card.base)
         self._forget(0)
         super().__init__(file, observation)
@@ -122,11 +124,11 @@ class Corrector(LearnedPolicy, Policy):
 
         Call this once after every step, with the observations (n, features) of the step.
         """
-        features = self.features_in(observation)
+        features = np.ascontiguousarray(self.features_in(observation), np.float32)
         n = len(features)
         answers = np.empty((n, CORRECTIONS), np.float32)
         trusted = np.empty(n, np.float32)
-        correct_epoch(features, self._network, *self.memory, answers, trusted)
+        self._run([(0, n)], 1, features, self._network, *self.memory, answers, trusted)
         return Correction(answers[:, :3], answers[:, 3:], trusted)
 
 

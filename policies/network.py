@@ -181,10 +181,11 @@ def _answer(memory, front, trust, network, answer):  # type: ignore[no-untyped-d
 
 
 @compiled
-def correct_epoch(features, network, state, trust, answers, trusted):  # type: ignore[no-untyped-def]
-    """Correct an epoch of n tracks.
+def correct_epoch(begin, end, features, network, state, trust, answers, trusted):  # type: ignore[no-untyped-def]
+    """Correct an epoch of some of n tracks.
 
     Args:
+        begin, end: first track, and the track after the last.
         features: (n, features) in single precision.
         network: the :class:`Network`.
         state: (n, units) the recurrent unit's states, changed in place.
@@ -193,7 +194,7 @@ def correct_epoch(features, network, state, trust, answers, trusted):  # type: i
         trusted: (n,) filled with the factors that scaled them.
     """
     front = np.empty(len(network.front.bias), np.float32)
-    for i in range(len(features)):
+    for i in range(begin, end):
         trust[i] = min(_read(features[i], network, front), trust[i] + RECOVERY)
         _remember(front, network.units[0], state[i])
         trusted[i] = _answer(state[i], front, trust[i], network, answers[i])

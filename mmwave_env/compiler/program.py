@@ -238,7 +238,7 @@ class Program(Generic[Workspace]):
 
 
 class Repeated:
-    """A :func:`compiled` loop over ranges of blocks, with the same types in every call.
+    """A :func:`compiled` loop over ranges of things, with the same types in every call.
 
     After the first call, numba's check of types, which takes microseconds, is skipped.
     """
@@ -247,10 +247,13 @@ class Repeated:
         self._function = function
         self._unchecked: Callable[..., Any] | None = None
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Repeated, (self._function,)  # the function's machine code can't be pickled
+
     def __call__(
         self, parts: Sequence[tuple[int, int]], threads: int, *arguments: Any
     ) -> list[Any]:
-        """Run ranges of blocks on at most ``threads`` threads; return the results, in order."""
+        """Run the ranges on at most ``threads`` threads; return the results, in order."""
         jobs = [(*part, *arguments) for part in parts]
         results = share(self._unchecked or self._function, jobs, threads)
         if self._unchecked is None:

@@ -1,5 +1,7 @@
 """Tests of correctors, which correct beliefs: network, memory, fading of corrections, and files."""
 
+import pickle
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -141,6 +143,17 @@ def test_a_corrector_remembers_until_an_episode_begins(path):
     again = corrector.correct(shown[0]).shift
     assert_array_equal(again[[0, 2]], first[[0, 2]])
     assert (again[[1, 3]] != first[[1, 3]]).any(axis=1).all()
+
+
+def test_a_pickled_corrector_goes_on_whatever_the_layout_of_observations(path):
+    first, second, third = features(3)
+    plain = started(path)
+    expected = [plain.correct(shown).shift for shown in (first, second, third)]
+    corrector = started(path)
+    corrector.correct(first)
+    corrector.correct(np.asfortranarray(second))
+    answer = pickle.loads(pickle.dumps(corrector)).correct(third.astype(float))
+    assert_array_equal(answer.shift, expected[-1])
 
 
 def test_corrections_fade_beyond_the_range_of_training_and_come_back(path):
