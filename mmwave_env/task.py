@@ -164,16 +164,13 @@ def task_from(**arguments: Any) -> Task:
         pays = pays.reward
     worst = None
     if asked.terminate_on_divergence:
-        if getattr(pays, "worst", None) is None:
-            raise ValueError(
-                "terminate_on_divergence: found True, but the reward has no attribute `worst` "
-                "with its lowest value"
-            )
+        lowest: Any = getattr(pays, "worst", None)
+        require("worst", lowest, float, " (reward's attribute for terminate_on_divergence)")
         if baseline and asked.action == CORRECTION:
             raise ValueError(
                 "terminate_on_divergence: cannot be combined with corrections and a paired reward"
             )
-        worst = pays.worst - max(mode.cost for mode in pipeline.modes)  # type: ignore[attr-defined]
+        worst = lowest - max(mode.cost for mode in pipeline.modes)
     return Task(source, radio, pipeline, bank, pays, baseline, worst, asked.action, asked.base)
 
 

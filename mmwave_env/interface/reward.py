@@ -7,14 +7,17 @@ reward, or a dict of named terms, whose sum is the reward. Pass your own reward 
 because it is compiled for SIMD lanes. :class:`PairedReward` subtracts the reward of an IMM.
 """
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, cast
 
+import numpy as np
+
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.custom import complaint, name_of, try_out, wrong_parts
-from mmwave_env.io.lookup import choose
+from mmwave_env.io.lookup import choose, quoted
 from mmwave_env.numerics.numbers import Number, Pair, Vector, log, maximum, minimum
 from mmwave_env.numerics.tape import taped
 
@@ -22,6 +25,7 @@ Terms = dict[str, Number]
 Reward = Callable[[Belief, Vector], Terms | Number]
 
 _SMALLEST_NEES = 1e-12
+TRIED_ERRORS_M = (0.1, 1.0, 10.0, 100.0)  # for which a reward must be finite
 
 
 @dataclass(frozen=True)
@@ -154,7 +158,7 @@ def _trial() -> tuple[Belief, Vector]:
 
 
 def _check(reward: Reward) -> None:
-    """Refuse a reward that raises an error on a :func:`_trial` or does not return numbers."""
+    """Refuse a reward that fails in a trial run or does not return finite numbers."""
     subject = f"reward {name_of(reward)}"
 
     def refused(problem: str) -> ValueError:
@@ -167,3 +171,12 @@ def _check(reward: Reward) -> None:
     for name, value in terms.items():
         if problem := next(wrong_parts(name, value, 0.0), ""):
             raise refused(f"returned {problem}")
+    errors = np.array(TRIED_ERRORS_M)
+    x = [errors, 0.0, 1.5, 1.0, 0.5, 0.0, 0.0]
+    example = Belief(x, np.eye(7).tolist()), [0.0, *x[1:6]]
+    with np.errstate(all="ignore"):
+        terms = _as_terms(try_out(reward, example, subject, ValueError))
+    for name, value in terms.items():
+        if not np.all(abs(value) <= sys.float_info.max):
+            where = f"for position errors of {errors.tolist()} m, expected finite numbers"
+            raise refused(f"returned {name}: {quoted(value)} {where}")

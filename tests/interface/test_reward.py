@@ -26,7 +26,7 @@ from mmwave_env.interface.reward import (
     terms_of,
     total,
 )
-from mmwave_env.numerics.numbers import maximum
+from mmwave_env.numerics.numbers import log, maximum, sqrt, where
 from mmwave_env.task import task_from
 from mmwave_env.world.keys import keys_at, stream_of
 from tests.refusals import refuses
@@ -153,11 +153,22 @@ def branch(belief, truth):
         lambda belief, truth: None,
         lambda belief, truth: belief.distance(truth) > 1.0,
         lambda belief, truth: {"error": None},
+        lambda belief, truth: {"error": -belief.distance(truth), "bonus": math.nan},
+        lambda belief, truth: log(-belief.distance(truth)),  # 1420 on lanes
+        lambda belief, truth: 10**400,
     ],
 )
 def test_the_error_about_an_invalid_reward_function_names_its_file(own):
     with pytest.raises(ValueError, match=rf"^reward {own.__name__} (?s:.)*{Path(__file__).name}"):
         gym.make("MmWaveLoc-v0", reward=own)
+
+
+def test_a_reward_may_guard_a_branch_that_has_no_value():
+    def shaped(belief, truth):
+        near = 1.0 - belief.distance(truth)
+        return where(near > 0.0, sqrt(near), 0.0)
+
+    assert reward_from(shaped) is shaped
 
 
 SLUGGISH = Mode("sluggish", sigma_v=0.05)  # diverges in about half of all vehicle episodes
