@@ -108,7 +108,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         self.num_envs = num_envs
         self._take_task(task_from(**arguments), observation, smoothed, num_envs, threads)
         epochs = getattr(self._task.source, "epochs", None)
-        if max_episode_steps not in {None, epochs}:
+        if max_episode_steps not in (None, epochs):
             raise ValueError(
                 f"max_episode_steps: found {max_episode_steps}, expected None or {epochs}; use "
                 "episode_steps= for another length"

@@ -30,9 +30,11 @@ from mmwave_env.interface.info import (
     mask_keys,
     reported,
 )
+from mmwave_env.interface.observation import OBSERVATIONS
 from mmwave_env.interface.reward import term_names
 from mmwave_env.interface.signed import after_update
 from mmwave_env.io.lookup import choose
+from mmwave_env.io.records import require
 from mmwave_env.metrics import INFO_KEYS, ate, scored
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Array32, Index
@@ -60,6 +62,8 @@ class Environment:
         self, task: Task, observation: str, smoothed: bool, n: int = 1, threads: int = 1
     ) -> None:
         """Store the task of n environments, which have no episode yet."""
+        choose(OBSERVATIONS, observation, "observation")
+        require("smoothed", smoothed, bool)
         if smoothed and task.action != MODE:
             raise ValueError(
                 f"smoothed: found {smoothed} with action={task.action!r}, expected False"

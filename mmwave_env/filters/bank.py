@@ -7,7 +7,7 @@ modes share one belief (mean and covariance) uses the modes of a bank and ignore
 
 import os
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from importlib.resources import files
@@ -196,7 +196,7 @@ def bank_over(modes: Modes, radio: str | Radio) -> Bank:
     if isinstance(modes, Mapping):
         return bank_in(modes)
     entries: Any = [modes] if str(modes).endswith(".json") else modes
-    if isinstance(entries, str | os.PathLike) or not isinstance(entries, Iterable):
+    if isinstance(entries, str | os.PathLike) or not isinstance(entries, Sequence):
         expected = "a list of names, mode files and Modes, such as ['ekf']; or a mode file (.json)"
         raise ValueError(f"modes: found {modes!r}, expected {expected}")
     banks = [_bank_of(entry, radio) for entry in entries]

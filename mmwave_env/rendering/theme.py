@@ -104,7 +104,8 @@ def require_drawable(size: int, theme: str, purpose: str) -> None:
     """
     require_extra("pygame", "render", purpose)
     choose(THEMES, theme, "render_theme")
-    if not (SMALLEST <= size <= LARGEST and size % 2 == 0):  # video formats need an even size
+    known = range(SMALLEST, LARGEST + 1, 2)  # video formats need an even size
+    if not (isinstance(size, int | np.integer) and size in known):
         raise ValueError(
             f"render_size: found {size!r}, expected an even number from {SMALLEST} to {LARGEST}"
         )

@@ -1,6 +1,7 @@
 """Tests of features for other libraries: copies, lengths of episodes, fixed infos, clear errors."""
 
 import copy
+import math
 import pickle
 
 import gymnasium as gym
@@ -10,6 +11,7 @@ from gymnasium.envs.registration import EnvSpec
 
 import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.env import MmWaveLocEnv
+from mmwave_env.interface.reward import LogScore
 from tests.environment.test_vector_env import Patchy
 from tests.environment.vector_checker import same
 from tests.refusals import refuses
@@ -169,6 +171,10 @@ NAMED = {"episode_steps": "", "episodes": "", "terminate_on_divergence": "", "mo
         {"episode_steps": 2**40},
         {"max_episode_steps": 5},
         {"planar": "x"},
+        {"smoothed": "False"},
+        {"observation": None},
+        {"render_mode": "rgb_array", "render_size": 480.0},
+        {"modes": {"ekf", "ukf"}},  # a set has no order
         {"infos": "sparse"},
         {"episodes": "canyon28_vehicle", "episode_steps": 10_000},
         {"episodes": "canyon28_vehicle", "scenario": "jam"},
@@ -176,6 +182,7 @@ NAMED = {"episode_steps": "", "episodes": "", "terminate_on_divergence": "", "mo
         {"episodes": "canyon28_vehicle", "dt": 1.0},
         {"episodes": "canyon28_vehicle", "odometry": True},
         {"reward": lambda belief, truth: 0.0, "terminate_on_divergence": True},
+        {"reward": LogScore(math.nan), "terminate_on_divergence": True},
         {**CORRECTION, "base": lambda table: None},
         {**CORRECTION, "reward": "paired", "terminate_on_divergence": True},
     ],
