@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.interface.actions import WEIGHTS, limits_of, numbers_in
+from mmwave_env.interface.actions import CORRECTION, WEIGHTS, limits_of, numbers_in
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.policy import OF_A_MODEL, Correction, Policy
 from mmwave_env.models.measurement import Epoch, Site, blank_site
@@ -28,6 +28,7 @@ MODULE = re.compile(r"[\w.]+:[\w.]+")
 GUIDE = "docs/own-agent.md"
 EXPECTED = "module:function, a function that takes no arguments and returns the agent"
 NO_FILTERS = "which runs no filters and works only in comparisons; expected another policy"
+CORRECTION_LIMITS = np.append(limits_of(CORRECTION, 0), 1.0)  # of shift, log factor and trust
 TRIED = 3  # number of random observations to try an agent on
 
 
@@ -184,5 +185,9 @@ class Checked(Policy):
 
     def correct(self, observation: Array32) -> Correction | None:
         """Return the agent's corrections, if it has any."""
-        with blaming(self._name, f", in epoch {self._epoch}"):
-            return self._policy.correct(observation)
+        n = len(observation)
+        with blaming(self._name, f", in epoch {self._epoch} ({GUIDE})"):
+            made: Any = self._policy.correct(observation)
+            columns = np.column_stack([made.shift, made.log_factor, made.trusted])
+            numbers_in("shift, log_factor and trusted", columns, CORRECTION_LIMITS, n)
+            return made  # type: ignore[no-any-return]

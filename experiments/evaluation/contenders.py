@@ -19,6 +19,7 @@ from experiments.evaluation.agents import (
     Checked,
     Estimator,
     agent_from,
+    blaming,
     is_agent,
     module_file,
 )
@@ -166,8 +167,10 @@ class Contender(Switching):
         policy = policy_from(agent, f"policy {name}")
         beliefs = getattr(agent, "beliefs", beliefs)
         modes = getattr(agent, "modes", modes)
-        bank_of = getattr(agent, "bank", None) if beliefs == "per-mode" else None
-        bank, chosen = bank_and_modes(bank_of(radio) if bank_of else modes, beliefs, radio)
+        if beliefs == "per-mode" and hasattr(agent, "bank"):
+            with blaming(name, f"; it was asked for its bank for the radio {radio} ({GUIDE})"):
+                modes = agent.bank(radio)
+        bank, chosen = bank_and_modes(modes, beliefs, radio)
         if policy.action != MODE and not bank:
             unusable = f"policy {name}: found actions of the kind {policy.action}"
             raise ValueError(f'{unusable}, which need beliefs="per-mode"')

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from mmwave_env.filters.correction import MOST_LOG_FACTOR, MOST_SHIFT
 from mmwave_env.filters.imm import TRUST
+from mmwave_env.io.lookup import quoted
 from mmwave_env.numerics.numbers import Array
 
 MODE = "mode"
@@ -49,6 +50,6 @@ def numbers_in(name: str, action: Any, limits: Array, *n: int, ignored: Any = Fa
         if (np.abs(numbers) <= limits).all():
             return numbers
     raise InvalidAction(
-        f"{name}: found {action!r}, expected numbers of shape {(*n, len(limits))}, none of them "
-        f"NaN or beyond ±{limits.tolist()}"
+        f"{name}: found {quoted(array.tolist())} of shape {array.shape}, expected numbers of shape "
+        f"{(*n, len(limits))}, none of them NaN or beyond ±{limits.tolist()}"
     )

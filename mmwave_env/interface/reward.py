@@ -25,7 +25,7 @@ Terms = dict[str, Number]
 Reward = Callable[[Belief, Vector], Terms | Number]
 
 _SMALLEST_NEES = 1e-12
-TRIED_ERRORS_M = (0.1, 1.0, 10.0, 100.0)  # for which a reward must be finite
+TRIED_ERRORS_M = np.array([0.1, 1.0, 10.0, 100.0])  # for which a reward must be finite
 
 
 @dataclass(frozen=True)
@@ -171,12 +171,13 @@ def _check(reward: Reward) -> None:
     for name, value in terms.items():
         if problem := next(wrong_parts(name, value, 0.0), ""):
             raise refused(f"returned {problem}")
-    errors = np.array(TRIED_ERRORS_M)
-    x = [errors, 0.0, 1.5, 1.0, 0.5, 0.0, 0.0]
+    x = [TRIED_ERRORS_M, 0.0, 1.5, 1.0, 0.5, 0.0, 0.0]
     example = Belief(x, np.eye(7).tolist()), [0.0, *x[1:6]]
     with np.errstate(all="ignore"):
         terms = _as_terms(try_out(reward, example, subject, ValueError))
     for name, value in terms.items():
         if not np.all(abs(value) <= sys.float_info.max):
-            where = f"for position errors of {errors.tolist()} m, expected finite numbers"
-            raise refused(f"returned {name}: {quoted(value)} {where}")
+            raise refused(
+                f"returned {name}: {quoted(value)} for errors of {TRIED_ERRORS_M} m, expected "
+                "finite numbers"
+            )

@@ -1,5 +1,6 @@
 """Tests of `compare` with agents that a programmer wrote: objects, files or functions."""
 
+import math
 import sys
 
 import gymnasium as gym
@@ -94,6 +95,29 @@ def test_an_agent_without_reset_may_correct_beliefs():
     mine = result.policies["mine"]["ate_m"].mean
     base = result.policies["imm"]["ate_m"].mean
     assert mine > base + 0.1
+
+
+@pytest.mark.parametrize(
+    ("row", "problem"),
+    [
+        ([0, 0, 0, math.nan, 0, 0, 1], "nan"),
+        ([0, 4.1, 0, 0, 0, 0, 1], "4.1"),
+        ([0, 0, 0, 0, 0, 0, math.nan], "nan"),
+        ([0, 0, 0, 0, 0, 1], r"shape \(2, 6\)"),
+        (None, "no attribute 'shift'"),
+    ],
+)
+def test_invalid_corrections_and_banks_are_refused(row, problem, monkeypatch):
+    def correct(self, observations):
+        made = np.tile(row or [0], (len(observations), 1))
+        return row and Correction(made[:, :3], made[:, 3:-1], made[:, -1])
+
+    monkeypatch.setattr(Upward, "correct", correct)
+    with pytest.raises(ValueError, match=f"^policy mine: .*{problem}.*epoch 1"):
+        compare({"mine": Upward()}, (), episodes=2)
+    monkeypatch.setattr(Upward, "bank", 1, raising=False)
+    with pytest.raises(ValueError, match="^policy mine: .*bank"):
+        compare({"mine": Upward()}, (), episodes=2)
 
 
 class Weighing:
