@@ -141,7 +141,8 @@ def task_from(**arguments: Any) -> Task:
     known = [field.name for field in fields(TaskArguments)]
     for name in arguments:
         if name not in known:
-            known += OF_ENVIRONMENTS
+            if name not in OF_ENVIRONMENTS:  # as from ``compare``, which sets these itself
+                known += OF_ENVIRONMENTS
             # mmwave-loc and its function ``compare`` call this argument "data"
             hint = did_you_mean("episodes" if name == "data" else name, known)
             raise TypeError(  # some libraries look for these words, as in Python's own message

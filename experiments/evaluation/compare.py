@@ -260,9 +260,10 @@ def compare(
             actions. Only agents that fail in an episode raise errors after episodes have run.
         FileNotFoundError: a file that an argument names does not exist.
     """
-    _require_valid(policies, episodes, world)
-    if isinstance(beside, str):
-        raise ValueError(f"beside: found {beside!r}, expected a list of names")
+    _require_valid(policies, episodes, seed, world)
+    require("beside", beside, tuple[str, ...])
+    if not (policies or beside):
+        raise ValueError("policies: found none, expected at least one")
     task = task_from(scenario=scenario, radio=radio, episodes=data, **world)
     scoring = Scoring.of(task)
     seeds = seeds_from(episodes, seed, USUAL_EPISODES)
@@ -273,10 +274,12 @@ def compare(
     return comparison_of(task, seeds, scores, list(policies))
 
 
-def _require_valid(policies: object, episodes: object, world: Mapping[str, Any]) -> None:
+def _require_valid(policies: Any, episodes: object, seed: object, world: Mapping[str, Any]) -> None:
     """Refuse arguments of :func:`compare` of a wrong type or name."""
     require("policies", policies, dict)
+    require("policies", list(policies), tuple[str, ...])
     require("episodes", episodes, int | None)
+    require("seed", seed, int | None)
     if wrong := sorted({"action", "base", "terminate_on_divergence"} & world.keys()):
         raise ValueError(f"{wrong[0]}: not an argument of compare, which plays complete episodes")
 

@@ -7,17 +7,20 @@ episode. A key depends only on the stream and n, so any number of keys can be co
 
 import operator
 from collections.abc import Iterable, Sequence
-from typing import Any
+from math import inf
+from typing import Annotated, Any
 
 import numpy as np
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
 from mmwave_env.io.lookup import unknown
+from mmwave_env.io.records import Bound, require
 from mmwave_env.numerics.numbers import Index
 
 Keys = NDArray[np.uint64]
 
+_Seed = Annotated[int, Bound("an integer, 0 or more", least=0, most=inf)]
 _STRIDE = np.uint64(0x9E3779B97F4A7C15)  # 2**64 / golden ratio, rounded to an odd number
 
 
@@ -103,21 +106,22 @@ class Streams:
         An integer s seeds environment i with s + i; None continues a stream.
 
         Raises:
-            ValueError: seeds and environments differ in number, or a seed is negative.
+            ValueError: seeds and environments differ in number, or a seed is no valid integer; no
+                stream has changed then.
         """
         if seed is None:
             return
         n = len(self._seeds)
         if isinstance(seed, (int, np.integer)):
             seed = range(int(seed), int(seed) + n)
-        elif len(seed) != n:
-            raise ValueError(f"seed: found {len(seed)} seeds, expected {n}, one per environment")
+        seeds: Any = list(seed) if isinstance(seed, Sequence) else seed
+        require("seed", seeds, tuple[_Seed | None, ...])
+        if len(seeds) != n:
+            raise ValueError(f"seed: found {len(seeds)} seeds, expected {n}, one per environment")
         for place in places:
-            if seed[place] is None:
+            if seeds[place] is None:
                 continue
-            own = operator.index(seed[place])
-            if own < 0:
-                raise ValueError(f"seed: found {own}, expected 0 or more")
+            own = int(seeds[place])
             self._seeds[place] = own
             self._generators[place] = None
             self._states[place] = stream_of(own), 0
