@@ -19,7 +19,14 @@ from mmwave_env.models.scene import read_scene
 from tests.cli import assert_one_clear_line, command, started, with_json
 from tests.commands.localizing import RIDE, STREET, WALK, figures, lines_of, options, refused
 from tests.filters.tracks import sampled
-from tests.localization.mistakes import AZIMUTHS, MISTAKES, linear, read_columns, write_columns
+from tests.localization.mistakes import (
+    AZIMUTHS,
+    MISTAKES,
+    linear,
+    read_columns,
+    write_columns,
+    wrong_log,
+)
 from tests.logs.by_hand import hide_anchors
 from tests.paths import json_in
 
@@ -211,6 +218,11 @@ def test_options_that_conflict_with_live_are_refused(more):
     assert code == 2 and more[0].removeprefix("--").removeprefix("no-") in errors[0].split(":")[1]
 
 
+def ride(log, *more):
+    """Return the words after ``localize`` for a log of the ride."""
+    return options(log, "--radio", "standard", *more, folder=RIDE)
+
+
 # --- paths without anchor numbers
 
 
@@ -224,8 +236,7 @@ def hidden(tmp_path_factory):
 
 
 def test_the_command_reports_how_many_paths_were_associated_with_each_anchor(hidden):
-    more = ("--radio", "standard", "--speed", "auto", "--associate")
-    shown, figures = with_json("localize", *options(hidden, *more, folder=RIDE))
+    shown, figures = with_json("localize", *ride(hidden, "--speed", "auto", "--associate"))
     association = figures["association"]
     count = len(hidden.read_text().splitlines()) - 1
     assert association["paths"] == count
@@ -241,7 +252,7 @@ def test_the_command_reports_how_many_paths_were_associated_with_each_anchor(hid
 
 
 def test_a_log_of_paths_needs_the_option_that_finds_their_anchors(hidden):
-    _, line = refused(options(hidden, "--radio", "standard", folder=RIDE))
+    _, line = refused(ride(hidden))
     assert "found no anchor" in line and "--associate" in line
 
 
@@ -255,8 +266,7 @@ def test_a_log_of_paths_needs_the_option_that_finds_their_anchors(hidden):
     ids=["right", "clock ahead", "azimuths turned"],
 )
 def test_paths_that_do_not_fit_the_map_cause_a_warning(tmp_path, mistake, advice):
-    log = tmp_path / "log.csv"
-    write_columns(log, mistake(read_columns(STREET / "log.csv")))
+    log = wrong_log(tmp_path, STREET, mistake)
     words = options(log, "--radio", "standard", "--associate", "--imm", "imm-best", folder=STREET)
     done = command("localize", *words)
     assert done.returncode == 0
@@ -399,15 +409,13 @@ def test_a_log_in_which_no_track_begins_is_refused_and_nothing_is_written(tmp_pa
 @pytest.fixture(scope="module")
 def downlink(tmp_path_factory):
     """Return a copy of the ride's log with angles of arrival at the user, as in a downlink."""
-    log = tmp_path_factory.mktemp("downlink") / "log.csv"
     mistake = MISTAKES["arrival is measured at the user (downlink)"]
-    write_columns(log, mistake(read_columns(RIDE / "log.csv")))
-    return log
+    return wrong_log(tmp_path_factory.mktemp("downlink"), RIDE, mistake)
 
 
 def test_each_contradiction_is_shown_as_a_warning_and_written_to_json(tmp_path, downlink):
-    words = options(downlink, "--speed", "auto", "--radio", "standard", folder=RIDE)
-    done = command("localize", *words, "--json", tmp_path / "found.json")
+    words = ride(downlink, "--speed", "auto", "--json", tmp_path / "found.json")
+    done = command("localize", *words)
     assert done.returncode == 0 and "NIS / dof" in done.stdout
     lines = done.stderr.splitlines()
     warning = "warning: anchor 1: found .*, expected .*; --diagnose looks for a likely mistake"
@@ -421,8 +429,7 @@ def test_each_contradiction_is_shown_as_a_warning_and_written_to_json(tmp_path, 
 def test_a_diagnosis_names_the_mistake_and_writes_no_track(tmp_path, downlink):
     before = downlink.read_bytes()
     file = tmp_path / "found.json"
-    words = options(downlink, "--radio", "standard", "--diagnose", "--json", file, folder=RIDE)
-    done = command("localize", *words)
+    done = command("localize", *ride(downlink, "--diagnose", "--json", file))
     assert done.returncode == 0 and done.stderr == "" and downlink.read_bytes() == before
     name = "arrival is measured at the user (downlink)"
     assert f"\nThe log is consistent if {name}." in done.stdout
@@ -434,9 +441,7 @@ def test_a_diagnosis_names_the_mistake_and_writes_no_track(tmp_path, downlink):
 
 
 def test_a_log_that_is_refused_can_be_diagnosed(tmp_path):
-    log = tmp_path / "log.csv"
-    write_columns(log, MISTAKES["angles are in degrees"](read_columns(RIDE / "log.csv")))
-    words = options(log, "--radio", "standard", folder=RIDE)
+    words = ride(wrong_log(tmp_path, RIDE, MISTAKES["angles are in degrees"]))
     refusal = command("localize", *words, "--speed", "auto")
     assert refusal.returncode == 2
     assert "if the value is in degrees, name the column aoa_azimuth_deg; mmwave" in refusal.stderr
@@ -446,11 +451,9 @@ def test_a_log_that_is_refused_can_be_diagnosed(tmp_path):
 
 def test_two_mistakes_are_diagnosed_although_wrong_values_suggest_another_radio(tmp_path):
     names = ("times are round-trip times", "angles are in degrees")
-    columns = read_columns(RIDE / "log.csv")
-    for name in names:
-        columns = MISTAKES[name](columns)
-    write_columns(tmp_path / "log.csv", columns)
-    words = options(tmp_path / "log.csv", "--diagnose", folder=RIDE)
+    first, second = (MISTAKES[name] for name in names)
+    log = wrong_log(tmp_path, RIDE, lambda columns: second(first(columns)))
+    words = options(log, "--diagnose", folder=RIDE)
     assert f"consistent if {'; '.join(names)}." in command("localize", *words).stdout
 
 
@@ -465,8 +468,7 @@ def test_a_log_whose_track_does_not_fit_is_not_called_consistent(tmp_path):
 
 
 def test_a_diagnosis_reports_facts_about_the_log():
-    words = options(RIDE / "log.csv", "--radio", "standard", "--diagnose", folder=RIDE)
-    shown, results = with_json("localize", *words)
+    shown, results = with_json("localize", *ride(RIDE / "log.csv", "--diagnose"))
     columns = read_columns(RIDE / "log.csv")
     times = np.unique(columns["time_s"])
     facts = results["facts"]
@@ -496,25 +498,23 @@ OFF = {  # name -> mistake, words of the warning, key of the scene that corrects
 @pytest.mark.parametrize("name", OFF)
 def test_an_error_that_all_links_share_is_warned_of_and_corrected(tmp_path, name):
     mistake, words, key = OFF[name]
-    write_columns(tmp_path / "log.csv", mistake(read_columns(RIDE / "log.csv")))
-    log = ("--radio", "standard", "--speed", "auto")
-    done = command("localize", *options(tmp_path / "log.csv", *log, folder=RIDE))
+    log = wrong_log(tmp_path, RIDE, mistake)
+    done = command("localize", *ride(log, "--speed", "auto"))
     (warning,) = [line for line in done.stderr.splitlines() if "looks as if" in line]
     assert re.search(f"as if {words}", warning) and "protection levels do not hold" in warning
     scene = tmp_path / "corrected.json"
-    more = ("--radio", "standard", "--diagnose", "--write", scene)
-    shown = command("localize", *options(tmp_path / "log.csv", *more, folder=RIDE)).stdout
+    shown = command("localize", *ride(log, "--diagnose", "--write", scene)).stdout
     assert "consistent as it is" not in shown and f'write "{key}": ' in shown
     assert json_in(scene).keys() - json_in(RIDE / "scene.json").keys() == {key}
-    done = command("localize", tmp_path / "log.csv", "--scene", scene, *log)
+    done = command("localize", *ride(log, "--speed", "auto", "--scene", scene))
     assert done.returncode == 0 and done.stderr == ""
 
 
 @pytest.mark.slow
 def test_a_log_can_be_diagnosed_with_a_clock_and_a_scene_without_errors_is_not_written(tmp_path):
     scene = tmp_path / "corrected.json"
-    words = ("--radio", "standard", "--diagnose", "--clock", "offset", "--write", scene)
-    done = command("localize", *options(RIDE / "log.csv", *words, folder=RIDE))
+    words = ride(RIDE / "log.csv", "--diagnose", "--clock", "offset", "--write", scene)
+    done = command("localize", *words)
     assert done.returncode == 0 and "Not written: nothing is wrong." in done.stdout
     assert not scene.exists()
 
@@ -532,6 +532,6 @@ def test_a_log_can_be_diagnosed_with_a_free_clock(tmp_path, column):
     header = ",".join(rows[0]).replace("toa_s", column)
     lines = [",".join(row.values()) for row in rows]
     (tmp_path / "log.csv").write_text("\n".join([header, *lines]))
-    words = options(tmp_path / "log.csv", "--radio", "standard", "--diagnose", folder=RIDE)
-    done = command("localize", *words, "--clock", "free")
+    words = ride(tmp_path / "log.csv", "--diagnose", "--clock", "free")
+    done = command("localize", *words)
     assert done.returncode == 0 and "The log is consistent as it is." in done.stdout

@@ -24,6 +24,13 @@ def write_columns(path, columns):
     path.write_text(log_text(columns))
 
 
+def wrong_log(tmp_path, folder, mistake):
+    """Write the log of a folder again, with a mistake; return the path of the new file."""
+    path = tmp_path / "log.csv"
+    write_columns(path, mistake(read_columns(folder / "log.csv")))
+    return path
+
+
 def linear(factor, *names, offset=0.0):
     """Return a mistake that multiplies columns by a factor and adds an offset."""
     return lambda c: {**c, **{name: offset + factor * c[name] for name in names}}

@@ -25,8 +25,7 @@ from tests.localization.mistakes import (
     ORDERS,
     exchanged,
     linear,
-    read_columns,
-    write_columns,
+    wrong_log,
 )
 from tests.logs.by_hand import assert_same
 from tests.paths import representative
@@ -54,13 +53,6 @@ def findings(path, scene, partial=False):
 def reordered(scene, order):
     """Return the scene with its anchors in another order; the first anchor is the base station."""
     return scene.with_anchors(scene.anchors_m[np.subtract(order, 1)])
-
-
-def wrong_log(tmp_path, folder, mistake):
-    """Write the log of a folder again, with a mistake; return the path of the new file."""
-    path = tmp_path / "log.csv"
-    write_columns(path, mistake(read_columns(folder / "log.csv")))
-    return path
 
 
 @both
