@@ -37,6 +37,14 @@ class Restricted:
     def residual(self, a, b, x):
         return self.sensor.residual(a, b, self._whole(x))
 
+    @property
+    def groups(self):
+        return self.sensor.groups
+
+    @property
+    def links(self):
+        return self.sensor.links
+
 
 @dataclass(frozen=True)
 class Rows:
@@ -74,29 +82,19 @@ class Update(NamedTuple):
     log_likelihood: float
 
 
-def statistics(moments, sensor, groups, x, P, z, R):
-    """Return the innovation covariance S (rows, rows), and NIS and log det S of every group."""
+def gate_groups(moments, sensor, x, P, z, R, visible, quantile=None, force=False, robust=False):
+    """Gate each group at the prior; a robust update inflates R of links with a large NIS.
+
+    Returns R, the mask of accepted rows, and the last three fields of an :class:`Update`.
+    """
     mean, S, _ = moments(sensor, x, P)
     S = S + np.diag(R)
     y = sensor.residual(z, mean, x)
+    groups = sensor.groups
     nis = np.array([y[g] @ np.linalg.inv(S[g, g]) @ y[g] for g in groups])
-    return S, nis, np.array([np.log(np.linalg.det(S[g, g])) for g in groups])
-
-
-class Judged(NamedTuple):
-    nis: np.ndarray
-    accepted: np.ndarray
-    R: np.ndarray
-    log_likelihood: float
-
-
-def gate_groups(
-    moments, sensor, groups, links, x, P, z, R, visible, quantile=None, force=False, robust=False
-):
-    """Gate each group at the prior; a robust update inflates R of links with a large NIS."""
-    _, nis, log_det = statistics(moments, sensor, groups, x, P, z, R)
+    log_det = np.array([np.log(np.linalg.det(S[g, g])) for g in groups])
     sizes = np.array([g.stop - g.start for g in groups])
-    is_link = np.arange(len(groups)) < links
+    is_link = np.arange(len(groups)) < sensor.links
     passed = np.ones(len(groups), bool) if quantile is None else nis <= chi2.ppf(quantile, sizes)
     if force or robust:
         passed = passed | is_link
@@ -104,20 +102,19 @@ def gate_groups(
         doubt = np.where(is_link, np.maximum(nis / (1.5 * sizes), 1.0) ** 2, 1.0)
         R = R * np.repeat(doubt, sizes)
     log_likelihood = -0.5 * np.sum((nis + log_det)[visible])
-    return Judged(np.where(visible, nis, 0.0), visible & passed, R, log_likelihood)
+    accepted = visible & passed
+    return R, np.repeat(accepted, sizes), np.where(visible, nis, 0.0), accepted, log_likelihood
 
 
-def update(moments, sensor, groups, links, x, P, z, R, *gate):
+def update(moments, sensor, x, P, z, R, *gate):
     """Gate each group at the prior, then condition on all rows of the groups that passed."""
-    nis, accepted, R, *rest = gate_groups(moments, sensor, groups, links, x, P, z, R, *gate)
-    keep = np.repeat(accepted, [g.stop - g.start for g in groups])
-    return Update(*textbook.update(moments, sensor, x, P, z, R, keep), nis, accepted, *rest)
+    R, keep, *judged = gate_groups(moments, sensor, x, P, z, R, *gate)
+    return Update(*textbook.update(moments, sensor, x, P, z, R, keep), *judged)
 
 
-def iterated(iterations, sensor, groups, links, x, P, z, R, *gate):
+def iterated(iterations, sensor, x, P, z, R, *gate):
     """Run an iterated EKF update (Bell and Cathey 1993, eq. for x_i+1), gated at the prior."""
-    nis, accepted, R, *rest = gate_groups(tangent, sensor, groups, links, x, P, z, R, *gate)
-    keep = np.repeat(accepted, [g.stop - g.start for g in groups])
+    R, keep, *judged = gate_groups(tangent, sensor, x, P, z, R, *gate)
     R = np.diag(R[keep])
     iterate = x
     for _ in range(iterations):
@@ -126,7 +123,7 @@ def iterated(iterations, sensor, groups, links, x, P, z, R, *gate):
         residual = sensor.residual(z, sensor.h(iterate), iterate)[keep]
         iterate = x + K @ (residual - H @ (x - iterate))
     A = np.eye(len(x)) - K @ H
-    return Update(iterate, A @ P @ A.T + K @ R @ K.T, nis, accepted, *rest)
+    return Update(iterate, A @ P @ A.T + K @ R @ K.T, *judged)
 
 
 def textbook_imm(episode, modes, transitions, nis_quantile=1.0, change=None):
@@ -151,9 +148,7 @@ def textbook_imm(episode, modes, transitions, nis_quantile=1.0, change=None):
         for j, (method, Q) in enumerate(modes):
             prior = textbook.predict(mixed_x[j], mixed_P[j], Q * dt, dt)
             measured = episode.table()[t, 1:14], episode.sigma[t] ** 2, episode.usable[t]
-            groups = sensor.groups, sensor.links
-            moments = textbook.METHODS[method]
-            step = update(moments, sensor, *groups, *prior, *measured)
+            step = update(textbook.METHODS[method], sensor, *prior, *measured)
             x[j] = step.x
             P[j] = step.P
             log_likelihood[j] = step.log_likelihood + 0.5 * np.maximum(step.nis - most, 0.0).sum()

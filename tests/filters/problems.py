@@ -57,10 +57,9 @@ class Problem(NamedTuple):
     @property
     def update(self):
         """Return the arguments that follow the sensor in ``gated_textbook.update``."""
-        s = self.seen
         rows = slice(None) if self.measured is None else self.measured
         visible = self.visible if self.measured is None else self.visible[self.visible]
-        return s.groups, s.links, self.x, self.P, self.z[rows], self.R[rows], visible
+        return self.x, self.P, self.z[rows], self.R[rows], visible
 
     @property
     def order(self):
@@ -76,11 +75,11 @@ class Problem(NamedTuple):
         By default, all components are free, and ``force`` is ``gate.force``.
         """
         free = self.order if free is None else free
-        groups, links, x, P, *measured = self.update
+        x, P, *measured = self.update
         model = Restricted(self.seen, x, free)
         prior = (x[free], P[np.ix_(free, free)])
         rule = gate.quantile, gate.force if force is None else force, gate.robust
-        update = gated_textbook.update(moments, model, groups, links, *prior, *measured, *rule)
+        update = gated_textbook.update(moments, model, *prior, *measured, *rule)
         back = np.argsort(free)
         return update._replace(x=update.x[back], P=update.P[np.ix_(back, back)])
 
