@@ -34,6 +34,9 @@ from mmwave_env.world.simulated import EpisodeStarts, SimulatedSource
 BLOCKS_PER_THREAD = 64  # minimum number of blocks for each thread
 _NO_FEED = Feed.none()
 
+Places = Index | slice  # indices of environments
+ALL = slice(None)
+
 
 class Batch:
     """N environments running one program.
@@ -78,14 +81,14 @@ class Batch:
     def load(
         self,
         episodes: EpisodeBatch | Sequence[Episode],
-        places: Index | None = None,
+        places: Places = ALL,
         go_on: bool = False,
     ) -> None:
         """Load episodes, to be filtered from their priors.
 
         Args:
             episodes: one episode for each environment in ``places``.
-            places: indices of the environments to load; None for all.
+            places: indices of the environments to load.
             go_on: whether the episodes, which have the same times, continue the tracks that were
                 loaded last; priors are then ignored.
 
@@ -98,7 +101,6 @@ class Batch:
             gap_s = float(time_s[0]) - self._end_s
             self._end_s = float(time_s[-1])
         packed = EpisodeBatch.of(episodes, self.layout)
-        places = np.arange(self.n) if places is None else places
         epochs = packed.table.shape[1]
         self.make_room(epochs)
         self.state.length[places] = packed.length
@@ -146,9 +148,8 @@ class Batch:
             longer[:, :had] = table
             self.state = self.state._replace(table=longer)
 
-    def restart(self, places: Index | None = None) -> None:
+    def restart(self, places: Places) -> None:
         """Start over with the loaded episodes; ``places`` is the same as in :meth:`load`."""
-        places = np.arange(self.n) if places is None else places
         self.write(self.at.is_first, 1.0, places)
         self.state.epoch[places] = 0
 
@@ -243,11 +244,10 @@ class Batch:
         block, lane = divmod(environment, WIDTH)
         return self.state.rows[block, :, lane].copy()
 
-    def write(self, tree: Any, values: Any, places: Index | None = None) -> None:
+    def write(self, tree: Any, values: Any, places: Places = ALL) -> None:
         """Set the rows of a subtree of ``at`` to values: (n,) for a leaf, else (n, leaves).
 
-        ``values`` has one entry for each environment in ``places`` (None for all environments).
+        ``values`` has one entry for each environment in ``places``.
         """
-        places = np.arange(self.n) if places is None else places
-        block, lane = np.divmod(places, WIDTH)
+        block, lane = np.divmod(np.arange(self.n)[places], WIDTH)
         self.state.rows[block, self.span(tree), lane] = values

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.compiler.program import NO_ROWS, Program, StepIO, rows_of
-from mmwave_env.engines.batch import Batch
+from mmwave_env.engines.batch import ALL, Batch, Places
 from mmwave_env.engines.epoch import (
     Asked,
     EpochState,
@@ -112,8 +112,8 @@ class Engine(Batch):
             self._programs[verbs] = program_of(self._asked, verbs)
         return self._programs[verbs]
 
-    def tune(self, tuning: Bank | Sequence[Tuning], places: Index | None = None) -> None:
-        """Set the modes' tunings in some tracks (n,), None for all, which start over.
+    def tune(self, tuning: Bank | Sequence[Tuning], places: Places = ALL) -> None:
+        """Set the modes' tunings in some tracks, which start over.
 
         Args:
             tuning: a bank whose modes differ from the pipeline's only in their tuning; or, if the

@@ -4,18 +4,17 @@ Each epoch is filtered once: all modes run, the policy chooses, and the belief f
 are the same as in an environment. A policy that corrects beliefs then reads the updated belief.
 """
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from mmwave_env.engines.batch import ALL, Places
 from mmwave_env.engines.engine import Engine, play
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import CORRECTION, MODE
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.policy import Switching
-from mmwave_env.numerics.numbers import Array, Array32, Index
-from mmwave_env.world.episode import Episode, EpisodeBatch
+from mmwave_env.numerics.numbers import Array, Array32
 
 
 class PolicyTracker(Engine):
@@ -30,7 +29,7 @@ class PolicyTracker(Engine):
         ValueError: the policy corrects beliefs that the modes share.
     """
 
-    def __init__(self, pipeline: Pipeline, switching: Switching, n: int = 1) -> None:
+    def __init__(self, pipeline: Pipeline, switching: Switching, n: int) -> None:
         assert switching.policy
         bank = switching.bank
         table = Observation(pipeline, switching.observation, switching.beliefs)
@@ -41,23 +40,17 @@ class PolicyTracker(Engine):
         super().__init__(
             pipeline, n, None, switching.observation, bank, action=action, predicted=bank is None
         )
-        self._policy.reset(np.ones(n, np.bool_))
+        self.restart(ALL)
 
     @property
     def memory(self) -> tuple[Array32, ...]:  # type: ignore[override]
         """Return the policy's memory, in which tracks of another engine can be set."""
         return self._policy.memory
 
-    def load(
-        self,
-        episodes: EpisodeBatch | Sequence[Episode],
-        places: Index | None = None,
-        go_on: bool = False,
-    ) -> None:
-        """Load episodes of all tracks; where tracks begin, the policy forgets the past."""
-        super().load(episodes, places, go_on)
-        if not go_on:
-            self._policy.reset(np.ones(self.n, np.bool_))
+    def restart(self, places: Places) -> None:
+        """Start over with the loaded episodes of all tracks; the policy forgets the past."""
+        super().restart(places)
+        self._policy.reset(np.ones(self.n, np.bool_))
 
     def run(self, *names: str, actions: Any = None) -> dict[str, Array]:
         """Filter the loaded episodes once, in the same way as :meth:`Engine.run`.
