@@ -16,10 +16,10 @@ from scipy.special import chdtr, chdtri
 from mmwave_env.io.files import Json, atomic_path, require_writable
 from mmwave_env.io.lookup import printable, require_extra, spelled
 from mmwave_env.localization.localizer import Track
-from mmwave_env.localization.position_errors import SHARES, half_axes, horizontal, vertical
+from mmwave_env.localization.position_errors import SHARES, horizontal, vertical
 from mmwave_env.models.scene import Scene
+from mmwave_env.numerics.ellipses import axes_of, ellipse
 from mmwave_env.numerics.numbers import Array
-from mmwave_env.rendering.history import ellipse
 from mmwave_env.rendering.theme import THEMES, hex_of
 
 STYLE = Path(__file__).with_name("publication.mplstyle")
@@ -318,12 +318,12 @@ def _draw_ellipses(axes: Any, track: Track) -> None:
     at = np.unique(np.linspace(0, len(track.time_s) - 1, ELLIPSES).astype(int))
     P = track.smooth_P[at]
     deviations = np.sqrt(chdtri(2, 0.05))
-    longest = deviations * half_axes(P)[0]
+    longest = deviations * axes_of(P)[0]
     extent = float(np.ptp(track.smooth_x[:, :2], axis=0).max())
     wanted = _VISIBLE * extent / max(float(np.median(longest)), 1e-9)
     enlarged = next((n for n in _ENLARGED if n >= wanted), _ENLARGED[-1])
-    for center, each in zip(track.smooth_x[at, :2], P, strict=True):
-        axes.fill(*ellipse(center, each, enlarged * deviations).T, fc="none", ec="black", lw=0.8)
+    for ring in ellipse(track.smooth_x[at, :2], P, enlarged * deviations, 48):
+        axes.fill(*ring.T, fc="none", ec="black", lw=0.8)
     label = "95 % ellipses" + (f",\nenlarged {enlarged} times" if enlarged > 1 else "")
     axes.plot([], [], "o", mfc="none", mec="black", mew=0.8, ms=8, label=label)
 

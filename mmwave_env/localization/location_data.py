@@ -28,7 +28,7 @@ def location_data(
     latitude, longitude, height = position.geodetic
     turn = east_north(origin)
     variance = np.array(position.covariance_m2)
-    major, minor, azimuth = ellipses_of((turn @ variance[:2, :2] @ turn.T)[None])[:, 0].tolist()
+    major, minor, azimuth = map(float, ellipses_of(origin, variance[[0, 1, 1], [0, 0, 1]]))
     scale = sqrt(-2.0 * log(1.0 - confidence))  # chi-square quantile, 2 degrees of freedom
     percent = round(100.0 * confidence)
     east, north = (turn @ position.velocity_mps[:2]).tolist()

@@ -19,10 +19,11 @@ import pymap3d
 
 from mmwave_env.localization.localizer import Track
 from mmwave_env.models.scene import Origin, Scene
+from mmwave_env.numerics.ellipses import axes_of, ellipse
 from mmwave_env.numerics.numbers import Array
 
 ELLIPSE_SHARE = 0.95
-_ELLIPSE_NIS = -2.0 * np.log(1.0 - ELLIPSE_SHARE)  # chi-square quantile, 2 degrees of freedom
+_DEVIATIONS = np.sqrt(-2.0 * np.log(1.0 - ELLIPSE_SHARE))  # chi quantile, 2 degrees of freedom
 _CORNERS = 32  # number of corners of the polygon that approximates an ellipse
 _ELLIPSES_APART_S = 1.0  # minimum time between ellipses; one per epoch would make files too large
 _GEOJSON = '{"type": "FeatureCollection", "features": ['
@@ -39,15 +40,14 @@ def east_north(origin: Origin) -> Array:
     return np.array([[np.sin(bearing), -np.cos(bearing)], [np.cos(bearing), np.sin(bearing)]])
 
 
-def ellipses_of(variance: Array) -> Array:
+def ellipses_of(origin: Origin, P: Array) -> list[Array]:
     """Return the half axes of error ellipses, major and minor, and azimuths of the major axes.
 
-    The variances (n, 2, 2) are in east and north; the result is (3, n), in m, m and degrees
-    clockwise from north (0 to 180).
+    The covariances P are packed, with x and y first; azimuths are in degrees clockwise from north
+    (0 to 180).
     """
-    size, axes = np.linalg.eigh(variance)
-    minor, major = np.sqrt(np.maximum(size, 0.0)).T
-    return np.array([major, minor, np.degrees(np.arctan2(axes[:, 0, 1], axes[:, 1, 1])) % 180.0])
+    major, minor, turn = axes_of(P)
+    return [major, minor, (origin.bearing_deg - np.degrees(turn)) % 180.0]
 
 
 def geodetic(origin: Origin, points_m: Array) -> Array:
@@ -60,14 +60,8 @@ def geodetic(origin: Origin, points_m: Array) -> Array:
 
 def _ellipses(origin: Origin, x: Array, P: Array) -> Array:
     """Return 95 % ellipses as closed rings (n, corners + 1, 2) of longitudes and latitudes."""
-    size, axes = np.linalg.eigh(P[:, [0, 1, 1, 2]].reshape(-1, 2, 2))
-    axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]  # rings are counterclockwise (RFC 7946)
-    angle = np.linspace(0.0, 2.0 * np.pi, _CORNERS, endpoint=False)
-    circle = np.stack([np.cos(angle), np.sin(angle)])
-    radius = np.sqrt(_ELLIPSE_NIS * np.maximum(size, 0.0))
-    offsets = (axes * radius[:, None]) @ circle  # (n, 2, corners)
     corners = np.repeat(x[:, None, :3], _CORNERS, axis=1)
-    corners[..., :2] += offsets.transpose(0, 2, 1)
+    corners[..., :2] = ellipse(x[:, :2], P, _DEVIATIONS, _CORNERS)
     around = geodetic(origin, corners.reshape(-1, 3)).reshape(len(x), _CORNERS, 3)
     return np.concatenate([around, around[:, :1]], axis=1)[..., [1, 0]]
 
@@ -157,7 +151,7 @@ def nmea(track: Track, origin: Origin, name: str) -> str:
     turn = east_north(origin)
     variance = turn @ P[:, [0, 1, 1, 2]].reshape(-1, 2, 2) @ turn.T
     axes = np.sqrt(np.maximum([variance[:, 1, 1], variance[:, 0, 0], P[:, 5]], 0.0))
-    numbers = np.vstack([ellipses_of(variance), axes]).T.tolist()
+    numbers = np.vstack([*ellipses_of(origin, P), axes]).T.tolist()
     places = geodetic(origin, track.smooth_x[:, :3]).tolist()
     lines = []
     for moment, (latitude, longitude, height), of in zip(

@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 
 from mmwave_env.metrics import RISK
+from mmwave_env.numerics.ellipses import axes_of
 from mmwave_env.numerics.numbers import Array
 
 CONFIDENCE = 0.95  # confidence of the interval "ci95" of :func:`exceedance`
@@ -36,19 +37,9 @@ _ANGLES = (np.arange(64) + 0.5) * (np.pi / 128)  # values of t; one quadrant rep
 _HALVINGS = 60
 
 
-def half_axes(P: Array) -> tuple[Array, Array]:
-    """Compute the half axes a and b (...,), m, from packed P (..., 3 or more) with x, y first."""
-    xx = P[..., 0]
-    xy = P[..., 1]
-    yy = P[..., 2]
-    middle = 0.5 * (xx + yy)
-    half = np.hypot(0.5 * (xx - yy), xy)
-    return np.sqrt(middle + half), np.sqrt(np.maximum(middle - half, 0.0))
-
-
 def horizontal_level(P: Array, risk: float) -> Array:
     """Compute horizontal levels (...,), m, from packed P (..., 3 or more) with x, y first."""
-    major, minor = half_axes(P)
+    major, minor, _ = axes_of(P)
     ratio = np.divide(minor, major, out=np.zeros_like(major), where=major > 0.0)
     return major * np.interp(ratio, _RATIOS, _multiples(risk))  # type: ignore[no-any-return]
 

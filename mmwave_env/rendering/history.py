@@ -65,12 +65,3 @@ def _lengths(vectors: Array) -> Array:
     """Return the lengths (n,) of vectors (n, 3); those of a lost track may be arbitrarily large."""
     with np.errstate(over="ignore"):
         return np.linalg.norm(vectors, axis=1)  # type: ignore[no-any-return]
-
-
-def ellipse(center: Array, P: Array, deviations: float) -> Array:
-    """Return the ellipse (n, 2) at ``deviations`` times the standard deviations of packed P."""
-    angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
-    variances, axes = np.linalg.eigh(P[[[0, 1], [1, 2]]])
-    lengths = np.sqrt(np.maximum(variances, 0.0))
-    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return center + deviations * (circle * lengths) @ axes.T  # type: ignore[no-any-return]

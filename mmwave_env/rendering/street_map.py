@@ -10,9 +10,10 @@ from typing import NamedTuple
 import numpy as np
 
 from mmwave_env.models.scene import Scene, Streets
+from mmwave_env.numerics.ellipses import ellipse
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.rendering.canvas import Canvas, Point, Rect
-from mmwave_env.rendering.history import History, ellipse
+from mmwave_env.rendering.history import History
 from mmwave_env.rendering.theme import Paint
 
 # length of moving averages, and time constant of their weights
@@ -155,7 +156,7 @@ def _draw_tracks(canvas: Canvas, view: View, history: History) -> None:
     color = history.modes[-1]
     P = history.P[-1]
     if np.isfinite(P).all():
-        outline = view.pixels(ellipse(history.estimate[-1, :2], P, 2.0))
+        outline = view.pixels(ellipse(history.estimate[-1, :2], P, 2.0, 48))
         canvas.polygon(outline, color, 0.18)
         canvas.line(outline, color, 1.2, closed=True)
     if len(truth) > 1:

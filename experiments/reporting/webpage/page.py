@@ -34,10 +34,10 @@ from experiments.reporting.webpage.contents import (
 )
 from mmwave_env.io.files import Json, first_line
 from mmwave_env.io.lookup import printable
-from mmwave_env.localization.position_errors import half_axes
 from mmwave_env.logs.truth import velocity_of
 from mmwave_env.metrics import nees_interval
 from mmwave_env.models.prior import GAP_S
+from mmwave_env.numerics.ellipses import axes_of
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.rendering.history import POSITION_NUMBERS, History
 from mmwave_env.rendering.theme import THEMES, hex_of
@@ -176,15 +176,14 @@ def _course(history: History, modes: Sequence[str], weighed: bool) -> Json:
     """
     letters = history.fates.astype("U1")  # a: accepted, r: rejected, m: missing
     estimate = history.estimate
-    xx, xy, yy = history.P[:, :3].T
-    major, minor = half_axes(history.P)
-    turn = -0.5 * np.degrees(np.arctan2(2.0 * xy, xx - yy))  # clockwise from the x axis
+    major, minor, turn = axes_of(history.P)
+    axes = (2.0 * major, 2.0 * minor, -np.degrees(turn))  # clockwise from the x axis
     themes = (THEMES[theme].for_modes(modes).modes for theme in ("light", "dark"))
     return {
         "x": _numbers(estimate[:, 0]),
         "y": _numbers(estimate[:, 1]),
         # ellipse of two standard deviations
-        "ellipse": [_numbers(values, ".4g") for values in (2.0 * major, 2.0 * minor, turn)],
+        "ellipse": [_numbers(values, ".4g") for values in axes],
         "speed_mps": _numbers(history.speed_mps),
         "error_m": _numbers(history.error_m),
         "nees": _numbers(history.nees, ".4g"),
