@@ -29,8 +29,7 @@ from mmwave_env.models.prior import GAP_S, draw_prior
 from mmwave_env.models.radio import Radio, clock_bias, doppler_spread, oscillator_bias, radio_from
 from mmwave_env.models.scene import Scene, scene_of_anchors
 from mmwave_env.numerics.numbers import Array, Index, Mask, wrap
-from mmwave_env.world.checks import refuse, require_increasing
-from mmwave_env.world.episode import Episode
+from mmwave_env.world.episode import Episode, refuse, require_increasing
 
 # Median errors of a link's range (m) and angles (rad). Medians above _FAR are warned of, medians
 # below _NEAR are not; between them, the limit depends on the noise.

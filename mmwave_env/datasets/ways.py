@@ -9,11 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from mmwave_env.io.files import AnyPath, read_text
+from mmwave_env.io.files import AnyPath, read_text, refuse_in
 from mmwave_env.io.lookup import is_name, quoted
 from mmwave_env.io.records import Printable
 from mmwave_env.logs.lines import number
-from mmwave_env.world.checks import refuse_in
 from mmwave_env.world.trajectory import Scenario, Trajectory, Ways
 
 COLUMNS = ("t", "x", "y", "z", "vx", "vy", "vz")  # a file has all or none of the last three

@@ -7,7 +7,7 @@ simulated or recorded.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, NoReturn, Protocol
 
 import numpy as np
 
@@ -19,9 +19,19 @@ from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Index, Mask, Number, Numbers, Vector, where
 from mmwave_env.numerics.pytree import flatten, indices
-from mmwave_env.world.checks import refuse, require_increasing
 
 NEUTRAL_SNR_DB = 20.0  # replaces an SNR that was not measured; about the mean SNR in streets
+
+
+def refuse(record: str, field: str, value: object, expected: str) -> NoReturn:
+    """Raise a ValueError about a field of a record; ``record`` is a name like "episode 'jam'"."""
+    raise ValueError(f"{field} of {record}: found {value}, expected {expected}")
+
+
+def require_increasing(record: str, time_s: Array) -> None:
+    """Refuse the times (T,) of epochs of an episode or a track unless they increase."""
+    if len(time_s) < 1 or not (np.diff(time_s) > 0.0).all():
+        refuse(record, "time_s", "times that do not increase", "one or more increasing times")
 
 
 @dataclass(frozen=True, eq=False)

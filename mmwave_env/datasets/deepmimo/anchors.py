@@ -22,10 +22,10 @@ from typing import NamedTuple, NoReturn
 
 import numpy as np
 
+from mmwave_env.io.files import refuse_in
 from mmwave_env.models.layout import LINK
 from mmwave_env.models.measurement import SPEED_OF_LIGHT, direction
 from mmwave_env.numerics.numbers import PI, Array, Index, Mask, wrap
-from mmwave_env.world.checks import refuse_in
 
 TOLERANCE_M = 0.05  # points this close count as equal; rounding to float32 moves points by 1e-4 m
 # ``interactions`` has one digit for each interaction on a path; 0 means no interaction.

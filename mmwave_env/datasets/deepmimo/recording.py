@@ -18,10 +18,9 @@ from mmwave_env.datasets.deepmimo.anchors import (
 from mmwave_env.datasets.deepmimo.v4 import Scenario, open_scenario
 from mmwave_env.datasets.recorded import Recording
 from mmwave_env.datasets.ways import COLUMNS, read_trajectory
-from mmwave_env.io.files import AnyPath
+from mmwave_env.io.files import AnyPath, refuse_in
 from mmwave_env.models.layout import LINK
 from mmwave_env.numerics.numbers import Array, Index
-from mmwave_env.world.checks import refuse_in
 from mmwave_env.world.trajectory import Trajectory
 
 SIDECAR = "trajectory.csv"  # times, positions and perhaps velocities; not a file of DeepMIMO

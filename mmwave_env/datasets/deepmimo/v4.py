@@ -23,10 +23,9 @@ from mmwave_env.datasets.deepmimo.anchors import (
     TOLERANCE_M,
     StationPaths,
 )
-from mmwave_env.io.files import read_json
+from mmwave_env.io.files import read_json, refuse_in
 from mmwave_env.io.lookup import as_name
 from mmwave_env.numerics.numbers import Array, Index, Mask
-from mmwave_env.world.checks import refuse_in
 
 PARAMS = "params.json"  # the file that marks a folder as a scenario
 _RECEIVERS = re.compile(r"rx_pos_(t\d+_tx\d+)_r(\d+)\.(?:npz|npy)")
