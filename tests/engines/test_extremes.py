@@ -22,7 +22,7 @@ from mmwave_env.models.scene import SCENES, Wall
 from mmwave_env.world.episode import Episode
 from mmwave_env.world.mobility import MOBILITIES
 from mmwave_env.world.simulated import SimulatedSource
-from tests.filters.tracks import TRIANGLE, drawn, street_source, unpacked
+from tests.filters.tracks import drawn, packed, street_source, unpacked
 from tests.refusals import refuses
 
 ASIDE = 0.01  # tested values differ from a limit of their bound by this share of the limit
@@ -128,7 +128,7 @@ def episode():
 def sound(x, P):
     """Return a mask (n,) of tracks with finite x (n, T, 7) and positive definite P (n, T, 28)."""
     finite = np.isfinite(np.concatenate([x, P], axis=2)).all(axis=(1, 2))
-    full = unpacked(np.where(finite[:, None, None], P, np.eye(7)[TRIANGLE]))
+    full = unpacked(np.where(finite[:, None, None], P, packed(np.eye(7))))
     scale = np.sqrt(np.maximum(np.einsum("...ii->...i", full), 1e-300))
     least = np.linalg.eigvalsh(full / scale[..., :, None] / scale[..., None, :])[..., 0]
     return finite & (least > -1e-9).all(axis=1)  # eigenvalues have rounding errors
@@ -158,7 +158,7 @@ def test_beliefs_are_sound_if_one_or_two_quantities_are_at_the_ends_of_their_bou
 
 def test_unsound_tracks_are_detected():
     x = np.zeros((3, 2, 7))
-    P = np.tile(np.eye(7)[TRIANGLE], (3, 2, 1))
+    P = np.tile(packed(np.eye(7)), (3, 2, 1))
     P[0, 1, 1] = 1.1  # a correlation above 1
     x[1, 0, 6] = np.nan
     assert sound(x, P).tolist() == [False, False, True]

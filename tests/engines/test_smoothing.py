@@ -12,14 +12,10 @@ from mmwave_env.engines.smoothing import smooth
 from mmwave_env.filters import textbook
 from mmwave_env.filters.bank import best_bank
 from mmwave_env.interface.reward import TrackingReward
-from tests.filters.tracks import TRIANGLE, pipeline_of, sampled, simulated, street_source, unpacked
+from tests.filters.tracks import packed, pipeline_of, sampled, simulated, street_source, unpacked
 
 TOLERANCE = 1e-9
 PARTS = ("x", "P", "x_predicted", "P_predicted")
-
-
-def packed(P):
-    return P[..., TRIANGLE[0], TRIANGLE[1]]
 
 
 @pytest.mark.parametrize("dt", [0.1, 1.0, 3.0])

@@ -25,7 +25,7 @@ from mmwave_env.interface.observation import BELIEFS
 from mmwave_env.metrics import BURN_IN, INFO_KEYS, METRICS
 from mmwave_env.models.layout import Layout
 from policies import LearnedSwitch, learned, shipped_policies
-from tests.filters.tracks import street_source
+from tests.filters.tracks import street_source, unpacked
 from tests.paths import ROOT, write_json
 from tests.policies.test_corrector import card, network
 from tests.refusals import refuses
@@ -198,9 +198,7 @@ def test_errors_and_nees_belong_to_the_corrected_beliefs(tmp_path, short):
     truth = np.stack([episode.truth_position_m for episode in short])
     error = results["x"][..., :3] - truth
     assert_allclose(results["error"], error, atol=1e-9)
-    P = np.zeros((*error.shape, 3))
-    i, j = np.tril_indices(3)
-    P[..., i, j] = P[..., j, i] = results["P"][..., :6]
+    P = unpacked(results["P"])[..., :3, :3]
     nees = np.einsum("nti,ntij,ntj->nt", error, np.linalg.inv(P), error)
     assert_allclose(results["nees"], nees, rtol=1e-6)
     length = np.minimum(np.linalg.norm(error, axis=-1), 10.0)

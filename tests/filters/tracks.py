@@ -19,7 +19,6 @@ from mmwave_env.world.simulated import SimulatedSource
 from mmwave_env.world.trajectory import Trajectory
 
 STREET = Layout(3)
-TRIANGLE = np.tril_indices(7)
 HZ_PER_MPS = 93.4
 
 
@@ -191,6 +190,11 @@ def track(pipeline, episodes, actions, epochs, parts, on_floats=False, bank=None
         predicted = tracker.run("P_predicted", actions=actions.T)["P_predicted"]
         arrays["P_predicted"] = predicted.swapaxes(0, 1)
     return arrays
+
+
+def packed(P):
+    """Return the lower triangles of symmetric matrices (..., n, n), as filters store them."""
+    return P[(..., *np.tril_indices(P.shape[-1]))]
 
 
 def unpacked(P):

@@ -9,7 +9,7 @@ from mmwave_env.localization.readings import AZIMUTH, DEPARTURE, ELEVATION, RANG
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.keys import keys_of
-from mmwave_env.world.simulated import SimulatedSource
+from tests.filters.tracks import street_source
 from tests.logs.by_hand import log_with
 
 STREET = SCENES["street"]
@@ -22,7 +22,7 @@ def mode_of(radio):
 
 def readings(count, radio="standard", scenario="pedestrian", seed=500_000, dt=1.0, epochs=200):
     """Return simulated logs in the street, each from the first link of its base station on."""
-    source = SimulatedSource(STREET, RADIOS[radio], scenario, dt, epochs)
+    source = street_source(scenario, radio, dt=dt, epochs=epochs)
     logs = []
     for e in source.episodes(keys_of(range(seed, seed + count))):
         log = log_with(e.layout, e.time_s, e.measurement, e.visible, e.snr_db)

@@ -18,9 +18,8 @@ from mmwave_env.models.layout import Layout, sigma_name
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, Scene
-from mmwave_env.world.simulated import SimulatedSource
 from policies.rules import by_predicted_speed
-from tests.filters.tracks import geometry, sampled
+from tests.filters.tracks import drawn, geometry
 from tests.logs.by_hand import hide_anchors
 from tests.paths import LOGS, representative
 
@@ -150,8 +149,7 @@ def test_false_paths_alone_do_not_make_a_track():
 
 
 def test_association_does_not_change_odometry_and_doppler_spread(tmp_path):
-    source = SimulatedSource(SCENES["street"], RADIO, "vehicle", epochs=40, odometry=True)
-    episode = sampled(source, 1)
+    episode = drawn(1, scenario="vehicle", radio="standard", epochs=40, odometry=True)
     path = tmp_path / "log.csv"
     hide_anchors(path, episode, false_paths=2)
     block, _ = associated(read_paths(path, SCENES["street"]), SCENES["street"])

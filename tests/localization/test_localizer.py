@@ -24,10 +24,9 @@ from mmwave_env.models.prior import prior_from_fix
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, Scene
 from mmwave_env.world.episode import Episode
-from mmwave_env.world.simulated import SimulatedSource
 from policies.corrector import TWO_WAY, TwoWayCorrector
 from policies.rules import by_odometry_speed, by_predicted_speed
-from tests.filters.tracks import geometry, sampled, track
+from tests.filters.tracks import drawn, geometry, track
 from tests.logs.by_hand import assert_same, damaged, log_with
 from tests.logs.writing import write_log
 from tests.paths import representative
@@ -43,8 +42,7 @@ BANK = best_bank()
 @cache
 def log(folder, odometry=False):
     """Return a log with uneven time steps; nothing is measured in the first two epochs."""
-    source = SimulatedSource(SCENE, RADIO, "walk-ride", epochs=T, odometry=odometry)
-    episode = sampled(source, 3)
+    episode = drawn(3, scenario="walk-ride", epochs=T, odometry=odometry)
     time = 1.7e9 + np.random.default_rng(0).uniform(0.5, 1.5, T).cumsum()
     visible = episode.visible.copy()
     visible[:2] = False

@@ -16,8 +16,7 @@ from mmwave_env.logs.log import read_paths
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, read_scene, scene_json
-from mmwave_env.world.simulated import SimulatedSource
-from tests.filters.tracks import sampled
+from tests.filters.tracks import drawn
 from tests.paths import representative
 from tests.refusals import refuses
 
@@ -39,8 +38,7 @@ def paths_of(tmp_path):
         epochs=200,
         without=(),
     ):
-        source = SimulatedSource(STREET, RADIOS[radio], "mixed", epochs=epochs)
-        episode = sampled(source, seed)
+        episode = drawn(seed, radio=radio, epochs=epochs)
         columns = path_columns(episode, false_paths, np.random.default_rng(seed))
         for name in without:
             del columns[name]

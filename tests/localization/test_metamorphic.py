@@ -16,7 +16,7 @@ from mmwave_env.localization.localizer import localize
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import read_scene, scene_of_anchors
-from tests.filters.tracks import TRIANGLE, assert_same_beliefs, unpacked
+from tests.filters.tracks import assert_same_beliefs, packed, unpacked
 from tests.localization.mistakes import AZIMUTHS, FOLDERS, read_columns, write_columns
 
 pytestmark = pytest.mark.slow  # all tests together take half a minute
@@ -56,9 +56,8 @@ def assert_moved(moved, plain, turn=UNTURNED, shift_m=(0.0, 0.0, 0.0)):
     for x, P in (("x", "P"), ("smooth_x", "smooth_P")):
         expected = plain[x] @ whole.T + [*shift_m, 0.0, 0.0, 0.0, 0.0]
         covariance = whole @ unpacked(plain[P]) @ whole.T
-        packed = covariance[..., TRIANGLE[0], TRIANGLE[1]]
         ours = {"x": moved[x], "P": moved[P]}
-        theirs = {"x": expected, "P": packed}
+        theirs = {"x": expected, "P": packed(covariance)}
         assert_same_beliefs(ours, theirs, rtol=ROUNDING)
     np.testing.assert_allclose(moved["nis"], plain["nis"], rtol=1e-6, atol=1e-6)
     for name in ("visible", "accepted", "incomplete", "mode"):

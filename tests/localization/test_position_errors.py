@@ -19,14 +19,10 @@ from mmwave_env.localization.position_errors import (
     gaussian_levels,
     horizontal_level,
 )
+from tests.filters.tracks import packed
 from tests.refusals import refuses
 
 risks = st.floats(-7.0, np.log10(0.5)).map(lambda power: 10.0**power)
-
-
-def packed(P):
-    """Return the lower triangles (..., 6) of covariances (..., 3, 3), as filters store them."""
-    return np.asarray(P)[(..., *np.tril_indices(3))]
 
 
 def turned(major, minor, angle):
@@ -98,7 +94,7 @@ ERRORS = hnp.arrays(float, st.tuples(st.integers(1, 60), st.just(3)), elements=s
 def covariances(*shape, seed=0):
     """Return random packed covariances (*shape, 28)."""
     factor = np.random.default_rng(seed).normal(size=(*shape, 7, 7))
-    return (factor @ np.swapaxes(factor, -2, -1))[(..., *np.tril_indices(7))]
+    return packed(factor @ np.swapaxes(factor, -2, -1))
 
 
 def assert_figures(figures, size, level):

@@ -10,10 +10,8 @@ from mmwave_env.datasets.log_folder import log_text, path_columns
 from mmwave_env.logs.live_log import LiveLog, log_from
 from mmwave_env.logs.log import Log, read_log
 from mmwave_env.logs.log_tables import LogError, header_of
-from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from mmwave_env.world.simulated import SimulatedSource
-from tests.filters.tracks import sampled
+from tests.filters.tracks import drawn
 from tests.refusals import refuses
 
 SCENE = SCENES["street"]
@@ -110,8 +108,7 @@ def shown(block):
 
 @lru_cache
 def episode(seed=0, epochs=25, odometry=False):
-    source = SimulatedSource(SCENE, RADIOS["handset"], "mixed", epochs=epochs, odometry=odometry)
-    return sampled(source, seed)
+    return drawn(seed, epochs=epochs, odometry=odometry)
 
 
 def require_pyarrow(suffix):
