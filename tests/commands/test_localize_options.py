@@ -451,8 +451,8 @@ def test_a_log_that_is_refused_can_be_diagnosed(tmp_path):
 
 def test_two_mistakes_are_diagnosed_although_wrong_values_suggest_another_radio(tmp_path):
     names = ("times are round-trip times", "angles are in degrees")
-    first, second = (MISTAKES[name] for name in names)
-    log = wrong_log(tmp_path, RIDE, lambda columns: second(first(columns)))
+    first, second = names
+    log = wrong_log(tmp_path, RIDE, lambda columns: MISTAKES[second](MISTAKES[first](columns)))
     words = options(log, "--diagnose", folder=RIDE)
     assert f"consistent if {'; '.join(names)}." in command("localize", *words).stdout
 

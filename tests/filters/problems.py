@@ -155,6 +155,13 @@ def assert_same(ours, expected, rtol=RTOL, visible=None):
     assert_array_equal(P, P.T)
 
 
+def derivative(sensor, x, step):
+    """Return the Jacobian (rows, n) of a sensor at x (n,), from central differences."""
+    ends = [(sensor.h(x + e), sensor.h(x - e)) for e in step * np.eye(len(x))]
+    columns = [sensor.difference(*each) / (2.0 * step) for each in ends]
+    return np.array(columns).T
+
+
 def assume_clear_of(nis, sensor, quantile):
     """Assume that no NIS is so near its gate that rounding decides whether its group passes."""
     if quantile is not None:

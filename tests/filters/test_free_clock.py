@@ -81,13 +81,17 @@ class Problem(NamedTuple):
 NOISES = ("sigma_p", "sigma_v", "sigma_pz", "sigma_vz", "sigma_b_mps", "spread_gain")
 
 
+def masts(rng, count):
+    """Return random anchors (count, 3) around the user."""
+    return np.column_stack([rng.uniform(-60, 60, (count, 2)), rng.uniform(4, 12, count)])
+
+
 @st.composite
 def problems(draw, wild=0):
     """Draw a problem with three or more right ranges; ``wild`` other ranges are too long."""
     links = draw(st.integers(3, 6)) + wild
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    anchors = np.column_stack([rng.uniform(-60, 60, (links, 2)), rng.uniform(4, 12, links)])
-    sensor = textbook.Sensor(anchors, HZ_PER_MPS, shifted=int(rng.integers(links)))
+    sensor = textbook.Sensor(masts(rng, links), HZ_PER_MPS, shifted=int(rng.integers(links)))
     root = np.tril(rng.normal(0, 0.2, (7, 7)), -1) + np.diag(rng.uniform(0.3, 2.0, 7))
     x = np.array([0.0, 0.0, 1.5, *rng.normal(0, 1, 3), 5.0])
     truth = x + 0.4 * root @ rng.standard_normal(7)
@@ -150,8 +154,7 @@ def test_a_wild_range_is_doubted_and_costs_likelihood_and_the_others_decide(prob
 def test_the_likelihood_of_many_wild_ranges_is_finite():
     """Let 30 ranges be up to 1000 km off: the largest that a log may have."""
     rng = np.random.default_rng(0)
-    anchors = np.column_stack([rng.uniform(-60, 60, (32, 2)), rng.uniform(4, 12, 32)])
-    sensor = textbook.Sensor(anchors, HZ_PER_MPS)
+    sensor = textbook.Sensor(masts(rng, 32), HZ_PER_MPS)
     z = sensor.h(STATE)
     z[8:-1:4] += rng.choice([-1, 1], 30) * rng.uniform(1e5, 1e6, 30)
     measured = np.zeros(len(z), bool)
@@ -162,8 +165,7 @@ def test_the_likelihood_of_many_wild_ranges_is_finite():
 
 
 def test_a_range_alone_only_sets_the_clock_and_does_not_end_a_lockout():
-    anchors = np.array([[40.0, 5.0, 8.0]])
-    sensor = textbook.Sensor(anchors, HZ_PER_MPS)
+    sensor = textbook.Sensor(np.array([[40.0, 5.0, 8.0]]), HZ_PER_MPS)
     z = sensor.h(STATE)
     measured = np.array([True, False, False, False, False])
     result = Problem(sensor, STATE, np.eye(7), z, np.full(5, 0.3), measured).ours(700.0)

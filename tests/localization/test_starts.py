@@ -65,6 +65,12 @@ def log_of(tmp_path, scene, rows, clock="synchronized"):
     return read_log(path, scene, clock=clock)
 
 
+def tracked(tmp_path, scene, rows, policy, **options):
+    """Return the track of a log with these rows."""
+    switching = contender_from(policy, "standard")
+    return localize(log_of(tmp_path, scene, rows), scene, RADIO, switching, **options)
+
+
 def places(t):
     """Return standing places that are 0.5 m apart."""
     return np.array([3.0 + 0.4 * t, 4.0 + 0.3 * t, 1.5])
@@ -105,8 +111,8 @@ def test_reflections_among_the_first_epochs_do_no_lasting_harm(tmp_path, reflect
             def wrong(t, link, epochs=epochs):
                 return [link[0] + 3.0, link[1] + 30.0] if t in epochs else link
 
-            log = log_of(tmp_path, ONE, rows_of(ONE, range(45), places, wrong, seed=seed))
-            track = localize(log, ONE, RADIO, contender_from(policy, "standard"))
+            rows = rows_of(ONE, range(45), places, wrong, seed=seed)
+            track = tracked(tmp_path, ONE, rows, policy)
             smooth = errors(track, places, track.smooth_x)
             smoothed.append(rms(smooth))
             filtered.append(rms(errors(track, places, track.x)[4:]))
@@ -129,8 +135,8 @@ def street(t):
 @pytest.mark.parametrize("policy", representative(["imm-best", "speed-rule"], "speed-rule"))
 def test_ranges_that_are_wrong_after_an_outage_are_taken_back(tmp_path, policy):
     times = [*range(60), *range(74, 100)]
-    log = log_of(tmp_path, ROOM, rows_of(ROOM, times, street, outage))
-    track = localize(log, ROOM, RADIO, contender_from(policy, "standard"), window=None)
+    rows = rows_of(ROOM, times, street, outage)
+    track = tracked(tmp_path, ROOM, rows, policy, window=None)
     wrong = np.linalg.norm(errors(track, street, track.x), axis=1)
     assert wrong[track.time_s >= 84].max() < 2.0
 
@@ -139,8 +145,7 @@ def test_sequential_ranges_begin_a_track_within_two_seconds(tmp_path):
     """Check ranges that a receiver measures one after the other, 10 a second, with 0.1 m noise."""
     times = np.arange(0.0, 60.0, 0.1).round(1)
     rows = rows_of(ROOM, times, circle, seen=lambda n: [n % 4], noise=RANGES)
-    log = log_of(tmp_path, ROOM, rows)
-    track = localize(log, ROOM, RADIO, contender_from("imm-best", "standard"))
+    track = tracked(tmp_path, ROOM, rows, "imm-best")
     assert track.time_s[0] <= 2.0
     late = track.time_s > 10.0
     assert rms(errors(track, circle, track.x)[late]) < 0.15
@@ -151,15 +156,19 @@ def stroll(t):
     return np.array([20.0 + 1.2 * t, 30.0 + 3.0 * np.sin(t / 9.0), 1.5])
 
 
+def late_rms(tmp_path, rows):
+    """Return the error of an EKF's track of a stroll, without the first 20 s."""
+    track = tracked(tmp_path, WIDE, rows, "speed-rule")
+    return rms(errors(track, stroll, track.x)[track.time_s > 20.0])
+
+
 def test_an_ekf_survives_a_reflected_range_in_the_first_second(tmp_path):
     """Check ranges that are measured one after the other, the second one 8 m too long."""
     times = [second + later for second in range(60) for later in (0.0, 0.1, 0.2)]
     for seed in (0, 6, 7):
         rows = rows_of(WIDE, times, stroll, seen=lambda n: [n % 3], seed=seed, noise=FAINT)
         rows[1]["range_m"] += 8.0
-        log = log_of(tmp_path, WIDE, rows)
-        track = localize(log, WIDE, RADIO, contender_from("speed-rule", "standard"))
-        assert rms(errors(track, stroll, track.x)[track.time_s > 20.0]) < 1.0
+        assert late_rms(tmp_path, rows) < 1.0
 
 
 def test_an_ekf_survives_a_wrong_azimuth_in_the_first_epoch(tmp_path):
@@ -169,9 +178,7 @@ def test_an_ekf_survives_a_wrong_azimuth_in_the_first_epoch(tmp_path):
         for row in rows:
             del row["range_m"], row["range_sigma_m"]
         rows[0]["aoa_azimuth_deg"] += 25.0
-        log = log_of(tmp_path, WIDE, rows)
-        track = localize(log, WIDE, RADIO, contender_from("speed-rule", "standard"))
-        assert rms(errors(track, stroll, track.x)[track.time_s > 20.0]) < 10.0
+        assert late_rms(tmp_path, rows) < 10.0
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -237,9 +244,8 @@ def test_starts_with_two_anchors_have_honest_covariances_or_wait(tmp_path, case)
 
 def live_as_in_log(tmp_path, scene, rows, policy, first):
     """Return the live positions of rows; check that from ``first`` on, they are those of a log."""
-    switching = contender_from(policy, "standard")
-    track = localize(log_of(tmp_path, scene, rows), scene, RADIO, switching, window=None)
-    tracker = Tracker(scene, switching, RADIO)
+    track = tracked(tmp_path, scene, rows, policy, window=None)
+    tracker = Tracker(scene, contender_from(policy, "standard"), RADIO)
     epochs = groupby(rows, lambda row: row["time_s"])
     positions = [tracker.update(epoch) for _, epoch in epochs]
     assert_array_equal([p.position_m for p in positions[first:]], track.x[first:, :3])

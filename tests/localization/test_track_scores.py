@@ -79,18 +79,19 @@ def scored_at(tmp_path, time_s, known, second_segment=T):
     return figures["tracks"]["filtered"]["rpe_m"], figures["rpe_s"], block.x[:, :3]
 
 
-def mean_change(x, pairs):
-    """Return the mean distance in m between the positions of two epochs, for pairs of epochs."""
-    return np.mean([np.linalg.norm(x[second] - x[first]) for first, second in pairs])
+def assert_rpe(scored, pairs, apart):
+    """Assert that the RPE is the mean distance between the positions of pairs of epochs."""
+    rpe_m, rpe_s, x = scored
+    lengths = [np.linalg.norm(x[second] - x[first]) for first, second in pairs]
+    assert rpe_m == pytest.approx(np.mean(lengths), rel=1e-9)
+    assert rpe_s == pytest.approx(apart)
 
 
 def test_rpe_pairs_epochs_one_second_apart_but_not_across_gaps(tmp_path):
     time = 0.1 * np.arange(T) + np.where(np.arange(T) >= 130, 7.3, 0.0)
     known = np.array([k for k in range(T) if not 200 <= k < 255])
-    rpe_m, apart, x = scored_at(tmp_path, time, known)
     pairs = [(k, k + 10) for k in known if k + 10 in known and not k < 130 <= k + 10]
-    assert rpe_m == pytest.approx(mean_change(x, pairs), rel=1e-9)
-    assert apart == pytest.approx(1.0)
+    assert_rpe(scored_at(tmp_path, time, known), pairs, 1.0)
 
 
 @FEW
@@ -104,9 +105,8 @@ def test_rpe_of_slow_logs_pairs_only_neighboring_epochs_of_a_segment(tmp_path, s
     time = step * np.arange(T)
     time[50:] += 9.0 * step
     known = np.array([k for k in range(T) if k != 70])
-    rpe_m, apart, x = scored_at(tmp_path, time, known, second_segment=100)
     pairs = [(k, k + 1) for k in range(T - 1) if k not in (49, 69, 70, 99)]
-    assert rpe_m == pytest.approx(mean_change(x, pairs), rel=1e-9) and apart == step
+    assert_rpe(scored_at(tmp_path, time, known, second_segment=100), pairs, step)
 
 
 KEYS = ["seen", "rejected", "rejected_share", "incomplete", "nis_per_dof", "nis_in_bounds"]

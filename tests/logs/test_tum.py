@@ -108,9 +108,7 @@ def test_a_carriage_return_inside_a_line_is_refused(tmp_path, line):
 
 
 def truth_of(folder, time_s, position_m):
-    path = folder / "truth.tum"
-    path.write_text(tum_lines(time_s, position_m))
-    return Truth(path)
+    return Truth(store(folder, tum_lines(time_s, position_m)))
 
 
 def expected(pose_s, position, time_s):
