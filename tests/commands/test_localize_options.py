@@ -1,6 +1,5 @@
 """Tests of the options --live, --associate and --diagnose of ``mmwave-loc localize``."""
 
-import csv
 import json
 import re
 import signal
@@ -22,6 +21,7 @@ from tests.filters.tracks import sampled
 from tests.localization.mistakes import (
     AZIMUTHS,
     MISTAKES,
+    differences,
     linear,
     read_columns,
     write_columns,
@@ -520,18 +520,8 @@ def test_a_log_can_be_diagnosed_with_a_clock_and_a_scene_without_errors_is_not_w
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("column", ["toa_s", "rstd_s"])
-def test_a_log_can_be_diagnosed_with_a_free_clock(tmp_path, column):
-    with (RIDE / "log.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    with_times = [row for row in rows if row["toa_s"]]
-    first = {row["time_s"]: float(row["toa_s"]) for row in reversed(with_times)}
-    for row in with_times:
-        reference = first[row["time_s"]] if column == "rstd_s" else 0.0
-        row["toa_s"] = str(float(row["toa_s"]) - reference)
-    header = ",".join(rows[0]).replace("toa_s", column)
-    lines = [",".join(row.values()) for row in rows]
-    (tmp_path / "log.csv").write_text("\n".join([header, *lines]))
-    words = ride(tmp_path / "log.csv", "--diagnose", "--clock", "free")
-    done = command("localize", *words)
+@pytest.mark.parametrize("receiver", [dict, differences], ids=["times", "differences"])
+def test_a_log_can_be_diagnosed_with_a_free_clock(tmp_path, receiver):
+    log = wrong_log(tmp_path, RIDE, receiver)
+    done = command("localize", *ride(log, "--diagnose", "--clock", "free"))
     assert done.returncode == 0 and "The log is consistent as it is." in done.stdout

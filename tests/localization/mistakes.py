@@ -3,6 +3,7 @@
 from itertools import permutations
 
 import numpy as np
+import pandas as pd
 
 from mmwave_env.datasets.log_folder import log_text
 from tests.paths import LOGS
@@ -44,6 +45,13 @@ def exchange(column, other):
 def renamed(names):
     """Return a mistake that gives columns other names."""
     return lambda c: {names.get(name, name): values for name, values in c.items()}
+
+
+def differences(columns):
+    """Return columns in which time differences to an epoch's first link replace its times."""
+    log = pd.DataFrame(columns).rename(columns={"toa_s": "rstd_s"})
+    log["rstd_s"] -= log.groupby("time_s").rstd_s.transform("first")
+    return dict(log)
 
 
 exchanged = exchange(*AZIMUTHS)  # azimuths of arrival and departure

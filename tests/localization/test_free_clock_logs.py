@@ -17,6 +17,7 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import Scene, Streets
 from policies.rules import by_predicted_speed
 from tests.cli import command, succeed
+from tests.localization.mistakes import differences, wrong_log
 
 ANCHORS = np.array([[0.2, 0.2, 2.6], [3.8, 0.4, 2.2], [3.7, 12.6, 2.7], [0.3, 12.8, 2.0]])
 PLACES = np.array([[1, 2], [3, 2.5], [1, 6.5], [3, 7], [1, 11], [3, 10.5]])
@@ -108,12 +109,8 @@ def words_of(folder):
 
 
 def test_time_differences_give_the_same_track_as_times_of_arrival(tmp_path, ride):
-    log = pd.read_csv(ride / LOG)
-    first = log.groupby("time_s").toa_s.transform("first")
-    log["toa_s"] = log.toa_s - first
-    log = log.rename(columns={"toa_s": "rstd_s"})
+    wrong_log(tmp_path, ride, differences)
     (tmp_path / SCENE).write_text((ride / SCENE).read_text())
-    log.to_csv(tmp_path / LOG, index=False)
     tracks = []
     for folder in (ride, tmp_path):
         succeed("localize", *words_of(folder), "--out", tmp_path / "track.csv")
@@ -126,13 +123,11 @@ def test_time_differences_give_the_same_track_as_times_of_arrival(tmp_path, ride
 
 
 def test_time_differences_need_a_free_clock_and_should_have_a_reference(tmp_path, ride):
-    log = pd.read_csv(ride / LOG).rename(columns={"toa_s": "rstd_s"})
-    log["rstd_s"] -= log.groupby("time_s").rstd_s.transform("first")
-    log.to_csv(tmp_path / LOG, index=False)
+    path = wrong_log(tmp_path, ride, differences)
     scene = ("--scene", ride / SCENE, "--speed", "auto")
-    done = command("localize", tmp_path / LOG, *scene)
+    done = command("localize", path, *scene)
     assert done.returncode == 2 and "expected the setting 'free'" in done.stderr
-    lonely = log[log.rstd_s != 0.0]
-    lonely.to_csv(tmp_path / LOG, index=False)
-    done = command("localize", tmp_path / LOG, *scene, "--clock", "free")
+    log = pd.read_csv(path)
+    log[log.rstd_s != 0.0].to_csv(path, index=False)
+    done = command("localize", path, *scene, "--clock", "free")
     assert done.returncode == 0 and "epochs without a reference" in done.stderr
