@@ -1,6 +1,5 @@
 """Tests of ``mmwave-loc localize``: its modes, its figures (errors and statistics), its options."""
 
-import csv
 import re
 import shlex
 
@@ -17,6 +16,7 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import read_scene
 from tests.cli import succeed
 from tests.commands.localizing import EPOCHS, RIDE, WALK, figures, lines_of, options, refused
+from tests.localization.mistakes import wrong_log
 from tests.paths import json_in, write_json
 
 # --- the speed (Algorithm 1 of the paper)
@@ -52,13 +52,9 @@ def test_the_corrector_is_the_default():
 @pytest.mark.slow  # compiles large programs
 @pytest.mark.parametrize("missing", [["doppler_spread_hz"], ["doppler_spread_hz", "doppler_hz"]])
 def test_corrections_do_no_harm_if_the_log_has_no_doppler_spread(tmp_path, missing):
-    with (RIDE / "log.csv").open() as file:
-        header, *rows = csv.reader(file)
-    kept = [i for i, name in enumerate(header) if name not in missing]
-    with (tmp_path / "log.csv").open("w") as file:
-        csv.writer(file).writerows([row[i] for i in kept] for row in [header, *rows])
+    log = wrong_log(tmp_path, RIDE, lambda c: {n: v for n, v in c.items() if n not in missing})
     corrected, plain = [
-        figures(RIDE, "--policy", policy, log=tmp_path / "log.csv")["truth"]["tracks"]["filtered"]
+        figures(RIDE, "--policy", policy, log=log)["truth"]["tracks"]["filtered"]
         for policy in ("corrector", "guided")
     ]
     assert corrected["ate_m"] < 1.05 * plain["ate_m"]

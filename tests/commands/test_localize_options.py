@@ -391,13 +391,8 @@ def test_options_that_do_not_fit_a_map_are_refused(tmp_path, field, more):
 
 
 def test_a_log_in_which_no_track_begins_is_refused_and_nothing_is_written(tmp_path):
-    header, *rows = [line.split(",") for line in (STREET / "log.csv").read_text().splitlines()]
-    arrival = header.index("aoa_azimuth_rad")
-    departure = header.index("aod_azimuth_rad")
-    for row in rows:  # on a line of sight they are opposite
-        row[departure] = row[arrival]
-    content = [",".join(row) + "\n" for row in (header, *rows)]
-    (tmp_path / "log.csv").write_text("".join(content))
+    # on a line of sight, arrival and departure are opposite
+    wrong_log(tmp_path, STREET, lambda c: c | {"aod_azimuth_rad": c["aoa_azimuth_rad"]})
     (tmp_path / "base-station.json").write_text((STREET / "base-station.json").read_text())
     _, line = refused(map_options(tmp_path, "--map-out", tmp_path / "learned.json"), cwd=tmp_path)
     assert "log 1 of 1: " in line and not (tmp_path / "learned.json").exists()
@@ -458,11 +453,11 @@ def test_two_mistakes_are_diagnosed_although_wrong_values_suggest_another_radio(
 
 
 def test_a_log_whose_track_does_not_fit_is_not_called_consistent(tmp_path):
-    columns = read_columns(WALK / "log.csv")
-    columns["toa_s"][columns["time_s"] > columns["time_s"][-1] / 2.0] += 1e-6
-    write_columns(tmp_path / "log.csv", columns)
-    words = options(tmp_path / "log.csv", "--radio", "standard", "--diagnose", folder=WALK)
-    done = command("localize", *words)
+    def late(columns):
+        return columns | {"toa_s": columns["toa_s"] + 1e-6 * (columns["time_s"] > 20.0)}
+
+    log = wrong_log(tmp_path, WALK, late)
+    done = command("localize", *options(log, "--radio", "standard", "--diagnose"))
     assert "\nNo hypothesis makes the log consistent." in done.stdout
     assert "anchor 1: found NIS" in done.stdout
 

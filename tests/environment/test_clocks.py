@@ -20,6 +20,7 @@ from mmwave_env.task import task_from
 from mmwave_env.world.keys import keys_of
 from tests.cli import assert_one_clear_line, command, succeed
 from tests.filters.tracks import around_a_block, replay, street_source, unpacked
+from tests.localization.mistakes import linear, renamed, wrong_log
 from tests.paths import representative
 from tests.refusals import refuses
 
@@ -199,22 +200,15 @@ def test_localize_estimates_the_offset(ride):
 
 
 def test_ranges_below_zero_are_accepted_if_the_clock_may_be_behind(tmp_path, ride):
-    lines = (ride / "log.csv").read_text().splitlines()
-    rows = [line.split(",") for line in lines[1:]]
-    moved = [[*row[:2], repr(float(row[2]) - 1e-6) if row[2] else "", *row[3:]] for row in rows]
-    log = tmp_path / "log.csv"
-    log.write_text("\n".join([lines[0], *map(",".join, moved)]) + "\n")
+    log = wrong_log(tmp_path, ride, linear(1.0, "toa_s", offset=-1e-6))
     words = log, *words_of(ride)[1:], "--speed", "auto"
     assert_one_clear_line(command("localize", *words), "'toa_s'.* expected a number from -1 ")
     assert "behind" in succeed("localize", *words, "--clock", "offset")
 
 
 def test_logs_that_do_not_determine_the_clock_are_refused(tmp_path, ride):
-    text = (ride / "log.csv").read_text()
-    header = text.splitlines()[0]
-    for own in (header.replace("toa_s", "rtt_s"), header.replace("toa_s", "aoa_azimuth_sigma_deg")):
-        log = tmp_path / "log.csv"
-        log.write_text(text.replace(header, own))
+    for own in ("rtt_s", "aoa_azimuth_sigma_deg"):
+        log = wrong_log(tmp_path, ride, renamed({"toa_s": own}))
         words = log, *words_of(ride)[1:], "--clock", "offset"
         done = command("localize", *words)
         assert done.returncode == 2 and "clock: found the setting 'offset'" in done.stderr
