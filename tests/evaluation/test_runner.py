@@ -25,7 +25,7 @@ from mmwave_env.interface.observation import BELIEFS
 from mmwave_env.metrics import BURN_IN, INFO_KEYS, METRICS
 from mmwave_env.models.layout import Layout
 from policies import LearnedSwitch, learned, shipped_policies
-from tests.filters.tracks import street_source, unpacked
+from tests.filters.tracks import nees_of, street_source
 from tests.paths import ROOT, write_json
 from tests.policies.test_corrector import card, network
 from tests.refusals import refuses
@@ -198,8 +198,7 @@ def test_errors_and_nees_belong_to_the_corrected_beliefs(tmp_path, short):
     truth = np.stack([episode.truth_position_m for episode in short])
     error = results["x"][..., :3] - truth
     assert_allclose(results["error"], error, atol=1e-9)
-    P = unpacked(results["P"])[..., :3, :3]
-    nees = np.einsum("nti,ntij,ntj->nt", error, np.linalg.inv(P), error)
+    nees = nees_of(error, results["P"])
     assert_allclose(results["nees"], nees, rtol=1e-6)
     length = np.minimum(np.linalg.norm(error, axis=-1), 10.0)
     odd = np.minimum(np.abs(np.log(np.maximum(nees, 1e-12) / 3.0)), 3.0)

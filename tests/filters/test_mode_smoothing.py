@@ -12,7 +12,7 @@ from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.metrics import BURN_IN, nees_interval
 from mmwave_env.task import task_from
 from mmwave_env.world.episode import columns_of
-from tests.filters.tracks import unpacked
+from tests.filters.tracks import nees_of
 
 PARTS = ("x", "P", "x_predicted", "P_predicted", "mixture")
 TUNING = 5_000_000  # episode key of the first episode
@@ -33,9 +33,7 @@ def smoothed(task, bank, n):
 def nees(batch, x, P):
     """Return the position error (n, T, 3) and its NEES (n, T), without the burn-in."""
     error = (x[..., :3] - batch.table[..., columns_of(batch.layout).truth[:3]])[:, BURN_IN:]
-    covariance = unpacked(P)[:, BURN_IN:, :3, :3]
-    solved = np.linalg.solve(covariance, error[..., None])[..., 0]
-    return error, (error * solved).sum(axis=-1)
+    return error, nees_of(error, P[:, BURN_IN:])
 
 
 @pytest.mark.parametrize("planar", [False, True])

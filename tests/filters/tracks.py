@@ -206,6 +206,13 @@ def unpacked(P):
     return full
 
 
+def nees_of(error, P):
+    """Return the NEES (...,) of errors (..., k) in the first k states, given packed P (..., n)."""
+    k = error.shape[-1]
+    covariance = unpacked(P)[..., :k, :k]
+    return np.einsum("...i,...ij,...j->...", error, np.linalg.inv(covariance), error)
+
+
 def assert_same_beliefs(a, b, rtol):
     """Assert that x and P of two tracks agree at every epoch, in units of standard deviations."""
     P = unpacked(a["P"])

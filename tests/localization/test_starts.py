@@ -18,7 +18,7 @@ from mmwave_env.localization.tracker import Tracker
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import scene_of_anchors
-from tests.filters.tracks import unpacked
+from tests.filters.tracks import nees_of
 from tests.paths import representative
 
 RADIO = RADIOS["standard"]
@@ -90,12 +90,6 @@ def rms(errors):
     return float(np.sqrt((errors**2).sum(axis=1).mean()))
 
 
-def nees(errors, P):
-    """Return the normalized squared errors (T,) of horizontal positions."""
-    S = unpacked(P)[:, :2, :2]
-    return np.einsum("ti,tij,tj->t", errors, np.linalg.inv(S), errors)
-
-
 REFLECTED = {"the first two": (0, 1), "the second": (1,), "the third": (2,), "the tenth": (9,)}
 
 
@@ -116,8 +110,8 @@ def test_reflections_among_the_first_epochs_do_no_lasting_harm(tmp_path, reflect
             smooth = errors(track, places, track.smooth_x)
             smoothed.append(rms(smooth))
             filtered.append(rms(errors(track, places, track.x)[4:]))
-            squared.append(nees(smooth, track.smooth_P).mean())
-            first = nees(errors(track, places, track.x), track.P)[:4]
+            squared.append(nees_of(smooth, track.smooth_P).mean())
+            first = nees_of(errors(track, places, track.x), track.P)[:4]
             assert len(track) == 45 and np.median(first) < 5.99  # inside their 95 %
         means[name] = np.mean([smoothed, filtered, squared], axis=1)
     assert (means["reflected"][:2] <= 1.15 * means["right"][:2]).all()

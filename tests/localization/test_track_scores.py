@@ -15,7 +15,7 @@ from mmwave_env.localization.track_scores import (
     warn_if_far,
 )
 from mmwave_env.metrics import ate, rmse
-from tests.filters.tracks import unpacked
+from tests.filters.tracks import nees_of, unpacked
 from tests.localization.test_track_files import some_track
 from tests.logs.test_tum import truth_of
 
@@ -40,9 +40,7 @@ def test_scores_equal_the_metrics_of_complete_tracks(tmp_path, planar, known):
         row = figures["tracks"][name]
         assert row["ate_m"] == pytest.approx(ate(error), rel=1e-12)
         assert row["rmse_m"] == pytest.approx(rmse(error), rel=1e-12)
-        position = unpacked(P[known])[:, axes][:, :, axes]
-        scaled = np.linalg.solve(position, error[:, axes, None])[..., 0]
-        nees = np.einsum("ti,ti->t", error[:, axes], scaled)
+        nees = nees_of(error[:, axes], P[known])
         assert row["nees"] == pytest.approx(nees.mean(), rel=1e-6)
         across = np.hypot(error[:, 0], error[:, 1])
         levels = horizontal_level(P[known], figures["risk"])

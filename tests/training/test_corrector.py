@@ -19,11 +19,11 @@ from experiments.training.trainer import Job
 from mmwave_env.metrics import BURN_IN
 from mmwave_env.models.measurement import blank_site
 from mmwave_env.models.random_scene import WIDE_SCENE
-from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.pytree import indices
 from mmwave_env.world.episode import columns_of
 from policies import Corrector
 from policies.corrector import TwoWayCorrector
+from tests.filters.tracks import nees_of
 from tests.training.test_rollout_env import task
 from tests.training.test_train_interrupted import assert_goes_on, silent, trained
 
@@ -82,9 +82,8 @@ def test_episodes_begin_from_a_link_that_filters_do_not_use_again():
     spent = (before[:, :, at.signed_sigma] > 0.0) & (batch.table[:, :, at.signed_sigma] < 0.0)
     assert (spent[:, 0].sum(axis=1) == 4).mean() > 0.9 and not spent[:, 1:].any()
     index = indices(blank_site(batch.layout))
-    P = np.array([unpack([*site[index.prior_P]]) for site in batch.site])[:, :3, :3]
     error = batch.site[:, index.prior_x[:3]] - batch.table[:, 0, at.truth[:3]]
-    nees = np.einsum("ni,nij,nj->n", error, np.linalg.inv(P), error)
+    nees = nees_of(error, batch.site[:, index.prior_P])
     assert 1.5 < np.median(nees) < 4.0  # 2.4 if errors are Gaussian; reflections have larger ones
 
 
