@@ -1,5 +1,6 @@
 """Helpers for tests: paths in the checkout, reading and writing of files, marks for slow cases."""
 
+import csv
 import json
 import re
 from pathlib import Path
@@ -16,6 +17,12 @@ RECORDINGS = ROOT / "mmwave_env" / "data" / "deepmimo_canyon28"
 def json_in(path):
     """Return the content of a JSON file."""
     return json.loads(path.read_text("utf-8"))
+
+
+def records(path):
+    """Return the rows of a CSV file as dicts by column."""
+    with path.open() as file:
+        return list(csv.DictReader(file))
 
 
 def write_json(path, content):

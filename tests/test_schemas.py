@@ -1,6 +1,5 @@
 """Tests that the JSON schemas of users' files agree with the readers of these files."""
 
-import csv
 import json
 from dataclasses import asdict
 
@@ -15,7 +14,7 @@ from mmwave_env.models.radio import read_radio
 from mmwave_env.models.scene import read_scene
 from mmwave_env.world.mobility import MOBILITIES, read_mobility
 from tests.damage import changed
-from tests.paths import LOGS, ROOT, json_in, write_json
+from tests.paths import LOGS, ROOT, json_in, records, write_json
 from tests.schemas import path_of, schemas
 
 READERS = {"scene": read_scene, "radio": read_radio, "modes": read_bank, "mobility": read_mobility}
@@ -95,8 +94,7 @@ def test_a_value_beyond_the_limit_of_its_column_is_refused_by_schema_and_reader(
 
 
 def test_rows_of_the_shipped_log_satisfy_the_schema():
-    with (LOGS / "canyon28_vehicle" / "log.csv").open() as file:
-        for row in csv.DictReader(file):
-            numbers = {name: float(cell) if cell else None for name, cell in row.items()}
-            VALIDATORS["log"].validate(numbers | {"anchor": int(row["anchor"])})
+    for row in records(LOGS / "canyon28_vehicle" / "log.csv"):
+        numbers = {name: float(cell) if cell else None for name, cell in row.items()}
+        VALIDATORS["log"].validate(numbers | {"anchor": int(row["anchor"])})
     assert not VALIDATORS["log"].is_valid({"time_s": 0.0, "anchor": 1, "snr_db": 10.0})

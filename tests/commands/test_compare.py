@@ -3,7 +3,6 @@
 Policies may be given as files, or as *runs*, which are folders that ``mmwave-loc train`` wrote.
 """
 
-import csv
 import re
 
 import gymnasium
@@ -12,7 +11,7 @@ import pytest
 
 from mmwave_env.metrics import BURN_IN, INFO_KEYS, METRICS, TERMS
 from tests.cli import assert_one_clear_line, command, succeed, with_json
-from tests.paths import ROOT, json_in, write_json
+from tests.paths import ROOT, json_in, records, write_json
 from tests.training.actors import actor, card_of, write
 
 
@@ -101,8 +100,7 @@ def results(tmp_path_factory):
     """Return the JSON content and the CSV rows of a comparison."""
     table = tmp_path_factory.mktemp("results") / "r.csv"
     _, content = with_json("compare", *TWO, "--episodes-csv", table)
-    with table.open() as file:
-        return content, list(csv.DictReader(file))
+    return content, records(table)
 
 
 @pytest.mark.slow
@@ -150,8 +148,8 @@ def test_recorded_episodes_have_seeds_but_no_episode_keys(tmp_path):
     where = ("--data", "canyon28_vehicle", "--episode-steps", 15, "--episodes", 2)
     words = ("compare", "--policy", "fixed-ukf", *where, "--episodes-csv", tmp_path / "r.csv")
     _, content = with_json(*words)
-    with (tmp_path / "r.csv").open() as file:
-        assert [(row["seed"], row["key"]) for row in csv.DictReader(file)] == [("0", ""), ("1", "")]
+    rows = records(tmp_path / "r.csv")
+    assert [(row["seed"], row["key"]) for row in rows] == [("0", ""), ("1", "")]
     assert content["scenario"] == "canyon28_vehicle" and list(content["policies"]) == ["fixed-ukf"]
 
 

@@ -13,8 +13,7 @@ from mmwave_env.logs.log import read_log, read_paths
 from mmwave_env.logs.tum import read_tum
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.scene import read_scene
-from mmwave_env.world.keys import keys_of
-from tests.filters.tracks import street_source
+from tests.filters.tracks import seeded
 from tests.localization.mistakes import read_columns
 from tests.paths import LOGS
 
@@ -30,7 +29,7 @@ def test_simulate_writes_the_episode_that_evaluate_draws_with_the_same_seed(tmp_
     simulate(out, "--scenario", "pedestrian", "--seed", 7)
     assert capsys.readouterr().out == f"written to {out}/: log.csv, scene.json, truth.tum\n"
     assert sorted(path.name for path in out.iterdir()) == FILES
-    episode = street_source("pedestrian").episode(int(keys_of([7])[0]))
+    episode = seeded(7, scenario="pedestrian")
     assert (out / "log.csv").read_text() == log_text(log_columns(episode))
 
 
@@ -102,7 +101,7 @@ def test_a_log_of_paths_has_no_anchor_numbers_and_false_paths(tmp_path, capsys):
         assert scene.base_station_m == truth.base_station_m and len(scene.anchors_m) == 1
         paths = read_paths(tmp_path / "log.csv", truth)
         assert "anchor" not in (tmp_path / "log.csv").read_text().splitlines()[0]
-        episode = street_source().episode(int(keys_of([3])[0]))
+        episode = seeded(3)
         true = episode.usable[:, :3].sum()
         false = sum(map(len, paths.epochs)) - true
         assert abs(false - rate * len(episode)) <= 4.0 * (rate * len(episode)) ** 0.5

@@ -12,9 +12,8 @@ from mmwave_env.datasets.recorded import MeasuredTrack, Recording
 from mmwave_env.datasets.samples import sample_folder, source_from
 from mmwave_env.logs.tum import tum_lines
 from mmwave_env.models.scene import SCENES, read_scene
-from mmwave_env.world.keys import keys_of
 from tests.cli import assert_one_clear_line, command, succeed
-from tests.filters.tracks import sampled, street_source
+from tests.filters.tracks import sampled, seeded
 from tests.localization.mistakes import read_columns, write_columns
 from tests.logs.by_hand import shown
 from tests.logs.writing import write_log
@@ -25,7 +24,7 @@ STREET = SCENES["street"]
 
 
 def simulated(seed=3, odometry=False):
-    return street_source("vehicle", odometry=odometry).episode(int(keys_of([seed])[0]))
+    return seeded(seed, scenario="vehicle", odometry=odometry)
 
 
 @pytest.fixture

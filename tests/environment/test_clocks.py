@@ -19,7 +19,7 @@ from mmwave_env.models.scene import SCENES
 from mmwave_env.task import task_from
 from mmwave_env.world.keys import keys_of
 from tests.cli import assert_one_clear_line, command, succeed
-from tests.filters.tracks import around_a_block, replay, street_source, unpacked
+from tests.filters.tracks import around_a_block, replay, seeded, street_source, unpacked
 from tests.localization.mistakes import linear, renamed, wrong_log
 from tests.paths import representative
 from tests.refusals import refuses
@@ -189,10 +189,7 @@ def test_localize_estimates_the_offset(ride):
     out = succeed("localize", *words_of(ride), *more)
     smoothed = next(line for line in out.splitlines() if line.startswith("| smoothed |"))
     assert float(smoothed.split("|")[2]) < 1.0
-    episodes = [
-        street_source(radio="standard", clock=clock).episode(int(keys_of([2])[0]))
-        for clock in ("synchronized", "offset")
-    ]
+    episodes = [seeded(2, radio="standard", clock=clock) for clock in ("synchronized", "offset")]
     said = next(line for line in out.splitlines() if "clock is" in line)
     ns, deviation = map(float, re.search(r"([\d.]+) ± ([\d.]+)", said).groups())
     true_ns = bias_of(*episodes)[-1] / SPEED_OF_LIGHT * 1e9

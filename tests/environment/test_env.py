@@ -21,9 +21,8 @@ from mmwave_env.filters.textbook import rts
 from mmwave_env.metrics import INFO_KEYS, summary
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.task import TaskArguments
-from mmwave_env.world.keys import keys_of
 from tests.environment.vector_checker import assert_own_memory, same
-from tests.filters.tracks import replay, street_source, unpacked
+from tests.filters.tracks import replay, seeded, unpacked
 from tests.refusals import refuses
 
 ID = "MmWaveLoc-v0"
@@ -35,16 +34,12 @@ END_KEYS = {"ate_m", "rmse_m", "rpe_m", "mean_nees", "in_bounds", "divergence"}
 SMOOTHED = "smoothed_ate_m"  # infos have this key if smoothed=True
 
 
-def draw(seed=0, **changes):
-    return street_source(**changes).episode(int(keys_of([seed])[0]))
-
-
 def adrift(drift_mps, epochs=200):
     """Return a source of an episode without measurements, so that the belief only drifts.
 
     The user rests, but the prior's mean has the speed ``drift_mps``.
     """
-    episode = draw(epochs=epochs)
+    episode = seeded(0, epochs=epochs)
     position = np.tile(episode.truth_position_m[0], (epochs, 1))
     return replay(
         replace(
@@ -206,7 +201,7 @@ def test_the_belief_belongs_to_the_last_epoch(planar):
 
 
 def test_nonfinite_measurements_are_counted_in_info():
-    episode = draw(0)
+    episode = seeded(0)
     measurement = episode.measurement.copy()
     epochs, links = np.argwhere(episode.visible[:, :3])[:5].T
     measurement[epochs, 4 * links] = np.nan
@@ -289,7 +284,7 @@ def test_the_last_info_contains_the_metrics_of_the_episode(dt):
     expected = {key: metrics[metric][0] for metric, key in INFO_KEYS.items()}
     assert set(expected) == END_KEYS
 
-    episode = draw(2, dt=dt)
+    episode = seeded(2, dt=dt)
     tracker = Engine(Pipeline(modes_from(None), episode.layout), 1, observation="")
     tracker.load([episode])
     track = tracker.run("x", "P", "P_predicted", actions=np.arange(200)[None] % 2)
@@ -318,6 +313,6 @@ def test_infos_can_be_limited_to_ends_of_episodes_or_left_empty():
 
 @pytest.mark.parametrize("unknown", ["truth_position_m", "truth_velocity_mps"])
 def test_an_episode_without_true_positions_or_velocities_is_refused(unknown):
-    env = gym.make(ID, episodes=replay(replace(draw(0), **{unknown: None})), **EKF)
+    env = gym.make(ID, episodes=replay(replace(seeded(0), **{unknown: None})), **EKF)
     with refuses("episode"):
         env.reset(seed=0)

@@ -15,6 +15,7 @@ from mmwave_env.models.measurement import exact_rows
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.episode import Episode
+from mmwave_env.world.keys import keys_of
 from mmwave_env.world.simulated import SimulatedSource
 from mmwave_env.world.trajectory import Trajectory
 
@@ -46,6 +47,11 @@ def sampled(source, seed=0):
 def drawn(seed, **options):
     """Return the episode of a seed in the default street."""
     return sampled(street_source(**options), seed)
+
+
+def seeded(seed, **options):
+    """Return the episode that an environment in the default street draws with this seed."""
+    return street_source(**options).episode(int(keys_of([seed])[0]))
 
 
 def simulated(n, epochs=200, odometry=False, seed=0, scene=SCENES["street"]):

@@ -5,7 +5,6 @@ Where these methods can't be used, the methods for log files (the careful method
 """
 
 import cProfile
-import csv
 import os
 import pstats
 import tracemalloc
@@ -28,7 +27,7 @@ from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import read_scene
 from policies import load
-from tests.paths import LOGS, representative
+from tests.paths import LOGS, records, representative
 
 WALK = LOGS / "canyon28_pedestrian"
 SCENE = read_scene(WALK / "scene.json")
@@ -41,10 +40,8 @@ def walk(count=60, **changed):
 
     A keyword names a column; its value is a function from row to cell, or None to drop the column.
     """
-    with (WALK / "log.csv").open() as file:
-        rows = [
-            {k: float(v) if v else None for k, v in row.items()} for row in csv.DictReader(file)
-        ]
+    lines = records(WALK / "log.csv")
+    rows = [{k: float(v) if v else None for k, v in line.items()} for line in lines]
     rows = [row | {name: make and make(row) for name, make in changed.items()} for row in rows]
     for row, name in product(rows, [name for name, make in changed.items() if make is None]):
         del row[name]

@@ -1,6 +1,5 @@
 """Tests of the tables that reproduce the paper: their scores, their sections, and their page."""
 
-import csv
 import re
 from dataclasses import replace
 
@@ -20,7 +19,7 @@ from mmwave_env.filters.bank import default_modes
 from tests.cli import succeed
 from tests.filters.tracks import nees_of
 from tests.pages import blocks_of, made
-from tests.paths import ROOT, numbers
+from tests.paths import ROOT, numbers, records
 
 PEDESTRIAN = Setting("pedestrian", "handset")
 
@@ -80,11 +79,6 @@ def test_sections_that_need_no_tracks_have_the_expected_rows(bench):
 
 
 PAGE = ROOT / "docs" / "paper.md"
-
-
-def records(path):
-    with path.open() as file:
-        return list(csv.DictReader(file))
 
 
 def tables_of_the_page(printed, folder):

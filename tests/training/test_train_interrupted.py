@@ -1,6 +1,5 @@
 """Tests that a training that was interrupted goes on, and keeps the seeds that had finished."""
 
-import csv
 import multiprocessing
 import os
 import re
@@ -12,7 +11,7 @@ from dataclasses import replace
 import pytest
 
 from tests import cli
-from tests.paths import json_in, write_json
+from tests.paths import json_in, records, write_json
 from tests.refusals import refuses
 
 pytest.importorskip("stable_baselines3")
@@ -78,7 +77,7 @@ def assert_goes_on(job):
     outcome = train(job, silent)
     assert outcome == json_in(job.outcome) and outcome["timesteps"] >= job.timesteps
     assert job.policy.exists() and not job.checkpoint.exists()
-    rows = csv.DictReader((job.folder / "progress.csv").read_text().splitlines())
+    rows = records(job.folder / "progress.csv")
     steps = [int(row["timesteps"]) for row in rows]
     assert steps == sorted(set(steps)) and steps[-1] == outcome["timesteps"]
 
