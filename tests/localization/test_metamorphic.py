@@ -9,6 +9,7 @@ from itertools import permutations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from mmwave_env.filters.bank import named_modes
 from mmwave_env.interface.policy import Switching
@@ -65,9 +66,7 @@ def assert_moved(moved, plain, turn=UNTURNED, shift_m=(0.0, 0.0, 0.0)):
 
 
 def turned(angle):
-    cos = np.cos(angle)
-    sin = np.sin(angle)
-    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    turn = Rotation.from_euler("z", angle).as_matrix()
     return ROTATABLE, turn, (0.0, 0.0, 0.0), lambda azimuth: azimuth + angle
 
 

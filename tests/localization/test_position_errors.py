@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.integrate import quad
+from scipy.spatial.transform import Rotation
 from scipy.stats import beta, norm
 
 from mmwave_env.localization.levels import Levels
@@ -27,9 +28,7 @@ risks = st.floats(-7.0, np.log10(0.5)).map(lambda power: 10.0**power)
 
 def turned(major, minor, angle):
     """Return the packed covariance of a turned horizontal ellipse and a vertical variance of 1."""
-    c = np.cos(angle)
-    s = np.sin(angle)
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    turn = Rotation.from_euler("z", angle).as_matrix()
     return packed(turn @ np.diag([major**2, minor**2, 1.0]) @ turn.T)
 
 
