@@ -24,7 +24,7 @@ import numpy as np
 from experiments.evaluation.contenders import contender_from, draw_episodes
 from experiments.timing.fresh import ENVIRONMENT, started
 from mmwave_env.datasets.log_folder import log_columns
-from mmwave_env.engines.engine import Engine
+from mmwave_env.engines.engine import tracker_of
 from mmwave_env.filters.bank import named_modes
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.filterpy_reference import filterpy_pipeline
@@ -135,8 +135,7 @@ def stepped(n: int = 0, **options: Any) -> Laps:
 
 def tracks(mode: Mode, episodes: Sequence[Episode]) -> Laps:
     """Run a filter with its gates over complete episodes, again and again."""
-    tracker = Engine(Pipeline((mode,), episodes[0].layout), len(episodes), observation="")
-    tracker.load(episodes)
+    tracker = tracker_of(mode, episodes)
     while True:
         tracker.tune([mode.tuning])  # also puts the tracks back to their first epoch
         tracker.run()

@@ -20,11 +20,10 @@ from experiments.console.options import TuneArgs, WorldArgs
 from experiments.console.output import progress, say, tracked
 from experiments.evaluation.contenders import draw_episodes, source_of
 from experiments.evaluation.intervals import bootstrap
-from mmwave_env.engines.engine import Engine, run_imm
+from mmwave_env.engines.engine import run_imm, tracker_of
 from mmwave_env.filters.bank import Bank, as_written, bank_as_written, default_modes, modes_from
 from mmwave_env.filters.imm import DEFAULT_STAY
 from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.io.files import Json
 from mmwave_env.io.lookup import choose, require_extra
@@ -70,13 +69,11 @@ def likelihood(history: dict[str, Array], layout: Layout) -> Array:
 
 def objective_of(mode: Mode, episodes: Sequence[Episode]) -> Objective:
     """Return a function that maps a variant of ``mode`` to likelihoods (episodes,) of episodes."""
-    layout = episodes[0].layout
-    tracker = Engine(Pipeline((mode,), layout), len(episodes), observation="")
-    tracker.load(episodes)
+    tracker = tracker_of(mode, episodes)
 
     def evaluate(tried: Mode) -> Array:
         tracker.tune([tried.tuning])
-        return likelihood(tracker.run("memory.nis", "log_likelihood"), layout)
+        return likelihood(tracker.run("memory.nis", "log_likelihood"), tracker.layout)
 
     return evaluate
 

@@ -27,7 +27,7 @@ from mmwave_env.engines.epoch import (
     untuned,
 )
 from mmwave_env.filters.bank import Bank, settings_of
-from mmwave_env.filters.modes import Tuning
+from mmwave_env.filters.modes import Mode, Tuning
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import CORRECTION, MODE, WEIGHTS
 from mmwave_env.interface.features import Feature
@@ -244,6 +244,13 @@ class Engine(Batch):
     def observations(self) -> Array32:
         """Return a copy of the current observations (n, features)."""
         return self.read(self.at.observation, np.float32)[:, self._shown]
+
+
+def tracker_of(mode: Mode, episodes: Sequence[Episode]) -> Engine:
+    """Return an engine that has loaded episodes, to filter all of them in one mode."""
+    tracker = Engine(Pipeline((mode,), episodes[0].layout), len(episodes), observation="")
+    tracker.load(episodes)
+    return tracker
 
 
 def run_imm(

@@ -15,9 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import huber
 
-from mmwave_env.engines.engine import Engine
+from mmwave_env.engines.engine import tracker_of
 from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.localization.image_filter import difference, links_along
 from mmwave_env.localization.readings import RANGE, Reading
 from mmwave_env.models.layout import STATE_SIZE
@@ -49,9 +48,7 @@ def filtered(episodes: Sequence[Episode], mode: Mode, *names: str) -> Iterable[A
     bare = replace(
         mode, gate=None, recovery=None, adaptive=False, robust=False, blockage_aware=False
     )
-    tracker = Engine(Pipeline((bare,), episodes[0].layout), len(episodes), observation="")
-    tracker.load(episodes)
-    return tracker.run(*names).values()
+    return tracker_of(bare, episodes).run(*names).values()
 
 
 def innovations(readings: Sequence[Reading]) -> Array:

@@ -10,9 +10,8 @@ from typing import Annotated, get_args, get_origin
 import numpy as np
 import pytest
 
-from mmwave_env.engines.engine import Engine
+from mmwave_env.engines.engine import tracker_of
 from mmwave_env.env import MmWaveLocEnv
-from mmwave_env.filters import Pipeline
 from mmwave_env.filters.bank import named_modes
 from mmwave_env.io.records import Bound, hints_of
 from mmwave_env.models import envelope
@@ -150,9 +149,7 @@ def test_beliefs_are_sound_if_one_or_two_quantities_are_at_the_ends_of_their_bou
     assert len(cases) > 400 * len(SEEDS)
     for change in CHANGES:
         mode = replace(named_modes()[name], **change)
-        tracker = Engine(Pipeline((mode,), ordinary[0].layout), len(cases), observation="")
-        tracker.load(list(cases.values()))
-        good = sound(**tracker.run("x", "P"))
+        good = sound(**tracker_of(mode, [*cases.values()]).run("x", "P"))
         assert [case for case, fine in zip(cases, good, strict=True) if not fine] == [], change
 
 
