@@ -19,7 +19,7 @@ _UNEVEN = 0.1  # tolerated difference between a time step and the usual step, as
 
 def log_facts(log: Log, scene: Scene) -> Json:
     """Return facts about a log: its times, how often each anchor is measured, and problems."""
-    links = log.visible[:, : log.layout.anchors]
+    links = log.visible_links
     steps = np.diff(log.time_s)
     step_s = float(np.median(steps)) if len(steps) else None
     usual_s = step_s or 0.0

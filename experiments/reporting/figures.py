@@ -116,22 +116,22 @@ def legend_beside(*axes: Any) -> None:
 
 
 @contextmanager
-def panels(path: Path, count: int, width_mm: float | None) -> Iterator[list[Any]]:
-    """Yield the ``count`` panels of a picture: side by side, or stacked if they would be narrow.
+def panels(path: Path, width_mm: float | None) -> Iterator[list[Any]]:
+    """Yield the two panels of a picture: side by side, or stacked if they would be narrow.
 
     At the end, draw one legend of all labels. The font is smaller in narrow pictures, so that
     labels fit.
     """
     stacked = width_mm is not None and width_mm <= STACKED_MM
-    usual = PHONE_MM / MM_PER_IN if stacked else 2.2 + 4.4 * count
+    usual = PHONE_MM / MM_PER_IN if stacked else 11.0
     width = usual if width_mm is None else width_mm / MM_PER_IN
     with picture(path, width, width, FONT_PT * min(1.0, width / usual)) as figure:
-        grid = figure.subplots(*((count, 1) if stacked else (1, count)), squeeze=False)
+        grid = figure.subplots(*((2, 1) if stacked else (1, 2)), squeeze=False)
         axes = list(grid.flat)
         yield axes
         artists = labelled(axes)
         if stacked:
-            height = 0.63 * width * count + 0.3 + 0.2 * (-(-len(artists) // LEGEND_COLUMNS))
+            height = 1.26 * width + 0.3 + 0.2 * (-(-len(artists) // LEGEND_COLUMNS))
             figure.legend(handles=artists, loc="outside lower left", ncols=LEGEND_COLUMNS)
         else:
             height = max(4.2, 1.0 + 0.19 * len(artists)) * width / usual
@@ -165,7 +165,7 @@ def draw_error_cdf(
     errors_m: Mapping[str, Array], path: Path, width_mm: float | None = None
 ) -> None:
     """Draw the distributions (CDF) of contenders' horizontal and vertical errors (..., 3), m."""
-    with panels(path, 2, width_mm) as (left, right):
+    with panels(path, width_mm) as (left, right):
         labels = contenders(errors_m)
         for number, (name, errors) in enumerate(errors_m.items()):
             look = _style(number)
@@ -194,7 +194,7 @@ def draw_consistency(
     """
     episodes = len(next(iter(nees.values())))
     low, high = chdtri(episodes * dof, [0.975, 0.025]) / (episodes * dof)
-    with panels(path, 2, width_mm) as (over_time, whole):
+    with panels(path, width_mm) as (over_time, whole):
         over_time.axhspan(low, high, color="0.7", lw=0.0, label=BOUNDS)
         whole.plot([0.0, 1.0], [0.0, 1.0], color="0.5", lw=4.0, alpha=0.6, label="consistent")
         names = contenders(nees)

@@ -192,7 +192,7 @@ class _Patience:
 
 
 def _has_link(epoch: LiveEpoch) -> bool:
-    return bool(log_from([epoch]).visible[:, : epoch.layout.anchors].any())
+    return bool(log_from([epoch]).visible_links.any())
 
 
 def _tracker(args: LogArgs, scene: Scene, first: LiveEpoch, levels: Levels) -> tuple[Tracker, str]:

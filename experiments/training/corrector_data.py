@@ -131,7 +131,7 @@ class TrainingEpisodes:
     surveys: Surveys = BAD_SURVEYS
     drawn: int = 0
 
-    def batches(self, rounds: int = 1) -> Iterator[tuple[str, EpisodeBatch]]:
+    def batches(self, rounds: int) -> Iterator[tuple[str, EpisodeBatch]]:
         """Yield batches, each with the name of its radio profile.
 
         A round has a batch for every place, then random batches.

@@ -104,7 +104,7 @@ def _physical_checks(log: Log) -> Iterator[Check]:
     if len(steps):
         for step, bound in ((np.median(steps), _USUAL_STEP_S), (steps.min(), _SHORTEST_STEP_S)):
             yield Check("time", step, bound, f"epochs {step:.3g} s apart")
-    visible = log.visible[:, : log.layout.anchors]
+    visible = log.visible_links
     links = log.measurement[:, : log.layout.doppler].reshape(*visible.shape, 4)[visible]
     ranges, arrivals, elevations, departures = links.T
     ranges = ranges[ranges > 0.0]

@@ -372,7 +372,7 @@ class ImageFilter(ABC):
         return b
 
 
-def _corrected(b: Belief, H: Array, y: Array, R: Array, only: slice | None = None) -> Belief:
+def _corrected(b: Belief, H: Array, y: Array, R: Array, only: slice | None) -> Belief:
     """Return the belief after a Kalman update with innovation y (m,) and variances R (m,).
 
     The gain is zero outside of ``only``, a part of the state. For any gain K, the covariance is

@@ -14,7 +14,7 @@ _KMH = 3.6  # km/h in 1 m/s
 
 
 def location_data(
-    position: Position, origin: Origin, confidence: float, accuracy_m: float | None = None
+    position: Position, origin: Origin, confidence: float, accuracy_m: float | None
 ) -> Json:
     """Return a position and its velocity as LocationData (TS 29.572, section 6.1.6.2.3).
 

@@ -100,7 +100,7 @@ def clock_jumps(log: Log, sigma: Array) -> tuple[float, float] | None:
     return (share, float(np.median(abs(usual[jumps])))) if share >= _JUMPS else None
 
 
-def noise_notes(reading: Reading, step_m: float | None = None) -> Iterator[str]:
+def noise_notes(reading: Reading, step_m: float | None) -> Iterator[str]:
     """Yield sentences on the noise of a log, whose ranges come in steps, and on what to do.
 
     The noise of angles is that of the first epochs after errors that all links share are undone.

@@ -40,7 +40,7 @@ def segments(log: Log, scene: Scene, radio: Radio) -> list[Segment]:
         LogError: the log is damaged, and no epoch before the damage determines a position.
         ValueError: no epoch determines a position with which a track could begin.
     """
-    links = log.visible[:, : log.layout.anchors].any(axis=1)
+    links = log.visible_links.any(axis=1)
     doubtful = np.flatnonzero((_gaps(log) > DOUBTFUL_GAP_S) & links)
     parts = [
         part
@@ -103,7 +103,7 @@ def _begun(log: Log, first: int, end: int, scene: Scene, radio: Radio) -> tuple[
 
 def _gaps(log: Log) -> Index:
     """Return how long (T,), s, before each epoch the last link or odometry was measured."""
-    measured = log.visible[:, : log.layout.anchors].any(axis=1)
+    measured = log.visible_links.any(axis=1)
     if log.layout.odometry:  # with odometry alone, a filter keeps the track for two minutes
         measured |= log.visible[:, -1]
     latest = np.maximum.accumulate(np.where(measured, log.time_s, -np.inf))

@@ -61,6 +61,11 @@ class Log(Arrays):
     # what is damaged after these epochs; None if the whole log is sound
     damage: LogError | None = None
 
+    @property
+    def visible_links(self) -> Mask:
+        """Return ``visible`` of the links alone (T, L)."""
+        return self.visible[:, : self.layout.anchors]
+
     def whole(self) -> "Log":
         """Return the log in the plain (not partial) layout; incomplete groups are not visible."""
         layout = replace(self.layout, partial=False)

@@ -64,14 +64,12 @@ class Canvas:
         pygame.draw.polygon(glass, (*color, round(255 * opacity)), large - box.topleft)
         self._large.blit(glass, box)
 
-    def line(
-        self, points: ArrayLike, paint: Paint, width: float = 1.0, closed: bool = False
-    ) -> None:
+    def line(self, points: ArrayLike, paint: Paint, width: float, closed: bool = False) -> None:
         """Draw a line through at least two points (n, 2)."""
         thick = max(1, round(width * self._scale))
         pygame.draw.lines(self._large, self.color(paint), closed, self._enlarged(points), thick)
 
-    def dashes(self, start: Point, end: Point, paint: Paint, width: float = 1.0) -> None:
+    def dashes(self, start: Point, end: Point, paint: Paint, width: float) -> None:
         """Draw a dashed line between two points in the picture."""
         way = np.subtract(end, start)
         length = math.hypot(*way)
