@@ -73,7 +73,7 @@ def test_a_mixture_and_trust_in_its_modes_equal_the_textbook(dt, nis_quantile, o
         T_ij = np.array(BANK.transition)
         transitions = [np.eye(2) + s * (T_ij - np.eye(2)) for s in step]
         x, P, probability = textbook_imm(episode, modes, transitions, nis_quantile, change)
-        found = {name: ours[name][e] for name in ("x", "P")}
-        assert_same_beliefs(found, {"x": x, "P": packed(P)}, rtol=1e-8)
+        mixture = {name: ours[name][e] for name in ("x", "P")}
+        assert_same_beliefs(mixture, {"x": x, "P": packed(P)}, rtol=1e-8)
         assert_allclose(ours["mode_probabilities"][e], probability, rtol=1e-7, atol=1e-9)
         assert_array_equal(ours["memory.mode"][e], probability.argmax(axis=1))
