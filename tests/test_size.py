@@ -30,7 +30,7 @@ BUDGET = {
 ROOMS = {  # maximum tokens of a room; lines are free
     "experiments": 4_000,
     "experiments/console": 5_180,
-    "experiments/evaluation": 11_920,
+    "experiments/evaluation": 12_050,
     "experiments/paper": 5_160,
     "experiments/reporting": 16_530,
     "experiments/sweeping": 2_580,
@@ -41,7 +41,7 @@ ROOMS = {  # maximum tokens of a room; lines are free
     "mmwave_env/datasets": 9_430,
     "mmwave_env/engines": 11_770,
     "mmwave_env/filters": 18_720,
-    "mmwave_env/interface": 7_070,
+    "mmwave_env/interface": 7_210,
     "mmwave_env/io": 3_020,
     "mmwave_env/localization": 38_370,
     "mmwave_env/logs": 12_560,
@@ -49,8 +49,8 @@ ROOMS = {  # maximum tokens of a room; lines are free
     "mmwave_env/numerics": 4_090,
     "mmwave_env/rendering": 8_150,
     "mmwave_env/world": 16_030,
-    "policies": 6_650,
-    "tests": 211_500,
+    "policies": 6_780,
+    "tests": 212_500,
 }
 PACKINGS = 3.0  # maximum per 1,000 lines: statements that say several things at once
 SOURCE = ("mmwave_env", "experiments", "policies")
