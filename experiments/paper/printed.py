@@ -113,7 +113,8 @@ def track(mode: Mode, episodes: Sequence[Episode], planar: bool = False) -> Trac
 def _errors(error: Array, nees: Array, axes: int) -> Errors:
     counted = scored(nees.shape[1])
     rms = np.sqrt(np.square(error[:, counted]).mean(axis=(0, 1)))
-    return Errors(summary(error, nees, axes=axes), nees[:, counted], rms)
+    # The cache keeps a copy: a view would keep all outputs of the run.
+    return Errors(summary(error, nees, axes=axes), nees[:, counted].copy(), rms)
 
 
 Cell = str | float | Interval

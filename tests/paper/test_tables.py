@@ -1,6 +1,7 @@
 """Tests of the tables that reproduce the paper: their scores, their sections, and their page."""
 
 import re
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -56,6 +57,17 @@ def test_smoothed_scores_equal_scores_computed_from_the_smoothed_track(bench, pl
     assert_allclose(smoothed.scores["ate_m"], ate, rtol=1e-9)
     rms = np.sqrt((error**2).mean(axis=(0, 1)))
     assert_allclose(smoothed.axis_rms_m, rms, rtol=1e-9, atol=1e-12)
+
+
+def test_a_run_keeps_its_errors_alone(bench):
+    mode = default_modes("handset")[0]
+    episodes = bench.episodes(PEDESTRIAN)
+    track(mode, episodes)  # compiles
+    tracemalloc.start()
+    run = track(mode, episodes)
+    kept, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert kept < 3 * (run.filtered.nees.nbytes + run.smoothed.nees.nbytes)
 
 
 def test_a_clean_channel_has_no_biases():
