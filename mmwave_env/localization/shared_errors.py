@@ -10,7 +10,7 @@ import json
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from mmwave_env.localization.readings import (
     AZIMUTH,
     DEPARTURE,
     ELEVATION,
+    RANGE,
     Mistake,
     Reading,
     scaled,
@@ -84,12 +85,15 @@ class Suspect(NamedTuple):
     caution: float = 1.0  # factor for the standard deviations
     cost: float = 0.0  # additional cost
     parts: Sequence["Suspect"] = ()  # (p,) suspects with one parameter that this one combines
+    since_s: float | None = None  # if it is given, theta[0] is the growth in 100 s from this time
 
     def correct(self, reading: Reading, theta: Array) -> Reading:
         """Return a reading in which the error theta (p,) is undone."""
         for part, size in zip(self.parts, theta, strict=False):
             reading = part.correct(reading, np.array([size]))
-        excess = np.radians(theta[0]) if self.unit == "degrees" else theta[0]
+        excess: Any = np.radians(theta[0]) if self.unit == "degrees" else theta[0]
+        if self.since_s is not None:
+            excess = excess * (reading.log.time_s[:, None] - self.since_s) / 100.0
         moved = reading._replace(scene=self.scene(reading.scene, *theta.tolist()))
         return scaled(self.rows, offset=-excess)(moved)
 
@@ -171,6 +175,11 @@ def suspects(reading: Reading) -> Iterator[Suspect]:
         cure = ", or use --clock offset if the user's clock runs ahead, by {1:.3g} ns"
         late = _range("ranges", range(len(rows)), cure)
         yield late
+        yield Suspect(
+            "the user's clock drifts: ranges grow too long", "m in 100 s", (RANGE,), deviation=100.0,
+            cure="use --clock offset, as the user's clock gains {1:.3g} ns in 100 s",
+            caution=_CAUTION, since_s=float(reading.log.time_s[0]),
+        )  # fmt: skip
         if whole:
             yield Suspect(
                 "several errors", "", parameters=3, least=0.0, sure=_SURE + 2.0 * _SURER,

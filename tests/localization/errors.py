@@ -55,6 +55,17 @@ def late(meters):
     return shifted(RANGE, by=meters)
 
 
+def drifting(meters):
+    """Return the error of a clock that gains so many meters in 100 s."""
+
+    def error(reading):
+        time_s = reading.log.time_s
+        gained = meters * (time_s - time_s[0]) / 100.0
+        return shifted(RANGE, by=gained[:, None])(reading)
+
+    return error
+
+
 def moved(anchor, *meters):
     """Return an error that moves an anchor of the scene, from 0, away from its true place."""
 

@@ -21,6 +21,7 @@ from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import read_scene
 from tests.localization.errors import (
+    drifting,
     late,
     mode_of,
     moved,
@@ -32,6 +33,7 @@ from tests.localization.errors import (
 from tests.localization.mistakes import FOLDERS
 
 AWAY = "is away from its place"
+DRIFT = "the user's clock drifts: ranges grow too long"
 
 
 def errors_of(reading):
@@ -56,6 +58,7 @@ ERRORS = {  # name -> (error, its size, in the unit of the suspect)
     "azimuths of arrival are turned": (shifted(AZIMUTH, by=np.radians(-4.0)), [-4.0]),
     "elevations are too large": (tilted(3.0), [3.0]),
     "ranges are too long": (late(30.0), [30.0]),
+    DRIFT: (drifting(10.0), [10.0]),
     "ranges of anchor 2 are too long": (shifted(slice(4, 5), by=12.0), [12.0]),
     f"anchor 1 {AWAY}": (moved(0, 0.8, -0.6, 0.0), [0.8, -0.6]),
     "anchor 1 is higher than in the scene": (moved(0, 0.0, 0.0, 2.0), [2.0]),
@@ -142,6 +145,7 @@ def test_measurements_too_wrong_for_a_filter_are_refused():
 COUNTS = {  # name -> (error, name of the suspect, least number of 24 that are named right)
     "azimuths 3 degrees": (turned(3.0), "azimuths are turned", 20),
     "base station 5 m": (moved(0, 3.0, 4.0, 0.0), f"anchor 1 {AWAY}", 20),
+    "drift 0.3 ns/s": (drifting(9.0), DRIFT, 22),
     "ranges 1 m": (late(1.0), "ranges are too long", 20),
     "elevations 3 degrees": (tilted(3.0), "elevations are too large", 18),
     "one anchor 12 m": (shifted(slice(4, 5), by=12.0), "ranges of anchor 2 are too long", 21),
