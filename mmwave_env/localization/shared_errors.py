@@ -175,15 +175,20 @@ def suspects(reading: Reading) -> Iterator[Suspect]:
         cure = ", or use --clock offset if the user's clock runs ahead, by {1:.3g} ns"
         late = _range("ranges", range(len(rows)), cure)
         yield late
-        yield Suspect(
-            "the user's clock drifts: ranges grow too long", "m in 100 s", (RANGE,), deviation=100.0,
+        drift = Suspect(
+            "the user's clock drifts: ranges grow too long",
+            "m in 100 s",
+            (RANGE,),
             cure="use --clock offset, as the user's clock gains {1:.3g} ns in 100 s",
-            caution=_CAUTION, since_s=float(reading.log.time_s[0]),
-        )  # fmt: skip
+            deviation=100.0,
+            caution=_CAUTION,
+            since_s=float(reading.log.time_s[0]),
+        )
+        yield drift
         if whole:
             yield Suspect(
-                "several errors", "", parameters=3, least=0.0, sure=_SURE + 2.0 * _SURER,
-                deviation=10.0, cost=_JOINT_COST, parts=(late, turn, tilt),
+                "several errors", "", parameters=4, least=0.0, sure=_SURE + 3.0 * _SURER,
+                deviation=10.0, cost=_JOINT_COST, parts=(late, turn, tilt, drift),
             )  # fmt: skip
     if not whole and anchors < _ENOUGH_ANCHORS:
         return  # a track that gives way explains them, and blockages look like them

@@ -87,6 +87,12 @@ def test_several_errors_are_found_together():
     )
 
 
+def test_a_clock_that_drifts_and_is_ahead_is_named_as_both():
+    reading = drifting(15.0)(late(15.0)(sample(FOLDERS[1])))
+    sizes = {error.suspect.name: error.theta[0] for error in errors_of(reading)}
+    assert sizes == pytest.approx({"ranges are too long": 15.0, DRIFT: 15.0}, abs=0.3)
+
+
 def test_what_to_write_names_the_values_that_the_scene_needs():
     reading = turned(4.0)(sample(FOLDERS[0]))
     (error,) = errors_of(reading)

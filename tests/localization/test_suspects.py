@@ -29,7 +29,7 @@ UNDONE = {  # name -> error of size 2
     "ranges of anchor 3 are too long": shifted(slice(8, 9), by=2.0),
     "anchor 2 is away from its place": moved(1, 2.0, 2.0, 0.0),
     "anchor 2 is higher than in the scene": moved(1, 0.0, 0.0, 2.0),
-    "several errors": lambda r: late(2.0)(turned(2.0)(tilted(2.0)(r))),
+    "several errors": lambda r: late(2.0)(turned(2.0)(tilted(2.0)(drifting(2.0)(r)))),
 }
 
 
@@ -44,7 +44,7 @@ def test_a_suspect_undoes_its_error(name):
 
 def test_the_corrected_scene_states_bearing_and_offsets():
     joint = EVERY["several errors"]
-    scene = joint.correct(READING, np.array([2.0, 3.0, 4.0])).scene
+    scene = joint.correct(READING, np.array([2.0, 3.0, 4.0, 5.0])).scene
     assert scene.bearing_deg == 3.0 and scene.range_offset_m == (2.0, 2.0, 2.0)
     again = EVERY["ranges of anchor 2 are too long"]
     offset = again.correct(READING._replace(scene=scene), np.array([0.5]))
