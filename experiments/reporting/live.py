@@ -25,7 +25,12 @@ from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.location_data import location_data
 from mmwave_env.localization.log_noise import nearest_radio
 from mmwave_env.localization.map_files import geodetic, origin_of
-from mmwave_env.localization.map_learning import MapLearner, learned_scene, trusted
+from mmwave_env.localization.map_learning import (
+    MapLearner,
+    learned_scene,
+    require_same_images,
+    trusted,
+)
 from mmwave_env.localization.tracker import Position, Tracker
 from mmwave_env.logs.live_log import LiveEpoch, LiveLog, log_from
 from mmwave_env.logs.log_tables import LogError, header_of
@@ -130,7 +135,9 @@ def _run_map(args: LogArgs, scene: Scene, origin: Origin | None) -> None:
                 print(json.dumps(_formatted(args, position, origin) | images), flush=True)
     finally:
         if args.map_out and latest:
-            write_json(args.map_out, scene_json(learned_scene(scene, latest)))
+            learned = learned_scene(scene, latest)
+            require_same_images(scene, learned)
+            write_json(args.map_out, scene_json(learned))
     if latest is None:
         _warn(f"{SOURCE}: found no path with which a track can begin, so there is no map")
 

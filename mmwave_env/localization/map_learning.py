@@ -66,6 +66,8 @@ CLEARLY = 5.0  # nats by which a new beginning must be likelier
 SHORT_PENALTY = 5.0  # nats for an epoch with a path that is shorter than the line of sight
 SHORT_SIGMAS = 3.5  # standard deviations by which such a path must be shorter
 BEGINNINGS = 4  # number of paths, the shortest ones, at which a track may begin
+SAME_M = 10.0  # distance within which an image is the one that an earlier log revealed
+MOVED_SIGMAS = 5.0  # standard deviations by which it then must not have moved
 FEW_EXPLAINED = 0.25  # share of paths below which walls do not describe a place
 
 
@@ -261,7 +263,8 @@ def learn_map(
         of epochs, of paths, of paths that they explain and of starts of tracks; and each image.
 
     Raises:
-        LogError: no track begins in one of the logs.
+        LogError: no track begins in one of the logs, or the logs contradict the learned images of
+            the scene.
     """
     learner = MapLearner(scene, radio, mode)
     belief = learner.start
@@ -280,8 +283,47 @@ def learn_map(
                 "expected an epoch with a line of sight (arrival and departure are opposite) whose "
                 "position explains a path in each of the next epochs"
             )
-    scene = learned_scene(scene, belief)
-    return scene, {**counts, "images": _images(scene)}
+    learned = learned_scene(scene, belief)
+    require_same_images(scene, learned)
+    return learned, {**counts, "images": _images(learned)}
+
+
+def require_same_images(before: Scene, after: Scene) -> None:
+    """Refuse a map that goes on from another one if an image moved, or if only others were seen.
+
+    Raises:
+        LogError: the base station, or the frame of the angles, is not where it was before, or the
+            earlier map was wrong.
+    """
+    if not before.learned or not after.learned:
+        return
+    why = (
+        "the base station or the frame of the angles is elsewhere than in earlier logs, or the map "
+        "was wrong; to learn anew, begin with the base station alone"
+    )
+    old = np.array(before.virtual_anchors_m)[-len(before.learned) :]
+    new = np.array(after.virtual_anchors_m)[-len(after.learned) :]
+    same = set()
+    seen = False
+    for place, known in zip(old, before.learned, strict=True):
+        nearest = int(np.linalg.norm(new - place, axis=1).argmin())
+        image = after.learned[nearest]
+        moved = new[nearest] - place
+        if np.linalg.norm(moved) > SAME_M:
+            continue
+        same.add(nearest)
+        seen |= image.paths >= known.paths + TRUSTED
+        if (abs(moved) > MOVED_SIGMAS * np.hypot(image.sigma_m, known.sigma_m)).any():
+            raise LogError(
+                f"learned: found an image at {np.round(new[nearest], 1).tolist()} m, expected it "
+                f"at {np.round(place, 1).tolist()} m as in the scene: {why}"
+            )
+    if len(same) < len(new) and not seen:
+        raise LogError(
+            f"learned: found {len(new) - len(same)} other images, and hardly a path of the "
+            f"{len(old)} in the scene, expected more: {why}, and if this log is from another part "
+            "of the place, with all logs in order"
+        )
 
 
 def learned_scene(scene: Scene, belief: Belief) -> Scene:

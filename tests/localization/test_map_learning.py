@@ -179,6 +179,14 @@ def test_learning_goes_on_with_the_next_log(paths_of, tmp_path, seed):
     assert total > 1.5 * sum(image.paths for image in stored.learned)
 
 
+@pytest.mark.parametrize("moved_m", [(0.0, 3.0, 0.0), (300.0, 300.0, 0.0)])
+def test_a_map_whose_base_station_moved_is_refused(paths_of, moved_m):
+    scene, _ = learned([paths_of(2)[0]])
+    station = tuple(np.add(STATION.base_station_m, moved_m).tolist())
+    with refuses("learned", error=LogError):
+        learned([paths_of(102)[0]], scene=replace(scene, base_station_m=station))
+
+
 def test_two_logs_are_learned_in_order(paths_of):
     logs = [paths_of(seed)[0] for seed in (2, 102)]
     scene, figures = learned(logs)
