@@ -166,7 +166,10 @@ class MapLearner(ImageFilter):
         for path in self._unexplained(b, paths, labels):
             b = self.with_image(b, paths, path)
             hits[len(b.images)] = 0.0
-        return _aged(b, hits)
+        b = _aged(b, hits)
+        # Receivers may report a path twice: an image at the base station is no reflection.
+        apart = np.linalg.norm(b.places - self.station, axis=1) > LONGER_M
+        return reduced(b, [apart[k] or image.exact for k, image in enumerate(b.images)])
 
     def _assign(
         self, b: Belief, paths: Paths, sight_used: bool

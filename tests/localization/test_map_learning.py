@@ -195,6 +195,15 @@ def test_two_logs_are_learned_in_order(paths_of):
     assert sum(i.paths for i in scene.learned) > 1.5 * sum(i.paths for i in single.learned)
 
 
+def test_paths_that_a_receiver_reports_twice_make_no_image_at_the_base_station(paths_of, tmp_path):
+    paths_of(2)
+    path = tmp_path / "paths.csv"
+    header, *rows = path.read_text().splitlines()
+    path.write_text("\n".join([header, *(row for row in rows for _ in range(2))]))
+    scene, _ = learned([read_paths(path, STATION)])
+    assert len(scene.learned) == 2 and errors_of(scene).max() < 2.0
+
+
 def test_known_images_are_not_learned_again(paths_of):
     log, _ = paths_of(1, scene=STREET)
     scene, _ = learned([log], scene=STREET)
