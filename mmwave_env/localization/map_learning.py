@@ -300,32 +300,23 @@ def require_same_images(before: Scene, after: Scene) -> None:
     """
     if not before.learned or not after.learned:
         return
-    why = (
-        "the base station or the frame of the angles is elsewhere than in earlier logs, or the map "
-        "was wrong; to learn anew, begin with the base station alone"
+    old, new = (
+        np.array(scene.virtual_anchors_m)[-len(scene.learned) :] for scene in (before, after)
     )
-    old = np.array(before.virtual_anchors_m)[-len(before.learned) :]
-    new = np.array(after.virtual_anchors_m)[-len(after.learned) :]
-    same = set()
-    seen = False
-    for place, known in zip(old, before.learned, strict=True):
-        nearest = int(np.linalg.norm(new - place, axis=1).argmin())
-        image = after.learned[nearest]
-        moved = new[nearest] - place
-        if np.linalg.norm(moved) > SAME_M:
-            continue
-        same.add(nearest)
-        seen |= image.paths >= known.paths + TRUSTED
-        if (abs(moved) > MOVED_SIGMAS * np.hypot(image.sigma_m, known.sigma_m)).any():
-            raise LogError(
-                f"learned: found an image at {np.round(new[nearest], 1).tolist()} m, expected it "
-                f"at {np.round(place, 1).tolist()} m as in the scene: {why}"
-            )
-    if len(same) < len(new) and not seen:
+    nearest = np.linalg.norm(new - old[:, None], axis=2).argmin(axis=1).tolist()
+    images = [after.learned[k] for k in nearest]
+    sigmas = [[image.sigma_m for image in each] for each in (images, before.learned)]
+    moved = abs(new[nearest] - old)
+    far = (moved > MOVED_SIGMAS * np.linalg.norm(sigmas, axis=0)).any(axis=1) & (
+        moved.max(axis=1) < SAME_M
+    )
+    gained = sum(image.paths for image in images) - sum(image.paths for image in before.learned)
+    if far.any() or (gained < TRUSTED and len(new) > len({*nearest})):
         raise LogError(
-            f"learned: found {len(new) - len(same)} other images, and hardly a path of the "
-            f"{len(old)} in the scene, expected more: {why}, and if this log is from another part "
-            "of the place, with all logs in order"
+            f"learned: found images at {new.round(1).tolist()} m, expected them at "
+            f"{old.round(1).tolist()} m as in the scene. The base station or the frame of the "
+            "angles is elsewhere than in earlier logs, or the map was wrong: learn anew from the "
+            "base station alone, with all logs of the place in order"
         )
 
 
