@@ -1,10 +1,11 @@
 """Association of propagation paths with anchors, for logs without anchor numbers.
 
 The anchors are the base station and its mirror images. A track begins with the hypothesis that a
-certain path is the line of sight. This path determines a position, and the paths of the next epochs
-confirm or contradict the hypothesis: it begins a track if this track would explain (assign to
-anchors) enough of them. A track ends after a long gap, or when a new track that explains clearly
-more paths replaces it. Tracks are immutable, so several can be tried side by side.
+certain path is the line of sight, or comes from a certain image. This path determines a position,
+and the paths of the next epochs confirm or contradict the hypothesis: it begins a track if this
+track would explain (assign to anchors) enough of them. A track ends after a long gap, or when a new
+track that explains clearly more paths replaces it. Tracks are immutable, so several can be tried
+side by side.
 
 In every epoch, an EKF (:mod:`mmwave_env.localization.image_filter`, with images that are exactly
 known) predicts the user's state. Given this state, paths are assigned to anchors by global nearest
@@ -109,13 +110,19 @@ class PathTracker(ImageFilter):
         return best if fitted >= max(later, default=0) else track
 
     def _best(self, track: Belief, paths: Paths, coming: Sequence[Paths]) -> tuple[Belief, int]:
-        """Return the best track that begins in this epoch, and how many paths it explains."""
-        begun = ((new, self._fitted(new, coming)) for new in self._beginnings(track, paths))
+        """Return the best track that begins in this epoch, and how many paths it explains.
+
+        If a track begins at an image, the line of sight is blocked, so its paths do not count.
+        """
+        begun = (
+            (new, self._fitted(new, coming, 0 not in new.labels))
+            for new in self._beginnings(track, paths)
+        )
         return max(begun, key=lambda pair: pair[1], default=(track, 0))
 
-    def _fitted(self, track: Belief, coming: Sequence[Paths]) -> int:
+    def _fitted(self, track: Belief, coming: Sequence[Paths], blocked: bool = False) -> int:
         """Count the paths that a track explains in its epoch and in coming epochs."""
-        return len(track.labels) + self.ahead(track, coming)[1]
+        return len(track.labels) + self.ahead(track, coming, blocked)[1]
 
     def _beginnings(self, track: Belief, paths: Paths) -> Iterator[Belief]:
         """Yield a track for each path that may be the line of sight, except paths of ``track``."""
@@ -123,12 +130,15 @@ class PathTracker(ImageFilter):
         likely[list(track.labels.values())] = False
         if 0 in track.labels:  # no path is shorter than the line of sight
             likely &= paths.z[:, 0] < paths.z[track.labels[0], 0]
-        anchors = self._scene.anchors_m
-        for path in np.flatnonzero(likely).tolist():
-            prior = self.prior(self.start, paths, path)
-            # a position behind a wall is nearest to a mirror image
-            if np.linalg.norm(prior.x[USER] - anchors, axis=1).argmin() == 0:
-                yield self.begun(prior, paths, path)
+        places = self._scene.anchors_m
+        # without a line of sight, a path from an image may explain more
+        several = track.tracked or paths.at_station
+        for anchor in range(1 if several else len(places)):
+            for path in np.flatnonzero(likely).tolist():
+                prior = self.prior(self.start, paths, path, anchor)
+                # a position behind a wall is nearest to another anchor than the base station
+                if np.linalg.norm(prior.x[USER] - places, axis=1).argmin() == 0:
+                    yield self.begun(prior, paths, path, anchor)
 
 
 def associate(paths: PathLog, scene: Scene, radio: Radio, mode: Mode) -> tuple[Log, Json]:

@@ -212,16 +212,21 @@ class ImageFilter(ABC):
         x = np.append(np.zeros(STATE_SIZE), self._scene.anchors_m[1:])
         return Belief(x, np.diag(sigma**2), tuple(histories), -np.inf, tracked=False)
 
-    def prior(self, b: Belief, paths: Paths, path: int) -> Belief:
+    def prior(self, b: Belief, paths: Paths, path: int, anchor: int = 0) -> Belief:
         """Return a belief about a user whose line of sight is a path; the images stay.
+
+        With an ``anchor``, the path comes from this image, whose place is known.
 
         If the path has no elevation, the height of the streets is known roughly.
         """
-        z = paths.z[path]
-        sigma = np.sqrt(paths.variance[path, 0])
+        z = paths.z[path].copy()
+        z[0] -= self._offsets_m[anchor]
+        sigma = np.sqrt(paths.variance[path, min(anchor, 1)])
         if sigma[2] >= UNKNOWN_RAD:
             sigma[2] = HEIGHT_SIGMA_M / z[0]
-        mean, covariance = prior_from_fix(self.station, z, sigma, self._radio, self._scene)
+        mean, covariance = prior_from_fix(
+            self._scene.anchors_m[anchor], z, sigma, self._radio, self._scene
+        )
         x = b.x.copy()
         P = b.P.copy()
         P[:STATE_SIZE] = 0.0
@@ -230,12 +235,12 @@ class ImageFilter(ABC):
         P[:STATE_SIZE, :STATE_SIZE] = covariance
         return Belief(x, P, b.images, paths.time_s)
 
-    def begun(self, prior: Belief, paths: Paths, path: int) -> Belief:
+    def begun(self, prior: Belief, paths: Paths, path: int, anchor: int = 0) -> Belief:
         """Return a track that begins with a :meth:`prior`, after an update with the other paths."""
         others = np.arange(len(paths)) != path
         b = self.step(prior, paths.part(others), sight_used=True)
         labels = {anchor: i + (i >= path) for anchor, i in b.labels.items()}
-        return b._replace(labels={**labels, 0: path}, begins=True)
+        return b._replace(labels={**labels, anchor: path}, begins=True)
 
     @abstractmethod
     def step(self, b: Belief, paths: Paths, sight_used: bool = False) -> Belief:
@@ -244,12 +249,15 @@ class ImageFilter(ABC):
         With ``sight_used``, the base station's path was used before, and is not among the paths.
         """
 
-    def ahead(self, b: Belief, coming: Iterable[Paths]) -> tuple[float, int]:
-        """Return the evidence and the number of used paths in coming epochs."""
+    def ahead(self, b: Belief, coming: Iterable[Paths], blocked: bool = False) -> tuple[float, int]:
+        """Return the evidence and the number of used paths in coming epochs.
+
+        If the line of sight is ``blocked``, they have none.
+        """
         evidence = 0.0
         used = 0
         for paths in coming:
-            b = self.step(b, paths)
+            b = self.step(b, paths, blocked)
             evidence += b.evidence
             used += len(b.labels)
         return evidence, used

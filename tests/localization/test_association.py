@@ -111,11 +111,13 @@ def test_a_shipped_log_without_anchor_numbers_gives_nearly_the_same_track(tmp_pa
     assert figures["without_track"] == {"epochs": 0, "paths": 0}
 
 
-def test_a_track_waits_for_the_line_of_sight_instead_of_starting_from_a_reflection():
-    anchors_seen = [(1,)] * 3 + [ALL] * 20
-    block, _ = associated(walk(anchors_seen, 2, seed=4))
-    assert seen_in(block) == [NONE] * 3 + [ALL] * 20
-    assert np.flatnonzero(block.restarts).tolist() == [3]
+@pytest.mark.parametrize(
+    ("blocked", "expected"), [([(1,)] * 3, [NONE] * 3), ([(1, 2)] * 20, [(1, 2)] * 20)]
+)
+def test_a_track_never_begins_from_a_reflection_taken_for_the_line_of_sight(blocked, expected):
+    block, _ = associated(walk([*blocked, *[ALL] * 20], 2, seed=4))
+    assert seen_in(block) == [*expected, *[ALL] * 20]
+    assert np.flatnonzero(block.restarts).tolist() == [expected.count(NONE)]
 
 
 def test_a_track_that_started_from_a_reflection_gives_way_to_the_line_of_sight():
