@@ -26,7 +26,7 @@ def picture(path, number):
     image = pytest.importorskip("PIL.Image")
     with image.open(path) as file:
         file.seek(number)
-        return np.asarray(file.convert("RGB"))
+        return np.asarray(file.convert("RGB"), int)
 
 
 @pytest.fixture
@@ -111,9 +111,9 @@ def test_the_documented_command_makes_the_shipped_animation(tmp_path):
     shipped = ROOT / "docs" / "watch.gif"
     shown = succeed(*shlex.split(line.replace("docs/watch.gif", str(made))))
     assert frames(made) == frames(shipped)
-    # Bytes are not compared, because math libraries and font engines differ slightly.
+    # Bytes are not compared, because math libraries, font engines and palettes differ slightly.
     for number in (0, 20, frames(shipped)[0] - 1):
-        differs = (picture(made, number) != picture(shipped, number)).any(axis=-1)
-        assert differs.mean() < 0.02
+        differs = (abs(picture(made, number) - picture(shipped, number)) > 4).any(axis=-1)
+        assert differs.mean() < 0.01
     rule, learned = (float(n) for n in re.findall(r": ([\d.]+) m off on average", shown))
     assert learned < 3.0 < rule
