@@ -61,7 +61,9 @@ TRUSTED = 30  # an image with so many paths survives a new beginning, and belong
 LONGER_M = 1.0  # a reflection is longer than the line of sight by at least this length
 LOOK_AHEAD = 10  # epochs that decide about a doubtful track
 LOST_M = 6.0  # standard deviation of the position from which a track is doubtful
-FITS = 0.7  # a lost track uses paths only if it then explains so many paths per coming epoch
+# A lost track uses paths, and a new one begins, only if it then explains so many paths per coming
+# epoch. Not every epoch has a line of sight, so a new track need not explain one in each.
+FITS = 0.7
 CLEARLY = 5.0  # nats by which a new beginning must be likelier
 SHORT_PENALTY = 5.0  # nats for an epoch with a path that is shorter than the line of sight
 SHORT_SIGMAS = 3.5  # standard deviations by which such a path must be shorter
@@ -119,9 +121,10 @@ class MapLearner(ImageFilter):
         for path in shortest[paths.straight[shortest]][:BEGINNINGS].tolist():
             rival = self.begun(self.prior(of_map, paths, path), paths, path)
             likelihood, used = self.ahead(rival, coming)
-            # A wrong beginning may fit later paths, when its prediction has grown uncertain.
-            _, prompt = self.ahead(rival, coming[:1])
-            fits = used >= len(coming) and prompt >= len(coming[:1])
+            # A wrong beginning may fit later paths, when its prediction has grown uncertain. The
+            # next epoch may lack the line of sight.
+            _, prompt = self.ahead(rival, coming[:2])
+            fits = used >= FITS * len(coming) and prompt >= len(coming[:1])
             if fits and likelihood > score + CLEARLY:
                 best = rival
                 score = likelihood

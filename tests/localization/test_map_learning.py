@@ -37,8 +37,12 @@ def paths_of(tmp_path):
         scene=STATION,
         epochs=200,
         without=(),
+        blocked=slice(0),  # epochs without a line of sight
     ):
         episode = drawn(seed, radio=radio, epochs=epochs)
+        visible = episode.visible.copy()
+        visible[blocked, 0] = False
+        episode = replace(episode, visible=visible)
         columns = path_columns(episode, false_paths, np.random.default_rng(seed))
         for name in without:
             del columns[name]
@@ -98,6 +102,12 @@ def test_an_epoch_waits_for_the_next_ones_only_where_the_track_is_doubtful(paths
     waited = [len(read) - number for number, _ in enumerate(learner().follow(arriving()), start=1)]
     assert waited[0] == LOOK_AHEAD and max(waited) == LOOK_AHEAD
     assert waited.count(0) > len(waited) / 3
+
+
+def test_a_reflection_is_no_line_of_sight_if_every_second_epoch_has_a_shorter_path(paths_of):
+    log, episode = paths_of(4, blocked=slice(1, None, 2))
+    ate, _, _ = scores(log, episode, "standard", STATION)
+    assert ate < 2.0  # it was 30 m
 
 
 def test_a_clock_that_is_set_back_begins_a_new_track_on_the_same_map(paths_of):
