@@ -1,5 +1,6 @@
 """Live localization: rows from standard input, one JSON line per epoch on standard output."""
 
+import gc
 import json
 import sys
 from collections.abc import Iterator, Sequence
@@ -86,6 +87,7 @@ def run_live(args: LogArgs) -> None:
             first = next(filter(_has_link, epochs), None)
             if first:
                 tracker, why = _tracker(args, scene, first, levels)
+                gc.freeze()  # else Python's garbage collector stops the rows for 70 ms at times
         for user, position in tracker.step(epochs) if tracker else ():
             if not began or (position.begins and not user):
                 of = f" of {user}" if user else ""
