@@ -87,7 +87,6 @@ def run_live(args: LogArgs) -> None:
             first = next(filter(_has_link, epochs), None)
             if first:
                 tracker, why = _tracker(args, scene, first, levels)
-                gc.freeze()  # else Python's garbage collector stops the rows for 70 ms at times
         for user, position in tracker.step(epochs) if tracker else ():
             if not began or (position.begins and not user):
                 of = f" of {user}" if user else ""
@@ -212,6 +211,7 @@ def _tracker(args: LogArgs, scene: Scene, first: LiveEpoch, levels: Levels) -> t
         scene, choice.switching, radio_of(args, radio), height_m=args.height, lag=args.lag,
         levels=levels, correlation_s=args.correlation,
     )  # fmt: skip
+    gc.freeze()  # else Python's garbage collector stops the rows for 70 ms at times
     return tracker, f"modes {choice.why}, radio {radio}"
 
 
