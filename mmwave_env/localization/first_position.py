@@ -2,6 +2,9 @@
 
 There may be several minima, so the search starts in several places. A minimum counts only if no
 other one explains the links about as well. Eight searches run at once, one in each SIMD lane.
+If the links contradict each other, and most of them agree, the others are left out, as receivers
+of satellite signals do (receiver autonomous integrity monitoring, RAIM; Kaplan and Hegarty,
+*Understanding GPS/GNSS*, 2017). If it is unclear which links are wrong, the covariance is larger.
 """
 
 from functools import cache
@@ -9,6 +12,7 @@ from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import chdtri
 
 from mmwave_env.compiler.advance import call
 from mmwave_env.compiler.disk_cache import compiled
@@ -31,7 +35,7 @@ from mmwave_env.numerics.linalg import (
     times,
     unpack,
 )
-from mmwave_env.numerics.numbers import Array, Mask, Number, Numbers, where
+from mmwave_env.numerics.numbers import Array, Index, Mask, Number, Numbers, where
 from mmwave_env.numerics.pytree import flatten, select, unflatten
 
 # Standard deviations of the weak prior: of the height around the height of the streets, and of x
@@ -51,6 +55,8 @@ _ROUNDS = 20
 _DAMPING = 1e-3  # before the first round, which divides it by 10
 _SETTLED = 1e-6  # a round that reduces the squared errors by less is the last
 _SURELY = 3.3  # standard deviations of a difference that noise exceeds once in 1,000 times
+_CONTRADICT = 0.01  # links contradict each other if noise makes such errors more seldom
+_FEWEST = 3  # links among which one can be told to be wrong
 
 
 class _Links(NamedTuple):
@@ -65,26 +71,33 @@ class _Links(NamedTuple):
     synchronized: bool  # whether ranges say roughly how far away the anchors are
 
 
-def position_from_links(
-    links: Array, sigma: Array, scene: Scene, clock: str
-) -> tuple[Array, Array] | None:
-    """Return the position (3,) and its covariance from links (L, 4), NaN if unmeasured; or None.
+class Fix(NamedTuple):
+    """A position from links."""
+
+    position: Array  # (3,), or (4,) with the clock's range bias
+    covariance: Array
+    used: Index  # indices of the links that determined it
+
+
+def position_from_links(links: Array, sigma: Array, scene: Scene, clock: str) -> Fix | None:
+    """Return the position and its covariance from links (L, 4), NaN if unmeasured; or None.
 
     If the clock is not synchronized, its range bias is a fourth unknown, with the filters' prior.
-    Ranges that no position explains, whatever a free clock's bias is, are left out.
+    Ranges that no position explains, whatever a free clock's bias is, are left out; so are the few
+    links without which the others agree.
     The search starts in several places, because there may be several minima. The result is None if
     the best minimum is too uncertain, or if a minimum more than 4 standard deviations away from it
     fits the links about as well.
     """
     every = scene.anchors_m[: len(links)]
-    visible = np.isfinite(links).any(axis=1)
+    visible = np.flatnonzero(np.isfinite(links).any(axis=1))
     z = links[visible].T
-    sigma = sigma[visible].T
+    deviations = sigma[visible].T
     anchors = every[visible]
     reach_m = FARTHEST_M
     if clock == "free":
         apart_m = np.linalg.norm(anchors[:, None] - anchors, axis=2)
-        z[0, _contradicting(z[0], sigma[0], apart_m)] = np.nan
+        z[0, _contradicting(z[0], deviations[0], apart_m)] = np.nan
     measured = np.isfinite(z)
     azimuths = measured[[1, 3]].any(axis=0)
     if clock == "free" and not azimuths.any():
@@ -102,7 +115,7 @@ def position_from_links(
     problem = _Links(
         anchors=anchors.T,
         z=np.where(measured, z, 0.0),
-        variance=np.where(measured, sigma**2, 1.0),
+        variance=np.where(measured, deviations**2, 1.0),
         measured=measured.astype(float),
         center=np.array(center[:n]),
         weight=1.0 / np.array(deviation) ** 2,
@@ -114,14 +127,58 @@ def position_from_links(
         if not (sides > 0.0).any():
             return None
         cost = np.where(sides > 0.0, cost, np.inf)
-    return _best(problem, cost, position, information)
-
-
-def _best(
-    links: _Links, cost: Array, position: Array, information: Array
-) -> tuple[Array, Array] | None:
-    """Return the best minimum and its covariance; None if it is too uncertain or ambiguous."""
     best = int(np.argmin(cost))
+    wrong = _wrong_links(problem, cost[best], position[best])
+    if wrong:
+        others = links.copy()
+        others[visible[wrong]] = np.nan
+        return position_from_links(others, sigma, scene, clock)
+    covariance = _covariance(problem, best, cost, position, information)
+    if covariance is None:
+        return None
+    if not _agree(problem, cost[best]):
+        covariance *= cost[best] / measured.sum()  # reduced chi-square
+    return Fix(position[best], covariance, visible)
+
+
+def _wrong_links(links: _Links, cost: float, position: Array) -> list[int]:
+    """Return the fewest links without which the others agree, given the best minimum.
+
+    The list is empty if all agree, or if it is unclear which links are wrong.
+    """
+    among = list(range(links.z.shape[1]))
+    fewest = max(_FEWEST, len(among) // 2 + 1)
+    wrong: list[int] = []
+    clear = True
+    while not _agree(links, cost):
+        if len(among) < fewest:
+            return []
+        minima = [_descended(_without(links, i), position[None]) for i in range(len(among))]
+        costs = np.array([minimum[0][0] for minimum in minima])
+        best, second = np.argsort(costs)[:2].tolist()
+        clear = bool(costs[second] - costs[best] > _AMBIGUOUS)
+        links = _without(links, best)
+        cost = costs[best]
+        position = minima[best][1][0]
+        wrong.append(among.pop(best))
+    return wrong if clear else []
+
+
+def _without(links: _Links, link: int) -> _Links:
+    """Return links without one of them."""
+    arrays = {name: np.delete(getattr(links, name), link, axis=1) for name in _Links._fields[:4]}
+    return links._replace(**arrays)
+
+
+def _agree(links: _Links, cost: float) -> bool:
+    """Tell whether noise explains the squared errors of links."""
+    return bool(cost <= chdtri(links.measured.sum(), _CONTRADICT))
+
+
+def _covariance(
+    links: _Links, best: int, cost: Array, position: Array, information: Array
+) -> Array | None:
+    """Return the covariance of the best minimum; None if it is too uncertain or ambiguous."""
     covariance = np.linalg.inv(information[best])
     stretched = _stretched(links, position[best], cost[best], covariance)
     if stretched is None or np.linalg.eigvalsh(stretched[:2, :2])[-1] > _WORST_FIX_M**2:
@@ -130,7 +187,7 @@ def _best(
     distance = np.einsum("si,ij,sj->s", apart, np.linalg.inv(covariance[:2, :2]), apart)
     if ((cost - cost[best] < _AMBIGUOUS) & (distance > 16.0)).any():
         return None
-    return position[best], stretched
+    return stretched
 
 
 def _stretched(links: _Links, position: Array, cost: float, covariance: Array) -> Array | None:

@@ -22,6 +22,7 @@ from mmwave_env.localization.first_position import (
     HEIGHT_SIGMA_M,
     STARTS_M,
     UNKNOWN,
+    Fix,
     position_from_links,
 )
 from mmwave_env.logs.live_log import LiveEpoch, log_from
@@ -85,7 +86,9 @@ def start_at(log: Log, epoch: int, scene: Scene, radio: Radio) -> Start | None:
     link = row.measurement[0, :4]
     spent = np.zeros((1, len(row.layout.groups)), np.bool_)
     whole = bool(np.isfinite(link).all()) and bool(row.visible[0, 0]) and not row.layout.has_bias
-    if whole and gives_fix(row.measurement)[0]:
+    solved = _position_at(log, epoch, scene, radio)
+    contradicted = solved is not None and 0 not in solved[0].used
+    if whole and gives_fix(row.measurement)[0] and not contradicted:
         spent[0, 0] = True
         sigma = deviations_of(row, scene, radio)[0, :4]
         return Start(prior_from_fix(scene.anchors_m[0], link, sigma, radio, scene), spent)
@@ -94,10 +97,9 @@ def start_at(log: Log, epoch: int, scene: Scene, radio: Radio) -> Start | None:
     if (row.visible[0, :links] & (abs(elevations) > STEEPEST_FIX_RAD)).any():
         return None  # near the vertical, filters can't follow
     spent[0, :links] = row.visible[0, :links]
-    solved = _position_at(log, epoch, scene, radio)
     if solved is None:
         return None
-    unknown, covariance, _ = solved
+    unknown, covariance, _ = solved[0]
     n = row.layout.state_size
     x = np.zeros(n)
     P = radio.prior_covariance(scene, row.layout.clock)
@@ -108,9 +110,7 @@ def start_at(log: Log, epoch: int, scene: Scene, radio: Radio) -> Start | None:
     return Start((x, P), spent)
 
 
-def _position_at(
-    log: Log, epoch: int, scene: Scene, radio: Radio
-) -> tuple[Array, Array, bool] | None:
+def _position_at(log: Log, epoch: int, scene: Scene, radio: Radio) -> tuple[Fix, bool] | None:
     """Return :func:`position_from_links` of an epoch or, if that is None, with earlier links.
 
     Also tell whether earlier ones were needed.
@@ -119,7 +119,7 @@ def _position_at(
     for age_s in (0.0, POOL_S):
         solved = position_from_links(*_latest(log, epoch, age_s, scene, radio), scene, clock)
         if solved:
-            return *solved, age_s > 0.0
+            return solved, age_s > 0.0
         if clock == "free":
             break  # earlier ranges have another bias
     return None
@@ -210,8 +210,10 @@ class Ballot:
         solved = _position_at(log, epoch, self._scene, self._radio) if self.is_due(time_s) else None
         if solved is None:
             return False
-        position, covariance, pooled = solved
-        self._votes.append(Vote(before + epoch, time_s, position[:3], covariance[:3, :3], pooled))
+        fix, pooled = solved
+        self._votes.append(
+            Vote(before + epoch, time_s, fix.position[:3], fix.covariance[:3, :3], pooled)
+        )
         self._look_for_jump()
         return True
 

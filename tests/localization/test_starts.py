@@ -176,6 +176,18 @@ def test_an_ekf_survives_a_wrong_azimuth_in_the_first_epoch(tmp_path):
 
 
 @pytest.mark.parametrize("seed", range(4))
+def test_a_fifth_of_wrong_ranges_of_four_anchors_costs_little(tmp_path, seed):
+    """Check ranges 1 to 6 m too long, 10 times a second; tracks began anew every three seconds."""
+    rng = np.random.default_rng(seed)
+    rows = rows_of(ROOM, np.arange(0.0, 30.0, 0.1).round(1), circle, noise=RANGES, seed=seed)
+    for row in rows:
+        row["range_m"] += rng.uniform(1.0, 6.0) * (rng.random() < 0.2)
+    track = tracked(tmp_path, ROOM, rows, "imm-best", window=None)
+    assert track.segment[-1] <= 2
+    assert rms(errors(track, circle, track.x)[track.time_s > 10.0]) < 0.3
+
+
+@pytest.mark.parametrize("seed", range(4))
 def test_wrong_ranges_one_after_the_other_seldom_begin_a_track_anew(tmp_path, seed):
     rng = np.random.default_rng(seed)
     times = np.arange(0.0, 30.0, 0.025).round(3)
@@ -189,12 +201,31 @@ def test_wrong_ranges_one_after_the_other_seldom_begin_a_track_anew(tmp_path, se
     assert not any(c.group == "track" for c in as_it_is.contradictions)
 
 
+@pytest.mark.parametrize("wrong", [None, 0, 1, 2])
+def test_a_track_begins_in_spite_of_one_reflected_link_of_three(tmp_path, wrong):
+    """Check a link 8 m too long and 30 degrees aside; without it, no link is left out."""
+    nees = []
+    for seed in range(20):
+        rows = rows_of(WIDE, range(8), stroll, seed=seed)
+        if wrong is not None:
+            rows[wrong]["range_m"] += 8.0
+            rows[wrong]["aoa_azimuth_deg"] += 30.0
+        log = log_of(tmp_path, WIDE, rows)
+        mean, covariance = start_at(log, 0, WIDE, RADIO).prior
+        away = mean[:2] - stroll(0.0)[:2]
+        nees.append(away @ np.linalg.solve(covariance[:2, :2], away))
+        assert len(segments(log, WIDE, RADIO)) == 1
+    assert np.mean(nees) < 3.2  # chi-square with 40 degrees of freedom, divided by 20: 99.5 %
+
+
 @pytest.mark.parametrize("anchors", [1, 32])
-def test_a_first_position_is_found_among_many_anchors_but_not_with_one_range(tmp_path, anchors):
+def test_many_ranges_begin_a_track_if_a_fifth_is_wrong_but_one_range_does_not(tmp_path, anchors):
     rng = np.random.default_rng(0)
     masts = np.column_stack([rng.uniform(0.0, 100.0, (anchors, 2)), rng.uniform(3, 9, anchors)])
     scene = scene_of_anchors("masts", masts, 28e9, 1e8)
     rows = rows_of(scene, [0.0], lambda t: np.array([40.0, 30.0, 1.5]), noise=RANGES)
+    for row in rows[: anchors // 5]:
+        row["range_m"] += 10.0
     log = log_of(tmp_path, scene, rows)
     start = start_at(log, 0, scene, RADIO)
     if anchors == 1:
