@@ -12,14 +12,8 @@ from gymnasium.error import InvalidAction, ResetNeeded
 
 from mmwave_env.engines.environment import Environment
 from mmwave_env.interface.actions import numbers_in, space_of
-from mmwave_env.interface.info import (
-    INFOS,
-    NONFINITE_KEY,
-    Info,
-    warn_of_nonfinite,
-)
+from mmwave_env.interface.info import NONFINITE_KEY, Info, warn_of_nonfinite
 from mmwave_env.io.lookup import choose, require_extra
-from mmwave_env.metrics import DIVERGENCE_M
 from mmwave_env.numerics.numbers import Array, Array32, Index
 from mmwave_env.rendering.gallery import Gallery
 from mmwave_env.rendering.theme import FRAMES_PER_SECOND, SMALLEST, Pixels, require_drawable
@@ -146,11 +140,8 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
       `nonfinite`: the number of links, Doppler shifts and odometry readings that contain NaN or
       infinity and count as missing.
     * The last step adds `ate_m`, `rmse_m`, `rpe_m`, `mean_nees`, `in_bounds`, `divergence` (all
-      without the first 10 epochs); with `smoothed=True` also `smoothed_ate_m`, for which the
-      episode is run again and smoothed (Rauch-Tung-Striebel). If beliefs were NaN or infinite,
-      there is a warning, and `nonfinite_beliefs` counts the epochs with such beliefs.
-    * To save time, `infos="episode"` fills infos only at resets and last steps, and `infos="none"`
-      never.
+      without the first 10 epochs). If beliefs were NaN or infinite, there is a warning, and
+      `nonfinite_beliefs` counts the epochs with such beliefs.
 
     ## Keys
 
@@ -181,8 +172,6 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
     * `action`, `base`: "mode" (default), "weights" or "correction", see Actions that are Numbers.
     * `reward`: "tracking", "log-score", "paired", a function or a `PairedReward`.
     * `observation`: "full", "prior" or "signed", which adds residuals of the last epoch to "full".
-    * `infos`: "all" (default), "episode" or "none", see Information.
-    * `smoothed`: whether the last info contains `smoothed_ate_m`; False by default.
     * `episode_steps`, `dt`: epochs per episode and seconds per epoch.
     * `episodes`: recorded data instead of a simulation: a recording of the package, such as
       "canyon28_vehicle" (`mmwave-loc list samples`), the folder of a DeepMIMO scenario or of a
@@ -242,8 +231,6 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         /,
         *,
         observation: str = "full",
-        infos: str = "all",
-        smoothed: bool = False,
         backend: str = "lanes",
         render_mode: str | None = None,
         render_size: int = SMALLEST,
@@ -261,11 +248,9 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
 
                 require_display()
         choose(BACKENDS, backend, "backend")
-        choose(INFOS, infos, "infos")
         self.render_mode = render_mode
         self._backend = backend
-        self._infos = infos
-        self._take_task(task_from(**arguments), observation, smoothed)
+        self._take_task(task_from(**arguments), observation)
         self._over = True
         self._streams = Streams(1)
         self._set_up_noting()
@@ -330,7 +315,7 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
             if self.render_mode == "human":
                 self.render()
         info |= {key: values[0] for key, values in state.items()}
-        return observations[0], {} if self._infos == "none" else info
+        return observations[0], info
 
     def _begin(self, key: int | None) -> Info:
         """Begin the episode with this key (None: the next episode); return infos about it."""
@@ -350,17 +335,11 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         if self._over:
             raise ResetNeeded("Call reset before step: there is no episode under way.")
         actions, numbers = self._checked(action)
-        result, ended, infos = self._step_engine(actions, numbers)
-        if self._task.baseline:
-            self._subtract_baseline(result.rewards, _HERE)
-        terminated = False
-        if self._task.worst is not None:
-            terminated = not self._engine.read(self._engine.at.distance)[0] <= DIVERGENCE_M
-        if terminated:
-            self._charge(result.rewards, _HERE)
-        self._over = terminated or bool(ended)
-        if self._over and self._infos == "episode":
-            infos = self._last_infos(result, actions)
+        result, _, infos = self._step_engine(actions, numbers)
+        self._score(result, _HERE)
+        terminated = bool(result.terminated[0])
+        truncated = bool(result.truncated[0])
+        self._over = terminated or truncated
         info = {key: values[0] for key, values in infos.items()}
         if self._over:
             info |= self._episode_info()
@@ -368,7 +347,6 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
             self._gallery.add(_HERE, actions, self._engine.column)
             if self.render_mode == "human":
                 self.render()
-        truncated = self._over and not terminated
         return result.observations[0], float(result.rewards[0]), terminated, truncated, info
 
     def _checked(self, action: Any) -> tuple[Index, Array | None]:
@@ -406,7 +384,5 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         (lost,) = self._tally.nonfinite(_HERE).tolist()
         if lost:
             warn_of_nonfinite()
-        if self._infos == "none":
-            return {}
         metrics: Info = {k: float(v[0]) for k, v in self._metrics_of(_HERE).items()}
         return metrics | {NONFINITE_KEY: lost} if lost else metrics

@@ -127,7 +127,7 @@ class TaskArguments:
 
 # arguments of a single environment beside those of its task
 OF_ENVIRONMENTS = (
-    "observation", "infos", "smoothed", "backend", "render_mode", "render_size", "render_theme",
+    "observation", "backend", "render_mode", "render_size", "render_theme",
 )  # fmt: skip
 
 

@@ -246,9 +246,10 @@ class Engine(Batch):
         return self.read(self.at.observation, np.float32)[:, self._shown]
 
 
-def tracker_of(mode: Mode, episodes: Sequence[Episode]) -> Engine:
+def tracker_of(mode: Mode, episodes: Sequence[Episode], planar: bool = False) -> Engine:
     """Return an engine that has loaded episodes, to filter all of them in one mode."""
-    tracker = Engine(Pipeline((mode,), episodes[0].layout), len(episodes), observation="")
+    pipeline = Pipeline((mode,), episodes[0].layout, planar)
+    tracker = Engine(pipeline, len(episodes), observation="")
     tracker.load(episodes)
     return tracker
 

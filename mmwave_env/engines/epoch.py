@@ -35,7 +35,6 @@ from mmwave_env.filters.imm import (
     estimate,
     imm_epoch,
     most_probable_memory,
-    prediction,
     reweighted,
     trusting,
 )
@@ -69,7 +68,8 @@ class Asked(NamedTuple):
             tunings of modes that share a belief then also come from the state.
         reward: function of (belief, truth); None to compute only errors and NEES.
         action: kind of actions (:mod:`mmwave_env.interface.actions`); "" if an IMM gets none.
-        predicted: whether to keep beliefs before their updates, for smoothing, and likelihoods.
+        predicted: whether to keep likelihoods and, for smoothing, beliefs before their updates, if
+            modes share a belief.
         rule: function that chooses the mode, given the mean before the epoch and the epoch.
     """
 
@@ -163,11 +163,6 @@ def filter_epoch(w: EpochState, asked: Asked) -> EpochState:
         w = w._replace(mixture=now.mixture)
         results = now.results
         predicted = now.predicted
-        if asked.predicted:
-            x_predicted, P_predicted = prediction(
-                now, epoch.dt, layout.bias_drive(w.site.hz_per_mps)
-            )
-            w = w._replace(x_predicted=x_predicted, P_predicted=P_predicted)
     else:
         if asked.rule:
             w = w._replace(action=asked.rule(w.x, epoch))
@@ -381,8 +376,6 @@ def _start(asked: Asked) -> EpochState:
     if asked.reward:
         terms = [0.0] * (len(term_names(asked.reward)) + 1)
         state = state._replace(reward=0.0, reward_terms=terms, distance=0.0)
-    if asked.predicted:
-        state = state._replace(x_predicted=x, P_predicted=P)
     if asked.per_mode:
         state = state._replace(
             settings=settings_of(Bank(pipeline.modes)),
@@ -392,7 +385,7 @@ def _start(asked: Asked) -> EpochState:
     elif not asked.observation:
         state = state._replace(settings=[Tuning(*[0.0] * len(Tuning._fields))] * modes)
     if asked.predicted and not asked.per_mode:
-        state = state._replace(log_likelihood=0.0)
+        state = state._replace(x_predicted=x, P_predicted=P, log_likelihood=0.0)
     return _with_room_for_a_policy(state, asked) if asked.observation else state
 
 
