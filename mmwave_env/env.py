@@ -18,7 +18,7 @@ from mmwave_env.numerics.numbers import Array, Array32, Index
 from mmwave_env.rendering.gallery import Gallery
 from mmwave_env.rendering.theme import FRAMES_PER_SECOND, SMALLEST, Pixels, require_drawable
 from mmwave_env.task import task_from
-from mmwave_env.world.keys import Streams, key_from, options_of
+from mmwave_env.world.keys import key_from, options_of
 
 _INTEGERS = (int, np.int64)  # usual types of actions
 _HERE = np.zeros(1, np.int64)  # index of the environment in a batch of one
@@ -252,7 +252,6 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         self._backend = backend
         self._take_task(task_from(**arguments), observation)
         self._over = True
-        self._streams = Streams(1)
         self._set_up_noting()
         drawn = (*self._drawn, render_size, render_theme)
         self._gallery = Gallery(1, *drawn) if render_mode else None
@@ -300,35 +299,26 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         ``options={"episode_key": k}`` plays an episode again; k is its key, from an earlier info.
         """
         (key,) = options_of(options, "episode_key")
+        keys = None
         if key is not None:
             self._task.require_keys(seed)
-            key = key_from(key)
+            keys = np.array([key_from(key)], np.uint64)
         super().reset(seed=seed, options=options)
-        info = self._begin(key)
-        self._begin_tracks(_HERE)
+        if keys is None and self._task.has_keys:
+            self._streams.follow(0, self.np_random, self.np_random_seed)
+        infos = self._begin_episodes(_HERE, keys)
         observations, state = self._run_first_epoch(_HERE)
         self._begun = True
         self._over = False
         if self._gallery:
-            names = [info["episode_name"]]
+            names = infos["episode_name"].tolist()
             self._gallery.begin(_HERE, names, self._scene_of, self._engine.column)
             if self.render_mode == "human":
                 self.render()
-        info |= {key: values[0] for key, values in state.items()}
-        return observations[0], info
+        return observations[0], {key: values[0] for key, values in (infos | state).items()}
 
-    def _begin(self, key: int | None) -> Info:
-        """Begin the episode with this key (None: the next episode); return infos about it."""
-        task = self._task
-        if not task.has_keys:
-            episode = task.draw(self.np_random)
-            self._engine.load([episode])
-            return {"episode_name": episode.name, "nonfinite": episode.nonfinite}
-        if key is None:
-            self._streams.follow(0, self.np_random, self.np_random_seed)
-            (key,) = self._streams.keys(_HERE).tolist()
-        (name,) = self._begin_keys(np.array([key], np.uint64), _HERE)
-        return {"episode_name": name, "episode_key": np.uint64(key), "nonfinite": 0}
+    def _generator(self, place: int) -> np.random.Generator:
+        return self.np_random
 
     def step(self, action: Any) -> tuple[Array32, float, bool, bool, Info]:
         """Process an epoch: apply a mode, weights or a correction. See Gymnasium's `Env.step`."""

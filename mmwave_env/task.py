@@ -48,9 +48,9 @@ class Task:
     baseline: Bank | None  # bank of the IMM whose reward is subtracted; None to subtract nothing
     # reward of each epoch that remains after a divergence; None if divergence does not end episodes
     worst: float | None
-    action: str = MODE  # kind of actions
+    action: str  # kind of actions
     # for corrections: makes the agent that chooses modes; None if an IMM weighs the modes
-    base: Base | None = None
+    base: Base | None
 
     def draw(self, rng: np.random.Generator) -> Episode:
         """Draw the next episode of an environment."""

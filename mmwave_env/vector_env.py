@@ -28,12 +28,9 @@ from mmwave_env.numerics.numbers import Array, Array32, Index, Mask
 from mmwave_env.rendering.gallery import Gallery
 from mmwave_env.rendering.theme import FRAMES_PER_SECOND, SMALLEST, Pixels, require_drawable
 from mmwave_env.task import task_from
-from mmwave_env.world.keys import Keys, Streams, keys_from, options_of
+from mmwave_env.world.keys import Keys, keys_from, options_of
 
 Step = tuple[Array32, Array, Mask, Mask, Info]
-
-BEGUN = 512  # maximum number of episodes drawn in one call, to limit the memory that they need
-
 
 _OF_SINGLE = '; for other values use gymnasium.make, or make_vec with vectorization_mode="sync"'
 Count = Annotated[int, Bound("an integer, at least 1", least=1, most=inf)]
@@ -110,7 +107,6 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         self.single_action_space = cast(Any, space_of(self._limits, len(self.observation.actions)))
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._streams = Streams(num_envs)
         self._names = np.full(num_envs, "", object)  # names of the episodes, for pictures
         self._begun = False
         self._mode_count = np.array(len(self.observation.actions), np.uint64)
@@ -201,25 +197,12 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         """Return the seed of each environment, as a `SyncVectorEnv` does."""
         return self._streams.seeds()
 
+    def _generator(self, place: int) -> np.random.Generator:
+        return self._streams.generator(place)
+
     def _draw(self, places: Index, keys: Keys | None = None) -> Info:
         """Begin episodes in the environments with indices ``places``; return infos, (N,) each."""
-        task = self._task
-        engine = self._engine
-        infos: Info = {"episode_name": np.full(self.num_envs, None, object)}
-        infos["nonfinite"] = np.zeros(self.num_envs, np.int64)
-        if task.has_keys:
-            keys = self._streams.keys(places) if keys is None else keys
-            for first in range(0, len(places), BEGUN):
-                now = slice(first, first + BEGUN)
-                names = self._begin_keys(keys[now], places[now])
-                infos["episode_name"][places[now]] = names
-            infos["episode_key"] = self._keys.copy()
-        else:
-            drawn = [task.draw(self._streams.generator(int(place))) for place in places]
-            engine.load(drawn, places)
-            infos["episode_name"][places] = [episode.name for episode in drawn]
-            infos["nonfinite"][places] = [episode.nonfinite for episode in drawn]
-        self._begin_tracks(places)
+        infos = self._begin_episodes(places, keys)
         self._names[places] = infos["episode_name"][places]
         self._over = self._over.copy()
         self._over[places] = False

@@ -12,7 +12,6 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 
 from mmwave_env.compiler.program import Repeated, StepIO, laid_out
-from mmwave_env.compiler.threads import portions, share
 from mmwave_env.engines.engine import Engine, run_imm
 from mmwave_env.engines.vector_step import StepResult, Tally, step_blocks
 from mmwave_env.filters.belief import Belief
@@ -37,9 +36,11 @@ from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Array32, Index
 from mmwave_env.task import Task
 from mmwave_env.world.episode import EpisodeBatch
-from mmwave_env.world.keys import Keys
+from mmwave_env.world.keys import Keys, Streams
 
-FILTERED = 256  # maximum number of episodes that a job filters, to save memory
+# maximum numbers of episodes that are filtered and drawn in one call, to save memory
+FILTERED = 256
+BEGUN = 512
 
 
 class Environment:
@@ -51,6 +52,7 @@ class Environment:
 
     _engine: Engine
     _set_up: Callable[[], None]  # creates the attributes that are not copied
+    _generator: Callable[[int], np.random.Generator]  # of an environment, for episodes without keys
 
     def _take_task(self, task: Task, observation: str, n: int = 1, threads: int = 1) -> None:
         """Store the task of n environments, which have no episode yet."""
@@ -60,6 +62,7 @@ class Environment:
         self._limits = limits_of(task.action, len(task.pipeline.modes))
         self._tally = Tally(n, len(task.pipeline.position_axes))
         self._keys = np.zeros(n, np.uint64)  # of the episodes, if they have keys
+        self._streams = Streams(n)
         self._threads = threads  # maximum number in use; results do not depend on it
         self._begun = False
 
@@ -211,14 +214,12 @@ class Environment:
         missing = self._engine.state.length.max() - self._imm_rewards.shape[1]
         self._imm_rewards = np.pad(self._imm_rewards, ((0, 0), (0, max(0, missing))))
 
-        def run(some: Index) -> None:
+        for first in range(0, len(places), FILTERED):
+            some = places[first : first + FILTERED]
             episodes = self._episodes(some)
             played = run_imm(bank, task.reward, episodes, "reward", planar=task.pipeline.planar)
             rewards = played["reward"]
             self._imm_rewards[some, : rewards.shape[1]] = rewards
-
-        parts = portions(len(places), self._threads, FILTERED)
-        share(run, [(places[part],) for part in parts], self._threads)
 
     def _subtract_baseline(self, rewards: Array, places: Index) -> None:
         """Subtract the baseline from the rewards (N,) of the epoch that was just scored.
@@ -236,6 +237,30 @@ class Environment:
         else:
             earned = self._imm_rewards[places, engine.state.epoch[places] - 2]
         rewards[places] = rewards[places].astype(np.float32) - earned
+
+    def _begin_episodes(self, places: Index, keys: Keys | None = None) -> Info:
+        """Begin episodes in some environments (n,): with these keys, or each environment's next.
+
+        Returns:
+            Infos about the episodes, arrays with one entry for each environment.
+        """
+        task = self._task
+        n = len(self._keys)
+        infos: Info = {"episode_name": np.full(n, None, object), "nonfinite": np.zeros(n, np.int64)}
+        if task.has_keys:
+            keys = self._streams.keys(places) if keys is None else keys
+            for first in range(0, len(places), BEGUN):
+                now = slice(first, first + BEGUN)
+                names = self._begin_keys(keys[now], places[now])
+                infos["episode_name"][places[now]] = names
+            infos["episode_key"] = self._keys.copy()
+        else:
+            drawn = [task.draw(self._generator(place)) for place in places.tolist()]
+            self._engine.load(drawn, places)
+            infos["episode_name"][places] = [episode.name for episode in drawn]
+            infos["nonfinite"][places] = [episode.nonfinite for episode in drawn]
+        self._begin_tracks(places)
+        return infos
 
     def _begin_keys(self, keys: Keys, places: Index) -> list[str]:
         """Begin the episodes with given keys (n,) in some environments (n,); return their names.

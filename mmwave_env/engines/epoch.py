@@ -420,7 +420,6 @@ def untuned(pipeline: Pipeline) -> Pipeline:
     modes = []
     for i, mode in enumerate(pipeline.modes):
         tuning: dict[str, Any] = dict.fromkeys(Tuning._fields, 0.0) | {"coupling": False}
-        for name in ("acceleration_mps2", "turn_rate_radps"):
-            tuning[name] = float(getattr(mode, name) != 0.0)
+        tuning["acceleration_mps2"] = float(mode.acceleration_mps2 != 0.0)
         modes.append(replace(mode, name=str(i), **tuning))
     return replace(pipeline, modes=tuple(modes))

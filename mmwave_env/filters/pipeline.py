@@ -24,7 +24,6 @@ from mmwave_env.models.motion import (
     accelerate,
     move,
     predict_covariance,
-    turn,
     white_noise_acceleration,
     with_clock,
 )
@@ -167,8 +166,6 @@ def predict(
     x_predicted = [x[i] if i in pipeline.known_axes else v for i, v in enumerate(x_predicted)]
     if mode.acceleration_mps2:
         x_predicted = accelerate(x_predicted, tuning.acceleration_mps2, epoch.dt)
-    if mode.turn_rate_radps:
-        x_predicted = turn(x_predicted, tuning.turn_rate_radps, epoch.dt)
     return x_predicted, P_predicted
 
 

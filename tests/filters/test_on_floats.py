@@ -16,7 +16,7 @@ from mmwave_env.filters.pipeline import measurement_of
 from mmwave_env.filters.update import ModeResult, capped_log_likelihood
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Epoch, Site
-from mmwave_env.models.motion import accelerate, turn
+from mmwave_env.models.motion import accelerate
 from mmwave_env.numerics.linalg import pack
 from tests.filters.problems import HZ_PER_MPS, assert_same, assume_clear_of, problems
 from tests.filters.tracks import process_noise, unpacked
@@ -40,7 +40,6 @@ MODES = [
     Mode("forced", "ckf", gate=0.5, recovery=3),
     Mode("robust", "ekf", robust=True, blockage_aware=True),
     Mode("hasty", "ekf", gate=None, acceleration_mps2=1.2),
-    Mode("turning", "ekf", gate=None, turn_rate_radps=0.4),
 ]
 
 
@@ -62,8 +61,6 @@ def test_an_epoch_of_a_mode_equals_the_textbook(mode, lockout, data):
     x, P = textbook.predict(problem.x, problem.P, Q, epoch.dt)
     if mode.acceleration_mps2:
         x = np.array(accelerate(x.tolist(), mode.acceleration_mps2, epoch.dt))
-    if mode.turn_rate_radps:
-        x = np.array(turn(x.tolist(), mode.turn_rate_radps, epoch.dt))
     R = scale * problem.R
     if mode.blockage_aware:
         R[4:8] *= 1.0 + 3.0 * (drop_db - 6.0) / 6.0
