@@ -43,7 +43,7 @@ def belief(error_m=(0.0, 0.0, 0.0), variance_m2=1.0, axes=(0, 1, 2)):
 
 def pays(reward, belief):
     """Return the value of a reward for a belief about a user at the origin."""
-    return total(terms_of(reward, belief, ORIGIN))
+    return total(terms_of(reward(belief, ORIGIN)))
 
 
 def test_shipped_rewards_have_names_and_others_are_named_after_their_class_or_function():
