@@ -223,6 +223,7 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         "render_modes": ["human", "rgb_array"],
         "render_fps": FRAMES_PER_SECOND,
     }
+    _gallery: Gallery | None
     _spec: EnvSpec | None = None
 
     def __init__(
@@ -256,7 +257,7 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         drawn = (*self._drawn, render_size, render_theme)
         self._gallery = Gallery(1, *drawn) if render_mode else None
         self.observation_space = cast(Any, self.observation.space)
-        self.action_space = cast(Any, space_of(self._limits, len(self.observation.actions)))
+        self.action_space = space_of(self._limits, len(self.observation.actions))
 
     def _set_up(self) -> None:
         """Create all objects that the arguments determine, for a new environment or a copy."""
@@ -310,11 +311,9 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         observations, state = self._run_first_epoch(_HERE)
         self._begun = True
         self._over = False
-        if self._gallery:
-            names = infos["episode_name"].tolist()
-            self._gallery.begin(_HERE, names, self._scene_of, self._engine.column)
-            if self.render_mode == "human":
-                self.render()
+        self._begin_pictures(_HERE)
+        if self.render_mode == "human":
+            self.render()
         return observations[0], {key: values[0] for key, values in (infos | state).items()}
 
     def _generator(self, place: int) -> np.random.Generator:
@@ -335,8 +334,8 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
             info |= self._episode_info()
         if self._gallery:
             self._gallery.add(_HERE, actions, self._engine.column)
-            if self.render_mode == "human":
-                self.render()
+        if self.render_mode == "human":
+            self.render()
         return result.observations[0], float(result.rewards[0]), terminated, truncated, info
 
     def _checked(self, action: Any) -> tuple[Index, Array | None]:

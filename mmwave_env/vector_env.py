@@ -62,6 +62,8 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         autoreset_mode: a ``gymnasium.vector.AutoresetMode``.
     """
 
+    _gallery: Gallery | None
+
     def __init__(
         self,
         num_envs: int = 1,
@@ -103,11 +105,10 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         self._set_up_noting()
         drawn = (*self._drawn, render_size, render_theme)
         self._gallery = Gallery(num_envs, *drawn) if render_mode else None
-        self.single_observation_space = cast(Any, self.observation.space)
-        self.single_action_space = cast(Any, space_of(self._limits, len(self.observation.actions)))
+        self.single_observation_space = self.observation.space
+        self.single_action_space = space_of(self._limits, len(self.observation.actions))
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._names = np.full(num_envs, "", object)  # names of the episodes, for pictures
         self._begun = False
         self._mode_count = np.array(len(self.observation.actions), np.uint64)
         self._everywhere = np.ones(num_envs, np.bool_)
@@ -130,12 +131,6 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
             return None
         self._require_begun("render")
         return self._gallery.draw()
-
-    def _begin_pictures(self, places: Index) -> None:
-        """Clear the pictures of the environments with indices ``places``, whose episodes begin."""
-        if self._gallery:
-            names = self._names.tolist()
-            self._gallery.begin(places, names, self._scene_of, self._engine.column)
 
     def reset(
         self,
@@ -203,7 +198,6 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
     def _draw(self, places: Index, keys: Keys | None = None) -> Info:
         """Begin episodes in the environments with indices ``places``; return infos, (N,) each."""
         infos = self._begin_episodes(places, keys)
-        self._names[places] = infos["episode_name"][places]
         self._over = self._over.copy()
         self._over[places] = False
         self._ended = int(np.count_nonzero(self._over))

@@ -52,6 +52,7 @@ class Environment:
 
     _engine: Engine
     _set_up: Callable[[], None]  # creates the attributes that are not copied
+    _gallery: Any  # draws pictures; None without a render mode
     _generator: Callable[[int], np.random.Generator]  # of an environment, for episodes without keys
 
     def _take_task(self, task: Task, observation: str, n: int = 1, threads: int = 1) -> None:
@@ -62,6 +63,7 @@ class Environment:
         self._limits = limits_of(task.action, len(task.pipeline.modes))
         self._tally = Tally(n, len(task.pipeline.position_axes))
         self._keys = np.zeros(n, np.uint64)  # of the episodes, if they have keys
+        self._names = np.full(n, "", object)  # of the episodes, for pictures
         self._streams = Streams(n)
         self._threads = threads  # maximum number in use; results do not depend on it
         self._begun = False
@@ -151,15 +153,31 @@ class Environment:
     def _score(self, result: StepResult, places: Index) -> None:
         """Let a step's rewards in some environments (k,) be what the task pays.
 
-        Subtract the baseline. Terminate diverged episodes, and charge for their missing epochs.
+        The baseline is subtracted. The difference is rounded to single precision, in which agents
+        receive rewards, so that recorded training runs can be repeated exactly. Diverged episodes
+        terminate; for each epoch that is missing then, (worst reward - baseline) is added.
         """
-        if self._task.baseline:
-            self._subtract_baseline(result.rewards, places)
-        if self._task.worst is not None:
-            distance = self._engine.read(self._engine.at.distance)[places]
-            result.terminated[places] = ~(distance <= DIVERGENCE_M)
-            result.truncated[result.terminated] = False
-            self._charge(result.rewards, np.flatnonzero(result.terminated))
+        task = self._task
+        engine = self._engine
+        rewards = result.rewards
+        if task.baseline:
+            if task.action == CORRECTION:
+                earned = engine.read(engine.at.reported.reward, np.float32)[places]
+            else:
+                earned = self._imm_rewards[places, engine.state.epoch[places] - 2]
+            rewards[places] = rewards[places].astype(np.float32) - earned
+        if task.worst is None:
+            return
+        distance = engine.read(engine.at.distance)[places]
+        result.terminated[places] = ~(distance <= DIVERGENCE_M)
+        result.truncated[result.terminated] = False
+        lost = np.flatnonzero(result.terminated)
+        first = engine.state.epoch[lost] - 1
+        end = engine.state.length[lost]
+        rewards[lost] += task.worst * (end - first)
+        if task.baseline:
+            spans = zip(lost, first, end, strict=True)
+            rewards[lost] -= [fsum(self._imm_rewards[place, a:b]) for place, a, b in spans]
 
     def _run_first_epoch(self, places: Index) -> tuple[Array32, Info]:
         """Run the modes on the next epoch in environments just loaded; leave the others unchanged.
@@ -221,23 +239,6 @@ class Environment:
             rewards = played["reward"]
             self._imm_rewards[some, : rewards.shape[1]] = rewards
 
-    def _subtract_baseline(self, rewards: Array, places: Index) -> None:
-        """Subtract the baseline from the rewards (N,) of the epoch that was just scored.
-
-        The result is rounded to single precision, in which agents receive rewards, so that
-        recorded training runs can be repeated exactly.
-
-        Args:
-            rewards: (N,) rewards of all environments, changed in place.
-            places: (n,) indices of the environments whose rewards change.
-        """
-        engine = self._engine
-        if self._task.action == CORRECTION:
-            earned = engine.read(engine.at.reported.reward, np.float32)[places]
-        else:
-            earned = self._imm_rewards[places, engine.state.epoch[places] - 2]
-        rewards[places] = rewards[places].astype(np.float32) - earned
-
     def _begin_episodes(self, places: Index, keys: Keys | None = None) -> Info:
         """Begin episodes in some environments (n,): with these keys, or each environment's next.
 
@@ -259,8 +260,15 @@ class Environment:
             self._engine.load(drawn, places)
             infos["episode_name"][places] = [episode.name for episode in drawn]
             infos["nonfinite"][places] = [episode.nonfinite for episode in drawn]
+        self._names[places] = infos["episode_name"][places]
         self._begin_tracks(places)
         return infos
+
+    def _begin_pictures(self, places: Index) -> None:
+        """Clear the pictures of some environments (n,), whose episodes begin."""
+        if self._gallery:
+            names = self._names.tolist()
+            self._gallery.begin(places, names, self._scene_of, self._engine.column)
 
     def _begin_keys(self, keys: Keys, places: Index) -> list[str]:
         """Begin the episodes with given keys (n,) in some environments (n,); return their names.
@@ -305,16 +313,6 @@ class Environment:
         epochs = self._engine.state.epoch[ended] - 1
         figures = self._tally.metrics(ended, epochs)
         return {INFO_KEYS[name]: values for name, values in figures.items()}
-
-    def _charge(self, rewards: Array, places: Index) -> None:
-        """Add (worst reward - baseline) for each epoch that is missing because of an early end."""
-        assert self._task.worst is not None
-        first = self._engine.state.epoch[places] - 1
-        end = self._engine.state.length[places]
-        rewards[places] += self._task.worst * (end - first)
-        if self._task.baseline:
-            spans = zip(places, first, end, strict=True)
-            rewards[places] -= [fsum(self._imm_rewards[place, a:b]) for place, a, b in spans]
 
     def _set_up_noting(self) -> None:
         """Call ``_set_up``; remember which attributes it creates, as they are not copied."""
