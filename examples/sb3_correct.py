@@ -13,7 +13,7 @@ from policies import LearnedSwitch
 
 torch.set_num_threads(1)  # the network is too small for more threads to help
 guided = LearnedSwitch("guided")
-task = {"id": "mmwave_env:MmWaveLoc-v0", "infos": "none", "action": "correction"}
+task = {"id": "mmwave_env:MmWaveLoc-v0", "action": "correction"}
 task |= {"beliefs": "per-mode", "modes": guided.bank(), "base": partial(LearnedSwitch, "guided")}
 envs = SB3VecEnv(gym.make_vec(**task, num_envs=512, autoreset_mode="SameStep", reward="paired"))
 usual = {"gamma": 0.0, "seed": 10_000_000, "device": "cpu"}  # corrections affect no later epoch

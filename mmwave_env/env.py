@@ -12,19 +12,13 @@ from gymnasium.error import InvalidAction, ResetNeeded
 
 from mmwave_env.engines.environment import Environment
 from mmwave_env.interface.actions import numbers_in, space_of
-from mmwave_env.interface.info import (
-    INFOS,
-    NONFINITE_KEY,
-    Info,
-    warn_of_nonfinite,
-)
+from mmwave_env.interface.info import NONFINITE_KEY, Info, warn_of_nonfinite
 from mmwave_env.io.lookup import choose, require_extra
-from mmwave_env.metrics import DIVERGENCE_M
 from mmwave_env.numerics.numbers import Array, Array32, Index
 from mmwave_env.rendering.gallery import Gallery
 from mmwave_env.rendering.theme import FRAMES_PER_SECOND, SMALLEST, Pixels, require_drawable
 from mmwave_env.task import task_from
-from mmwave_env.world.keys import Streams, key_from, options_of
+from mmwave_env.world.keys import key_from, options_of
 
 _INTEGERS = (int, np.int64)  # usual types of actions
 _HERE = np.zeros(1, np.int64)  # index of the environment in a batch of one
@@ -146,11 +140,8 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
       `nonfinite`: the number of links, Doppler shifts and odometry readings that contain NaN or
       infinity and count as missing.
     * The last step adds `ate_m`, `rmse_m`, `rpe_m`, `mean_nees`, `in_bounds`, `divergence` (all
-      without the first 10 epochs); with `smoothed=True` also `smoothed_ate_m`, for which the
-      episode is run again and smoothed (Rauch-Tung-Striebel). If beliefs were NaN or infinite,
-      there is a warning, and `nonfinite_beliefs` counts the epochs with such beliefs.
-    * To save time, `infos="episode"` fills infos only at resets and last steps, and `infos="none"`
-      never.
+      without the first 10 epochs). If beliefs were NaN or infinite, there is a warning, and
+      `nonfinite_beliefs` counts the epochs with such beliefs.
 
     ## Keys
 
@@ -181,8 +172,6 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
     * `action`, `base`: "mode" (default), "weights" or "correction", see Actions that are Numbers.
     * `reward`: "tracking", "log-score", "paired", a function or a `PairedReward`.
     * `observation`: "full", "prior" or "signed", which adds residuals of the last epoch to "full".
-    * `infos`: "all" (default), "episode" or "none", see Information.
-    * `smoothed`: whether the last info contains `smoothed_ate_m`; False by default.
     * `episode_steps`, `dt`: epochs per episode and seconds per epoch.
     * `episodes`: recorded data instead of a simulation: a recording of the package, such as
       "canyon28_vehicle" (`mmwave-loc list samples`), the folder of a DeepMIMO scenario or of a
@@ -234,6 +223,7 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         "render_modes": ["human", "rgb_array"],
         "render_fps": FRAMES_PER_SECOND,
     }
+    _gallery: Gallery | None
     _spec: EnvSpec | None = None
 
     def __init__(
@@ -242,8 +232,6 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         /,
         *,
         observation: str = "full",
-        infos: str = "all",
-        smoothed: bool = False,
         backend: str = "lanes",
         render_mode: str | None = None,
         render_size: int = SMALLEST,
@@ -261,18 +249,15 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
 
                 require_display()
         choose(BACKENDS, backend, "backend")
-        choose(INFOS, infos, "infos")
         self.render_mode = render_mode
         self._backend = backend
-        self._infos = infos
-        self._take_task(task_from(**arguments), observation, smoothed)
+        self._take_task(task_from(**arguments), observation)
         self._over = True
-        self._streams = Streams(1)
         self._set_up_noting()
         drawn = (*self._drawn, render_size, render_theme)
         self._gallery = Gallery(1, *drawn) if render_mode else None
         self.observation_space = cast(Any, self.observation.space)
-        self.action_space = cast(Any, space_of(self._limits, len(self.observation.actions)))
+        self.action_space = space_of(self._limits, len(self.observation.actions))
 
     def _set_up(self) -> None:
         """Create all objects that the arguments determine, for a new environment or a copy."""
@@ -315,60 +300,42 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         ``options={"episode_key": k}`` plays an episode again; k is its key, from an earlier info.
         """
         (key,) = options_of(options, "episode_key")
+        keys = None
         if key is not None:
             self._task.require_keys(seed)
-            key = key_from(key)
+            keys = np.array([key_from(key)], np.uint64)
         super().reset(seed=seed, options=options)
-        info = self._begin(key)
-        self._begin_tracks(_HERE)
+        if keys is None and self._task.has_keys:
+            self._streams.follow(0, self.np_random, self.np_random_seed)
+        infos = self._begin_episodes(_HERE, keys)
         observations, state = self._run_first_epoch(_HERE)
         self._begun = True
         self._over = False
-        if self._gallery:
-            names = [info["episode_name"]]
-            self._gallery.begin(_HERE, names, self._scene_of, self._engine.column)
-            if self.render_mode == "human":
-                self.render()
-        info |= {key: values[0] for key, values in state.items()}
-        return observations[0], {} if self._infos == "none" else info
+        self._begin_pictures(_HERE)
+        if self.render_mode == "human":
+            self.render()
+        return observations[0], {key: values[0] for key, values in (infos | state).items()}
 
-    def _begin(self, key: int | None) -> Info:
-        """Begin the episode with this key (None: the next episode); return infos about it."""
-        task = self._task
-        if not task.has_keys:
-            episode = task.draw(self.np_random)
-            self._engine.load([episode])
-            return {"episode_name": episode.name, "nonfinite": episode.nonfinite}
-        if key is None:
-            self._streams.follow(0, self.np_random, self.np_random_seed)
-            (key,) = self._streams.keys(_HERE).tolist()
-        (name,) = self._begin_keys(np.array([key], np.uint64), _HERE)
-        return {"episode_name": name, "episode_key": np.uint64(key), "nonfinite": 0}
+    def _generator(self, place: int) -> np.random.Generator:
+        return self.np_random
 
     def step(self, action: Any) -> tuple[Array32, float, bool, bool, Info]:
         """Process an epoch: apply a mode, weights or a correction. See Gymnasium's `Env.step`."""
         if self._over:
             raise ResetNeeded("Call reset before step: there is no episode under way.")
         actions, numbers = self._checked(action)
-        result, ended, infos = self._step_engine(actions, numbers)
-        if self._task.baseline:
-            self._subtract_baseline(result.rewards, _HERE)
-        terminated = False
-        if self._task.worst is not None:
-            terminated = not self._engine.read(self._engine.at.distance)[0] <= DIVERGENCE_M
-        if terminated:
-            self._charge(result.rewards, _HERE)
-        self._over = terminated or bool(ended)
-        if self._over and self._infos == "episode":
-            infos = self._last_infos(result, actions)
+        result, _, infos = self._step_engine(actions, numbers)
+        self._score(result, _HERE)
+        terminated = bool(result.terminated[0])
+        truncated = bool(result.truncated[0])
+        self._over = terminated or truncated
         info = {key: values[0] for key, values in infos.items()}
         if self._over:
             info |= self._episode_info()
         if self._gallery:
             self._gallery.add(_HERE, actions, self._engine.column)
-            if self.render_mode == "human":
-                self.render()
-        truncated = self._over and not terminated
+        if self.render_mode == "human":
+            self.render()
         return result.observations[0], float(result.rewards[0]), terminated, truncated, info
 
     def _checked(self, action: Any) -> tuple[Index, Array | None]:
@@ -406,7 +373,5 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         (lost,) = self._tally.nonfinite(_HERE).tolist()
         if lost:
             warn_of_nonfinite()
-        if self._infos == "none":
-            return {}
         metrics: Info = {k: float(v[0]) for k, v in self._metrics_of(_HERE).items()}
         return metrics | {NONFINITE_KEY: lost} if lost else metrics

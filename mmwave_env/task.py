@@ -48,9 +48,9 @@ class Task:
     baseline: Bank | None  # bank of the IMM whose reward is subtracted; None to subtract nothing
     # reward of each epoch that remains after a divergence; None if divergence does not end episodes
     worst: float | None
-    action: str = MODE  # kind of actions
+    action: str  # kind of actions
     # for corrections: makes the agent that chooses modes; None if an IMM weighs the modes
-    base: Base | None = None
+    base: Base | None
 
     def draw(self, rng: np.random.Generator) -> Episode:
         """Draw the next episode of an environment."""
@@ -125,12 +125,6 @@ class TaskArguments:
     base: Base | None = None
 
 
-# arguments of a single environment beside those of its task
-OF_ENVIRONMENTS = (
-    "observation", "infos", "smoothed", "backend", "render_mode", "render_size", "render_theme",
-)  # fmt: skip
-
-
 def task_from(**arguments: Any) -> Task:
     """Return the task that an environment's arguments define; :class:`TaskArguments` lists them.
 
@@ -141,13 +135,9 @@ def task_from(**arguments: Any) -> Task:
     known = [field.name for field in fields(TaskArguments)]
     for name in arguments:
         if name not in known:
-            if name not in OF_ENVIRONMENTS:  # as from ``compare``, which sets these itself
-                known += OF_ENVIRONMENTS
-            # mmwave-loc and its function ``compare`` call this argument "data"
-            hint = did_you_mean("episodes" if name == "data" else name, known)
             raise TypeError(  # some libraries look for these words, as in Python's own message
                 f"got an unexpected keyword argument {name!r}, expected one of "
-                f"{', '.join(known)}{hint}"
+                f"{', '.join(known)}{did_you_mean(name, known)}"
             )
     asked = TaskArguments(**arguments)
     require("episode_steps", asked.episode_steps, int | None)

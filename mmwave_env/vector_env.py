@@ -15,9 +15,7 @@ from numpy.typing import NDArray
 from mmwave_env.engines.environment import Environment
 from mmwave_env.interface.actions import numbers_in, space_of
 from mmwave_env.interface.info import (
-    INFOS,
     NONFINITE_KEY,
-    STATE_KEYS,
     Info,
     mask_keys,
     masked,
@@ -26,17 +24,13 @@ from mmwave_env.interface.info import (
 )
 from mmwave_env.io.lookup import choose
 from mmwave_env.io.records import Bound, require
-from mmwave_env.metrics import DIVERGENCE_M
 from mmwave_env.numerics.numbers import Array, Array32, Index, Mask
 from mmwave_env.rendering.gallery import Gallery
 from mmwave_env.rendering.theme import FRAMES_PER_SECOND, SMALLEST, Pixels, require_drawable
 from mmwave_env.task import task_from
-from mmwave_env.world.keys import Keys, Streams, keys_from, options_of
+from mmwave_env.world.keys import Keys, keys_from, options_of
 
 Step = tuple[Array32, Array, Mask, Mask, Info]
-
-BEGUN = 512  # maximum number of episodes drawn in one call, to limit the memory that they need
-
 
 _OF_SINGLE = '; for other values use gymnasium.make, or make_vec with vectorization_mode="sync"'
 Count = Annotated[int, Bound("an integer, at least 1", least=1, most=inf)]
@@ -58,9 +52,6 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
             save time. Results do not depend on this number.
         max_episode_steps: None or the length of the episodes; Gymnasium may pass this argument,
             which must agree with ``episode_steps``.
-        infos: "all" (for every step), "episode" (for resets and the last steps of episodes) or
-            "none"; "SameStep" always adds ``final_info``, which is empty with "none".
-        smoothed: whether the last info of an episode also contains ``smoothed_ate_m``.
         render_mode: None or "rgb_array".
         render_size, render_theme: same as for the single environment.
         backend: "lanes"; vector environments have no other backend.
@@ -71,6 +62,8 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         autoreset_mode: a ``gymnasium.vector.AutoresetMode``.
     """
 
+    _gallery: Gallery | None
+
     def __init__(
         self,
         num_envs: int = 1,
@@ -79,8 +72,6 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         threads: int = min(2, os.cpu_count() or 1),
         observation: str = "full",
         max_episode_steps: int | None = None,
-        infos: str = "all",
-        smoothed: bool = False,
         render_mode: str | None = None,
         render_size: int = SMALLEST,
         render_theme: str = "light",
@@ -94,8 +85,6 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
             choose({"rgb_array": None}, render_mode, "render_mode", _OF_SINGLE)
             require_drawable(render_size, render_theme, f"render_mode={render_mode!r}")
         self.render_mode = render_mode
-        choose(INFOS, infos, "infos")
-        self._infos = infos
         modes = {mode.value: mode for mode in AutoresetMode}
         self.autoreset_mode = choose(
             modes, cast(str, getattr(autoreset_mode, "value", autoreset_mode)), "autoreset_mode"
@@ -106,7 +95,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
             "autoreset_mode": self.autoreset_mode,
         }
         self.num_envs = num_envs
-        self._take_task(task_from(**arguments), observation, smoothed, num_envs, threads)
+        self._take_task(task_from(**arguments), observation, num_envs, threads)
         epochs = getattr(self._task.source, "epochs", None)
         if max_episode_steps not in (None, epochs):
             raise ValueError(
@@ -116,15 +105,14 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         self._set_up_noting()
         drawn = (*self._drawn, render_size, render_theme)
         self._gallery = Gallery(num_envs, *drawn) if render_mode else None
-        self.single_observation_space = cast(Any, self.observation.space)
-        self.single_action_space = cast(Any, space_of(self._limits, len(self.observation.actions)))
+        self.single_observation_space = self.observation.space
+        self.single_action_space = space_of(self._limits, len(self.observation.actions))
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._streams = Streams(num_envs)
-        self._names = np.full(num_envs, "", object)  # names of the episodes, for pictures
         self._begun = False
         self._mode_count = np.array(len(self.observation.actions), np.uint64)
         self._everywhere = np.ones(num_envs, np.bool_)
+        self._places = np.arange(num_envs)
         self._none_over = np.zeros(num_envs, np.bool_)
         self._over = self._none_over
         self._ended = 0
@@ -143,12 +131,6 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
             return None
         self._require_begun("render")
         return self._gallery.draw()
-
-    def _begin_pictures(self, places: Index) -> None:
-        """Clear the pictures of the environments with indices ``places``, whose episodes begin."""
-        if self._gallery:
-            names = self._names.tolist()
-            self._gallery.begin(places, names, self._scene_of, self._engine.column)
 
     def reset(
         self,
@@ -210,30 +192,16 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         """Return the seed of each environment, as a `SyncVectorEnv` does."""
         return self._streams.seeds()
 
+    def _generator(self, place: int) -> np.random.Generator:
+        return self._streams.generator(place)
+
     def _draw(self, places: Index, keys: Keys | None = None) -> Info:
         """Begin episodes in the environments with indices ``places``; return infos, (N,) each."""
-        task = self._task
-        engine = self._engine
-        infos: Info = {"episode_name": np.full(self.num_envs, None, object)}
-        infos["nonfinite"] = np.zeros(self.num_envs, np.int64)
-        if task.has_keys:
-            keys = self._streams.keys(places) if keys is None else keys
-            for first in range(0, len(places), BEGUN):
-                now = slice(first, first + BEGUN)
-                names = self._begin_keys(keys[now], places[now])
-                infos["episode_name"][places[now]] = names
-            infos["episode_key"] = self._keys.copy()
-        else:
-            drawn = [task.draw(self._streams.generator(int(place))) for place in places]
-            engine.load(drawn, places)
-            infos["episode_name"][places] = [episode.name for episode in drawn]
-            infos["nonfinite"][places] = [episode.nonfinite for episode in drawn]
-        self._begin_tracks(places)
-        self._names[places] = infos["episode_name"][places]
+        infos = self._begin_episodes(places, keys)
         self._over = self._over.copy()
         self._over[places] = False
         self._ended = int(np.count_nonzero(self._over))
-        return {} if self._infos == "none" else infos
+        return infos
 
     def step(self, actions: Index) -> Step:
         """Run an epoch in each environment; actions are modes (N,) or numbers (N, k) in a `Box`."""
@@ -242,32 +210,22 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         fresh = self._over
         resets = self._ended
         drawn = self._draw(np.flatnonzero(fresh)) if resets else {}
+        running = np.flatnonzero(~fresh) if resets else self._places
         result, self._ended, infos = self._step_engine(actions, numbers)
-        if infos:
-            infos |= dict.fromkeys(self._mask_keys, self._everywhere.copy())
+        infos |= dict.fromkeys(self._mask_keys, self._everywhere.copy())
         observations, rewards, terminated, truncated, *_ = result
         if self._gallery:
             self._begin_pictures(np.flatnonzero(fresh))
-            self._gallery.add(np.flatnonzero(~fresh), actions, self._engine.column)
-        if self._task.baseline:
-            self._subtract_baseline(rewards, np.flatnonzero(~fresh))
+            self._gallery.add(running, actions, self._engine.column)
+        self._score(result, running)
         if resets:
             rewards[fresh] = 0.0
             infos = stepped(infos, ~fresh) | masked(drawn, fresh)
         if self._task.worst is not None:
-            distance = self._engine.read(self._engine.at.distance)
-            terminated[:] = ~(fresh | (distance <= DIVERGENCE_M))
-            self._charge(rewards, np.flatnonzero(terminated))
-            truncated &= ~terminated
             self._ended = int(np.count_nonzero(terminated | truncated))
         self._over = self._none_over
         if self._ended:
             self._over = terminated | truncated
-        if self._infos == "episode" and (resets or self._ended):
-            last = self._last_infos(result, actions)
-            state = masked({key: last.pop(key) for key in STATE_KEYS}, fresh | self._over)
-            infos |= masked(last, self._over) | state
-        if self._ended:
             infos = self._end(observations, infos)
         return observations, rewards, terminated, truncated, infos
 
@@ -278,12 +236,11 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         lost[ended] = self._tally.nonfinite(ended)
         if lost.any():
             warn_of_nonfinite()
-        if self._infos != "none":
-            metrics = {}
-            for key, values in self._metrics_of(ended).items():
-                metrics[key] = np.zeros(self.num_envs)
-                metrics[key][ended] = values
-            infos |= masked(metrics, self._over) | masked({NONFINITE_KEY: lost}, lost > 0)
+        metrics = {}
+        for key, values in self._metrics_of(ended).items():
+            metrics[key] = np.zeros(self.num_envs)
+            metrics[key][ended] = values
+        infos |= masked(metrics, self._over) | masked({NONFINITE_KEY: lost}, lost > 0)
         if self.autoreset_mode == AutoresetMode.SAME_STEP:
             return self._same_step(observations, infos)
         return infos
@@ -334,7 +291,5 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         for key, anew in begun.items():
             infos[key][ended] = anew[ended]
         infos = stepped(infos, ~over)
-        if self._infos != "all":
-            infos = {key: infos[key] for key in (*begun, *mask_keys(begun))}
         infos |= masked(drawn, over) | {"final_obs": final_obs, "final_info": final}
         return infos | {key: over.copy() for key in mask_keys(["final_obs", "final_info"])}

@@ -31,7 +31,7 @@ from mmwave_env.models.scene import SCENES, read_scene, scene_json
 from mmwave_env.world.mobility import read_mobility
 from policies.policy_file import read_policy, to_bytes
 from tests.damage import changed, damaged
-from tests.datasets.deepmimo.scenarios import SAVE, shortened
+from tests.datasets.deepmimo.scenarios import shortened
 from tests.paths import LOGS, ROOT, json_in
 from tests.training.actors import TABLE, actor, card_of
 
@@ -64,9 +64,9 @@ def parquet():
 
 
 @cache
-def deepmimo(suffix):
+def deepmimo():
     with TemporaryDirectory() as folder:
-        made = shortened(Path(folder, "scenario"), 4, suffix)
+        made = shortened(Path(folder, "scenario"), 4)
         files = {path.name: path.read_bytes() for path in sorted(made.iterdir())}
     return files | {"params.json": json.loads(files["params.json"])}
 
@@ -111,7 +111,7 @@ READERS = {
     "bank": alone("m.json", BANK, read_bank),
     "mobility": alone("walk.json", WALK, read_mobility),
     "trajectory": alone("route.csv", ROUTE, read_ways),
-    **{f"DeepMIMO{end}": Reader(partial(deepmimo, end), read_deepmimo) for end in SAVE},
+    "DeepMIMO": Reader(deepmimo, read_deepmimo),
     "policy": alone("p.safetensors", to_bytes(actor(3), CARD), read_policy),
     "hyperparameters": alone(
         "h.json", HYPERPARAMETERS, partial(read_hyperparameters, algorithm="ppo")

@@ -135,7 +135,7 @@ def _run_estimator(
         "P": P,
         "error": np.array(belief.error(truth)).T,
         "nees": belief.nees(truth).T,
-        "reward": total(terms_of(reward, belief, truth)).T,
+        "reward": total(terms_of(reward(belief, truth))).T,
     }
     if not {*names} <= {*results}:
         raise ValueError(f"policy: found {type(estimator).__name__}, {NO_FILTERS}")

@@ -20,21 +20,22 @@ from experiments.evaluation.contenders import draw_episodes
 from experiments.evaluation.intervals import Interval, bootstrap, rounded
 from experiments.evaluation.runner import Scores
 from experiments.reporting.figures import COLORS, picture, plain_numbers
-from mmwave_env.engines.smoothing import smoothed_again
+from mmwave_env.engines.engine import tracker_of
+from mmwave_env.engines.smoothing import smooth
 from mmwave_env.filters.bank import shipped_modes
 from mmwave_env.filters.modes import Mode, robust
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.metrics import scored, summary
 from mmwave_env.models.radio import TUNED_RADIOS, radio_from
 from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.numbers import Array
-from mmwave_env.world.episode import Episode, EpisodeBatch
+from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource
 
 TUNED_ON = ("pedestrian", "vehicle")  # kinds of users, in the order of the modes tuned for them
 ALGORITHMS = ("ekf", "ukf", "ckf")
 # changes of a radio that leave out blockage and multipath
 CLEAN = (("blockage_scale", 0.0), ("multipath_rate_hz", 0.0))
+_PARTS = ("x", "P", "x_predicted", "P_predicted", "error", "nees")
 
 
 @dataclass(frozen=True)
@@ -100,12 +101,14 @@ class Bench:
 
 def track(mode: Mode, episodes: Sequence[Episode], planar: bool = False) -> TrackRun:
     """Filter and smooth episodes of the same length with a mode."""
-    pipeline = Pipeline((mode,), episodes[0].layout, planar)
-    only = np.zeros((len(episodes), len(episodes[0])), np.int64)  # the number of the only mode
-    error, nees, better, P = smoothed_again(pipeline, None, EpisodeBatch.of(episodes), only)
+    tracker = tracker_of(mode, episodes, planar)
+    x, P, x_predicted, P_predicted, error, nees = tracker.run(*_PARTS).values()
+    dt = np.diff([episode.time_s for episode in episodes])
+    smoothed_x, P = smooth(x, P, x_predicted, P_predicted, dt, planar)
+    better = error + (smoothed_x - x)[..., :3]
     # NEES depends only on state minus truth: pass the error as the state, and 0 as the truth.
-    offset = pipeline.belief([*better.T], [*P.T])
-    axes = len(pipeline.position_axes)
+    offset = tracker.pipeline.belief([*better.T], [*P.T])
+    axes = len(offset.axes)
     smoothed = _errors(better, offset.nees([0.0] * 3).T, axes)
     return TrackRun(_errors(error, nees, axes), smoothed)
 

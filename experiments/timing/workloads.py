@@ -109,7 +109,7 @@ def filterpy_episode(twin: Pipeline, episode: Episode) -> float:
             posterior = twin.update(mode)(*prior, measurement, Gate(mode.gate))
         x = posterior.x
         P = posterior.P
-        paid += total(terms_of(reward, Belief(x, P), incoming.truth))
+        paid += total(terms_of(reward(Belief(x, P), incoming.truth)))
     return paid
 
 

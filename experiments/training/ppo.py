@@ -45,7 +45,6 @@ class PlacesVecEnv(VecEnv):
             "observation": task.observation,
             "reward": PairedReward(task.reward) if hyperparameters.paired else task.reward,
             "autoreset_mode": "SameStep",
-            "infos": "episode",
             "threads": 1,
         }
         # for each place, the numbers of its environments

@@ -82,7 +82,7 @@ class RolloutEnv:
             raise ValueError(
                 "places: found several kinds of clock, algorithms or safeguards, expected one kind "
                 "of clock, and modes that differ only in process noise and in the size of "
-                "acceleration_mps2 and turn_rate_radps"
+                "acceleration_mps2"
             )
         bank = task.bank if task.beliefs == "per-mode" else None
         self._engine = Engine(pipeline, n, task.reward, task.observation, bank)

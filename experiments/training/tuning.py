@@ -247,7 +247,6 @@ FREE = {
     "sigma_p": (0.005, 2.0),
     "sigma_v": (0.04, 6.0),
     "acceleration_mps2": (0.3, 6.0),
-    "turn_rate_radps": (0.02, 1.0),
 }
 NINES = (1.0, 9.0)  # number of nines of the quantile that caps the NIS: 3 nines are 0.999
 DECIMALS = 6  # decimals of probabilities

@@ -7,8 +7,6 @@ from functools import lru_cache
 from itertools import pairwise
 from typing import Any, TypeVar
 
-from mmwave_env.compiler.lanes import WIDTH
-
 Result = TypeVar("Result")
 
 
@@ -56,9 +54,3 @@ def share(
 def spans(count: int, parts: int) -> list[tuple[int, int]]:
     """Split ``count`` things into ``parts`` nearly equal parts; return each part's (first, end)."""
     return list(pairwise(count * i // parts for i in range(parts + 1)))
-
-
-def portions(count: int, threads: int, most: int) -> list[slice]:
-    """Divide ``count`` things into slices of at most ``most`` things, for threads to share."""
-    size = min(most, -(-count // (threads * WIDTH)) * WIDTH)  # whole blocks of eight
-    return [slice(first, first + size) for first in range(0, count, size)]

@@ -8,7 +8,7 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -38,17 +38,7 @@ _NEAR = (5.0, 0.05, 0.05, 0.05)
 _NOISE = 0.6745 * np.sqrt(2.0)  # median of the absolute difference of two N(0, 1) errors
 _ENOUGH = 20  # minimum number of epochs for a median
 
-
-class Received(NamedTuple):
-    """The measurements of T epochs.
-
-    The ranges of a receiver whose clock has an unknown offset contain the offset's bias.
-    """
-
-    measurement: Array  # (T, rows)
-    snr_db: Array  # (T, L)
-    doppler_spread_hz: Array  # (T,)
-    bias_hz: Array | None  # (T,) the oscillator's bias, None if unknown
+Received = tuple[Array, Array, Array, Array | None]  # result of ``Track._received``
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -90,7 +80,14 @@ class Track(ABC):
 
     @abstractmethod
     def _received(self, radio: Radio, rng: np.random.Generator, epochs: slice) -> Received:
-        """Return what a receiver with this radio profile measures in these epochs."""
+        """Return what a receiver with this radio profile measures in T epochs.
+
+        The ranges of a receiver whose clock has an unknown offset contain the offset's bias.
+
+        Returns:
+            Measurements (T, rows), SNRs (T, L), Doppler spreads (T,), and the oscillator's bias
+            (T,), Hz, or None if it is unknown.
+        """
 
     def episode(
         self, radio: str | Radio, rng: np.random.Generator, epochs: slice = slice(None)
@@ -106,13 +103,13 @@ class Track(ABC):
             ValueError: the true position in an epoch is not known.
         """
         radio = radio_from(radio)
-        received = self._received(radio, rng, epochs)
+        measurement, snr_db, spread_hz, bias = self._received(radio, rng, epochs)
         position = self.position_m[epochs]
         velocity = self.velocity_mps[epochs]
-        bias_hz = 0.0 if received.bias_hz is None else received.bias_hz[0]
+        bias_hz = 0.0 if bias is None else bias[0]
         state = np.concatenate([position[0], velocity[0], [bias_hz]])
         mean, covariance = draw_prior(state, radio, self.scene, rng)
-        if received.bias_hz is None:
+        if bias is None:
             mean[6] = 0.0
         if self.layout.has_bias:
             mean = np.append(mean, 0.0)
@@ -123,10 +120,10 @@ class Track(ABC):
             radio,
             self.layout,
             time_s=self.time_s[epochs],
-            measurement=received.measurement,
+            measurement=measurement,
             visible=self.visible[epochs],
-            snr_db=received.snr_db,
-            doppler_spread_hz=received.doppler_spread_hz,
+            snr_db=snr_db,
+            doppler_spread_hz=spread_hz,
             prior=(mean, covariance),
             sigma=None if self.sigma is None else self.sigma[epochs],
             doppler_anchor=None if self.doppler_anchor is None else self.doppler_anchor[epochs],
@@ -279,8 +276,8 @@ class MeasuredTrack(Track):
     doppler_spread_hz: Array
 
     def _received(self, radio: Radio, rng: np.random.Generator, epochs: slice) -> Received:
-        spread = self.doppler_spread_hz[epochs]
-        return Received(self.measurement[epochs], self.snr_db[epochs], spread, None)
+        spread_hz = self.doppler_spread_hz[epochs]
+        return self.measurement[epochs], self.snr_db[epochs], spread_hz, None
 
 
 _NO_PATH_DB = -200.0  # gain of a missing path: so low that it is negligible, but not infinite
@@ -380,7 +377,7 @@ class Recording(Track):
         wrap_angles(measurement, layout)
         speed = np.linalg.norm(self.velocity_mps[epochs], axis=1)
         spread_hz = doppler_spread(radio, scene.hz_per_mps, speed, rng)
-        return Received(measurement, snr, spread_hz, bias)
+        return measurement, snr, spread_hz, bias
 
 
 def _numbers(record: str, field: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array:

@@ -232,9 +232,7 @@ class Engine(Batch):
                 f"actions of base: found {actions}, expected {n} integers in [0, {count})"
             )
         io.inputs[:, 0, 0] = actions
-        decision = StepIO(
-            io.input_rows, io.inputs, NO_ROWS, io.outputs[..., :0], io.obs_rows, io.observations
-        )
+        decision = io._replace(output_rows=NO_ROWS, outputs=io.outputs[..., :0])
         self.advance(decision, places, self._program(decide, refresh), again=True)
 
     def step_io(self, output_rows: Index = NO_ROWS) -> StepIO:
@@ -246,9 +244,10 @@ class Engine(Batch):
         return self.read(self.at.observation, np.float32)[:, self._shown]
 
 
-def tracker_of(mode: Mode, episodes: Sequence[Episode]) -> Engine:
+def tracker_of(mode: Mode, episodes: Sequence[Episode], planar: bool = False) -> Engine:
     """Return an engine that has loaded episodes, to filter all of them in one mode."""
-    tracker = Engine(Pipeline((mode,), episodes[0].layout), len(episodes), observation="")
+    pipeline = Pipeline((mode,), episodes[0].layout, planar)
+    tracker = Engine(pipeline, len(episodes), observation="")
     tracker.load(episodes)
     return tracker
 

@@ -12,17 +12,14 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 
 from mmwave_env.compiler.program import Repeated, StepIO, laid_out
-from mmwave_env.compiler.threads import portions, share
 from mmwave_env.engines.engine import Engine, run_imm
-from mmwave_env.engines.smoothing import smoothed_again
 from mmwave_env.engines.vector_step import StepResult, Tally, step_blocks
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.interface.actions import CORRECTION, MODE, limits_of
+from mmwave_env.interface.actions import CORRECTION, limits_of
 from mmwave_env.interface.info import (
     COST_KEY,
     FLAGS,
-    SMOOTHED_KEY,
     STATE_KEYS,
     Info,
     drawn_rows,
@@ -34,17 +31,16 @@ from mmwave_env.interface.observation import OBSERVATIONS
 from mmwave_env.interface.reward import term_names
 from mmwave_env.interface.signed import after_update
 from mmwave_env.io.lookup import choose
-from mmwave_env.io.records import require
-from mmwave_env.metrics import INFO_KEYS, ate, scored
+from mmwave_env.metrics import DIVERGENCE_M, INFO_KEYS
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Array32, Index
 from mmwave_env.task import Task
 from mmwave_env.world.episode import EpisodeBatch
-from mmwave_env.world.keys import Keys
+from mmwave_env.world.keys import Keys, Streams
 
-# maximum numbers of episodes that a job replays (REPLAYED) or filters (FILTERED), to save memory
-REPLAYED = 8
+# maximum numbers of episodes that are filtered and drawn in one call, to save memory
 FILTERED = 256
+BEGUN = 512
 
 
 class Environment:
@@ -55,26 +51,20 @@ class Environment:
     """
 
     _engine: Engine
-    _infos: str  # "all" if steps return infos; "episode" if only last steps do; or "none"
     _set_up: Callable[[], None]  # creates the attributes that are not copied
+    _gallery: Any  # draws pictures; None without a render mode
+    _generator: Callable[[int], np.random.Generator]  # of an environment, for episodes without keys
 
-    def _take_task(
-        self, task: Task, observation: str, smoothed: bool, n: int = 1, threads: int = 1
-    ) -> None:
+    def _take_task(self, task: Task, observation: str, n: int = 1, threads: int = 1) -> None:
         """Store the task of n environments, which have no episode yet."""
         choose(OBSERVATIONS, observation, "observation")
-        require("smoothed", smoothed, bool)
-        if smoothed and task.action != MODE:
-            raise ValueError(
-                f"smoothed: found {smoothed} with action={task.action!r}, expected False"
-            )
         self._task = task
         self._observation_kind = observation
-        self._smoothing = smoothed
-        modes = len(task.pipeline.modes)
-        self._limits = limits_of(task.action, modes)
-        self._tally = Tally(n, len(task.pipeline.position_axes), smoothed, modes + 1)
+        self._limits = limits_of(task.action, len(task.pipeline.modes))
+        self._tally = Tally(n, len(task.pipeline.position_axes))
         self._keys = np.zeros(n, np.uint64)  # of the episodes, if they have keys
+        self._names = np.full(n, "", object)  # of the episodes, for pictures
+        self._streams = Streams(n)
         self._threads = threads  # maximum number in use; results do not depend on it
         self._begun = False
 
@@ -106,7 +96,7 @@ class Environment:
     def _lay_out_steps(self) -> None:
         """Choose the outputs of a step, and make its buffers."""
         at = self._engine.at
-        shown = {} if self._infos == "none" else info_rows(at)
+        shown = info_rows(at)
         parts = {"reward": at.reward, "nees": at.nees, "error": at.error}
         parts["covariance"] = reported(at).P[:3]
         parts |= {key: [] for key in FLAGS} | shown
@@ -114,7 +104,7 @@ class Environment:
         self._info_columns = {
             key: (slice(None), 0, columns[key]) for key in shown if key not in FLAGS
         }
-        self._groups = len(at.memory.accepted) if shown else 0
+        self._groups = len(at.memory.accepted)
         self._step_io = self._engine.step_io(rows)
         self._mask_keys = mask_keys([*shown, "mode", COST_KEY])  # of infos from steps
         self._run_step = Repeated(step_blocks)
@@ -129,7 +119,7 @@ class Environment:
 
         Returns:
             New results; the number of environments that have no epoch left; and new infos about all
-            environments, without Gymnasium's masks, or {} if steps return no infos.
+            environments, without Gymnasium's masks.
         """
         engine = self._engine
         io = self._step_io
@@ -139,12 +129,11 @@ class Environment:
         ends = np.zeros((2, n), np.bool_)
         flags = np.empty((2, n, self._groups), np.bool_)
         observations = np.empty((n, 1, len(io.obs_rows)), np.float32)
-        costs = np.empty(n if self._info_columns else 0)
         result = StepResult(
-            observations[:, 0], np.empty(n), ends[0], ends[1], flags[0], flags[1], costs
+            observations[:, 0], np.empty(n), ends[0], ends[1], flags[0], flags[1], np.empty(n)
         )
         # Infos need new arrays of outputs, as earlier infos are views of the previous arrays.
-        outputs = np.empty_like(io.outputs) if self._infos == "all" else io.outputs
+        outputs = np.empty_like(io.outputs)
         io = StepIO(io.input_rows, io.inputs, io.output_rows, outputs, io.obs_rows, observations)
         self._step_io = io
         records = (engine.program.blank, engine.state, io, actions, result, self._tally.counts)
@@ -156,19 +145,39 @@ class Environment:
             run = engine.program.on_lanes()
         ended = sum(self._run_step(engine.parts, len(engine.parts), run, *records))
         engine.trust(io)
-        return result, ended, self._views(result, actions) if self._infos == "all" else {}
-
-    def _last_infos(self, result: StepResult, actions: Index) -> Info:
-        """Return the infos about the last step, if steps return no infos."""
-        return {key: values.copy() for key, values in self._views(result, actions).items()}
-
-    def _views(self, result: StepResult, actions: Index) -> Info:
-        """Return views of the infos about the last step."""
-        outputs = self._step_io.outputs
         infos: Info = {key: outputs[columns] for key, columns in self._info_columns.items()}
         infos |= {"accepted": result.accepted, "rejected": result.rejected, "mode": actions}
         infos[COST_KEY] = result.cost
-        return infos
+        return result, ended, infos
+
+    def _score(self, result: StepResult, places: Index) -> None:
+        """Let a step's rewards in some environments (k,) be what the task pays.
+
+        The baseline is subtracted. The difference is rounded to single precision, in which agents
+        receive rewards, so that recorded training runs can be repeated exactly. Diverged episodes
+        terminate; for each epoch that is missing then, (worst reward - baseline) is added.
+        """
+        task = self._task
+        engine = self._engine
+        rewards = result.rewards
+        if task.baseline:
+            if task.action == CORRECTION:
+                earned = engine.read(engine.at.reported.reward, np.float32)[places]
+            else:
+                earned = self._imm_rewards[places, engine.state.epoch[places] - 2]
+            rewards[places] = rewards[places].astype(np.float32) - earned
+        if task.worst is None:
+            return
+        distance = engine.read(engine.at.distance)[places]
+        result.terminated[places] = ~(distance <= DIVERGENCE_M)
+        result.truncated[result.terminated] = False
+        lost = np.flatnonzero(result.terminated)
+        first = engine.state.epoch[lost] - 1
+        end = engine.state.length[lost]
+        rewards[lost] += task.worst * (end - first)
+        if task.baseline:
+            spans = zip(lost, first, end, strict=True)
+            rewards[lost] -= [fsum(self._imm_rewards[place, a:b]) for place, a, b in spans]
 
     def _run_first_epoch(self, places: Index) -> tuple[Array32, Info]:
         """Run the modes on the next epoch in environments just loaded; leave the others unchanged.
@@ -179,8 +188,8 @@ class Environment:
         """
         engine = self._engine
         observations = engine.step(0, places)
-        rows = info_rows(engine.at) if self._info_columns else {}
-        return observations, {key: engine.read(rows[key]) for key in STATE_KEYS if rows}
+        rows = info_rows(engine.at)
+        return observations, {key: engine.read(rows[key]) for key in STATE_KEYS}
 
     @property
     def _drawn(self) -> tuple[dict[str, Any], int, list[str]]:
@@ -223,31 +232,43 @@ class Environment:
         missing = self._engine.state.length.max() - self._imm_rewards.shape[1]
         self._imm_rewards = np.pad(self._imm_rewards, ((0, 0), (0, max(0, missing))))
 
-        def run(some: Index) -> None:
+        for first in range(0, len(places), FILTERED):
+            some = places[first : first + FILTERED]
             episodes = self._episodes(some)
             played = run_imm(bank, task.reward, episodes, "reward", planar=task.pipeline.planar)
             rewards = played["reward"]
             self._imm_rewards[some, : rewards.shape[1]] = rewards
 
-        parts = portions(len(places), self._threads, FILTERED)
-        share(run, [(places[part],) for part in parts], self._threads)
+    def _begin_episodes(self, places: Index, keys: Keys | None = None) -> Info:
+        """Begin episodes in some environments (n,): with these keys, or each environment's next.
 
-    def _subtract_baseline(self, rewards: Array, places: Index) -> None:
-        """Subtract the baseline from the rewards (N,) of the epoch that was just scored.
-
-        The result is rounded to single precision, in which agents receive rewards, so that
-        recorded training runs can be repeated exactly.
-
-        Args:
-            rewards: (N,) rewards of all environments, changed in place.
-            places: (n,) indices of the environments whose rewards change.
+        Returns:
+            Infos about the episodes, arrays with one entry for each environment.
         """
-        engine = self._engine
-        if self._task.action == CORRECTION:
-            earned = engine.read(engine.at.reported.reward, np.float32)[places]
+        task = self._task
+        n = len(self._keys)
+        infos: Info = {"episode_name": np.full(n, None, object), "nonfinite": np.zeros(n, np.int64)}
+        if task.has_keys:
+            keys = self._streams.keys(places) if keys is None else keys
+            for first in range(0, len(places), BEGUN):
+                now = slice(first, first + BEGUN)
+                names = self._begin_keys(keys[now], places[now])
+                infos["episode_name"][places[now]] = names
+            infos["episode_key"] = self._keys.copy()
         else:
-            earned = self._imm_rewards[places, engine.state.epoch[places] - 2]
-        rewards[places] = rewards[places].astype(np.float32) - earned
+            drawn = [task.draw(self._generator(place)) for place in places.tolist()]
+            self._engine.load(drawn, places)
+            infos["episode_name"][places] = [episode.name for episode in drawn]
+            infos["nonfinite"][places] = [episode.nonfinite for episode in drawn]
+        self._names[places] = infos["episode_name"][places]
+        self._begin_tracks(places)
+        return infos
+
+    def _begin_pictures(self, places: Index) -> None:
+        """Clear the pictures of some environments (n,), whose episodes begin."""
+        if self._gallery:
+            names = self._names.tolist()
+            self._gallery.begin(places, names, self._scene_of, self._engine.column)
 
     def _begin_keys(self, keys: Keys, places: Index) -> list[str]:
         """Begin the episodes with given keys (n,) in some environments (n,); return their names.
@@ -291,34 +312,7 @@ class Environment:
         """Compute the final metrics of episodes that ended in some environments (k,)."""
         epochs = self._engine.state.epoch[ended] - 1
         figures = self._tally.metrics(ended, epochs)
-        metrics = {INFO_KEYS[name]: values for name, values in figures.items()}
-        if not self._smoothing:
-            return metrics
-        jobs = []
-        for steps in set(epochs.tolist()):
-            alike = np.flatnonzero(epochs == steps)
-            jobs += [(alike[part], steps) for part in portions(len(alike), self._threads, REPLAYED)]
-        smoothed = np.zeros(len(ended))
-        task = self._task
-
-        def smooth(some: Index, steps: int) -> None:
-            episodes = self._episodes(ended[some])
-            actions = self._tally.counts.modes[:steps, ended[some]].T
-            _, _, errors, _ = smoothed_again(task.pipeline, task.bank, episodes, actions)
-            smoothed[some] = ate(errors[:, scored(steps)])
-
-        share(smooth, jobs, self._threads)
-        return metrics | {SMOOTHED_KEY: smoothed}
-
-    def _charge(self, rewards: Array, places: Index) -> None:
-        """Add (worst reward - baseline) for each epoch that is missing because of an early end."""
-        assert self._task.worst is not None
-        first = self._engine.state.epoch[places] - 1
-        end = self._engine.state.length[places]
-        rewards[places] += self._task.worst * (end - first)
-        if self._task.baseline:
-            spans = zip(places, first, end, strict=True)
-            rewards[places] -= [fsum(self._imm_rewards[place, a:b]) for place, a, b in spans]
+        return {INFO_KEYS[name]: values for name, values in figures.items()}
 
     def _set_up_noting(self) -> None:
         """Call ``_set_up``; remember which attributes it creates, as they are not copied."""

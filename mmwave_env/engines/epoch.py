@@ -35,7 +35,6 @@ from mmwave_env.filters.imm import (
     estimate,
     imm_epoch,
     most_probable_memory,
-    prediction,
     reweighted,
     trusting,
 )
@@ -69,7 +68,8 @@ class Asked(NamedTuple):
             tunings of modes that share a belief then also come from the state.
         reward: function of (belief, truth); None to compute only errors and NEES.
         action: kind of actions (:mod:`mmwave_env.interface.actions`); "" if an IMM gets none.
-        predicted: whether to keep beliefs before their updates, for smoothing, and likelihoods.
+        predicted: whether to keep likelihoods and, for smoothing, beliefs before their updates, if
+            modes share a belief.
         rule: function that chooses the mode, given the mean before the epoch and the epoch.
     """
 
@@ -163,11 +163,6 @@ def filter_epoch(w: EpochState, asked: Asked) -> EpochState:
         w = w._replace(mixture=now.mixture)
         results = now.results
         predicted = now.predicted
-        if asked.predicted:
-            x_predicted, P_predicted = prediction(
-                now, epoch.dt, layout.bias_drive(w.site.hz_per_mps)
-            )
-            w = w._replace(x_predicted=x_predicted, P_predicted=P_predicted)
     else:
         if asked.rule:
             w = w._replace(action=asked.rule(w.x, epoch))
@@ -235,7 +230,7 @@ def correct(w: EpochState, asked: Asked) -> EpochState:
     belief = corrected(before, w.numbers[:3], w.numbers[3:])
     earned: Number = 0.0
     if asked.reward:
-        earned = total(terms_of(asked.reward, before, w.truth))
+        earned = total(terms_of(asked.reward(before, w.truth)))
     report = Reported(belief.x, pack(belief.P), w.truth, w.memory, w.mode_probabilities, earned)
     return w._replace(reported=report, **_scores(belief, w.truth, asked.reward, 0.0))
 
@@ -254,7 +249,7 @@ def _scores(belief: Belief, truth: Vector, reward: Reward | None, cost: Number) 
     errors = {"error": belief.error(truth), "nees": belief.nees(truth)}
     if reward is None:
         return errors
-    terms = terms_of(reward, belief, truth)
+    terms = terms_of(reward(belief, truth))
     return errors | {
         "reward": total(terms) - cost,
         "reward_terms": [*terms.values(), 0.0 - cost],
@@ -369,57 +364,56 @@ def _start(asked: Asked) -> EpochState:
     pipeline = asked.pipeline
     layout = pipeline.layout
     modes = len(pipeline.modes)
+    per_mode = asked.per_mode
+    agent = bool(asked.observation)  # a policy chooses between filter and decide
+    predicted = asked.predicted and not per_mode
     incoming = blank_incoming(layout)
+    truth = incoming.truth
     site = blank_site(layout)
     x = site.prior_x
     P = site.prior_P
     memory = initial_memory(layout, modes)
-    state = EpochState(
-        incoming, site, 1.0, 0.0, [], [], (), [], (), [], [], [], x, P, [], [], (), memory, [], (),
-        [], incoming.truth, [0.0] * 3, (), 0.0, (),
-    )  # fmt: skip
-    if asked.reward:
-        terms = [0.0] * (len(term_names(asked.reward)) + 1)
-        state = state._replace(reward=0.0, reward_terms=terms, distance=0.0)
-    if asked.predicted:
-        state = state._replace(x_predicted=x, P_predicted=P)
-    if asked.per_mode:
-        state = state._replace(
-            settings=settings_of(Bank(pipeline.modes)),
-            mixture=begin(pipeline, x, P),
-            mode_probabilities=[1.0 / modes] * modes,
-        )
-    elif not asked.observation:
-        state = state._replace(settings=[Tuning(*[0.0] * len(Tuning._fields))] * modes)
-    if asked.predicted and not asked.per_mode:
-        state = state._replace(log_likelihood=0.0)
-    return _with_room_for_a_policy(state, asked) if asked.observation else state
-
-
-def _with_room_for_a_policy(state: EpochState, asked: Asked) -> EpochState:
-    """Return the state with the fields that a policy's choice between filter and decide needs."""
-    layout = asked.pipeline.layout
-    modes = len(asked.pipeline.modes)
+    probabilities = [1.0 / modes] * modes if per_mode else []
     groups = [0.0] * len(layout.groups)
     measured = [0.0] * layout.size if layout.partial else ()
-    state = state._replace(
-        pending=PendingEpoch(0.0, groups, state.truth, measured),
-        observation=[0.0] * len(asked.table),
-        numbers=[0.0] * len(limits_of(asked.action, modes)),
+    last = incoming if asked.signed else ()
+    candidate = ModeResult(x, P, x, P, groups, groups, 0.0, 0.0)
+    settings: Any = []
+    if per_mode:
+        settings = settings_of(Bank(pipeline.modes))
+    elif not agent:
+        settings = [Tuning(*[0.0] * len(Tuning._fields))] * modes
+    terms = [0.0] * (len(term_names(asked.reward)) + 1) if asked.reward else []
+    return EpochState(
+        incoming=incoming,
+        site=site,
+        is_first=1.0,
+        action=0.0,
+        numbers=[0.0] * len(limits_of(asked.action, modes)) if agent else [],
+        settings=settings,
+        pending=PendingEpoch(0.0, groups, truth, measured, last) if agent else (),
+        candidates=[_kept(candidate, asked)] * modes if agent and not per_mode else [],
+        mixture=begin(pipeline, x, P) if per_mode else (),
+        spread_averages_hz=[0.0] * len(SPREAD_MEMORIES) if agent and per_mode else [],
+        mode_probabilities=probabilities,
+        velocity=[0.0] * 3 if asked.signed else [],
+        x=x,
+        P=P,
+        x_predicted=x if predicted else [],
+        P_predicted=P if predicted else [],
+        log_likelihood=0.0 if predicted else (),
+        memory=memory,
+        observation=[0.0] * len(asked.table) if agent else [],
+        reward=0.0 if asked.reward else (),
+        reward_terms=terms,
+        truth=truth,
+        error=[0.0] * 3,
+        distance=0.0 if asked.reward else (),
+        nees=0.0,
+        reported=Reported(x, P, truth, memory, probabilities, 0.0)
+        if asked.action == CORRECTION
+        else (),
     )
-    if asked.per_mode:
-        state = state._replace(spread_averages_hz=[0.0] * len(SPREAD_MEMORIES))
-    else:
-        candidate = ModeResult(state.x, state.P, state.x, state.P, groups, groups, 0.0, 0.0)
-        state = state._replace(candidates=[_kept(candidate, asked)] * modes)
-    if asked.signed:
-        pending = state.pending._replace(incoming=state.incoming)
-        state = state._replace(pending=pending, velocity=[0.0] * 3)
-    if asked.action == CORRECTION:
-        probabilities = state.mode_probabilities
-        report = Reported(state.x, state.P, state.truth, state.memory, probabilities, 0.0)
-        state = state._replace(reported=report)
-    return state
 
 
 def untuned(pipeline: Pipeline) -> Pipeline:
@@ -427,7 +421,6 @@ def untuned(pipeline: Pipeline) -> Pipeline:
     modes = []
     for i, mode in enumerate(pipeline.modes):
         tuning: dict[str, Any] = dict.fromkeys(Tuning._fields, 0.0) | {"coupling": False}
-        for name in ("acceleration_mps2", "turn_rate_radps"):
-            tuning[name] = float(getattr(mode, name) != 0.0)
+        tuning["acceleration_mps2"] = float(mode.acceleration_mps2 != 0.0)
         modes.append(replace(mode, name=str(i), **tuning))
     return replace(pipeline, modes=tuple(modes))

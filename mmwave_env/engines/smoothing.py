@@ -1,8 +1,5 @@
 """Smoothing of tracks, backwards in time (paper, Sec. III-F).
 
-An environment does not store its track. To smooth the track, the finished episode is run again with
-the modes that were chosen.
-
 A network that corrects smoothed tracks reads the same features that correctors read after every
 update (:func:`mmwave_env.interface.signed.after_update`). However, belief, residuals and the
 direction of motion come from the smoothed track; only gates and modes' probabilities come from the
@@ -14,12 +11,9 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmwave_env.compiler.program import BatchState, Program, StepIO, blocks_of, fill, rows_of
-from mmwave_env.engines.engine import Engine
 from mmwave_env.engines.epoch import with_expected_spread
-from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.imm import begin
 from mmwave_env.filters.memory import initial_memory
 from mmwave_env.filters.pipeline import VERTICAL, Pipeline
@@ -32,39 +26,7 @@ from mmwave_env.models.measurement import blank_site
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array, Array32, Number
 from mmwave_env.numerics.pytree import indices, unflatten
-from mmwave_env.world.episode import EpisodeBatch, blank_incoming, columns_of
-
-Actions = NDArray[np.integer[Any]]
-
-_KEPT = ("x", "P", "x_predicted", "P_predicted", "error", "nees")
-
-
-def smoothed_again(
-    pipeline: Pipeline, bank: Bank | None, episodes: EpisodeBatch, actions: Actions
-) -> tuple[Array, ...]:
-    """Run finished episodes again with the actions that were chosen, and smooth them.
-
-    The results for an episode do not depend on the other episodes, not even by rounding.
-
-    Args:
-        pipeline: modes and layout.
-        bank: modes and transition probabilities, if every mode keeps its own belief; else None.
-        episodes: n episodes.
-        actions: (n, T) modes chosen in the first T epochs of each episode.
-
-    Returns:
-        Position errors (n, T, 3), m, and NEES (n, T) of the filtered tracks; position errors
-        (n, T, 3) and packed covariances (n, T, 28 or 36) of the smoothed tracks.
-    """
-    n, T = actions.shape
-    engine = Engine(pipeline, n, observation="", bank=bank)
-    engine.load(episodes._replace(table=episodes.table[:, :T], length=np.full(n, T)))
-    x, P, x_predicted, P_predicted, error, nees = engine.run(*_KEPT, actions=actions).values()
-    dt = episodes.table[:, 1:T, columns_of(pipeline.layout).dt]
-    hz_per_mps = float(engine.read(engine.at.site.hz_per_mps)[0])
-    drive = pipeline.layout.bias_drive(hz_per_mps)
-    smoothed, better_P = smooth(x, P, x_predicted, P_predicted, dt, pipeline.planar, drive)
-    return error, nees, error + (smoothed - x)[..., :3], better_P
+from mmwave_env.world.episode import EpisodeBatch, blank_incoming
 
 
 class SmoothingState(NamedTuple):

@@ -3,8 +3,7 @@
 With few environments, the Python code around that call (:mod:`mmwave_env.engines.environment`)
 takes a third of a step's time or more. So the Python code neither assembles nor splits arrays.
 
-A step also keeps the records that are used when an episode ends (:class:`Tally`): sums for metrics,
-and modes for a replay.
+A step also keeps the sums from which metrics are computed when an episode ends (:class:`Tally`).
 """
 
 import math
@@ -43,44 +42,34 @@ class Counts(NamedTuple):
     errors: Array  # (n, T, 3) ring buffer of the latest position errors, m
     second: Index  # (n,) number of epochs in a second, from 1 to the length of the episode
     interval: Array  # (2,) interval that contains 95 % of a consistent filter's NEES
-    # (epochs, n) mode in each epoch of the current episode, in the smallest type that can hold it;
-    # (0, n) if episodes are not replayed
-    modes: NDArray[np.unsignedinteger]
 
 
 class Tally:
-    """Records of episodes: sums over the epochs that count in the metrics, and chosen modes.
+    """Records of episodes: sums over the epochs that count in the metrics.
 
     Args:
         n: number of environments.
         axes: number of position axes that NEES covers.
-        replayed: whether to record the modes of episodes, for replays.
-        actions: number of different actions, which are recorded as modes.
 
     Attributes:
         counts: the records; the buffer of errors covers a second, but at most the whole episode.
     """
 
-    def __init__(self, n: int, axes: int, replayed: bool = False, actions: int = 1) -> None:
-        self._replayed = replayed
+    def __init__(self, n: int, axes: int) -> None:
         interval = np.array(nees_interval(axes))
-        modes = np.zeros((0, n), np.min_scalar_type(actions))
         sums = np.zeros((n, SUMS))
         errors = np.zeros((n, 1, 3))
         second = np.ones(n, np.int64)
-        self.counts = Counts(sums, errors, second, interval, modes)
+        self.counts = Counts(sums, errors, second, interval)
 
     def begin(self, places: Index, step_s: Array, epochs: Index) -> None:
         """Start k episodes, given their seconds per epoch (k,) and their numbers of epochs (k,)."""
         second = self.counts.second
         second[places] = np.clip(np.round(1.0 / step_s), 1, epochs)
         errors = self.counts.errors
-        modes = self.counts.modes
         missing = max(0, second.max() - errors.shape[1])
         errors = np.pad(errors, ((0, 0), (0, missing), (0, 0)))
-        if self._replayed:
-            modes = np.pad(modes, ((0, max(0, epochs.max(initial=0) - len(modes))), (0, 0)))
-        self.counts = self.counts._replace(errors=errors, modes=modes)
+        self.counts = self.counts._replace(errors=errors)
 
     def nonfinite(self, places: Index) -> Index:
         """Return, for environments (k,), how many epochs (k,) have a non-finite error or NEES."""
@@ -168,14 +157,14 @@ class StepResult(NamedTuple):
     rewards: Array  # (n,) results of the reward function
     terminated: Mask  # (n,) False; the caller sets it where a track diverges
     truncated: Mask  # (n,) whether the episode has no epoch left
-    # accepted, rejected: (n, groups) the gates' verdicts; (n, 0) if steps return no infos
+    # accepted, rejected: (n, groups) the gates' verdicts
     accepted: Mask
     rejected: Mask
-    cost: Array  # (n,) 1.0 where an error exceeds its protection level; (0,) if infos are "none"
+    cost: Array  # (n,) 1.0 where an error exceeds its protection level
 
 
 # The first output columns: reward, NEES, three columns of position error, and three of the
-# covariance of the horizontal position; then, if steps return infos, the gates' verdicts.
+# covariance of the horizontal position; then the gates' verdicts.
 AT_REWARD = 0
 AT_NEES = 1
 AT_ERROR = 2
@@ -211,13 +200,10 @@ def step_blocks(  # type: ignore[no-untyped-def]
         k = epoch[e] - 2  # the epoch that the action completed
         if k >= 0:
             count(counts, e, k, x, y, z, outputs[e, 0, AT_NEES])
-            if k < len(counts.modes):
-                counts.modes[k, e] = actions[e]
-        if len(costs):
-            xx = outputs[e, 0, AT_COVARIANCE]
-            xy = outputs[e, 0, AT_COVARIANCE + 1]
-            yy = outputs[e, 0, AT_COVARIANCE + 2]
-            costs[e] = exceeds(x, y, xx, xy, yy)
+        xx = outputs[e, 0, AT_COVARIANCE]
+        xy = outputs[e, 0, AT_COVARIANCE + 1]
+        yy = outputs[e, 0, AT_COVARIANCE + 2]
+        costs[e] = exceeds(x, y, xx, xy, yy)
         for g in range(accepted.shape[1]):
             accepted[e, g] = outputs[e, 0, AT_VERDICTS + g] > 0.5
             rejected[e, g] = outputs[e, 0, AT_VERDICTS + accepted.shape[1] + g] > 0.5

@@ -10,13 +10,12 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
-from importlib.resources import files
-from pathlib import Path
 from typing import Annotated, Any
 
 from mmwave_env.filters.gating import chi_square_limits
 from mmwave_env.filters.imm import ImmSettings, stay_matrix
 from mmwave_env.filters.modes import Mode, robust
+from mmwave_env.io.files import shipped_json
 from mmwave_env.io.lookup import choose
 from mmwave_env.io.records import Bound, Probability, Record, Size, object_from, read_object
 from mmwave_env.models.radio import TUNED_RADIOS, Radio, radio_from
@@ -149,7 +148,7 @@ def _tuned_profile(radio: Radio) -> str:
 
 @cache
 def _shipped(name: str) -> Bank:
-    return read_bank(Path(str(files("mmwave_env").joinpath(f"data/{name}.json"))))
+    return bank_in(shipped_json(name))
 
 
 def shipped_modes(radio: str, coupling: bool = True) -> tuple[Mode, ...]:

@@ -6,11 +6,8 @@ same operations as lanes. A trial run takes milliseconds, because nothing is com
 the error names the line that needed a value. Trial runs do not notice wrong values in results.
 """
 
-import os
-import sysconfig
 from collections.abc import Callable, Iterator
 from functools import lru_cache, partial
-from pathlib import Path
 from traceback import FrameSummary, format_list, walk_tb
 from typing import Any
 
@@ -41,12 +38,6 @@ LARGEST_DIFFERENCE = 100.0
 _REAL = between(-1e300, 1e300)
 _VARIANCE = between(0.0, 1e300)
 _VALID = {"diagonal of P": _VARIANCE, "nis": _VARIANCE, "accepted": between(0.0, 1.0)}
-_LIBRARIES = (
-    f"{Path(__file__).parents[1]}{os.sep}",
-    *(sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")),
-    "<frozen ",
-)
-
 
 Function = Callable[..., Any]
 
@@ -63,20 +54,18 @@ def name_of(function: Function) -> str:
 
 
 def _line_of(function: Function, error: BaseException | None) -> FrameSummary | None:
-    """Return the innermost line of the user's code in an error's traceback.
+    """Return the innermost line, in an error's traceback, of the file of the user's function.
 
-    The line is in the file in which the user's function begins, or in a file that is not part of a
-    library. If there is no such line, return the line on which the function begins; None if it was
-    not written in Python.
+    Without an error, return the line on which the function begins; None if it was not written in
+    Python.
     """
     while isinstance(function, partial):
         function = function.func
     code = getattr(function, "__code__", getattr(type(function).__call__, "__code__", None))
     line = code and FrameSummary(code.co_filename, code.co_firstlineno, code.co_name)
     for frame, number in walk_tb(error.__traceback__ if error else None):
-        file = frame.f_code.co_filename
-        if (code and file == code.co_filename) or not file.startswith(_LIBRARIES):
-            line = FrameSummary(file, number, frame.f_code.co_name)
+        if code and frame.f_code.co_filename == code.co_filename:
+            line = FrameSummary(code.co_filename, number, frame.f_code.co_name)
     return line
 
 

@@ -12,7 +12,6 @@ the CKF's covariance from raw second moments, where large values would cancel an
 """
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cache, partial
 from typing import Any
 
@@ -142,6 +141,39 @@ _Filter = _Ekf | _PointFilter
 _FILTERS: dict[str, Callable[[int], _Filter]] = {"ekf": _Ekf, "ukf": _ukf, "ckf": _ckf}
 
 
+@cache
+def _filter_of(algorithm: str, size: int) -> _Filter:
+    """Return the filter that all modes with this algorithm and size of the state share."""
+    return _FILTERS[algorithm](size)
+
+
+class FilterpyPipeline(Pipeline):
+    """A pipeline whose modes predict and update with filterpy's filters."""
+
+    def predict(
+        self,
+        mode: Mode,
+        x: Vector,
+        P: Matrix,
+        noise: ProcessNoise,
+        dt: float,
+        hz_per_mps: float | None,
+    ) -> tuple[list[float], list[list[float]]]:
+        """Return filterpy's prediction."""
+        Q = np.diag(np.array(noise.diagonal, float))
+        for (i, j), value in zip(COUPLED, noise.coupling, strict=False):
+            Q[i, j] = Q[j, i] = value
+        drive = None if hz_per_mps is None else float(hz_per_mps)
+        F = textbook.F(float(dt), len(x), drive)
+        filter_ = _filter_of(str(mode.algorithm), len(x))
+        mean, covariance = filter_.predict(np.array(x, float), np.array(P, float), Q, F)
+        return mean.tolist(), _symmetric(covariance).tolist()
+
+    def update(self, mode: Mode) -> Algorithm:
+        """Return filterpy's measurement update of a mode."""
+        return partial(_update, _filter_of(str(mode.algorithm), self.layout.state_size))
+
+
 def filterpy_pipeline(pipeline: Pipeline) -> Pipeline:
     """Return the pipeline with filterpy's filters instead of this package's.
 
@@ -154,28 +186,10 @@ def filterpy_pipeline(pipeline: Pipeline) -> Pipeline:
             "planar: found True, but filterpy's filters need a covariance of full rank; use "
             "planar=False or this package's own filters"
         )
-    filters = dict[Any, _Filter]()
-    for mode in pipeline.modes:  # modes with the same algorithm share a filter
+    for mode in pipeline.modes:
         name: Any = mode.algorithm  # a user's function is refused like an unknown name
-        make = choose(_FILTERS, name, f"algorithm of mode {mode.name!r} on filterpy")
-        filters[name] = make(pipeline.layout.state_size)
-
-    def predict(
-        mode: Mode, x: Vector, P: Matrix, noise: ProcessNoise, dt: float, hz_per_mps: float | None
-    ) -> tuple[list[float], list[list[float]]]:
-        Q = np.diag(np.array(noise.diagonal, float))
-        for (i, j), value in zip(COUPLED, noise.coupling, strict=False):
-            Q[i, j] = Q[j, i] = value
-        drive = None if hz_per_mps is None else float(hz_per_mps)
-        F = textbook.F(float(dt), len(x), drive)
-        belief = np.array(x, float), np.array(P, float)
-        mean, covariance = filters[mode.algorithm].predict(*belief, Q, F)
-        return mean.tolist(), _symmetric(covariance).tolist()
-
-    def update(mode: Mode) -> Algorithm:
-        return partial(_update, filters[mode.algorithm])
-
-    return replace(pipeline, predict=predict, update=update)
+        choose(_FILTERS, name, f"algorithm of mode {mode.name!r} on filterpy")
+    return FilterpyPipeline(**vars(pipeline))
 
 
 def _update(

@@ -15,7 +15,6 @@ from mmwave_env.filters.modes import Tuning
 from mmwave_env.filters.pipeline import Pipeline, predict_update
 from mmwave_env.filters.update import ModeResult, limited_likelihood
 from mmwave_env.models.measurement import Epoch, Site
-from mmwave_env.models.motion import move
 from mmwave_env.numerics.linalg import dot, minus, plus, product
 from mmwave_env.numerics.numbers import (
     Matrix,
@@ -79,18 +78,11 @@ def moments(
     weights: Sequence[Number], x: Sequence[Vector], P: Sequence[Vector]
 ) -> tuple[Numbers, Numbers]:
     """Return the mean (7,) and the packed covariance (28,) of a Gaussian mixture."""
-    mean, between = spread(weights, x)
-    return mean, plus(product([weights], P)[0], between)
-
-
-def spread(weights: Sequence[Number], x: Sequence[Vector]) -> tuple[Numbers, Numbers]:
-    """Return the mean (7,) and the packed covariance (28,) of weighted points."""
     n = len(x[0])
     (mean,) = product([weights], x)
     offset = [minus(xi, mean) for xi in x]
-    return mean, [
-        dot(weights, [d[i] * d[j] for d in offset]) for i in range(n) for j in range(i + 1)
-    ]
+    between = [dot(weights, [d[i] * d[j] for d in offset]) for i in range(n) for j in range(i + 1)]
+    return mean, plus(product([weights], P)[0], between)
 
 
 def mix(mixture: Mixture, transition: Matrix) -> tuple[Numbers, list[tuple[Vector, Vector]]]:
@@ -129,7 +121,6 @@ class ImmEpoch(NamedTuple):
 
     mixture: Mixture  # belief after the epoch
     predicted: Numbers  # (modes,) probabilities before the epoch's measurement
-    mixed: list[Vector]  # (modes, 7) means of the mixed beliefs, before prediction
     results: list[ModeResult]  # one per mode, computed from the mode's mixed belief
 
 
@@ -159,7 +150,7 @@ def imm_epoch(
         p * exp(likelihood - best) for p, likelihood in zip(predicted, likelihoods, strict=True)
     ]
     now = Mixture(tracks, _normalized(weights))
-    return ImmEpoch(now, predicted, [x for x, _ in mixed], results)
+    return ImmEpoch(now, predicted, results)
 
 
 def trusting(mixture: Mixture, mode: Number, dt: Number) -> Mixture:
@@ -211,18 +202,3 @@ def estimate(mixture: Mixture) -> tuple[Numbers, Numbers]:
     """Return the mean (7,) and the packed covariance (28,) of a mixture."""
     means, covariances, _ = zip(*mixture.tracks, strict=True)
     return moments(mixture.probability, means, covariances)
-
-
-def prediction(now: ImmEpoch, dt: Number, hz_per_mps: Number | None) -> tuple[Numbers, Numbers]:
-    """Return the mixture's mean (7,) and packed covariance (28,) before an epoch's update.
-
-    The Rauch-Tung-Striebel smoother assumes x_predicted = F x + noise, with noise independent of x.
-    A mode with an assumed acceleration or turn rate adds a shift to F x. The mean of the modes'
-    shifts is added to the mean, and their covariance to the covariance, as if shifts were noise.
-    Their correlation with x is ignored, because it could make smoothed variances negative.
-    """
-    moved = [move(x, dt, hz_per_mps) for x in now.mixed]
-    shifts = [minus(r.x_predicted, x) for r, x in zip(now.results, moved, strict=True)]
-    x, P = moments(now.predicted, moved, [result.P_predicted for result in now.results])
-    shift, of_shifts = spread(now.predicted, shifts)
-    return plus(x, shift), plus(P, of_shifts)

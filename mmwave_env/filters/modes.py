@@ -30,7 +30,6 @@ class Tuning(NamedTuple):
     spread_gain: Number
     coupling: Number
     acceleration_mps2: Number
-    turn_rate_radps: Number
 
 
 @dataclass(frozen=True)
@@ -55,8 +54,6 @@ class Mode:
             white-noise acceleration); False for the paper's diagonal Q.
         acceleration_mps2: assumed acceleration along the predicted horizontal velocity, m/s^2; if
             it is negative, the user brakes, at most to a standstill.
-        turn_rate_radps: assumed turn rate of the predicted horizontal velocity, rad/s; positive to
-            the left.
         gate: probability, such as 0.99: a gate accepts NIS up to the chi-square quantile of this
             probability; None for no gates (paper, Sec. III-D).
         recovery: if all visible links fail their gates in this number of epochs in a row, all links
@@ -77,7 +74,6 @@ class Mode:
     spread_gain: Noise = 0.0
     coupling: bool = True
     acceleration_mps2: Annotated[float, between(-100.0, 100.0, "m/s^2")] = 0.0
-    turn_rate_radps: Annotated[float, between(-10.0, 10.0, "rad/s")] = 0.0
     gate: Quantile | None = 0.99
     recovery: Annotated[int, counts(1, 1_000_000)] | None = 2
     adaptive: bool = True
@@ -92,7 +88,7 @@ class Mode:
 
     @property
     def tuning(self) -> Tuning:
-        """Return the parameters of the motion model: process noise, acceleration and turn rate."""
+        """Return the parameters of the motion model: process noise and acceleration."""
         return Tuning(*(float(getattr(self, field)) for field in Tuning._fields))
 
     @property

@@ -6,9 +6,7 @@ measurements. :func:`predict_update` runs a mode on the coming measurement and r
 mode that the agent chose becomes the new belief and updates the memory (``memory_after``).
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from operator import attrgetter
 
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.clock import set_clock
@@ -24,7 +22,6 @@ from mmwave_env.models.motion import (
     accelerate,
     move,
     predict_covariance,
-    turn,
     white_noise_acceleration,
     with_clock,
 )
@@ -38,17 +35,6 @@ BLOCKAGE_GAIN = 3.0
 _SHORTEST_S = 1e-9  # shortest step by which a time is divided
 VERTICAL = (2, 5)  # z and vz, which are fixed on flat terrain
 
-Predictor = Callable[
-    [Mode, Vector, Matrix, ProcessNoise, Number, Number | None], tuple[Numbers, Matrix]
-]
-
-
-def _linear_prediction(
-    mode: Mode, x: Vector, P: Matrix, noise: ProcessNoise, dt: Number, hz_per_mps: Number | None
-) -> tuple[Numbers, Matrix]:
-    """Return the Kalman prediction; it is exact for every algorithm because motion is linear."""
-    return move(x, dt, hz_per_mps), predict_covariance(P, noise, dt, hz_per_mps)
-
 
 @dataclass(frozen=True)
 class Pipeline:
@@ -61,8 +47,6 @@ class Pipeline:
             II-A). The spacing of sigma points still assumes seven uncertain components.
         correlation_s: time for which errors of measurements last; measurements at shorter steps
             repeat each other's errors, and get so much more noise.
-        predict: function that predicts the state; ``filterpy_pipeline`` replaces it by filterpy's.
-        update: function that returns a mode's algorithm; ``filterpy_pipeline`` also replaces this.
 
     Raises:
         AlgorithmError: a user's algorithm cannot run at all, or cannot run on SIMD lanes; the
@@ -73,12 +57,26 @@ class Pipeline:
     layout: Layout
     planar: bool = False
     correlation_s: float = 0.0
-    predict: Predictor = _linear_prediction
-    update: Callable[[Mode], Algorithm] = attrgetter("update")
 
     def __post_init__(self) -> None:
         for mode in self.modes:
             check_algorithm(mode, self.layout, self.known_axes)
+
+    def predict(
+        self,
+        mode: Mode,
+        x: Vector,
+        P: Matrix,
+        noise: ProcessNoise,
+        dt: Number,
+        hz_per_mps: Number | None,
+    ) -> tuple[Numbers, Matrix]:
+        """Return the Kalman prediction, exact for every algorithm because motion is linear."""
+        return move(x, dt, hz_per_mps), predict_covariance(P, noise, dt, hz_per_mps)
+
+    def update(self, mode: Mode) -> Algorithm:
+        """Return the measurement update of a mode."""
+        return mode.update
 
     @property
     def known_axes(self) -> tuple[int, ...]:
@@ -167,8 +165,6 @@ def predict(
     x_predicted = [x[i] if i in pipeline.known_axes else v for i, v in enumerate(x_predicted)]
     if mode.acceleration_mps2:
         x_predicted = accelerate(x_predicted, tuning.acceleration_mps2, epoch.dt)
-    if mode.turn_rate_radps:
-        x_predicted = turn(x_predicted, tuning.turn_rate_radps, epoch.dt)
     return x_predicted, P_predicted
 
 

@@ -23,13 +23,7 @@ STEP_KEYS = (
 )
 PROBABILITIES = "mode_probabilities"  # in infos only if each mode has its own belief
 FLAGS = ("accepted", "rejected")
-SMOOTHED_KEY = "smoothed_ate_m"
 NONFINITE_KEY = "nonfinite_beliefs"  # in the info of the last step if a belief was not finite
-INFOS = {
-    "all": "everything that is known",
-    "episode": "everything that is known, at each reset and at the last step of each episode",
-    "none": "nothing",
-}
 
 
 def reported(at: Any) -> Any:

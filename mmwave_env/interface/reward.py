@@ -99,12 +99,8 @@ REWARDS: dict[str, Reward | PairedReward] = {
 }
 
 
-def terms_of(reward: Reward, belief: Belief, truth: Vector) -> Terms:
-    """Return the terms of a reward by name; a single number becomes a term named "reward"."""
-    return _as_terms(reward(belief, truth))
-
-
-def _as_terms(paid: Terms | Number) -> Terms:
+def terms_of(paid: Terms | Number) -> Terms:
+    """Return what a reward returned as terms by name; a number becomes a term named "reward"."""
     return paid if isinstance(paid, dict) else {"reward": paid}
 
 
@@ -116,7 +112,7 @@ def total(terms: Terms) -> Number:
 @lru_cache(maxsize=64)
 def term_names(reward: Reward) -> tuple[str, ...]:
     """Return the names of a reward's terms."""
-    return tuple(terms_of(reward, *_trial()))
+    return tuple(terms_of(reward(*_trial())))
 
 
 def reward_from(reward: str | Reward | PairedReward) -> Reward | PairedReward:
@@ -164,7 +160,7 @@ def _check(reward: Reward) -> None:
     def refused(problem: str) -> ValueError:
         return ValueError(complaint(subject, reward, problem))
 
-    terms = _as_terms(try_out(reward, _trial(), subject, ValueError))
+    terms = terms_of(try_out(reward, _trial(), subject, ValueError))
     if not terms or not all(isinstance(name, str) and name != "cost" for name in terms):
         expected = 'one or more strings other than "cost", which names the modes\' costs'
         raise refused(f"returned terms named {list(terms)}, expected {expected}")
@@ -174,7 +170,7 @@ def _check(reward: Reward) -> None:
     x = [TRIED_ERRORS_M, 0.0, 1.5, 1.0, 0.5, 0.0, 0.0]
     example = Belief(x, np.eye(7).tolist()), [0.0, *x[1:6]]
     with np.errstate(all="ignore"):
-        terms = _as_terms(try_out(reward, example, subject, ValueError))
+        terms = terms_of(try_out(reward, example, subject, ValueError))
     for name, value in terms.items():
         if not np.all(abs(value) <= sys.float_info.max):
             raise refused(

@@ -9,10 +9,8 @@ from mmwave_env.numerics.numbers import (
     Number,
     Numbers,
     Vector,
-    cos_sin,
     maximum,
     sqrt,
-    where,
 )
 
 STANDING_MPS = 0.2  # far below this speed, the direction is unclear, so accelerate() does little
@@ -23,7 +21,6 @@ CLOCK_SIGMA_M = 0.1
 COUPLED = ((3, 0), (4, 1), (5, 2), (7, 6))
 FREE_BIAS_M = 1e3  # standard deviation of the range bias of a free clock; 1 km is 3.3 us
 _SHORTEST_S = 1e-9  # shortest step by which a speed is divided
-_LEAST_RAD = 1e-9  # an arc of a smaller angle differs from a straight line only by rounding
 
 
 class ProcessNoise(NamedTuple):
@@ -100,24 +97,6 @@ def accelerate(x: Vector, acceleration: Number, dt: Number) -> Numbers:
     change = [a * dt * (component / speed) for component in v]
     moved = [x[i] + (0.5 * dt) * change[i] for i in range(2)]
     return [*moved, x[2], *(v[i] + change[i] for i in range(2)), *x[5:]]
-
-
-def turn(x: Vector, rate: Number, dt: Number) -> Numbers:
-    """Return the mean (7,) after a step with a known turn rate: along an arc, at the same speed.
-
-    ``x`` (7,) is the mean that a constant velocity leads to after ``dt`` seconds. This is the
-    coordinated turn of Bar-Shalom et al. 2001, Sec. 11.7.1, as a known input: the rate (rad/s,
-    positive to the left) changes this mean, but not the covariance.
-    """
-    angle = rate * dt
-    (vx, vy) = x[3:5]
-    straight = angle * angle < _LEAST_RAD**2
-    divisor = where(straight, 1.0, angle)
-    (cosine, sine) = cos_sin(angle)
-    ahead = where(straight, 0.0, (sine / divisor - 1.0) * dt)
-    aside = (1.0 - cosine) / divisor * dt
-    velocity = [cosine * vx - sine * vy, sine * vx + cosine * vy]
-    return [x[0] + ahead * vx - aside * vy, x[1] + ahead * vy + aside * vx, x[2], *velocity, *x[5:]]
 
 
 def transition_times(P: Matrix, dt: Number, hz_per_mps: Number | None = None) -> Matrix:

@@ -168,18 +168,12 @@ class Radio:
             raise ValueError(unknown("base", self.base, TUNED_RADIOS))
         require_fields(self, f" of radio {quoted(self.name)}")
 
-    @property
-    def link_budget_db(self) -> float:
-        """Return the power, in dBm, that would be received without path loss."""
-        return self.transmit_dbm + self.gnb_gain_db + self.ue_gain_db - self.implementation_loss_db
-
-    def thermal_noise_dbm(self, bandwidth_hz: float) -> float:
-        """Return the thermal noise power of the receiver, including its noise figure."""
-        return -174.0 + 10.0 * math.log10(bandwidth_hz) + self.noise_figure_db
-
     def snr_db(self, path_gain_db: Number, bandwidth_hz: float) -> Number:
         """Return the SNR of links with the given path gain (negative, dB)."""
-        return self.link_budget_db + path_gain_db - self.thermal_noise_dbm(bandwidth_hz)
+        gains_db = self.gnb_gain_db + self.ue_gain_db
+        sent_dbm = self.transmit_dbm + gains_db - self.implementation_loss_db
+        noise_dbm = -174.0 + 10.0 * math.log10(bandwidth_hz) + self.noise_figure_db  # thermal
+        return sent_dbm + path_gain_db - noise_dbm
 
     def variances(self, scene: Scene, layout: Layout) -> tuple[list[float], list[float]]:
         """Return variances of every row: noise floors, and Cramer-Rao bounds at an SNR of 0 dB.

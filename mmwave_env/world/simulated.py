@@ -6,7 +6,7 @@ simulation continues from there, epoch by epoch. Eight SIMD lanes simulate eight
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -247,18 +247,17 @@ class SimulatedSource:
         """Return the beginnings of the episodes of keys (n,)."""
         n = len(keys)
         program = self._start_program
-        at = program.index.start
-        parts = [at.choice, at.first, at.prior_noise, at.mapped]
-        world = [at.receiver, at.user] if self.travels else [at.receiver]
-        io = StepIO.of(n, 1, output_rows=rows_of([parts, world]))
+        world = "start.receiver start.user" if self.travels else "start.receiver"
+        drawn = ("start.choice", "start.first", "start.prior_noise", "start.mapped", world)
+        io = StepIO.of(n, 1, output_rows=program.rows(drawn))
         tables = keys.view(np.float64).reshape(n, 1, 1)
         program.run_on_lanes(BatchState.of(tables, blocks_of(self._before, n)), io)
-        ends = np.cumsum([len(flatten(part)) for part in parts])
-        choice, first, noise, anchors, worlds = np.split(io.outputs[:, 0], ends, axis=1)
-        kinds = choice[:, 0].astype(np.int64)
+        parts = program.by_name(drawn, io.outputs[:, 0]).values()
+        choice, first, noise, anchors, worlds = parts
+        kinds = choice.astype(np.int64)
         truth = np.empty((n, self.epochs, 0))
         if not self.travels:
-            kinds, truth = self.ways.draw(choice[:, 0])
+            kinds, truth = self.ways.draw(choice)
             first[:, :6] = truth[:, 0]
         index = self._sites
         sites = np.tile(self._extreme.site(), (n, 1))
@@ -314,12 +313,7 @@ class SimulatedSource:
 
     @property
     def _start_program(self) -> Program[StartState]:
-        streets = None
-        if isinstance(self.scene, RandomScene):  # share one program among all carriers
-            same = RandomScene
-            streets = replace(
-                self.scene, carrier_hz=same.carrier_hz, bandwidth_hz=same.bandwidth_hz
-            )
+        streets = self.scene if isinstance(self.scene, RandomScene) else None
         return start_program(self.layout, len(self._plans), *self._room, streets, self.survey)
 
     @cached_property

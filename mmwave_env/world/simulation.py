@@ -53,13 +53,13 @@ class WorldSettings(NamedTuple):
     drift_hz: Number  # standard deviation of the change of the oscillator's bias per epoch
     step_s: Number  # length of a substep
     stride: Number  # number of substeps in an epoch
-    offered: Vector = ()  # (rows,) 1 where the receiver measures the row; empty if it measures all
+    offered: Vector  # (rows,) 1 where the receiver measures the row; empty if it measures all
     # empty if the user's clock is synchronized; else (3,): how much of the range bias remains from
     # one epoch to the next, 1 or 0; a number that, times the sum of the oscillator biases (Hz) in
     # both epochs, is its drift (m); the standard deviation (m) of the noise that is added to it
-    clock: Vector = ()
+    clock: Vector
     # empty if the survey is exact; else (1,): correlation of slow errors in successive epochs
-    slow: Vector = ()
+    slow: Vector
 
 
 class Clock(NamedTuple):
@@ -86,8 +86,8 @@ class ReceiverState(NamedTuple):
     is_first: Number  # 1 before the first epoch
     channel: ChannelState  # state of the links
     bias_hz: Number  # oscillator bias in the coming epoch
-    clock: Clock | tuple[()] = ()  # empty if the user's clock is synchronized
-    survey: Survey | tuple[()] = ()  # empty if the survey is exact
+    clock: Clock | tuple[()]  # empty if the user's clock is synchronized
+    survey: Survey | tuple[()]  # empty if the survey is exact
 
 
 class UserState(NamedTuple):
@@ -159,9 +159,7 @@ def measure(w: Any, truth: Numbers, layout: Layout) -> Any:
         dt=where(is_first, 0.0, settings.dt),
         z=_where_measured(present, z, 0.0),
         signed_sigma=_where_measured(present, sigma, -1.0),
-        snr_db=[
-            where(v > 0.5, snr, 0.0) for v, snr in zip(visible, reception.snr_db, strict=False)
-        ],
+        snr_db=_where_measured(visible[: layout.anchors], reception.snr_db, 0.0),
         doppler_spread_hz=reception.doppler_spread_hz,
         truth=truth,
         doppler_of=blank_incoming(layout).doppler_of,

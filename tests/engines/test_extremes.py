@@ -115,7 +115,7 @@ LOUD = dict.fromkeys(NOISES, envelope.PROCESS_NOISE.most)
 CHANGES = (  # sets of changes that are made to each mode
     {}, {"gate": None}, dict.fromkeys(NOISES, 0.0), LOUD, LOUD | {"gate": None},
     {"spread_gain": envelope.PROCESS_NOISE.most},
-    {"acceleration_mps2": -100.0, "turn_rate_radps": 10.0},
+    {"acceleration_mps2": -100.0},
 )  # fmt: skip
 
 

@@ -39,7 +39,7 @@ def test_rewards_errors_and_nees_follow_from_the_belief(episodes):
         assert_allclose(error, x[:3] - truth, atol=1e-12)
         assert_allclose(nees, error @ np.linalg.solve(P[:3, :3], error))
         belief = Belief(x.tolist(), P.tolist())
-        paid = total(terms_of(reward, belief, [*truth, 0.0, 0.0, 0.0]))
+        paid = total(terms_of(reward(belief, [*truth, 0.0, 0.0, 0.0])))
         assert earned == pytest.approx(paid)
 
 

@@ -7,12 +7,10 @@ import pytest
 from filterpy.kalman import KalmanFilter
 from numpy.testing import assert_allclose, assert_array_equal
 
-from mmwave_env.engines.engine import Engine, run_imm
+from mmwave_env.engines.engine import Engine
 from mmwave_env.engines.smoothing import smooth
 from mmwave_env.filters import textbook
-from mmwave_env.filters.bank import best_bank
-from mmwave_env.interface.reward import TrackingReward
-from tests.filters.tracks import packed, pipeline_of, sampled, simulated, street_source, unpacked
+from tests.filters.tracks import packed, pipeline_of, simulated, unpacked
 
 TOLERANCE = 1e-9
 PARTS = ("x", "P", "x_predicted", "P_predicted")
@@ -65,15 +63,6 @@ def assert_smoothed_as_in_the_textbook(parts, time_s, tolerance, planar=False):
 def test_smoothed_tracks_equal_a_plain_numpy_smoother(planar):
     time_s, parts = tracks(planar)
     assert_smoothed_as_in_the_textbook(parts, time_s, TOLERANCE, planar)
-
-
-@pytest.mark.parametrize("dt", [1.0, 0.1])
-def test_smoothing_a_mixture_equals_plain_numpy(dt):
-    source = street_source(dt=dt)
-    episodes = [sampled(source, seed) for seed in range(9)]
-    parts = run_imm(best_bank(), TrackingReward(), episodes, *PARTS)
-    time_s = np.tile(source.time_s, (9, 1))
-    assert_smoothed_as_in_the_textbook(parts.values(), time_s, 1e-7)
 
 
 def test_smoothing_does_not_change_a_single_epoch():

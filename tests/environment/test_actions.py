@@ -168,7 +168,6 @@ def test_bad_actions_are_refused_and_change_nothing(kind):
         {"beliefs": "shared", "action": "weights"},
         {"action": "weights", "base": alternating},
         {"action": "correction", "base": "guided"},
-        {"action": "correction", "smoothed": True},
         {"action": "correction", "observation": "prior"},
     ],
     ids=" ".join,

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.datasets.samples import recording_from, sample_folder, source_from
-from mmwave_env.engines.engine import run_imm
+from mmwave_env.engines.engine import Engine, run_imm
 from mmwave_env.engines.smoothing import smooth
 from mmwave_env.filters import Pipeline, textbook
 from mmwave_env.filters.bank import Bank, best_bank, modes_from
@@ -139,8 +139,10 @@ def test_smoothed_tracks_equal_the_textbook(planar, clock):
     batch = source.sample_batch(keys_of(range(3)))
     episodes = batch.on_flat_ground() if planar else batch
     names = ("x", "P", "x_predicted", "P_predicted")
-    kept = run_imm(bank, TrackingReward(), episodes, *names, "mixture", planar=planar)
-    x, P, x_predicted, P_predicted = (kept[name] for name in names)
+    kept = run_imm(bank, TrackingReward(), episodes, "mixture", planar=planar)
+    engine = Engine(pipeline, 3, observation="")
+    engine.load(episodes)
+    x, P, x_predicted, P_predicted = engine.run(*names).values()
     free = [0, 1, 3, 4, 6, 7] if planar else list(range(8))
     hz_per_mps = STREET.hz_per_mps
     time_s = np.arange(50.0)

@@ -13,16 +13,14 @@ from gymnasium.utils.env_checker import check_env
 from numpy.testing import assert_allclose
 
 import mmwave_env  # noqa: F401  registers the environment
-from mmwave_env.engines.engine import Engine
 from mmwave_env.env import MmWaveLocEnv
-from mmwave_env.filters import Mode, Pipeline
+from mmwave_env.filters import Mode
 from mmwave_env.filters.bank import modes_from
-from mmwave_env.filters.textbook import rts
 from mmwave_env.metrics import INFO_KEYS, summary
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.task import TaskArguments
 from tests.environment.vector_checker import assert_own_memory, same
-from tests.filters.tracks import replay, seeded, unpacked
+from tests.filters.tracks import replay, seeded
 from tests.refusals import refuses
 
 ID = "MmWaveLoc-v0"
@@ -31,7 +29,6 @@ EKF = {"modes": ["ekf"]}  # a single mode compiles fastest
 STEP_KEYS = {"position_error_m", "nees", "nis", "accepted", "rejected", "mode", "gamma"}
 STEP_KEYS |= {"truth", "estimate", "reward_terms", "cost"}
 END_KEYS = {"ate_m", "rmse_m", "rpe_m", "mean_nees", "in_bounds", "divergence"}
-SMOOTHED = "smoothed_ate_m"  # infos have this key if smoothed=True
 
 
 def adrift(drift_mps, epochs=200):
@@ -100,7 +97,7 @@ def test_the_docstring_explains_every_argument_and_every_key_of_infos():
     for name in (*own, *(field.name for field in fields(TaskArguments))):
         assert f"`{name}`" in arguments
     information = page.split("## Information")[1].split("## Arguments")[0]
-    for key in STEP_KEYS | END_KEYS | {"episode_name", "episode_key", "nonfinite", SMOOTHED}:
+    for key in STEP_KEYS | END_KEYS | {"episode_name", "episode_key", "nonfinite"}:
         assert f"`{key}`" in information
     for radio in RADIOS:
         for mode, row in zip(modes_from(None, radio), page.split("\n| ")[2:], strict=False):
@@ -265,17 +262,9 @@ def test_divergence_in_the_last_epoch_does_not_change_the_reward():
     assert last[1] == plain[1] and last[2] and not last[3]
 
 
-def test_the_smoothed_error_is_the_same_with_filterpy_as_backend():
-    lanes, filterpy = [
-        roll(gym.make(ID, backend=backend, smoothed=True, episode_steps=14))[-1][-1][SMOOTHED]
-        for backend in ("lanes", "filterpy")
-    ]
-    assert lanes == pytest.approx(filterpy, rel=1e-12)
-
-
 @pytest.mark.parametrize("dt", [0.5, 1.0])
 def test_the_last_info_contains_the_metrics_of_the_episode(dt):
-    env = gym.make(ID, dt=dt, smoothed=True)
+    env = gym.make(ID, dt=dt)
     infos = [info for *_, info in roll(env, seed=2)]
     truth = np.array([info["truth"][:3] for info in infos])
     error = np.array([info["estimate"][:3] for info in infos]) - truth
@@ -283,32 +272,8 @@ def test_the_last_info_contains_the_metrics_of_the_episode(dt):
     metrics = summary(error[None], nees[None], epochs_per_s=1.0 / dt)
     expected = {key: metrics[metric][0] for metric, key in INFO_KEYS.items()}
     assert set(expected) == END_KEYS
-
-    episode = seeded(2, dt=dt)
-    tracker = Engine(Pipeline(modes_from(None), episode.layout), 1, observation="")
-    tracker.load([episode])
-    track = tracker.run("x", "P", "P_predicted", actions=np.arange(200)[None] % 2)
-    P = unpacked(track["P"][0])
-    P_predicted = unpacked(track["P_predicted"][0])
-    smoothed, _ = rts(track["x"][0], P, P_predicted, dt * np.arange(200))
-
-    expected[SMOOTHED] = np.linalg.norm(smoothed[:, :3] - truth, axis=1)[10:].mean()
-    last = {key: infos[-1][key] for key in END_KEYS | {SMOOTHED}}
+    last = {key: infos[-1][key] for key in END_KEYS}
     assert last == pytest.approx(expected, rel=1e-9)
-    assert last[SMOOTHED] < last["ate_m"]
-
-
-def test_infos_can_be_limited_to_ends_of_episodes_or_left_empty():
-    rolls = [
-        roll(gym.make(ID, episode_steps=12, infos=infos, **EKF))
-        for infos in ("all", "episode", "none")
-    ]
-    for (*step, info), (*once, end), (*again, nothing) in zip(*rolls, strict=True):
-        assert same(step, once) and same(step, again)
-        assert nothing == {}
-        assert same(end, info if step[2] or step[3] else {})
-    env = gym.make(ID, infos="episode", **EKF)
-    assert "episode_key" in env.reset(seed=0)[1]
 
 
 @pytest.mark.parametrize("unknown", ["truth_position_m", "truth_velocity_mps"])

@@ -59,8 +59,8 @@ CONFIGURATIONS = {
 
 
 VECTORS = {
-    "few infos": {"dt": 0.5, "episode_steps": 14, "infos": "episode", "autoreset_mode": "SameStep"},
-    "recorded vectors": {"episodes": "canyon28_vehicle", "episode_steps": 12, "smoothed": True},
+    "same step": {"dt": 0.5, "episode_steps": 14, "autoreset_mode": "SameStep"},
+    "recorded vectors": {"episodes": "canyon28_vehicle", "episode_steps": 12},
     "paired vectors": {"episode_steps": 5, "reward": "paired", "render_mode": "rgb_array"},
 }
 
@@ -171,11 +171,9 @@ NAMED = {"episode_steps": "", "episodes": "", "terminate_on_divergence": "", "mo
         {"episode_steps": 2**40},
         {"max_episode_steps": 5},
         {"planar": "x"},
-        {"smoothed": "False"},
         {"observation": None},
         {"render_mode": "rgb_array", "render_size": 480.0},
         {"modes": {"ekf", "ukf"}},  # a set has no order
-        {"infos": "sparse"},
         {"episodes": "canyon28_vehicle", "episode_steps": 10_000},
         {"episodes": "canyon28_vehicle", "scenario": "jam"},
         {"episodes": "canyon28_vehicle", "scene": "o1"},

@@ -67,14 +67,6 @@ def test_the_vector_environment_counts_nan_beliefs_as_single_environments_do(aut
     assert infos[f"_{KEY}"].tolist() == [count > 0 for count in expected]
 
 
-def test_a_vector_environment_without_infos_warns_too():
-    env = gym.make_vec(ID, num_envs=6, infos="none", **TASK)
-    env.reset(seed=0)
-    with pytest.warns(RuntimeWarning, match=KEY):
-        infos = [env.step(np.zeros(6, np.int64))[-1] for _ in range(STEPS)]
-    assert infos == [{}] * STEPS
-
-
 @pytest.mark.slow
 def test_a_comparison_includes_episodes_with_nan_beliefs_and_names_the_policy():
     source = street_source(radio="standard", epochs=STEPS)

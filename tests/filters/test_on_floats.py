@@ -12,12 +12,11 @@ from numpy.testing import assert_allclose
 from scipy.stats import chi2
 
 from mmwave_env.filters import Gate, Mode, Pipeline, imm, memory, predict_update, textbook
-from mmwave_env.filters.bank import Bank, settings_of
 from mmwave_env.filters.pipeline import measurement_of
 from mmwave_env.filters.update import ModeResult, capped_log_likelihood
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Epoch, Site
-from mmwave_env.models.motion import accelerate, turn
+from mmwave_env.models.motion import accelerate
 from mmwave_env.numerics.linalg import pack
 from tests.filters.problems import HZ_PER_MPS, assert_same, assume_clear_of, problems
 from tests.filters.tracks import process_noise, unpacked
@@ -41,7 +40,6 @@ MODES = [
     Mode("forced", "ckf", gate=0.5, recovery=3),
     Mode("robust", "ekf", robust=True, blockage_aware=True),
     Mode("hasty", "ekf", gate=None, acceleration_mps2=1.2),
-    Mode("turning", "ekf", gate=None, turn_rate_radps=0.4),
 ]
 
 
@@ -63,8 +61,6 @@ def test_an_epoch_of_a_mode_equals_the_textbook(mode, lockout, data):
     x, P = textbook.predict(problem.x, problem.P, Q, epoch.dt)
     if mode.acceleration_mps2:
         x = np.array(accelerate(x.tolist(), mode.acceleration_mps2, epoch.dt))
-    if mode.turn_rate_radps:
-        x = np.array(turn(x.tolist(), mode.turn_rate_radps, epoch.dt))
     R = scale * problem.R
     if mode.blockage_aware:
         R[4:8] *= 1.0 + 3.0 * (drop_db - 6.0) / 6.0
@@ -108,34 +104,6 @@ def test_the_nis_of_outliers_is_limited_to_a_quantile_when_modes_are_compared():
         outcome(nis.tolist(), [], log_likelihood=-50.0), Layout(2).widths
     )
     assert capped == pytest.approx(-50.0 + 0.5 * np.maximum(nis - cap, 0.0).sum())
-
-
-@given(problem=problems(anchors=2))
-@few
-def test_the_prediction_of_a_mixture_has_the_moments_of_its_modes_and_their_maneuvers(problem):
-    modes = (Mode("a", sigma_v=0.3), Mode("b", acceleration_mps2=2.0))
-    pipeline = Pipeline(modes, layout_of(problem))
-    mixture = imm.begin(pipeline, problem.x.tolist(), pack(problem.P.tolist()))
-    mixture.tracks[1] = mixture.tracks[1]._replace(x=(problem.x + 1.0).tolist())
-    site = Site(problem.sensor.anchors.tolist(), HZ_PER_MPS, [], [])
-    bank = Bank(modes, ((0.8, 0.2), (0.3, 0.7)))
-    epoch = epoch_of(problem)
-    now = imm.imm_epoch(pipeline, settings_of(bank), mixture, epoch, site)
-    x, P = imm.prediction(now, epoch.dt, HZ_PER_MPS)
-    weights = np.array(now.predicted)
-    moved = np.array([textbook.F(epoch.dt) @ mixed for mixed in now.mixed])
-    shifts = np.array([result.x_predicted for result in now.results]) - moved
-    each = unpacked(np.array([result.P_predicted for result in now.results]))
-    covariance = np.einsum("m,mij->ij", weights, each) + spread(weights, moved)
-    assert_allclose(x, weights @ (moved + shifts), rtol=1e-9, atol=1e-9)
-    assert_allclose(
-        unpacked(np.array(P)), covariance + spread(weights, shifts), rtol=1e-9, atol=1e-9
-    )
-
-
-def spread(weights, points):
-    offset = points - weights @ points
-    return np.einsum("m,mi,mj->ij", weights, offset, offset)
 
 
 def test_the_stay_matrix_gives_all_changes_of_the_mode_the_same_probability():

@@ -217,7 +217,6 @@ def _arrays(env):
         "sums": counts.sums,
         "errors": counts.errors,
         "second": counts.second,
-        "actions": counts.modes,
         "streams": env._streams._states,
         "over": env._over,
     }
@@ -230,7 +229,7 @@ TRACES = {
     "track-imm": partial(track, "canyon28_vehicle", "imm"),
     "smoother": partial(smoother, "canyon28_pedestrian", "ekf"),
     "rollout-mixed": partial(
-        rollout, [11749869230777074271, 2**64 - 1], episode_steps=12, smoothed=True
+        rollout, [11749869230777074271, 2**64 - 1], episode_steps=12
     ),
     "rollout-diverging": partial(
         rollout, [3656569636567469460], episode_steps=14, scenario="vehicle",
@@ -241,7 +240,7 @@ TRACES = {
     ),
     "rollout-per-mode": partial(
         rollout, [9441442522235856127], episode_steps=8, beliefs="per-mode", radio=RADIO,
-        scene="dynamic-doppler", dt=0.5, smoothed=True, planar=True, odometry=True,
+        scene="dynamic-doppler", dt=0.5, planar=True, odometry=True,
     ),
     "rollout-vector": partial(
         vector_rollout, [9573841816382471088, 6847638017495587239], [2, 3], episode_steps=12,

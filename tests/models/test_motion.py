@@ -13,7 +13,6 @@ from mmwave_env.models.motion import (
     accelerate,
     move,
     predict_covariance,
-    turn,
     white_noise_acceleration,
 )
 
@@ -102,17 +101,3 @@ def test_braking_ends_at_a_standstill(heading, speed, dt):
 def test_a_user_at_rest_is_not_accelerated(a, dt):
     still = [3.0, 4.0, 1.5, 0.0, 0.0, 0.0, 7.0]
     assert accelerate(still, a, dt) == still
-
-
-@given(x=states, rate=st.floats(-1.5, 1.5), dt=steps)
-def test_a_turn_is_the_coordinated_turn_of_the_textbook(x, rate, dt):
-    """Compare with Bar-Shalom et al. 2001, Sec. 11.7.1; at rate 0, the user moves straight on."""
-    s = np.sin(rate * dt)
-    c = np.cos(rate * dt)
-    along, across = (s / rate, (1.0 - c) / rate) if abs(rate) > 1e-4 else (dt, 0.5 * rate * dt**2)
-    F = np.eye(7)
-    F[:2, 3:5] = [[along, -across], [across, along]]
-    F[3:5, 3:5] = [[c, -s], [s, c]]
-    F[2, 5] = dt
-    straight = np.array(textbook.F(dt)) @ x
-    assert_allclose(turn(straight.tolist(), rate, dt), F @ x, rtol=1e-9, atol=1e-5)

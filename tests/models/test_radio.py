@@ -122,7 +122,7 @@ def test_floors_and_rates_differ_from_the_profile_by_at_most_the_factor():
         ratios = values / np.ravel(getattr(HANDSET, name))
         assert 0.5 <= ratios.min() < 0.55 and 1.8 < ratios.max() <= 2.0
         assert abs(np.log(ratios[:, 0]).mean()) < 0.1
-    budgets = np.array([radio.link_budget_db - HANDSET.link_budget_db for radio in drawn])
+    budgets = np.array([radio.transmit_dbm - HANDSET.transmit_dbm for radio in drawn])
     assert -3.0 <= budgets.min() < -2.5 and 2.5 < budgets.max() <= 3.0
     assert {radio.base for radio in drawn} == {"handset"}
 

@@ -6,6 +6,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +30,6 @@ SIDECAR = "trajectory.csv"  # times, positions and perhaps velocities; not a fil
 def read_deepmimo(
     folder: AnyPath,
     virtual_anchors: int = 2,
-    bandwidth_hz: float = 100e6,
     *,
     dt_s: float | None = None,
     users: int | Sequence[int] | Index | None = None,
@@ -49,8 +49,6 @@ def read_deepmimo(
     Args:
         folder: folder of a DeepMIMO v4 scenario.
         virtual_anchors: maximum number of mirror images; those seen most often are kept.
-        bandwidth_hz: bandwidth of the signal. Paths do not depend on it, so it may differ from the
-            bandwidth of the scenario.
         dt_s: time step to use instead of ``trajectory.csv``; velocities are then computed from the
             positions.
         users: indices of receivers, from 0. For a static scenario, one index per epoch; for a
@@ -70,14 +68,13 @@ def read_deepmimo(
     way = _way_of(scenario, receivers, dt_s)
     stations = scenario.paths(receivers, base_station)
     links = _links(stations, way.position_m, virtual_anchors)
-    return _recording(scenario, links, way, bandwidth_hz)
+    return _recording(scenario, links, way)
 
 
 def _recording(
     scenario: Scenario,
     links: Sequence[tuple[StationLinks, int]],
     way: Trajectory,
-    bandwidth_hz: float,
 ) -> Recording:
     """Return a recording of the strongest path to each anchor of ``links`` (:func:`_links`)."""
     shape = (len(way.time_s), len(links))
@@ -88,15 +85,15 @@ def _recording(
         epochs = station.paths.epoch[strongest]
         rows[epochs, a] = station.rows[strongest]
         gain_db[epochs, a] = station.paths.gain_db[strongest]
+    values: dict[str, Any] = {name: rows[..., i] for i, name in enumerate(LINK)}
     return Recording.from_arrays(
         time_s=way.time_s,
         anchors_m=[station.anchors_m[k] for station, k in links],
-        **{name: rows[..., i] for i, name in enumerate(LINK)},
+        **values,
         path_gain_db=gain_db,
         position_m=way.position_m,
         velocity_mps=way.velocity_mps,
         carrier_hz=scenario.carrier_hz,
-        bandwidth_hz=bandwidth_hz,
         name=scenario.name,
     )
 

@@ -1,21 +1,17 @@
 """Reader of DeepMIMO v4 scenario folders; it also checks the propagation paths in the files.
 
 A scenario is a folder with ``params.json`` and with a file for each array. The file's name is
-``{key}_t{txset}_tx{tx}_r{rxset}.npz`` (or ``.npy``). In a dynamic scenario, these files are in
+``{key}_t{txset}_tx{tx}_r{rxset}.npz``. In a dynamic scenario, these files are in
 sub-folders, one for each scene (moment in time). Sorted by name, the sub-folders are in the order
 of time, but the files contain neither times nor velocities. Pickled objects are refused.
 """
 
-import math
 import re
-import zipfile
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmwave_env.datasets.deepmimo.anchors import (
     LINE_OF_SIGHT,
@@ -28,7 +24,7 @@ from mmwave_env.io.lookup import as_name
 from mmwave_env.numerics.numbers import Array, Index, Mask
 
 PARAMS = "params.json"  # the file that marks a folder as a scenario
-_RECEIVERS = re.compile(r"rx_pos_(t\d+_tx\d+)_r(\d+)\.(?:npz|npy)")
+_RECEIVERS = re.compile(r"rx_pos_(t\d+_tx\d+)_r(\d+)\.npz")
 
 
 class Scenario(NamedTuple):
@@ -167,7 +163,7 @@ def _stations(scene: Path, receiver_set: int | None) -> tuple[str, tuple[str, ..
     links = sorted({m.groups() for f in scene.iterdir() if (m := _RECEIVERS.fullmatch(f.name))})
     if not links:
         raise FileNotFoundError(
-            f"{scene}: found no rx_pos_t*_tx*_r*.npz or .npy, expected the receivers of a "
+            f"{scene}: found no rx_pos_t*_tx*_r*.npz, expected the receivers of a "
             "DeepMIMO v4 scenario"
         )
     sets = sorted({number for _, number in links})
@@ -231,7 +227,7 @@ def _read_scene(
     N = scenario.receivers
     inter = read("inter", N, "P")
     P = inter.shape[1]
-    points = read("inter_pos", N, P, "I", 3)  # the largest array; refused if it is too large
+    points = read("inter_pos", N, P, "I", 3)
     bounce = points[:, :, 0] if points.shape[2] else np.full((*inter.shape, 3), np.nan)
     reflected = inter == REFLECTION
     used = reflected | (inter == LINE_OF_SIGHT)
@@ -259,81 +255,48 @@ def _require_finite(
         refuse_in(file, f"{key}[{place}]", array[tuple(index)], "a finite number")
 
 
-Shape = tuple[int | str, ...]
-SUFFIXES = (".npz", ".npy")  # in the order of preference
-MOST_BYTES = 2**29  # maximum size of an array in memory
-
-
 def find_array(folder: Path, name: str) -> Path:
     """Return the file of an array in a folder.
 
     Raises:
         FileNotFoundError: there is no such file.
     """
-    files = [folder / f"{name}{suffix}" for suffix in SUFFIXES]
-    for file in files:
-        if file.exists():
-            return file
-    raise FileNotFoundError(
-        f"{files[0]}: found no such file, expected an .npz or .npy file, as DeepMIMO 4 writes it"
-    )
+    file = folder / f"{name}.npz"
+    if not file.exists():
+        raise FileNotFoundError(
+            f"{file}: found no such file, expected an .npz file, as DeepMIMO 4 writes it"
+        )
+    return file
 
 
-def read_array(file: Path, key: str, shape: Shape, rows: Index | None = None) -> Array:
+def read_array(
+    file: Path, key: str, shape: tuple[int | str, ...], rows: Index | None = None
+) -> Array:
     """Read, as doubles, the array stored under a key in a file that :func:`find_array` found.
 
     Args:
         file, key: the file, and the name of the array.
         shape: shape of the complete array; a letter stands for any length.
-        rows: (R,) indices of the rows to return, in any order; None for all. Of an .npy file, only
-            these rows are read.
+        rows: (R,) indices of the rows to return, in any order; None for all.
 
     Raises:
         ValueError: the path is not a regular file, or the array can't be read, has numbers that
-            are not real, has another shape or is larger than MOST_BYTES; the message names file
-            and key.
+            are not real or has another shape; the message names file and key.
     """
     if not file.is_file():  # reading a pipe or a device would block
-        refuse_in(file, key, "a path that is not a file", f"a file, {' or '.join(SUFFIXES)}")
-    with _readable(file, key):
-        stored = _stored(file, key)
+        refuse_in(file, key, "a path that is not a file", "an .npz file")
+    try:
+        with np.load(file, allow_pickle=False) as arrays:
+            stored = arrays[key]
+    except Exception as error:  # numpy, zipfile and zlib raise many kinds for damaged files
+        raise ValueError(
+            f"{file}: {key}: found no readable array ({' '.join(str(error).split())}), expected an "
+            ".npz file of numbers"
+        ) from error
     if stored.dtype.kind not in "fiu":
         refuse_in(file, key, f"type {stored.dtype}", "real numbers")
     pairs = zip(shape, stored.shape, strict=False)
     wanted = tuple(n if isinstance(length, str) else length for length, n in pairs)
     if len(shape) != stored.ndim or stored.shape != wanted:
         refuse_in(file, key, f"shape {stored.shape}", f"shape ({', '.join(map(str, shape))})")
-    count = len(stored if rows is None else rows)
-    width = math.prod(stored.shape[1:])
-    if count * width * 8 > MOST_BYTES:
-        expected = f"at most {MOST_BYTES} bytes in memory: choose fewer users"
-        refuse_in(file, key, f"{count} rows of {width} numbers", expected)
-    with _readable(file, key):
-        return np.array(stored if rows is None else stored[rows], float)
-
-
-def _stored(file: Path, key: str) -> NDArray[Any]:
-    """Return the array as it is stored; the array of an .npy file stays on disk."""
-    if file.suffix == ".npy":
-        return np.asanyarray(np.lib.format.open_memmap(file, mode="r"))
-    with zipfile.ZipFile(file) as archive:
-        names = [name.removesuffix(".npy") for name in archive.namelist()]
-        if key not in names:
-            raise ValueError(f"the file has {', '.join(names[:5]) or 'nothing'}, but not {key}")
-        size = archive.getinfo(f"{key}.npy").file_size
-    if size > MOST_BYTES:
-        raise ValueError(f"{size} bytes, more than {MOST_BYTES}: use an .npy file instead")
-    with np.load(file, allow_pickle=False) as arrays:
-        return np.asarray(arrays[key])
-
-
-@contextmanager
-def _readable(file: Path, key: str) -> Iterator[None]:
-    """Convert every error that numpy, zipfile or zlib raises for a damaged file to a ValueError."""
-    try:
-        yield
-    except Exception as error:
-        raise ValueError(
-            f"{file}: {key}: found no readable array ({' '.join(str(error).split())}), expected an "
-            ".npz or .npy file of numbers"
-        ) from error
+    return np.array(stored if rows is None else stored[rows], float)

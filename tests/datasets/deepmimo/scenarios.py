@@ -18,10 +18,6 @@ LINK = f"{STATION}_r001"
 OF_PATHS = ("power", "delay", "aoa_az", "aoa_el", "aod_az", "aod_el", "inter", "inter_pos")
 KEYS = ("rx_pos", "tx_pos", *OF_PATHS)
 TRUTH = "trajectory.csv"
-SAVE = {  # functions that write an array to a file, by suffix
-    ".npz": lambda file, key, array: np.savez_compressed(file, **{key: array}),
-    ".npy": lambda file, key, array: np.save(file, array),
-}
 
 
 def load(folder, key, link=LINK):
@@ -29,8 +25,8 @@ def load(folder, key, link=LINK):
         return file[key]
 
 
-def store(folder, key, array, link=LINK, suffix=".npz"):
-    SAVE[suffix](folder / f"{key}_{link}{suffix}", key, array)
+def store(folder, key, array, link=LINK):
+    np.savez_compressed(folder / f"{key}_{link}.npz", **{key: array})
 
 
 def edit(folder, key, change, link=LINK):
@@ -75,8 +71,8 @@ def edit_line(folder, number, line):
     file.write_text("\n".join(lines) + "\n")
 
 
-def shortened(folder, epochs, suffix=".npz", source=VEHICLE):
-    """Write a folder with the first epochs of a recording; ``suffix`` is the format of arrays."""
+def shortened(folder, epochs, source=VEHICLE):
+    """Write a folder with the first epochs of a recording."""
     folder.mkdir(parents=True)
     shutil.copy(source / "params.json", folder)
     set_counts(folder, epochs)
@@ -84,7 +80,7 @@ def shortened(folder, epochs, suffix=".npz", source=VEHICLE):
     (folder / TRUTH).write_text("\n".join(lines[: epochs + 1]) + "\n")
     for key in KEYS:
         array = load(source, key)
-        store(folder, key, array if key == "tx_pos" else array[:epochs], suffix=suffix)
+        store(folder, key, array if key == "tx_pos" else array[:epochs])
     return folder
 
 
