@@ -25,7 +25,7 @@ import numpy as np
 
 from experiments.console.options import USUAL_EPISODES, ModeArgs, TaskArgs
 from experiments.console.output import grid, note, say, show, tracked
-from experiments.console.signals import ended_by_signals
+from experiments.console.signals import heed_signals
 from experiments.evaluation.contenders import contender_of, seeds_from, task_of
 from experiments.evaluation.intervals import Interval, bootstrap, rounded
 from experiments.evaluation.runner import Scoring, score_contenders
@@ -181,13 +181,9 @@ def connected(address: str | None, workers: int | None) -> Iterator[None]:
         folders = [str(root / package) for package in ("mmwave_env", "policies", "experiments")]
         options = {"address": address, "runtime_env": {"py_modules": folders}}
     options |= {"include_dashboard": False, "log_to_driver": False, "logging_level": logging.ERROR}
-    # Replace the signal handlers that Ray installs as it starts, and hide what Ray prints.
-    with (
-        ray.init(**options),
-        ended_by_signals(),
-        open(os.devnull, "w") as nowhere,
-        redirect_stdout(nowhere),
-    ):
+    # Hide what Ray prints.
+    with ray.init(**options), open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
+        heed_signals()  # Ray has installed its own handlers
         yield
 
 

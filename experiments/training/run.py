@@ -4,6 +4,7 @@ import multiprocessing
 import os
 import shutil
 import signal
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from multiprocessing.connection import Connection, wait
@@ -15,7 +16,7 @@ from rich.progress import TimeElapsedColumn
 from experiments.console.options import TrainArgs, require_at_least
 from experiments.console.output import bars, note, say, show
 from experiments.console.provenance import command_line
-from experiments.console.signals import answered, ended_by_signals
+from experiments.console.signals import heed_signals
 from experiments.evaluation.contenders import outcomes_markdown
 from experiments.training.corrector import CorrectorTrainer, TwoWayTrainer
 from experiments.training.hyperparameters import Hyperparameters, hyperparameters_as_written
@@ -126,8 +127,10 @@ def side_by_side(
                 job = waiting.pop()
                 ours, theirs = spawn.Pipe(duplex=False)
                 child = spawn.Process(target=_train, args=(job, theirs), daemon=True)
-                with answered([signal.SIGINT], signal.SIG_IGN), theirs:  # the parent heeds Ctrl-C
+                on_interrupt = signal.signal(signal.SIGINT, signal.SIG_IGN)  # for the child
+                with theirs:
                     child.start()
+                signal.signal(signal.SIGINT, on_interrupt)
                 running[ours] = job, child
             ready: list[Any] = wait(list(running))
             for line in ready:
@@ -160,10 +163,12 @@ def _train(job: Job, line: Connection) -> None:
     Messages are the progress, and a text that says why the training was refused.
     """
     try:
-        with ended_by_signals():
-            train(job, lambda *news: line.send(news))
+        heed_signals()
+        train(job, lambda *news: line.send(news))
     except BrokenPipeError:
         return
+    except KeyboardInterrupt as end:
+        sys.exit(128 + end.args[0])
     except (ValueError, OSError) as error:
         line.send(str(error))
 

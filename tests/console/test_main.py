@@ -1,6 +1,7 @@
 """Tests of the program mmwave-loc: its help, its messages about mistakes, and its output."""
 
 import importlib
+import json
 import os
 import pty
 import re
@@ -29,6 +30,9 @@ def test_the_program_lists_its_commands_and_shows_its_version():
     assert all(name in helped.stdout for name in COMMANDS) and helped.stdout == bare.stdout
     assert command("help").stdout == helped.stdout
     assert succeed("--version") == f"mmwave-loc {mmwave_env.__version__}\n"
+    versions = json.loads(succeed("--version", "--json"))
+    assert versions["mmwave-loc"] == mmwave_env.__version__
+    assert {"numba", "numpy", "gymnasium", "python"} < set(versions)
 
 
 @pytest.mark.parametrize("name", COMMANDS)
