@@ -41,7 +41,7 @@ GROUPS = {
         "tune": "tune the process noise of modes, or whole banks",
         "sweep": "run grids of comparisons and trainings, here or on a Ray cluster",
     },
-    "measure": {"speed": "measure steps per second, memory and latency"},
+    "measure": {"speed": "measure steps per second and latency"},
 }
 # line between the parts of tyro's messages, which have frames where the terminal shows UTF-8
 RULE = re.compile("^(?: +-+ *|│ ─+ │|[╭╰].*)$", re.MULTILINE)
