@@ -185,7 +185,7 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
     * `smoothed`: whether the last info contains `smoothed_ate_m`; False by default.
     * `episode_steps`, `dt`: epochs per episode and seconds per epoch.
     * `episodes`: recorded data instead of a simulation: a recording of the package, such as
-      "canyon28_vehicle" (`mmwave-loc list samples`), the folder of a DeepMIMO scenario or of a
+      "canyon28_vehicle" (docs/deepmimo.md), the folder of a DeepMIMO scenario or of a
       measurement log with its scene and truth, a `Recording`, a `MeasuredTrack` (docs/own-log.md),
       or any episode source; if a source has a `radio`, the default modes are those tuned for it.
     * `planar`: whether the terrain is flat, so that z and vz are known.

@@ -23,7 +23,6 @@ from experiments.console.signals import heed_signals
 GROUPS = {
     "begin": {
         "demo": "compare all policies on simulated and ray-traced streets",
-        "list": "show all names: policies, radios, streets, samples, ...",
     },
     "localize": {
         "localize": "compute the track of a measurement log, or find its errors",
@@ -52,7 +51,6 @@ COMMANDS = {name: about for group in GROUPS.values() for name, about in group.it
 RESULTS = {  # option -> ending of its file
     "json": ".json",
     "episodes-csv": ".csv",
-    "table": ".tex",
     "map-out": ".json",
     "write": ".json",
 }

@@ -1,6 +1,6 @@
 """Output of commands: printed lines, progress bars, and tables.
 
-Tables are Markdown, LaTeX or CSV. Bars, and tables with frames, are shown only on a terminal.
+Tables are Markdown or CSV. Bars, and tables with frames, are shown only on a terminal.
 """
 
 import csv
@@ -71,12 +71,6 @@ _READ = re.compile(
     r"[\\`*|$~]|<(?=[A-Za-z/!?])|&(?=[A-Za-z#])|\](?=[(\[:])"
     r"|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9])"
 )
-_LATEX = str.maketrans(
-    {char: rf"\{char}" for char in "&%$#_{}"}
-    | {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
-    | {"±": r"$\pm$"}
-)
-_MINUS = re.compile(r"(?<![\w-])-(?=\d)")
 _ESCAPED = re.compile(r"\\([\\`*|$~<&\]_])")
 
 
@@ -108,18 +102,6 @@ def csv_text(rows: Iterable[Iterable[object]]) -> str:
     text = StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue()
-
-
-def booktabs(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Return plain-text cells as a LaTeX ``tabular`` in the style of the package booktabs."""
-    lines = [rf"\begin{{tabular}}{{l{'r' * (len(header) - 1)}}}", r"\toprule", _latex_row(header)]
-    lines += [r"\midrule", *map(_latex_row, rows), r"\bottomrule", r"\end{tabular}"]
-    return "\n".join(lines) + "\n"
-
-
-def _latex_row(cells: Iterable[object]) -> str:
-    texts = (printable(str(cell)).translate(_LATEX) for cell in cells)
-    return " & ".join(_MINUS.sub("$-$", text) for text in texts) + r" \\"
 
 
 def show(text: str) -> None:

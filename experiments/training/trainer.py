@@ -275,9 +275,7 @@ def card_of(job: Job, trainer: Trainer, timesteps: int) -> Card:
 def as_csv(rows: list[dict[str, float]]) -> str:
     """Return the rows of a log as CSV; the cell of a missing value is empty."""
     names = list(dict.fromkeys(name for row in rows for name in row))
-    cells = [[row.get(name) for name in names] for row in rows]
-    texts = [[f"{v:.6g}" if isinstance(v, float) else v for v in row] for row in cells]
-    return csv_text([names, *texts])
+    return csv_text([names, *([row.get(name) for name in names] for row in rows)])
 
 
 def read_checkpoint(path: Path) -> tuple[list[dict[str, float]], Json | None, State]:

@@ -19,7 +19,7 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals"
 WRITING = """
 import sys, time
 from pathlib import Path
-import experiments.list
+import experiments.tables
 from experiments.console.main import run
 from mmwave_env.io.files import atomic_path
 
@@ -29,8 +29,8 @@ def writing(args):
         print("writing", flush=True)
         time.sleep(60)
 
-experiments.list.main = writing
-run("list", [])
+experiments.tables.main = writing
+run("tables", [])
 """
 
 
@@ -71,7 +71,7 @@ def test_a_signal_removes_half_written_files(writing, tmp_path, sent):
     out, err = command.communicate(timeout=30)
     assert command.returncode == 128 + sent and out == ""
     end = "interrupted" if sent == signal.SIGINT else f"ended by {sent.name}"
-    assert err == f"mmwave-loc list: {end}\n"
+    assert err == f"mmwave-loc tables: {end}\n"
     assert list(tmp_path.iterdir()) == []
 
 
