@@ -1,6 +1,6 @@
 """Sweeps: grids of evaluations or of training runs, computed on Ray.
 
-A sweep is a TOML or JSON file, whose keys are axes with one or more values. A cell is a combination
+A sweep is a TOML file, whose keys are axes with one or more values. A cell is a combination
 of values, one of each axis. Cells that have no row yet are computed, on this machine or on a
 cluster; the row of a cell is a Parquet file.
 """
@@ -13,7 +13,6 @@ import math
 import os
 import tempfile
 import tomllib
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, redirect_stdout
 from dataclasses import dataclass
@@ -32,7 +31,7 @@ from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.training.hyperparameters import read_hyperparameters, shipped_hyperparameters
 from experiments.training.training_task import hyperparameters, training_task
 from mmwave_env import __version__
-from mmwave_env.io.files import atomic_path, first_line, parse_json, read_text, write_bytes
+from mmwave_env.io.files import atomic_path, first_line, read_text, write_bytes
 from mmwave_env.io.lookup import choose, quoted, require_extra
 from mmwave_env.io.records import Bound, Record, counts, object_from, require
 from mmwave_env.metrics import HEADERS, METRICS
@@ -104,15 +103,15 @@ def read_spec(path: Path) -> Spec:
         ValueError: the file is not a sweep; the message names the file and the key.
         FileNotFoundError: there is no such file.
     """
-    text = read_text(path, "a sweep, TOML or JSON")
+    text = read_text(path, "a sweep, TOML")
     try:
-        return _spec(parse_json(text) if path.suffix == ".json" else tomllib.loads(text))
+        return _spec(tomllib.loads(text))
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{path}: not a sweep: {error} (docs/sweep.md)") from error
 
 
-def _spec(content: Any) -> Spec:
-    if not isinstance(content, dict) or len(content) != 1:
+def _spec(content: Mapping[str, Any]) -> Spec:
+    if len(content) != 1:
         raise ValueError(f"found {quoted(content)}, expected one table: {' or '.join(KINDS)}")
     ((kind, table),) = content.items()
     choose(KINDS, kind, "table")
@@ -222,13 +221,10 @@ def evaluated(values: Values) -> Row:
     """Evaluate a policy; return each metric's mean, 95 % interval and values per episode."""
     args = Evaluation(**values)
     seeds = seeds_from(args.episodes, args.seed)
-    with warnings.catch_warnings(record=True, action="always", category=UserWarning) as warned:
-        task = task_of(args)
-        contender = contender_of(args, args.policy)
-        (scores,) = score_contenders(
-            [contender], task.source, seeds, scoring=Scoring.of(task)
-        ).values()
-    row = {"warnings": "; ".join(sorted({str(warning.message) for warning in warned}))}
+    task = task_of(args)
+    contender = contender_of(args, args.policy)
+    (scores,) = score_contenders([contender], task.source, seeds, scoring=Scoring.of(task)).values()
+    row = Row()
     intervals = bootstrap([*scores.values()])
     for (metric, each), interval in zip(scores.items(), intervals, strict=True):
         row |= {f"{metric}_{part}": number for part, number in interval._asdict().items()}
