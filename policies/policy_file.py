@@ -25,6 +25,7 @@ import json
 from collections import Counter
 from dataclasses import asdict, dataclass, field
 from hashlib import sha256
+from importlib.metadata import version
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -33,6 +34,7 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from mmwave_env import __version__
 from mmwave_env.filters.bank import Bank, as_written, bank_as_written
 from mmwave_env.filters.modes import Mode
 from mmwave_env.interface.observation import BELIEFS, OBSERVATIONS, Column, action_names
@@ -131,6 +133,11 @@ def _column(row: Any) -> Column:
     if types == [str, str, float, float] and np.isfinite(row[2]) and 0.0 < row[3] < np.inf:
         return Column(*row)
     raise ValueError(f"features: found {quoted(row)}, expected [name, unit, mean, deviation]")
+
+
+def versions_of(*packages: str) -> dict[str, str]:
+    """Return the versions of mmwave-loc and of the named packages, to store in a policy file."""
+    return {"mmwave-loc": __version__} | {name: version(name) for name in packages}
 
 
 def to_bytes(tensors: Tensors, card: Card) -> bytes:

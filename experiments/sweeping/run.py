@@ -16,9 +16,8 @@ import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, redirect_stdout
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -66,31 +65,12 @@ class Training(TaskArgs, Record):
 KINDS: Mapping[str, Any] = {"evaluate": Evaluation, "train": Training}
 
 
-@dataclass(frozen=True)
-class Spec:
-    """A sweep: the axes of a grid."""
+class Spec(NamedTuple):
+    """A sweep: the axes of a grid, and its cells."""
 
     kind: str  # name of the table in the file
     axes: Mapping[str, Sequence[Any]]  # values of each key
-
-    def __len__(self) -> int:
-        return math.prod(map(len, self.axes.values()))
-
-    @cached_property
-    def cells(self) -> dict[str, Values]:
-        """Return all combinations of values, by name, in the order of the file.
-
-        A name is a hash of our version, the values, and the contents of files that values name.
-        """
-        cells: dict[str, Values] = {}
-        for combination in itertools.product(*self.axes.values()):
-            values = dict(zip(self.axes, combination, strict=True))
-            words = itertools.chain(*(v if isinstance(v, tuple) else (v,) for v in combination))
-            paths = (Path(word) for word in words if isinstance(word, str) and os.path.isfile(word))
-            files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]
-            work = json.dumps([__version__, self.kind, sorted(values.items()), files], default=repr)
-            cells[hashlib.sha256(work.encode()).hexdigest()[:16]] = values
-        return cells
+    cells: dict[str, Values]  # all combinations of values, by name, in the order of the file
 
 
 def read_spec(path: Path) -> Spec:
@@ -125,10 +105,21 @@ def _spec(content: Mapping[str, Any]) -> Spec:
         shipped = read_hyperparameters(shipped_hyperparameters(algo, beliefs), algo)
         changed = _axes(type(shipped), tried, vars(shipped), "train.hyperparameters.")
         axes |= {HYPERPARAMETER + name: values for name, values in changed.items()}
-    spec = Spec(kind, axes)
-    if len(spec) > MOST_CELLS:
-        raise ValueError(f"{kind}: found {len(spec)} cells, expected at most {MOST_CELLS}")
-    return spec
+    count = math.prod(map(len, axes.values()))
+    if count > MOST_CELLS:
+        raise ValueError(f"{kind}: found {count} cells, expected at most {MOST_CELLS}")
+    combinations = itertools.product(*axes.values())
+    cells = [dict(zip(axes, values, strict=True)) for values in combinations]
+    return Spec(kind, axes, {_name(kind, cell): cell for cell in cells})
+
+
+def _name(kind: str, cell: Values) -> str:
+    """Return a hash of our version, a cell's values, and the contents of files that they name."""
+    words = itertools.chain(*(v if isinstance(v, tuple) else (v,) for v in cell.values()))
+    paths = (Path(word) for word in words if isinstance(word, str) and os.path.isfile(word))
+    files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]
+    work = json.dumps([__version__, kind, sorted(cell.items()), files], default=repr)
+    return hashlib.sha256(work.encode()).hexdigest()[:16]
 
 
 def _axes(kind: type[Any], table: Values, others: Values, where: str) -> dict[str, Sequence[Any]]:
@@ -322,7 +313,7 @@ def sweep(file: Path, folder: Path, address: str | None, workers: int | None) ->
     if spec.kind == "train":
         require_extra("stable_baselines3", "train", f"training policies, as in {file},")
     done = kept(folder, spec)
-    note(f"{len(spec)} cells, {len(done)} of them already in {folder}")
+    note(f"{len(spec.cells)} cells, {len(done)} of them already in {folder}")
     todo = {name: values for name, values in spec.cells.items() if name not in done}
     compute = evaluated if spec.kind == "evaluate" else trained
     failed = 0
@@ -348,4 +339,4 @@ def sweep(file: Path, folder: Path, address: str | None, workers: int | None) ->
             best = max(rows, key=lambda name: rows[name]["reward_mean"])
             say(f"The best of the trainings is {folder / best}.safetensors")
     if failed:
-        raise ValueError(f"{failed} of {len(spec)} cells failed, the others are in {folder}")
+        raise ValueError(f"{failed} of {len(spec.cells)} cells failed, the others are in {folder}")

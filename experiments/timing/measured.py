@@ -86,9 +86,9 @@ class Measured:
         for _ in tracked(range(repeats), "rounds"):
             for name, laps in running.items():
                 rounds["steps_per_s"][name].append(rate(laps, seconds))
-            for name, interface in LATENCIES:
-                for percentile, value in zip(PERCENTILES, latency_us(name, interface), strict=True):
-                    rounds["latency_us"][f"{name} {interface}, p{percentile:g}"].append(value)
+            for name in LATENCIES:
+                for percentile, value in zip(PERCENTILES, latency_us(name), strict=True):
+                    rounds["latency_us"][f"{name}, p{percentile:g}"].append(value)
             for name, operations in self.operations.items():
                 rounds["limit_s"][name].append(limit_s(operations) / WIDTH)
 
@@ -191,7 +191,7 @@ def tables_of(measured: Measured) -> dict[str, str]:
             ["one epoch", *(f"p{p:g}, microseconds" for p in PERCENTILES)],
             [
                 [name, *(spread(rounds["latency_us"][f"{name}, p{p:g}"]) for p in PERCENTILES)]
-                for name in map(" ".join, LATENCIES)
+                for name in LATENCIES
             ],
         ),
     }

@@ -9,10 +9,6 @@ an episode.
 The latency of a live track is the time to compute the user's position from the rows of an epoch.
 """
 
-import json
-import os
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -149,21 +145,12 @@ SCENE = "street"
 EPOCHS = 4000
 WARM_UP = 1000
 PERCENTILES = (50.0, 99.0, 99.9)
-# localize --live, or calls of Tracker.update
-PIPE = "through a pipe"
-PYTHON = "in Python"
-# name -> options of `mmwave-loc localize`
-CONTENDERS = {
-    "EKF": ("--speed", "1"),
-    "imm-best": ("--imm", "imm-best"),
-    "guided": ("--policy", "guided"),
-    "corrector": ("--policy", "corrector"),
-}
-LATENCIES = [(name, interface) for name in CONTENDERS for interface in (PYTHON, PIPE)]
+EKF = "EKF"
+LATENCIES = (EKF, "imm-best", "guided", "corrector")  # one mode, and contenders
 
 
-def latency_us(name: str, interface: str) -> list[float]:
-    """Return percentiles of a contender's latency (microseconds); interface: PYTHON or PIPE."""
+def latency_us(name: str) -> list[float]:
+    """Return percentiles of the latency of ``Tracker.update`` (microseconds)."""
     source = task_from(scene=SCENE, radio=RADIO, episode_steps=EPOCHS).source
     columns = log_columns(source.sample(np.random.default_rng(0)))
     cells = np.stack(list(columns.values()), axis=1).reshape(EPOCHS, -1, len(columns)).tolist()
@@ -171,32 +158,10 @@ def latency_us(name: str, interface: str) -> list[float]:
         [{n: v for n, v in zip(columns, row, strict=True) if not isnan(v)} for row in rows]
         for rows in cells
     ]
-    if interface == PIPE:
-        words = [sys.executable, "-m", "experiments.console", "localize", "-", "--live"]
-        words += ["--scene", SCENE, "--radio", RADIO, *CONTENDERS[name]]
-        options: dict[str, Any] = dict.fromkeys(("stdin", "stdout"), subprocess.PIPE)
-        # the process must find the same packages as this one
-        options["env"] = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-        with subprocess.Popen(words, stderr=subprocess.DEVNULL, **options) as child:
-
-            def ask(line: bytes) -> None:
-                child.stdin.write(line)
-                child.stdin.flush()
-                child.stdout.readline()
-
-            lines = [json.dumps({"rows": rows}).encode() + b"\n" for rows in epochs]
-            times = _timed(ask, lines)
-    else:
-        ekf = Switching((named_modes(RADIO)["ekf"],))
-        switching = ekf if name == "EKF" else contender_from(name, RADIO)
-        times = _timed(Tracker(SCENE, switching, RADIO).update, epochs)
-    return np.percentile(1e6 * times[WARM_UP:], PERCENTILES).tolist()  # type: ignore[no-any-return]
-
-
-def _timed(call: Callable[[Any], object], arguments: list[Any]) -> Any:
-    """Return the seconds (n,) that a call takes with each of n arguments."""
-    times = [time.perf_counter()]
-    for argument in arguments:
-        call(argument)
-        times.append(time.perf_counter())
-    return np.diff(times)
+    ekf = Switching((named_modes(RADIO)["ekf"],))
+    tracker = Tracker(SCENE, ekf if name == EKF else contender_from(name, RADIO), RADIO)
+    times_s = [time.perf_counter()]
+    for rows in epochs:
+        tracker.update(rows)
+        times_s.append(time.perf_counter())
+    return np.percentile(1e6 * np.diff(times_s)[WARM_UP:], PERCENTILES).tolist()  # type: ignore[no-any-return]
