@@ -25,13 +25,18 @@ class Args(EpisodeArgs):
     """
 
     policies: Annotated[tuple[str, ...], arg(aliases=("--policy",))] = ()
-    """names that `mmwave-loc list policies` shows; policy
-    files (.safetensors); folders of runs from `mmwave-loc
-    train`; and module:function, a function without
-    arguments that returns an agent. By default, all listed
-    policies run, except `clairvoyant`, which knows the
-    truth. If `speed-rule` (score 0) and `clairvoyant`
-    (score 100) both run, all policies get a score"""
+    """fixed-NAME (a mode in every epoch: fixed-ekf, fixed-ukf
+    or fixed-ckf); speed-rule (the paper's rule: EKF up to
+    2 m/s, UKF above); likelihood-rule (the mode that
+    explains the coming measurement best); imm (interacting
+    multiple models: mixes all modes) and imm-best (of five
+    tuned modes); the learned ppo, guided, guided-ppo and
+    corrector; policy files (.safetensors); folders of runs
+    from `mmwave-loc train`; and module:function, a function
+    without arguments that returns an agent. By default, all
+    of these names run, but not clairvoyant, which knows the
+    truth. If speed-rule (score 0) and clairvoyant (score
+    100) both run, all policies get a score"""
     errors: Path | None = None
     """draw the distribution (CDF) of horizontal and of
     vertical errors to this .png, .svg or .pdf file"""
@@ -39,13 +44,11 @@ class Args(EpisodeArgs):
     """draw NEES over time, with its chi-square bounds, to this file"""
     width_mm: float | None = None
     """width of the pictures, mm, such as the width of a journal's column"""
-    table: Path | None = None
-    """write the table of means to this .tex file: LaTeX, for the package booktabs"""
 
 
 def main(args: Args) -> None:
     """Run the command."""
-    from experiments.console.output import booktabs, show
+    from experiments.console.output import show
     from experiments.console.provenance import provenance
     from experiments.evaluation.contenders import all_contenders
     from experiments.reporting.comparison_results import results
@@ -54,7 +57,7 @@ def main(args: Args) -> None:
         draw_error_cdf,
         require_picture,
     )
-    from mmwave_env.io.files import write_json, write_text
+    from mmwave_env.io.files import write_json
 
     pictures = {"errors": args.errors, "consistency": args.consistency}
     if args.width_mm is not None and not WIDTH_MM[0] <= args.width_mm <= WIDTH_MM[1]:
@@ -68,8 +71,6 @@ def main(args: Args) -> None:
         raise ValueError(f"consistency: found {args.consistency}, expected {expected}")
     names = args.policies or all_contenders(args)
     made = results(args, names, with_epochs=any(pictures.values()))
-    if args.table:
-        write_text(args.table, booktabs(*made.comparison.table()))
     if args.json:  # before show(), which fails if the program that reads its output stops
         write_json(args.json, provenance("compare", args) | made.json)
     epochs = made.epochs

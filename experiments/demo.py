@@ -59,5 +59,5 @@ def main(args: Args) -> None:
         f"{', '.join(map(str, files))}.",
         f"{report.out} is a web page of the results, with episodes to play: open it in a browser.",
         "README.md and docs/results.md say what the columns mean.",
-        "next: mmwave-loc list policies, or mmwave-loc compare --policies ppo imm --radio standard",
+        "next: mmwave-loc compare --policies ppo imm --radio standard",
     )

@@ -97,7 +97,7 @@ def verify_entries(files: tuple[Path, ...]) -> None:
         ValueError: an entry was changed, or its policy does not reach its figures.
     """
     from experiments.console.output import say
-    from experiments.evaluation.verification import verify
+    from experiments.evaluation.protocol import verify
     from mmwave_env.io.files import UNEXPECTED, first_line
 
     refused = []

@@ -2,8 +2,8 @@
 
 A run of this command does the same work with a loop over filterpy's filters, a single environment,
 Gymnasium's synchronous vector environment and our vector environment. It also measures the filters
-alone, the least time that a core needs for their arithmetic, peak memory and the time to the first
-step. Ratios are shown first, since absolute figures depend much more on the machine.
+alone, the least time that a core needs for their arithmetic, and the latency of live tracks. Ratios
+are shown first, since absolute figures depend much more on the machine.
 """
 
 import os

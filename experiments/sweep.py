@@ -21,9 +21,8 @@ class Args:
     """
 
     spec: Positional[Path]
-    """TOML or JSON file with one table, [evaluate] or
-    [train]; every combination of the values in its lists
-    runs"""
+    """TOML file with one table, [evaluate] or [train]; every
+    combination of the values in its lists runs"""
     out: Path | None = None
     """folder of the results, one Parquet file per cell (None: runs/sweep-NAME)"""
     address: str | None = None

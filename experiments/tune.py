@@ -11,7 +11,7 @@ OF_MODES = ("modes", "scenarios", "free", "diagonal")  # options that tune singl
 def main(args: Args) -> None:
     """Run the command."""
     from experiments.console.provenance import provenance
-    from mmwave_env.io.files import Json, require_writable, write_bytes, write_json
+    from mmwave_env.io.files import require_writable, write_bytes, write_json
 
     if args.seed < TUNING_SEED:
         raise ValueError(f"seed: found {args.seed}, expected a tuning seed >= {TUNING_SEED}")
@@ -20,23 +20,17 @@ def main(args: Args) -> None:
         if args.out.resolve() == Path(args.radio).resolve():
             raise ValueError(f"out: found {args.out}, which is the radio; expected another file")
     require_alone(args, "bank", *OF_MODES)
-    require_alone(args, "levels", "bank", "radio", "episodes", "evaluations", "json", *OF_MODES)
-    made = provenance("tune", args)
-    figures: Json = {}
+    require_alone(args, "levels", "bank", "radio", "episodes", "evaluations", *OF_MODES)
+    command = provenance("tune", args)["command"]
     if args.levels:
         from experiments.training.levels import trained_levels
 
         if args.out is None or args.out.suffix != ".safetensors":
             raise ValueError(f"out: found {args.out}, expected a name that ends with .safetensors")
-        write_bytes(args.out, trained_levels(args.seed).to_bytes(made["command"]))
+        write_bytes(args.out, trained_levels(args.seed).to_bytes(command))
         return
     from experiments.training.tuning import tuned_bank, tuned_modes
 
-    if args.bank:
-        content = tuned_bank(args)
-    else:
-        content, figures = tuned_modes(args)
-    if args.json:
-        write_json(args.json, made | content | figures)
+    content = tuned_bank(args) if args.bank else tuned_modes(args)
     if args.out:
-        write_json(args.out, {"command": made["command"]} | content)
+        write_json(args.out, {"command": command} | content)

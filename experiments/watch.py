@@ -14,9 +14,9 @@ class Args(ModeArgs):
     """
 
     policies: tuple[str, ...] = ("speed-rule", "ppo")
-    """up to three policies: names from mmwave-loc list
-    policies, policy files (.safetensors), folders of runs,
-    and module:function"""
+    """up to three policies, as for compare: names, policy
+    files (.safetensors), folders of runs, and
+    module:function"""
     out: Path | None = None
     """write a video to this .gif or .mp4 file instead of opening a window"""
     fps: int = 10

@@ -174,7 +174,7 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
     * `observation`: "full", "prior" or "signed", which adds residuals of the last epoch to "full".
     * `episode_steps`, `dt`: epochs per episode and seconds per epoch.
     * `episodes`: recorded data instead of a simulation: a recording of the package, such as
-      "canyon28_vehicle" (`mmwave-loc list samples`), the folder of a DeepMIMO scenario or of a
+      "canyon28_vehicle" (docs/deepmimo.md), the folder of a DeepMIMO scenario or of a
       measurement log with its scene and truth, a `Recording`, a `MeasuredTrack` (docs/own-log.md),
       or any episode source; if a source has a `radio`, the default modes are those tuned for it.
     * `planar`: whether the terrain is flat, so that z and vz are known.

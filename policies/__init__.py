@@ -1,7 +1,7 @@
 """Policies, which choose a mode (a filter) in every epoch: simple rules and learned policies."""
 
 from mmwave_env.interface.policy import Correction, FixedMode, Policy
-from policies.corrector import Corrector, learned_policy, load
+from policies.corrector import Corrector, load
 from policies.learned import LearnedSwitch, shipped_policies
 from policies.rules import LikelihoodRule, SpeedRule
 from policies.sb3 import save_sb3
@@ -14,7 +14,6 @@ __all__ = [
     "LikelihoodRule",
     "Policy",
     "SpeedRule",
-    "learned_policy",
     "load",
     "save_sb3",
     "shipped_policies",

@@ -158,12 +158,6 @@ class TwoWayCorrector(LearnedPolicy):
         return Correction(answers[..., :3], answers[..., 3:], trusted)
 
 
-def learned_policy(path: AnyPath | PolicyFile) -> LearnedSwitch | Corrector:
-    """Return the switcher or the corrector in a policy file, given by its path or shipped name."""
-    file = policy_file(path)
-    return Corrector(file) if file.card.base else LearnedSwitch(file)
-
-
 def load(path: AnyPath | PolicyFile, radio: str = "handset") -> Switching:
     """Return the policy in a file, or a shipped policy, with its modes for a radio profile.
 
@@ -173,6 +167,7 @@ def load(path: AnyPath | PolicyFile, radio: str = "handset") -> Switching:
     ```
     """
     file = policy_file(path)
-    policy = learned_policy(file)
+    kind = Corrector if file.card.base else LearnedSwitch
+    policy = kind(file)
     filters = policy.bank(radio) if policy.beliefs == "per-mode" else policy.modes
-    return Switching(filters, None, partial(type(policy), file), file.card.observation)
+    return Switching(filters, None, partial(kind, file), file.card.observation)

@@ -25,6 +25,7 @@ import json
 from collections import Counter
 from dataclasses import asdict, dataclass, field
 from hashlib import sha256
+from importlib.metadata import version
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -33,6 +34,7 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from mmwave_env import __version__
 from mmwave_env.filters.bank import Bank, as_written, bank_as_written
 from mmwave_env.filters.modes import Mode
 from mmwave_env.interface.observation import BELIEFS, OBSERVATIONS, Column, action_names
@@ -96,11 +98,6 @@ class Card(Record):
                 f"{'at least one' if per_mode else 'none'}"
             )
 
-    @property
-    def actions(self) -> list[str]:
-        """Return the names of the actions."""
-        return action_names(self.modes, self.beliefs)
-
     def as_json(self) -> Json:
         """Return the card as the JSON of a policy file.
 
@@ -136,6 +133,11 @@ def _column(row: Any) -> Column:
     if types == [str, str, float, float] and np.isfinite(row[2]) and 0.0 < row[3] < np.inf:
         return Column(*row)
     raise ValueError(f"features: found {quoted(row)}, expected [name, unit, mean, deviation]")
+
+
+def versions_of(*packages: str) -> dict[str, str]:
+    """Return the versions of mmwave-loc and of the named packages, to store in a policy file."""
+    return {"mmwave-loc": __version__} | {name: version(name) for name in packages}
 
 
 def to_bytes(tensors: Tensors, card: Card) -> bytes:
@@ -182,12 +184,8 @@ def read_policy(path: AnyPath) -> PolicyFile:
 
 def _require_network(tensors: Tensors, card: Card) -> None:
     """Refuse tensors that do not form the network that the card describes."""
-    size = Counter({name: tensor.size for name, tensor in tensors.items()})
     features = len(card.features)
-    shapes: Shapes = {"low": (features,), "high": (features,)}
-    layers = _corrector_layers(size, features) if card.base else _actor_layers(size, card)
-    for name, ends in layers.items():  # {} stands for the two tensors of a layer
-        shapes |= {name.format("weight"): ends, name.format("bias"): ends[:1]}
+    shapes = _shapes(Counter({name: tensor.size for name, tensor in tensors.items()}), card)
     if tensors.keys() != shapes.keys():
         raise ValueError(f"tensors: found {sorted(tensors)}, expected {sorted(shapes)}")
     for name, shape in shapes.items():
@@ -203,29 +201,30 @@ def _require_network(tensors: Tensors, card: Card) -> None:
         raise ValueError("tensor 'low': found numbers above tensor 'high', expected none")
 
 
-def _actor_layers(size: Counter[str], card: Card) -> Shapes:
-    """Return outputs and inputs of a switcher's layers, given the sizes of all its tensors."""
-    hidden = max(sum(name.endswith(".weight") for name in size), 1) - 1
-    widths = [len(card.features), *(size[f"layer.{i}.bias"] for i in range(hidden))]
-    ends = enumerate(pairwise([*widths, len(card.actions)]))
-    return {f"layer.{i}.{{}}": (out, width) for i, (width, out) in ends}
-
-
-def _corrector_layers(size: Counter[str], features: int) -> Shapes:
-    """Return outputs and inputs of a corrector's layers, given the sizes of all its tensors."""
-    front = size["front.bias"]
-    head = size["head.bias"]
-    units = size["gru.bias_ih"] // 3
-    out = size["out.bias"] // CORRECTIONS * CORRECTIONS
-    recurrent = ("gru", "back") if size["back.bias_ih"] else ("gru",)
-    layers: Shapes = {
-        "front.{}": (front, features),
-        "head.{}": (head, front + len(recurrent) * units),
-        "out.{}": (out, head),
-    }
-    for unit in recurrent:
-        layers |= {f"{unit}.{{}}_ih": (3 * units, front), f"{unit}.{{}}_hh": (3 * units, units)}
-    return layers
+def _shapes(size: Counter[str], card: Card) -> Shapes:
+    """Return the shapes of a network's tensors, given the sizes of all its tensors."""
+    features = len(card.features)
+    layers: Shapes = {}  # outputs and inputs; {} stands for the two tensors of a layer
+    if card.base:
+        front = size["front.bias"]
+        head = size["head.bias"]
+        units = size["gru.bias_ih"] // 3
+        out = size["out.bias"] // CORRECTIONS * CORRECTIONS
+        recurrent = ("gru", "back") if size["back.bias_ih"] else ("gru",)
+        for unit in recurrent:
+            layers |= {f"{unit}.{{}}_ih": (3 * units, front), f"{unit}.{{}}_hh": (3 * units, units)}
+        layers["front.{}"] = (front, features)
+        layers["head.{}"] = (head, front + len(recurrent) * units)
+        layers["out.{}"] = (out, head)
+    else:
+        hidden = max(sum(name.endswith(".weight") for name in size), 1) - 1
+        actions = len(action_names(card.modes, card.beliefs))
+        widths = [features, *(size[f"layer.{i}.bias"] for i in range(hidden)), actions]
+        layers |= {f"layer.{i}.{{}}": (out, w) for i, (w, out) in enumerate(pairwise(widths))}
+    shapes: Shapes = {"low": (features,), "high": (features,)}
+    for name, ends in layers.items():
+        shapes |= {name.format("weight"): ends, name.format("bias"): ends[:1]}
+    return shapes
 
 
 def _checksum(tensors: Tensors, card: Json) -> str:

@@ -1,18 +1,16 @@
 """Policy files of models that were trained with Stable-Baselines3."""
 
 from collections.abc import Iterable
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env import __version__
 from mmwave_env.io.files import AnyPath, atomic_path
 from mmwave_env.numerics.numbers import Array, Array32
 from policies.learned import LearnedSwitch
-from policies.policy_file import Card, Tensors, to_bytes
+from policies.policy_file import Card, Tensors, to_bytes, versions_of
 
 DECISIONS = 1000  # number of random observations for which the model and the file are compared
 TIES = 0.001  # maximum fraction of observations on which rounding may change the action
@@ -140,7 +138,6 @@ def _card(model: Any) -> Card:
     table = _attribute(model, "observation")
     radio = _attribute(model, "radio")
     bank = _attribute(model, "bank")
-    packages = ("gymnasium", "numpy", "torch", "stable-baselines3")
     return Card(
         modes=table.modes,
         observation=table.kind,
@@ -152,7 +149,7 @@ def _card(model: Any) -> Card:
         timesteps=model.num_timesteps,
         command="policies.save_sb3",
         evaluation={},
-        versions={"mmwave-loc": __version__} | {name: version(name) for name in packages},
+        versions=versions_of("gymnasium", "numpy", "torch", "stable-baselines3"),
         beliefs=table.beliefs,
         banks={radio.name: bank} if bank else {},
     )

@@ -8,6 +8,7 @@ import importlib
 import inspect
 import os
 import re
+import signal
 import sys
 import textwrap
 import traceback
@@ -17,12 +18,11 @@ from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppres
 from io import StringIO, TextIOWrapper
 from typing import Any, NoReturn
 
-from experiments.console.signals import Ended, ended_by_signals, ignore_signals
+from experiments.console.signals import heed_signals
 
 GROUPS = {
     "begin": {
         "demo": "compare all policies on simulated and ray-traced streets",
-        "list": "show all names: policies, radios, streets, samples, ...",
     },
     "localize": {
         "localize": "compute the track of a measurement log, or find its errors",
@@ -40,7 +40,7 @@ GROUPS = {
         "tune": "tune the process noise of modes, or whole banks",
         "sweep": "run grids of comparisons and trainings, here or on a Ray cluster",
     },
-    "measure": {"speed": "measure steps per second, memory and latency"},
+    "measure": {"speed": "measure steps per second and latency"},
 }
 # line between the parts of tyro's messages, which have frames where the terminal shows UTF-8
 RULE = re.compile("^(?: +-+ *|│ ─+ │|[╭╰].*)$", re.MULTILINE)
@@ -51,7 +51,6 @@ COMMANDS = {name: about for group in GROUPS.values() for name, about in group.it
 RESULTS = {  # option -> ending of its file
     "json": ".json",
     "episodes-csv": ".csv",
-    "table": ".tex",
     "map-out": ".json",
     "write": ".json",
 }
@@ -135,22 +134,20 @@ def _errors_in_one_line(program: str, debug: bool = False) -> Iterator[None]:
     After a signal, exit with 128 plus its number.
     """
     try:
-        with ended_by_signals():
-            yield
-            print(end="", flush=True)
+        heed_signals()
+        yield
+        print(end="", flush=True)
     except BrokenPipeError:  # the reader closed the pipe
         _leave(141)  # the code that shells give to a program ended by SIGPIPE
     except Exception as error:
         _complain(program, error, debug)
         _leave(2 if isinstance(error, (ValueError, OSError)) else 1)
-    except KeyboardInterrupt:
-        print(f"{program}: interrupted", file=sys.stderr)
-        sys.exit(130)
-    except Ended as end:
-        ignore_signals()
+    except KeyboardInterrupt as end:  # after Ctrl-C, it has no argument
+        number = signal.Signals(*(end.args or [signal.SIGINT]))
+        message = f"ended by {number.name}" if end.args else "interrupted"
         with suppress(OSError):  # the terminal may be gone
-            print(f"{program}: {end.message}", file=sys.stderr)
-        _leave(int(str(end.code)))
+            print(f"{program}: {message}", file=sys.stderr)
+        _leave(128 + number)
 
 
 def run(name: str, words: Sequence[str]) -> None:
@@ -186,7 +183,7 @@ def _help() -> str:
     """Return the list of commands in groups."""
     lines = [
         "usage: mmwave-loc COMMAND [OPTIONS]; --help after a command lists its options",
-        "       mmwave-loc --version; --json after it also tests the compiled kernels",
+        "       mmwave-loc --version; --json after it adds the versions of other packages",
     ]
     for group, commands in (GROUPS | {"options of every command": EVERYWHERE}).items():
         lines += ["", f"{group}:"]
@@ -226,8 +223,6 @@ def main() -> None:
             return
         import json
 
-        from experiments.console.version import about
+        from experiments.console.provenance import versions
 
-        report = about()
-        print(json.dumps(report, indent=2))
-        sys.exit(0 if all(test["passed"] for test in report["self_test"]) else 1)
+        print(json.dumps(versions(), indent=2))

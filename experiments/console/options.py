@@ -54,21 +54,27 @@ class WorldArgs:
     """Options for streets, users and radio, as in the environment."""
 
     scenario: str | None = None
-    """kind of user: a name (see mmwave-loc list scenarios;
-    None: mixed) or a JSON file; or trajectories of your
-    own: a CSV file with columns t, x, y, z, and id if
-    there are several users"""
+    """kind of user: pedestrian, vehicle, walk-ride (walks,
+    rides a car, walks again), jam (stop-and-go traffic),
+    cyclist, mixed (all of them in equal shares, also for
+    None) or a JSON file; or trajectories of your own: a
+    CSV file with columns t, x, y, z, and id if there are
+    several users"""
     radio: str = "handset"
-    """radio profile: handset, standard, high or a JSON file"""
+    """radio profile: handset (4 x 4 antennas at the base
+    station, 2 x 2 at the user), standard (8 x 8, 4 x 4),
+    high (16 x 16, 8 x 8) or a JSON file"""
     scene: str | None = None
     """street (default), o1, dynamic-doppler, random (a new
     scene in each episode) or a JSON file"""
     data: str | None = None
-    """recorded data instead of a simulation: a sample (see
-    mmwave-loc list samples), the folder of a DeepMIMO
-    scenario (each seed draws new receiver noise and a new
-    prior), or a folder with a measurement log, scene.json
-    and truth.tum (each seed draws a new prior)"""
+    """recorded data instead of a simulation: a ray-traced
+    sample (canyon28_pedestrian, canyon28_stop_and_go,
+    canyon28_vehicle or canyon28_walk_ride_walk), the folder
+    of a DeepMIMO scenario (each seed draws new receiver
+    noise and a new prior), or a folder with a measurement
+    log, scene.json and truth.tum (each seed draws a new
+    prior)"""
     dt: float | None = None
     """seconds between epochs (None: 1)"""
     episode_steps: int | None = None
@@ -147,9 +153,9 @@ class TaskArgs:
     """Options for the task to learn."""
 
     scenario: str = "mixed"
-    """kind of user: a name (see mmwave-loc list scenarios) or
-    a JSON file; or a trajectory of your own: a CSV file
-    with columns t, x, y, z"""
+    """kind of user, as for compare: a name or a JSON file; or
+    a trajectory of your own: a CSV file with columns t, x,
+    y, z"""
     beliefs: Literal["shared", "per-mode"] = "shared"
     """shared: all modes work on one belief (estimate);
     per-mode: every mode keeps its own belief, and an
@@ -228,12 +234,10 @@ class TrainArgs(TaskArgs):
     resume: bool = False
     """continue the training in the folder --out; the options
     must be the same as at its start"""
-    overwrite: bool = False
-    """replace the training in the folder --out"""
 
 
 @dataclass(kw_only=True)
-class TuneArgs(JsonArgs):
+class TuneArgs:
     """Tune the process noise of modes by the likelihood of measurements.
 
     With --bank, tune a bank: the five modes of imm-best and the probabilities of

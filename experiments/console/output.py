@@ -1,10 +1,11 @@
 """Output of commands: printed lines, progress bars, and tables.
 
-Tables are Markdown, LaTeX or CSV. Bars, and tables with frames, are shown only on a terminal.
+Tables are Markdown or CSV. Bars, and tables with frames, are shown only on a terminal.
 """
 
 import csv
 import re
+import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -12,7 +13,6 @@ from io import StringIO
 from typing import TypeVar
 
 from rich import box
-from rich.cells import cell_len
 from rich.console import Console
 from rich.markdown import Markdown
 from rich.progress import Progress, ProgressColumn, TextColumn
@@ -65,18 +65,11 @@ def tracked(values: Iterable[T], label: str, total: int | None = None) -> Iterat
 
 TABLE = re.compile(r"((?:^\|.*\n?)+)", re.MULTILINE)
 CELL = re.compile(r"((?:\\.|[^|\\])*)\|")  # a cell, with the | that ends it
-GAP = 2  # spaces between columns
 # Characters that are markup in Markdown or HTML. An underscore is markup only at a word's edge.
 _READ = re.compile(
     r"[\\`*|$~]|<(?=[A-Za-z/!?])|&(?=[A-Za-z#])|\](?=[(\[:])"
     r"|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9])"
 )
-_LATEX = str.maketrans(
-    {char: rf"\{char}" for char in "&%$#_{}"}
-    | {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
-    | {"±": r"$\pm$"}
-)
-_MINUS = re.compile(r"(?<![\w-])-(?=\d)")
 _ESCAPED = re.compile(r"\\([\\`*|$~<&\]_])")
 
 
@@ -110,18 +103,6 @@ def csv_text(rows: Iterable[Iterable[object]]) -> str:
     return text.getvalue()
 
 
-def booktabs(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Return plain-text cells as a LaTeX ``tabular`` in the style of the package booktabs."""
-    lines = [rf"\begin{{tabular}}{{l{'r' * (len(header) - 1)}}}", r"\toprule", _latex_row(header)]
-    lines += [r"\midrule", *map(_latex_row, rows), r"\bottomrule", r"\end{tabular}"]
-    return "\n".join(lines) + "\n"
-
-
-def _latex_row(cells: Iterable[object]) -> str:
-    texts = (printable(str(cell)).translate(_LATEX) for cell in cells)
-    return " & ".join(_MINUS.sub("$-$", text) for text in texts) + r" \\"
-
-
 def show(text: str) -> None:
     """Print Markdown; on a terminal, split tables that are too wide.
 
@@ -134,22 +115,23 @@ def show(text: str) -> None:
         return
     for part in TABLE.split(text):
         if part.startswith("|"):
-            for table in _tables(part, console.width):
+            for table in _tables(part, console):
+                table.width = _width(table, console)
                 console.print("", table, "", crop=False)
         else:
             console.print(Markdown(part))
 
 
-def _tables(text: str, width: int) -> Iterator[Table]:
-    """Split a Markdown table into tables that fit a width, each with the first column.
+def _tables(text: str, console: Console) -> Iterator[Table]:
+    """Split a Markdown table into tables that fit the console, each with the first column.
 
-    Headers are wrapped at spaces; cells are never wrapped.
+    Neither cells nor headers are wrapped.
     """
     header, _, *rows = cells_of(text)
     first, *others = zip(header, *rows, strict=True)
     group = [first]
     for column in others:
-        if len(group) > 1 and _width([*group, column]) > width:
+        if len(group) > 1 and _width(_table([*group, column]), console) > console.width:
             yield _table(group)
             group = [first]
         group.append(column)
@@ -158,24 +140,15 @@ def _tables(text: str, width: int) -> Iterator[Table]:
 
 def _table(columns: Sequence[Sequence[str]]) -> Table:
     """Return a table of columns; the first text of each column is its header."""
-    table = Table(
-        width=_width(columns),
-        box=box.SIMPLE_HEAD,
-        show_edge=False,
-        pad_edge=False,
-        padding=(0, 1, 0, 0),
-    )
-    for column in columns:
-        table.add_column(Text(column[0]), width=_least_width(column))
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
+    for header, *_ in columns:
+        table.add_column(Text(header), no_wrap=True)
     for cells in zip(*(column[1:] for column in columns), strict=True):
         table.add_row(*map(Text, cells))
     return table
 
 
-def _width(columns: Sequence[Sequence[str]]) -> int:
-    return sum(map(_least_width, columns)) + GAP * (len(columns) - 1)
-
-
-def _least_width(column: Sequence[str]) -> int:
-    """Return the width of a column in which no cell and no word of the header is broken."""
-    return max(map(cell_len, [*column[0].split(" "), *column[1:]]))
+def _width(table: Table, console: Console) -> int:
+    """Return the width of a table in which nothing is wrapped."""
+    unlimited = console.options.update(max_width=sys.maxsize)
+    return console.measure(table, options=unlimited).maximum

@@ -4,15 +4,14 @@ import json
 import platform
 import shlex
 from dataclasses import fields, replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
 
 from tyro.conf import Positional
 
-from mmwave_env import __version__
 from mmwave_env.io.files import Json
 from mmwave_env.io.records import require
+from policies.policy_file import versions_of
 
 T = TypeVar("T")
 # options that name the files to write
@@ -69,11 +68,6 @@ def options_from(kind: type[T], content: Json) -> T:
             require(f"options: {name}", value, hint)
             options[name] = tuple(value) if isinstance(value, list) else value
     return kind(**options)
-
-
-def versions_of(*packages: str) -> dict[str, str]:
-    """Return the versions of mmwave-loc and of the named packages, to store in a policy file."""
-    return {"mmwave-loc": __version__} | {name: version(name) for name in packages}
 
 
 def versions() -> dict[str, str]:

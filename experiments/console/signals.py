@@ -1,63 +1,33 @@
-"""Signals from a scheduler or a closed terminal: the program cleans up as after Ctrl-C."""
+"""Signals from a scheduler or a closed terminal: the program ends as after Ctrl-C."""
 
 import os
 import signal
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
 from threading import Timer
 from types import FrameType
-from typing import Any
 
 # Signals that end the program, if the system has them; Windows has no SIGHUP.
 ENDING = tuple(getattr(signal, n) for n in ("SIGTERM", "SIGHUP") if hasattr(signal, n))
 SOON_S = 0.01  # delay after which a signal that could not be handled is sent again
 
 
-class Ended(SystemExit):
-    """An exit that a signal caused, with the exit code that shells expect."""
+def heed_signals() -> None:
+    """From now on, let SIGTERM and SIGHUP raise a KeyboardInterrupt, so that cleanup code runs.
 
-    def __init__(self, number: int) -> None:
-        super().__init__(128 + number)
-        self.message = f"ended by {signal.Signals(number).name}"
-
-
-@contextmanager
-def answered(
-    numbers: Sequence[int], answer: Callable[[int, Any], None] | signal.Handlers
-) -> Iterator[None]:
-    """Handle signals in the block with ``answer``; already ignored signals (nohup) stay ignored."""
-    with ExitStack() as restored:
-        for number in numbers:
-            if signal.getsignal(number) is not signal.SIG_IGN:
-                restored.callback(signal.signal, number, signal.signal(number, answer))
-        yield
-
-
-@contextmanager
-def ended_by_signals() -> Iterator[None]:
-    """Raise an exception on SIGTERM or SIGHUP in the block, so that half-written files are removed.
-
-    Raises:
-        Ended: one of the signals arrived.
+    The exception's argument is the signal's number. Already ignored signals (nohup) stay ignored.
     """
-    came = []
+    for number in ENDING:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _end)
 
-    def end(number: int, frame: FrameType | None) -> None:
-        if _in_callback(frame):
-            Timer(SOON_S, os.kill, (os.getpid(), number)).start()
-            return
-        ignore_signals()
-        came.append(number)
-        raise Ended(number)
 
-    with answered(ENDING, end):
-        try:
-            yield
-        except BaseException as other:
-            # Another exception may have replaced Ended, in Ray's C code or in a progress bar.
-            if came and not isinstance(other, Ended):
-                raise Ended(came[0]) from None
-            raise
+def _end(number: int, frame: FrameType | None) -> None:
+    if _in_callback(frame):
+        Timer(SOON_S, os.kill, (os.getpid(), number)).start()
+        return
+    # A scheduler may send a signal twice, to the process and to its group.
+    for other in ENDING:
+        signal.signal(other, signal.SIG_IGN)
+    raise KeyboardInterrupt(number)
 
 
 def _in_callback(frame: FrameType | None) -> bool:
@@ -67,9 +37,3 @@ def _in_callback(frame: FrameType | None) -> bool:
             return True
         frame = frame.f_back
     return False
-
-
-def ignore_signals() -> None:
-    """Ignore further signals: a scheduler may send one twice, to the process and to its group."""
-    for number in ENDING:
-        signal.signal(number, signal.SIG_IGN)

@@ -4,10 +4,7 @@
 """
 
 import os
-import sys
-import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
@@ -31,7 +28,7 @@ from experiments.evaluation.runner import Scores, Scoring, score_contenders
 from mmwave_env.filters.bank import Modes
 from mmwave_env.interface.reward import reward_name
 from mmwave_env.io.files import AnyPath, Json
-from mmwave_env.io.lookup import as_cell, printable
+from mmwave_env.io.lookup import as_cell
 from mmwave_env.io.records import require
 from mmwave_env.metrics import HEADERS, METRICS
 from mmwave_env.numerics.numbers import Array
@@ -206,17 +203,6 @@ USUAL_EPISODES = 200
 Agent = AnyPath | Act
 
 
-@contextmanager
-def _warnings_in_lines() -> Iterator[None]:
-    """Print every warning once, on one line, without the line of our code that caused it."""
-    with warnings.catch_warnings(action="once"):
-        warnings.showwarning = lambda message, *_: print(
-            f"warning: {printable(str(message))}", file=sys.stderr
-        )
-        yield
-
-
-@_warnings_in_lines()
 def compare(
     policies: Mapping[str, Agent],
     beside: Sequence[str] = ("fixed-ukf", "speed-rule", "imm"),

@@ -1,6 +1,6 @@
 """Sweeps: grids of evaluations or of training runs, computed on Ray.
 
-A sweep is a TOML or JSON file, whose keys are axes with one or more values. A cell is a combination
+A sweep is a TOML file, whose keys are axes with one or more values. A cell is a combination
 of values, one of each axis. Cells that have no row yet are computed, on this machine or on a
 cluster; the row of a cell is a Parquet file.
 """
@@ -13,26 +13,24 @@ import math
 import os
 import tempfile
 import tomllib
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, redirect_stdout
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
 from experiments.console.options import USUAL_EPISODES, ModeArgs, TaskArgs
 from experiments.console.output import grid, note, say, show, tracked
-from experiments.console.signals import ended_by_signals
+from experiments.console.signals import heed_signals
 from experiments.evaluation.contenders import contender_of, seeds_from, task_of
 from experiments.evaluation.intervals import Interval, bootstrap, rounded
 from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.training.hyperparameters import read_hyperparameters, shipped_hyperparameters
 from experiments.training.training_task import hyperparameters, training_task
 from mmwave_env import __version__
-from mmwave_env.io.files import atomic_path, first_line, parse_json, read_text, write_bytes
+from mmwave_env.io.files import atomic_path, first_line, read_text, write_bytes
 from mmwave_env.io.lookup import choose, quoted, require_extra
 from mmwave_env.io.records import Bound, Record, counts, object_from, require
 from mmwave_env.metrics import HEADERS, METRICS
@@ -67,31 +65,12 @@ class Training(TaskArgs, Record):
 KINDS: Mapping[str, Any] = {"evaluate": Evaluation, "train": Training}
 
 
-@dataclass(frozen=True)
-class Spec:
-    """A sweep: the axes of a grid."""
+class Spec(NamedTuple):
+    """A sweep: the axes of a grid, and its cells."""
 
     kind: str  # name of the table in the file
     axes: Mapping[str, Sequence[Any]]  # values of each key
-
-    def __len__(self) -> int:
-        return math.prod(map(len, self.axes.values()))
-
-    @cached_property
-    def cells(self) -> dict[str, Values]:
-        """Return all combinations of values, by name, in the order of the file.
-
-        A name is a hash of our version, the values, and the contents of files that values name.
-        """
-        cells: dict[str, Values] = {}
-        for combination in itertools.product(*self.axes.values()):
-            values = dict(zip(self.axes, combination, strict=True))
-            words = itertools.chain(*(v if isinstance(v, tuple) else (v,) for v in combination))
-            paths = (Path(word) for word in words if isinstance(word, str) and os.path.isfile(word))
-            files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]
-            work = json.dumps([__version__, self.kind, sorted(values.items()), files], default=repr)
-            cells[hashlib.sha256(work.encode()).hexdigest()[:16]] = values
-        return cells
+    cells: dict[str, Values]  # all combinations of values, by name, in the order of the file
 
 
 def read_spec(path: Path) -> Spec:
@@ -104,15 +83,15 @@ def read_spec(path: Path) -> Spec:
         ValueError: the file is not a sweep; the message names the file and the key.
         FileNotFoundError: there is no such file.
     """
-    text = read_text(path, "a sweep, TOML or JSON")
+    text = read_text(path, "a sweep, TOML")
     try:
-        return _spec(parse_json(text) if path.suffix == ".json" else tomllib.loads(text))
+        return _spec(tomllib.loads(text))
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{path}: not a sweep: {error} (docs/sweep.md)") from error
 
 
-def _spec(content: Any) -> Spec:
-    if not isinstance(content, dict) or len(content) != 1:
+def _spec(content: Mapping[str, Any]) -> Spec:
+    if len(content) != 1:
         raise ValueError(f"found {quoted(content)}, expected one table: {' or '.join(KINDS)}")
     ((kind, table),) = content.items()
     choose(KINDS, kind, "table")
@@ -126,10 +105,21 @@ def _spec(content: Any) -> Spec:
         shipped = read_hyperparameters(shipped_hyperparameters(algo, beliefs), algo)
         changed = _axes(type(shipped), tried, vars(shipped), "train.hyperparameters.")
         axes |= {HYPERPARAMETER + name: values for name, values in changed.items()}
-    spec = Spec(kind, axes)
-    if len(spec) > MOST_CELLS:
-        raise ValueError(f"{kind}: found {len(spec)} cells, expected at most {MOST_CELLS}")
-    return spec
+    count = math.prod(map(len, axes.values()))
+    if count > MOST_CELLS:
+        raise ValueError(f"{kind}: found {count} cells, expected at most {MOST_CELLS}")
+    combinations = itertools.product(*axes.values())
+    cells = [dict(zip(axes, values, strict=True)) for values in combinations]
+    return Spec(kind, axes, {_name(kind, cell): cell for cell in cells})
+
+
+def _name(kind: str, cell: Values) -> str:
+    """Return a hash of our version, a cell's values, and the contents of files that they name."""
+    words = itertools.chain(*(v if isinstance(v, tuple) else (v,) for v in cell.values()))
+    paths = (Path(word) for word in words if isinstance(word, str) and os.path.isfile(word))
+    files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]
+    work = json.dumps([__version__, kind, sorted(cell.items()), files], default=repr)
+    return hashlib.sha256(work.encode()).hexdigest()[:16]
 
 
 def _axes(kind: type[Any], table: Values, others: Values, where: str) -> dict[str, Sequence[Any]]:
@@ -181,13 +171,9 @@ def connected(address: str | None, workers: int | None) -> Iterator[None]:
         folders = [str(root / package) for package in ("mmwave_env", "policies", "experiments")]
         options = {"address": address, "runtime_env": {"py_modules": folders}}
     options |= {"include_dashboard": False, "log_to_driver": False, "logging_level": logging.ERROR}
-    # Replace the signal handlers that Ray installs as it starts, and hide what Ray prints.
-    with (
-        ray.init(**options),
-        ended_by_signals(),
-        open(os.devnull, "w") as nowhere,
-        redirect_stdout(nowhere),
-    ):
+    # Hide what Ray prints.
+    with ray.init(**options), open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
+        heed_signals()  # Ray has installed its own handlers
         yield
 
 
@@ -226,13 +212,10 @@ def evaluated(values: Values) -> Row:
     """Evaluate a policy; return each metric's mean, 95 % interval and values per episode."""
     args = Evaluation(**values)
     seeds = seeds_from(args.episodes, args.seed)
-    with warnings.catch_warnings(record=True, action="always", category=UserWarning) as warned:
-        task = task_of(args)
-        contender = contender_of(args, args.policy)
-        (scores,) = score_contenders(
-            [contender], task.source, seeds, scoring=Scoring.of(task)
-        ).values()
-    row = {"warnings": "; ".join(sorted({str(warning.message) for warning in warned}))}
+    task = task_of(args)
+    contender = contender_of(args, args.policy)
+    (scores,) = score_contenders([contender], task.source, seeds, scoring=Scoring.of(task)).values()
+    row = Row()
     intervals = bootstrap([*scores.values()])
     for (metric, each), interval in zip(scores.items(), intervals, strict=True):
         row |= {f"{metric}_{part}": number for part, number in interval._asdict().items()}
@@ -330,7 +313,7 @@ def sweep(file: Path, folder: Path, address: str | None, workers: int | None) ->
     if spec.kind == "train":
         require_extra("stable_baselines3", "train", f"training policies, as in {file},")
     done = kept(folder, spec)
-    note(f"{len(spec)} cells, {len(done)} of them already in {folder}")
+    note(f"{len(spec.cells)} cells, {len(done)} of them already in {folder}")
     todo = {name: values for name, values in spec.cells.items() if name not in done}
     compute = evaluated if spec.kind == "evaluate" else trained
     failed = 0
@@ -356,4 +339,4 @@ def sweep(file: Path, folder: Path, address: str | None, workers: int | None) ->
             best = max(rows, key=lambda name: rows[name]["reward_mean"])
             say(f"The best of the trainings is {folder / best}.safetensors")
     if failed:
-        raise ValueError(f"{failed} of {len(spec)} cells failed, the others are in {folder}")
+        raise ValueError(f"{failed} of {len(spec.cells)} cells failed, the others are in {folder}")

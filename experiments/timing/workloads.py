@@ -9,8 +9,6 @@ an episode.
 The latency of a live track is the time to compute the user's position from the rows of an epoch.
 """
 
-import json
-import subprocess
 import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -22,7 +20,6 @@ import gymnasium as gym
 import numpy as np
 
 from experiments.evaluation.contenders import contender_from, draw_episodes
-from experiments.timing.fresh import ENVIRONMENT, started
 from mmwave_env.datasets.log_folder import log_columns
 from mmwave_env.engines.engine import tracker_of
 from mmwave_env.filters.bank import named_modes
@@ -41,29 +38,30 @@ from mmwave_env.numerics.pytree import unflatten
 from mmwave_env.task import task_from
 from mmwave_env.world.episode import Episode, blank_incoming
 
+ENVIRONMENT = "mmwave_env:MmWaveLoc-v0"
 RADIO = "handset"
 EPISODE = 200  # number of steps of an episode, as in the environment's default task
 SYNC = 8  # number of environments that Gymnasium's vector environment steps one by one
-SYNC_NAME = f"sync_{SYNC}"
+SYNC_NAME = f"Gymnasium's sync vector of {SYNC}"
+FILTERPY = "filterpy loop"
 TRACKS = 1024  # number of tracks that a filter without an environment computes together
 BOTH = 2  # number of threads that `gymnasium.make_vec` uses by default on two cores
 THREADS = (BOTH, 1)
-FILTERS = ("ekf", "ukf", "ckf")
-
+FILTERS = ("EKF", "UKF", "CKF")
 
 Laps = Iterator[int]  # yields, after each episode, its number of steps, summed over environments
 
 
 def native_name(n: int, threads: int = BOTH) -> str:
     """Return the name, in results, of our vector environment with n environments."""
-    return f"native_{n}" if threads == BOTH else f"native_{n}_{threads}_thread"
+    return f"native, N = {n}" + ("" if threads == BOTH else f", {threads} thread")
 
 
 def environments(sizes: Sequence[int]) -> dict[str, Callable[[], Laps]]:
     """Return functions that start the workloads of environments, by name."""
     return {
-        "filterpy": filterpy,
-        "single": stepped,
+        FILTERPY: filterpy,
+        "single environment": stepped,
         SYNC_NAME: partial(stepped, SYNC, vectorization_mode="sync"),
         **{
             native_name(n, threads): partial(stepped, n, threads=threads)
@@ -77,7 +75,7 @@ def filters() -> dict[str, Callable[[], Laps]]:
     """Return functions that start the workloads of single filters on one thread, by name."""
     episodes = draw_episodes(task_from().source, range(TRACKS))
     modes = named_modes(RADIO)
-    return {name: partial(tracks, modes[name], episodes) for name in FILTERS}
+    return {name: partial(tracks, modes[name.lower()], episodes) for name in FILTERS}
 
 
 def filterpy() -> Laps:
@@ -147,22 +145,12 @@ SCENE = "street"
 EPOCHS = 4000
 WARM_UP = 1000
 PERCENTILES = (50.0, 99.0, 99.9)
-# localize --live, or calls of Tracker.update
-PIPE = "through a pipe"
-PYTHON = "in Python"
 EKF = "EKF"
-# name -> options of `mmwave-loc localize`
-CONTENDERS = {
-    EKF: ("--speed", "1"),
-    "imm-best": ("--imm", "imm-best"),
-    "guided": ("--policy", "guided"),
-    "corrector": ("--policy", "corrector"),
-}
-LATENCIES = [(name, interface) for name in CONTENDERS for interface in (PYTHON, PIPE)]
+LATENCIES = (EKF, "imm-best", "guided", "corrector")  # one mode, and contenders
 
 
-def latency_us(name: str, interface: str) -> list[float]:
-    """Return percentiles of a contender's latency (microseconds); interface: PYTHON or PIPE."""
+def latency_us(name: str) -> list[float]:
+    """Return percentiles of the latency of ``Tracker.update`` (microseconds)."""
     source = task_from(scene=SCENE, radio=RADIO, episode_steps=EPOCHS).source
     columns = log_columns(source.sample(np.random.default_rng(0)))
     cells = np.stack(list(columns.values()), axis=1).reshape(EPOCHS, -1, len(columns)).tolist()
@@ -170,29 +158,10 @@ def latency_us(name: str, interface: str) -> list[float]:
         [{n: v for n, v in zip(columns, row, strict=True) if not isnan(v)} for row in rows]
         for rows in cells
     ]
-    if interface == PIPE:
-        words = ["experiments.console", "localize", "-", "--live"]
-        words += ["--scene", SCENE, "--radio", RADIO, *CONTENDERS[name]]
-        with started(*words, stdin=subprocess.PIPE, stderr=subprocess.DEVNULL) as child:
-
-            def ask(line: bytes) -> None:
-                child.stdin.write(line)
-                child.stdin.flush()
-                child.stdout.readline()
-
-            lines = [json.dumps({"rows": rows}).encode() + b"\n" for rows in epochs]
-            times = _timed(ask, lines)
-    else:
-        ekf = Switching((named_modes(RADIO)["ekf"],))
-        switching = ekf if name == EKF else contender_from(name, RADIO)
-        times = _timed(Tracker(SCENE, switching, RADIO).update, epochs)
-    return np.percentile(1e6 * times[WARM_UP:], PERCENTILES).tolist()  # type: ignore[no-any-return]
-
-
-def _timed(call: Callable[[Any], object], arguments: list[Any]) -> Any:
-    """Return the seconds (n,) that a call takes with each of n arguments."""
-    times = [time.perf_counter()]
-    for argument in arguments:
-        call(argument)
-        times.append(time.perf_counter())
-    return np.diff(times)
+    ekf = Switching((named_modes(RADIO)["ekf"],))
+    tracker = Tracker(SCENE, ekf if name == EKF else contender_from(name, RADIO), RADIO)
+    times_s = [time.perf_counter()]
+    for rows in epochs:
+        tracker.update(rows)
+        times_s.append(time.perf_counter())
+    return np.percentile(1e6 * np.diff(times_s)[WARM_UP:], PERCENTILES).tolist()  # type: ignore[no-any-return]

@@ -1,12 +1,12 @@
 """Hyperparameters of training runs, and the JSON files that hold them."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Annotated, ClassVar
 
 from mmwave_env.compiler.lanes import WIDTH
-from mmwave_env.io.files import Json, read_json
+from mmwave_env.io.files import read_json
 from mmwave_env.io.records import Bound, Name, Probability, Record, Size, counts, object_from
 
 MOST = 10**15  # largest value of a hyperparameter; more would need too much memory and time
@@ -123,15 +123,6 @@ def read_hyperparameters(path: Path, algorithm: str) -> Hyperparameters:
         FileNotFoundError: there is no such file.
     """
     return read_json(path, "a hyperparameter file", partial(object_from, KINDS[algorithm]))
-
-
-def hyperparameters_as_written(hyper: Hyperparameters) -> Json:
-    """Return hyperparameters in the form that a file stores, without default values."""
-    return {
-        field.name: list(value) if isinstance(value, tuple) else value
-        for field in fields(hyper)
-        if (value := getattr(hyper, field.name)) != field.default
-    }
 
 
 def shipped_hyperparameters(algorithm: str, beliefs: str = "shared") -> Path:

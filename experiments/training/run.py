@@ -1,11 +1,12 @@
 """The train command: the folder of a run, a process for each seed, and the summary."""
 
+import json
 import multiprocessing
 import os
-import shutil
 import signal
+import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any
@@ -15,10 +16,10 @@ from rich.progress import TimeElapsedColumn
 from experiments.console.options import TrainArgs, require_at_least
 from experiments.console.output import bars, note, say, show
 from experiments.console.provenance import command_line
-from experiments.console.signals import answered, ended_by_signals
+from experiments.console.signals import heed_signals
 from experiments.evaluation.contenders import outcomes_markdown
 from experiments.training.corrector import CorrectorTrainer, TwoWayTrainer
-from experiments.training.hyperparameters import Hyperparameters, hyperparameters_as_written
+from experiments.training.hyperparameters import Hyperparameters
 from experiments.training.ppo import PpoTrainer
 from experiments.training.rollouts import RolloutTrainer
 from experiments.training.trainer import Job, Tell, Trainer, run_training
@@ -36,7 +37,7 @@ TIMESTEPS = {
 }
 
 # Options that do not affect a policy; the command stated in a policy file omits them.
-ASIDE = ("jobs", "checkpoint_every", "out", "resume", "overwrite")
+ASIDE = ("jobs", "checkpoint_every", "out", "resume")
 
 
 def manifest_of(args: TrainArgs, banks: Mapping[str, Bank], hyper: Hyperparameters) -> Json:
@@ -46,7 +47,8 @@ def manifest_of(args: TrainArgs, banks: Mapping[str, Bank], hyper: Hyperparamete
     choices = {"banks": written} if args.beliefs == "per-mode" else {"modes": first["modes"]}
     defaults = {name: getattr(type(args), name) for name in ASIDE}
     command = command_line("train", replace(args, **defaults))
-    return {"command": command, "hyperparameters": hyperparameters_as_written(hyper), **choices}
+    figures = json.loads(json.dumps(asdict(hyper)))  # as they will be read: tuples become lists
+    return {"command": command, "hyperparameters": figures, **choices}
 
 
 def begin(args: TrainArgs, manifest: Json) -> None:
@@ -69,14 +71,10 @@ def begin(args: TrainArgs, manifest: Json) -> None:
                 )
         return
     if args.out.exists() and any(args.out.iterdir()):
-        if not args.overwrite:
-            raise ValueError(
-                f"out: found files in {args.out}; --resume continues the run there, "
-                "--overwrite replaces it, --out names another folder"
-            )
-        if not path.is_file():
-            raise ValueError(f"out: found files but no run in {args.out}, and left them there")
-        shutil.rmtree(args.out)
+        raise ValueError(
+            f"out: found files in {args.out}; --resume continues the run there, "
+            "--out names another folder"
+        )
     write_json(path, manifest)
 
 
@@ -126,8 +124,10 @@ def side_by_side(
                 job = waiting.pop()
                 ours, theirs = spawn.Pipe(duplex=False)
                 child = spawn.Process(target=_train, args=(job, theirs), daemon=True)
-                with answered([signal.SIGINT], signal.SIG_IGN), theirs:  # the parent heeds Ctrl-C
+                on_interrupt = signal.signal(signal.SIGINT, signal.SIG_IGN)  # for the child
+                with theirs:
                     child.start()
+                signal.signal(signal.SIGINT, on_interrupt)
                 running[ours] = job, child
             ready: list[Any] = wait(list(running))
             for line in ready:
@@ -160,18 +160,18 @@ def _train(job: Job, line: Connection) -> None:
     Messages are the progress, and a text that says why the training was refused.
     """
     try:
-        with ended_by_signals():
-            train(job, lambda *news: line.send(news))
+        heed_signals()
+        train(job, lambda *news: line.send(news))
     except BrokenPipeError:
         return
+    except KeyboardInterrupt as end:
+        sys.exit(128 + end.args[0])
     except (ValueError, OSError) as error:
         line.send(str(error))
 
 
 def run(args: TrainArgs) -> None:
     """Run the command."""
-    if args.resume and args.overwrite:
-        raise ValueError("overwrite: cannot be combined with resume, which keeps the run")
     require_at_least(1, args, "seeds", "total_timesteps", "jobs", "checkpoint_every")
     if args.algo in ("corrector", "two-way"):
         args = replace(args, beliefs="per-mode")

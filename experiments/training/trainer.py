@@ -16,7 +16,6 @@ import torch
 
 from experiments.console.options import SEEDS_EACH, TRAINING_SEED, TUNING_SEED
 from experiments.console.output import csv_text
-from experiments.console.provenance import versions_of
 from experiments.evaluation.contenders import Contender, contender_from, draw_episodes
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.runner import Scores, score
@@ -24,7 +23,7 @@ from experiments.training.training_task import TrainingTask
 from mmwave_env.interface.observation import Observation
 from mmwave_env.io.files import Json, atomic_path, first_line, write_bytes, write_json, write_text
 from policies import load
-from policies.policy_file import Card, PolicyFile, Tensors, to_bytes
+from policies.policy_file import Card, PolicyFile, Tensors, to_bytes, versions_of
 
 RIVALS = ("speed-rule", "imm")  # rivals in every training
 EPISODES = 500  # number of episodes to evaluate a policy on
@@ -275,9 +274,7 @@ def card_of(job: Job, trainer: Trainer, timesteps: int) -> Card:
 def as_csv(rows: list[dict[str, float]]) -> str:
     """Return the rows of a log as CSV; the cell of a missing value is empty."""
     names = list(dict.fromkeys(name for row in rows for name in row))
-    cells = [[row.get(name) for name in names] for row in rows]
-    texts = [[f"{v:.6g}" if isinstance(v, float) else v for v in row] for row in cells]
-    return csv_text([names, *texts])
+    return csv_text([names, *([row.get(name) for name in names] for row in rows)])
 
 
 def read_checkpoint(path: Path) -> tuple[list[dict[str, float]], Json | None, State]:

@@ -110,8 +110,8 @@ def tune(mode: Mode, free: Sequence[str], objective: Objective) -> Mode:
     return at([float(f"{value:.3g}") for value in np.exp(optimum.x)])
 
 
-def tuned_modes(args: TuneArgs) -> tuple[Json, Json]:
-    """Tune and print modes one by one; return the mode file's content, and results for --json."""
+def tuned_modes(args: TuneArgs) -> Json:
+    """Tune and print modes one by one; return the mode file's content."""
     radio = radio_from(args.radio)
     modes = modes_from(args.modes, radio.base)  # named modes have tunings for shipped radios
     if len(args.scenarios) != len(modes):
@@ -124,8 +124,6 @@ def tuned_modes(args: TuneArgs) -> tuple[Json, Json]:
     for name in args.free:
         choose(RANGES, name, "free")
     tuned = []
-    figures = []
-    title = "log-likelihood per epoch"
     for mode, scenario in zip(modes, args.scenarios, strict=True):
         source = source_of(WorldArgs(scenario=scenario, radio=args.radio))
         episodes = draw_episodes(source, range(args.seed, args.seed + args.episodes))
@@ -135,9 +133,11 @@ def tuned_modes(args: TuneArgs) -> tuple[Json, Json]:
         tuned.append(as_written(best))
         (value,) = bootstrap([objective(best)])
         numbers = ", ".join(f"{name} {getattr(best, name):g}" for name in args.free)
-        say(f"{mode.name} on {source.name}, {radio.name}: {numbers}: {title} {value}")
-        figures.append({"mode": mode.name, "scenario": scenario, "objective": title} | value.json)
-    return {"modes": tuned}, {"tuned": figures}
+        say(
+            f"{mode.name} on {source.name}, {radio.name}: {numbers}: "
+            f"log-likelihood per epoch {value}"
+        )
+    return {"modes": tuned}
 
 
 STEPS_S = (1.0, 0.1)  # times between two epochs, s

@@ -104,18 +104,6 @@ def _folder() -> Path | None:
     return None
 
 
-def kept_functions() -> dict[str, Any]:
-    """Describe the folder for this process's compiled functions; create it if possible.
-
-    Return a dict: "place" (the folder; None if no private folder can be written), "functions" (the
-    number of compiled functions in the folder) and "bytes" (the size of all these functions).
-    """
-    folder = _folder()
-    sizes = [file.stat().st_size for file in folder.iterdir()] if folder else []
-    place = folder and str(folder)
-    return {"place": place, "functions": len(sizes), "bytes": sum(sizes)}
-
-
 def _prune(parent: Path) -> None:
     """Remove this user's cache folders in ``parent``, except the most recently used ones."""
     with suppress(OSError):  # another process may be removing them, too

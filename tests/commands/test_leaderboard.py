@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from experiments.evaluation import protocol
-from experiments.evaluation.protocol import entry, judge, sealed, sites
-from experiments.evaluation.verification import verify
+from experiments.evaluation.protocol import entry, judge, sealed, sites, verify
 from experiments.leaderboard import Args, main
 from tests.cli import assert_one_clear_line, command, succeed
 from tests.paths import ROOT, json_in, write_json

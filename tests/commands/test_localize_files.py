@@ -92,11 +92,11 @@ def test_if_one_file_of_several_is_refused_none_is_written(mapped, wrong):
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_an_error_while_printing_is_reported():
+def test_an_error_while_printing_is_reported(tmp_path):
     with open("/dev/full", "w") as full:
-        done = started("list", stdout=full)
+        done = started("simulate", "--out", tmp_path, stdout=full)
         _, err = done.communicate()
-    assert err == "mmwave-loc list: standard output: No space left on device\n"
+    assert err == "mmwave-loc simulate: standard output: No space left on device\n"
     assert done.returncode == 2
 
 

@@ -1,6 +1,7 @@
 """Tests of the program mmwave-loc: its help, its messages about mistakes, and its output."""
 
 import importlib
+import json
 import os
 import pty
 import re
@@ -29,6 +30,9 @@ def test_the_program_lists_its_commands_and_shows_its_version():
     assert all(name in helped.stdout for name in COMMANDS) and helped.stdout == bare.stdout
     assert command("help").stdout == helped.stdout
     assert succeed("--version") == f"mmwave-loc {mmwave_env.__version__}\n"
+    versions = json.loads(succeed("--version", "--json"))
+    assert versions["mmwave-loc"] == mmwave_env.__version__
+    assert {"numba", "numpy", "gymnasium", "python"} < set(versions)
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -43,6 +47,18 @@ def test_every_command_explains_its_options(name):
         assert typed == name
         read_arguments(name, words)
     assert command("help", name, columns=80).stdout == shown
+
+
+def test_the_help_of_compare_lists_the_names_that_its_options_accept():
+    from experiments.evaluation.contenders import contenders
+    from mmwave_env.datasets.samples import sample_names
+    from mmwave_env.models.radio import RADIOS
+    from mmwave_env.models.scene import SCENES
+    from mmwave_env.world.mobility import SCENARIOS
+
+    words = set(re.findall(r"[\w-]+", command("compare", "--help", columns=80).stdout))
+    names = (*contenders("handset"), *sample_names(), *RADIOS, *SCENES, *SCENARIOS)
+    assert not {*names, "clairvoyant", "tracking", "log-score"} - words
 
 
 @pytest.mark.parametrize("columns", [0, 20, 80])
@@ -155,10 +171,10 @@ def test_the_help_of_train_says_the_default_lengths():
 
 def test_a_terminal_that_reports_zero_columns_gets_the_output():
     ours, theirs = pty.openpty()
-    done = started("list", "rewards", env=environment() | {"COLUMNS": "0"}, stdout=theirs)
+    done = started("speed", "--help", env=environment() | {"COLUMNS": "0"}, stdout=theirs)
     os.close(theirs)
     done.communicate()
-    assert done.returncode == 0 and b"tracking" in os.read(ours, 10_000)
+    assert done.returncode == 0 and b"usage" in os.read(ours, 10_000)
     os.close(ours)
 
 
@@ -193,13 +209,13 @@ def test_a_traceback_is_shown_only_with_the_option_debug(monkeypatch):
     def fails(args):
         raise ZeroDivisionError("by\x1b[31m zero")
 
-    monkeypatch.setattr("experiments.list.main", fails)
-    done = command("list")
+    monkeypatch.setattr("experiments.tables.main", fails)
+    done = command("tables")
     assert (done.returncode, done.stdout) == (1, "")
     (line,) = done.stderr.splitlines()
     failure = r"failed with ZeroDivisionError: by\x1b[31m zero; please report"
-    assert line.startswith(f"mmwave-loc list: {failure}")
-    shown = command("list", "--debug").stderr
+    assert line.startswith(f"mmwave-loc tables: {failure}")
+    shown = command("tables", "--debug").stderr
     assert shown.startswith("Traceback") and "in fails" in shown
     assert "Traceback" in command("compare", "--debug", "--radio", "lab").stderr
 

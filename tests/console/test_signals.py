@@ -9,8 +9,8 @@ from functools import partial
 
 import pytest
 
-from experiments.console.signals import ENDING, Ended, ended_by_signals
-from tests.cli import environment
+from experiments.console.signals import ENDING, heed_signals
+from tests.cli import environment, started
 from tests.paths import ROOT
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals"
 WRITING = """
 import sys, time
 from pathlib import Path
-import experiments.list
+import experiments.tables
 from experiments.console.main import run
 from mmwave_env.io.files import atomic_path
 
@@ -29,8 +29,8 @@ def writing(args):
         print("writing", flush=True)
         time.sleep(60)
 
-experiments.list.main = writing
-run("list", [])
+experiments.tables.main = writing
+run("tables", [])
 """
 
 
@@ -71,7 +71,7 @@ def test_a_signal_removes_half_written_files(writing, tmp_path, sent):
     out, err = command.communicate(timeout=30)
     assert command.returncode == 128 + sent and out == ""
     end = "interrupted" if sent == signal.SIGINT else f"ended by {sent.name}"
-    assert err == f"mmwave-loc list: {end}\n"
+    assert err == f"mmwave-loc tables: {end}\n"
     assert list(tmp_path.iterdir()) == []
 
 
@@ -93,9 +93,26 @@ def test_under_nohup_a_command_continues_after_its_terminal_is_closed(writing, t
     assert command.poll() is None and len(list(tmp_path.iterdir())) == 1
 
 
-def test_a_signal_ends_the_with_block_and_the_earlier_handlers_are_restored():
-    before = signal.getsignal(signal.SIGTERM)
-    with pytest.raises(Ended) as end, ended_by_signals():
-        signal.raise_signal(signal.SIGTERM)
-    assert (end.value.code, end.value.message) == (143, "ended by SIGTERM")
-    assert signal.getsignal(signal.SIGTERM) is before
+@pytest.mark.slow
+def test_a_signal_ends_a_command_while_it_compiles(tmp_path):
+    cold = environment() | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    nowhere = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    running = started("compare", "--policies", "imm-best", env=cold, **nowhere)
+    while not any(path.is_file() for path in tmp_path.rglob("*")):
+        assert running.poll() is None
+        time.sleep(0.05)
+    running.send_signal(signal.SIGTERM)
+    assert running.wait(timeout=60.0) == 128 + signal.SIGTERM
+
+
+def test_a_signal_raises_a_keyboard_interrupt_and_the_next_ones_are_ignored():
+    before = {number: signal.getsignal(number) for number in ENDING}
+    try:
+        heed_signals()
+        with pytest.raises(KeyboardInterrupt) as end:
+            signal.raise_signal(signal.SIGTERM)
+        assert end.value.args == (signal.SIGTERM,)
+        signal.raise_signal(signal.SIGHUP)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -11,7 +11,6 @@ from rich.console import Console
 
 from experiments.console import output as terminal
 from experiments.console.output import (
-    booktabs,
     escaped,
     grid,
     progress,
@@ -35,13 +34,6 @@ def test_names_are_short_and_printable():
         assert is_name(name)
     for name in ("", "a\nb", "\x1b[31m", "\udcff", "\u202e", "x" * (LONGEST + 1), 7, None, ["a"]):
         assert not is_name(name)
-
-
-def test_latex_tables_show_every_character():
-    table = booktabs(["policy", "95 %"], [["a_b & c-1", "-0.5 ± 0.1"], ["{x}^2", "#~$\\"]])
-    assert r"a\_b \& c-1 & $-$0.5 $\pm$ 0.1 \\" in table and r"policy & 95 \% \\" in table
-    last = r"\{x\}\textasciicircum{}2 & \#\textasciitilde{}\$\textbackslash{} \\"
-    assert last in table
 
 
 @given(NAMES)

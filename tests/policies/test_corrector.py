@@ -11,7 +11,7 @@ from mmwave_env.filters.correction import MOST_LOG_FACTOR, MOST_SHIFT
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.signed import after_update
 from mmwave_env.models.layout import Layout
-from policies import Corrector, LearnedSwitch, learned_policy
+from policies import Corrector, LearnedSwitch, load
 from policies.corrector import TwoWayCorrector
 from policies.policy_file import CORRECTIONS
 from tests.refusals import refuses
@@ -205,8 +205,8 @@ def test_an_environment_without_signed_features_is_refused(path):
 
 def test_files_of_different_networks_are_not_confused(path, two_way_path, tmp_path):
     switcher = write_per_mode(tmp_path / "switcher.safetensors")
-    assert isinstance(learned_policy(path), Corrector)
-    assert isinstance(learned_policy(switcher), LearnedSwitch)
+    assert isinstance(load(path).start(Layout()), Corrector)
+    assert isinstance(load(switcher).start(Layout()), LearnedSwitch)
     readers = {switcher: LearnedSwitch, path: Corrector, two_way_path: TwoWayCorrector}
     for file, right in readers.items():
         for reader in readers.values():

@@ -10,7 +10,7 @@ from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.filters import Pipeline
 from mmwave_env.interface.observation import Observation
 from mmwave_env.models.layout import Layout
-from policies import LearnedSwitch, learned_policy, shipped_policies
+from policies import LearnedSwitch, load, shipped_policies
 from tests.cli import printed
 from tests.filters.tracks import replay, simulated
 from tests.refusals import refuses
@@ -151,12 +151,10 @@ def test_the_error_names_a_feature_that_is_missing_or_has_another_scale(shared, 
 
 def test_every_shipped_policy_works_with_this_version():
     for path in shipped_policies().values():
-        policy = learned_policy(path)
-        pipeline = Pipeline(policy.modes, Layout())
-        policy.read_from(Observation(pipeline, policy.card.observation, policy.beliefs))
-        assert learned_policy(path.stem).card == policy.card
+        policy = load(path).start(Layout())
+        assert load(path.stem).start(Layout()).card == policy.card
     with refuses("policy"):
-        learned_policy("ppo")  # the name lacks a radio
+        load("ppo")  # the name lacks a radio
 
 
 def test_a_policy_runs_without_torch_and_pickle(shared):

@@ -27,7 +27,7 @@ def spec_of(tmp_path, text, name="grid.toml"):
 
 def test_every_combination_of_values_is_a_cell(tmp_path):
     spec = spec_of(tmp_path, GRID)
-    assert len(spec) == len(spec.cells) == 2 * 2 * 2 * 2
+    assert len(spec.cells) == 2 * 2 * 2 * 2
     first, *_, last = spec.cells.values()
     values = ("fixed-ekf", "handset", ("ekf", "ukf"), 1, 0)
     assert first == dict(zip(spec.axes, values, strict=True))
@@ -36,10 +36,10 @@ def test_every_combination_of_values_is_a_cell(tmp_path):
     assert [cell["modes"] for cell in spec.cells.values()] == [("ekf", "ukf"), ("ckf",)]
 
 
-def test_names_of_cells_do_not_depend_on_order_or_file_format(tmp_path):
-    toml = spec_of(tmp_path, '[evaluate]\npolicy = ["imm", "fixed-ekf"]\nseed = [10, 0]\n')
-    text = '{"evaluate": {"seed": [0, 10], "policy": ["fixed-ekf", "imm"]}}'
-    assert toml.cells.keys() == spec_of(tmp_path, text, "grid.json").cells.keys()
+def test_names_of_cells_do_not_depend_on_order(tmp_path):
+    spec = spec_of(tmp_path, '[evaluate]\npolicy = ["imm", "fixed-ekf"]\nseed = [10, 0]\n')
+    text = '[evaluate]\nseed = [0, 10]\npolicy = ["fixed-ekf", "imm"]\n'
+    assert spec.cells.keys() == spec_of(tmp_path, text).cells.keys()
 
 
 def test_cells_have_new_names_if_a_mode_file_changes(tmp_path, monkeypatch):

@@ -64,5 +64,5 @@ def test_a_malicious_checkpoint_is_refused_and_not_executed(tmp_path):
 
 
 def test_a_log_has_empty_cells_for_missing_values():
-    rows = [{"timesteps": 10, "a": 1}, {"timesteps": 20, "b": 0.123456789}]
-    assert as_csv(rows) == "timesteps,a,b\n10,1,\n20,,0.123457\n"
+    rows = [{"timesteps": 10, "a": 1}, {"timesteps": 20, "b": 0.125}]
+    assert as_csv(rows) == "timesteps,a,b\n10,1,\n20,,0.125\n"
