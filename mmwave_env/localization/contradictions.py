@@ -1,8 +1,8 @@
 """Contradictions between a log and its scene, caused by wrong units, signs or frames.
 
 A single row seldom shows a mistake. But over many rows, a mistake causes values that are impossible
-or unlikely, or that do not fit the track that a filter computes from them. Each row of a table
-(:class:`Check`) compares a statistic of the log with its limits. The limits are wide: at most 10 of
+or unlikely, or that do not fit the track that a filter computes from them. Each check
+(:data:`Check`) compares a statistic of the log with its limits. The limits are wide: at most 10 of
 1000 correct logs violate them (``tests/localization/test_contradictions.py``).
 """
 
@@ -62,13 +62,9 @@ class Contradiction(NamedTuple):
         return f"{self.group}: found {self.found}, expected {self.expected}"
 
 
-class Check(NamedTuple):
-    """A statistic of a log, and the contradiction if it is beyond its bound."""
-
-    group: str
-    statistic: Any  # a number, or an array of numbers that must all be within the bound
-    bound: Bound
-    found: str
+# A group, a statistic of it (a number, or an array of numbers that must all be within the bound),
+# the bound, and what was found, in words.
+Check = tuple[str, Any, Bound, str]
 
 
 def contradictions(
@@ -103,14 +99,14 @@ def _physical_checks(log: Log) -> Iterator[Check]:
     steps = np.diff(log.time_s)
     if len(steps):
         for step, bound in ((np.median(steps), _USUAL_STEP_S), (steps.min(), _SHORTEST_STEP_S)):
-            yield Check("time", step, bound, f"epochs {step:.3g} s apart")
+            yield "time", step, bound, f"epochs {step:.3g} s apart"
     visible = log.visible_links
     links = log.measurement[:, : log.layout.doppler].reshape(*visible.shape, 4)[visible]
     ranges, arrivals, elevations, departures = links.T
     ranges = ranges[ranges > 0.0]
     if len(ranges):
         middle = np.median(ranges)
-        yield Check("range", middle, _RANGE_M, f"{middle:.3g} m")
+        yield "range", middle, _RANGE_M, f"{middle:.3g} m"
     for group, angles, bound, unit in (
         ("azimuth of arrival", arrivals, _AZIMUTH, "rad"),
         ("azimuth of departure", departures, _AZIMUTH, "rad"),
@@ -119,7 +115,7 @@ def _physical_checks(log: Log) -> Iterator[Check]:
         sizes = np.sort(abs(angles[np.isfinite(angles)]))
         if len(sizes):
             middle = sizes[(len(sizes) - 1) // 2]  # beyond the bound if most sizes are
-            yield Check(group, middle, bound, f"{sizes[-1]:.3g} {unit}")
+            yield group, middle, bound, f"{sizes[-1]:.3g} {unit}"
 
 
 def _likelihood_checks(log: Log, scene: Scene, radio: Radio) -> Iterator[Check]:
@@ -128,14 +124,14 @@ def _likelihood_checks(log: Log, scene: Scene, radio: Radio) -> Iterator[Check]:
         snr = column[np.isfinite(column)]
         if len(snr):
             value = f"SNR of {snr.min():.3g} to {snr.max():.3g} dB"
-            yield Check(f"anchor {anchor}", snr, _SNR_DB, value)
+            yield f"anchor {anchor}", snr, _SNR_DB, value
     elevation = log.measurement[log.visible[:, 0], 2]
     if len(elevation) >= _ENOUGH:
         above = np.mean(elevation > 0.0)
         most = 0.5 + 1.5 / np.sqrt(len(elevation))  # a half plus three standard errors
         bound = Bound("a user below this anchor (with negative elevations)", most=most)
         value = f"a user above this anchor in {100.0 * above:.0f} % of epochs"
-        yield Check("anchor 1", above, bound, value)
+        yield "anchor 1", above, bound, value
     slope, error = _range_per_doppler(log, scene, radio)
     bound = Bound(
         "1 m: are the sign and the unit right?",
@@ -143,7 +139,7 @@ def _likelihood_checks(log: Log, scene: Scene, radio: Radio) -> Iterator[Check]:
         most=max(_LARGEST_SLOPE, 1.0 + _SURE * error),
     )
     value = f"a range that grows by {slope:.3g} m where the shift predicts 1 m"
-    yield Check("Doppler", slope, bound, value)
+    yield "Doppler", slope, bound, value
 
 
 def _fit_checks(groups: Mapping[str, Mapping[str, Any]]) -> Iterator[Check]:
@@ -158,10 +154,10 @@ def _fit_checks(groups: Mapping[str, Mapping[str, Any]]) -> Iterator[Check]:
         if (group.get("nis_in_bounds") or 0.0) >= FEW_WRONG:
             bound = bound._replace(most=inf)  # such as reflections: that is no mistake
         if nis is not None:
-            yield Check(name, nis, bound, f"NIS / dof {nis:.3g}")
+            yield name, nis, bound, f"NIS / dof {nis:.3g}"
         share = group["rejected_share"]
         if group["seen"] >= (_ENOUGH_IF_MOST if share > _MOST else _ENOUGH_IF_BLOCKED):
-            yield Check(name, share, _REJECTED, f"{100.0 * share:.0f} % rejected")
+            yield name, share, _REJECTED, f"{100.0 * share:.0f} % rejected"
 
 
 def _range_per_doppler(log: Log, scene: Scene, radio: Radio) -> tuple[float, float]:
