@@ -8,8 +8,6 @@ from tyro.conf import arg
 
 from experiments.console.options import EpisodeArgs
 
-WIDTH_MM = (80.0, 500.0)  # smallest and largest width of a readable picture
-
 
 @dataclass(kw_only=True)
 class Args(EpisodeArgs):
@@ -37,8 +35,6 @@ class Args(EpisodeArgs):
     vertical errors to this .png, .svg or .pdf file"""
     consistency: Path | None = None
     """draw NEES over time, with its chi-square bounds, to this file"""
-    width_mm: float | None = None
-    """width of the pictures, mm, such as the width of a journal's column"""
     table: Path | None = None
     """write the table of means to this .tex file: LaTeX, for the package booktabs"""
 
@@ -57,9 +53,6 @@ def main(args: Args) -> None:
     from mmwave_env.io.files import write_json, write_text
 
     pictures = {"errors": args.errors, "consistency": args.consistency}
-    if args.width_mm is not None and not WIDTH_MM[0] <= args.width_mm <= WIDTH_MM[1]:
-        expected = f"{WIDTH_MM[0]:g} to {WIDTH_MM[1]:g}"
-        raise ValueError(f"width_mm: found {args.width_mm:g}, expected {expected}")
     for option, path in pictures.items():
         if path:
             require_picture(option, path)
@@ -75,9 +68,9 @@ def main(args: Args) -> None:
     epochs = made.epochs
     try:
         if args.errors:
-            draw_error_cdf(epochs.errors_m, args.errors, args.width_mm)
+            draw_error_cdf(epochs.errors_m, args.errors)
         if args.consistency:
             axes = 2 if args.planar else 3
-            draw_consistency(epochs.time_s, epochs.nees, axes, args.consistency, args.width_mm)
+            draw_consistency(epochs.time_s, epochs.nees, axes, args.consistency)
     finally:  # the tables are shown even if a picture fails
         show(made.text)

@@ -30,11 +30,7 @@ UNDATED: dict[str, dict[str, Any]] = {  # metadata without dates, so equal pictu
 }
 COLORS = [hex_of(color) for color in THEMES["light"].modes]  # colors of modes, as in videos
 
-LEGEND_COLUMNS = 2  # number of columns in a legend below panels
-FONT_PT = 10.0
-PHONE_MM = 117.0  # width of a picture for a phone
-STACKED_MM = 170.0  # up to this width, panels are stacked
-MM_PER_IN = 25.4
+PHONE_IN = 4.6  # width of a picture for a phone, or for a column of text
 
 
 def require_picture(option: str, path: Path) -> None:
@@ -54,9 +50,7 @@ def require_picture(option: str, path: Path) -> None:
 
 
 @contextmanager
-def picture(
-    path: Path, width_in: float, height_in: float, font_pt: float = FONT_PT
-) -> Iterator[Any]:
+def picture(path: Path, width_in: float, height_in: float) -> Iterator[Any]:
     """Yield a matplotlib figure to draw into, and write it to a .png, .svg or .pdf file at the end.
 
     The figure has the project's style, whatever matplotlib settings the user has. The file is
@@ -66,8 +60,9 @@ def picture(
     from matplotlib.figure import Figure
     from matplotlib.rcsetup import cycler
 
-    colors = {"axes.prop_cycle": cycler(color=COLORS)}
-    with style.context([STYLE, colors | {"font.size": font_pt}], after_reset=True):
+    # line styles distinguish more lines than there are colors
+    looks = {"axes.prop_cycle": cycler(ls=["-", "--", ":"]) * cycler(color=COLORS)}
+    with style.context([STYLE, looks], after_reset=True):
         figure = Figure(figsize=(width_in, height_in))
         yield figure
         suffix = path.suffix.lower()
@@ -109,34 +104,21 @@ def labelled(axes: Sequence[Any]) -> list[Any]:
     return [*artists.values()]
 
 
-def legend_beside(*axes: Any) -> None:
-    """Draw a legend of some panels to the right of the last, where it does not cover data."""
+def legend_beside(axes: Any) -> None:
+    """Draw a panel's legend to the right of it, where it does not cover data."""
     place = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.02), "borderaxespad": 0.0}
-    axes[-1].legend(handles=labelled(axes), **place)
+    axes.legend(handles=labelled([axes]), **place)
 
 
 @contextmanager
-def panels(path: Path, width_mm: float | None) -> Iterator[list[Any]]:
-    """Yield the two panels of a picture: side by side, or stacked if they would be narrow.
-
-    At the end, draw one legend of all labels. The font is smaller in narrow pictures, so that
-    labels fit.
-    """
-    stacked = width_mm is not None and width_mm <= STACKED_MM
-    usual = PHONE_MM / MM_PER_IN if stacked else 11.0
-    width = usual if width_mm is None else width_mm / MM_PER_IN
-    with picture(path, width, width, FONT_PT * min(1.0, width / usual)) as figure:
-        grid = figure.subplots(*((2, 1) if stacked else (1, 2)), squeeze=False)
-        axes = list(grid.flat)
+def panels(path: Path) -> Iterator[Any]:
+    """Yield the two panels of a picture, one above the other; at the end, draw a common legend."""
+    with picture(path, PHONE_IN, PHONE_IN) as figure:
+        axes = figure.subplots(2, 1)
         yield axes
         artists = labelled(axes)
-        if stacked:
-            height = 1.26 * width + 0.3 + 0.2 * (-(-len(artists) // LEGEND_COLUMNS))
-            figure.legend(handles=artists, loc="outside lower left", ncols=LEGEND_COLUMNS)
-        else:
-            height = max(4.2, 1.0 + 0.19 * len(artists)) * width / usual
-            legend_beside(*axes)
-        figure.set_figheight(height)
+        figure.legend(handles=artists, loc="outside lower left", ncols=2)
+        figure.set_figheight(1.26 * PHONE_IN + 0.3 + 0.1 * (len(artists) + 1))
 
 
 def plain_numbers(axis: Any) -> None:
@@ -154,26 +136,18 @@ SMALLEST_M = 1e-3  # smaller errors are drawn at this value, since the axis is l
 BOUNDS = "95 % bounds if consistent"
 _SHARES = np.linspace(0.0, 0.999, 400)
 Line = tuple[Sequence[float], Sequence[float]]  # steps, values
-_STYLES = ("-", "--", ":")  # line styles, to distinguish more lines than there are colors
 
 
-def _style(number: int) -> dict[str, Any]:
-    return {"color": f"C{number}", "ls": _STYLES[number // len(COLORS) % len(_STYLES)]}
-
-
-def draw_error_cdf(
-    errors_m: Mapping[str, Array], path: Path, width_mm: float | None = None
-) -> None:
+def draw_error_cdf(errors_m: Mapping[str, Array], path: Path) -> None:
     """Draw the distributions (CDF) of contenders' horizontal and vertical errors (..., 3), m."""
-    with panels(path, width_mm) as (left, right):
-        labels = contenders(errors_m)
-        for number, (name, errors) in enumerate(errors_m.items()):
-            look = _style(number)
-            for axes, sizes in ((left, horizontal(errors)), (right, vertical(errors))):
-                values = np.maximum(sizes, SMALLEST_M)  # the error of a known height is 0
-                axes.plot(np.quantile(values, _SHARES), _SHARES, label=labels[name], **look)
-                axes.plot(np.quantile(values, SHARES), SHARES, "o", ms=3.5, color=look["color"])
-        for axes, kind in ((left, "horizontal"), (right, "vertical")):
+    labels = contenders(errors_m)
+    with panels(path) as both:
+        for axes, kind, size in zip(
+            both, ("horizontal", "vertical"), (horizontal, vertical), strict=True
+        ):
+            for name, errors in errors_m.items():
+                values = np.maximum(size(errors), SMALLEST_M)  # the error of a known height is 0
+                axes.plot(np.quantile(values, _SHARES), _SHARES, label=labels[name])
             low = min(np.interp(0.03, line.get_ydata(), line.get_xdata()) for line in axes.lines)
             axes.set(xscale="log", ylim=(0.0, 1.0), xlabel=f"{kind} position error (m)")
             axes.set_xlim(left=low)
@@ -182,28 +156,24 @@ def draw_error_cdf(
             plain_numbers(axes.xaxis)
 
 
-def draw_consistency(
-    time_s: Array, nees: Mapping[str, Array], dof: int, path: Path, width_mm: float | None = None
-) -> None:
+def draw_consistency(time_s: Array, nees: Mapping[str, Array], dof: int, path: Path) -> None:
     """Draw the NEES over time with its chi-square bounds, and the distribution of the NEES.
 
     Args:
         time_s: (T,) times since the first epoch of an episode.
         nees: contender -> NEES (n, T) of n episodes; each value sums over ``dof`` coordinates.
-        path, width_mm: arguments of :func:`~experiments.reporting.figures.panels`.
+        path: file to write.
     """
     episodes = len(next(iter(nees.values())))
     low, high = chdtri(episodes * dof, [0.975, 0.025]) / (episodes * dof)
-    with panels(path, width_mm) as (over_time, whole):
+    with panels(path) as (over_time, whole):
         over_time.axhspan(low, high, color="0.7", lw=0.0, label=BOUNDS)
-        whole.plot([0.0, 1.0], [0.0, 1.0], color="0.5", lw=4.0, alpha=0.6, label="consistent")
-        names = contenders(nees)
-        for number, (name, values) in enumerate(nees.items()):
-            look = _style(number)
-            over_time.plot(time_s, values.mean(axis=0) / dof, **look)
-            inside = np.sort(chdtr(dof, values), axis=None)
+        whole.axline((0.0, 0.0), slope=1.0, color="0.5", lw=4.0, alpha=0.6, label="consistent")
+        for name, label in contenders(nees).items():
+            over_time.plot(time_s, nees[name].mean(axis=0) / dof)
+            inside = np.sort(chdtr(dof, nees[name]), axis=None)
             shares = np.searchsorted(inside, _SHARES, "right") / inside.size
-            whole.plot(_SHARES, shares, label=names[name], **look)
+            whole.plot(_SHARES, shares, label=label)
         label = f"mean NEES / {dof}, of {episodes:,} episodes"
         over_time.set(xlabel="time since the start (s)", yscale="log", ylabel=label)
         plain_numbers(over_time.yaxis)
@@ -218,8 +188,7 @@ def draw_learning_curves(label: str, lines: Sequence[Line], path: Path) -> None:
     """
     from matplotlib.ticker import EngFormatter, NullFormatter
 
-    width = PHONE_MM / MM_PER_IN
-    with picture(path, width, 0.63 * width + 0.3) as figure:
+    with picture(path, PHONE_IN, 0.63 * PHONE_IN + 0.3) as figure:
         axes = figure.subplots()
         for steps, values in lines:
             axes.plot(steps, values, color="C0", lw=1.0, alpha=0.8)

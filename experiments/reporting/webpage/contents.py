@@ -64,17 +64,17 @@ def html_of(markdown: str) -> str:
     return "".join(parts)
 
 
-def drawn(caption: str, draw: Callable[..., None], *data: Any, **options: Any) -> str:
+def drawn(caption: str, draw: Callable[..., None], *data: Any) -> str:
     """Return a picture of data as HTML; without matplotlib, return a note.
 
-    ``draw`` gets the data, the path of an .svg file to write, and the options. In dark mode, the
+    ``draw`` gets the data and the path of an .svg file to write. In dark mode, the
     page's style inverts the picture.
     """
     if not find_spec("matplotlib"):
         return element("p", f"{caption}: pictures need mmwave-loc[plot]", "note")
     with TemporaryDirectory() as folder:
         path = Path(folder) / "picture.svg"
-        draw(*data, path, **options)
+        draw(*data, path)
         svg = b64encode(path.read_bytes()).decode("ascii")
     image = f'<img src="data:image/svg+xml;base64,{svg}" alt="{text(caption)}">'
     return f"<figure>{image}{element('figcaption', caption)}</figure>"

@@ -18,7 +18,7 @@ from experiments.evaluation.compare import Comparison
 from experiments.evaluation.contenders import contender_of, named, seeds_from, task_of
 from experiments.evaluation.positions import EpochErrors
 from experiments.evaluation.runner import Scoring, score_contenders
-from experiments.reporting.figures import PHONE_MM, draw_consistency, draw_error_cdf
+from experiments.reporting.figures import draw_consistency, draw_error_cdf
 from experiments.reporting.histories import histories_of
 from experiments.reporting.log_results import beginning
 from experiments.reporting.webpage.contents import (
@@ -138,10 +138,10 @@ def errors_of(played: Played) -> Iterator[str]:
     epochs = played.epochs
     if epochs.errors_m:
         caption = f"Distribution of errors (CDF), {played.which}"
-        yield drawn(caption, draw_error_cdf, epochs.errors_m, width_mm=PHONE_MM)
+        yield drawn(caption, draw_error_cdf, epochs.errors_m)
         caption = f"NEES and its chi-square bounds, {played.which}"
         nees = (epochs.time_s, epochs.nees, played.axes)
-        yield drawn(caption, draw_consistency, *nees, width_mm=PHONE_MM)
+        yield drawn(caption, draw_consistency, *nees)
 
 
 def _episode(name: str, history: History, groups: Sequence[str], courses: Json) -> Json:
