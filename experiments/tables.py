@@ -19,7 +19,7 @@ class Args:
     """folder for tables.md and tables.csv"""
 
 
-SECTIONS = 19  # number of sections, for the progress bar
+SECTIONS = 18  # number of sections, for the progress bar
 FIELDS = ("section", "row", "column", "mean", "low", "high")
 
 

@@ -10,7 +10,6 @@ from scipy.stats import chi2
 from experiments.evaluation.intervals import Interval, bootstrap, bootstrap_ratio
 from experiments.paper.printed import (
     ALGORITHMS,
-    CLEAN,
     TUNED_ON,
     Bench,
     Errors,
@@ -236,7 +235,7 @@ def resolution(bench: Bench) -> Section:
 )
 def consistency_gate(bench: Bench) -> Iterator[Row]:
     """Compare the NEES of three axes with 5.99, the 95 % quantile for two axes."""
-    setting = Setting("pedestrian", "standard", changes=CLEAN)
+    setting = Setting("pedestrian", "standard", clean=True)
     nees = bench.run(replace(setting.tuned(), adaptive=False), setting).filtered.nees
     for gate in (float(chi2.ppf(0.95, 2)), float(chi2.ppf(0.95, 3)), nees_interval()[1]):
         nominal = [100.0 * float(chi2.sf(gate, axes)) for axes in (3, 2)]
@@ -283,8 +282,8 @@ def headline(bench: Bench) -> Iterator[Row]:
     """Measure the accuracy and the consistency of filters with the high profile."""
     for scenario in HEADLINE:
         for planar, terrain in ((False, "3-D"), (True, "flat")):
-            for changes, channel in (((), "as is"), (CLEAN, "no blockage, no multipath")):
-                setting = Setting(scenario, "high", changes=changes)
+            for clean, channel in ((False, "as is"), (True, "no blockage, no multipath")):
+                setting = Setting(scenario, "high", clean=clean)
                 mode = setting.tuned()
                 for name, variant in {"as in the paper": mode, "robust": robust(mode)}.items():
                     run = bench.run(variant, setting, planar)
@@ -292,38 +291,9 @@ def headline(bench: Bench) -> Iterator[Row]:
                     yield [scenario, terrain, channel, name, *figures]
 
 
-@section(
-    "Error budget of the high profile, 3-D, smoothed",
-    "Modes with robust, blockage-aware updates and the process noise tuned for the unchanged "
-    "profile. Each row changes the radio in one way. x, y, z: root mean square errors.",
-    "user | radio | ATE m | x m | y m | z m",
-    labels=2,
-)
-def error_budget(bench: Bench) -> Iterator[Row]:
-    """Measure how much each property of the radio contributes to the 3-D error."""
-    radio = RADIOS["high"]
-    angles = ("aoa_floor_rad", "aod_floor_rad", "elevation_floor_rad")
-    larger = {"gnb_elements": 2 * radio.gnb_elements, "ue_elements": 2 * radio.ue_elements}
-    halved = {name: getattr(radio, name) / 2 for name in angles}
-    improvements: dict[str, dict[str, object]] = {
-        "as is": {},
-        "no blockage": {"blockage_scale": 0.0},
-        "no multipath": {"multipath_rate_hz": 0.0},
-        "range floors halved": {"range_floor_m": tuple(v / 2 for v in radio.range_floor_m)},
-        "elevation floor halved": {"elevation_floor_rad": radio.elevation_floor_rad / 2},
-        "angle floors halved": halved,
-        "angle floors halved, arrays doubled": halved | larger,
-    }
-    for scenario in HEADLINE:
-        for name, changes in improvements.items():
-            setting = Setting(scenario, "high", changes=tuple(changes.items()))
-            errors = bench.run(robust(setting.tuned()), setting).smoothed
-            yield [scenario, name, *bootstrap(_ates([errors])), *map(float, errors.axis_rms_m)]
-
-
 CLAIMS = (  # in the order of docs/paper.md
     algorithms, steps, adaptation, smoothing, improvement, process_noise, units, resolution,
-    consistency_gate, contradictions, headline, error_budget,
+    consistency_gate, contradictions, headline,
 )  # fmt: skip
 
 

@@ -31,8 +31,6 @@ from mmwave_env.world.simulated import SimulatedSource
 
 TUNED_ON = ("pedestrian", "vehicle")  # kinds of users, in the order of the modes tuned for them
 ALGORITHMS = ("ekf", "ukf", "ckf")
-# changes of a radio that leave out blockage and multipath
-CLEAN = (("blockage_scale", 0.0), ("multipath_rate_hz", 0.0))
 
 
 @dataclass(frozen=True)
@@ -43,11 +41,13 @@ class Setting:
     radio: str  # name of the radio profile
     odometry: bool = False  # whether the user also measures speed and heading
     walls: bool = True  # whether there are walls, which add virtual anchors to the base station
-    changes: tuple[tuple[str, object], ...] = ()  # pairs (field of the radio to change, new value)
+    clean: bool = False  # whether there are no blockage and no multipath
 
     def source(self) -> SimulatedSource:
         """Return the source of the episodes."""
-        radio = replace(radio_from(self.radio), **dict(self.changes))  # type: ignore[arg-type]
+        radio = radio_from(self.radio)
+        if self.clean:
+            radio = replace(radio, blockage_scale=0.0, multipath_rate_hz=0.0)
         scene = SCENES["street"] if self.walls else replace(SCENES["street"], walls=())
         return SimulatedSource(scene, radio, self.scenario, odometry=self.odometry)
 
@@ -61,7 +61,6 @@ class Errors(NamedTuple):
 
     scores: Scores  # values (episodes,) by metric
     nees: Array  # (episodes, epochs) without the first epochs of an episode (the burn-in)
-    axis_rms_m: Array  # (3,) root mean square error along x, y and z
 
 
 class TrackRun(NamedTuple):
@@ -110,9 +109,8 @@ def track(mode: Mode, episodes: Sequence[Episode], planar: bool = False) -> Trac
 
 def _errors(error: Array, nees: Array, axes: int) -> Errors:
     counted = scored(nees.shape[1])
-    rms = np.sqrt(np.square(error[:, counted]).mean(axis=(0, 1)))
     # The cache keeps a copy: a view would keep all outputs of the run.
-    return Errors(summary(error, nees, axes=axes), nees[:, counted].copy(), rms)
+    return Errors(summary(error, nees, axes=axes), nees[:, counted].copy())
 
 
 Cell = str | float | Interval
