@@ -198,9 +198,9 @@ def draw_learning_curves(label: str, lines: Sequence[Line], path: Path) -> None:
         axes.xaxis.set_minor_formatter(NullFormatter())
 
 
+TITLE_LETTERS = 80  # maximum number of characters in a line of the title
 POINTS = 6000  # maximum number of epochs in a picture; a longer track is thinned
 ELLIPSES = 15  # maximum number of ellipses along a track
-TITLE_LETTERS = 80  # maximum number of characters in a line of the title
 _ENLARGED = (1, 2, 5, 10, 20, 50, 100)  # factors by which ellipses may be enlarged to be visible
 _VISIBLE = 0.02  # smallest visible semi-axis of an ellipse, as a share of the track's extent
 
@@ -228,7 +228,7 @@ def draw_trajectory(
     truth_m = truth_m[shown]
     heights = [5.0, 1.8]
     if len(np.unique(track.mode)) > 1:
-        heights.append(0.3)
+        heights.append(0.2 * len(track.modes) + 0.1)
     with picture(path, 10.0, sum(heights) + 1.2) as figure:
         above, errors, *ribbon = figure.subplots(len(heights), 1, height_ratios=heights)
         _draw_above(above, track, truth_m, scene, learned)
@@ -244,15 +244,8 @@ def draw_trajectory(
         for modes in ribbon:
             errors.tick_params(labelbottom=False)
             errors.sharex(modes)
-            begins = np.flatnonzero(np.diff(track.mode, prepend=-1))
-            ends = np.append(begins[1:], len(track) - 1)
-            spans = np.stack([time[begins], time[ends] - time[begins]], axis=1)
-            colors = [f"C{number}" for number in track.mode[begins]]
-            modes.broken_barh(spans, (0.0, 1.0), facecolors=colors, lw=0.0)
-            modes.grid(visible=False)
-            modes.spines[:].set_visible(False)
-            modes.tick_params(axis="y", length=0)
-            modes.set_yticks([0.5], ["mode"])
+            modes.step(time, track.mode, where="post", color="black", lw=0.8)
+            modes.set_yticks(range(len(track.modes)), map(caption, track.modes))
         [errors, *ribbon][-1].set_xlabel("time since the first epoch (s)")
         lines = textwrap.wrap(caption(title), TITLE_LETTERS, break_on_hyphens=False)
         figure.suptitle("\n".join(lines), x=0.02, ha="left")
@@ -292,7 +285,7 @@ def _draw_ellipses(axes: Any, track: Track) -> None:
     wanted = _VISIBLE * extent / max(float(np.median(longest)), 1e-9)
     enlarged = next((n for n in _ENLARGED if n >= wanted), _ENLARGED[-1])
     for ring in ellipse(track.smooth_x[at, :2], P, enlarged * deviations, 48):
-        axes.fill(*ring.T, fc="none", ec="black", lw=0.8)
+        axes.fill(*ring.T, fc="none", ec="black", lw=0.8, ls="-")
     label = "95 % ellipses" + (f",\nenlarged {enlarged} times" if enlarged > 1 else "")
     axes.plot([], [], "o", mfc="none", mec="black", mew=0.8, ms=8, label=label)
 
@@ -303,35 +296,31 @@ def _draw_scene(axes: Any, position: Array, scene: Scene, learned: Sequence[Json
     Those that are farther outside the track's box than its extent, or 30 m, are left out.
     """
     low = position.min(axis=0)
-    size = position.max(axis=0) - low
-    middle = low + 0.5 * size
-    reach = 0.5 * size + max(float(size.max()), 30.0)
+    high = position.max(axis=0)
+    margin = max(float((high - low).max()), 30.0)
 
     def is_near(point: Array) -> bool:
-        return bool((abs(point - middle) < reach).all())
-
-    def draw_wall(normal: Array, offset_m: float, label: str, **style: Any) -> None:
-        foot = middle + (offset_m - normal @ middle) * normal
-        if is_near(foot):
-            axes.axline(foot, foot + [-normal[1], normal[0]], label=label, **style)
+        return bool(((low - margin < point) & (point < high + margin)).all())
 
     for number, anchor in enumerate(scene.anchors_m[:, :2], start=1):
         if is_near(anchor):
-            name = "gNB" if number == 1 else f"anchor {number}"
-            marker, fill = ("^", "black") if number == 1 else ("v", "white")
-            axes.plot(*anchor, marker, color="black", ms=8, mfc=fill)
-            # In the right half, a name is to the left of its anchor, so that it is not cut off.
-            offset, side = (-7, "right") if anchor[0] > middle[0] else (7, "left")
-            place = {"textcoords": "offset points", "va": "center", "ha": side}
-            axes.annotate(name, anchor, (offset, 0), **place)
-    for wall in scene.walls:
-        normal = np.array(wall.unit_normal)
-        draw_wall(normal, wall.offset_m, "wall", color="gray", alpha=0.5, lw=4.0)
-    label = "learned wall,\n± 2 standard deviations"
+            name = f"anchor {number}" if number > 1 else "gNB"
+            axes.plot(*anchor, "^", color="black", ms=8, mfc="white" if number > 1 else "black")
+            axes.annotate(name, anchor, (7, 0), textcoords="offset points", va="center")
+    walls = [
+        (np.array(wall.unit_normal), wall.offset_m, {"label": "wall", "color": "0.75", "lw": 4.0})
+        for wall in scene.walls
+    ]
+    look = {"label": "learned wall,\n± 2 standard deviations", "color": "C3", "ls": "--"}
     for image in learned:
         normal = np.array(image["wall"]["normal"])
         # the wall is halfway between the base station and its image
         sigma = 0.5 * float(np.linalg.norm(normal * image["sigma_m"][:2]))
         for deviations, width in ((-2.0, 0.6), (2.0, 0.6), (0.0, 1.4)):
             offset_m = image["wall"]["offset_m"] + deviations * sigma
-            draw_wall(normal, offset_m, label, color="C3", ls="--", lw=width)
+            walls.append((normal, offset_m, look | {"lw": width}))
+    middle = 0.5 * (low + high)
+    for normal, offset_m, style in walls:
+        foot = middle + (offset_m - normal @ middle) * normal
+        if is_near(foot):
+            axes.axline(foot, foot + [-normal[1], normal[0]], **style)
