@@ -50,19 +50,9 @@ class Canvas:
         """Fill a part of the picture."""
         self._large.fill(self.color(paint), self._scaled(part))
 
-    def polygon(self, points: ArrayLike, paint: Paint, opacity: float = 1.0) -> None:
+    def polygon(self, points: ArrayLike, paint: Paint) -> None:
         """Fill a polygon (n, 2)."""
-        large = self._enlarged(points)
-        color = self.color(paint)
-        if opacity == 1.0:
-            pygame.draw.polygon(self._large, color, large)
-            return
-        low = large.min(axis=0)
-        high = large.max(axis=0)
-        box = pygame.Rect(low, high - low + 1).clip(self._large.get_clip())
-        glass = pygame.Surface(box.size, pygame.SRCALPHA)
-        pygame.draw.polygon(glass, (*color, round(255 * opacity)), large - box.topleft)
-        self._large.blit(glass, box)
+        pygame.draw.polygon(self._large, self.color(paint), self._enlarged(points))
 
     def line(self, points: ArrayLike, paint: Paint, width: float, closed: bool = False) -> None:
         """Draw a line through at least two points (n, 2)."""
