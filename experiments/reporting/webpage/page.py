@@ -233,7 +233,7 @@ def page_of(args: PageArgs) -> str:
     dark = vars(THEMES["dark"])
     colors = " ".join(  # as CSS variables; videos have the same
         f"--{name}: light-dark({hex_of(light[name])}, {hex_of(dark[name])});"
-        for name in sorted(light.keys() - {"modes", "black", "white"})
+        for name in sorted(light.keys() - {"modes"})
     )
     parts = {
         "title": text(verdicts[0].title),
