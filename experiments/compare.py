@@ -66,11 +66,9 @@ def main(args: Args) -> None:
     if args.json:  # before show(), which fails if the program that reads its output stops
         write_json(args.json, provenance("compare", args) | made.json)
     epochs = made.epochs
-    try:
-        if args.errors:
-            draw_error_cdf(epochs.errors_m, args.errors)
-        if args.consistency:
-            axes = 2 if args.planar else 3
-            draw_consistency(epochs.time_s, epochs.nees, axes, args.consistency)
-    finally:  # the tables are shown even if a picture fails
-        show(made.text)
+    show(made.text)  # also if a picture fails
+    if args.errors:
+        draw_error_cdf(epochs.errors_m, args.errors)
+    if args.consistency:
+        axes = 2 if args.planar else 3
+        draw_consistency(epochs.time_s, epochs.nees, axes, args.consistency)

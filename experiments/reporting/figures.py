@@ -96,11 +96,10 @@ def contenders(names: Iterable[str]) -> dict[str, str]:
 
 def labelled(axes: Sequence[Any]) -> list[Any]:
     """Return one artist in panels for each label, in the order of the labels."""
-    artists = {
-        label: artist
-        for panel in axes
-        for artist, label in zip(*panel.get_legend_handles_labels(), strict=True)
-    }
+    artists: dict[str, Any] = {}
+    for panel in axes:
+        handles, labels = panel.get_legend_handles_labels()
+        artists |= zip(labels, handles, strict=True)
     return [*artists.values()]
 
 

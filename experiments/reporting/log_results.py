@@ -423,7 +423,8 @@ def localized(args: LogArgs) -> None:
     _check(args, files)
     scene = scene_of(args, files.scene)
     if args.diagnose:
-        return diagnosed(args, files, scene)
+        diagnosed(args, files, scene)
+        return
     for out in args.out:
         if out.suffix in MAP_FILES:
             origin_of(scene, f"out: {out}")
@@ -439,17 +440,12 @@ def localized(args: LogArgs) -> None:
     figures = _figures(args, files, work, track)
     if args.json:  # before show(), which fails if the reader of the tables closes the pipe
         write_json(args.json, provenance("localize", args) | figures)
-    try:
-        if args.plot:
-            log = "/".join(files.log.parts[-2:])
-            title = f"{log}, {_kind(args)} track"
-            learned = work.map["images"] if work.map else []
-            known = work.truth_m(track.time_s)
-            draw_trajectory(track, known, work.scene, args.plot, title, learned)
-    finally:  # the results are shown even if a picture fails
-        try:
-            show(track_markdown(figures))
-        finally:  # an error in the log is reported even if the results can't be shown
-            if figures["error"]:
-                shown = "written" if args.out else "shown"
-                raise ValueError(f"{figures['error']}; {figures['epochs']} epochs are {shown}")
+    show(track_markdown(figures))  # also if a picture fails
+    if args.plot:
+        title = f"{'/'.join(files.log.parts[-2:])}, {_kind(args)} track"
+        learned = work.map["images"] if work.map else []
+        known = work.truth_m(track.time_s)
+        draw_trajectory(track, known, work.scene, args.plot, title, learned)
+    if figures["error"]:
+        shown = "written" if args.out else "shown"
+        raise ValueError(f"{figures['error']}; {figures['epochs']} epochs are {shown}")
