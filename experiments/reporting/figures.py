@@ -200,7 +200,7 @@ def draw_learning_curves(label: str, lines: Sequence[Line], path: Path) -> None:
 TITLE_LETTERS = 80  # maximum number of characters in a line of the title
 POINTS = 6000  # maximum number of epochs in a picture; a longer track is thinned
 ELLIPSES = 15  # maximum number of ellipses along a track
-_ENLARGED = (1, 2, 5, 10, 20, 50, 100)  # factors by which ellipses may be enlarged to be visible
+_MOST_ENLARGED = 100.0  # largest factor by which ellipses are enlarged to be visible
 _VISIBLE = 0.02  # smallest visible semi-axis of an ellipse, as a share of the track's extent
 
 
@@ -282,7 +282,7 @@ def _draw_ellipses(axes: Any, track: Track) -> None:
     longest = deviations * axes_of(P)[0]
     extent = float(np.ptp(track.smooth_x[:, :2], axis=0).max())
     wanted = _VISIBLE * extent / max(float(np.median(longest)), 1e-9)
-    enlarged = next((n for n in _ENLARGED if n >= wanted), _ENLARGED[-1])
+    enlarged = int(np.clip(wanted, 1.0, _MOST_ENLARGED))
     for ring in ellipse(track.smooth_x[at, :2], P, enlarged * deviations, 48):
         axes.fill(*ring.T, fc="none", ec="black", lw=0.8, ls="-")
     label = "95 % ellipses" + (f",\nenlarged {enlarged} times" if enlarged > 1 else "")

@@ -61,11 +61,9 @@ class Canvas:
 
     def dashes(self, start: Point, end: Point, paint: Paint, width: float) -> None:
         """Draw a dashed line between two points in the picture."""
-        way = np.subtract(end, start)
-        length = math.hypot(*way)
-        for begin in np.arange(0.0, length, 2.0 * _DASH):
-            shares = np.divide([begin, min(begin + _DASH, length)], length)
-            self.line(start + np.outer(shares, way), paint, width)
+        count = 1 + int(math.dist(start, end) / (2.0 * _DASH))
+        for dash in np.linspace(start, end, 2 * count).reshape(count, 2, 2):
+            self.line(dash, paint, width)
 
     def disc(self, center: Point | Array, radius: float, paint: Paint) -> None:
         """Draw a filled circle."""

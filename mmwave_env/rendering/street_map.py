@@ -55,10 +55,7 @@ def follow(history: History, frame: Rect) -> View:
     estimate = recent.estimate[:, :2]
     estimate = np.where(np.isfinite(estimate), estimate, truth)
     gap = abs(truth - estimate).max(axis=1)
-    deviation = np.sqrt(np.maximum(np.nan_to_num(recent.P[:, [0, 2]]).max(axis=1), 0.0))
-    wanted = np.maximum.reduce(
-        [_AHEAD_S * recent.true_mps, 1.2 * gap, 3.0 * deviation], initial=_LEAST_M
-    )
+    wanted = np.maximum(np.maximum(_AHEAD_S * recent.true_mps, 1.2 * gap), _LEAST_M)
     shape = np.array([frame.width / frame.height, 1.0])
     half = max(
         float(weights @ wanted),
