@@ -5,7 +5,7 @@ of a track from above, with its errors and modes (filters) over time.
 """
 
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -78,20 +78,16 @@ def caption(name: str) -> str:
     return "".join(x if font.get_char_index(ord(x)) else spelled(x) for x in printable(name))
 
 
-def contenders(names: Iterable[str]) -> dict[str, str]:
+def contenders(names: Collection[str]) -> dict[str, str]:
     """Map names of contenders (policies and IMMs) to their labels in a picture.
 
-    A path is shortened to its shortest ending that distinguishes it from all other names.
+    A path is shortened to its last part if no other name ends with it.
     """
-    parts = {name: Path(name).parts for name in names}
-    shown = {}
-    for name, own in parts.items():
-        for k in range(1, len(own) + 1):
-            ends = [other[-k:] for other in parts.values()]
-            if ends.count(own[-k:]) == 1:
-                break
-        shown[name] = caption(str(Path(*own[-k:])))
-    return shown
+    ends = [Path(name).name for name in names]
+    labels = {}
+    for name, end in zip(names, ends, strict=True):
+        labels[name] = caption(end if ends.count(end) == 1 else name)
+    return labels
 
 
 def labelled(axes: Sequence[Any]) -> list[Any]:

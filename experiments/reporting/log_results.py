@@ -44,12 +44,7 @@ from mmwave_env.filters.bank import modes_from
 from mmwave_env.io.files import Json, require_writable, write_json
 from mmwave_env.io.lookup import as_name
 from mmwave_env.localization.association import MOST_FALSE, MOST_MISSED, associate
-from mmwave_env.localization.contradictions import (
-    FEW_WRONG,
-    LARGEST_NIS,
-    Contradiction,
-    contradictions,
-)
+from mmwave_env.localization.contradictions import Contradiction, contradictions
 from mmwave_env.localization.diagnosis import diagnose
 from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.localizer import Track, localize
@@ -381,15 +376,6 @@ def _figures(args: LogArgs, files: Inputs, work: Work, track: Track) -> Json:
         scores["error"] = str(track.damage)
     groups, doubts = _consistency(work, track)
     odd = [f"{doubt}; --diagnose looks for a likely mistake" for doubt in doubts]
-    for name, group in groups.items():
-        nis = group["nis_per_dof"] or 0.0
-        inside = group["nis_in_bounds"] or 0.0
-        if nis > LARGEST_NIS and inside >= FEW_WRONG and name != "all":
-            odd.append(
-                f"{name}: found NIS / dof {nis:.3g}, although {inside:.0%} of the values are in "
-                "their 95 % bounds: a few are far off, such as reflections (--imm imm-best rejects "
-                "more of them)"
-            )
     errors = _shared_errors(work)
     odd += [f"the log looks as if {e}; {UNSEEN}; {advice}" for e, advice in errors.items()]
     for message in odd:
@@ -399,7 +385,6 @@ def _figures(args: LogArgs, files: Inputs, work: Work, track: Track) -> Json:
         "log": str(files.log),
         "scene": work.scene.name,
         "radio": work.profile + (", chosen by auto" if args.radio == AUTO else ""),
-        "imm": args.imm,
         "rule": work.choice.why,
         "range_step_m": work.range_step_m,
         "algorithm_1": args.imm is None and args.policy is None and is_algorithm_1(args),

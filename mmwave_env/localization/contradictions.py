@@ -22,8 +22,10 @@ from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import PI, Array
 
-LARGEST_NIS = 5.0  # per degree of freedom
-FEW_WRONG = 0.85  # if more of the NIS are in their 95 % bounds, a large mean comes from a few links
+_LARGEST_NIS = 5.0  # per degree of freedom
+_FEW_WRONG = (
+    0.85  # if more of the NIS are in their 95 % bounds, a large mean comes from a few links
+)
 _ENOUGH = 20  # minimum number of epochs for a conclusion
 _ENOUGH_IF_BLOCKED = 100  # minimum number if a blockage of a few seconds may distort a conclusion
 # minimum number if gates reject more than this share, as they seldom do in a blockage
@@ -46,8 +48,8 @@ _RANGE_M = Bound("0.001 to 1e+06 m", least=RANGE_LIMITS_M[0], most=RANGE_LIMITS_
 _AZIMUTH = Bound("up to 2 pi", most=2.0 * PI)
 _ELEVATION_DEG = Bound(f"up to {WIDEST_ELEVATION_DEG:g}", most=WIDEST_ELEVATION_DEG)
 _SNR_DB = Bound("-60 to 90 dB", least=-60.0, most=90.0)
-_NIS = Bound(f"0.2 to {LARGEST_NIS:g}", least=0.2, most=LARGEST_NIS)  # of anchors
-_NIS_OF_OTHERS = Bound(f"at most {LARGEST_NIS:g}", most=LARGEST_NIS)
+_NIS = Bound(f"0.2 to {_LARGEST_NIS:g}", least=0.2, most=_LARGEST_NIS)  # of anchors
+_NIS_OF_OTHERS = Bound(f"at most {_LARGEST_NIS:g}", most=_LARGEST_NIS)
 _REJECTED = Bound("at most a third", most=1.0 / 3.0)  # fraction that gates may reject
 
 
@@ -151,7 +153,7 @@ def _fit_checks(groups: Mapping[str, Mapping[str, Any]]) -> Iterator[Check]:
         # With large process noise, a filter predicts Doppler shift and odometry far better than its
         # covariance says. Even in correct logs, their NIS is often a tenth of the expected value.
         bound = _NIS if name.startswith("anchor") else _NIS_OF_OTHERS
-        if (group.get("nis_in_bounds") or 0.0) >= FEW_WRONG:
+        if (group.get("nis_in_bounds") or 0.0) >= _FEW_WRONG:
             bound = bound._replace(most=inf)  # such as reflections: that is no mistake
         if nis is not None:
             yield name, nis, bound, f"NIS / dof {nis:.3g}"
