@@ -8,8 +8,6 @@ from tyro.conf import arg
 
 from experiments.console.options import EpisodeArgs
 
-WIDTH_MM = (80.0, 500.0)  # smallest and largest width of a readable picture
-
 
 @dataclass(kw_only=True)
 class Args(EpisodeArgs):
@@ -42,8 +40,6 @@ class Args(EpisodeArgs):
     vertical errors to this .png, .svg or .pdf file"""
     consistency: Path | None = None
     """draw NEES over time, with its chi-square bounds, to this file"""
-    width_mm: float | None = None
-    """width of the pictures, mm, such as the width of a journal's column"""
 
 
 def main(args: Args) -> None:
@@ -60,9 +56,6 @@ def main(args: Args) -> None:
     from mmwave_env.io.files import write_json
 
     pictures = {"errors": args.errors, "consistency": args.consistency}
-    if args.width_mm is not None and not WIDTH_MM[0] <= args.width_mm <= WIDTH_MM[1]:
-        expected = f"{WIDTH_MM[0]:g} to {WIDTH_MM[1]:g}"
-        raise ValueError(f"width_mm: found {args.width_mm:g}, expected {expected}")
     for option, path in pictures.items():
         if path:
             require_picture(option, path)
@@ -74,11 +67,9 @@ def main(args: Args) -> None:
     if args.json:  # before show(), which fails if the program that reads its output stops
         write_json(args.json, provenance("compare", args) | made.json)
     epochs = made.epochs
-    try:
-        if args.errors:
-            draw_error_cdf(epochs.errors_m, args.errors, args.width_mm)
-        if args.consistency:
-            axes = 2 if args.planar else 3
-            draw_consistency(epochs.time_s, epochs.nees, axes, args.consistency, args.width_mm)
-    finally:  # the tables are shown even if a picture fails
-        show(made.text)
+    show(made.text)  # also if a picture fails
+    if args.errors:
+        draw_error_cdf(epochs.errors_m, args.errors)
+    if args.consistency:
+        axes = 2 if args.planar else 3
+        draw_consistency(epochs.time_s, epochs.nees, axes, args.consistency)

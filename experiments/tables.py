@@ -16,10 +16,10 @@ class Args:
     seed: int = 0
     """seed of the first episode; 0 is the first seed for results that are published"""
     out: Path = Path("results/paper")
-    """folder for tables.md, tables.csv and tables.png"""
+    """folder for tables.md and tables.csv"""
 
 
-SECTIONS = 19  # number of sections, for the progress bar
+SECTIONS = 18  # number of sections, for the progress bar
 FIELDS = ("section", "row", "column", "mean", "low", "high")
 
 
@@ -27,12 +27,9 @@ def main(args: Args) -> None:
     """Run the command."""
     from experiments.console.output import csv_text, say, show, tracked
     from experiments.paper.claims import sections
-    from experiments.paper.printed import Bench, draw, summaries
-    from experiments.reporting.figures import require_picture
+    from experiments.paper.printed import Bench, summaries
     from mmwave_env.io.files import require_writable, write_text
 
-    figure = args.out / "tables.png"
-    require_picture("out", figure)
     require_writable(args.out / "tables.md")
     bench = Bench(args.episodes, args.seed)
     results = {section.title: section for section in tracked(sections(bench), "tables", SECTIONS)}
@@ -40,8 +37,5 @@ def main(args: Args) -> None:
     records = [record for section in results.values() for record in section.records()]
     write_text(args.out / "tables.md", text)
     write_text(args.out / "tables.csv", csv_text([FIELDS, *records]))
-    try:
-        draw(results, figure)
-    finally:  # the tables are shown even if a picture fails
-        show(text)
+    show(text)
     say(f"written to {args.out}/")

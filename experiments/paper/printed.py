@@ -2,8 +2,7 @@
 
 The printed values are in published.csv (Tables I and II) and others.csv (other authors' results in
 Table III). First come cached runs of modes on the episodes of a setting, and the tables that show
-results. At the end are short forms of the tables, whose last one has the rows of verdicts.csv, and
-a picture.
+results. At the end are short forms of the tables, whose last one has the rows of verdicts.csv.
 """
 
 import csv
@@ -11,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +18,6 @@ from experiments.console.output import grid
 from experiments.evaluation.contenders import draw_episodes
 from experiments.evaluation.intervals import Interval, bootstrap, rounded
 from experiments.evaluation.runner import Scores
-from experiments.reporting.figures import COLORS, picture, plain_numbers
 from mmwave_env.engines.engine import tracker_of
 from mmwave_env.engines.smoothing import smooth
 from mmwave_env.filters.bank import shipped_modes
@@ -33,8 +31,6 @@ from mmwave_env.world.simulated import SimulatedSource
 
 TUNED_ON = ("pedestrian", "vehicle")  # kinds of users, in the order of the modes tuned for them
 ALGORITHMS = ("ekf", "ukf", "ckf")
-# changes of a radio that leave out blockage and multipath
-CLEAN = (("blockage_scale", 0.0), ("multipath_rate_hz", 0.0))
 _PARTS = ("x", "P", "x_predicted", "P_predicted", "error", "nees")
 
 
@@ -46,11 +42,13 @@ class Setting:
     radio: str  # name of the radio profile
     odometry: bool = False  # whether the user also measures speed and heading
     walls: bool = True  # whether there are walls, which add virtual anchors to the base station
-    changes: tuple[tuple[str, object], ...] = ()  # pairs (field of the radio to change, new value)
+    clean: bool = False  # whether there are no blockage and no multipath
 
     def source(self) -> SimulatedSource:
         """Return the source of the episodes."""
-        radio = replace(radio_from(self.radio), **dict(self.changes))  # type: ignore[arg-type]
+        radio = radio_from(self.radio)
+        if self.clean:
+            radio = replace(radio, blockage_scale=0.0, multipath_rate_hz=0.0)
         scene = SCENES["street"] if self.walls else replace(SCENES["street"], walls=())
         return SimulatedSource(scene, radio, self.scenario, odometry=self.odometry)
 
@@ -64,7 +62,6 @@ class Errors(NamedTuple):
 
     scores: Scores  # values (episodes,) by metric
     nees: Array  # (episodes, epochs) without the first epochs of an episode (the burn-in)
-    axis_rms_m: Array  # (3,) root mean square error along x, y and z
 
 
 class TrackRun(NamedTuple):
@@ -115,9 +112,8 @@ def track(mode: Mode, episodes: Sequence[Episode], planar: bool = False) -> Trac
 
 def _errors(error: Array, nees: Array, axes: int) -> Errors:
     counted = scored(nees.shape[1])
-    rms = np.sqrt(np.square(error[:, counted]).mean(axis=(0, 1)))
     # The cache keeps a copy: a view would keep all outputs of the run.
-    return Errors(summary(error, nees, axes=axes), nees[:, counted].copy(), rms)
+    return Errors(summary(error, nees, axes=axes), nees[:, counted].copy())
 
 
 Cell = str | float | Interval
@@ -305,50 +301,3 @@ def _span(wanted: Mapping[str, str], of: Section) -> list[str]:
         labels = [str(label) for label in row[: of.labels] if label not in among]
         cells.append(shown(row[column]) + (f" ({', '.join(labels)})" if labels else ""))
     return cells
-
-
-COUPLED = 3  # column of our ATE with coupled process noise; column 1 has the paper's ATE
-FILTERS = 4  # number of rows of the paper's tables; our tables begin with the same rows
-
-
-def _errorbars(axes: Any, x: Any, rows: Sequence[Row], column: int, **style: Any) -> None:
-    mean, low, high = np.array([row[column] for row in rows]).T
-    axes.errorbar(x, mean, yerr=[mean - low, high - mean], capsize=2, **style)
-
-
-def _bars(axes: Any, sections: Mapping[str, Section], title: str) -> None:
-    """Draw the ATE of each filter: the paper's value, and our value for each radio profile."""
-    x = np.arange(FILTERS)
-    for offset, radio in zip((-0.2, 0.0, 0.2), TUNED_RADIOS, strict=True):
-        rows = sections[f"{title}, {radio}"].rows[:FILTERS]
-        _errorbars(axes, x + offset, rows, COUPLED, fmt="o", ms=4, label=radio)
-    axes.plot(x, [row[1] for row in rows], "_", color="black", ms=30, label="paper")
-    axes.set_xticks(x, [str(row[0]).replace(" ", "\n") for row in rows])
-    axes.set_title(title)
-    axes.grid(visible=False, axis="x")
-
-
-def _sweep(axes: Any, section: Section) -> None:
-    """Draw the ATE against the process noise, with and without gates."""
-    from matplotlib.rcsetup import cycler
-
-    x = [float(str(row[0])) for row in section.rows]
-    axes.set_prop_cycle(cycler(ls=[":", "-", "--"]) * cycler(color=COLORS[:2]))
-    for column, name in enumerate(section.columns[1:], start=1):
-        _errorbars(axes, x, section.rows, column, label=name)
-    axes.set(xscale="log", xlabel="process noise sigma_v (m/s)")
-    plain_numbers(axes.xaxis)
-    axes.set_title("Vehicle, standard: process noise")
-    axes.legend(loc="lower left")
-
-
-def draw(sections: Mapping[str, Section], path: Path) -> None:
-    """Draw all panels from the sections, whose keys are titles; write the picture to a file."""
-    with picture(path, 13.0, 4.2) as figure:
-        pedestrian, vehicle, sweep = figure.subplots(1, 3, sharey=True)
-        _bars(pedestrian, sections, "Table I: pedestrian")
-        _bars(vehicle, sections, "Table II: vehicle")
-        _sweep(sweep, sections["Vehicle ATE against process noise, m"])
-        pedestrian.set(yscale="log", ylim=(0.1, 1000.0), ylabel="ATE (m)")
-        plain_numbers(pedestrian.yaxis)
-        pedestrian.legend(markerscale=0.6)

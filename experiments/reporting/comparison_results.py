@@ -124,12 +124,10 @@ def results(args: EpisodeArgs, names: Sequence[str], with_epochs: bool = False) 
     text = str(comparison)
     content = comparison.json
     # the same run by two names is refused here
-    others = [file for run in runs.values() for file in run.policies if file != run.policy]
-    more = [contender_of(args, file) for file in others]
-    trained = score_contenders(more, task.source, seeds, scoring=scoring) if more else {}
+    files = [contender_of(args, file) for run in runs.values() for file in run.policies]
+    trained = score_contenders(files, task.source, seeds, scoring=scoring) if files else {}
     spreads = {}
     for name, run in runs.items():
-        trained[run.policy] = scores[name]
         of_seeds = [trained[file] for file in run.policies]
         spreads[name] = over_training_seeds(run, of_seeds, scores)
         text += seeds_markdown(run, spreads[name])

@@ -5,7 +5,7 @@ of a track from above, with its errors and modes (filters) over time.
 """
 
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -30,11 +30,7 @@ UNDATED: dict[str, dict[str, Any]] = {  # metadata without dates, so equal pictu
 }
 COLORS = [hex_of(color) for color in THEMES["light"].modes]  # colors of modes, as in videos
 
-LEGEND_COLUMNS = 2  # number of columns in a legend below panels
-FONT_PT = 10.0
-PHONE_MM = 117.0  # width of a picture for a phone
-STACKED_MM = 170.0  # up to this width, panels are stacked
-MM_PER_IN = 25.4
+PHONE_IN = 4.6  # width of a picture for a phone, or for a column of text
 
 
 def require_picture(option: str, path: Path) -> None:
@@ -54,9 +50,7 @@ def require_picture(option: str, path: Path) -> None:
 
 
 @contextmanager
-def picture(
-    path: Path, width_in: float, height_in: float, font_pt: float = FONT_PT
-) -> Iterator[Any]:
+def picture(path: Path, width_in: float, height_in: float) -> Iterator[Any]:
     """Yield a matplotlib figure to draw into, and write it to a .png, .svg or .pdf file at the end.
 
     The figure has the project's style, whatever matplotlib settings the user has. The file is
@@ -66,8 +60,9 @@ def picture(
     from matplotlib.figure import Figure
     from matplotlib.rcsetup import cycler
 
-    colors = {"axes.prop_cycle": cycler(color=COLORS)}
-    with style.context([STYLE, colors | {"font.size": font_pt}], after_reset=True):
+    # line styles distinguish more lines than there are colors
+    looks = {"axes.prop_cycle": cycler(ls=["-", "--", ":"]) * cycler(color=COLORS)}
+    with style.context([STYLE, looks], after_reset=True):
         figure = Figure(figsize=(width_in, height_in))
         yield figure
         suffix = path.suffix.lower()
@@ -83,60 +78,42 @@ def caption(name: str) -> str:
     return "".join(x if font.get_char_index(ord(x)) else spelled(x) for x in printable(name))
 
 
-def contenders(names: Iterable[str]) -> dict[str, str]:
+def contenders(names: Collection[str]) -> dict[str, str]:
     """Map names of contenders (policies and IMMs) to their labels in a picture.
 
-    A path is shortened to its shortest ending that distinguishes it from all other names.
+    A path is shortened to its last part if no other name ends with it.
     """
-    parts = {name: Path(name).parts for name in names}
-    shown = {}
-    for name, own in parts.items():
-        for k in range(1, len(own) + 1):
-            ends = [other[-k:] for other in parts.values()]
-            if ends.count(own[-k:]) == 1:
-                break
-        shown[name] = caption(str(Path(*own[-k:])))
-    return shown
+    ends = [Path(name).name for name in names]
+    labels = {}
+    for name, end in zip(names, ends, strict=True):
+        labels[name] = caption(end if ends.count(end) == 1 else name)
+    return labels
 
 
 def labelled(axes: Sequence[Any]) -> list[Any]:
     """Return one artist in panels for each label, in the order of the labels."""
-    artists = {
-        label: artist
-        for panel in axes
-        for artist, label in zip(*panel.get_legend_handles_labels(), strict=True)
-    }
+    artists: dict[str, Any] = {}
+    for panel in axes:
+        handles, labels = panel.get_legend_handles_labels()
+        artists |= zip(labels, handles, strict=True)
     return [*artists.values()]
 
 
-def legend_beside(*axes: Any) -> None:
-    """Draw a legend of some panels to the right of the last, where it does not cover data."""
+def legend_beside(axes: Any) -> None:
+    """Draw a panel's legend to the right of it, where it does not cover data."""
     place = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.02), "borderaxespad": 0.0}
-    axes[-1].legend(handles=labelled(axes), **place)
+    axes.legend(handles=labelled([axes]), **place)
 
 
 @contextmanager
-def panels(path: Path, width_mm: float | None) -> Iterator[list[Any]]:
-    """Yield the two panels of a picture: side by side, or stacked if they would be narrow.
-
-    At the end, draw one legend of all labels. The font is smaller in narrow pictures, so that
-    labels fit.
-    """
-    stacked = width_mm is not None and width_mm <= STACKED_MM
-    usual = PHONE_MM / MM_PER_IN if stacked else 11.0
-    width = usual if width_mm is None else width_mm / MM_PER_IN
-    with picture(path, width, width, FONT_PT * min(1.0, width / usual)) as figure:
-        grid = figure.subplots(*((2, 1) if stacked else (1, 2)), squeeze=False)
-        axes = list(grid.flat)
+def panels(path: Path) -> Iterator[Any]:
+    """Yield the two panels of a picture, one above the other; at the end, draw a common legend."""
+    with picture(path, PHONE_IN, PHONE_IN) as figure:
+        axes = figure.subplots(2, 1)
         yield axes
         artists = labelled(axes)
-        if stacked:
-            height = 1.26 * width + 0.3 + 0.2 * (-(-len(artists) // LEGEND_COLUMNS))
-            figure.legend(handles=artists, loc="outside lower left", ncols=LEGEND_COLUMNS)
-        else:
-            height = max(4.2, 1.0 + 0.19 * len(artists)) * width / usual
-            legend_beside(*axes)
-        figure.set_figheight(height)
+        figure.legend(handles=artists, loc="outside lower left", ncols=2)
+        figure.set_figheight(1.26 * PHONE_IN + 0.3 + 0.1 * (len(artists) + 1))
 
 
 def plain_numbers(axis: Any) -> None:
@@ -154,26 +131,18 @@ SMALLEST_M = 1e-3  # smaller errors are drawn at this value, since the axis is l
 BOUNDS = "95 % bounds if consistent"
 _SHARES = np.linspace(0.0, 0.999, 400)
 Line = tuple[Sequence[float], Sequence[float]]  # steps, values
-_STYLES = ("-", "--", ":")  # line styles, to distinguish more lines than there are colors
 
 
-def _style(number: int) -> dict[str, Any]:
-    return {"color": f"C{number}", "ls": _STYLES[number // len(COLORS) % len(_STYLES)]}
-
-
-def draw_error_cdf(
-    errors_m: Mapping[str, Array], path: Path, width_mm: float | None = None
-) -> None:
+def draw_error_cdf(errors_m: Mapping[str, Array], path: Path) -> None:
     """Draw the distributions (CDF) of contenders' horizontal and vertical errors (..., 3), m."""
-    with panels(path, width_mm) as (left, right):
-        labels = contenders(errors_m)
-        for number, (name, errors) in enumerate(errors_m.items()):
-            look = _style(number)
-            for axes, sizes in ((left, horizontal(errors)), (right, vertical(errors))):
-                values = np.maximum(sizes, SMALLEST_M)  # the error of a known height is 0
-                axes.plot(np.quantile(values, _SHARES), _SHARES, label=labels[name], **look)
-                axes.plot(np.quantile(values, SHARES), SHARES, "o", ms=3.5, color=look["color"])
-        for axes, kind in ((left, "horizontal"), (right, "vertical")):
+    labels = contenders(errors_m)
+    with panels(path) as both:
+        for axes, kind, size in zip(
+            both, ("horizontal", "vertical"), (horizontal, vertical), strict=True
+        ):
+            for name, errors in errors_m.items():
+                values = np.maximum(size(errors), SMALLEST_M)  # the error of a known height is 0
+                axes.plot(np.quantile(values, _SHARES), _SHARES, label=labels[name])
             low = min(np.interp(0.03, line.get_ydata(), line.get_xdata()) for line in axes.lines)
             axes.set(xscale="log", ylim=(0.0, 1.0), xlabel=f"{kind} position error (m)")
             axes.set_xlim(left=low)
@@ -182,28 +151,24 @@ def draw_error_cdf(
             plain_numbers(axes.xaxis)
 
 
-def draw_consistency(
-    time_s: Array, nees: Mapping[str, Array], dof: int, path: Path, width_mm: float | None = None
-) -> None:
+def draw_consistency(time_s: Array, nees: Mapping[str, Array], dof: int, path: Path) -> None:
     """Draw the NEES over time with its chi-square bounds, and the distribution of the NEES.
 
     Args:
         time_s: (T,) times since the first epoch of an episode.
         nees: contender -> NEES (n, T) of n episodes; each value sums over ``dof`` coordinates.
-        path, width_mm: arguments of :func:`~experiments.reporting.figures.panels`.
+        path: file to write.
     """
     episodes = len(next(iter(nees.values())))
     low, high = chdtri(episodes * dof, [0.975, 0.025]) / (episodes * dof)
-    with panels(path, width_mm) as (over_time, whole):
+    with panels(path) as (over_time, whole):
         over_time.axhspan(low, high, color="0.7", lw=0.0, label=BOUNDS)
-        whole.plot([0.0, 1.0], [0.0, 1.0], color="0.5", lw=4.0, alpha=0.6, label="consistent")
-        names = contenders(nees)
-        for number, (name, values) in enumerate(nees.items()):
-            look = _style(number)
-            over_time.plot(time_s, values.mean(axis=0) / dof, **look)
-            inside = np.sort(chdtr(dof, values), axis=None)
+        whole.axline((0.0, 0.0), slope=1.0, color="0.5", lw=4.0, alpha=0.6, label="consistent")
+        for name, label in contenders(nees).items():
+            over_time.plot(time_s, nees[name].mean(axis=0) / dof)
+            inside = np.sort(chdtr(dof, nees[name]), axis=None)
             shares = np.searchsorted(inside, _SHARES, "right") / inside.size
-            whole.plot(_SHARES, shares, label=names[name], **look)
+            whole.plot(_SHARES, shares, label=label)
         label = f"mean NEES / {dof}, of {episodes:,} episodes"
         over_time.set(xlabel="time since the start (s)", yscale="log", ylabel=label)
         plain_numbers(over_time.yaxis)
@@ -218,8 +183,7 @@ def draw_learning_curves(label: str, lines: Sequence[Line], path: Path) -> None:
     """
     from matplotlib.ticker import EngFormatter, NullFormatter
 
-    width = PHONE_MM / MM_PER_IN
-    with picture(path, width, 0.63 * width + 0.3) as figure:
+    with picture(path, PHONE_IN, 0.63 * PHONE_IN + 0.3) as figure:
         axes = figure.subplots()
         for steps, values in lines:
             axes.plot(steps, values, color="C0", lw=1.0, alpha=0.8)
@@ -229,10 +193,10 @@ def draw_learning_curves(label: str, lines: Sequence[Line], path: Path) -> None:
         axes.xaxis.set_minor_formatter(NullFormatter())
 
 
+TITLE_LETTERS = 80  # maximum number of characters in a line of the title
 POINTS = 6000  # maximum number of epochs in a picture; a longer track is thinned
 ELLIPSES = 15  # maximum number of ellipses along a track
-TITLE_LETTERS = 80  # maximum number of characters in a line of the title
-_ENLARGED = (1, 2, 5, 10, 20, 50, 100)  # factors by which ellipses may be enlarged to be visible
+_MOST_ENLARGED = 100.0  # largest factor by which ellipses are enlarged to be visible
 _VISIBLE = 0.02  # smallest visible semi-axis of an ellipse, as a share of the track's extent
 
 
@@ -259,7 +223,7 @@ def draw_trajectory(
     truth_m = truth_m[shown]
     heights = [5.0, 1.8]
     if len(np.unique(track.mode)) > 1:
-        heights.append(0.3)
+        heights.append(0.2 * len(track.modes) + 0.1)
     with picture(path, 10.0, sum(heights) + 1.2) as figure:
         above, errors, *ribbon = figure.subplots(len(heights), 1, height_ratios=heights)
         _draw_above(above, track, truth_m, scene, learned)
@@ -275,15 +239,8 @@ def draw_trajectory(
         for modes in ribbon:
             errors.tick_params(labelbottom=False)
             errors.sharex(modes)
-            begins = np.flatnonzero(np.diff(track.mode, prepend=-1))
-            ends = np.append(begins[1:], len(track) - 1)
-            spans = np.stack([time[begins], time[ends] - time[begins]], axis=1)
-            colors = [f"C{number}" for number in track.mode[begins]]
-            modes.broken_barh(spans, (0.0, 1.0), facecolors=colors, lw=0.0)
-            modes.grid(visible=False)
-            modes.spines[:].set_visible(False)
-            modes.tick_params(axis="y", length=0)
-            modes.set_yticks([0.5], ["mode"])
+            modes.step(time, track.mode, where="post", color="black", lw=0.8)
+            modes.set_yticks(range(len(track.modes)), map(caption, track.modes))
         [errors, *ribbon][-1].set_xlabel("time since the first epoch (s)")
         lines = textwrap.wrap(caption(title), TITLE_LETTERS, break_on_hyphens=False)
         figure.suptitle("\n".join(lines), x=0.02, ha="left")
@@ -321,9 +278,9 @@ def _draw_ellipses(axes: Any, track: Track) -> None:
     longest = deviations * axes_of(P)[0]
     extent = float(np.ptp(track.smooth_x[:, :2], axis=0).max())
     wanted = _VISIBLE * extent / max(float(np.median(longest)), 1e-9)
-    enlarged = next((n for n in _ENLARGED if n >= wanted), _ENLARGED[-1])
+    enlarged = int(np.clip(wanted, 1.0, _MOST_ENLARGED))
     for ring in ellipse(track.smooth_x[at, :2], P, enlarged * deviations, 48):
-        axes.fill(*ring.T, fc="none", ec="black", lw=0.8)
+        axes.fill(*ring.T, fc="none", ec="black", lw=0.8, ls="-")
     label = "95 % ellipses" + (f",\nenlarged {enlarged} times" if enlarged > 1 else "")
     axes.plot([], [], "o", mfc="none", mec="black", mew=0.8, ms=8, label=label)
 
@@ -334,35 +291,31 @@ def _draw_scene(axes: Any, position: Array, scene: Scene, learned: Sequence[Json
     Those that are farther outside the track's box than its extent, or 30 m, are left out.
     """
     low = position.min(axis=0)
-    size = position.max(axis=0) - low
-    middle = low + 0.5 * size
-    reach = 0.5 * size + max(float(size.max()), 30.0)
+    high = position.max(axis=0)
+    margin = max(float((high - low).max()), 30.0)
 
     def is_near(point: Array) -> bool:
-        return bool((abs(point - middle) < reach).all())
-
-    def draw_wall(normal: Array, offset_m: float, label: str, **style: Any) -> None:
-        foot = middle + (offset_m - normal @ middle) * normal
-        if is_near(foot):
-            axes.axline(foot, foot + [-normal[1], normal[0]], label=label, **style)
+        return bool(((low - margin < point) & (point < high + margin)).all())
 
     for number, anchor in enumerate(scene.anchors_m[:, :2], start=1):
         if is_near(anchor):
-            name = "gNB" if number == 1 else f"anchor {number}"
-            marker, fill = ("^", "black") if number == 1 else ("v", "white")
-            axes.plot(*anchor, marker, color="black", ms=8, mfc=fill)
-            # In the right half, a name is to the left of its anchor, so that it is not cut off.
-            offset, side = (-7, "right") if anchor[0] > middle[0] else (7, "left")
-            place = {"textcoords": "offset points", "va": "center", "ha": side}
-            axes.annotate(name, anchor, (offset, 0), **place)
-    for wall in scene.walls:
-        normal = np.array(wall.unit_normal)
-        draw_wall(normal, wall.offset_m, "wall", color="gray", alpha=0.5, lw=4.0)
-    label = "learned wall,\n± 2 standard deviations"
+            name = f"anchor {number}" if number > 1 else "gNB"
+            axes.plot(*anchor, "^", color="black", ms=8, mfc="white" if number > 1 else "black")
+            axes.annotate(name, anchor, (7, 0), textcoords="offset points", va="center")
+    walls = [
+        (np.array(wall.unit_normal), wall.offset_m, {"label": "wall", "color": "0.75", "lw": 4.0})
+        for wall in scene.walls
+    ]
+    look = {"label": "learned wall,\n± 2 standard deviations", "color": "C3", "ls": "--"}
     for image in learned:
         normal = np.array(image["wall"]["normal"])
         # the wall is halfway between the base station and its image
         sigma = 0.5 * float(np.linalg.norm(normal * image["sigma_m"][:2]))
         for deviations, width in ((-2.0, 0.6), (2.0, 0.6), (0.0, 1.4)):
             offset_m = image["wall"]["offset_m"] + deviations * sigma
-            draw_wall(normal, offset_m, label, color="C3", ls="--", lw=width)
+            walls.append((normal, offset_m, look | {"lw": width}))
+    middle = 0.5 * (low + high)
+    for normal, offset_m, style in walls:
+        foot = middle + (offset_m - normal @ middle) * normal
+        if is_near(foot):
+            axes.axline(foot, foot + [-normal[1], normal[0]], **style)

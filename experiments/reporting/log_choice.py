@@ -97,7 +97,10 @@ def choice_of(args: LogArgs, radio: str, elevations: bool) -> Choice:
         rule, followed = RULES[args.follow]
         why = f"chosen by whether {followed} speed is above {SLOW_MPS:g} m/s"
         return Choice(Switching(modes, rule), why)
-    speed = parse_speed(args.speed)
+    speed = number(args.speed.strip())
+    if not 0.0 <= speed < float("inf"):
+        found = args.speed.strip()
+        raise ValueError(f"speed: found {found!r}, expected a speed in m/s, 0 or more")
     mode = modes[int(mode_at(speed))]
     if speed > DESIGN_LIMIT_MPS:
         window = f"outside the design window (up to {DESIGN_LIMIT_MPS:g} m/s)"
@@ -126,15 +129,3 @@ def modes_of(args: LogArgs, radio: str) -> tuple[Mode, ...]:
             f"{args.modes}: found {len(modes)} modes, expected 2, for low and for high mobility"
         )
     return tuple(map(robust, modes)) if args.robust else modes
-
-
-def parse_speed(word: str) -> float:
-    """Read a speed in m/s (Algorithm 1, Step 1).
-
-    Raises:
-        ValueError: the word is not a finite number, or is negative.
-    """
-    speed = number(word.strip())
-    if not 0.0 <= speed < float("inf"):
-        raise ValueError(f"speed: found {word.strip()!r}, expected a speed in m/s, 0 or more")
-    return speed

@@ -44,12 +44,7 @@ from mmwave_env.filters.bank import modes_from
 from mmwave_env.io.files import Json, require_writable, write_json
 from mmwave_env.io.lookup import as_name
 from mmwave_env.localization.association import MOST_FALSE, MOST_MISSED, associate
-from mmwave_env.localization.contradictions import (
-    FEW_WRONG,
-    LARGEST_NIS,
-    Contradiction,
-    contradictions,
-)
+from mmwave_env.localization.contradictions import Contradiction, contradictions
 from mmwave_env.localization.diagnosis import diagnose
 from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.localizer import Track, localize
@@ -381,15 +376,6 @@ def _figures(args: LogArgs, files: Inputs, work: Work, track: Track) -> Json:
         scores["error"] = str(track.damage)
     groups, doubts = _consistency(work, track)
     odd = [f"{doubt}; --diagnose looks for a likely mistake" for doubt in doubts]
-    for name, group in groups.items():
-        nis = group["nis_per_dof"] or 0.0
-        inside = group["nis_in_bounds"] or 0.0
-        if nis > LARGEST_NIS and inside >= FEW_WRONG and name != "all":
-            odd.append(
-                f"{name}: found NIS / dof {nis:.3g}, although {inside:.0%} of the values are in "
-                "their 95 % bounds: a few are far off, such as reflections (--imm imm-best rejects "
-                "more of them)"
-            )
     errors = _shared_errors(work)
     odd += [f"the log looks as if {e}; {UNSEEN}; {advice}" for e, advice in errors.items()]
     for message in odd:
@@ -399,7 +385,6 @@ def _figures(args: LogArgs, files: Inputs, work: Work, track: Track) -> Json:
         "log": str(files.log),
         "scene": work.scene.name,
         "radio": work.profile + (", chosen by auto" if args.radio == AUTO else ""),
-        "imm": args.imm,
         "rule": work.choice.why,
         "range_step_m": work.range_step_m,
         "algorithm_1": args.imm is None and args.policy is None and is_algorithm_1(args),
@@ -423,7 +408,8 @@ def localized(args: LogArgs) -> None:
     _check(args, files)
     scene = scene_of(args, files.scene)
     if args.diagnose:
-        return diagnosed(args, files, scene)
+        diagnosed(args, files, scene)
+        return
     for out in args.out:
         if out.suffix in MAP_FILES:
             origin_of(scene, f"out: {out}")
@@ -439,17 +425,12 @@ def localized(args: LogArgs) -> None:
     figures = _figures(args, files, work, track)
     if args.json:  # before show(), which fails if the reader of the tables closes the pipe
         write_json(args.json, provenance("localize", args) | figures)
-    try:
-        if args.plot:
-            log = "/".join(files.log.parts[-2:])
-            title = f"{log}, {_kind(args)} track"
-            learned = work.map["images"] if work.map else []
-            known = work.truth_m(track.time_s)
-            draw_trajectory(track, known, work.scene, args.plot, title, learned)
-    finally:  # the results are shown even if a picture fails
-        try:
-            show(track_markdown(figures))
-        finally:  # an error in the log is reported even if the results can't be shown
-            if figures["error"]:
-                shown = "written" if args.out else "shown"
-                raise ValueError(f"{figures['error']}; {figures['epochs']} epochs are {shown}")
+    show(track_markdown(figures))  # also if a picture fails
+    if args.plot:
+        title = f"{'/'.join(files.log.parts[-2:])}, {_kind(args)} track"
+        learned = work.map["images"] if work.map else []
+        known = work.truth_m(track.time_s)
+        draw_trajectory(track, known, work.scene, args.plot, title, learned)
+    if figures["error"]:
+        shown = "written" if args.out else "shown"
+        raise ValueError(f"{figures['error']}; {figures['epochs']} epochs are {shown}")

@@ -176,17 +176,15 @@ def _counts(log: Log, of: PathLog, tracked: Mask) -> Json:
     anchor without a path in an epoch counts as a missed path.
     """
     paths = np.array([len(rows) for rows in of.epochs])
-    anchors = log.layout.anchors
-    links = log.visible[tracked, :anchors]
-    associated = links.sum(axis=0).tolist()
-    missed = (~links).sum(axis=0).tolist()
-    names = log.layout.group_names[:anchors]
+    counts = log.visible_links.sum(axis=0).tolist()
+    associated = dict(zip(log.layout.group_names, counts, strict=False))
+    without = {"epochs": int((~tracked).sum()), "paths": int(paths[~tracked].sum())}
     return {
         "paths": int(paths.sum()),
         "incomplete": of.incomplete,
-        "associated": dict(zip(names, associated, strict=True)),
-        "missed": dict(zip(names, missed, strict=True)),
-        "false": int(paths[tracked].sum()) - sum(associated),
-        "without_track": {"epochs": int((~tracked).sum()), "paths": int(paths[~tracked].sum())},
+        "associated": associated,
+        "missed": {name: int(tracked.sum()) - count for name, count in associated.items()},
+        "false": int(paths[tracked].sum()) - sum(counts),
+        "without_track": without,
         "starts": int(log.restarts.sum()),
     }

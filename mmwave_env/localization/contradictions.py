@@ -1,8 +1,8 @@
 """Contradictions between a log and its scene, caused by wrong units, signs or frames.
 
 A single row seldom shows a mistake. But over many rows, a mistake causes values that are impossible
-or unlikely, or that do not fit the track that a filter computes from them. Each row of a table
-(:class:`Check`) compares a statistic of the log with its limits. The limits are wide: at most 10 of
+or unlikely, or that do not fit the track that a filter computes from them. Each check
+(:data:`Check`) compares a statistic of the log with its limits. The limits are wide: at most 10 of
 1000 correct logs violate them (``tests/localization/test_contradictions.py``).
 """
 
@@ -22,8 +22,10 @@ from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import PI, Array
 
-LARGEST_NIS = 5.0  # per degree of freedom
-FEW_WRONG = 0.85  # if more of the NIS are in their 95 % bounds, a large mean comes from a few links
+_LARGEST_NIS = 5.0  # per degree of freedom
+_FEW_WRONG = (
+    0.85  # if more of the NIS are in their 95 % bounds, a large mean comes from a few links
+)
 _ENOUGH = 20  # minimum number of epochs for a conclusion
 _ENOUGH_IF_BLOCKED = 100  # minimum number if a blockage of a few seconds may distort a conclusion
 # minimum number if gates reject more than this share, as they seldom do in a blockage
@@ -46,8 +48,8 @@ _RANGE_M = Bound("0.001 to 1e+06 m", least=RANGE_LIMITS_M[0], most=RANGE_LIMITS_
 _AZIMUTH = Bound("up to 2 pi", most=2.0 * PI)
 _ELEVATION_DEG = Bound(f"up to {WIDEST_ELEVATION_DEG:g}", most=WIDEST_ELEVATION_DEG)
 _SNR_DB = Bound("-60 to 90 dB", least=-60.0, most=90.0)
-_NIS = Bound(f"0.2 to {LARGEST_NIS:g}", least=0.2, most=LARGEST_NIS)  # of anchors
-_NIS_OF_OTHERS = Bound(f"at most {LARGEST_NIS:g}", most=LARGEST_NIS)
+_NIS = Bound(f"0.2 to {_LARGEST_NIS:g}", least=0.2, most=_LARGEST_NIS)  # of anchors
+_NIS_OF_OTHERS = Bound(f"at most {_LARGEST_NIS:g}", most=_LARGEST_NIS)
 _REJECTED = Bound("at most a third", most=1.0 / 3.0)  # fraction that gates may reject
 
 
@@ -62,13 +64,9 @@ class Contradiction(NamedTuple):
         return f"{self.group}: found {self.found}, expected {self.expected}"
 
 
-class Check(NamedTuple):
-    """A statistic of a log, and the contradiction if it is beyond its bound."""
-
-    group: str
-    statistic: Any  # a number, or an array of numbers that must all be within the bound
-    bound: Bound
-    found: str
+# A group, a statistic of it (a number, or an array of numbers that must all be within the bound),
+# the bound, and what was found, in words.
+Check = tuple[str, Any, Bound, str]
 
 
 def contradictions(
@@ -103,14 +101,14 @@ def _physical_checks(log: Log) -> Iterator[Check]:
     steps = np.diff(log.time_s)
     if len(steps):
         for step, bound in ((np.median(steps), _USUAL_STEP_S), (steps.min(), _SHORTEST_STEP_S)):
-            yield Check("time", step, bound, f"epochs {step:.3g} s apart")
+            yield "time", step, bound, f"epochs {step:.3g} s apart"
     visible = log.visible_links
     links = log.measurement[:, : log.layout.doppler].reshape(*visible.shape, 4)[visible]
     ranges, arrivals, elevations, departures = links.T
     ranges = ranges[ranges > 0.0]
     if len(ranges):
         middle = np.median(ranges)
-        yield Check("range", middle, _RANGE_M, f"{middle:.3g} m")
+        yield "range", middle, _RANGE_M, f"{middle:.3g} m"
     for group, angles, bound, unit in (
         ("azimuth of arrival", arrivals, _AZIMUTH, "rad"),
         ("azimuth of departure", departures, _AZIMUTH, "rad"),
@@ -119,7 +117,7 @@ def _physical_checks(log: Log) -> Iterator[Check]:
         sizes = np.sort(abs(angles[np.isfinite(angles)]))
         if len(sizes):
             middle = sizes[(len(sizes) - 1) // 2]  # beyond the bound if most sizes are
-            yield Check(group, middle, bound, f"{sizes[-1]:.3g} {unit}")
+            yield group, middle, bound, f"{sizes[-1]:.3g} {unit}"
 
 
 def _likelihood_checks(log: Log, scene: Scene, radio: Radio) -> Iterator[Check]:
@@ -128,14 +126,14 @@ def _likelihood_checks(log: Log, scene: Scene, radio: Radio) -> Iterator[Check]:
         snr = column[np.isfinite(column)]
         if len(snr):
             value = f"SNR of {snr.min():.3g} to {snr.max():.3g} dB"
-            yield Check(f"anchor {anchor}", snr, _SNR_DB, value)
+            yield f"anchor {anchor}", snr, _SNR_DB, value
     elevation = log.measurement[log.visible[:, 0], 2]
     if len(elevation) >= _ENOUGH:
         above = np.mean(elevation > 0.0)
         most = 0.5 + 1.5 / np.sqrt(len(elevation))  # a half plus three standard errors
         bound = Bound("a user below this anchor (with negative elevations)", most=most)
         value = f"a user above this anchor in {100.0 * above:.0f} % of epochs"
-        yield Check("anchor 1", above, bound, value)
+        yield "anchor 1", above, bound, value
     slope, error = _range_per_doppler(log, scene, radio)
     bound = Bound(
         "1 m: are the sign and the unit right?",
@@ -143,7 +141,7 @@ def _likelihood_checks(log: Log, scene: Scene, radio: Radio) -> Iterator[Check]:
         most=max(_LARGEST_SLOPE, 1.0 + _SURE * error),
     )
     value = f"a range that grows by {slope:.3g} m where the shift predicts 1 m"
-    yield Check("Doppler", slope, bound, value)
+    yield "Doppler", slope, bound, value
 
 
 def _fit_checks(groups: Mapping[str, Mapping[str, Any]]) -> Iterator[Check]:
@@ -155,13 +153,13 @@ def _fit_checks(groups: Mapping[str, Mapping[str, Any]]) -> Iterator[Check]:
         # With large process noise, a filter predicts Doppler shift and odometry far better than its
         # covariance says. Even in correct logs, their NIS is often a tenth of the expected value.
         bound = _NIS if name.startswith("anchor") else _NIS_OF_OTHERS
-        if (group.get("nis_in_bounds") or 0.0) >= FEW_WRONG:
+        if (group.get("nis_in_bounds") or 0.0) >= _FEW_WRONG:
             bound = bound._replace(most=inf)  # such as reflections: that is no mistake
         if nis is not None:
-            yield Check(name, nis, bound, f"NIS / dof {nis:.3g}")
+            yield name, nis, bound, f"NIS / dof {nis:.3g}"
         share = group["rejected_share"]
         if group["seen"] >= (_ENOUGH_IF_MOST if share > _MOST else _ENOUGH_IF_BLOCKED):
-            yield Check(name, share, _REJECTED, f"{100.0 * share:.0f} % rejected")
+            yield name, share, _REJECTED, f"{100.0 * share:.0f} % rejected"
 
 
 def _range_per_doppler(log: Log, scene: Scene, radio: Radio) -> tuple[float, float]:

@@ -11,7 +11,8 @@ NIS does not show small errors that all links share. So a log that is consistent
 no single mistake explains, is searched for them (:mod:`~mmwave_env.localization.shared_errors`).
 """
 
-from collections.abc import Iterable, Iterator, Sequence, Set
+import re
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -20,6 +21,7 @@ from itertools import combinations, permutations
 import numpy as np
 from scipy.special import chdtri
 
+from mmwave_env.io.files import shipped_json
 from mmwave_env.localization.contradictions import Contradiction, contradictions, impossible
 from mmwave_env.localization.readings import (
     AS_IT_IS,
@@ -32,7 +34,6 @@ from mmwave_env.localization.readings import (
     Fits,
     Mistake,
     Reading,
-    Undo,
     scaled,
     values_of,
 )
@@ -45,40 +46,23 @@ from mmwave_env.localization.shared_errors import (
 )
 from mmwave_env.localization.starts import POOL_S, start_at
 from mmwave_env.logs.log import Log
-from mmwave_env.logs.log_columns import QUANTITIES
 from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.numbers import PI, Array
+from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode
 
 DIAGNOSED_EPOCHS = 200
 
-_AZIMUTHS = (AZIMUTH, DEPARTURE)
-_ANGLES = (*_AZIMUTHS, ELEVATION)
-_COLUMNS = {
-    "azimuth of arrival": ("aoa_azimuth", AZIMUTH),
-    "azimuth of departure": ("aod_azimuth", DEPARTURE),
-    "elevation": ("aoa_elevation", ELEVATION),
-}
-_FACTORS = {  # mistake -> the factor that undoes it, and the unit that the column really has
-    "1e3 times too large (ms?)": (1e-3, "ms"),
-    "1e6 times too large (us?)": (1e-6, "us"),
-    "1e9 times too large (ns?)": (1e-9, "ns"),
-    "1e3 times too small (s?)": (1e3, "s"),
-    "1e6 times too small (s?)": (1e6, "s"),
-    "1e9 times too small (s?)": (1e9, "s"),
+_ROWS = {
+    "range": RANGE,
+    "azimuth": AZIMUTH,
+    "elevation": ELEVATION,
+    "departure": DEPARTURE,
+    "doppler": DOPPLER,
 }
 _SEARCHED_EPOCHS = 50  # number of epochs among which the track's first epoch is chosen
 _DECIMALS = 2  # of mean log-likelihoods; of hypotheses that fit equally well, the first is chosen
 _ADVANTAGE = 10.0  # bonus for the log as it is, added to its log-likelihood
 _OUTLIER_QUANTILE = 1e-6  # NIS is capped at the value that chi-square exceeds with this probability
-
-
-def _timed(factor: float) -> Undo:
-    """Return the function that multiplies the times."""
-    return lambda reading: reading._replace(
-        log=replace(reading.log, time_s=factor * reading.log.time_s)
-    )
 
 
 def _orders(anchors: int) -> Iterable[tuple[int, ...]]:
@@ -95,8 +79,7 @@ def _orders(anchors: int) -> Iterable[tuple[int, ...]]:
 def mistakes(reading: Reading) -> Iterator[Mistake]:
     """Yield likely mistakes in a log, its scene and its radio."""
     scene = reading.scene
-    yield from _conventions(scene)
-    yield from _units(scene, reading.log.columns)
+    yield from _conventions(reading)
     for order in _orders(len(scene.anchors_m)):
         numbers = ", ".join(str(i + 1) for i in order)
         cure = f"list the anchors of the scene in the order {numbers}"
@@ -108,103 +91,45 @@ def mistakes(reading: Reading) -> Iterator[Mistake]:
         yield Mistake(f"radio is {name}", cure, partial(Reading._replace, radio=RADIOS[name]))
 
 
-def _conventions(scene: Scene) -> Iterator[Mistake]:
-    """Yield mistakes about the meaning of a value: exchanged columns, signs and zeros of angles."""
-    swap = "exchange the columns of aoa_azimuth and"
-    ends = scaled([AZIMUTH, DEPARTURE], sources=[DEPARTURE, AZIMUTH])
-    turned = scaled([ELEVATION], -1.0)
-    yield Mistake("arrival and departure are exchanged", f"{swap} aod_azimuth", ends)
-    yield Mistake(
-        "azimuth and elevation of arrival are exchanged",
-        f"{swap} aoa_elevation",
-        scaled([AZIMUTH, ELEVATION], sources=[ELEVATION, AZIMUTH]),
-    )
-    yield Mistake("elevation has the other sign", "negate aoa_elevation", turned)
-    yield Mistake(
-        "arrival is measured at the user (downlink)",
-        f"{swap} aod_azimuth, negate aoa_elevation",
-        lambda reading: turned(ends(reading)),
-    )
-    yield Mistake(
-        "elevation is a zenith angle",
-        "subtract aoa_elevation from 90 degrees",
-        scaled([ELEVATION], -1.0, PI / 2.0),
-    )
-    yield Mistake(
-        "elevation is a nadir angle",
-        "subtract 90 degrees from aoa_elevation",
-        scaled([ELEVATION], offset=-PI / 2.0),
-    )
-    yield Mistake(
-        "azimuths are clockwise from north",
-        "subtract aoa_azimuth and aod_azimuth from 90 degrees",
-        scaled(_AZIMUTHS, -1.0, PI / 2.0),
-    )
-    yield Mistake(
-        "azimuths are counterclockwise from north",
-        "add 90 degrees to aoa_azimuth and to aod_azimuth",
-        scaled(_AZIMUTHS, offset=PI / 2.0),
-    )
-    for name, column, rows in (
-        ("azimuths have", "aoa_azimuth and aod_azimuth", _AZIMUTHS),
-        ("azimuth of arrival has", "aoa_azimuth", [AZIMUTH]),
-        ("azimuth of departure has", "aod_azimuth", [DEPARTURE]),
-    ):
-        yield Mistake(f"{name} the other sign", f"negate {column}", scaled(rows, -1.0))
-    yield Mistake("times are round-trip times", "halve the time of flight", scaled([RANGE], 0.5))
-    yield Mistake("Doppler shift has the other sign", "negate doppler", scaled([DOPPLER], -1.0))
-    if scene.origin and (bearing := scene.origin.bearing_deg) != 90.0:
-        yield Mistake(
-            "azimuths are compass bearings",
-            f"subtract aoa_azimuth and aod_azimuth from {bearing:g} degrees",
-            scaled(_AZIMUTHS, -1.0, np.radians(bearing)),
+def _conventions(reading: Reading) -> Iterator[Mistake]:
+    """Yield mistakes about the meaning, the sign and the unit of values.
+
+    They are listed in ``data/mistakes.json``. The regular expression ``columns`` must be found in
+    the names of the log's columns. ``values`` are undone by replacing them by ``times`` * values of
+    ``from`` + ``plus_deg``. With ``bearing``, the bearing of the scene's x axis is added, too; such
+    a mistake is possible if this axis does not point east. ``hz_per_mps`` is the power of the
+    carrier's Hz per m/s that is another factor.
+    """
+    scene = reading.scene
+    names = " ".join(sorted(reading.log.columns))
+    bearing_deg = scene.origin.bearing_deg if scene.origin else 90.0
+    for entry in shipped_json("mistakes")["mistakes"]:
+        turned = "bearing" in entry
+        if not re.search(entry.get("columns", ""), names) or (turned and bearing_deg == 90.0):
+            continue
+        values = entry["values"]
+        sources = entry.get("from", values)
+        factor = np.multiply(
+            entry.get("times", 1.0), scene.hz_per_mps ** entry.get("hz_per_mps", 0)
         )
-        yield Mistake(
-            "azimuths are counterclockwise from east",
-            f"add {bearing - 90.0:g} degrees to aoa_azimuth and to aod_azimuth",
-            scaled(_AZIMUTHS, offset=np.radians(bearing - 90.0)),
+        offset_deg = entry.get("plus_deg", 0.0) + turned * bearing_deg
+        undo = (
+            partial(_timed, factor=factor)
+            if values == ["time"]
+            else scaled(
+                [_ROWS[name] for name in values],
+                factor,
+                np.radians(offset_deg),
+                [_ROWS[name] for name in sources],
+            )
         )
+        yield Mistake(entry["words"], entry["cure"].format(offset_deg), undo)
 
 
-def _units(scene: Scene, columns: Set[str]) -> Iterator[Mistake]:
-    """Yield mistakes about the units of columns; only those that the log has can be renamed."""
-    for name, (column, rows) in _COLUMNS.items():
-        if f"{column}_rad" in columns:
-            cure = f"rename {column}_rad to {column}_deg"
-            yield Mistake(f"{name} is in degrees", cure, scaled([rows], PI / 180.0))
-    for unit, suffix, factor, other in (
-        ("degrees", "deg", PI / 180.0, "rad"),
-        ("radians", "rad", 180.0 / PI, "deg"),
-    ):
-        if any(f"{column}_{other}" in columns for column, _ in _COLUMNS.values()):
-            cure = f"name the columns of angles after their unit, such as aoa_azimuth_{suffix}"
-            yield Mistake(f"angles are in {unit}", cure, scaled(_ANGLES, factor))
-    flights = QUANTITIES["toa"].columns
-    if "range_m" in columns:
-        feet = scaled([RANGE], flights["range_ft"].convert(1.0))
-        yield Mistake("ranges are in feet", "rename range_m to range_ft", feet)
-    for name in flights.keys() & columns:
-        if name.startswith("toa"):
-            meters = scaled([RANGE], 1.0 / flights[name].convert(1.0))
-            yield Mistake(f"{name} is in meters", f"rename {name} to range_m", meters)
-        if name.startswith("rtt"):
-            cure = f"rename {name} to {name.replace('rtt', 'toa')}"
-            yield Mistake(f"{name} is a one-way time", cure, scaled([RANGE], 2.0))
-    timed = any(name.startswith(("toa", "rtt")) for name in columns)
-    for error, (factor, unit) in _FACTORS.items():
-        cure = f"multiply values by {factor:g}"
-        rename = ", or name the column after its true unit, such as"
-        flight = f"{cure}{rename} toa_{unit}" if timed else cure
-        yield Mistake(f"time of flight is {error}", flight, scaled([RANGE], factor))
-        yield Mistake(f"time is {error}", f"{cure}{rename} time_{unit}", _timed(factor))
-    for unit, suffix, factor in (("m/s", "mps", scene.hz_per_mps), ("kHz", "khz", 1e3)):
-        other = f"doppler_{suffix}"
-        if "doppler_hz" in columns:
-            words = f"Doppler shift is in {unit}, not in Hz"
-            yield Mistake(words, f"rename doppler_hz to {other}", scaled([DOPPLER], factor))
-        if other in columns:
-            words = f"Doppler shift is in Hz, not in {unit}"
-            yield Mistake(words, f"rename {other} to doppler_hz", scaled([DOPPLER], 1.0 / factor))
+def _timed(reading: Reading, factor: float) -> Reading:
+    """Return the reading with times multiplied by a factor."""
+    log = reading.log
+    return reading._replace(log=replace(log, time_s=factor * log.time_s))
 
 
 def _numbers(reading: Reading) -> Array:

@@ -115,13 +115,14 @@ def values_of(log: Log) -> Mask:
 
 def scaled(
     quantities: Sequence[slice],
-    factor: float = 1.0,
+    factors: float | Sequence[float] = 1.0,
     offset: float = 0.0,
     sources: Sequence[slice] = (),
 ) -> Undo:
     """Return the function that scales values, given their rows, then adds an offset to them.
 
-    The values are in the rows ``sources`` if these differ from their rows.
+    There is one factor for all quantities, or one for each. The values are in the rows ``sources``
+    if these differ from their rows.
     """
 
     def undo(reading: Reading) -> Reading:
@@ -129,7 +130,8 @@ def scaled(
         z = old.measurement.copy()
         sigma = old.sigma.copy()
         log_scale = reading.log_scale
-        for rows, source in zip(quantities, sources or quantities, strict=True):
+        each = np.broadcast_to(factors, len(quantities))
+        for rows, source, factor in zip(quantities, sources or quantities, each, strict=True):
             z[:, rows] = offset + factor * old.measurement[:, source]
             sigma[:, rows] = abs(factor) * old.sigma[:, source]
             log_scale += float(values_of(old)[:, rows].sum() * np.log(abs(factor)))

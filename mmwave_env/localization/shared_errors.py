@@ -102,18 +102,10 @@ _ANGLES = Suspect("", "degrees", least=0.3, sure=_SURE_OF_ANGLES)
 _PLACE = Suspect("", "m", parameters=2, sure=_SURE + _SURER, deviation=5.0)  # horizontal
 
 
-def _turned(scene: Scene, degrees: float) -> Scene:
-    return replace(scene, bearing_deg=scene.bearing_deg + degrees)
-
-
 def _moved_with_images(scene: Scene, east_m: float, north_m: float) -> Scene:
     """Move the base station, of which walls make images."""
     x, y, z = scene.base_station_m
     return replace(scene, base_station_m=(x + east_m, y + north_m, z))
-
-
-def _rescaled(scene: Scene, percent: float) -> Scene:
-    return replace(scene, carrier_hz=scene.carrier_hz * (1.0 + 0.01 * percent))
 
 
 def _range(name: str, anchors: Sequence[int], cure: str = "", cost: float = 0.0) -> Suspect:
@@ -149,7 +141,11 @@ def suspects(reading: Reading) -> Iterator[Suspect]:
     measured: Mask = np.any(values_of(reading.log), axis=0)
     rows = measured[:-1].reshape(-1, 4)
     distance, arrival, elevation, departure = np.any(rows, axis=0)
-    turn = _ANGLES._replace(name="azimuths are turned", rows=(AZIMUTH, DEPARTURE), scene=_turned)
+    turn = _ANGLES._replace(
+        name="azimuths are turned",
+        rows=(AZIMUTH, DEPARTURE),
+        scene=lambda scene, degrees: replace(scene, bearing_deg=scene.bearing_deg + degrees),
+    )
     tilt = _ANGLES._replace(
         name="elevations are too large",
         rows=[ELEVATION],
@@ -164,7 +160,14 @@ def suspects(reading: Reading) -> Iterator[Suspect]:
     if elevation:
         yield tilt
     if measured[-1]:
-        yield Suspect("Doppler shifts are too large", "%", scene=_rescaled, least=2.0)
+        yield Suspect(
+            "Doppler shifts are too large",
+            "%",
+            scene=lambda scene, percent: replace(
+                scene, carrier_hz=scene.carrier_hz * (1.0 + 0.01 * percent)
+            ),
+            least=2.0,
+        )
     anchors = rows.any(axis=1).sum()
     whole = arrival and elevation and departure
     if anchors < 2:

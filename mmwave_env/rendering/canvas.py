@@ -50,19 +50,9 @@ class Canvas:
         """Fill a part of the picture."""
         self._large.fill(self.color(paint), self._scaled(part))
 
-    def polygon(self, points: ArrayLike, paint: Paint, opacity: float = 1.0) -> None:
+    def polygon(self, points: ArrayLike, paint: Paint) -> None:
         """Fill a polygon (n, 2)."""
-        large = self._enlarged(points)
-        color = self.color(paint)
-        if opacity == 1.0:
-            pygame.draw.polygon(self._large, color, large)
-            return
-        low = large.min(axis=0)
-        high = large.max(axis=0)
-        box = pygame.Rect(low, high - low + 1).clip(self._large.get_clip())
-        glass = pygame.Surface(box.size, pygame.SRCALPHA)
-        pygame.draw.polygon(glass, (*color, round(255 * opacity)), large - box.topleft)
-        self._large.blit(glass, box)
+        pygame.draw.polygon(self._large, self.color(paint), self._enlarged(points))
 
     def line(self, points: ArrayLike, paint: Paint, width: float, closed: bool = False) -> None:
         """Draw a line through at least two points (n, 2)."""
@@ -71,11 +61,9 @@ class Canvas:
 
     def dashes(self, start: Point, end: Point, paint: Paint, width: float) -> None:
         """Draw a dashed line between two points in the picture."""
-        way = np.subtract(end, start)
-        length = math.hypot(*way)
-        for begin in np.arange(0.0, length, 2.0 * _DASH):
-            shares = np.divide([begin, min(begin + _DASH, length)], length)
-            self.line(start + np.outer(shares, way), paint, width)
+        count = 1 + int(math.dist(start, end) / (2.0 * _DASH))
+        for dash in np.linspace(start, end, 2 * count).reshape(count, 2, 2):
+            self.line(dash, paint, width)
 
     def disc(self, center: Point | Array, radius: float, paint: Paint) -> None:
         """Draw a filled circle."""

@@ -244,7 +244,7 @@ def _draw_strip(canvas: Canvas, plot: Rect, strip: Strip, x: Array, modes: Index
 
 
 def _draw_ribbon(canvas: Canvas, lane: Rect, x: Array, modes: Index) -> None:
-    """Draw a ribbon in the colors of the modes that ran, with the modes' numbers where they fit."""
+    """Draw a ribbon in the colors of the modes that ran."""
     canvas.words("mode", (_PAD, lane.centery), "ink", 15)
     canvas.fill("ground", lane)
     if len(x) == 0:
@@ -253,12 +253,7 @@ def _draw_ribbon(canvas: Canvas, lane: Rect, x: Array, modes: Index) -> None:
     for begin, end in runs(modes):
         left = float(ends[begin])
         right = min(float(ends[end]), lane.right)
-        part = Rect(left, lane.top, right - left, lane.height)
-        canvas.fill(modes[begin], part)
-        if part.width > 12.0:
-            light = np.dot(canvas.color(modes[begin]), (0.299, 0.587, 0.114)) > 140.0
-            ink = "black" if light else "white"  # the color that contrasts more
-            canvas.words(str(modes[begin]), part.center, ink, 13, 0.5)
+        canvas.fill(modes[begin], Rect(left, lane.top, right - left, lane.height))
 
 
 def _draw_clock(canvas: Canvas, y: float, times_s: tuple[float, float]) -> None:

@@ -23,7 +23,6 @@ _AHEAD_S = 4.0  # the upper edge is at least as far from the center as a user mo
 _LEAST_M = 25.0  # minimum distance from the center to the upper edge
 _INNER = 0.5  # user and estimate stay within this central fraction of the map's height and width
 _STREET_M = 14.0  # width of streets in the picture, if blocks leave enough room
-_FACADE_M = 4.0  # depth of a wall in the picture
 LINKS = {"accepted": 1.2, "rejected": 1.6, "missing": 1.0}  # widths of the lines of links
 _TRAIL = 1500  # maximum number of epochs of a trajectory that are drawn
 
@@ -56,10 +55,7 @@ def follow(history: History, frame: Rect) -> View:
     estimate = recent.estimate[:, :2]
     estimate = np.where(np.isfinite(estimate), estimate, truth)
     gap = abs(truth - estimate).max(axis=1)
-    deviation = np.sqrt(np.maximum(np.nan_to_num(recent.P[:, [0, 2]]).max(axis=1), 0.0))
-    wanted = np.maximum.reduce(
-        [_AHEAD_S * recent.true_mps, 1.2 * gap, 3.0 * deviation], initial=_LEAST_M
-    )
+    wanted = np.maximum(np.maximum(_AHEAD_S * recent.true_mps, 1.2 * gap), _LEAST_M)
     shape = np.array([frame.width / frame.height, 1.0])
     half = max(
         float(weights @ wanted),
@@ -115,17 +111,13 @@ def _box(view: View, corners_m: Array) -> Rect:
 
 
 def _draw_walls(canvas: Canvas, view: View, scene: Scene) -> None:
-    """Draw the vertical walls of a scene; the base station is in front of them."""
+    """Draw the vertical walls of a scene."""
     reach = 2.0 * float(np.hypot(view.frame.width, view.frame.height)) / view.scale
     for wall in scene.walls:
-        outward = -np.sign(wall.signed_distance(scene.base_station_m))
-        normal = outward * np.array(wall.unit_normal)
-        along = np.array([-normal[1], normal[0]])
-        foot = view.center_m - wall.signed_distance(view.center_m) * np.array(wall.unit_normal)
-        front = view.pixels(np.array([foot - reach * along, foot + reach * along]))
-        deep = max(_FACADE_M * view.scale, 3.0) * normal * (1.0, -1.0)
-        canvas.polygon(np.vstack([front, front[::-1] + deep]), "building")
-        canvas.line(front, "wall", 1.5)
+        normal = np.array(wall.unit_normal)
+        foot = view.center_m - wall.signed_distance(view.center_m) * normal
+        along = reach * np.array([-normal[1], normal[0]])
+        canvas.line(view.pixels(np.array([foot - along, foot + along])), "wall", 3.0)
 
 
 def _draw_links(canvas: Canvas, view: View, history: History) -> None:
@@ -157,7 +149,6 @@ def _draw_tracks(canvas: Canvas, view: View, history: History) -> None:
     P = history.P[-1]
     if np.isfinite(P).all():
         outline = view.pixels(ellipse(history.estimate[-1, :2], P, 2.0, 48))
-        canvas.polygon(outline, color, 0.18)
         canvas.line(outline, color, 1.2, closed=True)
     if len(truth) > 1:
         canvas.line(truth, "truth", 1.4)
@@ -190,7 +181,7 @@ def _draw_scale(canvas: Canvas, view: View) -> Rect:
     length = nice(110.0 / view.scale)
     place = Rect(0.0, 0.0, length * view.scale + 12.0, 25.0)
     place.bottomright = view.frame.right - 4.0, view.frame.bottom - 2.0
-    _draw_plate(canvas, place)
+    canvas.fill("paper", place)
     bar = place.inflate(-12.0, -12.0)
     y = bar.bottom - 5.0
     outline = [(bar.left, y), bar.bottomleft, bar.bottomright, (bar.right, y)]
@@ -200,7 +191,7 @@ def _draw_scale(canvas: Canvas, view: View) -> Rect:
 
 
 def _draw_anchors(canvas: Canvas, view: View, history: History) -> None:
-    """Draw scale bar and anchors; if an anchor is out of view, draw an arrow and its distance."""
+    """Draw scale bar and anchors; those out of view at the edge, with their distance."""
     inner = view.frame.inflate(-14.0, -14.0)
     here = history.truth[-1, :3]
     beliefs = np.stack([here, history.estimate[-1, :3]])
@@ -210,30 +201,20 @@ def _draw_anchors(canvas: Canvas, view: View, history: History) -> None:
     places = view.pixels(history.anchors_m).tolist()
     for number, (anchor, place) in enumerate(zip(history.anchors_m, places, strict=True)):
         name = f"anchor {number + 1}" if number else "gNB"
-        if inner.collidepoint(place):
-            at = place
-            # the base station is a filled triangle; its mirror images are hollow triangles
-            shape = np.add(at, [[0.0, -7.0], [6.0, 5.0], [-6.0, 5.0]])
-            canvas.polygon(shape, "paper" if number else "ink")
-            canvas.line(shape, "wall" if number else "ink", 1.5, closed=True)
-        else:
+        at = place
+        if not inner.collidepoint(place):
             _, at = inner.clipline(user, place) or (user, user)
-            _draw_arrow(canvas, user, at, "wall" if number else "ink")
             name += f", {np.linalg.norm(anchor - here):.0f} m"
+        # the base station is a filled triangle; its mirror images are hollow triangles
+        shape = np.add(at, [[0.0, -7.0], [6.0, 5.0], [-6.0, 5.0]])
+        canvas.polygon(shape, "paper" if number else "ink")
+        canvas.line(shape, "wall" if number else "ink", 1.5, closed=True)
         names.append((name, at))
     symbols = [user, estimate, *(at for _, at in names)]
     taken = [Rect(x - around, y - around, 2.0 * around, 2.0 * around) for x, y in symbols]
     taken.append(_draw_scale(canvas, view))
     for name, at in names:
         _label(canvas, name, at, view.frame, taken)
-
-
-def _draw_arrow(canvas: Canvas, start: Point, tip: Point, color: Paint) -> None:
-    way = np.subtract(tip, start)
-    way *= 10.0 / max(float(np.hypot(*way)), 1e-9)
-    side = 0.5 * np.array([-way[1], way[0]])
-    back = np.array(tip) - way
-    canvas.polygon(np.array([tip, back + side, back - side]), color)
 
 
 def _label(canvas: Canvas, text: str, at: Point, frame: Rect, taken: list[Rect]) -> None:
@@ -248,11 +229,5 @@ def _label(canvas: Canvas, text: str, at: Point, frame: Rect, taken: list[Rect])
     ]
     place = next((place for place in places if place.collidelist(taken) < 0), places[0])
     taken.append(place)
-    _draw_plate(canvas, place)
+    canvas.fill("paper", place)
     canvas.words(text, (place.left + 3.0, place.centery), "ink")
-
-
-def _draw_plate(canvas: Canvas, place: Rect) -> None:
-    """Draw a translucent background for words."""
-    corners = [place.topleft, place.topright, place.bottomright, place.bottomleft]
-    canvas.polygon(corners, "paper", 0.8)

@@ -34,8 +34,6 @@ _COLORS = """\
     missing   d4d3ce 3e424a
     band      cdd3dc 3e4858
     none      bebeba 5a5e66
-    black     000000 000000
-    white     ffffff ffffff
     mode      0072b2 56b4e9
     mode      e69f00 e69f00
     mode      009e73 00b282

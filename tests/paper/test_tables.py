@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.runner import score
 from experiments.paper.claims import contradictions, resolution
-from experiments.paper.printed import CLEAN, Bench, Setting, track
+from experiments.paper.printed import Bench, Setting, track
 from experiments.tables import FIELDS
 from mmwave_env.engines.engine import Engine
 from mmwave_env.engines.smoothing import smooth
@@ -55,8 +55,6 @@ def test_smoothed_scores_equal_scores_computed_from_the_smoothed_track(bench, pl
     assert_allclose(smoothed.nees, nees_of(error[..., :axes], P[:, 10:]), rtol=1e-6)
     ate = np.linalg.norm(error, axis=-1).mean(axis=1)
     assert_allclose(smoothed.scores["ate_m"], ate, rtol=1e-9)
-    rms = np.sqrt((error**2).mean(axis=(0, 1)))
-    assert_allclose(smoothed.axis_rms_m, rms, rtol=1e-9, atol=1e-12)
 
 
 def test_a_run_keeps_its_errors_alone(bench):
@@ -76,7 +74,7 @@ def test_a_clean_channel_has_no_biases():
             ranges = np.linalg.norm(e.truth_position_m - e.scene_anchors_m[0], axis=1)
             yield (np.abs(e.measurement[:, 0] - ranges) / e.sigma[:, 0])[e.usable[:, 0]].max()
 
-    assert max(worst(replace(PEDESTRIAN, changes=CLEAN))) < 6.0 < max(worst(PEDESTRIAN))
+    assert max(worst(replace(PEDESTRIAN, clean=True))) < 6.0 < max(worst(PEDESTRIAN))
 
 
 def test_sections_that_need_no_tracks_have_the_expected_rows(bench):
@@ -115,7 +113,7 @@ def test_the_page_is_what_the_command_prints(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_command_writes_tables_and_a_figure(tmp_path):
+def test_the_command_writes_tables(tmp_path):
     printed = succeed("tables", "--episodes", "10", "--out", tmp_path)
     shown, now = tables_of_the_page(printed, tmp_path)
     assert now.count("\n") == shown.count("\n") and now != shown
@@ -124,5 +122,4 @@ def test_the_command_writes_tables_and_a_figure(tmp_path):
     for record in written:
         if record["low"]:
             assert float(record["low"]) <= float(record["mean"]) <= float(record["high"])
-    assert (tmp_path / "tables.png").read_bytes().startswith(b"\x89PNG")
     assert (tmp_path / "tables.md").read_text().strip() in printed

@@ -141,7 +141,7 @@ OUTSIDE = {"east": (500.0, 0.0), "west": (-500.0, 3.0), "north": (0.0, 900.0), "
 
 
 @pytest.mark.parametrize(("side", "anchor"), OUTSIDE.items())
-def test_an_anchor_outside_the_frame_is_shown_by_an_arrow_at_its_edge(anchor, side):
+def test_an_anchor_outside_the_frame_is_shown_at_its_edge(anchor, side):
     picture = drawn(anchors=[(*anchor, 10.0)])
     strips = {"east": picture[20:262, 455:], "west": picture[20:262, :25]}
     strips |= {"north": picture[20:45], "south": picture[262:284, :330]}

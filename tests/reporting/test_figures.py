@@ -114,8 +114,8 @@ def test_an_error_cdf_without_vertical_errors_is_drawn(tmp_path):
     assert (imread(tmp_path / "flat.png")[..., :3] != 1.0).any(axis=2).mean() > 0.02
 
 
-def test_runs_are_named_by_the_shortest_distinct_ends_of_their_paths():
+def test_runs_are_named_by_the_last_parts_of_their_paths_if_these_differ():
     paths = ["runs/a/ppo", "runs/b/ppo", "/tmp/c/policy.safetensors", "imm", "runs/ppo", "ppo"]
-    short = ["a/ppo", "b/ppo", "policy.safetensors", "imm", "runs/ppo", "ppo"]
+    short = ["runs/a/ppo", "runs/b/ppo", "policy.safetensors", "imm", "runs/ppo", "ppo"]
     assert [*contenders(paths).values()] == short
     assert contenders(["runs/x$"]) == {"runs/x$": "x$"}

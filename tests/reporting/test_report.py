@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from experiments.evaluation.intervals import Interval, rounded
-from experiments.reporting.webpage.contents import read_source
-from experiments.reporting.webpage.page import play
+from experiments.reporting.webpage.page import play, read_source
 from mmwave_env.io.lookup import printable
 from tests.cli import assert_one_clear_line, command, succeed, with_json
 from tests.paths import ROOT, write_json
