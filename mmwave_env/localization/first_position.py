@@ -1,38 +1,19 @@
 """The position that the links of an epoch determine, by nonlinear least squares.
 
 There may be several minima, so the search starts in several places. A minimum counts only if no
-other one explains the links about as well. Eight searches run at once, one in each SIMD lane.
+other one explains the links about as well.
 """
 
-from functools import cache
-from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
+from numba.extending import register_jitable
 
-from mmwave_env.compiler.advance import call
 from mmwave_env.compiler.disk_cache import compiled
-from mmwave_env.compiler.lanes import WIDTH
-from mmwave_env.compiler.program import Program, blocks_of
-from mmwave_env.models.layout import STATE_SIZE
-from mmwave_env.models.measurement import link_group
+from mmwave_env.models.measurement import NEAREST_M
 from mmwave_env.models.radio import BIAS_SIGMA_M
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.linalg import (
-    backward,
-    cholesky,
-    dot,
-    forward,
-    minus,
-    pack,
-    plus,
-    product,
-    symmetric,
-    times,
-    unpack,
-)
-from mmwave_env.numerics.numbers import Array, Mask, Number, Numbers, where
-from mmwave_env.numerics.pytree import flatten, select, unflatten
+from mmwave_env.numerics.numbers import Array, Mask
 
 # Standard deviations of the weak prior: of the height around the height of the streets, and of x
 # and y around the mean position of the anchors.
@@ -54,12 +35,11 @@ _SURELY = 3.3  # standard deviations of a difference that noise exceeds once in 
 
 
 class _Links(NamedTuple):
-    """The links of an epoch, for least squares: arrays (4, links), and a weak prior."""
+    """The links of an epoch, for least squares, and a weak prior."""
 
-    anchors: Array  # (3, links)
-    z: Array
-    variance: Array
-    measured: Array
+    anchors: Array  # (links, 3)
+    z: Array  # (links, 4) range (m) and angles (rad); NaN where not measured
+    variance: Array  # (links, 4)
     center: Array  # (unknowns,)
     weight: Array  # (unknowns,) inverse variances around the center
     synchronized: bool  # whether ranges say roughly how far away the anchors are
@@ -78,21 +58,21 @@ def position_from_links(
     """
     every = scene.anchors_m[: len(links)]
     visible = np.isfinite(links).any(axis=1)
-    z = links[visible].T
-    sigma = sigma[visible].T
+    z = links[visible]
+    sigma = sigma[visible]
     anchors = every[visible]
     reach_m = FARTHEST_M
     if clock == "free":
         apart_m = np.linalg.norm(anchors[:, None] - anchors, axis=2)
-        z[0, _contradicting(z[0], sigma[0], apart_m)] = np.nan
+        z[_contradicting(z[:, 0], sigma[:, 0], apart_m), 0] = np.nan
     measured = np.isfinite(z)
-    azimuths = measured[[1, 3]].any(axis=0)
+    azimuths = measured[:, [1, 3]].any(axis=1)
     if clock == "free" and not azimuths.any():
         reach_m = float(apart_m.max(initial=1.0))  # far away, differences of ranges say little
     bias_sigma_m = [BIAS_SIGMA_M[clock]] if clock in BIAS_SIGMA_M else []
-    if measured[0].sum() + azimuths.sum() < 2 + len(bias_sigma_m):
+    if measured[:, 0].sum() + azimuths.sum() < 2 + len(bias_sigma_m):
         return None  # the height of the streets is known only roughly
-    points = anchors[measured[0], :2]
+    points = anchors[measured[:, 0], :2]
     mirrored = not azimuths.any() and _on_a_line(points)
     if mirrored and scene.side is None:
         return None  # without azimuths, a mirrored position fits as well
@@ -100,15 +80,14 @@ def position_from_links(
     deviation = [reach_m, reach_m, HEIGHT_SIGMA_M, *bias_sigma_m]
     center = [*every[:, :2].mean(axis=0), scene.streets.height_m, 0.0]
     problem = _Links(
-        anchors=anchors.T,
-        z=np.where(measured, z, 0.0),
-        variance=np.where(measured, sigma**2, 1.0),
-        measured=measured.astype(float),
+        anchors=anchors,
+        z=z,
+        variance=sigma**2,
         center=np.array(center[:n]),
         weight=1.0 / np.array(deviation) ** 2,
         synchronized=clock != "free",
     )
-    cost, position, information = _descended(problem, _starts(problem))
+    cost, position, information = _descended(problem, _starts(problem), _ROUNDS)
     if mirrored:
         sides = _across(points, position) * _across(points, np.array([scene.side]))
         if not (sides > 0.0).any():
@@ -145,7 +124,7 @@ def _stretched(links: _Links, position: Array, cost: float, covariance: Array) -
     step = np.zeros(len(position))
     step[:2] = _FAR * np.sqrt(variances[-1]) * axis
     step[2:] = step[:2] @ np.linalg.solve(covariance[:2, :2], covariance[:2, 2:])
-    cost_away, _, _ = _descended(links, position + np.stack([step, -step]), rounds=0)
+    cost_away, _, _ = _descended(links, position + np.stack([step, -step]), 0)
     growth = float((cost_away - cost).min())
     if not growth > 0.25 * _FAR**2:
         return None
@@ -189,7 +168,7 @@ def _across(line: Array, points: Array) -> Array:
 
 def _starts(links: _Links) -> Array:
     """Return positions (S, 3 or 4) around the nearest anchors, at the height of the streets."""
-    distance, arrival, _, departure = np.where(links.measured > 0.5, links.z, np.nan)
+    distance, arrival, _, departure = links.z.T
     azimuth = np.where(np.isnan(arrival), departure + np.pi, arrival)
     order = np.lexsort((distance, np.isnan(azimuth)))  # first those with azimuths, then the nearest
     around = []
@@ -199,141 +178,87 @@ def _starts(links: _Links) -> Array:
         known = links.synchronized and np.isfinite(distance[link])
         radii = distance[alone] if known else STARTS_M
         asides = np.multiply.outer(radii, np.stack([np.cos(turns), np.sin(turns)], axis=1))
-        around.append(links.anchors[:2, link] + asides.reshape(-1, 2))
+        around.append(links.anchors[link, :2] + asides.reshape(-1, 2))
     horizontal = np.concatenate(around)
     starts = np.tile(links.center, (len(horizontal), 1))
     starts[:, :2] = horizontal
     return starts
 
 
-class _Sums(NamedTuple):
-    """A sum over links of squared errors, -1/2 of its gradient (n,), and the information (n, n)."""
-
-    cost: Number
-    gradient: Numbers
-    information: Numbers  # packed
-
-
-class _Link(NamedTuple):
-    """A link, as for :func:`~mmwave_env.models.measurement.link_group`."""
-
-    anchor: Numbers
-    z: Numbers
-    variance: Numbers
-    measured: Numbers
-
-
-class _Search(NamedTuple):
-    """A search for a minimum by Levenberg-Marquardt, over positions (n,) with n = 3 or 4."""
-
-    link: _Link  # the next link to be added
-    center: Numbers  # (n,) the weak prior
-    weight: Numbers
-    tried: Numbers  # (n,) position, and what was added up there
-    sums: _Sums
-    position: Numbers  # (n,) best position so far, and the sums there
-    best: _Sums
-    damping: Number
-    settled: Number  # 1 if the last round hardly improved the position, else 0
-
-
-def _with_link(search: _Search) -> _Search:
-    """Add a link to the sums at the tried position."""
-    position = search.tried
-    n = len(position)
-    x = [*position[:3], *[0.0] * (STATE_SIZE - 3), *position[3:]]
-    group = link_group(x, *search.link)
-    H = [[row[i] for i in UNKNOWN[:n]] for row in group.jacobian]
-    weighted = [[d / v for d in row] for row, v in zip(H, group.variance, strict=True)]
-    e = group.innovation
-    squares = [a * a / v for a, v in zip(e, group.variance, strict=True)]
-    columns = list(zip(*weighted, strict=True))
-    gradient = [dot(column, e) for column in columns]
-    information = product(columns, H)
-    own = _Sums(sum(squares, group.spare_nis), gradient, pack(information))
-    return search._replace(sums=_added(search.sums, own))
-
-
-def _added(a: _Sums, b: _Sums) -> _Sums:
-    return unflatten(a, iter(plus(flatten(a), flatten(b))))
-
-
-def _next_round(search: _Search) -> _Search:
-    """Compare the tried position with the best one; try another one, without sums yet."""
-    away = minus(search.center, search.tried)
-    pull = times(search.weight, away)
-    n = len(pull)
-    weak = symmetric(n, lambda i, j: search.weight[i] if i == j else 0.0)
-    now = _added(search.sums, _Sums(dot(pull, away), pull, pack(weak)))
-    cost = search.best.cost
-    better = now.cost <= cost
-    best = select(better, now, search.best)
-    position = select(better, search.tried, search.position)
-    damping = search.damping * where(better, 0.1, 10.0)
-    information = unpack(best.information)
-    damped = symmetric(n, lambda i, j: information[i][j] * (1.0 + damping if i == j else 1.0))
-    factor = cholesky(damped)
-    step = backward(factor, forward(factor, best.gradient))
-    return search._replace(
-        tried=plus(position, step),
-        sums=unflatten(now, repeat(0.0)),
-        position=position,
-        best=best,
-        damping=damping,
-        settled=where(better & (cost - now.cost < _SETTLED), 1.0, 0.0),
-    )
-
-
-@cache
-def _programs(n: int) -> tuple[Program[_Search], Program[_Search]]:
-    """Return :func:`_with_link` and :func:`_next_round`, compiled for positions (n,)."""
-    many = [0.0] * n
-    sums = _Sums(0.0, many, [0.0] * (n * (n + 1) // 2))
-    link = _Link(many[:3], *[[1.0] * 4] * 3)
-    start = _Search(link, many, many, many, sums, many, sums._replace(cost=np.inf), _DAMPING, 0.0)
-    return Program(_with_link, start), Program(_next_round, start)
-
-
 @compiled
-def _run_rounds(add_link, end_round, settled, links, blocks, rounds):  # type: ignore[no-untyped-def]
-    """Run rounds of searches until all have settled in the same round.
+def _descended(links, starts, rounds):  # type: ignore[no-untyped-def]
+    """Find minima near S starts (S, n) by Levenberg-Marquardt, with at most this number of rounds.
 
-    Args:
-        add_link, end_round: addresses of compiled programs.
-        settled: row of a workspace.
-        links: (links, numbers) each link's numbers, the first rows of a workspace.
-        blocks: (blocks, rows, 8) workspaces of the searches, changed in place.
-        rounds: number of rounds; the errors at the starts are added up before the first.
-    """
-    for _ in range(1 + rounds):
-        unsettled = 0
-        for block in blocks:
-            for link in links:
-                for i in range(len(link)):
-                    block[i] = link[i]
-                call(add_link, (block.ctypes.data,))
-            call(end_round, (block.ctypes.data,))
-            for lane in range(WIDTH):
-                unsettled += block[settled, lane] < 0.5
-        if unsettled == 0:
-            return
-
-
-def _descended(links: _Links, starts: Array, rounds: int = _ROUNDS) -> tuple[Array, Array, Array]:
-    """Find minima near S starts (S, n), in at most this number of rounds.
-
-    Return squared errors (S,), positions (S, n) and informations (S, n, n).
+    The rounds end when all searches have settled in the same round. Return squared errors (S,),
+    positions (S, n) and informations (S, n, n).
     """
     S, n = starts.shape
-    add_link, end_round = _programs(n)
-    at = add_link.index
-    blocks = blocks_of(add_link.start, S)
-    searches = blocks.transpose(0, 2, 1).reshape(-1, len(add_link.start))
-    searches[:, at.center] = links.center
-    searches[:, at.weight] = links.weight
-    searches[:, at.tried] = starts[np.arange(len(searches)) % S]
-    blocks = searches.reshape(len(blocks), WIDTH, -1).transpose(0, 2, 1).copy()
-    rows = np.concatenate(links[:4]).T.copy()
-    _run_rounds(add_link.on_lanes(), end_round.on_lanes(), at.settled, rows, blocks, rounds)
-    ends = blocks.transpose(0, 2, 1).reshape(searches.shape)[:S]
-    return ends[:, at.best.cost], ends[:, at.position], ends[:, unpack(at.best.information)]
+    tried = starts.copy()
+    position = starts.copy()
+    cost = np.full(S, np.inf)
+    gradient = np.zeros((S, n))
+    information = np.zeros((S, n, n))
+    damping = np.full(S, _DAMPING)
+    for _ in range(1 + rounds):
+        settled = True
+        for s in range(S):
+            away = links.center - tried[s]
+            pull = links.weight * away
+            H = np.diag(links.weight)
+            now = (pull * away).sum() + _add_links(links, tried[s], pull, H)
+            better = now <= cost[s]
+            settled &= better and cost[s] - now < _SETTLED
+            if better:
+                cost[s] = now
+                position[s] = tried[s]
+                gradient[s] = pull
+                information[s] = H
+            damping[s] *= 0.1 if better else 10.0
+            damped = information[s] * (1.0 + damping[s] * np.eye(n))
+            tried[s] = position[s] + np.linalg.solve(damped, gradient[s])
+        if settled:
+            break
+    return cost, position, information
+
+
+@register_jitable  # type: ignore[untyped-decorator]
+def _add_links(links, position, gradient, information):  # type: ignore[no-untyped-def]
+    """Add all links at a position to -1/2 of the gradient (n,) and the information (n, n).
+
+    Return the sum of their squared errors. The values of links are described in
+    :mod:`mmwave_env.models.measurement`.
+    """
+    n = len(position)
+    cost = 0.0
+    bias = position[3:].sum()
+    jacobian = np.zeros((4, n))
+    jacobian[0, 3:] = 1.0  # the range contains a clock's bias as a summand
+    for link in range(len(links.anchors)):
+        x = position[0] - links.anchors[link, 0]
+        y = position[1] - links.anchors[link, 1]
+        z = position[2] - links.anchors[link, 2]
+        horizontal = max(np.sqrt(x**2 + y**2), NEAREST_M)
+        distance = np.sqrt(horizontal**2 + z**2)
+        azimuth = np.arctan2(y, x)
+        jacobian[0, 0] = x / distance
+        jacobian[0, 1] = y / distance
+        jacobian[0, 2] = z / distance
+        jacobian[1, 0] = jacobian[3, 0] = -y / horizontal**2
+        jacobian[1, 1] = jacobian[3, 1] = x / horizontal**2
+        jacobian[2, 0] = -x * z / (horizontal * distance**2)
+        jacobian[2, 1] = -y * z / (horizontal * distance**2)
+        jacobian[2, 2] = horizontal / distance**2
+        expected = (distance + bias, azimuth, np.arctan2(z, horizontal), azimuth + np.pi)
+        for row in range(4):
+            error = links.z[link, row] - expected[row]
+            if np.isnan(error):
+                continue
+            if row > 0:
+                error -= 2.0 * np.pi * np.round(error / (2.0 * np.pi))
+            weight = 1.0 / links.variance[link, row]
+            cost += weight * error**2
+            for i in range(n):
+                gradient[i] += weight * jacobian[row, i] * error
+                for j in range(n):
+                    information[i, j] += weight * jacobian[row, i] * jacobian[row, j]
+    return cost
