@@ -60,11 +60,6 @@ DAMAGE = {  # name -> change, fields that the message names, number of epochs be
     )
     for row, column, value in CELLS
 } | {
-    "text without a name": (
-        lambda lines: [line.update({"": "x"}) for line in lines],
-        ["line 2"],
-        0,
-    ),
     "one cell": (lambda lines: lines.insert(7, {"": "xyz"}), ["line 9"], 2),
     "NULs": (lambda lines: lines.insert(9, {"": "\0" * 90}), ["line 11"], 3),
     "additional row": (
