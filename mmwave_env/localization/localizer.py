@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from mmwave_env.filters.mode_smoothing import smooth_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import SMOOTHING_WINDOW
 from mmwave_env.interface.policy import SmoothedCorrector, Switching
-from mmwave_env.localization.levels import Levels
+from mmwave_env.localization.levels import PARTS, Levels
 from mmwave_env.localization.policy_tracker import PolicyTracker
 from mmwave_env.localization.segments import Segment, segments
 from mmwave_env.localization.starts import Start
@@ -35,10 +35,6 @@ from mmwave_env.numerics.linalg import pack
 from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.world.episode import Episode, EpisodeBatch, columns_of
 
-_FILTERED = ("x", "P", "memory.mode", "memory.nis", "memory.accepted", "memory.rejected")
-# parts of the state that the smoother needs: without and with a bank
-_PREDICTED = "x P x_predicted P_predicted"
-_MIXTURE = "x P mixture"
 _CHUNK = 1 << 14  # epochs that are filtered and smoothed together
 
 
@@ -75,19 +71,6 @@ class Track(Log):
         """Return the tracks of the segments."""
         ends = [0, *(np.flatnonzero(np.diff(self.segment)) + 1).tolist(), len(self)]
         return [self.part(slice(first, end)) for first, end in pairwise(ends)]
-
-
-class Filtered(NamedTuple):
-    """Filtered beliefs in T epochs of N tracks, and what :class:`Track` holds beside them."""
-
-    x: Array  # (N, T, 7 or 8), and so on; all are floats
-    P: Array
-    mode: Array
-    nis: Array
-    accepted: Array
-    rejected: Array
-    trusted: Array | None  # None without a corrector
-    kept: Array  # (N, T, values) input of the smoother
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,37 +118,42 @@ class Localizer:
         """Load epochs with which a track begins, or goes on if ``start`` is None."""
         self.engine.load([self.episode(log, start)], go_on=start is None)
 
-    def run(self, engine: Engine, count: int = 1) -> Filtered:
-        """Filter the loaded epochs of the first tracks of an engine; N is their ``count``."""
-        kept = _MIXTURE if self.switching.bank else _PREDICTED
-        outputs = engine.run(*_FILTERED, kept)
-        parts = {name: of[:count] for name, of in outputs.items()}
-        return Filtered(
-            parts.get("reported.x", parts["x"]),
-            parts.get("reported.P", parts["P"]),
-            parts["memory.mode"],
-            parts["memory.nis"],
-            parts["memory.accepted"],
-            parts["memory.rejected"],
-            parts.get("trusted"),
-            parts[kept],
-        )
+    def run(self, engine: Engine, time_s: Any, begins: bool, count: int = 1) -> dict[str, Array]:
+        """Filter the loaded epochs of the first tracks of an engine; N is their ``count``.
 
-    def level_factors(self, filtered: Filtered, time_s: Any, begins: bool) -> Array:
-        """Return factors (N, T, 2) of Gaussian levels, given times (N, T); 1 if there are none."""
-        x, P, _, *gates, trusted, _ = filtered
-        if self.levels is None:
-            return np.ones((*x.shape[:2], 2))
-        if begins:
-            self.levels.reset()
-        mixes = self.switching.bank is not None
-        return self.levels.factors(self.layout.anchors, mixes, time_s, x, P, *gates, trusted)
+        Args:
+            engine: an engine from :meth:`tracks`.
+            time_s: (N, T) times of the epochs.
+            begins: whether the tracks begin with these epochs.
+            count: number of tracks.
+
+        Returns:
+            Arrays (N, T, ...): the parts :data:`~mmwave_env.localization.levels.PARTS`,
+            "memory.mode" and, with a corrector, "trusted"; "kept" is the input of the smoother, and
+            "level_factors" (N, T, 2) are factors of Gaussian levels, 1 if none are computed.
+        """
+        kept = "x P mixture" if self.switching.bank else "x P x_predicted P_predicted"
+        outputs = engine.run(*PARTS, "memory.mode", kept)
+        parts = {name: of[:count] for name, of in outputs.items()}
+        parts["kept"] = parts[kept]
+        for name in ("x", "P"):
+            parts[name] = parts.get(f"reported.{name}", parts[name])
+        parts["level_factors"] = np.ones((*parts["x"].shape[:2], 2))
+        if self.levels:
+            if begins:
+                self.levels.reset()
+            read = [parts[name] for name in PARTS]
+            mixes = self.switching.bank is not None
+            parts["level_factors"] = self.levels.factors(
+                self.layout.anchors, mixes, time_s, *read, parts.get("trusted")
+            )
+        return parts
 
     def smoothed(self, kept: Array, time_s: Array, spread_hz: Array) -> tuple[Array, Array]:
         """Return smoothed means (N, T, 7 or 8), packed covariances (N, T, 28 or 36) of N windows.
 
-        ``kept`` (N, T, values) are the joined arrays of :class:`Filtered`. ``time_s`` and the
-        Doppler spreads ``spread_hz`` are (N, T).
+        ``kept`` (N, T, values) is what :meth:`run` returned. ``time_s`` and the Doppler spreads
+        ``spread_hz`` are (N, T).
         """
         n = self.layout.state_size
         dt = np.diff(time_s)
@@ -260,11 +248,11 @@ def _track(
     ``segment`` is the segment's number; it begins here if there is a ``start``.
     """
     localizer.load(log, start)
-    filtered = localizer.run(localizer.engine)
-    factors = localizer.level_factors(filtered, log.time_s[None], start is not None)
-    x = filtered.x[0]
-    P = filtered.P[0]
-    kept = filtered.kept[0]
+    parts = localizer.run(localizer.engine, log.time_s[None], start is not None)
+    filtered = {name: of[0] for name, of in parts.items()}
+    x = filtered["x"]
+    P = filtered["P"]
+    kept = filtered["kept"]
     unknown = np.full(len(log), np.nan)
     track = Track(
         **vars(log),
@@ -277,12 +265,12 @@ def _track(
         P=P,
         smooth_x=x,
         smooth_P=P,
-        mode=filtered.mode[0].astype(np.int64),
-        nis=filtered.nis[0],
-        accepted=filtered.accepted[0] > 0.5,
-        trusted=unknown if filtered.trusted is None else filtered.trusted[0],
+        mode=filtered["memory.mode"].astype(np.int64),
+        nis=filtered["memory.nis"],
+        accepted=filtered["memory.accepted"] > 0.5,
+        trusted=filtered.get("trusted", unknown),
         smooth_trusted=unknown,
-        level_factors=factors[0],
+        level_factors=filtered["level_factors"],
     )
     sound = np.isfinite(x).all(axis=1) & np.isfinite(P).all(axis=1)
     if not sound.all():

@@ -14,9 +14,7 @@ the track begins from this motion instead. It also does if the first vote is muc
 from typing import NamedTuple
 
 import numpy as np
-from numba.extending import register_jitable
 
-from mmwave_env.compiler.disk_cache import compiled
 from mmwave_env.localization.first_position import (
     FARTHEST_M,
     HEIGHT_SIGMA_M,
@@ -223,8 +221,7 @@ class Ballot:
         if self._jump is not None or first < VOTES:
             return
         near = self._votes[first - _JUMP :]
-        apart = _errors(near[:_JUMP]).min() + _errors(near[_JUMP:]).min()
-        gain = _errors(near).min() - apart
+        gain = _error(near) - _error(near[:_JUMP]) - _error(near[_JUMP:])
         if gain > self._gain:
             self._gain = gain
             self._candidate = first
@@ -239,35 +236,28 @@ class Ballot:
         """Return the votes that decide about the start."""
         return self._votes[: min(VOTES + _JUMP, self._jump or len(self._votes))]
 
-    def overrules(self) -> bool:
-        """Tell whether the track begins at the motion of the votes, not at the first one.
-
-        It does if a majority agrees on a motion that another vote contradicts. A first vote that
-        is less sure than the motion, as from links of several epochs, may be far from it without
-        contradicting it. But a filter that begins there is linear only near the user.
-        """
-        if len(self._votes) < VOTES:
-            return False
-        votes = self._first_votes()
-        first = votes[0]
-        wrong, walk = _wrong(votes)
-        if first.pooled or wrong.any():
-            return True
-        mean, _ = _motion(votes, wrong, walk, first.time_s)
-        away = (mean[:3] - first.position)[:2]
-        return bool(away @ np.linalg.solve(first.covariance[:2, :2], away) > _FAR)
-
     def start(self, log: Log, first: int) -> Start | None:
-        """Return the start at an epoch on which a majority agrees; None if none is needed."""
-        if not self.overrules():
-            return None
+        """Return a start, at an epoch, from the motion of the votes; None if the first one stands.
+
+        The first one is replaced if a majority agrees on a motion that another vote contradicts. A
+        first vote that is less sure than the motion, as from links of several epochs, may be far
+        from it without contradicting it. But a filter that begins there is linear only near the
+        user.
+        """
         votes = self._first_votes()
-        wrong, walk = _wrong(votes)
+        if len(self._votes) < VOTES:
+            return None
+        now = float(log.time_s[first])
+        wrong, mean, covariance = _motion(votes, now)
+        opening = votes[0]
+        away = (mean[:3] + (opening.time_s - now) * mean[3:] - opening.position)[:2]
+        misled = away @ np.linalg.solve(opening.covariance[:2, :2], away) > _FAR
+        if not (opening.pooled or wrong.any() or misled):
+            return None
         right = votes[int(wrong.argmin())]
         usual = start_at(log, right.epoch, self._scene, self._radio)
         if usual is None:
             return None
-        mean, covariance = _motion(votes, wrong, walk, float(log.time_s[first]))
         x = usual.prior[0].copy()
         P = usual.prior[1].copy()
         horizontal = [0, 1, 3, 4]
@@ -335,8 +325,7 @@ class Doubt:
         if not ballot.vote(log_from(recent), len(recent) - 1, before):
             return None
         jump = ballot.jump()
-        undecided = ballot.is_undecided and (self._revised or ballot.overrules())
-        if jump is None and not undecided:
+        if jump is None and not ballot.is_undecided:
             return None
         log = log_from(self._epochs)
         if jump is not None:
@@ -344,7 +333,7 @@ class Doubt:
             self._ballot = ballot_of(log, jump, len(log), self._scene, self._radio)
         start = self._ballot.start(log, self._first)
         revised = start is not None
-        if start is None and (self._revised or jump is not None):
+        if not revised and (self._revised or jump is not None):
             start = start_at(log, self._first, self._scene, self._radio)
         self._revised = revised
         return (log.part(slice(self._first, None)), start) if start else None
@@ -360,25 +349,17 @@ class Doubt:
         return self._ballot.is_open(elapsed_s)
 
 
-def _wrong(votes: list[Vote]) -> tuple[Mask, int]:
-    """Return the votes (n,), less than half, that are most likely wrong, and the index of the walk.
+def _motion(votes: list[Vote], time_s: float) -> tuple[Mask, Array, Array]:
+    """Return the most likely motion of votes (n,): position and velocity (6,) at a time.
 
-    Only some of the first votes may be wrong.
+    The time is not later than the first vote. Also return which votes (n,) are most likely wrong,
+    less than half and only some of the first; and the covariance (6, 6).
     """
     choices = (np.arange(1 << VOTES)[:, None] >> np.arange(len(votes))) % 2 == 1
     choices = choices[2 * choices.sum(axis=1) < len(votes)]
-    errors = _errors(votes, choices)
-    best, walk = np.unravel_index(np.argmin(errors), errors.shape)
-    return choices[best], int(walk)
-
-
-def _motion(votes: list[Vote], wrong: Mask, walk: int, time_s: float) -> tuple[Array, Array]:
-    """Return the most likely motion: position and velocity (6,) at a time, covariance (6, 6).
-
-    The time is not later than the first vote.
-    """
-    t, positions, covariances = _arrays(votes)
-    S = _covariance(t, covariances, wrong, _WALKS[walk])
+    covariances, errors = _likelihoods(votes, choices)
+    best = np.unravel_index(np.argmin(errors), errors.shape)
+    t, away = _relative(votes)
     now = time_s - votes[0].time_s
     across = np.vstack(
         [np.kron(now * t, _VELOCITY) + np.tile(_POSITION, len(t)), np.kron(t, _VELOCITY)]
@@ -386,78 +367,49 @@ def _motion(votes: list[Vote], wrong: Mask, walk: int, time_s: float) -> tuple[A
     own = np.block(
         [[_POSITION + now**2 * _VELOCITY, now * _VELOCITY], [now * _VELOCITY, _VELOCITY]]
     )
-    mean = across @ np.linalg.solve(S, positions)
+    S = covariances[best]
+    mean = across @ np.linalg.solve(S, away)
     mean[:3] += votes[0].position
-    return mean, own - across @ np.linalg.solve(S, across.T)
+    return choices[best[0]], mean, own - across @ np.linalg.solve(S, across.T)
 
 
-def _arrays(votes: list[Vote]) -> tuple[Array, Array, Array]:
-    """Return times (n,) and positions (3 n,), relative to the first, and covariances (n, 3, 3)."""
-    _, times, positions, covariances, _ = zip(*votes, strict=True)
-    away = np.array(positions) - positions[0]
-    return np.array(times) - times[0], away.ravel(), np.array(covariances)
+def _relative(votes: list[Vote]) -> tuple[Array, Array]:
+    """Return times (n,) and positions (3 n,) of votes, relative to the first."""
+    times = np.array([vote.time_s for vote in votes])
+    positions = np.array([vote.position for vote in votes])
+    return times - times[0], (positions - positions[0]).ravel()
 
 
-def _errors(votes: list[Vote], choices: Mask | None = None) -> Array:
-    """Return -2 times the log-likelihoods (choices, walks) of votes, up to a constant per vote.
-
-    ``choices`` is a mask (choices, n) of wrong votes; None if none is wrong.
-    """
-    if choices is None:
-        choices = np.zeros((1, len(votes)), np.bool_)
-    return _log_likelihoods(*_arrays(votes), choices)  # type: ignore[no-any-return]
+def _error(votes: list[Vote]) -> float:
+    """Return the smallest error of :func:`_likelihoods` if none of the votes is wrong."""
+    _, errors = _likelihoods(votes, np.zeros((1, len(votes)), np.bool_))
+    return float(errors.min())
 
 
-@register_jitable  # type: ignore[untyped-decorator]
-def _covariance(time_s, covariance, wrong, walk):  # type: ignore[no-untyped-def]
-    """Return the covariance (3 n, 3 n) of the positions of n votes (:func:`_arrays`).
+def _likelihoods(votes: list[Vote], choices: Mask) -> tuple[Array, Array]:
+    """Return the covariances of n votes, and -2 times their log-likelihoods up to a constant.
 
     The user moves from an unknown position with an unknown velocity, which a random walk changes
-    from the first vote on. A wrong vote is anywhere around the user. ``wrong`` is a mask (n,).
+    from the first vote on. A wrong vote is anywhere around the user.
+
+    Args:
+        votes: the votes.
+        choices: (choices, n) which votes are wrong.
+
+    Returns:
+        Covariances (choices, walks, 3 n, 3 n) and errors (choices, walks).
     """
-    n = len(time_s)
-    S = np.zeros((3 * n, 3 * n))
-    for i in range(n):
-        for j in range(n):
-            earlier = min(time_s[i], time_s[j])
-            later = max(time_s[i], time_s[j])
-            walked = walk**2 * earlier**2 * (3.0 * later - earlier) / 6.0
-            for axis in range(3):
-                steady = _POSITION[axis, axis] + _VELOCITY[axis, axis] * earlier * later
-                S[3 * i + axis, 3 * j + axis] = steady + (walked if axis < 2 else 0.0)
-        for row in range(3):
-            for column in range(3):
-                S[3 * i + row, 3 * i + column] += covariance[i, row, column]
-            S[3 * i + row, 3 * i + row] += wrong[i] * _WRONG_M**2
-    return S
-
-
-@register_jitable  # type: ignore[untyped-decorator]
-def _nis_and_log_determinant(S, z):  # type: ignore[no-untyped-def]
-    """Return z' S^-1 z + log det S, given S (n, n) and z (n,); S becomes its Cholesky factor."""
-    y = np.empty(len(z))
-    total = 0.0
-    for i in range(len(z)):
-        y[i] = z[i]
-        for j in range(i):
-            for k in range(j):
-                S[i, j] -= S[i, k] * S[j, k]
-            S[i, j] /= S[j, j]
-            S[i, i] -= S[i, j] ** 2
-            y[i] -= S[i, j] * y[j]
-        S[i, i] = np.sqrt(S[i, i])
-        y[i] /= S[i, i]
-        total += y[i] ** 2 + 2.0 * np.log(S[i, i])
-    return total
-
-
-@compiled
-def _log_likelihoods(time_s, positions, covariance, choices):  # type: ignore[no-untyped-def]
-    """Return the result of :func:`_errors`, given :func:`_arrays` and a mask (choices, n)."""
-    errors = np.empty((len(choices), len(_WALKS)))
-    for choice, wrong in enumerate(choices):
-        for walk in range(len(_WALKS)):
-            S = _covariance(time_s, covariance, wrong, _WALKS[walk])
-            error = _nis_and_log_determinant(S, positions)
-            errors[choice, walk] = error + _SELDOM * wrong.sum()
-    return errors
+    n = len(votes)
+    t, away = _relative(votes)
+    earlier = np.minimum.outer(t, t)
+    later = np.maximum.outer(t, t)
+    walked = np.square(_WALKS)[:, None, None] * earlier**2 * (3.0 * later - earlier) / 6.0
+    velocity = np.kron(earlier, _VELOCITY) * np.kron(later, np.ones((3, 3)))
+    S = np.tile(_POSITION, (n, n)) + velocity + np.kron(walked, np.diag([1.0, 1.0, 0.0]))
+    each = np.arange(n)
+    covariances = np.array([vote.covariance for vote in votes])
+    S.reshape(-1, n, 3, n, 3)[:, each, :, each] += covariances[:, None]
+    S = S + _WRONG_M**2 * np.repeat(choices, 3, axis=1)[:, None, None] * np.eye(3 * n)
+    nis = np.linalg.solve(S, away[:, None])[..., 0] @ away
+    seldom = _SELDOM * choices.sum(axis=1, keepdims=True)
+    return S, nis + np.linalg.slogdet(S).logabsdet + seldom

@@ -330,15 +330,17 @@ class Tracker:
         begins: bool = False,
     ) -> list[Position]:
         """Filter T loaded epochs of each of k users; return the beliefs after the last ones."""
-        filtered = self._localizer.run(self._engine, len(self._loaded))
-        factors = self._localizer.level_factors(filtered, time_s, begins)
-        x, P, mode, nis, _, _, trusted, kept = filtered
+        parts = self._localizer.run(self._engine, time_s, begins, len(self._loaded))
+        mode = parts["memory.mode"]
+        factors = parts["level_factors"]
+        kept = parts["kept"]
+        trusted = parts.get("trusted")
         last_s = [times[-1] for times in time_s]
         of_groups: list[dict[str, float]] = []
         rejected_groups: list[list[str]] = []
-        last_nis = nis[:, -1].tolist()
-        accepted = filtered.accepted.tolist()
-        rejected = filtered.rejected.tolist()
+        last_nis = parts["memory.nis"][:, -1].tolist()
+        accepted = parts["memory.accepted"].tolist()
+        rejected = parts["memory.rejected"].tolist()
         for i, user in enumerate(self._loaded):
             user.end_s = last_s[i]
             for t, verdicts in enumerate(zip(accepted[i], rejected[i], strict=True)):
@@ -352,8 +354,8 @@ class Tracker:
             of_groups.append(dict(compress(by_name, measured)))
             rejected_groups.append([*compress(self._groups, [no > 0.5 for no in rejected[i][-1]])])
         return self._positions(
-            last_s, x[:, -1], P[:, -1], mode[:, -1], factors[:, -1], of_groups, rejected_groups,
-            begins, None if trusted is None else trusted[:, -1].tolist(),
+            last_s, parts["x"][:, -1], parts["P"][:, -1], mode[:, -1], factors[:, -1], of_groups,
+            rejected_groups, begins, None if trusted is None else trusted[:, -1].tolist(),
         )  # fmt: skip
 
     def _measures(self, visible: list[bool]) -> bool:

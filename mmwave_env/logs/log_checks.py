@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mmwave_env.logs.log_columns import DEVIATIONS, LOST, QUANTITIES, SIGMA_OF, STATION
+from mmwave_env.logs.log_columns import DEVIATIONS, LOST, QUANTITIES, SIGMA_OF
 from mmwave_env.logs.log_tables import LogError, Table
 from mmwave_env.models import envelope
 from mmwave_env.numerics.numbers import Array, Mask
@@ -118,8 +118,8 @@ def first_damage(table: Table, limits: bool = True) -> tuple[int, LogError | Non
         for check in chain(_checks(table), _limits(table) if limits else ()):
             row = int(np.argmax(check.wrong))
             if check.wrong[row] and row < first:
-                number = _show(table.raw(check.quantity)[row])
-                problem = check.words(row) if check.words else number
+                value = table.raw(check.quantity)[row]
+                problem = check.words(row) if check.words else _show(value)
                 error = table.file.error(table.rows[row], check.quantity, problem, check.expected)
                 first = row
     return first, error
@@ -137,7 +137,7 @@ def _checks(table: Table) -> Iterator[_Check]:
         lambda row: f"{_show(time[row])} after {_show(time[row - 1])}",
     )
     if table.file.associated:
-        yield from _anchor_checks(table, table.file.layout.anchors)
+        yield from _anchor_checks(table)
     else:
         number = np.arange(len(epoch)) - np.searchsorted(epoch, epoch)  # path's index in its epoch
         yield _Check(
@@ -151,8 +151,9 @@ def _checks(table: Table) -> Iterator[_Check]:
             yield _one_value(table, quantity)
 
 
-def _anchor_checks(table: Table, anchors: int) -> Iterator[_Check]:
+def _anchor_checks(table: Table) -> Iterator[_Check]:
     """Yield the checks of rows that belong to an anchor."""
+    anchors = table.file.layout.anchors
     time = table.raw("time")
     anchor = table.raw("anchor")
     known = np.isin(anchor, np.arange(1, anchors + 1))
@@ -212,15 +213,10 @@ def _limit(table: Table, quantity: str, wrong: Mask) -> _Check:
     values = table[quantity]
     if unit == "degrees":
         values = np.degrees(values)
-    stem, _, ending = table.columns[quantity].name.rpartition("_")
-    likely = f"if the value is in degrees, name the column {stem}_deg; " if ending == "rad" else ""
-    azimuth = table.columns.get("aoa_azimuth") or table.columns.get(STATION)
-    if quantity == "aoa_elevation" and azimuth and abs(values[np.argmax(wrong)]) <= 360.0:
-        likely += f"if the value is the azimuth, swap the names of this column and {azimuth.name}; "
     return _Check(
         quantity,
         wrong,
-        f"{bound.expected}, in the unit that the name of the column ends with; {likely}"
+        f"{bound.expected}, in the unit that the name of the column ends with; "
         "mmwave-loc localize --diagnose looks for a likely mistake",
         lambda row: f"{_show(table.raw(quantity)[row])}, which is {values[row]:.3g} {unit}",
     )

@@ -39,7 +39,6 @@ from mmwave_env.numerics.numbers import Array, Index, Mask
 AnyArrays = TypeVar("AnyArrays", bound="Arrays")
 
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
-_BATCH_ROWS = 1 << 14
 _ROW_BYTES = 2000  # memory for a row of a Parquet file, and for its part in the track
 _UNNAMED = re.compile(r"^(Unnamed: [\d.]+|index|level_0)$")  # pandas' names for its index
 _NUMBER = "a number, or nothing if it was not measured"
@@ -97,15 +96,10 @@ class LogFile:
         """Return the indices of the columns that are used."""
         return [column.number for column in self.columns.values()]
 
-    @cached_property
-    def unnamed(self) -> list[int]:
-        """Return the indices of the columns without a name, which may number the rows."""
-        return [i for i, name in enumerate(self.names) if not name]
-
     def quick_numbers(self, words: Sequence[str]) -> list[float] | None:
         """Return the numbers of a line, NaN for empty cells; None if it needs a closer look."""
         line = "".join(words)
-        if len(words) != len(self.names) or self.unnamed or "_" in line or not line.isascii():
+        if len(words) != len(self.names) or "_" in line or not line.isascii():
             return None
         try:
             numbers = [float(words[i]) if words[i] else math.nan for i in self.numbers]
@@ -256,21 +250,18 @@ def read_table(path: Path, scene: Scene, **options: Any) -> Table:
         raise LogError(f"{path}: found {path.suffix!r}, expected one of {', '.join(SUFFIXES)}")
     if _is_parquet(path):
         return _read_parquet(path, scene, **options)
-    lines, problem = read_lines(path)
+    try:
+        lines = read_lines(path)
+    except ValueError as error:
+        raise LogError(str(error)) from error
     if not lines:
-        raise LogError(f"{path}: found {problem or 'an empty file'}, expected a measurement log")
+        raise LogError(f"{path}: found an empty file, expected a measurement log")
     try:
         names, delimiter = header_of(lines[0])
     except ValueError as error:
         raise LogError(f"{path}, line 1: {error}") from error
-    first = words_of(lines[1], delimiter) if len(lines) > 1 else []
-    if len(first) == len(names) + 1 and first[0].isdigit() and first[-1]:
-        names = ["", *names]  # R names the rows, but not their column
     file = log_file(path, names, delimiter, scene, **options)
-    table = parse(file, (words_of(line, delimiter) for line in lines[1:]), 2)
-    if problem and not table.damage:
-        return _ending(table, len(lines) + 1, problem)
-    return table
+    return parse(file, (words_of(line, delimiter) for line in lines[1:]), 2)
 
 
 def _is_parquet(path: Path) -> bool:
@@ -344,10 +335,6 @@ def _careful(file: LogFile, row: int, words: list[str]) -> tuple[list[float], Lo
                 expected = _EXPECTED.get(quantity, _NUMBER)
                 damage = file.error(row, quantity, quoted(word.strip()), expected)
         values.append(value)
-    for i in file.unnamed:
-        if not (damage or words[i].strip().isdigit() or _says_nothing(words[i])):
-            problem = f"{quoted(words[i])} in a column without a name"
-            damage = file.error(row, "", problem, "a name, or only numbers of rows")
     return values, damage
 
 
@@ -367,13 +354,6 @@ def _other_number(file: LogFile, quantity: str, word: str) -> float:
 def _says_nothing(word: str) -> bool:
     """Tell whether a cell says that nothing was measured: it is blank, "nan", "NA" or "null"."""
     return word.strip().lower().lstrip("+-") in ("", "nan", "na", "null", "none")
-
-
-def _ending(table: Table, row: int, problem: str) -> Table:
-    """Add a row without values, in which the file is broken, to the rows before it."""
-    damage = table.file.error(row, "", problem, "a complete file")
-    cells = np.pad(table.cells, ((0, 1), (0, 0)), constant_values=np.nan)
-    return Table(table.file, np.append(table.rows, row), cells, damage)
 
 
 def _read_parquet(path: Path, scene: Scene, **options: Any) -> Table:
@@ -407,19 +387,13 @@ def _read_parquet(path: Path, scene: Scene, **options: Any) -> Table:
                 place = f"{path}, column {name!r}"
                 raise LogError(f"{place}: found type {kinds[name]}, expected numbers")
         require_memory(path, _ROW_BYTES * source.metadata.num_rows)
-        cells = np.empty((0, len(names)))
-        batches = [cells]
-        problem = ""
         try:
-            for batch in source.iter_batches(_BATCH_ROWS, columns=names):
-                columns = [batch.column(name) for name in names]
-                for i, column in enumerate(columns):
-                    if types.is_timestamp(column.type):
-                        columns[i] = column.cast(pyarrow.timestamp("us"), safe=False).cast("int64")
-                columns = [column.cast(pyarrow.float64(), safe=False) for column in columns]
-                batches.append(np.column_stack(columns))
+            columns = list(source.read(columns=names).select(names))
         except (OSError, pyarrow.ArrowException) as error:
-            problem = f"broken Parquet data ({error})"
-    cells = np.concatenate(batches)
-    table = Table(file, np.arange(len(cells)) + 1, cells)
-    return _ending(table, len(cells) + 1, problem) if problem else table
+            problem = f"found broken Parquet data ({error}), expected a complete file"
+            raise LogError(f"{path}: {problem}") from error
+    for i, column in enumerate(columns):
+        if types.is_timestamp(column.type):
+            columns[i] = column.cast(pyarrow.timestamp("us"), safe=False).cast("int64")
+    cells = np.column_stack([column.cast("float64", safe=False) for column in columns])
+    return Table(file, np.arange(len(cells)) + 1, cells)

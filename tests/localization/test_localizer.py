@@ -72,7 +72,7 @@ def filtered(log, modes):
     """Return the localizer of a log that begins with a line of sight, and its filtered beliefs."""
     localizer = Localizer(log.layout, SCENE, RADIO, Switching(modes))
     localizer.load(log, start_at(log, 0, SCENE, RADIO))
-    return localizer, localizer.run(localizer.engine)
+    return localizer, localizer.run(localizer.engine, log.time_s[None], begins=True)
 
 
 def episode_of(block):
@@ -167,7 +167,7 @@ def test_every_window_is_smoothed_including_a_shorter_last_one(monkeypatch, bloc
     localizer, beliefs = filtered(block.part(slice(2, None)), modes)
     for first in range(0, T - 2, window):
         part = slice(first, first + window)
-        values = (beliefs.kept[0], result.time_s, result.doppler_spread_hz)
+        values = (beliefs["kept"][0], result.time_s, result.doppler_spread_hz)
         x, P = localizer.smoothed(*(v[None, part] for v in values))
         assert_allclose(result.smooth_x[part], x[0], rtol=1e-12, atol=1e-12)
         assert_allclose(result.smooth_P[part], P[0], rtol=1e-12, atol=1e-12)

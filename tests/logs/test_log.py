@@ -223,11 +223,6 @@ VARIANTS = {
 }
 
 
-def test_rows_that_r_has_numbered_are_read(tmp_path):
-    path = store(tmp_path, numbered(text(rows()), "").removeprefix(","))
-    assert read(path).visible.all()
-
-
 @pytest.mark.parametrize("unit", ["s", "ms"])
 @pytest.mark.parametrize("moment", [
     "2026-11-20T09:15:0{}.25Z", "2026-11-20 10:15:0{}.250000000+01:00", "20261120T09150{},25"
