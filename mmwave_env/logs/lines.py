@@ -13,34 +13,34 @@ _PIECE_BYTES = 1 << 20
 _MEMORY = 20.0  # bytes of memory for each byte of text; the track of a log needs most of it
 
 
-def read_lines(path: Path) -> list[str]:
-    """Return the lines of a text file, without their line ends.
+def read_lines(path: Path) -> tuple[list[str], str]:
+    """Return the lines of a text file, and what is damaged after them; "" if nothing is.
 
-    A file whose name ends in ``.gz`` is unzipped. Bytes that are not UTF-8 are escaped, so that
-    messages can show them.
+    A file whose name ends in ``.gz`` is unzipped. Lines are returned without their line ends. Bytes
+    that are not UTF-8 are escaped, so that messages can show them.
 
     Raises:
-        ValueError: the gzip data is broken.
         OSError: the file can't be opened or read, or needs more memory than there is.
     """
     pieces: list[bytes] = []
     done = 0
+    damage = ""
     with open_regular(path) as raw, naming(path):
         size = os.fstat(raw.fileno()).st_size
         file: Any = gzip.GzipFile(fileobj=raw) if path.suffix.lower() == ".gz" else raw
         try:
-            while piece := file.read(_PIECE_BYTES):
+            # If decompression fails, read() would lose the data before the failure.
+            while piece := file.read1(_PIECE_BYTES):
                 pieces.append(piece)
                 done += len(piece)
                 require_memory(path, _MEMORY * done * size / raw.tell())
         except (EOFError, gzip.BadGzipFile, zlib.error) as error:
-            raise ValueError(
-                f"{path}: found broken gzip data ({error}), expected a complete file; zcat writes "
-                "the lines before the damage"
-            ) from error
+            damage = f"broken gzip data ({error})"
     text = b"".join(pieces).decode("utf-8-sig", errors="backslashreplace")
     lines = text.replace("\r\n", "\n").split("\n")
-    return lines if lines[-1] else lines[:-1]
+    if damage or not lines[-1]:  # damaged, or nothing after a line end
+        lines.pop()
+    return lines, damage
 
 
 def free_memory() -> float:

@@ -250,18 +250,18 @@ def read_table(path: Path, scene: Scene, **options: Any) -> Table:
         raise LogError(f"{path}: found {path.suffix!r}, expected one of {', '.join(SUFFIXES)}")
     if _is_parquet(path):
         return _read_parquet(path, scene, **options)
-    try:
-        lines = read_lines(path)
-    except ValueError as error:
-        raise LogError(str(error)) from error
+    lines, problem = read_lines(path)
     if not lines:
-        raise LogError(f"{path}: found an empty file, expected a measurement log")
+        raise LogError(f"{path}: found {problem or 'an empty file'}, expected a measurement log")
     try:
         names, delimiter = header_of(lines[0])
     except ValueError as error:
         raise LogError(f"{path}, line 1: {error}") from error
     file = log_file(path, names, delimiter, scene, **options)
-    return parse(file, (words_of(line, delimiter) for line in lines[1:]), 2)
+    table = parse(file, (words_of(line, delimiter) for line in lines[1:]), 2)
+    if problem and not table.damage:
+        return _ending(table, len(lines) + 1, problem)
+    return table
 
 
 def _is_parquet(path: Path) -> bool:
@@ -354,6 +354,13 @@ def _other_number(file: LogFile, quantity: str, word: str) -> float:
 def _says_nothing(word: str) -> bool:
     """Tell whether a cell says that nothing was measured: it is blank, "nan", "NA" or "null"."""
     return word.strip().lower().lstrip("+-") in ("", "nan", "na", "null", "none")
+
+
+def _ending(table: Table, row: int, problem: str) -> Table:
+    """Add a row without values, in which the file is broken, to the rows before it."""
+    damage = table.file.error(row, "", problem, "a complete file")
+    cells = np.pad(table.cells, ((0, 1), (0, 0)), constant_values=np.nan)
+    return Table(table.file, np.append(table.rows, row), cells, damage)
 
 
 def _read_parquet(path: Path, scene: Scene, **options: Any) -> Table:

@@ -36,9 +36,10 @@ def read_tum(path: Path) -> Poses:
         ValueError: a line is damaged; the message names file and line, and what was expected.
         OSError: the file can't be read, or needs more memory than there is.
     """
+    lines, damage = read_lines(path)
     rows: list[list[float]] = []
     repeated: list[str] = []
-    for n, line in enumerate(read_lines(path), start=1):
+    for n, line in enumerate(lines, start=1):
         words = line.split("#")[0].split()
         place = f"{path}, line {n}"
         if not words:
@@ -56,8 +57,9 @@ def read_tum(path: Path) -> Poses:
         if rows and row[0] < rows[-1][0]:
             raise ValueError(f"{place}, t: found {words[0]}, expected more than {rows[-1][0]}")
         rows.append(row)
-    if not rows:
-        raise ValueError(f"{path}: found no line with a pose, expected lines {' '.join(COLUMNS)}")
+    if damage or not rows:
+        problem = damage or "no line with a pose"
+        raise ValueError(f"{path}: found {problem}, expected lines {' '.join(COLUMNS)}")
     if repeated:
         warnings.warn(
             f"{repeated[0]}: found the time of the pose before; such poses, left out: "
