@@ -34,7 +34,7 @@ FORM = (
 
 @dataclass(frozen=True)
 class Place:
-    """A place to train at; ``str`` gives its command-line form.
+    """A place to train at.
 
     Attributes:
         scene, radio: names or JSON files, as in ``MmWaveLoc-v0``.
@@ -62,12 +62,6 @@ class Place:
                     f"{argument}: found {name!r}, expected another {argument}; the benchmark keeps "
                     f"{', '.join(UNSEEN)} unseen"
                 )
-
-    def __str__(self) -> str:
-        rate = "" if self.dt == 1.0 else f":{self.dt:g}"
-        subset = "" if self.measurements is None else ":" + "+".join(self.measurements)
-        clock = "" if self.clock == "synchronized" else f":{self.clock}"
-        return f"{self.scene}:{self.radio}{rate}{subset}{clock}"
 
     @property
     def profile(self) -> str:
@@ -118,7 +112,7 @@ def places_from(words: Sequence[str]) -> tuple[Place, ...]:
     """
     places = tuple(map(place_from, words))
     if len(set(places)) < len(places):
-        raise ValueError(f"places: found {', '.join(map(str, places))}, expected different places")
+        raise ValueError(f"places: found {', '.join(words)}, expected different places")
     if all(place.measurements is None for place in places):
         return places
     return tuple(replace(p, measurements=p.measurements or MEASUREMENTS) for p in places)
