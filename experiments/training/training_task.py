@@ -13,14 +13,12 @@ from experiments.evaluation.contenders import source_of
 from experiments.evaluation.protocol import UNSEEN
 from experiments.training.hyperparameters import (
     Hyperparameters,
-    PpoHyperparameters,
     read_hyperparameters,
     shipped_hyperparameters,
 )
 from mmwave_env.filters.bank import Bank, bank_from, modes_from
 from mmwave_env.interface.observation import Observation
-from mmwave_env.interface.reward import REWARDS, PairedReward, Reward, TrackingReward
-from mmwave_env.io.lookup import choose
+from mmwave_env.interface.reward import LogScore, Reward, TrackingReward
 from mmwave_env.models.layout import CLOCKS, MEASUREMENTS, measurements_from
 from mmwave_env.models.radio import radio_from
 from mmwave_env.task import task_from
@@ -189,18 +187,16 @@ def training_task(args: TaskArgs) -> TrainingTask:
     """Return the training task that options describe.
 
     Raises:
-        ValueError: a place (scene and radio to train at), mode or reward is unknown, a place is
-            named twice, or both a radio and places are named.
+        ValueError: a place (scene and radio to train at) or mode is unknown, a place is named
+            twice, or both a radio and places are named.
     """
     places = places_from(args.places) if args.places else (Place("street", args.radio),)
     if args.places and args.radio != TaskArgs.radio:
         raise ValueError("radio: cannot be combined with places, which name their radios")
     banks = banks_of(args.modes, places, args.beliefs)
-    reward: Any = choose(REWARDS, args.reward, "reward")
-    if isinstance(reward, PairedReward):  # the trainer subtracts the reward of an IMM
-        reward = reward.reward
-    if isinstance(reward, TrackingReward):
-        reward = replace(reward, nees_weight=args.nees_weight)
+    reward: Reward = TrackingReward(nees_weight=args.nees_weight)
+    if args.reward == "log-score":
+        reward = LogScore()
     return TrainingTask(args.scenario, places, banks, args.observation, reward, args.beliefs)
 
 
@@ -228,6 +224,4 @@ def hyperparameters(
             f"{path}: num_envs: found {hyper.num_envs}, expected {multiple}{together * places} or "
             f"more for {places} places"
         )
-    if isinstance(hyper, PpoHyperparameters):
-        return replace(hyper, paired=hyper.paired or args.reward == "paired")
-    return hyper  # rollouts compare rewards of actions, so the IMM's reward would cancel out
+    return hyper
