@@ -19,11 +19,11 @@ from experiments.console.provenance import command_line
 from experiments.console.signals import heed_signals
 from experiments.evaluation.contenders import outcomes_markdown
 from experiments.training.corrector import CorrectorTrainer, TwoWayTrainer
-from experiments.training.hyperparameters import Hyperparameters
+from experiments.training.hyperparameters import Hyperparameters, hyperparameters
 from experiments.training.ppo import PpoTrainer
 from experiments.training.rollouts import RolloutTrainer
 from experiments.training.trainer import Job, Tell, Trainer, run_training
-from experiments.training.training_task import hyperparameters, training_task
+from experiments.training.training_task import training_task
 from mmwave_env.filters.bank import Bank, bank_as_written
 from mmwave_env.io.files import Json, read_json, write_bytes, write_json
 

@@ -5,17 +5,11 @@ A *place* is a scene with a radio, a rate of epochs, the measured quantities and
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import Any, cast
 
 from experiments.console.options import TaskArgs, WorldArgs
 from experiments.evaluation.contenders import source_of
 from experiments.evaluation.protocol import UNSEEN
-from experiments.training.hyperparameters import (
-    Hyperparameters,
-    read_hyperparameters,
-    shipped_hyperparameters,
-)
 from mmwave_env.filters.bank import Bank, bank_from, modes_from
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.reward import LogScore, Reward, TrackingReward
@@ -198,30 +192,3 @@ def training_task(args: TaskArgs) -> TrainingTask:
     if args.reward == "log-score":
         reward = LogScore()
     return TrainingTask(args.scenario, places, banks, args.observation, reward, args.beliefs)
-
-
-def hyperparameters(
-    args: TaskArgs, places: int, path: Path | None = None, **changed: Any
-) -> Hyperparameters:
-    """Read the hyperparameters of a training.
-
-    Args:
-        args: options of the task.
-        places: number of places to train at.
-        path: file of hyperparameters; None for the shipped file.
-        changed: hyperparameters to change, by name.
-
-    Raises:
-        ValueError: the file is for another algorithm, or its number of environments can't be
-            divided among the places.
-    """
-    path = path or shipped_hyperparameters(args.algo, args.beliefs)
-    hyper = replace(read_hyperparameters(path, args.algo), **changed)
-    together = hyper.together
-    if hyper.num_envs % together or hyper.num_envs < together * places:
-        multiple = f"a multiple of {together}, " if together > 1 else ""
-        raise ValueError(
-            f"{path}: num_envs: found {hyper.num_envs}, expected {multiple}{together * places} or "
-            f"more for {places} places"
-        )
-    return hyper

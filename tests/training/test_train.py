@@ -20,13 +20,14 @@ from experiments.training.hyperparameters import (
     KINDS,
     PpoHyperparameters,
     falling,
+    hyperparameters,
     read_hyperparameters,
     shipped_hyperparameters,
 )
 from experiments.training.ppo import PlacesVecEnv, learner
 from experiments.training.run import manifest_of, train
 from experiments.training.trainer import Job
-from experiments.training.training_task import Place, TrainingTask, hyperparameters
+from experiments.training.training_task import Place, TrainingTask
 from mmwave_env.filters.bank import Bank, default_modes
 from mmwave_env.interface.reward import TrackingReward
 from policies.policy_file import read_policy
