@@ -222,7 +222,7 @@ def test_a_traceback_is_shown_only_with_the_option_debug(monkeypatch):
 
 @pytest.mark.parametrize("word", ["lab\x1b]0;owned\x07", "a\nb", "a\u202eb", "\udcff"])
 def test_messages_about_mistakes_contain_no_control_characters(word):
-    for words in (("compare", "--radio", word), ("compare", "--policy", word), (word,)):
+    for words in (("compare", "--radio", word), ("compare", "--policies", word), (word,)):
         done = command(*words)
         assert all(line.isprintable() for line in (done.stdout + done.stderr).splitlines())
         assert done.returncode == 2

@@ -221,4 +221,4 @@ def test_a_policy_trained_at_two_places_with_beliefs_per_mode_plays_at_a_third(t
     card = read_policy(policy).card
     assert card.beliefs == "per-mode" and list(card.banks) == ["handset", "standard"]
     words = ("--radio", "high", "--scene", "dynamic-doppler", "--episodes", 5)
-    assert f"| {policy} |" in succeed("compare", "--policy", policy, *words)
+    assert f"| {policy} |" in succeed("compare", "--policies", policy, *words)
