@@ -11,8 +11,6 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any
 
-from rich.progress import TimeElapsedColumn
-
 from experiments.console.options import TrainArgs, require_at_least
 from experiments.console.output import bars, note, say, show
 from experiments.console.provenance import command_line
@@ -185,7 +183,7 @@ def run(args: TrainArgs) -> None:
         for seed in range(args.seeds)
     ]
     begin(args, manifest)
-    with bars(TimeElapsedColumn()) as bar:
+    with bars() as bar:
         tasks = [bar.add_task(f"seed {job.seed}", total=steps) for job in jobs]
 
         def tell(job: Job, timesteps: int, text: str) -> None:

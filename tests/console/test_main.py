@@ -28,7 +28,6 @@ def test_the_program_lists_its_commands_and_shows_its_version():
     bare = command()
     assert helped.returncode == 0 and bare.returncode == 2
     assert all(name in helped.stdout for name in COMMANDS) and helped.stdout == bare.stdout
-    assert command("help").stdout == helped.stdout
     assert succeed("--version") == f"mmwave-loc {mmwave_env.__version__}\n"
     versions = json.loads(succeed("--version", "--json"))
     assert versions["mmwave-loc"] == mmwave_env.__version__
@@ -46,7 +45,6 @@ def test_every_command_explains_its_options(name):
         typed, *words = shlex.split(example)
         assert typed == name
         read_arguments(name, words)
-    assert command("help", name, columns=80).stdout == shown
 
 
 def test_the_help_of_compare_lists_the_names_that_its_options_accept():
