@@ -52,10 +52,10 @@ def test_the_help_of_compare_lists_the_names_that_its_options_accept():
     from mmwave_env.datasets.samples import sample_names
     from mmwave_env.models.radio import RADIOS
     from mmwave_env.models.scene import SCENES
-    from mmwave_env.world.mobility import SCENARIOS
+    from mmwave_env.world.mobility import MOBILITIES
 
     words = set(re.findall(r"[\w-]+", command("compare", "--help", columns=80).stdout))
-    names = (*contenders("handset"), *sample_names(), *RADIOS, *SCENES, *SCENARIOS)
+    names = (*contenders("handset"), *sample_names(), *RADIOS, *SCENES, *MOBILITIES, "mixed")
     assert not {*names, "clairvoyant", "tracking", "log-score"} - words
 
 
