@@ -7,7 +7,7 @@ files, in mmwave_env/data/schemas, are generated from the types.
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
 from numbers import Integral, Real
 from pathlib import Path
@@ -74,15 +74,11 @@ class Size(NamedTuple):
         return self.least <= len(value) <= self.most
 
 
-@dataclass(frozen=True)
 class Printable:
     """A rule for texts: they can be shown unchanged in tables and pictures."""
 
-    expected: str = f"1 to {LONGEST} printable characters"
-
-    def holds(self, value: Any) -> bool:
-        """Tell whether a text is short enough and printable."""
-        return is_name(value)
+    expected = f"1 to {LONGEST} printable characters"
+    holds = staticmethod(is_name)
 
 
 FINITE = Bound("a finite number")
