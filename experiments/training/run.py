@@ -43,8 +43,7 @@ def manifest_of(args: TrainArgs, banks: Mapping[str, Bank], hyper: Hyperparamete
     written = {radio: bank_as_written(bank) for radio, bank in banks.items()}
     first, *_ = written.values()
     choices = {"banks": written} if args.beliefs == "per-mode" else {"modes": first["modes"]}
-    defaults = {name: getattr(type(args), name) for name in ASIDE}
-    command = command_line("train", replace(args, **defaults))
+    command = command_line("train", args, ASIDE)
     figures = json.loads(json.dumps(asdict(hyper)))  # as they will be read: tuples become lists
     return {"command": command, "hyperparameters": figures, **choices}
 
