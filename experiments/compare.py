@@ -2,9 +2,6 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
-
-from tyro.conf import arg
 
 from experiments.console.options import EpisodeArgs
 
@@ -22,7 +19,7 @@ class Args(EpisodeArgs):
         mmwave-loc compare --policies fixed-ukf speed-rule imm ppo --episodes 200
     """
 
-    policies: Annotated[tuple[str, ...], arg(aliases=("--policy",))] = ()
+    policies: tuple[str, ...] = ()
     """fixed-NAME (a mode in every epoch: fixed-ekf, fixed-ukf
     or fixed-ckf); speed-rule (the paper's rule: EKF up to
     2 m/s, UKF above); likelihood-rule (the mode that

@@ -51,7 +51,6 @@ def main(args: Args) -> None:
     from experiments.console.output import note, say, show
     from experiments.console.provenance import provenance
     from experiments.evaluation import protocol
-    from experiments.evaluation.branches import CLAIRVOYANT
     from experiments.evaluation.contenders import contender_from
     from mmwave_env.io.files import write_json
 
@@ -63,6 +62,7 @@ def main(args: Args) -> None:
         raise ValueError(f"out: found the file {args.out}, expected a folder")
     for name in args.policies:
         contender_from(name, "handset")  # refuses an unknown name
+    protocol.entries_in(args.out)  # refuses a damaged entry
     groups = [args.policies] if args.policies else []
     files = {
         name: args.out / (re.sub(r"[^\w.-]+", "-", name).strip("-") + ".json")
@@ -70,18 +70,15 @@ def main(args: Args) -> None:
     }
     if args.keep:
         groups = [(name,) for name, file in files.items() if not file.exists()]
-    ceiling = protocol.ceiling_of(protocol.entries_in(args.out))
     for names in groups:
         judged = []
         for site in protocol.sites():
             note(f"{', '.join(names)}: {site.name} ({site.kind})")
             count = args.draws if site.kind == protocol.RECORDED else args.episodes
             judged.append(protocol.judge(names, site, count, args.seed))
-        made = {name: protocol.entry(name, judged) for name in names}
-        ceiling = made.get(CLAIRVOYANT) or ceiling
-        protocol.add_scores([*made.values()], ceiling)
-        for name, entry in made.items():
-            write_json(files[name], protocol.sealed(provenance("leaderboard", args) | entry))
+        for name in names:
+            entry = provenance("leaderboard", args) | protocol.entry(name, judged)
+            write_json(files[name], protocol.sealed(entry))
     if not any(args.out.glob("*.json")):
         raise ValueError(f"out: found no entries in {args.out}; name contenders with --policies")
     entries = protocol.entries_in(args.out)

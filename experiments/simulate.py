@@ -74,7 +74,7 @@ def main(args: Args) -> None:
         scene = scene_of_anchors(
             scene.name, episode.scene_anchors_m, scene.carrier_hz, scene.bandwidth_hz
         )
-    origin = command_line("simulate", replace(args, out=Path("."), overwrite=False))
+    origin = command_line("simulate", replace(args, out=Path(".")), ["overwrite"])
     columns = None
     if args.paths:
         columns = path_columns(episode, args.false_paths, np.random.default_rng(args.seed))

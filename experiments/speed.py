@@ -1,9 +1,9 @@
 """mmwave-loc speed: steps per second, compared with filterpy and with a core's upper limit.
 
-A run of this command does the same work with a loop over filterpy's filters, a single environment,
-Gymnasium's synchronous vector environment and our vector environment. It also measures the filters
-alone, the least time that a core needs for their arithmetic, and the latency of live tracks. Ratios
-are shown first, since absolute figures depend much more on the machine.
+A run of this command does the same work with a loop over filterpy's filters, a single environment
+and our vector environment. It also measures the filters alone, the least time that a core needs for
+their arithmetic, and the latency of live tracks. Ratios are shown first, since absolute figures
+depend much more on the machine.
 """
 
 import os

@@ -53,11 +53,8 @@ def network_of(file: PolicyFile, *recurrent: str) -> Network:
         raise ValueError(f"{path}: found a switcher, expected a corrector")
     reads_back = "back.bias_hh" in tensors
     if reads_back != ("back" in recurrent):
-        kinds = ["filtered", "smoothed"]
-        raise ValueError(
-            f"{path}: found a corrector of {kinds[reads_back]} tracks, expected one of "
-            f"{kinds[not reads_back]} tracks"
-        )
+        kind = "smoothed" if reads_back else "filtered"
+        raise ValueError(f"{path}: found a corrector of {kind} tracks, expected the other kind")
     units = [Unit(layer_in(tensors, u, "_ih"), layer_in(tensors, u, "_hh")) for u in recurrent]
     out = layer_in(tensors, "out")
     return Network(

@@ -199,8 +199,6 @@ def main() -> None:
             setattr(sys, stream, open(os.devnull, mode))  # noqa: SIM115
     if not os.environ.get("COLUMNS", "80").strip("0"):  # some terminals claim a width of 0
         del os.environ["COLUMNS"]
-    if words[:1] == ["help"]:  # the same as --help, for the program or for a command
-        words = [*words[1:], "--help"]
     if not words or words[0] in ("-h", "--help"):
         print(_help())
         sys.exit(0 if words else 2)
@@ -216,7 +214,7 @@ def main() -> None:
         from mmwave_env import __version__
         from mmwave_env.io.lookup import unknown
 
-        if words[0] not in ("-V", "--version"):
+        if words[0] != "--version":
             raise ValueError(unknown("command", words[0], COMMANDS))
         if words[1:] != ["--json"]:
             print(f"mmwave-loc {__version__}")

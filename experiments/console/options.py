@@ -188,13 +188,11 @@ class TaskArgs:
     for a clock with an offset. Environments, and the
     episodes to judge policies on, are spread evenly over
     the places"""
-    reward: str = "tracking"
-    """tracking; log-score; or paired, which is the tracking
-    reward minus the tracking reward of an IMM (with
-    --beliefs per-mode, the IMM of the bank). If a
-    hyperparameter file sets "paired": true, the reward of
-    the IMM is subtracted from the log-score or the
-    tracking reward"""
+    reward: Literal["tracking", "log-score"] = "tracking"
+    """tracking or log-score. If a hyperparameter file sets
+    "paired": true, as those for ppo do, the reward of an
+    IMM (with --beliefs per-mode, the IMM of the bank) is
+    subtracted"""
     nees_weight: float = 0.2
     """weight of the NEES in the tracking reward"""
 

@@ -15,7 +15,7 @@ from typing import TypeVar
 from rich import box
 from rich.console import Console
 from rich.markdown import Markdown
-from rich.progress import Progress, ProgressColumn, TextColumn
+from rich.progress import Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
@@ -26,17 +26,17 @@ T = TypeVar("T")
 QUIET: ContextVar[bool] = ContextVar("quiet", default=False)  # True: show neither bars nor tables
 
 
-def bars(*columns: ProgressColumn | str) -> Progress:
+def bars() -> Progress:
     """Return progress bars that are drawn on standard error and vanish at the end.
 
-    No bar is shown if standard error is not a terminal. ``columns`` follow rich's default columns.
+    No bar is shown if standard error is not a terminal.
     """
     console = Console(stderr=True, quiet=QUIET.get())
     _, *others = Progress.get_default_columns()
     hidden = console.quiet or not console.is_terminal
     description = TextColumn("{task.description}", style="progress.description", markup=False)
-    all_columns = description, *others, *columns
-    return Progress(*all_columns, console=console, transient=True, disable=hidden)
+    columns = description, *others, TimeElapsedColumn()
+    return Progress(*columns, console=console, transient=True, disable=hidden)
 
 
 def say(*lines: str) -> None:

@@ -3,7 +3,8 @@
 import json
 import platform
 import shlex
-from dataclasses import fields, replace
+from collections.abc import Collection
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
 
@@ -18,14 +19,17 @@ T = TypeVar("T")
 OUTPUTS = {"json", "episodes_csv", "errors", "consistency", "plot", "out", "map_out"}
 
 
-def command_line(name: str, args: Any) -> str:
-    """Return the command line that sets the given options; default values are left out."""
+def command_line(name: str, args: Any, aside: Collection[str] = ()) -> str:
+    """Return the command line that sets the given options.
+
+    Default values are left out, and so are the options ``aside``.
+    """
     kinds = get_type_hints(type(args), include_extras=True)
     words = ["mmwave-loc", name]
     options = []
     for field in fields(args):
         value = getattr(args, field.name)
-        if value == field.default:
+        if value == field.default or field.name in aside:
             continue
         texts = [*map(str, value if isinstance(value, tuple) else (value,))]
         option = field.name.replace("_", "-")
@@ -40,8 +44,7 @@ def command_line(name: str, args: Any) -> str:
 
 def provenance(name: str, args: Any) -> Json:
     """Return the command, its options (except output files) and versions, to store with results."""
-    outputs = {f.name: f.default for f in fields(args) if f.name in OUTPUTS}
-    command = command_line(name, replace(args, **outputs))
+    command = command_line(name, args, OUTPUTS)
     return {"command": command, "options": options_of(args), "versions": versions()}
 
 

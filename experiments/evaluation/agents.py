@@ -6,6 +6,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from operator import attrgetter
 from pathlib import Path
 from types import ModuleType
 from typing import Any, cast
@@ -109,9 +110,7 @@ def agent_from(name: str) -> Act:
         ValueError: the agent can't be made; the message says why.
     """
     with blaming(name, f"; expected {EXPECTED} ({GUIDE})"):
-        make: Any = _module_of(name)
-        for part in name.partition(":")[2].split("."):
-            make = getattr(make, part)
+        make = attrgetter(name.partition(":")[2])(_module_of(name))
         return cast(Act, make())
 
 

@@ -27,8 +27,12 @@ from experiments.console.signals import heed_signals
 from experiments.evaluation.contenders import contender_of, seeds_from, task_of
 from experiments.evaluation.intervals import Interval, bootstrap, rounded
 from experiments.evaluation.runner import Scoring, score_contenders
-from experiments.training.hyperparameters import read_hyperparameters, shipped_hyperparameters
-from experiments.training.training_task import hyperparameters, training_task
+from experiments.training.hyperparameters import (
+    hyperparameters,
+    read_hyperparameters,
+    shipped_hyperparameters,
+)
+from experiments.training.training_task import training_task
 from mmwave_env import __version__
 from mmwave_env.io.files import atomic_path, first_line, read_text, write_bytes
 from mmwave_env.io.lookup import choose, quoted, require_extra

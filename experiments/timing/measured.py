@@ -17,7 +17,6 @@ from experiments.timing.workloads import (
     LATENCIES,
     PERCENTILES,
     RADIO,
-    SYNC_NAME,
     Laps,
     environments,
     filters,
@@ -35,7 +34,6 @@ from mmwave_env.task import task_from
 from mmwave_env.world.travel import stride_of
 
 STEP = "step"  # name of the kernel (compiled function) that computes an environment's whole step
-BASES = (FILTERPY, SYNC_NAME)  # workloads with which our environments are compared
 
 Rounds = dict[str, list[float]]
 
@@ -95,16 +93,12 @@ class Measured:
     @property
     def ours(self) -> list[str]:
         """Return names of our environments, the single environment first."""
-        return [name for name in environments(self.sizes) if name not in BASES]
+        return [name for name in environments(self.sizes) if name != FILTERPY]
 
     def ratios(self) -> Rounds:
-        """Return our steps per second divided by the rate of each workload in :data:`BASES`."""
+        """Return our steps per second divided by those of the loop over filterpy's filters."""
         rates = self.rounds["steps_per_s"]
-        return {
-            f"{name} over {base}": np.divide(rates[name], rates[base]).tolist()
-            for base in BASES
-            for name in self.ours
-        }
+        return {name: np.divide(rates[name], rates[FILTERPY]).tolist() for name in self.ours}
 
     def fractions(self) -> Rounds:
         """Return the minimum time of a step on a core, divided by the measured time of the step."""
@@ -162,7 +156,6 @@ def spread(values: Sequence[float], unit: float = 1.0) -> str:
 def tables_of(measured: Measured) -> dict[str, str]:
     """Return all tables as Markdown, by title, the ratios first."""
     rounds = measured.rounds
-    ratios = measured.ratios()
     limits = []
     for name, fractions in measured.fractions().items():
         least = measured.limits_of(name)
@@ -171,11 +164,8 @@ def tables_of(measured: Measured) -> dict[str, str]:
         limits.append([name, *shown])
     return {
         "Ratios": grid(
-            ["ratio of steps per second", *(f"to {base}" for base in BASES)],
-            [
-                [name, *(spread(ratios[f"{name} over {base}"]) for base in BASES)]
-                for name in measured.ours
-            ],
+            ["ratio of steps per second", f"to {FILTERPY}"],
+            [[name, spread(ratios)] for name, ratios in measured.ratios().items()],
         ),
         "Steps per second": grid(
             ["", "steps per second", "ns per step"],

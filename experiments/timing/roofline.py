@@ -40,8 +40,6 @@ class Operations(NamedTuple):
     divide: int = 0
     root: int = 0  # square roots
     select: int = 0  # comparisons, choices, and operations on signs and bits
-    load: int = 0  # loads of rows of the workspace
-    store: int = 0  # stores of rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +95,8 @@ def count(function: Callable[[Any], Any], template: Any) -> Operations:
     emitter = Emitter(recorder)
     before = [Tracer(emitter, recorder.load(row)) for row in range(len(flatten(template)))]
     after = flatten(function(unflatten(template, iter(before))))
-    stored = [new for old, new in zip(before, after, strict=True) if new is not old]
-    results = [new.value for new in stored if isinstance(new, Tracer)]
+    changed = [new for old, new in zip(before, after, strict=True) if new is not old]
+    results = [new.value for new in changed if isinstance(new, Tracer)]
     needed = set(results)  # every instruction on which the results depend
     for step in reversed(recorder.known.values()):
         if step in needed:
@@ -113,7 +111,7 @@ def count(function: Callable[[Any], Any], template: Any) -> Operations:
     # Divisions by the same divisor become products with its reciprocal (LLVM's flag "arcp").
     divisors = Counter(step.operands[1] for step in needed if step.kind == "divide")
     products = sum(quotients for quotients in divisors.values() if quotients > 1)
-    kinds.update(fused=fused, store=len(stored), multiply=products - fused, add=-fused)
+    kinds.update(fused=fused, multiply=products - fused, add=-fused)
     kinds["divide"] = len(divisors)
     return Operations(**{kind: kinds[kind] for kind in Operations._fields})
 
@@ -137,7 +135,7 @@ _STEPS: dict[str, Callable[..., Any]] = {
 
 def limit_s(operations: Operations) -> float:
     """Return the minimum time, s, that a core needs for operations on eight environments."""
-    steps: dict[str, float] = {kind: getattr(operations, kind) for kind in _STEPS}
+    steps: dict[str, float] = operations._asdict()
     steps["select"] /= 2  # a timed "select" step does two operations: it compares, then chooses
     total = sum(steps.values())
     order: list[str] = []  # kinds of operations, evenly mixed, in the proportions of the kernel

@@ -41,8 +41,6 @@ from mmwave_env.world.episode import Episode, blank_incoming
 ENVIRONMENT = "mmwave_env:MmWaveLoc-v0"
 RADIO = "handset"
 EPISODE = 200  # number of steps of an episode, as in the environment's default task
-SYNC = 8  # number of environments that Gymnasium's vector environment steps one by one
-SYNC_NAME = f"Gymnasium's sync vector of {SYNC}"
 FILTERPY = "filterpy loop"
 TRACKS = 1024  # number of tracks that a filter without an environment computes together
 BOTH = 2  # number of threads that `gymnasium.make_vec` uses by default on two cores
@@ -62,7 +60,6 @@ def environments(sizes: Sequence[int]) -> dict[str, Callable[[], Laps]]:
     return {
         FILTERPY: filterpy,
         "single environment": stepped,
-        SYNC_NAME: partial(stepped, SYNC, vectorization_mode="sync"),
         **{
             native_name(n, threads): partial(stepped, n, threads=threads)
             for threads in THREADS

@@ -1,10 +1,11 @@
 """Hyperparameters of training runs, and the JSON files that hold them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
+from experiments.console.options import TaskArgs
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.io.files import read_json
 from mmwave_env.io.records import Bound, Name, Probability, Record, Size, counts, object_from
@@ -129,6 +130,33 @@ def shipped_hyperparameters(algorithm: str, beliefs: str = "shared") -> Path:
     """Return the shipped file for an algorithm, with shared beliefs or beliefs per mode."""
     guided = algorithm == "ppo" and beliefs == "per-mode"
     return Path(__file__).with_name(f"{'guided-' if guided else ''}{algorithm}.json")
+
+
+def hyperparameters(
+    args: TaskArgs, places: int, path: Path | None = None, **changed: Any
+) -> Hyperparameters:
+    """Read the hyperparameters of a training.
+
+    Args:
+        args: options of the task.
+        places: number of places to train at.
+        path: file of hyperparameters; None for the shipped file.
+        changed: hyperparameters to change, by name.
+
+    Raises:
+        ValueError: the file is for another algorithm, or its number of environments can't be
+            divided among the places.
+    """
+    path = path or shipped_hyperparameters(args.algo, args.beliefs)
+    hyper = replace(read_hyperparameters(path, args.algo), **changed)
+    together = hyper.together
+    if hyper.num_envs % together or hyper.num_envs < together * places:
+        multiple = f"a multiple of {together}, " if together > 1 else ""
+        raise ValueError(
+            f"{path}: num_envs: found {hyper.num_envs}, expected {multiple}{together * places} or "
+            f"more for {places} places"
+        )
+    return hyper
 
 
 def falling(last: float, left: float) -> float:

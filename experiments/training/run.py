@@ -11,19 +11,17 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any
 
-from rich.progress import TimeElapsedColumn
-
 from experiments.console.options import TrainArgs, require_at_least
 from experiments.console.output import bars, note, say, show
 from experiments.console.provenance import command_line
 from experiments.console.signals import heed_signals
 from experiments.evaluation.contenders import outcomes_markdown
 from experiments.training.corrector import CorrectorTrainer, TwoWayTrainer
-from experiments.training.hyperparameters import Hyperparameters
+from experiments.training.hyperparameters import Hyperparameters, hyperparameters
 from experiments.training.ppo import PpoTrainer
 from experiments.training.rollouts import RolloutTrainer
 from experiments.training.trainer import Job, Tell, Trainer, run_training
-from experiments.training.training_task import hyperparameters, training_task
+from experiments.training.training_task import training_task
 from mmwave_env.filters.bank import Bank, bank_as_written
 from mmwave_env.io.files import Json, read_json, write_bytes, write_json
 
@@ -45,8 +43,7 @@ def manifest_of(args: TrainArgs, banks: Mapping[str, Bank], hyper: Hyperparamete
     written = {radio: bank_as_written(bank) for radio, bank in banks.items()}
     first, *_ = written.values()
     choices = {"banks": written} if args.beliefs == "per-mode" else {"modes": first["modes"]}
-    defaults = {name: getattr(type(args), name) for name in ASIDE}
-    command = command_line("train", replace(args, **defaults))
+    command = command_line("train", args, ASIDE)
     figures = json.loads(json.dumps(asdict(hyper)))  # as they will be read: tuples become lists
     return {"command": command, "hyperparameters": figures, **choices}
 
@@ -185,7 +182,7 @@ def run(args: TrainArgs) -> None:
         for seed in range(args.seeds)
     ]
     begin(args, manifest)
-    with bars(TimeElapsedColumn()) as bar:
+    with bars() as bar:
         tasks = [bar.add_task(f"seed {job.seed}", total=steps) for job in jobs]
 
         def tell(job: Job, timesteps: int, text: str) -> None:

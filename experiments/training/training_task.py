@@ -5,22 +5,14 @@ A *place* is a scene with a radio, a rate of epochs, the measured quantities and
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import Any, cast
 
 from experiments.console.options import TaskArgs, WorldArgs
 from experiments.evaluation.contenders import source_of
 from experiments.evaluation.protocol import UNSEEN
-from experiments.training.hyperparameters import (
-    Hyperparameters,
-    PpoHyperparameters,
-    read_hyperparameters,
-    shipped_hyperparameters,
-)
 from mmwave_env.filters.bank import Bank, bank_from, modes_from
 from mmwave_env.interface.observation import Observation
-from mmwave_env.interface.reward import REWARDS, PairedReward, Reward, TrackingReward
-from mmwave_env.io.lookup import choose
+from mmwave_env.interface.reward import LogScore, Reward, TrackingReward
 from mmwave_env.models.layout import CLOCKS, MEASUREMENTS, measurements_from
 from mmwave_env.models.radio import radio_from
 from mmwave_env.task import task_from
@@ -34,7 +26,7 @@ FORM = (
 
 @dataclass(frozen=True)
 class Place:
-    """A place to train at; ``str`` gives its command-line form.
+    """A place to train at.
 
     Attributes:
         scene, radio: names or JSON files, as in ``MmWaveLoc-v0``.
@@ -62,12 +54,6 @@ class Place:
                     f"{argument}: found {name!r}, expected another {argument}; the benchmark keeps "
                     f"{', '.join(UNSEEN)} unseen"
                 )
-
-    def __str__(self) -> str:
-        rate = "" if self.dt == 1.0 else f":{self.dt:g}"
-        subset = "" if self.measurements is None else ":" + "+".join(self.measurements)
-        clock = "" if self.clock == "synchronized" else f":{self.clock}"
-        return f"{self.scene}:{self.radio}{rate}{subset}{clock}"
 
     @property
     def profile(self) -> str:
@@ -118,7 +104,7 @@ def places_from(words: Sequence[str]) -> tuple[Place, ...]:
     """
     places = tuple(map(place_from, words))
     if len(set(places)) < len(places):
-        raise ValueError(f"places: found {', '.join(map(str, places))}, expected different places")
+        raise ValueError(f"places: found {', '.join(words)}, expected different places")
     if all(place.measurements is None for place in places):
         return places
     return tuple(replace(p, measurements=p.measurements or MEASUREMENTS) for p in places)
@@ -195,45 +181,14 @@ def training_task(args: TaskArgs) -> TrainingTask:
     """Return the training task that options describe.
 
     Raises:
-        ValueError: a place (scene and radio to train at), mode or reward is unknown, a place is
-            named twice, or both a radio and places are named.
+        ValueError: a place (scene and radio to train at) or mode is unknown, a place is named
+            twice, or both a radio and places are named.
     """
     places = places_from(args.places) if args.places else (Place("street", args.radio),)
     if args.places and args.radio != TaskArgs.radio:
         raise ValueError("radio: cannot be combined with places, which name their radios")
     banks = banks_of(args.modes, places, args.beliefs)
-    reward: Any = choose(REWARDS, args.reward, "reward")
-    if isinstance(reward, PairedReward):  # the trainer subtracts the reward of an IMM
-        reward = reward.reward
-    if isinstance(reward, TrackingReward):
-        reward = replace(reward, nees_weight=args.nees_weight)
+    reward: Reward = TrackingReward(nees_weight=args.nees_weight)
+    if args.reward == "log-score":
+        reward = LogScore()
     return TrainingTask(args.scenario, places, banks, args.observation, reward, args.beliefs)
-
-
-def hyperparameters(
-    args: TaskArgs, places: int, path: Path | None = None, **changed: Any
-) -> Hyperparameters:
-    """Read the hyperparameters of a training.
-
-    Args:
-        args: options of the task.
-        places: number of places to train at.
-        path: file of hyperparameters; None for the shipped file.
-        changed: hyperparameters to change, by name.
-
-    Raises:
-        ValueError: the file is for another algorithm, or its number of environments can't be
-            divided among the places.
-    """
-    path = path or shipped_hyperparameters(args.algo, args.beliefs)
-    hyper = replace(read_hyperparameters(path, args.algo), **changed)
-    together = hyper.together
-    if hyper.num_envs % together or hyper.num_envs < together * places:
-        multiple = f"a multiple of {together}, " if together > 1 else ""
-        raise ValueError(
-            f"{path}: num_envs: found {hyper.num_envs}, expected {multiple}{together * places} or "
-            f"more for {places} places"
-        )
-    if isinstance(hyper, PpoHyperparameters):
-        return replace(hyper, paired=hyper.paired or args.reward == "paired")
-    return hyper  # rollouts compare rewards of actions, so the IMM's reward would cancel out

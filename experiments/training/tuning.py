@@ -9,7 +9,6 @@ mean reward of the IMM over all training scenes and two rates of epochs.
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from itertools import product
-from time import process_time
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,7 +26,7 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.io.files import Json
 from mmwave_env.io.lookup import choose, require_extra
-from mmwave_env.metrics import DIVERGENCE_M, scored
+from mmwave_env.metrics import scored
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import TRAINED_SCENES
@@ -178,27 +177,21 @@ def tuned_bank(args: TuneArgs) -> Json:
     space = search_space(START)
 
     def value(bank: Bank, generation: int) -> float:
-        reward, _ = scores(bank, shares[generation % SHARES])
-        return float(reward.mean())
+        return float(rewards(bank, shares[generation % SHARES]).mean())
 
-    began = process_time()
     with progress("bank"):
         bank = best_bank_of(space, value, args.evaluations)
-    seconds = round(process_time() - began)
-    reward, lost = scores(bank, held_out)
+    reward = rewards(bank, held_out)
     radio = radio_from(args.radio)
-    imm_reward, _ = scores(Bank(default_modes(radio.base)), held_out)
-    columns = {"reward": reward, "minus imm": reward - imm_reward, "lost": lost}
+    imm_reward = rewards(Bank(default_modes(radio.base)), held_out)
+    columns = {"reward": reward, "minus imm": reward - imm_reward}
     figures = bootstrap([*columns.values()])
     say(
         f"{radio.name}, on new episodes (as many as for tuning): reward {figures[0]}, "
         f"gain over imm {figures[1]}"
     )
-    return bank_as_written(bank) | {
-        "numbers": len(space.start),
-        "seconds": seconds,
-        "held_out": {k: mean.json for k, mean in zip(columns, figures, strict=True)},
-    }
+    held_out_figures = {k: mean.json for k, mean in zip(columns, figures, strict=True)}
+    return bank_as_written(bank) | {"held_out": held_out_figures}
 
 
 def drawn(
@@ -218,21 +211,13 @@ def drawn(
     return [[EpisodeBatch.of(some[share::shares]) for some in episodes] for share in range(shares)]
 
 
-def scores(bank: Bank, batches: Sequence[EpisodeBatch]) -> tuple[Array, Array]:
-    """Run the IMM of a bank on all episodes, batch after batch.
-
-    Returns:
-        First, (n,) the mean reward of each episode's scored epochs. Second, (n,) 1 if the estimate
-        in the last epoch is farther than DIVERGENCE_M from the true position, else 0.
-    """
-    reward = []
-    lost = []
+def rewards(bank: Bank, batches: Sequence[EpisodeBatch]) -> Array:
+    """Return each episode's mean reward (n,) if the IMM of a bank runs, batch after batch."""
+    means = []
     for batch in batches:
-        results = run_imm(bank, TrackingReward(), batch, "reward", "error")
-        counted = scored(results["reward"].shape[1])
-        reward.append(results["reward"][:, counted].mean(axis=1))
-        lost.append(np.linalg.norm(results["error"][:, -1], axis=1) > DIVERGENCE_M)
-    return np.concatenate(reward), np.concatenate(lost).astype(float)
+        reward = run_imm(bank, TrackingReward(), batch, "reward")["reward"]
+        means.append(reward[:, scored(reward.shape[1])].mean(axis=1))
+    return np.concatenate(means)
 
 
 # --- the search

@@ -7,7 +7,7 @@ files, in mmwave_env/data/schemas, are generated from the types.
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
 from numbers import Integral, Real
 from pathlib import Path
@@ -74,15 +74,11 @@ class Size(NamedTuple):
         return self.least <= len(value) <= self.most
 
 
-@dataclass(frozen=True)
 class Printable:
     """A rule for texts: they can be shown unchanged in tables and pictures."""
 
-    expected: str = f"1 to {LONGEST} printable characters"
-
-    def holds(self, value: Any) -> bool:
-        """Tell whether a text is short enough and printable."""
-        return is_name(value)
+    expected = f"1 to {LONGEST} printable characters"
+    holds = staticmethod(is_name)
 
 
 FINITE = Bound("a finite number")
@@ -110,37 +106,29 @@ def _matches(hint: Any, value: Any) -> bool:
     origin = get_origin(hint)
     inside = get_args(hint)
     if hint in _KINDS:
-        kind = isinstance(value, _KINDS[hint][0]) and isinstance(value, bool) <= (hint is bool)
-        return kind and (hint is not float or FINITE.holds(value))
-    if origin is Annotated:
+        matches = _is_kind(hint, value) and (hint is not float or FINITE.holds(value))
+    elif origin is Annotated:
         base, limit = inside
-        return _within(base, limit, value)
-    if origin is Literal:
-        return value in inside
-    if origin in (Union, UnionType):
-        return any(_matches(kind, value) for kind in inside)
-    if origin in (tuple, dict):
-        return _elements_match(hint, value)
-    return callable(value) if origin else isinstance(value, hint)
+        bounded = isinstance(limit, Bound)  # bounds may allow infinity, which no bare number may be
+        matches = _is_kind(base, value) if bounded else _matches(base, value)
+        matches = matches and (isinstance(limit, str) or limit.holds(value))
+    elif origin is Literal:
+        matches = value in inside
+    elif origin in (Union, UnionType):
+        matches = any(_matches(kind, value) for kind in inside)
+    elif origin is dict:
+        matches = isinstance(value, dict) and all(_matches(inside[1], v) for v in value.values())
+    elif origin is tuple:
+        each = inside[:1] * len(value) if _is_list(value) and inside[-1] is ... else inside
+        matches = _is_list(value) and len(value) == len(each) and all(map(_matches, each, value))
+    else:
+        matches = callable(value) if origin else isinstance(value, hint)
+    return bool(matches)
 
 
-def _elements_match(hint: Any, value: Any) -> bool:
-    """Tell whether a value is a list or a dict whose elements fit the type ``hint``."""
-    inside = get_args(hint)
-    if get_origin(hint) is dict:
-        return isinstance(value, dict) and all(_matches(inside[1], each) for each in value.values())
-    if not _is_list(value):
-        return False
-    every = inside[:1] * len(value) if inside[-1] is ... else inside
-    return len(value) == len(every) and all(map(_matches, every, value))
-
-
-def _within(base: Any, limit: Any, value: Any) -> bool:
-    """Tell whether a value fits the type ``base`` and its annotation."""
-    if isinstance(limit, Bound):
-        kind = isinstance(value, _KINDS[base][0]) and not isinstance(value, bool)
-        return kind and bool(limit.holds(value))
-    return _matches(base, value) and (isinstance(limit, str) or bool(limit.holds(value)))
+def _is_kind(hint: Any, value: Any) -> bool:
+    """Tell whether a value is a text, a bool, a number or None, as a type in _KINDS asks."""
+    return isinstance(value, _KINDS[hint][0]) and isinstance(value, bool) <= (hint is bool)
 
 
 def _is_list(value: Any) -> bool:

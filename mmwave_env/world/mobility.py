@@ -132,14 +132,6 @@ MOBILITIES = {
     for name, content in shipped_json("mobilities").items()
 }
 MIXED = "mixed"
-SCENARIOS = {  # names and meanings
-    "pedestrian": "walks, stands, turns at crossings",
-    "vehicle": "drives, brakes, waits at red lights",
-    "walk-ride": "walks, rides a car, walks again",
-    "jam": "stop-and-go traffic",
-    "cyclist": "cycles",
-    MIXED: f"{', '.join(MOBILITIES)} in equal shares",
-}
 
 
 def mobilities_of(scenario: AnyPath) -> tuple[Mobility, ...]:

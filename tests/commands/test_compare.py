@@ -136,7 +136,7 @@ def test_the_csv_of_episodes_has_a_row_with_an_episode_key_for_every_policy_and_
 
 def test_recorded_episodes_have_seeds_but_no_episode_keys(tmp_path):
     where = ("--data", "canyon28_vehicle", "--episode-steps", 15, "--episodes", 2)
-    words = ("compare", "--policy", "fixed-ukf", *where, "--episodes-csv", tmp_path / "r.csv")
+    words = ("compare", "--policies", "fixed-ukf", *where, "--episodes-csv", tmp_path / "r.csv")
     _, content = with_json(*words)
     rows = records(tmp_path / "r.csv")
     assert [(row["seed"], row["key"]) for row in rows] == [("0", ""), ("1", "")]
@@ -153,7 +153,7 @@ def test_a_table_that_cannot_be_written_is_refused_before_episodes_are_played(tm
 def test_options_mean_the_same_as_the_arguments_of_the_environment():
     words = ("--planar", "--odometry", "--dt", "0.5", "--reward", "log-score")
     arguments = {"planar": True, "odometry": True, "dt": 0.5, "reward": "log-score"}
-    steps = ("--policy", "fixed-ukf", "--episodes", 1, "--seed", 3, "--episode-steps", 30)
+    steps = ("--policies", "fixed-ukf", "--episodes", 1, "--seed", 3, "--episode-steps", 30)
     _, content = with_json("compare", *steps, *words)
     env = gymnasium.make("MmWaveLoc-v0", episode_steps=30, **arguments)
     env.reset(seed=3)

@@ -43,7 +43,7 @@ def test_the_command_writes_a_mode_file_that_environments_and_commands_accept(tm
     assert f": sigma_v {ekf.sigma_v:g}, spread_gain {ekf.spread_gain:g}" in shown
     env = gym.make("mmwave_env:MmWaveLoc-v0", modes=str(modes))
     assert env.unwrapped.modes == (ekf, robust)
-    words = ("--modes", modes, "--policy", "fixed-ukf-robust", "--episodes", 2)
+    words = ("--modes", modes, "--policies", "fixed-ukf-robust", "--episodes", 2)
     assert "fixed-ukf-robust" in succeed("compare", *words)
 
 

@@ -168,7 +168,7 @@ MISTAKES = {  # name of an agent -> expected message
 def test_an_invalid_agent_is_refused_before_an_episode_runs(name, folder, monkeypatch):
     (folder / "mine.zip").write_bytes(b"")
     monkeypatch.setattr("experiments.evaluation.runner.draw_episodes", None)
-    done = command("compare", "--policy", name, cwd=folder)
+    done = command("compare", "--policies", name, cwd=folder)
     assert_one_clear_line(done, f"^mmwave-loc compare: .*{MISTAKES[name]}")
 
 

@@ -50,7 +50,7 @@ def ray_processes():
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["there.toml"], "there.toml: found no such file, expected a sweep, TOML or JSON"),
+        (["there.toml"], "there.toml: found no such file, expected a sweep, TOML"),
         (["there.toml", "--workers", "0"], "workers: found 0, expected at least 1"),
     ],
 )

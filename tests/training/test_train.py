@@ -20,13 +20,14 @@ from experiments.training.hyperparameters import (
     KINDS,
     PpoHyperparameters,
     falling,
+    hyperparameters,
     read_hyperparameters,
     shipped_hyperparameters,
 )
 from experiments.training.ppo import PlacesVecEnv, learner
 from experiments.training.run import manifest_of, train
 from experiments.training.trainer import Job
-from experiments.training.training_task import Place, TrainingTask, hyperparameters
+from experiments.training.training_task import Place, TrainingTask
 from mmwave_env.filters.bank import Bank, default_modes
 from mmwave_env.interface.reward import TrackingReward
 from policies.policy_file import read_policy
@@ -220,4 +221,4 @@ def test_a_policy_trained_at_two_places_with_beliefs_per_mode_plays_at_a_third(t
     card = read_policy(policy).card
     assert card.beliefs == "per-mode" and list(card.banks) == ["handset", "standard"]
     words = ("--radio", "high", "--scene", "dynamic-doppler", "--episodes", 5)
-    assert f"| {policy} |" in succeed("compare", "--policy", policy, *words)
+    assert f"| {policy} |" in succeed("compare", "--policies", policy, *words)

@@ -16,7 +16,6 @@ from mmwave_env.models.scene import SCENES
 from mmwave_env.world.keys import keys_of
 from mmwave_env.world.mobility import (
     MOBILITIES,
-    SCENARIOS,
     Gait,
     Limits,
     Mobility,
@@ -166,7 +165,7 @@ def test_the_time_step_does_not_change_the_trajectory(name, dt):
 
 
 def test_the_scenario_mixed_draws_every_kind_of_user_with_the_same_probability():
-    assert set(SCENARIOS) == {*BOUNDS, "mixed"}
+    assert set(MOBILITIES) == set(BOUNDS)
     assert tuple(m.name for m in mobilities_of("mixed")) == MIXED
     draws = 2000
     source = street_source(epochs=1)
