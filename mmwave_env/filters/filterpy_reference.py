@@ -23,10 +23,9 @@ from filterpy.kalman import (
     UnscentedKalmanFilter,
 )
 from filterpy.kalman.CubatureKalmanFilter import spherical_radial_sigmas
-from scipy.stats import chi2
 
 from mmwave_env.filters import textbook
-from mmwave_env.filters.gating import ROBUST_ONSET, Gate
+from mmwave_env.filters.gating import ROBUST_ONSET, Gate, passes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.update import Algorithm, Posterior
@@ -223,7 +222,7 @@ def _update(
         S = posterior.S[part, part]
         nis[g] = float(y @ np.linalg.solve(S, y))
         lenient = g < layout.anchors and (gate.robust or gate.force > 0.5)
-        accepted[g] = float(lenient or nis[g] <= _threshold(gate.quantile, len(y)))
+        accepted[g] = 1.0 if lenient else passes(nis[g], len(y), gate.quantile)
         log_likelihood -= 0.5 * (nis[g] + float(np.linalg.slogdet(S)[1]))
         if gate.robust and g < layout.anchors and nis[g] > ROBUST_ONSET * len(y):
             doubted = True
@@ -235,11 +234,6 @@ def _update(
         x = x + posterior.x.ravel()
         P = _symmetric(posterior.P)
     return Posterior(x.tolist(), P.tolist(), nis, accepted, log_likelihood)
-
-
-@cache
-def _threshold(quantile: float | None, rows: int) -> float:
-    return np.inf if quantile is None else float(chi2.ppf(quantile, rows))
 
 
 def _symmetric(P: Array) -> Array:

@@ -160,11 +160,15 @@ def reweigh(predicted: Array, log_likelihood: Array) -> Array:
 
 
 def combine(probability: Array, x: Array, P: Array) -> tuple[Array, Array]:
-    """Return the mean and the covariance of a Gaussian mixture, such as the estimate of an IMM."""
-    mean = probability @ x
-    away = x - mean
-    spread = P + away[:, :, None] * away[:, None, :]
-    return mean, np.einsum("m,mij->ij", probability, spread)
+    """Return mean (..., 7) and covariance (..., 7, 7) of mixtures, such as an IMM's estimate.
+
+    A mixture has M modes with probabilities (..., M), means (..., M, 7) and covariances
+    (..., M, 7, 7).
+    """
+    mean = np.einsum("...m,...mi->...i", probability, x)
+    away = x - mean[..., None, :]
+    spread = P + away[..., :, None] * away[..., None, :]
+    return mean, np.einsum("...m,...mij->...ij", probability, spread)
 
 
 def rts(
