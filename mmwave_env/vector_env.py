@@ -185,12 +185,12 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
     @property  # type: ignore[misc]
     def np_random(self) -> Any:
         """Return one random generator per environment, from which custom sources draw episodes."""
-        return self._streams.generators()
+        return tuple(map(self._generator, range(self.num_envs)))
 
     @property
     def np_random_seed(self) -> Any:
         """Return the seed of each environment, as a `SyncVectorEnv` does."""
-        return self._streams.seeds()
+        return tuple(self._streams.seeds)
 
     def _generator(self, place: int) -> np.random.Generator:
         return self._streams.generator(place)

@@ -26,7 +26,7 @@ from filterpy.kalman.CubatureKalmanFilter import spherical_radial_sigmas
 
 from mmwave_env.filters import textbook
 from mmwave_env.filters.gating import ROBUST_ONSET, Gate, passes
-from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.modes import ALGORITHMS, Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.update import Algorithm, Posterior
 from mmwave_env.io.lookup import choose
@@ -125,25 +125,20 @@ class _PointFilter:
         return f
 
 
-def _ukf(size: int) -> _PointFilter:
-    points: Any = MerweScaledSigmaPoints(size, alpha=1.0, beta=2.0, kappa=0.0)
-    ukf = UnscentedKalmanFilter(size, 1, 1.0, None, None, points)
-    return _PointFilter(ukf, points.sigma_points)
-
-
-def _ckf(size: int) -> _PointFilter:
-    ckf = CubatureKalmanFilter(size, 1, 1.0, None, None)
-    return _PointFilter(ckf, spherical_radial_sigmas)
-
-
 _Filter = _Ekf | _PointFilter
-_FILTERS: dict[str, Callable[[int], _Filter]] = {"ekf": _Ekf, "ukf": _ukf, "ckf": _ckf}
 
 
 @cache
 def _filter_of(algorithm: str, size: int) -> _Filter:
     """Return the filter that all modes with this algorithm and size of the state share."""
-    return _FILTERS[algorithm](size)
+    if algorithm == "ekf":
+        return _Ekf(size)
+    if algorithm == "ckf":
+        ckf = CubatureKalmanFilter(size, 1, 1.0, None, None)
+        return _PointFilter(ckf, spherical_radial_sigmas)
+    points: Any = MerweScaledSigmaPoints(size, alpha=1.0, beta=2.0, kappa=0.0)
+    ukf = UnscentedKalmanFilter(size, 1, 1.0, None, None, points)
+    return _PointFilter(ukf, points.sigma_points)
 
 
 class FilterpyPipeline(Pipeline):
@@ -187,12 +182,16 @@ def filterpy_pipeline(pipeline: Pipeline) -> Pipeline:
         )
     for mode in pipeline.modes:
         name: Any = mode.algorithm  # a user's function is refused like an unknown name
-        choose(_FILTERS, name, f"algorithm of mode {mode.name!r} on filterpy")
+        choose(ALGORITHMS, name, f"algorithm of mode {mode.name!r} on filterpy")
     return FilterpyPipeline(**vars(pipeline))
 
 
 def _update(
-    filter_: _Filter, mean: Vector, covariance: Matrix, measurement: Measurement, gate: Gate
+    filter_: _Filter,
+    mean: Vector,
+    covariance: Matrix,
+    measurement: Measurement,
+    gate: Gate,
 ) -> Posterior:
     """Update with all visible groups; update again if gates reject groups or inflate noise."""
     x = np.array(mean, float)
