@@ -246,6 +246,7 @@ class Environment:
             Infos about the episodes, arrays with one entry for each environment.
         """
         task = self._task
+        engine = self._engine
         n = len(self._keys)
         infos: Info = {"episode_name": np.full(n, None, object), "nonfinite": np.zeros(n, np.int64)}
         if task.has_keys:
@@ -257,11 +258,16 @@ class Environment:
             infos["episode_key"] = self._keys.copy()
         else:
             drawn = [task.draw(self._generator(place)) for place in places.tolist()]
-            self._engine.load(drawn, places)
+            engine.load(drawn, places)
             infos["episode_name"][places] = [episode.name for episode in drawn]
             infos["nonfinite"][places] = [episode.nonfinite for episode in drawn]
         self._names[places] = infos["episode_name"][places]
-        self._begin_tracks(places)
+        self._begin_baseline(places)
+        if engine.state.feed.run:
+            step_s = np.full(len(places), task.simulated.dt)
+        else:
+            step_s = engine.steps_s(places)
+        self._tally.begin(places, step_s, engine.state.length[places])
         return infos
 
     def _begin_pictures(self, places: Index) -> None:
@@ -297,16 +303,6 @@ class Environment:
         if engine.state.feed.run:
             return self._task.tables(self._keys[places])
         return engine.episodes(places)
-
-    def _begin_tracks(self, places: Index) -> None:
-        """Start the baseline and the tally for episodes that just began in some environments."""
-        self._begin_baseline(places)
-        engine = self._engine
-        if engine.state.feed.run:
-            step_s = np.full(len(places), self._task.simulated.dt)
-        else:
-            step_s = engine.steps_s(places)
-        self._tally.begin(places, step_s, engine.state.length[places])
 
     def _metrics_of(self, ended: Index) -> dict[str, Array]:
         """Compute the final metrics of episodes that ended in some environments (k,)."""
