@@ -105,7 +105,7 @@ class Environment:
             key: (slice(None), 0, columns[key]) for key in shown if key not in FLAGS
         }
         self._groups = len(at.memory.accepted)
-        self._step_io = self._engine.step_io(rows)
+        self._step_io = self._engine.io(rows)
         self._mask_keys = mask_keys([*shown, "mode", COST_KEY])  # of infos from steps
         self._run_step = Repeated(step_blocks)
 
@@ -231,7 +231,6 @@ class Environment:
             return
         missing = self._engine.state.length.max() - self._imm_rewards.shape[1]
         self._imm_rewards = np.pad(self._imm_rewards, ((0, 0), (0, max(0, missing))))
-
         for first in range(0, len(places), FILTERED):
             some = places[first : first + FILTERED]
             episodes = self._episodes(some)
