@@ -13,6 +13,7 @@ the CKF's covariance from raw second moments, where large values would cancel an
 
 from collections.abc import Callable
 from functools import cache, partial
+from threading import get_ident
 from typing import Any
 
 import numpy as np
@@ -129,8 +130,11 @@ _Filter = _Ekf | _PointFilter
 
 
 @cache
-def _filter_of(algorithm: str, size: int) -> _Filter:
-    """Return the filter that all modes with this algorithm and size of the state share."""
+def _filter_of(algorithm: str, size: int, thread: int) -> _Filter:
+    """Return the filter that all modes with this algorithm and size of the state share.
+
+    Every call of filterpy sets the whole state of a filter, so only threads need their own.
+    """
     if algorithm == "ekf":
         return _Ekf(size)
     if algorithm == "ckf":
@@ -159,13 +163,14 @@ class FilterpyPipeline(Pipeline):
             Q[i, j] = Q[j, i] = value
         drive = None if hz_per_mps is None else float(hz_per_mps)
         F = textbook.F(float(dt), len(x), drive)
-        filter_ = _filter_of(str(mode.algorithm), len(x))
+        filter_ = _filter_of(str(mode.algorithm), len(x), get_ident())
         mean, covariance = filter_.predict(np.array(x, float), np.array(P, float), Q, F)
         return mean.tolist(), _symmetric(covariance).tolist()
 
     def update(self, mode: Mode) -> Algorithm:
         """Return filterpy's measurement update of a mode."""
-        return partial(_update, _filter_of(str(mode.algorithm), self.layout.state_size))
+        size = self.layout.state_size
+        return partial(_update, _filter_of(str(mode.algorithm), size, get_ident()))
 
 
 def filterpy_pipeline(pipeline: Pipeline) -> Pipeline:
