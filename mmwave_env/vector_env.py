@@ -111,7 +111,6 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._begun = False
         self._mode_count = np.array(len(self.observation.actions), np.uint64)
-        self._everywhere = np.ones(num_envs, np.bool_)
         self._places = np.arange(num_envs)
         self._none_over = np.zeros(num_envs, np.bool_)
         self._over = self._none_over
@@ -212,7 +211,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         drawn = self._draw(np.flatnonzero(fresh)) if resets else {}
         running = np.flatnonzero(~fresh) if resets else self._places
         result, self._ended, infos = self._step_engine(actions, numbers)
-        infos |= dict.fromkeys(self._mask_keys, self._everywhere.copy())
+        infos |= dict.fromkeys(self._mask_keys, np.ones(self.num_envs, np.bool_))
         observations, rewards, terminated, truncated, *_ = result
         if self._gallery:
             self._begin_pictures(np.flatnonzero(fresh))
