@@ -62,8 +62,7 @@ class SB3VecEnv(VecEnv):
             raise ValueError(
                 f"options: found {self._options}, expected the same for all environments"
             )
-        known = any(seed is not None for seed in self._seeds)
-        seeds: Any = list(self._seeds) if known else None  # Gymnasium's annotation omits lists
+        seeds: Any = list(self._seeds)  # Gymnasium's annotation omits lists
         observations, _ = self.env.reset(seed=seeds, options=self._options[0] or None)
         self.reset_infos = [{} for _ in range(self.num_envs)]
         self._returns[:] = 0.0

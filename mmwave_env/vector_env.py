@@ -111,7 +111,6 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._begun = False
         self._mode_count = np.array(len(self.observation.actions), np.uint64)
-        self._everywhere = np.ones(num_envs, np.bool_)
         self._places = np.arange(num_envs)
         self._none_over = np.zeros(num_envs, np.bool_)
         self._over = self._none_over
@@ -185,12 +184,12 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
     @property  # type: ignore[misc]
     def np_random(self) -> Any:
         """Return one random generator per environment, from which custom sources draw episodes."""
-        return self._streams.generators()
+        return tuple(map(self._generator, range(self.num_envs)))
 
     @property
     def np_random_seed(self) -> Any:
         """Return the seed of each environment, as a `SyncVectorEnv` does."""
-        return self._streams.seeds()
+        return tuple(self._streams.seeds)
 
     def _generator(self, place: int) -> np.random.Generator:
         return self._streams.generator(place)
@@ -212,7 +211,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         drawn = self._draw(np.flatnonzero(fresh)) if resets else {}
         running = np.flatnonzero(~fresh) if resets else self._places
         result, self._ended, infos = self._step_engine(actions, numbers)
-        infos |= dict.fromkeys(self._mask_keys, self._everywhere.copy())
+        infos |= dict.fromkeys(self._mask_keys, np.ones(self.num_envs, np.bool_))
         observations, rewards, terminated, truncated, *_ = result
         if self._gallery:
             self._begin_pictures(np.flatnonzero(fresh))

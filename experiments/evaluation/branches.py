@@ -43,10 +43,12 @@ class Branches:
         at = engine.at
         # State is kept in blocks of WIDTH environments; the last block is copied even if not full.
         n = self._actions * len(engine.state.rows) * WIDTH
-        self._copies = Batch(engine.program, engine.layout, n, rows_of(at.action))
+        self._copies = Batch(
+            engine.program, engine.layout, n, rows_of(at.action), rows_of(at.observation)
+        )
         self._copies.make_room(horizon)
         self._copies.state.length[:] = horizon
-        self._io = self._copies.io(output_rows=rows_of(at.reward), obs_rows=rows_of(at.observation))
+        self._io = self._copies.io(rows_of(at.reward))
 
     def values(self, act: Act, weights: NDArray[np.floating[Any]] | float) -> Array:
         """Try every action in the current state of every environment.

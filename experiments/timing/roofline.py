@@ -156,18 +156,17 @@ def limit_s(operations: Operations) -> float:
 def _chains(order: tuple[str, ...], chains: int) -> Any:
     """Compile steps on independent chains; steps of the same kind use the chains in turn."""
 
-    def build(rows: Any) -> None:
-        others = [rows[row] for row in range(3)]  # factor, term, other
-        x = [rows[row] for row in range(3, 3 + chains)]
+    def steps(rows: list[Any]) -> list[Any]:
+        others = rows[:3]  # factor, term, other
+        x = rows[3 : 3 + chains]
         taken = Counter[str]()
         for kind in order:
             chain = taken[kind] % chains
             x[chain] = _STEPS[kind](x[chain], *others)
             taken[kind] += 1
-        for row, value in enumerate(x, start=3):
-            rows[row] = value
+        return [*others, *x, *rows[3 + chains :]]
 
-    run = kernel(build, [ROWS])
+    run = kernel(steps, [0.0] * ROWS)
 
     @numba.njit  # type: ignore[untyped-decorator]
     def repeat(block, calls):  # type: ignore[no-untyped-def]

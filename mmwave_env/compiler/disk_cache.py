@@ -186,10 +186,6 @@ class _OnDisk(NullCache):  # type: ignore[misc]
         self._source = sha256(Path(function.__code__.co_filename).read_bytes()).hexdigest()
         self._folder = folder
 
-    @property
-    def cache_path(self) -> str:
-        return str(self._folder)
-
     def load_overload(self, signature: Any, context: Any) -> Any:
         context.refresh()
         if _edited():

@@ -9,9 +9,8 @@ Lanes are stored in blocks (rows, 8): an environment is a column.
 """
 
 import math
-import operator
-from bisect import bisect
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import Any
 
 from llvmlite import ir
@@ -20,6 +19,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from mmwave_env.numerics.numbers import polynomial, where
+from mmwave_env.numerics.pytree import Tree, flatten, unflatten
 from mmwave_env.numerics.tape import Traced, Tracer, TracerCondition
 
 WIDTH = 8
@@ -180,28 +180,6 @@ class Emitter:
         return b.bitcast(b.xor(b.bitcast(a.value, _BITS), sign), _VECTOR)
 
 
-class _Rows:
-    """Rows of a workspace: reading a row loads its eight lanes, assigning to it stores them."""
-
-    def __init__(self, builder: Any, bases: Sequence[Any], ends: Sequence[int]) -> None:
-        self.builder = builder
-        self.emitter = Emitter(builder)
-        self.bases = bases
-        self.ends = ends
-
-    def _at(self, row: int) -> Any:
-        part = bisect(self.ends, operator.index(row))
-        within = row - (self.ends[part - 1] if part else 0)
-        return self.builder.gep(self.bases[part], [_WORD(within)])
-
-    def __getitem__(self, row: int) -> Tracer:
-        return Tracer(self.emitter, self.builder.load(self._at(row), align=8))
-
-    def __setitem__(self, row: int, value: Any) -> None:
-        whole = value.value if isinstance(value, Tracer) else _doubles(value)
-        self.builder.store(whole, self._at(row), align=8)
-
-
 def _align_stack(builder: Any) -> None:
     """Align the stack, so that no vector on it crosses a cache line.
 
@@ -214,22 +192,39 @@ def _align_stack(builder: Any) -> None:
     builder.asm(use, "", "r", [vector], side_effect=True)  # keeps the unused vector on the stack
 
 
-def kernel(function: Callable[[Any], None], ends: Sequence[int]) -> Any:
-    """Return a numba function that runs ``function(rows)`` on a workspace of one or more parts.
+def kernel(
+    function: Callable[[Tree], Tree], template: Tree, ends: Sequence[int] | None = None
+) -> Any:
+    """Return a numba function that applies a function of numbers to a workspace, in place.
 
-    ``rows[i]`` reads row i as lanes and ``rows[i] = value`` writes it. ``function`` is called only
-    once, when numba compiles the caller. Every part is an array (rows, 8) of doubles. The rows
-    are numbered from 0 through all parts; ``ends`` contains, for each part, the number of the row
-    after its last. The numba function has one argument: a tuple of the parts' addresses.
+    ``function`` maps a tree to a tree; both have the shape of the ``template``. It is called only
+    once, when numba compiles the caller. The leaves of a tree, in order, are the rows of the
+    workspace, which has one or more parts, arrays (rows, 8) of doubles. The numba function has one
+    argument: a tuple of the parts' addresses.
+
+    Args:
+        function, template: the function, and an example of its argument.
+        ends: for each part, the number of the row after its last, where rows are numbered from 0
+            through all parts; None if there is one part.
     """
+    parts = list(pairwise([0, *(ends or [len(flatten(template))])]))
 
     @intrinsic  # type: ignore[untyped-decorator]
     def run(typing_context: Any, addresses: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             _align_stack(builder)
-            places = [builder.extract_value(arguments[0], i) for i in range(len(ends))]
-            bases = [builder.inttoptr(place, _VECTOR.as_pointer()) for place in places]
-            function(_Rows(builder, bases, ends))
+            emitter = Emitter(builder)
+            places = []
+            for part, (first, end) in enumerate(parts):
+                address = builder.extract_value(arguments[0], part)
+                base = builder.inttoptr(address, _VECTOR.as_pointer())
+                places += [builder.gep(base, [_WORD(row)]) for row in range(end - first)]
+            before = [Tracer(emitter, builder.load(place, align=8)) for place in places]
+            after = flatten(function(unflatten(template, iter(before))))
+            for place, old, new in zip(places, before, after, strict=True):
+                if new is not old:
+                    whole = new.value if isinstance(new, Tracer) else _doubles(new)
+                    builder.store(whole, place, align=8)
             return context.get_dummy_value()
 
         return types.void(addresses), generate

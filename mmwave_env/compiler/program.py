@@ -22,7 +22,7 @@ from mmwave_env.compiler.disk_cache import compiled_callback
 from mmwave_env.compiler.lanes import WIDTH, kernel
 from mmwave_env.compiler.threads import share, spans
 from mmwave_env.numerics.numbers import Array, Index
-from mmwave_env.numerics.pytree import Tree, flatten, indices, unflatten
+from mmwave_env.numerics.pytree import flatten, indices, unflatten
 from mmwave_env.numerics.tape import fingerprint
 
 Columns = tuple[Index, dict[str, int | slice]]  # rows, and the output columns of parts of them
@@ -131,27 +131,6 @@ class StepIO(NamedTuple):
         return cls(input_rows, inputs, output_rows, outputs, obs_rows, observations)
 
 
-def tree_kernel(
-    function: Callable[[Tree], Tree], template: Tree, ends: Sequence[int] | None = None
-) -> Any:
-    """Return a numba function that applies a function of numbers to a workspace, in place.
-
-    ``function`` maps a tree to a tree; both have the shape of the ``template``. The leaves of a
-    tree, in order, are the rows. :func:`~mmwave_env.compiler.lanes.kernel` describes ``ends``
-    (None: all rows are one part) and the returned function.
-    """
-    size = len(flatten(template))
-
-    def build(rows: Any) -> None:
-        before = [rows[i] for i in range(size)]
-        after = flatten(function(unflatten(template, iter(before))))
-        for i, (old, new) in enumerate(zip(before, after, strict=True)):
-            if new is not old:
-                rows[i] = new
-
-    return kernel(build, ends or [size])
-
-
 class Program(Generic[Workspace]):
     """A function of numbers, compiled or read from disk at its first use, and its workspace.
 
@@ -228,7 +207,7 @@ class Program(Generic[Workspace]):
         return self._compiled.address  # type: ignore[no-any-return]
 
     def _compile(self) -> Any:
-        run = tree_kernel(self.function, self.template)
+        run = kernel(self.function, self.template)
 
         def on_address(address):  # type: ignore[no-untyped-def]
             run((address,))

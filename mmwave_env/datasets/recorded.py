@@ -25,7 +25,7 @@ from mmwave_env.models.layout import (
     wrap_angles,
 )
 from mmwave_env.models.measurement import exact_rows, range_rate
-from mmwave_env.models.prior import GAP_S, draw_prior
+from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import Radio, clock_bias, doppler_spread, oscillator_bias, radio_from
 from mmwave_env.models.scene import Scene, scene_of_anchors
 from mmwave_env.numerics.numbers import Array, Index, Mask, wrap
@@ -108,12 +108,11 @@ class Track(ABC):
         velocity = self.velocity_mps[epochs]
         bias_hz = 0.0 if bias is None else bias[0]
         state = np.concatenate([position[0], velocity[0], [bias_hz]])
-        mean, covariance = draw_prior(state, radio, self.scene, rng)
+        covariance = radio.prior_covariance(self.scene, self.layout.clock)
+        mean = np.zeros(len(covariance))
+        mean[:7] = state + np.sqrt(np.diag(covariance)[:7]) * rng.standard_normal(7)
         if bias is None:
             mean[6] = 0.0
-        if self.layout.has_bias:
-            mean = np.append(mean, 0.0)
-            covariance = radio.prior_covariance(self.scene, self.layout.clock)
         return Episode.measured(
             self.name,
             self.scene,

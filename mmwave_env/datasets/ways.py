@@ -80,5 +80,5 @@ def _rows(file: Path) -> Iterator[tuple[int, str, list[float]]]:
 
 def scenario_from(scenario: Scenario) -> Scenario:
     """Return a ``scenario=`` argument; if it names a CSV file, return the file's trajectories."""
-    is_file = isinstance(scenario, str | os.PathLike) and str(scenario).lower().endswith(".csv")
+    is_file = str(scenario).lower().endswith(".csv")
     return read_ways(scenario) if is_file else scenario  # type: ignore[arg-type]

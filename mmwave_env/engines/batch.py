@@ -46,6 +46,7 @@ class Batch:
         layout: which quantity is in which row of a measurement.
         n: number of environments.
         input_rows: indices of the workspace's rows that receive an input in every epoch.
+        obs_rows: indices of the rows that are observed after every epoch.
         on_floats: whether to run in plain Python instead of on SIMD lanes.
         threads: maximum number of threads in use; results do not depend on it.
 
@@ -60,7 +61,8 @@ class Batch:
         program: Program[Any],
         layout: Layout,
         n: int,
-        input_rows: Index = NO_ROWS,
+        input_rows: Index,
+        obs_rows: Index,
         on_floats: bool = False,
         threads: int = 1,
     ) -> None:
@@ -72,6 +74,7 @@ class Batch:
         rows = blocks_of(program.start, n)
         self.state = BatchState.of(np.empty((n, 0, len(program.blank))), rows)
         self._input_rows = input_rows
+        self.obs_rows = obs_rows
         self._end_s = 0.0  # time of the epoch that was loaded last
         self.on_floats = on_floats
         self._run = Repeated(advance)
@@ -165,11 +168,9 @@ class Batch:
             layout=self.layout,
         )
 
-    def io(
-        self, epochs: int = 1, output_rows: Index = NO_ROWS, obs_rows: Index = NO_ROWS
-    ) -> StepIO:
-        """Return buffers for this number of epochs: zeros as inputs, and arrays for outputs."""
-        return StepIO.of(self.n, epochs, self._input_rows, output_rows, obs_rows)
+    def io(self, output_rows: Index = NO_ROWS, epochs: int = 1) -> StepIO:
+        """Return buffers for this number of epochs: zeros as inputs, and arrays for results."""
+        return StepIO.of(self.n, epochs, self._input_rows, output_rows, self.obs_rows)
 
     def advance(
         self,

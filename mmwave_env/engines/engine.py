@@ -98,9 +98,9 @@ class Engine(Batch):
         program = self._program(*verbs)
         at = program.index
         inputs = rows_of([at.action, at.numbers if action != MODE else []])
-        super().__init__(program, pipeline.layout, n, inputs, on_floats, threads)
+        shown = rows_of(at.observation)
+        super().__init__(program, pipeline.layout, n, inputs, shown, on_floats, threads)
         self._shown: Any = slice(None)
-        self.obs_rows = rows_of(at.observation)
         if observation:
             self.observation = Observation(pipeline, observation, "per-mode" if bank else "shared")
         self._base = policy_from(base(self.observation), "base") if base else None
@@ -146,7 +146,7 @@ class Engine(Batch):
         if SCORED & set(names):
             verbs.append(score)
         program = self._program(*verbs)
-        io = self.io(int(self.state.length.max()), program.rows(names))
+        io = self.io(program.rows(names), int(self.state.length.max()))
         if actions is not None:
             io.inputs[..., 0] = actions
         self.advance(io, program=program)
@@ -154,7 +154,7 @@ class Engine(Batch):
 
     def filter(self) -> Array32:
         """Run all modes on the next epoch of every track; return observations (n, features)."""
-        io = self.step_io()
+        io = self.io()
         self.advance(io, program=self._program(filter_epoch))
         return io.observations[:, 0]
 
@@ -177,7 +177,7 @@ class Engine(Batch):
             verbs.append(score)
         if self._asked.action == CORRECTION:
             verbs.append(refresh)
-        io = self.step_io(output_rows)
+        io = self.io(output_rows)
         if self._asked.action == WEIGHTS:
             io.inputs[:, 0, 1:] = actions
         else:
@@ -192,7 +192,7 @@ class Engine(Batch):
             numbers: (n, 6) shifts and log factors (:mod:`mmwave_env.filters.correction`).
             output_rows: (k,) indices of the rows to return, such as those of "reported".
         """
-        io = self.io(1, output_rows)
+        io = self.io(output_rows)
         io.inputs[:, 0, 1:] = numbers
         self.advance(io, program=self._program(correct), again=True)
         return io.outputs[:, 0]
@@ -213,7 +213,7 @@ class Engine(Batch):
         Returns:
             The observations (n, features), in a new array.
         """
-        io = self.step_io()
+        io = self.io()
         io.inputs[:, 0, 0] = actions
         self.advance(io, places)
         self.trust(io, places)
@@ -234,10 +234,6 @@ class Engine(Batch):
         io.inputs[:, 0, 0] = actions
         decision = io._replace(output_rows=NO_ROWS, outputs=io.outputs[..., :0])
         self.advance(decision, places, self._program(decide, refresh), again=True)
-
-    def step_io(self, output_rows: Index = NO_ROWS) -> StepIO:
-        """Return the buffers of a step: for actions, observations and output rows."""
-        return self.io(1, output_rows, self.obs_rows)
 
     def observations(self) -> Array32:
         """Return a copy of the current observations (n, features)."""

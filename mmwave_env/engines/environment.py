@@ -105,7 +105,7 @@ class Environment:
             key: (slice(None), 0, columns[key]) for key in shown if key not in FLAGS
         }
         self._groups = len(at.memory.accepted)
-        self._step_io = self._engine.step_io(rows)
+        self._step_io = self._engine.io(rows)
         self._mask_keys = mask_keys([*shown, "mode", COST_KEY])  # of infos from steps
         self._run_step = Repeated(step_blocks)
 
@@ -231,7 +231,6 @@ class Environment:
             return
         missing = self._engine.state.length.max() - self._imm_rewards.shape[1]
         self._imm_rewards = np.pad(self._imm_rewards, ((0, 0), (0, max(0, missing))))
-
         for first in range(0, len(places), FILTERED):
             some = places[first : first + FILTERED]
             episodes = self._episodes(some)
@@ -246,6 +245,7 @@ class Environment:
             Infos about the episodes, arrays with one entry for each environment.
         """
         task = self._task
+        engine = self._engine
         n = len(self._keys)
         infos: Info = {"episode_name": np.full(n, None, object), "nonfinite": np.zeros(n, np.int64)}
         if task.has_keys:
@@ -257,11 +257,16 @@ class Environment:
             infos["episode_key"] = self._keys.copy()
         else:
             drawn = [task.draw(self._generator(place)) for place in places.tolist()]
-            self._engine.load(drawn, places)
+            engine.load(drawn, places)
             infos["episode_name"][places] = [episode.name for episode in drawn]
             infos["nonfinite"][places] = [episode.nonfinite for episode in drawn]
         self._names[places] = infos["episode_name"][places]
-        self._begin_tracks(places)
+        self._begin_baseline(places)
+        if engine.state.feed.run:
+            step_s = np.full(len(places), task.simulated.dt)
+        else:
+            step_s = engine.steps_s(places)
+        self._tally.begin(places, step_s, engine.state.length[places])
         return infos
 
     def _begin_pictures(self, places: Index) -> None:
@@ -297,16 +302,6 @@ class Environment:
         if engine.state.feed.run:
             return self._task.tables(self._keys[places])
         return engine.episodes(places)
-
-    def _begin_tracks(self, places: Index) -> None:
-        """Start the baseline and the tally for episodes that just began in some environments."""
-        self._begin_baseline(places)
-        engine = self._engine
-        if engine.state.feed.run:
-            step_s = np.full(len(places), self._task.simulated.dt)
-        else:
-            step_s = engine.steps_s(places)
-        self._tally.begin(places, step_s, engine.state.length[places])
 
     def _metrics_of(self, ended: Index) -> dict[str, Array]:
         """Compute the final metrics of episodes that ended in some environments (k,)."""

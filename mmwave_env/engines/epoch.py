@@ -43,7 +43,7 @@ from mmwave_env.filters.modes import Tuning
 from mmwave_env.filters.pipeline import Pipeline, predict_update
 from mmwave_env.filters.update import ModeResult
 from mmwave_env.interface.actions import CORRECTION, MODE, WEIGHTS, limits_of
-from mmwave_env.interface.features import MixtureView, View
+from mmwave_env.interface.features import View
 from mmwave_env.interface.observation import Observation, standardized
 from mmwave_env.interface.policy import Rule
 from mmwave_env.interface.reward import Reward, term_names, terms_of, total
@@ -176,8 +176,16 @@ def filter_epoch(w: EpochState, asked: Asked) -> EpochState:
         epoch = with_expected_spread(epoch, w.x[3:6], w.site)
     if asked.observation or not asked.per_mode:
         w = w._replace(memory=memory_before(w.memory, results, epoch, layout))
+    if asked.observation and asked.per_mode:
+        spread = epoch.doppler_spread_hz
+        averages = [
+            where(w.is_first > 0.5, spread, blend(keep, old, spread))
+            for old, keep in zip(w.spread_averages_hz, SPREAD_MEMORIES, strict=True)
+        ]
+        w = w._replace(spread_averages_hz=averages)
     if asked.observation:
-        w = _observed(w, asked, epoch, results, predicted)
+        view = _view(w, asked, epoch, results, predicted)
+        w = w._replace(observation=standardized(asked.table.features, view))
     last = w.incoming if asked.signed else ()
     pending = PendingEpoch(epoch.dt, epoch.visible, w.incoming.truth, epoch.measured, last)
     return w._replace(is_first=0.0, pending=pending)
@@ -278,51 +286,28 @@ def _kept(result: ModeResult, asked: Asked) -> ModeResult:
     return result if asked.predicted else result._replace(x_predicted=[], P_predicted=[])
 
 
-def _observed(
-    w: EpochState,
-    asked: Asked,
-    epoch: Epoch,
-    results: list[ModeResult],
-    predicted: Numbers,
-) -> EpochState:
-    """Return the state with its observation of the modes' results.
+def _view(
+    w: EpochState, asked: Asked, epoch: Epoch, results: list[ModeResult], predicted: Vector = ()
+) -> View:
+    """Return the inputs of features.
 
     Args:
         w: the state after the modes have run.
-        asked: the parts that are asked for.
-        epoch: the incoming epoch.
-        results: one result per mode.
+        asked: the parts that are asked for, perhaps the last epoch.
+        epoch, results: the coming epoch, and one result per mode.
         predicted: (modes,) probabilities before the epoch, if every mode keeps its own belief.
     """
-    shown = None
-    if asked.per_mode:
-        spread = epoch.doppler_spread_hz
-        averages = [
-            where(w.is_first > 0.5, spread, blend(keep, old, spread))
-            for old, keep in zip(w.spread_averages_hz, SPREAD_MEMORIES, strict=True)
-        ]
-        shown = MixtureView(predicted, w.mixture.probability, averages)
-        w = w._replace(spread_averages_hz=averages)
-    view = _view(w, asked, epoch, results, shown)
-    return w._replace(observation=standardized(asked.table.features, view))
-
-
-def _view(
-    w: EpochState,
-    asked: Asked,
-    epoch: Epoch,
-    results: list[ModeResult],
-    shown: MixtureView | None = None,
-) -> View:
-    """Return the inputs of features: the coming epoch, its results and, if asked, the last one."""
-    pipeline = asked.pipeline
+    layout = asked.pipeline.layout
     last = None
     if asked.signed:
-        decided = w.pending.incoming.epoch(pipeline.layout)
-        decided = with_expected_spread(decided, w.velocity, w.site)
+        decided = with_expected_spread(w.pending.incoming.epoch(layout), w.velocity, w.site)
         last = LastEpoch(decided, w.is_first, w.velocity, w.mode_probabilities)
-    covariance = unpack(w.P, zero=pipeline.known_axes)
-    return View(w.x, covariance, w.memory, results, epoch, w.site, pipeline.layout, shown, last)
+    covariance = unpack(w.P, zero=asked.pipeline.known_axes)
+    posterior = w.mixture.probability if asked.per_mode else ()
+    return View(
+        w.x, covariance, w.memory, results, epoch, w.site, layout,
+        predicted, posterior, w.spread_averages_hz, last,
+    )  # fmt: skip
 
 
 def with_expected_spread(epoch: Epoch, velocity: Vector, site: Site) -> Epoch:

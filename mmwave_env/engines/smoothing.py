@@ -116,7 +116,7 @@ def smoothed_features(
     before = _leaves(np.concatenate([x[:, :1], x[:, :-1]], axis=1))[3:6]
     last = LastEpoch(with_expected_spread(epoch, before, site), 0.0, before, probabilities)
     covariance = unpack(_leaves(P), zero=pipeline.known_axes)
-    view = View(_leaves(x), covariance, memory, [], epoch, site, layout, None, last)
+    view = View(_leaves(x), covariance, memory, [], epoch, site, layout, last=last)
     with np.errstate(all="ignore"):  # values of missing rows are not used
         values = standardized(after_update(pipeline), view)
     return np.stack(np.broadcast_arrays(*values), axis=-1).astype(np.float32)

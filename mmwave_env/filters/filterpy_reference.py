@@ -13,6 +13,7 @@ the CKF's covariance from raw second moments, where large values would cancel an
 
 from collections.abc import Callable
 from functools import cache, partial
+from threading import get_ident
 from typing import Any
 
 import numpy as np
@@ -23,11 +24,10 @@ from filterpy.kalman import (
     UnscentedKalmanFilter,
 )
 from filterpy.kalman.CubatureKalmanFilter import spherical_radial_sigmas
-from scipy.stats import chi2
 
 from mmwave_env.filters import textbook
-from mmwave_env.filters.gating import ROBUST_ONSET, Gate
-from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.gating import ROBUST_ONSET, Gate, passes
+from mmwave_env.filters.modes import ALGORITHMS, Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.update import Algorithm, Posterior
 from mmwave_env.io.lookup import choose
@@ -126,25 +126,23 @@ class _PointFilter:
         return f
 
 
-def _ukf(size: int) -> _PointFilter:
-    points: Any = MerweScaledSigmaPoints(size, alpha=1.0, beta=2.0, kappa=0.0)
-    ukf = UnscentedKalmanFilter(size, 1, 1.0, None, None, points)
-    return _PointFilter(ukf, points.sigma_points)
-
-
-def _ckf(size: int) -> _PointFilter:
-    ckf = CubatureKalmanFilter(size, 1, 1.0, None, None)
-    return _PointFilter(ckf, spherical_radial_sigmas)
-
-
 _Filter = _Ekf | _PointFilter
-_FILTERS: dict[str, Callable[[int], _Filter]] = {"ekf": _Ekf, "ukf": _ukf, "ckf": _ckf}
 
 
 @cache
-def _filter_of(algorithm: str, size: int) -> _Filter:
-    """Return the filter that all modes with this algorithm and size of the state share."""
-    return _FILTERS[algorithm](size)
+def _filter_of(algorithm: str, size: int, thread: int) -> _Filter:
+    """Return the filter that all modes with this algorithm and size of the state share.
+
+    Every call of filterpy sets the whole state of a filter, so only threads need their own.
+    """
+    if algorithm == "ekf":
+        return _Ekf(size)
+    if algorithm == "ckf":
+        ckf = CubatureKalmanFilter(size, 1, 1.0, None, None)
+        return _PointFilter(ckf, spherical_radial_sigmas)
+    points: Any = MerweScaledSigmaPoints(size, alpha=1.0, beta=2.0, kappa=0.0)
+    ukf = UnscentedKalmanFilter(size, 1, 1.0, None, None, points)
+    return _PointFilter(ukf, points.sigma_points)
 
 
 class FilterpyPipeline(Pipeline):
@@ -165,13 +163,14 @@ class FilterpyPipeline(Pipeline):
             Q[i, j] = Q[j, i] = value
         drive = None if hz_per_mps is None else float(hz_per_mps)
         F = textbook.F(float(dt), len(x), drive)
-        filter_ = _filter_of(str(mode.algorithm), len(x))
+        filter_ = _filter_of(str(mode.algorithm), len(x), get_ident())
         mean, covariance = filter_.predict(np.array(x, float), np.array(P, float), Q, F)
         return mean.tolist(), _symmetric(covariance).tolist()
 
     def update(self, mode: Mode) -> Algorithm:
         """Return filterpy's measurement update of a mode."""
-        return partial(_update, _filter_of(str(mode.algorithm), self.layout.state_size))
+        size = self.layout.state_size
+        return partial(_update, _filter_of(str(mode.algorithm), size, get_ident()))
 
 
 def filterpy_pipeline(pipeline: Pipeline) -> Pipeline:
@@ -188,12 +187,16 @@ def filterpy_pipeline(pipeline: Pipeline) -> Pipeline:
         )
     for mode in pipeline.modes:
         name: Any = mode.algorithm  # a user's function is refused like an unknown name
-        choose(_FILTERS, name, f"algorithm of mode {mode.name!r} on filterpy")
+        choose(ALGORITHMS, name, f"algorithm of mode {mode.name!r} on filterpy")
     return FilterpyPipeline(**vars(pipeline))
 
 
 def _update(
-    filter_: _Filter, mean: Vector, covariance: Matrix, measurement: Measurement, gate: Gate
+    filter_: _Filter,
+    mean: Vector,
+    covariance: Matrix,
+    measurement: Measurement,
+    gate: Gate,
 ) -> Posterior:
     """Update with all visible groups; update again if gates reject groups or inflate noise."""
     x = np.array(mean, float)
@@ -223,7 +226,7 @@ def _update(
         S = posterior.S[part, part]
         nis[g] = float(y @ np.linalg.solve(S, y))
         lenient = g < layout.anchors and (gate.robust or gate.force > 0.5)
-        accepted[g] = float(lenient or nis[g] <= _threshold(gate.quantile, len(y)))
+        accepted[g] = 1.0 if lenient else passes(nis[g], len(y), gate.quantile)
         log_likelihood -= 0.5 * (nis[g] + float(np.linalg.slogdet(S)[1]))
         if gate.robust and g < layout.anchors and nis[g] > ROBUST_ONSET * len(y):
             doubted = True
@@ -235,11 +238,6 @@ def _update(
         x = x + posterior.x.ravel()
         P = _symmetric(posterior.P)
     return Posterior(x.tolist(), P.tolist(), nis, accepted, log_likelihood)
-
-
-@cache
-def _threshold(quantile: float | None, rows: int) -> float:
-    return np.inf if quantile is None else float(chi2.ppf(quantile, rows))
 
 
 def _symmetric(P: Array) -> Array:

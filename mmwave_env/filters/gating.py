@@ -5,6 +5,7 @@ group's normalized innovation squared (NIS) with a chi-square quantile (paper, S
 """
 
 from collections.abc import Sequence
+from functools import cache
 from typing import NamedTuple
 
 from mmwave_env.filters.linearization import Latents, Prior
@@ -53,6 +54,7 @@ def innovation_statistics(group: Group, V: Matrix, latents: Latents) -> Pair:
     return dot(e, e) + group.spare_nis, pivots * pivots * group.spare_determinant
 
 
+@cache
 def chi_square_limits(quantile: float) -> list[float]:
     """Return the chi-square quantiles for 1 to 4 degrees of freedom; a group has at most 4."""
     from scipy.special import chdtri  # slow to import, and not needed to describe a mode

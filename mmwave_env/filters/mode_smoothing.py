@@ -19,6 +19,7 @@ import numpy as np
 from mmwave_env.filters.bank import Bank, settings_of
 from mmwave_env.filters.imm import begin, over_step
 from mmwave_env.filters.pipeline import Pipeline, predict
+from mmwave_env.filters.textbook import combine
 from mmwave_env.models.measurement import Epoch
 from mmwave_env.models.motion import move
 from mmwave_env.numerics.linalg import cholesky, inverse, pack, unpack
@@ -41,17 +42,6 @@ class ModeBeliefs(NamedTuple):
     x: Array
     P: Array
     probability: Array
-
-
-def merged(beliefs: ModeBeliefs) -> tuple[Array, Array]:
-    """Return the means (..., 7) and the covariances (..., 7, 7) of mixtures of all modes."""
-    weight = beliefs.probability[..., None, :]
-    mean = weight @ beliefs.x
-    offset = beliefs.x - mean
-    entries = beliefs.P.reshape(*beliefs.x.shape[:-1], -1)
-    inside = (weight @ entries).reshape(*mean.shape[:-2], *beliefs.P.shape[-2:])
-    between = (np.swapaxes(offset, -1, -2) * weight) @ offset
-    return mean[..., 0, :], inside + between
 
 
 def smooth_modes(
@@ -95,10 +85,10 @@ def smooth_modes(
     before = _epochs(filtered, slice(-1))
     moves = _predicted(pipeline, before, gamma[:, :-1], coming, hz_per_mps, transition)
     after = _epochs(filtered, -1)
-    smoothed = [merged(after)]
+    smoothed = [_merged(after)]
     for t in reversed(range(dt.shape[1] - 1)):
         after = _backwards(_epochs(filtered, t), _epochs(moves, t), after)
-        smoothed.append(merged(after))
+        smoothed.append(_merged(after))
     means, covariances = zip(*reversed(smoothed), strict=True)
     P = np.stack(covariances, axis=1)
     return np.stack(means, axis=1), P[..., *np.tril_indices(P.shape[-1])]
@@ -107,6 +97,10 @@ def smooth_modes(
 def _epochs(parts: Parts, epochs: int | slice) -> Parts:
     """Return some epochs, or a single one, of a tuple of arrays (N, T, ...)."""
     return type(parts)(*(part[:, epochs] for part in parts))
+
+
+def _merged(beliefs: ModeBeliefs) -> tuple[Array, Array]:
+    return combine(beliefs.probability, beliefs.x, beliefs.P)
 
 
 class _Moves(NamedTuple):
@@ -194,4 +188,4 @@ def _backwards(now: ModeBeliefs, move: _Moves, after: ModeBeliefs) -> ModeBelief
     x = now.x[:, :, None] + (move.gain @ step[..., None])[..., 0]
     P = move.rest + move.gain @ after.P[:, None] @ np.swapaxes(move.gain, -1, -2)
     pairs = ModeBeliefs(x, P, joint / probability[..., None])
-    return ModeBeliefs(*merged(pairs), probability / probability.sum(axis=1, keepdims=True))
+    return ModeBeliefs(*_merged(pairs), probability / probability.sum(axis=1, keepdims=True))

@@ -11,7 +11,7 @@ The last rows are the Doppler shift of one anchor (Hz) and, optionally, speed (m
 (rad). If the user's clock is not synchronized, its range bias (m) is an eighth state component.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -160,11 +160,15 @@ def reweigh(predicted: Array, log_likelihood: Array) -> Array:
 
 
 def combine(probability: Array, x: Array, P: Array) -> tuple[Array, Array]:
-    """Return the mean and the covariance of a Gaussian mixture, such as the estimate of an IMM."""
-    mean = probability @ x
-    away = x - mean
-    spread = P + away[:, :, None] * away[:, None, :]
-    return mean, np.einsum("m,mij->ij", probability, spread)
+    """Return mean (..., 7) and covariance (..., 7, 7) of mixtures, such as an IMM's estimate.
+
+    A mixture has M modes with probabilities (..., M), means (..., M, 7) and covariances
+    (..., M, 7, 7).
+    """
+    mean = np.einsum("...m,...mi->...i", probability, x)
+    away = x - mean[..., None, :]
+    spread = P + away[..., :, None] * away[..., None, :]
+    return mean, np.einsum("...m,...mij->...ij", probability, spread)
 
 
 def rts(
@@ -173,22 +177,17 @@ def rts(
     P_predicted: Array,
     time_s: Array,
     free: Sequence[int] = range(7),
-    x_predicted: Iterable[Array] | None = None,
     hz_per_mps: float | None = None,
 ) -> tuple[Array, Array]:
     """Smooth one track with the Rauch-Tung-Striebel smoother: eqs. (17) and (18).
 
     Args:
         x, P: (T, 7) and (T, 7, 7) filtered beliefs at the times ``time_s`` (T,).
-        P_predicted, x_predicted: (T, 7, 7), (T, 7) predicted covariances and means; if
-            ``x_predicted`` is None, the predicted means are F x.
+        P_predicted: (T, 7, 7) predicted covariances; the predicted means are F x.
         free: indices of the uncertain components of x; on flat terrain there are five.
         hz_per_mps: same as for :func:`F`.
     """
-    if x_predicted is None:
-        steps = zip(np.diff(time_s, prepend=np.nan), np.roll(x, 1, axis=0), strict=True)
-        x_predicted = [F(dt, x.shape[1], hz_per_mps) @ before for dt, before in steps]
-    means = list(x_predicted)
+    filtered = x
     x = x.copy()
     P = P.copy()
     block = np.ix_(free, free)
@@ -196,7 +195,7 @@ def rts(
         Ft = F(time_s[t + 1] - time_s[t], x.shape[1], hz_per_mps)
         gain = np.zeros_like(P[t])
         gain[block] = (P[t] @ Ft.T)[block] @ np.linalg.inv(P_predicted[t + 1][block])
-        x[t] += gain @ (x[t + 1] - means[t + 1])
+        x[t] += gain @ (x[t + 1] - Ft @ filtered[t])
         P[t] += gain @ (P[t + 1] - P_predicted[t + 1]) @ gain.T
     return x, P
 

@@ -17,21 +17,12 @@ from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Epoch, Site, doppler_anchor, norms, range_rate
 from mmwave_env.models.motion import move
 from mmwave_env.numerics.linalg import dot, minus
-from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Vector, log, maximum, sqrt, where
+from mmwave_env.numerics.numbers import Matrix, Number, Vector, log, maximum, sqrt, where
 
 MISSING_SNR_DB = -20.0
 UNSEEN = {"SNR": MISSING_SNR_DB}  # value if an anchor is never visible; 0 for other kinds
 _LEAST = 1e-9  # lower limit of a probability in a logarithm
 WAYS = ("along", "across")  # components of a horizontal vector: along a velocity, to its left
-
-
-class MixtureView(NamedTuple):
-    """The inputs of features that exist only if each mode has its own belief."""
-
-    # predicted, posterior: (modes,) probabilities of modes before and after the coming measurement
-    predicted: Numbers
-    posterior: Numbers
-    spread_averages_hz: Numbers  # moving averages of the Doppler spread, fast to slow
 
 
 class View(NamedTuple):
@@ -45,7 +36,11 @@ class View(NamedTuple):
     epoch: Epoch  # the coming epoch
     site: Site  # anchors and carrier
     layout: Layout  # which quantity is in which row of a measurement
-    mixture: Any = None  # a MixtureView if each mode has its own belief, else None
+    # The next three are empty unless each mode has its own belief.
+    # predicted, posterior: (modes,) probabilities of modes before and after the coming measurement
+    predicted: Vector = ()
+    posterior: Vector = ()
+    spread_averages_hz: Vector = ()  # moving averages of the Doppler spread, fast to slow
     last: Any = None  # a ``signed.LastEpoch`` if there are signed features (residuals)
 
 
@@ -202,14 +197,12 @@ def _mixture(pipeline: Pipeline) -> list[Feature]:
         *(
             feature(
                 f"Doppler spread {pace} average",
-                lambda v, i=i: v.mixture.spread_averages_hz[i] / v.site.hz_per_mps,
+                lambda v, i=i: v.spread_averages_hz[i] / v.site.hz_per_mps,
             )
             for i, pace in enumerate(("fast", "slow", "slowest"))
         ),
         *(
-            feature(
-                "predicted log-odds", lambda v, m=m: _log_odds(v.mixture.predicted[m]), mode.name
-            )
+            feature("predicted log-odds", lambda v, m=m: _log_odds(v.predicted[m]), mode.name)
             for m, mode in enumerate(pipeline.modes)
         ),
     ]
@@ -303,7 +296,7 @@ def _posterior(m: int, name: str) -> list[Feature]:
         return log(0.05 + sqrt(dot(v, v) + 1e-9))
 
     return [
-        feature("coming log-odds", lambda v: _log_odds(v.mixture.posterior[m]), name),
+        feature("coming log-odds", lambda v: _log_odds(v.posterior[m]), name),
         feature("coming speed", speed, name),
         feature("coming velocity variance", partial(_log_variance, m=m, i=9, j=14), name),
     ]

@@ -15,14 +15,6 @@ GAP_S = 15.0
 STEEPEST_FIX_RAD = math.radians(85.0)
 
 
-def draw_prior(
-    truth: Array, radio: Radio, scene: Scene, rng: np.random.Generator
-) -> tuple[Array, Array]:
-    """Draw a mean (7,) around the true state (7,); return it with its covariance (7, 7)."""
-    covariance = radio.prior_covariance(scene)
-    return truth + np.sqrt(np.diag(covariance)) * rng.standard_normal(7), covariance
-
-
 def prior_from_fix(
     anchor: Array, link: Array, sigma: Array, radio: Radio, scene: Scene
 ) -> tuple[Array, Array]:

@@ -40,7 +40,7 @@ def _function(name: str, module: Any = math) -> Callable[[Number], Number]:
     of_array = getattr(np, name)
 
     def function(a: Number) -> Number:
-        if isinstance(a, (float, int)):
+        if _is_float(a):
             return float(of_float(a))
         return of_array(a) if isinstance(a, np.ndarray) else getattr(a, name)()
 

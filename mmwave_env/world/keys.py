@@ -82,12 +82,16 @@ def options_of(options: Any, *known: str) -> list[Any]:
 
 
 class Streams:
-    """The streams of n environments (random until seeded), and the numbers of keys drawn."""
+    """The streams of n environments (random until seeded), and the numbers of keys drawn.
+
+    Attributes:
+        seeds: (n,) seeds of the streams; -1 where the seed is unknown.
+    """
 
     def __init__(self, n: int) -> None:
         self._states = np.zeros((n, 2), np.uint64)  # streams, and numbers of keys drawn from them
         self._states[:, 0] = np.random.SeedSequence().generate_state(n, np.uint64)
-        self._seeds = [-1] * n
+        self.seeds = [-1] * n
         self._generators: list[np.random.Generator | None] = [None] * n
 
     def follow(self, place: int, rng: np.random.Generator, seed: int) -> None:
@@ -111,7 +115,7 @@ class Streams:
         """
         if seed is None:
             return
-        n = len(self._seeds)
+        n = len(self.seeds)
         if isinstance(seed, (int, np.integer)):
             seed = range(int(seed), int(seed) + n)
         seeds: Any = list(seed) if isinstance(seed, Sequence) else seed
@@ -122,13 +126,9 @@ class Streams:
             if seeds[place] is None:
                 continue
             own = int(seeds[place])
-            self._seeds[place] = own
+            self.seeds[place] = own
             self._generators[place] = None
             self._states[place] = stream_of(own), 0
-
-    def seeds(self) -> tuple[int, ...]:
-        """Return the seeds (n,) of the streams; -1 where the seed is unknown."""
-        return tuple(self._seeds)
 
     def keys(self, places: Index) -> Keys:
         """Draw the next key of each environment in ``places``, which are distinct indices."""
@@ -139,13 +139,9 @@ class Streams:
     def generator(self, place: int) -> np.random.Generator:
         """Return the ``np_random`` of an environment; keys do not come from this generator."""
         generator = self._generators[place]
-        seed = self._seeds[place]
+        seed = self.seeds[place]
         if generator is None:
             known = int(self._states[place, 0]) if seed == -1 else seed
             generator, _ = seeding.np_random(known)
             self._generators[place] = generator
         return generator
-
-    def generators(self) -> tuple[np.random.Generator, ...]:
-        """Return the generators (n,) of all environments."""
-        return tuple(self.generator(place) for place in range(len(self._seeds)))

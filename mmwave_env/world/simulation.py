@@ -12,8 +12,8 @@ from numba import types
 from numba.core.compiler_lock import global_compiler_lock
 
 from mmwave_env.compiler.disk_cache import compiled_callback
-from mmwave_env.compiler.lanes import WIDTH, number_at
-from mmwave_env.compiler.program import Program, tree_kernel
+from mmwave_env.compiler.lanes import WIDTH, kernel, number_at
+from mmwave_env.compiler.program import Program
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import blank_site, exact_rows
 from mmwave_env.models.radio import Radio, deviations
@@ -278,7 +278,7 @@ class World:
         """Return the compiled :attr:`parts` as one function, which skips events if none is due."""
         parts = self.parts
         ends = self.ends
-        observe, apply_events, substep = [tree_kernel(part, self.template, ends) for part in parts]
+        observe, apply_events, substep = [kernel(part, self.template, ends) for part in parts]
         row = 8 * WIDTH  # bytes
         due = row * (self.index.user.traveler.due - ends[1])
         stride = row * (self.index.settings.stride - ends[0])

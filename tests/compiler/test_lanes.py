@@ -49,10 +49,11 @@ INF = math.inf
 def compiled(function, arity):
     """Compile a kernel that applies a function to ``arity`` rows and writes the next row."""
 
-    def build(rows):
-        rows[arity] = function(*(rows[i] for i in range(arity)))
+    def write(rows):
+        *arguments, _ = rows
+        return [*arguments, function(*arguments)]
 
-    run = kernel(build, [arity + 1])
+    run = kernel(write, [0.0] * (arity + 1))
 
     @numba.njit
     def main(blocks):

@@ -101,7 +101,7 @@ def test_corrections_in_an_environment_are_those_of_a_track_with_the_same_choice
         track.filter()
         observations, _ = track.decide(actions)
         assert_array_equal(environment.observations(), observations[:, after(track)])
-        io = environment.step_io(rows)
+        io = environment.io(rows)
         io.inputs[:, 0, 1:] = numbers
         environment.advance(io)
         environment.trust(io)

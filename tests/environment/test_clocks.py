@@ -153,7 +153,7 @@ def test_smoothed_tracks_equal_the_textbook(planar, clock):
     by_modes = smooth_modes(bank, pipeline, kept["mixture"], steps, spread, hz_per_mps)
     for e in range(3):
         expected_x, expected_P = textbook.rts(
-            x[e], unpacked(P[e]), unpacked(P_predicted[e]), time_s, free, None, drive
+            x[e], unpacked(P[e]), unpacked(P_predicted[e]), time_s, free, drive
         )
         for smoothed_x, smoothed_P in (smoothed, by_modes):
             assert_allclose(smoothed_x[e], expected_x, rtol=1e-7, atol=1e-7)

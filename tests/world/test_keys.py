@@ -38,7 +38,7 @@ def test_the_stream_of_a_seed_begins_with_numpys_seed_sequence():
 def test_a_stream_without_a_seed_begins_at_random():
     streams = Streams(2)
     places = np.arange(2)
-    assert streams.seeds() == (-1, -1)  # unknown seeds
+    assert streams.seeds == [-1, -1]  # unknown seeds
     keys = streams.keys(places)
     assert keys[0] != keys[1] != Streams(2).keys(places)[1]
 

@@ -20,6 +20,7 @@ from mmwave_env.datasets.deepmimo.v4 import Scenario, open_scenario
 from mmwave_env.datasets.recorded import Recording
 from mmwave_env.datasets.ways import COLUMNS, read_trajectory
 from mmwave_env.io.files import AnyPath, refuse_in
+from mmwave_env.io.lookup import as_name
 from mmwave_env.models.layout import LINK
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.world.trajectory import Trajectory
@@ -94,7 +95,7 @@ def _recording(
         position_m=way.position_m,
         velocity_mps=way.velocity_mps,
         carrier_hz=scenario.carrier_hz,
-        name=scenario.name,
+        name=as_name(scenario.folder.resolve().name),
     )
 
 

@@ -19,8 +19,7 @@ from mmwave_env.datasets.deepmimo.anchors import (
     TOLERANCE_M,
     StationPaths,
 )
-from mmwave_env.io.files import read_json, refuse_in
-from mmwave_env.io.lookup import as_name
+from mmwave_env.io.files import open_regular, read_json, refuse_in
 from mmwave_env.numerics.numbers import Array, Index, Mask
 
 PARAMS = "params.json"  # the file that marks a folder as a scenario
@@ -70,8 +69,8 @@ class Scenario(NamedTuple):
         return np.column_stack([scenes, np.broadcast_to(rows, len(scenes))])
 
     def file(self, scene: int, key: str, station: str) -> Path:
-        """Return the file with the array ``key``; refuse a missing file."""
-        return find_array(self.scenes[scene], f"{key}_{station}_r{self.receiver_set}")
+        """Return the file with the array ``key``."""
+        return self.scenes[scene] / f"{key}_{station}_r{self.receiver_set}.npz"
 
     def positions(self, epochs: Index) -> Array:
         """Return the receivers' positions (E, 3), m, in ``epochs`` (E, 2) from :meth:`epochs`."""
@@ -82,11 +81,6 @@ class Scenario(NamedTuple):
             parts.append(read_array(file, "rx_pos", (self.receivers, 3), rows))
             _require_finite(file, "rx_pos", parts[-1], rows)
         return np.concatenate(parts)
-
-    @property
-    def name(self) -> str:
-        """Return the name for results and messages."""
-        return as_name(self.folder.resolve().name)
 
     def paths(self, epochs: Index, base_station: int | None = None) -> list[StationPaths]:
         """Read the paths from every base station, or from only one station, to some receivers.
@@ -124,7 +118,7 @@ def open_scenario(folder: Path, receiver_set: int | None = None) -> Scenario:
     carrier_hz, count = _read_params(folder / PARAMS)
     scenes = _scenes(folder, count)
     number, stations = _stations(scenes[0], receiver_set)
-    file = find_array(scenes[0], f"rx_pos_{stations[0]}_r{number}")
+    file = scenes[0] / f"rx_pos_{stations[0]}_r{number}.npz"
     receivers = len(read_array(file, "rx_pos", ("N", 3)))
     if receivers == 0:
         refuse_in(file, "rx_pos", "no receivers", "at least one")
@@ -255,24 +249,10 @@ def _require_finite(
         refuse_in(file, f"{key}[{place}]", array[tuple(index)], "a finite number")
 
 
-def find_array(folder: Path, name: str) -> Path:
-    """Return the file of an array in a folder.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-    """
-    file = folder / f"{name}.npz"
-    if not file.exists():
-        raise FileNotFoundError(
-            f"{file}: found no such file, expected an .npz file, as DeepMIMO 4 writes it"
-        )
-    return file
-
-
 def read_array(
     file: Path, key: str, shape: tuple[int | str, ...], rows: Index | None = None
 ) -> Array:
-    """Read, as doubles, the array stored under a key in a file that :func:`find_array` found.
+    """Read, as doubles, the array stored under a key in a file.
 
     Args:
         file, key: the file, and the name of the array.
@@ -280,13 +260,13 @@ def read_array(
         rows: (R,) indices of the rows to return, in any order; None for all.
 
     Raises:
-        ValueError: the path is not a regular file, or the array can't be read, has numbers that
-            are not real or has another shape; the message names file and key.
+        OSError: the file can't be opened; FileNotFoundError if there is none.
+        ValueError: the array can't be read, has numbers that are not real or has another shape;
+            the message names file and key.
     """
-    if not file.is_file():  # reading a pipe or a device would block
-        refuse_in(file, key, "a path that is not a file", "an .npz file")
+    stream = open_regular(file, "an .npz file, as DeepMIMO 4 writes it")
     try:
-        with np.load(file, allow_pickle=False) as arrays:
+        with stream, np.load(stream, allow_pickle=False) as arrays:
             stored = arrays[key]
     except Exception as error:  # numpy, zipfile and zlib raise many kinds for damaged files
         raise ValueError(

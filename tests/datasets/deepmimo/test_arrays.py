@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as stn
 from numpy.testing import assert_array_equal
 
-from mmwave_env.datasets.deepmimo.v4 import find_array, read_array
+from mmwave_env.datasets.deepmimo.v4 import read_array
 from tests.refusals import refuses
 
 
@@ -43,7 +43,7 @@ def test_chosen_rows_equal_the_same_rows_in_numpy(folder, array, order, data):
 
 def test_a_missing_file_is_named(tmp_path):
     with refuses("power.npz", error=FileNotFoundError):
-        find_array(tmp_path, "power")
+        read_array(tmp_path / "power.npz", "power", (1,))
 
 
 def npy_header(shape, descr="<f4"):
