@@ -4,7 +4,7 @@ The visible part of the map follows the user and the estimate without jumps.
 """
 
 import math
-from itertools import pairwise, product
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -88,26 +88,17 @@ def draw_map(canvas: Canvas, view: View, history: History) -> None:
 
 
 def _draw_streets(canvas: Canvas, view: View, streets: Streets) -> None:
-    """Draw streets with an assumed width, and the blocks of houses between them."""
-    block_m = streets.block_m
-    half = min(_STREET_M, block_m / 4.0) / 2.0
+    """Draw houses, and between them streets with an assumed width."""
+    half = min(_STREET_M, streets.block_m / 4.0) / 2.0
     extents = streets.x_m, streets.y_m
-    canvas.fill("street", _box(view, np.transpose(extents) + [[-half], [half]]))
-    if block_m * view.scale < 4.0:  # blocks would be too small to see
-        return
-    reach_m = np.divide(view.frame.size, 2.0 * view.scale) + block_m
-    visible = []  # starts of the visible blocks, m, on each axis
-    for (first, last), center, reach in zip(extents, view.center_m, reach_m, strict=True):
-        starts = np.arange(first, last - 1e-6, block_m)
-        visible.append(starts[abs(starts - center) < reach])
-    for corner in product(*visible):
-        canvas.fill("building", _box(view, np.add(corner, [[half], [block_m - half]])))
-
-
-def _box(view: View, corners_m: Array) -> Rect:
-    """Return a rectangle in the picture, given its south-west and north-east corners (2, 2), m."""
-    (left, bottom), (right, top) = view.pixels(corners_m)
-    return Rect(left, top, right - left, bottom - top)
+    corners = np.transpose(extents) + [[-half], [half]]
+    (left, bottom), (right, top) = view.pixels(corners)
+    canvas.fill("building", Rect(left, top, right - left, bottom - top))
+    for axis, (first, last) in enumerate(extents):
+        for place in np.arange(first, last + half, streets.block_m):
+            ends = corners.copy()
+            ends[:, axis] = place
+            canvas.line(view.pixels(ends), "street", 2.0 * half * view.scale)
 
 
 def _draw_walls(canvas: Canvas, view: View, scene: Scene) -> None:
@@ -182,11 +173,8 @@ def _draw_scale(canvas: Canvas, view: View) -> Rect:
     place = Rect(0.0, 0.0, length * view.scale + 12.0, 25.0)
     place.bottomright = view.frame.right - 4.0, view.frame.bottom - 2.0
     canvas.fill("paper", place)
-    bar = place.inflate(-12.0, -12.0)
-    y = bar.bottom - 5.0
-    outline = [(bar.left, y), bar.bottomleft, bar.bottomright, (bar.right, y)]
-    canvas.line(outline, "ink", 1.2)
-    canvas.words(f"{length:g} m", (bar.centerx, bar.bottom - 10.0), "ink", align=0.5)
+    canvas.fill("ink", Rect(place.left + 6.0, place.bottom - 6.0, length * view.scale, 1.5))
+    canvas.words(f"{length:g} m", (place.centerx, place.bottom - 15.0), "ink", align=0.5)
     return place
 
 
