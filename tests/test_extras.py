@@ -17,7 +17,6 @@ LOG = LOGS / "canyon28_vehicle"
     [
         ("matplotlib", ["localize", LOG / "log.csv", "--scene", LOG / "scene.json", "--plot"]),
         ("matplotlib", ["compare", "--policies", "fixed-ekf", "--errors"]),
-        ("matplotlib", ["tables", "--out"]),
         ("filterpy", ["speed", "--json"]),
         ("pygame", ["watch", "--out"]),
     ],

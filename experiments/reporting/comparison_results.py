@@ -37,11 +37,9 @@ def over_training_seeds(run: Run, trained: Sequence[Scores], scores: Mapping[str
     """
     reward = np.stack([metrics["reward"] for metrics in trained])
     baselines = {rival: scores[rival]["reward"] for rival in references(scores)}
-    imms = [rival for rival in baselines if rival.startswith("imm")]
     minus = {rival: _figures(run, reward - baseline) for rival, baseline in baselines.items()}
     return {
         "median": run.median,
-        "best_imm": max(imms, key=lambda imm: float(baselines[imm].mean()), default=None),
         "reward": _figures(run, reward),
         "minus": minus,
     }
@@ -66,9 +64,8 @@ def seeds_markdown(run: Run, content: Json) -> str:
     The table has a row for each training seed, then two rows for all seeds together.
     """
     minus = content["minus"]
-    best = {content["best_imm"]: " (best IMM)"}
     columns = [content["reward"], *minus.values()]
-    header = ["training seed", "reward", *(f"minus {r}{best.get(r, '')}" for r in minus)]
+    header = ["training seed", "reward", *(f"minus {rival}" for rival in minus)]
     titles = {run.median: f"{run.median} (median)"}
     rows = [
         [titles.get(seed, seed), *(Interval.of(column["seeds"][str(seed)]) for column in columns)]

@@ -208,7 +208,7 @@ def draw_trajectory(
     title: str,
     learned: Sequence[Json] = (),
 ) -> None:
-    """Draw a track from above, its error over time, and its modes, if it has several.
+    """Draw a track from above, its error over time, and its modes.
 
     Args:
         track: the track.
@@ -221,11 +221,9 @@ def draw_trajectory(
     shown = slice(None, None, -(-len(track) // POINTS))
     track = track.part(shown)
     truth_m = truth_m[shown]
-    heights = [5.0, 1.8]
-    if len(np.unique(track.mode)) > 1:
-        heights.append(0.2 * len(track.modes) + 0.1)
+    heights = [5.0, 1.8, 0.2 * len(track.modes) + 0.1]
     with picture(path, 10.0, sum(heights) + 1.2) as figure:
-        above, errors, *ribbon = figure.subplots(len(heights), 1, height_ratios=heights)
+        above, errors, modes = figure.subplots(3, 1, height_ratios=heights)
         _draw_above(above, track, truth_m, scene, learned)
         time = track.time_s - track.time_s[0]
         error = np.linalg.norm(track.smooth_x[:, :3] - truth_m, axis=1)
@@ -236,12 +234,11 @@ def draw_trajectory(
             errors.plot(time, error, color="black", lw=0.8, label="error")
         errors.set(ylabel="position error (m)", ylim=(0.0, None))
         legend_beside(errors)
-        for modes in ribbon:
-            errors.tick_params(labelbottom=False)
-            errors.sharex(modes)
-            modes.step(time, track.mode, where="post", color="black", lw=0.8)
-            modes.set_yticks(range(len(track.modes)), map(caption, track.modes))
-        [errors, *ribbon][-1].set_xlabel("time since the first epoch (s)")
+        errors.tick_params(labelbottom=False)
+        errors.sharex(modes)
+        modes.step(time, track.mode, where="post", color="black", lw=0.8)
+        modes.set_yticks(range(len(track.modes)), map(caption, track.modes))
+        modes.set_xlabel("time since the first epoch (s)")
         lines = textwrap.wrap(caption(title), TITLE_LETTERS, break_on_hyphens=False)
         figure.suptitle("\n".join(lines), x=0.02, ha="left")
 

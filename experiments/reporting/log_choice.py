@@ -97,10 +97,10 @@ def choice_of(args: LogArgs, radio: str, elevations: bool) -> Choice:
         rule, followed = RULES[args.follow]
         why = f"chosen by whether {followed} speed is above {SLOW_MPS:g} m/s"
         return Choice(Switching(modes, rule), why)
-    speed = number(args.speed.strip())
+    word = args.speed.strip()
+    speed = number(word)
     if not 0.0 <= speed < float("inf"):
-        found = args.speed.strip()
-        raise ValueError(f"speed: found {found!r}, expected a speed in m/s, 0 or more")
+        raise ValueError(f"speed: found {word!r}, expected a speed in m/s, 0 or more")
     mode = modes[int(mode_at(speed))]
     if speed > DESIGN_LIMIT_MPS:
         window = f"outside the design window (up to {DESIGN_LIMIT_MPS:g} m/s)"

@@ -60,10 +60,6 @@ def _course(f: Json) -> Iterator[str]:
             f"ranges come in steps of {f['range_step_m']:.3g} m; their noise contains the rounding"
         )
     yield f"estimated height {f['height_m']:.2f} m on average, above the zero of the scene"
-    for key, kind in (("trusted", "filtered"), ("smooth_trusted", "smoothed")):
-        if key in f:
-            weight = _percent(f[key])
-            yield f"weight of the corrections in the {kind} track: {weight} on average"
     if "clock" in f:
         ahead = f["clock"]["range_bias_m"] / SPEED_OF_LIGHT * 1e9
         deviation = f["clock"]["deviation_m"] / SPEED_OF_LIGHT * 1e9

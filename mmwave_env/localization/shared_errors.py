@@ -99,6 +99,26 @@ class Suspect(NamedTuple):
 
 
 _ANGLES = Suspect("", "degrees", least=0.3, sure=_SURE_OF_ANGLES)
+_TURN = _ANGLES._replace(
+    name="azimuths are turned",
+    rows=(AZIMUTH, DEPARTURE),
+    scene=lambda scene, degrees: replace(scene, bearing_deg=scene.bearing_deg + degrees),
+)
+_TILT = _ANGLES._replace(
+    name="elevations are too large",
+    rows=[ELEVATION],
+    cure="subtract {0:.3g} degrees from aoa_elevation",
+    gain=_GAIN_OF_ELEVATIONS,
+    caution=_CAUTION,
+)
+_SCALE = Suspect(
+    "Doppler shifts are too large",
+    "%",
+    scene=lambda scene, percent: replace(
+        scene, carrier_hz=scene.carrier_hz * (1.0 + 0.01 * percent)
+    ),
+    least=2.0,
+)
 _PLACE = Suspect("", "m", parameters=2, sure=_SURE + _SURER, deviation=5.0)  # horizontal
 
 
@@ -141,39 +161,20 @@ def suspects(reading: Reading) -> Iterator[Suspect]:
     measured: Mask = np.any(values_of(reading.log), axis=0)
     rows = measured[:-1].reshape(-1, 4)
     distance, arrival, elevation, departure = np.any(rows, axis=0)
-    turn = _ANGLES._replace(
-        name="azimuths are turned",
-        rows=(AZIMUTH, DEPARTURE),
-        scene=lambda scene, degrees: replace(scene, bearing_deg=scene.bearing_deg + degrees),
-    )
-    tilt = _ANGLES._replace(
-        name="elevations are too large",
-        rows=[ELEVATION],
-        cure="subtract {0:.3g} degrees from aoa_elevation",
-        gain=_GAIN_OF_ELEVATIONS,
-        caution=_CAUTION,
-    )
     if arrival and departure:
         for name, row, column in (("arrival", AZIMUTH, "aoa"), ("departure", DEPARTURE, "aod")):
             cure = f"subtract {{0:.3g}} degrees from {column}_azimuth"
             yield _ANGLES._replace(name=f"azimuths of {name} are turned", rows=[row], cure=cure)
     if elevation:
-        yield tilt
+        yield _TILT
     if measured[-1]:
-        yield Suspect(
-            "Doppler shifts are too large",
-            "%",
-            scene=lambda scene, percent: replace(
-                scene, carrier_hz=scene.carrier_hz * (1.0 + 0.01 * percent)
-            ),
-            least=2.0,
-        )
+        yield _SCALE
     anchors = rows.any(axis=1).sum()
     whole = arrival and elevation and departure
     if anchors < 2:
         return
     if arrival or departure:
-        yield turn
+        yield _TURN
     if distance and not reading.log.layout.has_bias:
         cure = ", or use --clock offset if the user's clock runs ahead, by {1:.3g} ns"
         late = _range("ranges", range(len(rows)), cure)
@@ -191,7 +192,7 @@ def suspects(reading: Reading) -> Iterator[Suspect]:
         if whole:
             yield Suspect(
                 "several errors", "", parameters=4, least=0.0, sure=_SURE + 3.0 * _SURER,
-                deviation=10.0, cost=_JOINT_COST, parts=(late, turn, tilt, drift),
+                deviation=10.0, cost=_JOINT_COST, parts=(late, _TURN, _TILT, drift),
             )  # fmt: skip
     if not whole and anchors < _ENOUGH_ANCHORS:
         return  # a track that gives way explains them, and blockages look like them

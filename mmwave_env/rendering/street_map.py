@@ -1,10 +1,10 @@
 """Map with streets, walls, anchors and links, and the trajectories of user and estimate.
 
-The visible part of the map follows the user and the estimate without jumps.
+The visible part of the map follows the user.
 """
 
 import math
-from itertools import pairwise, product
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +21,7 @@ _MEMORY_S = 20.0
 _LAG_S = 4.0
 _AHEAD_S = 4.0  # the upper edge is at least as far from the center as a user moves in this time
 _LEAST_M = 25.0  # minimum distance from the center to the upper edge
-_INNER = 0.5  # user and estimate stay within this central fraction of the map's height and width
+_INNER = 0.8  # the estimate stays within this central fraction of the map's height
 _STREET_M = 14.0  # width of streets in the picture, if blocks leave enough room
 LINKS = {"accepted": 1.2, "rejected": 1.6, "missing": 1.0}  # widths of the lines of links
 _TRAIL = 1500  # maximum number of epochs of a trajectory that are drawn
@@ -43,29 +43,19 @@ class View(NamedTuple):
 def follow(history: History, frame: Rect) -> View:
     """Return the view of the last epoch.
 
-    The view depends only on the arguments, so a copy of an environment draws the same pictures.
-    Center and scale are averages over the last seconds, so that they change smoothly. They change
-    faster only if the user or the estimate would otherwise leave the middle of the picture.
+    The view depends only on the arguments, so a copy of an environment draws the same pictures. The
+    user is at the center. The scale is an average over the last seconds, so that it changes
+    smoothly; it changes faster only if the estimate would otherwise leave the map.
     """
     begin = np.searchsorted(history.time_s, history.time_s[-1] - _MEMORY_S)
     recent = history.part(slice(begin, None))
     weights = np.exp((recent.time_s - recent.time_s[-1]) / _LAG_S)
-    weights /= weights.sum()
     truth = recent.truth[:, :2]
-    estimate = recent.estimate[:, :2]
-    estimate = np.where(np.isfinite(estimate), estimate, truth)
-    gap = abs(truth - estimate).max(axis=1)
+    gap = abs(recent.estimate[:, :2] - truth).max(axis=1)
+    gap = np.where(np.isfinite(gap), gap, 0.0)
     wanted = np.maximum(np.maximum(_AHEAD_S * recent.true_mps, 1.2 * gap), _LEAST_M)
-    shape = np.array([frame.width / frame.height, 1.0])
-    half = max(
-        float(weights @ wanted),
-        float((abs(truth[-1] - estimate[-1]) / (2.0 * _INNER * shape)).max()) * 1.01,
-    )
-    center = weights @ ((truth + estimate) / 2.0)
-    inner = _INNER * half * shape
-    now = np.stack([truth[-1], estimate[-1]])
-    center = np.clip(center, now.max(axis=0) - inner, now.min(axis=0) + inner)
-    return View(center, frame.height / (2.0 * half), frame)
+    half = max(np.average(wanted, weights=weights), gap[-1] / _INNER)
+    return View(truth[-1], frame.height / (2.0 * half), frame)
 
 
 def nice(value: float) -> float:
@@ -88,26 +78,17 @@ def draw_map(canvas: Canvas, view: View, history: History) -> None:
 
 
 def _draw_streets(canvas: Canvas, view: View, streets: Streets) -> None:
-    """Draw streets with an assumed width, and the blocks of houses between them."""
-    block_m = streets.block_m
-    half = min(_STREET_M, block_m / 4.0) / 2.0
+    """Draw houses, and between them streets with an assumed width."""
+    half = min(_STREET_M, streets.block_m / 4.0) / 2.0
     extents = streets.x_m, streets.y_m
-    canvas.fill("street", _box(view, np.transpose(extents) + [[-half], [half]]))
-    if block_m * view.scale < 4.0:  # blocks would be too small to see
-        return
-    reach_m = np.divide(view.frame.size, 2.0 * view.scale) + block_m
-    visible = []  # starts of the visible blocks, m, on each axis
-    for (first, last), center, reach in zip(extents, view.center_m, reach_m, strict=True):
-        starts = np.arange(first, last - 1e-6, block_m)
-        visible.append(starts[abs(starts - center) < reach])
-    for corner in product(*visible):
-        canvas.fill("building", _box(view, np.add(corner, [[half], [block_m - half]])))
-
-
-def _box(view: View, corners_m: Array) -> Rect:
-    """Return a rectangle in the picture, given its south-west and north-east corners (2, 2), m."""
-    (left, bottom), (right, top) = view.pixels(corners_m)
-    return Rect(left, top, right - left, bottom - top)
+    corners = np.transpose(extents) + [[-half], [half]]
+    (left, bottom), (right, top) = view.pixels(corners)
+    canvas.fill("building", Rect(left, top, right - left, bottom - top))
+    for axis, (first, last) in enumerate(extents):
+        for place in np.arange(first, last + half, streets.block_m):
+            ends = corners.copy()
+            ends[:, axis] = place
+            canvas.line(view.pixels(ends), "street", 2.0 * half * view.scale)
 
 
 def _draw_walls(canvas: Canvas, view: View, scene: Scene) -> None:
@@ -182,11 +163,8 @@ def _draw_scale(canvas: Canvas, view: View) -> Rect:
     place = Rect(0.0, 0.0, length * view.scale + 12.0, 25.0)
     place.bottomright = view.frame.right - 4.0, view.frame.bottom - 2.0
     canvas.fill("paper", place)
-    bar = place.inflate(-12.0, -12.0)
-    y = bar.bottom - 5.0
-    outline = [(bar.left, y), bar.bottomleft, bar.bottomright, (bar.right, y)]
-    canvas.line(outline, "ink", 1.2)
-    canvas.words(f"{length:g} m", (bar.centerx, bar.bottom - 10.0), "ink", align=0.5)
+    canvas.fill("ink", Rect(place.left + 6.0, place.bottom - 6.0, length * view.scale, 1.5))
+    canvas.words(f"{length:g} m", (place.centerx, place.bottom - 15.0), "ink", align=0.5)
     return place
 
 

@@ -62,7 +62,7 @@ def element(tag: str, words: Any, kind: str = "") -> str:
     return f"<{tag}{kind and f' class={kind}'}>{text(words)}</{tag}>"
 
 
-def table(caption: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+def table(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
     """Return a table of plain text that scrolls sideways; the first cell of each row names the row.
 
     Rows after the first :data:`SHOWN` are hidden until a box is checked; this needs no script.
@@ -74,8 +74,8 @@ def table(caption: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) ->
     )
     more = f'<label><input type="checkbox"> Show all {len(rows)} rows</label>'
     return (
-        f'<div class="table">{element("p", caption, "caption") if caption else ""}'
-        f'<div class="scroll" tabindex="0" role="region" aria-label="{text(caption or header[0])}">'
+        '<div class="table">'
+        f'<div class="scroll" tabindex="0" role="region" aria-label="{text(header[0])}">'
         f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
         f"{more if len(rows) > SHOWN else ''}</div>"
     )
@@ -87,7 +87,7 @@ def html_of(markdown: str) -> str:
     for block in markdown.strip().split("\n\n"):
         if block.startswith("|"):
             header, _, *rows = cells_of(block)
-            parts.append(table("", header, rows))
+            parts.append(table(header, rows))
         else:
             lines = block.strip().splitlines()
             parts += [element("p", unescaped(line.removeprefix("- "))) for line in lines]
@@ -165,11 +165,12 @@ def read_source(path: Path) -> Source:
 
 
 WORDS = (
-    "reward: per epoch, minus the position error in m, and minus a penalty if the filter misjudges "
-    "its error. ATE: mean position error. RMSE: root of the mean square error. RPE: change of the "
-    "error within a second. NEES: squared error relative to the filter's own covariance; 3 is "
-    "right (2 on flat ground), more is too confident. diverged: share of episodes whose error "
-    "exceeds 50 m at some time. Wide tables scroll sideways."
+    "Means ± half the widths of their 95 % intervals, best reward first. reward: per epoch, minus "
+    "the position error in m, and minus a penalty if the filter misjudges its error. ATE: mean "
+    "position error. RMSE: root of the mean square error. RPE: change of the error within a "
+    "second. NEES: squared error relative to the filter's own covariance; 3 is right (2 on flat "
+    "ground), more is too confident. diverged: share of episodes whose error exceeds 50 m at some "
+    "time. Wide tables scroll sideways."
 )
 
 
@@ -236,16 +237,8 @@ def _verdict(comparison: Comparison, tables: str) -> Verdict:
 
 
 def _compared(comparison: Comparison, positions: Json | None) -> Iterator[str]:
-    header, rows = comparison.table()
-    yield table("Means ± half the widths of 95 % intervals, best reward first", header, rows)
-    pairs = [
-        [name, other, pair["reward"], pair["ate_m"]]
-        for name in comparison.policies
-        for other in comparison.policies
-        if (pair := comparison.paired.get(f"{name} - {other}"))
-    ]
-    caption = "Differences, paired by episode, with 95 % intervals"
-    yield table(caption, ["policy", "minus", "reward", "ATE m"], pairs) if pairs else ""
+    _, _, tables = str(comparison).partition("\n\n")  # without their title
+    yield html_of(tables)
     if positions:
         rows = positions["policies"]
         ranked = {name: rows[name] for name in comparison.policies if name in rows}
