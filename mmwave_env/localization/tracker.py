@@ -344,7 +344,7 @@ class Tracker:
         for i, user in enumerate(self._loaded):
             user.end_s = last_s[i]
             for t, verdicts in enumerate(zip(accepted[i], rejected[i], strict=True)):
-                measured = [yes + no > 0.5 for yes, no in zip(*verdicts, strict=True)]
+                measured = [yes + no for yes, no in zip(*verdicts, strict=True)]
                 if self._measures(measured):
                     user.last_s = time_s[i][t]
                 user.late.append(
@@ -352,16 +352,16 @@ class Tracker:
                 )
             by_name = zip(self._groups, last_nis[i], strict=True)
             of_groups.append(dict(compress(by_name, measured)))
-            rejected_groups.append([*compress(self._groups, [no > 0.5 for no in rejected[i][-1]])])
+            rejected_groups.append([*compress(self._groups, rejected[i][-1])])
         return self._positions(
             last_s, parts["x"][:, -1], parts["P"][:, -1], mode[:, -1], factors[:, -1], of_groups,
             rejected_groups, begins, None if trusted is None else trusted[:, -1].tolist(),
         )  # fmt: skip
 
-    def _measures(self, visible: list[bool]) -> bool:
-        """Tell whether an epoch measured a link or odometry."""
+    def _measures(self, measured: list[float]) -> bool:
+        """Tell whether an epoch measured a link or odometry, from 0 or 1 for each group."""
         layout = self._localizer.layout
-        return any(visible[: layout.anchors]) or (layout.odometry and visible[-1])
+        return any(measured[: layout.anchors]) or (layout.odometry and measured[-1] > 0.5)
 
     def _incoming(self, epochs: Sequence[LiveEpoch]) -> Any:
         """Return k epochs as rows of a table (k, columns)."""
@@ -415,14 +415,11 @@ class Tracker:
         if user is None or len(user.late) <= self._lag:
             return None
         times, spreads, modes, factors, kept = zip(*user.late, strict=True)
-        spans = np.array([times]), np.array([spreads])
-        x, P = self._localizer.smoothed(np.stack(kept)[None], *spans)
-        first = slice(1)
-        (position,) = self._positions(
-            times[first], x[0, first], P[0, first], modes[first], np.array(factors[first]),
-            nis=[{}], rejected=[[]],
-        )  # fmt: skip
-        return position
+        window = np.stack(kept)[None], np.array([times]), np.array([spreads])
+        x, P = self._localizer.smoothed(*window)
+        return self._positions(
+            times[:1], x[0, :1], P[0, :1], modes[:1], np.array(factors[:1]), [{}], [[]]
+        )[0]
 
     def _positions(
         self,
