@@ -276,7 +276,7 @@ class Tracker:
         times = log.time_s.tolist()
         user.last_s = times[0]
         user.late.clear()
-        (position,) = self._filtered([times], [log.doppler_spread_hz.tolist()], begins=True)
+        (position,) = self._filtered([times], begins=True)
         return position
 
     def _continued(self, users: list[_User], epochs: Sequence[LiveEpoch]) -> list[Position]:
@@ -288,10 +288,7 @@ class Tracker:
         for row, epoch, user in zip(rows, epochs, users, strict=True):
             row[self._at.dt] = epoch.time_s - user.end_s
         self._engine.load_epoch(rows)
-        spread = self._at.doppler_spread_hz
-        return self._filtered(
-            [[epoch.time_s] for epoch in epochs], [[float(row[spread])] for row in rows]
-        )
+        return self._filtered([[epoch.time_s] for epoch in epochs])
 
     def _arrays(self) -> Iterator[NDArray[Any]]:
         """Yield what tracks in the engine need to go on: arrays (n, ...)."""
@@ -323,18 +320,15 @@ class Tracker:
             self._levels.state = LevelState(*others[len(memory) :])
         self._loaded = users
 
-    def _filtered(
-        self,
-        time_s: list[list[float]],
-        spread_hz: list[list[float]],
-        begins: bool = False,
-    ) -> list[Position]:
+    def _filtered(self, time_s: list[list[float]], begins: bool = False) -> list[Position]:
         """Filter T loaded epochs of each of k users; return the beliefs after the last ones."""
         parts = self._localizer.run(self._engine, time_s, begins, len(self._loaded))
         mode = parts["memory.mode"]
         factors = parts["level_factors"]
         kept = parts["kept"]
         trusted = parts.get("trusted")
+        spread_hz = self._engine.state.table[..., self._at.doppler_spread_hz]
+        layout = self._localizer.layout
         last_s = [times[-1] for times in time_s]
         of_groups: list[dict[str, float]] = []
         rejected_groups: list[list[str]] = []
@@ -345,10 +339,10 @@ class Tracker:
             user.end_s = last_s[i]
             for t, verdicts in enumerate(zip(accepted[i], rejected[i], strict=True)):
                 measured = [yes + no for yes, no in zip(*verdicts, strict=True)]
-                if self._measures(measured):
+                if any(measured[: layout.anchors]) or (layout.odometry and measured[-1]):
                     user.last_s = time_s[i][t]
                 user.late.append(
-                    (time_s[i][t], spread_hz[i][t], mode[i, t], factors[i, t], kept[i, t])
+                    (time_s[i][t], spread_hz[i, t], mode[i, t], factors[i, t], kept[i, t])
                 )
             by_name = zip(self._groups, last_nis[i], strict=True)
             of_groups.append(dict(compress(by_name, measured)))
@@ -357,11 +351,6 @@ class Tracker:
             last_s, parts["x"][:, -1], parts["P"][:, -1], mode[:, -1], factors[:, -1], of_groups,
             rejected_groups, begins, None if trusted is None else trusted[:, -1].tolist(),
         )  # fmt: skip
-
-    def _measures(self, measured: list[float]) -> bool:
-        """Tell whether an epoch measured a link or odometry, from 0 or 1 for each group."""
-        layout = self._localizer.layout
-        return any(measured[: layout.anchors]) or (layout.odometry and measured[-1] > 0.5)
 
     def _incoming(self, epochs: Sequence[LiveEpoch]) -> Any:
         """Return k epochs as rows of a table (k, columns)."""
