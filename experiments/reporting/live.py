@@ -4,7 +4,7 @@ import gc
 import json
 import sys
 from collections.abc import Iterator, Sequence
-from itertools import chain, tee
+from itertools import chain, islice, tee
 from typing import Any
 
 from experiments.console.options import (
@@ -285,17 +285,14 @@ def _begun(
     names: dict[str, None] = {}
     first_lines = []
     problem: LogError | None = None
-    for number, line in filter(None, lines):
+    for number, line in islice(filter(None, lines), _MOST_INCOMPLETE):
         first_lines.append((number, line))
         try:
             names |= dict.fromkeys(name for row in _objects(line, number)[0] for name in row)
             log = LiveLog(list(names), scene, snr_db, SOURCE, clock, associated=associated)
+            return log, first_lines
         except LogError as error:
             problem = problem or error
-            if len(first_lines) == _MOST_INCOMPLETE:
-                break
-        else:
-            return log, first_lines
     assert problem
     raise problem
 
