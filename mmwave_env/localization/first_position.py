@@ -189,36 +189,35 @@ def _starts(links: _Links) -> Array:
 def _descended(links, starts, rounds):  # type: ignore[no-untyped-def]
     """Find minima near S starts (S, n) by Levenberg-Marquardt, with at most this number of rounds.
 
-    The rounds end when all searches have settled in the same round. Return squared errors (S,),
-    positions (S, n) and informations (S, n, n).
+    Return squared errors (S,), positions (S, n) and informations (S, n, n).
     """
     S, n = starts.shape
-    tried = starts.copy()
-    position = starts.copy()
-    cost = np.full(S, np.inf)
-    gradient = np.zeros((S, n))
-    information = np.zeros((S, n, n))
-    damping = np.full(S, _DAMPING)
-    for _ in range(1 + rounds):
-        settled = True
-        for s in range(S):
-            away = links.center - tried[s]
-            pull = links.weight * away
-            H = np.diag(links.weight)
-            now = (pull * away).sum() + _add_links(links, tried[s], pull, H)
-            better = now <= cost[s]
-            settled &= better and cost[s] - now < _SETTLED
-            if better:
-                cost[s] = now
-                position[s] = tried[s]
-                gradient[s] = pull
-                information[s] = H
-            damping[s] *= 0.1 if better else 10.0
-            damped = information[s] * (1.0 + damping[s] * np.eye(n))
-            tried[s] = position[s] + np.linalg.solve(damped, gradient[s])
-        if settled:
-            break
-    return cost, position, information
+    costs = np.full(S, np.inf)
+    positions = starts.copy()
+    informations = np.zeros((S, n, n))
+    for s in range(S):
+        tried = starts[s]
+        best = np.zeros(n)  # -1/2 of the gradient
+        damping = _DAMPING
+        for _ in range(1 + rounds):
+            away = links.center - tried
+            gradient = links.weight * away
+            information = np.diag(links.weight)
+            cost = (gradient * away).sum() + _add_links(links, tried, gradient, information)
+            gain = costs[s] - cost
+            if cost <= costs[s]:
+                costs[s] = cost
+                positions[s] = tried
+                informations[s] = information
+                best = gradient
+                damping *= 0.1
+                if gain < _SETTLED:
+                    break
+            else:
+                damping *= 10.0
+            damped = informations[s] * (1.0 + damping * np.eye(n))
+            tried = positions[s] + np.linalg.solve(damped, best)
+    return costs, positions, informations
 
 
 @register_jitable  # type: ignore[untyped-decorator]
