@@ -23,17 +23,12 @@ from mmwave_env.logs.live_log import LiveEpoch, LiveLog, log_from
 from mmwave_env.logs.log import Log
 from mmwave_env.models.layout import Layout, require_clock
 from mmwave_env.models.prior import GAP_S
-from mmwave_env.models.radio import SNR_LIMITS_DB, Radio, deviations, radio_from
+from mmwave_env.models.radio import Radio, deviations, radio_from
 from mmwave_env.models.scene import Scene, scene_from
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.numerics.pytree import flatten
-from mmwave_env.world.episode import (
-    NEUTRAL_SNR_DB,
-    blank_incoming,
-    columns_of,
-    sigma_bounds,
-)
+from mmwave_env.world.episode import NEUTRAL_SNR_DB, blank_incoming, columns_of
 
 MOST_USERS = 1 << 14
 _POSITION_ROWS: Index = np.array(unpack([*range(6)]))  # (3, 3) indices in a packed covariance
@@ -229,9 +224,6 @@ class Tracker:
         # for each value of a measurement: its group, and the columns of the value and its noise
         group_of = np.repeat(np.arange(len(layout.groups)), layout.widths).tolist()
         self._values = [*zip(group_of, self._at.z, self._at.signed_sigma, strict=True)]
-        ends = np.repeat(np.array([SNR_LIMITS_DB]).T, layout.anchors, axis=1)
-        sigma = self._radio.sigma(ends, self._scene, layout)
-        self._sound = all(bound.holds(sigma[:, rows]).all() for rows, bound in sigma_bounds(layout))
 
     def _user_of(self, epoch: LiveEpoch) -> _User:
         """Return the user of an epoch; forget users who have left."""
@@ -364,7 +356,7 @@ class Tracker:
 
     def _quick_incoming(self, epoch: LiveEpoch) -> list[float] | None:
         """Return the same as :meth:`_incoming` for one epoch; None if this is impossible."""
-        placed = epoch.columns.placed(epoch.rows) if self._sound else None
+        placed = epoch.columns.placed(epoch.rows)
         if placed is None:
             return None
         numbers, doppler_anchor = placed
