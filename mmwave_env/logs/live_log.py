@@ -292,8 +292,6 @@ class LiveLog:
             LogError: a row is damaged or late; all these rows are ignored.
         """
         rows = list(rows)
-        for row in rows:  # before the first is added
-            self._learn(row, 0)
         users = dict.fromkeys(map(_user_of, rows))
         before = {  # late rows still count
             user: replace(arrived, rows=arrived.rows.copy())
