@@ -221,9 +221,6 @@ class Tracker:
         self._variances = self._radio.variances(self._scene, layout)
         self._at = columns_of(layout)
         self._blank = flatten(blank_incoming(layout))
-        # for each value of a measurement: its group, and the columns of the value and its noise
-        group_of = np.repeat(np.arange(len(layout.groups)), layout.widths).tolist()
-        self._values = [*zip(group_of, self._at.z, self._at.signed_sigma, strict=True)]
 
     def _user_of(self, epoch: LiveEpoch) -> _User:
         """Return the user of an epoch; forget users who have left."""
@@ -371,14 +368,15 @@ class Tracker:
         if doppler_anchor:
             shifted = deviations(*self._variances, [snr[doppler_anchor]] * layout.anchors, layout)
             sigma[doppler] = shifted[doppler]
-        for i, (group, z, signed_sigma) in enumerate(self._values):
-            own = numbers[size + i]
-            link = doppler_anchor if i == doppler else group
-            has_noise = i > doppler or not isnan(own) or not isnan(snr[link])
-            if has_noise and not isnan(numbers[i]):
-                row[z] = numbers[i]
-                row[signed_sigma] = sigma[i] if isnan(own) else own
-                visible[group] = True
+        for group, rows in enumerate(layout.groups):
+            for i in range(rows.start, rows.stop):
+                own = numbers[size + i]
+                link = doppler_anchor if i == doppler else group
+                has_noise = i > doppler or not isnan(own) or not isnan(snr[link])
+                if has_noise and not isnan(numbers[i]):
+                    row[at.z[i]] = numbers[i]
+                    row[at.signed_sigma[i]] = sigma[i] if isnan(own) else own
+                    visible[group] = True
         for link, snr_db in enumerate(snr):
             if visible[link]:
                 row[at.snr_db[link]] = NEUTRAL_SNR_DB if isnan(snr_db) else snr_db
