@@ -4,8 +4,7 @@ import gc
 import json
 import sys
 from collections.abc import Iterator, Sequence
-from itertools import chain, tee
-from math import inf
+from itertools import chain, islice, tee
 from typing import Any
 
 from experiments.console.options import (
@@ -56,16 +55,8 @@ def run_live(args: LogArgs) -> None:
         raise ValueError('live: needs "-" (standard input) as the log, and --scene')
     if args.associate:
         raise ValueError("associate: found --live, for which --map learn assigns paths to anchors")
-    files = ("sample", "truth", "out", "plot", "json")
-    require_alone(
-        args,
-        "live",
-        *files,
-        "two_way",
-        "diagnose",
-        "odometry",
-        "more",
-    )
+    of_files = ("sample", "truth", "out", "plot", "json", "two_way", "diagnose", "odometry", "more")
+    require_alone(args, "live", *of_files)
     require_alone(args, "format", "lag")
     require_at_least(0, args, "lag", "correlation")
     require_one_choice(args)
@@ -78,13 +69,15 @@ def run_live(args: LogArgs) -> None:
     require_default(args, "--map learn", "map_out")
     tracker: Tracker | None = None
     began = False
-    patience = _Patience()
+    waiting: list[LiveEpoch] = []  # epochs before the first position
+    waited = False
     require_clock(args.clock)
     for live, epochs in _epochs(scene, args.snr, args.clock):
         if args.lag and any(epoch.user for epoch in epochs):
             raise ValueError(f"lag: found {args.lag} and rows with users (ue), expected 0 for them")
         if tracker is None:
-            first = next(filter(_has_link, epochs), None)
+            linked = (epoch for epoch in epochs if log_from([epoch]).visible_links.any())
+            first = next(linked, None)
             if first:
                 tracker, why = _tracker(args, scene, first, levels)
         for user, position in tracker.step(epochs) if tracker else ():
@@ -101,7 +94,7 @@ def run_live(args: LogArgs) -> None:
         sys.stdout.flush()
         if tracker:
             live.forget(tracker.forgotten)
-        patience.wait(() if began else epochs)
+        waited = waited or began or _waited_long(waiting, epochs)
     if not began:
         _warn(f"{SOURCE}: found no epoch that determines a position")
 
@@ -175,32 +168,21 @@ def _formatted(args: LogArgs, position: Position, origin: Origin | None) -> Json
     return _content(position)
 
 
-class _Patience:
-    """The groups measured before a first position; after some seconds, a warning names them."""
-
-    def __init__(self) -> None:
-        self._first_s = inf
-        self._groups: set[str] = set()
-        self._warned = False
-
-    def wait(self, epochs: Sequence[LiveEpoch]) -> None:
-        """Note epochs without a position; warn once if there is still none."""
-        for log in (log_from([epoch]) for epoch in epochs if not self._warned):
-            names = zip(log.layout.group_names, log.visible[0], strict=True)
-            self._groups |= {name for name, visible in names if visible}
-            self._first_s = min(self._first_s, float(log.time_s[0]))
-            if log.time_s[0] - self._first_s > _PATIENCE_S:
-                self._warned = True
-                _warn(
-                    f"{SOURCE}: found no position in {_PATIENCE_S:g} s, only the columns "
-                    f"{', '.join(sorted(log.columns))} of "
-                    f"{', '.join(sorted(self._groups)) or 'no anchor'}; docs/data.md says what a "
-                    "track needs"
-                )
-
-
-def _has_link(epoch: LiveEpoch) -> bool:
-    return bool(log_from([epoch]).visible_links.any())
+def _waited_long(waiting: list[LiveEpoch], epochs: Sequence[LiveEpoch]) -> bool:
+    """Add epochs to those without a position; if these last too long, warn what they measured."""
+    waiting += epochs
+    if not waiting or waiting[-1].time_s - waiting[0].time_s <= _PATIENCE_S:
+        return False
+    groups = set()
+    for log in (log_from([epoch]) for epoch in waiting):
+        names = zip(log.layout.group_names, log.visible[0], strict=True)
+        groups |= {name for name, visible in names if visible}
+    _warn(
+        f"{SOURCE}: found no position in {_PATIENCE_S:g} s, only the columns "
+        f"{', '.join(sorted(log.columns))} of "
+        f"{', '.join(sorted(groups)) or 'no anchor'}; docs/data.md says what a track needs"
+    )
+    return True
 
 
 def _tracker(args: LogArgs, scene: Scene, first: LiveEpoch, levels: Levels) -> tuple[Tracker, str]:
@@ -303,17 +285,14 @@ def _begun(
     names: dict[str, None] = {}
     first_lines = []
     problem: LogError | None = None
-    for number, line in filter(None, lines):
+    for number, line in islice(filter(None, lines), _MOST_INCOMPLETE):
         first_lines.append((number, line))
         try:
             names |= dict.fromkeys(name for row in _objects(line, number)[0] for name in row)
             log = LiveLog(list(names), scene, snr_db, SOURCE, clock, associated=associated)
+            return log, first_lines
         except LogError as error:
             problem = problem or error
-            if len(first_lines) == _MOST_INCOMPLETE:
-                break
-        else:
-            return log, first_lines
     assert problem
     raise problem
 

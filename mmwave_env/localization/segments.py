@@ -81,14 +81,12 @@ def _divided(
         start = ballot.start(log, begin) or start
         cut = ballot.jump()
         for gap in doubtful[(doubtful > begin) & (doubtful < end)].tolist():
-            if cut is not None and cut <= gap:
+            if cut:
                 break
             ballot = ballot_of(log, gap, end, scene, radio)
-            later = gap if ballot.start(log, gap) else ballot.jump()
-            cut = later if cut is None else cut
-        first = end if cut is None else cut
-        yield Segment(slice(begin, first), start)
-        begin, start = _begun(log, first, end, scene, radio)
+            cut = gap if ballot.start(log, gap) else ballot.jump()
+        yield Segment(slice(begin, cut or end), start)
+        begin, start = _begun(log, cut or end, end, scene, radio)
 
 
 def _begun(log: Log, first: int, end: int, scene: Scene, radio: Radio) -> tuple[int, Start | None]:

@@ -83,7 +83,7 @@ def start_at(log: Log, epoch: int, scene: Scene, radio: Radio) -> Start | None:
     row = log.part(slice(epoch, epoch + 1))
     link = row.measurement[0, :4]
     spent = np.zeros((1, len(row.layout.groups)), np.bool_)
-    whole = bool(np.isfinite(link).all()) and bool(row.visible[0, 0]) and not row.layout.has_bias
+    whole = np.isfinite(link).all() and row.visible[0, 0] and not row.layout.has_bias
     solved = _position_at(log, epoch, scene, radio)
     contradicted = solved is not None and 0 not in solved[0].used
     if whole and gives_fix(row.measurement)[0] and not contradicted:

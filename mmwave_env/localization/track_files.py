@@ -95,11 +95,10 @@ def write_track(
         table = table_beside(path)
         if path.suffix in MAP_FILES:
             texts[path] = MAP_FILES[path.suffix].text(track, origin_of(scene, f"out: {path}"), name)
-        elif table is None:
-            texts[path] = table_text(track, risk)
-        else:
+            continue
+        texts[table or path] = table_text(track, risk)
+        if table:
             texts[path] = _TRACK_HEADER + tum_lines(track.time_s, track.smooth_x[:, :3])
-            texts[table] = table_text(track, risk)
     for path, text in texts.items():
         write_text(path, text)
 

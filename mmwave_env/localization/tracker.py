@@ -23,17 +23,12 @@ from mmwave_env.logs.live_log import LiveEpoch, LiveLog, log_from
 from mmwave_env.logs.log import Log
 from mmwave_env.models.layout import Layout, require_clock
 from mmwave_env.models.prior import GAP_S
-from mmwave_env.models.radio import SNR_LIMITS_DB, Radio, deviations, radio_from
+from mmwave_env.models.radio import Radio, deviations, radio_from
 from mmwave_env.models.scene import Scene, scene_from
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.numerics.pytree import flatten
-from mmwave_env.world.episode import (
-    NEUTRAL_SNR_DB,
-    blank_incoming,
-    columns_of,
-    sigma_bounds,
-)
+from mmwave_env.world.episode import NEUTRAL_SNR_DB, blank_incoming, columns_of
 
 MOST_USERS = 1 << 14
 _POSITION_ROWS: Index = np.array(unpack([*range(6)]))  # (3, 3) indices in a packed covariance
@@ -226,12 +221,6 @@ class Tracker:
         self._variances = self._radio.variances(self._scene, layout)
         self._at = columns_of(layout)
         self._blank = flatten(blank_incoming(layout))
-        # for each value of a measurement: its group, and the columns of the value and its noise
-        group_of = np.repeat(np.arange(len(layout.groups)), layout.widths).tolist()
-        self._values = [*zip(group_of, self._at.z, self._at.signed_sigma, strict=True)]
-        ends = np.repeat(np.array([SNR_LIMITS_DB]).T, layout.anchors, axis=1)
-        sigma = self._radio.sigma(ends, self._scene, layout)
-        self._sound = all(bound.holds(sigma[:, rows]).all() for rows, bound in sigma_bounds(layout))
 
     def _user_of(self, epoch: LiveEpoch) -> _User:
         """Return the user of an epoch; forget users who have left."""
@@ -276,7 +265,7 @@ class Tracker:
         times = log.time_s.tolist()
         user.last_s = times[0]
         user.late.clear()
-        (position,) = self._filtered([times], [log.doppler_spread_hz.tolist()], begins=True)
+        (position,) = self._filtered([times], begins=True)
         return position
 
     def _continued(self, users: list[_User], epochs: Sequence[LiveEpoch]) -> list[Position]:
@@ -288,10 +277,7 @@ class Tracker:
         for row, epoch, user in zip(rows, epochs, users, strict=True):
             row[self._at.dt] = epoch.time_s - user.end_s
         self._engine.load_epoch(rows)
-        spread = self._at.doppler_spread_hz
-        return self._filtered(
-            [[epoch.time_s] for epoch in epochs], [[float(row[spread])] for row in rows]
-        )
+        return self._filtered([[epoch.time_s] for epoch in epochs])
 
     def _arrays(self) -> Iterator[NDArray[Any]]:
         """Yield what tracks in the engine need to go on: arrays (n, ...)."""
@@ -323,18 +309,15 @@ class Tracker:
             self._levels.state = LevelState(*others[len(memory) :])
         self._loaded = users
 
-    def _filtered(
-        self,
-        time_s: list[list[float]],
-        spread_hz: list[list[float]],
-        begins: bool = False,
-    ) -> list[Position]:
+    def _filtered(self, time_s: list[list[float]], begins: bool = False) -> list[Position]:
         """Filter T loaded epochs of each of k users; return the beliefs after the last ones."""
         parts = self._localizer.run(self._engine, time_s, begins, len(self._loaded))
         mode = parts["memory.mode"]
         factors = parts["level_factors"]
         kept = parts["kept"]
         trusted = parts.get("trusted")
+        spread_hz = self._engine.state.table[..., self._at.doppler_spread_hz]
+        layout = self._localizer.layout
         last_s = [times[-1] for times in time_s]
         of_groups: list[dict[str, float]] = []
         rejected_groups: list[list[str]] = []
@@ -344,24 +327,19 @@ class Tracker:
         for i, user in enumerate(self._loaded):
             user.end_s = last_s[i]
             for t, verdicts in enumerate(zip(accepted[i], rejected[i], strict=True)):
-                measured = [yes + no > 0.5 for yes, no in zip(*verdicts, strict=True)]
-                if self._measures(measured):
+                measured = [yes + no for yes, no in zip(*verdicts, strict=True)]
+                if any(measured[: layout.anchors]) or (layout.odometry and measured[-1]):
                     user.last_s = time_s[i][t]
                 user.late.append(
-                    (time_s[i][t], spread_hz[i][t], mode[i, t], factors[i, t], kept[i, t])
+                    (time_s[i][t], spread_hz[i, t], mode[i, t], factors[i, t], kept[i, t])
                 )
             by_name = zip(self._groups, last_nis[i], strict=True)
             of_groups.append(dict(compress(by_name, measured)))
-            rejected_groups.append([*compress(self._groups, [no > 0.5 for no in rejected[i][-1]])])
+            rejected_groups.append([*compress(self._groups, rejected[i][-1])])
         return self._positions(
             last_s, parts["x"][:, -1], parts["P"][:, -1], mode[:, -1], factors[:, -1], of_groups,
             rejected_groups, begins, None if trusted is None else trusted[:, -1].tolist(),
         )  # fmt: skip
-
-    def _measures(self, visible: list[bool]) -> bool:
-        """Tell whether an epoch measured a link or odometry."""
-        layout = self._localizer.layout
-        return any(visible[: layout.anchors]) or (layout.odometry and visible[-1])
 
     def _incoming(self, epochs: Sequence[LiveEpoch]) -> Any:
         """Return k epochs as rows of a table (k, columns)."""
@@ -375,7 +353,7 @@ class Tracker:
 
     def _quick_incoming(self, epoch: LiveEpoch) -> list[float] | None:
         """Return the same as :meth:`_incoming` for one epoch; None if this is impossible."""
-        placed = epoch.columns.placed(epoch.rows) if self._sound else None
+        placed = epoch.columns.placed(epoch.rows)
         if placed is None:
             return None
         numbers, doppler_anchor = placed
@@ -390,14 +368,15 @@ class Tracker:
         if doppler_anchor:
             shifted = deviations(*self._variances, [snr[doppler_anchor]] * layout.anchors, layout)
             sigma[doppler] = shifted[doppler]
-        for i, (group, z, signed_sigma) in enumerate(self._values):
-            own = numbers[size + i]
-            link = doppler_anchor if i == doppler else group
-            has_noise = i > doppler or not isnan(own) or not isnan(snr[link])
-            if has_noise and not isnan(numbers[i]):
-                row[z] = numbers[i]
-                row[signed_sigma] = sigma[i] if isnan(own) else own
-                visible[group] = True
+        for group, rows in enumerate(layout.groups):
+            for i in range(rows.start, rows.stop):
+                own = numbers[size + i]
+                link = doppler_anchor if i == doppler else group
+                has_noise = i > doppler or not isnan(own) or not isnan(snr[link])
+                if has_noise and not isnan(numbers[i]):
+                    row[at.z[i]] = numbers[i]
+                    row[at.signed_sigma[i]] = sigma[i] if isnan(own) else own
+                    visible[group] = True
         for link, snr_db in enumerate(snr):
             if visible[link]:
                 row[at.snr_db[link]] = NEUTRAL_SNR_DB if isnan(snr_db) else snr_db
@@ -415,14 +394,11 @@ class Tracker:
         if user is None or len(user.late) <= self._lag:
             return None
         times, spreads, modes, factors, kept = zip(*user.late, strict=True)
-        spans = np.array([times]), np.array([spreads])
-        x, P = self._localizer.smoothed(np.stack(kept)[None], *spans)
-        first = slice(1)
-        (position,) = self._positions(
-            times[first], x[0, first], P[0, first], modes[first], np.array(factors[first]),
-            nis=[{}], rejected=[[]],
-        )  # fmt: skip
-        return position
+        window = np.stack(kept)[None], np.array([times]), np.array([spreads])
+        x, P = self._localizer.smoothed(*window)
+        return self._positions(
+            times[:1], x[0, :1], P[0, :1], modes[:1], np.array(factors[:1]), [{}], [[]]
+        )[0]
 
     def _positions(
         self,

@@ -6,7 +6,7 @@ checks of ``log_checks.py``, which are slower and also find out what is wrong.
 
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import groupby
 from math import inf, isnan, nan
 from pathlib import Path
@@ -165,10 +165,6 @@ class _Arrivals:
     last: list[list[float]] = field(default_factory=list)  # rows of the last epoch
     late_s: list[float] = field(default_factory=list)  # increasing times of the latest, late rows
 
-    def copy(self) -> "_Arrivals":
-        """Return the same, as it was before rows that are refused; late ones still count."""
-        return _Arrivals(self.rows.copy(), self.last, self.late_s)
-
     def goes_on_at(self, time_s: float) -> bool:
         """Tell whether so many late rows came in order that the log goes on at their time."""
         if self.late_s and time_s < self.late_s[-1]:
@@ -296,10 +292,12 @@ class LiveLog:
             LogError: a row is damaged or late; all these rows are ignored.
         """
         rows = list(rows)
-        for row in rows:  # before the first is added
-            self._learn(row, 0)
         users = dict.fromkeys(map(_user_of, rows))
-        before = {user: self._arrivals[user].copy() for user in users if user in self._arrivals}
+        before = {  # late rows still count
+            user: replace(arrived, rows=arrived.rows.copy())
+            for user in users
+            if (arrived := self._arrivals.get(user))
+        }
         try:
             over = [epoch for row in rows for epoch in self.add(row)]
         except LogError:

@@ -213,10 +213,12 @@ def _limit(table: Table, quantity: str, wrong: Mask) -> _Check:
     values = table[quantity]
     if unit == "degrees":
         values = np.degrees(values)
+    stem, _, ending = table.columns[quantity].name.rpartition("_")
+    likely = f"if the value is in degrees, name the column {stem}_deg; " if ending == "rad" else ""
     return _Check(
         quantity,
         wrong,
-        f"{bound.expected}, in the unit that the name of the column ends with; "
+        f"{bound.expected}, in the unit that the name of the column ends with; {likely}"
         "mmwave-loc localize --diagnose looks for a likely mistake",
         lambda row: f"{_show(table.raw(quantity)[row])}, which is {values[row]:.3g} {unit}",
     )
