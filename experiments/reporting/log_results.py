@@ -425,12 +425,14 @@ def localized(args: LogArgs) -> None:
     figures = _figures(args, files, work, track)
     if args.json:  # before show(), which fails if the reader of the tables closes the pipe
         write_json(args.json, provenance("localize", args) | figures)
-    show(track_markdown(figures))  # also if a picture fails
-    if args.plot:
-        title = f"{'/'.join(files.log.parts[-2:])}, {_kind(args)} track"
-        learned = work.map["images"] if work.map else []
-        known = work.truth_m(track.time_s)
-        draw_trajectory(track, known, work.scene, args.plot, title, learned)
-    if figures["error"]:
-        shown = "written" if args.out else "shown"
-        raise ValueError(f"{figures['error']}; {figures['epochs']} epochs are {shown}")
+    try:
+        show(track_markdown(figures))  # also if a picture fails
+        if args.plot:
+            title = f"{'/'.join(files.log.parts[-2:])}, {_kind(args)} track"
+            learned = work.map["images"] if work.map else []
+            known = work.truth_m(track.time_s)
+            draw_trajectory(track, known, work.scene, args.plot, title, learned)
+    finally:  # an error in the log is reported even if the results can't be shown
+        if figures["error"]:
+            shown = "written" if args.out else "shown"
+            raise ValueError(f"{figures['error']}; {figures['epochs']} epochs are {shown}")
