@@ -116,6 +116,7 @@ def two_way(path):
 
 
 @pytest.mark.torch
+@pytest.mark.slow
 def test_the_two_way_network_equals_pytorch(two_way_path):
     shown = features(20)
     answer = two_way(two_way_path).correct_tracks(np.swapaxes(shown, 0, 1))

@@ -36,6 +36,7 @@ def job_of(folder, of=None, hyper=HYPER, **changes):
     return replace(job, **changes)
 
 
+@pytest.mark.slow
 def test_an_interrupted_training_goes_on(tmp_path):
     assert_goes_on(job_of(tmp_path))
 
