@@ -121,6 +121,7 @@ def test_a_reflection_is_no_line_of_sight_if_every_second_epoch_has_a_shorter_pa
     assert ate < 2.0  # it was 30 m
 
 
+@pytest.mark.slow
 def test_a_clock_that_is_set_back_begins_a_new_track_on_the_same_map(paths_of):
     log, episode = paths_of(5, epochs=60)
     epochs = [*learner().observed(log)]
@@ -215,6 +216,7 @@ def test_two_logs_are_learned_in_order(paths_of, drive):
     assert sum(i.paths for i in scene.learned) > 1.5 * sum(i.paths for i in single.learned)
 
 
+@pytest.mark.slow
 def test_paths_that_a_receiver_reports_twice_make_no_image_at_the_base_station(paths_of, path):
     paths_of(2)
     header, *rows = path.read_text().splitlines()

@@ -87,7 +87,7 @@ def test_episodes_begin_from_a_link_that_filters_do_not_use_again():
     assert 1.5 < np.median(nees) < 4.0  # 2.4 if errors are Gaussian; reflections have larger ones
 
 
-@pytest.mark.parametrize("two_way", [False, True])
+@pytest.mark.parametrize("two_way", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_a_recurrent_unit_and_its_gradients_equal_those_of_pytorch(two_way):
     torch.manual_seed(0)
     ours = RecurrentUnit(5, 6, bidirectional=two_way)
