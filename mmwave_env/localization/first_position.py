@@ -83,8 +83,8 @@ def position_from_links(links: Array, sigma: Array, scene: Scene, clock: str) ->
     """Return the position and its covariance from links (L, 4), NaN if unmeasured; or None.
 
     If the clock is not synchronized, its range bias is a fourth unknown, with the filters' prior.
-    Ranges that no position explains, whatever a free clock's bias is, are left out; so are the few
-    links without which the others agree.
+    Ranges that no position explains, whatever a free clock's bias is, are left out; so are a
+    minority of links without which the others agree.
     The search starts in several places, because there may be several minima. The result is None if
     the best minimum is too uncertain, or if a minimum more than 4 standard deviations away from it
     fits the links about as well.
@@ -142,9 +142,10 @@ def position_from_links(links: Array, sigma: Array, scene: Scene, clock: str) ->
 
 
 def _wrong_links(links: _Links, cost: float, position: Array) -> list[int]:
-    """Return the fewest links without which the others agree, given the best minimum.
+    """Return links without which the others agree, given the best minimum with all of them.
 
-    The list is empty if all agree, or if it is unclear which links are wrong.
+    The one without which the errors fall most is left out first. The list is empty if all agree,
+    or if it is unclear which links are wrong.
     """
     among = list(range(links.z.shape[1]))
     fewest = max(_FEWEST, len(among) // 2 + 1)

@@ -215,7 +215,7 @@ def test_a_track_begins_in_spite_of_one_reflected_link_of_three(tmp_path, wrong)
         away = mean[:2] - stroll(0.0)[:2]
         nees.append(away @ np.linalg.solve(covariance[:2, :2], away))
         assert len(segments(log, WIDE, RADIO)) == 1
-    assert np.mean(nees) < 3.2  # chi-square with 40 degrees of freedom, divided by 20: 99.5 %
+    assert np.mean(nees) < 3.2  # 99 % quantile of chi-square with 40 degrees of freedom, over 20
 
 
 @pytest.mark.parametrize("anchors", [1, 32])
