@@ -169,19 +169,19 @@ def associate(paths: PathLog, scene: Scene, radio: Radio, mode: Mode) -> tuple[L
     return log, _counts(log, paths, tracked)
 
 
-def _counts(log: Log, of: PathLog, tracked: Mask) -> Json:
-    """Count the paths ``of`` an associated log, given which of its T epochs (T,) have a track.
+def _counts(log: Log, path_log: PathLog, tracked: Mask) -> Json:
+    """Count the paths of an associated log, given which of its T epochs (T,) have a track.
 
     While a track exists, each path that is assigned to no anchor counts as a false path, and each
     anchor without a path in an epoch counts as a missed path.
     """
-    paths = np.array([len(rows) for rows in of.epochs])
+    paths = np.array([len(rows) for rows in path_log.epochs])
     counts = log.visible_links.sum(axis=0).tolist()
     associated = dict(zip(log.layout.group_names, counts, strict=False))
     without = {"epochs": int((~tracked).sum()), "paths": int(paths[~tracked].sum())}
     return {
         "paths": int(paths.sum()),
-        "incomplete": of.incomplete,
+        "incomplete": path_log.incomplete,
         "associated": associated,
         "missed": {name: int(tracked.sum()) - count for name, count in associated.items()},
         "false": int(paths[tracked].sum()) - sum(counts),

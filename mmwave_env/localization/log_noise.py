@@ -154,7 +154,7 @@ def _notes_on_angles(reading: Reading) -> Iterator[str]:
 def _correlation(values: Array, time_s: Array) -> Iterator[str]:
     """Yield a sentence if values (T, k), NaN where missing, are correlated in time."""
     products = [values[k:] * values[: len(values) - k] for k in range(_LAGS + 1)]
-    covariance = [np.nansum(of) / max(np.isfinite(of).sum(), 1) for of in products]
+    covariance = [np.nansum(part) / max(np.isfinite(part).sum(), 1) for part in products]
     r = np.array(covariance[1:]) / covariance[0]
     decay = (r[1:] * r[:-1]).sum() / max((r[:-1] ** 2).sum(), 1e-9)
     if r[0] > _CORRELATED and 0.0 < decay < 1.0:

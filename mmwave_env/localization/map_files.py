@@ -154,13 +154,13 @@ def nmea(track: Track, origin: Origin, name: str) -> str:
     numbers = np.vstack([*ellipses_of(origin, P), axes]).T.tolist()
     places = geodetic(origin, track.smooth_x[:, :3]).tolist()
     lines = []
-    for moment, (latitude, longitude, height), of in zip(
+    for moment, (latitude, longitude, height), errors in zip(
         track.time_s.tolist(), places, numbers, strict=True
     ):
         clock = _time_of_day(moment)
         where = f"{_degrees(latitude, 2, 'NS')},{_degrees(longitude, 3, 'EW')}"
         lines.append(_sentence(f"GPGGA,{clock},{where},1,,,{height:.3f},M,,M,,"))
-        spread = "{:.3f},{:.3f},{:.1f},{:.3f},{:.3f},{:.3f}".format(*of)
+        spread = "{:.3f},{:.3f},{:.1f},{:.3f},{:.3f},{:.3f}".format(*errors)
         lines.append(_sentence(f"GPGST,{clock},,{spread}"))
     return "".join(lines)
 

@@ -83,8 +83,8 @@ def _expanded(episode: Episode, x: Array) -> tuple[Array, Array]:
     h = h.reshape(*d.shape[:2], -1)
     h[..., 0] += x[:, STATE_SIZE:].sum(axis=1, keepdims=True)
     links = difference(z[:, :-1].reshape(h.shape), h).reshape(len(x), -1)
-    of = 0 if episode.doppler_anchor is None else episode.doppler_anchor
-    place = list(episode.scene_anchors_m[of].T)
+    anchor = 0 if episode.doppler_anchor is None else episode.doppler_anchor
+    place = list(episode.scene_anchors_m[anchor].T)
     doppler = doppler_group(list(x.T), place, episode.hz_per_mps, [z[:, -1]], [1.0])
     H = np.zeros((*z.shape, x.shape[1]))
     H[:, :-1, :3] = slopes.reshape(len(x), -1, 3)
