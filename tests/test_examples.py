@@ -45,6 +45,7 @@ OTHERS = {
     "mo_front",
     "recurrent_localizer",
     "rivals",
+    "safe_imm",
     "stone_soup",
     "unknown_map",
 }

@@ -18,9 +18,9 @@ from tests.paths import ROOT
 
 BUDGET = {
     "files of source": 197,
-    "words of docs": 36_300,
+    "words of docs": 36_400,
     "pages of docs": 27,
-    "tracked files": 637,
+    "tracked files": 639,
     "tracked MB": 10,
     "commands": 12,
     "extras for users": 8,

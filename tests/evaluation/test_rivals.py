@@ -1,4 +1,4 @@
-"""Tests of rivals of the shipped filters: particle filters, Student-t noise and adaptive noise."""
+"""Tests of rivals of the shipped filters, in ``examples``."""
 
 from dataclasses import replace
 
@@ -16,10 +16,13 @@ from examples.rivals import (
     stated,
     student_t,
 )
+from examples.safe_imm import SafeImm
 from experiments.evaluation.agents import Estimator
 from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.runner import Scoring, run_contender
+from mmwave_env.engines.engine import run_imm
 from mmwave_env.filters import Mode, Pipeline, ekf, ukf
+from mmwave_env.filters.bank import Bank, default_modes
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import exact_rows
 from mmwave_env.models.radio import RADIOS
@@ -130,6 +133,25 @@ def test_adaptive_noise_converges_to_the_true_noise():
     # The factor 0.99 gives a memory of about 100 epochs, so estimates rest on few values: 400 for a
     # link, 100 for the Doppler shift.
     assert_allclose(np.divide(rate, shape), 4.0, rtol=0.3)
+
+
+def test_safe_imm_is_the_imm_unless_the_most_probable_mode_is_near_its_mean():
+    some = episodes(20)
+    modes = default_modes("handset")
+    imm = run_imm(Bank(modes), None, some, "x", "mixture", "mixture.probability")
+
+    def positions(**limits):
+        contender = Contender.own("own", SafeImm(**limits), "handset", list(modes))
+        return run_contender(contender, some, after=("x",))["x"][..., :2]
+
+    mean = imm["x"][..., :2]
+    assert_allclose(positions(probable=2.0), mean, atol=1e-9)
+    reported = positions(probable=0.8, near=np.inf)
+    first = imm["mixture.probability"][..., 0] >= 0.8
+    assert 0.1 < first.mean() < 0.9
+    assert_allclose(reported[first], imm["mixture"][..., :2][first], atol=1e-9)
+    bounded = positions(probable=0.8, near=0.01)
+    assert abs(bounded - mean).max() < abs(reported - mean).max()
 
 
 def test_beliefs_of_a_wrong_size_and_missing_epochs_are_refused():
