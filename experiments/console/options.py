@@ -183,11 +183,9 @@ class TaskArgs:
     """places to train at, instead of --radio. Each is
     SCENE:RADIO (names or JSON files), such as
     street:handset, followed if needed by the seconds
-    between epochs (:0.1, default: 1), the measured
-    quantities (:range+azimuth, default: all), and :offset
-    for a clock with an offset. Environments, and the
-    episodes to judge policies on, are spread evenly over
-    the places"""
+    between epochs (:0.1, default: 1). Environments, and
+    the episodes to judge policies on, are spread evenly
+    over the places"""
     reward: Literal["tracking", "log-score"] = "tracking"
     """tracking or log-score. If a hyperparameter file sets
     "paired": true, as those for ppo do, the reward of an

@@ -80,9 +80,8 @@ class RolloutEnv:
         pipeline = pipelines[0]
         if any(untuned(other) != untuned(pipeline) for other in pipelines):
             raise ValueError(
-                "places: found several kinds of clock, algorithms or safeguards, expected one kind "
-                "of clock, and modes that differ only in process noise and in the size of "
-                "acceleration_mps2"
+                "places: found several algorithms or safeguards, expected modes that differ only "
+                "in process noise and in the size of acceleration_mps2"
             )
         bank = task.bank if task.beliefs == "per-mode" else None
         self._engine = Engine(pipeline, n, task.reward, task.observation, bank)

@@ -127,9 +127,6 @@ def test_places_that_one_engine_cannot_run_are_refused():
     ukfs = Bank(tuple(replace(mode, algorithm="ukf") for mode in MODES))
     with refuses("places"):
         environment(task(banks=BANKS | {"standard": ukfs}))
-    drifting = Place("street", "standard", clock="offset")
-    with refuses("places"):
-        environment(task(places=(PLACES[0], drifting)))
 
 
 def test_the_normalization_is_measured_on_observations_of_the_environment():
