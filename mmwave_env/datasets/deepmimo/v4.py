@@ -41,11 +41,6 @@ class Scenario(NamedTuple):
         """Tell whether epochs are successive scenes, not successive receivers on a trajectory."""
         return self.scenes != (self.folder,)
 
-    def name_of(self, epoch: Index) -> str:
-        """Return the name of an epoch's receiver for messages; ``epoch`` (2,) is (scene, row)."""
-        scene, row = epoch.tolist()
-        return f"receiver {row}" + (f" in {self.scenes[scene].name}" if self.is_dynamic else "")
-
     def epochs(self, users: int | Sequence[int] | Index | None) -> Index:
         """Return pairs (E, 2): for each epoch, its scene and its receiver's row in the arrays.
 
@@ -82,42 +77,47 @@ class Scenario(NamedTuple):
             _require_finite(file, "rx_pos", parts[-1], rows)
         return np.concatenate(parts)
 
-    def paths(self, epochs: Index, base_station: int | None = None) -> list[StationPaths]:
-        """Read the paths from every base station, or from only one station, to some receivers.
+    def paths(self, epochs: Index) -> list[StationPaths]:
+        """Read the paths from every base station to some receivers.
 
         Args:
             epochs: (E, 2) pairs (scene, row) from :meth:`epochs`, in increasing order of scenes.
-            base_station: number of the only station to read, from 1 in the order of ``stations``.
 
         Raises:
             FileNotFoundError: a file is missing.
-            ValueError: there is no such station, or a file can't be read or contradicts another
-                file; the message then names the file and the key.
+            ValueError: a file can't be read or contradicts another file; the message names the file
+                and the key.
         """
-        stations = self.stations
-        if base_station is not None:
-            if not 1 <= base_station <= len(stations):
-                raise ValueError(
-                    f"base_station: found {base_station}, expected 1 to {len(stations)}: "
-                    f"{', '.join(stations)} of {self.folder}"
-                )
-            stations = stations[base_station - 1 : base_station]
-        return [_read_station(self, epochs, name) for name in stations]
+        return [_read_station(self, epochs, name) for name in self.stations]
 
 
-def open_scenario(folder: Path, receiver_set: int | None = None) -> Scenario:
+def open_scenario(
+    folder: Path, receiver_set: int | None = None, base_station: int | None = None
+) -> Scenario:
     """Read the description of a scenario folder, but not the propagation paths.
 
-    ``receiver_set`` is the number of a set of receivers; None for the only set.
+    Args:
+        folder: folder of the scenario.
+        receiver_set: number of a set of receivers; None for the only set.
+        base_station: number of a base station, from 1 in the order of file names; None for all.
 
     Raises:
         FileNotFoundError: the folder or a required file is missing.
-        ValueError: ``params.json`` can't be read or contradicts the files, or ``receiver_set``
-            does not select exactly one set of receivers; the message lists the sets.
+        ValueError: ``params.json`` can't be read or contradicts the files, there is no such
+            station, or ``receiver_set`` does not select exactly one set of receivers; the message
+            lists the sets.
     """
     carrier_hz, count = _read_params(folder / PARAMS)
     scenes = _scenes(folder, count)
     number, stations = _stations(scenes[0], receiver_set)
+    if base_station is not None:
+        numbered = {i + 1: (station,) for i, station in enumerate(stations)}
+        if base_station not in numbered:
+            raise ValueError(
+                f"base_station: found {base_station}, expected 1 to {len(stations)}: "
+                f"{', '.join(stations)} of {folder}"
+            )
+        stations = numbered[base_station]
     file = scenes[0] / f"rx_pos_{stations[0]}_r{number}.npz"
     receivers = len(read_array(file, "rx_pos", ("N", 3)))
     if receivers == 0:
