@@ -221,15 +221,13 @@ class TrainArgs(TaskArgs):
     guided-ppo.json"""
     jobs: int = min(2, os.cpu_count() or 1)
     """number of training runs in parallel"""
-    checkpoint_every: int = 32
-    """number of updates between two checkpoints; --resume
-    continues from the last checkpoint"""
     out: Path = Path("runs/train")
     """output folder: one folder per seed, policy.safetensors
     (from the seed with the median reward) and summary.json"""
     resume: bool = False
-    """continue the training in the folder --out; the options
-    must be the same as at its start"""
+    """continue the training in the folder --out, from the last
+    evaluations; the options must be the same as at its
+    start"""
 
 
 @dataclass(kw_only=True)

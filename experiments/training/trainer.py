@@ -46,7 +46,6 @@ class Job:
     timesteps: int
     folder: Path  # folder for all files of the training
     command: str  # command that the policy file records as its origin
-    checkpoint_every: int  # number of updates between two checkpoints
     episodes: int = EPISODES  # number of episodes to judge policies on
 
     @property
@@ -213,7 +212,6 @@ def run_training(job: Job, algorithm: Callable[[Job, int], Trainer], tell: Tell)
             if progress.timesteps >= job.timesteps or progress.updates % trainer.EVERY == 0:
                 reward = judge(job, trainer, progress, examine)
                 text = f"reward {reward:.3f}"
-            if progress.updates % job.checkpoint_every == 0:
                 keep()
             tell(progress.timesteps, text)
     finally:  # also after a signal

@@ -32,7 +32,7 @@ UPDATES = 10
 
 def job_of(folder, of=None, hyper=HYPER, **changes):
     timesteps = UPDATES * hyper.states
-    job = Job(of or task(), hyper, 0, timesteps, folder, "mmwave-loc train", 1, 16)
+    job = Job(of or task(), hyper, 0, timesteps, folder, "mmwave-loc train", 16)
     return replace(job, **changes)
 
 
