@@ -22,7 +22,6 @@ from experiments.training.trainer import Job, Trainer
 from experiments.training.training_task import TrainingTask
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.engines.engine import Engine
-from mmwave_env.engines.epoch import untuned
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.numerics.numbers import Array, Array32, Index
 from mmwave_env.world.keys import Streams
@@ -47,6 +46,7 @@ class Tried(NamedTuple):
 class RolloutEnv:
     """A set of n environments at the places of a task; a place is a scene with a radio.
 
+    All places share a program, so the modes of their banks may differ only in their tuning.
     A group of eight adjacent environments has one place, and all eight are in the same epoch. The
     groups' first episodes are cut to different lengths, so that later their epochs differ.
 
@@ -60,9 +60,6 @@ class RolloutEnv:
     Attributes:
         observation: definition of the observed features.
         observations: (n, features) observations of the current states.
-
-    Raises:
-        ValueError: the places can't share a program.
     """
 
     def __init__(
@@ -73,16 +70,7 @@ class RolloutEnv:
         self._everyone = np.arange(n)
         block = self._everyone // WIDTH
         self._place = block % len(places)
-        pipelines = [
-            Pipeline(task.banks[place.profile].modes, source.layout)
-            for place, source in zip(places, self._sources, strict=True)
-        ]
-        pipeline = pipelines[0]
-        if any(untuned(other) != untuned(pipeline) for other in pipelines):
-            raise ValueError(
-                "places: found several algorithms or safeguards, expected modes that differ only "
-                "in process noise and in the size of acceleration_mps2"
-            )
+        pipeline = Pipeline(task.bank.modes, self._sources[0].layout)
         bank = task.bank if task.beliefs == "per-mode" else None
         self._engine = Engine(pipeline, n, task.reward, task.observation, bank)
         self.observation = self._engine.observation

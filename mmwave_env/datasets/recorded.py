@@ -13,8 +13,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mmwave_env.io.lookup import is_name, quoted
-from mmwave_env.io.records import Printable
+from mmwave_env.io.lookup import quoted
 from mmwave_env.logs.log_tables import Arrays
 from mmwave_env.logs.truth import stretches, velocity_of
 from mmwave_env.models.layout import (
@@ -73,10 +72,6 @@ class Track(Arrays, ABC):
     velocity_mps: Array
     sigma: Array | None = None
     doppler_anchor: Index | None = None
-
-    def __post_init__(self) -> None:
-        if not is_name(self.name):
-            refuse(self.record, "name", quoted(self.name), Printable.expected)
 
     @abstractmethod
     def _received(self, radio: Radio, rng: np.random.Generator) -> Received:

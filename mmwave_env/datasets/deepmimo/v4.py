@@ -120,8 +120,6 @@ def open_scenario(
         stations = numbered[base_station]
     file = scenes[0] / f"rx_pos_{stations[0]}_r{number}.npz"
     receivers = len(read_array(file, "rx_pos", ("N", 3)))
-    if receivers == 0:
-        refuse_in(file, "rx_pos", "no receivers", "at least one")
     return Scenario(folder, scenes, stations, number, receivers, carrier_hz)
 
 
