@@ -9,7 +9,7 @@ of time, but the files contain neither times nor velocities. Pickled objects are
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -20,9 +20,11 @@ from mmwave_env.datasets.deepmimo.anchors import (
     StationPaths,
 )
 from mmwave_env.io.files import open_regular, read_json, refuse_in
+from mmwave_env.io.records import between, require
 from mmwave_env.numerics.numbers import Array, Index, Mask
 
 PARAMS = "params.json"  # the file that marks a folder as a scenario
+Hertz = Annotated[float, between(1.0, 1e15)]
 _RECEIVERS = re.compile(r"rx_pos_(t\d+_tx\d+)_r(\d+)\.npz")
 
 
@@ -127,14 +129,9 @@ def _read_params(file: Path) -> tuple[float, int]:
     """Read carrier frequency, Hz, and number of scenes; errors name the file and the entry."""
 
     def make(content: dict[str, Any]) -> tuple[float, int]:
-        numbers = []
-        for part, name, most in (("rt_params", "frequency", 1e15), ("scene", "num_scenes", 1e9)):
-            value = content.get(part, {}).get(name, "nothing")
-            if type(value) not in (int, float) or not 1 <= value <= most:
-                expected = f"expected a number from 1 to {most:g}"
-                raise ValueError(f"{part}.{name}: found {value!r}, {expected}")
-            numbers.append(value)
-        return float(numbers[0]), numbers[1]
+        carrier_hz = content["rt_params"]["frequency"]
+        require("rt_params.frequency", carrier_hz, Hertz)
+        return float(carrier_hz), content["scene"]["num_scenes"]
 
     return read_json(file, "the parameters of a DeepMIMO scenario", make)
 
@@ -146,7 +143,7 @@ def _scenes(folder: Path, count: int) -> tuple[Path, ...]:
     scenes = sorted(sub for sub in folder.iterdir() if sub.is_dir() and any(sub.glob("rx_pos_*")))
     if len(scenes) != count:
         expected = f"{len(scenes)}, the number of sub-folders with receivers"
-        refuse_in(folder / PARAMS, "scene.num_scenes", count, expected)
+        refuse_in(folder / PARAMS, "scene.num_scenes", repr(count), expected)
     return tuple(scenes)
 
 
