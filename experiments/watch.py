@@ -42,7 +42,7 @@ def main(args: Args) -> None:
     from experiments.console.output import progress, say, tracked
     from experiments.evaluation.contenders import contender_of, seeds_from, task_of
     from experiments.reporting.histories import histories_of
-    from mmwave_env.rendering.video import some_of, write_video
+    from mmwave_env.rendering.video import write_video
 
     _check(args)
     from mmwave_env.rendering.picture import Playback  # needs pygame
@@ -64,9 +64,8 @@ def main(args: Args) -> None:
     modes = [contender.actions for contender in contenders]
     playback = Playback(histories, modes, args.policies, args.render_size, args.render_theme)
     if args.out:
-        samples = [playback.draw(row) for row in some_of(rows)]
         pictures = map(playback.draw, tracked(rows, "drawing"))
-        write_video(args.out, pictures, samples, args.fps)
+        write_video(args.out, pictures, playback.draw(rows[-1]), args.fps)
         say(f"written to {args.out}: {len(rows)} pictures")
         return
     from mmwave_env.rendering.window import Window

@@ -130,22 +130,21 @@ class Corrector(LearnedPolicy, Policy):
 
 
 class TwoWayCorrector(LearnedPolicy):
-    """A corrector of smoothed tracks, which reads each track forwards and backwards."""
+    """A corrector of smoothed tracks, which reads each track forwards and backwards.
+
+    It is a :data:`~mmwave_env.interface.policy.TrackCorrector`.
+    """
 
     def __init__(self, path: AnyPath | PolicyFile) -> None:
         super().__init__(path)
         self._network = network_of(self._file, "gru", "back")
 
-    def read_from_track(self, pipeline: Pipeline) -> None:
-        """Find the policy's features among the features that tracks of a pipeline compute."""
-        self._find_in(observation_columns(after_update(pipeline)))
+    def __call__(self, pipeline: Pipeline, features: Array32) -> Correction:
+        """Return corrections (n, T, 3) of n smoothed tracks, given all features of a pipeline.
 
-    def correct_tracks(self, features: Array32) -> Correction:
-        """Return corrections (n, T, 3) of n smoothed tracks, given all their features.
-
-        :func:`~mmwave_env.engines.smoothing.smoothed_features` computes the features
-        (n, T, features); :meth:`read_from_track` must have been called for their pipeline.
+        :func:`~mmwave_env.engines.smoothing.smoothed_features` computes them (n, T, features).
         """
+        self._find_in(observation_columns(after_update(pipeline)))
         read = self._features_of(features)
         n, epochs, _ = read.shape
         answers = np.empty((n, epochs, CORRECTIONS), np.float32)

@@ -183,11 +183,9 @@ class TaskArgs:
     """places to train at, instead of --radio. Each is
     SCENE:RADIO (names or JSON files), such as
     street:handset, followed if needed by the seconds
-    between epochs (:0.1, default: 1), the measured
-    quantities (:range+azimuth, default: all), and :offset
-    for a clock with an offset. Environments, and the
-    episodes to judge policies on, are spread evenly over
-    the places"""
+    between epochs (:0.1, default: 1). Environments, and
+    the episodes to judge policies on, are spread evenly
+    over the places"""
     reward: Literal["tracking", "log-score"] = "tracking"
     """tracking or log-score. If a hyperparameter file sets
     "paired": true, as those for ppo do, the reward of an
@@ -223,15 +221,13 @@ class TrainArgs(TaskArgs):
     guided-ppo.json"""
     jobs: int = min(2, os.cpu_count() or 1)
     """number of training runs in parallel"""
-    checkpoint_every: int = 32
-    """number of updates between two checkpoints; --resume
-    continues from the last checkpoint"""
     out: Path = Path("runs/train")
     """output folder: one folder per seed, policy.safetensors
     (from the seed with the median reward) and summary.json"""
     resume: bool = False
-    """continue the training in the folder --out; the options
-    must be the same as at its start"""
+    """continue the training in the folder --out, from the last
+    evaluations; the options must be the same as at its
+    start"""
 
 
 @dataclass(kw_only=True)

@@ -251,7 +251,6 @@ def trained(values: Values) -> Row:
             args.total_timesteps,
             Path(folder),
             "mmwave-loc sweep",
-            checkpoint_every=1 << 30,
             episodes=args.episodes,
         )
         best = train(job, lambda *_: None)["best"]

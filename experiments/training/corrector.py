@@ -165,23 +165,23 @@ class CorrectorTrainer(Trainer):
         while True:
             yield from [self.play(ROUNDS)] * PASSES
 
-    def update(self, left: float) -> tuple[int, dict[str, float]]:
+    def update(self, left: float) -> int:
         """Mix the episodes of the next lots, and take a gradient step for each new lot."""
         number, lots = next(self._updates)
         rng = np.random.default_rng((self.seed, number))
         rate = self.hyper.learning_rate * falling(self.hyper.final_fraction, left)
         for optimizer in self.optimizers:
             optimizer.param_groups[0]["lr"] = rate
-        losses = [self._step(lot) for lot in mixed(lots, self.hyper.batch_size, rng)]
-        epochs = sum(lot.features[..., 0].size for lot in lots)
-        return epochs, {"loss": float(np.mean(losses))}
+        for lot in mixed(lots, self.hyper.batch_size, rng):
+            self._step(lot)
+        return sum(lot.features[..., 0].size for lot in lots)
 
     def measure(self, lots: list[Lot]) -> None:
         """Set the scales from the features in some lots: limits, mean and standard deviation."""
         rows = np.concatenate([lot.features.reshape(-1, lot.features.shape[2]) for lot in lots])
         self.scales.update(normalization_of(rows)._asdict())
 
-    def _step(self, lot: Lot) -> float:
+    def _step(self, lot: Lot) -> None:
         """Take a gradient step; each member of an ensemble learns from about half of the lot."""
         hyper = self.hyper
         error = torch.from_numpy(lot.error)
@@ -194,7 +194,6 @@ class CorrectorTrainer(Trainer):
         nn.utils.clip_grad_norm_(self.network.parameters(), hyper.max_grad_norm)
         for optimizer in self.optimizers:
             optimizer.step()
-        return loss.item()
 
     def answer(self, lot: Lot) -> tuple[Tensor, Tensor]:
         """Return the network's outputs for a lot; see :meth:`CorrectorNetwork.forward`."""

@@ -13,7 +13,6 @@ import numpy as np
 import torch
 
 from experiments.console.options import SEEDS_EACH, TRAINING_SEED
-from experiments.console.output import say
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.runner import run_contender
 from experiments.training.corrector import normalization_of
@@ -166,7 +165,7 @@ def _least(parts: list[Array], infinite: int) -> Array:
 def trained_levels(
     seed: int, rounds: int = ROUNDS, calibration: int = CALIBRATION, steps: int = STEPS
 ) -> Network:
-    """Train and calibrate a network; print its constants, as factors.
+    """Train and calibrate a network.
 
     ``seed`` determines only the calibration's episodes.
 
@@ -176,8 +175,4 @@ def trained_levels(
     lots = [_finite(lot) for lot in _played(SEED, rounds, LEARNED_FROM, RANDOM_SHARE)]
     features, logs = zip(*lots, strict=True)
     network = _trained(np.concatenate(features), np.concatenate(logs), steps)
-    network = network._replace(constants=_constants(network, seed, calibration))
-    for kind, constants in zip(("filter", "bank", "corrector"), network.constants, strict=True):
-        for risk, (h, v) in zip(RISKS, np.exp(constants), strict=True):
-            say(f"{kind}, risk {risk:g}: horizontal factor {h:.3f}, vertical factor {v:.3f}")
-    return network
+    return network._replace(constants=_constants(network, seed, calibration))

@@ -7,7 +7,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from stable_baselines3 import PPO
-from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from experiments.training.hyperparameters import PpoHyperparameters, falling
@@ -116,12 +115,11 @@ class PpoTrainer(Trainer):
         normal = VecNormalize(env, norm_reward=False, clip_obs=hyper.clip_observation)
         self.scales = vars(normal.obs_rms)
         self.model = learner(normal, hyper, seed)
-        self.model.set_logger(Logger(None, []))
         self.network = self.model.policy
         self.optimizers = (self.model.policy.optimizer,)
 
-    def update(self, left: float) -> tuple[int, dict[str, float]]:
-        """Collect steps and learn from them; return their number, and statistics."""
+    def update(self, left: float) -> int:
+        """Collect steps and learn from them; return their number."""
         model = self.model
         hyper: PpoHyperparameters = self._job.hyperparameters
         steps = hyper.num_envs * hyper.n_steps
@@ -130,10 +128,7 @@ class PpoTrainer(Trainer):
         model.lr_schedule = lambda _: rate
         model.ent_coef = hyper.ent_coef * falling(last, left)
         model.learn(steps, log_interval=None, reset_num_timesteps=False)  # type: ignore[arg-type]
-        figures = {key: float(value) for key, value in model.logger.name_to_value.items()}
-        model.logger.dump()  # forgets the values
-        ended = [episode["r"] for episode in model.ep_info_buffer or ()]  # the latest 100 episodes
-        return steps, figures | ({"rollout/reward": float(np.mean(ended))} if ended else {})
+        return steps
 
     def tensors(self) -> Tensors:
         """Return the actor's tensors in the form that a policy file stores."""

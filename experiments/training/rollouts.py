@@ -22,7 +22,6 @@ from experiments.training.trainer import Job, Trainer
 from experiments.training.training_task import TrainingTask
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.engines.engine import Engine
-from mmwave_env.engines.epoch import untuned
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.numerics.numbers import Array, Array32, Index
 from mmwave_env.world.keys import Streams
@@ -47,6 +46,7 @@ class Tried(NamedTuple):
 class RolloutEnv:
     """A set of n environments at the places of a task; a place is a scene with a radio.
 
+    All places share a program, so the modes of their banks may differ only in their tuning.
     A group of eight adjacent environments has one place, and all eight are in the same epoch. The
     groups' first episodes are cut to different lengths, so that later their epochs differ.
 
@@ -60,9 +60,6 @@ class RolloutEnv:
     Attributes:
         observation: definition of the observed features.
         observations: (n, features) observations of the current states.
-
-    Raises:
-        ValueError: the places can't share a program.
     """
 
     def __init__(
@@ -73,17 +70,7 @@ class RolloutEnv:
         self._everyone = np.arange(n)
         block = self._everyone // WIDTH
         self._place = block % len(places)
-        pipelines = [
-            Pipeline(task.banks[place.profile].modes, source.layout)
-            for place, source in zip(places, self._sources, strict=True)
-        ]
-        pipeline = pipelines[0]
-        if any(untuned(other) != untuned(pipeline) for other in pipelines):
-            raise ValueError(
-                "places: found several kinds of clock, algorithms or safeguards, expected one kind "
-                "of clock, and modes that differ only in process noise and in the size of "
-                "acceleration_mps2"
-            )
+        pipeline = Pipeline(task.bank.modes, self._sources[0].layout)
         bank = task.bank if task.beliefs == "per-mode" else None
         self._engine = Engine(pipeline, n, task.reward, task.observation, bank)
         self.observation = self._engine.observation
@@ -208,34 +195,25 @@ class RolloutLearner:
         self._gains[rows] = torch.from_numpy(gains.astype(np.float32))
         self._seen += len(gains)
 
-    def improve(self, left: float) -> dict[str, float]:
+    def improve(self, left: float) -> None:
         """Take gradient steps on random states from the memory.
 
         Args:
             left: share of the learning rate and of the entropy bonus that remains, 1 at the start.
-
-        Returns:
-            Statistics for the log: the policy's expected gain over action 0, the gain of the best
-            actions (both means over states), and the entropy.
         """
         hyper = self._hyper
         filled = min(self._seen, len(self._gains))
         self.optimizers[0].param_groups[0]["lr"] = hyper.learning_rate * left
-        sums = np.zeros(3)
         for _ in range(hyper.gradient_steps):
             some = torch.randint(filled, (hyper.batch_size,))
-            gains = self._gains[some]
             log_p = torch.log_softmax(self.network(self._observations[some]), 1)
             p = log_p.exp()
-            expected = (p * gains).sum(1).mean()
+            expected = (p * self._gains[some]).sum(1).mean()
             entropy = -(p * log_p).sum(1).mean()
             loss = -expected - hyper.ent_coef * left * entropy
             self.optimizers[0].zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
             self.optimizers[0].step()
-            sums += expected.item(), gains.amax(1).mean().item(), entropy.item()
-        names = ("gain/expected", "gain/possible", "entropy")
-        return dict(zip(names, (sums / hyper.gradient_steps).tolist(), strict=True))
 
 
 class RolloutTrainer(RolloutLearner, Trainer):
@@ -260,8 +238,8 @@ class RolloutTrainer(RolloutLearner, Trainer):
         normal = self.env.measured_normalization(hyper.clip_observation)
         super().__init__(len(self.table), len(self.table.actions), hyper, normal)
 
-    def update(self, left: float) -> tuple[int, dict[str, float]]:
-        """Try all actions in some states and learn; return the number of states, and statistics."""
+    def update(self, left: float) -> int:
+        """Try all actions in some states and learn; return the number of states."""
         env = self.env
         new = 0
         while new < self._hyper.states:
@@ -270,7 +248,8 @@ class RolloutTrainer(RolloutLearner, Trainer):
             new += len(tried.values)
             for _ in range(self._hyper.stride):
                 env.step(self.sampled(env.observations))
-        return new, self.improve(falling(self._hyper.final_fraction, left))
+        self.improve(falling(self._hyper.final_fraction, left))
+        return new
 
     def tensors(self) -> Tensors:
         """Return the network in the form that a policy file stores."""

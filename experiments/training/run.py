@@ -35,7 +35,7 @@ TIMESTEPS = {
 }
 
 # Options that do not affect a policy; the command stated in a policy file omits them.
-ASIDE = ("jobs", "checkpoint_every", "out", "resume")
+ASIDE = ("jobs", "out", "resume")
 
 
 def manifest_of(args: TrainArgs, banks: Mapping[str, Bank], hyper: Hyperparameters) -> Json:
@@ -169,7 +169,7 @@ def _train(job: Job, line: Connection) -> None:
 
 def run(args: TrainArgs) -> None:
     """Run the command."""
-    require_at_least(1, args, "seeds", "total_timesteps", "jobs", "checkpoint_every")
+    require_at_least(1, args, "seeds", "total_timesteps", "jobs")
     if args.algo in ("corrector", "two-way"):
         args = replace(args, beliefs="per-mode")
     task = training_task(args)
@@ -178,7 +178,7 @@ def run(args: TrainArgs) -> None:
     steps = args.total_timesteps or TIMESTEPS[args.algo]
     command = manifest["command"]
     jobs = [
-        Job(task, hyper, seed, steps, args.out / f"seed-{seed}", command, args.checkpoint_every)
+        Job(task, hyper, seed, steps, args.out / f"seed-{seed}", command)
         for seed in range(args.seeds)
     ]
     begin(args, manifest)

@@ -5,7 +5,7 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from pickle import UnpicklingError
@@ -46,7 +46,6 @@ class Job:
     timesteps: int
     folder: Path  # folder for all files of the training
     command: str  # command that the policy file records as its origin
-    checkpoint_every: int  # number of updates between two checkpoints
     episodes: int = EPISODES  # number of episodes to judge policies on
 
     @property
@@ -89,14 +88,11 @@ class Trainer(ABC):
     scales: dict[str, Any]
 
     @abstractmethod
-    def update(self, left: float) -> tuple[int, dict[str, float]]:
-        """Learn from new episodes.
+    def update(self, left: float) -> int:
+        """Learn from new episodes; return the number of new timesteps.
 
         Args:
             left: share of the training that is left, 1 at the start.
-
-        Returns:
-            The number of new timesteps, and statistics for the log.
         """
 
     @abstractmethod
@@ -162,6 +158,18 @@ class Trainer(ABC):
         self.scales.update({name: scale.numpy() for name, scale in state["scales"].items()})
 
 
+@dataclass
+class Progress:
+    """The progress of a training, which its checkpoint stores."""
+
+    updates: int = 0
+    timesteps: int = 0
+    seconds: float = 0.0  # time that it took
+    # for each evaluation, a row of the log: timesteps, seconds, and means by name
+    log: list[dict[str, float]] = field(default_factory=list)
+    best: Json | None = None  # evaluation of the best policy so far, whose file is kept
+
+
 def run_training(job: Job, algorithm: Callable[[Job, int], Trainer], tell: Tell) -> Json:
     """Run a training to its end; return its outcome, which is also written to a file.
 
@@ -178,16 +186,13 @@ def run_training(job: Job, algorithm: Callable[[Job, int], Trainer], tell: Tell)
     """
     torch.set_num_threads(1)  # networks this small gain nothing from more threads
     begun_s = time.monotonic()
-    timesteps = 0
-    rows: list[dict[str, float]] = []
-    best: Json | None = None
+    progress = Progress()
     state: State | None = None
     if job.checkpoint.exists():
-        rows, best, state = read_checkpoint(job.checkpoint)
-        timesteps = int(rows[-1]["timesteps"])
-        begun_s -= rows[-1]["seconds"]
+        progress, state = read_checkpoint(job.checkpoint)
+        begun_s -= progress.seconds
     # after an interruption, the environments get new episodes
-    new = len(rows) * job.hyperparameters.num_envs
+    new = progress.updates * job.hyperparameters.num_envs
     trainer = algorithm(job, TRAINING_SEED + SEEDS_EACH * job.seed + new)
     if state is not None:
         with going_on_from(job.checkpoint):
@@ -195,58 +200,51 @@ def run_training(job: Job, algorithm: Callable[[Job, int], Trainer], tell: Tell)
     examine = trainer.examiner(job.episodes)
 
     def keep() -> None:
-        write_text(job.folder / "progress.csv", as_csv(rows))
-        saved = {"rows": rows, "best": best, "trainer": trainer.state()}
         with atomic_path(job.checkpoint) as temporary:
-            torch.save(saved, temporary)
+            torch.save({"progress": vars(progress), "trainer": trainer.state()}, temporary)
 
     try:
-        while timesteps < job.timesteps:
-            steps, row = trainer.update(1.0 - timesteps / job.timesteps)
-            timesteps += steps
-            seconds = time.monotonic() - begun_s
-            rows.append({"timesteps": timesteps, "seconds": seconds} | row)
+        while progress.timesteps < job.timesteps:
+            progress.timesteps += trainer.update(1.0 - progress.timesteps / job.timesteps)
+            progress.updates += 1
+            progress.seconds = time.monotonic() - begun_s
             text = ""
-            if timesteps >= job.timesteps or len(rows) % trainer.EVERY == 0:
-                evaluation, best = judged(job, trainer, timesteps, examine, best)
-                rows[-1] |= means_of(evaluation)
-                text = f"reward {evaluation['reward']:.3f}"
-            if len(rows) % job.checkpoint_every == 0:
+            if progress.timesteps >= job.timesteps or progress.updates % trainer.EVERY == 0:
+                reward = judge(job, trainer, progress, examine)
+                text = f"reward {reward:.3f}"
                 keep()
-            tell(timesteps, text)
+            tell(progress.timesteps, text)
     finally:  # also after a signal
-        if rows:
+        if progress.updates:
             keep()
-    seconds = round(time.monotonic() - begun_s, 1)
-    outcome = {"seed": job.seed, "timesteps": timesteps, "seconds": seconds, "best": best}
+    outcome = {
+        "seed": job.seed,
+        "timesteps": progress.timesteps,
+        "seconds": round(time.monotonic() - begun_s, 1),
+        "best": progress.best,
+    }
     write_json(job.outcome, outcome)
     job.checkpoint.unlink(missing_ok=True)
     return outcome
 
 
-def judged(
-    job: Job,
-    trainer: Trainer,
-    timesteps: int,
-    examine: Callable[[PolicyFile], Json],
-    best: Json | None,
-) -> tuple[Json, Json]:
-    """Evaluate the latest policy; return its evaluation and the best one, whose policy is kept."""
-    file = PolicyFile(trainer.tensors(), card_of(job, trainer, timesteps), job.policy)
-    evaluation = examine(file)
-    if best is None or evaluation["reward"] > best["reward"]:
-        best = {"timesteps": timesteps, **evaluation}
-        card = replace(file.card, evaluation=best)
+def judge(
+    job: Job, trainer: Trainer, progress: Progress, examine: Callable[[PolicyFile], Json]
+) -> float:
+    """Evaluate and log the latest policy; keep it if it is the best so far; return its reward."""
+    file = PolicyFile(trainer.tensors(), card_of(job, trainer, progress.timesteps), job.policy)
+    results = examine(file)
+    if progress.best is None or results["reward"] > progress.best["reward"]:
+        progress.best = {"timesteps": progress.timesteps, **results}
+        card = replace(file.card, evaluation=progress.best)
         write_bytes(job.policy, to_bytes(file.tensors, card))
-    return evaluation, best
-
-
-def means_of(evaluation: Json) -> dict[str, float]:
-    """Return the means in an evaluation, for the log."""
-    return {
-        f"tuning/{key}": float(value["mean"] if isinstance(value, dict) else value)
-        for key, value in evaluation.items()
-    }
+    row = {"timesteps": progress.timesteps, "seconds": progress.seconds}
+    for name, value in results.items():
+        row[f"tuning/{name}"] = float(value["mean"] if isinstance(value, dict) else value)
+    progress.log.append(row)
+    rows = [logged.values() for logged in progress.log]
+    write_text(job.folder / "progress.csv", csv_text([row, *rows]))
+    return row["tuning/reward"]
 
 
 def card_of(job: Job, trainer: Trainer, timesteps: int) -> Card:
@@ -271,21 +269,15 @@ def card_of(job: Job, trainer: Trainer, timesteps: int) -> Card:
     )
 
 
-def as_csv(rows: list[dict[str, float]]) -> str:
-    """Return the rows of a log as CSV; the cell of a missing value is empty."""
-    names = list(dict.fromkeys(name for row in rows for name in row))
-    return csv_text([names, *([row.get(name) for name in names] for row in rows)])
-
-
-def read_checkpoint(path: Path) -> tuple[list[dict[str, float]], Json | None, State]:
-    """Read a checkpoint: log, best results so far, and state of the trainer.
+def read_checkpoint(path: Path) -> tuple[Progress, State]:
+    """Read a checkpoint: progress, and state of the trainer.
 
     Raises:
         ValueError: the file is damaged; nothing in it is executed.
     """
     with going_on_from(path):
         saved = torch.load(path, map_location="cpu", weights_only=True)
-        return saved["rows"], saved["best"], saved["trainer"]
+        return Progress(**saved["progress"]), saved["trainer"]
 
 
 @contextmanager

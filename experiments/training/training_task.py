@@ -1,10 +1,10 @@
 """The task that a policy learns: places to train at, and arguments of the environments there.
 
-A *place* is a scene with a radio, a rate of epochs, the measured quantities and a kind of clock.
+A *place* is a scene with a radio and a rate of epochs.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any, cast
 
 from experiments.console.options import TaskArgs, WorldArgs
@@ -13,15 +13,9 @@ from experiments.evaluation.protocol import UNSEEN
 from mmwave_env.filters.bank import Bank, bank_from, modes_from
 from mmwave_env.interface.observation import Observation
 from mmwave_env.interface.reward import LogScore, Reward, TrackingReward
-from mmwave_env.models.layout import CLOCKS, MEASUREMENTS, measurements_from
 from mmwave_env.models.radio import radio_from
 from mmwave_env.task import task_from
 from mmwave_env.world.simulated import SimulatedSource
-
-FORM = (
-    "SCENE:RADIO[:SECONDS][:QUANTITIES][:offset], with seconds between epochs, measured quantities "
-    "and a clock with an offset, such as street:handset or o1:standard:0.1:range+azimuth"
-)
 
 
 @dataclass(frozen=True)
@@ -31,8 +25,6 @@ class Place:
     Attributes:
         scene, radio: names or JSON files, as in ``MmWaveLoc-v0``.
         dt: seconds between epochs.
-        measurements: names of the measured quantities; None for all.
-        clock: "synchronized" or "offset".
 
     Raises:
         ValueError: an argument is invalid, or the benchmark holds out the scene or radio.
@@ -42,8 +34,6 @@ class Place:
     scene: str
     radio: str
     dt: float = 1.0
-    measurements: tuple[str, ...] | None = None
-    clock: str = "synchronized"
 
     def __post_init__(self) -> None:
         source = self.source("mixed")
@@ -67,28 +57,20 @@ class Place:
 
 
 def place_from(text: str) -> Place:
-    """Return the place that a word on the command line names, in the form :data:`FORM`.
+    """Return the place that a word on the command line names, such as street:handset:0.1.
 
     Raises:
         ValueError: the word has another form, or :class:`Place` refuses a part of it.
         FileNotFoundError: there is no such file.
     """
     scene, *rest = text.split(":")
-    if not (scene and all(rest) and 1 <= len(rest) <= 4):
-        raise ValueError(f"places: found {text!r}, expected {FORM}")
-    radio, *others = rest
-    options: dict[str, Any] = {}
+    if not (scene and all(rest) and 1 <= len(rest) <= 2):
+        raise ValueError(
+            f"places: found {text!r}, expected SCENE:RADIO[:SECONDS], with seconds between epochs"
+        )
+    radio, *dt = rest
     try:
-        for word in others:
-            if word in CLOCKS:
-                options["clock"] = word
-            elif word[0] in ".-" or word[0].isdigit():
-                options["dt"] = float(word)
-            else:
-                options["measurements"] = measurements_from(word.split("+"))
-        if len(options) < len(others):
-            raise ValueError(f"found {':'.join(others)}, expected {FORM}")
-        return Place(scene, radio, **options)
+        return Place(scene, radio, *map(float, dt))
     except ValueError as error:
         raise ValueError(f"places: {text}: {error}") from error
 
@@ -96,18 +78,13 @@ def place_from(text: str) -> Place:
 def places_from(words: Sequence[str]) -> tuple[Place, ...]:
     """Return the places that words on the command line name, in order.
 
-    If one place lacks some quantities, all places get the layout that allows for missing
-    quantities, so that one compiled program runs all places.
-
     Raises:
         ValueError: same as from :func:`place_from`, or a place is named twice.
     """
     places = tuple(map(place_from, words))
     if len(set(places)) < len(places):
         raise ValueError(f"places: found {', '.join(words)}, expected different places")
-    if all(place.measurements is None for place in places):
-        return places
-    return tuple(replace(p, measurements=p.measurements or MEASUREMENTS) for p in places)
+    return places
 
 
 @dataclass(frozen=True)

@@ -100,8 +100,7 @@ def write_log_folder(
 
     Args:
         folder: folder to write to; created if it does not exist.
-        episode: the episode, whose prior is not written. If its true positions are unknown, an
-            existing ``truth.tum`` is removed, because it does not belong to the new log.
+        episode: the episode, whose prior is not written and whose true positions are known.
         scene: scene of the episode.
         origin: how the episode was made, as text for a comment in ``truth.tum``.
         columns: columns (n,) of the log; None for those of :func:`log_columns`.
@@ -111,9 +110,7 @@ def write_log_folder(
     """
     write_text(folder / LOG, log_text(columns or log_columns(episode)))
     write_json(folder / SCENE, scene_json(scene))
-    if episode.truth_position_m is None:
-        (folder / TRUTH).unlink(missing_ok=True)
-        return [LOG, SCENE]
+    assert episode.truth_position_m is not None
     track = tum_lines(episode.time_s, episode.truth_position_m)
     write_text(folder / TRUTH, f"# {' '.join(COLUMNS)}; {origin}\n{track}")
     return [LOG, SCENE, TRUTH]

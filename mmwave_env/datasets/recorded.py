@@ -13,8 +13,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mmwave_env.io.lookup import is_name, quoted
-from mmwave_env.io.records import Printable
+from mmwave_env.io.lookup import quoted
+from mmwave_env.logs.log_tables import Arrays
 from mmwave_env.logs.truth import stretches, velocity_of
 from mmwave_env.models.layout import (
     LINK,
@@ -42,7 +42,7 @@ Received = tuple[Array, Array, Array, Array | None]  # result of ``Track._receiv
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Track(ABC):
+class Track(Arrays, ABC):
     """T epochs of one user.
 
     Attributes:
@@ -73,14 +73,9 @@ class Track(ABC):
     sigma: Array | None = None
     doppler_anchor: Index | None = None
 
-    def __post_init__(self) -> None:
-        if not is_name(self.name):
-            refuse(self.record, "name", quoted(self.name), Printable.expected)
-        self._warn_of_contradictions()
-
     @abstractmethod
-    def _received(self, radio: Radio, rng: np.random.Generator, epochs: slice) -> Received:
-        """Return what a receiver with this radio profile measures in T epochs.
+    def _received(self, radio: Radio, rng: np.random.Generator) -> Received:
+        """Return what a receiver with this radio profile measures in the T epochs.
 
         The ranges of a receiver whose clock has an unknown offset contain the offset's bias.
 
@@ -89,10 +84,8 @@ class Track(ABC):
             (T,), Hz, or None if it is unknown.
         """
 
-    def episode(
-        self, radio: str | Radio, rng: np.random.Generator, epochs: slice = slice(None)
-    ) -> Episode:
-        """Return the epochs of the track, all or a slice, as an episode with known true positions.
+    def episode(self, radio: str | Radio, rng: np.random.Generator) -> Episode:
+        """Return the epochs of the track as an episode, whose true positions are known.
 
         The prior is drawn around the true state. If the bias of the oscillator is unknown, the mean
         of its prior is 0. If the user's clock has an unknown offset, the ranges of a recording get
@@ -103,11 +96,9 @@ class Track(ABC):
             ValueError: the true position in an epoch is not known.
         """
         radio = radio_from(radio)
-        measurement, snr_db, spread_hz, bias = self._received(radio, rng, epochs)
-        position = self.position_m[epochs]
-        velocity = self.velocity_mps[epochs]
+        measurement, snr_db, spread_hz, bias = self._received(radio, rng)
         bias_hz = 0.0 if bias is None else bias[0]
-        state = np.concatenate([position[0], velocity[0], [bias_hz]])
+        state = np.concatenate([self.position_m[0], self.velocity_mps[0], [bias_hz]])
         covariance = radio.prior_covariance(self.scene, self.layout.clock)
         mean = np.zeros(len(covariance))
         mean[:7] = state + np.sqrt(np.diag(covariance)[:7]) * rng.standard_normal(7)
@@ -118,16 +109,16 @@ class Track(ABC):
             self.scene,
             radio,
             self.layout,
-            time_s=self.time_s[epochs],
+            time_s=self.time_s,
             measurement=measurement,
-            visible=self.visible[epochs],
+            visible=self.visible,
             snr_db=snr_db,
             doppler_spread_hz=spread_hz,
             prior=(mean, covariance),
-            sigma=None if self.sigma is None else self.sigma[epochs],
-            doppler_anchor=None if self.doppler_anchor is None else self.doppler_anchor[epochs],
-            position_m=position,
-            velocity_mps=velocity,
+            sigma=self.sigma,
+            doppler_anchor=self.doppler_anchor,
+            position_m=self.position_m,
+            velocity_mps=self.velocity_mps,
         )
 
     @property
@@ -140,10 +131,7 @@ class Track(ABC):
         """Return the anchors (L, 3): the base station first, then virtual anchors."""
         return self.scene.anchors_m
 
-    def __len__(self) -> int:
-        return len(self.time_s)
-
-    def _warn_of_contradictions(self) -> None:
+    def warn_of_contradictions(self) -> None:
         """Warn if the errors of links, computed with the true positions, have a large median.
 
         The cause is a wrong convention or unit, or a true track in another frame. Noise alone
@@ -210,6 +198,7 @@ class TrackSource:
                 refuse(track.record, "clock", f"{clock}, but no ranges", "a track with ranges")
             partial = track.layout.partial or clock == "free"
             track = replace(track, layout=replace(track.layout, clock=clock, partial=partial))
+        track.warn_of_contradictions()
         self.track = track
         self.radio = radio_from(radio)
         self.layout = track.layout
@@ -254,7 +243,7 @@ class TrackSource:
     def sample(self, rng: np.random.Generator) -> Episode:
         """Draw an episode; all randomness comes from ``rng``."""
         start = int(rng.choice(self._starts))
-        episode = self.track.episode(self.radio, rng, slice(start, start + self.epochs))
+        episode = self.track.part(slice(start, start + self.epochs)).episode(self.radio, rng)
         return episode.only(self._measurements) if self._measurements else episode
 
 
@@ -274,9 +263,8 @@ class MeasuredTrack(Track):
     snr_db: Array
     doppler_spread_hz: Array
 
-    def _received(self, radio: Radio, rng: np.random.Generator, epochs: slice) -> Received:
-        spread_hz = self.doppler_spread_hz[epochs]
-        return self.measurement[epochs], self.snr_db[epochs], spread_hz, None
+    def _received(self, radio: Radio, rng: np.random.Generator) -> Received:
+        return self.measurement, self.snr_db, self.doppler_spread_hz, None
 
 
 _NO_PATH_DB = -200.0  # gain of a missing path: so low that it is negligible, but not infinite
@@ -358,33 +346,29 @@ class Recording(Track):
             path_gain_db=gain,
         )
 
-    def _received(self, radio: Radio, rng: np.random.Generator, epochs: slice) -> Received:
-        """Draw the noise, the oscillator's bias and the Doppler spread of some epochs."""
+    def _received(self, radio: Radio, rng: np.random.Generator) -> Received:
+        """Draw the noise, the oscillator's bias and the Doppler spread."""
         scene = self.scene
         layout = self.layout
-        links = self.visible[epochs, : layout.anchors]
-        gain = np.where(links, self.path_gain_db[epochs], _NO_PATH_DB)
+        gain = np.where(self.visible[:, : layout.anchors], self.path_gain_db, _NO_PATH_DB)
         snr = radio.snr_db(gain, scene.bandwidth_hz)
         sigma = radio.sigma(snr, scene, layout)
-        measurement = self.measurement[epochs] + sigma * rng.standard_normal(sigma.shape)
-        bias = oscillator_bias(radio, scene.hz_per_mps, self.time_s[epochs], rng)
+        measurement = self.measurement + sigma * rng.standard_normal(sigma.shape)
+        bias = oscillator_bias(radio, scene.hz_per_mps, self.time_s, rng)
         measurement[:, layout.doppler] += bias
         if layout.has_bias:
             (own,) = rng.spawn(1)
-            bias_m = clock_bias(layout.clock, bias / scene.hz_per_mps, self.time_s[epochs], own)
+            bias_m = clock_bias(layout.clock, bias / scene.hz_per_mps, self.time_s, own)
             measurement[:, layout.ranges] += bias_m[:, None]
         wrap_angles(measurement, layout)
-        speed = np.linalg.norm(self.velocity_mps[epochs], axis=1)
+        speed = np.linalg.norm(self.velocity_mps, axis=1)
         spread_hz = doppler_spread(radio, scene.hz_per_mps, speed, rng)
         return measurement, snr, spread_hz, bias
 
 
 def _numbers(record: str, field: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array:
     """Return a new array of ``values``, refused unless it has this shape (None: any length > 0)."""
-    try:
-        array = np.array(values, float)
-    except (TypeError, ValueError) as error:
-        refuse(record, field, f"{type(values).__name__} ({error})", "an array of numbers")
+    array = np.array(values, float)
     wanted = [n or max(m, 1) for n, m in zip(shape, array.shape, strict=False)]
     if array.ndim != len(shape) or list(array.shape) != wanted:
         refuse(record, field, f"shape {array.shape}", f"shape {shape}".replace("None", "any"))

@@ -75,16 +75,9 @@ class Policy(Protocol):
         return None
 
 
-class SmoothedCorrector(Protocol):
-    """A network that corrects smoothed tracks, given whole tracks."""
-
-    def read_from_track(self, pipeline: Pipeline) -> None:
-        """Find the network's features among the features that tracks of a pipeline compute."""
-        ...
-
-    def correct_tracks(self, features: Array32) -> Correction:
-        """Return corrections (n, T, 3) of n smoothed tracks, given features (n, T, features)."""
-        ...
+# A network that corrects n smoothed tracks: given their pipeline and whole tracks of features
+# (n, T, features), it returns corrections (n, T, 3).
+TrackCorrector = Callable[[Pipeline, Array32], Correction]
 
 
 def policy_from(agent: Any, name: str) -> Policy:

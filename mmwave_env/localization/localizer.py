@@ -21,7 +21,7 @@ from mmwave_env.filters.correction import corrected_all
 from mmwave_env.filters.mode_smoothing import smooth_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import SMOOTHING_WINDOW
-from mmwave_env.interface.policy import SmoothedCorrector, Switching
+from mmwave_env.interface.policy import Switching, TrackCorrector
 from mmwave_env.localization.levels import PARTS, Levels
 from mmwave_env.localization.policy_tracker import PolicyTracker
 from mmwave_env.localization.segments import Segment, segments
@@ -176,7 +176,7 @@ def localize(
     window: int | None = SMOOTHING_WINDOW,
     height_m: float | None = None,
     levels: Levels | None = None,
-    two_way: SmoothedCorrector | None = None,
+    two_way: TrackCorrector | None = None,
     report: Callable[[float], None] = lambda share: None,
     correlation_s: float = 0.0,
 ) -> Track:
@@ -241,7 +241,7 @@ def _track(
     segment: int,
     start: Start | None,
     window: int | None,
-    two_way: SmoothedCorrector | None,
+    two_way: TrackCorrector | None,
 ) -> Track:
     """Return the track of a part of a segment, which ends before a belief that is not finite.
 
@@ -329,12 +329,11 @@ def _by_windows(run: Callable[..., tuple[Array, ...]], window: int, *parts: Arra
 
 
 def _corrected(
-    track: Track, kept: Array, localizer: Localizer, window: int, two_way: SmoothedCorrector
+    track: Track, kept: Array, localizer: Localizer, window: int, two_way: TrackCorrector
 ) -> Track:
     """Correct a part of a smoothed track by windows, which are the smoother's."""
     layout = track.layout
     pipeline = localizer.pipeline
-    two_way.read_from_track(pipeline)
     batch = EpisodeBatch.of([episode_from(track, localizer.scene, localizer.radio, None)])
     mixtures = kept[:, layout.state_size + layout.triangle :]
     rejected = track.visible & ~track.accepted
@@ -344,7 +343,7 @@ def _corrected(
         table[:, 0, columns_of(layout).dt] = 0.0  # each window begins a track, as in training
         episodes = batch._replace(table=table)
         features = smoothed_features(pipeline, episodes, x, P, mixtures, list(gates))
-        shift, log_factor, trusted = (of.astype(float) for of in two_way.correct_tracks(features))
+        shift, log_factor, trusted = (of.astype(float) for of in two_way(pipeline, features))
         belief = corrected_all(x, P, shift, log_factor, pipeline)
         return np.stack(belief.x, axis=-1), np.stack(pack(belief.P), axis=-1), trusted
 

@@ -174,10 +174,11 @@ class Strip(NamedTuple):
 def draw_strips(canvas: Canvas, top: float, history: History, beside: Sequence[History]) -> None:
     """Draw all strips below ``top``, with scales that also fit the histories ``beside``."""
     rows = slice(max(1, history.epochs - _WINDOW + 1), None)
-    modes = history.modes[rows]
-    times_s = _times(history, rows)
-    x = _across(history.time_s[rows], times_s)
-    for i, strip in enumerate(_strips(history, rows, [history, *beside])):
+    shown = history.part(rows)
+    modes = shown.modes
+    times_s = _times(shown.time_s, float(history.time_s[-1]))
+    x = _across(shown.time_s, times_s)
+    for i, strip in enumerate(_strips(shown, [each.part(rows) for each in (history, *beside)])):
         plot = Rect(_LEFT, top + i * (_HEIGHT + _GAP) + _GAP / 2.0, _WIDTH, _HEIGHT)
         _draw_strip(canvas, plot, strip, x, modes)
     lane = Rect(_LEFT, top + 3.0 * (_HEIGHT + _GAP) + 1.0, _WIDTH, _RIBBON)
@@ -190,26 +191,24 @@ def _across(time_s: Array, times_s: tuple[float, float]) -> Array:
     return np.interp(time_s, times_s, (_LEFT, _LEFT + _WIDTH))
 
 
-def _times(history: History, rows: slice) -> tuple[float, float]:
+def _times(time_s: Array, latest: float) -> tuple[float, float]:
     """Return the times at the left and right edge of strips with room for ``_WINDOW`` epochs."""
-    time_s = history.time_s[rows]
     step = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0
-    latest = float(history.time_s[-1])
     first = float(time_s[0]) if len(time_s) else latest
     return first, max(first + (_WINDOW - 1) * step, latest)
 
 
-def _strips(history: History, rows: slice, together: Sequence[History]) -> list[Strip]:
-    """Return the strips of some rows of a history, with scales that fit all histories."""
-    true = history.true_mps[rows]
+def _strips(history: History, together: Sequence[History]) -> list[Strip]:
+    """Return the strips of a history, with scales that fit all histories."""
+    true = history.true_mps
     most = 2.0 * float(true.max(initial=1.0))  # a larger estimate is drawn at the upper edge
-    speeds = (0.0, _top([true, *(np.fmin(drawn.speed_mps[rows], most) for drawn in together)]))
-    errors = (0.0, _top([drawn.error_m[rows] for drawn in together]))
+    speeds = (0.0, _top([true, *(np.fmin(drawn.speed_mps, most) for drawn in together)]))
+    errors = (0.0, _top([drawn.error_m for drawn in together]))
     band = nees_interval(history.axes)
     return [
-        Strip("speed, m/s", history.speed_mps[rows], speeds, speeds, truth=true),
-        Strip("error, m", history.error_m[rows], errors, errors),
-        Strip("NEES, 95 % band", history.nees[rows], _NEES, _NEES_TICKS, np.log, band=band),
+        Strip("speed, m/s", history.speed_mps, speeds, speeds, truth=true),
+        Strip("error, m", history.error_m, errors, errors),
+        Strip("NEES, 95 % band", history.nees, _NEES, _NEES_TICKS, np.log, band=band),
     ]
 
 

@@ -1,6 +1,6 @@
 """Video files (.gif or .mp4) of a sequence of pictures; needs the extra ``render``."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from contextlib import closing
 from pathlib import Path
 
@@ -12,7 +12,6 @@ from mmwave_env.rendering.theme import Pixels
 
 _PACKAGES = {".gif": "PIL", ".mp4": "imageio_ffmpeg"}  # package that writes each format
 _COLORS = 256  # maximum number of colors in a GIF
-_SAMPLES = 6  # number of pictures from which the palette is computed
 _LAST_S = 2.0  # time for which a GIF shows its last picture, before it repeats
 
 
@@ -31,30 +30,22 @@ def require_video(option: str, path: Path) -> None:
     require_writable(path)
 
 
-def some_of(numbers: Sequence[int]) -> list[int]:
-    """Return the numbers of those pictures from which the palette of a GIF is computed."""
-    return [numbers[i] for i in np.linspace(0, len(numbers) - 1, _SAMPLES).astype(int)]
-
-
-def write_video(
-    path: Path, pictures: Iterable[Pixels], samples: Sequence[Pixels], fps: int
-) -> None:
+def write_video(path: Path, pictures: Iterable[Pixels], sample: Pixels, fps: int) -> None:
     """Write a complete video; if that fails, an older file at ``path`` remains unchanged.
 
     The video shows the ``pictures`` (height, width, 3), each when it is drawn. A GIF has the colors
-    of the ``samples``, some of the pictures. Call ``require_video`` first.
+    of the ``sample``, a picture such as the last. Call ``require_video`` first.
     """
     write = _write_mp4 if path.suffix.lower() == ".mp4" else _write_gif
     with atomic_path(path) as temporary:
-        write(temporary, pictures, samples, fps)
+        write(temporary, pictures, sample, fps)
 
 
-def _write_gif(path: Path, pictures: Iterable[Pixels], samples: Sequence[Pixels], fps: int) -> None:
+def _write_gif(path: Path, pictures: Iterable[Pixels], sample: Pixels, fps: int) -> None:
     """Write a GIF with a single palette, so that unchanged pixels take no space."""
     from PIL import Image
 
-    taken = Image.fromarray(np.concatenate(samples))
-    palette = taken.quantize(_COLORS, Image.Quantize.FASTOCTREE)
+    palette = Image.fromarray(sample).quantize(_COLORS, Image.Quantize.FASTOCTREE)
     frames = [
         Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)
         for picture in pictures
@@ -63,10 +54,10 @@ def _write_gif(path: Path, pictures: Iterable[Pixels], samples: Sequence[Pixels]
     frames[0].save(path, "GIF", save_all=True, append_images=frames[1:], duration=lasts, loop=0)
 
 
-def _write_mp4(path: Path, pictures: Iterable[Pixels], samples: Sequence[Pixels], fps: int) -> None:
+def _write_mp4(path: Path, pictures: Iterable[Pixels], sample: Pixels, fps: int) -> None:
     import imageio_ffmpeg
 
-    size = samples[0].shape[1::-1]
+    size = sample.shape[1::-1]
     writer = imageio_ffmpeg.write_frames(str(path), size, fps=fps, quality=8, macro_block_size=2)
     with closing(writer):  # stops ffmpeg, even if a picture can't be drawn
         writer.send(None)  # starts the generator

@@ -39,12 +39,6 @@ def sample(tmp_path):
     return tmp_path
 
 
-def test_the_truth_of_an_earlier_episode_is_removed(folder):
-    unknown = replace(simulated(), truth_position_m=None, truth_velocity_mps=None)
-    assert write_log_folder(folder, unknown, STREET, "") == ["log.csv", "scene.json"]
-    assert sorted(path.name for path in folder.iterdir()) == ["log.csv", "scene.json"]
-
-
 @pytest.mark.parametrize("odometry", [False, True])
 def test_a_simulated_log_gives_the_simulated_episode(tmp_path, odometry):
     true = simulated(3, odometry)

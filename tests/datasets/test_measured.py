@@ -89,14 +89,14 @@ def test_values_that_contradict_the_truth_cause_a_warning(name):
     change, column = MISTAKES[name]
     episode = simulated(radio="standard")
     with pytest.warns(UserWarning, match=f"track 'own': .*{column}"):
-        track(episode, **change(arrays(episode)))
+        TrackSource(track(episode, **change(arrays(episode))), RADIO)
 
 
 @pytest.mark.parametrize("seeds", representative([range(20), range(20, 354)], range(20)))
 def test_correct_tracks_cause_no_warning(seeds):
     for seed in seeds:
         for radio in RADIOS:
-            track(simulated(seed, 200, radio, "mixed"))
+            TrackSource(track(simulated(seed, 200, radio, "mixed")), radio)
 
 
 # --- episodes
@@ -199,8 +199,9 @@ def test_a_recording_can_be_made_from_arrays():
     assert abs(by_differences.velocity_mps - true.velocity_mps).max() < 0.5
     with refuses("path_gain_db of recording"):
         Recording.from_arrays(**{**own, "path_gain_db": [1.0]})
+    exchanged = Recording.from_arrays(**{**own, "aoa_azimuth_rad": own["aod_azimuth_rad"]})
     with pytest.warns(UserWarning, match="aoa_azimuth_rad of anchor 1"):
-        Recording.from_arrays(**{**own, "aoa_azimuth_rad": own["aod_azimuth_rad"]})
+        TrackSource(exchanged, RADIO)
 
 
 @pytest.mark.parametrize(

@@ -93,7 +93,7 @@ def test_sigmas_follow_from_the_radio_profile_and_the_recorded_gain():
 def test_the_covariance_of_the_prior_is_right(radio):
     scores = []
     for seed in range(400):
-        episode = PEDESTRIAN.episode(radio, np.random.default_rng(seed), slice(0, 1))
+        episode = PEDESTRIAN.part(slice(0, 1)).episode(radio, np.random.default_rng(seed))
         truth = np.append(episode.truth_position_m[0], episode.truth_velocity_mps[0])
         variances = np.diag(episode.prior_covariance)[:6]
         scores.append(np.square(episode.prior_mean[:6] - truth) / variances)

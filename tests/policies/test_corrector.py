@@ -1,6 +1,7 @@
 """Tests of correctors, which correct beliefs: network, memory, fading of corrections, and files."""
 
 import pickle
+from functools import partial
 
 import numpy as np
 import pytest
@@ -110,16 +111,14 @@ def test_the_network_equals_pytorch(path):
 
 def two_way(path):
     """Return a two-way corrector that is ready for tracks whose columns are the features NAMES."""
-    corrector = TwoWayCorrector(path)
-    corrector.read_from_track(Pipeline(MODES, Layout()))
-    return corrector
+    return partial(TwoWayCorrector(path), Pipeline(MODES, Layout()))
 
 
 @pytest.mark.torch
 @pytest.mark.slow
 def test_the_two_way_network_equals_pytorch(two_way_path):
     shown = features(20)
-    answer = two_way(two_way_path).correct_tracks(np.swapaxes(shown, 0, 1))
+    answer = two_way(two_way_path)(np.swapaxes(shown, 0, 1))
     expected = np.swapaxes(by_pytorch(shown, TWO_WAY), 0, 1) * answer.trusted[..., None]
     both = np.concatenate([answer.shift, answer.log_factor], axis=-1)
     assert_allclose(both, expected, atol=1e-5)
@@ -127,9 +126,9 @@ def test_the_two_way_network_equals_pytorch(two_way_path):
 
 def test_two_way_corrections_fade_around_strange_epochs_and_are_never_nan(two_way_path):
     tracks = np.swapaxes(features(41), 0, 1)
-    usual = two_way(two_way_path).correct_tracks(tracks).trusted[0]
+    usual = two_way(two_way_path)(tracks).trusted[0]
     tracks[0, 20, 5] = np.nan
-    answer = two_way(two_way_path).correct_tracks(tracks)
+    answer = two_way(two_way_path)(tracks)
     assert all(np.isfinite(part).all() for part in answer) and answer.trusted[0, 20] == 0.0
     assert (answer.trusted[0, [18, 19, 21, 22]] < 0.3).all()
     assert answer.trusted[0, [0, -1]].min() > 0.5 * usual[[0, -1]].min()

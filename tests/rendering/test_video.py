@@ -49,7 +49,7 @@ def mp4(path):
 def written(path):
     require_video("out", path)
     pictures = [square(number) for number in range(COUNT)]
-    write_video(path, iter(pictures), pictures[:1], 5)
+    write_video(path, iter(pictures), pictures[0], 5)
     assert list(path.parent.iterdir()) == [path]
     return path
 

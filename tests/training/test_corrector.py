@@ -40,7 +40,7 @@ TWO_WAY = TwoWayHyperparameters(**vars(HYPER) | {"judged_at": ("street:high",)},
 
 
 def job_of(folder, hyper=HYPER, **changes):
-    job = Job(task(), hyper, 0, 40_000, folder, "mmwave-loc train", 1, 8)
+    job = Job(task(), hyper, 0, 40_000, folder, "mmwave-loc train", 8)
     return replace(job, **changes)
 
 

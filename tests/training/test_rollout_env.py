@@ -9,7 +9,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.filters.bank import Bank, default_modes
 from mmwave_env.interface.reward import TrackingReward
-from tests.refusals import refuses
 from tests.training.actors import MODES
 
 pytest.importorskip("stable_baselines3")
@@ -121,15 +120,6 @@ def test_states_near_the_end_of_an_episode_are_left_out():
     assert len(env.try_all(chaotic(4)).values) == 8
     stepped(env, HORIZON - 1)
     assert len(env.try_all(chaotic(4)).values) == 16
-
-
-def test_places_that_one_engine_cannot_run_are_refused():
-    ukfs = Bank(tuple(replace(mode, algorithm="ukf") for mode in MODES))
-    with refuses("places"):
-        environment(task(banks=BANKS | {"standard": ukfs}))
-    drifting = Place("street", "standard", clock="offset")
-    with refuses("places"):
-        environment(task(places=(PLACES[0], drifting)))
 
 
 def test_the_normalization_is_measured_on_observations_of_the_environment():

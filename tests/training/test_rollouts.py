@@ -32,7 +32,7 @@ UPDATES = 10
 
 def job_of(folder, of=None, hyper=HYPER, **changes):
     timesteps = UPDATES * hyper.states
-    job = Job(of or task(), hyper, 0, timesteps, folder, "mmwave-loc train", 1, 16)
+    job = Job(of or task(), hyper, 0, timesteps, folder, "mmwave-loc train", 16)
     return replace(job, **changes)
 
 
@@ -128,14 +128,9 @@ def test_the_learner_learns_which_action_is_best_and_forgets_the_oldest_states()
     model = learner()
     fresh, best = states(1000, 9)
     model.remember(states(512, 0, turned=True)[0])
-    newer = [states(n, seed)[0] for seed, n in enumerate((300, 200, 12), start=1)]
-    for tried in newer:
-        model.remember(tried)
-    figures = model.improve(1.0)
+    for seed, n in enumerate((300, 200, 12), start=1):
+        model.remember(states(n, seed)[0])
+    model.improve(1.0)
     assert np.mean(model.greedy(fresh.observations) == best) > 0.95
-    possible = np.concatenate([np.ptp(tried.values, axis=1) for tried in newer]).mean()
-    assert figures["gain/possible"] == pytest.approx(possible, rel=0.05)
-    assert 0.0 < figures["gain/expected"] < figures["gain/possible"]
-    again = model.improve(0.1)
-    assert again["gain/expected"] > figures["gain/expected"]
-    assert again["entropy"] < figures["entropy"]
+    model.improve(0.1)
+    assert np.mean(model.greedy(fresh.observations) == best) > 0.95

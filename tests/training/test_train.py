@@ -47,7 +47,7 @@ HYPER = PpoHyperparameters(
 
 
 def job_of(folder, hyper=HYPER, **changes):
-    job = Job(TASK, hyper, 0, 1000, folder, "mmwave-loc train", 1, 20)
+    job = Job(TASK, hyper, 0, 1000, folder, "mmwave-loc train", 20)
     return replace(job, **changes)
 
 
@@ -136,7 +136,6 @@ def test_a_bad_hyperparameter_is_refused_in_one_line(change, tmp_path):
         (("--beliefs", "permode"), "permode.*--beliefs.*per-mode"),
         (("--beliefs", "per-mode", "--modes", "ukf"), "modes: found only 'ukf'"),
         (("--seeds", 0), "seeds: found 0"),
-        (("--checkpoint-every", 0), "checkpoint_every: found 0"),
         (("--total-timesteps", -1), "total_timesteps: found -1"),
         (("--algo", "rollouts", "--hyperparameters", shipped_hyperparameters("ppo")),
          "key: found 'n_steps', .*num_envs"),

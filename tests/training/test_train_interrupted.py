@@ -32,7 +32,7 @@ UPDATES = 14
 
 def job_of(folder, **changes):
     timesteps = UPDATES * SMALL.num_envs * SMALL.n_steps
-    job = Job(TASK, SMALL, 0, timesteps, folder, "mmwave-loc train", 1, 20)
+    job = Job(TASK, SMALL, 0, timesteps, folder, "mmwave-loc train", 20)
     return replace(job, **changes)
 
 
@@ -68,8 +68,7 @@ def interrupt_after(calls):
 
 
 def assert_goes_on(job):
-    """Interrupt a training twice, long before a checkpoint, let it finish, and check it."""
-    job = replace(job, checkpoint_every=1000)
+    """Interrupt a training twice, let it finish, and check it."""
     for calls in (0, 1):
         with pytest.raises(Interrupted):
             train(job, interrupt_after(calls))
@@ -177,7 +176,7 @@ def test_an_interrupted_command_ends_all_processes_and_continues_when_resumed(tm
     # The training must take seconds, so that it can be interrupted.
     length = ("--seeds", 1, "--total-timesteps", 10 * UPDATES * SMALL.num_envs * SMALL.n_steps)
     made_with = (*length, "--hyperparameters", hyperparameters)
-    words = (*made_with, "--out", out, "--checkpoint-every", 1, "--jobs", 1)
+    words = (*made_with, "--out", out, "--jobs", 1)
     checkpoint = out / "seed-0" / "checkpoint.pt"
 
     def kill_the_training(group):

@@ -1,4 +1,4 @@
-"""Tests of the frame of trainings: checkpoints (valid, damaged and forged), and logs."""
+"""Tests of the frame of trainings: checkpoints, which may be valid, damaged or forged."""
 
 import io
 
@@ -11,7 +11,7 @@ pytest.importorskip("stable_baselines3")
 import torch
 
 from experiments.training.run import train
-from experiments.training.trainer import as_csv, read_checkpoint
+from experiments.training.trainer import Progress, read_checkpoint
 from tests.damage import Malicious, damaged
 from tests.refusals import refuses
 from tests.training.test_train import job_of
@@ -20,13 +20,13 @@ from tests.training.test_train_interrupted import silent
 pytestmark = pytest.mark.torch
 
 
-ROWS = [{"timesteps": 96, "loss": 0.25, "seconds": 1.5}]
+PROGRESS = Progress(3, 96, 1.5, [{"timesteps": 96, "seconds": 1.5}], {"reward": -1.5})
 
 
 def written(path, trainer):
     """Write a checkpoint with a trainer's state to a file; return the path."""
     memory = io.BytesIO()
-    torch.save({"rows": ROWS, "best": {"reward": -1.5}, "trainer": trainer}, memory)
+    torch.save({"progress": vars(PROGRESS), "trainer": trainer}, memory)
     path.write_bytes(memory.getvalue())
     return path
 
@@ -61,8 +61,3 @@ def test_a_malicious_checkpoint_is_refused_and_not_executed(tmp_path):
     with refuses("checkpoint.pt"):
         read_checkpoint(path)
     assert not trap.exists()
-
-
-def test_a_log_has_empty_cells_for_missing_values():
-    rows = [{"timesteps": 10, "a": 1}, {"timesteps": 20, "b": 0.125}]
-    assert as_csv(rows) == "timesteps,a,b\n10,1,\n20,,0.125\n"

@@ -64,10 +64,10 @@ def read_deepmimo(
     """
     if virtual_anchors < 0:
         raise ValueError(f"virtual_anchors: found {virtual_anchors}, expected at least 0")
-    scenario = open_scenario(Path(folder), receiver_set)
+    scenario = open_scenario(Path(folder), receiver_set, base_station)
     receivers = scenario.epochs(users)
     way = _way_of(scenario, receivers, dt_s)
-    stations = scenario.paths(receivers, base_station)
+    stations = scenario.paths(receivers)
     links = _links(stations, way.position_m, virtual_anchors)
     return _recording(scenario, links, way)
 
@@ -136,8 +136,7 @@ def _way_of(scenario: Scenario, epochs: Index, dt_s: float | None) -> Trajectory
     if away.any():
         i = int(np.argmax(away))
         where = f"line {np.asarray(way.lines)[i]}, columns x, y, z"
-        expected = f"{position[i].tolist()}, rx_pos of {scenario.name_of(epochs[i])}"
-        refuse_in(file, where, way.position_m[i].tolist(), expected)
+        refuse_in(file, where, way.position_m[i].tolist(), f"{position[i].tolist()}, as in rx_pos")
     return way
 
 

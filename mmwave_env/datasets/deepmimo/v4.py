@@ -9,7 +9,7 @@ of time, but the files contain neither times nor velocities. Pickled objects are
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -20,9 +20,11 @@ from mmwave_env.datasets.deepmimo.anchors import (
     StationPaths,
 )
 from mmwave_env.io.files import open_regular, read_json, refuse_in
+from mmwave_env.io.records import between, require
 from mmwave_env.numerics.numbers import Array, Index, Mask
 
 PARAMS = "params.json"  # the file that marks a folder as a scenario
+Hertz = Annotated[float, between(1.0, 1e15)]
 _RECEIVERS = re.compile(r"rx_pos_(t\d+_tx\d+)_r(\d+)\.npz")
 
 
@@ -40,11 +42,6 @@ class Scenario(NamedTuple):
     def is_dynamic(self) -> bool:
         """Tell whether epochs are successive scenes, not successive receivers on a trajectory."""
         return self.scenes != (self.folder,)
-
-    def name_of(self, epoch: Index) -> str:
-        """Return the name of an epoch's receiver for messages; ``epoch`` (2,) is (scene, row)."""
-        scene, row = epoch.tolist()
-        return f"receiver {row}" + (f" in {self.scenes[scene].name}" if self.is_dynamic else "")
 
     def epochs(self, users: int | Sequence[int] | Index | None) -> Index:
         """Return pairs (E, 2): for each epoch, its scene and its receiver's row in the arrays.
@@ -82,46 +79,49 @@ class Scenario(NamedTuple):
             _require_finite(file, "rx_pos", parts[-1], rows)
         return np.concatenate(parts)
 
-    def paths(self, epochs: Index, base_station: int | None = None) -> list[StationPaths]:
-        """Read the paths from every base station, or from only one station, to some receivers.
+    def paths(self, epochs: Index) -> list[StationPaths]:
+        """Read the paths from every base station to some receivers.
 
         Args:
             epochs: (E, 2) pairs (scene, row) from :meth:`epochs`, in increasing order of scenes.
-            base_station: number of the only station to read, from 1 in the order of ``stations``.
 
         Raises:
             FileNotFoundError: a file is missing.
-            ValueError: there is no such station, or a file can't be read or contradicts another
-                file; the message then names the file and the key.
+            ValueError: a file can't be read or contradicts another file; the message names the file
+                and the key.
         """
-        stations = self.stations
-        if base_station is not None:
-            if not 1 <= base_station <= len(stations):
-                raise ValueError(
-                    f"base_station: found {base_station}, expected 1 to {len(stations)}: "
-                    f"{', '.join(stations)} of {self.folder}"
-                )
-            stations = stations[base_station - 1 : base_station]
-        return [_read_station(self, epochs, name) for name in stations]
+        return [_read_station(self, epochs, name) for name in self.stations]
 
 
-def open_scenario(folder: Path, receiver_set: int | None = None) -> Scenario:
+def open_scenario(
+    folder: Path, receiver_set: int | None = None, base_station: int | None = None
+) -> Scenario:
     """Read the description of a scenario folder, but not the propagation paths.
 
-    ``receiver_set`` is the number of a set of receivers; None for the only set.
+    Args:
+        folder: folder of the scenario.
+        receiver_set: number of a set of receivers; None for the only set.
+        base_station: number of a base station, from 1 in the order of file names; None for all.
 
     Raises:
         FileNotFoundError: the folder or a required file is missing.
-        ValueError: ``params.json`` can't be read or contradicts the files, or ``receiver_set``
-            does not select exactly one set of receivers; the message lists the sets.
+        ValueError: ``params.json`` can't be read or contradicts the files, there is no such
+            station, or ``receiver_set`` does not select exactly one set of receivers; the message
+            lists the sets.
     """
     carrier_hz, count = _read_params(folder / PARAMS)
     scenes = _scenes(folder, count)
     number, stations = _stations(scenes[0], receiver_set)
+    if base_station is not None:
+        numbered = {i + 1: (station,) for i, station in enumerate(stations)}
+        if base_station not in numbered:
+            raise ValueError(
+                f"base_station: found {base_station}, expected 1 to {len(stations)}: "
+                f"{', '.join(stations)} of {folder}"
+            )
+        stations = numbered[base_station]
     file = scenes[0] / f"rx_pos_{stations[0]}_r{number}.npz"
     receivers = len(read_array(file, "rx_pos", ("N", 3)))
-    if receivers == 0:
-        refuse_in(file, "rx_pos", "no receivers", "at least one")
     return Scenario(folder, scenes, stations, number, receivers, carrier_hz)
 
 
@@ -129,14 +129,9 @@ def _read_params(file: Path) -> tuple[float, int]:
     """Read carrier frequency, Hz, and number of scenes; errors name the file and the entry."""
 
     def make(content: dict[str, Any]) -> tuple[float, int]:
-        numbers = []
-        for part, name, most in (("rt_params", "frequency", 1e15), ("scene", "num_scenes", 1e9)):
-            value = content.get(part, {}).get(name, "nothing")
-            if type(value) not in (int, float) or not 1 <= value <= most:
-                expected = f"expected a number from 1 to {most:g}"
-                raise ValueError(f"{part}.{name}: found {value!r}, {expected}")
-            numbers.append(value)
-        return float(numbers[0]), numbers[1]
+        carrier_hz = content["rt_params"]["frequency"]
+        require("rt_params.frequency", carrier_hz, Hertz)
+        return float(carrier_hz), content["scene"]["num_scenes"]
 
     return read_json(file, "the parameters of a DeepMIMO scenario", make)
 
@@ -148,7 +143,7 @@ def _scenes(folder: Path, count: int) -> tuple[Path, ...]:
     scenes = sorted(sub for sub in folder.iterdir() if sub.is_dir() and any(sub.glob("rx_pos_*")))
     if len(scenes) != count:
         expected = f"{len(scenes)}, the number of sub-folders with receivers"
-        refuse_in(folder / PARAMS, "scene.num_scenes", count, expected)
+        refuse_in(folder / PARAMS, "scene.num_scenes", repr(count), expected)
     return tuple(scenes)
 
 
