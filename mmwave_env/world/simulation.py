@@ -230,10 +230,10 @@ def blank_world(layout: Layout, phases: int, gaits: int, inexact: bool) -> World
     ``inexact`` tells whether the survey may have errors.
     """
     still = STILL._replace(radius=1.0, jerk=1.0)
-    acts = [plan.phase for plan in blank_plan(phases, gaits).phases]
     channel = channel_of(Radio("blank"), Scene("blank", (0.0, 0.0, 10.0)), layout, 1.0)
     anchors = blank_site(layout).anchors
     dice = [0.0] * STATE_WORDS
+    acts = draw_phases(Dice(dice), blank_plan(phases, gaits).phases, 0.0)
     clock = Clock(dice, 0.0) if layout.has_bias else ()
     offered = [1.0] * layout.size if layout.partial else []
     drift = [1.0, 1.0, 1.0] if layout.has_bias else []
