@@ -24,11 +24,11 @@ from mmwave_env.models.measurement import Measurement
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Matrix, Numbers
 from mmwave_env.numerics.pytree import flatten
-from mmwave_env.numerics.tape import NoValueError, Tracer, TracerCondition, taped
+from mmwave_env.numerics.tape import Tracer, TracerCondition, taped
 
 _LANES_KNOW = (
     "a number on lanes supports only +, -, *, /, <, <=, >, >=, abs and the functions of "
-    "mmwave_env.numerics.numbers"
+    "mmwave_env.numerics.numbers (docs/own-filters.md, Rules)"
 )
 # An own algorithm's log-likelihood must fall by at least this share of what the EKF's falls by, and
 # must not be farther from it.
@@ -97,9 +97,6 @@ def try_out(
     """
     try:
         return function(*arguments)
-    except NoValueError as refusal:
-        problem = "cannot run on lanes"
-        raise kind(complaint(subject, function, problem, refusal, str(refusal))) from None
     except Exception as error:
         advice = f"{type(error).__name__}: {error}"
         if isinstance(error, TypeError | AttributeError):

@@ -1,8 +1,9 @@
 """Numbers that hide their value: a *recorder* gets every operation on them.
 
 A function that runs on such numbers never asks for a value, so it can be compiled for lanes (SIMD
-numbers for eight environments). An operation that needs a value is refused, and the message says
-what to write instead. There are two recorders: a :class:`Tape` lists the operations, and that of
+numbers for eight environments). An operation that needs a value is refused:
+branches and comparisons by == by :class:`Traced`, all others by Python itself, as they are not
+defined here. There are two recorders: a :class:`Tape` lists the operations, and that of
 :mod:`mmwave_env.compiler.lanes` emits their instructions.
 
 A function's compiled code is stored under a hash of the tape, the *fingerprint*. Two functions have
@@ -13,55 +14,40 @@ old code is never run for it. Writing a tape takes a hundredth of the time of co
 
 from collections.abc import Callable, Sequence
 from hashlib import sha256
-from typing import Any, NoReturn
+from typing import Any
 
 from mmwave_env.numerics.pytree import Tree, flatten, unflatten
 
 
-class NoValueError(TypeError):
-    """Error of a function that asks for a hidden value; the message says what to write instead."""
-
-
-_NUMBERS = "mmwave_env.numerics.numbers"
-_REFUSALS = {  # refused operation -> (the operation in words, what to write instead)
-    "truth": (
-        "a branch",
-        "where(condition, a, b) for 'if' and 'while', & and | for 'and' and 'or', and "
-        f"maximum(a, b) and minimum(a, b) for max and min; these functions are in {_NUMBERS}",
-    ),
-    "value": ("float(...) or math", f"the functions of {_NUMBERS} instead"),
-    "integer": ("use as an integer", "a constant that is known before the function runs"),
-    "numpy": ("numpy", f"lists and the functions of {_NUMBERS} and mmwave_env.numerics.linalg"),
-    "equality": ("a comparison by == or !=", "where(abs(a - b) < tolerance, ...)"),
-    "power": ("a power", "a * a for a ** 2, sqrt(a) for a ** 0.5, exp(p * log(a)) for a ** p"),
-    "remainder": ("a remainder", "wrap(a) for angles, where(a > b, a - b, a) if a < 2 * b"),
-    "floor": ("a division with //", "a / b"),
-    "key": ("a key of a dict or set", "a list and a constant index, or where(condition, a, b)"),
-    "mask as number": ("arithmetic with a condition", "where(condition, 1.0, 0.0)"),
-    "inverse": ("negating a condition", "where(condition, b, a) for where(~condition, a, b)"),
-    "number as mask": ("using a number as a condition", "where(a > 0.5, ...)"),
-}
-
-
-def _refuse(asked: str) -> NoReturn:
-    operation, instead = _REFUSALS[asked]
-    raise NoValueError(
+def _refusal(operation: str, instead: str) -> TypeError:
+    return TypeError(
         f"{operation} needs the value of a number that stands for 8 environments: write {instead}"
     )
-
-
-def _refusing(asked: str) -> Any:
-    return lambda *_, **__: _refuse(asked)
 
 
 class Traced:
     """A hidden number, condition or word; its ``value`` is what the recorder returned for it."""
 
     __slots__ = ("recorder", "value")
+    __array_ufunc__ = None  # numpy then refuses its own functions, and leaves operators to Python
 
     def __init__(self, recorder: Any, value: Any) -> None:
         self.recorder = recorder
         self.value = value
+
+    def __bool__(self) -> bool:
+        raise _refusal(
+            "a branch",
+            "where(condition, a, b) for 'if' and 'while', & and | for 'and' and 'or', and "
+            "maximum(a, b) and minimum(a, b) for max and min; these functions are in "
+            "mmwave_env.numerics.numbers",
+        )
+
+    def __eq__(self, other: object) -> bool:
+        raise _refusal("a comparison by == or !=", "where(abs(a - b) < tolerance, ...)")
+
+    __ne__ = __eq__
+    __hash__ = None  # type: ignore[assignment]
 
 
 def _joining(op: str) -> Any:
@@ -75,7 +61,7 @@ def _recording(op: str) -> Any:
 
 
 def _comparing(op: str) -> Any:
-    return lambda a, b: TracerCondition(a.recorder, a.recorder.emit(op, a, b))
+    return lambda a, b: _emitted(TracerCondition, op, a, b)
 
 
 def _combining(op: str) -> tuple[Any, Any]:
@@ -90,13 +76,6 @@ class TracerCondition(Traced):
     __and__ = _joining("&")
     __or__ = _joining("|")
     select = _recording("select")
-    __bool__ = _refusing("truth")
-    __float__ = __add__ = __radd__ = __sub__ = __rsub__ = _refusing("mask as number")
-    __mul__ = __rmul__ = __truediv__ = __rtruediv__ = __neg__ = _refusing("mask as number")
-    __lt__ = __le__ = __gt__ = __ge__ = _refusing("mask as number")
-    __eq__ = __ne__ = _refusing("equality")
-    __hash__ = _refusing("key")
-    __invert__ = _refusing("inverse")
 
 
 class Tracer(Traced):
@@ -118,16 +97,6 @@ class Tracer(Traced):
     log = _recording("log")
     exp = _recording("exp")
     atan2 = _recording("atan2")
-    __bool__ = _refusing("truth")
-    __float__ = __complex__ = _refusing("value")
-    __int__ = __index__ = __round__ = __trunc__ = __floor__ = __ceil__ = _refusing("integer")
-    __array__ = __array_ufunc__ = _refusing("numpy")
-    __eq__ = __ne__ = _refusing("equality")
-    __pow__ = __rpow__ = _refusing("power")
-    __mod__ = __rmod__ = __divmod__ = __rdivmod__ = _refusing("remainder")
-    __floordiv__ = __rfloordiv__ = _refusing("floor")
-    __hash__ = _refusing("key")
-    select = _refusing("number as mask")
 
     def constant(self, value: float) -> "Tracer":
         """Return a hidden number with a known value."""
@@ -158,8 +127,8 @@ class TracerWord(Traced):
 
 def _settled(op: str, a: Any, b: Any) -> Any:
     """Return the result if a constant 0 or 1 makes the instruction unnecessary; else None."""
-    first = None if isinstance(a, Tracer) else a
-    second = None if isinstance(b, Tracer) else b
+    first = None if isinstance(a, Traced) else a
+    second = None if isinstance(b, Traced) else b
     if op == "mul":
         for constant, other in ((first, b), (second, a)):
             if constant in (0.0, 1.0):
@@ -172,13 +141,15 @@ def _settled(op: str, a: Any, b: Any) -> Any:
 
 
 def _combined(op: str, a: Any, b: Any) -> Any:
-    if isinstance(a, TracerCondition) or isinstance(b, TracerCondition):
-        _refuse("mask as number")
     settled = _settled(op, a, b)
-    if settled is not None:
-        return settled
+    return _emitted(Tracer, op, a, b) if settled is None else settled
+
+
+def _emitted(kind: type[Traced], op: str, a: Any, b: Any) -> Any:
+    if isinstance(a, TracerCondition) or isinstance(b, TracerCondition):
+        return NotImplemented  # so Python says that the types do not fit
     recorder = (a if isinstance(a, Tracer) else b).recorder
-    return Tracer(recorder, recorder.emit(op, a, b))
+    return kind(recorder, recorder.emit(op, a, b))
 
 
 Rows = list[tuple[Any, ...]]

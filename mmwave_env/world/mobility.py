@@ -202,4 +202,4 @@ def _phase_plan(phase: Phase, gaits: int) -> PhasePlan:
     wanted += [NO_GAIT] * (gaits - len(wanted))
     duration = [min(end, FAR) for end in phase.duration_s]  # FAR is longer than any episode
     *limits, red = astuple(phase.limits)
-    return PhasePlan(TravelPhase(*limits, list(red), duration, wanted), 0.0)
+    return PhasePlan(TravelPhase._make([*limits, list(red), duration, wanted]), 0.0)

@@ -69,8 +69,9 @@ class TravelPlan(NamedTuple):
 
 def blank_plan(phases: int, gaits: int) -> TravelPlan:
     """Return a placeholder plan with the given numbers of phases and gaits, to be overwritten."""
-    one = [1.0, 1.0]
-    phase = TravelPhase(one, one, one, 1.0, 1.0, 0.0, one, [FAR, FAR], [NO_GAIT] * gaits)
+    at_one = [1.0, 1.0]
+    limits = [at_one, at_one, at_one, 1.0, 1.0, 0.0, at_one]
+    phase = TravelPhase._make([*limits, [FAR, FAR], [NO_GAIT] * gaits])
     return TravelPlan(1.0, [PhasePlan(phase, 0.0)] * phases)
 
 
