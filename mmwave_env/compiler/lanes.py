@@ -113,10 +113,10 @@ def _exp(a: Any) -> Any:
 
 
 _FUNCTIONS: dict[str, Any] = {"atan2": _atan2, "log": _log, "exp": _exp}
-# operations -> names of LLVM's instructions on floats, of its intrinsic functions, and of others
-_FLOATS = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv", "neg": "fneg"}
-_INTRINSICS = {"abs": "fabs", "sqrt": "sqrt", "floor": "floor"}
-_OF_WORDS = {"&": "and_", "|": "or_", "+": "add", "^": "xor", "<<": "shl", ">>": "lshr"}
+# operations on floats and on words that are instructions of LLVM, and its intrinsic functions
+_ON_FLOATS = ("fadd", "fsub", "fmul", "fdiv", "fneg")
+_ON_WORDS = ("and_", "or_", "add", "xor", "shl", "lshr")
+_INTRINSICS = ("fabs", "sqrt", "floor")
 _COMPARISONS = ("<", "<=", ">", ">=")
 
 
@@ -131,23 +131,21 @@ class Emitter:
         if op in _FUNCTIONS:
             return _FUNCTIONS[op](*operands).value
         b = self.builder
-        constant: Any = _bits if op in _OF_WORDS else _doubles
+        constant: Any = _bits if op in _ON_WORDS else _doubles
         x, *rest = [a.value if isinstance(a, Traced) else constant(a) for a in operands]
-        if op in _FLOATS:
-            return getattr(b, _FLOATS[op])(x, *rest, flags=_FLAGS)
+        if op in _ON_FLOATS:
+            return getattr(b, op)(x, *rest, flags=_FLAGS)
         if op in _INTRINSICS:
-            return self._call(_INTRINSICS[op], x)
-        if op in _OF_WORDS:
-            return getattr(b, _OF_WORDS[op])(x, *rest)
+            return self._call(op, x)
         if op in _COMPARISONS:
             return b.fcmp_ordered(op, x, *rest)
-        return {
+        others = {
             "constant": lambda: x,
-            "select": lambda: b.select(x, *rest),
             "as word": lambda: b.bitcast(x, _BITS),
             "as number": lambda: b.bitcast(x, _VECTOR),
             "scaled": lambda: b.fmul(b.sitofp(x, _VECTOR), *rest, flags=_FLAGS),
-        }[op]()
+        }
+        return others[op]() if op in others else getattr(b, op)(x, *rest)
 
     def _call(self, name: str, x: Any) -> Any:
         signature = ir.FunctionType(_VECTOR, [_VECTOR])

@@ -26,7 +26,10 @@ def _refusal(operation: str, instead: str) -> TypeError:
 
 
 class Traced:
-    """A hidden number, condition or word; its ``value`` is what the recorder returned for it."""
+    """A hidden number, condition or word; its ``value`` is what the recorder returned for it.
+
+    Operations have the names that LLVM's builder gives them, if there is one instruction for them.
+    """
 
     __slots__ = ("recorder", "value")
     __array_ufunc__ = None  # numpy then refuses its own functions, and leaves operators to Python
@@ -73,8 +76,8 @@ class TracerCondition(Traced):
     """A condition on hidden numbers, for ``where``; ``&`` and ``|`` combine two conditions."""
 
     __slots__ = ()
-    __and__ = _joining("&")
-    __or__ = _joining("|")
+    __and__ = _joining("and_")
+    __or__ = _joining("or_")
     select = _recording("select")
 
 
@@ -82,16 +85,16 @@ class Tracer(Traced):
     """A number that hides its value; a comparison with NaN is false."""
 
     __slots__ = ()
-    __add__, __radd__ = _combining("add")
-    __sub__, __rsub__ = _combining("sub")
-    __mul__, __rmul__ = _combining("mul")
-    __truediv__, __rtruediv__ = _combining("div")
+    __add__, __radd__ = _combining("fadd")
+    __sub__, __rsub__ = _combining("fsub")
+    __mul__, __rmul__ = _combining("fmul")
+    __truediv__, __rtruediv__ = _combining("fdiv")
     __lt__ = _comparing("<")
     __le__ = _comparing("<=")
     __gt__ = _comparing(">")
     __ge__ = _comparing(">=")
-    __neg__ = _recording("neg")
-    __abs__ = _recording("abs")
+    __neg__ = _recording("fneg")
+    __abs__ = _recording("fabs")
     sqrt = _recording("sqrt")
     floor = _recording("floor")
     log = _recording("log")
@@ -115,11 +118,11 @@ class TracerWord(Traced):
     """A hidden word of 64 bits (:class:`~mmwave_env.numerics.random.Word`)."""
 
     __slots__ = ()
-    __add__ = _joining("+")
-    __xor__ = _joining("^")
-    __or__ = _joining("|")
-    __lshift__ = _joining("<<")
-    __rshift__ = _joining(">>")
+    __add__ = _joining("add")
+    __xor__ = _joining("xor")
+    __or__ = _joining("or_")
+    __lshift__ = _joining("shl")
+    __rshift__ = _joining("lshr")
     # the integer, which must be below 2^63, times a factor; and the number that has these bits
     scaled = _recording("scaled")
     as_number = _recording("as number")
@@ -129,14 +132,14 @@ def _settled(op: str, a: Any, b: Any) -> Any:
     """Return the result if a constant 0 or 1 makes the instruction unnecessary; else None."""
     first = None if isinstance(a, Traced) else a
     second = None if isinstance(b, Traced) else b
-    if op == "mul":
+    if op == "fmul":
         for constant, other in ((first, b), (second, a)):
             if constant in (0.0, 1.0):
                 return other if constant else 0.0
-    if op in ("add", "sub") and second == 0.0:
+    if op in ("fadd", "fsub") and second == 0.0:
         return a
-    if op in ("add", "div") and first == 0.0:
-        return b if op == "add" else 0.0
+    if op in ("fadd", "fdiv") and first == 0.0:
+        return b if op == "fadd" else 0.0
     return None
 
 
