@@ -114,20 +114,21 @@ class Track(ABC):
         if bias is None:
             mean[6] = 0.0
         return Episode.measured(
-            self.name,
             self.scene,
             radio,
             self.layout,
+            snr_db,
+            name=self.name,
             time_s=self.time_s[epochs],
             measurement=measurement,
             visible=self.visible[epochs],
-            snr_db=snr_db,
             doppler_spread_hz=spread_hz,
-            prior=(mean, covariance),
+            prior_mean=mean,
+            prior_covariance=covariance,
             sigma=None if self.sigma is None else self.sigma[epochs],
             doppler_anchor=None if self.doppler_anchor is None else self.doppler_anchor[epochs],
-            position_m=position,
-            velocity_mps=velocity,
+            truth_position_m=position,
+            truth_velocity_mps=velocity,
         )
 
     @property

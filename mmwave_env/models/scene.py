@@ -37,15 +37,12 @@ Place = Annotated[tuple[Coordinate, Coordinate], f"[x, y], {_EACH}"]
 Extent = Annotated[tuple[Coordinate, Coordinate], f"[low, high], {_EACH}"]
 Bearing = Annotated[float, between(-360.0, 360.0, "degrees")]
 Offset = Annotated[float, between(-1e5, 1e5, "m")]
-OffsetSigma = Annotated[float, between(0.0, 1e4, "m")]
-Offsets = Annotated[tuple[Offset, ...], Size(0, MOST_ANCHORS)]
-OffsetSigmas = Annotated[tuple[OffsetSigma, ...], Size(0, MOST_ANCHORS)]
-Carrier = Annotated[float, Bound("hertz, 1e6 to 2.9e12", least=1e6, most=2.9e12)]
-Bandwidth = Annotated[float, Bound("hertz, 1e5 to 1e12", least=1e5, most=1e12)]
-
-
 SIGMA_M = between(0.0, 1e4, "m")
 Deviation = Annotated[float, SIGMA_M]
+Offsets = Annotated[tuple[Offset, ...], Size(0, MOST_ANCHORS)]
+OffsetSigmas = Annotated[tuple[Deviation, ...], Size(0, MOST_ANCHORS)]
+Carrier = Annotated[float, Bound("hertz, 1e6 to 2.9e12", least=1e6, most=2.9e12)]
+Bandwidth = Annotated[float, Bound("hertz, 1e5 to 1e12", least=1e5, most=1e12)]
 
 
 @dataclass(frozen=True)

@@ -56,9 +56,9 @@ class Episode:
         doppler_spread_hz: (T,) measured Doppler spread; 0 where none was measured.
         prior_mean: (7,) mean of the state at the first epoch; (8,) with a clock offset.
         prior_covariance: (7, 7) positive definite covariance; (8, 8) with a clock offset.
+        layout: which quantity is in which row, and which rows form a group.
         truth_position_m: (T, 3) true positions; None if unknown.
         truth_velocity_mps: (T, 3) true velocities; None if unknown.
-        layout: which quantity is in which row, and which rows form a group.
         doppler_anchor: (T,) index, from 0, of the anchor whose Doppler shift was measured (only in
             a partial layout); None if it is the first anchor in every epoch.
     """
@@ -74,9 +74,9 @@ class Episode:
     doppler_spread_hz: Array
     prior_mean: Array
     prior_covariance: Array
-    truth_position_m: Array | None
-    truth_velocity_mps: Array | None
     layout: Layout
+    truth_position_m: Array | None = None
+    truth_velocity_mps: Array | None = None
     doppler_anchor: Index | None = None
 
     def __post_init__(self) -> None:
@@ -140,21 +140,13 @@ class Episode:
     @classmethod
     def measured(
         cls,
-        name: str,
         scene: Scene,
         radio: Radio,
         layout: Layout,
-        *,
-        time_s: Array,
-        measurement: Array,
-        visible: Mask,
         snr_db: Array,
-        doppler_spread_hz: Array,
-        prior: tuple[Array, Array],
         sigma: Array | None = None,
         doppler_anchor: Index | None = None,
-        position_m: Array | None = None,
-        velocity_mps: Array | None = None,
+        **others: Any,
     ) -> "Episode":
         """Return an episode of measured arrays.
 
@@ -162,10 +154,9 @@ class Episode:
 
         Args:
             scene, radio: scene that contains the anchors, and profile of the receiver.
-            prior: ``prior_mean`` and ``prior_covariance``.
             sigma: (T, rows) standard deviations that the receiver reports. The radio profile
                 computes those that are NaN (all of them, if sigma is None) from the SNR.
-            position_m, velocity_mps: true positions and velocities (T, 3); None if unknown.
+            others: the remaining attributes.
         """
         known = np.isfinite(snr_db)
         stated = radio.sigma(snr_db, scene, layout)
@@ -178,20 +169,13 @@ class Episode:
         if sigma is not None:
             stated = np.where(np.isfinite(sigma), sigma, stated)
         return cls(
-            name,
-            scene.anchors_m,
-            scene.hz_per_mps,
-            time_s,
-            measurement,
-            stated,
-            visible,
-            snr_db,
-            doppler_spread_hz,
-            *prior,
-            position_m,
-            velocity_mps,
-            layout,
-            doppler_anchor,
+            scene_anchors_m=scene.anchors_m,
+            hz_per_mps=scene.hz_per_mps,
+            layout=layout,
+            snr_db=snr_db,
+            sigma=stated,
+            doppler_anchor=doppler_anchor,
+            **others,
         )
 
     @property

@@ -112,16 +112,17 @@ class SimulatedSource:
         rarely = math.exp(RARE * radio.spread_sigma)
         spread_mps = radio.spread_gain * FASTEST_MPS * rarely + RARE * radio.spread_floor_mps
         return Episode.measured(
-            f"{radio.name} in {scene.name}",
             scene,
             radio,
             self.layout,
+            snr_db,
+            name=f"{radio.name} in {scene.name}",
             time_s=np.array([0.0, self.dt]),
             measurement=np.zeros((2, self.layout.size)),
             visible=np.ones((2, len(self.layout.groups)), np.bool_),
-            snr_db=snr_db,
             doppler_spread_hz=np.array([0.0, scene.hz_per_mps * spread_mps]),
-            prior=(np.zeros(self.layout.state_size), self._prior_covariance),
+            prior_mean=np.zeros(self.layout.state_size),
+            prior_covariance=self._prior_covariance,
         )
 
     @cached_property
@@ -186,9 +187,9 @@ class SimulatedSource:
                 rows.doppler_spread_hz,
                 site[index.prior_x],
                 self._prior_covariance,
+                self.layout,
                 rows.truth[:, :3],
                 rows.truth[:, 3:],
-                self.layout,
             )
             episodes.append(episode)
         return episodes

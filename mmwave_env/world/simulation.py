@@ -86,8 +86,8 @@ class ReceiverState(NamedTuple):
     is_first: Number  # 1 before the first epoch
     channel: ChannelState  # state of the links
     bias_hz: Number  # oscillator bias in the coming epoch
-    clock: Clock | tuple[()]  # empty if the user's clock is synchronized
-    survey: Survey | tuple[()]  # empty if the survey is exact
+    clock: list[Clock]  # empty if the user's clock is synchronized
+    survey: list[Survey]  # empty if the survey is exact
 
 
 class UserState(NamedTuple):
@@ -140,11 +140,10 @@ def measure(w: Any, truth: Numbers, layout: Layout) -> Any:
     sigma = deviations(radio.floor_variance, radio.bound_variance, reception.snr_db, layout)
     added = [value for link in reception.bias for value in link] + [receiver.bias_hz]
     added += [0.0] * (layout.size - len(added))
-    if isinstance(receiver.clock, Clock):
+    for clock in receiver.clock:
         for a in range(layout.anchors):
-            added[4 * a] = added[4 * a] + receiver.clock.bias_m
-    if isinstance(receiver.survey, Survey):
-        errors = receiver.survey
+            added[4 * a] = added[4 * a] + clock.bias_m
+    for errors in receiver.survey:
         for row, slow in enumerate(errors.slow):
             added[row] = added[row] + errors.offsets[row % 4] + errors.size * sigma[row] * slow
     z = [e + s * dice.normal() + b for e, s, b in zip(exact, sigma, added, strict=True)]
@@ -165,37 +164,34 @@ def measure(w: Any, truth: Numbers, layout: Layout) -> Any:
         doppler_of=blank_incoming(layout).doppler_of,
     )
     bias_hz = receiver.bias_hz + settings.drift_hz * dice.normal()
+    both_hz = receiver.bias_hz + bias_hz
     receiver = receiver._replace(
         dice=dice.state, is_first=0.0, channel=channel, bias_hz=bias_hz,
-        clock=_run_on(receiver, bias_hz, settings.clock),
-        survey=_slowly_changed(receiver, settings.slow),
+        clock=[_run_on(clock, both_hz, *settings.clock) for clock in receiver.clock],
+        survey=[_slowly_changed(errors, *settings.slow) for errors in receiver.survey],
     )  # fmt: skip
     return w._replace(measured=measured, receiver=receiver)
 
 
-def _run_on(receiver: ReceiverState, bias_hz: Number, clock: Vector) -> Clock | tuple[()]:
-    """Return the clock one epoch later; () if the clock is synchronized.
+def _run_on(
+    clock: Clock, both_hz: Number, remains: Number, half_step: Number, sigma_m: Number
+) -> Clock:
+    """Return the clock one epoch later; the other arguments are as in :class:`WorldSettings`.
 
-    The range bias changes by noise, and by a drift due to the mean oscillator bias of both epochs.
+    The range bias changes by noise, and by a drift due to the oscillator biases of both epochs.
     """
-    if not isinstance(receiver.clock, Clock):
-        return ()
-    (remains, half_step, sigma_m) = clock
-    dice = Dice(receiver.clock.dice)
-    bias_m = remains * receiver.clock.bias_m + half_step * (receiver.bias_hz + bias_hz)
+    dice = Dice(clock.dice)
+    bias_m = remains * clock.bias_m + half_step * both_hz
     bias_m = bias_m + sigma_m * dice.normal()
     return Clock(dice.state, bias_m)
 
 
-def _slowly_changed(receiver: ReceiverState, slow: Vector) -> Survey | tuple[()]:
-    """Return the survey's errors one epoch later; () if the survey is exact."""
-    if not isinstance(receiver.survey, Survey):
-        return ()
-    (keep,) = slow
-    dice = Dice(receiver.survey.dice)
+def _slowly_changed(errors: Survey, keep: Number) -> Survey:
+    """Return the survey's errors one epoch later, which keep this share of the slow errors."""
+    dice = Dice(errors.dice)
     fresh = sqrt(1.0 - keep * keep)
-    changed = [keep * error + fresh * dice.normal() for error in receiver.survey.slow]
-    return receiver.survey._replace(dice=dice.state, slow=changed)
+    changed = [keep * error + fresh * dice.normal() for error in errors.slow]
+    return errors._replace(dice=dice.state, slow=changed)
 
 
 def _where_measured(measured: Vector, rows: Vector, otherwise: float) -> Numbers:
@@ -234,10 +230,10 @@ def blank_world(layout: Layout, phases: int, gaits: int, inexact: bool) -> World
     anchors = blank_site(layout).anchors
     dice = [0.0] * STATE_WORDS
     acts = draw_phases(Dice(dice), blank_plan(phases, gaits).phases, 0.0)
-    clock = Clock(dice, 0.0) if layout.has_bias else ()
+    clock = [Clock(dice, 0.0)] if layout.has_bias else []
     offered = [1.0] * layout.size if layout.partial else []
     drift = [1.0, 1.0, 1.0] if layout.has_bias else []
-    survey = Survey(dice, [0.0] * 4, 0.0, [0.0] * layout.doppler) if inexact else ()
+    survey = [Survey(dice, [0.0] * 4, 0.0, [0.0] * layout.doppler)] if inexact else []
     return WorldState(
         measured=blank_incoming(layout),
         settings=WorldSettings(1.0, channel, 1.0, 1.0, 1.0, 1.0, offered, drift, [1.0] * inexact),
@@ -393,7 +389,7 @@ def begin(w: StartState, streets: RandomScene | None, survey: RandomSurvey | Non
     for deviation in w.prior_deviation[7:]:
         own = Dice(seeded(w.key[0], CLOCK))
         bias_m = deviation * own.normal()
-        receiver = receiver._replace(clock=Clock(own.state, bias_m))
+        receiver = receiver._replace(clock=[Clock(own.state, bias_m)])
         first = [*first, bias_m]
         noise = [*noise, 0.0 - bias_m]
     mapped = scene.anchors
@@ -402,7 +398,8 @@ def begin(w: StartState, streets: RandomScene | None, survey: RandomSurvey | Non
         errors = survey.draw_numbers(own, len(scene.anchors))
         mapped = [plus(at, by) for at, by in zip(scene.anchors, errors.anchors_m, strict=True)]
         slow = [own.normal() for _ in range(4 * len(scene.anchors))]
-        receiver = receiver._replace(survey=Survey(own.state, errors.offsets, errors.slow, slow))
+        inexact = Survey(own.state, errors.offsets, errors.slow, slow)
+        receiver = receiver._replace(survey=[inexact])
     return w._replace(start=StartDraws(receiver, user, choice, first, noise, mapped))
 
 

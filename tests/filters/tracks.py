@@ -148,7 +148,7 @@ class OwnModel:
         layout = Layout(sensor.links, sensor.odometry)
         where = (sensor.anchors, sensor.hz_per_mps)
         times = np.arange(epochs) * 1.0
-        return Episode("own model", *where, times, z, sigma, *received, *belief, *truth, layout)
+        return Episode("own model", *where, times, z, sigma, *received, *belief, layout, *truth)
 
 
 def far_from_the_anchors(Q, **options):
