@@ -11,16 +11,13 @@ from functools import lru_cache, partial
 from traceback import FrameSummary, format_list, walk_tb
 from typing import Any
 
-import numpy as np
-
 from mmwave_env.filters.gating import Gate
 from mmwave_env.filters.modes import ALGORITHMS, Mode
-from mmwave_env.filters.textbook import Sensor
 from mmwave_env.filters.update import Posterior
 from mmwave_env.io.lookup import quoted
 from mmwave_env.io.records import between
 from mmwave_env.models.layout import Layout
-from mmwave_env.models.measurement import Measurement
+from mmwave_env.models.measurement import Measurement, exact_rows
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Matrix, Numbers
 from mmwave_env.numerics.pytree import flatten
@@ -127,7 +124,7 @@ def check_algorithm(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> 
         if len(new) != len(old) or any(a is not b for a, b in zip(new, old, strict=True)):
             problem = f"changed its argument {name}, expected it to remain unchanged"
             raise AlgorithmError(complaint(subject, algorithm, problem))
-    if problem := next(_wrong_shapes(layout, result), ""):
+    if problem := next(_wrong_shapes(result, ALGORITHMS["ekf"](*arguments)), ""):
         raise AlgorithmError(complaint(subject, algorithm, f"returned {problem}"))
     likelihoods = []
     usual = []
@@ -166,12 +163,11 @@ def _arguments(
     anchors = [[40.0 + 10.0 * anchor, 15.0, 10.0] for anchor in range(layout.anchors)]
     x = [0.0, 0.0, 1.5, 1.0, 0.5, 0.0, 0.0, 0.0][:n]
     P = [1e-8 * (i == j) for i in range(n) for j in range(i + 1)]
-    sensor = Sensor(np.array(anchors), 1.0, layout.odometry, clock=layout.has_bias)
-    z = sensor.h(np.array(x)) + 0.1 * sigmas
+    z = [row + 0.1 * sigmas for row in exact_rows(x, x[3:6], anchors, 1.0, layout)]
     visible = [1.0] * len(layout.groups)
     first = [1.0] + [0.0] * (layout.anchors - 1)
     partial_rows = [[1.0] * layout.size, first] if layout.partial else [(), ()]
-    rows = [z.tolist(), [0.01] * layout.size, visible]
+    rows = [z, [0.01] * layout.size, visible]
     numbers: Any = [x, P, 0.0, [anchors, 1.0, *rows], partial_rows]
     x, P, force, measured, present = taped(numbers, []) if hidden else numbers
     measurement = Measurement._make([*measured, layout, *present])
@@ -179,15 +175,12 @@ def _arguments(
     return x, unpack(P, zero=known_axes), measurement, gate
 
 
-def _wrong_shapes(layout: Layout, result: Any) -> Iterator[str]:
+def _wrong_shapes(result: Any, like: Posterior) -> Iterator[str]:
     """Describe each part of a posterior that is missing, or has a wrong type or shape."""
     if not isinstance(result, Posterior):
         yield f"{_kind(result)}, expected a Posterior from mmwave_env.filters.update"
         return
-    state = [0.0] * layout.state_size
-    groups = [0.0] * len(layout.groups)
-    expected = Posterior(state, [state] * len(state), groups, groups, 0.0)
-    for parts in zip(Posterior._fields, result, expected, strict=True):
+    for parts in zip(Posterior._fields, result, like, strict=True):
         yield from wrong_parts(*parts)
 
 

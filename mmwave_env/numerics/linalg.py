@@ -8,7 +8,7 @@ multiplication by it takes no instruction. No function below divides by a struct
 
 from collections.abc import Callable, Sequence
 
-from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Vector, sqrt
+from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Pair, Vector, sqrt
 
 
 def is_zero(a: Number) -> bool:
@@ -99,6 +99,16 @@ def forward(factor: Matrix, b: Vector) -> Numbers:
         pivot = factor[i][i]
         y.append(0.0 if is_zero(pivot) else (b[i] - dot(factor[i][:i], y)) * (1.0 / pivot))
     return y
+
+
+def mahalanobis(a: Matrix, b: Vector) -> Pair:
+    """Return b' a^-1 b and the determinant of a positive definite matrix ``a``."""
+    factor = cholesky(a)
+    y = forward(factor, b)
+    pivots: Number = 1.0
+    for i in range(len(a)):
+        pivots = pivots * factor[i][i]
+    return dot(y, y), pivots * pivots
 
 
 def backward(factor: Matrix, b: Vector) -> Numbers:

@@ -5,11 +5,10 @@ lane. All random numbers come from generators that a key seeds, so a key determi
 """
 
 from collections.abc import Callable
-from functools import cache, cached_property, lru_cache, partial
+from functools import cache, lru_cache, partial
 from typing import Any, NamedTuple
 
 from numba import types
-from numba.core.compiler_lock import global_compiler_lock
 
 from mmwave_env.compiler.disk_cache import compiled_callback
 from mmwave_env.compiler.lanes import WIDTH, kernel, number_at
@@ -22,7 +21,7 @@ from mmwave_env.models.random_survey import RandomSurvey
 from mmwave_env.models.scene import Scene, SceneNumbers
 from mmwave_env.numerics.linalg import dot, plus, times
 from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Vector, floor, sqrt, where, wrap
-from mmwave_env.numerics.pytree import flatten, indices, select, tree_at
+from mmwave_env.numerics.pytree import flatten, select, tree_at
 from mmwave_env.numerics.random import STATE_WORDS, Dice, seeded
 from mmwave_env.numerics.tape import fingerprint
 from mmwave_env.world.channel import (
@@ -244,36 +243,34 @@ def blank_world(layout: Layout, phases: int, gaits: int, inexact: bool) -> World
     )
 
 
-class World:
+class World(Program[WorldState]):
     """The simulation of a user's epochs: each epoch is measured, then the user moves on.
 
-    ``phases`` is the maximum number of phases, and ``gaits`` the maximum number of gaits (target
-    speeds) in a phase. ``inexact`` tells whether the survey may have errors.
+    The compiled code is called by a :class:`~mmwave_env.compiler.program.Feed`; the user moves in
+    substeps.
+
+    Args:
+        layout: which quantity is in which row of a measurement.
+        phases: maximum number of phases.
+        gaits: maximum number of gaits (target speeds) in a phase.
+        inexact: whether the survey may have errors.
     """
 
     def __init__(self, layout: Layout, phases: int, gaits: int, inexact: bool) -> None:
-        self._layout = layout
-        self.template = blank_world(layout, phases, gaits, inexact)
-        self.index: WorldState = indices(self.template)  # the row of each float in the workspace
-        sizes = [len(flatten(part)) for part in self.template]
-        # the rows at which three parts end: the measured epoch; the settings; receiver and user
-        self.ends = (sizes[0], sizes[0] + sizes[1], sum(sizes))
-
-    def on_lanes(self) -> int:
-        """Return the address of a compiled C function that simulates an epoch; a Feed calls it."""
-        with global_compiler_lock:
-            return self._compiled.address  # type: ignore[no-any-return]
+        blank = blank_world(layout, phases, gaits, inexact)
+        super().__init__(partial(_observe, layout=layout), blank)
 
     @property
     def parts(self) -> tuple[Callable[[WorldState], WorldState], ...]:
         """Return the functions for measurement, events and motion; the last two run per substep."""
-        return partial(_observe, layout=self._layout), _apply_events, _move
+        return self.function, _apply_events, _move
 
-    @cached_property
-    def _compiled(self) -> Any:
+    def _compile(self) -> Any:
         """Return the compiled :attr:`parts` as one function, which skips events if none is due."""
+        sizes = [len(flatten(part)) for part in self.template]
+        # the rows at which three parts end: the measured epoch; the settings; receiver and user
+        ends = (sizes[0], sizes[0] + sizes[1], sum(sizes))
         parts = self.parts
-        ends = self.ends
         observe, apply_events, substep = [kernel(part, self.template, ends) for part in parts]
         row = 8 * WIDTH  # bytes
         due = row * (self.index.user.traveler.due - ends[1])
