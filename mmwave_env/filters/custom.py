@@ -14,8 +14,6 @@ from typing import Any
 from mmwave_env.filters.gating import Gate
 from mmwave_env.filters.modes import ALGORITHMS, Mode
 from mmwave_env.filters.update import Posterior
-from mmwave_env.io.lookup import quoted
-from mmwave_env.io.records import between
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Measurement, exact_rows
 from mmwave_env.numerics.linalg import unpack
@@ -31,10 +29,6 @@ _LANES_KNOW = (
 # must not be farther from it.
 LEAST_FALL = 0.05
 LARGEST_DIFFERENCE = 100.0
-# limits of the numbers in a posterior
-_REAL = between(-1e300, 1e300)
-_VARIANCE = between(0.0, 1e300)
-_VALID = {"diagonal of P": _VARIANCE, "nis": _VARIANCE, "accepted": between(0.0, 1.0)}
 
 Function = Callable[..., Any]
 
@@ -108,7 +102,7 @@ def check_algorithm(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> 
 
     Raises:
         AlgorithmError: the algorithm cannot run on lanes, takes the wrong arguments, modifies
-            its arguments, does not return a posterior of valid numbers, or returns a
+            its arguments, does not return a posterior of numbers, or returns a
             log-likelihood that does not fall as innovations grow.
     """
     algorithm = mode.update
@@ -130,15 +124,7 @@ def check_algorithm(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> 
     usual = []
     for sigmas in (0.0, 1.0):
         example = _arguments(mode, layout, known_axes, sigmas)
-        posterior = try_out(algorithm, example, subject, AlgorithmError)
-        variances = [row[i] for i, row in enumerate(posterior.P)]
-        for name, part in {**posterior._asdict(), "diagonal of P": variances}.items():
-            bound = _VALID.get(name, _REAL)
-            for value in flatten(part):
-                if not bound.holds(value):
-                    problem = f"returned {name}: {quoted(value)}, expected {bound.expected}"
-                    raise AlgorithmError(complaint(subject, algorithm, problem))
-        likelihoods.append(posterior.log_likelihood)
+        likelihoods.append(try_out(algorithm, example, subject, AlgorithmError).log_likelihood)
         usual.append(ALGORITHMS["ekf"](*example).log_likelihood)
     falls = likelihoods[0] - likelihoods[1] >= LEAST_FALL * (usual[0] - usual[1])
     if not (falls and abs(likelihoods[0] - usual[0]) < LARGEST_DIFFERENCE):

@@ -19,8 +19,7 @@ from mmwave_env.models.layout import Layout, offered_rows
 from mmwave_env.models.measurement import Site, blank_site
 from mmwave_env.models.motion import CLOCK_SIGMA_M, FREE_BIAS_M
 from mmwave_env.models.radio import SNR_LIMITS_DB, Radio
-from mmwave_env.models.random_scene import RandomScene
-from mmwave_env.models.random_survey import RandomSurvey
+from mmwave_env.models.random_scene import RandomScene, RandomSurvey
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.numerics.pytree import flatten, indices

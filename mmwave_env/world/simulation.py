@@ -16,8 +16,7 @@ from mmwave_env.compiler.program import Program
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import blank_site, exact_rows
 from mmwave_env.models.radio import Radio, deviations
-from mmwave_env.models.random_scene import RandomScene
-from mmwave_env.models.random_survey import RandomSurvey
+from mmwave_env.models.random_scene import RandomScene, RandomSurvey
 from mmwave_env.models.scene import Scene, SceneNumbers
 from mmwave_env.numerics.linalg import dot, plus, times
 from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Vector, floor, sqrt, where, wrap
@@ -69,7 +68,7 @@ class Clock(NamedTuple):
 
 
 class Survey(NamedTuple):
-    """Errors of the survey that the receiver's links share; see ``models/random_survey.py``."""
+    """Errors of the survey that the receiver's links share; see ``models/random_scene.py``."""
 
     dice: Numbers  # (4,) state of the survey's own random generator
     offsets: Numbers  # (4,) what is added to the rows of every link

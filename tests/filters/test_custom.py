@@ -139,10 +139,7 @@ RETURNS = {
     changed(x=tuple): "returned x: tuple of 7",
     changed(P=lambda P: [*P[:6], P[6][:2]]): "returned P[6]: list of 2",
     flags: "returned accepted[0]: a condition",
-    changed(x=lambda x: [math.nan, *x[1:]]): "returned x: nan",
-    changed(P=lambda P: [[-v for v in row] for row in P]): "returned diagonal of P: -",
-    changed(nis=lambda nis: [-1.0 for _ in nis]): "returned nis: -1",
-    changed(accepted=lambda accepted: [2.0 for _ in accepted]): "returned accepted: 2",
+    changed(log_likelihood=lambda value: math.nan): "returned log_likelihood nan",
     too_few: "takes 3 positional arguments",
 }
 
