@@ -10,6 +10,7 @@ Lanes are stored in blocks (rows, 8): an environment is a column.
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -112,7 +113,31 @@ def _exp(a: Any) -> Any:
     return polynomial(r, _EXP) * power
 
 
-_FUNCTIONS: dict[str, Any] = {"atan2": _atan2, "log": _log, "exp": _exp}
+def _circular(a: Any, cosine: bool) -> Any:
+    """Return cosine or sine, if |a| < 1e5: reduced to pi / 4 or less, then polynomials."""
+    b = a.recorder.builder
+    rounded: Any = a * (2.0 / math.pi) + _ROUND
+    quarters = b.bitcast(rounded.value, _BITS)
+    turns = rounded - _ROUND
+    r = (a - turns * _HALF_PI_HIGH) - turns * _HALF_PI_LOW
+    z = r * r
+    functions = [polynomial(z, _COS), r + r * z * polynomial(z, _SIN)]
+    even, odd = functions if cosine else functions[::-1]
+    is_odd = TracerCondition(a.recorder, b.trunc(quarters, ir.VectorType(ir.IntType(1), WIDTH)))
+    value: Any = where(is_odd, odd, even)
+    # negative where the second bit of this integer is set
+    half_turns = b.add(quarters, _bits(1)) if cosine else quarters
+    sign = b.shl(b.and_(half_turns, _bits(2)), _bits(62))
+    return Tracer(a.recorder, b.bitcast(b.xor(b.bitcast(value.value, _BITS), sign), _VECTOR))
+
+
+_FUNCTIONS: dict[str, Any] = {
+    "atan2": _atan2,
+    "log": _log,
+    "exp": _exp,
+    "cos": partial(_circular, cosine=True),
+    "sin": partial(_circular, cosine=False),
+}
 # operations on floats and on words that are instructions of LLVM, and its intrinsic functions
 _ON_FLOATS = ("fadd", "fsub", "fmul", "fdiv", "fneg")
 _ON_WORDS = ("and_", "or_", "add", "xor", "shl", "lshr")
@@ -140,7 +165,6 @@ class Emitter:
         if op in _COMPARISONS:
             return b.fcmp_ordered(op, x, *rest)
         others = {
-            "constant": lambda: x,
             "as word": lambda: b.bitcast(x, _BITS),
             "as number": lambda: b.bitcast(x, _VECTOR),
             "scaled": lambda: b.fmul(b.sitofp(x, _VECTOR), *rest, flags=_FLAGS),
@@ -153,29 +177,6 @@ class Emitter:
             self.builder.module, signature, f"llvm.{name}.v{WIDTH}f64"
         )
         return self.builder.call(function, [x], fastmath=_FLAGS)
-
-    def cos_sin(self, angle: Any) -> tuple[Any, Any]:
-        """Emit cosine and sine, if |angle| < 1e5: reduced to pi / 4 or less, then polynomials."""
-        b = self.builder
-        rounded: Any = angle * (2.0 / math.pi) + _ROUND
-        quarters = b.bitcast(rounded.value, _BITS)
-        turns = rounded - _ROUND
-        r = (angle - turns * _HALF_PI_HIGH) - turns * _HALF_PI_LOW
-        z = r * r
-        cosine = polynomial(z, _COS)
-        sine = r + r * z * polynomial(z, _SIN)
-        odd = TracerCondition(self, b.trunc(quarters, ir.VectorType(ir.IntType(1), WIDTH)))
-        after = b.add(quarters, _bits(1))
-        return (
-            self._negated(where(odd, sine, cosine), after),
-            self._negated(where(odd, cosine, sine), quarters),
-        )
-
-    def _negated(self, a: Any, quarters: Any) -> Any:
-        """Negate the lanes in which the integer ``quarters`` has its second bit set."""
-        b = self.builder
-        sign = b.shl(b.and_(quarters, _bits(2)), _bits(62))
-        return b.bitcast(b.xor(b.bitcast(a.value, _BITS), sign), _VECTOR)
 
 
 def _align_stack(builder: Any) -> None:

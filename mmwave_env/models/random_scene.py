@@ -9,7 +9,7 @@ meters. The world knows the true values; filters and policies work with the wron
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 from mmwave_env.io.lookup import choose
 from mmwave_env.io.records import Name, Probability, Record, between, counts
@@ -142,16 +142,6 @@ def scenes_from(scene: str | Path | Scene | RandomScene) -> Scene | RandomScene:
     return choose(named, str(scene), "scene")
 
 
-class SurveyErrors(NamedTuple):
-    """The errors of a survey in one episode."""
-
-    # (4,) range (m), azimuth and elevation of arrival, azimuth of departure (rad): what all links'
-    # measurements are too large by
-    offsets: Numbers
-    anchors_m: Matrix  # (L, 3) what the map adds to the anchors' true positions
-    slow: Number  # standard deviation of slow errors, in units of each row's noise
-
-
 @dataclass(frozen=True)
 class RandomSurvey(Record):
     """A distribution of survey errors. An episode has each kind with the probability ``rate``.
@@ -178,10 +168,15 @@ class RandomSurvey(Record):
     slow: Annotated[float, between(0.0, 10.0)] = 1.0
     slow_s: Annotated[float, between(1e-3, 1e6, "s")] = 30.0
 
-    def draw_numbers(self, dice: Dice, anchors: int) -> SurveyErrors:
+    def draw_numbers(self, dice: Dice, anchors: int) -> tuple[Numbers, Matrix, Number]:
         """Draw the errors of an episode.
 
         The order of the draws must not change, so that an episode key always gives the same errors.
+
+        Returns:
+            What all links' measurements are too large by (4,): range (m), azimuth and elevation of
+            arrival, azimuth of departure (rad); what the map adds to the true positions of the
+            anchors (L, 3), m; the standard deviation of slow errors, in units of each row's noise.
         """
 
         def some(size: float) -> Number:
@@ -193,7 +188,7 @@ class RandomSurvey(Record):
         height = some(self.heights_m) * dice.normal()
         away = some(self.anchors_m)
         places = [[away * dice.normal(), away * dice.normal(), height] for _ in range(anchors)]
-        return SurveyErrors([longer, rotation, tilt, rotation], places, some(self.slow))
+        return [longer, rotation, tilt, rotation], places, some(self.slow)
 
 
 SURVEYS = {"bad": RandomSurvey()}

@@ -332,13 +332,13 @@ def scene_json(scene: Scene) -> dict[str, Any]:
         for key, value in asdict(scene).items()
         if (value if key in optional else value is not None)
     }
-    if scene.walls:
-        return content
-    known = {key: content[key] for key in content if key in {"origin", "side", *optional}}
-    streets = {"streets": content["streets"]} if scene.streets_known else {}
-    signal = {"carrier_hz": scene.carrier_hz, "bandwidth_hz": scene.bandwidth_hz}
-    anchors = {"name": scene.name, "anchors": scene.anchors_m.tolist()}
-    return anchors | signal | streets | known
+    if not scene.walls:
+        for key in ("base_station_m", "walls", "virtual_anchors_m"):
+            del content[key]
+        if not scene.streets_known:
+            del content["streets"]
+        content["anchors"] = scene.anchors_m.tolist()
+    return content
 
 
 @dataclass(frozen=True)

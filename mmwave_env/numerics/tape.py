@@ -99,15 +99,9 @@ class Tracer(Traced):
     floor = _recording("floor")
     log = _recording("log")
     exp = _recording("exp")
-    atan2 = _recording("atan2")
-
-    def constant(self, value: float) -> "Tracer":
-        """Return a hidden number with a known value."""
-        return Tracer(self.recorder, self.recorder.emit("constant", value))
-
-    def cos_sin(self) -> list["Tracer"]:
-        """Return cosine and sine of an angle in radians."""
-        return [Tracer(self.recorder, value) for value in self.recorder.cos_sin(self)]
+    cos = _recording("cos")
+    sin = _recording("sin")
+    atan2, atan2_of = _combining("atan2")
 
     def as_word(self) -> "TracerWord":
         """Return the bits of the number."""
@@ -171,10 +165,6 @@ class Tape:
         """Record an operation; return the value of its result."""
         self.rows.append((op, *_references(operands)))
         return len(self.rows) - 1
-
-    def cos_sin(self, angle: Tracer) -> tuple[int, int]:
-        """Record cosine and sine; return the values of both."""
-        return self.emit("cos", angle), self.emit("sin", angle)
 
 
 def _references(operands: Sequence[Any]) -> list[int | float]:

@@ -311,7 +311,7 @@ class EpisodeBatch(NamedTuple):
     def on_flat_ground(self) -> "EpisodeBatch":
         """Return the batch with :meth:`Episode.on_flat_ground` applied to every episode."""
         site = self.site.copy()
-        prior = indices(blank_site(self.layout)).prior_x
+        prior = site_index(self.layout).prior_x
         site[:, prior[2]] = self.table[:, 0, columns_of(self.layout).truth[2]]
         site[:, prior[5]] = 0.0
         return self._replace(site=site)
@@ -354,6 +354,11 @@ def blank_incoming(layout: Layout) -> Incoming:
 def columns_of(layout: Layout) -> Any:
     """Return an :class:`Incoming` that holds, for each value, its column in the table."""
     return indices(blank_incoming(layout))
+
+
+def site_index(layout: Layout) -> Site:
+    """Return a :class:`Site` that holds the index of each number in :meth:`Episode.site`."""
+    return indices(blank_site(layout))
 
 
 class EpisodeSource(Protocol):

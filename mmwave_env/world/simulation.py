@@ -325,9 +325,16 @@ CLOCK = 2
 SURVEY = 3
 
 
-class StartDraws(NamedTuple):
-    """The beginning of an episode: everything that is drawn before its first epoch."""
+class StartState(NamedTuple):
+    """A key, the parameters of an episode's beginning, and what is drawn before its first epoch."""
 
+    key: Numbers  # (1,) bits of the key
+    plans: list[TravelPlan]  # kinds of users; empty if ways are given
+    scene: SceneNumbers  # the scene; not used if every episode draws its own
+    duration_s: Number  # duration of the episode
+    prior_deviation: Numbers  # (7,) standard deviations; (8,) with a clock offset
+    first_bias_hz: Number  # standard deviation of the oscillator's first bias
+    # drawn from them
     receiver: ReceiverState
     user: UserState  # not used if a way is given
     choice: Number  # index of the kind of user; if ways are given, a number in [0, 1)
@@ -337,18 +344,6 @@ class StartDraws(NamedTuple):
     # (7,) error of the prior's mean; with a clock offset (8,), ending with minus the range bias
     prior_noise: Numbers
     mapped: Matrix  # (L, 3) positions of the anchors on the map, which filters use
-
-
-class StartState(NamedTuple):
-    """A key, the parameters of an episode's beginning, and the beginning drawn from them."""
-
-    key: Numbers  # (1,) bits of the key
-    plans: list[TravelPlan]  # kinds of users; empty if ways are given
-    scene: SceneNumbers  # the scene; not used if every episode draws its own
-    duration_s: Number  # duration of the episode
-    prior_deviation: Numbers  # (7,) standard deviations; (8,) with a clock offset
-    first_bias_hz: Number  # standard deviation of the oscillator's first bias
-    start: StartDraws
 
 
 def begin(w: StartState, streets: RandomScene | None, survey: RandomSurvey | None) -> StartState:
@@ -361,7 +356,7 @@ def begin(w: StartState, streets: RandomScene | None, survey: RandomSurvey | Non
     dice = Dice(seeded(w.key[0], USER))
     others = Dice(seeded(w.key[0], RECEIVER))
     scene = streets.draw_numbers(dice) if streets else w.scene
-    user = w.start.user
+    user = w.user
     position = [0.0, 0.0]
     velocity = [0.0, 0.0]
     if w.plans:
@@ -381,7 +376,7 @@ def begin(w: StartState, streets: RandomScene | None, survey: RandomSurvey | Non
     bias_hz = w.first_bias_hz * others.normal()
     noise = [deviation * others.normal() for deviation in w.prior_deviation[:7]]
     first = [*position, user.net.height, *velocity, 0.0, bias_hz]
-    receiver = w.start.receiver._replace(dice=others.state, anchors=scene.anchors, bias_hz=bias_hz)
+    receiver = w.receiver._replace(dice=others.state, anchors=scene.anchors, bias_hz=bias_hz)
     for deviation in w.prior_deviation[7:]:
         own = Dice(seeded(w.key[0], CLOCK))
         bias_m = deviation * own.normal()
@@ -391,12 +386,13 @@ def begin(w: StartState, streets: RandomScene | None, survey: RandomSurvey | Non
     mapped = scene.anchors
     if survey:
         own = Dice(seeded(w.key[0], SURVEY))
-        errors = survey.draw_numbers(own, len(scene.anchors))
-        mapped = [plus(at, by) for at, by in zip(scene.anchors, errors.anchors_m, strict=True)]
+        offsets, moves, size = survey.draw_numbers(own, len(scene.anchors))
+        mapped = [plus(at, by) for at, by in zip(scene.anchors, moves, strict=True)]
         slow = [own.normal() for _ in range(4 * len(scene.anchors))]
-        inexact = Survey(own.state, errors.offsets, errors.slow, slow)
-        receiver = receiver._replace(survey=[inexact])
-    return w._replace(start=StartDraws(receiver, user, choice, first, noise, mapped))
+        receiver = receiver._replace(survey=[Survey(own.state, offsets, size, slow)])
+    return w._replace(
+        receiver=receiver, user=user, choice=choice, first=first, prior_noise=noise, mapped=mapped
+    )
 
 
 @lru_cache(maxsize=8)
@@ -422,6 +418,11 @@ def start_program(
         duration_s=1.0,
         prior_deviation=state,
         first_bias_hz=0.0,
-        start=StartDraws(world.receiver, world.user, 0.0, state, state, world.receiver.anchors),
+        receiver=world.receiver,
+        user=world.user,
+        choice=0.0,
+        first=state,
+        prior_noise=state,
+        mapped=world.receiver.anchors,
     )
     return Program(partial(begin, streets=streets, survey=survey), template)
