@@ -161,7 +161,11 @@ class Emitter:
         if op in _ON_FLOATS:
             return getattr(b, op)(x, *rest, flags=_FLAGS)
         if op in _INTRINSICS:
-            return self._call(op, x)
+            signature = ir.FunctionType(_VECTOR, [_VECTOR])
+            function = cgutils.get_or_insert_function(  # type: ignore[no-untyped-call]
+                b.module, signature, f"llvm.{op}.v{WIDTH}f64"
+            )
+            return b.call(function, [x], fastmath=_FLAGS)
         if op in _COMPARISONS:
             return b.fcmp_ordered(op, x, *rest)
         others = {
@@ -170,13 +174,6 @@ class Emitter:
             "scaled": lambda: b.fmul(b.sitofp(x, _VECTOR), *rest, flags=_FLAGS),
         }
         return others[op]() if op in others else getattr(b, op)(x, *rest)
-
-    def _call(self, name: str, x: Any) -> Any:
-        signature = ir.FunctionType(_VECTOR, [_VECTOR])
-        function = cgutils.get_or_insert_function(  # type: ignore[no-untyped-call]
-            self.builder.module, signature, f"llvm.{name}.v{WIDTH}f64"
-        )
-        return self.builder.call(function, [x], fastmath=_FLAGS)
 
 
 def _align_stack(builder: Any) -> None:

@@ -81,17 +81,6 @@ def cholesky(a: Matrix) -> Matrix:
     return factor
 
 
-def inverse(factor: Matrix) -> Matrix:
-    """Return the inverse of a factor from :func:`cholesky`; row and column i are 0 as column i."""
-    n = len(factor)
-    result: list[Numbers] = [[0.0] * n for _ in range(n)]
-    for j in range(n):
-        rest = [row[j:] for row in factor[j:]]
-        for i, value in enumerate(forward(rest, [1.0] + [0.0] * (n - j - 1)), start=j):
-            result[i][j] = value
-    return result
-
-
 def forward(factor: Matrix, b: Vector) -> Numbers:
     """Solve ``factor y = b`` for a factor from :func:`cholesky`; y_i is 0 where column i is 0."""
     y: Numbers = []

@@ -134,7 +134,13 @@ class Episode:
         yield "prior_covariance, velocity", deviation[3:6], envelope.VELOCITY_SIGMA_MPS
         yield "prior_covariance, bias", deviation[6:7], envelope.BIAS_SIGMA_HZ
         yield "prior_covariance, clock", deviation[7:], envelope.POSITION_SIGMA_M
-        for rows, bound in sigma_bounds(self.layout):
+        layout = self.layout
+        lengths = np.setdiff1d(np.arange(layout.size), [*layout.angles, layout.doppler]).tolist()
+        for rows, bound in (
+            (lengths, envelope.RANGE_SIGMA_M),  # and speed
+            (layout.angles, envelope.ANGLE_SIGMA_RAD),
+            ([layout.doppler], envelope.DOPPLER_SIGMA_HZ),
+        ):
             yield "sigma", self.sigma[:, rows][used[:, rows]], bound
 
     @classmethod
@@ -259,16 +265,6 @@ class Episode:
         packed = self.prior_covariance[np.tril_indices(self.layout.state_size)]
         site = Site(self.scene_anchors_m.tolist(), self.hz_per_mps, [*self.prior_mean], [*packed])
         return np.array(flatten(site))
-
-
-def sigma_bounds(layout: Layout) -> list[tuple[list[int], Bound]]:
-    """Return three pairs (rows, bound of sigma): ranges and speed; angles; the Doppler shift."""
-    lengths = np.setdiff1d(np.arange(layout.size), [*layout.angles, layout.doppler]).tolist()
-    return [
-        (lengths, envelope.RANGE_SIGMA_M),
-        (layout.angles, envelope.ANGLE_SIGMA_RAD),
-        ([layout.doppler], envelope.DOPPLER_SIGMA_HZ),
-    ]
 
 
 class EpisodeBatch(NamedTuple):

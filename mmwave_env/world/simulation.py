@@ -368,9 +368,9 @@ def begin(w: StartState, streets: RandomScene | None, survey: RandomSurvey | Non
         x, y = scene.origin_m
         net = Net(block, east, north, x, y, scene.height_m)
         phases = draw_phases(dice, plan.phases, w.duration_s)
-        user = UserState([], net, phases, set_off(dice, phases, net))
-        user = user._replace(dice=dice.state)
-        position, velocity = state_of(user.traveler)
+        traveler = set_off(dice, phases, net)
+        user = UserState(dice.state, net, phases, traveler)
+        position, velocity = state_of(traveler)
     else:
         choice = dice.uniform()
     bias_hz = w.first_bias_hz * others.normal()
