@@ -15,7 +15,7 @@ from mmwave_env.filters.gating import Gate
 from mmwave_env.filters.modes import ALGORITHMS, Mode
 from mmwave_env.filters.update import Posterior
 from mmwave_env.models.layout import Layout
-from mmwave_env.models.measurement import Measurement, exact_rows
+from mmwave_env.models.measurement import Measurement, blank_site, exact_rows
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Matrix, Numbers
 from mmwave_env.numerics.pytree import flatten
@@ -146,8 +146,8 @@ def _arguments(
     the innovation's standard deviation is that of the noise. Numbers may hide their values.
     """
     n = layout.state_size
-    anchors = [[40.0 + 10.0 * anchor, 15.0, 10.0] for anchor in range(layout.anchors)]
-    x = [0.0, 0.0, 1.5, 1.0, 0.5, 0.0, 0.0, 0.0][:n]
+    anchors = blank_site(layout).anchors
+    x = [40.0, 15.0, 1.5, 1.0, 0.5, 0.0, 0.0, 0.0][:n]
     P = [1e-8 * (i == j) for i in range(n) for j in range(i + 1)]
     z = [row + 0.1 * sigmas for row in exact_rows(x, x[3:6], anchors, 1.0, layout)]
     visible = [1.0] * len(layout.groups)

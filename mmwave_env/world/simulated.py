@@ -247,8 +247,8 @@ class SimulatedSource:
         io = StepIO.of(n, 1, output_rows=program.rows(drawn))
         tables = keys.view(np.float64).reshape(n, 1, 1)
         program.run_on_lanes(BatchState.of(tables, blocks_of(self._before, n)), io)
-        found = program.by_name(drawn, io.outputs[:, 0])
-        choice, first, noise, anchors, worlds = found.values()
+        outputs = program.by_name(drawn, io.outputs[:, 0])
+        choice, first, noise, anchors, worlds = outputs.values()
         kinds = choice.astype(np.int64)
         truth = np.empty((n, self.epochs, 0))
         if not self.travels:
