@@ -21,8 +21,7 @@ from mmwave_env.io.lookup import choose, did_you_mean
 from mmwave_env.io.records import require
 from mmwave_env.models.layout import measurements_from, require_clock
 from mmwave_env.models.radio import Radio, radio_from
-from mmwave_env.models.random_scene import RandomScene, scenes_from
-from mmwave_env.models.random_survey import RandomSurvey, survey_from
+from mmwave_env.models.random_scene import RandomScene, RandomSurvey, scenes_from, survey_from
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array32
 from mmwave_env.world.episode import Episode, EpisodeBatch, EpisodeSource

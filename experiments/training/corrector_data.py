@@ -32,8 +32,7 @@ from mmwave_env.localization.starts import gives_fix
 from mmwave_env.models.measurement import blank_site
 from mmwave_env.models.prior import prior_from_fix
 from mmwave_env.models.radio import RandomRadio, radio_from
-from mmwave_env.models.random_scene import WIDE_SCENE, RandomScene
-from mmwave_env.models.random_survey import RandomSurvey
+from mmwave_env.models.random_scene import WIDE_SCENE, RandomScene, RandomSurvey
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array, Array32
 from mmwave_env.numerics.pytree import flatten, indices, unflatten

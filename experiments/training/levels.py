@@ -23,7 +23,7 @@ from mmwave_env.compiler.program import rows_of
 from mmwave_env.localization.levels import GAUSSIAN, PARTS, Levels, Network
 from mmwave_env.localization.position_errors import error_sizes, gaussian_levels
 from mmwave_env.models.radio import TUNED_RADIOS
-from mmwave_env.models.random_survey import RandomSurvey
+from mmwave_env.models.random_scene import RandomSurvey
 from mmwave_env.models.scene import TRAINED_SCENES
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import columns_of

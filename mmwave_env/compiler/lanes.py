@@ -10,6 +10,7 @@ Lanes are stored in blocks (rows, 8): an environment is a column.
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -112,11 +113,35 @@ def _exp(a: Any) -> Any:
     return polynomial(r, _EXP) * power
 
 
-_FUNCTIONS: dict[str, Any] = {"atan2": _atan2, "log": _log, "exp": _exp}
-# operations -> names of LLVM's instructions on floats, of its intrinsic functions, and of others
-_FLOATS = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv", "neg": "fneg"}
-_INTRINSICS = {"abs": "fabs", "sqrt": "sqrt", "floor": "floor"}
-_OF_WORDS = {"&": "and_", "|": "or_", "+": "add", "^": "xor", "<<": "shl", ">>": "lshr"}
+def _circular(a: Any, cosine: bool) -> Any:
+    """Return cosine or sine, if |a| < 1e5: reduced to pi / 4 or less, then polynomials."""
+    b = a.recorder.builder
+    rounded: Any = a * (2.0 / math.pi) + _ROUND
+    quarters = b.bitcast(rounded.value, _BITS)
+    turns = rounded - _ROUND
+    r = (a - turns * _HALF_PI_HIGH) - turns * _HALF_PI_LOW
+    z = r * r
+    functions = [polynomial(z, _COS), r + r * z * polynomial(z, _SIN)]
+    even, odd = functions if cosine else functions[::-1]
+    is_odd = TracerCondition(a.recorder, b.trunc(quarters, ir.VectorType(ir.IntType(1), WIDTH)))
+    value: Any = where(is_odd, odd, even)
+    # negative where the second bit of this integer is set
+    half_turns = b.add(quarters, _bits(1)) if cosine else quarters
+    sign = b.shl(b.and_(half_turns, _bits(2)), _bits(62))
+    return Tracer(a.recorder, b.bitcast(b.xor(b.bitcast(value.value, _BITS), sign), _VECTOR))
+
+
+_FUNCTIONS: dict[str, Any] = {
+    "atan2": _atan2,
+    "log": _log,
+    "exp": _exp,
+    "cos": partial(_circular, cosine=True),
+    "sin": partial(_circular, cosine=False),
+}
+# operations on floats and on words that are instructions of LLVM, and its intrinsic functions
+_ON_FLOATS = ("fadd", "fsub", "fmul", "fdiv", "fneg")
+_ON_WORDS = ("and_", "or_", "add", "xor", "shl", "lshr")
+_INTRINSICS = ("fabs", "sqrt", "floor")
 _COMPARISONS = ("<", "<=", ">", ">=")
 
 
@@ -131,53 +156,24 @@ class Emitter:
         if op in _FUNCTIONS:
             return _FUNCTIONS[op](*operands).value
         b = self.builder
-        constant: Any = _bits if op in _OF_WORDS else _doubles
+        constant: Any = _bits if op in _ON_WORDS else _doubles
         x, *rest = [a.value if isinstance(a, Traced) else constant(a) for a in operands]
-        if op in _FLOATS:
-            return getattr(b, _FLOATS[op])(x, *rest, flags=_FLAGS)
+        if op in _ON_FLOATS:
+            return getattr(b, op)(x, *rest, flags=_FLAGS)
         if op in _INTRINSICS:
-            return self._call(_INTRINSICS[op], x)
-        if op in _OF_WORDS:
-            return getattr(b, _OF_WORDS[op])(x, *rest)
+            signature = ir.FunctionType(_VECTOR, [_VECTOR])
+            function = cgutils.get_or_insert_function(  # type: ignore[no-untyped-call]
+                b.module, signature, f"llvm.{op}.v{WIDTH}f64"
+            )
+            return b.call(function, [x], fastmath=_FLAGS)
         if op in _COMPARISONS:
             return b.fcmp_ordered(op, x, *rest)
-        return {
-            "constant": lambda: x,
-            "select": lambda: b.select(x, *rest),
+        others = {
             "as word": lambda: b.bitcast(x, _BITS),
             "as number": lambda: b.bitcast(x, _VECTOR),
             "scaled": lambda: b.fmul(b.sitofp(x, _VECTOR), *rest, flags=_FLAGS),
-        }[op]()
-
-    def _call(self, name: str, x: Any) -> Any:
-        signature = ir.FunctionType(_VECTOR, [_VECTOR])
-        function = cgutils.get_or_insert_function(  # type: ignore[no-untyped-call]
-            self.builder.module, signature, f"llvm.{name}.v{WIDTH}f64"
-        )
-        return self.builder.call(function, [x], fastmath=_FLAGS)
-
-    def cos_sin(self, angle: Any) -> tuple[Any, Any]:
-        """Emit cosine and sine, if |angle| < 1e5: reduced to pi / 4 or less, then polynomials."""
-        b = self.builder
-        rounded: Any = angle * (2.0 / math.pi) + _ROUND
-        quarters = b.bitcast(rounded.value, _BITS)
-        turns = rounded - _ROUND
-        r = (angle - turns * _HALF_PI_HIGH) - turns * _HALF_PI_LOW
-        z = r * r
-        cosine = polynomial(z, _COS)
-        sine = r + r * z * polynomial(z, _SIN)
-        odd = TracerCondition(self, b.trunc(quarters, ir.VectorType(ir.IntType(1), WIDTH)))
-        after = b.add(quarters, _bits(1))
-        return (
-            self._negated(where(odd, sine, cosine), after),
-            self._negated(where(odd, cosine, sine), quarters),
-        )
-
-    def _negated(self, a: Any, quarters: Any) -> Any:
-        """Negate the lanes in which the integer ``quarters`` has its second bit set."""
-        b = self.builder
-        sign = b.shl(b.and_(quarters, _bits(2)), _bits(62))
-        return b.bitcast(b.xor(b.bitcast(a.value, _BITS), sign), _VECTOR)
+        }
+        return others[op]() if op in others else getattr(b, op)(x, *rest)
 
 
 def _align_stack(builder: Any) -> None:

@@ -4,11 +4,15 @@ A *workspace* is a tree of all numbers that a program reads and writes for one e
 program is a function from a workspace to the workspace one epoch later. Workspaces are stored in
 an array (blocks, rows, 8): a block has eight environments, and a row for each number of the tree.
 Before each epoch, the field ``incoming`` of a workspace is set from a table or by a :class:`Feed`.
-A *track* is the sequence of epochs that one environment filters, with one workspace.
+A *track* is the sequence of epochs that one environment filters, with one workspace. Threads run
+blocks in parallel, because compiled code releases Python's lock.
 """
 
 import os
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from functools import lru_cache
+from itertools import pairwise
 from operator import attrgetter
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -20,15 +24,22 @@ from numpy.typing import NDArray
 from mmwave_env.compiler.advance import advance
 from mmwave_env.compiler.disk_cache import compiled_callback
 from mmwave_env.compiler.lanes import WIDTH, kernel
-from mmwave_env.compiler.threads import share, spans
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.numerics.pytree import flatten, indices, unflatten
 from mmwave_env.numerics.tape import fingerprint
 
 Columns = tuple[Index, dict[str, int | slice]]  # rows, and the output columns of parts of them
 Workspace = TypeVar("Workspace", bound=tuple[Any, ...])
+Result = TypeVar("Result")
 
 NO_ROWS = np.empty(0, np.int64)
+
+
+@lru_cache(maxsize=1)
+def _helpers() -> ThreadPoolExecutor:
+    """Return the threads that work on jobs together with the thread that calls :func:`share`."""
+    return ThreadPoolExecutor(os.cpu_count(), "mmwave-env")
+
 
 # numba holds a lock while it compiles. A child that is forked meanwhile would wait forever for the
 # lock, because the child lacks the thread that releases it. So a fork first waits for the lock.
@@ -38,6 +49,8 @@ if hasattr(os, "register_at_fork"):
         after_in_parent=global_compiler_lock.release,
         after_in_child=global_compiler_lock.release,
     )
+    # a forked child has only the thread that forked
+    os.register_at_fork(after_in_child=_helpers.cache_clear)
 
 
 def rows_of(tree: Any) -> Index:
@@ -214,6 +227,42 @@ class Program(Generic[Workspace]):
 
         on_address.__qualname__ = f"Program.{fingerprint(self.function, self.template)}"
         return compiled_callback(types.void(types.int64), on_address)
+
+
+def share(
+    function: Callable[..., Result], jobs: Sequence[tuple[Any, ...]], threads: int
+) -> list[Result]:
+    """Return the result of ``function(*job)`` for every job, in order.
+
+    At most ``threads`` threads, including the calling thread, work in parallel. After an error or
+    interrupt, no further job begins; the exception is raised once the running jobs have ended.
+    """
+    if threads == 1 or len(jobs) == 1:
+        return [function(*job) for job in jobs]
+    results: list[Any] = [None] * len(jobs)
+    waiting = iter(range(len(jobs)))  # shared by the threads: next() is atomic
+
+    def work() -> None:
+        for i in waiting:
+            results[i] = function(*jobs[i])
+
+    others: list[Future[None]] = []
+    try:
+        others.extend(_helpers().submit(work) for _ in range(min(threads, len(jobs)) - 1))
+        work()
+    finally:
+        for _ in waiting:  # take the remaining jobs, so that no thread begins another one
+            pass
+        running = [other for other in others if not other.cancel()]
+        wait(running)
+    for other in running:
+        other.result()
+    return results
+
+
+def spans(count: int, parts: int) -> list[tuple[int, int]]:
+    """Split ``count`` things into ``parts`` nearly equal parts; return each part's (first, end)."""
+    return list(pairwise(count * i // parts for i in range(parts + 1)))
 
 
 class Repeated:

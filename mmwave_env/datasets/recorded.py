@@ -105,20 +105,21 @@ class Track(Arrays, ABC):
         if bias is None:
             mean[6] = 0.0
         return Episode.measured(
-            self.name,
             self.scene,
             radio,
             self.layout,
+            snr_db,
+            name=self.name,
             time_s=self.time_s,
             measurement=measurement,
             visible=self.visible,
-            snr_db=snr_db,
             doppler_spread_hz=spread_hz,
-            prior=(mean, covariance),
+            prior_mean=mean,
+            prior_covariance=covariance,
             sigma=self.sigma,
             doppler_anchor=self.doppler_anchor,
-            position_m=self.position_m,
-            velocity_mps=self.velocity_mps,
+            truth_position_m=self.position_m,
+            truth_velocity_mps=self.velocity_mps,
         )
 
     @property

@@ -22,8 +22,8 @@ from mmwave_env.compiler.program import (
     Repeated,
     StepIO,
     blocks_of,
+    spans,
 )
-from mmwave_env.compiler.threads import spans
 from mmwave_env.models.layout import Layout
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.numerics.pytree import flatten

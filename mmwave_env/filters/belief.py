@@ -3,7 +3,7 @@
 import math
 from typing import NamedTuple
 
-from mmwave_env.numerics.linalg import cholesky, dot, forward, minus
+from mmwave_env.numerics.linalg import dot, mahalanobis, minus
 from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Pair, Vector, log, sqrt
 
 
@@ -40,10 +40,6 @@ class Belief(NamedTuple):
 
     def _whiten(self, truth: Vector) -> Pair:
         """Return the value of :meth:`nees` and the determinant of the position covariance."""
-        factor = cholesky([[self.P[i][j] for j in self.axes] for i in self.axes])
         error = self.error(truth)
-        y = forward(factor, [error[i] for i in self.axes])
-        pivots: Number = 1.0
-        for i in range(len(self.axes)):
-            pivots = pivots * factor[i][i]
-        return dot(y, y), pivots * pivots
+        P = [[self.P[i][j] for j in self.axes] for i in self.axes]
+        return mahalanobis(P, [error[i] for i in self.axes])

@@ -21,7 +21,6 @@ range agreed with the pivot, the belief may be wrong: then c grows to c (1 + k)^
 that disagree least are believed first.
 """
 
-from functools import reduce
 from typing import NamedTuple
 
 from mmwave_env.filters.gating import chi_square_limits
@@ -159,8 +158,7 @@ def _pivot(x: Vector, P: Matrix, m: Measurement, has_range: Vector, limit: float
         score = dot(has_range, [minimum(value, limit) for value in T[a]])
         score = where(has_range[a] > 0.5, score, _UNSEEN)
         pivots.append(_Pivot(score, chosen, y[a], u[a], variance[a], T[a], S[a]))
-
-    def better(best: _Pivot, pivot: _Pivot) -> _Pivot:
-        return select(pivot.score < best.score, pivot, best)
-
-    return reduce(better, pivots)
+    best = pivots[0]
+    for pivot in pivots[1:]:
+        best = select(pivot.score < best.score, pivot, best)
+    return best

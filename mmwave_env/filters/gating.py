@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from mmwave_env.filters.linearization import Latents, Prior
 from mmwave_env.models.measurement import Group, Measurement
-from mmwave_env.numerics.linalg import cholesky, dot, forward, symmetric, times
+from mmwave_env.numerics.linalg import dot, mahalanobis, minus, symmetric, times
 from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Pair, log, maximum, where
 
 _GROUPS_PER_LOG = 8  # the product of the determinants of this many groups fits into a double
@@ -46,12 +46,8 @@ def innovation_statistics(group: Group, V: Matrix, latents: Latents) -> Pair:
         value = value + latents.bend * (shift[i] * shift[j])
         return value + group.variance[i] if i == j else value
 
-    factor = cholesky(symmetric(len(V), entry))
-    e = forward(factor, [y - s for y, s in zip(group.innovation, shift, strict=True)])
-    pivots: Number = 1.0
-    for i in range(len(V)):
-        pivots = pivots * factor[i][i]
-    return dot(e, e) + group.spare_nis, pivots * pivots * group.spare_determinant
+    nis, determinant = mahalanobis(symmetric(len(V), entry), minus(group.innovation, shift))
+    return nis + group.spare_nis, determinant * group.spare_determinant
 
 
 @cache

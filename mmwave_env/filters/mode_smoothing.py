@@ -22,7 +22,7 @@ from mmwave_env.filters.pipeline import Pipeline, predict
 from mmwave_env.filters.textbook import combine
 from mmwave_env.models.measurement import Epoch
 from mmwave_env.models.motion import move
-from mmwave_env.numerics.linalg import cholesky, inverse, pack, unpack
+from mmwave_env.numerics.linalg import cholesky, forward, pack, unpack
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.numerics.pytree import indices
 
@@ -34,14 +34,14 @@ class ModeBeliefs(NamedTuple):
     """Beliefs of all modes of N tracks, after one epoch or after every epoch.
 
     Attributes:
+        probability: (N, ..., modes) probabilities of the modes.
         x: (N, ..., modes, 7) means; with the range bias of a clock, 8 numbers instead of 7.
         P: (N, ..., modes, 7, 7) covariances.
-        probability: (N, ..., modes) probabilities of the modes.
     """
 
+    probability: Array
     x: Array
     P: Array
-    probability: Array
 
 
 def smooth_modes(
@@ -75,9 +75,9 @@ def smooth_modes(
     layout = pipeline.layout
     at = indices(begin(pipeline, [0.0] * layout.state_size, [0.0] * layout.triangle))
     filtered = ModeBeliefs(
+        mixtures[..., np.array(at.probability)],
         mixtures[..., np.array([track.x for track in at.tracks])],
         np.take(mixtures, [unpack(track.P) for track in at.tracks], axis=-1),
-        mixtures[..., np.array(at.probability)],
     )
     gamma = mixtures[..., np.array([track.memory.gamma for track in at.tracks])]
     transition = settings_of(bank).transition
@@ -85,10 +85,10 @@ def smooth_modes(
     before = _epochs(filtered, slice(-1))
     moves = _predicted(pipeline, before, gamma[:, :-1], coming, hz_per_mps, transition)
     after = _epochs(filtered, -1)
-    smoothed = [_merged(after)]
+    smoothed = [combine(*after)]
     for t in reversed(range(dt.shape[1] - 1)):
         after = _backwards(_epochs(filtered, t), _epochs(moves, t), after)
-        smoothed.append(_merged(after))
+        smoothed.append(combine(*after))
     means, covariances = zip(*reversed(smoothed), strict=True)
     P = np.stack(covariances, axis=1)
     return np.stack(means, axis=1), P[..., *np.tril_indices(P.shape[-1])]
@@ -97,10 +97,6 @@ def smooth_modes(
 def _epochs(parts: Parts, epochs: int | slice) -> Parts:
     """Return some epochs, or a single one, of a tuple of arrays (N, T, ...)."""
     return type(parts)(*(part[:, epochs] for part in parts))
-
-
-def _merged(beliefs: ModeBeliefs) -> tuple[Array, Array]:
-    return combine(beliefs.probability, beliefs.x, beliefs.P)
 
 
 class _Moves(NamedTuple):
@@ -160,9 +156,10 @@ def _predicted(
         factor = cholesky(covariance)
         log_scale[..., i] = sum(np.log(factor[k][k]) for k in range(n))
         x[..., i, :] = np.stack(np.broadcast_arrays(*mean), axis=-1)
-        for j, row in enumerate(inverse(factor)):
-            for k in range(j + 1):
-                whitener[..., i, j, k] = row[k]
+        for j in range(n):
+            below = [row[j:] for row in factor[j:]]
+            for k, value in enumerate(forward(below, [1.0] + [0.0] * (n - j - 1)), start=j):
+                whitener[..., i, k, j] = value
     whitened = whitener @ FP[..., None, :, :]
     gain = np.swapaxes(whitened, -1, -2) @ whitener  # 0 for known axes
     rest = now.P[..., None, :, :] - np.swapaxes(whitened, -1, -2) @ whitened
@@ -187,5 +184,5 @@ def _backwards(now: ModeBeliefs, move: _Moves, after: ModeBeliefs) -> ModeBelief
     probability = np.maximum(joint.sum(axis=2), np.finfo(float).tiny)
     x = now.x[:, :, None] + (move.gain @ step[..., None])[..., 0]
     P = move.rest + move.gain @ after.P[:, None] @ np.swapaxes(move.gain, -1, -2)
-    pairs = ModeBeliefs(x, P, joint / probability[..., None])
-    return ModeBeliefs(*_merged(pairs), probability / probability.sum(axis=1, keepdims=True))
+    total = probability.sum(axis=1, keepdims=True)
+    return ModeBeliefs(probability / total, *combine(joint / probability[..., None], x, P))

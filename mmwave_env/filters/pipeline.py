@@ -135,6 +135,8 @@ def _repeats(dt: Number, correlation_s: float) -> Number:
 
     Then n measurements within the time of correlation add the information of one.
     """
+    if not correlation_s:
+        return 1.0
     return where(dt > 0.0, maximum(correlation_s / maximum(dt, _SHORTEST_S), 1.0), 1.0)
 
 
@@ -193,9 +195,7 @@ def predict_update(
     if mode.recovery is not None:
         force = where(memory.lockout > mode.recovery - 0.5, 1.0, 0.0)
     measurement = measurement_of(mode, memory, epoch, site, pipeline.layout)
-    repeats: Number = 1.0
-    if pipeline.correlation_s:
-        repeats = _repeats(epoch.dt, pipeline.correlation_s)
+    repeats = _repeats(epoch.dt, pipeline.correlation_s)
     gate = Gate(mode.gate, force, mode.robust)
     update = pipeline.update(mode)
     clock = None
@@ -204,9 +204,8 @@ def predict_update(
         measurement = clock.measurement
         posterior = update(clock.x, clock.P, measurement, gate)
     else:
-        if pipeline.correlation_s:
-            noise = [v * repeats for v in measurement.variance]
-            measurement = measurement._replace(variance=noise)
+        noise = [v * repeats for v in measurement.variance]
+        measurement = measurement._replace(variance=noise)
         posterior = update(x_predicted, P_predicted, measurement, gate)
     quantile = None if mode.robust else mode.gate
     degrees = pipeline.layout.degrees(measurement.measured)

@@ -258,14 +258,6 @@ class Sensor:
         return len(self.anchors)
 
     @property
-    def groups(self) -> list[slice]:
-        """Return the rows of each link, of the Doppler shift and of the odometry."""
-        doppler = 4 * self.links
-        rows = [slice(first, first + 4) for first in range(0, doppler, 4)]
-        rows.append(slice(doppler, doppler + 1))
-        return [*rows, slice(doppler + 1, doppler + 3)] if self.odometry else rows
-
-    @property
     def angles(self) -> Mask:
         """Return a mask (rows,) of the rows that are angles."""
         rows = [False, True, True, True] * self.links + [False]

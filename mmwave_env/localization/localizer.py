@@ -297,19 +297,21 @@ def episode_from(log: Log, scene: Scene, radio: Radio, start: Start | None) -> E
     prior is meaningless.
     """
     n = log.layout.state_size
+    mean, covariance = start.prior if start else (np.zeros(n), np.eye(n))
     return Episode.measured(
-        "log",
         scene,
         radio,
         log.layout,
+        log.snr_db,
+        name="log",
         time_s=log.time_s,
         measurement=log.measurement,
         sigma=log.sigma,
         visible=start.unspent(log.visible) if start else log.visible,
-        snr_db=log.snr_db,
         doppler_spread_hz=log.doppler_spread_hz,
         doppler_anchor=log.doppler_anchor if log.layout.partial else None,
-        prior=start.prior if start else (np.zeros(n), np.eye(n)),
+        prior_mean=mean,
+        prior_covariance=covariance,
     )
 
 

@@ -135,6 +135,11 @@ def _inverse(length: Number) -> Number:
     return where(length > NEAREST_M, 1.0 / maximum(length, NEAREST_M), 0.0)
 
 
+def _turn(a: Vector, b: Vector) -> Number:
+    """Return the angle (rad) from a horizontal vector ``a`` to ``b``; 0 if one of them is zero."""
+    return atan2(b[1] * a[0] - b[0] * a[1], b[0] * a[0] + b[1] * a[1])
+
+
 def exact_rows(
     position: Vector, velocity: Vector, anchors: Matrix, hz_per_mps: Number, layout: Layout
 ) -> Numbers:
@@ -203,8 +208,8 @@ def link_group(
     inverse_horizontal = _inverse(horizontal)
     slope = d[2] * inverse_horizontal * inverse * inverse
     across = inverse_horizontal * inverse_horizontal
-    east, north = select(aside, d[:2], [0.0, 0.0])
-    level, up = select(apart, [horizontal, d[2]], [0.0, 0.0])
+    ahead = select(aside, d[:2], [0.0, 0.0])
+    raised = select(apart, [horizontal, d[2]], [0.0, 0.0])
     still = [0.0] * (len(x) - 3)
     clock = list(x[STATE_SIZE:])
     slow = [*[0.0] * 4, *[1.0] * len(clock)]  # the range contains a clock's bias as a summand
@@ -213,8 +218,8 @@ def link_group(
         q = plus(d, step)
         q_horizontal, q_distance = norms(q)
         vertical = all(map(is_zero, step[:2]))
-        turn = 0.0 if vertical else atan2(q[1] * east - q[0] * north, q[0] * east + q[1] * north)
-        rise = atan2(q[2] * level - q_horizontal * up, q_horizontal * level + q[2] * up)
+        turn = 0.0 if vertical else _turn(ahead, q)
+        rise = _turn(raised, [q_horizontal, q[2]])
         return [sum(step[STATE_SIZE:], q_distance - distance), turn, rise]
 
     group = Group(
@@ -299,8 +304,7 @@ def odometry_group(x: Vector, z: Vector, variance: Vector) -> Group:
 
     def change(step: Vector) -> Numbers:
         q = plus(v, step[3:])
-        turn = atan2(q[1] * ahead[0] - q[0] * ahead[1], q[0] * ahead[0] + q[1] * ahead[1])
-        return [norms(q)[1] - speed, turn]
+        return [norms(q)[1] - speed, _turn(ahead, q)]
 
     fixed = [0.0] * 3
     others = [0.0] * (len(x) - 6)

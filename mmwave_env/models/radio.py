@@ -327,14 +327,13 @@ def deviations(
 
 
 # Fields to multiply by random factors. Factors up to 4 keep shipped profiles in Radio's limits.
-_SCALED = (
+_SCALED = (  # pairs are multiplied by one factor
     "aoa_floor_rad", "aod_floor_rad", "elevation_floor_rad", "doppler_floor_mps",
     "prior_position_m", "prior_height_m", "prior_velocity_mps", "prior_bias_mps",
     "shadowing_db", "blockage_scale", "blockage_mean_s", "blockage_range_m", "blockage_angle_rad",
     "multipath_rate_hz", "multipath_mean_s", "multipath_angle_rad", "spread_gain",
-    "spread_floor_mps", "drift_mps",
+    "spread_floor_mps", "drift_mps", "range_floor_m", "multipath_range_m",
 )  # fmt: skip
-_PAIRS = ("range_floor_m", "multipath_range_m")  # pairs, each multiplied by one factor
 
 
 @dataclass(frozen=True)
@@ -354,13 +353,10 @@ class RandomRadio(Record):
 
     def draw(self, rng: np.random.Generator) -> Radio:
         """Draw the next radio."""
-
-        def factor() -> float:
-            return float(self.factor ** rng.uniform(-1.0, 1.0))
-
-        values = {name: factor() * getattr(self.profile, name) for name in _SCALED}
-        for name in _PAIRS:
-            by = factor()
-            values[name] = tuple(by * value for value in getattr(self.profile, name))
+        values: dict[str, Any] = {}
+        for name in _SCALED:
+            by = float(self.factor ** rng.uniform(-1.0, 1.0))
+            value = getattr(self.profile, name)
+            values[name] = tuple(by * v for v in value) if type(value) is tuple else by * value
         budget = self.profile.transmit_dbm + float(rng.uniform(-self.budget_db, self.budget_db))
         return replace(self.profile, transmit_dbm=budget, **values)

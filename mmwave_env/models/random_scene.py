@@ -1,11 +1,18 @@
-"""Random scenes, so that a policy in training cannot memorize one street."""
+"""Random scenes, and random errors of their survey.
 
+With random scenes, a policy in training cannot memorize one street. With a wrong survey, all links
+of an episode share errors that no gate can see. In a real place, the map's frame is turned against
+that of the antennas, anchors stand some decimeters from where the plan shows them, and cables add
+meters. The world knows the true values; filters and policies work with the wrong ones.
+"""
+
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 from mmwave_env.io.lookup import choose
-from mmwave_env.io.records import Name, Record, between, counts
+from mmwave_env.io.records import Name, Probability, Record, between, counts
 from mmwave_env.models.scene import (
     SCENES,
     Bandwidth,
@@ -16,7 +23,7 @@ from mmwave_env.models.scene import (
     Wall,
     scene_from,
 )
-from mmwave_env.numerics.numbers import Number, floor, maximum, minimum, where
+from mmwave_env.numerics.numbers import Matrix, Number, Numbers, floor, maximum, minimum, where
 from mmwave_env.numerics.random import Dice, seeded
 
 RANDOM = "random"
@@ -24,6 +31,11 @@ WIDE = "wide"
 
 Length = Annotated[float, between(1e-3, 1e4, "m")]
 Lengths = Annotated[tuple[Length, Length], "[low, high], each 0.001 to 10000 m"]
+
+# sizes of errors of a survey
+_DEGREE = math.pi / 180.0
+Turn = Annotated[float, between(0.0, math.pi / 4.0, "rad")]
+ErrorLength = Annotated[float, between(0.0, 100.0, "m")]
 
 
 @dataclass(frozen=True)
@@ -128,3 +140,66 @@ def scenes_from(scene: str | Path | Scene | RandomScene) -> Scene | RandomScene:
         return scene_from(scene)
     named: dict[str, Scene | RandomScene] = {**SCENES, RANDOM: RandomScene(), WIDE: WIDE_SCENE}
     return choose(named, str(scene), "scene")
+
+
+@dataclass(frozen=True)
+class RandomSurvey(Record):
+    """A distribution of survey errors. An episode has each kind with the probability ``rate``.
+
+    Sizes are standard deviations of normally distributed errors.
+
+    Attributes:
+        rate: probability of each kind of error.
+        rotation_rad: turn of all azimuths.
+        tilt_rad: tilt of all elevations.
+        range_m: length that cables or a clock add to all ranges.
+        anchors_m: error of each anchor's place, horizontally, per axis.
+        heights_m: error of the height of all anchors.
+        slow: size of errors that change slowly, in units of a row's noise, which they add to.
+        slow_s: time for which slow errors last.
+    """
+
+    rate: Probability = 0.3
+    rotation_rad: Turn = 3.0 * _DEGREE
+    tilt_rad: Turn = 2.0 * _DEGREE
+    range_m: ErrorLength = 1.0
+    anchors_m: ErrorLength = 0.7
+    heights_m: ErrorLength = 3.0
+    slow: Annotated[float, between(0.0, 10.0)] = 1.0
+    slow_s: Annotated[float, between(1e-3, 1e6, "s")] = 30.0
+
+    def draw_numbers(self, dice: Dice, anchors: int) -> tuple[Numbers, Matrix, Number]:
+        """Draw the errors of an episode.
+
+        The order of the draws must not change, so that an episode key always gives the same errors.
+
+        Returns:
+            What all links' measurements are too large by (4,): range (m), azimuth and elevation of
+            arrival, azimuth of departure (rad); what the map adds to the true positions of the
+            anchors (L, 3), m; the standard deviation of slow errors, in units of each row's noise.
+        """
+
+        def some(size: float) -> Number:
+            return where(dice.uniform() < self.rate, size, 0.0)
+
+        rotation = some(self.rotation_rad) * dice.normal()
+        tilt = some(self.tilt_rad) * dice.normal()
+        longer = some(self.range_m) * dice.normal()
+        height = some(self.heights_m) * dice.normal()
+        away = some(self.anchors_m)
+        places = [[away * dice.normal(), away * dice.normal(), height] for _ in range(anchors)]
+        return [longer, rotation, tilt, rotation], places, some(self.slow)
+
+
+SURVEYS = {"bad": RandomSurvey()}
+
+
+def survey_from(survey: str | RandomSurvey | None) -> RandomSurvey | None:
+    """Return the errors of a ``survey=`` argument; None stands for none.
+
+    Raises:
+        ValueError: the name is unknown.
+    """
+    if survey is None or isinstance(survey, RandomSurvey):
+        return survey
+    return choose(SURVEYS, survey, "survey")

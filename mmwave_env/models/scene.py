@@ -4,7 +4,6 @@ A flat wall adds a *virtual anchor*, the mirror image of the physical anchor: a 
 reflection has range and angles as if it came from the mirror image (paper, Sec. II).
 """
 
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -37,15 +36,12 @@ Place = Annotated[tuple[Coordinate, Coordinate], f"[x, y], {_EACH}"]
 Extent = Annotated[tuple[Coordinate, Coordinate], f"[low, high], {_EACH}"]
 Bearing = Annotated[float, between(-360.0, 360.0, "degrees")]
 Offset = Annotated[float, between(-1e5, 1e5, "m")]
-OffsetSigma = Annotated[float, between(0.0, 1e4, "m")]
-Offsets = Annotated[tuple[Offset, ...], Size(0, MOST_ANCHORS)]
-OffsetSigmas = Annotated[tuple[OffsetSigma, ...], Size(0, MOST_ANCHORS)]
-Carrier = Annotated[float, Bound("hertz, 1e6 to 2.9e12", least=1e6, most=2.9e12)]
-Bandwidth = Annotated[float, Bound("hertz, 1e5 to 1e12", least=1e5, most=1e12)]
-
-
 SIGMA_M = between(0.0, 1e4, "m")
 Deviation = Annotated[float, SIGMA_M]
+Offsets = Annotated[tuple[Offset, ...], Size(0, MOST_ANCHORS)]
+OffsetSigmas = Annotated[tuple[Deviation, ...], Size(0, MOST_ANCHORS)]
+Carrier = Annotated[float, Bound("hertz, 1e6 to 2.9e12", least=1e6, most=2.9e12)]
+Bandwidth = Annotated[float, Bound("hertz, 1e5 to 1e12", least=1e5, most=1e12)]
 
 
 @dataclass(frozen=True)
@@ -75,14 +71,6 @@ class Wall:
         """Return the signed distance of a point, or of points (3, n), from the wall, m."""
         nx, ny = self.unit_normal
         return nx * point[0] + ny * point[1] - self.offset_m
-
-    def side_of(self, point: Point) -> str:
-        """Describe on which side of the wall a point is, in words such as "y below 25 m"."""
-        nx, ny = self.unit_normal
-        along = "y" if nx == 0.0 else "x" if ny == 0.0 else f"{nx:.3g} x {ny:+.3g} y"
-        sign = nx + ny if along in ("x", "y") else 1.0  # the normal may point against the axis
-        side = "below" if sign * self.signed_distance(point) < 0.0 else "above"
-        return f"{along} {side} {sign * self.offset_m + 0.0:g} m"
 
     def mirror(self, point: Point) -> Point:
         """Return the mirror image of a point."""
@@ -253,20 +241,20 @@ class Scene:
         """Raise ValueError if streets are behind a wall, where the wall reflects no signals."""
         corners = [(x, y, 0.0) for x in self.streets.x_m for y in self.streets.y_m]
         default = " (the default; give the real ones)" if self.streets == Streets() else ""
-        for _, wall in self.behind_walls(np.array(corners)):
-            side = wall.side_of(self.base_station_m)
+        if self.first_behind(np.array(corners)) is not None:
             raise ValueError(
                 f"streets of scene {self.name!r}: found {self.streets.x_m} x {self.streets.y_m}"
-                f"{default}, expected all at {side}, like the base station"
+                f"{default}, expected all on the base station's side of every wall"
             )
 
-    def behind_walls(self, points_m: Array) -> Iterator[tuple[int, Wall]]:
-        """Yield (i, wall) for each wall with points (n, 3) behind it; point i is the first."""
+    def first_behind(self, points_m: Array) -> int | None:
+        """Return the index of the first of n points (n, 3) behind a wall; None if there is none."""
         for wall in self.walls:
             side = wall.signed_distance(self.base_station_m)
             behind = wall.signed_distance(points_m.T) * side <= 0.0
             if behind.any():
-                yield int(behind.argmax()), wall
+                return int(behind.argmax())
+        return None
 
     @property
     def numbers(self) -> SceneNumbers:
@@ -335,13 +323,13 @@ def scene_json(scene: Scene) -> dict[str, Any]:
         for key, value in asdict(scene).items()
         if (value if key in optional else value is not None)
     }
-    if scene.walls:
-        return content
-    known = {key: content[key] for key in content if key in {"origin", "side", *optional}}
-    streets = {"streets": content["streets"]} if scene.streets_known else {}
-    signal = {"carrier_hz": scene.carrier_hz, "bandwidth_hz": scene.bandwidth_hz}
-    anchors = {"name": scene.name, "anchors": scene.anchors_m.tolist()}
-    return anchors | signal | streets | known
+    if not scene.walls:
+        for key in ("base_station_m", "walls", "virtual_anchors_m"):
+            del content[key]
+        if not scene.streets_known:
+            del content["streets"]
+        return {"name": scene.name, "anchors": scene.anchors_m.tolist()} | content
+    return content
 
 
 @dataclass(frozen=True)

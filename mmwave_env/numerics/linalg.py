@@ -8,7 +8,7 @@ multiplication by it takes no instruction. No function below divides by a struct
 
 from collections.abc import Callable, Sequence
 
-from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Vector, sqrt
+from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Pair, Vector, sqrt
 
 
 def is_zero(a: Number) -> bool:
@@ -81,17 +81,6 @@ def cholesky(a: Matrix) -> Matrix:
     return factor
 
 
-def inverse(factor: Matrix) -> Matrix:
-    """Return the inverse of a factor from :func:`cholesky`; row and column i are 0 as column i."""
-    n = len(factor)
-    result: list[Numbers] = [[0.0] * n for _ in range(n)]
-    for j in range(n):
-        rest = [row[j:] for row in factor[j:]]
-        for i, value in enumerate(forward(rest, [1.0] + [0.0] * (n - j - 1)), start=j):
-            result[i][j] = value
-    return result
-
-
 def forward(factor: Matrix, b: Vector) -> Numbers:
     """Solve ``factor y = b`` for a factor from :func:`cholesky`; y_i is 0 where column i is 0."""
     y: Numbers = []
@@ -99,6 +88,16 @@ def forward(factor: Matrix, b: Vector) -> Numbers:
         pivot = factor[i][i]
         y.append(0.0 if is_zero(pivot) else (b[i] - dot(factor[i][:i], y)) * (1.0 / pivot))
     return y
+
+
+def mahalanobis(a: Matrix, b: Vector) -> Pair:
+    """Return b' a^-1 b and the determinant of a positive definite matrix ``a``."""
+    factor = cholesky(a)
+    y = forward(factor, b)
+    pivots: Number = 1.0
+    for i in range(len(a)):
+        pivots = pivots * factor[i][i]
+    return dot(y, y), pivots * pivots
 
 
 def backward(factor: Matrix, b: Vector) -> Numbers:

@@ -51,6 +51,8 @@ sqrt = _function("sqrt")
 floor = _function("floor")
 exp = _function("exp", np)  # numpy also for floats, so that floats and arrays get the same bits
 log = _function("log")  # for positive numbers only
+_cos = _function("cos")
+_sin = _function("sin")
 
 
 def atan2(y: Number, x: Number) -> Number:
@@ -59,17 +61,12 @@ def atan2(y: Number, x: Number) -> Number:
         return math.atan2(y + 0.0, x + 0.0)
     if isinstance(y, np.ndarray) or isinstance(x, np.ndarray):
         return np.arctan2(np.add(y, 0.0), np.add(x, 0.0))
-    return (x.constant(y) if _is_float(y) else y).atan2(x)
+    return x.atan2_of(y) if _is_float(y) else y.atan2(x)
 
 
 def cos_sin(angle: Number) -> Pair:
     """Return cosine and sine of an angle in radians; on lanes, the angle must be in [-1e5, 1e5]."""
-    if _is_float(angle):
-        return math.cos(angle), math.sin(angle)
-    if isinstance(angle, np.ndarray):
-        return np.cos(angle), np.sin(angle)
-    cosine, sine = angle.cos_sin()
-    return cosine, sine
+    return _cos(angle), _sin(angle)
 
 
 def where(condition: Any, a: Number, b: Number) -> Number:

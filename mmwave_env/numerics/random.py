@@ -6,49 +6,33 @@ SIMD lanes, four vectors of eight floats store the states of eight environments.
 """
 
 import math
-import struct
-from collections.abc import Callable, Sequence
-from operator import add, lshift, or_, rshift, xor
+from collections.abc import Sequence
 from typing import Any
+
+import numpy as np
 
 from mmwave_env.numerics.numbers import Number, Numbers, Vector, cos_sin, log, sqrt
 
 STATE_WORDS = 4
-_MASK = 2**64 - 1
 _WARM_UP = 18  # number of first words that are dropped, because they still resemble the key
 
 
-def _bitwise(operation: Callable[[int, int], int]) -> Any:
-    return lambda a, b: Word(operation(a.value, b if isinstance(b, int) else b.value))
-
-
-class Word:
-    """An unsigned integer of 64 bits, whose arithmetic wraps around."""
-
-    __slots__ = ("value",)
-
-    def __init__(self, value: int) -> None:
-        self.value = value & _MASK
-
-    __add__ = _bitwise(add)
-    __xor__ = _bitwise(xor)
-    __or__ = _bitwise(or_)
-    __lshift__ = _bitwise(lshift)
-    __rshift__ = _bitwise(rshift)
+class Word(np.ndarray[Any, Any]):
+    """An unsigned integer of 64 bits, whose arithmetic wraps around: an array (1,)."""
 
     def scaled(self, factor: float) -> float:
         """Convert the integer to a float, exactly if it is below 2^53, and multiply it."""
-        return self.value * factor
+        return float(self[0]) * factor
 
     def as_number(self) -> float:
         """Return the float that has these bits."""
-        return struct.unpack("<d", struct.pack("<Q", self.value))[0]  # type: ignore[no-any-return]
+        return float(self.view(np.float64)[0])
 
 
 def word_of(number: Number) -> Any:
     """Return the bits of a float or of lanes as words."""
     if isinstance(number, float):
-        return Word(struct.unpack("<Q", struct.pack("<d", number))[0])
+        return np.array([number]).view(np.uint64).view(Word)
     return number.as_word()
 
 

@@ -1,8 +1,9 @@
 """Numbers that hide their value: a *recorder* gets every operation on them.
 
 A function that runs on such numbers never asks for a value, so it can be compiled for lanes (SIMD
-numbers for eight environments). An operation that needs a value is refused, and the message says
-what to write instead. There are two recorders: a :class:`Tape` lists the operations, and that of
+numbers for eight environments). An operation that needs a value is refused:
+branches and comparisons by == by :class:`Traced`, all others by Python itself, as they are not
+defined here. There are two recorders: a :class:`Tape` lists the operations, and that of
 :mod:`mmwave_env.compiler.lanes` emits their instructions.
 
 A function's compiled code is stored under a hash of the tape, the *fingerprint*. Two functions have
@@ -13,55 +14,43 @@ old code is never run for it. Writing a tape takes a hundredth of the time of co
 
 from collections.abc import Callable, Sequence
 from hashlib import sha256
-from typing import Any, NoReturn
+from typing import Any
 
 from mmwave_env.numerics.pytree import Tree, flatten, unflatten
 
 
-class NoValueError(TypeError):
-    """Error of a function that asks for a hidden value; the message says what to write instead."""
-
-
-_NUMBERS = "mmwave_env.numerics.numbers"
-_REFUSALS = {  # refused operation -> (the operation in words, what to write instead)
-    "truth": (
-        "a branch",
-        "where(condition, a, b) for 'if' and 'while', & and | for 'and' and 'or', and "
-        f"maximum(a, b) and minimum(a, b) for max and min; these functions are in {_NUMBERS}",
-    ),
-    "value": ("float(...) or math", f"the functions of {_NUMBERS} instead"),
-    "integer": ("use as an integer", "a constant that is known before the function runs"),
-    "numpy": ("numpy", f"lists and the functions of {_NUMBERS} and mmwave_env.numerics.linalg"),
-    "equality": ("a comparison by == or !=", "where(abs(a - b) < tolerance, ...)"),
-    "power": ("a power", "a * a for a ** 2, sqrt(a) for a ** 0.5, exp(p * log(a)) for a ** p"),
-    "remainder": ("a remainder", "wrap(a) for angles, where(a > b, a - b, a) if a < 2 * b"),
-    "floor": ("a division with //", "a / b"),
-    "key": ("a key of a dict or set", "a list and a constant index, or where(condition, a, b)"),
-    "mask as number": ("arithmetic with a condition", "where(condition, 1.0, 0.0)"),
-    "inverse": ("negating a condition", "where(condition, b, a) for where(~condition, a, b)"),
-    "number as mask": ("using a number as a condition", "where(a > 0.5, ...)"),
-}
-
-
-def _refuse(asked: str) -> NoReturn:
-    operation, instead = _REFUSALS[asked]
-    raise NoValueError(
+def _refusal(operation: str, instead: str) -> TypeError:
+    return TypeError(
         f"{operation} needs the value of a number that stands for 8 environments: write {instead}"
     )
 
 
-def _refusing(asked: str) -> Any:
-    return lambda *_, **__: _refuse(asked)
-
-
 class Traced:
-    """A hidden number, condition or word; its ``value`` is what the recorder returned for it."""
+    """A hidden number, condition or word; its ``value`` is what the recorder returned for it.
+
+    Operations have the names that LLVM's builder gives them, if there is one instruction for them.
+    """
 
     __slots__ = ("recorder", "value")
+    __array_ufunc__ = None  # numpy then refuses its own functions, and leaves operators to Python
 
     def __init__(self, recorder: Any, value: Any) -> None:
         self.recorder = recorder
         self.value = value
+
+    def __bool__(self) -> bool:
+        raise _refusal(
+            "a branch",
+            "where(condition, a, b) for 'if' and 'while', & and | for 'and' and 'or', and "
+            "maximum(a, b) and minimum(a, b) for max and min; these functions are in "
+            "mmwave_env.numerics.numbers",
+        )
+
+    def __eq__(self, other: object) -> bool:
+        raise _refusal("a comparison by == or !=", "where(abs(a - b) < tolerance, ...)")
+
+    __ne__ = __eq__
+    __hash__ = None  # type: ignore[assignment]
 
 
 def _joining(op: str) -> Any:
@@ -75,7 +64,7 @@ def _recording(op: str) -> Any:
 
 
 def _comparing(op: str) -> Any:
-    return lambda a, b: TracerCondition(a.recorder, a.recorder.emit(op, a, b))
+    return lambda a, b: _emitted(TracerCondition, op, a, b)
 
 
 def _combining(op: str) -> tuple[Any, Any]:
@@ -87,55 +76,32 @@ class TracerCondition(Traced):
     """A condition on hidden numbers, for ``where``; ``&`` and ``|`` combine two conditions."""
 
     __slots__ = ()
-    __and__ = _joining("&")
-    __or__ = _joining("|")
+    __and__ = _joining("and_")
+    __or__ = _joining("or_")
     select = _recording("select")
-    __bool__ = _refusing("truth")
-    __float__ = __add__ = __radd__ = __sub__ = __rsub__ = _refusing("mask as number")
-    __mul__ = __rmul__ = __truediv__ = __rtruediv__ = __neg__ = _refusing("mask as number")
-    __lt__ = __le__ = __gt__ = __ge__ = _refusing("mask as number")
-    __eq__ = __ne__ = _refusing("equality")
-    __hash__ = _refusing("key")
-    __invert__ = _refusing("inverse")
 
 
 class Tracer(Traced):
     """A number that hides its value; a comparison with NaN is false."""
 
     __slots__ = ()
-    __add__, __radd__ = _combining("add")
-    __sub__, __rsub__ = _combining("sub")
-    __mul__, __rmul__ = _combining("mul")
-    __truediv__, __rtruediv__ = _combining("div")
+    __add__, __radd__ = _combining("fadd")
+    __sub__, __rsub__ = _combining("fsub")
+    __mul__, __rmul__ = _combining("fmul")
+    __truediv__, __rtruediv__ = _combining("fdiv")
     __lt__ = _comparing("<")
     __le__ = _comparing("<=")
     __gt__ = _comparing(">")
     __ge__ = _comparing(">=")
-    __neg__ = _recording("neg")
-    __abs__ = _recording("abs")
+    __neg__ = _recording("fneg")
+    __abs__ = _recording("fabs")
     sqrt = _recording("sqrt")
     floor = _recording("floor")
     log = _recording("log")
     exp = _recording("exp")
-    atan2 = _recording("atan2")
-    __bool__ = _refusing("truth")
-    __float__ = __complex__ = _refusing("value")
-    __int__ = __index__ = __round__ = __trunc__ = __floor__ = __ceil__ = _refusing("integer")
-    __array__ = __array_ufunc__ = _refusing("numpy")
-    __eq__ = __ne__ = _refusing("equality")
-    __pow__ = __rpow__ = _refusing("power")
-    __mod__ = __rmod__ = __divmod__ = __rdivmod__ = _refusing("remainder")
-    __floordiv__ = __rfloordiv__ = _refusing("floor")
-    __hash__ = _refusing("key")
-    select = _refusing("number as mask")
-
-    def constant(self, value: float) -> "Tracer":
-        """Return a hidden number with a known value."""
-        return Tracer(self.recorder, self.recorder.emit("constant", value))
-
-    def cos_sin(self) -> list["Tracer"]:
-        """Return cosine and sine of an angle in radians."""
-        return [Tracer(self.recorder, value) for value in self.recorder.cos_sin(self)]
+    cos = _recording("cos")
+    sin = _recording("sin")
+    atan2, atan2_of = _combining("atan2")
 
     def as_word(self) -> "TracerWord":
         """Return the bits of the number."""
@@ -146,11 +112,11 @@ class TracerWord(Traced):
     """A hidden word of 64 bits (:class:`~mmwave_env.numerics.random.Word`)."""
 
     __slots__ = ()
-    __add__ = _joining("+")
-    __xor__ = _joining("^")
-    __or__ = _joining("|")
-    __lshift__ = _joining("<<")
-    __rshift__ = _joining(">>")
+    __add__ = _joining("add")
+    __xor__ = _joining("xor")
+    __or__ = _joining("or_")
+    __lshift__ = _joining("shl")
+    __rshift__ = _joining("lshr")
     # the integer, which must be below 2^63, times a factor; and the number that has these bits
     scaled = _recording("scaled")
     as_number = _recording("as number")
@@ -158,27 +124,29 @@ class TracerWord(Traced):
 
 def _settled(op: str, a: Any, b: Any) -> Any:
     """Return the result if a constant 0 or 1 makes the instruction unnecessary; else None."""
-    first = None if isinstance(a, Tracer) else a
-    second = None if isinstance(b, Tracer) else b
-    if op == "mul":
+    first = None if isinstance(a, Traced) else a
+    second = None if isinstance(b, Traced) else b
+    if op == "fmul":
         for constant, other in ((first, b), (second, a)):
             if constant in (0.0, 1.0):
                 return other if constant else 0.0
-    if op in ("add", "sub") and second == 0.0:
+    if op in ("fadd", "fsub") and second == 0.0:
         return a
-    if op in ("add", "div") and first == 0.0:
-        return b if op == "add" else 0.0
+    if op in ("fadd", "fdiv") and first == 0.0:
+        return b if op == "fadd" else 0.0
     return None
 
 
 def _combined(op: str, a: Any, b: Any) -> Any:
-    if isinstance(a, TracerCondition) or isinstance(b, TracerCondition):
-        _refuse("mask as number")
     settled = _settled(op, a, b)
-    if settled is not None:
-        return settled
+    return _emitted(Tracer, op, a, b) if settled is None else settled
+
+
+def _emitted(kind: type[Traced], op: str, a: Any, b: Any) -> Any:
+    if isinstance(a, TracerCondition) or isinstance(b, TracerCondition):
+        return NotImplemented  # so Python says that the types do not fit
     recorder = (a if isinstance(a, Tracer) else b).recorder
-    return Tracer(recorder, recorder.emit(op, a, b))
+    return kind(recorder, recorder.emit(op, a, b))
 
 
 Rows = list[tuple[Any, ...]]
@@ -197,10 +165,6 @@ class Tape:
         """Record an operation; return the value of its result."""
         self.rows.append((op, *_references(operands)))
         return len(self.rows) - 1
-
-    def cos_sin(self, angle: Tracer) -> tuple[int, int]:
-        """Record cosine and sine; return the values of both."""
-        return self.emit("cos", angle), self.emit("sin", angle)
 
 
 def _references(operands: Sequence[Any]) -> list[int | float]:

@@ -123,29 +123,25 @@ class SpellDraws(NamedTuple):
     angles: Numbers  # (3,) standard normals, for the angle biases
 
 
-def _draw(
-    dice: Dice, anchors: int
-) -> tuple[Numbers, list[SpellDraws], list[SpellDraws], Number, Numbers]:
+def _draw(dice: Dice, anchors: int) -> tuple[Numbers, list[list[SpellDraws]], Number, Numbers]:
     """Draw the random numbers for the links of ``anchors`` anchors in an epoch.
 
     Returns:
-        Standard normals (L,) for the shadowing; random numbers (L,) for blockage and for multipath;
+        Standard normals (L,) for the shadowing; random numbers (2, L) for blockage and multipath;
         a number in [0, 1) for the outage; numbers (L,) in [0, 1) for the detection.
     """
 
     def each(draw: Callable[[], Number]) -> Numbers:
         return [draw() for _ in range(anchors)]
 
-    def angles() -> Numbers:
-        return [dice.normal() for _ in range(3)]
-
+    both = range(2)
     shadowing = each(dice.normal)
-    uniforms = [each(dice.uniform), each(dice.uniform)]
+    uniforms = [each(dice.uniform) for _ in both]
     outage = dice.uniform()
-    excess = [each(dice.exponential), each(dice.exponential)]
-    blockage = list(map(SpellDraws, uniforms[0], excess[0], each(angles)))
-    multipath = list(map(SpellDraws, uniforms[1], excess[1], each(angles)))
-    return shadowing, blockage, multipath, outage, each(dice.uniform)
+    excess = [each(dice.exponential) for _ in both]
+    angles = [each(lambda: [dice.normal() for _ in range(3)]) for _ in both]
+    spells = [list(map(SpellDraws, *parts)) for parts in zip(uniforms, excess, angles, strict=True)]
+    return shadowing, spells, outage, each(dice.uniform)
 
 
 class Reception(NamedTuple):
@@ -188,7 +184,7 @@ def channel_epoch(
     there is no multipath or outage. Other epochs start from the state ``before``.
     """
     c = channel
-    normals, blockage, multipath, uniform, detection = _draw(dice, len(distance))
+    normals, (blockage, multipath), uniform, detection = _draw(dice, len(distance))
     rho = c.correlation
     innovation = sqrt(1.0 - rho * rho)
     state = ChannelState([], [], [], 0.0)

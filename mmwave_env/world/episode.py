@@ -56,9 +56,9 @@ class Episode:
         doppler_spread_hz: (T,) measured Doppler spread; 0 where none was measured.
         prior_mean: (7,) mean of the state at the first epoch; (8,) with a clock offset.
         prior_covariance: (7, 7) positive definite covariance; (8, 8) with a clock offset.
+        layout: which quantity is in which row, and which rows form a group.
         truth_position_m: (T, 3) true positions; None if unknown.
         truth_velocity_mps: (T, 3) true velocities; None if unknown.
-        layout: which quantity is in which row, and which rows form a group.
         doppler_anchor: (T,) index, from 0, of the anchor whose Doppler shift was measured (only in
             a partial layout); None if it is the first anchor in every epoch.
     """
@@ -74,9 +74,9 @@ class Episode:
     doppler_spread_hz: Array
     prior_mean: Array
     prior_covariance: Array
-    truth_position_m: Array | None
-    truth_velocity_mps: Array | None
     layout: Layout
+    truth_position_m: Array | None = None
+    truth_velocity_mps: Array | None = None
     doppler_anchor: Index | None = None
 
     def __post_init__(self) -> None:
@@ -134,27 +134,25 @@ class Episode:
         yield "prior_covariance, velocity", deviation[3:6], envelope.VELOCITY_SIGMA_MPS
         yield "prior_covariance, bias", deviation[6:7], envelope.BIAS_SIGMA_HZ
         yield "prior_covariance, clock", deviation[7:], envelope.POSITION_SIGMA_M
-        for rows, bound in sigma_bounds(self.layout):
+        layout = self.layout
+        lengths = np.setdiff1d(np.arange(layout.size), [*layout.angles, layout.doppler]).tolist()
+        for rows, bound in (
+            (lengths, envelope.RANGE_SIGMA_M),  # and speed
+            (layout.angles, envelope.ANGLE_SIGMA_RAD),
+            ([layout.doppler], envelope.DOPPLER_SIGMA_HZ),
+        ):
             yield "sigma", self.sigma[:, rows][used[:, rows]], bound
 
     @classmethod
     def measured(
         cls,
-        name: str,
         scene: Scene,
         radio: Radio,
         layout: Layout,
-        *,
-        time_s: Array,
-        measurement: Array,
-        visible: Mask,
         snr_db: Array,
-        doppler_spread_hz: Array,
-        prior: tuple[Array, Array],
         sigma: Array | None = None,
         doppler_anchor: Index | None = None,
-        position_m: Array | None = None,
-        velocity_mps: Array | None = None,
+        **others: Any,
     ) -> "Episode":
         """Return an episode of measured arrays.
 
@@ -162,10 +160,9 @@ class Episode:
 
         Args:
             scene, radio: scene that contains the anchors, and profile of the receiver.
-            prior: ``prior_mean`` and ``prior_covariance``.
             sigma: (T, rows) standard deviations that the receiver reports. The radio profile
                 computes those that are NaN (all of them, if sigma is None) from the SNR.
-            position_m, velocity_mps: true positions and velocities (T, 3); None if unknown.
+            others: the remaining attributes.
         """
         known = np.isfinite(snr_db)
         stated = radio.sigma(snr_db, scene, layout)
@@ -178,20 +175,13 @@ class Episode:
         if sigma is not None:
             stated = np.where(np.isfinite(sigma), sigma, stated)
         return cls(
-            name,
-            scene.anchors_m,
-            scene.hz_per_mps,
-            time_s,
-            measurement,
-            stated,
-            visible,
-            snr_db,
-            doppler_spread_hz,
-            *prior,
-            position_m,
-            velocity_mps,
-            layout,
-            doppler_anchor,
+            scene_anchors_m=scene.anchors_m,
+            hz_per_mps=scene.hz_per_mps,
+            layout=layout,
+            snr_db=snr_db,
+            sigma=stated,
+            doppler_anchor=doppler_anchor,
+            **others,
         )
 
     @property
@@ -277,16 +267,6 @@ class Episode:
         return np.array(flatten(site))
 
 
-def sigma_bounds(layout: Layout) -> list[tuple[list[int], Bound]]:
-    """Return three pairs (rows, bound of sigma): ranges and speed; angles; the Doppler shift."""
-    lengths = np.setdiff1d(np.arange(layout.size), [*layout.angles, layout.doppler]).tolist()
-    return [
-        (lengths, envelope.RANGE_SIGMA_M),
-        (layout.angles, envelope.ANGLE_SIGMA_RAD),
-        ([layout.doppler], envelope.DOPPLER_SIGMA_HZ),
-    ]
-
-
 class EpisodeBatch(NamedTuple):
     """A batch of n episodes in the form that engines load."""
 
@@ -327,7 +307,7 @@ class EpisodeBatch(NamedTuple):
     def on_flat_ground(self) -> "EpisodeBatch":
         """Return the batch with :meth:`Episode.on_flat_ground` applied to every episode."""
         site = self.site.copy()
-        prior = indices(blank_site(self.layout)).prior_x
+        prior = site_index(self.layout).prior_x
         site[:, prior[2]] = self.table[:, 0, columns_of(self.layout).truth[2]]
         site[:, prior[5]] = 0.0
         return self._replace(site=site)
@@ -370,6 +350,11 @@ def blank_incoming(layout: Layout) -> Incoming:
 def columns_of(layout: Layout) -> Any:
     """Return an :class:`Incoming` that holds, for each value, its column in the table."""
     return indices(blank_incoming(layout))
+
+
+def site_index(layout: Layout) -> Site:
+    """Return a :class:`Site` that holds the index of each number in :meth:`Episode.site`."""
+    return indices(blank_site(layout))
 
 
 class EpisodeSource(Protocol):

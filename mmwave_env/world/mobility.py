@@ -21,7 +21,14 @@ from mmwave_env.io.records import (
     require_fields,
 )
 from mmwave_env.world.kinematics import FAR
-from mmwave_env.world.travel import PhasePlan, TravelGait, TravelPhase, TravelPlan, blank_plan
+from mmwave_env.world.travel import (
+    NO_GAIT,
+    PhasePlan,
+    TravelGait,
+    TravelPhase,
+    TravelPlan,
+    blank_plan,
+)
 
 FASTEST_MPS = 100.0  # faster than any user in streets
 ROOM = 3  # compiled programs have room for at least 3 phases with 3 gaits each
@@ -192,9 +199,7 @@ def plans_of(mobilities: Sequence[Mobility], block_m: float) -> list[TravelPlan]
 def _phase_plan(phase: Phase, gaits: int) -> PhasePlan:
     """Return the plan of a phase, filled up to ``gaits`` gaits."""
     wanted = [TravelGait(*(min(value, FAR) for value in astuple(gait))) for gait in phase.gaits]
-    wanted += [TravelGait(0.0, 0.0, 1.0, 0.0)] * (gaits - len(wanted))
-    length = [min(end, FAR) for end in phase.duration_s]  # FAR is longer than any episode
-    drawn, braking, lateral, jerk, radius, red_probability, red = astuple(phase.limits)
-    low, high = red
-    fixed = TravelPhase(0.0, 0.0, 0.0, jerk, radius, red_probability, low, high, 0.0, wanted)
-    return PhasePlan(length, list(drawn), list(braking), list(lateral), 0.0, fixed)
+    wanted += [NO_GAIT] * (gaits - len(wanted))
+    duration = [min(end, FAR) for end in phase.duration_s]  # FAR is longer than any episode
+    *limits, red = astuple(phase.limits)
+    return PhasePlan(TravelPhase._make([*limits, list(red), duration, wanted]), 0.0)

@@ -16,17 +16,15 @@ from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import BatchState, Feed, Program, StepIO, blocks_of, fill, rows_of
 from mmwave_env.models.envelope import STEP_S
 from mmwave_env.models.layout import Layout, offered_rows
-from mmwave_env.models.measurement import Site, blank_site
 from mmwave_env.models.motion import CLOCK_SIGMA_M, FREE_BIAS_M
 from mmwave_env.models.radio import SNR_LIMITS_DB, Radio
-from mmwave_env.models.random_scene import RandomScene
-from mmwave_env.models.random_survey import RandomSurvey
+from mmwave_env.models.random_scene import RandomScene, RandomSurvey
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array
-from mmwave_env.numerics.pytree import flatten, indices
+from mmwave_env.numerics.pytree import flatten
 from mmwave_env.numerics.random import Dice, seeded
 from mmwave_env.world.channel import channel_of
-from mmwave_env.world.episode import Episode, EpisodeBatch, Incoming, columns_of
+from mmwave_env.world.episode import Episode, EpisodeBatch, Incoming, columns_of, site_index
 from mmwave_env.world.keys import Keys, draw_key
 from mmwave_env.world.mobility import FASTEST_MPS, MIXED, plans_of
 from mmwave_env.world.simulation import (
@@ -112,16 +110,17 @@ class SimulatedSource:
         rarely = math.exp(RARE * radio.spread_sigma)
         spread_mps = radio.spread_gain * FASTEST_MPS * rarely + RARE * radio.spread_floor_mps
         return Episode.measured(
-            f"{radio.name} in {scene.name}",
             scene,
             radio,
             self.layout,
+            snr_db,
+            name=f"{radio.name} in {scene.name}",
             time_s=np.array([0.0, self.dt]),
             measurement=np.zeros((2, self.layout.size)),
             visible=np.ones((2, len(self.layout.groups)), np.bool_),
-            snr_db=snr_db,
             doppler_spread_hz=np.array([0.0, scene.hz_per_mps * spread_mps]),
-            prior=(np.zeros(self.layout.state_size), self._prior_covariance),
+            prior_mean=np.zeros(self.layout.state_size),
+            prior_covariance=self._prior_covariance,
         )
 
     @cached_property
@@ -167,7 +166,7 @@ class SimulatedSource:
     def episodes(self, keys: Keys) -> list[Episode]:
         """Return the episodes that the keys (n,) determine."""
         batch = self.sample_batch(keys)
-        index = self._sites
+        index = site_index(self.layout)
         scene = self._example
         episodes = []
         for name, table, site in zip(batch.names, batch.table, batch.site, strict=True):
@@ -186,9 +185,9 @@ class SimulatedSource:
                 rows.doppler_spread_hz,
                 site[index.prior_x],
                 self._prior_covariance,
+                self.layout,
                 rows.truth[:, :3],
                 rows.truth[:, 3:],
-                self.layout,
             )
             episodes.append(episode)
         return episodes
@@ -204,7 +203,17 @@ class SimulatedSource:
         """Return the episodes of keys (n,) as a batch, drawn by at most ``threads`` threads."""
         n = len(keys)
         starts = self.begin(keys)
-        program, state = self._simulation(starts)
+        if self.travels:
+            program: Program[Any] = as_measured(self.layout)
+            feed = self.feed(n)
+            fill(feed.kept, np.arange(starts.worlds.shape[1]), starts.worlds)
+            state = BatchState.of(starts.truth, blocks_of(program.start, n))._replace(feed=feed)
+        else:
+            program = on_a_way(self.layout, self.survey is not None)
+            receiver = rows_of(program.index.receiver)
+            rows = fill(blocks_of(program.start, n), receiver, starts.worlds)
+            rows[:, rows_of(program.index.settings)] = self._settings_rows
+            state = BatchState.of(starts.truth, rows)
         io = StepIO.of(n, self.epochs, output_rows=rows_of(program.index.measured))
         program.run_on_lanes(state, io, threads)
         return EpisodeBatch(
@@ -224,20 +233,6 @@ class SimulatedSource:
         kept = blocks_of(np.array(flatten([receiver, user]), float), n)
         return Feed(self.world.on_lanes(), self._settings_rows, kept)
 
-    def _simulation(self, starts: EpisodeStarts) -> tuple[Program[Any], BatchState]:
-        """Return the program that simulates episodes, and its initial state."""
-        worlds = starts.worlds
-        if self.travels:
-            program: Program[Any] = as_measured(self.layout)
-            state = BatchState.of(starts.truth, blocks_of(program.start, len(worlds)))
-            feed = self.feed(len(worlds))
-            fill(feed.kept, np.arange(worlds.shape[1]), worlds)
-            return program, state._replace(feed=feed)
-        program = on_a_way(self.layout, self.survey is not None)
-        rows = fill(blocks_of(program.start, len(worlds)), rows_of(program.index.receiver), worlds)
-        rows[:, rows_of(program.index.settings)] = self._settings_rows
-        return program, BatchState.of(starts.truth, rows)
-
     @property
     def travels(self) -> bool:
         """Return whether users are simulated; otherwise they follow given ways from a table."""
@@ -247,19 +242,19 @@ class SimulatedSource:
         """Return the beginnings of the episodes of keys (n,)."""
         n = len(keys)
         program = self._start_program
-        world = "start.receiver start.user" if self.travels else "start.receiver"
-        drawn = ("start.choice", "start.first", "start.prior_noise", "start.mapped", world)
+        world = "receiver user" if self.travels else "receiver"
+        drawn = ("choice", "first", "prior_noise", "mapped", world)
         io = StepIO.of(n, 1, output_rows=program.rows(drawn))
         tables = keys.view(np.float64).reshape(n, 1, 1)
         program.run_on_lanes(BatchState.of(tables, blocks_of(self._before, n)), io)
-        parts = program.by_name(drawn, io.outputs[:, 0]).values()
-        choice, first, noise, anchors, worlds = parts
+        outputs = program.by_name(drawn, io.outputs[:, 0])
+        choice, first, noise, anchors, worlds = outputs.values()
         kinds = choice.astype(np.int64)
         truth = np.empty((n, self.epochs, 0))
         if not self.travels:
             kinds, truth = self.ways.draw(choice)
             first[:, :6] = truth[:, 0]
-        index = self._sites
+        index = site_index(self.layout)
         sites = np.tile(self._extreme.site(), (n, 1))
         sites[:, index.prior_x] = first + noise
         sites[:, flatten(index.anchors)] = anchors
@@ -336,6 +331,11 @@ class SimulatedSource:
         radio = self.radio
         scene = self._example
         stride = stride_of(self.dt)
+        clocks = {
+            "synchronized": (),
+            "offset": (1.0, 0.5 * self.dt / scene.hz_per_mps, CLOCK_SIGMA_M * self.dt**0.5),
+            "free": (0.0, 0.0, FREE_BIAS_M),
+        }
         settings = WorldSettings(
             hz_per_mps=scene.hz_per_mps,
             channel=channel_of(radio, scene, self.layout, self.dt),
@@ -346,22 +346,7 @@ class SimulatedSource:
             offered=[*map(float, offered_rows(self.layout, self.measurements))]
             if self.layout.partial
             else (),
-            clock=self._clock_numbers,
+            clock=clocks[self.clock],
             slow=[math.exp(-self.dt / self.survey.slow_s)] if self.survey else (),
         )
         return np.repeat(np.array(flatten(settings), float)[:, None], WIDTH, axis=1)
-
-    @property
-    def _clock_numbers(self) -> tuple[float, ...]:
-        """Return the ``clock`` of the settings."""
-        if self.clock == "free":
-            return 0.0, 0.0, FREE_BIAS_M
-        if self.clock == "offset":
-            half_step = 0.5 * self.dt / self._example.hz_per_mps
-            return 1.0, half_step, CLOCK_SIGMA_M * self.dt**0.5
-        return ()
-
-    @property
-    def _sites(self) -> Site:
-        """Return the index of each number in :meth:`Episode.site`."""
-        return indices(blank_site(self.layout))

@@ -5,11 +5,10 @@ lane. All random numbers come from generators that a key seeds, so a key determi
 """
 
 from collections.abc import Callable
-from functools import cache, cached_property, lru_cache, partial
+from functools import cache, lru_cache, partial
 from typing import Any, NamedTuple
 
 from numba import types
-from numba.core.compiler_lock import global_compiler_lock
 
 from mmwave_env.compiler.disk_cache import compiled_callback
 from mmwave_env.compiler.lanes import WIDTH, kernel, number_at
@@ -17,12 +16,11 @@ from mmwave_env.compiler.program import Program
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import blank_site, exact_rows
 from mmwave_env.models.radio import Radio, deviations
-from mmwave_env.models.random_scene import RandomScene
-from mmwave_env.models.random_survey import RandomSurvey
+from mmwave_env.models.random_scene import RandomScene, RandomSurvey
 from mmwave_env.models.scene import Scene, SceneNumbers
 from mmwave_env.numerics.linalg import dot, plus, times
 from mmwave_env.numerics.numbers import Matrix, Number, Numbers, Vector, floor, sqrt, where, wrap
-from mmwave_env.numerics.pytree import flatten, indices, select, tree_at
+from mmwave_env.numerics.pytree import flatten, select, tree_at
 from mmwave_env.numerics.random import STATE_WORDS, Dice, seeded
 from mmwave_env.numerics.tape import fingerprint
 from mmwave_env.world.channel import (
@@ -70,7 +68,7 @@ class Clock(NamedTuple):
 
 
 class Survey(NamedTuple):
-    """Errors of the survey that the receiver's links share; see ``models/random_survey.py``."""
+    """Errors of the survey that the receiver's links share; see ``models/random_scene.py``."""
 
     dice: Numbers  # (4,) state of the survey's own random generator
     offsets: Numbers  # (4,) what is added to the rows of every link
@@ -86,8 +84,8 @@ class ReceiverState(NamedTuple):
     is_first: Number  # 1 before the first epoch
     channel: ChannelState  # state of the links
     bias_hz: Number  # oscillator bias in the coming epoch
-    clock: Clock | tuple[()]  # empty if the user's clock is synchronized
-    survey: Survey | tuple[()]  # empty if the survey is exact
+    clock: list[Clock]  # empty if the user's clock is synchronized
+    survey: list[Survey]  # empty if the survey is exact
 
 
 class UserState(NamedTuple):
@@ -140,11 +138,10 @@ def measure(w: Any, truth: Numbers, layout: Layout) -> Any:
     sigma = deviations(radio.floor_variance, radio.bound_variance, reception.snr_db, layout)
     added = [value for link in reception.bias for value in link] + [receiver.bias_hz]
     added += [0.0] * (layout.size - len(added))
-    if isinstance(receiver.clock, Clock):
+    for clock in receiver.clock:
         for a in range(layout.anchors):
-            added[4 * a] = added[4 * a] + receiver.clock.bias_m
-    if isinstance(receiver.survey, Survey):
-        errors = receiver.survey
+            added[4 * a] = added[4 * a] + clock.bias_m
+    for errors in receiver.survey:
         for row, slow in enumerate(errors.slow):
             added[row] = added[row] + errors.offsets[row % 4] + errors.size * sigma[row] * slow
     z = [e + s * dice.normal() + b for e, s, b in zip(exact, sigma, added, strict=True)]
@@ -165,37 +162,34 @@ def measure(w: Any, truth: Numbers, layout: Layout) -> Any:
         doppler_of=blank_incoming(layout).doppler_of,
     )
     bias_hz = receiver.bias_hz + settings.drift_hz * dice.normal()
+    both_hz = receiver.bias_hz + bias_hz
     receiver = receiver._replace(
         dice=dice.state, is_first=0.0, channel=channel, bias_hz=bias_hz,
-        clock=_run_on(receiver, bias_hz, settings.clock),
-        survey=_slowly_changed(receiver, settings.slow),
+        clock=[_run_on(clock, both_hz, *settings.clock) for clock in receiver.clock],
+        survey=[_slowly_changed(errors, *settings.slow) for errors in receiver.survey],
     )  # fmt: skip
     return w._replace(measured=measured, receiver=receiver)
 
 
-def _run_on(receiver: ReceiverState, bias_hz: Number, clock: Vector) -> Clock | tuple[()]:
-    """Return the clock one epoch later; () if the clock is synchronized.
+def _run_on(
+    clock: Clock, both_hz: Number, remains: Number, half_step: Number, sigma_m: Number
+) -> Clock:
+    """Return the clock one epoch later; the other arguments are as in :class:`WorldSettings`.
 
-    The range bias changes by noise, and by a drift due to the mean oscillator bias of both epochs.
+    The range bias changes by noise, and by a drift due to the oscillator biases of both epochs.
     """
-    if not isinstance(receiver.clock, Clock):
-        return ()
-    (remains, half_step, sigma_m) = clock
-    dice = Dice(receiver.clock.dice)
-    bias_m = remains * receiver.clock.bias_m + half_step * (receiver.bias_hz + bias_hz)
+    dice = Dice(clock.dice)
+    bias_m = remains * clock.bias_m + half_step * both_hz
     bias_m = bias_m + sigma_m * dice.normal()
     return Clock(dice.state, bias_m)
 
 
-def _slowly_changed(receiver: ReceiverState, slow: Vector) -> Survey | tuple[()]:
-    """Return the survey's errors one epoch later; () if the survey is exact."""
-    if not isinstance(receiver.survey, Survey):
-        return ()
-    (keep,) = slow
-    dice = Dice(receiver.survey.dice)
+def _slowly_changed(errors: Survey, keep: Number) -> Survey:
+    """Return the survey's errors one epoch later, which keep this share of the slow errors."""
+    dice = Dice(errors.dice)
     fresh = sqrt(1.0 - keep * keep)
-    changed = [keep * error + fresh * dice.normal() for error in receiver.survey.slow]
-    return receiver.survey._replace(dice=dice.state, slow=changed)
+    changed = [keep * error + fresh * dice.normal() for error in errors.slow]
+    return errors._replace(dice=dice.state, slow=changed)
 
 
 def _where_measured(measured: Vector, rows: Vector, otherwise: float) -> Numbers:
@@ -230,14 +224,14 @@ def blank_world(layout: Layout, phases: int, gaits: int, inexact: bool) -> World
     ``inexact`` tells whether the survey may have errors.
     """
     still = STILL._replace(radius=1.0, jerk=1.0)
-    acts = [plan.phase for plan in blank_plan(phases, gaits).phases]
     channel = channel_of(Radio("blank"), Scene("blank", (0.0, 0.0, 10.0)), layout, 1.0)
     anchors = blank_site(layout).anchors
     dice = [0.0] * STATE_WORDS
-    clock = Clock(dice, 0.0) if layout.has_bias else ()
+    acts = draw_phases(Dice(dice), blank_plan(phases, gaits).phases, 0.0)
+    clock = [Clock(dice, 0.0)] if layout.has_bias else []
     offered = [1.0] * layout.size if layout.partial else []
     drift = [1.0, 1.0, 1.0] if layout.has_bias else []
-    survey = Survey(dice, [0.0] * 4, 0.0, [0.0] * layout.doppler) if inexact else ()
+    survey = [Survey(dice, [0.0] * 4, 0.0, [0.0] * layout.doppler)] if inexact else []
     return WorldState(
         measured=blank_incoming(layout),
         settings=WorldSettings(1.0, channel, 1.0, 1.0, 1.0, 1.0, offered, drift, [1.0] * inexact),
@@ -248,36 +242,34 @@ def blank_world(layout: Layout, phases: int, gaits: int, inexact: bool) -> World
     )
 
 
-class World:
+class World(Program[WorldState]):
     """The simulation of a user's epochs: each epoch is measured, then the user moves on.
 
-    ``phases`` is the maximum number of phases, and ``gaits`` the maximum number of gaits (target
-    speeds) in a phase. ``inexact`` tells whether the survey may have errors.
+    The compiled code is called by a :class:`~mmwave_env.compiler.program.Feed`; the user moves in
+    substeps.
+
+    Args:
+        layout: which quantity is in which row of a measurement.
+        phases: maximum number of phases.
+        gaits: maximum number of gaits (target speeds) in a phase.
+        inexact: whether the survey may have errors.
     """
 
     def __init__(self, layout: Layout, phases: int, gaits: int, inexact: bool) -> None:
-        self._layout = layout
-        self.template = blank_world(layout, phases, gaits, inexact)
-        self.index: WorldState = indices(self.template)  # the row of each float in the workspace
-        sizes = [len(flatten(part)) for part in self.template]
-        # the rows at which three parts end: the measured epoch; the settings; receiver and user
-        self.ends = (sizes[0], sizes[0] + sizes[1], sum(sizes))
-
-    def on_lanes(self) -> int:
-        """Return the address of a compiled C function that simulates an epoch; a Feed calls it."""
-        with global_compiler_lock:
-            return self._compiled.address  # type: ignore[no-any-return]
+        blank = blank_world(layout, phases, gaits, inexact)
+        super().__init__(partial(_observe, layout=layout), blank)
 
     @property
     def parts(self) -> tuple[Callable[[WorldState], WorldState], ...]:
         """Return the functions for measurement, events and motion; the last two run per substep."""
-        return partial(_observe, layout=self._layout), _apply_events, _move
+        return self.function, _apply_events, _move
 
-    @cached_property
-    def _compiled(self) -> Any:
+    def _compile(self) -> Any:
         """Return the compiled :attr:`parts` as one function, which skips events if none is due."""
+        sizes = [len(flatten(part)) for part in self.template]
+        # the rows at which three parts end: the measured epoch; the settings; receiver and user
+        ends = (sizes[0], sizes[0] + sizes[1], sum(sizes))
         parts = self.parts
-        ends = self.ends
         observe, apply_events, substep = [kernel(part, self.template, ends) for part in parts]
         row = 8 * WIDTH  # bytes
         due = row * (self.index.user.traveler.due - ends[1])
@@ -333,9 +325,16 @@ CLOCK = 2
 SURVEY = 3
 
 
-class StartDraws(NamedTuple):
-    """The beginning of an episode: everything that is drawn before its first epoch."""
+class StartState(NamedTuple):
+    """A key, the parameters of an episode's beginning, and what is drawn before its first epoch."""
 
+    key: Numbers  # (1,) bits of the key
+    plans: list[TravelPlan]  # kinds of users; empty if ways are given
+    scene: SceneNumbers  # the scene; not used if every episode draws its own
+    duration_s: Number  # duration of the episode
+    prior_deviation: Numbers  # (7,) standard deviations; (8,) with a clock offset
+    first_bias_hz: Number  # standard deviation of the oscillator's first bias
+    # drawn from them
     receiver: ReceiverState
     user: UserState  # not used if a way is given
     choice: Number  # index of the kind of user; if ways are given, a number in [0, 1)
@@ -345,18 +344,6 @@ class StartDraws(NamedTuple):
     # (7,) error of the prior's mean; with a clock offset (8,), ending with minus the range bias
     prior_noise: Numbers
     mapped: Matrix  # (L, 3) positions of the anchors on the map, which filters use
-
-
-class StartState(NamedTuple):
-    """A key, the parameters of an episode's beginning, and the beginning drawn from them."""
-
-    key: Numbers  # (1,) bits of the key
-    plans: list[TravelPlan]  # kinds of users; empty if ways are given
-    scene: SceneNumbers  # the scene; not used if every episode draws its own
-    duration_s: Number  # duration of the episode
-    prior_deviation: Numbers  # (7,) standard deviations; (8,) with a clock offset
-    first_bias_hz: Number  # standard deviation of the oscillator's first bias
-    start: StartDraws
 
 
 def begin(w: StartState, streets: RandomScene | None, survey: RandomSurvey | None) -> StartState:
@@ -369,7 +356,7 @@ def begin(w: StartState, streets: RandomScene | None, survey: RandomSurvey | Non
     dice = Dice(seeded(w.key[0], USER))
     others = Dice(seeded(w.key[0], RECEIVER))
     scene = streets.draw_numbers(dice) if streets else w.scene
-    user = w.start.user
+    user = w.user
     position = [0.0, 0.0]
     velocity = [0.0, 0.0]
     if w.plans:
@@ -381,29 +368,31 @@ def begin(w: StartState, streets: RandomScene | None, survey: RandomSurvey | Non
         x, y = scene.origin_m
         net = Net(block, east, north, x, y, scene.height_m)
         phases = draw_phases(dice, plan.phases, w.duration_s)
-        user = UserState([], net, phases, set_off(dice, phases, net))
-        user = user._replace(dice=dice.state)
-        position, velocity = state_of(user.traveler)
+        traveler = set_off(dice, phases, net)
+        user = UserState(dice.state, net, phases, traveler)
+        position, velocity = state_of(traveler)
     else:
         choice = dice.uniform()
     bias_hz = w.first_bias_hz * others.normal()
     noise = [deviation * others.normal() for deviation in w.prior_deviation[:7]]
     first = [*position, user.net.height, *velocity, 0.0, bias_hz]
-    receiver = w.start.receiver._replace(dice=others.state, anchors=scene.anchors, bias_hz=bias_hz)
+    receiver = w.receiver._replace(dice=others.state, anchors=scene.anchors, bias_hz=bias_hz)
     for deviation in w.prior_deviation[7:]:
         own = Dice(seeded(w.key[0], CLOCK))
         bias_m = deviation * own.normal()
-        receiver = receiver._replace(clock=Clock(own.state, bias_m))
+        receiver = receiver._replace(clock=[Clock(own.state, bias_m)])
         first = [*first, bias_m]
         noise = [*noise, 0.0 - bias_m]
     mapped = scene.anchors
     if survey:
         own = Dice(seeded(w.key[0], SURVEY))
-        errors = survey.draw_numbers(own, len(scene.anchors))
-        mapped = [plus(at, by) for at, by in zip(scene.anchors, errors.anchors_m, strict=True)]
+        offsets, moves, size = survey.draw_numbers(own, len(scene.anchors))
+        mapped = [plus(at, by) for at, by in zip(scene.anchors, moves, strict=True)]
         slow = [own.normal() for _ in range(4 * len(scene.anchors))]
-        receiver = receiver._replace(survey=Survey(own.state, errors.offsets, errors.slow, slow))
-    return w._replace(start=StartDraws(receiver, user, choice, first, noise, mapped))
+        receiver = receiver._replace(survey=[Survey(own.state, offsets, size, slow)])
+    return w._replace(
+        receiver=receiver, user=user, choice=choice, first=first, prior_noise=noise, mapped=mapped
+    )
 
 
 @lru_cache(maxsize=8)
@@ -429,6 +418,11 @@ def start_program(
         duration_s=1.0,
         prior_deviation=state,
         first_bias_hz=0.0,
-        start=StartDraws(world.receiver, world.user, 0.0, state, state, world.receiver.anchors),
+        receiver=world.receiver,
+        user=world.user,
+        choice=0.0,
+        first=state,
+        prior_noise=state,
+        mapped=world.receiver.anchors,
     )
     return Program(partial(begin, streets=streets, survey=survey), template)

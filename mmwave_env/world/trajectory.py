@@ -135,8 +135,8 @@ class Trajectory:
             row = int(np.searchsorted(self.time_s, self.time_s[0] + epoch * dt, "right")) - 1
             self._refuse(row, "x, y, z", position[epoch], f"{expected} in scene {scene.name!r}")
 
-        for epoch, wall in scene.behind_walls(position):
-            refuse(epoch, f"{wall.side_of(scene.base_station_m)}, like the base station,")
+        if (epoch := scene.first_behind(position)) is not None:
+            refuse(epoch, "a position on the base station's side of every wall")
         for anchor in scene.anchors_m:
             distance = np.linalg.norm(position - anchor, axis=1)
             outside = (distance < REACH_M[0]) | (distance > REACH_M[1])

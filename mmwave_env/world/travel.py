@@ -10,9 +10,9 @@ with one style of moving). Between events, :mod:`mmwave_env.world.kinematics` mo
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from mmwave_env.numerics.numbers import Number, Numbers, Pair, floor, maximum, where
+from mmwave_env.numerics.numbers import Number, Pair, Vector, floor, maximum, where
 from mmwave_env.numerics.pytree import select, tree_at
 from mmwave_env.numerics.random import Dice
 from mmwave_env.world.kinematics import FAR, STANDING_MPS, STILL, Net, Traveler, around, unit
@@ -31,34 +31,33 @@ class TravelGait(NamedTuple):
     weight: Number  # relative frequency with which this gait is chosen
 
 
+NO_GAIT = TravelGait(0.0, 0.0, 1.0, 0.0)  # never chosen, as its weight is 0
+
+
 class TravelPhase(NamedTuple):
     """A part of an episode with one style of moving; it begins when the previous phase ends.
 
-    Its limits of acceleration, braking and lateral acceleration are drawn as the episode begins.
+    In a plan, the first three limits are ranges (2,), from which they are drawn as the episode
+    begins, and ``end`` is the range (2,) of the phase's duration, s.
     """
 
-    acceleration: Number
-    braking: Number
-    lateral: Number
+    # the same limits, in the same order, as in :class:`~mmwave_env.world.mobility.Limits`
+    acceleration: Any
+    braking: Any
+    lateral: Any
     jerk: Number
     radius: Number  # radius of corners, m
     red_probability: Number
-    # red_low, red_high: range of the duration of a red light, s
-    red_low: Number
-    red_high: Number
-    end: Number  # time at which the phase ends, s since the episode began
+    red: Vector  # (2,) range of the duration of a red light, s
+    end: Any  # time at which the phase ends, s since the episode began
     gaits: list[TravelGait]
 
 
 class PhasePlan(NamedTuple):
-    """The ranges (2,) from which the duration and the limits of a phase are drawn."""
+    """A phase before its limits and its duration are drawn."""
 
-    length: Numbers
-    acceleration: Numbers
-    braking: Numbers
-    lateral: Numbers
+    phase: TravelPhase
     ends_early: Number  # 1 if the next phase is the last one and needs the rest of the time
-    phase: TravelPhase  # the values that are not drawn
 
 
 class TravelPlan(NamedTuple):
@@ -70,11 +69,10 @@ class TravelPlan(NamedTuple):
 
 def blank_plan(phases: int, gaits: int) -> TravelPlan:
     """Return a placeholder plan with the given numbers of phases and gaits, to be overwritten."""
-    gait = TravelGait(0.0, 0.0, 1.0, 0.0)
-    phase = TravelPhase(1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, FAR, [gait] * gaits)
-    once = [FAR, FAR]
     at_one = [1.0, 1.0]
-    return TravelPlan(1.0, [PhasePlan(once, at_one, at_one, at_one, 0.0, phase)] * phases)
+    limits = [at_one, at_one, at_one, 1.0, 1.0, 0.0, at_one]
+    phase = TravelPhase._make([*limits, [FAR, FAR], [NO_GAIT] * gaits])
+    return TravelPlan(1.0, [PhasePlan(phase, 0.0)] * phases)
 
 
 def _draw_gait(dice: Dice, gaits: Sequence[TravelGait]) -> Pair:
@@ -116,7 +114,7 @@ def _look_ahead(dice: Dice, t: Traveler, heading: Number, phase: TravelPhase, ne
     y = t.node_y + north
     turn = _draw_turn(dice, x, y, heading, net)
     stops = dice.uniform() < phase.red_probability
-    red = where(stops, dice.uniform(phase.red_low, phase.red_high), 0.0)
+    red = where(stops, dice.uniform(*phase.red), 0.0)
     return t._replace(node_x=x, node_y=y, turn_after=turn, red_after=red)
 
 
@@ -194,18 +192,17 @@ def attend(dice: Dice, t: Traveler, phases: Sequence[TravelPhase], net: Net) -> 
 
 def draw_phases(dice: Dice, plans: Sequence[PhasePlan], total_s: Number) -> list[TravelPhase]:
     """Draw the phases of an episode; the limits of a repeated phase are drawn again."""
-    lengths = [dice.uniform(*plan.length) for plan in plans]
+    lengths = [dice.uniform(*plan.phase.end) for plan in plans]
     phases = []
     passed = 0.0
-    for plan, length, after in zip(plans, lengths, [*lengths[1:], 0.0], strict=True):
+    for (phase, ends_early), length, after in zip(plans, lengths, [*lengths[1:], 0.0], strict=True):
         passed = passed + length
-        end = where(plan.ends_early > 0.5, total_s - after - STOPPING_S, passed)
         phases.append(
-            plan.phase._replace(
-                acceleration=dice.uniform(*plan.acceleration),
-                braking=dice.uniform(*plan.braking),
-                lateral=dice.uniform(*plan.lateral),
-                end=end,
+            phase._replace(
+                acceleration=dice.uniform(*phase.acceleration),
+                braking=dice.uniform(*phase.braking),
+                lateral=dice.uniform(*phase.lateral),
+                end=where(ends_early > 0.5, total_s - after - STOPPING_S, passed),
             )
         )
     return phases

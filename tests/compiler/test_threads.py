@@ -8,7 +8,7 @@ import threading
 
 import pytest
 
-from mmwave_env.compiler.threads import share
+from mmwave_env.compiler.program import share
 from tests.cli import environment
 
 
@@ -55,7 +55,7 @@ import gymnasium as gym
 import numpy as np
 import mmwave_env.engines.batch as batch
 import mmwave_env.compiler.program as stepping
-from mmwave_env.compiler.threads import share
+from mmwave_env.compiler.program import share
 
 batch.BLOCKS_PER_THREAD = 1
 

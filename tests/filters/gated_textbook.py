@@ -13,6 +13,14 @@ from scipy.stats import chi2
 
 from mmwave_env.filters import textbook
 from mmwave_env.filters.textbook import Sensor, tangent
+from mmwave_env.models.layout import Layout
+
+
+def groups_of(sensor):
+    """Return the rows of each link, of the Doppler shift and of the odometry."""
+    if isinstance(sensor, Sensor):
+        return Layout(sensor.links, sensor.odometry).groups
+    return sensor.groups
 
 
 @dataclass(frozen=True)
@@ -39,7 +47,7 @@ class Restricted:
 
     @property
     def groups(self):
-        return self.sensor.groups
+        return groups_of(self.sensor)
 
     @property
     def links(self):
@@ -66,12 +74,12 @@ class Rows:
 
     @property
     def groups(self):
-        ends = np.cumsum([0, *(int(self.kept[group].sum()) for group in self.sensor.groups)])
+        ends = np.cumsum([0, *(int(self.kept[group].sum()) for group in groups_of(self.sensor))])
         return [slice(a, b) for a, b in pairwise(ends) if b > a]
 
     @property
     def links(self):
-        return sum(self.kept[group].any() for group in self.sensor.groups[: self.sensor.links])
+        return sum(self.kept[group].any() for group in groups_of(self.sensor)[: self.sensor.links])
 
 
 class Update(NamedTuple):
@@ -90,7 +98,7 @@ def gate_groups(moments, sensor, x, P, z, R, visible, quantile=None, force=False
     mean, S, _ = moments(sensor, x, P)
     S = S + np.diag(R)
     y = sensor.residual(z, mean, x)
-    groups = sensor.groups
+    groups = groups_of(sensor)
     nis = np.array([y[g] @ np.linalg.inv(S[g, g]) @ y[g] for g in groups])
     log_det = np.array([np.log(np.linalg.det(S[g, g])) for g in groups])
     sizes = np.array([g.stop - g.start for g in groups])

@@ -13,7 +13,7 @@ from mmwave_env.filters import Gate, textbook
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Measurement
 from tests.filters import gated_textbook
-from tests.filters.gated_textbook import Restricted, Rows
+from tests.filters.gated_textbook import Restricted, Rows, groups_of
 from tests.filters.tracks import HZ_PER_MPS, wrapped
 
 RTOL = 1e-9
@@ -121,7 +121,7 @@ def problems(draw, odometry=False, anchors=None, outliers=True, partial=False, c
     z = sensor.h(truth) + sigma * error
     z[angles] = wrapped(z[angles])
     visible = draw(
-        hnp.arrays(bool, len(sensor.groups), elements=st.sampled_from([True, True, False]))
+        hnp.arrays(bool, len(groups_of(sensor)), elements=st.sampled_from([True, True, False]))
     )
     P = factor @ factor.T
     # Near the cut at +-pi, rounding would decide the sign of an angle's residual.
@@ -131,7 +131,7 @@ def problems(draw, odometry=False, anchors=None, outliers=True, partial=False, c
     if partial:
         measured = draw(hnp.arrays(bool, sigma.shape))
         assume(measured.any())
-        visible = np.array([measured[group].any() for group in sensor.groups])
+        visible = np.array([measured[group].any() for group in groups_of(sensor)])
     return Problem(x, 0.5 * (P + P.T), sensor, z, sigma**2, visible, measured)
 
 
@@ -165,5 +165,5 @@ def derivative(sensor, x, step):
 def assume_clear_of(nis, sensor, quantile):
     """Assume that no NIS is so near its gate that rounding decides whether its group passes."""
     if quantile is not None:
-        thresholds = chi2.ppf(quantile, [g.stop - g.start for g in sensor.groups])
+        thresholds = chi2.ppf(quantile, [g.stop - g.start for g in groups_of(sensor)])
         assume(np.all(np.abs(nis - thresholds) > 1e-6))

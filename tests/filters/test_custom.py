@@ -24,23 +24,28 @@ def mine(x, P, measurement, gate):
 """
 AFTER = "\n    return ekf(x, P, measurement, gate)\n"
 LINE = BEFORE.count("\n") + 1
-WHERE = "write where(condition, a, b)"
+BRANCH = "a branch needs the value of a number that stands for 8 environments: write where("
+EQUAL = "a comparison by == or != needs the value of a number"
 REFUSED = {
-    "if a > 0.0: b = a": ("a branch", WHERE),
-    "c = where(a > 0.0 and b > 0.0, 1.0, 0.0)": ("a branch", "& and | for 'and'"),
-    "c = max(a, b)": ("a branch", "maximum(a, b)"),
-    "c = math.sqrt(b)": ("float(...) or math", "the functions of mmwave_env.numerics.numbers"),
-    "c = TABLE[a]": ("use as an integer", "a constant"),
-    "c = np.linalg.inv(P)": ("numpy", "mmwave_env.numerics.linalg"),
-    "c = np.float64(2.0) * a": ("numpy", "mmwave_env.numerics.linalg"),
-    "c = a == b": ("a comparison by == or !=", "write where(abs(a - b) < tolerance, ...)"),
-    "c = b ** 0.5": ("a power", "sqrt(a) for a ** 0.5"),
-    "c = a % 3.0": ("a remainder", "wrap(a) for angles"),
-    "c = a // 3.0": ("a division with //", "write a / b"),
-    "c = {a: 1.0}": ("a key of a dict or set", "a list and a constant index"),
-    "c = (a > 0.0) * 2.0": ("arithmetic with a condition", "write where(condition, 1.0, 0.0)"),
-    "c = where(b, 1.0, 0.0)": ("using a number as a condition", "write where(a > 0.5, ...)"),
-    "c = where(~(a > 0.0), 1.0, 0.0)": ("negating a condition", "where(condition, b, a)"),
+    "if a > 0.0: b = a": BRANCH,
+    "c = where(a > 0.0 and b > 0.0, 1.0, 0.0)": BRANCH,
+    "c = max(a, b)": BRANCH,
+    "c = np.where(a > 0.0, a, b)": BRANCH,
+    "c = a == b": EQUAL,
+    "c = a in TABLE": EQUAL,
+    "c = math.sqrt(b)": "must be real number, not Tracer",
+    "c = TABLE[a]": "list indices must be integers",
+    "c = np.sqrt(b)": "operand 'Tracer' does not support ufuncs",
+    "c = np.linalg.inv(P)": "ufunc 'inv'",
+    "c = b ** 0.5": "unsupported operand type(s) for **",
+    "c = a % 3.0": "unsupported operand type(s) for %",
+    "c = a // 3.0": "unsupported operand type(s) for //",
+    "c = {a: 1.0}": "unhashable type",
+    "c = (a > 0.0) * 2.0": "unsupported operand type(s) for *: 'TracerCondition'",
+    "c = a * (a > 0.0)": "unsupported operand type(s) for *: 'Tracer' and 'TracerCondition'",
+    "c = (a > 0.0) < a": "not supported between instances of 'TracerCondition'",
+    "c = where(b, 1.0, 0.0)": "'Tracer' object has no attribute 'select'",
+    "c = where(~(a > 0.0), 1.0, 0.0)": "bad operand type for unary ~",
 }
 
 
@@ -66,15 +71,14 @@ def refusal(algorithm, layout=STREET, **options):
     return error.value
 
 
-@pytest.mark.parametrize(("line", "advice"), REFUSED.items(), ids=REFUSED)
-def test_code_that_lanes_cannot_run_is_refused_with_line_and_advice(written, line, advice):
+@pytest.mark.parametrize(("line", "reason"), REFUSED.items(), ids=REFUSED)
+def test_code_that_lanes_cannot_run_is_refused_with_line_and_reason(written, line, reason):
     file, algorithm = written(line)
-    error = refusal(algorithm)
-    head, where, text, shown = str(error).splitlines()
+    head, where, text, shown, advice = str(refusal(algorithm)).splitlines()
     assert "mine of mode 'own'" in head and text.strip() == line
     assert where.startswith(f'  File "{file}", line {LINE}, in ')
-    assert shown.startswith(advice[0]) and advice[1] in shown
-    assert error.__cause__ is None and error.__suppress_context__
+    assert reason in shown
+    assert "the functions of mmwave_env.numerics.numbers" in advice
 
 
 def helper(a):
@@ -135,10 +139,7 @@ RETURNS = {
     changed(x=tuple): "returned x: tuple of 7",
     changed(P=lambda P: [*P[:6], P[6][:2]]): "returned P[6]: list of 2",
     flags: "returned accepted[0]: a condition",
-    changed(x=lambda x: [math.nan, *x[1:]]): "returned x: nan",
-    changed(P=lambda P: [[-v for v in row] for row in P]): "returned diagonal of P: -",
-    changed(nis=lambda nis: [-1.0 for _ in nis]): "returned nis: -1",
-    changed(accepted=lambda accepted: [2.0 for _ in accepted]): "returned accepted: 2",
+    changed(log_likelihood=lambda value: math.nan): "returned log_likelihood nan",
     too_few: "takes 3 positional arguments",
 }
 

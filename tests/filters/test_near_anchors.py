@@ -7,6 +7,7 @@ from mmwave_env.filters import Gate, textbook
 from mmwave_env.filters.modes import ALGORITHMS
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import NEAREST_M, exact_rows
+from tests.filters.gated_textbook import groups_of
 from tests.filters.problems import HZ_PER_MPS, Problem, assert_same, derivative
 
 ANCHORS = np.array([[0.0, 0.0, 10.0], [80.0, 60.0, 12.0], [-50.0, 70.0, 15.0]])
@@ -33,7 +34,7 @@ def near(where, odometry=False):
     factor = scale[:, None] * (np.eye(7) + np.tril(np.full((7, 7), 0.2), -1))
     sigma = np.array([0.5, 0.05, 0.05, 0.05] * 3 + [50.0] + [0.5, 0.1] * odometry)
     z = sensor.h(x + factor @ [0.5, -0.3, 0.4, 0.2, 0.1, -0.2, 0.3])
-    visible = np.ones(len(sensor.groups), bool)
+    visible = np.ones(len(groups_of(sensor)), bool)
     return Problem(x, factor @ factor.T, sensor, z, sigma**2, visible)
 
 

@@ -18,6 +18,7 @@ from mmwave_env.world.episode import Episode
 from mmwave_env.world.keys import keys_of
 from mmwave_env.world.simulated import SimulatedSource
 from mmwave_env.world.trajectory import Trajectory
+from tests.filters.gated_textbook import groups_of
 
 STREET = Layout(3)
 HZ_PER_MPS = 93.4
@@ -141,14 +142,14 @@ class OwnModel:
         sigma = self.sigma * np.exp(self.fading * rng.standard_normal(shape))
         z = np.array([sensor.h(state) for state in x]) + sigma * rng.standard_normal(shape)
         z[:, sensor.angles] = wrapped(z[:, sensor.angles])
-        visible = rng.random((epochs, len(sensor.groups))) < self.detection
+        visible = rng.random((epochs, len(groups_of(sensor)))) < self.detection
         received = visible, np.full((epochs, sensor.links), 30.0), np.zeros(epochs)
         belief = (self.start, np.diag(self.prior**2))
         truth = (x[:, :3], x[:, 3:6])
         layout = Layout(sensor.links, sensor.odometry)
         where = (sensor.anchors, sensor.hz_per_mps)
         times = np.arange(epochs) * 1.0
-        return Episode("own model", *where, times, z, sigma, *received, *belief, *truth, layout)
+        return Episode("own model", *where, times, z, sigma, *received, *belief, layout, *truth)
 
 
 def far_from_the_anchors(Q, **options):

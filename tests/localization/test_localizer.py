@@ -86,7 +86,7 @@ def episode_of(block):
     visible[0, 0] = False
     arrays = block.measurement, sigma, visible, block.snr_db, block.doppler_spread_hz
     site = SCENE.anchors_m, SCENE.hz_per_mps
-    return Episode("log", *site, block.time_s, *arrays, *prior, None, None, block.layout)
+    return Episode("log", *site, block.time_s, *arrays, *prior, block.layout)
 
 
 # --- filtered

@@ -53,19 +53,6 @@ def test_a_reflection_is_as_long_as_the_line_from_the_mirror_image(
 
 
 @pytest.mark.parametrize(
-    ("wall", "side"),
-    [
-        (Wall((0, 1), 25.0), "y below 25 m"),
-        (Wall((0, -2), -25.0), "y below 25 m"),
-        (Wall((1, 0), -5.0), "x above -5 m"),
-        (Wall((3, 4), 20.0), "0.6 x +0.8 y below 20 m"),
-    ],
-)
-def test_a_wall_says_on_which_side_a_point_is(wall, side):
-    assert wall.side_of((10.0, 10.0, 10.0)) == side
-
-
-@pytest.mark.parametrize(
     ("name", "base_station", "width_m", "length_m", "user_height_m"),
     [
         ("o1", (235.504, 489.504, 6.0), 0.0, 600.0, 2.0),

@@ -192,8 +192,9 @@ def plain(source, key):
     mean = np.append(track[0], offset[0]) + np.sqrt(np.diag(covariance)) * prior
     times = source.dt * np.arange(T)
     measured = (z, sigma, visible, snr, spread)
-    truth = mean, covariance, position, velocity
-    return Episode(name, scene.anchors_m, scene.hz_per_mps, times, *measured, *truth, layout)
+    prior = mean, covariance
+    site = scene.anchors_m, scene.hz_per_mps
+    return Episode(name, *site, times, *measured, *prior, layout, position, velocity)
 
 
 def wrapped_table(episode):

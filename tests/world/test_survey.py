@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import binomtest
 
 from mmwave_env.env import MmWaveLocEnv
-from mmwave_env.models.random_survey import RandomSurvey
+from mmwave_env.models.random_scene import RandomSurvey
 from mmwave_env.world.keys import keys_of
 from tests.filters.tracks import around_a_block, replay, sampled, street_source, wrapped
 from tests.refusals import refuses
