@@ -57,8 +57,8 @@ def run_live(args: LogArgs) -> None:
         raise ValueError("associate: found --live, for which --map learn assigns paths to anchors")
     of_files = ("sample", "truth", "out", "plot", "json", "two_way", "diagnose", "odometry", "more")
     require_alone(args, "live", *of_files)
-    require_alone(args, "format", "lag")
-    require_at_least(0, args, "lag", "correlation")
+    require_alone(args, "format")
+    require_at_least(0, args, "correlation")
     require_one_choice(args)
     levels = Levels(args.risk, args.levels)
     scene = scene_of(args, args.scene)
@@ -73,8 +73,6 @@ def run_live(args: LogArgs) -> None:
     waited = False
     require_clock(args.clock)
     for live, epochs in _epochs(scene, args.snr, args.clock):
-        if args.lag and any(epoch.user for epoch in epochs):
-            raise ValueError(f"lag: found {args.lag} and rows with users (ue), expected 0 for them")
         if tracker is None:
             linked = (epoch for epoch in epochs if log_from([epoch]).visible_links.any())
             first = next(linked, None)
@@ -86,9 +84,6 @@ def run_live(args: LogArgs) -> None:
                 note(f"a track{of} begins, or begins anew, at {position.time_s!r} s: {why}")
             content: Json = {"ue": user} if user else {}
             content |= _formatted(args, position, origin)
-            late = tracker.smoothed() if tracker and args.lag else None
-            if late:
-                content["smoothed"] = _content(late)
             print(json.dumps(content), flush=not user)
             began = True
         sys.stdout.flush()
@@ -106,7 +101,7 @@ def _run_map(args: LogArgs, scene: Scene, origin: Origin | None) -> None:
     the end, also after a signal, the map is written if --map-out asks for it.
     """
     alone = ("policy", "imm", "speed", "height", "levels", "risk", "correlation")
-    require_alone(args, "map", "clock", "lag", *alone)
+    require_alone(args, "map", "clock", *alone)
     name = "handset" if args.radio == AUTO else args.radio
     mode = modes_from(args.modes, name)[-1]
     learner = MapLearner(scene, radio_of(args, name), mode)
@@ -190,8 +185,8 @@ def _tracker(args: LogArgs, scene: Scene, first: LiveEpoch, levels: Levels) -> t
     radio = nearest_radio(log_from([first]), scene) if args.radio == AUTO else args.radio
     choice = choice_of(args, radio, "aoa_elevation" in first.columns.file.columns)
     tracker = Tracker(
-        scene, choice.switching, radio_of(args, radio), height_m=args.height, lag=args.lag,
-        levels=levels, correlation_s=args.correlation,
+        scene, choice.switching, radio_of(args, radio), height_m=args.height, levels=levels,
+        correlation_s=args.correlation,
     )  # fmt: skip
     gc.freeze()  # else Python's garbage collector stops the rows for 70 ms at times
     return tracker, f"modes {choice.why}, radio {radio}"
