@@ -13,7 +13,7 @@ from gymnasium.error import InvalidAction, ResetNeeded
 from mmwave_env.engines.environment import Environment
 from mmwave_env.interface.actions import numbers_in, space_of
 from mmwave_env.interface.info import NONFINITE_KEY, Info, warn_of_nonfinite
-from mmwave_env.io.lookup import choose, require_extra
+from mmwave_env.io.lookup import choose
 from mmwave_env.numerics.numbers import Array, Array32, Index
 from mmwave_env.rendering.gallery import Gallery
 from mmwave_env.rendering.theme import FRAMES_PER_SECOND, SMALLEST, Pixels, require_drawable
@@ -253,23 +253,12 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         self._backend = backend
         self._take_task(task_from(**arguments), observation)
         self._over = True
+        self._mode = np.zeros(1, np.int64)
         self._set_up_noting()
         drawn = (*self._drawn, render_size, render_theme)
         self._gallery = Gallery(1, *drawn) if render_mode else None
         self.observation_space = cast(Any, self.observation.space)
         self.action_space = space_of(self._limits, len(self.observation.actions))
-
-    def _set_up(self) -> None:
-        """Create all objects that the arguments determine, for a new environment or a copy."""
-        pipeline = self._task.pipeline
-        on_floats = self._backend == "filterpy"
-        if on_floats:
-            require_extra("filterpy", "filterpy", 'backend="filterpy"')
-            from mmwave_env.filters.filterpy_reference import filterpy_pipeline
-
-            pipeline = filterpy_pipeline(pipeline)
-        self._start_engine(pipeline, on_floats=on_floats)
-        self._mode = np.zeros(1, np.int64)
 
     @property  # type: ignore[override]
     def spec(self) -> EnvSpec | None:

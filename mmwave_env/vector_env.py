@@ -58,7 +58,6 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         **arguments: arguments of :class:`~mmwave_env.env.MmWaveLocEnv`.
 
     Attributes:
-        batch: the running episodes, and their beliefs.
         autoreset_mode: a ``gymnasium.vector.AutoresetMode``.
     """
 
@@ -115,11 +114,6 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         self._none_over = np.zeros(num_envs, np.bool_)
         self._over = self._none_over
         self._ended = 0
-
-    def _set_up(self) -> None:
-        """Create everything that follows from the arguments, for a new environment or a copy."""
-        self._start_engine(self._task.pipeline)
-        self.batch = self._engine
 
     def render(self) -> tuple[Pixels, ...] | None:  # type: ignore[override]
         """Draw pictures (size, size, 3) of the first 16 environments; None without a render mode.

@@ -15,7 +15,6 @@ from mmwave_env.compiler.program import Repeated, StepIO, laid_out
 from mmwave_env.engines.engine import Engine, run_imm
 from mmwave_env.engines.vector_step import StepResult, Tally, step_blocks
 from mmwave_env.filters.belief import Belief
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import CORRECTION, limits_of
 from mmwave_env.interface.info import (
     COST_KEY,
@@ -30,7 +29,7 @@ from mmwave_env.interface.info import (
 from mmwave_env.interface.observation import OBSERVATIONS
 from mmwave_env.interface.reward import term_names
 from mmwave_env.interface.signed import after_update
-from mmwave_env.io.lookup import choose
+from mmwave_env.io.lookup import choose, require_extra
 from mmwave_env.metrics import DIVERGENCE_M, INFO_KEYS
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Array32, Index
@@ -51,7 +50,7 @@ class Environment:
     """
 
     _engine: Engine
-    _set_up: Callable[[], None]  # creates the attributes that are not copied
+    _backend = "lanes"
     _gallery: Any  # draws pictures; None without a render mode
     _generator: Callable[[int], np.random.Generator]  # of an environment, for episodes without keys
 
@@ -68,9 +67,16 @@ class Environment:
         self._threads = threads  # maximum number in use; results do not depend on it
         self._begun = False
 
-    def _start_engine(self, pipeline: Pipeline, on_floats: bool = False) -> None:
-        """Make the engine of the environments, and room for the rewards of an IMM."""
+    def _set_up(self) -> None:
+        """Create all objects that the arguments determine, for a new environment or a copy."""
         task = self._task
+        pipeline = task.pipeline
+        on_floats = self._backend == "filterpy"
+        if on_floats:
+            require_extra("filterpy", "filterpy", 'backend="filterpy"')
+            from mmwave_env.filters.filterpy_reference import filterpy_pipeline
+
+            pipeline = filterpy_pipeline(pipeline)
         kind = self._observation_kind
         self.source = task.source
         self.radio = task.radio
@@ -91,11 +97,10 @@ class Environment:
         self.bank = task.bank
         self.observation = self._engine.observation
         self._imm_rewards = np.zeros((n, 0), np.float32)
-        self._lay_out_steps()
+        self._lay_out_steps(self._engine.at)
 
-    def _lay_out_steps(self) -> None:
-        """Choose the outputs of a step, and make its buffers."""
-        at = self._engine.at
+    def _lay_out_steps(self, at: Any) -> None:
+        """Choose the outputs of a step, and make its buffers; ``at`` is the engine's."""
         shown = info_rows(at)
         parts = {"reward": at.reward, "nees": at.nees, "error": at.error}
         parts["covariance"] = reported(at).P[:3]

@@ -130,11 +130,11 @@ class Tracker:
         self.forgotten: list[str] = []
         self._levels = levels
         self._correlation_s = correlation_s
-        self._clock = clock
         self._scene = scene_from(scene)
         self._radio = radio_from(radio)
-        self._switching = policy
+        self._clock = clock
         self._snr_db = snr_db
+        self._switching = policy
         self._height_m = height_m
         self._log: LiveLog | None = None
         self._layout: Layout | None = None  # of the latest epochs
@@ -268,13 +268,14 @@ class Tracker:
             self._restore(users)
         for row, epoch, user in zip(rows, epochs, users, strict=True):
             row[self._at.dt] = epoch.time_s - user.end_s
-        self._engine.load_epoch(rows)
+        self._engine.go_on([[row] for row in rows])
         return self._filtered([[epoch.time_s] for epoch in epochs])
 
     def _arrays(self) -> Iterator[NDArray[Any]]:
         """Yield what tracks in the engine need to go on: arrays (n, ...)."""
         yield self._engine.read(slice(None))
-        yield from self._engine.memory
+        if self._engine.policy:
+            yield from self._engine.policy.memory
         if self._levels and self._levels.state:
             yield from self._levels.state
 
@@ -294,7 +295,7 @@ class Tracker:
         tracks = zip(*[user.track for user in users], strict=True)
         states, *others = [np.concatenate(parts) for parts in tracks]
         self._engine.write(slice(None), states, np.arange(count))
-        memory = self._engine.memory
+        memory = self._engine.policy.memory if self._engine.policy else ()
         for part, remembered in zip(memory, others, strict=False):
             part[:count] = remembered
         if self._levels and len(others) > len(memory):
@@ -304,7 +305,7 @@ class Tracker:
     def _filtered(self, time_s: list[list[float]], begins: bool = False) -> list[Position]:
         """Filter T loaded epochs of each of k users; return the beliefs after the last ones."""
         count = len(self._loaded)
-        parts = self._localizer.run(self._engine, time_s, begins, count)
+        parts = self._localizer.run(self._engine, time_s, count)
         layout = self._localizer.layout
         rejected = parts["memory.rejected"]
         measured = (parts["memory.accepted"] + rejected).tolist()
