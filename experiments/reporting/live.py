@@ -4,7 +4,7 @@ import gc
 import json
 import sys
 from collections.abc import Iterator, Sequence
-from itertools import chain, islice, tee
+from itertools import chain, tee
 from typing import Any
 
 from experiments.console.options import (
@@ -38,7 +38,6 @@ from mmwave_env.models.layout import require_clock
 from mmwave_env.models.scene import Origin, Scene, scene_json
 
 SOURCE = "standard input"
-_MOST_INCOMPLETE = 20  # first lines that may lack columns before the log is refused
 _ENOUGH_PATHS = 400  # paths after which a warning says if a learned map explains few of them
 _PATIENCE_S = 10.0  # time without a first position after which a warning says so
 
@@ -243,13 +242,14 @@ def _epochs(
     if not first:
         raise ValueError(f"log: found nothing on {SOURCE}, expected a header or JSON lines")
     as_json = first.lstrip().startswith("{")
+    names: list[str] = []
+    delimiter = ""
     if as_json:
-        read = chain([(number, first)], lines)
-        log, first_lines = _begun(read, scene, snr_db, clock, associated)
-        lines = chain(first_lines, lines)
+        _objects(first, number)  # refused here if it is damaged
+        lines = chain([(number, first)], lines)
     else:
         names, delimiter = header_of(first)
-        log = LiveLog(names, scene, snr_db, SOURCE, clock, delimiter, associated)
+    log = LiveLog(names, scene, snr_db, SOURCE, clock, delimiter, associated)
     epochs: list[LiveEpoch] = []
     for line in lines:
         if line is None:
@@ -261,35 +261,6 @@ def _epochs(
     if log.left_out:
         counts = ", ".join(f"{name}: {count}" for name, count in log.left_out.items())
         _warn(f"{SOURCE}: left out in all: {counts}")
-
-
-def _begun(
-    lines: Iterator[tuple[int, str] | None],
-    scene: Scene,
-    snr_db: float | None,
-    clock: str,
-    associated: bool,
-) -> tuple[LiveLog, list[tuple[int, str]]]:
-    """Return a log with the columns of the first JSON lines, and these lines, which it lacks.
-
-    A row may lack columns, so they are as many lines as a log needs.
-
-    Raises:
-        LogError: the lines lack a column.
-    """
-    names: dict[str, None] = {}
-    first_lines = []
-    problem: LogError | None = None
-    for number, line in islice(filter(None, lines), _MOST_INCOMPLETE):
-        first_lines.append((number, line))
-        try:
-            names |= dict.fromkeys(name for row in _objects(line, number)[0] for name in row)
-            log = LiveLog(list(names), scene, snr_db, SOURCE, clock, associated=associated)
-            return log, first_lines
-        except LogError as error:
-            problem = problem or error
-    assert problem
-    raise problem
 
 
 def _added(log: LiveLog, number: int, line: str, as_json: bool) -> Iterator[LiveEpoch]:

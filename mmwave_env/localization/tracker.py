@@ -132,11 +132,9 @@ class Tracker:
         self._correlation_s = correlation_s
         self._scene = scene_from(scene)
         self._radio = radio_from(radio)
-        self._clock = clock
-        self._snr_db = snr_db
         self._switching = policy
         self._height_m = height_m
-        self._log: LiveLog | None = None
+        self._log = LiveLog([], self._scene, snr_db, clock=clock)
         self._layout: Layout | None = None  # of the latest epochs
         self._users: dict[str, _User] = {}  # in the order of their last epochs
         self._now_s = -inf
@@ -171,9 +169,6 @@ class Tracker:
         rows = list(rows)
         if not rows:
             return []
-        if self._log is None:
-            names = dict.fromkeys(name for row in rows for name in row)
-            self._log = LiveLog(list(names), self._scene, self._snr_db, clock=self._clock)
         self._log.forget(self.forgotten)
         epochs = self._log.add_epoch(rows)
         for warning in self._log.warnings:

@@ -191,6 +191,18 @@ def test_rows_may_have_other_keys_than_the_first_row():
     )
 
 
+def test_the_first_epoch_may_lack_columns_that_a_log_needs():
+    epochs = walk(20)
+    whole = Tracker(SCENE, Switching((EKF,)), RADIO)
+    expected = [whole.update(rows) for rows in epochs[1:]]
+    tracker = Tracker(SCENE, Switching((EKF,)), RADIO)
+    lost = [{name: row[name] for name in ("time_s", "anchor", "snr_db")} for row in epochs[0]]
+    assert tracker.update(lost) is None
+    assert [tracker.update(rows) for rows in epochs[1:]] == expected
+    with pytest.raises(ValueError, match="say nothing about the horizontal position"):
+        Tracker(SCENE, Switching((EKF,)), RADIO).update(60 * lost)
+
+
 LATER = {
     "odometry": lambda row: row | {"speed_mps": 1.2, "heading_deg": 350.0},
     "a long gap": lambda row: row | {"time_s": row["time_s"] + 100.0},
