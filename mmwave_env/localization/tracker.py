@@ -266,17 +266,15 @@ class Tracker:
         self._engine.go_on([[row] for row in rows])
         return self._filtered([[epoch.time_s] for epoch in epochs])
 
-    def _arrays(self) -> Iterator[NDArray[Any]]:
-        """Yield what tracks in the engine need to go on: arrays (n, ...)."""
-        yield self._engine.read(slice(None))
-        if self._engine.policy:
-            yield from self._engine.policy.memory
-        if self._levels and self._levels.state:
-            yield from self._levels.state
-
     def _store(self) -> None:
         """Keep the tracks in the engine, which other tracks will use."""
-        arrays = list(self._arrays()) if self._loaded else []
+        if not self._loaded:
+            return
+        arrays = [self._engine.read(slice(None))]
+        if self._engine.policy:
+            arrays += self._engine.policy.memory
+        if self._levels and self._levels.state:
+            arrays += self._levels.state
         for i, user in enumerate(self._loaded):
             user.track = [part[i : i + 1].copy() for part in arrays]
 
@@ -290,11 +288,10 @@ class Tracker:
         tracks = zip(*[user.track for user in users], strict=True)
         states, *others = [np.concatenate(parts) for parts in tracks]
         self._engine.write(slice(None), states, np.arange(count))
-        memory = self._engine.policy.memory if self._engine.policy else ()
-        for part, remembered in zip(memory, others, strict=False):
-            part[:count] = remembered
-        if self._levels and len(others) > len(memory):
-            self._levels.state = LevelState(*others[len(memory) :])
+        for part in self._engine.policy.memory if self._engine.policy else ():
+            part[:count] = others.pop(0)
+        if self._levels and others:
+            self._levels.state = LevelState(*others)
         self._loaded = users
 
     def _filtered(self, time_s: list[list[float]], begins: bool = False) -> list[Position]:
