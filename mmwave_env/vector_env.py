@@ -20,7 +20,6 @@ from mmwave_env.interface.info import (
     mask_keys,
     masked,
     stepped,
-    warn_of_nonfinite,
 )
 from mmwave_env.io.lookup import choose
 from mmwave_env.io.records import Bound, require
@@ -225,15 +224,12 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
     def _end(self, observations: Array32, infos: Info) -> Info:
         """Add the infos of ended episodes; begin new episodes if the autoreset mode is SameStep."""
         ended = np.flatnonzero(self._over)
-        lost = np.zeros(self.num_envs, np.int64)
-        lost[ended] = self._tally.nonfinite(ended)
-        if lost.any():
-            warn_of_nonfinite()
-        metrics = {}
-        for key, values in self._metrics_of(ended).items():
-            metrics[key] = np.zeros(self.num_envs)
-            metrics[key][ended] = values
-        infos |= masked(metrics, self._over) | masked({NONFINITE_KEY: lost}, lost > 0)
+        final = {}
+        for key, values in self._final_infos(ended).items():
+            final[key] = np.zeros(self.num_envs, values.dtype)
+            final[key][ended] = values
+        lost = final.pop(NONFINITE_KEY)
+        infos |= masked(final, self._over) | masked({NONFINITE_KEY: lost}, lost > 0)
         if self.autoreset_mode == AutoresetMode.SAME_STEP:
             return self._same_step(observations, infos)
         return infos

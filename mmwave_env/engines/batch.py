@@ -140,18 +140,6 @@ class Batch:
         self.write(self.at.is_first, 1.0, places)
         self.state.epoch[places] = 0
 
-    def episodes(self, places: Index) -> EpisodeBatch:
-        """Return the episodes loaded in some environments, without their names."""
-        block, lane = np.divmod(places, WIDTH)
-        length = self.state.length[places]
-        return EpisodeBatch(
-            names=[""] * len(places),
-            length=length,
-            table=self.state.table[places, : length.max(initial=0)],
-            site=self.state.rows[block, self.span(self.at.site), lane],
-            layout=self.layout,
-        )
-
     def io(self, output_rows: Index = NO_ROWS, epochs: int = 1) -> StepIO:
         """Return buffers for this number of epochs: zeros as inputs, and arrays for results."""
         return StepIO.of(self.n, epochs, self._input_rows, output_rows, self.obs_rows)
