@@ -23,7 +23,6 @@ from mmwave_env.io.lookup import quoted, require_extra
 from mmwave_env.logs.lines import number, read_lines, require_memory
 from mmwave_env.logs.log_columns import (
     BODY,
-    QUANTITIES,
     QUANTITY_OF,
     STATION,
     Column,
@@ -164,23 +163,6 @@ class Table(Arrays):
         some = np.flatnonzero(~np.isnan(values))[::-1]
         first[self.epoch[some]] = values[some]  # backwards, so that the first row's value remains
         return first
-
-    def associated(self, anchor: Array) -> "Table":
-        """Return rows that are paths, each with its anchor's number (n,); NaN if it has none.
-
-        Rows without an anchor keep only the values of their epoch. Only the Doppler shift of anchor
-        1 is kept.
-        """
-        cells = self.cells.copy()
-        for i, quantity in enumerate(self.columns):
-            if quantity in ("doppler", "doppler_sigma"):
-                cells[anchor != 1.0, i] = np.nan
-            elif quantity != "time" and not QUANTITIES[quantity].per_epoch:
-                cells[np.isnan(anchor), i] = np.nan
-        number = Column("anchor", len(self.file.names), Unit(), 1.0, self.file.layout.anchors)
-        file = replace(self.file, columns=self.columns | {"anchor": number}, associated=True)
-        cells = np.column_stack([cells, np.nan_to_num(anchor, nan=1.0)])
-        return replace(self, file=file, cells=cells)
 
     def links(self, anchor: Index | int) -> Array:
         """Return (n, 4) ranges (m) and angles (rad), as each row's anchor would have measured them.
