@@ -223,7 +223,7 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         "render_modes": ["human", "rgb_array"],
         "render_fps": FRAMES_PER_SECOND,
     }
-    _gallery: Gallery | None
+    _gallery: Gallery | None = None
     _spec: EnvSpec | None = None
 
     def __init__(
@@ -258,8 +258,8 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         self._over = True
         self._mode = np.zeros(1, np.int64)
         self._set_up_noting()
-        drawn = (*self._drawn, render_size, render_theme)
-        self._gallery = Gallery(1, *drawn) if render_mode else None
+        if render_mode:
+            self._gallery = Gallery(1, *self._drawn, render_size, render_theme)
         self.observation_space = cast(Any, self.observation.space)
         self.action_space = space_of(self._limits, len(self.observation.actions))
 

@@ -60,7 +60,7 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         autoreset_mode: a ``gymnasium.vector.AutoresetMode``.
     """
 
-    _gallery: Gallery | None
+    _gallery: Gallery | None = None
 
     def __init__(
         self,
@@ -101,8 +101,8 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
                 "episode_steps= for another length"
             )
         self._set_up_noting()
-        drawn = (*self._drawn, render_size, render_theme)
-        self._gallery = Gallery(num_envs, *drawn) if render_mode else None
+        if render_mode:
+            self._gallery = Gallery(num_envs, *self._drawn, render_size, render_theme)
         self.single_observation_space = self.observation.space
         self.single_action_space = space_of(self._limits, len(self.observation.actions))
         self.observation_space = batch_space(self.single_observation_space, num_envs)

@@ -56,7 +56,7 @@ class LiveColumns:
         self._is_quick = file.associated and not corrected and not turned
         self.most_rows = layout.anchors if file.associated else MOST_PATHS
         cell_of = {of: i for i, of in enumerate(columns)}
-        self.names = [file.names[i] for i in file.numbers]
+        self.names = [column.name for column in columns.values()]
         self.time = cell_of["time"]
         self._anchor = cell_of.get("anchor", -1)
         self._anchors = set(range(1, layout.anchors + 1))
@@ -390,12 +390,13 @@ class LiveLog:
             if not self._is_open:
                 self._waiting += names
                 self._problem = self._problem or error
-            elif len(names) == 1:
+            elif len(names) > 1:
+                for name in names:
+                    self._learn([name], number)
+            else:
                 self.warnings.append(f"row {number}, column {names[0]!r} is ignored: {error}")
                 if QUANTITY_OF.get(names[0]) in ODOMETRY_QUANTITIES:
                     self._waiting += names
-            for name in names if self._is_open and len(names) > 1 else ():
-                self._learn([name], number)
         else:
             self._waiting.clear()
             self._columns = LiveColumns(file)
