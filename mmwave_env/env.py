@@ -12,8 +12,8 @@ from gymnasium.error import InvalidAction, ResetNeeded
 
 from mmwave_env.engines.environment import Environment
 from mmwave_env.interface.actions import numbers_in, space_of
-from mmwave_env.interface.info import NONFINITE_KEY, Info, warn_of_nonfinite
-from mmwave_env.io.lookup import choose, require_extra
+from mmwave_env.interface.info import NONFINITE_KEY, Info
+from mmwave_env.io.lookup import choose
 from mmwave_env.numerics.numbers import Array, Array32, Index
 from mmwave_env.rendering.gallery import Gallery
 from mmwave_env.rendering.theme import FRAMES_PER_SECOND, SMALLEST, Pixels, require_drawable
@@ -223,13 +223,19 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         "render_modes": ["human", "rgb_array"],
         "render_fps": FRAMES_PER_SECOND,
     }
-    _gallery: Gallery | None
+    _gallery: Gallery | None = None
     _spec: EnvSpec | None = None
 
     def __init__(
         self,
-        env_config: Mapping[str, Any] | None = None,
+        env_config: Mapping[str, Any] | None = None,  # RLlib passes all arguments in one mapping
         /,
+        **arguments: Any,
+    ) -> None:
+        self._begin(**(env_config or {}), **arguments)
+
+    def _begin(
+        self,
         *,
         observation: str = "full",
         backend: str = "lanes",
@@ -238,9 +244,6 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         render_theme: str = "light",
         **arguments: Any,
     ) -> None:
-        if env_config:  # RLlib passes all arguments in one mapping
-            self.__init__(**env_config)  # type: ignore[misc]
-            return
         if render_mode is not None:
             choose(dict.fromkeys(self.metadata["render_modes"]), render_mode, "render_mode")
             require_drawable(render_size, render_theme, f"render_mode={render_mode!r}")
@@ -253,23 +256,12 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         self._backend = backend
         self._take_task(task_from(**arguments), observation)
         self._over = True
+        self._mode = np.zeros(1, np.int64)
         self._set_up_noting()
-        drawn = (*self._drawn, render_size, render_theme)
-        self._gallery = Gallery(1, *drawn) if render_mode else None
+        if render_mode:
+            self._gallery = Gallery(1, *self._drawn, render_size, render_theme)
         self.observation_space = cast(Any, self.observation.space)
         self.action_space = space_of(self._limits, len(self.observation.actions))
-
-    def _set_up(self) -> None:
-        """Create all objects that the arguments determine, for a new environment or a copy."""
-        pipeline = self._task.pipeline
-        on_floats = self._backend == "filterpy"
-        if on_floats:
-            require_extra("filterpy", "filterpy", 'backend="filterpy"')
-            from mmwave_env.filters.filterpy_reference import filterpy_pipeline
-
-            pipeline = filterpy_pipeline(pipeline)
-        self._start_engine(pipeline, on_floats=on_floats)
-        self._mode = np.zeros(1, np.int64)
 
     @property  # type: ignore[override]
     def spec(self) -> EnvSpec | None:
@@ -331,7 +323,9 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         self._over = terminated or truncated
         info = {key: values[0] for key, values in infos.items()}
         if self._over:
-            info |= self._episode_info()
+            info |= {key: values[0].item() for key, values in self._final_infos(_HERE).items()}
+            if not info[NONFINITE_KEY]:
+                del info[NONFINITE_KEY]
         if self._gallery:
             self._gallery.add(_HERE, actions, self._engine.column)
         if self.render_mode == "human":
@@ -367,11 +361,3 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         """Close the window if there is one."""
         if self._gallery:
             self._gallery.close()
-
-    def _episode_info(self) -> Info:
-        """Return the episode's metrics, and the number of nonfinite beliefs if it is not 0."""
-        (lost,) = self._tally.nonfinite(_HERE).tolist()
-        if lost:
-            warn_of_nonfinite()
-        metrics: Info = {k: float(v[0]) for k, v in self._metrics_of(_HERE).items()}
-        return metrics | {NONFINITE_KEY: lost} if lost else metrics

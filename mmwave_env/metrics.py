@@ -26,16 +26,6 @@ def _squared(error: Array) -> Array:
     return x * x + y * y + z * z
 
 
-def ate(error: Array) -> Array:
-    """Compute the absolute trajectory error (...,) of errors (..., T, 3): mean length, m."""
-    return np.sqrt(_squared(error)).mean(axis=-1)  # type: ignore[no-any-return]
-
-
-def rmse(error: Array) -> Array:
-    """Compute the root mean square (...,) of errors (..., T, 3), m."""
-    return np.sqrt(_squared(error).mean(axis=-1))  # type: ignore[no-any-return]
-
-
 def nees_interval(axes: int = 3) -> tuple[float, float]:
     """Return the two-sided interval that holds a consistent filter's NEES in 95 % of epochs."""
     from scipy.special import chdtri

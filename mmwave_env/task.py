@@ -219,22 +219,22 @@ def _source(asked: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
                 f"the epochs of {simulated.name}"
             )
         return simulated, radio
-    for name in ("scenario", "scene", "dt", "odometry", "survey"):
-        if (value := getattr(asked, name)) is not None and value is not False:
-            raise ValueError(f"{name}: found {value!r}, but recorded episodes determine this value")
-    episodes = asked.episodes
-    steps = asked.episode_steps
-    if isinstance(episodes, str | os.PathLike | Recording | MeasuredTrack):
+    episodes: Any = asked.episodes
+    determined = ["scenario", "scene", "dt", "odometry", "survey"]
+    is_recorded = isinstance(episodes, str | os.PathLike | Recording | MeasuredTrack)
+    if not is_recorded:
+        determined += ["episode_steps", "measurements", "clock"]
+        if not hasattr(episodes, "layout") or not hasattr(episodes, "sample"):
+            raise ValueError(
+                f"episodes: found {episodes!r}, expected a name, a folder, a recording, a measured "
+                "track, or a source with layout and sample(rng)"
+            )
+    for name in determined:
+        value = getattr(asked, name)
+        if value != getattr(TaskArguments, name):
+            raise ValueError(f"{name}: found {value!r}, but episodes= determines this value")
+    if is_recorded:
+        steps = asked.episode_steps
         track = source_from(episodes, radio, steps, measurements, asked.clock)
         return track, track.radio
-    if not hasattr(episodes, "layout") or not hasattr(episodes, "sample"):
-        raise ValueError(
-            f"episodes: found {episodes!r}, expected a name, a folder, a recording, a measured "
-            "track, or a source with layout and sample(rng)"
-        )
-    drift = None if asked.clock == "synchronized" else asked.clock
-    own = {"episode_steps": steps, "measurements": measurements, "clock": drift}
-    for name, value in own.items():
-        if value is not None:
-            raise ValueError(f"{name}: found {value}, but the source in episodes= determines this")
     return episodes, getattr(episodes, "radio", radio)

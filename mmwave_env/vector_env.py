@@ -20,7 +20,6 @@ from mmwave_env.interface.info import (
     mask_keys,
     masked,
     stepped,
-    warn_of_nonfinite,
 )
 from mmwave_env.io.lookup import choose
 from mmwave_env.io.records import Bound, require
@@ -58,11 +57,10 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         **arguments: arguments of :class:`~mmwave_env.env.MmWaveLocEnv`.
 
     Attributes:
-        batch: the running episodes, and their beliefs.
         autoreset_mode: a ``gymnasium.vector.AutoresetMode``.
     """
 
-    _gallery: Gallery | None
+    _gallery: Gallery | None = None
 
     def __init__(
         self,
@@ -103,8 +101,8 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
                 "episode_steps= for another length"
             )
         self._set_up_noting()
-        drawn = (*self._drawn, render_size, render_theme)
-        self._gallery = Gallery(num_envs, *drawn) if render_mode else None
+        if render_mode:
+            self._gallery = Gallery(num_envs, *self._drawn, render_size, render_theme)
         self.single_observation_space = self.observation.space
         self.single_action_space = space_of(self._limits, len(self.observation.actions))
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -115,11 +113,6 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
         self._none_over = np.zeros(num_envs, np.bool_)
         self._over = self._none_over
         self._ended = 0
-
-    def _set_up(self) -> None:
-        """Create everything that follows from the arguments, for a new environment or a copy."""
-        self._start_engine(self._task.pipeline)
-        self.batch = self._engine
 
     def render(self) -> tuple[Pixels, ...] | None:  # type: ignore[override]
         """Draw pictures (size, size, 3) of the first 16 environments; None without a render mode.
@@ -231,15 +224,12 @@ class MmWaveLocVectorEnv(Environment, gym.vector.VectorEnv[Array32, Index, NDArr
     def _end(self, observations: Array32, infos: Info) -> Info:
         """Add the infos of ended episodes; begin new episodes if the autoreset mode is SameStep."""
         ended = np.flatnonzero(self._over)
-        lost = np.zeros(self.num_envs, np.int64)
-        lost[ended] = self._tally.nonfinite(ended)
-        if lost.any():
-            warn_of_nonfinite()
-        metrics = {}
-        for key, values in self._metrics_of(ended).items():
-            metrics[key] = np.zeros(self.num_envs)
-            metrics[key][ended] = values
-        infos |= masked(metrics, self._over) | masked({NONFINITE_KEY: lost}, lost > 0)
+        final = {}
+        for key, values in self._final_infos(ended).items():
+            final[key] = np.zeros(self.num_envs, values.dtype)
+            final[key][ended] = values
+        lost = final.pop(NONFINITE_KEY)
+        infos |= masked(final, self._over) | masked({NONFINITE_KEY: lost}, lost > 0)
         if self.autoreset_mode == AutoresetMode.SAME_STEP:
             return self._same_step(observations, infos)
         return infos

@@ -376,9 +376,6 @@ class LogArgs(IntegrityArgs, JsonArgs):
     """read rows from standard input (log -) as CSV or JSON
     lines, and print a JSON line immediately after each
     epoch"""
-    lag: int = 0
-    """with --live, also print the position this many epochs
-    ago, smoothed with all later epochs"""
     format: Literal["lines", "3gpp"] = "lines"
     """with --live, what to print: positions in the scene's
     frame, or LocationData of 3GPP TS 29.572, which needs an

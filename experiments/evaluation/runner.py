@@ -12,9 +12,8 @@ from experiments.console.output import tracked
 from experiments.evaluation.agents import NO_FILTERS, Estimator
 from experiments.evaluation.branches import Clairvoyant
 from experiments.evaluation.contenders import Contender, draw_episodes
-from mmwave_env.engines.engine import Engine, play, run_imm
+from mmwave_env.engines.engine import Engine, run_imm
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.interface.actions import CORRECTION
 from mmwave_env.interface.policy import Policy
 from mmwave_env.interface.reward import Reward, TrackingReward, terms_of, total
 from mmwave_env.metrics import BURN_IN, HEADERS, TERMS, scored, summary
@@ -99,20 +98,14 @@ def run_contender(
     policy = policy or contender.start(batch.layout, scoring.planar)
     if isinstance(policy, Estimator):
         return _run_estimator(pipeline, policy, batch, scoring.reward, names)
-    n, T, _ = batch.table.shape
-    bank = contender.bank
-    action = policy.action
-    engine = Engine(pipeline, n, scoring.reward, contender.observation, bank, action=action)
+    n = len(batch.length)
+    engine = Engine(
+        pipeline, n, scoring.reward, contender.observation, contender.bank, policy=policy
+    )
     engine.load(batch)
     if isinstance(policy, Clairvoyant):  # it sees the whole episodes first
         policy.foresee(engine)
-    policy.reset(np.ones(n, bool))
-    corrects = policy.action == CORRECTION
-    corrected = {"x": "reported.x", "P": "reported.P"} if corrects else {}
-    read = [corrected.get(name, name) for name in names]
-    track = play(engine, policy, T, read)
-    results = dict(zip(names, track.outputs.values(), strict=True)) | {"mode": track.actions}
-    return results | {"trusted": track.trusted} if corrects else results
+    return engine.run(*names)
 
 
 def _run_estimator(

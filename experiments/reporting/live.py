@@ -4,7 +4,7 @@ import gc
 import json
 import sys
 from collections.abc import Iterator, Sequence
-from itertools import chain, islice, tee
+from itertools import chain, tee
 from typing import Any
 
 from experiments.console.options import (
@@ -38,7 +38,6 @@ from mmwave_env.models.layout import require_clock
 from mmwave_env.models.scene import Origin, Scene, scene_json
 
 SOURCE = "standard input"
-_MOST_INCOMPLETE = 20  # first lines that may lack columns before the log is refused
 _ENOUGH_PATHS = 400  # paths after which a warning says if a learned map explains few of them
 _PATIENCE_S = 10.0  # time without a first position after which a warning says so
 
@@ -57,8 +56,8 @@ def run_live(args: LogArgs) -> None:
         raise ValueError("associate: found --live, for which --map learn assigns paths to anchors")
     of_files = ("sample", "truth", "out", "plot", "json", "two_way", "diagnose", "odometry", "more")
     require_alone(args, "live", *of_files)
-    require_alone(args, "format", "lag")
-    require_at_least(0, args, "lag", "correlation")
+    require_alone(args, "format")
+    require_at_least(0, args, "correlation")
     require_one_choice(args)
     levels = Levels(args.risk, args.levels)
     scene = scene_of(args, args.scene)
@@ -73,8 +72,6 @@ def run_live(args: LogArgs) -> None:
     waited = False
     require_clock(args.clock)
     for live, epochs in _epochs(scene, args.snr, args.clock):
-        if args.lag and any(epoch.user for epoch in epochs):
-            raise ValueError(f"lag: found {args.lag} and rows with users (ue), expected 0 for them")
         if tracker is None:
             linked = (epoch for epoch in epochs if log_from([epoch]).visible_links.any())
             first = next(linked, None)
@@ -86,9 +83,6 @@ def run_live(args: LogArgs) -> None:
                 note(f"a track{of} begins, or begins anew, at {position.time_s!r} s: {why}")
             content: Json = {"ue": user} if user else {}
             content |= _formatted(args, position, origin)
-            late = tracker.smoothed() if tracker and args.lag else None
-            if late:
-                content["smoothed"] = _content(late)
             print(json.dumps(content), flush=not user)
             began = True
         sys.stdout.flush()
@@ -106,7 +100,7 @@ def _run_map(args: LogArgs, scene: Scene, origin: Origin | None) -> None:
     the end, also after a signal, the map is written if --map-out asks for it.
     """
     alone = ("policy", "imm", "speed", "height", "levels", "risk", "correlation")
-    require_alone(args, "map", "clock", "lag", *alone)
+    require_alone(args, "map", "clock", *alone)
     name = "handset" if args.radio == AUTO else args.radio
     mode = modes_from(args.modes, name)[-1]
     learner = MapLearner(scene, radio_of(args, name), mode)
@@ -190,8 +184,8 @@ def _tracker(args: LogArgs, scene: Scene, first: LiveEpoch, levels: Levels) -> t
     radio = nearest_radio(log_from([first]), scene) if args.radio == AUTO else args.radio
     choice = choice_of(args, radio, "aoa_elevation" in first.columns.file.columns)
     tracker = Tracker(
-        scene, choice.switching, radio_of(args, radio), height_m=args.height, lag=args.lag,
-        levels=levels, correlation_s=args.correlation,
+        scene, choice.switching, radio_of(args, radio), height_m=args.height, levels=levels,
+        correlation_s=args.correlation,
     )  # fmt: skip
     gc.freeze()  # else Python's garbage collector stops the rows for 70 ms at times
     return tracker, f"modes {choice.why}, radio {radio}"
@@ -248,13 +242,14 @@ def _epochs(
     if not first:
         raise ValueError(f"log: found nothing on {SOURCE}, expected a header or JSON lines")
     as_json = first.lstrip().startswith("{")
+    names: list[str] = []
+    delimiter = ""
     if as_json:
-        read = chain([(number, first)], lines)
-        log, first_lines = _begun(read, scene, snr_db, clock, associated)
-        lines = chain(first_lines, lines)
+        _objects(first, number)  # refused here if it is damaged
+        lines = chain([(number, first)], lines)
     else:
         names, delimiter = header_of(first)
-        log = LiveLog(names, scene, snr_db, SOURCE, clock, delimiter, associated)
+    log = LiveLog(names, scene, snr_db, SOURCE, clock, delimiter, associated)
     epochs: list[LiveEpoch] = []
     for line in lines:
         if line is None:
@@ -266,35 +261,6 @@ def _epochs(
     if log.left_out:
         counts = ", ".join(f"{name}: {count}" for name, count in log.left_out.items())
         _warn(f"{SOURCE}: left out in all: {counts}")
-
-
-def _begun(
-    lines: Iterator[tuple[int, str] | None],
-    scene: Scene,
-    snr_db: float | None,
-    clock: str,
-    associated: bool,
-) -> tuple[LiveLog, list[tuple[int, str]]]:
-    """Return a log with the columns of the first JSON lines, and these lines, which it lacks.
-
-    A row may lack columns, so they are as many lines as a log needs.
-
-    Raises:
-        LogError: the lines lack a column.
-    """
-    names: dict[str, None] = {}
-    first_lines = []
-    problem: LogError | None = None
-    for number, line in islice(filter(None, lines), _MOST_INCOMPLETE):
-        first_lines.append((number, line))
-        try:
-            names |= dict.fromkeys(name for row in _objects(line, number)[0] for name in row)
-            log = LiveLog(list(names), scene, snr_db, SOURCE, clock, associated=associated)
-            return log, first_lines
-        except LogError as error:
-            problem = problem or error
-    assert problem
-    raise problem
 
 
 def _added(log: LiveLog, number: int, line: str, as_json: bool) -> Iterator[LiveEpoch]:

@@ -186,7 +186,7 @@ def _check(args: LogArgs, files: Inputs) -> None:
         if args.more:
             count = 1 + len(args.more)
             raise ValueError(f"log: found {count} logs without --map learn, expected one")
-    require_default(args, "--live", "lag", "format", "accuracy", "confidence")
+    require_default(args, "--live", "format", "accuracy", "confidence")
     require_alone(args, "two_way", "height", "smoothing")
     require_one_choice(args)
     require_at_least(0, args, "correlation")

@@ -12,13 +12,13 @@ a log's first fix does not justify. So half of the episodes begin as a log does:
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from experiments.training.training_task import Place
 from mmwave_env.compiler.program import rows_of
-from mmwave_env.engines.engine import Engine, Played, play
+from mmwave_env.engines.engine import Engine, play
 from mmwave_env.engines.smoothing import GATES, smoothed_features
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.belief import Belief
@@ -280,7 +280,7 @@ class Beliefs(NamedTuple):
     error: Array
 
 
-def _played(batch: EpisodeBatch, bank: Bank, base: str, *names: str) -> Played:
+def _played(batch: EpisodeBatch, bank: Bank, base: str, *names: str) -> dict[str, Any]:
     """Play episodes with the policy ``base``; record parts of the state, and features after it."""
     n, epochs, _ = batch.table.shape
     pipeline = Pipeline(bank.modes, batch.layout)
@@ -294,13 +294,13 @@ def _played(batch: EpisodeBatch, bank: Bank, base: str, *names: str) -> Played:
 def filtered(batch: EpisodeBatch, bank: Bank, base: str) -> Beliefs:
     """Filter episodes with the policy ``base`` and a bank."""
     track = _played(batch, bank, base, "x", "P", "error")
-    return Beliefs(track.features, *track.outputs.values())
+    return Beliefs(track["features"], track["x"], track["P"], track["error"])
 
 
 def smoothed(batch: EpisodeBatch, bank: Bank, base: str) -> Beliefs:
     """Filter episodes with the policy ``base`` and a bank, and smooth the tracks."""
     gates = [f"memory.{gate}" for gate in GATES]
-    parts = _played(batch, bank, base, "x", "error", "mixture", *gates).outputs
+    parts = _played(batch, bank, base, "x", "error", "mixture", *gates)
     pipeline = Pipeline(bank.modes, batch.layout)
     at = columns_of(batch.layout)
     hz_per_mps = float(unflatten(blank_site(batch.layout), iter(batch.site[0])).hz_per_mps)

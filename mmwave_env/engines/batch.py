@@ -75,55 +75,39 @@ class Batch:
         self.state = BatchState.of(np.empty((n, 0, len(program.blank))), rows)
         self._input_rows = input_rows
         self.obs_rows = obs_rows
-        self._end_s = 0.0  # time of the epoch that was loaded last
         self.on_floats = on_floats
         self._run = Repeated(advance)
         self._over = np.zeros(n, np.int64)  # epochs and lengths of tracks that load no epoch
         self.parts = spans(blocks, max(1, min(threads, blocks // BLOCKS_PER_THREAD)))
 
-    def load(
-        self,
-        episodes: EpisodeBatch | Sequence[Episode],
-        places: Places = ALL,
-        go_on: bool = False,
-    ) -> None:
+    def load(self, episodes: EpisodeBatch | Sequence[Episode], places: Places = ALL) -> None:
         """Load episodes, to be filtered from their priors.
 
         Args:
             episodes: one episode for each environment in ``places``.
             places: indices of the environments to load.
-            go_on: whether the episodes, which have the same times, continue the tracks that were
-                loaded last; priors are then ignored.
 
         Raises:
             ValueError: the layout of an episode differs from the batch's.
         """
-        gap_s = 0.0
-        if not isinstance(episodes, EpisodeBatch):
-            time_s = episodes[0].time_s
-            gap_s = float(time_s[0]) - self._end_s
-            self._end_s = float(time_s[-1])
         packed = EpisodeBatch.of(episodes, self.layout)
         epochs = packed.table.shape[1]
         self.make_room(epochs)
         self.state.length[places] = packed.length
         self.state.table[places, :epochs] = packed.table
-        if go_on:
-            self.state.table[places, 0, columns_of(self.layout).dt] = gap_s
-            self.state.epoch[places] = 0
-            return
         self.write(self.at.site, packed.site, places)
         self.restart(places)
 
-    def load_epoch(self, incoming: Any) -> None:
-        """Load one more epoch of each of the first k tracks.
+    def go_on(self, table: Any) -> None:
+        """Load T more epochs of each of the first k tracks.
 
-        ``incoming`` (k, columns) are rows of :meth:`~mmwave_env.world.episode.Episode.table`, with
-        the time since each track's previous epoch.
+        ``table`` (k, T, columns) has rows of :meth:`~mmwave_env.world.episode.Episode.table`, the
+        first of them with the time since each track's previous epoch.
         """
-        self.make_room(1)
-        self.state.table[: len(incoming), 0] = incoming
-        self.state.length[:] = 1
+        epochs = len(table[0])
+        self.make_room(epochs)
+        self.state.table[: len(table), :epochs] = table
+        self.state.length[:] = epochs
         self.state.epoch[:] = 0
 
     def begin(self, source: SimulatedSource, starts: EpisodeStarts, places: Index) -> None:
@@ -155,18 +139,6 @@ class Batch:
         """Start over with the loaded episodes; ``places`` is the same as in :meth:`load`."""
         self.write(self.at.is_first, 1.0, places)
         self.state.epoch[places] = 0
-
-    def episodes(self, places: Index) -> EpisodeBatch:
-        """Return the episodes loaded in some environments, without their names."""
-        block, lane = np.divmod(places, WIDTH)
-        length = self.state.length[places]
-        return EpisodeBatch(
-            names=[""] * len(places),
-            length=length,
-            table=self.state.table[places, : length.max(initial=0)],
-            site=self.state.rows[block, self.span(self.at.site), lane],
-            layout=self.layout,
-        )
 
     def io(self, output_rows: Index = NO_ROWS, epochs: int = 1) -> StepIO:
         """Return buffers for this number of epochs: zeros as inputs, and arrays for results."""

@@ -3,11 +3,11 @@
 The same engine serves everybody. Environments call :meth:`Engine.step`. Where a policy is asked
 in every epoch of a track, :func:`play` calls :meth:`Engine.filter`, :meth:`Engine.decide` and
 perhaps :meth:`Engine.correct`. Where all actions are known, or a rule or an IMM needs none,
-:meth:`Engine.run` filters all epochs in one call of compiled code.
+:meth:`Engine.run` filters all epochs in one call of compiled code; else it plays them.
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,7 @@ from mmwave_env.task import Base
 from mmwave_env.world.episode import Episode, EpisodeBatch
 
 SCORED = {"error", "nees", "reward", "reward_terms", "distance"}  # parts from the verb "score"
+_CORRECTED = {"x": "reported.x", "P": "reported.P"}  # the belief that a policy has corrected
 
 
 class Engine(Batch):
@@ -56,18 +57,17 @@ class Engine(Batch):
         on_floats: whether to run in plain Python, as filterpy requires, instead of on SIMD lanes.
         threads: maximum number of threads in use; results do not depend on it.
         action: kind of actions (:mod:`mmwave_env.interface.actions`); "" if an IMM gets none.
-        predicted: whether to keep beliefs before their updates, which smoothing needs. Tracks
-            without a policy always keep them.
         rule: function that chooses modes that share a belief; None if actions choose them.
         base: function that makes the agent that trusts modes while the environment's actions
             correct beliefs, given the table of its observations; None if an IMM weighs the modes.
+        policy: policy that :meth:`run` asks in every epoch, whose actions are then the kind
+            ``action``; None if there is none.
 
     Attributes:
         observation: table of the observed features, if there are observations.
     """
 
     observation: Observation
-    memory: tuple[Array32, ...] = ()  # nothing beside the states in the batch
 
     def __init__(
         self,
@@ -79,15 +79,21 @@ class Engine(Batch):
         on_floats: bool = False,
         threads: int = 1,
         action: str = MODE,
-        predicted: bool = False,
         rule: Rule | None = None,
         base: Base | None = None,
+        policy: Policy | None = None,
     ) -> None:
         self.pipeline = pipeline
+        self.policy = policy
+        if policy:
+            action = policy.action
+            if action != MODE and bank is None:
+                raise ValueError(f'policy: found {action} for a shared belief, expected "per-mode"')
         tuned = bank is not None or not observation
         self._asked = Asked(
             untuned(pipeline) if tuned else pipeline,
-            bank is not None, observation, reward, action, predicted or not observation, rule,
+            bank is not None, observation, reward, action,
+            policy is not None or not observation, rule,
         )  # fmt: skip
         self._programs: dict[tuple[Verb, ...], Program[EpochState]] = {}
         verbs = [decide, score, filter_epoch]  # of a step
@@ -131,8 +137,16 @@ class Engine(Batch):
         self._shown = [names.index(name) for name in self.observation.names]
         self.obs_rows = self.obs_rows[self._shown]
 
+    def restart(self, places: Places) -> None:
+        """Start over with the loaded episodes; a policy forgets the past."""
+        super().restart(places)
+        if self.policy:
+            forgets = np.zeros(self.n, np.bool_)
+            forgets[places] = True
+            self.policy.reset(forgets)
+
     def run(self, *names: str, actions: NDArray[np.integer[Any]] | None = None) -> dict[str, Array]:
-        """Filter the loaded episodes to their ends.
+        """Filter the loaded episodes to their ends; with a policy, as :func:`play` does.
 
         Args:
             names: parts of the :class:`EpochState` to return, such as "x" or "memory.nis".
@@ -142,11 +156,14 @@ class Engine(Batch):
             For each name, an array: (N, epochs), or (N, epochs, k) if the part has k numbers.
             Values past the end of an episode are meaningless.
         """
+        epochs = int(self.state.length.max())
+        if self.policy:
+            return play(self, self.policy, epochs, names)
         verbs = [filter_epoch, decide]
         if SCORED & set(names):
             verbs.append(score)
         program = self._program(*verbs)
-        io = self.io(program.rows(names), int(self.state.length.max()))
+        io = self.io(program.rows(names), epochs)
         if actions is not None:
             io.inputs[..., 0] = actions
         self.advance(io, program=program)
@@ -274,32 +291,13 @@ def run_imm(
     return engine.run(*names)
 
 
-class Played(NamedTuple):
-    """The record of T epochs of n tracks.
-
-    Attributes:
-        actions: (n, T) the policy's actions; of weights, the mode that is trusted most.
-        outputs: for each name that the caller asked for, (n, T), or (n, T, k) if the part has k
-            numbers, after every epoch.
-        features: (n, T, c) the columns of observations that the caller asked for, after every
-            epoch's update.
-        trusted: (n, T) factors that scaled the corrections; NaN if the policy does not correct.
-    """
-
-    actions: Index
-    outputs: dict[str, Array]
-    features: Array32
-    trusted: Array32
-
-
 def play(
     engine: Engine,
     policy: Policy,
     epochs: int,
     names: Sequence[str] = (),
     columns: Index = NO_ROWS,
-    scored: bool = True,
-) -> Played:
+) -> dict[str, Array]:
     """Play the next epochs of an engine's tracks; each epoch is filtered once.
 
     Args:
@@ -307,21 +305,29 @@ def play(
             that describe the belief after its update are recorded, they are corrections.
         policy: policy whose features have been looked up in ``engine.observation``, and that has
             been reset where tracks begin.
-        epochs: number of epochs.
+        epochs: number T of epochs.
         names: parts of the :class:`EpochState` to record, such as "x" or "memory.nis".
-        columns: indices of the columns of observations to record.
-        scored: whether to score the beliefs against the truth.
+        columns: (c,) indices of the columns of observations to record.
+
+    Returns:
+        What :meth:`Engine.run` returns for these names; if the policy corrects beliefs, "x" and "P"
+        are the corrected ones, and "trusted" (n, T) are the factors that scaled the corrections.
+        "mode" (n, T) are the policy's actions; of weights, the mode that is trusted most. With
+        ``columns``, "features" (n, T, c) are their values after every epoch's update.
     """
     n = engine.n
-    output_rows = engine.program.rows(names)
+    corrects = policy.action == CORRECTION
+    read = [_CORRECTED.get(name, name) if corrects else name for name in names]
+    output_rows = engine.program.rows(read)
+    scored = bool(SCORED & set(names))
     actions = np.empty((n, epochs), np.int64)
     outputs = np.empty((n, epochs, len(output_rows)))
     features = np.empty((n, epochs, len(columns)), np.float32)
-    trusted = np.full((n, epochs), np.nan, np.float32)
+    trusted = np.empty((n, epochs))
     for t in range(epochs):
         acted = policy.act(engine.filter())
         actions[:, t] = 1 + acted.argmax(axis=1) if policy.action == WEIGHTS else acted
-        if policy.action == CORRECTION:
+        if corrects:
             observations, _ = engine.decide(acted)  # the corrected belief is scored instead
             correction = policy.correct(observations)
             assert correction is not None
@@ -332,5 +338,9 @@ def play(
             observations, outputs[:, t] = engine.decide(acted, output_rows, scored)
         if len(columns):
             features[:, t] = observations[:, columns]
-    parts = engine.program.by_name(names, outputs)
-    return Played(actions, parts, features, trusted)
+    parts = engine.program.by_name(read, outputs)
+    played: dict[str, Any] = dict(zip(names, parts.values(), strict=True))
+    played["mode"] = actions
+    if len(columns):
+        played["features"] = features
+    return played | {"trusted": trusted} if corrects else played

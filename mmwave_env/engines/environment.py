@@ -14,33 +14,31 @@ from gymnasium.error import ResetNeeded
 from mmwave_env.compiler.program import Repeated, StepIO, laid_out
 from mmwave_env.engines.engine import Engine, run_imm
 from mmwave_env.engines.vector_step import StepResult, Tally, step_blocks
-from mmwave_env.filters.belief import Belief
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import CORRECTION, limits_of
 from mmwave_env.interface.info import (
     COST_KEY,
     FLAGS,
+    NONFINITE_KEY,
     STATE_KEYS,
     Info,
     drawn_rows,
     info_rows,
     mask_keys,
     reported,
+    warn_of_nonfinite,
 )
 from mmwave_env.interface.observation import OBSERVATIONS
 from mmwave_env.interface.reward import term_names
 from mmwave_env.interface.signed import after_update
-from mmwave_env.io.lookup import choose
+from mmwave_env.io.lookup import choose, require_extra
 from mmwave_env.metrics import DIVERGENCE_M, INFO_KEYS
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Array32, Index
 from mmwave_env.task import Task
-from mmwave_env.world.episode import EpisodeBatch
+from mmwave_env.world.episode import Episode, EpisodeBatch
 from mmwave_env.world.keys import Keys, Streams
 
-# maximum numbers of episodes that are filtered and drawn in one call, to save memory
-FILTERED = 256
-BEGUN = 512
+BEGUN = 512  # maximum number of episodes that begin in one call, to save memory
 
 
 class Environment:
@@ -51,7 +49,7 @@ class Environment:
     """
 
     _engine: Engine
-    _set_up: Callable[[], None]  # creates the attributes that are not copied
+    _backend = "lanes"
     _gallery: Any  # draws pictures; None without a render mode
     _generator: Callable[[int], np.random.Generator]  # of an environment, for episodes without keys
 
@@ -66,11 +64,19 @@ class Environment:
         self._names = np.full(n, "", object)  # of the episodes, for pictures
         self._streams = Streams(n)
         self._threads = threads  # maximum number in use; results do not depend on it
+        self._imm_rewards = np.zeros((n, 0), np.float32)  # of the episodes, if rewards are paired
         self._begun = False
 
-    def _start_engine(self, pipeline: Pipeline, on_floats: bool = False) -> None:
-        """Make the engine of the environments, and room for the rewards of an IMM."""
+    def _set_up(self) -> None:
+        """Create all objects that the arguments determine, for a new environment or a copy."""
         task = self._task
+        pipeline = task.pipeline
+        on_floats = self._backend == "filterpy"
+        if on_floats:
+            require_extra("filterpy", "filterpy", 'backend="filterpy"')
+            from mmwave_env.filters.filterpy_reference import filterpy_pipeline
+
+            pipeline = filterpy_pipeline(pipeline)
         kind = self._observation_kind
         self.source = task.source
         self.radio = task.radio
@@ -90,12 +96,10 @@ class Environment:
         self.modes = pipeline.modes
         self.bank = task.bank
         self.observation = self._engine.observation
-        self._imm_rewards = np.zeros((n, 0), np.float32)
-        self._lay_out_steps()
+        self._lay_out_steps(self._engine.at)
 
-    def _lay_out_steps(self) -> None:
-        """Choose the outputs of a step, and make its buffers."""
-        at = self._engine.at
+    def _lay_out_steps(self, at: Any) -> None:
+        """Choose the outputs of a step, and make its buffers; ``at`` is the engine's."""
         shown = info_rows(at)
         parts = {"reward": at.reward, "nees": at.nees, "error": at.error}
         parts["covariance"] = reported(at).P[:3]
@@ -197,21 +201,6 @@ class Environment:
         rows = drawn_rows(self._engine.at, self._engine.span)
         return rows, len(self._task.pipeline.position_axes), self.observation.actions
 
-    def belief(self, environment: int = 0) -> Belief:
-        """Return the belief after the last epoch in which an action was taken.
-
-        Args:
-            environment: index of the environment, if there are several.
-
-        Raises:
-            ResetNeeded: no episode is under way.
-        """
-        self._require_begun("belief")
-        at = reported(self._engine.at)
-        x = self._engine.read(at.x)[environment].tolist()
-        P = self._engine.read(at.P)[environment].tolist()
-        return self._engine.pipeline.belief(x, P)
-
     def _scene_of(self, place: int) -> Scene | None:
         return self._task.scene_of(int(self._keys[place]))
 
@@ -219,24 +208,15 @@ class Environment:
         if not self._begun:
             raise ResetNeeded(f"Call reset before {call}: there is no episode under way.")
 
-    def _begin_baseline(self, places: Index) -> None:
-        """Run the IMM of a paired reward on the episodes that begin in some environments (n,).
-
-        If actions are corrections, the baseline is the reward of the uncorrected belief instead,
-        which each step computes.
-        """
+    def _begin_baseline(self, episodes: EpisodeBatch | list[Episode], places: Index) -> None:
+        """Run the IMM of a paired reward on episodes that begin in some environments (n,)."""
         task = self._task
-        bank = task.baseline
-        if bank is None or task.action == CORRECTION:
-            return
-        missing = self._engine.state.length.max() - self._imm_rewards.shape[1]
-        self._imm_rewards = np.pad(self._imm_rewards, ((0, 0), (0, max(0, missing))))
-        for first in range(0, len(places), FILTERED):
-            some = places[first : first + FILTERED]
-            episodes = self._episodes(some)
-            played = run_imm(bank, task.reward, episodes, "reward", planar=task.pipeline.planar)
-            rewards = played["reward"]
-            self._imm_rewards[some, : rewards.shape[1]] = rewards
+        assert task.baseline
+        planar = task.pipeline.planar
+        rewards = run_imm(task.baseline, task.reward, episodes, "reward", planar=planar)["reward"]
+        missing = max(0, rewards.shape[1] - self._imm_rewards.shape[1])
+        self._imm_rewards = np.pad(self._imm_rewards, ((0, 0), (0, missing)))
+        self._imm_rewards[places, : rewards.shape[1]] = rewards
 
     def _begin_episodes(self, places: Index, keys: Keys | None = None) -> Info:
         """Begin episodes in some environments (n,): with these keys, or each environment's next.
@@ -249,19 +229,14 @@ class Environment:
         n = len(self._keys)
         infos: Info = {"episode_name": np.full(n, None, object), "nonfinite": np.zeros(n, np.int64)}
         if task.has_keys:
-            keys = self._streams.keys(places) if keys is None else keys
-            for first in range(0, len(places), BEGUN):
-                now = slice(first, first + BEGUN)
-                names = self._begin_keys(keys[now], places[now])
-                infos["episode_name"][places[now]] = names
+            self._keys[places] = self._streams.keys(places) if keys is None else keys
             infos["episode_key"] = self._keys.copy()
-        else:
-            drawn = [task.draw(self._generator(place)) for place in places.tolist()]
-            engine.load(drawn, places)
-            infos["episode_name"][places] = [episode.name for episode in drawn]
-            infos["nonfinite"][places] = [episode.nonfinite for episode in drawn]
+        for first in range(0, len(places), BEGUN):
+            some = places[first : first + BEGUN]
+            names, nonfinite = self._begin_some(some)
+            infos["episode_name"][some] = names
+            infos["nonfinite"][some] = nonfinite
         self._names[places] = infos["episode_name"][places]
-        self._begin_baseline(places)
         if engine.state.feed.run:
             step_s = np.full(len(places), task.simulated.dt)
         else:
@@ -269,45 +244,55 @@ class Environment:
         self._tally.begin(places, step_s, engine.state.length[places])
         return infos
 
+    def _begin_some(self, places: Index) -> tuple[list[str], list[int] | int]:
+        """Begin the next episodes; return their names, and how many of their values are not finite.
+
+        Episodes with keys are simulated while the environments step. If users follow given
+        trajectories, or if the engine runs in plain Python, complete episodes are drawn here
+        instead. If actions are corrections, the baseline is the uncorrected belief, not an IMM.
+        """
+        task = self._task
+        engine = self._engine
+        paired = task.baseline and task.action != CORRECTION
+        if not task.has_keys:
+            drawn = [task.draw(self._generator(place)) for place in places.tolist()]
+            engine.load(drawn, places)
+            if paired:
+                self._begin_baseline(drawn, places)
+            return [episode.name for episode in drawn], [episode.nonfinite for episode in drawn]
+        keys = self._keys[places]
+        source = task.simulated
+        whole = engine.on_floats or not source.travels
+        if whole or paired:
+            episodes = task.tables(keys, self._threads)
+        if paired:
+            self._begin_baseline(episodes, places)
+        if whole:
+            engine.load(episodes, places)
+            return episodes.names, 0
+        starts = source.begin(keys)
+        engine.begin(source, starts, places)
+        if task.pipeline.planar:  # as in Episode.on_flat_ground
+            prior = engine.at.site.prior_x
+            engine.write(prior[2], starts.first[:, 2], places)
+            engine.write(prior[5], 0.0, places)
+        return starts.names, 0
+
     def _begin_pictures(self, places: Index) -> None:
         """Clear the pictures of some environments (n,), whose episodes begin."""
         if self._gallery:
             names = self._names.tolist()
             self._gallery.begin(places, names, self._scene_of, self._engine.column)
 
-    def _begin_keys(self, keys: Keys, places: Index) -> list[str]:
-        """Begin the episodes with given keys (n,) in some environments (n,); return their names.
-
-        Episodes are simulated while the environments step. If users follow given trajectories, or
-        if the engine runs in plain Python, complete episodes are drawn here instead.
-        """
-        self._keys[places] = keys
-        source = self._task.simulated
-        engine = self._engine
-        if engine.on_floats or not source.travels:
-            episodes = self._task.tables(keys, self._threads)
-            engine.load(episodes, places)
-            return episodes.names
-        starts = source.begin(keys)
-        engine.begin(source, starts, places)
-        if self._task.pipeline.planar:  # as in Episode.on_flat_ground
-            prior = engine.at.site.prior_x
-            engine.write(prior[2], starts.first[:, 2], places)
-            engine.write(prior[5], 0.0, places)
-        return starts.names
-
-    def _episodes(self, places: Index) -> EpisodeBatch:
-        """Return the complete current episodes of some environments (n,)."""
-        engine = self._engine
-        if engine.state.feed.run:
-            return self._task.tables(self._keys[places])
-        return engine.episodes(places)
-
-    def _metrics_of(self, ended: Index) -> dict[str, Array]:
-        """Compute the final metrics of episodes that ended in some environments (k,)."""
+    def _final_infos(self, ended: Index) -> dict[str, Any]:
+        """Return the infos (k,) about whole episodes, which ended in some environments (k,)."""
+        lost = self._tally.nonfinite(ended)
+        if lost.any():
+            warn_of_nonfinite()
         epochs = self._engine.state.epoch[ended] - 1
         figures = self._tally.metrics(ended, epochs)
-        return {INFO_KEYS[name]: values for name, values in figures.items()}
+        infos = {INFO_KEYS[name]: values for name, values in figures.items()}
+        return infos | {NONFINITE_KEY: lost}
 
     def _set_up_noting(self) -> None:
         """Call ``_set_up``; remember which attributes it creates, as they are not copied."""
@@ -329,8 +314,6 @@ class Environment:
             feed = tracks.feed._replace(run=self._task.simulated.world.on_lanes())
             tracks = tracks._replace(feed=feed)
         self._engine.state = tracks
-        if self._begun:
-            self._begin_baseline(np.arange(self._engine.n))
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         """Return an independent copy."""

@@ -160,7 +160,7 @@ def associate(paths: PathLog, scene: Scene, radio: Radio, mode: Mode) -> tuple[L
     for track, rows in zip(tracks, paths.epochs, strict=True):
         for number, path in track.labels.items():
             anchor[rows[path]] = number + 1
-    log = log_of(paths.table.associated(anchor))
+    log = log_of(paths.table, number=anchor)
     if not paths.layout.partial:
         log = log.whole()
     begins = np.array([track.begins for track in tracks])

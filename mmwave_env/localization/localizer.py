@@ -23,7 +23,6 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import SMOOTHING_WINDOW
 from mmwave_env.interface.policy import Switching, TrackCorrector
 from mmwave_env.localization.levels import PARTS, Levels
-from mmwave_env.localization.policy_tracker import PolicyTracker
 from mmwave_env.localization.segments import Segment, segments
 from mmwave_env.localization.starts import Start
 from mmwave_env.logs.log import Log
@@ -103,28 +102,36 @@ class Localizer:
 
     def tracks(self, n: int) -> Engine:
         """Return an engine that filters n tracks."""
-        if self.switching.policy:
-            return PolicyTracker(self.pipeline, self.switching, n)
-        if self.switching.bank:
-            return Engine(self.pipeline, n, None, "", self.switching.bank, action="")
-        return Engine(self.pipeline, n, None, "", rule=self.switching.rule)
+        switching = self.switching
+        bank = switching.bank
+        if switching.policy:
+            policy = switching.start(self.layout, self.planar)
+            return Engine(self.pipeline, n, None, switching.observation, bank, policy=policy)
+        return Engine(self.pipeline, n, None, "", bank, action="", rule=switching.rule)
 
     def episode(self, log: Log, start: Start | None = None) -> Episode:
         """Return epochs with which a track begins, or goes on if ``start`` is None."""
         episode = episode_from(log, self.scene, self.radio, start)
         return episode if self.height_m is None else episode.on_flat_ground(self.height_m)
 
-    def load(self, log: Log, start: Start | None = None) -> None:
-        """Load epochs with which a track begins, or goes on if ``start`` is None."""
-        self.engine.load([self.episode(log, start)], go_on=start is None)
+    def load(self, log: Log, start: Start | None, before_s: float = 0.0) -> None:
+        """Load epochs with which a track begins or, without a start, goes on after ``before_s``."""
+        episode = self.episode(log, start)
+        if start:
+            self.engine.load([episode])
+            if self.levels:
+                self.levels.reset()
+            return
+        table = episode.table()
+        table[0, columns_of(self.layout).dt] = log.time_s[0] - before_s
+        self.engine.go_on(table[None])
 
-    def run(self, engine: Engine, time_s: Any, begins: bool, count: int = 1) -> dict[str, Array]:
+    def run(self, engine: Engine, time_s: Any, count: int = 1) -> dict[str, Array]:
         """Filter the loaded epochs of the first tracks of an engine; N is their ``count``.
 
         Args:
             engine: an engine from :meth:`tracks`.
             time_s: (N, T) times of the epochs.
-            begins: whether the tracks begin with these epochs.
             count: number of tracks.
 
         Returns:
@@ -136,12 +143,8 @@ class Localizer:
         outputs = engine.run(*PARTS, "memory.mode", kept)
         parts = {name: of[:count] for name, of in outputs.items()}
         parts["kept"] = parts[kept]
-        for name in ("x", "P"):
-            parts[name] = parts.get(f"reported.{name}", parts[name])
         parts["level_factors"] = np.ones((*parts["x"].shape[:2], 2))
         if self.levels:
-            if begins:
-                self.levels.reset()
             read = [parts[name] for name in PARTS]
             mixes = self.switching.bank is not None
             parts["level_factors"] = self.levels.factors(
@@ -210,7 +213,9 @@ def localize(
     log = replace(log, visible=visible)
     tracks: list[Track] = []
     for segment, epochs, start in _chunks(parts, window or 1):
-        track = _track(log.part(epochs), localizer, segment, start, window, two_way)
+        chunk = log.part(epochs)
+        localizer.load(chunk, start, log.time_s[epochs.start - 1])
+        track = _track(chunk, localizer, segment, window, two_way)
         tracks.append(track)
         if track.damage is not log.damage:
             break
@@ -239,16 +244,14 @@ def _track(
     log: Log,
     localizer: Localizer,
     segment: int,
-    start: Start | None,
     window: int | None,
     two_way: TrackCorrector | None,
 ) -> Track:
-    """Return the track of a part of a segment, which ends before a belief that is not finite.
+    """Return the track of a loaded part of a segment.
 
-    ``segment`` is the segment's number; it begins here if there is a ``start``.
+    It ends before a belief that is not finite. ``segment`` is the segment's number.
     """
-    localizer.load(log, start)
-    parts = localizer.run(localizer.engine, log.time_s[None], start is not None)
+    parts = localizer.run(localizer.engine, log.time_s[None])
     filtered = {name: of[0] for name, of in parts.items()}
     x = filtered["x"]
     P = filtered["P"]

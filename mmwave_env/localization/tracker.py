@@ -1,7 +1,6 @@
 """Live localization: a position for every epoch as soon as its rows have arrived."""
 
 import warnings
-from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress, islice
@@ -26,7 +25,7 @@ from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import Radio, deviations, radio_from
 from mmwave_env.models.scene import Scene, scene_from
 from mmwave_env.numerics.linalg import unpack
-from mmwave_env.numerics.numbers import Array, Index
+from mmwave_env.numerics.numbers import Index
 from mmwave_env.numerics.pytree import flatten
 from mmwave_env.world.episode import NEUTRAL_SNR_DB, blank_incoming, columns_of
 
@@ -74,9 +73,6 @@ class Position(NamedTuple):
 class _User:
     """The state of a user between two epochs."""
 
-    # for each of the last epochs: time; Doppler spread; mode; factors (2,) by which Gaussian levels
-    # are multiplied; the smoother's input (values,)
-    late: deque[tuple[float, float, float, Array, Array]]
     seen_s: float = 0.0  # time of all users together when the user's last epoch arrived
     last_s: float | None = None  # time of the last measurement; None without a track
     doubt: Doubt | None = None  # epochs that may still revise the track
@@ -111,7 +107,6 @@ class Tracker:
         radio: profile of the receiver.
         snr_db: SNR to assume for links without an SNR.
         height_m: height of flat terrain, if it is known.
-        lag: number of epochs by which :meth:`smoothed` lags behind.
         clock: state of the user's clock, one of :data:`~mmwave_env.models.layout.CLOCKS`.
         levels: protection levels to compute; None to compute none.
         correlation_s: time for which errors of measurements last; 0 if they are independent.
@@ -127,7 +122,6 @@ class Tracker:
         radio: str | Path | Radio = "handset",
         snr_db: float | None = None,
         height_m: float | None = None,
-        lag: int = 10,
         clock: str = "synchronized",
         levels: Levels | None = None,
         correlation_s: float = 0.0,
@@ -136,14 +130,11 @@ class Tracker:
         self.forgotten: list[str] = []
         self._levels = levels
         self._correlation_s = correlation_s
-        self._clock = clock
         self._scene = scene_from(scene)
         self._radio = radio_from(radio)
         self._switching = policy
-        self._snr_db = snr_db
         self._height_m = height_m
-        self._lag = lag
-        self._log: LiveLog | None = None
+        self._log = LiveLog([], self._scene, snr_db, clock=clock)
         self._layout: Layout | None = None  # of the latest epochs
         self._users: dict[str, _User] = {}  # in the order of their last epochs
         self._now_s = -inf
@@ -178,9 +169,6 @@ class Tracker:
         rows = list(rows)
         if not rows:
             return []
-        if self._log is None:
-            names = dict.fromkeys(name for row in rows for name in row)
-            self._log = LiveLog(list(names), self._scene, self._snr_db, clock=self._clock)
         self._log.forget(self.forgotten)
         epochs = self._log.add_epoch(rows)
         for warning in self._log.warnings:
@@ -228,7 +216,7 @@ class Tracker:
             self._now_s = epoch.time_s
         user = self._users.pop(epoch.user, None)
         if user is None:
-            user = _User(deque(maxlen=0 if epoch.user else self._lag + 1))
+            user = _User()
         # A wrong time far ahead of the others is no reason to forget all of them.
         self._now_s = max(self._now_s, min(epoch.time_s, self._now_s + _TIME_AHEAD_S))
         user.seen_s = self._now_s
@@ -264,7 +252,6 @@ class Tracker:
         self._localizer.load(log, start)
         times = log.time_s.tolist()
         user.last_s = times[0]
-        user.late.clear()
         (position,) = self._filtered([times], begins=True)
         return position
 
@@ -276,19 +263,18 @@ class Tracker:
             self._restore(users)
         for row, epoch, user in zip(rows, epochs, users, strict=True):
             row[self._at.dt] = epoch.time_s - user.end_s
-        self._engine.load_epoch(rows)
+        self._engine.go_on([[row] for row in rows])
         return self._filtered([[epoch.time_s] for epoch in epochs])
-
-    def _arrays(self) -> Iterator[NDArray[Any]]:
-        """Yield what tracks in the engine need to go on: arrays (n, ...)."""
-        yield self._engine.read(slice(None))
-        yield from self._engine.memory
-        if self._levels and self._levels.state:
-            yield from self._levels.state
 
     def _store(self) -> None:
         """Keep the tracks in the engine, which other tracks will use."""
-        arrays = list(self._arrays()) if self._loaded else []
+        if not self._loaded:
+            return
+        arrays = [self._engine.read(slice(None))]
+        if self._engine.policy:
+            arrays += self._engine.policy.memory
+        if self._levels and self._levels.state:
+            arrays += self._levels.state
         for i, user in enumerate(self._loaded):
             user.track = [part[i : i + 1].copy() for part in arrays]
 
@@ -302,44 +288,51 @@ class Tracker:
         tracks = zip(*[user.track for user in users], strict=True)
         states, *others = [np.concatenate(parts) for parts in tracks]
         self._engine.write(slice(None), states, np.arange(count))
-        memory = self._engine.memory
-        for part, remembered in zip(memory, others, strict=False):
-            part[:count] = remembered
-        if self._levels and len(others) > len(memory):
-            self._levels.state = LevelState(*others[len(memory) :])
+        for part in self._engine.policy.memory if self._engine.policy else ():
+            part[:count] = others.pop(0)
+        if self._levels and others:
+            self._levels.state = LevelState(*others)
         self._loaded = users
 
     def _filtered(self, time_s: list[list[float]], begins: bool = False) -> list[Position]:
         """Filter T loaded epochs of each of k users; return the beliefs after the last ones."""
-        parts = self._localizer.run(self._engine, time_s, begins, len(self._loaded))
-        mode = parts["memory.mode"]
-        factors = parts["level_factors"]
-        kept = parts["kept"]
-        trusted = parts.get("trusted")
-        spread_hz = self._engine.state.table[..., self._at.doppler_spread_hz]
+        count = len(self._loaded)
+        parts = self._localizer.run(self._engine, time_s, count)
         layout = self._localizer.layout
-        last_s = [times[-1] for times in time_s]
-        of_groups: list[dict[str, float]] = []
-        rejected_groups: list[list[str]] = []
-        last_nis = parts["memory.nis"][:, -1].tolist()
-        accepted = parts["memory.accepted"].tolist()
-        rejected = parts["memory.rejected"].tolist()
-        for i, user in enumerate(self._loaded):
-            user.end_s = last_s[i]
-            for t, verdicts in enumerate(zip(accepted[i], rejected[i], strict=True)):
-                measured = [yes + no for yes, no in zip(*verdicts, strict=True)]
-                if any(measured[: layout.anchors]) or (layout.odometry and measured[-1]):
-                    user.last_s = time_s[i][t]
-                user.late.append(
-                    (time_s[i][t], spread_hz[i, t], mode[i, t], factors[i, t], kept[i, t])
-                )
-            by_name = zip(self._groups, last_nis[i], strict=True)
-            of_groups.append(dict(compress(by_name, measured)))
-            rejected_groups.append([*compress(self._groups, rejected[i][-1])])
-        return self._positions(
-            last_s, parts["x"][:, -1], parts["P"][:, -1], mode[:, -1], factors[:, -1], of_groups,
-            rejected_groups, begins, None if trusted is None else trusted[:, -1].tolist(),
-        )  # fmt: skip
+        rejected = parts["memory.rejected"]
+        measured = (parts["memory.accepted"] + rejected).tolist()
+        for user, times, of_user in zip(self._loaded, time_s, measured, strict=True):
+            user.end_s = times[-1]
+            for now_s, groups in zip(times, of_user, strict=True):
+                if any(groups[: layout.anchors]) or (layout.odometry and groups[-1]):
+                    user.last_s = now_s
+        last = {name: of[:, -1] for name, of in parts.items()}
+        x = last["x"]
+        P = last["P"]
+        unknown = [None] * count
+        origin = self._scene.origin
+        levels = self._levels
+        columns = [
+            [times[-1] for times in time_s],
+            x[:, :3].tolist(),
+            P[:, _POSITION_ROWS].tolist(),
+            x[:, 3:6].tolist(),
+            [self._switching.names[int(number)] for number in last["memory.mode"]],
+            [
+                dict(compress(zip(self._groups, nis, strict=True), of_user[-1]))
+                for nis, of_user in zip(last["memory.nis"].tolist(), measured, strict=True)
+            ],
+            [[*compress(self._groups, no)] for no in rejected[:, -1].tolist()],
+            [begins] * count,
+            geodetic(origin, x[:, :3]).tolist() if origin else unknown,
+            x[:, 7].tolist() if layout.has_bias else unknown,
+            np.sqrt(P[:, 35]).tolist() if layout.has_bias else unknown,
+            last["trusted"].tolist() if "trusted" in last else unknown,
+            (gaussian_levels(P, levels.risk) * last["level_factors"]).tolist()
+            if levels
+            else unknown,
+        ]
+        return list(map(Position, *columns))
 
     def _incoming(self, epochs: Sequence[LiveEpoch]) -> Any:
         """Return k epochs as rows of a table (k, columns)."""
@@ -384,55 +377,6 @@ class Tracker:
         if not isnan(numbers[-1]):
             row[at.doppler_spread_hz] = numbers[-1]
         return row
-
-    def smoothed(self) -> Position | None:
-        """Return the position ``lag`` epochs ago, smoothed with the epochs since then.
-
-        The result is None as long as the track is too short for this, and if users have names.
-        """
-        user = self._users.get("")
-        if user is None or len(user.late) <= self._lag:
-            return None
-        times, spreads, modes, factors, kept = zip(*user.late, strict=True)
-        window = np.stack(kept)[None], np.array([times]), np.array([spreads])
-        x, P = self._localizer.smoothed(*window)
-        return self._positions(
-            times[:1], x[0, :1], P[0, :1], modes[:1], np.array(factors[:1]), [{}], [[]]
-        )[0]
-
-    def _positions(
-        self,
-        time_s: Sequence[float],
-        x: Array,
-        P: Array,
-        mode: Iterable[float],
-        factors: Array,
-        nis: Iterable[dict[str, float]],
-        rejected: Iterable[list[str]],
-        begins: bool = False,
-        trusted: list[float] | None = None,
-    ) -> list[Position]:
-        """Return n beliefs (n, ...)."""
-        unknown = [None] * len(x)
-        origin = self._scene.origin
-        has_bias = self._localizer.layout.has_bias
-        levels = self._levels
-        columns = [
-            time_s,
-            x[:, :3].tolist(),
-            P[:, _POSITION_ROWS].tolist(),
-            x[:, 3:6].tolist(),
-            [self._switching.names[int(number)] for number in mode],
-            nis,
-            rejected,
-            [begins] * len(x),
-            geodetic(origin, x[:, :3]).tolist() if origin else unknown,
-            x[:, 7].tolist() if has_bias else unknown,
-            np.sqrt(P[:, 35]).tolist() if has_bias else unknown,
-            trusted or unknown,
-            (gaussian_levels(P, levels.risk) * factors).tolist() if levels else unknown,
-        ]
-        return list(map(Position, *columns))
 
 
 def _rounds(epochs: Iterable[LiveEpoch]) -> Iterator[list[LiveEpoch]]:

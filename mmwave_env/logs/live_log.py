@@ -7,6 +7,7 @@ checks of ``log_checks.py``, which are slower and also find out what is wrong.
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import groupby
 from math import inf, isnan, nan
 from pathlib import Path
@@ -34,6 +35,7 @@ from mmwave_env.numerics.numbers import PI
 _NUMBERS = {float, int, np.float64}  # types that need no parsing; others are parsed as text
 _LOST = {-1.0, *LOST, *(-code for code in LOST)}  # numbers that need the full checks
 _SHORTEST_S = envelope.STEP_S.least or 0.0
+_MOST_INCOMPLETE = 60  # first rows that may lack columns before the log is refused
 _LATE = 3  # number of late epochs, one after the other, with which a log goes on
 
 
@@ -54,7 +56,7 @@ class LiveColumns:
         self._is_quick = file.associated and not corrected and not turned
         self.most_rows = layout.anchors if file.associated else MOST_PATHS
         cell_of = {of: i for i, of in enumerate(columns)}
-        self.names = [file.names[i] for i in file.numbers]
+        self.names = [column.name for column in columns.values()]
         self.time = cell_of["time"]
         self._anchor = cell_of.get("anchor", -1)
         self._anchors = set(range(1, layout.anchors + 1))
@@ -192,7 +194,8 @@ class LiveLog:
     If rows are paths without anchor numbers, every epoch ends with a row of a later time.
 
     Args:
-        names: names of the columns, as in the header of a log.
+        names: names of the columns, as in the header of a log. Rows of values by column need none:
+            the log begins with the columns of as many rows as it needs.
         scene, snr_db, clock: same as for :func:`~mmwave_env.logs.log.read_log`.
         source: name of the source, for messages.
         delimiter: character between the cells of a row that is text.
@@ -222,12 +225,16 @@ class LiveLog:
         self._arrivals = defaultdict[str, _Arrivals](_Arrivals)  # by user
         self._user = names.index(USER) if USER in names else None
         self._known = {"", USER, *names}  # also names of columns that are ignored
-        self._halves: list[str] = []  # columns of odometry that are ignored without the others
-        others = [name for name in names if name != USER]
-        file = log_file(
-            Path(source), others, delimiter, scene, snr_db, clock, associated=associated
-        )
-        self._columns = LiveColumns(file)
+        self._waiting: list[str] = []  # columns that are ignored without others
+        self._rows: list[tuple[str | Mapping[str, Any], int]] = []  # that are not added yet
+        self._problem: LogError | None = None  # why the first rows are no log
+        self._file = partial(
+            log_file, Path(source), delimiter=delimiter, scene=scene, snr_db=snr_db, clock=clock,
+            associated=associated,
+        )  # fmt: skip
+        self._is_open = bool(names)  # whether the columns of the log are known
+        if names:
+            self._columns = LiveColumns(self._file([name for name in names if name != USER]))
 
     def add(self, row: str | Mapping[str, Any], number: int = 0) -> list[LiveEpoch]:
         """Add a row: a line of CSV, or values by column; return the epochs that are now over.
@@ -236,7 +243,22 @@ class LiveLog:
 
         Raises:
             LogError: the row is damaged or late; it is ignored.
+            ValueError: too many first rows lack columns that a log needs.
         """
+        if not isinstance(row, str):
+            self._learn(row, number)
+        self._rows.append((row, number))
+        if not self._is_open:
+            if len(self._rows) >= _MOST_INCOMPLETE:
+                raise ValueError(self._problem)
+            return []
+        over = []
+        while self._rows:
+            over += self._added(*self._rows.pop(0))
+        return over
+
+    def _added(self, row: str | Mapping[str, Any], number: int) -> list[LiveEpoch]:
+        """Add a row of a log whose columns are known; otherwise the same as :meth:`add`."""
         user, cells = self._cells(row, number)
         if not cells:
             return []
@@ -301,13 +323,20 @@ class LiveLog:
         try:
             over = [epoch for row in rows for epoch in self.add(row)]
         except LogError:
+            self._rows.clear()
             self.forget([*users])
             self._arrivals |= before
             raise
         return [*over, *self.end_epoch(rows)]
 
     def end_epoch(self, rows: Iterable[Any] = ()) -> list[LiveEpoch]:
-        """End the epochs of the users of these mappings, or of all; return those that have rows."""
+        """End the epochs of the users of these mappings, or of all; return those that have rows.
+
+        Raises:
+            ValueError: all rows until the end, which no mappings mean, lack columns of a log.
+        """
+        if self._rows and not rows:
+            raise ValueError(self._problem)
         users = dict.fromkeys(map(_user_of, rows)) or self._arrivals
         return [epoch for user in list(users) for epoch in self._end(user)]
 
@@ -333,7 +362,6 @@ class LiveLog:
             cells = columns.file.quick_numbers(words) or []
         else:
             user = _user_of(row)
-            self._learn(row, number)
             columns = self._columns
             cells = [nan if (cell := row.get(name)) is None else cell for name in columns.names]
         if cells and columns.are_plain(cells):
@@ -355,25 +383,28 @@ class LiveLog:
         if self._known.issuperset(row):
             return
         names = [name for name in row if name not in self._known]
-        before = self._columns.file
+        before = self._columns.file.names if self._is_open else []
         try:
-            file = log_file(
-                before.path, [*before.names, *self._halves, *names], before.delimiter, before.scene,
-                before.snr_db, before.layout.clock, associated=before.associated,
-            )  # fmt: skip
+            file = self._file([*before, *self._waiting, *names])
         except LogError as error:
-            if len(names) == 1:
+            if not self._is_open:
+                self._waiting += names
+                self._problem = self._problem or error
+            elif len(names) > 1:
+                for name in names:
+                    self._learn([name], number)
+            else:
                 self.warnings.append(f"row {number}, column {names[0]!r} is ignored: {error}")
                 if QUANTITY_OF.get(names[0]) in ODOMETRY_QUANTITIES:
-                    self._halves += names
-            for name in names if len(names) > 1 else ():
-                self._learn([name], number)
+                    self._waiting += names
         else:
-            self._halves.clear()
+            self._waiting.clear()
             self._columns = LiveColumns(file)
-            empty = [nan] * (len(file.columns) - len(before.columns))
+            self._is_open = True
             for arrived in self._arrivals.values():
-                arrived.rows = [row + empty for row in arrived.rows]
+                arrived.rows = [
+                    row + [nan] * (len(file.columns) - len(row)) for row in arrived.rows
+                ]
         self._known.update(names)
 
 

@@ -24,6 +24,7 @@ from mmwave_env.logs.log_checks import sound_epochs
 from mmwave_env.logs.log_columns import (
     DIFFERENCE,
     LINK_QUANTITIES,
+    QUANTITIES,
     SIGMA_OF,
     STATION,
 )
@@ -158,12 +159,20 @@ def places(layout: Layout) -> dict[str, tuple[int, int]]:
     return rows | sigmas | more
 
 
-def log_of(table: Table, wrap: bool = True) -> Log:
-    """Convert the rows of complete epochs to a log; wrap its angles unless ``wrap`` is False."""
+def log_of(table: Table, wrap: bool = True, number: Array | None = None) -> Log:
+    """Convert the rows of complete epochs to a log; wrap its angles unless ``wrap`` is False.
+
+    If rows are paths, ``number`` (n,) are the numbers of their anchors; NaN for paths of none, of
+    which only the values of their epoch are used. Of paths, only anchor 1 has a Doppler shift.
+    """
     file = table.file
     layout = file.layout
     epoch = table.epoch
-    anchor = table["anchor"].astype(np.int64) - 1
+    if number is None:
+        number = table["anchor"]
+    known = ~np.isnan(number)
+    shifts = known if file.associated else number == 1.0
+    anchor = np.nan_to_num(number, nan=1.0).astype(np.int64) - 1
     links = table.links(anchor)
     starts = table.starts
     T = len(starts)
@@ -172,7 +181,10 @@ def log_of(table: Table, wrap: bool = True) -> Log:
     placed = np.full((T, 2 * size + layout.anchors + 1), np.nan)
     for quantity, (first, step) in places(layout).items():
         numbers = of_link[quantity] if quantity in of_link else table[quantity]
-        some = np.flatnonzero(~np.isnan(numbers))[::-1]  # in reverse, so the first value is kept
+        used = ~np.isnan(numbers)
+        if not QUANTITIES[quantity].per_epoch:
+            used &= shifts if quantity in ("doppler", "doppler_sigma") else known
+        some = np.flatnonzero(used)[::-1]  # in reverse, so the first value is kept
         placed[epoch[some], first + step * anchor[some]] = numbers[some]
     measurement, sigma, snr, spread = np.split(
         placed, [size, 2 * size, 2 * size + layout.anchors], axis=1
@@ -183,7 +195,7 @@ def log_of(table: Table, wrap: bool = True) -> Log:
         snr[np.isnan(snr)] = file.snr_db
     if wrap:
         wrap_angles(measurement, layout)
-    of_doppler = table.first(np.where(np.isnan(table["doppler"]), np.nan, anchor))
+    of_doppler = table.first(np.where(shifts & ~np.isnan(table["doppler"]), anchor, np.nan))
     shifted = np.nan_to_num(of_doppler).astype(np.int64)
     heard = np.isfinite(snr)
     lost = without_noise(measurement, sigma, heard, shifted, layout)

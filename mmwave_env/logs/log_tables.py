@@ -8,8 +8,8 @@ import csv
 import math
 import re
 from array import array
-from collections.abc import Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from functools import cached_property
@@ -18,12 +18,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from mmwave_env.io.files import open_regular
+from mmwave_env.io.files import UNEXPECTED, open_regular
 from mmwave_env.io.lookup import quoted, require_extra
 from mmwave_env.logs.lines import number, read_lines, require_memory
 from mmwave_env.logs.log_columns import (
     BODY,
-    QUANTITIES,
     QUANTITY_OF,
     STATION,
     Column,
@@ -165,23 +164,6 @@ class Table(Arrays):
         first[self.epoch[some]] = values[some]  # backwards, so that the first row's value remains
         return first
 
-    def associated(self, anchor: Array) -> "Table":
-        """Return rows that are paths, each with its anchor's number (n,); NaN if it has none.
-
-        Rows without an anchor keep only the values of their epoch. Only the Doppler shift of anchor
-        1 is kept.
-        """
-        cells = self.cells.copy()
-        for i, quantity in enumerate(self.columns):
-            if quantity in ("doppler", "doppler_sigma"):
-                cells[anchor != 1.0, i] = np.nan
-            elif quantity != "time" and not QUANTITIES[quantity].per_epoch:
-                cells[np.isnan(anchor), i] = np.nan
-        number = Column("anchor", len(self.file.names), Unit(), 1.0, self.file.layout.anchors)
-        file = replace(self.file, columns=self.columns | {"anchor": number}, associated=True)
-        cells = np.column_stack([cells, np.nan_to_num(anchor, nan=1.0)])
-        return replace(self, file=file, cells=cells)
-
     def links(self, anchor: Index | int) -> Array:
         """Return (n, 4) ranges (m) and angles (rad), as each row's anchor would have measured them.
 
@@ -258,10 +240,7 @@ def read_table(path: Path, scene: Scene, **options: Any) -> Table:
     except ValueError as error:
         raise LogError(f"{path}, line 1: {error}") from error
     file = log_file(path, names, delimiter, scene, **options)
-    table = parse(file, (words_of(line, delimiter) for line in lines[1:]), 2)
-    if problem and not table.damage:
-        return _ending(table, len(lines) + 1, problem)
-    return table
+    return parse(file, (words_of(line, delimiter) for line in lines[1:]), 2, problem)
 
 
 def _is_parquet(path: Path) -> bool:
@@ -293,14 +272,16 @@ def words_of(line: str, delimiter: str) -> list[str]:
     return line.split(delimiter)
 
 
-def parse(file: LogFile, lines: Iterable[list[str]], first: int) -> Table:
+def parse(file: LogFile, lines: Iterable[list[str]], first: int, problem: str = "") -> Table:
     """Parse lines up to the first damage; skip lines without content, and read blank cells as NaN.
 
-    ``first`` is the number of the first line. Lines are lists of cells.
+    ``first`` is the number of the first line, and ``problem`` what is damaged after the last line.
+    Lines are lists of cells.
     """
     cells = array("d")
     rows = array("q")
     damage = None
+    row = first - 1
     for row, words in enumerate(lines, start=first):
         values = file.quick_numbers(words)
         if values is None:
@@ -310,6 +291,10 @@ def parse(file: LogFile, lines: Iterable[list[str]], first: int) -> Table:
             rows.append(row)
         if damage:
             break
+    if problem and not damage:
+        damage = file.error(row + 1, "", problem, "a complete file")
+        cells.extend([math.nan] * len(file.columns))
+        rows.append(row + 1)
     table = np.array(cells).reshape(len(rows), len(file.columns))
     return Table(file, np.array(rows), table, damage)
 
@@ -356,11 +341,14 @@ def _says_nothing(word: str) -> bool:
     return word.strip().lower().lstrip("+-") in ("", "nan", "na", "null", "none")
 
 
-def _ending(table: Table, row: int, problem: str) -> Table:
-    """Add a row without values, in which the file is broken, to the rows before it."""
-    damage = table.file.error(row, "", problem, "a complete file")
-    cells = np.pad(table.cells, ((0, 1), (0, 0)), constant_values=np.nan)
-    return Table(table.file, np.append(table.rows, row), cells, damage)
+@contextmanager
+def _refusing_damage(path: Path) -> Iterator[None]:
+    """Refuse a Parquet file that pyarrow can't read."""
+    try:
+        yield
+    except (OSError, RuntimeError, *UNEXPECTED) as error:
+        problem = f"found broken data ({error}), expected a complete Parquet file"
+        raise LogError(f"{path}: {problem}") from error
 
 
 def _read_parquet(path: Path, scene: Scene, **options: Any) -> Table:
@@ -369,38 +357,28 @@ def _read_parquet(path: Path, scene: Scene, **options: Any) -> Table:
     from pyarrow import parquet
 
     open_regular(path, "a measurement log").close()
-    try:
+    with _refusing_damage(path):
         source = parquet.ParquetFile(path, page_checksum_verification=True)
-        schema = source.schema_arrow
-        kinds = {field.name: field.type for field in schema}
-        index = (schema.pandas_metadata or {}).get("index_columns", [])
-    except (OSError, ValueError, AttributeError, pyarrow.ArrowException) as error:
-        raise LogError(f"{path}: found unreadable data ({error}), expected Parquet") from error
-    with source:
-        known = [
+        index = (source.schema_arrow.pandas_metadata or {}).get("index_columns", [])
+        names = [
             "" if name in index and name not in QUANTITY_OF else _UNNAMED.sub("", name)
-            for name in schema.names
+            for name in source.schema_arrow.names
         ]
-        file = log_file(path, known, "", scene, **options)
-        names = [column.name for column in file.columns.values()]
-        types = pyarrow.types
-        numeric = [types.is_floating, types.is_integer, types.is_decimal, types.is_null]
-        time = file.columns["time"]
-        if types.is_timestamp(kinds[time.name]):
-            numeric.append(types.is_timestamp)
-            file.columns["time"] = time._replace(unit=Unit(divide=1e6))  # they are read in us
-        for name in names:
-            if not any(is_kind(kinds[name]) for is_kind in numeric):
-                place = f"{path}, column {name!r}"
-                raise LogError(f"{place}: found type {kinds[name]}, expected numbers")
-        require_memory(path, _ROW_BYTES * source.metadata.num_rows)
-        try:
-            columns = list(source.read(columns=names).select(names))
-        except (OSError, pyarrow.ArrowException) as error:
-            problem = f"found broken Parquet data ({error}), expected a complete file"
-            raise LogError(f"{path}: {problem}") from error
-    for i, column in enumerate(columns):
-        if types.is_timestamp(column.type):
-            columns[i] = column.cast(pyarrow.timestamp("us"), safe=False).cast("int64")
-    cells = np.column_stack([column.cast("float64", safe=False) for column in columns])
+    file = log_file(path, names, "", scene, **options)
+    require_memory(path, _ROW_BYTES * source.metadata.num_rows)
+    with _refusing_damage(path), source:
+        content = source.read([column.name for column in file.columns.values()])
+    types = pyarrow.types
+    numeric = (types.is_floating, types.is_integer, types.is_decimal, types.is_null)
+    cells = np.empty((len(content), len(file.columns)))
+    for i, (quantity, column) in enumerate(file.columns.items()):
+        values = content[column.name]
+        kind = values.type
+        if quantity == "time" and types.is_timestamp(kind):
+            values = values.cast(pyarrow.timestamp("us"), safe=False).cast("int64")
+            file.columns["time"] = column._replace(unit=Unit(divide=1e6))
+        elif not any(is_kind(kind) for is_kind in numeric):
+            place = f"{path}, column {column.name!r}"
+            raise LogError(f"{place}: found type {kind}, expected numbers")
+        cells[:, i] = values.cast("float64", safe=False)
     return Table(file, np.arange(len(cells)) + 1, cells)

@@ -74,10 +74,8 @@ def test_live_output_has_a_line_per_epoch_and_ends_like_a_track_file(tmp_path):
 @pytest.mark.parametrize("whole", [False, True], ids=["rows", "epochs"])
 def test_json_lines_give_the_same_positions_as_csv(whole):
     csv_lines, _, _ = live(first_rows(60), "--speed", "1")
-    json_lines, _, code = live(as_json(lines_of()[:61], whole), "--speed", "1", "--lag", "3")
-    late = [position.pop("smoothed", None) for position in json_lines]
+    json_lines, _, code = live(as_json(lines_of()[:61], whole), "--speed", "1")
     assert code == 0 and json_lines == csv_lines
-    assert late[:3] == [None] * 3 and late[3]["time_s"] == csv_lines[0]["time_s"]
 
 
 @pytest.mark.parametrize("kept", [["snr_db"], ["doppler_hz"], ["toa_s"]])
@@ -154,10 +152,8 @@ def test_location_data_of_3gpp_has_the_ellipse_in_which_the_user_is(tmp_path):
     ("words", "message"),
     [
         (("localize", "--sample", "canyon28_vehicle", "--format", "3gpp"), "format: .*--live"),
-        (("localize", "--sample", "canyon28_vehicle", "--lag", "3"), "lag: .*--live"),
         ((*WORDS, "--accuracy", "5"), "accuracy: .*--format 3gpp"),
         ((*WORDS, "--format", "3gpp"), "format: 3gpp needs the origin"),
-        ((*WORDS, "--lag", "3"), "lag: found 3 and rows with users"),
     ],
 )
 def test_options_of_live_positions_are_refused_where_they_would_be_ignored(words, message):
@@ -210,7 +206,7 @@ def test_input_that_is_not_a_log_is_refused_in_one_line(content):
         ("--out", "t.tum"),
         ("--associate",),
         ("--no-odometry",),
-        ("--lag", "-1"),
+        ("--correlation", "-1"),
     ],
 )
 def test_options_that_conflict_with_live_are_refused(more):

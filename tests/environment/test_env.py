@@ -19,7 +19,7 @@ from mmwave_env.filters.bank import modes_from
 from mmwave_env.metrics import INFO_KEYS, summary
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.task import TaskArguments
-from tests.environment.vector_checker import assert_own_memory, same
+from tests.environment.vector_checker import assert_own_memory, belief_of, same
 from tests.filters.tracks import replay, seeded
 from tests.refusals import refuses
 
@@ -93,8 +93,8 @@ def test_the_environment_passes_gymnasium_s_checker(configuration, monkeypatch):
 def test_the_docstring_explains_every_argument_and_every_key_of_infos():
     page = inspect.cleandoc(MmWaveLocEnv.__doc__)
     arguments = page.split("## Arguments")[1].split("## Vectorized")[0]
-    own = [name for name in inspect.signature(MmWaveLocEnv).parameters if name != "arguments"]
-    for name in (*own, *(field.name for field in fields(TaskArguments))):
+    own = {*inspect.signature(MmWaveLocEnv._begin).parameters} - {"self", "arguments"}
+    for name in ("env_config", *own, *(field.name for field in fields(TaskArguments))):
         assert f"`{name}`" in arguments
     information = page.split("## Information")[1].split("## Arguments")[0]
     for key in STEP_KEYS | END_KEYS | {"episode_name", "episode_key", "nonfinite"}:
@@ -102,6 +102,13 @@ def test_the_docstring_explains_every_argument_and_every_key_of_infos():
     for radio in RADIOS:
         for mode, row in zip(modes_from(None, radio), page.split("\n| ")[2:], strict=False):
             assert f" {mode.sigma_v:.2f} {radio}" in row
+
+
+def test_a_mapping_of_arguments_may_be_followed_by_others():
+    env = MmWaveLocEnv({"scenario": "jam", "episode_steps": 7}, radio="standard")
+    assert env.radio.name == "standard" and env.source.epochs == 7
+    with pytest.raises(TypeError, match="multiple values.*'scenario'"):
+        MmWaveLocEnv({"scenario": "jam"}, scenario="vehicle")
 
 
 def test_the_same_seed_gives_the_same_episode(configuration):
@@ -187,12 +194,10 @@ def test_infos_have_the_documented_keys_types_and_shapes():
 @pytest.mark.parametrize("planar", [False, True])
 def test_the_belief_belongs_to_the_last_epoch(planar):
     env = gym.make(ID, planar=planar, **EKF).unwrapped
-    with pytest.raises(ResetNeeded):
-        env.belief()
     env.reset(seed=0)
     for _ in range(3):
         *_, info = env.step(0)
-    belief = env.belief()
+    belief = belief_of(env)
     assert belief.x == info["estimate"].tolist()
     assert belief.nees(info["truth"].tolist()) == pytest.approx(info["nees"])
 

@@ -205,7 +205,7 @@ def memory():
 
 def _arrays(env):
     """Return the arrays that later steps of environments depend on."""
-    tracks = env.batch.state
+    tracks = env._engine.state
     counts = env._tally.counts
     return {
         "rows": tracks.rows,

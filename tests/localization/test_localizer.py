@@ -72,7 +72,7 @@ def filtered(log, modes):
     """Return the localizer of a log that begins with a line of sight, and its filtered beliefs."""
     localizer = Localizer(log.layout, SCENE, RADIO, Switching(modes))
     localizer.load(log, start_at(log, 0, SCENE, RADIO))
-    return localizer, localizer.run(localizer.engine, log.time_s[None], begins=True)
+    return localizer, localizer.run(localizer.engine, log.time_s[None])
 
 
 def episode_of(block):
