@@ -14,6 +14,7 @@ from gymnasium.error import ResetNeeded
 from mmwave_env.compiler.program import Repeated, StepIO, laid_out
 from mmwave_env.engines.engine import Engine, run_imm
 from mmwave_env.engines.vector_step import StepResult, Tally, step_blocks
+from mmwave_env.filters.belief import Belief
 from mmwave_env.interface.actions import CORRECTION, limits_of
 from mmwave_env.interface.info import (
     COST_KEY,
@@ -200,6 +201,21 @@ class Environment:
         """Return rows that pictures show, the number of position axes, and the names of actions."""
         rows = drawn_rows(self._engine.at, self._engine.span)
         return rows, len(self._task.pipeline.position_axes), self.observation.actions
+
+    def belief(self, environment: int = 0) -> Belief:
+        """Return the belief after the last epoch in which an action was taken.
+
+        Args:
+            environment: index of the environment, if there are several.
+
+        Raises:
+            ResetNeeded: no episode is under way.
+        """
+        self._require_begun("belief")
+        at = reported(self._engine.at)
+        x = self._engine.read(at.x)[environment].tolist()
+        P = self._engine.read(at.P)[environment].tolist()
+        return self._engine.pipeline.belief(x, P)
 
     def _scene_of(self, place: int) -> Scene | None:
         return self._task.scene_of(int(self._keys[place]))

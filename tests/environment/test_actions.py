@@ -15,7 +15,7 @@ from mmwave_env.engines.vector_step import exceeds
 from mmwave_env.localization.position_errors import horizontal_level
 from mmwave_env.metrics import RISK
 from tests.environment.test_vector_env import native, sync
-from tests.environment.vector_checker import belief_of, forward, same
+from tests.environment.vector_checker import forward, same
 from tests.refusals import refuses
 
 ID = "mmwave_env:MmWaveLoc-v0"
@@ -203,7 +203,7 @@ def test_infos_say_whether_the_error_exceeds_the_protection_level(arguments):
     costs = []
     for action in drawn(env.action_space, 200) if "action" in arguments else np.zeros(200, int):
         info = env.step(action)[4]
-        belief = belief_of(env)
+        belief = env.belief()
         level = horizontal_level(np.array([belief.P[0][0], belief.P[1][0], belief.P[1][1]]), RISK)
         costs.append(info["cost"])
         assert belief.x == info["estimate"].tolist()

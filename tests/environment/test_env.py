@@ -19,7 +19,7 @@ from mmwave_env.filters.bank import modes_from
 from mmwave_env.metrics import INFO_KEYS, summary
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.task import TaskArguments
-from tests.environment.vector_checker import assert_own_memory, belief_of, same
+from tests.environment.vector_checker import assert_own_memory, same
 from tests.filters.tracks import replay, seeded
 from tests.refusals import refuses
 
@@ -194,10 +194,12 @@ def test_infos_have_the_documented_keys_types_and_shapes():
 @pytest.mark.parametrize("planar", [False, True])
 def test_the_belief_belongs_to_the_last_epoch(planar):
     env = gym.make(ID, planar=planar, **EKF).unwrapped
+    with pytest.raises(ResetNeeded):
+        env.belief()
     env.reset(seed=0)
     for _ in range(3):
         *_, info = env.step(0)
-    belief = belief_of(env)
+    belief = env.belief()
     assert belief.x == info["estimate"].tolist()
     assert belief.nees(info["truth"].tolist()) == pytest.approx(info["nees"])
 

@@ -3,8 +3,6 @@
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from mmwave_env.interface.info import reported
-
 
 def same(a, b):
     """Return whether two results have the same keys, types and values; NaN equals NaN."""
@@ -49,13 +47,6 @@ def rollout(env, seed, steps=40, actions=0):
     for _ in range(steps):
         results += forward(env, rng.integers(n, size=env.num_envs))
     return results
-
-
-def belief_of(env):
-    """Return the belief of a single environment after the last epoch."""
-    engine = env._engine
-    at = reported(engine.at)
-    return engine.pipeline.belief(engine.read(at.x)[0].tolist(), engine.read(at.P)[0].tolist())
 
 
 def assert_own_memory(results):
