@@ -60,7 +60,7 @@ class Metric(NamedTuple):
     unit: str
     meaning: str
     # computes the metric; None for the reward, which infos do not contain
-    of: Callable[[Sums], Array] | None = None
+    value: Callable[[Sums], Array] | None = None
     info: str = ""  # key in infos, if it differs from the name
 
     @property
@@ -104,7 +104,7 @@ METRICS = {
         ),
     )
 }  # fmt: skip
-INFO_KEYS = {m.name: m.info or m.name for m in METRICS.values() if m.of}
+INFO_KEYS = {m.name: m.info or m.name for m in METRICS.values() if m.value}
 TERMS = {  # term -> its header and meaning; the tracking reward is minus the sum of both terms
     "error_term": ("error term", "what position errors cost in the tracking reward, per epoch"),
     "nees_term": ("NEES term", "what the NEES costs in the tracking reward, per epoch"),
@@ -157,4 +157,4 @@ def sums_of(error: Array, nees: Array, change: Array, axes: int) -> Sums:
 
 def running_summary(sums: Sums) -> dict[str, Array]:
     """Compute, for each of n tracks, the metrics (n,) that sums determine."""
-    return {name: METRICS[name].of(sums) for name in INFO_KEYS}  # type: ignore[misc]
+    return {name: METRICS[name].value(sums) for name in INFO_KEYS}  # type: ignore[misc]

@@ -269,8 +269,10 @@ def _candidate(m: int, name: str, anchors: int) -> list[Feature]:
         feature("coming rejected", rejected, name, high=anchors),
         feature("coming variance", partial(_log_variance, m=m, i=0, j=2), name),
         *(
-            feature(f"coming {of} correction {way}", partial(correction, first=first, i=i), name)
-            for of, first in (("position", 0), ("velocity", 3))
+            feature(
+                f"coming {quantity} correction {way}", partial(correction, first=first, i=i), name
+            )
+            for quantity, first in (("position", 0), ("velocity", 3))
             for i, way in enumerate(WAYS)
         ),
     ]

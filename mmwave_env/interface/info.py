@@ -37,13 +37,13 @@ def info_rows(at: Any) -> dict[str, Any]:
     Args:
         at: state of :mod:`~mmwave_env.engines.epoch` with row numbers in all fields.
     """
-    of = reported(at)
-    memory = of.memory
+    epoch = reported(at)
+    memory = epoch.memory
     rows = {"position_error_m": at.distance, "nees": at.nees}
     rows |= {key: getattr(memory, key) for key in ("nis", *FLAGS, "gamma")}
-    rows |= {"truth": of.truth, "estimate": of.x, TERMS_KEY: at.reward_terms}
+    rows |= {"truth": epoch.truth, "estimate": epoch.x, TERMS_KEY: at.reward_terms}
     if at.mode_probabilities:
-        rows[PROBABILITIES] = of.mode_probabilities
+        rows[PROBABILITIES] = epoch.mode_probabilities
     return rows
 
 

@@ -191,17 +191,17 @@ def _link(a: int) -> list[Feature]:
     def snr(v: View) -> Number:
         return v.last.epoch.snr_db[a] * v.last.epoch.visible[a] * _present(v)
 
-    of = f"anchor {a + 1}"
+    anchor = f"anchor {a + 1}"
     table = []
     for name in ("range", "azimuth", "departure"):
         kinds = (*(f"{name} residual {way}" for way in WAYS), f"{name} deviation")
-        table += [feature(kind, partial(part, name, i), of) for i, kind in enumerate(kinds)]
+        table += [feature(kind, partial(part, name, i), anchor) for i, kind in enumerate(kinds)]
     return [
         *table,
-        feature("elevation residual", partial(part, "elevation", 0), of),
-        feature("elevation deviation", partial(part, "elevation", 2), of),
-        feature("measured", share, of),
-        feature("last SNR", snr, of),
+        feature("elevation residual", partial(part, "elevation", 0), anchor),
+        feature("elevation deviation", partial(part, "elevation", 2), anchor),
+        feature("measured", share, anchor),
+        feature("last SNR", snr, anchor),
     ]
 
 
@@ -216,8 +216,8 @@ def _belief(vertical: bool) -> list[Feature]:
 
     table = [
         *(
-            feature(f"{of}deviation {way}", partial(half_log, i, first))
-            for of, first in (("", 0), ("velocity ", 3))
+            feature(f"{prefix}deviation {way}", partial(half_log, i, first))
+            for prefix, first in (("", 0), ("velocity ", 3))
             for i, way in enumerate(WAYS)
         ),
         feature("correlation", correlation),

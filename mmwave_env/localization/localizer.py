@@ -141,7 +141,7 @@ class Localizer:
         """
         kept = "x P mixture" if self.switching.bank else "x P x_predicted P_predicted"
         outputs = engine.run(*PARTS, "memory.mode", kept)
-        parts = {name: of[:count] for name, of in outputs.items()}
+        parts = {name: part[:count] for name, part in outputs.items()}
         parts["kept"] = parts[kept]
         parts["level_factors"] = np.ones((*parts["x"].shape[:2], 2))
         if self.levels:
@@ -252,7 +252,7 @@ def _track(
     It ends before a belief that is not finite. ``segment`` is the segment's number.
     """
     parts = localizer.run(localizer.engine, log.time_s[None])
-    filtered = {name: of[0] for name, of in parts.items()}
+    filtered = {name: part[0] for name, part in parts.items()}
     x = filtered["x"]
     P = filtered["P"]
     kept = filtered["kept"]
@@ -329,8 +329,8 @@ def _by_windows(run: Callable[..., tuple[Array, ...]], window: int, *parts: Arra
     for rows, epochs in ((slice(0, whole), window), (slice(whole, T), T - whole)):
         if rows.start < rows.stop:
             cut = [part[rows].reshape(-1, epochs, *part.shape[1:]) for part in parts]
-            results.append([of.reshape(-1, *of.shape[2:]) for of in run(*cut)])
-    return [np.concatenate(of) for of in zip(*results, strict=True)]
+            results.append([part.reshape(-1, *part.shape[2:]) for part in run(*cut)])
+    return [np.concatenate(part) for part in zip(*results, strict=True)]
 
 
 def _corrected(
@@ -348,7 +348,7 @@ def _corrected(
         table[:, 0, columns_of(layout).dt] = 0.0  # each window begins a track, as in training
         episodes = batch._replace(table=table)
         features = smoothed_features(pipeline, episodes, x, P, mixtures, list(gates))
-        shift, log_factor, trusted = (of.astype(float) for of in two_way(pipeline, features))
+        shift, log_factor, trusted = (part.astype(float) for part in two_way(pipeline, features))
         belief = corrected_all(x, P, shift, log_factor, pipeline)
         return np.stack(belief.x, axis=-1), np.stack(pack(belief.P), axis=-1), trusted
 

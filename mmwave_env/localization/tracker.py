@@ -306,7 +306,7 @@ class Tracker:
             for now_s, groups in zip(times, of_user, strict=True):
                 if any(groups[: layout.anchors]) or (layout.odometry and groups[-1]):
                     user.last_s = now_s
-        last = {name: of[:, -1] for name, of in parts.items()}
+        last = {name: part[:, -1] for name, part in parts.items()}
         x = last["x"]
         P = last["P"]
         unknown = [None] * count

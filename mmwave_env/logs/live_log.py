@@ -55,21 +55,21 @@ class LiveColumns:
         turned = STATION in columns or BODY in columns
         self._is_quick = file.associated and not corrected and not turned
         self.most_rows = layout.anchors if file.associated else MOST_PATHS
-        cell_of = {of: i for i, of in enumerate(columns)}
+        cell_of = {quantity: i for i, quantity in enumerate(columns)}
         self.names = [column.name for column in columns.values()]
         self.time = cell_of["time"]
         self._anchor = cell_of.get("anchor", -1)
         self._anchors = set(range(1, layout.anchors + 1))
         self._limits = [(column.low, column.high) for column in columns.values()]
         self._of_epoch = [
-            (i, of == "doppler")
-            for of, i in cell_of.items()
-            if QUANTITIES[of].per_epoch or (of == "doppler" and file.associated)
+            (i, quantity == "doppler")
+            for quantity, i in cell_of.items()
+            if QUANTITIES[quantity].per_epoch or (quantity == "doppler" and file.associated)
         ]
         self._slots = [
-            (cell_of[of], *place, columns[of].unit.convert, place[0] in layout.angles)
-            for of, place in places(layout).items()
-            if of in columns
+            (cell_of[quantity], *place, columns[quantity].unit.convert, place[0] in layout.angles)
+            for quantity, place in places(layout).items()
+            if quantity in columns
         ]
         snr = [nan if file.snr_db is None else file.snr_db] * layout.anchors
         self._blank = [nan] * 2 * layout.size + snr + [nan]

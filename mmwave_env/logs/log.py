@@ -152,7 +152,7 @@ def places(layout: Layout) -> dict[str, tuple[int, int]]:
     """
     rows = {quantity: (row, 4) for row, quantity in enumerate(LINK_QUANTITIES)}
     rows["doppler"] = layout.doppler, 0
-    sigmas = {SIGMA_OF[of]: (layout.size + row, step) for of, (row, step) in rows.items()}
+    sigmas = {SIGMA_OF[name]: (layout.size + row, step) for name, (row, step) in rows.items()}
     if layout.odometry:
         rows |= {"speed": (layout.doppler + 1, 0), "heading": (layout.doppler + 2, 0)}
     more = {"snr": (2 * layout.size, 1), "doppler_spread": (2 * layout.size + layout.anchors, 0)}

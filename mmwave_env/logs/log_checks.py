@@ -54,7 +54,11 @@ def without_lost(table: Table, most: float = 1.0) -> tuple[Table, dict[str, str]
     cells = table.cells.copy()
     notes = {}
     # if one -1 in a row means "lost", all do
-    never = [of for of, column in columns.items() if of in ("toa", "speed") or column.low > -1.0]
+    never = [
+        quantity
+        for quantity, column in columns.items()
+        if quantity in ("toa", "speed") or column.low > -1.0
+    ]
     minus_one = np.any([table.raw(quantity) == -1.0 for quantity in never], axis=0)
     for quantity, column in columns.items():
         if quantity in ("time", "anchor"):
@@ -68,8 +72,8 @@ def without_lost(table: Table, most: float = 1.0) -> tuple[Table, dict[str, str]
             lost |= beyond
         if lost.any():
             notes[column.name] = _note(table, quantity, lost)
-            for i, of in enumerate(columns):
-                if quantity in (of, SIGMA_OF.get(of)):
+            for i, other in enumerate(columns):
+                if quantity in (other, SIGMA_OF.get(other)):
                     cells[lost, i] = np.nan
     return replace(table, cells=cells), notes
 

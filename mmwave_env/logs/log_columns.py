@@ -38,10 +38,10 @@ class Quantity(NamedTuple):
 
     def range_in(self, name: str, unit: Unit) -> tuple[float, float]:
         """Return the least and the most plausible value of a column, in the column's unit."""
-        bound, of = self.limits
+        bound, limits_unit = self.limits
         scale = unit.divide / unit.multiply
         spare = 0.0
-        if of == "degrees":
+        if limits_unit == "degrees":
             scale *= np.pi / 180.0
             spare = _ROUNDING_DEG
         if self.limits is _TURN and name.endswith("_deg"):

@@ -342,8 +342,8 @@ def blank_incoming(layout: Layout) -> Incoming:
     """Return an epoch without measurements."""
     L = layout.anchors
     nothing = [0.0] * layout.size
-    of = [float(a == 0) for a in range(L)] if layout.partial else ()
-    return Incoming(0.0, nothing, [-1.0] * layout.size, [0.0] * L, 0.0, [0.0] * 6, of)
+    doppler_of = [float(a == 0) for a in range(L)] if layout.partial else ()
+    return Incoming(0.0, nothing, [-1.0] * layout.size, [0.0] * L, 0.0, [0.0] * 6, doppler_of)
 
 
 @lru_cache(maxsize=64)
