@@ -418,17 +418,16 @@ class PageArgs:
 
     The page says which policy won by how much, and has tables, distributions of
     errors (CDF) and episodes to play. Results are JSON files (--json) of the
-    commands compare, demo and localize, and folders of runs of train. Results
-    do not store single epochs, so the command runs episodes again, with the
-    stored options. Agents in your own code (module:function) are not run again:
-    the page lacks their episodes, and shows their errors only if the files
-    store them.
+    commands compare, demo and localize. Results do not store single epochs, so
+    the command runs episodes again, with the stored options. Agents in your own
+    code (module:function) are not run again: the page lacks their episodes, and
+    shows their errors only if the files store them.
 
-        mmwave-loc report results.json runs/train --out report.html
+        mmwave-loc report results.json --out report.html
     """
 
     results: Positional[tuple[Path, ...]]
-    """JSON files of results, and folders of runs"""
+    """JSON files of results"""
     out: Path = Path("report.html")
     """web page to write"""
     episodes: int = 30

@@ -1,6 +1,6 @@
 """Pictures in the project's style (publication.mplstyle), with one function for each picture.
 
-There are pictures of learning curves, of position errors (CDF), of the consistency of filters, and
+There are pictures of position errors (CDF), of the consistency of filters, and
 of a track from above, with its errors and modes (filters) over time.
 """
 
@@ -130,7 +130,6 @@ def plain_numbers(axis: Any) -> None:
 SMALLEST_M = 1e-3  # smaller errors are drawn at this value, since the axis is logarithmic
 BOUNDS = "95 % bounds if consistent"
 _SHARES = np.linspace(0.0, 0.999, 400)
-Line = tuple[Sequence[float], Sequence[float]]  # steps, values
 
 
 def draw_error_cdf(errors_m: Mapping[str, Array], path: Path) -> None:
@@ -174,23 +173,6 @@ def draw_consistency(time_s: Array, nees: Mapping[str, Array], dof: int, path: P
         plain_numbers(over_time.yaxis)
         whole.set(xlabel="probability p", ylabel="share of NEES below\nthe chi-square p-quantile")
         whole.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0))
-
-
-def draw_learning_curves(label: str, lines: Sequence[Line], path: Path) -> None:
-    """Draw a quantity over training steps, with one line per training seed and a line at zero.
-
-    ``label`` is the label of the y axis.
-    """
-    from matplotlib.ticker import EngFormatter, NullFormatter
-
-    with picture(path, PHONE_IN, 0.63 * PHONE_IN + 0.3) as figure:
-        axes = figure.subplots()
-        for steps, values in lines:
-            axes.plot(steps, values, color="C0", lw=1.0, alpha=0.8)
-        axes.axhline(0.0, color="black", lw=0.8)
-        axes.set(xscale="log", xlabel="steps", ylabel=caption(label))
-        axes.xaxis.set_major_formatter(EngFormatter(sep=""))  # 500k, 2M
-        axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 TITLE_LETTERS = 80  # maximum number of characters in a line of the title

@@ -14,7 +14,6 @@ from experiments.reporting.figures import (
     contenders,
     draw_consistency,
     draw_error_cdf,
-    draw_learning_curves,
     draw_trajectory,
 )
 from experiments.reporting.log_results import beginning
@@ -39,11 +38,10 @@ def drawn(name, path):
     """Draw a picture of every kind with a name in it, and return the files."""
     walk = np.cumsum(np.random.default_rng(0).normal(size=(T, 3)), axis=0)
     errors = np.random.default_rng(1).normal(size=(4, T, 3))
-    files = [path / f"{kind}.svg" for kind in ("track", "cdf", "nees", "curves")]
+    files = [path / f"{kind}.svg" for kind in ("track", "cdf", "nees")]
     draw_track(name, files[0], walk)
     draw_error_cdf({name: errors, "imm": 2.0 * errors}, files[1])
     draw_consistency(np.arange(T) * 1.0, {name: (errors**2).sum(axis=-1)}, 3, files[2])
-    draw_learning_curves(f"reward minus {name}", [([1e3, 1e6], [0.0, 1.0])], files[3])
     return files
 
 
@@ -52,7 +50,7 @@ def drawn(name, path):
 def test_pictures_with_any_name_are_valid_files(name, tmp_path):
     for path in drawn(name, tmp_path):
         ElementTree.parse(path)
-    assert len(list(tmp_path.iterdir())) == 4
+    assert len(list(tmp_path.iterdir())) == 3
 
 
 @pytest.mark.parametrize(("offset_m", "is_drawn"), [(5.0, True), (5000.0, False)])
