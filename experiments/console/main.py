@@ -5,19 +5,17 @@ function ``main``. Options are read before slow imports, so help and errors appe
 """
 
 import importlib
-import inspect
 import os
-import re
 import signal
 import sys
-import textwrap
 import traceback
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
-from io import StringIO, TextIOWrapper
+from contextlib import contextmanager, redirect_stdout, suppress
+from io import TextIOWrapper
 from typing import Any, NoReturn
 
+from experiments.console.options import parsed
 from experiments.console.signals import heed_signals
 
 GROUPS = {
@@ -42,11 +40,6 @@ GROUPS = {
     },
     "measure": {"speed": "measure steps per second and latency"},
 }
-# line between the parts of tyro's messages, which have frames where the terminal shows UTF-8
-RULE = re.compile("^(?: +-+ *|│ ─+ │|[╭╰].*)$", re.MULTILINE)
-WRONG_TYPE = re.compile(
-    r"^Error parsing (--[\w-]+): no type matching (.+) could be instantiated from \[(.*)\]"
-)
 COMMANDS = {name: about for group in GROUPS.values() for name, about in group.items()}
 RESULTS = {  # option -> ending of its file
     "json": ".json",
@@ -73,35 +66,9 @@ def read_arguments(name: str, words: Sequence[str]) -> Any:
     """Parse words of a command line into the ``Args`` of a command's module.
 
     Raises:
-        SystemExit: with 0 after showing help, with 2 after one line about a wrong option.
+        ValueError, SystemExit: same as for :func:`~experiments.console.options.parsed`.
     """
-    import tyro
-
-    program = f"mmwave-loc {name}"
-    arguments = importlib.import_module(f"experiments.{name}").Args
-    config = (tyro.conf.DisallowNone, tyro.conf.PositionalMetavarFromFieldName)
-    # tyro joins the lines of a paragraph, except lines that begin with a space.
-    about = textwrap.indent(inspect.getdoc(arguments) or "", " ")
-    box = StringIO()
-    try:
-        with redirect_stderr(box):
-            return tyro.cli(arguments, prog=program, description=about, args=words, config=config)
-    except SystemExit as end:
-        if end.code:
-            _print_problem(f"{program}: {_message(box.getvalue())}")
-        raise
-
-
-def _message(box: str) -> str:
-    """Return, in one line, tyro's message about a mistake and the option that tyro suggests."""
-    parts = [" ".join(part.replace("│", "").split()) for part in RULE.split(box)]
-    message = parts[1].partition(" Got errors")[0]
-    message = re.sub(r"^Missing from .*?: ", "required: ", message).rstrip(".")
-    message = WRONG_TYPE.sub(r"\1: found \3, expected \2", message)
-    close = re.match(r"Perhaps you meant: (--[\w-]+(, --[\w-]+)*)", parts[2])
-    if close:
-        return f"{message}; did you mean {close[1]}?"
-    return f"{message}; --help lists all options"
+    return parsed(importlib.import_module(f"experiments.{name}").Args, name, words)
 
 
 def _print_problem(text: str) -> None:

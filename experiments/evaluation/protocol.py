@@ -20,8 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from experiments.console.options import WorldArgs
+from experiments.console.options import LeaderboardArgs, WorldArgs
 from experiments.console.output import grid
+from experiments.console.provenance import options_from
 from experiments.evaluation.branches import CLAIRVOYANT
 from experiments.evaluation.compare import score_cell, score_of
 from experiments.evaluation.contenders import (
@@ -400,7 +401,7 @@ def _differences(claimed: Json, site: Site) -> Iterator[str]:
     name = claimed["entry"]
     stated = claimed["sites"][site.name]
     claims = _figures(stated)
-    again = _played(name, site, stated["episodes"], claimed["options"]["seed"])
+    again = _played(name, site, stated["episodes"], options_from(LeaderboardArgs, claimed).seed)
     seed = secrets.choice(range(*HIDDEN_SEEDS))
     hidden = _played(name, site, HIDDEN, seed)
     for figure, same in again.items():

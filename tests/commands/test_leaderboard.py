@@ -189,7 +189,7 @@ def test_a_changed_entry_is_refused_even_with_a_new_seal(change, message, claime
     assert any(message in difference for difference in verify(claimed))
 
 
-@pytest.mark.parametrize("missing", ["policy", "options"])
+@pytest.mark.parametrize("missing", ["policy", "command"])
 def test_an_entry_that_lacks_what_verification_needs_is_refused(missing, tmp_path):
     entry = json_in(FOLDER / f"{GOOD}.json")
     del entry[missing]

@@ -26,7 +26,6 @@ def comparison(names=("imm", "speed-rule"), **more):
     content = {"scenario": "mixed", "radio": "handset", "episodes": 2, "seed": 0}
     content |= {
         "command": "mmwave-loc compare --episodes 2 --episode-steps 30",
-        "options": {"episode_steps": 30, "policies": list(names), "json": "ignored.json"},
         "versions": {"mmwave-loc": __version__, "python": "3.12.0"},
         "policies": {name: metrics(-1.0 - i) for i, name in enumerate(names)},
         "paired": {f"{name} - {first}": metrics(-0.5) for name in others},

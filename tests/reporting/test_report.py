@@ -121,12 +121,13 @@ def test_a_track_can_be_played_with_its_gate_decisions(tmp_path, track):
 
 
 def test_tables_are_shown_even_if_episodes_cannot_be_played_again(tmp_path, track):
-    content = {"gone": track | {"options": {"log": "gone.csv", "scene": "street"}}}
-    for name, options in {"wrong": {"dt": "fast"}, "old": None, "unknown": {"new": 1}}.items():
-        content[name] = results.comparison(("os:getcwd", "never:made"), options=options)
+    content = {"gone": track | {"command": "mmwave-loc localize gone.csv --scene street"}}
+    for name in ("compare", "compare --dt fast", "speed --sizes 8"):
+        command = f"mmwave-loc {name}"
+        content[name] = results.comparison(("os:getcwd", "never:made"), command=command)
     files = [write_json(tmp_path / f"{name}.json", part) for name, part in content.items()]
     page = report(tmp_path, *files)
-    for words in ("options: dt", "options: found", "gone.csv", "os:getcwd was", "never:made was"):
+    for words in ("--dt", "--sizes", "gone.csv", "os:getcwd was", "never:made was"):
         assert words in page.text
     assert page.text.count("Means ±") == 3
 

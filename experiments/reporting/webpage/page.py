@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.console.options import EpisodeArgs, LogArgs, PageArgs
+from experiments.console.options import CompareArgs, LogArgs, PageArgs
 from experiments.console.output import cells_of, unescaped
 from experiments.console.provenance import command_line, options_from
 from experiments.evaluation.agents import is_agent
@@ -239,7 +239,7 @@ def play(part: Part, most: int, watched: int) -> None:
 
 
 def _play_episodes(part: Part, most: int, watched: int) -> None:
-    args = options_from(EpisodeArgs, part.content)
+    args = options_from(CompareArgs, part.content)
     args = replace(args, episodes=min(most, part.content["episodes"]))
     task = task_of(args)
     seeds = seeds_from(args.episodes, args.seed)
