@@ -42,8 +42,7 @@ def main(args: Args) -> None:
             write_json(files[name], protocol.sealed(entry))
     if not any(args.out.glob("*.json")):
         raise ValueError(f"out: found no entries in {args.out}; name contenders with --policies")
-    entries = protocol.entries_in(args.out)
-    show(protocol.tables_of(entries, protocol.ceiling_of(entries)))
+    show(protocol.tables_of(protocol.entries_in(args.out)))
     if files:
         say(f"entries in {', '.join(map(str, files.values()))}")
 
