@@ -68,17 +68,15 @@ DESCRIPTIONS = {
 
 @dataclass(frozen=True)
 class Run:
-    """A run of ``mmwave-loc train``, with one policy per training seed."""
+    """A run of ``mmwave-loc train``, with one policy per training seed.
 
-    name: str  # the folder, as on the command line and in results
-    seeds: tuple[int, ...]  # training seeds, ordered by reward on tuning seeds, best first
-    median: int  # training seed of the policy with the median reward, which represents the run
+    Attributes:
+        policies: policy files of all seeds, the best reward on tuning seeds first.
+        policy: the file with the median reward, which represents the run.
+    """
 
-    def __post_init__(self) -> None:
-        if not self.seeds or len(set(self.seeds)) < len(self.seeds):
-            raise ValueError(f"seeds: found {list(self.seeds)}, expected different numbers")
-        if self.median not in self.seeds:
-            raise ValueError(f"median: found {self.median!r}, expected one of {list(self.seeds)}")
+    policies: tuple[str, ...]
+    policy: str
 
     @classmethod
     def read(cls, name: str) -> "Run":
@@ -88,7 +86,8 @@ class Run:
             ValueError: the summary is invalid; the message names the file and what is wrong in it.
             FileNotFoundError: the folder holds no finished run.
         """
-        path = Path(name) / "summary.json"
+        folder = Path(name)
+        path = folder / "summary.json"
         if not path.is_file():
             raise FileNotFoundError(
                 f"{path}: found no file, expected the summary of a finished run; "
@@ -96,21 +95,15 @@ class Run:
             )
 
         def made(summary: Json) -> Run:
-            seeds = tuple(outcome["seed"] for outcome in summary["seeds"])
-            return cls(name, seeds, summary["median"])
+            seeds = [outcome["seed"] for outcome in summary["seeds"]]
+            median = summary["median"]
+            files = {seed: str(folder / f"seed-{seed}" / "policy.safetensors") for seed in seeds}
+            if len(files) < len(seeds) or median not in files:
+                expected = "different numbers, and one of them"
+                raise ValueError(f"seeds, median: found {seeds}, {median!r}, expected {expected}")
+            return cls((*files.values(),), files[median])
 
         return read_json(path, "the summary of a run", made)
-
-    @property
-    def policies(self) -> list[str]:
-        """Return the policy file of every training seed."""
-        folder = Path(self.name)
-        return [str(folder / f"seed-{seed}" / "policy.safetensors") for seed in self.seeds]
-
-    @property
-    def policy(self) -> str:
-        """Return the policy file of the median seed."""
-        return self.policies[self.seeds.index(self.median)]
 
 
 def outcomes_markdown(outcomes: Sequence[Json]) -> str:

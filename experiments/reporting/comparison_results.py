@@ -24,63 +24,42 @@ from experiments.evaluation.positions import EpochErrors, Positions, positions_m
 from experiments.evaluation.runner import Scores, Scoring, score_contenders
 from mmwave_env.io.files import Json, write_text
 from mmwave_env.localization.levels import PARTS, Levels
-from mmwave_env.numerics.numbers import Array
 
 
-def over_training_seeds(run: Run, trained: Sequence[Scores], scores: Mapping[str, Scores]) -> Json:
-    """Return the rewards of a run, and its gains over the reference contenders, as JSON.
+def over_training_seeds(trained: Sequence[Scores], scores: Mapping[str, Scores]) -> Json:
+    """Return figures of a run's rewards, and of its gains over the reference contenders, as JSON.
+
+    A figure is the mean over all training seeds, with an interval for the choice of episodes and of
+    seeds. "above_zero" is the number of seeds whose own interval is above zero.
 
     Args:
-        run: the run, which has one policy per training seed.
-        trained: scores of these policies, in the order of the run's seeds.
-        scores: scores of all contenders, for the same episodes as ``trained``.
+        trained: scores of the policies of all seeds.
+        scores: scores of all contenders, for the same episodes.
     """
     reward = np.stack([metrics["reward"] for metrics in trained])
-    baselines = {rival: scores[rival]["reward"] for rival in references(scores)}
-    minus = {rival: _figures(run, reward - baseline) for rival, baseline in baselines.items()}
+    columns = {"reward": reward}
+    for rival in references(scores):
+        columns[f"minus {rival}"] = reward - scores[rival]["reward"]
     return {
-        "median": run.median,
-        "reward": _figures(run, reward),
-        "minus": minus,
+        name: {
+            "mean": crossed_bootstrap(values).json,
+            "above_zero": sum(mean.low > 0.0 for mean in bootstrap(values)),
+        }
+        for name, values in columns.items()
     }
 
 
-def _figures(run: Run, values: Array) -> Json:
-    """Return the mean of values (seeds, episodes) for each training seed, and over all seeds.
-
-    "above_zero" is the number of seeds whose interval is above zero.
-    """
-    each = bootstrap(values)
-    return {
-        "seeds": {str(seed): mean.json for seed, mean in zip(run.seeds, each, strict=True)},
-        "above_zero": sum(mean.low > 0.0 for mean in each),
-        "mean": crossed_bootstrap(values).json,
-    }
-
-
-def seeds_markdown(run: Run, content: Json) -> str:
-    """Return results of :func:`over_training_seeds` as a Markdown table.
-
-    The table has a row for each training seed, then two rows for all seeds together.
-    """
-    minus = content["minus"]
-    columns = [content["reward"], *minus.values()]
-    header = ["training seed", "reward", *(f"minus {rival}" for rival in minus)]
-    titles = {run.median: f"{run.median} (median)"}
-    rows = [
-        [titles.get(seed, seed), *(Interval.of(column["seeds"][str(seed)]) for column in columns)]
-        for seed in run.seeds
-    ]
-    wins = [f"{figures['above_zero']} of {len(run.seeds)}" for figures in minus.values()]
-    rows += [
-        ["intervals above zero", "", *wins],
-        ["mean over seeds", *(Interval.of(column["mean"]) for column in columns)],
-    ]
+def seeds_markdown(name: str, count: int, columns: Json) -> str:
+    """Return the figures of a run with ``count`` training seeds as a Markdown table."""
+    wins = [f"{figures['above_zero']} of {count}" for figures in columns.values()]
+    wins[0] = ""  # rewards are negative
+    means = [str(Interval.of(figures["mean"])) for figures in columns.values()]
+    rows = [["intervals above zero", *wins], ["mean over seeds", *means]]
     about = (
-        f"Trainings of {escaped(run.name)}, ordered by their rewards on tuning seeds. Intervals "
-        "(95 %) allow for the choice of episodes; in the last row, also for the choice of seeds:"
+        f"Trainings of {escaped(name)}, all seeds together. Intervals (95 %) allow for the choice "
+        "of episodes; in the last row, also for the choice of seeds:"
     )
-    return f"\n{about}\n\n{grid(header, rows)}\n"
+    return f"\n{about}\n\n{grid(['training seed', *columns], rows)}\n"
 
 
 class Results(NamedTuple):
@@ -126,8 +105,8 @@ def results(args: EpisodeArgs, names: Sequence[str], with_epochs: bool = False) 
     spreads = {}
     for name, run in runs.items():
         of_seeds = [trained[file] for file in run.policies]
-        spreads[name] = over_training_seeds(run, of_seeds, scores)
-        text += seeds_markdown(run, spreads[name])
+        spreads[name] = over_training_seeds(of_seeds, scores)
+        text += seeds_markdown(name, len(of_seeds), spreads[name])
     if spreads:
         content["training_seeds"] = spreads
     if args.percentiles:
