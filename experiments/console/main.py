@@ -15,7 +15,6 @@ from contextlib import contextmanager, redirect_stdout, suppress
 from io import TextIOWrapper
 from typing import Any, NoReturn
 
-from experiments.console.options import parsed
 from experiments.console.signals import heed_signals
 
 GROUPS = {
@@ -68,6 +67,8 @@ def read_arguments(name: str, words: Sequence[str]) -> Any:
     Raises:
         ValueError, SystemExit: same as for :func:`~experiments.console.options.parsed`.
     """
+    from experiments.console.options import parsed  # slow: it imports tyro
+
     return parsed(importlib.import_module(f"experiments.{name}").Args, name, words)
 
 
