@@ -3,7 +3,7 @@
 import gc
 import time
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from statistics import median
 
@@ -12,6 +12,7 @@ import numpy as np
 from experiments.console.output import grid, tracked
 from experiments.timing.roofline import Operations, count, limit_s
 from experiments.timing.workloads import (
+    ALONE,
     FILTERPY,
     FILTERS,
     LATENCIES,
@@ -21,7 +22,6 @@ from experiments.timing.workloads import (
     environments,
     filters,
     latency_us,
-    native_name,
 )
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.engines.engine import Engine
@@ -53,71 +53,58 @@ def rate(laps: Laps, seconds: float) -> float:
     return steps / spent
 
 
-class Measured:
-    """All measured values.
+def measured(sizes: Sequence[int], seconds: float, repeats: int) -> Json:
+    """Measure everything in several rounds; a rate is measured for at least ``seconds``.
 
-    ``sizes`` are the sizes of our vector environment (numbers of environments) to measure.
+    Every round runs all workloads, so a drift of the machine's speed affects them equally.
 
-    Attributes:
-        operations: operations of each kernel.
-        rounds: lists, by quantity and name; a list has one value per round. The quantities are
-            "steps_per_s" of workloads; "latency_us", the time for an epoch of a live track; and
-            "limit_s", the minimum time for a step on one core, by kernel.
+    Args:
+        sizes: sizes of our vector environment (numbers of environments) to measure.
+        seconds: minimum time of a measurement.
+        repeats: number of rounds.
+
+    Returns:
+        What :func:`compared` returns, and the "operations" of each kernel.
     """
+    operations = kernels()
+    rounds: dict[str, Rounds] = defaultdict(lambda: defaultdict(list))
+    running = {}
+    makes = environments(sorted(set(sizes))) | filters()
+    for name in tracked(makes, "compilation"):
+        running[name] = makes[name]()
+        rate(running[name], seconds)  # the first run compiles
+    for _ in tracked(range(repeats), "rounds"):
+        for name, laps in running.items():
+            rounds["steps_per_s"][name].append(rate(laps, seconds))
+        for name in LATENCIES:
+            for percentile, value in zip(PERCENTILES, latency_us(name), strict=True):
+                rounds["latency_us"][f"{name}, p{percentile:g}"].append(value)
+        for name, kernel in operations.items():
+            rounds["limit_s"][name].append(limit_s(kernel) / WIDTH)
+    counted = {name: kernel._asdict() for name, kernel in operations.items()}
+    return compared(rounds) | {"operations": counted}
 
-    def __init__(self, sizes: Sequence[int]) -> None:
-        self.sizes = sorted(set(sizes))
-        self.operations = kernels()
-        self.rounds: dict[str, Rounds] = defaultdict(lambda: defaultdict(list))
 
-    def measure(self, seconds: float, repeats: int) -> None:
-        """Measure everything in several rounds; a rate is measured for at least ``seconds``.
+def compared(rounds: Mapping[str, Rounds]) -> Json:
+    """Return measured values with their comparisons, all as lists with a value for each round.
 
-        Every round runs all workloads, so a drift of the machine's speed affects them equally.
-        """
-        rounds = self.rounds
-        running = {}
-        makes = environments(self.sizes) | filters()
-        for name in tracked(makes, "compilation"):
-            running[name] = makes[name]()
-            rate(running[name], seconds)  # the first run compiles
-        for _ in tracked(range(repeats), "rounds"):
-            for name, laps in running.items():
-                rounds["steps_per_s"][name].append(rate(laps, seconds))
-            for name in LATENCIES:
-                for percentile, value in zip(PERCENTILES, latency_us(name), strict=True):
-                    rounds["latency_us"][f"{name}, p{percentile:g}"].append(value)
-            for name, operations in self.operations.items():
-                rounds["limit_s"][name].append(limit_s(operations) / WIDTH)
+    Args:
+        rounds: "steps_per_s" of workloads; "latency_us", the time for an epoch of a live track;
+            and "limit_s", the minimum time for a step on one core, by kernel.
 
-    @property
-    def ours(self) -> list[str]:
-        """Return names of our environments, the single environment first."""
-        return [name for name in environments(self.sizes) if name != FILTERPY]
-
-    def ratios(self) -> Rounds:
-        """Return our steps per second divided by those of the loop over filterpy's filters."""
-        rates = self.rounds["steps_per_s"]
-        return {name: np.divide(rates[name], rates[FILTERPY]).tolist() for name in self.ours}
-
-    def fractions(self) -> Rounds:
-        """Return the minimum time of a step on a core, divided by the measured time of the step."""
-        alone = [native_name(n, 1) for n in self.sizes]
-        rates = self.rounds["steps_per_s"]
-        return {
-            name: np.multiply(self.limits_of(name), rates[name]).tolist()
-            for name in (*FILTERS, *alone)
-        }
-
-    def limits_of(self, name: str) -> list[float]:
-        """Return the minimum time of a workload's step on one core, s, per round."""
-        return self.rounds["limit_s"][name if name in FILTERS else STEP]
-
-    def json(self) -> Json:
-        """Return all values, one per round, and the operations of each kernel."""
-        operations = {name: kernel._asdict() for name, kernel in self.operations.items()}
-        computed = {"ratios": self.ratios(), "limit_fraction": self.fractions()}
-        return computed | self.rounds | {"operations": operations}
+    Returns:
+        The rounds; "ratios" of our steps per second to those of the loop over filterpy's filters;
+        and "limit_fraction", the minimum time of a step on one core divided by its measured time.
+    """
+    rates = rounds["steps_per_s"]
+    limits = rounds["limit_s"]
+    ours = [name for name in rates if name not in (FILTERPY, *FILTERS)]
+    alone = (*FILTERS, *(name for name in ours if name.endswith(ALONE)))
+    ratios = {name: np.divide(rates[name], rates[FILTERPY]).tolist() for name in ours}
+    fractions = {
+        name: np.multiply(limits.get(name, limits[STEP]), rates[name]).tolist() for name in alone
+    }
+    return {"ratios": ratios, "limit_fraction": fractions} | dict(rounds)
 
 
 def kernels() -> dict[str, Operations]:
@@ -153,34 +140,32 @@ def spread(values: Sequence[float], unit: float = 1.0) -> str:
     return f"{short(median(values))} ({short(min(values))} to {short(max(values))})"
 
 
-def tables_of(measured: Measured) -> dict[str, str]:
+def tables_of(figures: Json) -> dict[str, str]:
     """Return all tables as Markdown, by title, the ratios first."""
-    rounds = measured.rounds
-    limits = []
-    for name, fractions in measured.fractions().items():
-        least = measured.limits_of(name)
-        taken = np.divide(least, fractions).tolist()
+    rates = figures["steps_per_s"]
+    limits = figures["limit_s"]
+    reached = []
+    for name, fractions in figures["limit_fraction"].items():
+        least = limits.get(name, limits[STEP])
+        taken = np.divide(1.0, rates[name]).tolist()
         shown = (spread(least, 1e9), spread(taken, 1e9), spread(fractions, 100.0))
-        limits.append([name, *shown])
+        reached.append([name, *shown])
     return {
         "Ratios": grid(
             ["ratio of steps per second", f"to {FILTERPY}"],
-            [[name, spread(ratios)] for name, ratios in measured.ratios().items()],
+            [[name, spread(ratios)] for name, ratios in figures["ratios"].items()],
         ),
         "Steps per second": grid(
             ["", "steps per second", "ns per step"],
-            [
-                [name, spread(rates), short(1e9 / median(rates))]
-                for name, rates in rounds["steps_per_s"].items()
-            ],
+            [[name, spread(each), short(1e9 / median(each))] for name, each in rates.items()],
         ),
         "Limit of the core": grid(
-            ["one thread", "limit, ns per step", "time taken, ns", "limit reached, %"], limits
+            ["one thread", "limit, ns per step", "time taken, ns", "limit reached, %"], reached
         ),
         "Latency": grid(
             ["one epoch", *(f"p{p:g}, microseconds" for p in PERCENTILES)],
             [
-                [name, *(spread(rounds["latency_us"][f"{name}, p{p:g}"]) for p in PERCENTILES)]
+                [name, *(spread(figures["latency_us"][f"{name}, p{p:g}"]) for p in PERCENTILES)]
                 for name in LATENCIES
             ],
         ),

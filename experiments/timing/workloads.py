@@ -45,6 +45,7 @@ FILTERPY = "filterpy loop"
 TRACKS = 1024  # number of tracks that a filter without an environment computes together
 BOTH = 2  # number of threads that `gymnasium.make_vec` uses by default on two cores
 THREADS = (BOTH, 1)
+ALONE = ", 1 thread"  # end of the names of environments on one thread
 FILTERS = ("EKF", "UKF", "CKF")
 
 Laps = Iterator[int]  # yields, after each episode, its number of steps, summed over environments
@@ -52,7 +53,7 @@ Laps = Iterator[int]  # yields, after each episode, its number of steps, summed 
 
 def native_name(n: int, threads: int = BOTH) -> str:
     """Return the name, in results, of our vector environment with n environments."""
-    return f"native, N = {n}" + ("" if threads == BOTH else f", {threads} thread")
+    return f"native, N = {n}" + ("" if threads == BOTH else ALONE)
 
 
 def environments(sizes: Sequence[int]) -> dict[str, Callable[[], Laps]]:
