@@ -1,7 +1,6 @@
 """Contenders by name (IMMs, and policies with their modes); tasks and episodes from options."""
 
 import hashlib
-import os
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
@@ -130,13 +129,12 @@ class Contender(Switching):
     name: str
 
     @classmethod
-    def learned(cls, path: AnyPath, name: str | None = None, radio: str = "handset") -> "Contender":
+    def learned(cls, path: AnyPath, name: str, radio: str) -> "Contender":
         """Return a contender for the learned policy in a file, or for a shipped policy by name.
 
-        A policy that has a bank for each radio uses the bank for ``radio``. If ``name`` is None,
-        the path is the name.
+        A policy that has a bank for each radio uses the bank for ``radio``.
         """
-        return cls(**vars(load(path, radio)), name=os.fspath(path) if name is None else name)
+        return cls(**vars(load(path, radio)), name=name)
 
     @classmethod
     def own(

@@ -17,7 +17,7 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.actions import CORRECTION
 from mmwave_env.interface.policy import Policy
 from mmwave_env.interface.reward import Reward, TrackingReward, terms_of, total
-from mmwave_env.metrics import BURN_IN, HEADERS, TERMS, scored, summary
+from mmwave_env.metrics import HEADERS, TERMS, scored, summary
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.task import Task
 from mmwave_env.world.episode import Episode, EpisodeBatch, EpisodeSource, columns_of
@@ -147,18 +147,6 @@ def _epochs_per_second(time_s: Array) -> float:
     return 1.0 / float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0
 
 
-def _warn_of_short(time_s: Array) -> None:
-    """Warn if too few epochs are scored for RPE."""
-    counted = len(time_s[scored(len(time_s))])
-    second = round(_epochs_per_second(time_s))
-    if counted <= max(1, second):
-        warnings.warn(
-            f"episodes of {len(time_s)} epochs: metrics leave out the first {BURN_IN}; "
-            f"{counted} are left, but RPE needs more than {max(1, second)}, so RPE is 0",
-            stacklevel=3,
-        )
-
-
 def _warn_of_nonfinite(contender: Contender, results: EpochResults) -> None:
     """Warn if NaN or infinite beliefs make a contender's means NaN; no episode is left out."""
     finite = np.isfinite(results["error"]).all(axis=-1) & np.isfinite(results["nees"])
@@ -220,7 +208,6 @@ def score_contenders(
     for some, (contender, policy) in tracked([*product(chunks, started)], source.name):
         if contender is contenders[0]:  # all contenders play the same episodes, one after another
             batch, time_s = _drawn(source, some)
-            _warn_of_short(time_s)
         results = run_contender(contender, batch, scoring, after, policy)
         _warn_of_nonfinite(contender, results)
         parts[contender.name].append(_summary(results, time_s, scoring))

@@ -3,7 +3,8 @@
 import gc
 import json
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from itertools import chain, islice, tee
 from typing import Any
 
@@ -72,7 +73,7 @@ def run_live(args: LogArgs) -> None:
     waiting: list[LiveEpoch] = []  # epochs before the first position
     waited = False
     require_clock(args.clock)
-    for live, epochs in _epochs(scene, args.snr, args.clock):
+    for live, epochs in _epochs(args, scene):
         if args.lag and any(epoch.user for epoch in epochs):
             raise ValueError(f"lag: found {args.lag} and rows with users (ue), expected 0 for them")
         if tracker is None:
@@ -154,7 +155,7 @@ def _of_map(belief: Belief, mode: str, origin: Origin | None) -> Position:
 
 def _paths(args: LogArgs, scene: Scene, learner: MapLearner) -> Iterator[Paths]:
     """Yield the paths of each epoch of standard input."""
-    for _, epochs in _epochs(scene, args.snr, args.clock, associated=False):
+    for _, epochs in _epochs(args, scene, associated=False):
         if any(epoch.user for epoch in epochs):
             raise ValueError("map: found rows with users (ue), expected the paths of one user")
         for epoch in epochs:
@@ -188,13 +189,13 @@ def _waited_long(waiting: list[LiveEpoch], epochs: Sequence[LiveEpoch]) -> bool:
 def _tracker(args: LogArgs, scene: Scene, first: LiveEpoch, levels: Levels) -> tuple[Tracker, str]:
     """Return a tracker for a log with this first epoch, and its modes and radio in words."""
     radio = nearest_radio(log_from([first]), scene) if args.radio == AUTO else args.radio
-    choice = choice_of(args, radio, "aoa_elevation" in first.columns.file.columns)
+    switching, why = choice_of(args, radio, "aoa_elevation" in first.columns.file.columns)
     tracker = Tracker(
-        scene, choice.switching, radio_of(args, radio), height_m=args.height, lag=args.lag,
+        scene, switching, radio_of(args, radio), height_m=args.height, lag=args.lag,
         levels=levels, correlation_s=args.correlation,
     )  # fmt: skip
     gc.freeze()  # else Python's garbage collector stops the rows for 70 ms at times
-    return tracker, f"modes {choice.why}, radio {radio}"
+    return tracker, f"modes {why}, radio {radio}"
 
 
 def _origin(args: LogArgs, scene: Scene) -> Origin | None:
@@ -235,7 +236,7 @@ def _text(line: bytes) -> str:
 
 
 def _epochs(
-    scene: Scene, snr_db: float | None, clock: str, associated: bool = True
+    args: LogArgs, scene: Scene, associated: bool = True
 ) -> Iterator[tuple[LiveLog, list[LiveEpoch]]]:
     """Read rows (CSV below a header, or JSON objects); yield the epochs that they form.
 
@@ -248,13 +249,21 @@ def _epochs(
     if not first:
         raise ValueError(f"log: found nothing on {SOURCE}, expected a header or JSON lines")
     as_json = first.lstrip().startswith("{")
+    begin = partial(
+        LiveLog,
+        scene=scene,
+        snr_db=args.snr,
+        source=SOURCE,
+        clock=args.clock,
+        associated=associated,
+    )
     if as_json:
         read = chain([(number, first)], lines)
-        log, first_lines = _begun(read, scene, snr_db, clock, associated)
+        log, first_lines = _begun(begin, read)
         lines = chain(first_lines, lines)
     else:
         names, delimiter = header_of(first)
-        log = LiveLog(names, scene, snr_db, SOURCE, clock, delimiter, associated)
+        log = begin(names, delimiter=delimiter)
     epochs: list[LiveEpoch] = []
     for line in lines:
         if line is None:
@@ -269,13 +278,9 @@ def _epochs(
 
 
 def _begun(
-    lines: Iterator[tuple[int, str] | None],
-    scene: Scene,
-    snr_db: float | None,
-    clock: str,
-    associated: bool,
+    begin: Callable[[list[str]], LiveLog], lines: Iterator[tuple[int, str] | None]
 ) -> tuple[LiveLog, list[tuple[int, str]]]:
-    """Return a log with the columns of the first JSON lines, and these lines, which it lacks.
+    """Begin a log with the columns of the first JSON lines; return it and the lines, not yet added.
 
     A row may lack columns, so they are as many lines as a log needs.
 
@@ -289,8 +294,7 @@ def _begun(
         first_lines.append((number, line))
         try:
             names |= dict.fromkeys(name for row in _objects(line, number)[0] for name in row)
-            log = LiveLog(list(names), scene, snr_db, SOURCE, clock, associated=associated)
-            return log, first_lines
+            return begin([*names]), first_lines
         except LogError as error:
             problem = problem or error
     assert problem

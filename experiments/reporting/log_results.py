@@ -29,7 +29,6 @@ from experiments.reporting.diagnosis_report import (
 )
 from experiments.reporting.figures import draw_trajectory, require_picture
 from experiments.reporting.log_choice import (
-    Choice,
     choice_of,
     is_algorithm_1,
     modes_of,
@@ -41,6 +40,7 @@ from experiments.reporting.track_report import track_markdown
 from mmwave_env.datasets.log_folder import LOG, SCENE, STATION, TRUTH
 from mmwave_env.datasets.samples import sample_folder
 from mmwave_env.filters.bank import modes_from
+from mmwave_env.interface.policy import Switching
 from mmwave_env.io.files import Json, require_writable, write_json
 from mmwave_env.io.lookup import as_name
 from mmwave_env.localization.association import MOST_FALSE, MOST_MISSED, associate
@@ -227,12 +227,13 @@ def _outputs(args: LogArgs) -> list[tuple[str, Path, str]]:
 
 
 class Work(NamedTuple):
-    """A log to localize, and the choice of modes to localize it with."""
+    """A log to localize, and the modes to localize it with."""
 
     scene: Scene
     profile: str  # name or file of the radio profile
     radio: Radio
-    choice: Choice
+    switching: Switching
+    why: str  # words after "modes" in the report
     log: Log
     truth: Truth | None
     association: Json | None  # counts of associated paths
@@ -271,15 +272,15 @@ def _work(args: LogArgs, files: Inputs, scene: Scene) -> Work:
             f"follow: odometry needs speeds, and {files.log} has none; use --follow prediction"
         )
     elevations = log.measurement[:, 2 : log.layout.doppler : 4]
-    choice = choice_of(args, name, bool(np.isfinite(elevations).any()))
-    if choice.switching.policy and not np.isfinite(log.snr_db).any():
+    switching, why = choice_of(args, name, bool(np.isfinite(elevations).any()))
+    if switching.policy and not np.isfinite(log.snr_db).any():
         warnings.warn(
             f"{files.log}: found no SNR, so the policy gets {NEUTRAL_SNR_DB:g} dB for every link",
             stacklevel=2,
         )
     truth = Truth(files.truth) if files.truth else None
     log, step_m = with_range_steps(log, scene, radio)
-    return Work(scene, name, radio, choice, log, truth, association, step_m, learned)
+    return Work(scene, name, radio, switching, why, log, truth, association, step_m, learned)
 
 
 def warn_of_few_explained(explained: int, paths: int) -> None:
@@ -311,14 +312,13 @@ def warn_of_poor_association(association: Json) -> None:
 
 
 def _track(args: LogArgs, work: Work, window: int | None = None, **more: Any) -> Track:
-    switching = work.choice.switching
-    if args.two_way and not switching.bank:
+    if args.two_way and not work.switching.bank:
         raise ValueError("two-way: found modes with a shared belief, expected an IMM (--imm)")
     return localize(
         work.log,
         work.scene,
         work.radio,
-        switching,
+        work.switching,
         window,
         args.height,
         Levels(args.risk, args.levels),
@@ -385,7 +385,7 @@ def _figures(args: LogArgs, files: Inputs, work: Work, track: Track) -> Json:
         "log": str(files.log),
         "scene": work.scene.name,
         "radio": work.profile + (", chosen by auto" if args.radio == AUTO else ""),
-        "rule": work.choice.why,
+        "rule": work.why,
         "range_step_m": work.range_step_m,
         "algorithm_1": args.imm is None and args.policy is None and is_algorithm_1(args),
         **track_statistics(track),

@@ -46,7 +46,7 @@ def assert_equal(scores, expected):
 
 @pytest.mark.parametrize("beliefs", BELIEFS)
 def test_scores_equal_the_results_of_stepping_a_single_environment(beliefs, per_mode):
-    contender = Contender.learned(per_mode)
+    contender = Contender.learned(per_mode, "mine", "handset")
     if beliefs == "shared":
         contender = contender_from("speed-rule", "handset")
     taken = []

@@ -11,7 +11,6 @@ from matplotlib.image import imread
 from experiments.console.options import LogArgs
 from experiments.reporting.figures import (
     caption,
-    contenders,
     draw_consistency,
     draw_error_cdf,
     draw_trajectory,
@@ -110,10 +109,3 @@ def test_an_error_cdf_without_vertical_errors_is_drawn(tmp_path):
     flat = np.random.default_rng(2).normal(size=(3, T, 3)) * [1.0, 1.0, 0.0]
     draw_error_cdf({"imm": flat}, tmp_path / "flat.png")
     assert (imread(tmp_path / "flat.png")[..., :3] != 1.0).any(axis=2).mean() > 0.02
-
-
-def test_runs_are_named_by_the_last_parts_of_their_paths_if_these_differ():
-    paths = ["runs/a/ppo", "runs/b/ppo", "/tmp/c/policy.safetensors", "imm", "runs/ppo", "ppo"]
-    short = ["runs/a/ppo", "runs/b/ppo", "policy.safetensors", "imm", "runs/ppo", "ppo"]
-    assert [*contenders(paths).values()] == short
-    assert contenders(["runs/x$"]) == {"runs/x$": "x$"}

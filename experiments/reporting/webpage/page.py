@@ -277,7 +277,7 @@ def _play_log(part: Part) -> None:
     velocity = velocity_of(block.time_s, known, GAP_S)
     log = part.content["log"]
     scene = work.scene
-    switching = work.choice.switching
+    switching = work.switching
     pipeline = switching.pipeline(block.layout, block.planar)
     belief = pipeline.belief([*block.x.T], [*block.P.T])
     history = History(
