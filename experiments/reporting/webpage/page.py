@@ -354,9 +354,6 @@ def _numbers(values: Array, digits: str = ".2f") -> list[float | None]:
     return [float(f"{v:{digits}}") if np.isfinite(v) else None for v in values]
 
 
-SCRIPTS = ("drawing.js", "map.js", "player.js")
-
-
 def page_of(args: PageArgs) -> str:
     """Return the web page of results; refuse results that can't be read."""
     parts = [read_part(path) for path in args.results]
@@ -364,36 +361,32 @@ def page_of(args: PageArgs) -> str:
         play(part, args.episodes, args.watch)
     origins = [part.origin for part in parts]
     origins.append(origin_of("This page", command_line("report", args), {}))
-    sections = {
-        "Results": _folded((part.name, part.tables) for part in parts),
-        "Errors": _folded((part.name, part.errors) for part in parts),
-        "Episodes": _player(parts),
-        "How it was made": "".join(origins),
-    }
-    titles = {re.sub(r"\W+", "-", t.lower()): t for t, section in sections.items() if section}
     # In JSON, the signs <, > and & are escaped, so that no text can end the script element.
     shown = {"episodes": [episode for part in parts for episode in part.episodes]}
     data = json.dumps(shown, allow_nan=False, separators=(",", ":"))
     light = vars(THEMES["light"])
     dark = vars(THEMES["dark"])
-    colors = " ".join(  # as CSS variables; videos have the same
+    colors = (  # as CSS variables; videos have the same
         f"--{name}: light-dark({hex_of(light[name])}, {hex_of(dark[name])});"
         for name in sorted(light.keys() - {"modes"})
     )
+    notes = [f"{part.name}: {note}" for part in parts for note in part.missing]
     inserted = {
         "title": text(parts[0].title),
         "lead": "".join(element("p", part.sentence) for part in parts),
-        "style": f":root {{ {colors} }}\n{_file('page.css')}",
-        "script": "".join(map(_file, SCRIPTS)),
-        "links": "".join(f'<a href="#{name}">{text(title)}</a>' for name, title in titles.items()),
-        "sections": "".join(
-            f'<section id="{name}"><h2>{text(title)}</h2>{sections[title]}</section>'
-            for name, title in titles.items()
-        ),
+        "colors": " ".join(colors),
+        "results": _folded((part.name, part.tables) for part in parts),
+        "errors": _folded((part.name, part.errors) for part in parts),
+        "notes": "".join(element("p", note, "note") for note in notes),
+        "made": "".join(origins),
         "data": data.translate({ord(sign): f"\\u{ord(sign):04x}" for sign in "<>&"}),
     }
-    # Placeholders in inserted text are not replaced.
-    return re.sub(r"<!--(\w+)-->", lambda mark: inserted[mark[1]], _file("page.html"))
+
+    def filled(mark: re.Match[str]) -> str:
+        name = mark[1]
+        return inserted[name] if name in inserted else _file(name)
+
+    return re.sub(r"<!--([\w.]+)-->", filled, _file("page.html"))  # not in inserted text
 
 
 def _folded(parts: Iterable[tuple[str, str]]) -> str:
@@ -403,16 +396,6 @@ def _folded(parts: Iterable[tuple[str, str]]) -> str:
         f"<details{'' if number else ' open'}><summary>{text(name)}</summary>{inside}</details>"
         for number, (name, inside) in enumerate(shown)
     )
-
-
-def _player(parts: Sequence[Part]) -> str:
-    """Return the element of the player, with notes on episodes that can't be watched."""
-    inside = []
-    if any(part.episodes for part in parts):
-        inside = ['<div id="player"><noscript>Only this section needs JavaScript.</noscript></div>']
-    for part in parts:
-        inside += [element("p", f"{part.name}: {note}", "note") for note in part.missing]
-    return "".join(inside)
 
 
 def _file(name: str) -> str:
