@@ -20,13 +20,6 @@ from experiments.console.options import (
 )
 from experiments.console.output import progress, show
 from experiments.console.provenance import provenance
-from experiments.reporting.diagnosis_report import (
-    UNSEEN,
-    diagnosis_markdown,
-    facts_markdown,
-    log_facts,
-    verdict,
-)
 from experiments.reporting.figures import draw_trajectory, require_picture
 from experiments.reporting.log_choice import (
     choice_of,
@@ -36,7 +29,14 @@ from experiments.reporting.log_choice import (
     require_one_choice,
     scene_of,
 )
-from experiments.reporting.track_report import track_markdown
+from experiments.reporting.log_report import (
+    UNSEEN,
+    diagnosis_markdown,
+    facts_markdown,
+    log_facts,
+    track_markdown,
+    verdict,
+)
 from mmwave_env.datasets.log_folder import LOG, SCENE, STATION, TRUTH
 from mmwave_env.datasets.samples import sample_folder
 from mmwave_env.filters.bank import modes_from
