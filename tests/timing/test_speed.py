@@ -3,9 +3,17 @@
 import numpy as np
 import pytest
 
-from experiments.timing.measured import STEP, compared, kernels
+from experiments.timing.measured import (
+    EPISODE,
+    FILTERPY,
+    FILTERS,
+    STEP,
+    compared,
+    environments,
+    filterpy_episode,
+    kernels,
+)
 from experiments.timing.roofline import Operations, count
-from experiments.timing.workloads import EPISODE, FILTERPY, FILTERS, environments, filterpy_episode
 from mmwave_env.filters.filterpy_reference import filterpy_pipeline
 from mmwave_env.numerics.numbers import atan2, maximum, sqrt, where
 from mmwave_env.task import task_from
