@@ -31,9 +31,8 @@ from experiments.evaluation.contenders import (
     task_of,
 )
 from experiments.evaluation.positions import EpochErrors, positions_markdown
-from experiments.evaluation.runner import Scoring, score_contenders
+from experiments.evaluation.runner import Scoring, histories_of, score_contenders
 from experiments.reporting.figures import draw_consistency, draw_error_cdf
-from experiments.reporting.histories import histories_of
 from experiments.reporting.log_report import track_markdown
 from experiments.reporting.log_results import beginning
 from mmwave_env.io.files import Json, first_line, read_json
