@@ -19,47 +19,48 @@ from experiments.evaluation.contenders import (
     seeds_from,
     task_of,
 )
-from experiments.evaluation.intervals import Interval, bootstrap, crossed_bootstrap
+from experiments.evaluation.intervals import bootstrap, crossed_bootstrap
 from experiments.evaluation.positions import EpochErrors, Positions, positions_markdown
 from experiments.evaluation.runner import Scores, Scoring, score_contenders
 from mmwave_env.io.files import Json, write_text
 from mmwave_env.localization.levels import PARTS, Levels
 
 
-def over_training_seeds(trained: Sequence[Scores], scores: Mapping[str, Scores]) -> Json:
-    """Return figures of a run's rewards, and of its gains over the reference contenders, as JSON.
+def over_training_seeds(
+    name: str, trained: Sequence[Scores], scores: Mapping[str, Scores]
+) -> tuple[Json, str]:
+    """Return figures of a run's rewards, and of its gains over the reference contenders.
 
     A figure is the mean over all training seeds, with an interval for the choice of episodes and of
     seeds. "above_zero" is the number of seeds whose own interval is above zero.
 
     Args:
+        name: name of the run.
         trained: scores of the policies of all seeds.
         scores: scores of all contenders, for the same episodes.
+
+    Returns:
+        The figures as JSON, and as a Markdown table.
     """
     reward = np.stack([metrics["reward"] for metrics in trained])
     columns = {"reward": reward}
     for rival in references(scores):
         columns[f"minus {rival}"] = reward - scores[rival]["reward"]
-    return {
-        name: {
-            "mean": crossed_bootstrap(values).json,
-            "above_zero": sum(mean.low > 0.0 for mean in bootstrap(values)),
-        }
-        for name, values in columns.items()
-    }
-
-
-def seeds_markdown(name: str, count: int, columns: Json) -> str:
-    """Return the figures of a run with ``count`` training seeds as a Markdown table."""
-    wins = [f"{figures['above_zero']} of {count}" for figures in columns.values()]
-    wins[0] = ""  # rewards are negative
-    means = [str(Interval.of(figures["mean"])) for figures in columns.values()]
+    content = {}
+    wins = []
+    means = []
+    for column, values in columns.items():
+        mean = crossed_bootstrap(values)
+        above = sum(each.low > 0.0 for each in bootstrap(values))
+        content[column] = {"mean": mean.json, "above_zero": above}
+        wins.append("" if column == "reward" else f"{above} of {len(trained)}")
+        means.append(str(mean))
     rows = [["intervals above zero", *wins], ["mean over seeds", *means]]
     about = (
         f"Trainings of {escaped(name)}, all seeds together. Intervals (95 %) allow for the choice "
         "of episodes; in the last row, also for the choice of seeds:"
     )
-    return f"\n{about}\n\n{grid(['training seed', *columns], rows)}\n"
+    return content, f"\n{about}\n\n{grid(['training seed', *columns], rows)}\n"
 
 
 class Results(NamedTuple):
@@ -101,12 +102,12 @@ def results(args: EpisodeArgs, names: Sequence[str], with_epochs: bool = False) 
     content = comparison.json
     # the same run by two names is refused here
     files = [contender_of(args, file) for run in runs.values() for file in run.policies]
-    trained = score_contenders(files, task.source, seeds, scoring=scoring) if files else {}
+    trained = score_contenders(files, task.source, seeds, scoring=scoring)
     spreads = {}
     for name, run in runs.items():
         of_seeds = [trained[file] for file in run.policies]
-        spreads[name] = over_training_seeds(of_seeds, scores)
-        text += seeds_markdown(name, len(of_seeds), spreads[name])
+        spreads[name], table = over_training_seeds(name, of_seeds, scores)
+        text += table
     if spreads:
         content["training_seeds"] = spreads
     if args.percentiles:

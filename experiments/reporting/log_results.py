@@ -200,14 +200,12 @@ def _check(args: LogArgs, files: Inputs) -> None:
     Levels(args.risk, args.levels)  # raises if the risk or the kind is invalid
     if args.plot is not None:
         require_picture("plot", args.plot)
-    owners: dict[Path, str] = {}
-    earlier = {f"log {number}": log for number, log in enumerate(files.earlier, start=1)}
-    read = {**earlier, "the log": files.log, "scene": Path(files.scene), "truth": files.truth}
-    read |= {"modes": args.modes, "imm": Path(args.imm) if args.imm else None}
-    written = ((option, path) for option, path, _ in _outputs(args))
-    for name, path in (*read.items(), *written):
-        if path and (owner := owners.setdefault(path.resolve(), name)) != name:
-            raise ValueError(f"{name}: found {path}, which is also {owner}; expected another file")
+    read = (*files.earlier, files.log, files.scene, files.truth, args.modes, args.imm)
+    taken = {Path(file).resolve() for file in read if file}
+    for option, path, _ in _outputs(args):
+        if path.resolve() in taken:
+            raise ValueError(f"{option}: found {path}, expected a file with no other role")
+        taken.add(path.resolve())
     for out in args.out:
         require_own_files(out)
 

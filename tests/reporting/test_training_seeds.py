@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from experiments.evaluation.intervals import Interval, bootstrap
-from experiments.reporting.comparison_results import over_training_seeds, seeds_markdown
+from experiments.reporting.comparison_results import over_training_seeds
 
 RUN = "runs/a"
 OTHER = "runs/b"
@@ -33,7 +33,7 @@ def trained():
 @pytest.fixture(scope="module")
 def compared(scores, trained):
     return {
-        name: over_training_seeds([{"reward": each} for each in rewards], scores)
+        name: over_training_seeds(name, [{"reward": each} for each in rewards], scores)[0]
         for name, rewards in trained.items()
     }
 
@@ -53,7 +53,7 @@ def test_differences_are_paired_by_episode(compared, scores, trained):
 
 def test_a_run_without_rivals_still_has_its_reward(trained):
     rewards = [{"reward": reward} for reward in trained[RUN]]
-    alone = over_training_seeds(rewards, {"runs/a": rewards[1]})
+    alone, table = over_training_seeds(RUN, rewards, {RUN: rewards[1]})
     assert [*alone] == ["reward"]
     assert alone["reward"]["mean"]["mean"] == pytest.approx(trained[RUN].mean())
-    assert "| mean over seeds | " in seeds_markdown(RUN, 3, alone)
+    assert "| mean over seeds | " in table
