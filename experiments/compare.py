@@ -7,7 +7,6 @@ def main(args: Args) -> None:
     """Run the command."""
     from experiments.console.output import show
     from experiments.console.provenance import provenance
-    from experiments.evaluation.contenders import all_contenders
     from experiments.reporting.comparison_results import results
     from experiments.reporting.figures import (
         draw_consistency,
@@ -23,8 +22,7 @@ def main(args: Args) -> None:
     if args.errors and args.errors == args.consistency:
         expected = "a file other than the --errors file"
         raise ValueError(f"consistency: found {args.consistency}, expected {expected}")
-    names = args.policies or all_contenders(args)
-    made = results(args, names, with_epochs=any(pictures.values()))
+    made = results(args, with_epochs=any(pictures.values()))
     if args.json:  # before show(), which fails if the program that reads its output stops
         write_json(args.json, provenance("compare", args) | made.json)
     epochs = made.epochs

@@ -275,11 +275,6 @@ def fingerprint(name: str) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def all_contenders(args: ModeArgs) -> tuple[str, ...]:
-    """Return the names of all contenders for the chosen modes."""
-    return tuple(contenders(args.radio, args.modes or None))
-
-
 def contender_of(args: ModeArgs, name: str) -> Contender:
     """Return a contender by name or file; warn if it ignores the chosen modes."""
     radio = args.radio

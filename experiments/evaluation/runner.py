@@ -147,11 +147,6 @@ def _run_estimator(
     return results
 
 
-def _epochs_per_second(time_s: Array) -> float:
-    """Return the rate of epochs at times (T,), Hz; 1 for an episode of one epoch."""
-    return 1.0 / float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0
-
-
 def _warn_of_nonfinite(contender: Contender, results: EpochResults) -> None:
     """Warn if NaN or infinite beliefs make a contender's means NaN; no episode is left out."""
     finite = np.isfinite(results["error"]).all(axis=-1) & np.isfinite(results["nees"])
@@ -172,7 +167,8 @@ def _summary(results: EpochResults, time_s: Array, scoring: Scoring) -> Scores:
     reward = scoring.reward if isinstance(scoring.reward, TrackingReward) else TrackingReward()
     costs = reward.costs(np.linalg.norm(error, axis=-1), nees, axes)
     counted = scored(nees.shape[-1])
-    return summary(error, nees, _epochs_per_second(time_s), axes, results["reward"]) | {
+    hz = 1.0 / float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0
+    return summary(error, nees, hz, axes, results["reward"]) | {
         name: cost[..., counted].mean(axis=-1) for name, cost in zip(TERMS, costs, strict=True)
     }
 

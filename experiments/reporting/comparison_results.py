@@ -9,13 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.console.options import EpisodeArgs
+from experiments.console.options import CompareArgs
 from experiments.console.output import escaped, grid
 from experiments.evaluation.compare import Comparison, comparison_of, episodes_csv, references
 from experiments.evaluation.contenders import (
     Run,
-    all_contenders,
     contender_of,
+    contenders,
     seeds_from,
     task_of,
 )
@@ -72,8 +72,8 @@ class Results(NamedTuple):
     epochs: EpochErrors  # errors of all epochs if they were asked for
 
 
-def results(args: EpisodeArgs, names: Sequence[str], with_epochs: bool = False) -> Results:
-    """Run contenders on the episodes that options select.
+def results(args: CompareArgs, with_epochs: bool = False) -> Results:
+    """Run the chosen contenders, or all of them, on the episodes that options select.
 
     If a name is the folder of a training run, its policy with the median reward is the contender.
 
@@ -82,19 +82,20 @@ def results(args: EpisodeArgs, names: Sequence[str], with_epochs: bool = False) 
     """
     levels = Levels(args.risk, args.levels)
     task = task_of(args)
-    known = all_contenders(args)
+    known = contenders(args.radio, args.modes or None)
+    names = args.policies or (*known,)
     own = [name for name in names if name not in known]
     runs = {name: Run.read(name) for name in own if Path(name).is_dir()}
     scoring = Scoring.of(task)
     seeds = seeds_from(args.episodes, args.seed)
-    contenders = [contender_of(args, name) for name in names]
+    everybody = [contender_of(args, name) for name in names]
     epochs = EpochErrors()
     positions = Positions(levels, task.source.layout.anchors, args.planar)
     watch = [epochs.add] if with_epochs else []
     if args.percentiles:
         watch.append(positions.add)
     after = PARTS if args.percentiles else ()
-    scores = score_contenders(contenders, task.source, seeds, watch, scoring, after)
+    scores = score_contenders(everybody, task.source, seeds, watch, scoring, after)
     if args.episodes_csv:
         write_text(args.episodes_csv, episodes_csv(scores, seeds, task.source))
     comparison = comparison_of(task, seeds, scores, own)

@@ -16,8 +16,6 @@ from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.scene import Scene
 
-MOST_NAMED = 5  # number of restarts whose times are named
-
 
 def _decimals(value: float | None) -> str:
     return "-" if value is None else f"{value:.3f}"
@@ -31,14 +29,6 @@ def _times(count: int) -> str:
     return "once" if count == 1 else f"{count} times"
 
 
-def _restarts(times_s: list[float]) -> str:
-    """Return how often a track restarted, and when at first."""
-    words = [f"{time_s:.13g} s" for time_s in times_s]
-    if len(words) > MOST_NAMED:
-        words[MOST_NAMED:] = ["..."]
-    return f"restarted {_times(len(times_s))} ({', '.join(words)})"
-
-
 def _course(f: Json) -> Iterator[str]:
     """Yield sentences about the course of a track."""
     speed = f["speed_mps"]
@@ -50,7 +40,7 @@ def _course(f: Json) -> Iterator[str]:
     if f["skipped"]:
         yield f"{f['skipped']} epochs before the first position were skipped"
     if f["restarts"] or f["dropped"]:
-        event = f"{_restarts(f['restarted_s'])} after" if f["restarts"] else "ended at"
+        event = f"restarted {_times(f['restarts'])} after" if f["restarts"] else "ended at"
         gaps = f"gaps of more than {GAP_S:g} s, or where the next epochs contradicted a start"
         if "association" in f:
             gaps += ", or where another track explained the paths better"
