@@ -61,6 +61,9 @@ def _message(box: str) -> str:
     message = parts[1].partition(" Got errors")[0]
     message = re.sub(r"^Missing from .*?: ", "required: ", message).rstrip(".")
     message = WRONG_TYPE.sub(r"\1: found \3, expected \2", message)
+    message = re.sub(
+        r"^Error parsing (.*): invalid.*: (.*)", r"\1: found \2, expected INT", message
+    )
     close = re.match(r"Perhaps you meant: (--[\w-]+(, --[\w-]+)*)", parts[2])
     if close:
         return f"{message}; did you mean {close[1]}?"
@@ -187,10 +190,10 @@ class EpisodeArgs(ModeArgs, IntegrityArgs, JsonArgs):
     """also show percentiles of horizontal and vertical
     errors, the shares of errors within some distances, and
     how often errors exceed their protection levels"""
-    episodes: int | None = None
-    """number of episodes (None: 1000); results to publish need 1000 or more"""
-    seed: int | None = None
-    """seed of the first episode (None: 0); test seeds start
+    episodes: int = USUAL_EPISODES
+    """number of episodes; results to publish need 1000 or more"""
+    seed: int = 0
+    """seed of the first episode; test seeds start
     at 0, tuning seeds at 5000000"""
     reward: str = "tracking"
     """reward to report: tracking or log-score"""

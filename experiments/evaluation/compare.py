@@ -199,7 +199,6 @@ def comparison_of(
     return compare_scores(scores, own, **names, seeds=seeds, reward=reward_name(task.reward))
 
 
-USUAL_EPISODES = 200
 Agent = AnyPath | Act
 
 
@@ -208,8 +207,8 @@ def compare(
     beside: Sequence[str] = ("fixed-ukf", "speed-rule", "imm"),
     scenario: str | None = None,
     radio: str = "handset",
-    episodes: int | None = None,
-    seed: int | None = None,
+    episodes: int = 200,
+    seed: int = 0,
     modes: Modes = None,
     observation: str = "full",
     data: AnyPath | EpisodeSource | None = None,
@@ -228,8 +227,8 @@ def compare(
         beside: names of known contenders to compare with, none or several, from
             :func:`~experiments.evaluation.contenders.contenders`.
         scenario, radio: same as in the environment.
-        episodes: number of episodes, 200 by default; results to publish need 1000 or more.
-        seed: seed of the first episode, 0 by default; training uses seeds from 10 million on.
+        episodes: number of episodes; results to publish need 1000 or more.
+        seed: seed of the first episode; training uses seeds from 10 million on.
         modes, observation, beliefs: settings that agents were trained with, as in the environment;
             policy files have their own. An agent given as "imm" is an IMM that mixes these modes;
             a bank or file in ``modes`` also sets its transition probabilities and NIS quantile.
@@ -252,7 +251,7 @@ def compare(
         raise ValueError("policies: found none, expected at least one")
     task = task_from(scenario=scenario, radio=radio, episodes=data, **world)
     scoring = Scoring.of(task)
-    seeds = seeds_from(episodes, seed, USUAL_EPISODES)
+    seeds = seeds_from(episodes, seed)
     settings = (radio, modes, observation, beliefs)
     everybody = [_contender(name, agent, *settings) for name, agent in policies.items()]
     everybody += [contender_from(name, radio) for name in beside]
@@ -264,8 +263,8 @@ def _require_valid(policies: Any, episodes: object, seed: object, world: Mapping
     """Refuse arguments of :func:`compare` of a wrong type or name."""
     require("policies", policies, dict)
     require("policies", list(policies), tuple[str, ...])
-    require("episodes", episodes, int | None)
-    require("seed", seed, int | None)
+    require("episodes", episodes, int)
+    require("seed", seed, int)
     if wrong := sorted({"action", "base", "terminate_on_divergence"} & world.keys()):
         raise ValueError(f"{wrong[0]}: not an argument of compare, which plays complete episodes")
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.console.options import USUAL_EPISODES, ModeArgs, WorldArgs
+from experiments.console.options import ModeArgs, WorldArgs
 from experiments.console.output import grid
 from experiments.evaluation.agents import (
     GUIDE,
@@ -302,19 +302,17 @@ def _task(args: WorldArgs, modes: Modes, beliefs: str = "shared") -> Task:
     return task_from(**world, episodes=args.data, modes=modes, beliefs=beliefs)
 
 
-def seeds_from(episodes: int | None, seed: int | None, usual: int = USUAL_EPISODES) -> range:
-    """Return the seeds that a user asked for, by default ``usual`` seeds from 0 on.
+def seeds_from(episodes: int, seed: int) -> range:
+    """Return the seeds that a user asked for.
 
     Raises:
         ValueError: there are no seeds, or a seed is negative.
     """
-    first = seed or 0
-    count = usual if episodes is None else episodes
-    if count < 1:
-        raise ValueError(f"episodes: found {count}, expected at least 1")
-    if first < 0:
-        raise ValueError(f"seed: found {first}, expected 0 or more")
-    return range(first, first + count)
+    if episodes < 1:
+        raise ValueError(f"episodes: found {episodes}, expected at least 1")
+    if seed < 0:
+        raise ValueError(f"seed: found {seed}, expected 0 or more")
+    return range(seed, seed + episodes)
 
 
 def named(seeds: Sequence[int]) -> str:

@@ -218,10 +218,8 @@ def read_entry(path: Path) -> Json:
     """
 
     def checked(content: Json) -> Json:
-        if "seal" not in content:
-            raise ValueError("seal: found none, expected an entry of mmwave-loc leaderboard")
         if content != sealed(content):
-            raise ValueError("seal: found content that was changed after the command wrote it")
+            raise ValueError("seal: found content that mmwave-loc leaderboard did not write")
         tables_of({CLAIRVOYANT: content})  # raises if tables can't show the entry
         return content
 
