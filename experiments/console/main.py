@@ -17,29 +17,20 @@ from typing import Any, NoReturn
 
 from experiments.console.signals import heed_signals
 
-GROUPS = {
-    "begin": {
-        "demo": "compare all policies on simulated and ray-traced streets",
-    },
-    "localize": {
-        "localize": "compute the track of a measurement log, or find its errors",
-        "simulate": "write one episode as files: measurement log, scene and truth",
-    },
-    "compare": {
-        "compare": "compare policies on the same episodes, with paired differences",
-        "tables": "reproduce the paper's tables and test its claims",
-        "leaderboard": "judge contenders by the benchmark, and rank all entries",
-        "watch": "play an episode with some policies, in a window or as a video",
-        "report": "make one self-contained web page of results",
-    },
-    "train": {
-        "train": "train policies, with several training seeds; resume trainings",
-        "tune": "tune the process noise of modes, or whole banks",
-        "sweep": "run grids of comparisons and trainings, here or on a Ray cluster",
-    },
-    "measure": {"speed": "measure steps per second and latency"},
+COMMANDS = {
+    "demo": "compare all policies on simulated and ray-traced streets",
+    "localize": "compute the track of a measurement log, or find its errors",
+    "simulate": "write one episode as files: measurement log, scene and truth",
+    "compare": "compare policies on the same episodes, with paired differences",
+    "tables": "reproduce the paper's tables and test its claims",
+    "leaderboard": "judge contenders by the benchmark, and rank all entries",
+    "watch": "play an episode with some policies, in a window or as a video",
+    "report": "make one self-contained web page of results",
+    "train": "train policies, with several training seeds; resume trainings",
+    "tune": "tune the process noise of modes, or whole banks",
+    "sweep": "run grids of comparisons and trainings, here or on a Ray cluster",
+    "speed": "measure steps per second and latency",
 }
-COMMANDS = {name: about for group in GROUPS.values() for name, about in group.items()}
 RESULTS = {  # option -> ending of its file
     "json": ".json",
     "episodes-csv": ".csv",
@@ -148,14 +139,13 @@ def run(name: str, words: Sequence[str]) -> None:
 
 
 def _help() -> str:
-    """Return the list of commands in groups."""
+    """Return the list of commands, and of the options that all of them have."""
     lines = [
         "usage: mmwave-loc COMMAND [OPTIONS]; --help after a command lists its options",
         "       mmwave-loc --version; --json after it adds the versions of other packages",
     ]
-    for group, commands in (GROUPS | {"options of every command": EVERYWHERE}).items():
-        lines += ["", f"{group}:"]
-        lines += [f"  {name:12} {about}" for name, about in commands.items()]
+    for listed in (COMMANDS, EVERYWHERE):
+        lines += ["", *(f"  {name:12} {about}" for name, about in listed.items())]
     return "\n".join(lines)
 
 
