@@ -6,7 +6,6 @@
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -116,11 +115,11 @@ class Comparison:
         title = f"{escaped(self.scenario)}, {escaped(self.radio)}, {named(self.seeds)}{reward}"
         parts = [f"### {title}\n", grid(*self.table())]
         if self.paired:
+            names = [*self.policies]
             intervals = ", 95 % intervals" if len(self.seeds) > 1 else ""
-            pairs = {f"{a} - {b}": b for a, b in product(self.policies, repeat=2)}
-            subtracted = list(dict.fromkeys(pairs[pair] for pair in self.paired))
+            subtracted = [b for b in names if any(f"{a} - {b}" in self.paired for a in names)]
             rows = []
-            for name in self.policies:
+            for name in names:
                 gains = (self.paired.get(f"{name} - {reference}") for reference in subtracted)
                 rows.append([name, *(gain["reward"] if gain else "" for gain in gains)])
             table = grid(["reward of", *(f"minus {reference}" for reference in subtracted)], rows)

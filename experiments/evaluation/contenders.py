@@ -189,22 +189,20 @@ def contenders(radio: str, modes: Modes = None) -> dict[str, Make]:
     """
     bank = Bank(default_modes(radio)) if modes is None else bank_over(modes, radio)
     names = [mode.name for mode in bank.modes]
-    # (name, modes or bank, function that makes the policy)
-    rows: list[tuple[str, Any, Any]] = [
-        (f"fixed-{name}", bank.modes, lambda table, i=i: FixedMode(i))
-        for i, name in enumerate(names)
-    ]
+    makes: dict[str, Make] = {}
+
+    def add(name: str, filters: Any, policy: Any = None) -> None:
+        makes[name] = partial(Contender, filters, policy=policy, name=name)
+
+    for i, name in enumerate(names):
+        add(f"fixed-{name}", bank.modes, lambda table, i=i: FixedMode(i))
     if modes is None:
-        rows.append(("fixed-ckf", (named_modes(radio)["ckf"],), lambda table: FixedMode(0)))
+        add("fixed-ckf", (named_modes(radio)["ckf"],), lambda table: FixedMode(0))
     if len(names) == 2:
-        rows.append((RULE, bank.modes, SpeedRule))
+        add(RULE, bank.modes, SpeedRule)
     if len(names) > 1:
-        rows.append(("likelihood-rule", bank.modes, lambda table: LikelihoodRule(table, names)))
-    rows.append(("imm", bank, None))
-    makes: dict[str, Make] = {
-        name: partial(Contender, filters, policy=policy, name=name)
-        for name, filters, policy in rows
-    }
+        add("likelihood-rule", bank.modes, lambda table: LikelihoodRule(table, names))
+    add("imm", bank)
     if modes is not None:
         return makes
     makes[BEST_IMM] = lambda: Contender(best_bank(radio), name=BEST_IMM)
