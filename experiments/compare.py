@@ -22,11 +22,10 @@ def main(args: Args) -> None:
     if args.errors and args.errors == args.consistency:
         expected = "a file other than the --errors file"
         raise ValueError(f"consistency: found {args.consistency}, expected {expected}")
-    made = results(args, with_epochs=any(pictures.values()))
+    _, text, content, epochs = results(args, with_epochs=any(pictures.values()))
     if args.json:  # before show(), which fails if the program that reads its output stops
-        write_json(args.json, provenance("compare", args) | made.json)
-    epochs = made.epochs
-    show(made.text)  # also if a picture fails
+        write_json(args.json, provenance("compare", args) | content)
+    show(text)  # also if a picture fails
     if args.errors:
         draw_error_cdf(epochs.errors_m, args.errors)
     if args.consistency:

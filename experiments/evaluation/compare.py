@@ -34,8 +34,6 @@ from mmwave_env.numerics.numbers import Array
 from mmwave_env.task import Task, task_from
 from mmwave_env.world.episode import EpisodeSource
 
-MISSING = "-"  # what tables show instead of an unknown value
-
 
 def score_of(gain: float, possible: float) -> float | None:
     """Return a policy's score: 0 is the paper's rule, 100 the clairvoyant (which knows the truth).
@@ -50,7 +48,7 @@ def score_of(gain: float, possible: float) -> float | None:
 
 def score_cell(score: float | None) -> str:
     """Return a score as tables show it."""
-    return MISSING if score is None else str(round(score))
+    return "-" if score is None else str(round(score))
 
 
 @dataclass(frozen=True)

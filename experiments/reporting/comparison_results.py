@@ -5,7 +5,6 @@ For a training run, a table shows the spread over training seeds (Agarwal et al.
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -63,19 +62,16 @@ def over_training_seeds(
     return content, f"\n{about}\n\n{grid(['training seed', *columns], rows)}\n"
 
 
-class Results(NamedTuple):
-    """Results of a comparison: tables, values, and errors for pictures."""
-
-    comparison: Comparison
-    text: str  # all tables as Markdown
-    json: Json  # all results, in the form that results files store
-    epochs: EpochErrors  # errors of all epochs if they were asked for
-
-
-def results(args: CompareArgs, with_epochs: bool = False) -> Results:
+def results(
+    args: CompareArgs, with_epochs: bool = False
+) -> tuple[Comparison, str, Json, EpochErrors]:
     """Run the chosen contenders, or all of them, on the episodes that options select.
 
     If a name is the folder of a training run, its policy with the median reward is the contender.
+
+    Returns:
+        The comparison; all tables as Markdown; all results, in the form that results files store;
+        and errors of all epochs if they were asked for.
 
     Raises:
         ValueError: an option is not valid.
@@ -114,4 +110,4 @@ def results(args: CompareArgs, with_epochs: bool = False) -> Results:
     if args.percentiles:
         figures = content["position_errors"] = positions.figures()
         text += f"\n{positions_markdown('policy', figures['policies'], args.risk, args.levels)}"
-    return Results(comparison, text, content, epochs)
+    return comparison, text, content, epochs

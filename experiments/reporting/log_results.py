@@ -159,9 +159,6 @@ def inputs(args: LogArgs) -> Inputs:
     if args.sample is None:
         if args.log is None:
             raise ValueError("log: found none, expected a log as first argument, or --sample NAME")
-        if args.log.is_dir():
-            files = f"{args.log / LOG} --scene {args.log / SCENE} --truth {args.log / TRUTH}"
-            raise ValueError(f"log: found the folder {args.log}, expected files, such as {files}")
         if args.scene is None:
             raise ValueError(f"scene: found none, expected --scene FILE, the scene of {args.log}")
         *earlier, log = [args.log, *args.more]

@@ -6,7 +6,6 @@ from experiments import demo
 from experiments.evaluation.compare import compare_scores
 from experiments.evaluation.contenders import contenders
 from experiments.evaluation.positions import EpochErrors
-from experiments.reporting.comparison_results import Results
 from mmwave_env.metrics import METRICS, TERMS
 from tests.paths import json_in
 
@@ -19,7 +18,7 @@ def test_results_for_every_data_set_are_printed_and_written(tmp_path, monkeypatc
         scores = {name: dict.fromkeys((*METRICS, *TERMS), np.arange(3.0)) for name in everyone}
         episodes = {"scenario": args.data or "mixed", "seeds": range(args.episodes)}
         comparison = compare_scores(scores, radio=args.radio, **episodes)
-        return Results(comparison, str(comparison), comparison.json, EpochErrors())
+        return comparison, str(comparison), comparison.json, EpochErrors()
 
     def page_of(args):
         assert args.results == tuple(tmp_path / f"{data}.json" for data in data_sets)

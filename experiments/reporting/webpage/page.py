@@ -20,7 +20,7 @@ import numpy as np
 
 from experiments.console.options import CompareArgs, LogArgs, PageArgs
 from experiments.console.output import cells_of, unescaped
-from experiments.console.provenance import command_line, options_from
+from experiments.console.provenance import options_from, provenance
 from experiments.evaluation.agents import is_agent
 from experiments.evaluation.compare import Comparison
 from experiments.evaluation.contenders import (
@@ -144,7 +144,7 @@ def read_part(path: Path) -> Part:
     content = read_json(path, "results", dict)
     try:
         part = _track(content) if "groups" in content else _comparison(content)
-        part.origin = origin_of(str(path), content["command"], content.get("versions", {}))
+        part.origin = origin_of(str(path), content)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ValueError(f"{path}: {first_line(error)}, expected {READ}") from error
     return part
@@ -210,11 +210,11 @@ def _compared(comparison: Comparison, positions: Json | None) -> Iterator[str]:
     yield element("p", WORDS, "caption")
 
 
-def origin_of(title: str, command: str, versions: Json) -> str:
+def origin_of(title: str, content: Json) -> str:
     """Return HTML with the command and the package versions that made results or this page."""
-    made = ", ".join(f"{name} {version}" for name, version in versions.items())
-    parts = element("h3", title), element("pre", command)
-    return "".join(parts) + (element("p", f"Made with {made}.") if versions else "")
+    made = ", ".join(f"{name} {version}" for name, version in content["versions"].items())
+    parts = element("h3", title), element("pre", content["command"])
+    return "".join(parts) + element("p", f"Made with {made}.")
 
 
 LONGEST = 600  # maximum number of epochs of an episode that can be watched
@@ -359,7 +359,7 @@ def page_of(args: PageArgs) -> str:
     for part in parts:
         play(part, args.episodes, args.watch)
     origins = [part.origin for part in parts]
-    origins.append(origin_of("This page", command_line("report", args), {}))
+    origins.append(origin_of("This page", provenance("report", args)))
     # In JSON, the signs <, > and & are escaped, so that no text can end the script element.
     shown = {"episodes": [episode for part in parts for episode in part.episodes]}
     data = json.dumps(shown, allow_nan=False, separators=(",", ":"))
