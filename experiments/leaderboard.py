@@ -32,11 +32,11 @@ def main(args: Args) -> None:
     if args.keep:
         groups = [(name,) for name, file in files.items() if not file.exists()]
     for names in groups:
-        judged = []
+        judged = {}
         for site in protocol.sites():
             note(f"{', '.join(names)}: {site.name} ({site.kind})")
             count = args.draws if site.kind == protocol.RECORDED else args.episodes
-            judged.append(protocol.judge(names, site, count, args.seed))
+            judged[site] = protocol.judge(names, site, count, args.seed)
         for name in names:
             entry = provenance("leaderboard", args) | protocol.entry(name, judged)
             write_json(files[name], protocol.sealed(entry))

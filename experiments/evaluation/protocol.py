@@ -159,52 +159,43 @@ def sites() -> list[Site]:
     return made
 
 
-@dataclass(frozen=True)
-class Judged:
-    """Metrics of contenders at one site."""
-
-    site: Site
-    scores: dict[str, Scores]  # metrics by contender
-
-    def gain(self, name: str, rival: str) -> Array:
-        """Return the reward (episodes,) of a contender minus the reward of a rival."""
-        return self.scores[name]["reward"] - self.scores[rival]["reward"]
-
-    def figures(self, name: str) -> Json:
-        """Return a contender's figures at this site: means, and gains over the rule and IMMs."""
-        gains = {imm: self.gain(name, imm) for imm in IMMS if imm in self.scores and imm != name}
-        own = [self.scores[name][metric] for metric in ("reward", "ate_m")]
-        reward, ate_m, *minus = (mean.json for mean in bootstrap([*own, *gains.values()]))
-        episodes = len(own[0])
-        (over_rule,) = bootstrap([self.gain(name, RULE)[: self.site.scored(episodes)]])
-        return {
-            "episodes": episodes,
-            "reward": reward,
-            "ate_m": ate_m,
-            "over_rule": over_rule.json,
-            "minus": dict(zip(gains, minus, strict=True)),
-        }
-
-
-def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> Judged:
+def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> dict[str, Scores]:
     """Run contenders, the paper's rule and every IMM at a site, on the same episodes."""
     # Modes of an unseen radio are untuned on purpose, so suppress the warning about untuned modes.
     with warnings.catch_warnings(action="ignore"):
         everybody = dict.fromkeys([*names, RULE, *IMMS])
         chosen = [contender_from(name, site.radio) for name in everybody]
-        scores = score_contenders(chosen, site.source(), seeds_from(episodes, seed))
-    return Judged(site, scores)
+        return score_contenders(chosen, site.source(), seeds_from(episodes, seed))
 
 
-def entry(name: str, judged: Sequence[Judged]) -> Json:
+def figures_of(name: str, site: Site, scores: Mapping[str, Scores]) -> Json:
+    """Return a contender's figures at a site: means, and gains over the rule and IMMs."""
+    own = scores[name]
+    rewards = own["reward"]
+    gains = {imm: rewards - scores[imm]["reward"] for imm in IMMS if imm in scores and imm != name}
+    means = bootstrap([rewards, own["ate_m"], *gains.values()])
+    reward, ate_m, *minus = (mean.json for mean in means)
+    first = slice(site.scored(len(rewards)))
+    (over_rule,) = bootstrap([rewards[first] - scores[RULE]["reward"][first]])
+    return {
+        "episodes": len(rewards),
+        "reward": reward,
+        "ate_m": ate_m,
+        "over_rule": over_rule.json,
+        "minus": dict(zip(gains, minus, strict=True)),
+    }
+
+
+def entry(name: str, judged: Mapping[Site, Mapping[str, Scores]]) -> Json:
     """Return the entry of a contender: its figures at every site."""
-    sites = {at.site.name: at.figures(name) for at in judged}
+    sites = {site.name: figures_of(name, site, scores) for site, scores in judged.items()}
     return {"entry": name, "policy": fingerprint(name), "sites": sites}
 
 
 def sealed(content: Json) -> Json:
     """Return an entry that ends with its *seal*, the SHA-256 of everything in it."""
-    rest = {key: value for key, value in content.items() if key != "seal"}
+    rest = {**content}
+    rest.pop("seal", None)
     text = json.dumps(rest, sort_keys=True)
     return rest | {"seal": hashlib.sha256(text.encode()).hexdigest()}
 
@@ -394,7 +385,7 @@ def _differences(claimed: Json, site: Site) -> Iterator[str]:
 
 
 def _played(name: str, site: Site, episodes: int, seed: int) -> dict[str, Interval]:
-    return _figures(judge([name], site, episodes, seed).figures(name))
+    return _figures(figures_of(name, site, judge([name], site, episodes, seed)))
 
 
 def _figures(stated: Json) -> dict[str, Interval]:

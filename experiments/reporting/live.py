@@ -83,8 +83,7 @@ def run_live(args: LogArgs) -> None:
                 tracker, why = _tracker(args, scene, first, levels)
         for user, position in tracker.step(epochs) if tracker else ():
             if not began or (position.begins and not user):
-                of = f" of {user}" if user else ""
-                note(f"a track{of} begins, or begins anew, at {position.time_s!r} s: {why}")
+                note(f"a track begins, or begins anew, at {position.time_s!r} s: {why}")
             content: Json = {"ue": user} if user else {}
             content |= _formatted(args, position, origin)
             late = tracker.smoothed() if tracker and args.lag else None

@@ -26,7 +26,9 @@ RULES: dict[str, tuple[Rule, str]] = {  # --follow -> (rule, words before "speed
 
 
 def is_algorithm_1(args: LogArgs) -> bool:
-    """Return whether an option of the paper's Algorithm 1 is set."""
+    """Return whether the paper's Algorithm 1 is chosen, by one of its options."""
+    if args.imm or args.policy:
+        return False
     chosen = args.speed is not None or args.modes is not None
     return chosen or args.robust or args.follow != "prediction"
 
@@ -77,7 +79,7 @@ def choice_of(args: LogArgs, radio: str, elevations: bool) -> tuple[Switching, s
         if args.robust:
             bank = replace(bank, modes=tuple(map(robust, bank.modes)))
         return Switching(bank), f"of {args.imm}, weighted by their probability"
-    if args.policy is not None or not is_algorithm_1(args):
+    if not is_algorithm_1(args):
         if args.policy is None and not elevations:
             why = f"of {WITHOUT_ELEVATIONS} (no elevations), weighted by their probability"
             return Switching(_bank(WITHOUT_ELEVATIONS, radio)), why

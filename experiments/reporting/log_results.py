@@ -382,7 +382,7 @@ def _figures(args: LogArgs, files: Inputs, work: Work, track: Track) -> Json:
         "radio": work.profile + (", chosen by auto" if args.radio == AUTO else ""),
         "rule": work.why,
         "range_step_m": work.range_step_m,
-        "algorithm_1": args.imm is None and args.policy is None and is_algorithm_1(args),
+        "algorithm_1": is_algorithm_1(args),
         **track_statistics(track),
         "groups": groups,
         **{name: figures for name, figures in more.items() if figures},

@@ -23,7 +23,7 @@ def entries(tmp_path_factory):
     """Return a folder with the files of two policies, which were evaluated on few episodes."""
     folder = tmp_path_factory.mktemp("entries")
     names = ["imm-best", "speed-rule"]
-    judged = [judge(names, site, 2, 0) for site in sites()]
+    judged = {site: judge(names, site, 2, 0) for site in sites()}
     for name in names:
         write_json(folder / f"{name}.json", sealed(entry(name, judged)))
     return folder

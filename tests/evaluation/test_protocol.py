@@ -13,9 +13,9 @@ from experiments.evaluation.protocol import (
     KINDS,
     TRAINED,
     UNSEEN,
-    Judged,
     entries_in,
     entry,
+    figures_of,
     judge,
     mean_gain,
     score_at,
@@ -50,12 +50,13 @@ def test_the_protocol_has_the_documented_numbers_of_sites():
 @pytest.mark.slow  # compiles every IMM
 def test_a_policy_is_compared_with_every_imm_on_the_same_episodes():
     (site,) = (site for site in sites() if site.name == "street:tablet")
-    judged = judge(["speed-rule", "imm-best"], site, 4, seed=3)
-    figures = judged.figures("speed-rule")
-    expected = judged.gain("speed-rule", "imm").mean()
+    scores = judge(["speed-rule", "imm-best"], site, 4, seed=3)
+    figures = figures_of("speed-rule", site, scores)
+    reward = scores["speed-rule"]["reward"]
+    expected = (reward - scores["imm"]["reward"]).mean()
     assert figures["minus"]["imm"]["mean"] == pytest.approx(expected)
-    assert figures["reward"]["mean"] == pytest.approx(judged.scores["speed-rule"]["reward"].mean())
-    assert "imm-best" not in judged.figures("imm-best")["minus"]
+    assert figures["reward"]["mean"] == pytest.approx(reward.mean())
+    assert "imm-best" not in figures_of("imm-best", site, scores)["minus"]
 
 
 @pytest.mark.parametrize(
@@ -69,8 +70,7 @@ def test_an_entry_is_above_or_below_the_imms_or_level_with_them(gains, expected)
     rewards = {"mine": base, "imm": base - gains[0] + noise, "imm-best": base - gains[1] - noise}
     rewards["speed-rule"] = base
     scores = {name: {"reward": reward, "ate_m": base} for name, reward in rewards.items()}
-    judged = Judged(sites()[0], scores)
-    assert standing(judged.figures("mine")) == expected
+    assert standing(figures_of("mine", sites()[0], scores)) == expected
 
 
 def entries():
@@ -79,7 +79,7 @@ def entries():
     scores = {
         name: dict.fromkeys(("reward", "ate_m"), np.full(3, r)) for name, r in rewards.items()
     }
-    judged = [Judged(site, scores) for site in sites()]
+    judged = dict.fromkeys(sites(), scores)
     return {name: entry(name, judged) for name in rewards}
 
 
