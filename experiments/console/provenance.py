@@ -52,6 +52,9 @@ def options_from(kind: type[Any], content: Json) -> Any:
         KeyError: the file does not name the command.
     """
     _, name, *words = shlex.split(str(content["command"]))
+    for word in words:  # some options end the program, or write a file of the parser's
+        if word in ("-h", "--help") or word.startswith("--tyro"):
+            raise ValueError(f"command: found {word}, expected options of results")
     return parsed(kind, name, words)
 
 

@@ -122,14 +122,20 @@ def test_a_track_can_be_played_with_its_gate_decisions(tmp_path, track):
 
 def test_tables_are_shown_even_if_episodes_cannot_be_played_again(tmp_path, track):
     content = {"gone": track | {"command": "mmwave-loc localize gone.csv --scene street"}}
-    for name in ("compare", "compare --dt fast", "speed --sizes 8"):
+    script = tmp_path / "script"
+    ends = f"compare --tyro-write-completion bash {script}"
+    for name in ("compare", "compare --dt fast", "speed --sizes 8", "compare --help", ends):
         command = f"mmwave-loc {name}"
         content[name] = results.comparison(("os:getcwd", "never:made"), command=command)
-    files = [write_json(tmp_path / f"{name}.json", part) for name, part in content.items()]
+    files = [
+        write_json(tmp_path / f"{number}.json", part)
+        for number, part in enumerate(content.values())
+    ]
     page = report(tmp_path, *files)
-    for words in ("--dt", "--sizes", "gone.csv", "os:getcwd was", "never:made was"):
+    refused = ("--dt", "--sizes", "found --help", "found --tyro-write-completion")
+    for words in (*refused, "gone.csv", "os:getcwd was", "never:made was"):
         assert words in page.text
-    assert page.text.count("Means ±") == 3
+    assert page.text.count("Means ±") == 5 and not script.exists()
 
 
 def test_hostile_names_neither_break_the_page_nor_run_code_in_it(tmp_path, track):
