@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from experiments.console.output import escaped, grid
-from experiments.evaluation.positions import KINDS, positions_markdown
+from experiments.evaluation.positions import positions_markdown
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS
 from mmwave_env.io.files import Json
 from mmwave_env.localization.readings import AS_IT_IS, Finding
@@ -126,13 +126,12 @@ def _accuracy(truth: Json, epochs: int) -> str:
     header = ["track", *(HEADERS[m].replace("in 95", "NEES in 95") for m in metrics)]
     rows = [[name, *(_decimals(row[m]) for m in metrics)] for name, row in truth["tracks"].items()]
     low, high = truth["nees_interval"]
-    kinds = {n: {k: row[k] for k in KINDS if k in row} for n, row in truth["tracks"].items()}
     over = "" if truth["rpe_s"] is None else f"RPE is computed over {truth['rpe_s']:.3g} s; "
     return (
         f"{grid(header, rows)}\n\n{truth['scored']} of {epochs} epochs have a true position. {over}"
         f"NEES should be {truth['nees_expected']} on average, and 95 % of its values should be "
         f"within [{low:.2f}, {high:.2f}].\n\n"
-        f"{positions_markdown('track', kinds, truth['risk'], truth['levels'])}"
+        f"{positions_markdown('track', truth['tracks'], truth['risk'], truth['levels'])}"
     )
 
 
