@@ -99,7 +99,7 @@ def results(
     content = comparison.json
     # the same run by two names is refused here
     files = [contender_of(args, file) for run in runs.values() for file in run.policies]
-    trained = score_contenders(files, task.source, seeds, scoring=scoring)
+    trained = score_contenders(files, task.source, seeds, scoring=scoring) if files else {}
     spreads = {}
     for name, run in runs.items():
         of_seeds = [trained[file] for file in run.policies]

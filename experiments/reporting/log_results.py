@@ -159,6 +159,8 @@ def inputs(args: LogArgs) -> Inputs:
     if args.sample is None:
         if args.log is None:
             raise ValueError("log: found none, expected a log as first argument, or --sample NAME")
+        if args.log.is_dir():
+            raise ValueError(f"log: found the folder {args.log}, expected {args.log / LOG}")
         if args.scene is None:
             raise ValueError(f"scene: found none, expected --scene FILE, the scene of {args.log}")
         *earlier, log = [args.log, *args.more]
