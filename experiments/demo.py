@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from experiments.console.options import EpisodeArgs, PageArgs
+from experiments.console.options import CompareArgs, PageArgs
 
 RECORDINGS = "canyon28_pedestrian", "canyon28_vehicle"
 
@@ -31,8 +31,7 @@ class Args:
 def main(args: Args) -> None:
     """Run the command."""
     from experiments.console.output import note, say, show
-    from experiments.console.provenance import options_of, provenance
-    from experiments.evaluation.contenders import all_contenders
+    from experiments.console.provenance import provenance
     from experiments.reporting.comparison_results import results
     from experiments.reporting.webpage.page import page_of
     from mmwave_env.io.files import write_json, write_text
@@ -40,16 +39,14 @@ def main(args: Args) -> None:
     counts = {None: args.episodes} | dict.fromkeys(RECORDINGS, args.draws)
     tables = []
     files = []
-    made = provenance("demo", args)
     for data, count in counts.items():
-        options = EpisodeArgs(data=data, episodes=count, percentiles=args.percentiles)
-        names = all_contenders(options)
-        note(f"{data or 'mixed'}: {len(names)} policies, {count} episodes each")
-        result, text, content, _ = results(options, names)
+        options = CompareArgs(data=data, episodes=count, percentiles=args.percentiles)
+        note(f"{data or 'mixed'}: {count} episodes with each policy")
+        result, text, content, _ = results(options)
         show(str(replace(result, paired={})))
         tables.append(text)
         files.append(args.out / f"{result.scenario}.json")
-        write_json(files[-1], made | {"options": options_of(options)} | content)
+        write_json(files[-1], provenance("compare", options) | content)
     write_text(args.out / "tables.md", "\n".join(tables))
     report = PageArgs(results=tuple(files), out=args.out / "report.html")
     note("web page: rerunning some episodes to show them epoch by epoch")

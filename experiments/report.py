@@ -11,7 +11,7 @@ def main(args: Args) -> None:
     from mmwave_env.io.files import require_writable, write_text
 
     if not args.results:
-        raise ValueError("results: found none, expected at least one file or folder")
+        raise ValueError("results: found none, expected at least one file")
     require_at_least(0, args, "episodes", "watch")
     if args.out.suffix != ".html":
         raise ValueError(f"out: found {args.out}, expected a name that ends with .html")

@@ -47,11 +47,10 @@ def main(args: Args) -> None:
     require_extra("filterpy", "filterpy", "speed")
     from experiments.console.output import show
     from experiments.console.provenance import provenance
-    from experiments.timing.measured import Measured, tables_of
+    from experiments.timing.measured import measured, tables_of
 
-    measured = Measured(args.sizes)
-    measured.measure(args.seconds, args.repeats)
-    tables = tables_of(measured)
+    figures = measured(args.sizes, args.seconds, args.repeats)
+    tables = tables_of(figures)
     show("\n".join(f"### {title}\n\n{table}\n" for title, table in tables.items()))
     if args.json:
-        write_json(args.json, provenance("speed", args) | measured.json())
+        write_json(args.json, provenance("speed", args) | figures)

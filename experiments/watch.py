@@ -41,7 +41,7 @@ def main(args: Args) -> None:
     """Run the command."""
     from experiments.console.output import progress, say, tracked
     from experiments.evaluation.contenders import contender_of, seeds_from, task_of
-    from experiments.reporting.histories import histories_of
+    from experiments.evaluation.runner import histories_of
     from mmwave_env.rendering.video import write_video
 
     _check(args)

@@ -18,7 +18,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from experiments.evaluation.contenders import Run
-from experiments.reporting.webpage.page import curves_of, read_source
+from experiments.reporting.webpage.page import read_part
 from experiments.training.hyperparameters import read_hyperparameters, shipped_hyperparameters
 from mmwave_env.datasets.deepmimo.recording import read_deepmimo
 from mmwave_env.datasets.recorded import Recording
@@ -90,9 +90,6 @@ LIMITS = {"jerk_mps3": 1.0, "corner_radius_m": 1.0}
 LIMITS |= {f"{kind}_mps2": [0.5, 1.0] for kind in ("acceleration", "braking", "lateral")}
 WALK = {"phases": [{"limits": LIMITS, "gaits": [{"low_mps": 1.0, "high_mps": 1.5}]}]}
 ROUTE = b"t,x,y,z\n" + b"".join(b"%.1f,%.2f,-20.0,1.5\n" % (0.1 * i, 20 + i) for i in range(30))
-PROGRESS = b"timesteps,train/loss,tuning/minus imm\n" + b"".join(
-    b"%d,%.2f,%s\n" % (1000 * i, 1.0 / (1 + i), b"" if i % 2 else b"0.0%d" % i) for i in range(9)
-)
 LOG = head(RIDE / "log.csv", 40)
 HYPERPARAMETERS = json_in(shipped_hyperparameters("ppo"))
 RESULTS = json_in(ROOT / "docs" / "results.json")
@@ -117,9 +114,7 @@ READERS = {
         "h.json", HYPERPARAMETERS, partial(read_hyperparameters, algorithm="ppo")
     ),
     "summary": alone("summary.json", SUMMARY, lambda path: Run.read(str(path.parent))),
-    "results": alone("c.json", RESULTS, read_source),
-    "run": alone("run.json", SUMMARY, lambda path: read_source(path.parent)),
-    "progress log": alone("progress.csv", PROGRESS, curves_of),
+    "results": alone("c.json", RESULTS, read_part),
 }
 
 
@@ -143,7 +138,7 @@ def numbers_in(content):
 
 # Readers accept NaN in these files. Most of these files are only displayed, and no computation uses
 # their numbers; in logs of signal paths, NaN means a missing value.
-MAY_BE_NAN = ("results", "run", "summary", "progress log", "policy", "log of signal paths")
+MAY_BE_NAN = ("results", "summary", "policy", "log of signal paths")
 
 
 def read(kind, folder):

@@ -5,49 +5,32 @@ function ``main``. Options are read before slow imports, so help and errors appe
 """
 
 import importlib
-import inspect
 import os
-import re
 import signal
 import sys
-import textwrap
 import traceback
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
-from io import StringIO, TextIOWrapper
+from contextlib import contextmanager, redirect_stdout, suppress
+from io import TextIOWrapper
 from typing import Any, NoReturn
 
 from experiments.console.signals import heed_signals
 
-GROUPS = {
-    "begin": {
-        "demo": "compare all policies on simulated and ray-traced streets",
-    },
-    "localize": {
-        "localize": "compute the track of a measurement log, or find its errors",
-        "simulate": "write one episode as files: measurement log, scene and truth",
-    },
-    "compare": {
-        "compare": "compare policies on the same episodes, with paired differences",
-        "tables": "reproduce the paper's tables and test its claims",
-        "leaderboard": "judge contenders by the benchmark, and rank all entries",
-        "watch": "play an episode with some policies, in a window or as a video",
-        "report": "make one self-contained web page of results",
-    },
-    "train": {
-        "train": "train policies, with several training seeds; resume trainings",
-        "tune": "tune the process noise of modes, or whole banks",
-        "sweep": "run grids of comparisons and trainings, here or on a Ray cluster",
-    },
-    "measure": {"speed": "measure steps per second and latency"},
+COMMANDS = {
+    "demo": "compare all policies on simulated and ray-traced streets",
+    "localize": "compute the track of a measurement log, or find its errors",
+    "simulate": "write one episode as files: measurement log, scene and truth",
+    "compare": "compare policies on the same episodes, with paired differences",
+    "tables": "reproduce the paper's tables and test its claims",
+    "leaderboard": "judge contenders by the benchmark, and rank all entries",
+    "watch": "play an episode with some policies, in a window or as a video",
+    "report": "make one self-contained web page of results",
+    "train": "train policies, with several training seeds; resume trainings",
+    "tune": "tune the process noise of modes, or whole banks",
+    "sweep": "run grids of comparisons and trainings, here or on a Ray cluster",
+    "speed": "measure steps per second and latency",
 }
-# line between the parts of tyro's messages, which have frames where the terminal shows UTF-8
-RULE = re.compile("^(?: +-+ *|│ ─+ │|[╭╰].*)$", re.MULTILINE)
-WRONG_TYPE = re.compile(
-    r"^Error parsing (--[\w-]+): no type matching (.+) could be instantiated from \[(.*)\]"
-)
-COMMANDS = {name: about for group in GROUPS.values() for name, about in group.items()}
 RESULTS = {  # option -> ending of its file
     "json": ".json",
     "episodes-csv": ".csv",
@@ -73,35 +56,11 @@ def read_arguments(name: str, words: Sequence[str]) -> Any:
     """Parse words of a command line into the ``Args`` of a command's module.
 
     Raises:
-        SystemExit: with 0 after showing help, with 2 after one line about a wrong option.
+        ValueError, SystemExit: same as for :func:`~experiments.console.options.parsed`.
     """
-    import tyro
+    from experiments.console.options import parsed  # slow: it imports tyro
 
-    program = f"mmwave-loc {name}"
-    arguments = importlib.import_module(f"experiments.{name}").Args
-    config = (tyro.conf.DisallowNone, tyro.conf.PositionalMetavarFromFieldName)
-    # tyro joins the lines of a paragraph, except lines that begin with a space.
-    about = textwrap.indent(inspect.getdoc(arguments) or "", " ")
-    box = StringIO()
-    try:
-        with redirect_stderr(box):
-            return tyro.cli(arguments, prog=program, description=about, args=words, config=config)
-    except SystemExit as end:
-        if end.code:
-            _print_problem(f"{program}: {_message(box.getvalue())}")
-        raise
-
-
-def _message(box: str) -> str:
-    """Return, in one line, tyro's message about a mistake and the option that tyro suggests."""
-    parts = [" ".join(part.replace("│", "").split()) for part in RULE.split(box)]
-    message = parts[1].partition(" Got errors")[0]
-    message = re.sub(r"^Missing from .*?: ", "required: ", message).rstrip(".")
-    message = WRONG_TYPE.sub(r"\1: found \3, expected \2", message)
-    close = re.match(r"Perhaps you meant: (--[\w-]+(, --[\w-]+)*)", parts[2])
-    if close:
-        return f"{message}; did you mean {close[1]}?"
-    return f"{message}; --help lists all options"
+    return parsed(importlib.import_module(f"experiments.{name}").Args, name, words)
 
 
 def _print_problem(text: str) -> None:
@@ -180,14 +139,13 @@ def run(name: str, words: Sequence[str]) -> None:
 
 
 def _help() -> str:
-    """Return the list of commands in groups."""
+    """Return the list of commands, and of the options that all of them have."""
     lines = [
         "usage: mmwave-loc COMMAND [OPTIONS]; --help after a command lists its options",
         "       mmwave-loc --version; --json after it adds the versions of other packages",
     ]
-    for group, commands in (GROUPS | {"options of every command": EVERYWHERE}).items():
-        lines += ["", f"{group}:"]
-        lines += [f"  {name:12} {about}" for name, about in commands.items()]
+    for listed in (COMMANDS, EVERYWHERE):
+        lines += ["", *(f"  {name:12} {about}" for name, about in listed.items())]
     return "\n".join(lines)
 
 

@@ -1,14 +1,21 @@
-"""Options that several commands share.
+"""Options that several commands share, and their parser.
 
 Help must appear at once, so this module imports nothing slow: it copies some constants of the
 library, and a test checks that the copies agree.
 """
 
+import inspect
 import os
+import re
+import textwrap
+from collections.abc import Sequence
+from contextlib import redirect_stderr
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 from typing import Any, Literal
 
+import tyro
 from tyro.conf import Positional
 
 USUAL_EPISODES = 1000
@@ -17,6 +24,50 @@ AUTO = "auto"  # --radio auto: the radio profile whose noise is nearest to the n
 TUNING_SEED = 5_000_000
 TRAINING_SEED = 10_000_000
 SEEDS_EACH = 1_000_000  # number of seeds reserved for the episodes of each training run
+
+
+# line between the parts of tyro's messages, which have frames where the terminal shows UTF-8
+RULE = re.compile("^(?: +-+ *|│ ─+ │|[╭╰].*)$", re.MULTILINE)
+WRONG_TYPE = re.compile(
+    r"^Error parsing (--[\w-]+): no type matching (.+) could be instantiated from \[(.*)\]"
+)
+
+
+def parsed(kind: type[Any], name: str, words: Sequence[str]) -> Any:
+    """Return the options that words of a command line set; ``name`` is the command's name.
+
+    Raises:
+        ValueError: an option is wrong.
+        SystemExit: with 0, after showing help.
+    """
+    config = (tyro.conf.DisallowNone, tyro.conf.PositionalMetavarFromFieldName)
+    # tyro joins the lines of a paragraph, except lines that begin with a space.
+    about = textwrap.indent(inspect.getdoc(kind) or "", " ")
+    box = StringIO()
+    try:
+        with redirect_stderr(box):
+            return tyro.cli(
+                kind, prog=f"mmwave-loc {name}", description=about, args=words, config=config
+            )
+    except SystemExit as end:
+        if end.code:
+            raise ValueError(_message(box.getvalue())) from end
+        raise
+
+
+def _message(box: str) -> str:
+    """Return, in one line, tyro's message about a mistake and the option that tyro suggests."""
+    parts = [" ".join(part.replace("│", "").split()) for part in RULE.split(box)]
+    message = parts[1].partition(" Got errors")[0]
+    message = re.sub(r"^Missing from .*?: ", "required: ", message).rstrip(".")
+    message = WRONG_TYPE.sub(r"\1: found \3, expected \2", message)
+    message = re.sub(
+        r"^Error parsing (.*): invalid.*: (.*)", r"\1: found \2, expected INT", message
+    )
+    close = re.match(r"Perhaps you meant: (--[\w-]+(, --[\w-]+)*)", parts[2])
+    if close:
+        return f"{message}; did you mean {close[1]}?"
+    return f"{message}; --help lists all options"
 
 
 def require_at_least(least: int, args: Any, *names: str) -> None:
@@ -139,13 +190,85 @@ class EpisodeArgs(ModeArgs, IntegrityArgs, JsonArgs):
     """also show percentiles of horizontal and vertical
     errors, the shares of errors within some distances, and
     how often errors exceed their protection levels"""
-    episodes: int | None = None
-    """number of episodes (None: 1000); results to publish need 1000 or more"""
-    seed: int | None = None
-    """seed of the first episode (None: 0); test seeds start
+    episodes: int = USUAL_EPISODES
+    """number of episodes; results to publish need 1000 or more"""
+    seed: int = 0
+    """seed of the first episode; test seeds start
     at 0, tuning seeds at 5000000"""
     reward: str = "tracking"
     """reward to report: tracking or log-score"""
+
+
+@dataclass(kw_only=True)
+class CompareArgs(EpisodeArgs):
+    """Compare policies on the same seeded episodes, with paired differences.
+
+    Differences are paired, episode by episode. All metrics, including the reward,
+    leave out the first 10 epochs of an episode. Every policy is paired with the
+    references (best fixed mode, speed-rule, imm, imm-best). Your own agents and
+    policy files are paired with all others. If no policy is a reference, all pairs
+    are compared.
+
+        mmwave-loc compare --policies fixed-ukf speed-rule imm ppo --episodes 200
+    """
+
+    policies: tuple[str, ...] = ()
+    """fixed-NAME (a mode in every epoch: fixed-ekf, fixed-ukf
+    or fixed-ckf); speed-rule (the paper's rule: EKF up to
+    2 m/s, UKF above); likelihood-rule (the mode that
+    explains the coming measurement best); imm (interacting
+    multiple models: mixes all modes) and imm-best (of five
+    tuned modes); the learned ppo, guided, guided-ppo and
+    corrector; policy files (.safetensors); folders of runs
+    from `mmwave-loc train`; and module:function, a function
+    without arguments that returns an agent. By default, all
+    of these names run, but not clairvoyant, which knows the
+    truth. If speed-rule (score 0) and clairvoyant (score
+    100) both run, all policies get a score"""
+    errors: Path | None = None
+    """draw the distribution (CDF) of horizontal and of
+    vertical errors to this .png, .svg or .pdf file"""
+    consistency: Path | None = None
+    """draw NEES over time, with its chi-square bounds, to this file"""
+
+
+@dataclass(kw_only=True)
+class LeaderboardArgs:
+    """Judge policies and IMMs by the benchmark's protocol; rank all entries.
+
+    A site is a street or a recording, with a radio. Contenders are not trained
+    here. They run, together with the paper's rule and every IMM, at four kinds
+    of sites: the nine sites where policies may be trained, unseen sites,
+    recordings, and hard sites (unusual motion or receivers). A contender's
+    entry (its results at all sites) is written to a JSON file in the folder
+    --out. The tables show all entries in this folder, and four shipped entries,
+    ranked by their gains over imm-best at the sites to train in; the last table
+    has the scores. One of the entries is for the clairvoyant, a policy that
+    knows the truth; its score is 100 by definition.
+
+        mmwave-loc leaderboard --policies imm-best --episodes 400 --draws 20
+    """
+
+    policies: tuple[str, ...] = ()
+    """contenders, as in mmwave-loc compare; if none is named,
+    only existing entries are shown"""
+    episodes: int = 2000
+    """number of episodes on each simulated street"""
+    draws: int = 200
+    """number of draws of receiver noise on each recording"""
+    seed: int = 0
+    """seed of the first episode; test seeds, for reported results, start at 0"""
+    out: Path = Path("results/leaderboard")
+    """folder of entries, one JSON file each"""
+    keep: bool = False
+    """skip the policies that already have an entry in the
+    folder; judge the others one by one, and write each
+    entry when it is ready, so that the same command
+    continues after an interruption"""
+    verify: tuple[Path, ...] = ()
+    """entries (JSON files) to verify: their policies play
+    again at two sites, the claimed episodes and 50 of
+    seeds drawn at random, and must reach their figures"""
 
 
 @dataclass(kw_only=True)
@@ -411,17 +534,16 @@ class PageArgs:
 
     The page says which policy won by how much, and has tables, distributions of
     errors (CDF) and episodes to play. Results are JSON files (--json) of the
-    commands compare, demo and localize, and folders of runs of train. Results
-    do not store single epochs, so the command runs episodes again, with the
-    stored options. Agents in your own code (module:function) are not run again:
-    the page lacks their episodes, and shows their errors only if the files
-    store them.
+    commands compare, demo and localize. Results do not store single epochs, so
+    the command runs episodes again, with the stored options. Agents in your own
+    code (module:function) are not run again: the page lacks their episodes, and
+    shows their errors only if the files store them.
 
-        mmwave-loc report results.json runs/train --out report.html
+        mmwave-loc report results.json --out report.html
     """
 
     results: Positional[tuple[Path, ...]]
-    """JSON files of results, and folders of runs"""
+    """JSON files of results"""
     out: Path = Path("report.html")
     """web page to write"""
     episodes: int = 30

@@ -1,23 +1,20 @@
 """Output of commands: printed lines, progress bars, and tables.
 
-Tables are Markdown or CSV. Bars, and tables with frames, are shown only on a terminal.
+Tables are Markdown or CSV. Bars, and tables with aligned columns, are shown only on a terminal.
 """
 
 import csv
 import re
-import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from io import StringIO
 from typing import TypeVar
 
-from rich import box
+from rich.cells import cell_len, set_cell_size
 from rich.console import Console
 from rich.markdown import Markdown
 from rich.progress import Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
-from rich.text import Text
 
 from mmwave_env.io.lookup import printable
 
@@ -115,15 +112,14 @@ def show(text: str) -> None:
         return
     for part in TABLE.split(text):
         if part.startswith("|"):
-            for table in _tables(part, console):
-                table.width = _width(table, console)
-                console.print("", table, "", crop=False)
+            for lines in _tables(part, console.width):
+                print("", *lines, "", sep="\n")
         else:
             console.print(Markdown(part))
 
 
-def _tables(text: str, console: Console) -> Iterator[Table]:
-    """Split a Markdown table into tables that fit the console, each with the first column.
+def _tables(text: str, width: int) -> Iterator[list[str]]:
+    """Split a Markdown table into tables of this width, each with the first column, as lines.
 
     Neither cells nor headers are wrapped.
     """
@@ -131,24 +127,16 @@ def _tables(text: str, console: Console) -> Iterator[Table]:
     first, *others = zip(header, *rows, strict=True)
     group = [first]
     for column in others:
-        if len(group) > 1 and _width(_table([*group, column]), console) > console.width:
-            yield _table(group)
+        if len(group) > 1 and cell_len(_aligned([*group, column])[0]) > width:
+            yield _aligned(group)
             group = [first]
         group.append(column)
-    yield _table(group)
+    yield _aligned(group)
 
 
-def _table(columns: Sequence[Sequence[str]]) -> Table:
-    """Return a table of columns; the first text of each column is its header."""
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
-    for header, *_ in columns:
-        table.add_column(Text(header), no_wrap=True)
-    for cells in zip(*(column[1:] for column in columns), strict=True):
-        table.add_row(*map(Text, cells))
-    return table
-
-
-def _width(table: Table, console: Console) -> int:
-    """Return the width of a table in which nothing is wrapped."""
-    unlimited = console.options.update(max_width=sys.maxsize)
-    return console.measure(table, options=unlimited).maximum
+def _aligned(columns: Sequence[Sequence[str]]) -> list[str]:
+    """Return the lines of a table of columns; the first text of each column is its header."""
+    widths = [max(map(cell_len, column)) for column in columns]
+    rows = zip(*columns, strict=True)
+    header, *lines = ["  ".join(map(set_cell_size, cells, widths)) for cells in rows]
+    return [header, "─" * cell_len(header), *lines]

@@ -1,20 +1,17 @@
-"""Provenance of results: the command, its options and the versions that made them."""
+"""Provenance of results: the command and the versions that made them."""
 
-import json
 import platform
 import shlex
 from collections.abc import Collection
 from dataclasses import fields
-from pathlib import Path
-from typing import Any, TypeVar, get_args, get_type_hints
+from typing import Any, get_args, get_type_hints
 
 from tyro.conf import Positional
 
+from experiments.console.options import parsed
 from mmwave_env.io.files import Json
-from mmwave_env.io.records import require
 from policies.policy_file import versions_of
 
-T = TypeVar("T")
 # options that name the files to write
 OUTPUTS = {"json", "episodes_csv", "errors", "consistency", "plot", "out", "map_out"}
 
@@ -43,34 +40,22 @@ def command_line(name: str, args: Any, aside: Collection[str] = ()) -> str:
 
 
 def provenance(name: str, args: Any) -> Json:
-    """Return the command, its options (except output files) and versions, to store with results."""
-    command = command_line(name, args, OUTPUTS)
-    return {"command": command, "options": options_of(args), "versions": versions()}
+    """Return the command (without output files) and versions, to store with results."""
+    return {"command": command_line(name, args, OUTPUTS), "versions": versions()}
 
 
-def options_of(args: Any) -> Json:
-    """Return options in the form that results files store: no output files, paths as text."""
-    options = {name: value for name, value in vars(args).items() if name not in OUTPUTS}
-    return json.loads(json.dumps(options, default=str))  # type: ignore[no-any-return]
-
-
-def options_from(kind: type[T], content: Json) -> T:
-    """Return an instance of ``kind`` with the options in a results file and defaults for the rest.
+def options_from(kind: type[Any], content: Json) -> Any:
+    """Return the options of the command that made the results in a file.
 
     Raises:
-        ValueError: the file has no options, or a value is not of its option's type.
+        ValueError: the command does not have this kind of options.
+        KeyError: the file does not name the command.
     """
-    stored: Any = content.get("options")
-    options: dict[str, Any] = {}
-    require("options", stored, dict)
-    for name, hint in get_type_hints(kind).items():
-        if name in stored and name not in OUTPUTS:
-            value = stored[name]
-            if Path in get_args(hint) and isinstance(value, str):
-                value = Path(value)
-            require(f"options: {name}", value, hint)
-            options[name] = tuple(value) if isinstance(value, list) else value
-    return kind(**options)
+    _, name, *words = shlex.split(str(content["command"]))
+    for word in words:  # some options end the program, or write a file of the parser's
+        if word in ("-h", "--help") or word.startswith("--tyro"):
+            raise ValueError(f"command: found {word}, expected options of results")
+    return parsed(kind, name, words)
 
 
 def versions() -> dict[str, str]:

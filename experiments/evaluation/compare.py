@@ -6,7 +6,6 @@
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -35,8 +34,6 @@ from mmwave_env.numerics.numbers import Array
 from mmwave_env.task import Task, task_from
 from mmwave_env.world.episode import EpisodeSource
 
-MISSING = "-"  # what tables show instead of an unknown value
-
 
 def score_of(gain: float, possible: float) -> float | None:
     """Return a policy's score: 0 is the paper's rule, 100 the clairvoyant (which knows the truth).
@@ -51,7 +48,7 @@ def score_of(gain: float, possible: float) -> float | None:
 
 def score_cell(score: float | None) -> str:
     """Return a score as tables show it."""
-    return MISSING if score is None else str(round(score))
+    return "-" if score is None else str(round(score))
 
 
 @dataclass(frozen=True)
@@ -116,11 +113,11 @@ class Comparison:
         title = f"{escaped(self.scenario)}, {escaped(self.radio)}, {named(self.seeds)}{reward}"
         parts = [f"### {title}\n", grid(*self.table())]
         if self.paired:
+            names = [*self.policies]
             intervals = ", 95 % intervals" if len(self.seeds) > 1 else ""
-            pairs = {f"{a} - {b}": b for a, b in product(self.policies, repeat=2)}
-            subtracted = list(dict.fromkeys(pairs[pair] for pair in self.paired))
+            subtracted = [b for b in names if any(f"{a} - {b}" in self.paired for a in names)]
             rows = []
-            for name in self.policies:
+            for name in names:
                 gains = (self.paired.get(f"{name} - {reference}") for reference in subtracted)
                 rows.append([name, *(gain["reward"] if gain else "" for gain in gains)])
             table = grid(["reward of", *(f"minus {reference}" for reference in subtracted)], rows)
@@ -199,7 +196,6 @@ def comparison_of(
     return compare_scores(scores, own, **names, seeds=seeds, reward=reward_name(task.reward))
 
 
-USUAL_EPISODES = 200
 Agent = AnyPath | Act
 
 
@@ -208,8 +204,8 @@ def compare(
     beside: Sequence[str] = ("fixed-ukf", "speed-rule", "imm"),
     scenario: str | None = None,
     radio: str = "handset",
-    episodes: int | None = None,
-    seed: int | None = None,
+    episodes: int = 200,
+    seed: int = 0,
     modes: Modes = None,
     observation: str = "full",
     data: AnyPath | EpisodeSource | None = None,
@@ -228,8 +224,8 @@ def compare(
         beside: names of known contenders to compare with, none or several, from
             :func:`~experiments.evaluation.contenders.contenders`.
         scenario, radio: same as in the environment.
-        episodes: number of episodes, 200 by default; results to publish need 1000 or more.
-        seed: seed of the first episode, 0 by default; training uses seeds from 10 million on.
+        episodes: number of episodes; results to publish need 1000 or more.
+        seed: seed of the first episode; training uses seeds from 10 million on.
         modes, observation, beliefs: settings that agents were trained with, as in the environment;
             policy files have their own. An agent given as "imm" is an IMM that mixes these modes;
             a bank or file in ``modes`` also sets its transition probabilities and NIS quantile.
@@ -252,7 +248,7 @@ def compare(
         raise ValueError("policies: found none, expected at least one")
     task = task_from(scenario=scenario, radio=radio, episodes=data, **world)
     scoring = Scoring.of(task)
-    seeds = seeds_from(episodes, seed, USUAL_EPISODES)
+    seeds = seeds_from(episodes, seed)
     settings = (radio, modes, observation, beliefs)
     everybody = [_contender(name, agent, *settings) for name, agent in policies.items()]
     everybody += [contender_from(name, radio) for name in beside]
@@ -264,8 +260,8 @@ def _require_valid(policies: Any, episodes: object, seed: object, world: Mapping
     """Refuse arguments of :func:`compare` of a wrong type or name."""
     require("policies", policies, dict)
     require("policies", list(policies), tuple[str, ...])
-    require("episodes", episodes, int | None)
-    require("seed", seed, int | None)
+    require("episodes", episodes, int)
+    require("seed", seed, int)
     if wrong := sorted({"action", "base", "terminate_on_divergence"} & world.keys()):
         raise ValueError(f"{wrong[0]}: not an argument of compare, which plays complete episodes")
 

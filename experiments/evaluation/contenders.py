@@ -1,7 +1,6 @@
 """Contenders by name (IMMs, and policies with their modes); tasks and episodes from options."""
 
 import hashlib
-import os
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
@@ -11,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.console.options import USUAL_EPISODES, ModeArgs, WorldArgs
+from experiments.console.options import ModeArgs, WorldArgs
 from experiments.console.output import grid
 from experiments.evaluation.agents import (
     GUIDE,
@@ -68,17 +67,15 @@ DESCRIPTIONS = {
 
 @dataclass(frozen=True)
 class Run:
-    """A run of ``mmwave-loc train``, with one policy per training seed."""
+    """A run of ``mmwave-loc train``, with one policy per training seed.
 
-    name: str  # the folder, as on the command line and in results
-    seeds: tuple[int, ...]  # training seeds, ordered by reward on tuning seeds, best first
-    median: int  # training seed of the policy with the median reward, which represents the run
+    Attributes:
+        policies: policy files of all seeds, the best reward on tuning seeds first.
+        policy: the file with the median reward, which represents the run.
+    """
 
-    def __post_init__(self) -> None:
-        if not self.seeds or len(set(self.seeds)) < len(self.seeds):
-            raise ValueError(f"seeds: found {list(self.seeds)}, expected different numbers")
-        if self.median not in self.seeds:
-            raise ValueError(f"median: found {self.median!r}, expected one of {list(self.seeds)}")
+    policies: tuple[str, ...]
+    policy: str
 
     @classmethod
     def read(cls, name: str) -> "Run":
@@ -88,7 +85,8 @@ class Run:
             ValueError: the summary is invalid; the message names the file and what is wrong in it.
             FileNotFoundError: the folder holds no finished run.
         """
-        path = Path(name) / "summary.json"
+        folder = Path(name)
+        path = folder / "summary.json"
         if not path.is_file():
             raise FileNotFoundError(
                 f"{path}: found no file, expected the summary of a finished run; "
@@ -96,21 +94,15 @@ class Run:
             )
 
         def made(summary: Json) -> Run:
-            seeds = tuple(outcome["seed"] for outcome in summary["seeds"])
-            return cls(name, seeds, summary["median"])
+            seeds = [outcome["seed"] for outcome in summary["seeds"]]
+            median = summary["median"]
+            files = {seed: str(folder / f"seed-{seed}" / "policy.safetensors") for seed in seeds}
+            if len(files) < len(seeds) or median not in files:
+                expected = "different numbers, and one of them"
+                raise ValueError(f"seeds, median: found {seeds}, {median!r}, expected {expected}")
+            return cls((*files.values(),), files[median])
 
         return read_json(path, "the summary of a run", made)
-
-    @property
-    def policies(self) -> list[str]:
-        """Return the policy file of every training seed."""
-        folder = Path(self.name)
-        return [str(folder / f"seed-{seed}" / "policy.safetensors") for seed in self.seeds]
-
-    @property
-    def policy(self) -> str:
-        """Return the policy file of the median seed."""
-        return self.policies[self.seeds.index(self.median)]
 
 
 def outcomes_markdown(outcomes: Sequence[Json]) -> str:
@@ -137,13 +129,12 @@ class Contender(Switching):
     name: str
 
     @classmethod
-    def learned(cls, path: AnyPath, name: str | None = None, radio: str = "handset") -> "Contender":
+    def learned(cls, path: AnyPath, name: str, radio: str) -> "Contender":
         """Return a contender for the learned policy in a file, or for a shipped policy by name.
 
-        A policy that has a bank for each radio uses the bank for ``radio``. If ``name`` is None,
-        the path is the name.
+        A policy that has a bank for each radio uses the bank for ``radio``.
         """
-        return cls(**vars(load(path, radio)), name=os.fspath(path) if name is None else name)
+        return cls(**vars(load(path, radio)), name=name)
 
     @classmethod
     def own(
@@ -198,22 +189,20 @@ def contenders(radio: str, modes: Modes = None) -> dict[str, Make]:
     """
     bank = Bank(default_modes(radio)) if modes is None else bank_over(modes, radio)
     names = [mode.name for mode in bank.modes]
-    # (name, modes or bank, function that makes the policy)
-    rows: list[tuple[str, Any, Any]] = [
-        (f"fixed-{name}", bank.modes, lambda table, i=i: FixedMode(i))
-        for i, name in enumerate(names)
-    ]
+    makes: dict[str, Make] = {}
+
+    def add(name: str, filters: Any, policy: Any = None) -> None:
+        makes[name] = partial(Contender, filters, policy=policy, name=name)
+
+    for i, name in enumerate(names):
+        add(f"fixed-{name}", bank.modes, lambda table, i=i: FixedMode(i))
     if modes is None:
-        rows.append(("fixed-ckf", (named_modes(radio)["ckf"],), lambda table: FixedMode(0)))
+        add("fixed-ckf", (named_modes(radio)["ckf"],), lambda table: FixedMode(0))
     if len(names) == 2:
-        rows.append((RULE, bank.modes, SpeedRule))
+        add(RULE, bank.modes, SpeedRule)
     if len(names) > 1:
-        rows.append(("likelihood-rule", bank.modes, lambda table: LikelihoodRule(table, names)))
-    rows.append(("imm", bank, None))
-    makes: dict[str, Make] = {
-        name: partial(Contender, filters, policy=policy, name=name)
-        for name, filters, policy in rows
-    }
+        add("likelihood-rule", bank.modes, lambda table: LikelihoodRule(table, names))
+    add("imm", bank)
     if modes is not None:
         return makes
     makes[BEST_IMM] = lambda: Contender(best_bank(radio), name=BEST_IMM)
@@ -284,11 +273,6 @@ def fingerprint(name: str) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def all_contenders(args: ModeArgs) -> tuple[str, ...]:
-    """Return the names of all contenders for the chosen modes."""
-    return tuple(contenders(args.radio, args.modes or None))
-
-
 def contender_of(args: ModeArgs, name: str) -> Contender:
     """Return a contender by name or file; warn if it ignores the chosen modes."""
     radio = args.radio
@@ -316,19 +300,17 @@ def _task(args: WorldArgs, modes: Modes, beliefs: str = "shared") -> Task:
     return task_from(**world, episodes=args.data, modes=modes, beliefs=beliefs)
 
 
-def seeds_from(episodes: int | None, seed: int | None, usual: int = USUAL_EPISODES) -> range:
-    """Return the seeds that a user asked for, by default ``usual`` seeds from 0 on.
+def seeds_from(episodes: int, seed: int) -> range:
+    """Return the seeds that a user asked for.
 
     Raises:
         ValueError: there are no seeds, or a seed is negative.
     """
-    first = seed or 0
-    count = usual if episodes is None else episodes
-    if count < 1:
-        raise ValueError(f"episodes: found {count}, expected at least 1")
-    if first < 0:
-        raise ValueError(f"seed: found {first}, expected 0 or more")
-    return range(first, first + count)
+    if episodes < 1:
+        raise ValueError(f"episodes: found {episodes}, expected at least 1")
+    if seed < 0:
+        raise ValueError(f"seed: found {seed}, expected 0 or more")
+    return range(seed, seed + episodes)
 
 
 def named(seeds: Sequence[int]) -> str:

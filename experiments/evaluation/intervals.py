@@ -7,7 +7,7 @@ that each score has its own policy, and would count K policies on n episodes as 
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -73,18 +73,21 @@ def _resampled_means(values: Array) -> Array:
     return np.concatenate([block / n @ values.T for block in _resamples(n)])
 
 
-def bootstrap(rows: Array | Sequence[Array]) -> list[Interval]:
-    """Return means of rows (k, episodes) with 95 % percentile intervals over episodes."""
+def bootstrap(
+    rows: Array | Sequence[Array], figures: Callable[[Array], Array] = np.asarray
+) -> list[Interval]:
+    """Return means of rows (k, episodes) with 95 % percentile intervals over episodes.
+
+    Args:
+        rows: values of k quantities, for the same episodes.
+        figures: function from means (..., k) to the figures (..., m) to return instead of them.
+    """
     values = np.asarray(rows)
-    low = high = np.full(len(values), np.nan)
+    means = figures(values.mean(axis=1))
+    low = high = np.full(len(means), np.nan)
     if values.shape[1] > 1:
-        low, high = np.percentile(_resampled_means(values), [2.5, 97.5], axis=0)
-    return _intervals(values.mean(axis=1), low, high)
-
-
-def _intervals(*columns: Array) -> list[Interval]:
-    """Return k intervals from three columns (k,): means, lower ends and upper ends."""
-    return [Interval(*row) for row in np.transpose(columns).tolist()]
+        low, high = np.percentile(figures(_resampled_means(values)), [2.5, 97.5], axis=0)
+    return [Interval(*row) for row in np.transpose([means, low, high]).tolist()]
 
 
 def bootstrap_ratio(over: Sequence[Array], under: Sequence[Array]) -> list[Interval]:
@@ -97,9 +100,7 @@ def bootstrap_ratio(over: Sequence[Array], under: Sequence[Array]) -> list[Inter
         above, below = np.split(means, 2, axis=-1)
         return above / np.where(below == 0.0, np.nan, below)
 
-    both = np.concatenate([over, under])
-    low, high = np.percentile(ratios(_resampled_means(both)), [2.5, 97.5], axis=0)
-    return _intervals(ratios(both.mean(axis=1)), low, high)
+    return bootstrap([*over, *under], ratios)
 
 
 def few_seeds_factor(seeds: int) -> float:

@@ -73,9 +73,9 @@ def _append(table: dict[str, Array], name: str, values: Array) -> None:
 def positions_markdown(title: str, rows: Json, risk: float, kind: str) -> str:
     """Return a table of errors and protection levels, with a note on the columns.
 
-    The first column has the header ``title``. ``rows`` maps the names in this column to figures of
-    :class:`~mmwave_env.localization.position_errors.PositionErrors`. ``risk`` is the probability
-    that an error exceeds its level. ``kind`` is "calibrated" or "gaussian".
+    The first column has the header ``title``. ``rows`` maps the names in this column to figures,
+    among them those of :class:`~mmwave_env.localization.position_errors.PositionErrors`. ``risk``
+    is the probability that an error exceeds its level. ``kind`` is "calibrated" or "gaussian".
     """
     cells = [
         [
@@ -87,6 +87,7 @@ def positions_markdown(title: str, rows: Json, risk: float, kind: str) -> str:
         ]
         for name, axes in rows.items()
         for axis, errors in axes.items()
+        if axis in KINDS
     ]
     return (
         f'{grid([title, *HEADER], cells)}\n\n"50 % m" is the error in m that 50 % of the epochs '

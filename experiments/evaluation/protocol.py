@@ -11,7 +11,7 @@ import json
 import math
 import secrets
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -20,8 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from experiments.console.options import WorldArgs
+from experiments.console.options import LeaderboardArgs, WorldArgs
 from experiments.console.output import grid
+from experiments.console.provenance import options_from
 from experiments.evaluation.branches import CLAIRVOYANT
 from experiments.evaluation.compare import score_cell, score_of
 from experiments.evaluation.contenders import (
@@ -132,6 +133,10 @@ class Site:
     radio: str  # name or file of the radio
     source: Callable[[], EpisodeSource]  # function that returns the source of the site's episodes
 
+    def scored(self, episodes: int) -> int:
+        """Return how many of so many episodes, counted from the first, are used for a score."""
+        return min(episodes, CEILING_DRAWS if self.kind == RECORDED else CEILING_EPISODES)
+
 
 def sites() -> list[Site]:
     """Return all sites: training sites, unseen streets and radio, recordings, hard sites."""
@@ -154,70 +159,43 @@ def sites() -> list[Site]:
     return made
 
 
-@dataclass(frozen=True)
-class Judged:
-    """Metrics of contenders at one site."""
-
-    site: Site
-    scores: dict[str, Scores]  # metrics by contender
-
-    def gain(self, name: str, rival: str) -> Array:
-        """Return the reward (episodes,) of a contender minus the reward of a rival."""
-        return self.scores[name]["reward"] - self.scores[rival]["reward"]
-
-    def figures(self, name: str) -> Json:
-        """Return a contender's figures at this site: means, and gains over the rule and IMMs."""
-        gains = {imm: self.gain(name, imm) for imm in IMMS if imm in self.scores and imm != name}
-        own = [self.scores[name][metric] for metric in ("reward", "ate_m")]
-        reward, ate_m, *minus = (mean.json for mean in bootstrap([*own, *gains.values()]))
-        counted = {"kind": self.site.kind, "episodes": len(own[0])}
-        (over_rule,) = bootstrap([self.gain(name, RULE)[: scored_over(counted)]])
-        return {
-            **counted,
-            "reward": reward,
-            "ate_m": ate_m,
-            "over_rule": over_rule.json,
-            "minus": dict(zip(gains, minus, strict=True)),
-        }
-
-
-def scored_over(figures: Json) -> int:
-    """Return how many of a site's episodes, counted from the first, are used for a score."""
-    recorded = figures["kind"] == RECORDED
-    episodes = int(figures["episodes"])
-    return min(episodes, CEILING_DRAWS if recorded else CEILING_EPISODES)
-
-
-def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> Judged:
+def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> dict[str, Scores]:
     """Run contenders, the paper's rule and every IMM at a site, on the same episodes."""
     # Modes of an unseen radio are untuned on purpose, so suppress the warning about untuned modes.
     with warnings.catch_warnings(action="ignore"):
         everybody = dict.fromkeys([*names, RULE, *IMMS])
         chosen = [contender_from(name, site.radio) for name in everybody]
-        scores = score_contenders(chosen, site.source(), seeds_from(episodes, seed))
-    return Judged(site, scores)
+        return score_contenders(chosen, site.source(), seeds_from(episodes, seed))
 
 
-def entry(name: str, judged: Sequence[Judged]) -> Json:
-    """Return the entry of a contender: figures at every site, and mean gain per kind of site.
-
-    A gain here is the reward minus the reward of imm-best, the best classical method.
-    """
-    gains: dict[str, list[Array]] = {}
-    for at in judged:
-        gains.setdefault(at.site.kind, []).append(at.gain(name, BEST_IMM))
-    means = {kind: bootstrap([np.mean(gain, axis=0)])[0].json for kind, gain in gains.items()}
+def figures_of(name: str, site: Site, scores: Mapping[str, Scores]) -> Json:
+    """Return a contender's figures at a site: means, and gains over the rule and IMMs."""
+    own = scores[name]
+    rewards = own["reward"]
+    gains = {imm: rewards - scores[imm]["reward"] for imm in IMMS if imm in scores and imm != name}
+    means = bootstrap([rewards, own["ate_m"], *gains.values()])
+    reward, ate_m, *minus = (mean.json for mean in means)
+    first = slice(site.scored(len(rewards)))
+    (over_rule,) = bootstrap([rewards[first] - scores[RULE]["reward"][first]])
     return {
-        "entry": name,
-        "policy": fingerprint(name),
-        "sites": {at.site.name: at.figures(name) for at in judged},
-        "mean_gain": means,
+        "episodes": len(rewards),
+        "reward": reward,
+        "ate_m": ate_m,
+        "over_rule": over_rule.json,
+        "minus": dict(zip(gains, minus, strict=True)),
     }
+
+
+def entry(name: str, judged: Mapping[Site, Mapping[str, Scores]]) -> Json:
+    """Return the entry of a contender: its figures at every site."""
+    sites = {site.name: figures_of(name, site, scores) for site, scores in judged.items()}
+    return {"entry": name, "policy": fingerprint(name), "sites": sites}
 
 
 def sealed(content: Json) -> Json:
     """Return an entry that ends with its *seal*, the SHA-256 of everything in it."""
-    rest = {key: value for key, value in content.items() if key != "seal"}
+    rest = {**content}
+    rest.pop("seal", None)
     text = json.dumps(rest, sort_keys=True)
     return rest | {"seal": hashlib.sha256(text.encode()).hexdigest()}
 
@@ -231,74 +209,74 @@ def read_entry(path: Path) -> Json:
     """
 
     def checked(content: Json) -> Json:
-        if "seal" not in content:
-            raise ValueError("seal: found none, expected an entry of mmwave-loc leaderboard")
         if content != sealed(content):
-            raise ValueError("seal: found content that was changed after the command wrote it")
-        names = [site.name for site in sites()]
-        if missing := [name for name in names if name not in content["sites"]]:
-            raise ValueError(f"sites: missing {', '.join(missing)}")
-        if invented := [name for name in content["sites"] if name not in names]:
-            raise ValueError(f"sites: found {', '.join(invented)}, which the benchmark lacks")
-        tables_of([content], content)  # raises if tables can't show the entry
+            raise ValueError("seal: found content that mmwave-loc leaderboard did not write")
+        tables_of({CLAIRVOYANT: content})  # raises if tables can't show the entry
         return content
 
     return read_json(path, "an entry", checked)
 
 
-def entries_in(folder: Path) -> list[Json]:
-    """Return the entries of :data:`BESIDE` that a folder lacks, then the entries in the folder."""
+def entries_in(folder: Path) -> dict[str, Json]:
+    """Return entries by name: those of :data:`BESIDE` that a folder lacks, then the folder's."""
     own = [read_entry(path) for path in sorted(folder.glob("*.json"))]
-    names = {entry["entry"] for entry in own}
-    shipped = (read_entry(SHIPPED / f"{name}.json") for name in BESIDE if name not in names)
-    return [*shipped, *own]
+    entries = {entry["entry"]: entry for entry in own}
+    missing = [name for name in BESIDE if name not in entries]
+    return {name: read_entry(SHIPPED / f"{name}.json") for name in missing} | entries
 
 
-def ceiling_of(entries: Iterable[Json]) -> Json:
-    """Return the entry of the clairvoyant."""
-    return next(entry for entry in entries if entry["entry"] == CLAIRVOYANT)
+def score_at(site: Site, content: Json, ceiling: Json) -> float | None:
+    """Return the score of an entry at a site; ``ceiling`` is the entry of the clairvoyant.
 
-
-def add_scores(entries: Sequence[Json], ceiling: Json) -> None:
-    """Set the scores of entries at their sites; ``ceiling`` is the entry of the clairvoyant.
-
-    A score is None unless entry and ceiling were compared with the rule on the same episodes.
+    The score is None unless both were compared with the rule on the same episodes.
     """
-    for site, content in product(sites(), entries):
-        at = content["sites"][site.name]
-        top = ceiling["sites"][site.name]
-        at["score"] = None
-        if scored_over(at) == scored_over(top):
-            at["score"] = score_of(at["over_rule"]["mean"], top["over_rule"]["mean"])
+    at = content["sites"][site.name]
+    top = ceiling["sites"][site.name]
+    if site.scored(at["episodes"]) != site.scored(top["episodes"]):
+        return None
+    return score_of(at["over_rule"]["mean"], top["over_rule"]["mean"])
 
 
-def tables_of(entries: Sequence[Json], ceiling: Json) -> str:
-    """Return all tables of entries; ``ceiling`` is the entry of the clairvoyant.
+def figures_at(content: Json, kind: str) -> list[Json]:
+    """Return the figures of an entry at all sites of a kind."""
+    return [content["sites"][site.name] for site in sites() if site.kind == kind]
+
+
+def mean_gain(content: Json, kind: str) -> float:
+    """Return an entry's gain over imm-best, the best classical method, at the sites of a kind."""
+    even = {"mean": 0.0}  # of imm-best itself
+    gains = (figures["minus"].get(BEST_IMM, even) for figures in figures_at(content, kind))
+    return float(np.mean([gain["mean"] for gain in gains]))
+
+
+def tables_of(entries: Mapping[str, Json]) -> str:
+    """Return all tables of entries by name, which include the clairvoyant.
 
     The clairvoyant's own scores at the sites, which are all 100, are left out.
     """
-    add_scores(entries, ceiling)
-    judged = {c["entry"]: c["sites"] for c in entries if c["entry"] != CLAIRVOYANT}
+    ceiling = entries[CLAIRVOYANT]
+    judged = {name: content for name, content in entries.items() if name != CLAIRVOYANT}
     by_site = [
         [
             site.name,
             Interval.of(ceiling["sites"][site.name]["over_rule"]),
-            *(score_cell(at[site.name]["score"]) for at in judged.values()),
+            *(score_cell(score_at(site, content, ceiling)) for content in judged.values()),
         ]
         for site in sites()
     ]
     gains = []
     scores = []
-    for name, content in ranking(entries):
+    for name, content in ranking([*entries.values()]):
         gains.append([name])
         scores.append([name])
         for kind in KINDS:
-            at = [site for site in content["sites"].values() if site["kind"] == kind]
-            stands = [standing(site) for site in at]
+            stands = [standing(figures) for figures in figures_at(content, kind)]
             counts = " / ".join(str(stands.count(level)) for level in ("above", "level", "below"))
-            gains[-1].append(f"{Interval.of(content['mean_gain'][kind])}, {counts}")
-            each = [site["score"] for site in at]
-            scores[-1].append(score_cell(None if None in each else float(np.mean(each))))
+            gains[-1].append(f"{mean_gain(content, kind):.3f}, {counts}")
+            each = [score_at(site, content, ceiling) for site in sites() if site.kind == kind]
+            scores[-1].append(
+                score_cell(None if None in each else float(np.mean(np.array(each, float))))
+            )
     return (
         "Score at each site:\n\n"
         f"{grid(['site', f'{CLAIRVOYANT} minus {RULE}', *judged], by_site)}\n\n"
@@ -329,15 +307,18 @@ def ranking(entries: Sequence[Json]) -> list[tuple[str, Json]]:
     """
     ranked = []
     for content in entries:
-        at = content["sites"].values()
-        recorded = min(site["episodes"] for site in at if site["kind"] == RECORDED)
-        simulated = min(site["episodes"] for site in at if site["kind"] != RECORDED)
+        least = {
+            kind: min(figures["episodes"] for figures in figures_at(content, kind))
+            for kind in KINDS
+        }
+        recorded = least.pop(RECORDED)
+        simulated = min(least.values())
         knows = content["entry"] == CLAIRVOYANT
         episodes, draws = (CEILING_EPISODES, CEILING_DRAWS) if knows else (EPISODES, DRAWS)
         short = simulated < episodes or recorded < draws
         name = content["entry"].removesuffix("/policy.safetensors")
         name += f" (too few: {simulated} / {recorded})" if short else ""
-        ranked.append((short, -content["mean_gain"][TRAINED]["mean"], name, content))
+        ranked.append((short, -mean_gain(content, TRAINED), name, content))
     ranked.sort(key=lambda row: row[:2])
     return [(name, content) for *_, name, content in ranked]
 
@@ -370,29 +351,15 @@ def verify(path: Path) -> list[str]:
             f"policy: found the hash {policy}, expected {claimed['policy']}; the policy's file or "
             "module is not the one that was judged"
         ]
-    differences = [*_inconsistent(claimed)]
+    differences = [
+        f"{site.name}, {figure}: found {claim.mean}, expected a finite number"
+        for site in sites()
+        for figure, claim in _figures(claimed["sites"][site.name]).items()
+        if not math.isfinite(claim.mean)
+    ]
     for site in secrets.SystemRandom().sample(sites(), PLAYED_AGAIN):
         differences += _differences(claimed, site)
     return differences
-
-
-def _inconsistent(claimed: Json) -> Iterator[str]:
-    """Yield what in an entry does not follow from its other figures, or from the protocol."""
-    for site in sites():
-        stated = claimed["sites"][site.name]
-        if stated["kind"] != site.kind:
-            yield f"{site.name}, kind: found {stated['kind']!r}, expected {site.kind!r}"
-        for figure, claim in _figures(stated).items():
-            if not math.isfinite(claim.mean):
-                yield f"{site.name}, {figure}: found {claim.mean}, expected a finite number"
-    if claimed["entry"] in (BEST_IMM, CLAIRVOYANT):
-        return
-    for kind in KINDS:
-        at = [figures for figures in claimed["sites"].values() if figures["kind"] == kind]
-        mean = float(np.mean([figures["minus"][BEST_IMM]["mean"] for figures in at]))
-        stated = claimed["mean_gain"][kind]["mean"]
-        if not math.isclose(mean, stated, rel_tol=1e-6, abs_tol=1e-9):
-            yield f"mean_gain, {kind}: found {stated:.4f}, expected {mean:.4f}"
 
 
 def _differences(claimed: Json, site: Site) -> Iterator[str]:
@@ -400,7 +367,7 @@ def _differences(claimed: Json, site: Site) -> Iterator[str]:
     name = claimed["entry"]
     stated = claimed["sites"][site.name]
     claims = _figures(stated)
-    again = _played(name, site, stated["episodes"], claimed["options"]["seed"])
+    again = _played(name, site, stated["episodes"], options_from(LeaderboardArgs, claimed).seed)
     seed = secrets.choice(range(*HIDDEN_SEEDS))
     hidden = _played(name, site, HIDDEN, seed)
     for figure, same in again.items():
@@ -418,7 +385,7 @@ def _differences(claimed: Json, site: Site) -> Iterator[str]:
 
 
 def _played(name: str, site: Site, episodes: int, seed: int) -> dict[str, Interval]:
-    return _figures(judge([name], site, episodes, seed).figures(name))
+    return _figures(figures_of(name, site, judge([name], site, episodes, seed)))
 
 
 def _figures(stated: Json) -> dict[str, Interval]:

@@ -1,7 +1,10 @@
-"""Runs of contenders on the same episodes, and their metrics (protocol: docs/results.md)."""
+"""Runs of contenders on the same episodes: their metrics, and their histories for pictures.
+
+The protocol is in docs/results.md.
+"""
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -11,13 +14,15 @@ from numpy.typing import NDArray
 from experiments.console.output import tracked
 from experiments.evaluation.agents import NO_FILTERS, Estimator
 from experiments.evaluation.branches import Clairvoyant
-from experiments.evaluation.contenders import Contender, draw_episodes
+from experiments.evaluation.contenders import Contender, draw_episodes, keys_for
 from mmwave_env.engines.engine import Engine, run_imm
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.policy import Policy
 from mmwave_env.interface.reward import Reward, TrackingReward, terms_of, total
-from mmwave_env.metrics import BURN_IN, HEADERS, TERMS, scored, summary
+from mmwave_env.metrics import HEADERS, TERMS, scored, summary
+from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array
+from mmwave_env.rendering.history import NO_MODE, POSITION_NUMBERS, History
 from mmwave_env.task import Task
 from mmwave_env.world.episode import Episode, EpisodeBatch, EpisodeSource, columns_of
 from mmwave_env.world.keys import keys_of
@@ -135,23 +140,6 @@ def _run_estimator(
     return results
 
 
-def _epochs_per_second(time_s: Array) -> float:
-    """Return the rate of epochs at times (T,), Hz; 1 for an episode of one epoch."""
-    return 1.0 / float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0
-
-
-def _warn_of_short(time_s: Array) -> None:
-    """Warn if too few epochs are scored for RPE."""
-    counted = len(time_s[scored(len(time_s))])
-    second = round(_epochs_per_second(time_s))
-    if counted <= max(1, second):
-        warnings.warn(
-            f"episodes of {len(time_s)} epochs: metrics leave out the first {BURN_IN}; "
-            f"{counted} are left, but RPE needs more than {max(1, second)}, so RPE is 0",
-            stacklevel=3,
-        )
-
-
 def _warn_of_nonfinite(contender: Contender, results: EpochResults) -> None:
     """Warn if NaN or infinite beliefs make a contender's means NaN; no episode is left out."""
     finite = np.isfinite(results["error"]).all(axis=-1) & np.isfinite(results["nees"])
@@ -172,7 +160,8 @@ def _summary(results: EpochResults, time_s: Array, scoring: Scoring) -> Scores:
     reward = scoring.reward if isinstance(scoring.reward, TrackingReward) else TrackingReward()
     costs = reward.costs(np.linalg.norm(error, axis=-1), nees, axes)
     counted = scored(nees.shape[-1])
-    return summary(error, nees, _epochs_per_second(time_s), axes, results["reward"]) | {
+    hz = 1.0 / float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0
+    return summary(error, nees, hz, axes, results["reward"]) | {
         name: cost[..., counted].mean(axis=-1) for name, cost in zip(TERMS, costs, strict=True)
     }
 
@@ -213,7 +202,6 @@ def score_contenders(
     for some, (contender, policy) in tracked([*product(chunks, started)], source.name):
         if contender is contenders[0]:  # all contenders play the same episodes, one after another
             batch, time_s = _drawn(source, some)
-            _warn_of_short(time_s)
         results = run_contender(contender, batch, scoring, after, policy)
         _warn_of_nonfinite(contender, results)
         parts[contender.name].append(_summary(results, time_s, scoring))
@@ -223,3 +211,59 @@ def score_contenders(
         name: {m: np.concatenate([part[m] for part in scores]) for m in HEADERS}
         for name, scores in parts.items()
     }
+
+
+# --- histories, epoch by epoch, for pictures and the player
+
+_KEPT = ("x", "P", "memory.accepted", "memory.rejected", "memory.mode")
+
+
+def history_of(
+    contender: Contender, episode: Episode, scoring: Scoring = PLAIN, scene: Scene | None = None
+) -> History:
+    """Run a contender on an episode with a true track; return its history, from the prior on.
+
+    For a policy, the modes in the history are its actions. For an IMM, they are the most probable
+    modes, and the history has the groups of measurements that these modes accepted and rejected.
+
+    Raises:
+        ValueError: the policy fails.
+    """
+    results = run_contender(contender, [episode], scoring, after=_KEPT)
+    made = {name: values[0] for name, values in results.items()}
+    begun = episode.on_flat_ground() if scoring.planar else episode
+    prior_P = begun.prior_covariance[np.tril_indices(3)]
+    assert episode.truth_position_m is not None and episode.truth_velocity_mps is not None
+    truth = np.hstack([episode.truth_position_m, episode.truth_velocity_mps])
+    none = np.zeros_like(made["memory.accepted"][0])
+    return History(
+        episode.name,
+        episode.scene_anchors_m,
+        scene,
+        2 if scoring.planar else 3,
+        time_s=_after(0.0, episode.time_s - episode.time_s[0]),
+        modes=_after(NO_MODE, made.get("mode", made["memory.mode"])).astype(np.int64),
+        truth=_after(truth[0], truth),
+        estimate=_after(begun.prior_mean, made["x"]),
+        P=_after(prior_P, made["P"][:, :POSITION_NUMBERS]),
+        nees=_after(np.nan, made["nees"]),
+        accepted=_after(none, made["memory.accepted"]) > 0.5,
+        rejected=_after(none, made["memory.rejected"]) > 0.5,
+    )
+
+
+def histories_of(
+    task: Task, seeds: Sequence[int], contenders: Sequence[Contender]
+) -> Iterator[tuple[Episode, list[History]]]:
+    """Draw an episode for each seed; yield it with the history of every contender."""
+    scoring = Scoring.of(task)
+    for seed in seeds:
+        keys = keys_for(task.source, [seed])
+        scene = task.scene_of(0 if keys is None else int(keys[0]))
+        (episode,) = draw_episodes(task.source, [seed])
+        yield episode, [history_of(c, episode, scoring, scene) for c in contenders]
+
+
+def _after(prior: Array | float, epochs: Array) -> Array:
+    """Return rows (T + 1, ...): the prior's row, then the rows of the epochs (T, ...)."""
+    return np.concatenate([np.asarray(prior)[None], epochs])

@@ -76,12 +76,9 @@ class Bench:
 
     def __init__(self, episodes: int, seed: int) -> None:
         self.count = episodes
-        self.seed = seed
-        self.episodes = cache(self._draw)
+        seeds = range(seed, seed + episodes)
+        self.episodes = cache(lambda setting: draw_episodes(setting.source(), seeds))
         self.run = cache(self._run)
-
-    def _draw(self, setting: Setting) -> list[Episode]:
-        return draw_episodes(setting.source(), range(self.seed, self.seed + self.count))
 
     def ates(self, modes: Iterable[Mode], setting: Setting) -> list[Array]:
         """Return the ATE (episodes,) of the filtered track of each mode, m."""

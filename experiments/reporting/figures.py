@@ -1,11 +1,11 @@
 """Pictures in the project's style (publication.mplstyle), with one function for each picture.
 
-There are pictures of learning curves, of position errors (CDF), of the consistency of filters, and
+There are pictures of position errors (CDF), of the consistency of filters, and
 of a track from above, with its errors and modes (filters) over time.
 """
 
 import textwrap
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -78,18 +78,6 @@ def caption(name: str) -> str:
     return "".join(x if font.get_char_index(ord(x)) else spelled(x) for x in printable(name))
 
 
-def contenders(names: Collection[str]) -> dict[str, str]:
-    """Map names of contenders (policies and IMMs) to their labels in a picture.
-
-    A path is shortened to its last part if no other name ends with it.
-    """
-    ends = [Path(name).name for name in names]
-    labels = {}
-    for name, end in zip(names, ends, strict=True):
-        labels[name] = caption(end if ends.count(end) == 1 else name)
-    return labels
-
-
 def labelled(axes: Sequence[Any]) -> list[Any]:
     """Return one artist in panels for each label, in the order of the labels."""
     artists: dict[str, Any] = {}
@@ -130,19 +118,17 @@ def plain_numbers(axis: Any) -> None:
 SMALLEST_M = 1e-3  # smaller errors are drawn at this value, since the axis is logarithmic
 BOUNDS = "95 % bounds if consistent"
 _SHARES = np.linspace(0.0, 0.999, 400)
-Line = tuple[Sequence[float], Sequence[float]]  # steps, values
 
 
 def draw_error_cdf(errors_m: Mapping[str, Array], path: Path) -> None:
     """Draw the distributions (CDF) of contenders' horizontal and vertical errors (..., 3), m."""
-    labels = contenders(errors_m)
     with panels(path) as both:
         for axes, kind, size in zip(
             both, ("horizontal", "vertical"), (horizontal, vertical), strict=True
         ):
             for name, errors in errors_m.items():
                 values = np.maximum(size(errors), SMALLEST_M)  # the error of a known height is 0
-                axes.plot(np.quantile(values, _SHARES), _SHARES, label=labels[name])
+                axes.plot(np.quantile(values, _SHARES), _SHARES, label=caption(name))
             low = min(np.interp(0.03, line.get_ydata(), line.get_xdata()) for line in axes.lines)
             axes.set(xscale="log", ylim=(0.0, 1.0), xlabel=f"{kind} position error (m)")
             axes.set_xlim(left=low)
@@ -164,33 +150,16 @@ def draw_consistency(time_s: Array, nees: Mapping[str, Array], dof: int, path: P
     with panels(path) as (over_time, whole):
         over_time.axhspan(low, high, color="0.7", lw=0.0, label=BOUNDS)
         whole.axline((0.0, 0.0), slope=1.0, color="0.5", lw=4.0, alpha=0.6, label="consistent")
-        for name, label in contenders(nees).items():
-            over_time.plot(time_s, nees[name].mean(axis=0) / dof)
-            inside = np.sort(chdtr(dof, nees[name]), axis=None)
+        for name, values in nees.items():
+            over_time.plot(time_s, values.mean(axis=0) / dof)
+            inside = np.sort(chdtr(dof, values), axis=None)
             shares = np.searchsorted(inside, _SHARES, "right") / inside.size
-            whole.plot(_SHARES, shares, label=label)
+            whole.plot(_SHARES, shares, label=caption(name))
         label = f"mean NEES / {dof}, of {episodes:,} episodes"
         over_time.set(xlabel="time since the start (s)", yscale="log", ylabel=label)
         plain_numbers(over_time.yaxis)
         whole.set(xlabel="probability p", ylabel="share of NEES below\nthe chi-square p-quantile")
         whole.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0))
-
-
-def draw_learning_curves(label: str, lines: Sequence[Line], path: Path) -> None:
-    """Draw a quantity over training steps, with one line per training seed and a line at zero.
-
-    ``label`` is the label of the y axis.
-    """
-    from matplotlib.ticker import EngFormatter, NullFormatter
-
-    with picture(path, PHONE_IN, 0.63 * PHONE_IN + 0.3) as figure:
-        axes = figure.subplots()
-        for steps, values in lines:
-            axes.plot(steps, values, color="C0", lw=1.0, alpha=0.8)
-        axes.axhline(0.0, color="black", lw=0.8)
-        axes.set(xscale="log", xlabel="steps", ylabel=caption(label))
-        axes.xaxis.set_major_formatter(EngFormatter(sep=""))  # 500k, 2M
-        axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 TITLE_LETTERS = 80  # maximum number of characters in a line of the title

@@ -71,7 +71,7 @@ def run_live(args: LogArgs) -> None:
     waiting: list[LiveEpoch] = []  # epochs before the first position
     waited = False
     require_clock(args.clock)
-    for live, epochs in _epochs(scene, args.snr, args.clock):
+    for live, epochs in _epochs(args, scene):
         if tracker is None:
             linked = (epoch for epoch in epochs if log_from([epoch]).visible_links.any())
             first = next(linked, None)
@@ -79,8 +79,7 @@ def run_live(args: LogArgs) -> None:
                 tracker, why = _tracker(args, scene, first, levels)
         for user, position in tracker.step(epochs) if tracker else ():
             if not began or (position.begins and not user):
-                of = f" of {user}" if user else ""
-                note(f"a track{of} begins, or begins anew, at {position.time_s!r} s: {why}")
+                note(f"a track begins, or begins anew, at {position.time_s!r} s: {why}")
             content: Json = {"ue": user} if user else {}
             content |= _formatted(args, position, origin)
             print(json.dumps(content), flush=not user)
@@ -148,7 +147,7 @@ def _of_map(belief: Belief, mode: str, origin: Origin | None) -> Position:
 
 def _paths(args: LogArgs, scene: Scene, learner: MapLearner) -> Iterator[Paths]:
     """Yield the paths of each epoch of standard input."""
-    for _, epochs in _epochs(scene, args.snr, args.clock, associated=False):
+    for _, epochs in _epochs(args, scene, associated=False):
         if any(epoch.user for epoch in epochs):
             raise ValueError("map: found rows with users (ue), expected the paths of one user")
         for epoch in epochs:
@@ -182,13 +181,13 @@ def _waited_long(waiting: list[LiveEpoch], epochs: Sequence[LiveEpoch]) -> bool:
 def _tracker(args: LogArgs, scene: Scene, first: LiveEpoch, levels: Levels) -> tuple[Tracker, str]:
     """Return a tracker for a log with this first epoch, and its modes and radio in words."""
     radio = nearest_radio(log_from([first]), scene) if args.radio == AUTO else args.radio
-    choice = choice_of(args, radio, "aoa_elevation" in first.columns.file.columns)
+    switching, why = choice_of(args, radio, "aoa_elevation" in first.columns.file.columns)
     tracker = Tracker(
-        scene, choice.switching, radio_of(args, radio), height_m=args.height, levels=levels,
+        scene, switching, radio_of(args, radio), height_m=args.height, levels=levels,
         correlation_s=args.correlation,
     )  # fmt: skip
     gc.freeze()  # else Python's garbage collector stops the rows for 70 ms at times
-    return tracker, f"modes {choice.why}, radio {radio}"
+    return tracker, f"modes {why}, radio {radio}"
 
 
 def _origin(args: LogArgs, scene: Scene) -> Origin | None:
@@ -229,7 +228,7 @@ def _text(line: bytes) -> str:
 
 
 def _epochs(
-    scene: Scene, snr_db: float | None, clock: str, associated: bool = True
+    args: LogArgs, scene: Scene, associated: bool = True
 ) -> Iterator[tuple[LiveLog, list[LiveEpoch]]]:
     """Read rows (CSV below a header, or JSON objects); yield the epochs that they form.
 
@@ -249,7 +248,7 @@ def _epochs(
         lines = chain([(number, first)], lines)
     else:
         names, delimiter = header_of(first)
-    log = LiveLog(names, scene, snr_db, SOURCE, clock, delimiter, associated)
+    log = LiveLog(names, scene, args.snr, SOURCE, args.clock, delimiter, associated)
     epochs: list[LiveEpoch] = []
     for line in lines:
         if line is None:

@@ -2,7 +2,6 @@
 
 import warnings
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -26,15 +25,10 @@ RULES: dict[str, tuple[Rule, str]] = {  # --follow -> (rule, words before "speed
 }
 
 
-class Choice(NamedTuple):
-    """Modes to run, the rule or policy that chooses between them, and a description for reports."""
-
-    switching: Switching
-    why: str  # words after "modes" in reports
-
-
 def is_algorithm_1(args: LogArgs) -> bool:
-    """Return whether an option of the paper's Algorithm 1 is set."""
+    """Return whether the paper's Algorithm 1 is chosen, by one of its options."""
+    if args.imm or args.policy:
+        return False
     chosen = args.speed is not None or args.modes is not None
     return chosen or args.robust or args.follow != "prediction"
 
@@ -72,8 +66,8 @@ def radio_of(args: LogArgs, name: str) -> Radio:
         raise ValueError(f"prior-speed: {error}") from error
 
 
-def choice_of(args: LogArgs, radio: str, elevations: bool) -> Choice:
-    """Return the choice that options describe.
+def choice_of(args: LogArgs, radio: str, elevations: bool) -> tuple[Switching, str]:
+    """Return the modes to run with their rule or policy, and words after "modes" in reports.
 
     The default is a policy, or an IMM if the log has no elevations.
 
@@ -84,19 +78,19 @@ def choice_of(args: LogArgs, radio: str, elevations: bool) -> Choice:
         bank = _bank(args.imm, radio)
         if args.robust:
             bank = replace(bank, modes=tuple(map(robust, bank.modes)))
-        return Choice(Switching(bank), f"of {args.imm}, weighted by their probability")
-    if args.policy is not None or not is_algorithm_1(args):
+        return Switching(bank), f"of {args.imm}, weighted by their probability"
+    if not is_algorithm_1(args):
         if args.policy is None and not elevations:
             why = f"of {WITHOUT_ELEVATIONS} (no elevations), weighted by their probability"
-            return Choice(Switching(_bank(WITHOUT_ELEVATIONS, radio)), why)
+            return Switching(_bank(WITHOUT_ELEVATIONS, radio)), why
         # "corrector" needs an uncertain height; a known height has the standard deviation 0.
         name = args.policy or ("corrector" if args.height is None else "guided")
-        return Choice(contender_from(name, radio), f"chosen by the policy {name}")
+        return contender_from(name, radio), f"chosen by the policy {name}"
     modes = modes_of(args, radio)  # from here on, Algorithm 1, Step 3
     if args.speed in (None, "auto"):
         rule, followed = RULES[args.follow]
         why = f"chosen by whether {followed} speed is above {SLOW_MPS:g} m/s"
-        return Choice(Switching(modes, rule), why)
+        return Switching(modes, rule), why
     word = args.speed.strip()
     speed = number(word)
     if not 0.0 <= speed < float("inf"):
@@ -108,7 +102,7 @@ def choice_of(args: LogArgs, radio: str, elevations: bool) -> Choice:
             raise ValueError(f"speed: found {speed:g} m/s, {window}; --outside fallback allows it")
         warnings.warn(f"speed {speed:g} m/s is {window}; falling back to {mode.name}", stacklevel=2)
     side = "up to" if speed <= SLOW_MPS else "above"
-    return Choice(Switching((mode,)), f"for {speed:g} m/s, which is {side} {SLOW_MPS:g} m/s")
+    return Switching((mode,)), f"for {speed:g} m/s, which is {side} {SLOW_MPS:g} m/s"
 
 
 def _bank(name: str, radio: str) -> Bank:

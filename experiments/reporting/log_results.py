@@ -20,16 +20,8 @@ from experiments.console.options import (
 )
 from experiments.console.output import progress, show
 from experiments.console.provenance import provenance
-from experiments.reporting.diagnosis_report import (
-    UNSEEN,
-    diagnosis_markdown,
-    facts_markdown,
-    log_facts,
-    verdict,
-)
 from experiments.reporting.figures import draw_trajectory, require_picture
 from experiments.reporting.log_choice import (
-    Choice,
     choice_of,
     is_algorithm_1,
     modes_of,
@@ -37,10 +29,18 @@ from experiments.reporting.log_choice import (
     require_one_choice,
     scene_of,
 )
-from experiments.reporting.track_report import track_markdown
+from experiments.reporting.log_report import (
+    UNSEEN,
+    diagnosis_markdown,
+    facts_markdown,
+    log_facts,
+    track_markdown,
+    verdict,
+)
 from mmwave_env.datasets.log_folder import LOG, SCENE, STATION, TRUTH
 from mmwave_env.datasets.samples import sample_folder
 from mmwave_env.filters.bank import modes_from
+from mmwave_env.interface.policy import Switching
 from mmwave_env.io.files import Json, require_writable, write_json
 from mmwave_env.io.lookup import as_name
 from mmwave_env.localization.association import MOST_FALSE, MOST_MISSED, associate
@@ -160,8 +160,7 @@ def inputs(args: LogArgs) -> Inputs:
         if args.log is None:
             raise ValueError("log: found none, expected a log as first argument, or --sample NAME")
         if args.log.is_dir():
-            files = f"{args.log / LOG} --scene {args.log / SCENE} --truth {args.log / TRUTH}"
-            raise ValueError(f"log: found the folder {args.log}, expected files, such as {files}")
+            raise ValueError(f"log: found the folder {args.log}, expected {args.log / LOG}")
         if args.scene is None:
             raise ValueError(f"scene: found none, expected --scene FILE, the scene of {args.log}")
         *earlier, log = [args.log, *args.more]
@@ -200,14 +199,12 @@ def _check(args: LogArgs, files: Inputs) -> None:
     Levels(args.risk, args.levels)  # raises if the risk or the kind is invalid
     if args.plot is not None:
         require_picture("plot", args.plot)
-    owners: dict[Path, str] = {}
-    earlier = {f"log {number}": log for number, log in enumerate(files.earlier, start=1)}
-    read = {**earlier, "the log": files.log, "scene": Path(files.scene), "truth": files.truth}
-    read |= {"modes": args.modes, "imm": Path(args.imm) if args.imm else None}
-    written = ((option, path) for option, path, _ in _outputs(args))
-    for name, path in (*read.items(), *written):
-        if path and (owner := owners.setdefault(path.resolve(), name)) != name:
-            raise ValueError(f"{name}: found {path}, which is also {owner}; expected another file")
+    read = (*files.earlier, files.log, files.scene, files.truth, args.modes, args.imm)
+    taken = {Path(file).resolve() for file in read if file}
+    for option, path, _ in _outputs(args):
+        if path.resolve() in taken:
+            raise ValueError(f"{option}: found {path}, expected a file with no other role")
+        taken.add(path.resolve())
     for out in args.out:
         require_own_files(out)
 
@@ -227,12 +224,13 @@ def _outputs(args: LogArgs) -> list[tuple[str, Path, str]]:
 
 
 class Work(NamedTuple):
-    """A log to localize, and the choice of modes to localize it with."""
+    """A log to localize, and the modes to localize it with."""
 
     scene: Scene
     profile: str  # name or file of the radio profile
     radio: Radio
-    choice: Choice
+    switching: Switching
+    why: str  # words after "modes" in the report
     log: Log
     truth: Truth | None
     association: Json | None  # counts of associated paths
@@ -271,15 +269,15 @@ def _work(args: LogArgs, files: Inputs, scene: Scene) -> Work:
             f"follow: odometry needs speeds, and {files.log} has none; use --follow prediction"
         )
     elevations = log.measurement[:, 2 : log.layout.doppler : 4]
-    choice = choice_of(args, name, bool(np.isfinite(elevations).any()))
-    if choice.switching.policy and not np.isfinite(log.snr_db).any():
+    switching, why = choice_of(args, name, bool(np.isfinite(elevations).any()))
+    if switching.policy and not np.isfinite(log.snr_db).any():
         warnings.warn(
             f"{files.log}: found no SNR, so the policy gets {NEUTRAL_SNR_DB:g} dB for every link",
             stacklevel=2,
         )
     truth = Truth(files.truth) if files.truth else None
     log, step_m = with_range_steps(log, scene, radio)
-    return Work(scene, name, radio, choice, log, truth, association, step_m, learned)
+    return Work(scene, name, radio, switching, why, log, truth, association, step_m, learned)
 
 
 def warn_of_few_explained(explained: int, paths: int) -> None:
@@ -311,14 +309,13 @@ def warn_of_poor_association(association: Json) -> None:
 
 
 def _track(args: LogArgs, work: Work, window: int | None = None, **more: Any) -> Track:
-    switching = work.choice.switching
-    if args.two_way and not switching.bank:
+    if args.two_way and not work.switching.bank:
         raise ValueError("two-way: found modes with a shared belief, expected an IMM (--imm)")
     return localize(
         work.log,
         work.scene,
         work.radio,
-        switching,
+        work.switching,
         window,
         args.height,
         Levels(args.risk, args.levels),
@@ -385,9 +382,9 @@ def _figures(args: LogArgs, files: Inputs, work: Work, track: Track) -> Json:
         "log": str(files.log),
         "scene": work.scene.name,
         "radio": work.profile + (", chosen by auto" if args.radio == AUTO else ""),
-        "rule": work.choice.why,
+        "rule": work.why,
         "range_step_m": work.range_step_m,
-        "algorithm_1": args.imm is None and args.policy is None and is_algorithm_1(args),
+        "algorithm_1": is_algorithm_1(args),
         **track_statistics(track),
         "groups": groups,
         **{name: figures for name, figures in more.items() if figures},

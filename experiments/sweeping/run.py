@@ -303,9 +303,6 @@ def read(folder: Path, spec: Spec) -> dict[str, Values]:
     return rows
 
 
-SHOWN = ("reward", "ate_m", "rmse_m", "nees", "divergence_rate")
-
-
 def sweep(file: Path, folder: Path, address: str | None, workers: int | None) -> None:
     """Compute, on Ray, the cells of a sweep that have no row in the folder yet; show all rows.
 
@@ -330,11 +327,13 @@ def sweep(file: Path, folder: Path, address: str | None, workers: int | None) ->
             note(f"failed: {cell}: {error}")
     if rows := read(folder, spec):
         axes = [axis for axis, values in spec.axes.items() if len(values) > 1]
-        header = [axis.removeprefix(HYPERPARAMETER) for axis in axes] + [HEADERS[m] for m in SHOWN]
+        header = [axis.removeprefix(HYPERPARAMETER) for axis in axes] + [
+            HEADERS[m] for m in METRICS
+        ]
         table = []
         for row in rows.values():
             table.append([str(row[axis]) for axis in axes])
-            for metric in SHOWN:
+            for metric in METRICS:
                 ends = (row.get(f"{metric}_{part}", np.nan) for part in Interval._fields)
                 table[-1].append(rounded(Interval(*ends)))
         show(grid(header, table) + "\n")

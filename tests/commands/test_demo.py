@@ -3,22 +3,22 @@
 import numpy as np
 
 from experiments import demo
-from experiments.console.options import EpisodeArgs
 from experiments.evaluation.compare import compare_scores
-from experiments.evaluation.contenders import all_contenders
+from experiments.evaluation.contenders import contenders
 from experiments.evaluation.positions import EpochErrors
-from experiments.reporting.comparison_results import Results
 from mmwave_env.metrics import METRICS, TERMS
 from tests.paths import json_in
 
 
 def test_results_for_every_data_set_are_printed_and_written(tmp_path, monkeypatch, capsys):
-    def results(args, names):
-        assert args.percentiles
-        scores = {name: dict.fromkeys((*METRICS, *TERMS), np.arange(3.0)) for name in names}
+    everyone = [*contenders("handset")]
+
+    def results(args):
+        assert args.percentiles and not args.policies
+        scores = {name: dict.fromkeys((*METRICS, *TERMS), np.arange(3.0)) for name in everyone}
         episodes = {"scenario": args.data or "mixed", "seeds": range(args.episodes)}
         comparison = compare_scores(scores, radio=args.radio, **episodes)
-        return Results(comparison, str(comparison), comparison.json, EpochErrors())
+        return comparison, str(comparison), comparison.json, EpochErrors()
 
     def page_of(args):
         assert args.results == tuple(tmp_path / f"{data}.json" for data in data_sets)
@@ -29,7 +29,6 @@ def test_results_for_every_data_set_are_printed_and_written(tmp_path, monkeypatc
     monkeypatch.setattr("experiments.reporting.webpage.page.page_of", page_of)
     demo.main(demo.Args(out=tmp_path, percentiles=True))
     shown = capsys.readouterr().out
-    everyone = all_contenders(EpisodeArgs())
     assert "Paired" not in shown and str(tmp_path / "tables.md") in shown
     written = (tmp_path / "tables.md").read_text()
     assert all(written.count(f"\n| {name} |") == 2 * len(data_sets) for name in everyone)
@@ -38,4 +37,4 @@ def test_results_for_every_data_set_are_printed_and_written(tmp_path, monkeypatc
     assert str(page) in shown and page.read_text() == "a page"
     for data in data_sets:
         assert str(tmp_path / f"{data}.json") in shown
-        assert list(json_in(tmp_path / f"{data}.json")["policies"]) == list(everyone)
+        assert list(json_in(tmp_path / f"{data}.json")["policies"]) == everyone

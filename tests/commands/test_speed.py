@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from experiments.timing import workloads
+from experiments.timing import measured
 from tests.cli import assert_one_clear_line, command, succeed
 from tests.pages import blocks_of, made
 from tests.paths import ROOT, json_in
@@ -14,8 +14,8 @@ PAGE = ROOT / "docs" / "performance.md"
 
 @pytest.mark.slow
 def test_a_short_run_prints_and_writes_all_results(tmp_path, monkeypatch):
-    monkeypatch.setattr(workloads, "EPOCHS", 60)
-    monkeypatch.setattr(workloads, "WARM_UP", 10)
+    monkeypatch.setattr(measured, "EPOCHS", 60)
+    monkeypatch.setattr(measured, "WARM_UP", 10)
     file = tmp_path / "new" / "all.json"
     options = ("--sizes", 8, "--seconds", 0, "--repeats", 1)
     shown = succeed("speed", *options, "--json", file)

@@ -11,14 +11,14 @@ from experiments.evaluation.protocol import (
     BESIDE,
     HARD_SOURCES,
     KINDS,
-    RECORDED,
     TRAINED,
     UNSEEN,
-    Judged,
-    add_scores,
     entries_in,
     entry,
+    figures_of,
     judge,
+    mean_gain,
+    score_at,
     sealed,
     sites,
     standing,
@@ -50,14 +50,13 @@ def test_the_protocol_has_the_documented_numbers_of_sites():
 @pytest.mark.slow  # compiles every IMM
 def test_a_policy_is_compared_with_every_imm_on_the_same_episodes():
     (site,) = (site for site in sites() if site.name == "street:tablet")
-    judged = judge(["speed-rule", "imm-best"], site, 4, seed=3)
-    figures = judged.figures("speed-rule")
-    expected = judged.gain("speed-rule", "imm").mean()
+    scores = judge(["speed-rule", "imm-best"], site, 4, seed=3)
+    figures = figures_of("speed-rule", site, scores)
+    reward = scores["speed-rule"]["reward"]
+    expected = (reward - scores["imm"]["reward"]).mean()
     assert figures["minus"]["imm"]["mean"] == pytest.approx(expected)
-    assert figures["reward"]["mean"] == pytest.approx(judged.scores["speed-rule"]["reward"].mean())
-    assert "imm-best" not in judged.figures("imm-best")["minus"]
-    low, high = entry("imm-best", [judged])["mean_gain"]["unseen"]["ci95"]
-    assert low == high == 0.0
+    assert figures["reward"]["mean"] == pytest.approx(reward.mean())
+    assert "imm-best" not in figures_of("imm-best", site, scores)["minus"]
 
 
 @pytest.mark.parametrize(
@@ -71,10 +70,7 @@ def test_an_entry_is_above_or_below_the_imms_or_level_with_them(gains, expected)
     rewards = {"mine": base, "imm": base - gains[0] + noise, "imm-best": base - gains[1] - noise}
     rewards["speed-rule"] = base
     scores = {name: {"reward": reward, "ate_m": base} for name, reward in rewards.items()}
-    judged = Judged(sites()[0], scores)
-    assert standing(judged.figures("mine")) == expected
-    assert entry("mine", [judged])["mean_gain"][TRAINED]["mean"] == pytest.approx(gains[1])
-    assert RECORDED not in entry("mine", [judged])["mean_gain"]
+    assert standing(figures_of("mine", sites()[0], scores)) == expected
 
 
 def entries():
@@ -83,16 +79,16 @@ def entries():
     scores = {
         name: dict.fromkeys(("reward", "ate_m"), np.full(3, r)) for name, r in rewards.items()
     }
-    judged = [Judged(site, scores) for site in sites()]
+    judged = dict.fromkeys(sites(), scores)
     return {name: entry(name, judged) for name in rewards}
 
 
 def test_the_speed_rule_has_score_0_and_the_clairvoyant_100_at_every_site():
     made = entries()
-    add_scores([*made.values()], made["clairvoyant"])
+    ceiling = made["clairvoyant"]
     for name, expected in {"mine": 50, "imm-best": 25, "speed-rule": 0, "clairvoyant": 100}.items():
-        assert [at["score"] for at in made[name]["sites"].values()] == [expected] * len(sites())
-    tables = tables_of(list(made.values()), made["clairvoyant"])
+        assert {score_at(site, made[name], ceiling) for site in sites()} == {expected}
+    tables = tables_of(made)
     for site in sites():
         assert f"| {site.name} | 2.000 [2.000, 2.000] | 50 | 25 | 0 |" in tables
 
@@ -100,22 +96,22 @@ def test_the_speed_rule_has_score_0_and_the_clairvoyant_100_at_every_site():
 def test_scores_are_dashes_if_an_entry_has_fewer_episodes_than_the_clairvoyant():
     content = entries()["mine"]
     ceiling = entries()["clairvoyant"]
+    assert mean_gain(content, TRAINED) == 0.5 and mean_gain(entries()["imm-best"], TRAINED) == 0.0
     for episodes, shown in ((3, "50"), (2, "-")):  # the clairvoyant played three episodes
         for at in content["sites"].values():
             at["episodes"] = episodes
-        add_scores([content], ceiling)
-        tables = tables_of([content], ceiling)
+        tables = tables_of({"clairvoyant": ceiling, "mine": content})
         assert tables.endswith(f"| {shown} |")
-        assert "| 0.500 [0.500, 0.500], 6 / 0 / 0 |\n\nMean score" in tables
+        assert "| 0.500, 6 / 0 / 0 |\n\nMean score" in tables
         assert f" | {shown} |\n| street:standard" in tables
 
 
 def test_an_entry_in_the_folder_replaces_the_shipped_entry_of_the_same_policy(tmp_path):
     shipped = entries_in(tmp_path)
-    assert [content["entry"] for content in shipped] == [*BESIDE]
-    write_json(tmp_path / "mine.json", sealed(shipped[0] | {"command": "mine"}))
-    own = {content["entry"]: content["command"] for content in entries_in(tmp_path)}
-    assert own.keys() == {*BESIDE} and own["clairvoyant"] == "mine"
+    assert [*shipped] == [*BESIDE]
+    write_json(tmp_path / "mine.json", sealed(shipped["clairvoyant"] | {"command": "mine"}))
+    own = entries_in(tmp_path)
+    assert own.keys() == {*BESIDE} and own["clairvoyant"]["command"] == "mine"
 
 
 @pytest.fixture(scope="module")

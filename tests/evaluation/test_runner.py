@@ -46,7 +46,7 @@ def assert_equal(scores, expected):
 
 @pytest.mark.parametrize("beliefs", BELIEFS)
 def test_scores_equal_the_results_of_stepping_a_single_environment(beliefs, per_mode):
-    contender = Contender.learned(per_mode)
+    contender = Contender.learned(per_mode, "mine", "handset")
     if beliefs == "shared":
         contender = contender_from("speed-rule", "handset")
     taken = []
@@ -229,14 +229,15 @@ def test_the_error_names_a_damaged_summary(tmp_path, damage):
 
 @pytest.mark.parametrize("name", ["guided", "guided-ppo", "ppo-handset", "ppo-standard"])
 def test_a_shipped_policy_is_the_median_of_its_five_training_seeds(name):
-    run = Run.read(str(ROOT / "docs" / "learning" / name))
+    folder = str(ROOT / "docs" / "learning" / name)
+    run = Run.read(folder)
     shipped = shipped_policies()[name]
-    assert len(run.seeds) == 5 and run.median == run.seeds[2]
+    assert len(run.policies) == 5 and run.policy == run.policies[2]
     assert shipped.read_bytes() == Path(run.policy).read_bytes()
     cards = [LearnedSwitch(path).card for path in run.policies]
-    assert [card.seed for card in cards] == list(run.seeds)
+    assert [f"seed-{card.seed}" for card in cards] == [Path(p).parent.name for p in run.policies]
     assert all(card.evaluation["seed"] >= 5_000_000 for card in cards)  # none is a test seed
     rewards = [card.evaluation["reward"] for card in cards]
     assert rewards == sorted(rewards, reverse=True)
-    played = contender_from(run.name, "standard" if name == "ppo-standard" else "handset")
-    assert played.start(Layout()).card.seed == run.median
+    played = contender_from(folder, "standard" if name == "ppo-standard" else "handset")
+    assert played.start(Layout()).card.seed == cards[2].seed

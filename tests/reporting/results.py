@@ -6,7 +6,6 @@ from html.parser import HTMLParser
 
 from mmwave_env import __version__
 from mmwave_env.metrics import METRICS
-from tests.paths import write_json
 
 HOSTILE = "</script><img src=x onerror=alert(1)>$|`\n\x1b[31m\u202eΩ日本\"'&"
 
@@ -27,27 +26,11 @@ def comparison(names=("imm", "speed-rule"), **more):
     content = {"scenario": "mixed", "radio": "handset", "episodes": 2, "seed": 0}
     content |= {
         "command": "mmwave-loc compare --episodes 2 --episode-steps 30",
-        "options": {"episode_steps": 30, "policies": list(names), "json": "ignored.json"},
         "versions": {"mmwave-loc": __version__, "python": "3.12.0"},
         "policies": {name: metrics(-1.0 - i) for i, name in enumerate(names)},
         "paired": {f"{name} - {first}": metrics(-0.5) for name in others},
     }
     return content | more
-
-
-def run(folder, over=2):
-    """Make the folder of a run with two training seeds; the first ``over`` seeds are finished."""
-    log = "timesteps,tuning/reward,tuning/minus imm\n1000,,\n2000,-1.5,0.25\n4000,-1.4,0.3\n"
-    for seed in range(2):
-        training = folder / f"seed-{seed}"
-        training.mkdir(parents=True)
-        (training / "progress.csv").write_text(log)
-        if seed < over:
-            best = {"timesteps": 2000, "reward": -1.5, "minus imm": interval(0.25)}
-            outcome = {"seed": seed, "best": best, "seconds": 9.5}
-            write_json(training / "outcome.json", outcome)
-    write_json(folder / "run.json", {"command": "mmwave-loc train --seeds 2", "recipe": {}})
-    return folder
 
 
 class Read(HTMLParser):

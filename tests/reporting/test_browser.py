@@ -20,7 +20,7 @@ def address(tmp_path_factory):
     folder = tmp_path_factory.mktemp("report")
     names = (HOSTILE, "imm", "speed-rule", "fixed-ekf", "fixed-ukf", "random")
     content = results.comparison(names)
-    files = [write_json(folder / "r.json", content), results.run(folder / "run")]
+    files = [write_json(folder / "r.json", content)]
     again = write_json(folder / "again.json", content)
     succeed("report", *files, again, "--out", folder / "report.html")
     return (folder / "report.html").as_uri()

@@ -2,7 +2,7 @@
 
 import pytest
 
-from experiments.reporting.diagnosis_report import diagnosis_markdown, verdict
+from experiments.reporting.log_report import diagnosis_markdown, verdict
 from mmwave_env.localization.contradictions import Contradiction
 from mmwave_env.localization.readings import AS_IT_IS, Finding
 from mmwave_env.models.scene import SCENES

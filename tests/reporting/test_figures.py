@@ -11,10 +11,8 @@ from matplotlib.image import imread
 from experiments.console.options import LogArgs
 from experiments.reporting.figures import (
     caption,
-    contenders,
     draw_consistency,
     draw_error_cdf,
-    draw_learning_curves,
     draw_trajectory,
 )
 from experiments.reporting.log_results import beginning
@@ -39,11 +37,10 @@ def drawn(name, path):
     """Draw a picture of every kind with a name in it, and return the files."""
     walk = np.cumsum(np.random.default_rng(0).normal(size=(T, 3)), axis=0)
     errors = np.random.default_rng(1).normal(size=(4, T, 3))
-    files = [path / f"{kind}.svg" for kind in ("track", "cdf", "nees", "curves")]
+    files = [path / f"{kind}.svg" for kind in ("track", "cdf", "nees")]
     draw_track(name, files[0], walk)
     draw_error_cdf({name: errors, "imm": 2.0 * errors}, files[1])
     draw_consistency(np.arange(T) * 1.0, {name: (errors**2).sum(axis=-1)}, 3, files[2])
-    draw_learning_curves(f"reward minus {name}", [([1e3, 1e6], [0.0, 1.0])], files[3])
     return files
 
 
@@ -52,7 +49,7 @@ def drawn(name, path):
 def test_pictures_with_any_name_are_valid_files(name, tmp_path):
     for path in drawn(name, tmp_path):
         ElementTree.parse(path)
-    assert len(list(tmp_path.iterdir())) == 4
+    assert len(list(tmp_path.iterdir())) == 3
 
 
 @pytest.mark.parametrize(("offset_m", "is_drawn"), [(5.0, True), (5000.0, False)])
@@ -112,10 +109,3 @@ def test_an_error_cdf_without_vertical_errors_is_drawn(tmp_path):
     flat = np.random.default_rng(2).normal(size=(3, T, 3)) * [1.0, 1.0, 0.0]
     draw_error_cdf({"imm": flat}, tmp_path / "flat.png")
     assert (imread(tmp_path / "flat.png")[..., :3] != 1.0).any(axis=2).mean() > 0.02
-
-
-def test_runs_are_named_by_the_last_parts_of_their_paths_if_these_differ():
-    paths = ["runs/a/ppo", "runs/b/ppo", "/tmp/c/policy.safetensors", "imm", "runs/ppo", "ppo"]
-    short = ["runs/a/ppo", "runs/b/ppo", "policy.safetensors", "imm", "runs/ppo", "ppo"]
-    assert [*contenders(paths).values()] == short
-    assert contenders(["runs/x$"]) == {"runs/x$": "x$"}

@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from experiments.evaluation.contenders import Run
 from experiments.evaluation.intervals import Interval, bootstrap
-from experiments.reporting.comparison_results import over_training_seeds, seeds_markdown
+from experiments.reporting.comparison_results import over_training_seeds
 
-RUN = Run("runs/a", (2, 0, 1), 0)
-OTHER = Run("runs/b", (0, 1, 2, 3), 3)
+RUN = "runs/a"
+OTHER = "runs/b"
 EPISODES = 40
 
 
@@ -34,28 +33,27 @@ def trained():
 @pytest.fixture(scope="module")
 def compared(scores, trained):
     return {
-        run: over_training_seeds(run, [{"reward": each} for each in rewards], scores)
-        for run, rewards in trained.items()
+        name: over_training_seeds(name, [{"reward": each} for each in rewards], scores)[0]
+        for name, rewards in trained.items()
     }
 
 
 def test_differences_are_paired_by_episode(compared, scores, trained):
-    for run, content in compared.items():
-        assert list(content["minus"]) == ["fixed-ukf", "speed-rule", "imm", "imm-best"]
-        for rival, figures in content["minus"].items():
-            differences = trained[run] - scores[rival]["reward"]
-            each = bootstrap(differences)
-            assert list(map(Interval.of, figures["seeds"].values())) == each
-            assert figures["above_zero"] == sum(i.low > 0.0 for i in each)
-            mean = Interval.of(figures["mean"])
+    for name, content in compared.items():
+        gains = [f"minus {rival}" for rival in ("fixed-ukf", "speed-rule", "imm", "imm-best")]
+        assert list(content) == ["reward", *gains]
+        for gain in gains:
+            differences = trained[name] - scores[gain.removeprefix("minus ")]["reward"]
+            assert content[gain]["above_zero"] == sum(i.low > 0.0 for i in bootstrap(differences))
+            mean = Interval.of(content[gain]["mean"])
             assert mean.mean == pytest.approx(differences.mean())
             assert mean.low < mean.mean < mean.high
-    assert [content["minus"]["imm-best"]["above_zero"] for content in compared.values()] == [0, 4]
+    assert [content["minus imm-best"]["above_zero"] for content in compared.values()] == [0, 4]
 
 
 def test_a_run_without_rivals_still_has_its_reward(trained):
     rewards = [{"reward": reward} for reward in trained[RUN]]
-    alone = over_training_seeds(RUN, rewards, {"runs/a": rewards[1]})
-    assert alone["minus"] == {}
+    alone, table = over_training_seeds(RUN, rewards, {RUN: rewards[1]})
+    assert [*alone] == ["reward"]
     assert alone["reward"]["mean"]["mean"] == pytest.approx(trained[RUN].mean())
-    assert "| mean over seeds | " in seeds_markdown(RUN, alone)
+    assert "| mean over seeds | " in table

@@ -3,9 +3,17 @@
 import numpy as np
 import pytest
 
-from experiments.timing.measured import Measured
+from experiments.timing.measured import (
+    EPISODE,
+    FILTERPY,
+    FILTERS,
+    STEP,
+    compared,
+    environments,
+    filterpy_episode,
+    kernels,
+)
 from experiments.timing.roofline import Operations, count
-from experiments.timing.workloads import EPISODE, FILTERPY, FILTERS, filterpy_episode
 from mmwave_env.filters.filterpy_reference import filterpy_pipeline
 from mmwave_env.numerics.numbers import atan2, maximum, sqrt, where
 from mmwave_env.task import task_from
@@ -45,29 +53,29 @@ def test_the_filterpy_loop_earns_the_reward_of_a_good_track():
 
 
 @pytest.fixture(scope="module")
-def measured():
-    """Return three rounds of random numbers in place of measurements."""
-    rounds = Measured((1024, 8, 64))
+def figures():
+    """Return comparisons of three rounds of random numbers in place of measurements."""
     rng = np.random.default_rng(0)
-    for name in (FILTERPY, *FILTERS, *rounds.ours):
-        rounds.rounds["steps_per_s"][name] = rng.uniform(1e3, 1e6, 3).tolist()
-    for name in rounds.operations:
-        rounds.rounds["limit_s"][name] = rng.uniform(1e-9, 1e-8, 3).tolist()
-    return rounds
+    names = (*environments((8, 64, 1024)), *FILTERS)
+    rates = {name: rng.uniform(1e3, 1e6, 3).tolist() for name in names}
+    limits = {name: rng.uniform(1e-9, 1e-8, 3).tolist() for name in (STEP, *FILTERS)}
+    return compared({"steps_per_s": rates, "limit_s": limits})
 
 
-def test_ratios_are_computed_round_by_round(measured):
-    rates = measured.rounds["steps_per_s"]
-    ratio = np.divide(rates["native, N = 1024"], rates["filterpy loop"])
-    assert measured.json()["ratios"]["native, N = 1024"] == pytest.approx(ratio)
+def test_ratios_are_computed_round_by_round(figures):
+    rates = figures["steps_per_s"]
+    ratio = np.divide(rates["native, N = 1024"], rates[FILTERPY])
+    assert figures["ratios"]["native, N = 1024"] == pytest.approx(ratio)
+    assert len(figures["ratios"]) == 7
 
 
 @pytest.mark.parametrize(("name", "kernel"), [("UKF", "UKF"), ("native, N = 64, 1 thread", "step")])
-def test_fractions_of_the_speed_limit_refer_to_the_kernel_that_runs(measured, name, kernel):
-    expected = np.multiply(measured.rounds["limit_s"][kernel], measured.rounds["steps_per_s"][name])
-    assert measured.fractions()[name] == pytest.approx(expected)
+def test_fractions_of_the_speed_limit_refer_to_the_kernel_that_runs(figures, name, kernel):
+    expected = np.multiply(figures["limit_s"][kernel], figures["steps_per_s"][name])
+    assert figures["limit_fraction"][name] == pytest.approx(expected)
+    assert len(figures["limit_fraction"]) == 6
 
 
-def test_a_step_needs_more_operations_than_each_of_its_filters(measured):
-    sums = {name: sum(operations) for name, operations in measured.operations.items()}
+def test_a_step_needs_more_operations_than_each_of_its_filters():
+    sums = {name: sum(operations) for name, operations in kernels().items()}
     assert sums["EKF"] < sums["UKF"] <= sums["CKF"] < sums["step"]

@@ -168,6 +168,7 @@ def test_a_short_training_beats_its_base(tmp_path):
         train(job_of(folder, hyper, timesteps=timesteps), silent)
         policies.append(str(folder / "policy.safetensors"))
     base, trained = policies
-    gain = judge(policies, sites()[0], 200, seed=5_000_000).gain(trained, base)
+    scores = judge(policies, sites()[0], 200, seed=5_000_000)
+    gain = scores[trained]["reward"] - scores[base]["reward"]
     (interval,) = bootstrap([gain])
     assert 0.0 < interval.low

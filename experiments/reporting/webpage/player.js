@@ -194,5 +194,5 @@ function runs(values, take) {
   }
 }
 
-const place = document.getElementById("player");
-if (place) player(place, JSON.parse(document.getElementById("data").textContent).episodes);
+const { episodes } = JSON.parse(document.getElementById("data").textContent);
+if (episodes.length) player(document.getElementById("player"), episodes);

@@ -5,8 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from experiments.evaluation.contenders import contender_from, draw_episodes
-from experiments.evaluation.runner import Scoring
-from experiments.reporting.histories import history_of
+from experiments.evaluation.runner import Scoring, history_of
 from mmwave_env.datasets.samples import source_from
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.rendering.history import NO_MODE
