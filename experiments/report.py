@@ -12,7 +12,7 @@ def main(args: Args) -> None:
 
     if not args.results:
         raise ValueError("results: found none, expected at least one file")
-    require_at_least(0, args, "episodes", "watch")
+    require_at_least(0, args, "episodes")
     if args.out.suffix != ".html":
         raise ValueError(f"out: found {args.out}, expected a name that ends with .html")
     require_writable(args.out)

@@ -115,7 +115,7 @@ def report_page() -> str:
     from experiments.reporting.webpage.page import page_of
 
     results = tuple(Path(os.path.relpath(ROOT / name)) for name in REPORTS)
-    return page_of(PageArgs(results=results, episodes=10, watch=3))
+    return page_of(PageArgs(results=results, episodes=3))
 
 
 def citing_page() -> str:

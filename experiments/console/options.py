@@ -532,12 +532,11 @@ class LogArgs(IntegrityArgs, JsonArgs):
 class PageArgs:
     """Make one web page of results, which a browser shows offline.
 
-    The page says which policy won by how much, and has tables, distributions of
-    errors (CDF) and episodes to play. Results are JSON files (--json) of the
-    commands compare, demo and localize. Results do not store single epochs, so
-    the command runs episodes again, with the stored options. Agents in your own
-    code (module:function) are not run again: the page lacks their episodes, and
-    shows their errors only if the files store them.
+    The page says which policy won by how much, and has tables and episodes to
+    play. Results are JSON files (--json) of the commands compare, demo and
+    localize. Results do not store single epochs, so the command runs episodes
+    again, with the stored options. Agents in your own code (module:function) are
+    not run again: the page lacks their episodes.
 
         mmwave-loc report results.json --out report.html
     """
@@ -546,9 +545,6 @@ class PageArgs:
     """JSON files of results"""
     out: Path = Path("report.html")
     """web page to write"""
-    episodes: int = 30
-    """number of episodes of each comparison to run again, for
-    the distributions of errors and NEES; 0 for none"""
-    watch: int = 2
-    """for each comparison, number of rerun episodes that the
-    page can play epoch by epoch"""
+    episodes: int = 2
+    """number of episodes of each comparison to run again, which
+    the page can play epoch by epoch; 0 for none"""

@@ -32,7 +32,7 @@ COMMANDS = {
     "compare": ("compare", "--policies", "fixed-ekf", "speed-rule", *FEW, "--json", "c.json",
                 "--episodes-csv", "c.csv"),
     "simulate": ("simulate", "--seed", "7", "--out", "made"),
-    "report": ("report", "c.json", "--episodes", "2", "--watch", "1", "--out", "page.html"),
+    "report": ("report", "c.json", "--episodes", "1", "--out", "page.html"),
     "watch": ("watch", "--policies", "fixed-ekf", "--seed", "3", "--end", "8", "--out", "film.gif"),
     "tune": ("tune", "--modes", "ekf", "--scenarios", "pedestrian", "--free", "sigma_v",
              "--episodes", "2", "--out", "modes.json"),

@@ -33,7 +33,7 @@ def test_the_page_fits_the_screen_and_its_sections_are_not_too_long(opened, widt
     assert ground == {"light": "rgb(255, 255, 255)", "dark": "rgb(17, 19, 24)"}[scheme]
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     sections = page.locator("section").all()
-    assert len(sections) == 4
+    assert len(sections) == 3
     assert all(section.bounding_box()["height"] <= 10 * SCREEN for section in sections)
 
 

@@ -6,14 +6,11 @@ Results files do not store single epochs, so the page plays some episodes, or a 
 
 import json
 import re
-from base64 import b64encode
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
 from html import escape
 from importlib.resources import files
-from importlib.util import find_spec
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -30,9 +27,8 @@ from experiments.evaluation.contenders import (
     seeds_from,
     task_of,
 )
-from experiments.evaluation.positions import EpochErrors, positions_markdown
-from experiments.evaluation.runner import Scoring, histories_of, score_contenders
-from experiments.reporting.figures import draw_consistency, draw_error_cdf
+from experiments.evaluation.positions import positions_markdown
+from experiments.evaluation.runner import histories_of
 from experiments.reporting.log_report import track_markdown
 from experiments.reporting.log_results import beginning
 from mmwave_env.io.files import Json, first_line, read_json
@@ -90,22 +86,6 @@ def html_of(markdown: str) -> str:
     return "".join(parts)
 
 
-def drawn(caption: str, draw: Callable[..., None], *data: Any) -> str:
-    """Return a picture of data as HTML; without matplotlib, return a note.
-
-    ``draw`` gets the data and the path of an .svg file to write. In dark mode, the
-    page's style inverts the picture.
-    """
-    if not find_spec("matplotlib"):
-        return element("p", f"{caption}: pictures need mmwave-loc[plot]", "note")
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "picture.svg"
-        draw(*data, path)
-        svg = b64encode(path.read_bytes()).decode("ascii")
-    image = f'<img src="data:image/svg+xml;base64,{svg}" alt="{text(caption)}">'
-    return f"<figure>{image}{element('figcaption', caption)}</figure>"
-
-
 READ = "results (--json) of compare, demo or localize"
 
 
@@ -117,7 +97,7 @@ class Part:
         content: content of the file.
         name: name of the results.
         title, sentence: outcome of the results, as a title and as a sentence.
-        tables, errors: HTML of tables, and of pictures of errors.
+        tables: HTML of tables.
         origin: HTML with the command and the versions that made the results.
         episodes: episodes to watch, as JSON.
         missing: notes on what was not played again.
@@ -129,7 +109,6 @@ class Part:
     sentence: str
     tables: str
     origin: str = ""
-    errors: str = ""
     episodes: list[Json] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)
 
@@ -220,29 +199,24 @@ def origin_of(title: str, content: Json) -> str:
 LONGEST = 600  # maximum number of epochs of an episode that can be watched
 
 
-def play(part: Part, most: int, watched: int) -> None:
+def play(part: Part, episodes: int) -> None:
     """Run the first episodes of a comparison, or the beginning of a log, again.
 
     A user's code is not run: contenders given as module:function or as a .zip file are left out.
-    At most ``most`` episodes run; the page shows the first ``watched`` of these episodes.
     """
     try:
         if "groups" in part.content:
             _play_log(part)
-        elif most:
-            _play_episodes(part, most, watched)
         else:
-            raise ValueError("no episodes were asked for")
+            _play_episodes(part, episodes)
     except (ValueError, OSError) as error:
         part.missing.append(f"no episode was played again: {error}")
 
 
-def _play_episodes(part: Part, most: int, watched: int) -> None:
+def _play_episodes(part: Part, episodes: int) -> None:
     args = options_from(CompareArgs, part.content)
-    args = replace(args, episodes=min(most, part.content["episodes"]))
+    seeds = seeds_from(min(episodes, part.content["episodes"]), args.seed)
     task = task_of(args)
-    seeds = seeds_from(args.episodes, args.seed)
-    scoring = Scoring.of(task)
     chosen = []
     for name in Comparison.from_json(part.content).policies:
         try:
@@ -253,14 +227,7 @@ def _play_episodes(part: Part, most: int, watched: int) -> None:
             part.missing.append(f"{name} was not played again: {error}")
     if not chosen:
         return
-    epochs = EpochErrors()
-    score_contenders(chosen, task.source, seeds, watch=[epochs.add], scoring=scoring)
-    which = named(seeds)
-    part.errors = drawn(f"Distribution of errors (CDF), {which}", draw_error_cdf, epochs.errors_m)
-    nees = (epochs.time_s, epochs.nees, 2 if scoring.planar else 3)
-    part.errors += drawn(f"NEES and its chi-square bounds, {which}", draw_consistency, *nees)
-    some = seeds[:watched]
-    for seed, (episode, histories) in zip(some, histories_of(task, some, chosen), strict=True):
+    for seed, (episode, histories) in zip(seeds, histories_of(task, seeds, chosen), strict=True):
         name = f"{task.source.name}: {episode.name}, seed {seed}"
         courses = {}
         for contender, history in zip(chosen, histories, strict=True):
@@ -357,7 +324,7 @@ def page_of(args: PageArgs) -> str:
     """Return the web page of results; refuse results that can't be read."""
     parts = [read_part(path) for path in args.results]
     for part in parts:
-        play(part, args.episodes, args.watch)
+        play(part, args.episodes)
     origins = [part.origin for part in parts]
     origins.append(origin_of("This page", provenance("report", args)))
     # In JSON, the signs <, > and & are escaped, so that no text can end the script element.
@@ -375,7 +342,6 @@ def page_of(args: PageArgs) -> str:
         "lead": "".join(element("p", part.sentence) for part in parts),
         "colors": " ".join(colors),
         "results": _folded((part.name, part.tables) for part in parts),
-        "errors": _folded((part.name, part.errors) for part in parts),
         "notes": "".join(element("p", note, "note") for note in notes),
         "made": "".join(origins),
         "data": data.translate({ord(sign): f"\\u{ord(sign):04x}" for sign in "<>&"}),
