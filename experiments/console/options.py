@@ -536,7 +536,7 @@ class PageArgs:
     play. Results are JSON files (--json) of the commands compare, demo and
     localize. Results do not store single epochs, so the command runs episodes
     again, with the stored options. Agents in your own code (module:function) are
-    not run again: the page lacks their episodes.
+    not run again: the page lacks their episodes, or the playback of their track.
 
         mmwave-loc report results.json --out report.html
     """

@@ -2,6 +2,7 @@
 
 import json
 import re
+import sys
 
 import numpy as np
 import pytest
@@ -134,6 +135,25 @@ def test_tables_are_shown_even_if_episodes_cannot_be_played_again(tmp_path, trac
     for words in (*refused, "gone.csv", "os:getcwd was", "never:made was"):
         assert words in page.text
     assert page.text.count("Means ±") == 5 and not script.exists()
+
+
+def test_modules_that_results_name_are_not_imported(tmp_path, monkeypatch, track):
+    (tmp_path / "trap.py").write_text("raise SystemExit('imported')\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    words = "localize --sample canyon28_vehicle --policy trap:make"
+    names = ("trap:make", "fixed-ekf")
+    made = "compare --policies trap:make fixed-ekf --episodes 2 --episode-steps 30"
+    contents = {
+        "t.json": track | {"command": f"mmwave-loc {words}"},
+        "r.json": results.comparison(names, command=f"mmwave-loc {made}"),
+    }
+    page = report(tmp_path, *(write_json(tmp_path / n, c) for n, c in contents.items()))
+    assert "no episode was played again: a user's code" in page.text
+    assert "trap:make was not played again: a user's code" in page.text
+    assert "trap" not in sys.modules
+    for episode in json.loads(page.data)["episodes"]:
+        assert set(episode["contenders"]) == {"fixed-ekf"}
+    assert [row[0] for row in page.table('aria-label="measured"')[1:]] == [*track["groups"]]
 
 
 def test_hostile_names_neither_break_the_page_nor_run_code_in_it(tmp_path, track):

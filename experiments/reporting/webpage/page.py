@@ -213,6 +213,11 @@ def play(part: Part, episodes: int) -> None:
         part.missing.append(f"no episode was played again: {error}")
 
 
+def _refuse_own_code(name: str | None) -> None:
+    if name and is_agent(name):
+        raise ValueError("a user's code is not run for a report")
+
+
 def _play_episodes(part: Part, episodes: int) -> None:
     args = options_from(CompareArgs, part.content)
     seeds = seeds_from(min(episodes, part.content["episodes"]), args.seed)
@@ -220,8 +225,7 @@ def _play_episodes(part: Part, episodes: int) -> None:
     chosen = []
     for name in Comparison.from_json(part.content).policies:
         try:
-            if is_agent(name):
-                raise ValueError("it is a user's code, which is not run for a report")
+            _refuse_own_code(name)
             chosen.append(contender_of(args, name))
         except (ValueError, OSError) as error:
             part.missing.append(f"{name} was not played again: {error}")
@@ -238,7 +242,9 @@ def _play_episodes(part: Part, episodes: int) -> None:
 
 def _play_log(part: Part) -> None:
     """Localize the first epochs of a log again."""
-    block, work = beginning(options_from(LogArgs, part.content), LONGEST)
+    args = options_from(LogArgs, part.content)
+    _refuse_own_code(args.policy)
+    block, work = beginning(args, LONGEST)
     known = work.truth_m(block.time_s)
     velocity = velocity_of(block.time_s, known, GAP_S)
     log = part.content["log"]
