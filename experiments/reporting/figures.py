@@ -87,12 +87,6 @@ def labelled(axes: Sequence[Any]) -> list[Any]:
     return [*artists.values()]
 
 
-def legend_beside(axes: Any) -> None:
-    """Draw a panel's legend to the right of it, where it does not cover data."""
-    place = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.02), "borderaxespad": 0.0}
-    axes.legend(handles=labelled([axes]), **place)
-
-
 @contextmanager
 def panels(path: Path) -> Iterator[Any]:
     """Yield the two panels of a picture, one above the other; at the end, draw a common legend."""
@@ -202,12 +196,12 @@ def draw_trajectory(
         if np.isfinite(error).any():
             errors.plot(time, error, color="black", lw=0.8, label="error")
         errors.set(ylabel="position error (m)", ylim=(0.0, None))
-        legend_beside(errors)
         errors.tick_params(labelbottom=False)
         errors.sharex(modes)
         modes.step(time, track.mode, where="post", color="black", lw=0.8)
         modes.set_yticks(range(len(track.modes)), map(caption, track.modes))
         modes.set_xlabel("time since the first epoch (s)")
+        figure.legend(handles=labelled([above, errors]), loc="outside right center")
         lines = textwrap.wrap(caption(title), TITLE_LETTERS, break_on_hyphens=False)
         figure.suptitle("\n".join(lines), x=0.02, ha="left")
 
@@ -233,7 +227,6 @@ def _draw_above(
     _draw_scene(axes, position, scene, learned)
     axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
     axes.set_adjustable("datalim")
-    legend_beside(axes)
 
 
 def _draw_ellipses(axes: Any, track: Track) -> None:
