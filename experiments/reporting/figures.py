@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import chdtr, chdtri
 
 from mmwave_env.io.files import Json, atomic_path, require_writable
-from mmwave_env.io.lookup import printable, require_extra, spelled
+from mmwave_env.io.lookup import printable, require_extra
 from mmwave_env.localization.localizer import Track
 from mmwave_env.localization.position_errors import SHARES, horizontal, vertical
 from mmwave_env.models.scene import Scene
@@ -70,14 +70,6 @@ def picture(path: Path, width_in: float, height_in: float) -> Iterator[Any]:
             figure.savefig(temporary, format=suffix[1:], metadata=UNDATED[suffix])
 
 
-def caption(name: str) -> str:
-    """Return a name with escape codes for characters that are invisible or not in the font."""
-    from matplotlib.font_manager import findfont, get_font
-
-    font = get_font(findfont("DejaVu Sans"))  # the font that comes with matplotlib
-    return "".join(x if font.get_char_index(ord(x)) else spelled(x) for x in printable(name))
-
-
 def labelled(axes: Sequence[Any]) -> list[Any]:
     """Return one artist in panels for each label, in the order of the labels."""
     artists: dict[str, Any] = {}
@@ -122,7 +114,7 @@ def draw_error_cdf(errors_m: Mapping[str, Array], path: Path) -> None:
         ):
             for name, errors in errors_m.items():
                 values = np.maximum(size(errors), SMALLEST_M)  # the error of a known height is 0
-                axes.plot(np.quantile(values, _SHARES), _SHARES, label=caption(name))
+                axes.plot(np.quantile(values, _SHARES), _SHARES, label=printable(name))
             low = min(np.interp(0.03, line.get_ydata(), line.get_xdata()) for line in axes.lines)
             axes.set(xscale="log", ylim=(0.0, 1.0), xlabel=f"{kind} position error (m)")
             axes.set_xlim(left=low)
@@ -148,7 +140,7 @@ def draw_consistency(time_s: Array, nees: Mapping[str, Array], dof: int, path: P
             over_time.plot(time_s, values.mean(axis=0) / dof)
             inside = np.sort(chdtr(dof, values), axis=None)
             shares = np.searchsorted(inside, _SHARES, "right") / inside.size
-            whole.plot(_SHARES, shares, label=caption(name))
+            whole.plot(_SHARES, shares, label=printable(name))
         label = f"mean NEES / {dof}, of {episodes:,} episodes"
         over_time.set(xlabel="time since the start (s)", yscale="log", ylabel=label)
         plain_numbers(over_time.yaxis)
@@ -199,10 +191,10 @@ def draw_trajectory(
         errors.tick_params(labelbottom=False)
         errors.sharex(modes)
         modes.step(time, track.mode, where="post", color="black", lw=0.8)
-        modes.set_yticks(range(len(track.modes)), map(caption, track.modes))
+        modes.set_yticks(range(len(track.modes)), map(printable, track.modes))
         modes.set_xlabel("time since the first epoch (s)")
         figure.legend(handles=labelled([above, errors]), loc="outside right center")
-        lines = textwrap.wrap(caption(title), TITLE_LETTERS, break_on_hyphens=False)
+        lines = textwrap.wrap(printable(title), TITLE_LETTERS, break_on_hyphens=False)
         figure.suptitle("\n".join(lines), x=0.02, ha="left")
 
 
@@ -218,7 +210,7 @@ def _draw_above(
     if np.isfinite(truth_m).any():
         axes.plot(*truth_m[:, :2].T, color="black", alpha=0.25, label="truth", lw=4.0)
     for number in np.unique(mode):
-        label = f"estimate, {caption(track.modes[number])}"
+        label = f"estimate, {printable(track.modes[number])}"
         chosen = steps[whole & (mode[1:] == number)]
         lines = LineCollection(chosen, color=f"C{number}", lw=1.4, label=label)
         axes.add_collection(lines)

@@ -10,7 +10,6 @@ from matplotlib.image import imread
 
 from experiments.console.options import LogArgs
 from experiments.reporting.figures import (
-    caption,
     draw_consistency,
     draw_error_cdf,
     draw_trajectory,
@@ -19,7 +18,7 @@ from experiments.reporting.log_results import beginning
 from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.linalg import pack
 
-AWKWARD = "a$b_{^$ | \x1b[31m <b>\n漢字 \u202eق"
+AWKWARD = "a$b_{^$ | \x1b[31m <b>\n\u202eق"
 T = 50
 
 
@@ -66,11 +65,21 @@ def test_learned_walls_are_drawn_near_the_track(tmp_path, offset_m, is_drawn):
     assert walls.count("stroke-dasharray") - without.count("stroke-dasharray") == 7 * is_drawn
 
 
-def test_names_are_shown_unchanged_except_characters_that_cannot_be_shown():
-    assert caption("a$b_{^$ | <b>") == "a$b_{^$ | <b>"
-    assert caption("\x1b[31m\n") == r"\x1b[31m\n"
-    assert caption("漢") == r"\u6f22"  # not in matplotlib's font
-    assert caption("\udcff") == r"\udcff"  # from a file name that is not UTF-8
+def test_names_are_shown_unchanged_except_characters_that_cannot_be_printed(tmp_path):
+    names = {
+        "a$b_{^$ | <b>": "a$b_{^$ | &lt;b&gt;",
+        "\x1b[31m\n": r"\x1b[31m\n",
+        "\udcff": r"\udcff",
+    }
+    draw_error_cdf({name: np.ones((T, 3)) for name in names}, tmp_path / "a.svg")
+    content = (tmp_path / "a.svg").read_text()
+    assert all(f">{shown}</text>" in content for shown in names.values())
+
+
+def test_a_character_that_the_font_lacks_is_kept_with_a_warning(tmp_path):
+    with pytest.warns(UserWarning, match="Glyph 28450 .* missing"):
+        draw_error_cdf({"漢": np.ones((T, 3))}, tmp_path / "a.svg")
+    assert ">漢</text>" in (tmp_path / "a.svg").read_text("utf-8")
 
 
 def cdf(path):
