@@ -6,7 +6,7 @@ Results files do not store single epochs, so the page plays some episodes, or a 
 
 import json
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from importlib.resources import files
@@ -347,7 +347,7 @@ def page_of(args: PageArgs) -> str:
         "title": text(parts[0].title),
         "lead": "".join(element("p", part.sentence) for part in parts),
         "colors": " ".join(colors),
-        "results": _folded((part.name, part.tables) for part in parts),
+        "results": _folded(parts),
         "notes": "".join(element("p", note, "note") for note in notes),
         "made": "".join(origins),
         "data": data.translate({ord(sign): f"\\u{ord(sign):04x}" for sign in "<>&"}),
@@ -360,13 +360,14 @@ def page_of(args: PageArgs) -> str:
     return re.sub(r"<!--([\w.]+)-->", filled, _file("page.html"))  # not in inserted text
 
 
-def _folded(parts: Iterable[tuple[str, str]]) -> str:
-    """Return collapsible parts from pairs of a name and HTML; only the first is open."""
-    shown = [(name, inside) for name, inside in parts if inside]
-    return "".join(
-        f"<details{'' if number else ' open'}><summary>{text(name)}</summary>{inside}</details>"
-        for number, (name, inside) in enumerate(shown)
-    )
+def _folded(parts: Sequence[Part]) -> str:
+    """Return the tables of all parts, which can be folded; only the first are open."""
+    opening = "<details open>"
+    folded = ""
+    for part in parts:
+        folded += f"{opening}<summary>{text(part.name)}</summary>{part.tables}</details>"
+        opening = "<details>"
+    return folded
 
 
 def _file(name: str) -> str:
