@@ -22,7 +22,7 @@ def main(args: Args) -> None:
     if args.errors and args.errors == args.consistency:
         expected = "a file other than the --errors file"
         raise ValueError(f"consistency: found {args.consistency}, expected {expected}")
-    _, text, content, epochs = results(args, with_epochs=any(pictures.values()))
+    _, text, content, epochs = results(args)
     if args.json:  # before show(), which fails if the program that reads its output stops
         write_json(args.json, provenance("compare", args) | content)
     show(text)  # also if a picture fails

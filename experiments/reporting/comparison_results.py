@@ -62,16 +62,14 @@ def over_training_seeds(
     return content, f"\n{about}\n\n{grid(['training seed', *columns], rows)}\n"
 
 
-def results(
-    args: CompareArgs, with_epochs: bool = False
-) -> tuple[Comparison, str, Json, EpochErrors]:
+def results(args: CompareArgs) -> tuple[Comparison, str, Json, EpochErrors]:
     """Run the chosen contenders, or all of them, on the episodes that options select.
 
     If a name is the folder of a training run, its policy with the median reward is the contender.
 
     Returns:
         The comparison; all tables as Markdown; all results, in the form that results files store;
-        and errors of all epochs if they were asked for.
+        and errors of all epochs if a picture needs them.
 
     Raises:
         ValueError: an option is not valid.
@@ -87,7 +85,7 @@ def results(
     everybody = [contender_of(args, name) for name in names]
     epochs = EpochErrors()
     positions = Positions(levels, task.source.layout.anchors, args.planar)
-    watch = [epochs.add] if with_epochs else []
+    watch = [epochs.add] if args.errors or args.consistency else []
     if args.percentiles:
         watch.append(positions.add)
     after = PARTS if args.percentiles else ()
