@@ -207,8 +207,10 @@ def play(part: Part, episodes: int) -> None:
     try:
         if "groups" in part.content:
             _play_log(part)
-        else:
+        elif episodes:
             _play_episodes(part, episodes)
+        else:
+            raise ValueError("no episodes were asked for")
     except (ValueError, OSError) as error:
         part.missing.append(f"no episode was played again: {error}")
 
