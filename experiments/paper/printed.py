@@ -86,11 +86,7 @@ class Bench:
 
     def _run(self, mode: Mode, setting: Setting, planar: bool = False) -> TrackRun:
         """Filter and smooth every episode of a setting; if ``planar``, z and vz are known."""
-        episodes = self.episodes(setting)
-        if planar:
-            height = SCENES["street"].streets.height_m
-            episodes = [episode.on_flat_ground(height) for episode in episodes]
-        return track(mode, episodes, planar)
+        return track(mode, self.episodes(setting), planar)
 
 
 def track(mode: Mode, episodes: Sequence[Episode], planar: bool = False) -> TrackRun:

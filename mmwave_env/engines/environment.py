@@ -280,7 +280,7 @@ class Environment:
         source = task.simulated
         whole = engine.on_floats or not source.travels
         if whole or paired:
-            episodes = task.tables(keys, self._threads)
+            episodes = source.sample_batch(keys, self._threads)
         if paired:
             self._begin_baseline(episodes, places)
         if whole:
@@ -288,10 +288,6 @@ class Environment:
             return episodes.names, 0
         starts = source.begin(keys)
         engine.begin(source, starts, places)
-        if task.pipeline.planar:  # as in Episode.on_flat_ground
-            prior = engine.at.site.prior_x
-            engine.write(prior[2], starts.first[:, 2], places)
-            engine.write(prior[5], 0.0, places)
         return starts.names, 0
 
     def _begin_pictures(self, places: Index) -> None:

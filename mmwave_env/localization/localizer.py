@@ -109,16 +109,13 @@ class Localizer:
             return Engine(self.pipeline, n, None, switching.observation, bank, policy=policy)
         return Engine(self.pipeline, n, None, "", bank, action="", rule=switching.rule)
 
-    def episode(self, log: Log, start: Start | None = None) -> Episode:
-        """Return epochs with which a track begins, or goes on if ``start`` is None."""
-        episode = episode_from(log, self.scene, self.radio, start)
-        return episode if self.height_m is None else episode.on_flat_ground(self.height_m)
-
     def load(self, log: Log, start: Start | None, before_s: float = 0.0) -> None:
         """Load epochs with which a track begins or, without a start, goes on after ``before_s``."""
-        episode = self.episode(log, start)
+        episode = episode_from(log, self.scene, self.radio, start)
         if start:
             self.engine.load([episode])
+            if self.planar:
+                self.engine.write(self.engine.at.site.prior_x[2], self.height_m)
             if self.levels:
                 self.levels.reset()
             return
@@ -293,7 +290,7 @@ def _track(
     return track
 
 
-def episode_from(log: Log, scene: Scene, radio: Radio, start: Start | None) -> Episode:
+def episode_from(log: Log, scene: Scene, radio: Radio, start: Start | None = None) -> Episode:
     """Return epochs of a log as an episode without true positions.
 
     If a track begins here, the links that its start has spent are not visible. If none begins, the
@@ -339,7 +336,7 @@ def _corrected(
     """Correct a part of a smoothed track by windows, which are the smoother's."""
     layout = track.layout
     pipeline = localizer.pipeline
-    batch = EpisodeBatch.of([episode_from(track, localizer.scene, localizer.radio, None)])
+    batch = EpisodeBatch.of([episode_from(track, localizer.scene, localizer.radio)])
     mixtures = kept[:, layout.state_size + layout.triangle :]
     rejected = track.visible & ~track.accepted
 

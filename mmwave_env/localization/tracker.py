@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mmwave_env.interface.policy import Switching
 from mmwave_env.localization.levels import Levels, LevelState
-from mmwave_env.localization.localizer import Localizer
+from mmwave_env.localization.localizer import Localizer, episode_from
 from mmwave_env.localization.map_files import geodetic
 from mmwave_env.localization.position_errors import gaussian_levels
 from mmwave_env.localization.segments import DOUBTFUL_GAP_S
@@ -341,8 +341,8 @@ class Tracker:
             return quick
         log = log_from(epochs)
         # An episode's times must increase; the users' time steps are set later.
-        episode = self._localizer.episode(replace(log, time_s=np.arange(float(len(log)))))
-        return episode.table()
+        log = replace(log, time_s=np.arange(float(len(log))))
+        return episode_from(log, self._scene, self._radio).table()
 
     def _quick_incoming(self, epoch: LiveEpoch) -> list[float] | None:
         """Return the same as :meth:`_incoming` for one epoch; None if this is impossible."""

@@ -19,7 +19,7 @@ TUNING = 5_000_000  # episode key of the first episode
 
 def smoothed(task, bank, n):
     """Return n episodes, an IMM's tracks, their time steps (s) and smoothed (x, P)."""
-    batch = task.tables(np.arange(TUNING, TUNING + n).astype(np.uint64))
+    batch = task.simulated.sample_batch(np.arange(TUNING, TUNING + n).astype(np.uint64))
     pipeline = Pipeline(bank.modes, batch.layout, task.pipeline.planar)
     track = run_imm(bank, TrackingReward(), batch, "x", "P", "mixture", planar=pipeline.planar)
     at = columns_of(batch.layout)

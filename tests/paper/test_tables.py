@@ -43,8 +43,6 @@ def test_filtered_scores_equal_the_scores_of_an_evaluation(bench):
 def test_smoothed_scores_equal_scores_computed_from_the_smoothed_track(bench, planar):
     episodes = bench.episodes(PEDESTRIAN)
     mode = default_modes("handset")[0]
-    if planar:
-        episodes = [episode.on_flat_ground(1.5) for episode in episodes]
     smoothed = track(mode, episodes, planar).smoothed
     tracker = Engine(Pipeline((mode,), episodes[0].layout, planar), len(episodes), observation="")
     tracker.load(episodes)
