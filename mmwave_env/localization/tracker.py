@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.interface.policy import Switching
-from mmwave_env.localization.levels import Levels, LevelState
+from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.localizer import Localizer, episode_from
 from mmwave_env.localization.map_files import geodetic
 from mmwave_env.localization.position_errors import gaussian_levels
@@ -77,7 +77,7 @@ class _User:
     last_s: float | None = None  # time of the last measurement; None without a track
     doubt: Doubt | None = None  # epochs that may still revise the track
     end_s: float = 0.0  # time of the last filtered epoch
-    # of a track in no engine: arrays (1, ...) of the filter, a policy's memory, and a LevelState
+    # of a track in no engine: arrays (1, ...) of the filter, the memories of a policy and of levels
     track: Sequence[NDArray[Any]] = ()
 
 
@@ -273,8 +273,8 @@ class Tracker:
         arrays = [self._engine.read(slice(None))]
         if self._engine.policy:
             arrays += self._engine.policy.memory
-        if self._levels and self._levels.state:
-            arrays += self._levels.state
+        if self._levels:
+            arrays += self._levels.memory
         for i, user in enumerate(self._loaded):
             user.track = [part[i : i + 1].copy() for part in arrays]
 
@@ -290,8 +290,8 @@ class Tracker:
         self._engine.write(slice(None), states, np.arange(count))
         for part in self._engine.policy.memory if self._engine.policy else ():
             part[:count] = others.pop(0)
-        if self._levels and others:
-            self._levels.state = LevelState(*others)
+        if self._levels:
+            self._levels.memory = others
         self._loaded = users
 
     def _filtered(self, time_s: list[list[float]], begins: bool = False) -> list[Position]:
