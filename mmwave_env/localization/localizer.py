@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from mmwave_env.engines.engine import Engine
-from mmwave_env.engines.smoothing import smooth, smoothed_features
+from mmwave_env.engines.smoothing import SMOOTHED, smooth, smoothed_features
 from mmwave_env.filters.correction import corrected_all
 from mmwave_env.filters.mode_smoothing import smooth_modes
 from mmwave_env.filters.pipeline import Pipeline
@@ -136,7 +136,7 @@ class Localizer:
             "memory.mode" and, with a corrector, "trusted"; "kept" is the input of the smoother, and
             "level_factors" (N, T, 2) are factors of Gaussian levels, 1 if none are computed.
         """
-        kept = "x P mixture" if self.switching.bank else "x P x_predicted P_predicted"
+        kept = "mixture" if self.switching.bank else SMOOTHED
         outputs = engine.run(*PARTS, "memory.mode", kept)
         parts = {name: part[:count] for name, part in outputs.items()}
         parts["kept"] = parts[kept]
@@ -155,17 +155,12 @@ class Localizer:
         ``kept`` (N, T, values) is what :meth:`run` returned. ``time_s`` and the Doppler spreads
         ``spread_hz`` are (N, T).
         """
-        n = self.layout.state_size
-        dt = np.diff(time_s)
+        dt = np.diff(time_s, prepend=time_s[:, :1])
         hz_per_mps = self.scene.hz_per_mps
-        x, P, rest = np.split(kept, [n, n + self.layout.triangle], axis=2)
-        if self.switching.bank:
-            steps = np.pad(dt, ((0, 0), (1, 0)))
-            return smooth_modes(
-                self.switching.bank, self.pipeline, rest, steps, spread_hz, hz_per_mps
-            )
-        drive = self.layout.bias_drive(hz_per_mps)
-        return smooth(x, P, rest[..., :n], rest[..., n:], dt, self.planar, drive)
+        bank = self.switching.bank
+        if bank:
+            return smooth_modes(bank, self.pipeline, kept, dt, spread_hz, hz_per_mps)
+        return smooth(self.pipeline, kept, dt, hz_per_mps)
 
 
 def localize(
@@ -334,15 +329,13 @@ def _corrected(
     track: Track, kept: Array, localizer: Localizer, window: int, two_way: TrackCorrector
 ) -> Track:
     """Correct a part of a smoothed track by windows, which are the smoother's."""
-    layout = track.layout
     pipeline = localizer.pipeline
     batch = EpisodeBatch.of([episode_from(track, localizer.scene, localizer.radio)])
-    mixtures = kept[:, layout.state_size + layout.triangle :]
     rejected = track.visible & ~track.accepted
 
     def run(table: Array, x: Array, P: Array, mixtures: Array, *gates: Array) -> tuple[Array, ...]:
         table = table.copy()
-        table[:, 0, columns_of(layout).dt] = 0.0  # each window begins a track, as in training
+        table[:, 0, columns_of(batch.layout).dt] = 0.0  # each window begins a track, as in training
         episodes = batch._replace(table=table)
         features = smoothed_features(pipeline, episodes, x, P, mixtures, list(gates))
         shift, log_factor, trusted = (part.astype(float) for part in two_way(pipeline, features))
@@ -351,6 +344,6 @@ def _corrected(
 
     gates = track.nis, track.accepted.astype(float), rejected.astype(float)
     x, P, trusted = _by_windows(
-        run, window, batch.table[0], track.smooth_x, track.smooth_P, mixtures, *gates
+        run, window, batch.table[0], track.smooth_x, track.smooth_P, kept, *gates
     )
     return replace(track, smooth_x=x, smooth_P=P, smooth_trusted=trusted)
