@@ -271,7 +271,9 @@ class Environment:
         engine = self._engine
         paired = task.baseline and task.action != CORRECTION
         if not task.has_keys:
-            drawn = [task.draw(self._generator(place)) for place in places.tolist()]
+            drawn = [task.source.sample(self._generator(place)) for place in places.tolist()]
+            for episode in drawn:
+                episode.require_truth()
             engine.load(drawn, places)
             if paired:
                 self._begin_baseline(drawn, places)

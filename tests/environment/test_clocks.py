@@ -45,7 +45,7 @@ def tasks(clock="offset", **arguments):
 def pair(clock="offset", **arguments):
     """Return one episode twice: with a synchronized clock and with another one."""
     both = tasks(clock, episode_steps=40, radio="standard", **arguments)
-    return [task.draw(np.random.default_rng(4)) for task in both]
+    return [task.source.sample(np.random.default_rng(4)) for task in both]
 
 
 def bias_of(synchronized, offset):
