@@ -185,6 +185,9 @@ class Levels:
         return np.concatenate([now, alone, steady, *lag, turn], axis=-1)
 
 
+GAUSSIAN_LEVELS = Levels(kind=GAUSSIAN)  # of the default risk; they have no memory
+
+
 def _gates(anchors: int, nis: Any, accepted: Any, rejected: Any) -> Array:
     """Return features (n, T, 8) of innovations and gates, whatever the number of anchors."""
     measured = accepted + rejected

@@ -22,7 +22,7 @@ from mmwave_env.filters.mode_smoothing import smooth_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import SMOOTHING_WINDOW
 from mmwave_env.interface.policy import Switching, TrackCorrector
-from mmwave_env.localization.levels import PARTS, Levels
+from mmwave_env.localization.levels import GAUSSIAN_LEVELS, PARTS, Levels
 from mmwave_env.localization.segments import Segment, segments
 from mmwave_env.localization.starts import Start
 from mmwave_env.logs.log import Log
@@ -81,7 +81,7 @@ class Localizer:
     radio: Radio
     switching: Switching
     height_m: float | None = None
-    levels: Levels | None = None
+    levels: Levels = GAUSSIAN_LEVELS
     correlation_s: float = 0.0
 
     @property
@@ -116,8 +116,7 @@ class Localizer:
             self.engine.load([episode])
             if self.planar:
                 self.engine.write(self.engine.at.site.prior_x[2], self.height_m)
-            if self.levels:
-                self.levels.reset()
+            self.levels.reset()
             return
         table = episode.table()
         table[0, columns_of(self.layout).dt] = log.time_s[0] - before_s
@@ -134,19 +133,17 @@ class Localizer:
         Returns:
             Arrays (N, T, ...): the parts :data:`~mmwave_env.localization.levels.PARTS`,
             "memory.mode" and, with a corrector, "trusted"; "kept" is the input of the smoother, and
-            "level_factors" (N, T, 2) are factors of Gaussian levels, 1 if none are computed.
+            "level_factors" (N, T, 2) are factors of Gaussian levels.
         """
         kept = "mixture" if self.switching.bank else SMOOTHED
         outputs = engine.run(*PARTS, "memory.mode", kept)
         parts = {name: part[:count] for name, part in outputs.items()}
         parts["kept"] = parts[kept]
-        parts["level_factors"] = np.ones((*parts["x"].shape[:2], 2))
-        if self.levels:
-            read = [parts[name] for name in PARTS]
-            mixes = self.switching.bank is not None
-            parts["level_factors"] = self.levels.factors(
-                self.layout.anchors, mixes, time_s, *read, parts.get("trusted")
-            )
+        read = [parts[name] for name in PARTS]
+        mixes = self.switching.bank is not None
+        parts["level_factors"] = self.levels.factors(
+            self.layout.anchors, mixes, time_s, *read, parts.get("trusted")
+        )
         return parts
 
     def smoothed(self, kept: Array, time_s: Array, spread_hz: Array) -> tuple[Array, Array]:
@@ -170,7 +167,7 @@ def localize(
     switching: Switching,
     window: int | None = SMOOTHING_WINDOW,
     height_m: float | None = None,
-    levels: Levels | None = None,
+    levels: Levels = GAUSSIAN_LEVELS,
     two_way: TrackCorrector | None = None,
     report: Callable[[float], None] = lambda share: None,
     correlation_s: float = 0.0,
@@ -183,7 +180,7 @@ def localize(
         switching: the modes, and the rule or policy that chooses between them.
         window: number of epochs that are smoothed together; None for no smoothing.
         height_m: height of flat terrain, if it is known (paper, Sec. II-A).
-        levels: protection levels; None for Gaussian levels.
+        levels: protection levels.
         two_way: network that corrects the smoothed track; None for no correction. A network needs
             ``height_m=None``, and a bank whose modes have the names of the modes in its training.
         report: function that is called with the share of the log that is done, 0 to 1.
@@ -304,7 +301,7 @@ def episode_from(log: Log, scene: Scene, radio: Radio, start: Start | None = Non
         sigma=log.sigma,
         visible=start.unspent(log.visible) if start else log.visible,
         doppler_spread_hz=log.doppler_spread_hz,
-        doppler_anchor=log.doppler_anchor if log.layout.partial else None,
+        doppler_anchor=log.doppler_anchor,
         prior_mean=mean,
         prior_covariance=covariance,
     )

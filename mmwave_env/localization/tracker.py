@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.interface.policy import Switching
-from mmwave_env.localization.levels import Levels
+from mmwave_env.localization.levels import GAUSSIAN_LEVELS, Levels
 from mmwave_env.localization.localizer import Localizer, episode_from
 from mmwave_env.localization.map_files import geodetic
 from mmwave_env.localization.position_errors import gaussian_levels
@@ -198,8 +198,8 @@ class Tracker:
     def _prepare(self, layout: Layout) -> None:
         """Create all that the epochs of a layout share; tracks of another layout end."""
         self._localizer = Localizer(
-            layout, self._scene, self._radio, self._switching, self._height_m, self._levels,
-            self._correlation_s,
+            layout, self._scene, self._radio, self._switching, self._height_m,
+            self._levels or GAUSSIAN_LEVELS, self._correlation_s,
         )  # fmt: skip
         self._users.clear()
         self._engines = {1: self._localizer.engine}  # by number of tracks
@@ -273,8 +273,7 @@ class Tracker:
         arrays = [self._engine.read(slice(None))]
         if self._engine.policy:
             arrays += self._engine.policy.memory
-        if self._levels:
-            arrays += self._levels.memory
+        arrays += self._localizer.levels.memory
         for i, user in enumerate(self._loaded):
             user.track = [part[i : i + 1].copy() for part in arrays]
 
@@ -290,8 +289,7 @@ class Tracker:
         self._engine.write(slice(None), states, np.arange(count))
         for part in self._engine.policy.memory if self._engine.policy else ():
             part[:count] = others.pop(0)
-        if self._levels:
-            self._levels.memory = others
+        self._localizer.levels.memory = others
         self._loaded = users
 
     def _filtered(self, time_s: list[list[float]], begins: bool = False) -> list[Position]:

@@ -59,8 +59,8 @@ class Episode:
         layout: which quantity is in which row, and which rows form a group.
         truth_position_m: (T, 3) true positions; None if unknown.
         truth_velocity_mps: (T, 3) true velocities; None if unknown.
-        doppler_anchor: (T,) index, from 0, of the anchor whose Doppler shift was measured (only in
-            a partial layout); None if it is the first anchor in every epoch.
+        doppler_anchor: (T,) index, from 0, of the anchor whose Doppler shift was measured (used
+            only in a partial layout); None if it is the first anchor in every epoch.
     """
 
     name: str
