@@ -273,7 +273,8 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
         epochs = getattr(self.source, "epochs", None)
         self._spec = spec and replace(spec, max_episode_steps=epochs)
         # If `gym.make` itself truncates an episode, the last step has no metrics. `gym.make` keeps
-        # its limit of steps only in a local variable, which is read here.
+        # its limit of steps only in a local variable, which is read here: the specification that it
+        # sets has no limit, and it calls nothing of ours after it has added its time limit.
         make = sys._getframe(1).f_locals
         limit = make.get("max_episode_steps") or getattr(
             make.get("env_spec"), "max_episode_steps", None

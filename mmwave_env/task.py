@@ -5,8 +5,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, cast
 
-import numpy as np
-
 from mmwave_env.datasets.recorded import MeasuredTrack, Recording, TrackSource
 from mmwave_env.datasets.samples import source_from
 from mmwave_env.datasets.ways import scenario_from
@@ -24,8 +22,7 @@ from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.random_scene import RandomScene, RandomSurvey, scenes_from, survey_from
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array32
-from mmwave_env.world.episode import Episode, EpisodeBatch, EpisodeSource
-from mmwave_env.world.keys import Keys
+from mmwave_env.world.episode import EpisodeSource
 from mmwave_env.world.simulated import SimulatedSource
 from mmwave_env.world.trajectory import Scenario
 
@@ -50,19 +47,6 @@ class Task:
     action: str  # kind of actions
     # for corrections: makes the agent that chooses modes; None if an IMM weighs the modes
     base: Base | None
-
-    def draw(self, rng: np.random.Generator) -> Episode:
-        """Draw the next episode of an environment."""
-        episode = self.source.sample(rng)
-        episode.require_truth()
-        if self.pipeline.planar:
-            episode = episode.on_flat_ground()
-        return episode
-
-    def tables(self, keys: Keys, threads: int = 1) -> EpisodeBatch:
-        """Draw the simulated episodes of keys (n,) in one call, on at most ``threads`` threads."""
-        episodes = self.simulated.sample_batch(keys, threads=threads)
-        return episodes.on_flat_ground() if self.pipeline.planar else episodes
 
     @property
     def has_keys(self) -> bool:

@@ -68,6 +68,8 @@ class Estimator(Policy):
         for some in [slice(None)] if self.at_once else range(n):
             site = unflatten(blank_site(layout), iter(episodes.site[some].T))
             rows = np.moveaxis(episodes.table[some], -2, 0)
+            first = unflatten(blank, iter(rows[0].T))
+            site = site._replace(prior_x=pipeline.prior(site.prior_x, first.truth))
             epochs = (unflatten(blank, iter(row.T)).epoch(layout) for row in rows)
             beliefs = [[*x, *P] for x, P in self.track(pipeline, site, epochs)]
             shape = len(beliefs), len(min(beliefs, key=len, default=()))

@@ -80,7 +80,7 @@ def run_contender(
 
     Args:
         contender: a policy with its modes, or an IMM.
-        episodes: the episodes; they need ground truth only if ``scoring.planar``.
+        episodes: the episodes; without ground truth, ``scoring.planar`` keeps the prior's height.
         scoring: reward and terrain.
         after: names of parts of the filters' state to return for every epoch. All contenders have
             "x" and "P"; all but estimators have "memory.nis", "memory.accepted", "memory.rejected".
@@ -93,8 +93,6 @@ def run_contender(
         the corrected beliefs, and "trusted" (n, T) has the factors that scaled the corrections.
     """
     batch = EpisodeBatch.of(episodes)
-    if scoring.planar:
-        batch = batch.on_flat_ground()
     names = (*PARTS, *after)
     if contender.policy is None:
         assert contender.bank  # an IMM: no policy acts, so one call runs all epochs
@@ -231,10 +229,11 @@ def history_of(
     """
     results = run_contender(contender, [episode], scoring, after=_KEPT)
     made = {name: values[0] for name, values in results.items()}
-    begun = episode.on_flat_ground() if scoring.planar else episode
-    prior_P = begun.prior_covariance[np.tril_indices(3)]
+    prior_P = episode.prior_covariance[np.tril_indices(3)]
     assert episode.truth_position_m is not None and episode.truth_velocity_mps is not None
     truth = np.hstack([episode.truth_position_m, episode.truth_velocity_mps])
+    pipeline = contender.pipeline(episode.layout, scoring.planar)
+    prior_x = pipeline.prior([*episode.prior_mean], [*truth[0]])
     none = np.zeros_like(made["memory.accepted"][0])
     return History(
         episode.name,
@@ -244,7 +243,7 @@ def history_of(
         time_s=_after(0.0, episode.time_s - episode.time_s[0]),
         modes=_after(NO_MODE, made.get("mode", made["memory.mode"])).astype(np.int64),
         truth=_after(truth[0], truth),
-        estimate=_after(begun.prior_mean, made["x"]),
+        estimate=_after(np.array(prior_x), made["x"]),
         P=_after(prior_P, made["P"][:, :POSITION_NUMBERS]),
         nees=_after(np.nan, made["nees"]),
         accepted=_after(none, made["memory.accepted"]) > 0.5,

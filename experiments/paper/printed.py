@@ -19,7 +19,7 @@ from experiments.evaluation.contenders import draw_episodes
 from experiments.evaluation.intervals import Interval, bootstrap, rounded
 from experiments.evaluation.runner import Scores
 from mmwave_env.engines.engine import tracker_of
-from mmwave_env.engines.smoothing import smooth
+from mmwave_env.engines.smoothing import SMOOTHED, smooth
 from mmwave_env.filters.bank import shipped_modes
 from mmwave_env.filters.modes import Mode, robust
 from mmwave_env.metrics import scored, summary
@@ -31,7 +31,7 @@ from mmwave_env.world.simulated import SimulatedSource
 
 TUNED_ON = ("pedestrian", "vehicle")  # kinds of users, in the order of the modes tuned for them
 ALGORITHMS = ("ekf", "ukf", "ckf")
-_PARTS = ("x", "P", "x_predicted", "P_predicted", "error", "nees")
+_PARTS = (SMOOTHED, "x", "error", "nees")
 
 
 @dataclass(frozen=True)
@@ -86,19 +86,15 @@ class Bench:
 
     def _run(self, mode: Mode, setting: Setting, planar: bool = False) -> TrackRun:
         """Filter and smooth every episode of a setting; if ``planar``, z and vz are known."""
-        episodes = self.episodes(setting)
-        if planar:
-            height = SCENES["street"].streets.height_m
-            episodes = [episode.on_flat_ground(height) for episode in episodes]
-        return track(mode, episodes, planar)
+        return track(mode, self.episodes(setting), planar)
 
 
 def track(mode: Mode, episodes: Sequence[Episode], planar: bool = False) -> TrackRun:
     """Filter and smooth episodes of the same length with a mode."""
     tracker = tracker_of(mode, episodes, planar)
-    x, P, x_predicted, P_predicted, error, nees = tracker.run(*_PARTS).values()
-    dt = np.diff([episode.time_s for episode in episodes])
-    smoothed_x, P = smooth(x, P, x_predicted, P_predicted, dt, planar)
+    tracks, x, error, nees = tracker.run(*_PARTS).values()
+    dt = np.diff([episode.time_s for episode in episodes], prepend=0.0)
+    smoothed_x, P = smooth(tracker.pipeline, tracks, dt, episodes[0].hz_per_mps)
     better = error + (smoothed_x - x)[..., :3]
     # NEES depends only on state minus truth: pass the error as the state, and 0 as the truth.
     offset = tracker.pipeline.belief([*better.T], [*P.T])

@@ -84,7 +84,7 @@ class Track(Arrays, ABC):
             (T,), Hz, or None if it is unknown.
         """
 
-    def episode(self, radio: str | Radio, rng: np.random.Generator) -> Episode:
+    def episode(self, radio: Radio, rng: np.random.Generator) -> Episode:
         """Return the epochs of the track as an episode, whose true positions are known.
 
         The prior is drawn around the true state. If the bias of the oscillator is unknown, the mean
@@ -95,7 +95,6 @@ class Track(Arrays, ABC):
         Raises:
             ValueError: the true position in an epoch is not known.
         """
-        radio = radio_from(radio)
         measurement, snr_db, spread_hz, bias = self._received(radio, rng)
         bias_hz = 0.0 if bias is None else bias[0]
         state = np.concatenate([self.position_m[0], self.velocity_mps[0], [bias_hz]])

@@ -271,7 +271,9 @@ class Environment:
         engine = self._engine
         paired = task.baseline and task.action != CORRECTION
         if not task.has_keys:
-            drawn = [task.draw(self._generator(place)) for place in places.tolist()]
+            drawn = [task.source.sample(self._generator(place)) for place in places.tolist()]
+            for episode in drawn:
+                episode.require_truth()
             engine.load(drawn, places)
             if paired:
                 self._begin_baseline(drawn, places)
@@ -280,7 +282,7 @@ class Environment:
         source = task.simulated
         whole = engine.on_floats or not source.travels
         if whole or paired:
-            episodes = task.tables(keys, self._threads)
+            episodes = source.sample_batch(keys, self._threads)
         if paired:
             self._begin_baseline(episodes, places)
         if whole:
@@ -288,10 +290,6 @@ class Environment:
             return episodes.names, 0
         starts = source.begin(keys)
         engine.begin(source, starts, places)
-        if task.pipeline.planar:  # as in Episode.on_flat_ground
-            prior = engine.at.site.prior_x
-            engine.write(prior[2], starts.first[:, 2], places)
-            engine.write(prior[5], 0.0, places)
         return starts.names, 0
 
     def _begin_pictures(self, places: Index) -> None:

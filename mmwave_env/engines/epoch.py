@@ -268,9 +268,9 @@ def _scores(belief: Belief, truth: Vector, reward: Reward | None, cost: Number) 
 def _started(w: EpochState, asked: Asked) -> EpochState:
     """Return the state with which the incoming epoch begins: at first, the prior."""
     pipeline = asked.pipeline
-    x = w.site.prior_x
-    P = w.site.prior_P
     truth = w.incoming.truth
+    x = pipeline.prior(w.site.prior_x, truth)
+    P = w.site.prior_P
     memory = initial_memory(pipeline.layout, len(pipeline.modes))
     start = w._replace(x=x, P=P, memory=memory, truth=truth)
     if asked.per_mode:

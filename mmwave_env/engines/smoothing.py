@@ -16,17 +16,18 @@ from mmwave_env.compiler.program import BatchState, Program, StepIO, blocks_of, 
 from mmwave_env.engines.epoch import with_expected_spread
 from mmwave_env.filters.imm import begin
 from mmwave_env.filters.memory import initial_memory
-from mmwave_env.filters.pipeline import VERTICAL, Pipeline
+from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import TrackEpoch, blank_epoch, smooth_epoch
 from mmwave_env.interface.features import View
 from mmwave_env.interface.observation import standardized
 from mmwave_env.interface.signed import LastEpoch, after_update
-from mmwave_env.models.layout import STATE_SIZE
 from mmwave_env.models.measurement import blank_site
 from mmwave_env.numerics.linalg import unpack
-from mmwave_env.numerics.numbers import Array, Array32, Number
+from mmwave_env.numerics.numbers import Array, Array32
 from mmwave_env.numerics.pytree import indices, unflatten
 from mmwave_env.world.episode import EpisodeBatch, blank_incoming
+
+SMOOTHED = "x P x_predicted P_predicted"  # the filtered belief, and the belief before the update
 
 
 class SmoothingState(NamedTuple):
@@ -45,41 +46,27 @@ def _program(known_axes: tuple[int, ...], size: int, driven: bool) -> Program[Sm
     return Program(function, SmoothingState(blank, blank))
 
 
-def smooth(
-    x: Array,
-    P: Array,
-    x_predicted: Array,
-    P_predicted: Array,
-    dt: Array,
-    planar: bool = False,
-    hz_per_mps: Number | None = None,
-) -> tuple[Array, Array]:
+def smooth(pipeline: Pipeline, tracks: Array, dt: Array, hz_per_mps: float) -> tuple[Array, Array]:
     """Return smoothed means (N, T, 7 or 8) and packed covariances (N, T, 28 or 36) of tracks.
 
     Args:
-        x: (N, T, 7 or 8) filtered means; the eighth component is the range bias.
-        P: (N, T, 28 or 36) filtered covariances, packed.
-        x_predicted, P_predicted: means and covariances predicted for each epoch before its update,
-            with the shapes of ``x`` and ``P``.
-        dt: (T - 1,) seconds from each epoch to the next; (N, T - 1) if they differ between tracks.
-        planar: whether z and vz are known exactly.
-        hz_per_mps: carrier frequency divided by the speed of light, if the oscillator drives a
-            range bias; else None.
+        pipeline: pipeline of the modes, which share a belief.
+        tracks: (N, T, numbers) the part :data:`SMOOTHED` of the filter's state after each epoch.
+        dt: (N, T) seconds since the previous epoch; the first are not used.
+        hz_per_mps: carrier frequency divided by the speed of light.
     """
-    N, T, size = x.shape
-    driven = size > STATE_SIZE and hz_per_mps is not None
-    program = _program(VERTICAL if planar else (), size, driven)
-    since = np.ones((N, T))
-    since[:, 1:] = dt
-    parts = [since[..., None], x, P, x_predicted, P_predicted]
-    if driven:
-        parts.append(np.full((N, T, 1), hz_per_mps))
-    backwards = np.concatenate(parts, axis=2)[:, ::-1]
+    N, T, _ = tracks.shape
+    layout = pipeline.layout
+    size = layout.state_size
+    driven = layout.clock == "offset"
+    program = _program(pipeline.known_axes, size, driven)
+    drive = np.full((N, T, int(driven)), hz_per_mps)
+    backwards = np.concatenate([dt[..., None], tracks, drive], axis=2)[:, ::-1]
     at = program.index.after
     rows = fill(blocks_of(program.start, N), rows_of(at), backwards[:, 0])
     io = StepIO.of(N, T - 1, output_rows=rows_of([at.x, at.P]))
     program.run_on_lanes(BatchState.of(np.ascontiguousarray(backwards[:, 1:]), rows), io)
-    last = np.concatenate([x, P], axis=2)[:, -1:]
+    last = tracks[:, -1:, : size + layout.triangle]
     smoothed = np.concatenate([io.outputs[:, ::-1], last], axis=1)
     return smoothed[..., :size].copy(), smoothed[..., size:].copy()
 

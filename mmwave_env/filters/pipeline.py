@@ -35,6 +35,8 @@ BLOCKAGE_GAIN = 3.0
 _SHORTEST_S = 1e-9  # shortest step by which a time is divided
 VERTICAL = (2, 5)  # z and vz, which are fixed on flat terrain
 
+_LOWEST_M = -1e9  # below every height; no NaN is above it
+
 
 @dataclass(frozen=True)
 class Pipeline:
@@ -87,6 +89,18 @@ class Pipeline:
     def position_axes(self) -> tuple[int, ...]:
         """Return the position components that are estimated: all, or x and y on flat terrain."""
         return (0, 1) if self.planar else (0, 1, 2)
+
+    def prior(self, x: Vector, truth: Vector) -> Numbers:
+        """Return the mean of a track's prior, given the prior x (7,) of its episode.
+
+        On flat terrain the vertical speed is 0, and the height is known: that of the true state
+        (6,) in the first epoch, or that of ``x`` if the truth is unknown (NaN).
+        """
+        mean = list(x)
+        if self.planar:
+            mean[2] = where(truth[2] > _LOWEST_M, truth[2], x[2])
+            mean[5] = x[5] - x[5]  # 0 in every lane
+        return mean
 
     def belief(self, x: Numbers, P: Vector) -> Belief:
         """Return the belief with mean (7,) and a covariance packed as its lower triangle (28,)."""

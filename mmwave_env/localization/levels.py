@@ -105,15 +105,6 @@ def shipped() -> Network:
     return Network.read(Path(str(files("mmwave_env").joinpath("data", "levels.safetensors"))))
 
 
-class LevelState(NamedTuple):
-    """The memory of levels of the past of n tracks."""
-
-    means: Array  # (n, 3, quantities) running means with three weights
-    x: Array  # (n, 1, 7 or 8) states after the last epoch
-    first_s: Array  # (n,) times of the first and of the last epoch
-    last_s: Array
-
-
 class Levels:
     """Protection levels of tracks that are filtered side by side.
 
@@ -125,7 +116,9 @@ class Levels:
         ValueError: the kind or the risk is invalid, or no levels were calibrated for this risk.
 
     Attributes:
-        state: what is kept of the past of the current tracks; None where tracks begin.
+        memory: arrays that keep the past of the n current tracks: running means with three weights
+            (n, 3, quantities), states after the last epoch (n, 1, 7 or 8), and times (n,) of the
+            first and of the last epoch; empty where tracks begin.
     """
 
     def __init__(self, risk: float = RISK, kind: str = CALIBRATED) -> None:
@@ -144,7 +137,7 @@ class Levels:
 
     def reset(self) -> None:
         """Forget the current tracks; the next epoch begins new tracks."""
-        self.state: LevelState | None = None
+        self.memory: Sequence[Array] = ()
 
     def factors(self, anchors: int, mixes: bool, time_s: Array, *parts: Any) -> Array:
         """Return factors (n, T, 2) of Gaussian levels; :meth:`features` describes the arguments."""
@@ -166,31 +159,33 @@ class Levels:
         """
         x, P, nis, accepted, rejected, trusted = (*parts, None)[:6]
         time_s = np.broadcast_to(time_s, x.shape[:2])
-        first_s = time_s[:, 0]
-        before = self.state or LevelState(np.empty(0), x[:, :1], first_s, first_s)
-        dt = np.diff(time_s, prepend=before.last_s[:, None])
-        past = np.append(before.x, x[:, :-1], axis=1)
+        begins = time_s[:, 0]
+        mean, last_x, first_s, last_s = self.memory or (np.empty(0), x[:, :1], begins, begins)
+        dt = np.diff(time_s, prepend=last_s[:, None])
+        past = np.append(last_x, x[:, :-1], axis=1)
         moved = x[..., :3] - past[..., :3] - dt[..., None] * past[..., 3:6]
         sizes = _sizes(P)
         gates = _gates(anchors, nis, accepted, rejected)
         now = np.concatenate([gates, sizes, _relative(moved, sizes)], axis=-1)
         averaged = np.concatenate([now, moved, x[..., 3:5]], axis=-1)
-        mean = before.means
-        if self.state is None:
+        if not self.memory:
             mean = np.repeat(averaged[:, 0, None], len(_MEMORY), axis=1)
         means = np.empty((*now.shape[:2], *mean.shape[1:]))
         for t, keep in enumerate(_MEMORY ** dt.T[..., None, None]):
             means[:, t] = mean = keep * mean + (1.0 - keep) * averaged[:, t, None]
-        self.state = LevelState(mean, x[:, -1:], before.first_s, time_s[:, -1])
+        self.memory = mean, x[:, -1:], first_s, time_s[:, -1]
         lag = np.moveaxis(_relative(means[..., -5:-2], sizes[..., None, :]), -1, 0)
         turn = np.log1p(horizontal(means[..., -2:] - x[..., None, 3:5]))
-        clocks = np.log(np.maximum(dt, _LEAST_S)), np.log1p(time_s - before.first_s[:, None])
+        clocks = np.log(np.maximum(dt, _LEAST_S)), np.log1p(time_s - first_s[:, None])
         known = np.full(now.shape[:2], np.nan) if trusted is None else trusted
         corrected = np.isfinite(known)
         rest = [*_shape(x, P), *clocks, corrected, np.where(corrected, known, 1.0), float(mixes)]
         alone = np.stack(np.broadcast_arrays(*rest), axis=-1)
         steady = means[..., :-5].reshape(*now.shape[:2], -1)
         return np.concatenate([now, alone, steady, *lag, turn], axis=-1)
+
+
+GAUSSIAN_LEVELS = Levels(kind=GAUSSIAN)  # of the default risk; they have no memory
 
 
 def _gates(anchors: int, nis: Any, accepted: Any, rejected: Any) -> Array:

@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 
 from mmwave_env.engines.engine import Engine
-from mmwave_env.engines.smoothing import smooth, smoothed_features
+from mmwave_env.engines.smoothing import SMOOTHED, smooth, smoothed_features
 from mmwave_env.filters.correction import corrected_all
 from mmwave_env.filters.mode_smoothing import smooth_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import SMOOTHING_WINDOW
 from mmwave_env.interface.policy import Switching, TrackCorrector
-from mmwave_env.localization.levels import PARTS, Levels
+from mmwave_env.localization.levels import GAUSSIAN_LEVELS, PARTS, Levels
 from mmwave_env.localization.segments import Segment, segments
 from mmwave_env.localization.starts import Start
 from mmwave_env.logs.log import Log
@@ -81,7 +81,7 @@ class Localizer:
     radio: Radio
     switching: Switching
     height_m: float | None = None
-    levels: Levels | None = None
+    levels: Levels = GAUSSIAN_LEVELS
     correlation_s: float = 0.0
 
     @property
@@ -109,18 +109,14 @@ class Localizer:
             return Engine(self.pipeline, n, None, switching.observation, bank, policy=policy)
         return Engine(self.pipeline, n, None, "", bank, action="", rule=switching.rule)
 
-    def episode(self, log: Log, start: Start | None = None) -> Episode:
-        """Return epochs with which a track begins, or goes on if ``start`` is None."""
-        episode = episode_from(log, self.scene, self.radio, start)
-        return episode if self.height_m is None else episode.on_flat_ground(self.height_m)
-
     def load(self, log: Log, start: Start | None, before_s: float = 0.0) -> None:
         """Load epochs with which a track begins or, without a start, goes on after ``before_s``."""
-        episode = self.episode(log, start)
+        episode = episode_from(log, self.scene, self.radio, start)
         if start:
             self.engine.load([episode])
-            if self.levels:
-                self.levels.reset()
+            if self.planar:
+                self.engine.write(self.engine.at.site.prior_x[2], self.height_m)
+            self.levels.reset()
             return
         table = episode.table()
         table[0, columns_of(self.layout).dt] = log.time_s[0] - before_s
@@ -137,19 +133,17 @@ class Localizer:
         Returns:
             Arrays (N, T, ...): the parts :data:`~mmwave_env.localization.levels.PARTS`,
             "memory.mode" and, with a corrector, "trusted"; "kept" is the input of the smoother, and
-            "level_factors" (N, T, 2) are factors of Gaussian levels, 1 if none are computed.
+            "level_factors" (N, T, 2) are factors of Gaussian levels.
         """
-        kept = "x P mixture" if self.switching.bank else "x P x_predicted P_predicted"
+        kept = "mixture" if self.switching.bank else SMOOTHED
         outputs = engine.run(*PARTS, "memory.mode", kept)
         parts = {name: part[:count] for name, part in outputs.items()}
         parts["kept"] = parts[kept]
-        parts["level_factors"] = np.ones((*parts["x"].shape[:2], 2))
-        if self.levels:
-            read = [parts[name] for name in PARTS]
-            mixes = self.switching.bank is not None
-            parts["level_factors"] = self.levels.factors(
-                self.layout.anchors, mixes, time_s, *read, parts.get("trusted")
-            )
+        read = [parts[name] for name in PARTS]
+        mixes = self.switching.bank is not None
+        parts["level_factors"] = self.levels.factors(
+            self.layout.anchors, mixes, time_s, *read, parts.get("trusted")
+        )
         return parts
 
     def smoothed(self, kept: Array, time_s: Array, spread_hz: Array) -> tuple[Array, Array]:
@@ -158,17 +152,12 @@ class Localizer:
         ``kept`` (N, T, values) is what :meth:`run` returned. ``time_s`` and the Doppler spreads
         ``spread_hz`` are (N, T).
         """
-        n = self.layout.state_size
-        dt = np.diff(time_s)
+        dt = np.diff(time_s, prepend=time_s[:, :1])
         hz_per_mps = self.scene.hz_per_mps
-        x, P, rest = np.split(kept, [n, n + self.layout.triangle], axis=2)
-        if self.switching.bank:
-            steps = np.pad(dt, ((0, 0), (1, 0)))
-            return smooth_modes(
-                self.switching.bank, self.pipeline, rest, steps, spread_hz, hz_per_mps
-            )
-        drive = self.layout.bias_drive(hz_per_mps)
-        return smooth(x, P, rest[..., :n], rest[..., n:], dt, self.planar, drive)
+        bank = self.switching.bank
+        if bank:
+            return smooth_modes(bank, self.pipeline, kept, dt, spread_hz, hz_per_mps)
+        return smooth(self.pipeline, kept, dt, hz_per_mps)
 
 
 def localize(
@@ -178,7 +167,7 @@ def localize(
     switching: Switching,
     window: int | None = SMOOTHING_WINDOW,
     height_m: float | None = None,
-    levels: Levels | None = None,
+    levels: Levels = GAUSSIAN_LEVELS,
     two_way: TrackCorrector | None = None,
     report: Callable[[float], None] = lambda share: None,
     correlation_s: float = 0.0,
@@ -191,7 +180,7 @@ def localize(
         switching: the modes, and the rule or policy that chooses between them.
         window: number of epochs that are smoothed together; None for no smoothing.
         height_m: height of flat terrain, if it is known (paper, Sec. II-A).
-        levels: protection levels; None for Gaussian levels.
+        levels: protection levels.
         two_way: network that corrects the smoothed track; None for no correction. A network needs
             ``height_m=None``, and a bank whose modes have the names of the modes in its training.
         report: function that is called with the share of the log that is done, 0 to 1.
@@ -293,7 +282,7 @@ def _track(
     return track
 
 
-def episode_from(log: Log, scene: Scene, radio: Radio, start: Start | None) -> Episode:
+def episode_from(log: Log, scene: Scene, radio: Radio, start: Start | None = None) -> Episode:
     """Return epochs of a log as an episode without true positions.
 
     If a track begins here, the links that its start has spent are not visible. If none begins, the
@@ -312,7 +301,7 @@ def episode_from(log: Log, scene: Scene, radio: Radio, start: Start | None) -> E
         sigma=log.sigma,
         visible=start.unspent(log.visible) if start else log.visible,
         doppler_spread_hz=log.doppler_spread_hz,
-        doppler_anchor=log.doppler_anchor if log.layout.partial else None,
+        doppler_anchor=log.doppler_anchor,
         prior_mean=mean,
         prior_covariance=covariance,
     )
@@ -337,15 +326,13 @@ def _corrected(
     track: Track, kept: Array, localizer: Localizer, window: int, two_way: TrackCorrector
 ) -> Track:
     """Correct a part of a smoothed track by windows, which are the smoother's."""
-    layout = track.layout
     pipeline = localizer.pipeline
-    batch = EpisodeBatch.of([episode_from(track, localizer.scene, localizer.radio, None)])
-    mixtures = kept[:, layout.state_size + layout.triangle :]
+    batch = EpisodeBatch.of([episode_from(track, localizer.scene, localizer.radio)])
     rejected = track.visible & ~track.accepted
 
     def run(table: Array, x: Array, P: Array, mixtures: Array, *gates: Array) -> tuple[Array, ...]:
         table = table.copy()
-        table[:, 0, columns_of(layout).dt] = 0.0  # each window begins a track, as in training
+        table[:, 0, columns_of(batch.layout).dt] = 0.0  # each window begins a track, as in training
         episodes = batch._replace(table=table)
         features = smoothed_features(pipeline, episodes, x, P, mixtures, list(gates))
         shift, log_factor, trusted = (part.astype(float) for part in two_way(pipeline, features))
@@ -354,6 +341,6 @@ def _corrected(
 
     gates = track.nis, track.accepted.astype(float), rejected.astype(float)
     x, P, trusted = _by_windows(
-        run, window, batch.table[0], track.smooth_x, track.smooth_P, mixtures, *gates
+        run, window, batch.table[0], track.smooth_x, track.smooth_P, kept, *gates
     )
     return replace(track, smooth_x=x, smooth_P=P, smooth_trusted=trusted)

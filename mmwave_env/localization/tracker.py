@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.interface.policy import Switching
-from mmwave_env.localization.levels import Levels, LevelState
-from mmwave_env.localization.localizer import Localizer
+from mmwave_env.localization.levels import GAUSSIAN_LEVELS, Levels
+from mmwave_env.localization.localizer import Localizer, episode_from
 from mmwave_env.localization.map_files import geodetic
 from mmwave_env.localization.position_errors import gaussian_levels
 from mmwave_env.localization.segments import DOUBTFUL_GAP_S
@@ -77,7 +77,7 @@ class _User:
     last_s: float | None = None  # time of the last measurement; None without a track
     doubt: Doubt | None = None  # epochs that may still revise the track
     end_s: float = 0.0  # time of the last filtered epoch
-    # of a track in no engine: arrays (1, ...) of the filter, a policy's memory, and a LevelState
+    # of a track in no engine: arrays (1, ...) of the filter, the memories of a policy and of levels
     track: Sequence[NDArray[Any]] = ()
 
 
@@ -198,8 +198,8 @@ class Tracker:
     def _prepare(self, layout: Layout) -> None:
         """Create all that the epochs of a layout share; tracks of another layout end."""
         self._localizer = Localizer(
-            layout, self._scene, self._radio, self._switching, self._height_m, self._levels,
-            self._correlation_s,
+            layout, self._scene, self._radio, self._switching, self._height_m,
+            self._levels or GAUSSIAN_LEVELS, self._correlation_s,
         )  # fmt: skip
         self._users.clear()
         self._engines = {1: self._localizer.engine}  # by number of tracks
@@ -273,8 +273,7 @@ class Tracker:
         arrays = [self._engine.read(slice(None))]
         if self._engine.policy:
             arrays += self._engine.policy.memory
-        if self._levels and self._levels.state:
-            arrays += self._levels.state
+        arrays += self._localizer.levels.memory
         for i, user in enumerate(self._loaded):
             user.track = [part[i : i + 1].copy() for part in arrays]
 
@@ -290,8 +289,7 @@ class Tracker:
         self._engine.write(slice(None), states, np.arange(count))
         for part in self._engine.policy.memory if self._engine.policy else ():
             part[:count] = others.pop(0)
-        if self._levels and others:
-            self._levels.state = LevelState(*others)
+        self._localizer.levels.memory = others
         self._loaded = users
 
     def _filtered(self, time_s: list[list[float]], begins: bool = False) -> list[Position]:
@@ -341,8 +339,8 @@ class Tracker:
             return quick
         log = log_from(epochs)
         # An episode's times must increase; the users' time steps are set later.
-        episode = self._localizer.episode(replace(log, time_s=np.arange(float(len(log)))))
-        return episode.table()
+        log = replace(log, time_s=np.arange(float(len(log))))
+        return episode_from(log, self._scene, self._radio).table()
 
     def _quick_incoming(self, epoch: LiveEpoch) -> list[float] | None:
         """Return the same as :meth:`_incoming` for one epoch; None if this is impossible."""

@@ -59,8 +59,8 @@ class Episode:
         layout: which quantity is in which row, and which rows form a group.
         truth_position_m: (T, 3) true positions; None if unknown.
         truth_velocity_mps: (T, 3) true velocities; None if unknown.
-        doppler_anchor: (T,) index, from 0, of the anchor whose Doppler shift was measured (only in
-            a partial layout); None if it is the first anchor in every epoch.
+        doppler_anchor: (T,) index, from 0, of the anchor whose Doppler shift was measured (used
+            only in a partial layout); None if it is the first anchor in every epoch.
     """
 
     name: str
@@ -221,16 +221,6 @@ class Episode:
         if self.truth_position_m is None or self.truth_velocity_mps is None:
             raise ValueError(f"{self._record}: found no truth, which reward and metrics need")
 
-    def on_flat_ground(self, height_m: float | None = None) -> "Episode":
-        """Return a copy whose prior mean has vz = 0 and this height (None: the true height)."""
-        if height_m is None:
-            self.require_truth()
-            height_m = self.truth_position_m[0, 2]  # type: ignore[index]
-        mean = self.prior_mean.copy()
-        mean[2] = height_m
-        mean[5] = 0.0
-        return replace(self, prior_mean=mean)
-
     def only(self, measurements: Sequence[str]) -> "Episode":
         """Return the episode with only these measurements, e.g. "range", in a partial layout."""
         layout = replace(self.layout, partial=True)
@@ -303,14 +293,6 @@ class EpisodeBatch(NamedTuple):
             site=np.stack([episode.site() for episode in episodes]),
             layout=layout,
         )
-
-    def on_flat_ground(self) -> "EpisodeBatch":
-        """Return the batch with :meth:`Episode.on_flat_ground` applied to every episode."""
-        site = self.site.copy()
-        prior = site_index(self.layout).prior_x
-        site[:, prior[2]] = self.table[:, 0, columns_of(self.layout).truth[2]]
-        site[:, prior[5]] = 0.0
-        return self._replace(site=site)
 
 
 class Incoming(NamedTuple):

@@ -52,14 +52,12 @@ class EpisodeStarts(NamedTuple):
         worlds: (n, numbers) state of receiver and user before the first epoch; if ways are given,
             only the state of the receiver.
         truth: (n, epochs, 6) true positions and velocities on given ways; else (n, epochs, 0).
-        first: (n, 7) true states at the first epoch; (n, 8) with a clock offset.
         sites: (n, numbers) anchors, carrier and prior, each row as :meth:`Episode.site` returns it.
     """
 
     names: list[str]
     worlds: Array
     truth: Array
-    first: Array
     sites: Array
 
 
@@ -259,7 +257,7 @@ class SimulatedSource:
         sites[:, index.prior_x] = first + noise
         sites[:, flatten(index.anchors)] = anchors
         names = [self.names[kind] for kind in kinds]
-        return EpisodeStarts(names, worlds, truth, first, sites)
+        return EpisodeStarts(names, worlds, truth, sites)
 
     @cached_property
     def _users(self) -> Users:

@@ -89,7 +89,7 @@ def test_sigmas_follow_from_the_radio_profile_and_the_recorded_gain():
     assert (episode.snr_db[~visible] < -50.0).all()
 
 
-@pytest.mark.parametrize("radio", RADIOS)
+@pytest.mark.parametrize("radio", RADIOS.values(), ids=RADIOS)
 def test_the_covariance_of_the_prior_is_right(radio):
     scores = []
     for seed in range(400):
@@ -97,7 +97,7 @@ def test_the_covariance_of_the_prior_is_right(radio):
         truth = np.append(episode.truth_position_m[0], episode.truth_velocity_mps[0])
         variances = np.diag(episode.prior_covariance)[:6]
         scores.append(np.square(episode.prior_mean[:6] - truth) / variances)
-    assert_array_equal(episode.prior_covariance, RADIOS[radio].prior_covariance(PEDESTRIAN.scene))
+    assert_array_equal(episode.prior_covariance, radio.prior_covariance(PEDESTRIAN.scene))
     assert np.mean(scores) == pytest.approx(1.0, rel=0.1)
 
 

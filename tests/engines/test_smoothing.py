@@ -13,6 +13,7 @@ from mmwave_env.filters import textbook
 from tests.filters.tracks import packed, pipeline_of, simulated, unpacked
 
 TOLERANCE = 1e-9
+HZ_PER_MPS = 93.4
 PARTS = ("x", "P", "x_predicted", "P_predicted")
 
 
@@ -31,7 +32,8 @@ def test_smoothing_a_linear_model_equals_filterpy(dt):
     expected_x, expected_P, *_ = kf.rts_smoother(x, P)
     filtered = x[None, ..., 0], packed(P)[None]
     predicted = x_predicted[None, ..., 0], packed(P_predicted)[None]
-    found_x, found_P = smooth(*filtered, *predicted, np.full(59, dt))
+    tracks = np.concatenate([*filtered, *predicted], axis=2)
+    found_x, found_P = smooth(pipeline_of(), tracks, np.full((1, 60), dt), HZ_PER_MPS)
     assert_allclose(found_x[0], expected_x[..., 0], rtol=TOLERANCE, atol=TOLERANCE)
     assert_allclose(unpacked(found_P[0]), expected_P, rtol=TOLERANCE, atol=TOLERANCE)
 
@@ -48,7 +50,10 @@ def tracks(planar, n=9, epochs=120):
 def assert_smoothed_as_in_the_textbook(parts, time_s, tolerance, planar=False):
     """Smooth tracks at times (n, T), and compare them with the textbook's smoother, in numpy."""
     free = [0, 1, 3, 4, 6] if planar else list(range(7))
-    tracks = zip(*smooth(*parts, np.diff(time_s), planar), *parts, time_s, strict=True)
+    dt = np.diff(time_s, prepend=0.0)
+    pipeline = pipeline_of(planar=planar)
+    smoothed = smooth(pipeline, np.concatenate(parts, axis=2), dt, HZ_PER_MPS)
+    tracks = zip(*smoothed, *parts, time_s, strict=True)
     for smooth_x, smooth_P, x, P, _, P_predicted, times in tracks:
         filtered = x, unpacked(P), unpacked(P_predicted)
         expected_x, expected_P = textbook.rts(*filtered, times, free)
@@ -67,7 +72,7 @@ def test_smoothed_tracks_equal_a_plain_numpy_smoother(planar):
 
 def test_smoothing_does_not_change_a_single_epoch():
     _, parts = tracks(planar=False)
-    x, P, x_predicted, P_predicted = (part[:1, :1] for part in parts)
-    smoothed_x, smoothed_P = smooth(x, P, x_predicted, P_predicted, np.empty(0))
-    assert_array_equal(smoothed_x, x)
-    assert_array_equal(smoothed_P, P)
+    first = [part[:1, :1] for part in parts]
+    smoothed = smooth(pipeline_of(), np.concatenate(first, axis=2), np.ones((1, 1)), HZ_PER_MPS)
+    assert_array_equal(smoothed[0], first[0])
+    assert_array_equal(smoothed[1], first[1])

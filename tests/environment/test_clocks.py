@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.datasets.samples import recording_from, sample_folder, source_from
 from mmwave_env.engines.engine import Engine, run_imm
-from mmwave_env.engines.smoothing import smooth
+from mmwave_env.engines.smoothing import SMOOTHED, smooth
 from mmwave_env.filters import Pipeline, textbook
 from mmwave_env.filters.bank import Bank, best_bank, modes_from
 from mmwave_env.filters.mode_smoothing import smooth_modes
@@ -45,7 +45,7 @@ def tasks(clock="offset", **arguments):
 def pair(clock="offset", **arguments):
     """Return one episode twice: with a synchronized clock and with another one."""
     both = tasks(clock, episode_steps=40, radio="standard", **arguments)
-    return [task.draw(np.random.default_rng(4)) for task in both]
+    return [task.source.sample(np.random.default_rng(4)) for task in both]
 
 
 def bias_of(synchronized, offset):
@@ -137,18 +137,17 @@ def test_smoothed_tracks_equal_the_textbook(planar, clock):
     bank = Bank(modes_from(["ukf"], "standard"))
     pipeline = Pipeline(bank.modes, source.layout, planar)
     batch = source.sample_batch(keys_of(range(3)))
-    episodes = batch.on_flat_ground() if planar else batch
-    names = ("x", "P", "x_predicted", "P_predicted")
-    kept = run_imm(bank, TrackingReward(), episodes, "mixture", planar=planar)
+    names = ("x", "P", "P_predicted", SMOOTHED)
+    kept = run_imm(bank, TrackingReward(), batch, "mixture", planar=planar)
     engine = Engine(pipeline, 3, observation="")
-    engine.load(episodes)
-    x, P, x_predicted, P_predicted = engine.run(*names).values()
+    engine.load(batch)
+    x, P, P_predicted, tracks = engine.run(*names).values()
     free = [0, 1, 3, 4, 6, 7] if planar else list(range(8))
     hz_per_mps = STREET.hz_per_mps
     time_s = np.arange(50.0)
     drive = hz_per_mps if clock == "offset" else None
-    smoothed = smooth(x, P, x_predicted, P_predicted, np.diff(time_s), planar, drive)
     steps = np.tile(np.diff(time_s, prepend=0.0), (3, 1))
+    smoothed = smooth(pipeline, tracks, steps, hz_per_mps)
     spread = batch.table[:, :, -7]
     by_modes = smooth_modes(bank, pipeline, kept["mixture"], steps, spread, hz_per_mps)
     for e in range(3):

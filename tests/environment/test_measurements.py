@@ -33,8 +33,8 @@ def rows_of(subset, layout):
 @pytest.mark.parametrize("arguments", SOURCES.values(), ids=SOURCES)
 @pytest.mark.parametrize("subset", [*SUBSETS, MEASUREMENTS], ids=" ".join)
 def test_the_measured_rows_equal_the_rows_of_the_complete_episode(arguments, subset):
-    some = task_from(**arguments, measurements=subset[::-1]).draw(np.random.default_rng(4))
-    whole = task_from(**arguments, measurements=None).draw(np.random.default_rng(4))
+    some = task_from(**arguments, measurements=subset[::-1]).source.sample(np.random.default_rng(4))
+    whole = task_from(**arguments, measurements=None).source.sample(np.random.default_rng(4))
     layout = some.layout
     assert layout == Layout(whole.layout.anchors, whole.layout.odometry, partial=True)
     seen = np.repeat(whole.usable, whole.layout.widths, axis=1) & rows_of(subset, layout)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mmwave_env.engines.engine import Engine, run_imm
-from mmwave_env.engines.smoothing import smooth
+from mmwave_env.engines.smoothing import SMOOTHED, smooth
 from mmwave_env.filters import Pipeline
 from mmwave_env.filters.bank import Bank, default_modes
 from mmwave_env.filters.mode_smoothing import smooth_modes
@@ -19,7 +19,7 @@ TUNING = 5_000_000  # episode key of the first episode
 
 def smoothed(task, bank, n):
     """Return n episodes, an IMM's tracks, their time steps (s) and smoothed (x, P)."""
-    batch = task.tables(np.arange(TUNING, TUNING + n).astype(np.uint64))
+    batch = task.simulated.sample_batch(np.arange(TUNING, TUNING + n).astype(np.uint64))
     pipeline = Pipeline(bank.modes, batch.layout, task.pipeline.planar)
     track = run_imm(bank, TrackingReward(), batch, "x", "P", "mixture", planar=pipeline.planar)
     at = columns_of(batch.layout)
@@ -41,10 +41,12 @@ def test_smoothing_a_single_mode_equals_the_rts_smoother(planar, dt):
     task = task_from(dt=dt, planar=planar, episode_steps=40)
     modes = default_modes()[:1]
     batch, _, steps, (x, P) = smoothed(task, Bank(modes), 4)
-    engine = Engine(Pipeline(modes, batch.layout, planar), 4, observation="")
+    pipeline = Pipeline(modes, batch.layout, planar)
+    engine = Engine(pipeline, 4, observation="")
     engine.load(batch)
-    parts = engine.run("x", "P", "x_predicted", "P_predicted")
-    expected = smooth(*parts.values(), steps[:, 1:], planar)
+    expected = smooth(
+        pipeline, engine.run(SMOOTHED)[SMOOTHED], steps, task.simulated.scene.hz_per_mps
+    )
     for ours, theirs in zip((x, P), expected, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9)
 

@@ -176,7 +176,8 @@ DIVERGING = {"scenario": "vehicle", "episode_steps": 40, "modes": [SLUGGISH]}
 def imm_rewards(seed, episodes, reward=REWARDS["tracking"], **task):
     """Return the IMM's rewards (episodes, epochs) in the first episodes of a seed."""
     bank = Bank(default_modes("handset"))
-    drawn = task_from(**task).tables(keys_at(stream_of(seed), np.arange(episodes, dtype=np.uint64)))
+    keys = keys_at(stream_of(seed), np.arange(episodes, dtype=np.uint64))
+    drawn = task_from(**task).simulated.sample_batch(keys)
     imm = run_imm(bank, reward, drawn, "reward", planar=task.get("planar", False))
     return imm["reward"].astype(np.float32)
 

@@ -91,7 +91,7 @@ def ate(block, true):
 def test_a_shipped_log_without_anchor_numbers_gives_nearly_the_same_track(tmp_path, name):
     track = read_log_folder(LOGS / name)
     path = tmp_path / "log.csv"
-    episode = track.episode("standard", np.random.default_rng(0))
+    episode = track.episode(RADIO, np.random.default_rng(0))
     hide_anchors(path, episode, false_paths=5, seed=1)
     paths = read_paths(path, track.scene)
     block, figures = associated(paths, track.scene)

@@ -19,13 +19,14 @@ import pytest
 from mmwave_env.filters.bank import named_modes
 from mmwave_env.interface.policy import Switching
 from mmwave_env.localization.levels import Levels
-from mmwave_env.localization.localizer import Localizer, localize
+from mmwave_env.localization.localizer import localize
 from mmwave_env.localization.tracker import Tracker
 from mmwave_env.logs.live_log import LiveLog, log_from
 from mmwave_env.logs.log import read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import read_scene
+from mmwave_env.world.episode import Episode
 from policies import load
 from tests.paths import LOGS, records, representative
 
@@ -85,9 +86,7 @@ def test_live_epochs_equal_epochs_of_a_log_to_the_last_bit(tmp_path, name):
     log = read_log(path, SCENE, **options)
     track = localize(log, SCENE, RADIO, Switching((EKF,)), window=None)
     tracker = Tracker(SCENE, Switching((EKF,)), RADIO, **options)
-    with patch.object(
-        Localizer, "episode", autospec=True, side_effect=Localizer.episode
-    ) as careful:
+    with patch.object(Episode, "table", autospec=True, side_effect=Episode.table) as careful:
         positions = [tracker.update(epoch) for epoch in epochs]
     np.testing.assert_array_equal([p.position_m for p in positions if p], track.x[:, :3])
     if "clock" in options:

@@ -96,7 +96,9 @@ def assert_engines(result, block, modes, planar=False):
     """Assert that an engine that runs the modes chosen in ``result`` filters the same track."""
     episode = episode_of(block)
     if planar:
-        episode = episode.on_flat_ground(1.5)
+        prior = episode.prior_mean.copy()
+        prior[2] = 1.5
+        episode = replace(episode, prior_mean=prior)
     ours = {"x": result.x, "P": result.P}
     ours |= {"memory.nis": result.nis, "memory.accepted": result.accepted}
     pipeline = Pipeline(tuple(modes), block.layout, planar)

@@ -14,7 +14,7 @@ from experiments.paper.claims import contradictions, resolution
 from experiments.paper.printed import Bench, Setting, track
 from experiments.tables import FIELDS
 from mmwave_env.engines.engine import Engine
-from mmwave_env.engines.smoothing import smooth
+from mmwave_env.engines.smoothing import SMOOTHED, smooth
 from mmwave_env.filters import Pipeline
 from mmwave_env.filters.bank import default_modes
 from tests.cli import succeed
@@ -43,13 +43,12 @@ def test_filtered_scores_equal_the_scores_of_an_evaluation(bench):
 def test_smoothed_scores_equal_scores_computed_from_the_smoothed_track(bench, planar):
     episodes = bench.episodes(PEDESTRIAN)
     mode = default_modes("handset")[0]
-    if planar:
-        episodes = [episode.on_flat_ground(1.5) for episode in episodes]
     smoothed = track(mode, episodes, planar).smoothed
     tracker = Engine(Pipeline((mode,), episodes[0].layout, planar), len(episodes), observation="")
     tracker.load(episodes)
-    run = tracker.run("x", "P", "x_predicted", "P_predicted")
-    x, P = smooth(*run.values(), np.diff(episodes[0].time_s), planar)
+    tracks = tracker.run(SMOOTHED)[SMOOTHED]
+    steps = np.diff([episode.time_s for episode in episodes], prepend=0.0)
+    x, P = smooth(tracker.pipeline, tracks, steps, episodes[0].hz_per_mps)
     axes = 2 if planar else 3
     error = (x[..., :3] - np.stack([e.truth_position_m for e in episodes]))[:, 10:]
     assert_allclose(smoothed.nees, nees_of(error[..., :axes], P[:, 10:]), rtol=1e-6)
