@@ -17,9 +17,9 @@ from mmwave_env.numerics.numbers import Array32, Index, Number, Vector, sqrt, wh
 SLOW_MPS = 2.0  # paper, Algorithm 1: mobility is low up to this speed
 
 
-def mode_at(speed: Number) -> Number:
+def mode_at(speed: Number, threshold: float = SLOW_MPS) -> Number:
     """Apply the paper's rule (Sec. III-A): return 0 up to the threshold, 1 above it."""
-    return where(speed > SLOW_MPS, 1.0, 0.0)
+    return where(speed > threshold, 1.0, 0.0)
 
 
 def by_predicted_speed(x: Vector, epoch: Epoch) -> Number:
@@ -33,16 +33,18 @@ def by_odometry_speed(x: Vector, epoch: Epoch) -> Number:
 
 
 class SpeedRule(Policy):
-    """The paper's rule (Sec. III-A): choose mode 0 up to 2 m/s, else mode 1.
+    """The paper's rule (Sec. III-A): choose mode 0 up to a threshold of the speed, else mode 1.
 
     Above 20 m/s, outside the paper's design window, the policy warns once and chooses mode 1.
 
     Args:
         observation: the environment's table of features.
+        threshold: threshold of the speed, m/s; the paper uses 2 m/s.
     """
 
-    def __init__(self, observation: Observation) -> None:
+    def __init__(self, observation: Observation, threshold: float = SLOW_MPS) -> None:
         self.observation = observation
+        self.threshold = threshold
         self._warned = False
 
     def act(self, observation: Array32) -> Index:
@@ -56,7 +58,8 @@ class SpeedRule(Policy):
                 stacklevel=2,
             )
         # Observations are float32: a speed at the threshold may be rounded to a value above it.
-        return mode_at(speed / (1.0 + 1e-6)).astype(np.int64)  # type: ignore[no-any-return]
+        threshold = min(self.threshold, DESIGN_LIMIT_MPS)
+        return mode_at(speed, threshold * (1.0 + 1e-6)).astype(np.int64)  # type: ignore[no-any-return]
 
 
 class LikelihoodRule(Policy):
