@@ -302,6 +302,7 @@ def test_a_map_is_learned_from_the_sample_written_and_used(tmp_path):
     assert f"explained {share:.1f} % of" in shown and "| anchor 2 | " in shown
 
 
+@pytest.mark.slow
 def test_a_map_is_learned_live_from_csv_and_json_as_from_the_file(tmp_path):
     words = learning(STREET)
     lines = (STREET / "log.csv").read_text().splitlines()
@@ -327,9 +328,8 @@ def test_a_live_map_without_a_track_is_not_written_and_a_wrong_name_is_refused_f
     assert code == 2 and "map-out" in line and not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(
-    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_live_map_is_written_if_the_program_is_ended(tmp_path, number):
     words = learning(STREET)
     file = tmp_path / "map.json"

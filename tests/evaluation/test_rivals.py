@@ -113,6 +113,7 @@ def test_an_outlier_hardly_moves_a_belief_with_student_t_noise():
     assert moved(student_t) < 0.1 * moved(ekf)
 
 
+@pytest.mark.slow
 def test_adaptive_noise_converges_to_the_true_noise():
     """State half the true standard deviations, so the estimated factor on variances should be 4."""
     x, _, measurement = next(priors_and_measurements())
