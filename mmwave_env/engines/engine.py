@@ -1,6 +1,7 @@
 """The engine: N tracks that run the verbs of :mod:`mmwave_env.engines.epoch` together.
 
-The same engine serves everybody. Environments call :meth:`Engine.step`. Where a policy is asked
+The same engine serves everybody. Environments begin with :meth:`Engine.step`, and take the next
+steps in :mod:`mmwave_env.engines.vector_step`, which runs the same kernel. Where a policy is asked
 in every epoch of a track, :func:`play` calls :meth:`Engine.filter`, :meth:`Engine.decide` and
 perhaps :meth:`Engine.correct`. Where all actions are known, or a rule or an IMM needs none,
 :meth:`Engine.run` filters all epochs in one call of compiled code; else it plays them.
