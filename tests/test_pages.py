@@ -53,6 +53,22 @@ def test_command_lines_are_valid(line):
             read_arguments(name, options)
 
 
+OPTION = re.compile(r"`(?:mmwave-loc )?([a-z]+) [^`\n]*?(--[a-z-]+)[^`\n]*`")
+
+
+def test_options_of_commands_that_the_text_names_exist():
+    named = {
+        (command, option)
+        for page, text in TEXT.items()
+        for command, option in OPTION.findall(BLOCK.sub("", text))
+        if command in COMMANDS
+    }
+    helps = {command: succeed(command, "--help") for command, _ in named}
+    assert not [
+        pair for pair in sorted(named) if pair[1].replace("--no-", "--") not in helps[pair[0]]
+    ]
+
+
 def test_every_python_block_is_marked_as_run_or_not_run():
     silent = [
         f"{page.name}:{block.line}"
