@@ -60,9 +60,9 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
     coming epoch ("coming ...", "preference ..."), which `observation="prior"` leaves out.
 
     `print(env.unwrapped.observation.table())` lists all, with their meanings and units. A feature
-    is (value - mean) / deviation, at most ten deviations from the mean. Mean and deviation are
-    constants (medians over many streets and radios). `env.unwrapped.observation.read(observation,
-    "predicted speed")` returns a feature in its own unit.
+    is (value - mean) / deviation, with constants for mean and deviation, and at most ten deviations
+    from the mean. `env.unwrapped.observation.read(observation, "predicted speed")` returns a
+    feature in its own unit.
 
     ## Beliefs per Mode
 
@@ -71,10 +71,10 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
 
     * Action space: `Discrete(len(modes) + 1)`. Action 0 trusts no mode: an agent that always takes
       it is the IMM itself. Action k multiplies the probability of the k-th mode by e^3 per second;
-      then the beliefs are combined and mixed again. The mode's `cost` reduces the reward.
+      then the beliefs are combined and mixed again.
     * Observation space: as above without distances and the previous mode, but with the log-odds of
       each mode before and after the coming measurement, the mode's speed and velocity variance,
-      and more averages of the Doppler spread. `env.unwrapped.observation.table()` shows them all.
+      and more averages of the Doppler spread.
     * Information: `mode` is the action; `mode_probabilities` include its effect. Estimate,
       NEES and reward belong to the combined belief; `nis`, `accepted`, `rejected` and `gamma` to
       the most probable mode. `reward="paired"` subtracts the reward of always taking action 0.
@@ -88,8 +88,7 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
     then, and `mode` in infos is 0.
 
     * `action="weights"`: `Box` (modes,), -3 to 3: logarithms of factors on the probabilities of
-      the modes, per second. Then the beliefs are combined and mixed again. A weight of 3 for one
-      mode, and 0 for the others, has the same effect as trusting that mode.
+      the modes, per second. A weight of 3 for one mode, and 0 for the others, trusts that mode.
     * `action="correction"`: `Box` (6,): shifts of the position along the estimated velocity, across
       it (to the left) and up, -4 to 4 standard deviations of the belief; then logarithms of factors
       on these deviations, -2 to 2. The observation describes an epoch after its update and nothing
@@ -98,8 +97,7 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
       `reward="paired"` subtracts the reward of the belief without correction. By default the
       filters are an IMM. With `base`, a second agent, without memory, trusts modes: `base`
       is a function that takes the table of the filters' features and returns the agent, such as
-      `partial(LearnedSwitch, "guided")`. If your actions are those of the shipped `corrector`, you
-      earn the reward that `mmwave-loc compare` shows.
+      `partial(LearnedSwitch, "guided")`.
 
     ## Rewards
 
@@ -108,11 +106,11 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
     density of the true position, at least -30. Any function of (belief, truth) works too; see
     `mmwave_env.interface.reward`. A mode's `cost` is subtracted whenever the mode is chosen. The
     array `info["reward_terms"]` holds the terms of the epoch's reward, in the order of the names
-    `env.unwrapped.reward_terms`, for users who want other weights; the last term is the cost.
+    `env.unwrapped.reward_terms`; the last term is the cost.
 
     `reward="paired"`: the tracking reward minus the reward of an IMM over the radio's two default
-    modes, in the same epoch of the same episode. The agent cannot change what the IMM earns, so
-    the best policy stays the same, and the reward is less noisy. `PairedReward` pairs another one.
+    modes, in the same epoch of the same episode. The best policy stays the same, and the reward is
+    less noisy. `PairedReward` pairs another one.
 
     ## Starting State
 
@@ -168,7 +166,7 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
     * `modes`: list of modes, each a name ("ekf", "ukf", "ckf", "ekf-robust", "ukf-robust"), a
       mode file or a `Mode`, whose algorithm may be your own function (docs/own-filters.md); or
       one mode file, a dict with the content of such a file, or a `Bank`.
-    * `beliefs`: "shared" (default) or "per-mode", see Beliefs per Mode.
+    * `beliefs`: "shared" (default) or "per-mode".
     * `action`, `base`: "mode" (default), "weights" or "correction", see Actions that are Numbers.
     * `reward`: "tracking", "log-score", "paired", a function or a `PairedReward`.
     * `observation`: "full", "prior" or "signed", which adds residuals of the last epoch to "full".
@@ -211,8 +209,8 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
     `gym.make_vec("mmwave_env:MmWaveLoc-v0", num_envs=1024)` steps all environments in one call
     of a compiled kernel; environment i behaves exactly like a single one with the same seed.
     Further arguments: `autoreset_mode` (a string: "NextStep", the default, "SameStep" or
-    "Disabled") and `threads`. `render_mode="rgb_array"` draws the first 16 environments. "human",
-    `backend="filterpy"` needs `vectorization_mode="sync"`.
+    "Disabled") and `threads`. `render_mode="rgb_array"` draws the first 16 environments. "human"
+    and `backend="filterpy"` need `vectorization_mode="sync"`.
 
     ## Version History
 
