@@ -16,7 +16,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-from itertools import combinations, permutations
+from itertools import combinations, pairwise, permutations
 
 import numpy as np
 from scipy.special import chdtri
@@ -46,6 +46,8 @@ from mmwave_env.localization.shared_errors import (
 )
 from mmwave_env.localization.starts import POOL_S, start_at
 from mmwave_env.logs.log import Log
+from mmwave_env.models.envelope import STEP_S
+from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode
@@ -163,6 +165,19 @@ def _start(log: Log) -> int:
     return first + int(np.argmax(count[first : first + _SEARCHED_EPOCHS]))
 
 
+def _unbroken(log: Log) -> Log:
+    """Return the longest part of a log without a step that is too long for a filter.
+
+    If the unit of time may be wrong, the usual step says which steps are too long. Of parts that
+    are long enough to be diagnosed, the first is chosen.
+    """
+    steps = np.diff(log.time_s)
+    longest = max(STEP_S.most or 0.0, GAP_S * np.median(steps) if len(steps) else 0.0)
+    ends = np.flatnonzero(steps > longest) + 1
+    parts = [log.part(slice(a, b)) for a, b in pairwise([0, *ends.tolist(), len(log)])]
+    return max(parts, key=lambda part: min(len(part), DIAGNOSED_EPOCHS))
+
+
 def diagnose(reading: Reading) -> list[Finding]:
     """Test which likely mistakes would explain the first epochs of a log.
 
@@ -179,7 +194,8 @@ def diagnose(reading: Reading) -> list[Finding]:
     Raises:
         ValueError: there is no link with which a track could begin.
     """
-    log = reading.log
+    whole = reading.log
+    log = _unbroken(whole)
     radio = reading.radio
     begin = _start(log)
     first = 0
@@ -196,7 +212,7 @@ def diagnose(reading: Reading) -> list[Finding]:
     best = findings[0]
     if best.contradictions or best.hypothesis in {AS_IT_IS, *radios}:
         likely = [as_it_is, *filter(None, [radios.get(best.hypothesis)])]
-        shared = [r for reading in likely for r in _without_shared_errors(log, reading)]
+        shared = [r for reading in likely for r in _without_shared_errors(whole, reading)]
         findings = [f._replace(shared=True) for f in _findings(shared, first)] + findings
     if findings[0].contradictions and not findings[0].shared:
         double = [

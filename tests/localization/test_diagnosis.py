@@ -158,6 +158,16 @@ def test_compass_bearings_are_diagnosed_if_the_x_axis_is_known(tmp_path, name, s
     assert best.hypothesis == name and not best.contradictions
 
 
+def test_a_log_with_an_hour_without_epochs_is_diagnosed_by_its_longer_part(tmp_path):
+    def paused(columns):
+        wrong = MISTAKES["angles are in degrees"](columns)
+        return wrong | {"time_s": columns["time_s"] + 3600.0 * (columns["time_s"] > 9.0)}
+
+    path = wrong_log(tmp_path, FOLDERS[0], paused)
+    best = findings(path, read_scene(FOLDERS[0] / "scene.json"))[0]
+    assert best.hypothesis == "angles are in degrees" and not best.contradictions
+
+
 def test_the_radio_of_a_log_is_diagnosed_and_the_log_is_not_changed():
     scene = read_scene(FOLDERS[0] / "scene.json")
     block = read_log(FOLDERS[0] / "log.csv", scene, limits=False).whole()
