@@ -112,15 +112,18 @@ def diagnosed(args: LogArgs, files: "Inputs", scene: Scene) -> None:
             work = _work(args, files, scene)
             _, doubts = _consistency(work, _track(args, work))
             findings[0] = best._replace(contradictions=doubts)
+        best = findings[0]
         facts = log_facts(log, scene)
+        cured = best.cure and (best.shared or not best.contradictions)
         notes = list(noise_notes(reading, step_m))
-    corrected = None if findings[0].scene is scene else findings[0].scene
+    corrected = best.scene if cured and best.scene is not scene else None
     text = f"{facts_markdown(facts)}\n{diagnosis_markdown(findings, notes)}"
     if args.write and corrected:
         write_json(args.write, scene_json(corrected))
         text += f"\nWritten: {args.write} (corrected scene)\n"
     elif args.write:
-        why = "correct the log, not the scene" if findings[0].cure else "nothing is wrong"
+        why = "no correction is known" if best.contradictions else "nothing is wrong"
+        why = "correct the log, not the scene" if cured else why
         text += f"\nNot written: {why}.\n"
     if args.json:
         figures = {

@@ -453,9 +453,12 @@ def test_a_log_whose_track_does_not_fit_is_not_called_consistent(tmp_path):
         return columns | {"toa_s": columns["toa_s"] + 1e-6 * (columns["time_s"] > 20.0)}
 
     log = wrong_log(tmp_path, WALK, late)
-    done = command("localize", *options(log, "--radio", "standard", "--diagnose"))
-    assert "\nNo hypothesis makes the log consistent." in done.stdout
-    assert "anchor 1: found NIS" in done.stdout
+    scene = tmp_path / "corrected.json"
+    words = options(log, "--radio", "standard", "--diagnose", "--write", scene)
+    shown = command("localize", *words).stdout
+    assert "\nNo hypothesis makes the log consistent." in shown
+    assert "anchor 1: found NIS" in shown
+    assert "Not written: no correction is known." in shown and not scene.exists()
 
 
 def test_a_diagnosis_reports_facts_about_the_log():
