@@ -115,7 +115,9 @@ def diagnosed(args: LogArgs, files: "Inputs", scene: Scene) -> None:
         best = findings[0]
         facts = log_facts(log, scene)
         cured = best.cure and (best.shared or not best.contradictions)
-        notes = list(noise_notes(reading, step_m))
+        # a wrong convention looks like noise of angles, or a clock that jumps
+        misread = cured and not best.shared and not best.hypothesis.startswith("radio")
+        notes = [] if misread else list(noise_notes(reading, step_m))
     corrected = best.scene if cured and best.scene is not scene else None
     text = f"{facts_markdown(facts)}\n{diagnosis_markdown(findings, notes)}"
     if args.write and corrected:

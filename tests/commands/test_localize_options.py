@@ -438,6 +438,7 @@ def test_a_log_that_is_refused_can_be_diagnosed(tmp_path):
     assert "if the value is in degrees, name the column aoa_azimuth_deg; mmwave" in refusal.stderr
     done = command("localize", *words, "--diagnose")
     assert "\nThe log is consistent if angles are in degrees." in done.stdout
+    assert "not looked for" not in done.stdout  # as if the track were too short
 
 
 def test_two_mistakes_are_diagnosed_although_wrong_values_suggest_another_radio(tmp_path):
