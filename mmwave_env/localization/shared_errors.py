@@ -13,6 +13,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from mmwave_env.localization.readings import (
     AZIMUTH,
@@ -62,6 +63,11 @@ _MOST_RIVALS = 3  # that are named
 _LOST_NIS = 50.0
 _LOST_SHARE = 0.1
 _MOST_ROUNDS = 3
+# An epoch is wild if its NIS is larger than both, the median's multiple and this value.
+_WILD_RATIO = 100.0
+_WILD_NIS = 1e4
+_NEARBY = 11  # epochs
+_MOST_WILD_ROUNDS = 10
 _STRICTEST = 5.0  # largest factor by which the limits are higher in shorter logs
 _CERTAIN = 3.0  # standard deviations by which a part of an error differs from 0
 _DIGITS = 3  # decimals of sizes
@@ -282,8 +288,27 @@ def scanned(reading: Reading) -> Reading | None:
             link = part.measurement[:1, : len(LINK)]
             whole = start.spent[0, 0] and np.isfinite(link).all() and gives_fix(link)[0]
             own = whole and not part.layout.has_bias
-            return reading._replace(log=part, start=None if own else start)
+            return _without_wild(reading._replace(log=part, start=None if own else start))
     return None
+
+
+def _without_wild(reading: Reading) -> Reading:
+    """Return a reading without the epochs that would move a track, without gates, far away.
+
+    The epochs after such an epoch have a large NIS, too, so only the largest one nearby is left
+    out before the filter runs again.
+    """
+    for _ in range(_MOST_WILD_ROUNDS):
+        (w,) = innovations([reading])
+        nis = np.square(w).sum(axis=1)
+        nis[0] = 0.0  # the track begins here
+        limit = max(_WILD_NIS, _WILD_RATIO * np.median(nis))
+        wild = (nis > limit) & (nis == maximum_filter1d(nis, _NEARBY))
+        if not wild.any():
+            break
+        log = reading.log
+        reading = reading._replace(log=replace(log, visible=log.visible & ~wild[:, None]))
+    return reading
 
 
 def _without_odometry(log: Log) -> Log:

@@ -79,6 +79,15 @@ def test_a_shipped_log_shows_no_error(folder):
     assert errors_of(sample(folder)) == []
 
 
+def test_wild_ranges_hide_no_error():
+    reading = turned(4.0)(sample(FOLDERS[0]))
+    reading.log.measurement[[20, 50], 0] += [300.0, 3e5]
+    (error,) = errors_of(reading)
+    assert error.suspect.name == "azimuths are turned" and error.theta == pytest.approx(
+        4.0, abs=0.2
+    )
+
+
 def test_several_errors_are_found_together():
     reading = turned(4.0)(late(15.0)(sample(FOLDERS[0])))
     sizes = {error.suspect.name: error.theta[0] for error in errors_of(reading)}
