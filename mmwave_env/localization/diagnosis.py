@@ -43,6 +43,7 @@ from mmwave_env.localization.shared_errors import (
     scanned,
     shared_errors,
     without_errors,
+    without_wild,
 )
 from mmwave_env.localization.starts import POOL_S, start_at
 from mmwave_env.logs.log import Log
@@ -171,10 +172,10 @@ def _unbroken(log: Log) -> Log:
     If the unit of time may be wrong, the usual step says which steps are too long. Of parts that
     are long enough to be diagnosed, the first is chosen.
     """
-    steps = np.diff(log.time_s)
-    longest = max(STEP_S.most or 0.0, GAP_S * np.median(steps) if len(steps) else 0.0)
-    ends = np.flatnonzero(steps > longest) + 1
-    parts = [log.part(slice(a, b)) for a, b in pairwise([0, *ends.tolist(), len(log)])]
+    steps = np.diff(log.time_s, prepend=log.time_s[0])
+    longest = max(STEP_S.most or 0.0, GAP_S * np.median(steps))
+    ends = [0, *np.flatnonzero(steps > longest).tolist(), len(log)]
+    parts = [log.part(slice(*part)) for part in pairwise(ends)]
     return max(parts, key=lambda part: min(len(part), DIAGNOSED_EPOCHS))
 
 
@@ -204,6 +205,8 @@ def diagnose(reading: Reading) -> list[Finding]:
         first = int(np.searchsorted(log.time_s, log.time_s[begin] + POOL_S)) - begin
     epochs = slice(begin, begin + first + DIAGNOSED_EPOCHS)
     as_it_is = reading._replace(log=log.part(epochs))
+    with suppress(ValueError):  # values may be too wrong for a filter
+        as_it_is = without_wild(as_it_is)
     numbers = _numbers(as_it_is)
     single = [as_it_is.without(mistake) for mistake in mistakes(as_it_is)]
     single = [r for r in single if not np.array_equal(_numbers(r), numbers, equal_nan=True)]

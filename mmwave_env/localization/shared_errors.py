@@ -288,11 +288,11 @@ def scanned(reading: Reading) -> Reading | None:
             link = part.measurement[:1, : len(LINK)]
             whole = start.spent[0, 0] and np.isfinite(link).all() and gives_fix(link)[0]
             own = whole and not part.layout.has_bias
-            return _without_wild(reading._replace(log=part, start=None if own else start))
+            return without_wild(reading._replace(log=part, start=None if own else start))
     return None
 
 
-def _without_wild(reading: Reading) -> Reading:
+def without_wild(reading: Reading) -> Reading:
     """Return a reading without the epochs that would move a track, without gates, far away.
 
     The epochs after such an epoch have a large NIS, too, so only the largest one nearby is left

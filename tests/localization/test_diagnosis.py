@@ -168,6 +168,16 @@ def test_a_log_with_an_hour_without_epochs_is_diagnosed_by_its_longer_part(tmp_p
     assert best.hypothesis == "angles are in degrees" and not best.contradictions
 
 
+def test_a_correct_log_with_some_wild_ranges_is_diagnosed_as_consistent(tmp_path):
+    def wild(columns):
+        late = np.arange(len(columns["toa_s"])) % 30 == 10
+        return columns | {"toa_s": columns["toa_s"] + 1e-6 * late}
+
+    path = wrong_log(tmp_path, FOLDERS[1], wild)
+    best = findings(path, read_scene(FOLDERS[1] / "scene.json"))[0]
+    assert best.hypothesis == AS_IT_IS and not best.contradictions
+
+
 def test_the_radio_of_a_log_is_diagnosed_and_the_log_is_not_changed():
     scene = read_scene(FOLDERS[0] / "scene.json")
     block = read_log(FOLDERS[0] / "log.csv", scene, limits=False).whole()
