@@ -47,7 +47,6 @@ from mmwave_env.localization.shared_errors import (
 )
 from mmwave_env.localization.starts import POOL_S, start_at
 from mmwave_env.logs.log import Log
-from mmwave_env.models.envelope import STEP_S
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.numerics.numbers import Array
@@ -173,7 +172,7 @@ def _unbroken(log: Log) -> Log:
     are long enough to be diagnosed, the first is chosen.
     """
     steps = np.diff(log.time_s, prepend=log.time_s[0])
-    longest = max(STEP_S.most or 0.0, GAP_S * np.median(steps))
+    longest = GAP_S * max(4.0, np.median(steps))  # at least 60 s, which a filter can predict
     ends = [0, *np.flatnonzero(steps > longest).tolist(), len(log)]
     parts = [log.part(slice(*part)) for part in pairwise(ends)]
     return max(parts, key=lambda part: min(len(part), DIAGNOSED_EPOCHS))
@@ -285,8 +284,11 @@ def _finding(reading: Reading, episode: Episode, nis: Array, likelihood: Array) 
     fits: Fits = {}
     groups = {}
     for name, used, column in zip(layout.group_names, episode.visible.T, ratios.T, strict=True):
-        fits[name] = float(np.median(column[used])) if used.any() else None
-        groups[name] = {"seen": used.sum(), "rejected_share": 0.0, "nis_per_dof": fits[name]}
+        fits[name] = fit = float(np.median(column[used])) if used.any() else None
+        # Even a few epochs say that a NIS is huge. A small one is no reason to read a log in a less
+        # likely way: with ranges alone, it is that of a pedestrian in the filter of a vehicle.
+        epochs = used.sum() + (fit or 0.0)
+        groups[name] = {"seen": epochs, "rejected_share": 0.0, "nis_per_dof": fit and max(fit, 1.0)}
     if not np.isfinite(likelihood).all():
         return reading.finding([Contradiction("track", "NaN or infinity", "numbers")], fits)
     clipped = np.maximum(nis - chdtri(dof, _OUTLIER_QUANTILE), 0.0).sum()

@@ -18,6 +18,7 @@ from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import Origin, read_scene
 from policies.rules import by_predicted_speed
+from tests.localization.errors import mode_of, readings
 from tests.localization.mistakes import (
     AZIMUTHS,
     FOLDERS,
@@ -139,8 +140,8 @@ def test_a_rotated_frame_is_diagnosed_with_its_angle_and_the_corrected_scene(tmp
     scene = read_scene(folder / "scene.json")
     path = wrong_log(tmp_path, folder, linear(1.0, *AZIMUTHS, offset=0.7))
     assert doubts(read_log(path, scene).whole(), scene)
-    best, second, *_ = findings(path, scene)
-    assert best.shared and not best.contradictions and second.contradictions
+    best, second, third, *_ = findings(path, scene)
+    assert best.shared and second.shared and not best.contradictions and third.contradictions
     assert best.hypothesis.startswith("azimuths are turned by 40.")
     assert best.scene.bearing_deg == pytest.approx(np.degrees(0.7), abs=0.2)
     assert not doubts(read_log(path, best.scene).whole(), best.scene)
@@ -176,6 +177,28 @@ def test_a_correct_log_with_some_wild_ranges_is_diagnosed_as_consistent(tmp_path
     path = wrong_log(tmp_path, FOLDERS[1], wild)
     best = findings(path, read_scene(FOLDERS[1] / "scene.json"))[0]
     assert best.hypothesis == AS_IT_IS and not best.contradictions
+
+
+def test_a_pedestrian_whose_ranges_alone_fit_too_well_suggests_no_other_anchors():
+    (reading,) = readings(1, seed=500_018)
+    z = reading.log.measurement.copy()
+    for row in (1, 2, 3):
+        z[:, row:-1:4] = np.nan
+    layout = replace(reading.log.layout, partial=True)
+    log = replace(reading.log, layout=layout, measurement=z)
+    handset = reading._replace(log=log, radio=RADIOS["handset"], mode=mode_of("handset"))
+    best = diagnose(handset)[0]
+    assert "anchors" not in best.hypothesis and not best.contradictions
+
+
+def test_ten_epochs_that_fit_no_hypothesis_are_not_called_consistent(tmp_path):
+    def short(columns):
+        first = columns["time_s"] < np.unique(columns["time_s"])[10]
+        wrong = linear(np.pi / 180.0, "aoa_azimuth_rad")(columns)
+        return {name: values[first] for name, values in wrong.items()}
+
+    path = wrong_log(tmp_path, FOLDERS[1], short)
+    assert findings(path, read_scene(FOLDERS[1] / "scene.json"))[0].contradictions
 
 
 def test_the_radio_of_a_log_is_diagnosed_and_the_log_is_not_changed():
