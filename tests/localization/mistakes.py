@@ -59,7 +59,7 @@ upside_down = linear(-1.0, "aoa_elevation_rad")
 FACTORS = {  # how the text of a hypothesis about times ends -> factor by which times are wrong
     f"1e{n} times too large ({unit}?)": 10.0**n for n, unit in ((3, "ms"), (6, "us"), (9, "ns"))
 }
-FACTORS |= {f"1e{n} times too small (s?)": 10.0**-n for n in (3, 6, 9)}
+FACTORS |= {f"1e{n} times too small": 10.0**-n for n in (3, 6, 9)}
 MISTAKES = {  # text of a hypothesis of the diagnosis -> the mistake that it explains
     "arrival and departure are exchanged": exchanged,
     "azimuth and elevation of arrival are exchanged": exchange(AZIMUTHS[0], "aoa_elevation_rad"),
@@ -76,11 +76,16 @@ MISTAKES = {  # text of a hypothesis of the diagnosis -> the mistake that it exp
     "azimuth of arrival is in degrees": linear(180.0 / np.pi, AZIMUTHS[0]),
     "azimuth of departure is in degrees": linear(180.0 / np.pi, AZIMUTHS[1]),
     "elevation is in degrees": linear(180.0 / np.pi, "aoa_elevation_rad"),
+    "azimuth of arrival is in radians": renamed({AZIMUTHS[0]: "aoa_azimuth_deg"}),
+    "azimuth of departure is in radians": renamed({AZIMUTHS[1]: "aod_azimuth_deg"}),
     "times are round-trip times": linear(2.0, "toa_s"),
     "toa_s is in meters": linear(299_792_458.0, "toa_s"),
     "rtt_s is a one-way time": renamed({"toa_s": "rtt_s"}),
     "ranges are in feet": lambda c: renamed({"toa_s": "range_m"})(
         linear(299_792_458.0 / 0.3048, "toa_s")(c)
+    ),
+    "ranges are 1e3 times too small (km?)": lambda c: renamed({"toa_s": "range_m"})(
+        linear(299_792.458, "toa_s")(c)
     ),
     **{
         f"{quantity} is {mistake}": linear(factor, column)
