@@ -249,22 +249,18 @@ class ImageFilter(ABC):
         With ``sight_used``, the base station's path was used before, and is not among the paths.
         """
 
-    def ahead(
-        self, b: Belief, coming: Iterable[Paths], blocked: bool = False
-    ) -> tuple[float, int, int]:
-        """Return evidence, number of used paths and number of lines of sight in coming epochs.
+    def ahead(self, b: Belief, coming: Iterable[Paths], blocked: bool = False) -> tuple[float, int]:
+        """Return the evidence and the number of used paths in coming epochs.
 
         If the line of sight is ``blocked``, they have none.
         """
         evidence = 0.0
         used = 0
-        sights = 0
         for paths in coming:
             b = self.step(b, paths, blocked)
             evidence += b.evidence
             used += len(b.labels)
-            sights += 0 in b.labels
-        return evidence, used, sights
+        return evidence, used
 
     def predicted(self, b: Belief, time_s: float) -> Belief:
         """Return the belief at a later time: x' = F x, P' = F P F' + Q."""

@@ -120,12 +120,12 @@ class MapLearner(ImageFilter):
         shortest = np.argsort(paths.z[:, 0])
         for path in shortest[paths.straight[shortest]][:BEGINNINGS].tolist():
             rival = self.begun(self.prior(of_map, paths, path), paths, path)
-            likelihood, used, sights = self.ahead(rival, coming)
+            likelihood, used = self.ahead(rival, coming)
             # A wrong beginning may fit later paths, when its prediction has grown uncertain. The
-            # next epochs may lack the line of sight.
-            _, prompt, _ = self.ahead(rival, coming[:2])
-            again = sights > 0 or prompt >= len(coming[:1])
-            if again and used >= FITS * len(coming) and likelihood > score + CLEARLY:
+            # next epoch may lack the line of sight.
+            _, prompt = self.ahead(rival, coming[:2])
+            fits = used >= FITS * len(coming) and prompt >= len(coming[:1])
+            if fits and likelihood > score + CLEARLY:
                 best = rival
                 score = likelihood
         return best
@@ -134,8 +134,8 @@ class MapLearner(ImageFilter):
         """Use or ignore the paths of an epoch; also return the log-likelihood of this decision."""
         using = self.step(b, paths)
         ignoring = self.step(b, paths.part(slice(0)))
-        likelihood, used, _ = self.ahead(using, coming)
-        of_ignoring, _, _ = self.ahead(ignoring, coming)
+        likelihood, used = self.ahead(using, coming)
+        of_ignoring, _ = self.ahead(ignoring, coming)
         too_few = False
         if _is_lost(b):
             too_few = used < FITS * len(coming)
