@@ -132,19 +132,21 @@ def diagnosed(args: LogArgs, files: "Inputs", scene: Scene) -> None:
             "facts": facts,
             "verdict": verdict(findings),
             "notes": notes,
-            "hypotheses": [
-                {
-                    **f._asdict(),
-                    "contradictions": [c._asdict() for c in f.contradictions],
-                    "scene": None if f.scene is scene else scene_json(f.scene),
-                }
-                for f in findings
-            ],
+            "hypotheses": [_hypothesis(finding, scene) for finding in findings],
         }
         write_json(args.json, provenance("localize", args) | figures)
     show(text)
     if log.damage:
         raise log.damage
+
+
+def _hypothesis(finding: Finding, scene: Scene) -> Json:
+    """Return a finding as JSON, with its scene if this is not the log's."""
+    return {
+        **finding._asdict(),
+        "contradictions": [c._asdict() for c in finding.contradictions],
+        "scene": None if finding.scene is scene else scene_json(finding.scene),
+    }
 
 
 LONGEST_WINDOW = 20_000  # maximum length of the smoother's window, epochs; limits its memory
