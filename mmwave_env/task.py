@@ -5,8 +5,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, cast
 
-from mmwave_env.datasets.recorded import MeasuredTrack, Recording, TrackSource
-from mmwave_env.datasets.samples import source_from
+from mmwave_env.datasets.recorded import Track, TrackSource
+from mmwave_env.datasets.samples import read_track
 from mmwave_env.datasets.ways import scenario_from
 from mmwave_env.filters.bank import Bank, Modes, bank_from, modes_from
 from mmwave_env.filters.modes import Mode
@@ -97,7 +97,7 @@ class TaskArguments:
     reward: str | Reward | PairedReward = "tracking"
     episode_steps: int | None = None
     dt: float | None = None
-    episodes: AnyPath | Recording | MeasuredTrack | EpisodeSource | None = None
+    episodes: AnyPath | Track | EpisodeSource | None = None
     planar: bool = False
     odometry: bool = False
     measurements: Sequence[str] | None = None
@@ -128,7 +128,9 @@ def task_from(**arguments: Any) -> Task:
     for name in ("planar", "odometry", "terminate_on_divergence"):
         require(name, getattr(asked, name), bool)
     _require_action(asked)
-    source, radio = _source(asked, radio_from(asked.radio))
+    radio = radio_from(asked.radio)
+    source = _source(asked, radio)
+    radio = getattr(source, "radio", radio)
     pays = reward_from(asked.reward)
     bank, modes = bank_and_modes(asked.modes, asked.beliefs, radio)
     pipeline = Pipeline(modes, source.layout, asked.planar)
@@ -181,8 +183,8 @@ def bank_and_modes(
     return None, modes_from(modes, radio)
 
 
-def _source(asked: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
-    """Return the source of episodes, and the radio that receives their signals."""
+def _source(asked: TaskArguments, radio: Radio) -> EpisodeSource:
+    """Return the source of episodes."""
     measurements = measurements_from(asked.measurements)
     require_clock(asked.clock, measurements)
     if asked.episodes is None:
@@ -202,11 +204,12 @@ def _source(asked: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
                 f"episode_steps: found {asked.episode_steps}, expected at most {simulated.epochs}, "
                 f"the epochs of {simulated.name}"
             )
-        return simulated, radio
+        return simulated
     episodes: Any = asked.episodes
+    if isinstance(episodes, str | os.PathLike):
+        episodes = read_track(episodes, asked.clock)
     determined = ["scenario", "scene", "dt", "odometry", "survey"]
-    is_recorded = isinstance(episodes, str | os.PathLike | Recording | MeasuredTrack)
-    if not is_recorded:
+    if not isinstance(episodes, Track):
         determined += ["episode_steps", "measurements", "clock"]
         if not hasattr(episodes, "layout") or not hasattr(episodes, "sample"):
             raise ValueError(
@@ -217,8 +220,6 @@ def _source(asked: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
         value = getattr(asked, name)
         if value != getattr(TaskArguments, name):
             raise ValueError(f"{name}: found {value!r}, but episodes= determines this value")
-    if is_recorded:
-        steps = asked.episode_steps
-        track = source_from(episodes, radio, steps, measurements, asked.clock)
-        return track, track.radio
-    return episodes, getattr(episodes, "radio", radio)
+    if isinstance(episodes, Track):
+        return TrackSource(episodes, radio, asked.episode_steps, measurements, asked.clock)
+    return episodes  # type: ignore[no-any-return]

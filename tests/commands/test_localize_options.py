@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from experiments.console.main import run
-from mmwave_env.datasets.samples import source_from
+from mmwave_env.datasets.recorded import TrackSource
+from mmwave_env.datasets.samples import read_track
 from mmwave_env.filters.bank import default_modes
 from mmwave_env.localization.map_learning import MapLearner, learned_scene
 from mmwave_env.logs.log import read_paths
@@ -226,7 +227,7 @@ def ride(log, *more):
 def hidden(tmp_path_factory):
     """Return a log of propagation paths without anchor numbers; false paths belong to no anchor."""
     log = tmp_path_factory.mktemp("hidden") / "log.csv"
-    source = source_from(RIDE, "standard")
+    source = TrackSource(read_track(RIDE), "standard")
     hide_anchors(log, sampled(source), false_paths=5)
     return log
 

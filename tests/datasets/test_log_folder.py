@@ -8,8 +8,8 @@ import pytest
 from numpy.testing import assert_array_equal, assert_array_max_ulp
 
 from mmwave_env.datasets.log_folder import read_log_folder, write_log_folder
-from mmwave_env.datasets.recorded import MeasuredTrack, Recording
-from mmwave_env.datasets.samples import sample_folder, source_from
+from mmwave_env.datasets.recorded import MeasuredTrack, Recording, TrackSource
+from mmwave_env.datasets.samples import read_track, sample_folder
 from mmwave_env.logs.tum import tum_lines
 from mmwave_env.models.scene import SCENES, read_scene
 from tests.cli import assert_one_clear_line, command, succeed
@@ -44,7 +44,7 @@ def test_a_simulated_log_gives_the_simulated_episode(tmp_path, odometry):
     true = simulated(3, odometry)
     write_log_folder(tmp_path, true, STREET, "made by a test")
     assert read_scene(tmp_path / "scene.json") == STREET
-    episode = sampled(source_from(tmp_path, "handset"))
+    episode = sampled(TrackSource(read_track(tmp_path), "handset"))
     assert episode.layout == true.layout and episode.name == tmp_path.name
     for field in ("time_s", "usable", "doppler_spread_hz", "scene_anchors_m", "truth_position_m"):
         assert_array_equal(getattr(episode, field), getattr(true, field))
@@ -68,7 +68,7 @@ def test_epochs_are_matched_to_poses_by_time(folder):
     lines = tum_lines(track.time_s[early], track.position_m[early])
     (folder / "truth.tum").write_text(lines)
     with pytest.warns(UserWarning, match="140 epochs"):
-        episode = sampled(source_from(folder, "handset"))
+        episode = sampled(TrackSource(read_track(folder), "handset"))
     assert_array_equal(episode.truth_position_m, track.position_m[early])
     assert_array_equal(episode.time_s, track.time_s[early])
 
@@ -87,7 +87,7 @@ def test_a_log_with_sigma_columns_and_missing_quantities_can_be_played_and_writt
         own[sigma] = np.where(np.isfinite(own[name]), value, np.nan)
     write_columns(folder / "log.csv", own)
     track = read_log_folder(folder)
-    episode = sampled(source_from(track, "handset"))
+    episode = sampled(TrackSource(track, "handset"))
     assert track.layout == replace(whole.layout, partial=True)
     seen = shown(whole) & ([True, False, False, True] * 3 + [True])
     assert_array_equal(np.isfinite(episode.measurement), seen)
@@ -96,7 +96,7 @@ def test_a_log_with_sigma_columns_and_missing_quantities_can_be_played_and_writt
     assert_array_equal(episode.sigma[seen], expected[seen])
     assert (episode.doppler_anchor[whole.visible[:, 3]] == 1).all()
     write_log_folder(folder, episode, STREET, "made by a test")
-    again = sampled(source_from(read_log_folder(folder), "handset"))
+    again = sampled(TrackSource(read_log_folder(folder), "handset"))
     assert_array_max_ulp(again.table(), episode.table(), maxulp=2)
 
 
@@ -105,11 +105,11 @@ def test_samples_are_found_by_name_and_by_folder_and_their_layout_is_not_partial
     assert sample_folder(name) == LOGS / name
     assert sample_folder(name, "recording") == RECORDINGS / name
     for where in (name, RECORDINGS / name):
-        assert isinstance(source_from(where, "standard").track, Recording)
-    log = source_from(LOGS / name, "standard")
+        assert isinstance(TrackSource(read_track(where), "standard").track, Recording)
+    log = TrackSource(read_track(LOGS / name), "standard")
     assert isinstance(log.track, MeasuredTrack) and log.name == name
     assert not log.layout.partial and log.track.sigma is log.track.doppler_anchor is None
-    recorded = sampled(source_from(name, "standard"))
+    recorded = sampled(TrackSource(read_track(name), "standard"))
     played = sampled(log)
     assert_array_equal(played.usable, recorded.usable)
 
@@ -126,13 +126,13 @@ def test_missing_files_are_named(folder, names):
     for name in names:
         (folder / name).unlink()
     with pytest.raises(ValueError, match=f"found no {', no '.join(names)}"):
-        source_from(folder, "handset")
+        TrackSource(read_track(folder), "handset")
 
 
 def test_two_logs_are_refused(folder):
     shutil.copy(folder / "log.csv", folder / "log.parquet")
     with refuses(folder):
-        source_from(folder, "handset")
+        TrackSource(read_track(folder), "handset")
 
 
 def test_commands_accept_a_log_folder_as_data(folder):

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.datasets.recorded import MeasuredTrack, Recording, TrackSource
-from mmwave_env.datasets.samples import recording_from
+from mmwave_env.datasets.samples import read_track
 from mmwave_env.logs.truth import stretches, velocity_of
 from mmwave_env.models.layout import LINK, Layout
 from mmwave_env.models.prior import GAP_S
@@ -175,7 +175,7 @@ def test_a_track_without_truth_or_with_times_in_milliseconds_is_refused():
 
 
 def test_the_environment_accepts_a_track_or_a_recording():
-    for own in (track(), recording_from("canyon28_vehicle")):
+    for own in (track(), read_track("canyon28_vehicle")):
         env = gym.make("mmwave_env:MmWaveLoc-v0", episodes=own, radio="standard", episode_steps=25)
         assert env.unwrapped.radio == RADIOS["standard"] and env.unwrapped.source.epochs == 25
         assert env.reset(seed=1)[1]["episode_name"] == own.name
@@ -185,7 +185,7 @@ def test_the_environment_accepts_a_track_or_a_recording():
 
 
 def test_a_recording_can_be_made_from_arrays():
-    true = recording_from("canyon28_pedestrian")
+    true = read_track("canyon28_pedestrian")
     visible = true.visible[:, :3]
     same = {name: getattr(true, name) for name in ("name", "time_s", "anchors_m", "position_m")}
     gain = {"path_gain_db": np.where(visible, true.path_gain_db, np.nan)}

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from mmwave_env.datasets.recorded import Recording, TrackSource
-from mmwave_env.datasets.samples import recording_from, sample_names, source_from
+from mmwave_env.datasets.samples import read_track, sample_names
 from mmwave_env.models.layout import Layout, wrapped
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import Scene, Wall
@@ -19,8 +19,8 @@ from tests.logs.by_hand import shown
 from tests.refusals import refuses
 
 EPOCHS = {"pedestrian": 400, "stop_and_go": 587, "vehicle": 120, "walk_ride_walk": 908}
-VEHICLE = recording_from("canyon28_vehicle")
-PEDESTRIAN = recording_from("canyon28_pedestrian")
+VEHICLE = read_track("canyon28_vehicle")
+PEDESTRIAN = read_track("canyon28_pedestrian")
 RADIO = RADIOS["standard"]
 
 
@@ -55,14 +55,14 @@ def track(epochs=50, dt=1.0, odometry=False):
 def test_the_samples_have_the_expected_names_and_lengths():
     assert sample_names() == tuple(f"canyon28_{name}" for name in EPOCHS)
     for name, epochs in zip(sample_names(), EPOCHS.values(), strict=True):
-        recording = recording_from(name)
+        recording = read_track(name)
         assert recording.name == name and len(recording) == epochs
 
 
 def test_unknown_names_and_files_are_refused(tmp_path):
     for name in ("canyon", tmp_path / "nowhere", __file__):
         with refuses("episodes"):
-            source_from(name, RADIO)
+            TrackSource(read_track(name), RADIO)
 
 
 def test_a_track_source_gives_the_episode_of_a_recording():

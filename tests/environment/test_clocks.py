@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from mmwave_env.datasets.samples import recording_from, sample_folder, source_from
+from mmwave_env.datasets.recorded import TrackSource
+from mmwave_env.datasets.samples import read_track, sample_folder
 from mmwave_env.engines.engine import Engine, run_imm
 from mmwave_env.engines.smoothing import SMOOTHED, smooth
 from mmwave_env.filters import Pipeline, textbook
@@ -167,10 +168,10 @@ def test_an_invalid_clock_and_a_clock_that_cannot_be_estimated_are_refused():
     ):
         with refuses("clock"):
             task_from(**arguments)
-    track = recording_from("canyon28_vehicle")
+    track = read_track("canyon28_vehicle")
     track.measurement[:, : track.layout.doppler : 4] = np.nan
     with refuses("clock"):
-        source_from(track, RADIOS["standard"], clock="offset")
+        TrackSource(track, RADIOS["standard"], clock="offset")
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from mmwave_env.datasets.samples import recording_from, sample_folder, source_from
+from mmwave_env.datasets.recorded import TrackSource
+from mmwave_env.datasets.samples import read_track, sample_folder
 from mmwave_env.filters import Mode, ekf
 from mmwave_env.models.layout import MEASUREMENTS, Layout
 from mmwave_env.task import task_from
@@ -104,7 +105,7 @@ def test_a_custom_source_decides_what_is_measured():
 
 
 def test_measurements_that_a_track_lacks_are_refused():
-    track = recording_from("canyon28_vehicle")
+    track = read_track("canyon28_vehicle")
     track.measurement[:, : track.layout.doppler : 4] = np.nan
     with refuses("measurements"):
-        source_from(track, "handset", measurements=["range"])
+        TrackSource(track, "handset", measurements=["range"])

@@ -6,7 +6,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from experiments.evaluation.contenders import contender_from, draw_episodes
 from experiments.evaluation.runner import Scoring, history_of
-from mmwave_env.datasets.samples import source_from
+from mmwave_env.datasets.recorded import TrackSource
+from mmwave_env.datasets.samples import read_track
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.rendering.history import NO_MODE
 from mmwave_env.task import task_from
@@ -57,7 +58,7 @@ def test_the_history_of_an_imm_shows_the_most_probable_modes():
 
 
 def test_the_history_of_a_recording_begins_at_its_prior():
-    (episode,) = draw_episodes(source_from("canyon28_pedestrian", "handset"), [0])
+    (episode,) = draw_episodes(TrackSource(read_track("canyon28_pedestrian"), "handset"), [0])
     history = history_of(contender_from("fixed-ukf", "handset"), episode)
     assert_array_equal(history.estimate[0], episode.prior_mean)
     assert history.scene is None and history.time_s[0] == history.time_s[1] == 0.0

@@ -14,7 +14,7 @@ import numpy as np
 import mmwave_env
 from experiments.timing.roofline import count
 from mmwave_env.datasets.recorded import TrackSource
-from mmwave_env.datasets.samples import recording_from
+from mmwave_env.datasets.samples import read_track
 from mmwave_env.engines.engine import Engine
 from mmwave_env.engines.epoch import Asked, decide, filter_epoch, program_of, score, untuned
 from mmwave_env.filters import Pipeline
@@ -236,7 +236,7 @@ TRACES = {
         terminate_on_divergence=True,
     ),
     "rollout-recorded": lambda: rollout(
-        [None], episodes=Recorded(recording_from("canyon28_vehicle"), RADIO, epochs=8)
+        [None], episodes=Recorded(read_track("canyon28_vehicle"), RADIO, epochs=8)
     ),
     "rollout-per-mode": partial(
         rollout, [9441442522235856127], episode_steps=8, beliefs="per-mode", radio=RADIO,
