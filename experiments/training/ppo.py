@@ -16,7 +16,6 @@ from mmwave_env.interface.reward import PairedReward
 from mmwave_env.numerics.numbers import Array32, Mask
 from mmwave_env.sb3 import Indices, Infos, SB3VecEnv
 from mmwave_env.vector_env import MmWaveLocVectorEnv
-from mmwave_env.world.simulated import SimulatedSource
 from policies.policy_file import Tensors
 from policies.sb3 import model_tensors
 
@@ -33,27 +32,27 @@ class PlacesVecEnv(VecEnv):
         hyperparameters: number of environments, and whether to subtract an IMM's reward (paired).
 
     Attributes:
-        envs: native vector environments, one per place.
         observation: table of features.
 
     """
 
     def __init__(self, task: TrainingTask, hyperparameters: PpoHyperparameters) -> None:
         count = hyperparameters.num_envs
-        options: dict[str, Any] = {
-            "observation": task.observation,
-            "reward": PairedReward(task.reward) if hyperparameters.paired else task.reward,
-            "autoreset_mode": "SameStep",
-            "threads": 1,
-        }
+        reward = PairedReward(task.reward) if hyperparameters.paired else task.reward
         # for each place, the numbers of its environments
         self._here = np.array_split(np.arange(count), len(task.places))
-        self.envs = [
-            MmWaveLocVectorEnv(len(here), **task.arguments(place), **options)
-            for place, here in zip(task.places, self._here, strict=True)
-        ]
-        self.observation = self.envs[0].observation
-        self._parts = [SB3VecEnv(env) for env in self.envs]
+        self._parts = []
+        for place, here in zip(task.places, self._here, strict=True):
+            env = MmWaveLocVectorEnv(
+                len(here),
+                **task.arguments(place),
+                observation=task.observation,
+                reward=reward,
+                autoreset_mode="SameStep",
+                threads=1,
+            )
+            self._parts.append(SB3VecEnv(env))
+        self.observation = env.observation
         first = self._parts[0]
         super().__init__(count, first.observation_space, first.action_space)
 
@@ -63,10 +62,11 @@ class PlacesVecEnv(VecEnv):
         Environment i, counted across all places, has the seed of :meth:`seed` plus i.
         """
         observations = []
-        for k, (part, env) in enumerate(zip(self._parts, self.envs, strict=True)):
+        for k, part in enumerate(self._parts):
+            source, *_ = part.get_attr("source")
             part.seed(self._seeds[self._here[k][0]])
             table = part.reset()
-            for _ in range(k * cast(SimulatedSource, env.source).epochs // len(self._parts)):
+            for _ in range(k * source.epochs // len(self._parts)):
                 table, *_ = part.step(np.zeros(part.num_envs, np.int64))
             observations.append(cast(NDArray[Any], table))  # arrays, since the spaces are boxes
         return np.concatenate(observations)
@@ -84,7 +84,7 @@ class PlacesVecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
         """Return an attribute, which is the same in all environments, once for each of them."""
-        return [getattr(self.envs[0], attr_name)] * self.num_envs
+        return self._parts[0].get_attr(attr_name, 0) * self.num_envs
 
     def _unused(self, *_: Any, **__: Any) -> NoReturn:
         """Raise an error, since no training calls this method of a ``VecEnv``."""
