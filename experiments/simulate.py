@@ -78,11 +78,9 @@ def main(args: Args) -> None:
     columns = None
     if args.paths:
         columns = path_columns(episode, args.false_paths, np.random.default_rng(args.seed))
-    names = write_log_folder(args.out, episode, scene, origin, columns)
-    if args.paths:
         station = scene.with_anchors(scene.anchors_m[:1])
         write_json(args.out / STATION, scene_json(station))
-        names.append(STATION)
-    say(f"written to {args.out}/: {', '.join(names)}")
+    write_log_folder(args.out, episode, scene, origin, columns)
+    say(f"written to {args.out}/: {', '.join(files)}")
     if isinstance(source, SimulatedSource) and not source.travels and len(source.names) > 1:
         say(f"the user is {episode.name}")

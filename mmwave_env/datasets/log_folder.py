@@ -95,8 +95,8 @@ def write_log_folder(
     scene: Scene,
     origin: str,
     columns: dict[str, Array] | None = None,
-) -> list[str]:
-    """Write an episode so that :func:`read_log_folder` can read it; return the names of the files.
+) -> None:
+    """Write an episode so that :func:`read_log_folder` can read it.
 
     Args:
         folder: folder to write to; created if it does not exist.
@@ -113,7 +113,6 @@ def write_log_folder(
     assert episode.truth_position_m is not None
     track = tum_lines(episode.time_s, episode.truth_position_m)
     write_text(folder / TRUTH, f"# {' '.join(COLUMNS)}; {origin}\n{track}")
-    return [LOG, SCENE, TRUTH]
 
 
 def log_columns(episode: Episode) -> dict[str, Array]:
