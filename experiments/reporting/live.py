@@ -155,10 +155,10 @@ def _paths(args: LogArgs, scene: Scene, learner: MapLearner) -> Iterator[Paths]:
 
 
 def _formatted(args: LogArgs, position: Position, origin: Origin | None) -> Json:
-    """Return the content of an output line in the format that --format asks for."""
+    """Return the content of an output line, without unknown values, as --format asks for it."""
     if origin:
         return location_data(position, origin, args.confidence, args.accuracy)
-    return _content(position)
+    return {name: value for name, value in position._asdict().items() if value is not None}
 
 
 def _waited_long(waiting: list[LiveEpoch], epochs: Sequence[LiveEpoch]) -> bool:
@@ -200,11 +200,6 @@ def _origin(args: LogArgs, scene: Scene) -> Origin | None:
     if args.accuracy is not None and not args.accuracy > 0.0:
         raise ValueError(f"accuracy: found {args.accuracy}, expected meters above 0")
     return origin_of(scene, "format: 3gpp")
-
-
-def _content(position: Position) -> Json:
-    """Return the content of an output line; leave out unknown values."""
-    return {name: value for name, value in position._asdict().items() if value is not None}
 
 
 def _lines() -> Iterator[tuple[int, str] | None]:
