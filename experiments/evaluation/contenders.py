@@ -45,6 +45,7 @@ from mmwave_env.world.episode import Episode, EpisodeSource
 from mmwave_env.world.keys import Keys, keys_of
 from mmwave_env.world.simulated import SimulatedSource
 from policies import LikelihoodRule, SpeedRule, load, shipped_policies
+from policies.policy_file import PolicyFile
 
 BEST_IMM = "imm-best"  # the IMM with the modes of best_bank
 RULE = "speed-rule"  # the paper's rule
@@ -129,7 +130,7 @@ class Contender(Switching):
     name: str
 
     @classmethod
-    def learned(cls, path: AnyPath, name: str, radio: str) -> "Contender":
+    def learned(cls, path: AnyPath | PolicyFile, name: str, radio: str) -> "Contender":
         """Return a contender for the learned policy in a file, or for a shipped policy by name.
 
         A policy that has a bank for each radio uses the bank for ``radio``.

@@ -22,7 +22,6 @@ from experiments.evaluation.runner import Scores, score
 from experiments.training.training_task import TrainingTask
 from mmwave_env.interface.observation import Observation
 from mmwave_env.io.files import Json, atomic_path, first_line, write_bytes, write_json, write_text
-from policies import load
 from policies.policy_file import Card, PolicyFile, Tensors, to_bytes, versions_of
 
 RIVALS = ("speed-rule", "imm")  # rivals in every training
@@ -130,7 +129,7 @@ class Trainer(ABC):
             rewards = {name: scores_of(partial(contender_from, name))["reward"] for name in rivals}
 
         def examine(file: PolicyFile) -> Json:
-            scores = scores_of(lambda radio: Contender(**vars(load(file, radio)), name="latest"))
+            scores = scores_of(lambda radio: Contender.learned(file, "latest", radio))
             reward = scores["reward"]
             gains = bootstrap([reward - other for other in rewards.values()])
             return {
