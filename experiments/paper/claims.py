@@ -200,7 +200,7 @@ def resolution(_: Bench) -> Section:
         f"c / B is {SPEED_OF_LIGHT / scene.bandwidth_hz:.2f} m; paths whose lengths differ by less "
         f"are not resolved. One path alone is measured to 1 cm from {centimeter_db:.0f} dB on.",
         "SNR dB | Cramer-Rao bound of the range, m",
-        rows=[[f"{snr:g}", float(bound)] for snr, bound in zip(snr_db, sigma, strict=True)],
+        [[f"{snr:g}", float(bound)] for snr, bound in zip(snr_db, sigma, strict=True)],
     )
 
 

@@ -7,7 +7,7 @@ results. At the end are short forms of the tables, whose last one has the rows o
 
 import csv
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -113,15 +113,14 @@ Cell = str | float | Interval
 Row = list[Cell]
 
 
-@dataclass
-class Section:
+class Section(NamedTuple):
     """A table with a title and a note."""
 
     title: str  # title, in Markdown
     note: str  # note below the table, in Markdown
     header: str  # headers of the columns, with " | " between them
+    rows: list[Row]
     labels: int = 1  # number of columns at the left that together name a row
-    rows: list[Row] = field(default_factory=list)
 
     @property
     def columns(self) -> list[str]:
@@ -156,7 +155,7 @@ def section(
     """Return a decorator that turns a generator of rows into a function that returns a section."""
 
     def decorate(rows: Rows) -> Callable[[Bench], Section]:
-        return lambda bench: Section(title, note, header, labels, [*rows(bench)])
+        return lambda bench: Section(title, note, header, [*rows(bench)], labels)
 
     return decorate
 
@@ -192,8 +191,15 @@ UNTUNED_SIGMA_V = 1.0  # m/s; our choice, because the paper states no value
 
 def untuned(algorithm: str, coupling: bool) -> Mode:
     """Return a filter of the tables' first rows: without tuning, gates or adaptive scaling."""
-    off = {"gate": None, "recovery": None, "adaptive": False}
-    return Mode(algorithm, algorithm, sigma_v=UNTUNED_SIGMA_V, coupling=coupling, **off)  # type: ignore[arg-type]
+    return Mode(
+        algorithm,
+        algorithm,
+        sigma_v=UNTUNED_SIGMA_V,
+        coupling=coupling,
+        gate=None,
+        recovery=None,
+        adaptive=False,
+    )
 
 
 def _row(name: str, printed: Mapping[str, float], forms: Sequence[Scores]) -> Row:
@@ -234,7 +240,7 @@ def tables_one_and_two(bench: Bench) -> Iterator[Section]:
                 smoothed = [bench.run(mode, measured).smoothed.scores for mode in modes]
                 name = f"Optimized {str(tuned[0].algorithm).upper()}{variant}"
                 rows.append(_row(name, {} if variant else printed["optimized"], smoothed))
-            yield Section(f"Table {number}: {scenario}, {radio}", note, header, rows=rows)
+            yield Section(f"Table {number}: {scenario}, {radio}", note, header, rows)
 
 
 @section(
