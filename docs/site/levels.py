@@ -38,13 +38,12 @@ def figures_at(site: Site) -> Array:
     few = site.kind in (RECORDED, HARD)
 
     def add(contender: Contender, time_s: Array, results: EpochResults) -> None:
-        parts = [*(results[p] for p in PARTS), results.get("trusted")]
         counts = scored(len(time_s))
         error = np.stack([f(results["error"]) for f in (horizontal, vertical)], axis=-1)
         for rows, risk in zip(figures, RISKS, strict=True):
             gaussian = gaussian_levels(results["P"], risk)
             factors = Levels(risk).factors(
-                source.layout.anchors, bool(contender.bank), time_s, *parts
+                source.layout.anchors, bool(contender.bank), time_s, results
             )
             both = np.stack([gaussian, gaussian * factors])[:, :, counts]
             over = 100.0 * ~(error[:, counts] <= both)

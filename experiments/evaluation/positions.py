@@ -8,7 +8,7 @@ from experiments.console.output import grid
 from experiments.evaluation.contenders import Contender
 from experiments.evaluation.runner import EpochResults
 from mmwave_env.io.files import Json
-from mmwave_env.localization.levels import PARTS, Levels
+from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.position_errors import DISTANCES_M, SHARES, PositionErrors
 from mmwave_env.metrics import scored
 from mmwave_env.numerics.numbers import Array
@@ -39,9 +39,9 @@ class Positions:
         counts = scored(len(time_s))
         empty = PositionErrors(self.levels.risk, self.planar)
         errors = self.errors.setdefault(contender.name, empty)
-        parts = [*(results[part] for part in PARTS), results.get("trusted")]
+        mixes = contender.bank is not None
         self.levels.reset()
-        factors = self.levels.factors(self.anchors, contender.bank is not None, time_s, *parts)
+        factors = self.levels.factors(self.anchors, mixes, time_s, results)
         errors.add(results["error"][:, counts], results["P"][:, counts], factors[:, counts])
 
     def figures(self) -> Json:

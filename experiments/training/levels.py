@@ -86,9 +86,8 @@ def _played(
         for names in policies:
             contender = contender_from(str(rng.choice(names)), radio)
             of = run_contender(contender, batch, after=PARTS)
-            parts = [*(of[part] for part in PARTS), of.get("trusted")]
             features = Levels(kind=GAUSSIAN).features(
-                batch.layout.anchors, contender.bank is not None, time_s, *parts
+                batch.layout.anchors, contender.bank is not None, time_s, of
             )
             levels = np.stack([gaussian_levels(of["P"], risk) for risk in RISKS], axis=-2)
             ratio = np.maximum(error_sizes(of["error"]), LEAST_M)[..., None, :] / levels

@@ -13,7 +13,7 @@ levels guarantee; the network is trained by experiments/training/levels.py.
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -139,25 +139,31 @@ class Levels:
         """Forget the current tracks; the next epoch begins new tracks."""
         self.memory: Sequence[Array] = ()
 
-    def factors(self, anchors: int, mixes: bool, time_s: Array, *parts: Any) -> Array:
+    def factors(
+        self, anchors: int, mixes: bool, time_s: Array, results: Mapping[str, Any]
+    ) -> Array:
         """Return factors (n, T, 2) of Gaussian levels; :meth:`features` describes the arguments."""
         if self.kind == GAUSSIAN:
-            return np.ones((*parts[0].shape[:2], 2))
-        logs = shipped().log_factors(self.features(anchors, mixes, time_s, *parts))
+            return np.ones((*results["x"].shape[:2], 2))
+        logs = shipped().log_factors(self.features(anchors, mixes, time_s, results))
         return np.exp(logs[..., shipped().risks.index(self.risk), :])  # type: ignore[no-any-return]
 
-    def features(self, anchors: int, mixes: bool, time_s: Array, *parts: Any) -> Array:
+    def features(
+        self, anchors: int, mixes: bool, time_s: Array, results: Mapping[str, Any]
+    ) -> Array:
         """Return the features (n, T, features) of the next T epochs of n tracks.
 
         Args:
             anchors: number of anchors.
             mixes: whether the beliefs come from a bank of interacting modes.
             time_s: (T,) or (n, T) times of the epochs.
-            parts: means x (n, T, 7 or 8); packed covariances P (n, T, 28 or 36); NIS, acceptance
-                and rejection (0 or 1) of each group of measurements, as three arrays (n, T,
-                groups); optionally, factors (n, T) that scaled corrections; NaN if not corrected.
+            results: the :data:`PARTS` by name: means x (n, T, 7 or 8); packed covariances P (n, T,
+                28 or 36); NIS, acceptance and rejection (0 or 1) of each group of measurements, as
+                three arrays (n, T, groups); optionally "trusted", factors (n, T) that scaled
+                corrections; NaN if not corrected.
         """
-        x, P, nis, accepted, rejected, trusted = (*parts, None)[:6]
+        x, P, nis, accepted, rejected = [results[part] for part in PARTS]
+        trusted = results.get("trusted")
         time_s = np.broadcast_to(time_s, x.shape[:2])
         begins = time_s[:, 0]
         mean, last_x, first_s, last_s = self.memory or (np.empty(0), x[:, :1], begins, begins)

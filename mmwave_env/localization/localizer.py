@@ -139,11 +139,8 @@ class Localizer:
         outputs = engine.run(*PARTS, "memory.mode", kept)
         parts = {name: part[:count] for name, part in outputs.items()}
         parts["kept"] = parts[kept]
-        read = [parts[name] for name in PARTS]
         mixes = self.switching.bank is not None
-        parts["level_factors"] = self.levels.factors(
-            self.layout.anchors, mixes, time_s, *read, parts.get("trusted")
-        )
+        parts["level_factors"] = self.levels.factors(self.layout.anchors, mixes, time_s, parts)
         return parts
 
     def smoothed(self, kept: Array, time_s: Array, spread_hz: Array) -> tuple[Array, Array]:

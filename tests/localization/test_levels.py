@@ -31,7 +31,7 @@ FRESH = 5_900_000  # first tuning seed that was not used to calibrate levels
 
 
 def parts(seed=0):
-    """Return random outputs: x, P, NIS, accepted, rejected, and trust in corrections (0 to 1)."""
+    """Return random results: x, P, NIS, accepted, rejected, and trust in corrections (0 to 1)."""
     rng = np.random.default_rng(seed)
     # 0: the gate accepted the group; 1: the gate rejected it; 2: the group was not visible
     fate = rng.integers(3, size=(N, T, ANCHORS + 1))
@@ -39,7 +39,11 @@ def parts(seed=0):
     x = rng.normal(size=(N, T, 7))
     P = covariances(N, T, seed=seed)
     trusted = rng.random((N, T))
-    return [x, P, nis, fate == 0, fate == 1, trusted]
+    return named(x, P, nis, fate == 0, fate == 1, trusted)
+
+
+def named(*parts):
+    return dict(zip((*PARTS, "trusted"), parts, strict=True))
 
 
 def test_a_risk_that_no_calibration_covers_and_an_unknown_kind_are_refused():
@@ -47,13 +51,13 @@ def test_a_risk_that_no_calibration_covers_and_an_unknown_kind_are_refused():
         Levels(0.05)
     with refuses("levels"):
         Levels(kind="exact")
-    factors = Levels(0.05, "gaussian").factors(ANCHORS, True, np.arange(T), *parts())
+    factors = Levels(0.05, "gaussian").factors(ANCHORS, True, np.arange(T), parts())
     assert_array_equal(factors, np.ones((N, T, 2)))
 
 
 @pytest.mark.parametrize("risk", [0.01, 0.001])
 def test_factors_are_positive_and_finite_for_any_outputs_of_a_filter(risk):
-    x, P, nis, accepted, rejected, trusted = parts()
+    x, P, nis, accepted, rejected, trusted = parts().values()
     levels = Levels(risk)
     for extreme in (
         [x, 1e-12 * P, nis, accepted, rejected, trusted],
@@ -63,7 +67,7 @@ def test_factors_are_positive_and_finite_for_any_outputs_of_a_filter(risk):
     ):
         levels.reset()
         with np.errstate(invalid="ignore"):
-            factors = levels.factors(ANCHORS, True, 0.1 * np.arange(T), *extreme)
+            factors = levels.factors(ANCHORS, True, 0.1 * np.arange(T), named(*extreme))
         assert factors.shape == (N, T, 2) and np.isfinite(factors).all() and (factors > 0.0).all()
 
 
@@ -110,8 +114,7 @@ def test_errors_exceed_levels_at_most_as_often_as_stated(pair, risk):
 
     def keep(contender, time_s, results):
         levels.reset()
-        read = [*(results[part] for part in PARTS), results.get("trusted")]
-        factors = levels.factors(ANCHORS, contender.bank is not None, time_s, *read)
+        factors = levels.factors(ANCHORS, contender.bank is not None, time_s, results)
         bounds = gaussian_levels(results["P"], risk) * factors
         shares[contender.name] = (error_sizes(results["error"]) > bounds).mean(axis=1)
 
@@ -137,7 +140,7 @@ def test_levels_are_infinite_for_a_risk_that_is_too_small_for_the_calibration(tm
     path.write_bytes(network.to_bytes("mmwave-loc tune --levels"))
     read = Network.read(path)
     assert_array_equal(read.constants, network.constants)
-    features = Levels(kind="gaussian").features(ANCHORS, True, np.arange(T), *parts())
+    features = Levels(kind="gaussian").features(ANCHORS, True, np.arange(T), parts())
     factors = read.log_factors(features)
     assert factors.shape == (N, T, len(RISKS), 2)
     assert np.isfinite(factors[..., 0, :]).all() and np.isposinf(factors[..., 1, :]).all()
