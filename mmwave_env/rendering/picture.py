@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mmwave_env.io.lookup import choose
 from mmwave_env.metrics import nees_interval
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.rendering.canvas import UNITS, Canvas, Rect
@@ -57,7 +56,7 @@ def draw_picture(
             of speed and error fit all histories.
         entries: number of modes for which the legend has room at least.
     """
-    canvas = Canvas(size, choose(THEMES, theme, "render_theme").for_modes(modes))
+    canvas = Canvas(size, THEMES[theme].for_modes(modes))
     headline = 24.0 if title else 0.0
     canvas.words(title, (_PAD, 14.0), "ink", 22, room=UNITS - 2.0 * _PAD)
     _draw_header(canvas, history, headline + 10.0)
