@@ -16,7 +16,7 @@ from policies.policy_file import versions_of
 OUTPUTS = {"json", "episodes_csv", "errors", "consistency", "plot", "out", "map_out"}
 
 
-def command_line(name: str, args: Any, aside: Collection[str] = ()) -> str:
+def command_line(name: str, args: Any, aside: Collection[str]) -> str:
     """Return the command line that sets the given options.
 
     Default values are left out, and so are the options ``aside``.

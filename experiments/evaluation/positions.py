@@ -54,7 +54,7 @@ class Positions:
 class EpochErrors:
     """Errors and NEES of contenders in all scored epochs of equally long episodes."""
 
-    time_s: Array = field(default_factory=lambda: np.zeros(0))  # (T,) s since the first epoch
+    time_s: Array = field(init=False)  # (T,) s since the first epoch
     errors_m: dict[str, Array] = field(default_factory=dict)  # contender -> (n, T, 3), m
     nees: dict[str, Array] = field(default_factory=dict)  # contender -> (n, T)
 

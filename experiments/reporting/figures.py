@@ -161,7 +161,7 @@ def draw_trajectory(
     scene: Scene,
     path: Path,
     title: str,
-    learned: Sequence[Json] = (),
+    learned: Sequence[Json],
 ) -> None:
     """Draw a track from above, its error over time, and its modes.
 

@@ -241,8 +241,8 @@ class Work(NamedTuple):
     log: Log
     truth: Truth | None
     association: Json | None  # counts of associated paths
-    range_step_m: float | None = None  # step in which ranges come; their noise contains it
-    map: Json | None = None  # learned images, and counts of paths they explain
+    range_step_m: float | None  # step in which ranges come; their noise contains it
+    map: Json | None  # learned images, and counts of paths they explain
 
     def truth_m(self, time_s: Array) -> Array:
         """Return true positions (n, 3), m, at some times; NaN where they are not known."""

@@ -234,7 +234,7 @@ class Environment:
         self._imm_rewards = np.pad(self._imm_rewards, ((0, 0), (0, missing)))
         self._imm_rewards[places, : rewards.shape[1]] = rewards
 
-    def _begin_episodes(self, places: Index, keys: Keys | None = None) -> Info:
+    def _begin_episodes(self, places: Index, keys: Keys | None) -> Info:
         """Begin episodes in some environments (n,): with these keys, or each environment's next.
 
         Returns:

@@ -102,7 +102,7 @@ class PendingEpoch(NamedTuple):
     visible: Numbers
     truth: Numbers  # (6,) true position (m) and velocity (m/s)
     measured: Vector  # same as in :class:`~mmwave_env.models.measurement.Epoch`
-    incoming: Any = ()  # the complete epoch if the observation is "signed"
+    incoming: Any  # the complete epoch if the observation is "signed"
 
 
 class Reported(NamedTuple):

@@ -34,7 +34,7 @@ class TrackEpoch(NamedTuple):
     # x_predicted, P_predicted: mean and covariance before the filter's update
     x_predicted: Numbers
     P_predicted: Numbers
-    hz_per_mps: Vector = ()  # (1,) f_c / c if the oscillator drives a range bias; else empty
+    hz_per_mps: Vector  # (1,) f_c / c if the oscillator drives a range bias; else empty
 
 
 def blank_epoch(size: int, driven: bool) -> TrackEpoch:

@@ -304,7 +304,7 @@ class Incoming(NamedTuple):
     snr_db: Numbers
     doppler_spread_hz: Number
     truth: Numbers  # (6,) true position (m) and velocity (m/s), to compute scores
-    doppler_of: Vector = ()
+    doppler_of: Vector
 
     def epoch(self, layout: Layout) -> Epoch:
         """Return everything except the truth, which the estimator must not use."""
