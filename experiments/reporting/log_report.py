@@ -17,8 +17,8 @@ from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.scene import Scene
 
 
-def _decimals(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3f}"
+def _number(value: float | None, digits: str = ".3f") -> str:
+    return "-" if value is None else f"{value:{digits}}"
 
 
 def _percent(share: float) -> str:
@@ -113,8 +113,8 @@ def _groups(groups: Json) -> str:
             str(g["seen"]),
             f"{g['rejected']} ({_percent(g['rejected_share'])})" if g["seen"] else "-",
             str(g["incomplete"]),
-            _decimals(g["nis_per_dof"]),
-            _decimals(g["nis_in_bounds"]),
+            _number(g["nis_per_dof"]),
+            _number(g["nis_in_bounds"]),
         ]
         for name, g in groups.items()
     ]
@@ -124,7 +124,7 @@ def _groups(groups: Json) -> str:
 def _accuracy(truth: Json, epochs: int) -> str:
     metrics = [name for name in INFO_KEYS if name != "divergence_rate"]
     header = ["track", *(HEADERS[m].replace("in 95", "NEES in 95") for m in metrics)]
-    rows = [[name, *(_decimals(row[m]) for m in metrics)] for name, row in truth["tracks"].items()]
+    rows = [[name, *(_number(row[m]) for m in metrics)] for name, row in truth["tracks"].items()]
     low, high = truth["nees_interval"]
     over = "" if truth["rpe_s"] is None else f"RPE is computed over {truth['rpe_s']:.3g} s; "
     return (
@@ -213,10 +213,6 @@ def facts_markdown(facts: Json) -> str:
     return f"- {facts['epochs']} epochs, {times}\n\n{anchors}\n\n{listed}"
 
 
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3g}"
-
-
 def verdict(findings: Sequence[Finding]) -> str:
     """Return sentences on what is wrong with the log and how to correct it."""
     best = findings[0]
@@ -262,8 +258,8 @@ def diagnosis_markdown(findings: Sequence[Finding], notes: Sequence[str]) -> str
     rows = [
         [
             f.hypothesis,
-            _number(f.worst_anchor),
-            _number(f.nis_per_dof.get("Doppler")),
+            _number(f.worst_anchor, ".3g"),
+            _number(f.nis_per_dof.get("Doppler"), ".3g"),
             "no" if f.contradictions else "yes",
         ]
         for f in findings
