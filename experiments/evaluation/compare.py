@@ -85,8 +85,13 @@ class Comparison:
         rows = _each(content["policies"], Interval.of)
         policies = dict(sorted(rows.items(), key=lambda row: -row[1]["reward"].mean))
         seeds = seeds_from(content["episodes"], content["seed"])
-        names = content["scenario"], content["radio"]
-        return cls(*names, seeds, policies, _each(content["paired"], Interval.of))
+        return cls(
+            content["scenario"],
+            content["radio"],
+            seeds,
+            policies,
+            _each(content["paired"], Interval.of),
+        )
 
     @property
     def scores(self) -> dict[str, float | None]:
@@ -192,8 +197,14 @@ def comparison_of(
     task: Task, seeds: Sequence[int], scores: dict[str, Scores], own: Sequence[str]
 ) -> Comparison:
     """Compare scores on a task's episodes with these seeds; see :func:`compare_scores`."""
-    names = {"scenario": task.source.name, "radio": task.radio.name}
-    return compare_scores(scores, own, **names, seeds=seeds, reward=reward_name(task.reward))
+    return compare_scores(
+        scores,
+        own,
+        scenario=task.source.name,
+        radio=task.radio.name,
+        seeds=seeds,
+        reward=reward_name(task.reward),
+    )
 
 
 Agent = AnyPath | Act
