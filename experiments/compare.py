@@ -20,8 +20,9 @@ def main(args: Args) -> None:
         if path:
             require_picture(option, path)
     if args.errors and args.errors == args.consistency:
-        expected = "a file other than the --errors file"
-        raise ValueError(f"consistency: found {args.consistency}, expected {expected}")
+        raise ValueError(
+            f"consistency: found {args.consistency}, expected a file other than the --errors file"
+        )
     _, text, content, epochs = results(args)
     if args.json:  # before show(), which fails if the program that reads its output stops
         write_json(args.json, provenance("compare", args) | content)

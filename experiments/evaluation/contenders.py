@@ -99,8 +99,10 @@ class Run:
             median = summary["median"]
             files = {seed: str(folder / f"seed-{seed}" / "policy.safetensors") for seed in seeds}
             if len(files) < len(seeds) or median not in files:
-                expected = "different numbers, and one of them"
-                raise ValueError(f"seeds, median: found {seeds}, {median!r}, expected {expected}")
+                raise ValueError(
+                    f"seeds, median: found {seeds}, {median!r}, expected different numbers, and "
+                    "one of them"
+                )
             return cls((*files.values(),), files[median])
 
         return read_json(path, "the summary of a run", made)
@@ -164,8 +166,10 @@ class Contender(Switching):
                 modes = agent.bank(radio)
         bank, chosen = bank_and_modes(modes, beliefs, radio)
         if policy.action != MODE and not bank:
-            unusable = f"policy {name}: found actions of the kind {policy.action}"
-            raise ValueError(f'{unusable}, which need beliefs="per-mode"')
+            raise ValueError(
+                f"policy {name}: found actions of the kind {policy.action}, which need "
+                'beliefs="per-mode"'
+            )
         estimates = isinstance(policy, Estimator)
         return cls(
             bank or chosen,

@@ -294,5 +294,6 @@ def going_on_from(path: Path) -> Iterator[None]:
         reason = first_line(error)
         if isinstance(error, UnpicklingError):  # PyTorch's text advises to load it unsafely
             reason = "found damaged content"
-        message = f"{path}: not a checkpoint: {reason}; remove it to train from the start"
-        raise ValueError(message) from error
+        raise ValueError(
+            f"{path}: not a checkpoint: {reason}; remove it to train from the start"
+        ) from error

@@ -71,8 +71,7 @@ def _rows(file: Path) -> Iterator[tuple[int, str, list[float]]]:
             numbers = [number(row[name]) for name in names]
             for name, value in zip(names, numbers, strict=True):
                 if not math.isfinite(value):
-                    cell = f"{line}, column {name}"
-                    refuse_in(file, cell, quoted(row[name]), "a finite number")
+                    refuse_in(file, f"{line}, column {name}", quoted(row[name]), "a finite number")
             yield reader.line_num, user, numbers
     except csv.Error as error:
         raise ValueError(f"{file}: found text that is not CSV ({error}), expected CSV") from error

@@ -95,8 +95,9 @@ def read_text(path: Path, expected: str = "text", most: int = TEXT_BYTES) -> str
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
         byte = content[error.start : error.start + 1]
-        message = f"{path}, line {line}: found {byte!r}, expected {expected} in UTF-8"
-        raise ValueError(message) from error
+        raise ValueError(
+            f"{path}, line {line}: found {byte!r}, expected {expected} in UTF-8"
+        ) from error
 
 
 def parse_json(text: str) -> Any:

@@ -273,9 +273,12 @@ class LiveLog:
             if is_late and self._repeats(cells, arrived.last, number):
                 return []
             if is_late and not arrived.goes_on_at(time_s):
-                problem = f"time {time_s!r} s in a row that follows the epoch at {latest_s!r} s"
-                expected = f"times that increase by at least {_SHORTEST_S:g} s"
-                raise columns.file.error(number, "time", problem, expected)
+                raise columns.file.error(
+                    number,
+                    "time",
+                    f"time {time_s!r} s in a row that follows the epoch at {latest_s!r} s",
+                    f"times that increase by at least {_SHORTEST_S:g} s",
+                )
             over = self._end(user)
         arrived.late_s.clear()
         for before in arrived.rows:

@@ -161,8 +161,9 @@ def _anchor_checks(table: Table) -> Iterator[_Check]:
     time = table.raw("time")
     anchor = table.raw("anchor")
     known = np.isin(anchor, np.arange(1, anchors + 1))
-    expected = f"the number of an anchor of the scene, 1 (the physical one) to {anchors}"
-    yield _Check("anchor", ~known, expected)
+    yield _Check(
+        "anchor", ~known, f"the number of an anchor of the scene, 1 (the physical one) to {anchors}"
+    )
     link = table.epoch * anchors + np.where(known, anchor, 1.0).astype(np.int64) - 1
     _, first, number = np.unique(link, return_index=True, return_inverse=True)
     yield _Check(

@@ -347,8 +347,9 @@ def _refusing_damage(path: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, RuntimeError, *UNEXPECTED) as error:
-        problem = f"found broken data ({error}), expected a complete Parquet file"
-        raise LogError(f"{path}: {problem}") from error
+        raise LogError(
+            f"{path}: found broken data ({error}), expected a complete Parquet file"
+        ) from error
 
 
 def _read_parquet(path: Path, scene: Scene, **options: Any) -> Table:
@@ -378,7 +379,6 @@ def _read_parquet(path: Path, scene: Scene, **options: Any) -> Table:
             values = values.cast(pyarrow.timestamp("us"), safe=False).cast("int64")
             file.columns["time"] = column._replace(unit=Unit(divide=1e6))
         elif not any(is_kind(kind) for is_kind in numeric):
-            place = f"{path}, column {column.name!r}"
-            raise LogError(f"{place}: found type {kind}, expected numbers")
+            raise LogError(f"{path}, column {column.name!r}: found type {kind}, expected numbers")
         cells[:, i] = values.cast("float64", safe=False)
     return Table(file, np.arange(len(cells)) + 1, cells)

@@ -45,8 +45,10 @@ def read_tum(path: Path) -> Poses:
         if not words:
             continue
         if len(words) != len(COLUMNS) or "\r" in line:
-            expected = f"{len(COLUMNS)} numbers: {' '.join(COLUMNS)}"
-            raise ValueError(f"{place}: found {quoted(line)}, expected {expected}")
+            raise ValueError(
+                f"{place}: found {quoted(line)}, expected {len(COLUMNS)} numbers: "
+                f"{' '.join(COLUMNS)}"
+            )
         row = [number(word) for word in words]
         for name, word, value in zip(COLUMNS, words, row, strict=True):
             if not math.isfinite(value):

@@ -126,8 +126,12 @@ def find_links(paths: StationPaths, position_m: Array) -> StationLinks:
     loud = paths.gain_db > 0.0
     if loud.any():
         n = int(np.argmax(loud))
-        expected = "a gain of at most 0 dB: are the values linear powers instead of dB?"
-        paths.refuse_path("power", n, f"{paths.gain_db[n]:.4g} dB", expected)
+        paths.refuse_path(
+            "power",
+            n,
+            f"{paths.gain_db[n]:.4g} dB",
+            "a gain of at most 0 dB: are the values linear powers instead of dB?",
+        )
     return StationLinks(paths, anchors, member, rows)
 
 
@@ -141,8 +145,9 @@ def _anchors(paths: StationPaths, position: Array) -> tuple[Array, Index]:
     station = paths.position_m
     reflected = paths.is_reflected
     if reflected.all():
-        expected = "a line of sight in this epoch or a later one"
-        paths.refuse("inter", 0, "no line of sight (0)", expected)
+        paths.refuse(
+            "inter", 0, "no line of sight (0)", "a line of sight in this epoch or a later one"
+        )
     q = paths.bounce_m[reflected]
     back = q - position[reflected]
     with np.errstate(all="ignore"):  # a reflection at the receiver itself is refused below
@@ -192,5 +197,9 @@ def _require_geometry(paths: StationPaths, position: Array, anchor: Array, rows:
     wrong = ~(error <= _TOLERANCES)
     if wrong.any():
         n, row = np.argwhere(wrong)[0].tolist()
-        expected = f"{exact[n, row]:.4f}, seen from the anchor {anchor[n].round(4)}"
-        paths.refuse_path(_ROW_KEYS[row], n, f"{LINK[row]} {rows[n, row]:.4f}", expected)
+        paths.refuse_path(
+            _ROW_KEYS[row],
+            n,
+            f"{LINK[row]} {rows[n, row]:.4f}",
+            f"{exact[n, row]:.4f}, seen from the anchor {anchor[n].round(4)}",
+        )

@@ -135,8 +135,12 @@ def _way_of(scenario: Scenario, epochs: Index, dt_s: float | None) -> Trajectory
     away = np.linalg.norm(way.position_m - position, axis=1) > TOLERANCE_M
     if away.any():
         i = int(np.argmax(away))
-        where = f"line {np.asarray(way.lines)[i]}, columns x, y, z"
-        refuse_in(file, where, way.position_m[i].tolist(), f"{position[i].tolist()}, as in rx_pos")
+        refuse_in(
+            file,
+            f"line {np.asarray(way.lines)[i]}, columns x, y, z",
+            way.position_m[i].tolist(),
+            f"{position[i].tolist()}, as in rx_pos",
+        )
     return way
 
 
@@ -152,7 +156,11 @@ def _links(
         return [(links, k) for k in [0, *images[:virtual_anchors]]]
     in_sight = [station for station in stations if not station.is_reflected.all()]
     if not in_sight:
-        expected = "a line of sight in this file or in the file of another station"
-        stations[0].refuse("inter", 0, "no line of sight (0)", expected)
+        stations[0].refuse(
+            "inter",
+            0,
+            "no line of sight (0)",
+            "a line of sight in this file or in the file of another station",
+        )
     by_station = [find_links(station, position_m) for station in in_sight]
     return [(links, 0) for links in sorted(by_station, key=lambda links: -links.epochs_seen[0])]

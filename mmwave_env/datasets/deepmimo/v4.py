@@ -142,8 +142,12 @@ def _scenes(folder: Path, count: int) -> tuple[Path, ...]:
         return (folder,)
     scenes = sorted(sub for sub in folder.iterdir() if sub.is_dir() and any(sub.glob("rx_pos_*")))
     if len(scenes) != count:
-        expected = f"{len(scenes)}, the number of sub-folders with receivers"
-        refuse_in(folder / PARAMS, "scene.num_scenes", repr(count), expected)
+        refuse_in(
+            folder / PARAMS,
+            "scene.num_scenes",
+            repr(count),
+            f"{len(scenes)}, the number of sub-folders with receivers",
+        )
     return tuple(scenes)
 
 
@@ -178,9 +182,12 @@ def _read_station(scenario: Scenario, epochs: Index, station: str) -> StationPat
     moved = np.linalg.norm(places - places[0], axis=1) > TOLERANCE_M
     if moved.any():
         scene = int(np.argmax(moved))
-        expected = f"{places[0].tolist()}, as in the first scene: stations must not move"
-        file = scenario.file(scene, "tx_pos", station)
-        refuse_in(file, "tx_pos", places[scene].tolist(), expected)
+        refuse_in(
+            scenario.file(scene, "tx_pos", station),
+            "tx_pos",
+            places[scene].tolist(),
+            f"{places[0].tolist()}, as in the first scene: stations must not move",
+        )
 
     def source(key: str, epoch: int) -> tuple[Path, int]:
         scene, row = epochs[epoch].tolist()
