@@ -67,16 +67,12 @@ def _resamples(n: int, seed: int = 0) -> list[NDArray[np.uint16]]:
     return [rng.multinomial(n, share, size=BLOCK).astype(np.uint16) for _ in blocks]
 
 
-def _resampled_means(values: Array) -> Array:
-    """Return means (resamples, k) of rows (k, episodes); all rows use the same resamples."""
-    n = values.shape[1]
-    return np.concatenate([block / n @ values.T for block in _resamples(n)])
-
-
 def bootstrap(
     rows: Array | Sequence[Array], figures: Callable[[Array], Array] = np.asarray
 ) -> list[Interval]:
     """Return means of rows (k, episodes) with 95 % percentile intervals over episodes.
+
+    All rows use the same resamples of the episodes.
 
     Args:
         rows: values of k quantities, for the same episodes.
@@ -85,8 +81,10 @@ def bootstrap(
     values = np.asarray(rows)
     means = figures(values.mean(axis=1))
     low = high = np.full(len(means), np.nan)
-    if values.shape[1] > 1:
-        low, high = np.percentile(figures(_resampled_means(values)), [2.5, 97.5], axis=0)
+    n = values.shape[1]
+    if n > 1:
+        resampled = np.concatenate([block / n @ values.T for block in _resamples(n)])
+        low, high = np.percentile(figures(resampled), [2.5, 97.5], axis=0)
     return [Interval(*row) for row in np.transpose([means, low, high]).tolist()]
 
 
