@@ -99,7 +99,7 @@ METRICS = {
         Metric(
             "divergence_rate", "diverged", "",
             f"share of episodes with an error above {DIVERGENCE_M:g} m",
-            lambda s: _diverged(s.largest),
+            lambda s: (~(s.largest <= DIVERGENCE_M**2)).astype(float),  # also if it is NaN
             "divergence",
         ),
     )
@@ -111,11 +111,6 @@ TERMS = {  # term -> its header and meaning; the tracking reward is minus the su
 }
 HEADERS = {name: metric.header for name, metric in METRICS.items()}
 HEADERS |= {name: header for name, (header, _) in TERMS.items()}
-
-
-def _diverged(largest: Array) -> Array:
-    """Return 1.0 where the largest squared error (...), m^2, is above the limit or NaN."""
-    return (~(largest <= DIVERGENCE_M**2)).astype(float)  # type: ignore[no-any-return]
 
 
 def summary(
