@@ -72,21 +72,23 @@ class TrackRun(NamedTuple):
 
 
 class Bench:
-    """A cache of modes' runs on the episodes with seeds ``seed .. seed + episodes - 1``."""
+    """A cache of modes' runs on the episodes with seeds ``seed .. seed + episodes - 1``.
+
+    ``run`` maps a mode, a setting and, perhaps, ``planar`` to the :class:`TrackRun` of all episodes
+    of the setting; if planar, z and vz are known.
+    """
 
     def __init__(self, episodes: int, seed: int) -> None:
         self.count = episodes
         seeds = range(seed, seed + episodes)
         self.episodes = cache(lambda setting: draw_episodes(setting.source(), seeds))
-        self.run = cache(self._run)
+        self.run = cache(
+            lambda mode, setting, planar=False: track(mode, self.episodes(setting), planar)
+        )
 
     def ates(self, modes: Iterable[Mode], setting: Setting) -> list[Array]:
         """Return the ATE (episodes,) of the filtered track of each mode, m."""
         return [self.run(mode, setting).filtered.scores["ate_m"] for mode in modes]
-
-    def _run(self, mode: Mode, setting: Setting, planar: bool = False) -> TrackRun:
-        """Filter and smooth every episode of a setting; if ``planar``, z and vz are known."""
-        return track(mode, self.episodes(setting), planar)
 
 
 def track(mode: Mode, episodes: Sequence[Episode], planar: bool = False) -> TrackRun:
