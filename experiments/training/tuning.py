@@ -184,14 +184,11 @@ def tuned_bank(args: TuneArgs) -> Json:
     reward = rewards(bank, held_out)
     radio = radio_from(args.radio)
     imm_reward = rewards(Bank(default_modes(radio.base)), held_out)
-    columns = {"reward": reward, "minus imm": reward - imm_reward}
-    figures = bootstrap([*columns.values()])
+    own, gain = bootstrap([reward, reward - imm_reward])
     say(
-        f"{radio.name}, on new episodes (as many as for tuning): reward {figures[0]}, "
-        f"gain over imm {figures[1]}"
+        f"{radio.name}, on new episodes (as many as for tuning): reward {own}, gain over imm {gain}"
     )
-    held_out_figures = {k: mean.json for k, mean in zip(columns, figures, strict=True)}
-    return bank_as_written(bank) | {"held_out": held_out_figures}
+    return bank_as_written(bank) | {"held_out": {"reward": own.json, "minus imm": gain.json}}
 
 
 def drawn(
