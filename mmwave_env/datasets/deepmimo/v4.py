@@ -113,13 +113,12 @@ def open_scenario(
     scenes = _scenes(folder, count)
     number, stations = _stations(scenes[0], receiver_set)
     if base_station is not None:
-        numbered = {i + 1: (station,) for i, station in enumerate(stations)}
-        if base_station not in numbered:
+        if base_station not in range(1, len(stations) + 1):
             raise ValueError(
                 f"base_station: found {base_station}, expected 1 to {len(stations)}: "
                 f"{', '.join(stations)} of {folder}"
             )
-        stations = numbered[base_station]
+        stations = (stations[base_station - 1],)
     file = scenes[0] / f"rx_pos_{stations[0]}_r{number}.npz"
     receivers = len(read_array(file, "rx_pos", ("N", 3)))
     return Scenario(folder, scenes, stations, number, receivers, carrier_hz)
