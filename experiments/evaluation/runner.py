@@ -213,8 +213,6 @@ def score_contenders(
 
 # --- histories, epoch by epoch, for pictures and the player
 
-_KEPT = ("x", "P", "memory.accepted", "memory.rejected", "memory.mode")
-
 
 def history_of(
     contender: Contender, episode: Episode, scoring: Scoring = PLAIN, scene: Scene | None = None
@@ -227,7 +225,8 @@ def history_of(
     Raises:
         ValueError: the policy fails.
     """
-    results = run_contender(contender, [episode], scoring, after=_KEPT)
+    kept = ("x", "P", "memory.accepted", "memory.rejected", "memory.mode")
+    results = run_contender(contender, [episode], scoring, kept)
     made = {name: values[0] for name, values in results.items()}
     prior_P = episode.prior_covariance[np.tril_indices(3)]
     assert episode.truth_position_m is not None and episode.truth_velocity_mps is not None

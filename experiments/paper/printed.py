@@ -31,7 +31,6 @@ from mmwave_env.world.simulated import SimulatedSource
 
 TUNED_ON = ("pedestrian", "vehicle")  # kinds of users, in the order of the modes tuned for them
 ALGORITHMS = ("ekf", "ukf", "ckf")
-_PARTS = (SMOOTHED, "x", "error", "nees")
 
 
 @dataclass(frozen=True)
@@ -94,7 +93,7 @@ class Bench:
 def track(mode: Mode, episodes: Sequence[Episode], planar: bool = False) -> TrackRun:
     """Filter and smooth episodes of the same length with a mode."""
     tracker = tracker_of(mode, episodes, planar)
-    tracks, x, error, nees = tracker.run(*_PARTS).values()
+    tracks, x, error, nees = tracker.run(SMOOTHED, "x", "error", "nees").values()
     dt = np.diff([episode.time_s for episode in episodes], prepend=0.0)
     smoothed_x, P = smooth(tracker.pipeline, tracks, dt, episodes[0].hz_per_mps)
     better = error + (smoothed_x - x)[..., :3]
