@@ -356,16 +356,15 @@ class LiveLog:
     def _cells(self, row: str | Mapping[str, Any], number: int) -> tuple[str, list[float]]:
         """Return a row's user ("" if unnamed) and cells (none if blank); refuse a damaged row."""
         words: list[str]
+        columns = self._columns
         if isinstance(row, str):
             user = ""
-            columns = self._columns
             words = words_of(row, columns.file.delimiter)
             if self._user is not None and len(words) > self._user:
                 user = words.pop(self._user).strip()
             cells = columns.file.quick_numbers(words) or []
         else:
             user = _user_of(row)
-            columns = self._columns
             cells = [nan if (cell := row.get(name)) is None else cell for name in columns.names]
         if cells and columns.are_plain(cells):
             return user, cells
