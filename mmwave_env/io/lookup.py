@@ -12,14 +12,14 @@ T = TypeVar("T")
 LONGEST = 80  # maximum length of a name, and of a value that a message quotes
 
 
-def spelled(letter: str) -> str:
-    """Return the escape code of a character that is not printable."""
-    return letter.encode("unicode_escape", "surrogatepass").decode("ascii")
-
-
 def printable(text: str) -> str:
     """Return the text with unprintable characters, such as line ends, as escape codes."""
-    return "".join(letter if letter.isprintable() else spelled(letter) for letter in text)
+    return "".join(
+        letter
+        if letter.isprintable()
+        else letter.encode("unicode_escape", "surrogatepass").decode("ascii")
+        for letter in text
+    )
 
 
 def is_name(value: object) -> bool:
