@@ -229,8 +229,7 @@ def history_of(
     results = run_contender(contender, [episode], scoring, kept)
     made = {name: values[0] for name, values in results.items()}
     prior_P = episode.prior_covariance[np.tril_indices(3)]
-    assert episode.truth_position_m is not None and episode.truth_velocity_mps is not None
-    truth = np.hstack([episode.truth_position_m, episode.truth_velocity_mps])
+    truth = episode.table()[:, columns_of(episode.layout).truth]
     pipeline = contender.pipeline(episode.layout, scoring.planar)
     prior_x = pipeline.prior([*episode.prior_mean], [*truth[0]])
     none = np.zeros_like(made["memory.accepted"][0])
