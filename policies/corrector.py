@@ -8,7 +8,6 @@ corrections are scaled down: the farther outside the features are, the closer to
 """
 
 from functools import partial
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +33,7 @@ from policies.policy_file import CORRECTIONS, PolicyFile
 
 BASE_IMM = "imm-best"  # the name of the base if it is the IMM of the policy's bank
 # file of the shipped two-way corrector, in a folder of its own because it is no policy
-TWO_WAY = Path(str(files("policies").joinpath("data", "smoothing", "two-way.safetensors")))
+TWO_WAY = Path(__file__).with_name("data") / "smoothing" / "two-way.safetensors"
 
 
 def base_policy(base: str, observation: Observation | None = None) -> Policy:

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,7 @@ from policies.policy_file import PolicyFile, read_policy
 
 def shipped_policies() -> dict[str, Path]:
     """Return the policy files of the package, by name."""
-    folder = Path(str(files("policies").joinpath("data")))
+    folder = Path(__file__).with_name("data")
     return {path.stem: path for path in sorted(folder.glob("*.safetensors"))}
 
 

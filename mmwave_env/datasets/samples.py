@@ -1,17 +1,15 @@
 """Recorded tracks: the samples that the package contains, and a user's data."""
 
-from importlib import resources
 from pathlib import Path
 
 from mmwave_env.datasets.deepmimo.recording import read_deepmimo
 from mmwave_env.datasets.deepmimo.v4 import PARAMS
 from mmwave_env.datasets.log_folder import read_log_folder
 from mmwave_env.datasets.recorded import Track
-from mmwave_env.io.files import AnyPath
+from mmwave_env.io.files import DATA, AnyPath
 from mmwave_env.io.lookup import choose
 
-_DATA = Path(str(resources.files("mmwave_env"))) / "data"
-_KINDS = {"log": _DATA / "logs", "recording": _DATA / "deepmimo_canyon28"}
+_KINDS = {"log": DATA / "logs", "recording": DATA / "deepmimo_canyon28"}
 
 
 def sample_names(kind: str = "recording") -> tuple[str, ...]:

@@ -5,7 +5,6 @@ import os
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from importlib.resources import files
 from pathlib import Path
 from secrets import token_hex
 from typing import Any, BinaryIO, NoReturn, TypeVar
@@ -14,6 +13,7 @@ T = TypeVar("T")
 Json = dict[str, Any]  # an object of a JSON file
 AnyPath = str | os.PathLike[str]
 
+DATA = Path(__file__).parents[1] / "data"  # the folder of data in the package
 TEXT_BYTES = 16 << 20  # maximum size of a text file; logs and trajectories may be longer
 JSON_BYTES = 8 << 20  # maximum size of a JSON file; the largest in this project has 0.06 MB
 # errors of code that converts unexpected content of a file
@@ -150,7 +150,7 @@ def read_json(path: Path, kind: str, make: Callable[[Json], T], see: str = "") -
 
 def shipped_json(name: str) -> Json:
     """Return the object in a JSON file of the package's folder ``data``."""
-    path = files("mmwave_env").joinpath("data", f"{name}.json")
+    path = DATA / f"{name}.json"
     return json.loads(path.read_text(encoding="utf-8"))  # type: ignore[no-any-return]
 
 

@@ -15,7 +15,6 @@ levels guarantee; the network is trained by experiments/training/levels.py.
 import json
 from collections.abc import Mapping, Sequence
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,6 +22,7 @@ import numpy as np
 from safetensors import safe_open
 from safetensors.numpy import save
 
+from mmwave_env.io.files import DATA
 from mmwave_env.io.lookup import choose
 from mmwave_env.localization.position_errors import error_sizes, gaussian_levels, horizontal
 from mmwave_env.metrics import RISK
@@ -102,7 +102,7 @@ def _weighted(values: Array, weight: Array) -> Array:
 @cache
 def shipped() -> Network:
     """Return the network that is shipped with the package."""
-    return Network.read(Path(str(files("mmwave_env").joinpath("data", "levels.safetensors"))))
+    return Network.read(DATA / "levels.safetensors")
 
 
 class Levels:

@@ -9,7 +9,6 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from html import escape
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -373,4 +372,4 @@ def _folded(parts: Sequence[Part]) -> str:
 
 
 def _file(name: str) -> str:
-    return (files("experiments.reporting.webpage") / name).read_text(encoding="utf-8")
+    return Path(__file__).with_name(name).read_text(encoding="utf-8")
