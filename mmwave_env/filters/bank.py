@@ -15,7 +15,7 @@ from typing import Annotated, Any
 from mmwave_env.filters.gating import chi_square_limits
 from mmwave_env.filters.imm import ImmSettings, stay_matrix
 from mmwave_env.filters.modes import Mode, robust
-from mmwave_env.io.files import shipped_json
+from mmwave_env.io.files import Json, shipped_json
 from mmwave_env.io.lookup import choose
 from mmwave_env.io.records import Bound, Probability, Record, Size, object_from, read_object
 from mmwave_env.models.radio import TUNED_RADIOS, Radio, radio_from
@@ -109,7 +109,7 @@ def read_bank(path: str | os.PathLike[str]) -> Bank:
     return read_object(path, "modes", bank_in)
 
 
-def as_written(mode: Mode) -> dict[str, Any]:
+def as_written(mode: Mode) -> Json:
     """Return a mode in the form that mode files contain.
 
     Raises:
@@ -122,7 +122,7 @@ def as_written(mode: Mode) -> dict[str, Any]:
     return {k: v for k, v in asdict(mode).items() if k in always or v != default[k]}
 
 
-def bank_as_written(bank: Bank) -> dict[str, Any]:
+def bank_as_written(bank: Bank) -> Json:
     """Return the complete bank in the form that JSON files contain and :func:`bank_in` reads.
 
     Raises:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from mmwave_env.filters.memory import Memory, correction_of
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.update import ModeResult, capped_log_likelihood
-from mmwave_env.io.files import shipped_json
+from mmwave_env.io.files import Json, shipped_json
 from mmwave_env.models.layout import Layout
 from mmwave_env.models.measurement import Epoch, Site, doppler_anchor, norms, range_rate
 from mmwave_env.models.motion import move
@@ -45,7 +45,7 @@ class View(NamedTuple):
 
 
 @cache
-def feature_kinds() -> dict[str, dict[str, Any]]:
+def feature_kinds() -> dict[str, Json]:
     """Read the fields of every kind of feature from data/features.json."""
     # Means and deviations were measured 2026-11-23 (commit 476d657): 24 episodes with random
     # actions for each combination of scene, radio, kind of beliefs and set of modes (two modes,

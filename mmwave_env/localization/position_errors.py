@@ -23,10 +23,10 @@ exact only if a = b. (J. W. Craig, MILCOM 1991, has the integral for b = 0.)
 """
 
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
+from mmwave_env.io.files import Json
 from mmwave_env.metrics import RISK
 from mmwave_env.numerics.ellipses import axes_of
 from mmwave_env.numerics.numbers import Array
@@ -65,7 +65,7 @@ def _multiples(risk: float) -> Array:
     return high
 
 
-def exceedance(error: Array, level: Array) -> dict[str, Any]:
+def exceedance(error: Array, level: Array) -> Json:
     """Count how often errors (n,) exceed their levels (n,); "share" and "ci95" are None if n is 0.
 
     If an error or its level is NaN, the level counts as exceeded. "share" is the count divided by
@@ -138,13 +138,13 @@ class PositionErrors:
         levels = gaussian_levels(P, self.risk) * factors
         self._parts.append(np.stack([sizes, levels]).reshape(2, -1, 2))
 
-    def figures(self) -> dict[str, dict[str, Any]]:
+    def figures(self) -> dict[str, Json]:
         """Return the statistics of errors and levels that docs/errors.md describes, by kind."""
         sizes, levels = np.concatenate(self._parts, axis=1)
         return {kind: _statistics(sizes[:, i], levels[:, i]) for i, kind in enumerate(self._kinds)}
 
 
-def _statistics(error: Array, level: Array) -> dict[str, Any]:
+def _statistics(error: Array, level: Array) -> Json:
     """Return the statistics of errors (n,) of one kind and their levels (n,), m."""
     return {
         "epochs": len(error),

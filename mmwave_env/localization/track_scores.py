@@ -2,13 +2,13 @@
 
 import warnings
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS
 from mmwave_env.filters.pipeline import VERTICAL
+from mmwave_env.io.files import Json
 from mmwave_env.localization.localizer import Track
 from mmwave_env.localization.position_errors import PositionErrors
 from mmwave_env.logs.truth import Truth
@@ -25,9 +25,7 @@ def ratio(part: float, whole: float) -> float | None:
     return float(part / whole) if whole else None
 
 
-def truth_scores(
-    track: Track, truth: Truth, names: Sequence[str], risk: float = RISK
-) -> dict[str, Any]:
+def truth_scores(track: Track, truth: Truth, names: Sequence[str], risk: float = RISK) -> Json:
     """Return the accuracy of tracks against true positions, with values to compare it with.
 
     :mod:`mmwave_env.metrics` defines ATE, RMSE, RPE and NEES. If less than half of the epochs have
@@ -48,7 +46,7 @@ def truth_scores(
     axes = (0, 1) if track.planar else (0, 1, 2)
     pairs, apart_s = _pairs(track.time_s[known], track.segment[known], track.time_s[:_ENOUGH])
     where = list(position[known].T)
-    rows: dict[str, Any] = {}
+    rows: Json = {}
     for name in names:
         x = (track.smooth_x if name == "smoothed" else track.x)[known]
         P = (track.smooth_P if name == "smoothed" else track.P)[known]
@@ -74,7 +72,7 @@ def truth_scores(
     }
 
 
-def warn_if_far(truth: Truth, scores: dict[str, Any]) -> None:
+def warn_if_far(truth: Truth, scores: Json) -> None:
     """Warn if the true positions are far from the filtered beliefs, given a track's scores."""
     nees = scores["tracks"]["filtered"]["nees"]
     if not nees <= FAR_NEES:
@@ -139,12 +137,12 @@ def group_statistics(track: Track) -> dict[str, dict[str, float | None]]:
     }
 
 
-def track_statistics(track: Track) -> dict[str, Any]:
+def track_statistics(track: Track) -> Json:
     """Return the times, the speeds and the modes of a track, and its expected errors."""
     speed = np.linalg.norm(track.x[:, 3:6], axis=1)
     xx, yy, zz = track.smooth_P[:, [0, 2, 5]].mean(axis=0)
     counts = np.bincount(track.mode, minlength=len(track.modes))
-    more: dict[str, Any] = {}
+    more: Json = {}
     if track.layout.clock == "offset":
         deviation = float(np.sqrt(track.P[-1, 35]))
         more["clock"] = {"range_bias_m": float(track.x[-1, 7]), "deviation_m": deviation}

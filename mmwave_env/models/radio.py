@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from mmwave_env.io.files import AnyPath, shipped_json
+from mmwave_env.io.files import AnyPath, Json, shipped_json
 from mmwave_env.io.lookup import as_name, choose, quoted, unknown
 from mmwave_env.io.records import (
     Bound,
@@ -245,7 +245,7 @@ def read_radio(path: AnyPath) -> Radio:
         FileNotFoundError: the file does not exist.
     """
 
-    def make(content: dict[str, Any]) -> Radio:
+    def make(content: Json) -> Radio:
         own = {"name": as_name(Path(path).stem)} | _in_radians(content)
         if own["name"] in list(RADIOS):
             raise ValueError(
@@ -257,9 +257,9 @@ def read_radio(path: AnyPath) -> Radio:
     return read_object(path, "radio", make)
 
 
-def _in_radians(content: dict[str, Any]) -> dict[str, Any]:
+def _in_radians(content: Json) -> Json:
     """Return the content of a radio's file, with its angles in radians."""
-    fields: dict[str, Any] = {}
+    fields: Json = {}
     for key, value in content.items():
         angle = f"{key.removesuffix('_deg')}_rad"
         in_degrees = key.endswith("_deg") and angle in hints_of(Radio)

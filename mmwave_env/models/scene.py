@@ -10,7 +10,7 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from mmwave_env.io.files import shipped_json
+from mmwave_env.io.files import Json, shipped_json
 from mmwave_env.io.lookup import as_name, choose
 from mmwave_env.io.records import (
     Bound,
@@ -315,7 +315,7 @@ def read_scene(path: Path) -> Scene:
     )
 
 
-def scene_json(scene: Scene) -> dict[str, Any]:
+def scene_json(scene: Scene) -> Json:
     """Return the content of a scene file: with walls if the scene has any, else with anchors."""
     optional = {"bearing_deg", "range_offset_m", "range_offset_sigma_m", "learned"}
     content = {
@@ -359,7 +359,7 @@ class AnchorScene(Record):
     learned: Annotated[tuple[LearnedImage, ...], Size(0, MOST_ANCHORS - 1)] = ()
 
 
-def _scene(content: dict[str, Any]) -> Scene:
+def _scene(content: Json) -> Scene:
     """Make a scene from the content of a file in one of the two forms."""
     if "anchors" not in content:
         return object_from(Scene, content)

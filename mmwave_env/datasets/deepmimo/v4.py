@@ -9,7 +9,7 @@ of time, but the files contain neither times nor velocities. Pickled objects are
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from mmwave_env.datasets.deepmimo.anchors import (
     TOLERANCE_M,
     StationPaths,
 )
-from mmwave_env.io.files import open_regular, read_json, refuse_in
+from mmwave_env.io.files import Json, open_regular, read_json, refuse_in
 from mmwave_env.io.records import between, require
 from mmwave_env.numerics.numbers import Array, Index, Mask
 
@@ -127,7 +127,7 @@ def open_scenario(
 def _read_params(file: Path) -> tuple[float, int]:
     """Read carrier frequency, Hz, and number of scenes; errors name the file and the entry."""
 
-    def make(content: dict[str, Any]) -> tuple[float, int]:
+    def make(content: Json) -> tuple[float, int]:
         carrier_hz = content["rt_params"]["frequency"]
         require("rt_params.frequency", carrier_hz, Hertz)
         return float(carrier_hz), content["scene"]["num_scenes"]
