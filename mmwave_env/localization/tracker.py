@@ -1,7 +1,7 @@
 """Live localization: a position for every epoch as soon as its rows have arrived."""
 
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress, islice
 from math import inf, isnan
@@ -18,7 +18,7 @@ from mmwave_env.localization.map_files import geodetic
 from mmwave_env.localization.position_errors import gaussian_levels
 from mmwave_env.localization.segments import DOUBTFUL_GAP_S
 from mmwave_env.localization.starts import Doubt, Start
-from mmwave_env.logs.live_log import LiveEpoch, LiveLog, log_from
+from mmwave_env.logs.live_log import LiveEpoch, LiveLog, Row, log_from
 from mmwave_env.logs.log import Log
 from mmwave_env.models.layout import Layout, require_clock
 from mmwave_env.models.prior import GAP_S
@@ -139,7 +139,7 @@ class Tracker:
         self._users: dict[str, _User] = {}  # in the order of their last epochs
         self._now_s = -inf
 
-    def update(self, rows: Iterable[Mapping[str, Any]]) -> Position | None:
+    def update(self, rows: Iterable[Row]) -> Position | None:
         """Process the rows of an epoch; return the belief after it.
 
         Args:
@@ -157,14 +157,14 @@ class Tracker:
         positions = [position for _, position in self.step(self.arrived(rows))]
         return positions[-1] if positions else None
 
-    def update_users(self, rows: Iterable[Mapping[str, Any]]) -> dict[str, Position]:
+    def update_users(self, rows: Iterable[Row]) -> dict[str, Position]:
         """Process rows with a key ``ue``, an epoch of each user; return the beliefs by user.
 
         Arguments and errors are the same as for :meth:`update`.
         """
         return dict(self.step(self.arrived(rows)))
 
-    def arrived(self, rows: Iterable[Mapping[str, Any]]) -> list[LiveEpoch]:
+    def arrived(self, rows: Iterable[Row]) -> list[LiveEpoch]:
         """Return the epochs that rows form; :meth:`update` describes arguments and errors."""
         rows = list(rows)
         if not rows:

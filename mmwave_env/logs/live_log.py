@@ -32,6 +32,9 @@ from mmwave_env.models.layout import Layout, wrapped
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import PI
 
+Cells = list[float]  # of a row, as in the file, NaN where empty, in the order of the columns
+Row = Mapping[str, Any]  # values of a row by column
+
 _NUMBERS = {float, int, np.float64}  # types that need no parsing; others are parsed as text
 _LOST = {-1.0, *LOST, *(-code for code in LOST)}  # numbers that need the full checks
 _SHORTEST_S = envelope.STEP_S.least or 0.0
@@ -83,7 +86,7 @@ class LiveColumns:
         known = not self.file.associated or cells[self._anchor] in self._anchors
         return known and not isnan(cells[self.time])
 
-    def agree(self, cells: list[float], before: list[float]) -> bool:
+    def agree(self, cells: Cells, before: Cells) -> bool:
         """Tell whether two rows surely fit into one epoch; if not, they need the full checks."""
         for i, once in self._of_epoch:
             a = cells[i]
@@ -92,18 +95,18 @@ class LiveColumns:
                 return False
         return not self.file.associated or cells[self._anchor] != before[self._anchor]
 
-    def time_s(self, cells: list[float]) -> float:
+    def time_s(self, cells: Cells) -> float:
         """Return the time of a row."""
         return float(self.file.columns["time"].unit.convert(cells[self.time]))
 
-    def table(self, epochs: list[list[list[float]]], number: int = 0) -> Table:
+    def table(self, epochs: list[list[Cells]], number: int = 0) -> Table:
         """Return the rows of epochs as a table; ``number`` is that of the rows in the source."""
         rows = [row for rows in epochs for row in rows]
         epoch_of_row = np.repeat(np.arange(len(epochs)), list(map(len, epochs)))
         numbers = np.full(len(rows), number)
         return Table(self.file, numbers, np.array(rows, float), epoch_of_row=epoch_of_row)
 
-    def placed(self, rows: list[list[float]]) -> tuple[list[float], int] | None:
+    def placed(self, rows: list[Cells]) -> tuple[list[float], int] | None:
         """Return all values of an epoch, and the index of the anchor with the Doppler shift.
 
         Values are in the order of :func:`~mmwave_env.logs.log.places`, NaN where not measured;
@@ -134,7 +137,7 @@ class LiveEpoch(NamedTuple):
 
     user: str  # the cell ``ue`` of its rows; "" without such a column
     time_s: float
-    rows: list[list[float]]  # cells
+    rows: list[Cells]
     columns: LiveColumns
 
     @property
@@ -163,8 +166,8 @@ def log_from(epochs: Iterable[LiveEpoch]) -> Log:
 class _Arrivals:
     """The rows that have arrived from a user."""
 
-    rows: list[list[float]] = field(default_factory=list)  # of the current epoch
-    last: list[list[float]] = field(default_factory=list)  # rows of the last epoch
+    rows: list[Cells] = field(default_factory=list)  # of the current epoch
+    last: list[Cells] = field(default_factory=list)  # rows of the last epoch
     late_s: list[float] = field(default_factory=list)  # increasing times of the latest, late rows
 
     def goes_on_at(self, time_s: float) -> bool:
@@ -226,7 +229,7 @@ class LiveLog:
         self._user = names.index(USER) if USER in names else None
         self._known = {"", USER, *names}  # also names of columns that are ignored
         self._waiting: list[str] = []  # columns that are ignored without others
-        self._rows: list[tuple[str | Mapping[str, Any], int]] = []  # that are not added yet
+        self._rows: list[tuple[str | Row, int]] = []  # that are not added yet
         self._problem: LogError | None = None  # why the first rows are no log
         self._file = partial(
             log_file, Path(source), delimiter=delimiter, scene=scene, snr_db=snr_db, clock=clock,
@@ -236,7 +239,7 @@ class LiveLog:
         if names:
             self._columns = LiveColumns(self._file([name for name in names if name != USER]))
 
-    def add(self, row: str | Mapping[str, Any], number: int = 0) -> list[LiveEpoch]:
+    def add(self, row: str | Row, number: int = 0) -> list[LiveEpoch]:
         """Add a row: a line of CSV, or values by column; return the epochs that are now over.
 
         Error messages contain ``number``, the number of the row in the source.
@@ -257,7 +260,7 @@ class LiveLog:
             over += self._added(*self._rows.pop(0))
         return over
 
-    def _added(self, row: str | Mapping[str, Any], number: int) -> list[LiveEpoch]:
+    def _added(self, row: str | Row, number: int) -> list[LiveEpoch]:
         """Add a row of a log whose columns are known; otherwise the same as :meth:`add`."""
         user, cells = self._cells(row, number)
         if not cells:
@@ -296,7 +299,7 @@ class LiveLog:
             self._arrivals.pop(user, None)
         users.clear()
 
-    def _repeats(self, cells: list[float], rows: list[list[float]], number: int) -> bool:
+    def _repeats(self, cells: Cells, rows: list[Cells], number: int) -> bool:
         """Tell whether one of these rows has the same cells; count and report repeated rows."""
         if repr(cells) not in map(repr, rows):
             return False
@@ -310,7 +313,7 @@ class LiveLog:
         if self.left_out[name] == 1:
             self.warnings.append(f"left out: {note}")
 
-    def add_epoch(self, rows: Iterable[Mapping[str, Any]]) -> list[LiveEpoch]:
+    def add_epoch(self, rows: Iterable[Row]) -> list[LiveEpoch]:
         """Add all rows of an epoch, end it, and return the epochs that are now over.
 
         Raises:
@@ -353,7 +356,7 @@ class LiveLog:
         time_s = self._columns.time_s(arrived.last[0])
         return [LiveEpoch(user, time_s, arrived.last, self._columns)]
 
-    def _cells(self, row: str | Mapping[str, Any], number: int) -> tuple[str, list[float]]:
+    def _cells(self, row: str | Row, number: int) -> tuple[str, Cells]:
         """Return a row's user ("" if unnamed) and cells (none if blank); refuse a damaged row."""
         words: list[str]
         columns = self._columns
@@ -410,7 +413,7 @@ class LiveLog:
         self._known.update(names)
 
 
-def _user_of(row: Mapping[str, Any]) -> str:
+def _user_of(row: Row) -> str:
     """Return the user of a row; "" if the row does not name any."""
     user = row.get(USER)
     return "" if user is None else str(user)
