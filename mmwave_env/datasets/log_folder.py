@@ -20,6 +20,8 @@ from mmwave_env.models.scene import Scene, read_scene, scene_json
 from mmwave_env.numerics.numbers import PI, Array
 from mmwave_env.world.episode import NEUTRAL_SNR_DB, Episode
 
+Columns = dict[str, Array]  # arrays (n,) with one value per row of a log
+
 LOG = "log.csv"
 SCENE = "scene.json"
 TRUTH = "truth.tum"
@@ -94,7 +96,7 @@ def write_log_folder(
     episode: Episode,
     scene: Scene,
     origin: str,
-    columns: dict[str, Array] | None = None,
+    columns: Columns | None = None,
 ) -> None:
     """Write an episode so that :func:`read_log_folder` can read it.
 
@@ -115,7 +117,7 @@ def write_log_folder(
     write_text(folder / TRUTH, f"# {' '.join(COLUMNS)}; {origin}\n{track}")
 
 
-def log_columns(episode: Episode) -> dict[str, Array]:
+def log_columns(episode: Episode) -> Columns:
     """Return the columns of an episode's log, arrays (n,) with one row per epoch and anchor.
 
     NaN stands for an empty cell. The cells of measurements that are not usable are empty. An SNR is
@@ -140,7 +142,7 @@ def log_columns(episode: Episode) -> dict[str, Array]:
     heard_db = np.where(heard, episode.snr_db, np.nan)
     numbers = np.column_stack([measured, sigma, heard_db, episode.doppler_spread_hz])
     epoch, anchor = np.divmod(np.arange(T * L), L)
-    columns: dict[str, Array] = {"time_s": episode.time_s[epoch], "anchor": anchor + 1}
+    columns: Columns = {"time_s": episode.time_s[epoch], "anchor": anchor + 1}
     at = places(layout)
     for name in _COLUMNS:
         quantity = QUANTITY_OF[name]
@@ -156,9 +158,7 @@ def log_columns(episode: Episode) -> dict[str, Array]:
     return columns
 
 
-def path_columns(
-    episode: Episode, false_paths: float, rng: np.random.Generator
-) -> dict[str, Array]:
+def path_columns(episode: Episode, false_paths: float, rng: np.random.Generator) -> Columns:
     """Return the columns of an episode's log of paths, arrays (n,) with one row per path.
 
     The paths of an epoch are in random order, without anchors. A Poisson number of false paths is
@@ -195,7 +195,7 @@ def path_columns(
     return {name: values[order] for name, values in joined.items()}
 
 
-def log_text(columns: dict[str, Array]) -> str:
+def log_text(columns: Columns) -> str:
     """Return columns (n,) as CSV; reading them gives exactly the same numbers."""
     words = [
         ["" if math.isnan(v) else repr(v) for v in values.tolist()] for values in columns.values()
