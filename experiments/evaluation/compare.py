@@ -23,7 +23,7 @@ from experiments.evaluation.contenders import (
     seeds_from,
 )
 from experiments.evaluation.intervals import Interval, bootstrap, rounded
-from experiments.evaluation.runner import Scores, Scoring, score_contenders
+from experiments.evaluation.runner import AllScores, Scoring, score_contenders
 from mmwave_env.filters.bank import Modes
 from mmwave_env.interface.reward import reward_name
 from mmwave_env.io.files import AnyPath, Json
@@ -51,6 +51,9 @@ def score_cell(score: float | None) -> str:
     return "-" if score is None else str(round(score))
 
 
+Intervals = dict[str, dict[str, Interval]]  # by contender, or by pair "A - B", and by metric
+
+
 @dataclass(frozen=True)
 class Comparison:
     """Results of contenders on one source of episodes; ``str`` formats them as Markdown."""
@@ -59,8 +62,8 @@ class Comparison:
     scenario: str
     radio: str
     seeds: Sequence[int]
-    policies: dict[str, dict[str, Interval]]  # means by contender and metric
-    paired: dict[str, dict[str, Interval]]  # paired differences by "A - B" and metric
+    policies: Intervals  # means
+    paired: Intervals  # paired differences
     reward: str = "tracking"  # kind of reward in the column "reward"
 
     @property
@@ -148,7 +151,7 @@ def _each(table: Json, convert: Callable[[Any], Any]) -> Json:
     return {name: {m: convert(v) for m, v in row.items()} for name, row in table.items()}
 
 
-def episodes_csv(scores: dict[str, Scores], seeds: Sequence[int], source: EpisodeSource) -> str:
+def episodes_csv(scores: AllScores, seeds: Sequence[int], source: EpisodeSource) -> str:
     """Return a CSV table with a row per contender and episode, and a column per metric.
 
     A row also has the key of its episode, if the episode is simulated. ``seeds`` and ``source`` say
@@ -163,14 +166,14 @@ def episodes_csv(scores: dict[str, Scores], seeds: Sequence[int], source: Episod
     return csv_text(rows)
 
 
-def references(scores: Mapping[str, Scores]) -> list[str]:
+def references(scores: AllScores) -> list[str]:
     """Return the names of the reference contenders: best fixed mode, paper's rule and IMMs."""
     fixed = [name for name in scores if name.startswith("fixed-")]
     best = max(fixed, key=lambda name: scores[name]["reward"].mean(), default=None)
     return [n for n in (best, RULE, "imm", BEST_IMM) if n is not None and n in scores]
 
 
-def compare_scores(scores: dict[str, Scores], own: Sequence[str] = (), **more: Any) -> Comparison:
+def compare_scores(scores: AllScores, own: Sequence[str] = (), **more: Any) -> Comparison:
     """Compute intervals of every contender, and paired differences against the references.
 
     If none of the contenders is a reference, all of them are paired with each other. ``own`` names
@@ -178,7 +181,7 @@ def compare_scores(scores: dict[str, Scores], own: Sequence[str] = (), **more: A
     remaining attributes of :class:`Comparison`.
     """
 
-    def rows(table: dict[str, Array]) -> dict[str, dict[str, Interval]]:
+    def rows(table: dict[str, Array]) -> Intervals:
         intervals = iter(bootstrap(np.concatenate(list(table.values()))))
         return {name: dict(zip(HEADERS, intervals, strict=False)) for name in table}
 
@@ -194,7 +197,7 @@ def compare_scores(scores: dict[str, Scores], own: Sequence[str] = (), **more: A
 
 
 def comparison_of(
-    task: Task, seeds: Sequence[int], scores: dict[str, Scores], own: Sequence[str]
+    task: Task, seeds: Sequence[int], scores: AllScores, own: Sequence[str]
 ) -> Comparison:
     """Compare scores on a task's episodes with these seeds; see :func:`compare_scores`."""
     return compare_scores(

@@ -34,7 +34,7 @@ from experiments.evaluation.contenders import (
     source_of,
 )
 from experiments.evaluation.intervals import Interval, bootstrap
-from experiments.evaluation.runner import Scores, score_contenders
+from experiments.evaluation.runner import AllScores, score_contenders
 from mmwave_env.datasets.samples import sample_names
 from mmwave_env.io.files import Json, read_json
 from mmwave_env.models.radio import RADIOS, TUNED_RADIOS
@@ -159,7 +159,7 @@ def sites() -> list[Site]:
     return made
 
 
-def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> dict[str, Scores]:
+def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> AllScores:
     """Run contenders, the paper's rule and every IMM at a site, on the same episodes."""
     # Modes of an unseen radio are untuned on purpose, so suppress the warning about untuned modes.
     with warnings.catch_warnings(action="ignore"):
@@ -168,7 +168,7 @@ def judge(names: Sequence[str], site: Site, episodes: int, seed: int) -> dict[st
         return score_contenders(chosen, site.source(), seeds_from(episodes, seed))
 
 
-def figures_of(name: str, site: Site, scores: Mapping[str, Scores]) -> Json:
+def figures_of(name: str, site: Site, scores: AllScores) -> Json:
     """Return a contender's figures at a site: means, and gains over the rule and IMMs."""
     own = scores[name]
     rewards = own["reward"]
@@ -186,7 +186,7 @@ def figures_of(name: str, site: Site, scores: Mapping[str, Scores]) -> Json:
     }
 
 
-def entry(name: str, judged: Mapping[Site, Mapping[str, Scores]]) -> Json:
+def entry(name: str, judged: Mapping[Site, AllScores]) -> Json:
     """Return the entry of a contender: its figures at every site."""
     sites = {site.name: figures_of(name, site, scores) for site, scores in judged.items()}
     return {"entry": name, "policy": fingerprint(name), "sites": sites}

@@ -34,6 +34,7 @@ CHUNK = 1000  # maximum number of episodes in memory
 # Results of n episodes: "reward" and "nees" (n, T); "error" (n, T, 3); a policy's "mode" (n, T)
 EpochResults = dict[str, NDArray[Any]]
 Scores = dict[str, Array]  # metric -> (episodes,)
+AllScores = dict[str, Scores]  # contender -> its scores on the same episodes
 
 
 class Scoring(NamedTuple):
@@ -179,7 +180,7 @@ def score_contenders(
     watch: Sequence[Watch] = (),
     scoring: Scoring = PLAIN,
     after: Sequence[str] = (),
-) -> dict[str, Scores]:
+) -> AllScores:
     """Compute the scores of contenders on the same episodes.
 
     Args:

@@ -3,7 +3,7 @@
 For a training run, a table shows the spread over training seeds (Agarwal et al. 2021).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,13 +20,13 @@ from experiments.evaluation.contenders import (
 )
 from experiments.evaluation.intervals import bootstrap, crossed_bootstrap
 from experiments.evaluation.positions import EpochErrors, Positions, positions_markdown
-from experiments.evaluation.runner import Scores, Scoring, score_contenders
+from experiments.evaluation.runner import AllScores, Scores, Scoring, score_contenders
 from mmwave_env.io.files import Json, write_text
 from mmwave_env.localization.levels import PARTS, Levels
 
 
 def over_training_seeds(
-    name: str, trained: Sequence[Scores], scores: Mapping[str, Scores]
+    name: str, trained: Sequence[Scores], scores: AllScores
 ) -> tuple[Json, str]:
     """Return figures of a run's rewards, and of its gains over the reference contenders.
 
