@@ -146,6 +146,8 @@ class Playback:
         return np.concatenate(drawn, axis=1)
 
 
+Ends = tuple[float, float]  # least and greatest value of a scale or an interval
+
 _WINDOW = 120  # number of epochs that strips show
 _NEES = (0.03, 300.0)  # range of the NEES strip; other values are drawn at its edges
 _NEES_TICKS = (0.1, 3.0, 100.0)
@@ -163,11 +165,11 @@ class Strip(NamedTuple):
 
     title: str  # quantity and unit
     values: Array  # (n,) values of the estimate, drawn in the colors of the modes; NaN at the top
-    ends: tuple[float, float]  # values at the lower and at the upper edge
+    ends: Ends  # values at the lower and at the upper edge
     ticks: tuple[float, ...]  # values that label the scale
     scale: Callable[[ArrayLike], Array] = np.asarray  # np.log for a logarithmic scale
     truth: Array | None = None  # (n,) true values, if known
-    band: tuple[float, float] | None = None  # ends of the interval of expected values
+    band: Ends | None = None  # ends of the interval of expected values
 
 
 def draw_strips(canvas: Canvas, top: float, history: History, beside: Sequence[History]) -> None:
@@ -185,12 +187,12 @@ def draw_strips(canvas: Canvas, top: float, history: History, beside: Sequence[H
     _draw_clock(canvas, lane.bottom, times_s)
 
 
-def _across(time_s: Array, times_s: tuple[float, float]) -> Array:
+def _across(time_s: Array, times_s: Ends) -> Array:
     """Return the horizontal positions of times in strips with these times at their edges."""
     return np.interp(time_s, times_s, (_LEFT, _LEFT + _WIDTH))
 
 
-def _times(time_s: Array, latest: float) -> tuple[float, float]:
+def _times(time_s: Array, latest: float) -> Ends:
     """Return the times at the left and right edge of strips with room for ``_WINDOW`` epochs."""
     step = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0
     first = float(time_s[0]) if len(time_s) else latest
@@ -254,7 +256,7 @@ def _draw_ribbon(canvas: Canvas, lane: Rect, x: Array, modes: Index) -> None:
         canvas.fill(modes[begin], Rect(left, lane.top, right - left, lane.height))
 
 
-def _draw_clock(canvas: Canvas, y: float, times_s: tuple[float, float]) -> None:
+def _draw_clock(canvas: Canvas, y: float, times_s: Ends) -> None:
     """Draw the time axis below the ribbon."""
     first, last = times_s
     step = nice((last - first) / 4.0)
