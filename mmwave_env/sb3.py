@@ -22,7 +22,8 @@ from stable_baselines3.common.monitor import Monitor  # noqa: E402
 from stable_baselines3.common.vec_env import VecEnv  # noqa: E402
 
 Indices = None | int | Iterable[int]
-Infos = list[dict[str, Any]]
+Info = dict[str, Any]
+Infos = list[Info]
 
 
 class SB3VecEnv(VecEnv):
@@ -130,9 +131,9 @@ class SB3VecEnv(VecEnv):
             raise ValueError(f"{call}: found indices {indices}, expected all indices")
 
 
-def _of(batched: dict[str, Any], i: int) -> dict[str, Any]:
+def _of(batched: Info, i: int) -> Info:
     """Return environment i's info from batched infos; skip a key if its mask is False at i."""
-    info: dict[str, Any] = {}
+    info: Info = {}
     for key, value in batched.items():
         mask = batched.get(f"_{key}")
         if not (key[:1] == "_" and key[1:] in batched) and (mask is None or mask[i]):
