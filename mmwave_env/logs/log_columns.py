@@ -182,12 +182,15 @@ class Column(NamedTuple):
     high: float
 
 
+ByQuantity = dict[str, Column]  # the columns of a log that are used
+
+
 def columns_of(
     names: Sequence[str],
     hz_per_mps: float,
     odometry: bool,
     associated: bool,
-) -> dict[str, Column]:
+) -> ByQuantity:
     """Return the columns of a log by quantity, from the names of all its columns.
 
     If ``odometry`` is False, columns of odometry are ignored, except a heading that angles need; if
@@ -199,7 +202,7 @@ def columns_of(
         ValueError: a name is unknown or lacks its unit, or a quantity occurs twice or is
             missing; the message lists the names that are allowed.
     """
-    columns: dict[str, Column] = {}
+    columns: ByQuantity = {}
     if unknown := [name for name in names if name and name not in QUANTITY_OF]:
         problems = "; ".join(map(_problem, unknown[:10]))  # enough to read in one message
         known = ", ".join(next(iter(row.columns)) for row in QUANTITIES.values())
@@ -230,7 +233,7 @@ def _twice(name: str, other: str, expected: str) -> ValueError:
     return ValueError(f"columns: found {both}, expected {expected}")
 
 
-def _require(columns: dict[str, Column], names: Sequence[str], associated: bool) -> None:
+def _require(columns: ByQuantity, names: Sequence[str], associated: bool) -> None:
     """Refuse columns if some are missing or contradict each other."""
     required = ["time", "anchor"] if associated else ["time", *_OF_PATHS]
     for usual, (other, needed) in _OTHER_FRAMES.items():
@@ -255,7 +258,7 @@ def _require(columns: dict[str, Column], names: Sequence[str], associated: bool)
             )
 
 
-def require_clock_and_noise(columns: dict[str, Column], clock: str, has_snr: bool) -> None:
+def require_clock_and_noise(columns: ByQuantity, clock: str, has_snr: bool) -> None:
     """Refuse a clock that contradicts the ranges, and measurements without deviation or SNR."""
     for quantity, sigma in SIGMA_OF.items():
         if quantity in columns and not (has_snr or "snr" in columns or sigma in columns):

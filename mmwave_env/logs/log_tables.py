@@ -25,7 +25,7 @@ from mmwave_env.logs.log_columns import (
     BODY,
     QUANTITY_OF,
     STATION,
-    Column,
+    ByQuantity,
     Unit,
     columns_of,
     require_clock_and_noise,
@@ -82,7 +82,7 @@ class LogFile:
     """A log of which only the header was read."""
 
     path: Path  # path of the file
-    columns: dict[str, Column]  # the columns that are used, by quantity
+    columns: ByQuantity  # the columns that are used, by quantity
     names: Sequence[str]  # names of all columns in the file; "" if a column has none
     delimiter: str  # character between the cells of a CSV file
     scene: Scene  # scene whose anchors were measured
@@ -131,7 +131,7 @@ class Table(Arrays):
     epoch_of_row: Index | None = None
 
     @property
-    def columns(self) -> dict[str, Column]:
+    def columns(self) -> ByQuantity:
         """Return the columns that are used, by quantity."""
         return self.file.columns
 
