@@ -84,12 +84,15 @@ def _trajectory(name: str, x: Array, y: Array) -> Trajectory:
     return Trajectory(name, np.arange(len(x), dtype=float), np.stack([x, y, height_m], axis=1))
 
 
-def played_on(**options: Any) -> Callable[[], EpisodeSource]:
+MakeSource = Callable[[], EpisodeSource]
+
+
+def played_on(**options: Any) -> MakeSource:
     """Return a function that returns the source of episodes for options of ``compare``."""
     return partial(source_of, WorldArgs(**options))
 
 
-HARD_SOURCES: dict[str, Callable[[], EpisodeSource]] = {
+HARD_SOURCES: dict[str, MakeSource] = {
     "corners:handset": lambda: SimulatedSource(STREET, RADIOS["handset"], corners()),
     "bus:standard": lambda: SimulatedSource(SCENES["dynamic-doppler"], RADIOS["standard"], bus()),
     "noise-twice:handset": lambda: Misstated(STREET, RADIOS["handset"], stated=0.5),
@@ -131,7 +134,7 @@ class Site:
     name: str
     kind: str  # one of :data:`KINDS`
     radio: str  # name or file of the radio
-    source: Callable[[], EpisodeSource]  # function that returns the source of the site's episodes
+    source: MakeSource  # function that returns the source of the site's episodes
 
     def scored(self, episodes: int) -> int:
         """Return how many of so many episodes, counted from the first, are used for a score."""
