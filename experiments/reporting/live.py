@@ -38,6 +38,7 @@ from mmwave_env.models.layout import require_clock
 from mmwave_env.models.scene import Origin, Scene, scene_json
 
 SOURCE = "standard input"
+Lines = Iterator[tuple[int, str] | None]  # numbers and texts; None where the input waits
 _ENOUGH_PATHS = 400  # paths after which a warning says if a learned map explains few of them
 _PATIENCE_S = 10.0  # time without a first position after which a warning says so
 
@@ -202,7 +203,7 @@ def _origin(args: LogArgs, scene: Scene) -> Origin | None:
     return origin_of(scene, "format: 3gpp")
 
 
-def _lines() -> Iterator[tuple[int, str] | None]:
+def _lines() -> Lines:
     """Yield the numbers and texts of the lines of standard input; None where the input waits."""
     stream: Any = sys.stdin.buffer
     number = 1
@@ -230,7 +231,7 @@ def _epochs(
     A JSON object is one row, or a whole epoch: {"rows": [...]}. Epochs that arrive together are
     yielded together, with the log to which they belong.
     """
-    lines: Iterator[tuple[int, str] | None]
+    lines: Lines
     lines = (line for line in _lines() if line is None or line[1])
     number, first = next(filter(None, lines), (0, ""))
     if not first:
