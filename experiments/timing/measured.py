@@ -59,9 +59,10 @@ FILTERS = ("EKF", "UKF", "CKF")
 
 Rounds = dict[str, list[float]]  # values by name, one per round
 Laps = Iterator[int]  # yields, after each episode, its number of steps, summed over environments
+Workloads = dict[str, Callable[[], Laps]]  # functions that start them, by name
 
 
-def environments(sizes: Sequence[int]) -> dict[str, Callable[[], Laps]]:
+def environments(sizes: Sequence[int]) -> Workloads:
     """Return functions that start the workloads of environments, by name."""
     return {
         FILTERPY: filterpy,
@@ -74,7 +75,7 @@ def environments(sizes: Sequence[int]) -> dict[str, Callable[[], Laps]]:
     }
 
 
-def filters() -> dict[str, Callable[[], Laps]]:
+def filters() -> Workloads:
     """Return functions that start the workloads of single filters on one thread, by name."""
     episodes = draw_episodes(task_from().source, range(TRACKS))
     modes = named_modes(RADIO)
