@@ -45,6 +45,7 @@ HYPERPARAMETER = "hyperparameters."  # prefix of the names of axes that are hype
 Count = Annotated[int, counts(1, 10**12)]
 Seed = Annotated[int, Bound("an integer from 0 to 10^15", least=0, most=1e15)]
 Values = Mapping[str, Any]  # values of a cell, by axis
+Axes = dict[str, Sequence[Any]]  # values of each axis, by its key
 
 
 @dataclass(kw_only=True)
@@ -73,7 +74,7 @@ class Spec(NamedTuple):
     """A sweep: the axes of a grid, and its cells."""
 
     kind: str  # name of the table in the file
-    axes: Mapping[str, Sequence[Any]]  # values of each key
+    axes: Axes
     cells: dict[str, Values]  # all combinations of values, by name, in the order of the file
 
 
@@ -126,9 +127,9 @@ def _name(kind: str, cell: Values) -> str:
     return hashlib.sha256(work.encode()).hexdigest()[:16]
 
 
-def _axes(kind: type[Any], table: Values, others: Values, where: str) -> dict[str, Sequence[Any]]:
+def _axes(kind: type[Any], table: Values, others: Values, where: str) -> Axes:
     """Return the axes of a table; refuse values that ``kind`` refuses beside the ``others``."""
-    axes: dict[str, Sequence[Any]] = {}
+    axes: Axes = {}
     for key, content in table.items():
         several = isinstance(content, list)
         if several and key in ("modes", "places"):  # each of their values is itself a list
