@@ -298,7 +298,7 @@ class Environment:
             names = self._names.tolist()
             self._gallery.begin(places, names, self._scene_of, self._engine.column)
 
-    def _final_infos(self, ended: Index) -> dict[str, Any]:
+    def _final_infos(self, ended: Index) -> Info:
         """Return the infos (k,) about whole episodes, which ended in some environments (k,)."""
         lost = self._tally.nonfinite(ended)
         if lost.any():
