@@ -27,10 +27,13 @@ class Unit(NamedTuple):
         return value * self.multiply / self.divide
 
 
+Units = dict[str, Unit]  # by the name of a column, or by the ending of names
+
+
 class Quantity(NamedTuple):
     """A quantity in a log; its values are converted to s, m, rad, Hz, dB or m/s."""
 
-    columns: dict[str, Unit]  # names of the columns that may hold the quantity, with their units
+    columns: Units  # names of the columns that may hold the quantity, with their units
     meaning: str  # the quantity in words, for messages
     # limits of what a receiver can measure, and their unit; "" for times and numbers of anchors
     limits: tuple[Bound, str] = (between(-1e300, 1e300), "")
@@ -49,7 +52,7 @@ class Quantity(NamedTuple):
         return scale * ((bound.least or 0.0) - spare), scale * ((bound.most or 0.0) + spare)
 
 
-def _in(name: str, units: dict[str, Unit]) -> dict[str, Unit]:
+def _in(name: str, units: Units) -> Units:
     return {f"{name}{ending}": unit for ending, unit in units.items()}
 
 
@@ -62,7 +65,7 @@ _SHIFT = {"_hz": Unit(), "_khz": Unit(1e3), "_mps": Unit()}  # columns_of conver
 DIFFERENCE = "rstd"  # reference signal time difference, as in LPP (3GPP TS 37.355)
 
 
-def _flight(name: str) -> dict[str, Unit]:
+def _flight(name: str) -> Units:
     """Return the columns that may hold a range: one-way time, round-trip time, or length.
 
     A range may also be the difference (rstd) to the range of a reference anchor in the same epoch.
