@@ -232,10 +232,6 @@ class Ballot:
         """Return the epoch, not one of the first, at which another motion begins, or None."""
         return None if self._jump is None else self._votes[self._jump].epoch
 
-    def _first_votes(self) -> list[Vote]:
-        """Return the votes that decide about the start."""
-        return self._votes[: min(VOTES + _JUMP, self._jump or len(self._votes))]
-
     def start(self, log: Log, first: int) -> Start | None:
         """Return a start, at an epoch, from the motion of the votes; None if the first one stands.
 
@@ -244,9 +240,10 @@ class Ballot:
         from it without contradicting it. But a filter that begins there is linear only near the
         user.
         """
-        votes = self._first_votes()
         if len(self._votes) < VOTES:
             return None
+        # the votes that decide about the start
+        votes = self._votes[: min(VOTES + _JUMP, self._jump or len(self._votes))]
         now = float(log.time_s[first])
         wrong, mean, covariance = _motion(votes, now)
         opening = votes[0]
