@@ -163,9 +163,11 @@ class Checked(Policy):
         self._epoch += 1
         n = len(observation)
         count = len(self._table.actions)
-        about = f"observations {observation.shape}, float32, of epoch {self._epoch}"
-        made = f"made with {self._table.made_with}; {OF_A_MODEL} ({GUIDE})"
-        with blaming(self._name, f"; it was given {about}, {made}"):
+        circumstances = (
+            f"; it was given observations {observation.shape}, float32, of epoch {self._epoch}, "
+            f"made with {self._table.made_with}; {OF_A_MODEL} ({GUIDE})"
+        )
+        with blaming(self._name, circumstances):
             actions = np.asarray(self._policy.act(observation))
         if self.action == WEIGHTS:
             with blaming(self._name, f" ({GUIDE})"):

@@ -188,8 +188,7 @@ def run(args: TrainArgs) -> None:
         def tell(job: Job, timesteps: int, text: str) -> None:
             bar.update(tasks[job.seed], completed=timesteps)
             if text:
-                line = f"seed {job.seed}, {timesteps} steps: {text}"
-                bar.console.print(line, soft_wrap=True)
+                bar.console.print(f"seed {job.seed}, {timesteps} steps: {text}", soft_wrap=True)
 
         try:
             outcomes = side_by_side(jobs, args.jobs, tell)

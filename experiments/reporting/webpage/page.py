@@ -178,8 +178,7 @@ def _compared(comparison: Comparison, positions: Json | None) -> Iterator[str]:
     if positions:
         rows = positions["policies"]
         ranked = {name: rows[name] for name in comparison.policies if name in rows}
-        about = "Errors in all episodes, without the first 10 epochs of each"
-        yield element("p", about, "caption")
+        yield element("p", "Errors in all episodes, without the first 10 epochs of each", "caption")
         kind = positions.get("levels", "gaussian")
         yield html_of(positions_markdown("policy", ranked, positions["risk"], kind))
     for name in comparison.policies:
