@@ -64,6 +64,7 @@ _ROWS = {
 _SEARCHED_EPOCHS = 50  # number of epochs among which the track's first epoch is chosen
 _DECIMALS = 2  # of mean log-likelihoods; of hypotheses that fit equally well, the first is chosen
 _ADVANTAGE = 10.0  # bonus for the log as it is, added to its log-likelihood
+_SOUND = {AS_IT_IS, *(f"radio is {name}" for name in RADIOS)}  # hypotheses of a sound log
 _OUTLIER_QUANTILE = 1e-6  # NIS is capped at the value that chi-square exceeds with this probability
 
 
@@ -212,7 +213,7 @@ def diagnose(reading: Reading) -> list[Finding]:
     findings = _findings([as_it_is, *single], first)
     radios = {r.undone[0].words: r for r in single if r.radio is not radio}
     best = findings[0]
-    if best.contradictions or best.hypothesis in {AS_IT_IS, *radios}:
+    if best.contradictions or best.hypothesis in _SOUND:
         likely = [as_it_is, *filter(None, [radios.get(best.hypothesis)])]
         shared = [r for reading in likely for r in _without_shared_errors(whole, reading)]
         findings = [f._replace(shared=True) for f in _findings(shared, first)] + findings
@@ -266,13 +267,18 @@ def _findings(readings: Sequence[Reading], first: int) -> list[Finding]:
     return sorted(findings, key=lambda finding: _rank(finding, len(readings[0].log)))
 
 
-def _rank(finding: Finding, epochs: int) -> tuple[bool, float]:
-    """Return a sort key: consistent findings by likelihood, then inconsistent ones by fit."""
+def _rank(finding: Finding, epochs: int) -> tuple[bool, bool, float]:
+    """Return a sort key: consistent findings by likelihood, then inconsistent ones by fit.
+
+    A consistent log is read as it is, perhaps with another radio, even if another reading is more
+    likely: if a user stands still, steps of milliseconds are more likely than those of seconds.
+    """
     if not finding.contradictions and finding.log_likelihood is not None:
         advantage = _ADVANTAGE / epochs if finding.hypothesis == AS_IT_IS else 0.0
-        return False, -round(finding.log_likelihood + advantage, _DECIMALS)
+        misread = finding.hypothesis not in _SOUND
+        return False, misread, -round(finding.log_likelihood + advantage, _DECIMALS)
     worst = finding.worst_anchor
-    return True, np.inf if worst is None else abs(np.log(worst))
+    return True, True, np.inf if worst is None else abs(np.log(worst))
 
 
 def _finding(reading: Reading, episode: Episode, nis: Array, likelihood: Array) -> Finding:

@@ -463,6 +463,15 @@ def test_a_log_whose_track_does_not_fit_is_not_called_consistent(tmp_path):
     assert "Not written: no correction is known." in shown and not scene.exists()
 
 
+@pytest.mark.parametrize("epochs", [5, 60])
+def test_a_user_who_stands_still_is_no_mistake_of_the_log(tmp_path, epochs):
+    way = tmp_path / "still.csv"
+    way.write_text("t,x,y,z\n" + "".join(f"{t},40,12,1.5\n" for t in range(epochs)))
+    command("simulate", "--scenario", way, "--out", tmp_path)
+    words = options(tmp_path / "log.csv", "--diagnose", folder=tmp_path)
+    assert "\nThe log is consistent as it is." in command("localize", *words).stdout
+
+
 def test_a_diagnosis_reports_facts_about_the_log():
     shown, results = with_json("localize", *ride(RIDE / "log.csv", "--diagnose"))
     columns = read_columns(RIDE / "log.csv")
