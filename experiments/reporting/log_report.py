@@ -277,5 +277,6 @@ def diagnosis_markdown(findings: Sequence[Finding], notes: Sequence[str]) -> str
         'The column "anchors" shows the median NIS / dof of the anchor whose median is farthest '
         'from 1; the column "Doppler" shows the median NIS / dof of the Doppler shift. In a '
         "consistent log, the user is also mostly below the base station, and SNR and Doppler shift "
-        f"are plausible. Of several rows with yes, the first is the most likely.{impossible}\n"
+        "are plausible. Rows judge the first epochs, the row as it is also the whole track. Of "
+        f"several rows with yes, the first is the most likely.{impossible}\n"
     )
