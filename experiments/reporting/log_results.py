@@ -51,7 +51,7 @@ from mmwave_env.localization.localizer import Track, localize
 from mmwave_env.localization.log_noise import nearest_radio, noise_notes, with_range_steps
 from mmwave_env.localization.map_files import MAP_FILES, origin_of
 from mmwave_env.localization.map_learning import FEW_EXPLAINED, learn_map
-from mmwave_env.localization.readings import AS_IT_IS, Finding, Reading
+from mmwave_env.localization.readings import AS_IT_IS, ELEVATION, Finding, Reading
 from mmwave_env.localization.shared_errors import scanned, shared_errors
 from mmwave_env.localization.track_files import require_own_files, table_beside, write_track
 from mmwave_env.localization.track_scores import (
@@ -149,6 +149,7 @@ def _hypothesis(finding: Finding, scene: Scene) -> Json:
     }
 
 
+_ONE_HEIGHT_M = 0.5  # if heights differ by less, ranges hardly tell what is above the anchors
 LONGEST_WINDOW = 20_000  # maximum length of the smoother's window, epochs; limits its memory
 
 
@@ -354,6 +355,15 @@ def _shared_errors(work: Work) -> dict[str, str]:
     return advice
 
 
+def _may_be_mirrored(track: Track, scene: Scene) -> bool:
+    """Tell whether a track without elevations may be on the wrong side of anchors of one height."""
+    heights = scene.anchors_m[:, 2]
+    if np.ptp(heights) > _ONE_HEIGHT_M or np.isfinite(track.measurement[:, ELEVATION]).any():
+        return False
+    away = abs(track.x[:, 2] - heights[0])
+    return bool(np.mean(away < 2.0 * np.sqrt(track.P[:, 5])) > 0.1)
+
+
 def beginning(args: LogArgs, epochs: int) -> tuple[Track, Work]:
     """Filter the first epochs of a log; return their track and the log's :class:`Work`."""
     files = inputs(args)
@@ -382,6 +392,11 @@ def _figures(args: LogArgs, files: Inputs, work: Work, track: Track) -> Json:
     odd = [f"{doubt}; --diagnose looks for a likely mistake" for doubt in doubts]
     errors = _shared_errors(work)
     odd += [f"the log looks as if {e}; {UNSEEN}; {advice}" for e, advice in errors.items()]
+    if _may_be_mirrored(track, work.scene):
+        odd.append(
+            "heights: without elevations, anchors of one height do not say whether the user is "
+            "above or below them; if the ground is flat, add --height"
+        )
     for message in odd:
         warnings.warn(message, stacklevel=2)
     more = {"association": work.association, "map": work.map}

@@ -472,6 +472,21 @@ def test_a_user_who_stands_still_is_no_mistake_of_the_log(tmp_path, epochs):
     assert "\nThe log is consistent as it is." in command("localize", *words).stdout
 
 
+@pytest.mark.parametrize("height_m", [3.0, 10.0])
+def test_anchors_of_one_height_that_may_mirror_a_track_cause_a_warning(tmp_path, height_m):
+    base, *others = ([x, y, height_m] for x, y in [(0, 0), (60, 0), (60, 40), (0, 40)])
+    scene = {"base_station_m": base, "virtual_anchors_m": others, "carrier_hz": 28e9, "walls": []}
+    place = tmp_path / "place.json"
+    place.write_text(json.dumps({"name": "place"} | scene))
+    way = tmp_path / "way.csv"
+    way.write_text("t,x,y,z\n" + "".join(f"{t},{5 + t / 4},20,1.5\n" for t in range(60)))
+    options_of = ("--scene", place, "--scenario", way, "--measurements", "range")
+    command("simulate", *options_of, "--out", tmp_path)
+    words = ("localize", *options(tmp_path / "log.csv", folder=tmp_path))
+    assert ("warning: heights:" in command(*words).stderr) == (height_m == 3.0)
+    assert command(*words, "--height", 1.5).stderr == ""
+
+
 def test_a_diagnosis_reports_facts_about_the_log():
     shown, results = with_json("localize", *ride(RIDE / "log.csv", "--diagnose"))
     columns = read_columns(RIDE / "log.csv")
