@@ -7,6 +7,8 @@ from collections.abc import Iterator, Sequence
 from itertools import chain, tee
 from typing import Any
 
+import numpy as np
+
 from experiments.console.options import (
     AUTO,
     LogArgs,
@@ -20,6 +22,7 @@ from experiments.reporting.log_results import warn_of_few_explained
 from mmwave_env.filters.bank import modes_from
 from mmwave_env.io.files import Json, first_line, parse_json, write_json
 from mmwave_env.io.lookup import printable, quoted
+from mmwave_env.localization.contradictions import Contradiction, contradictions
 from mmwave_env.localization.image_filter import Belief, Paths
 from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.location_data import location_data
@@ -31,15 +34,19 @@ from mmwave_env.localization.map_learning import (
     require_same_images,
     trusted,
 )
+from mmwave_env.localization.readings import values_of
+from mmwave_env.localization.track_scores import ratio
 from mmwave_env.localization.tracker import Position, Tracker
 from mmwave_env.logs.live_log import LiveEpoch, LiveLog, log_from
 from mmwave_env.logs.log_tables import LogError, header_of
 from mmwave_env.models.layout import require_clock
+from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Origin, Scene, scene_json
 
 SOURCE = "standard input"
 Lines = Iterator[tuple[int, str] | None]  # numbers and texts; None where the input waits
 _ENOUGH_PATHS = 400  # paths after which a warning says if a learned map explains few of them
+_ENOUGH_POSITIONS = 100  # after which warnings say what contradicts the first track
 _PATIENCE_S = 10.0  # time without a first position after which a warning says so
 
 
@@ -71,6 +78,7 @@ def run_live(args: LogArgs) -> None:
     began = False
     waiting: list[LiveEpoch] = []  # epochs before the first position
     waited = False
+    to_judge: _FirstEpochs | None = _FirstEpochs()
     require_clock(args.clock)
     for live, epochs in _epochs(args, scene):
         if tracker is None:
@@ -78,6 +86,7 @@ def run_live(args: LogArgs) -> None:
             first = next(linked, None)
             if first:
                 tracker, why = _tracker(args, scene, first, levels)
+        found = []
         for user, position in tracker.step(epochs) if tracker else ():
             if not began or (position.begins and not user):
                 note(f"a track begins, or begins anew, at {position.time_s!r} s: {why}")
@@ -85,9 +94,14 @@ def run_live(args: LogArgs) -> None:
             content |= _formatted(args, position, origin)
             print(json.dumps(content), flush=not user)
             began = True
+            found.append((user, position))
         sys.stdout.flush()
         if tracker:
             live.forget(tracker.forgotten)
+            if to_judge and to_judge.add(epochs, found):
+                for doubt in to_judge.contradictions(scene, tracker.radio):
+                    _warn(f"{SOURCE}: {doubt}; for a file of these rows, --diagnose looks for why")
+                to_judge = None
         waited = waited or began or _waited_long(waiting, epochs)
     if not began:
         _warn(f"{SOURCE}: found no epoch that determines a position")
@@ -177,6 +191,44 @@ def _waited_long(waiting: list[LiveEpoch], epochs: Sequence[LiveEpoch]) -> bool:
         f"{', '.join(sorted(groups)) or 'no anchor'}; docs/data.md says what a track needs"
     )
     return True
+
+
+class _FirstEpochs:
+    """The first epochs of the first user with a track, to be compared with the positions."""
+
+    def __init__(self) -> None:
+        self._user = ""
+        self._epochs: list[LiveEpoch] = []
+        self._positions: list[Position] = []
+
+    def add(self, epochs: Sequence[LiveEpoch], found: Sequence[tuple[str, Position]]) -> bool:
+        """Add epochs, and users with positions in them; return whether that is enough to judge."""
+        if found and not self._positions:
+            self._user = found[0][0]
+        self._epochs += [epoch for epoch in epochs if epoch.user == self._user]
+        self._positions += [position for user, position in found if user == self._user]
+        return len(self._positions) >= _ENOUGH_POSITIONS
+
+    def contradictions(self, scene: Scene, radio: Radio) -> list[Contradiction]:
+        """Return what in the epochs contradicts the positions, the scene or the radio."""
+        by_time = {position.time_s: position for position in self._positions}
+        epochs = {epoch.time_s: epoch for epoch in self._epochs if epoch.time_s in by_time}
+        log = log_from(epochs.values())
+        dof = np.add.reduceat(values_of(log), log.layout.starts, axis=1, dtype=np.int64)
+        positions = [by_time[time_s] for time_s in epochs]
+        groups = {}
+        for name, values in zip(log.layout.group_names, dof.T, strict=True):
+            rejected = np.array([name in position.rejected for position in positions])
+            nis = np.array([position.nis.get(name, np.nan) for position in positions])
+            seen = np.isfinite(nis)
+            accepted = seen & ~rejected
+            # the first epoch chose the radio, perhaps one with more noise; that does no harm
+            groups[name] = {
+                "seen": int(seen.sum()),
+                "rejected_share": ratio(rejected.sum(), seen.sum()),
+                "nis_per_dof": max(nis[accepted].sum() / max(values[accepted].sum(), 1), 1.0),
+            }
+        return contradictions(log, scene, radio, groups)
 
 
 def _tracker(args: LogArgs, scene: Scene, first: LiveEpoch, levels: Levels) -> tuple[Tracker, str]:

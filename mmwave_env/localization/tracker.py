@@ -112,6 +112,7 @@ class Tracker:
         correlation_s: time for which errors of measurements last; 0 if they are independent.
 
     Attributes:
+        radio: profile of the receiver.
         forgotten: users who have been forgotten; :meth:`step`'s caller clears it.
     """
 
@@ -131,7 +132,7 @@ class Tracker:
         self._levels = levels
         self._correlation_s = correlation_s
         self._scene = scene_from(scene)
-        self._radio = radio_from(radio)
+        self.radio = radio_from(radio)
         self._switching = policy
         self._height_m = height_m
         self._log = LiveLog([], self._scene, snr_db, clock=clock)
@@ -198,7 +199,7 @@ class Tracker:
     def _prepare(self, layout: Layout) -> None:
         """Create all that the epochs of a layout share; tracks of another layout end."""
         self._localizer = Localizer(
-            layout, self._scene, self._radio, self._switching, self._height_m,
+            layout, self._scene, self.radio, self._switching, self._height_m,
             self._levels or GAUSSIAN_LEVELS, self._correlation_s,
         )  # fmt: skip
         self._users.clear()
@@ -206,7 +207,7 @@ class Tracker:
         self._loaded: list[_User] = []  # users whose tracks are in the engine that ran last
         self._layout = layout
         self._groups = layout.group_names
-        self._variances = self._radio.variances(self._scene, layout)
+        self._variances = self.radio.variances(self._scene, layout)
         self._at = columns_of(layout)
         self._blank = flatten(blank_incoming(layout))
 
@@ -232,11 +233,11 @@ class Tracker:
         gap_s = inf if user.last_s is None else epoch.time_s - user.last_s
         if gap_s > GAP_S or gap_s <= 0.0:  # a clock that was set back begins a new track, too
             if user.last_s is not None or user.doubt is None:
-                user.doubt = Doubt(self._scene, self._radio)
+                user.doubt = Doubt(self._scene, self.radio)
                 user.last_s = None
             return user.doubt.begin(epoch)
         if gap_s > DOUBTFUL_GAP_S:
-            user.doubt = Doubt(self._scene, self._radio)
+            user.doubt = Doubt(self._scene, self.radio)
         if user.doubt is None:
             return None
         revised = user.doubt.revise(epoch)
@@ -340,7 +341,7 @@ class Tracker:
         log = log_from(epochs)
         # An episode's times must increase; the users' time steps are set later.
         log = replace(log, time_s=np.arange(float(len(log))))
-        return episode_from(log, self._scene, self._radio).table()
+        return episode_from(log, self._scene, self.radio).table()
 
     def _quick_incoming(self, epoch: LiveEpoch) -> list[float] | None:
         """Return the same as :meth:`_incoming` for one epoch; None if this is impossible."""

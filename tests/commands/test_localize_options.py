@@ -105,6 +105,21 @@ def test_the_default_policy_depends_on_the_columns_and_not_on_the_first_epoch(tm
     assert positions[-1]["position_m"] == pytest.approx(last[1:4], abs=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("folder", "name", "doubt"),
+    [
+        (RIDE, "azimuths have the other sign", "anchor 2: found NIS / dof"),
+        (RIDE, "Doppler shift has the other sign", "Doppler: found a range that grows by -"),
+        (WALK, "elevation has the other sign", "anchor 1: found a user above this anchor"),
+    ],
+)
+def test_what_contradicts_the_first_positions_causes_a_warning(tmp_path, folder, name, doubt):
+    log = wrong_log(tmp_path, folder, MISTAKES[name])
+    _, (_, *warnings), code = live(log.read_bytes(), "--scene", folder / "scene.json", "--speed", 1)
+    assert code == 0
+    assert any(doubt in warning for warning in warnings)
+
+
 def test_rows_of_several_users_give_the_lines_of_each_alone():
     alone, _, _ = live(first_rows(60), "--speed", "1")
     header, *rows = lines_of()[:61]
