@@ -48,6 +48,7 @@ _GAIN = 15.0
 _GAIN_OF_ELEVATIONS = 10.0
 _JOINT_COST = 15.0  # additional cost of an error of several quantities, and of one anchor
 _ANCHOR_COST = 3.0
+_LEAST_WITHOUT_HEIGHT_M = 0.6  # a height that only ranges tell looks like errors up to this size
 _CAUTION = 1.5  # factor for standard deviations of ranges and elevations, which are too small
 
 _STEP = 0.5  # of a parameter, for finite differences
@@ -184,12 +185,15 @@ def suspects(reading: Reading) -> Iterator[Suspect]:
     if distance and not reading.log.layout.has_bias:
         cure = ", or use --clock offset if the user's clock runs ahead, by {1:.3g} ns"
         late = _range("ranges", range(len(rows)), cure)
+        if not elevation:
+            late = late._replace(least=_LEAST_WITHOUT_HEIGHT_M)
         yield late
         drift = Suspect(
             "the user's clock drifts: ranges grow too long",
             "m in 100 s",
             (RANGE,),
             cure="use --clock offset, as the user's clock gains {1:.3g} ns in 100 s",
+            least=late.least,
             deviation=100.0,
             caution=_CAUTION,
             since_s=float(reading.log.time_s[0]),
@@ -395,7 +399,9 @@ def _likeliest(reading: Reading, among: Collection[Suspect]) -> SharedError | No
         (new,) = innovations([suspect.correct(reading, error.theta)])
         limit = _MOST_DEVIATIONS * suspect.deviation
         single = suspect.parts and len(_parts(error)) < 2
-        if not (single or _is_lost(new)) and abs(error.theta).max() < limit:
+        small = np.linalg.norm(error.theta) < suspect.least
+        unsure = np.linalg.norm(error.theta / error.sigma) < _CERTAIN
+        if not (single or small or unsure or _is_lost(new)) and abs(error.theta).max() < limit:
             cost = suspect.cost + _COST * suspect.parameters
             candidates.append(error._replace(gain=float((rho(w) - rho(new)).sum()) - cost))
     if not candidates:

@@ -202,3 +202,9 @@ def test_logs_that_lack_quantities_seldom_show_an_error(rows, scenario):
     if len(rows) > 3:
         turns = [names(errors_of(turned(4.0)(r))) for r in logs]
         assert sum("azimuths are turned" in turn for turn in turns) >= 10
+
+
+def test_an_unknown_height_is_not_named_as_an_error_of_ranges():
+    cyclists = readings(40, scenario="cyclist")
+    no_elevations = [0, 1, 3, 4, 5, 7, 8, 9, 11]
+    assert sum(bool(errors_of(only(r, no_elevations))) for r in cyclists) <= 1
