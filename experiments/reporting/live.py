@@ -86,7 +86,7 @@ def run_live(args: LogArgs) -> None:
             first = next(linked, None)
             if first:
                 tracker, why = _tracker(args, scene, first, levels)
-        found = []
+        placed = []
         for user, position in tracker.step(epochs) if tracker else ():
             if not began or (position.begins and not user):
                 note(f"a track begins, or begins anew, at {position.time_s!r} s: {why}")
@@ -94,11 +94,11 @@ def run_live(args: LogArgs) -> None:
             content |= _formatted(args, position, origin)
             print(json.dumps(content), flush=not user)
             began = True
-            found.append((user, position))
+            placed.append((user, position))
         sys.stdout.flush()
         if tracker:
             live.forget(tracker.forgotten)
-            if to_judge and to_judge.add(epochs, found):
+            if to_judge and to_judge.add(epochs, placed):
                 for doubt in to_judge.contradictions(scene, tracker.radio):
                     _warn(f"{SOURCE}: {doubt}; for a file of these rows, --diagnose looks for why")
                 to_judge = None
@@ -201,12 +201,12 @@ class _FirstEpochs:
         self._epochs: list[LiveEpoch] = []
         self._positions: list[Position] = []
 
-    def add(self, epochs: Sequence[LiveEpoch], found: Sequence[tuple[str, Position]]) -> bool:
+    def add(self, epochs: Sequence[LiveEpoch], placed: Sequence[tuple[str, Position]]) -> bool:
         """Add epochs, and users with positions in them; return whether that is enough to judge."""
-        if found and not self._positions:
-            self._user = found[0][0]
+        if placed and not self._positions:
+            self._user = placed[0][0]
         self._epochs += [epoch for epoch in epochs if epoch.user == self._user]
-        self._positions += [position for user, position in found if user == self._user]
+        self._positions += [position for user, position in placed if user == self._user]
         return len(self._positions) >= _ENOUGH_POSITIONS
 
     def contradictions(self, scene: Scene, radio: Radio) -> list[Contradiction]:
@@ -220,12 +220,12 @@ class _FirstEpochs:
         for name, values in zip(log.layout.group_names, dof.T, strict=True):
             rejected = np.array([name in position.rejected for position in positions])
             nis = np.array([position.nis.get(name, np.nan) for position in positions])
-            seen = np.isfinite(nis)
-            accepted = seen & ~rejected
+            measured = np.isfinite(nis)
+            accepted = measured & ~rejected
             # the first epoch chose the radio, perhaps one with more noise; that does no harm
             groups[name] = {
-                "seen": int(seen.sum()),
-                "rejected_share": ratio(rejected.sum(), seen.sum()),
+                "seen": int(measured.sum()),
+                "rejected_share": ratio(rejected.sum(), measured.sum()),
                 "nis_per_dof": max(nis[accepted].sum() / max(values[accepted].sum(), 1), 1.0),
             }
         return contradictions(log, scene, radio, groups)
