@@ -4,9 +4,11 @@ import shutil
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from experiments.evaluation import protocol
+from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.protocol import entry, judge, sealed, sites, verify
 from experiments.leaderboard import Args, main
 from tests.cli import assert_one_clear_line, command, succeed
@@ -193,3 +195,20 @@ def test_an_entry_that_lacks_what_verification_needs_is_refused(missing, tmp_pat
 def test_an_entry_is_refused_if_its_policy_changes(claimed):
     Path("cruise.py").write_text(AGENT.replace("2", "1"))
     assert "policy: found the hash" in verify(claimed)[0]
+
+
+@pytest.mark.parametrize("episodes", [2, 3])
+def test_an_honest_claim_of_few_episodes_is_not_refused_by_chance(episodes, monkeypatch):
+    rng = np.random.default_rng(0)
+    site = sites()[0]
+
+    def played(name, site, count, seed):  # rewards of the same agent in other episodes
+        return {"reward": bootstrap([rng.normal(size=count)])[0]}
+
+    monkeypatch.setattr(protocol, "_played", played)
+    monkeypatch.setattr(protocol, "_figures", lambda stated: stated["figures"])
+    monkeypatch.setattr(protocol, "SAME", np.inf)  # the claimed episodes do not matter here
+    for _ in range(400):
+        stated = {"episodes": episodes, "figures": played("", site, episodes, 0)}
+        claimed = {"entry": "", "command": "mmwave-loc leaderboard", "sites": {site.name: stated}}
+        assert not [*protocol._differences(claimed, site)]
