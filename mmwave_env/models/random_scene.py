@@ -139,7 +139,7 @@ def scenes_from(scene: str | Path | Scene | RandomScene) -> Scene | RandomScene:
     if isinstance(scene, Scene) or str(scene).endswith(".json"):
         return scene_from(scene)
     named: dict[str, Scene | RandomScene] = {**SCENES, RANDOM: RandomScene(), WIDE: WIDE_SCENE}
-    return choose(named, str(scene), "scene")
+    return choose(named, str(scene), "scene", ", or a .json file")
 
 
 @dataclass(frozen=True)

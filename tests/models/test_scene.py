@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.random_scene import RandomScene
+from mmwave_env.models.random_scene import RandomScene, scenes_from
 from mmwave_env.models.scene import (
     SCENES,
     LearnedImage,
@@ -138,6 +138,11 @@ def test_a_damaged_scene_file_is_refused_with_the_name_of_the_field(tmp_path, co
     path = write_json(tmp_path / "plaza.json", content)
     with refuses(path, field):
         scene_from(path)
+
+
+def test_an_unknown_scene_is_told_that_files_exist_too():
+    with pytest.raises(ValueError, match="json file"):
+        scenes_from("market.jsn")
 
 
 def test_impossible_scenes_are_refused():
