@@ -88,7 +88,8 @@ class Trajectory:
                     f"{self.name}: vx, vy, vz: found a path of {integral:.6g} m, expected "
                     f"about {way:.6g} m, the length of the path in x, y, z: are the speeds in m/s?"
                 )
-        if t[-1] - t[0] >= STANDING_S and np.ptp(p, axis=0).max() < STANDING_M:
+        still = t[-1] - t[0] >= STANDING_S and np.ptp(p, axis=0).max() < STANDING_M
+        if still and np.abs(p[:, :2]).max() <= 180.0:  # no degrees are larger
             warnings.warn(
                 f"{self.name}: found all positions of {t[-1] - t[0]:g} s within {STANDING_M:g} m; "
                 "x, y are read as meters: are they in degrees?",

@@ -203,6 +203,8 @@ def test_a_trajectory_of_a_user_who_never_moves_causes_a_warning():
     degrees = np.column_stack([-122.4 + 1e-6 * time_s, np.full(100, 37.8), np.full(100, 1.5)])
     with pytest.warns(UserWarning, match="gps: found all positions of 99 s"):
         Trajectory("gps", time_s, degrees)
+    with warnings.catch_warnings(action="error"):  # no place on Earth in degrees
+        Trajectory("static test", time_s, np.tile([300.0, 250.0, 1.5], (100, 1)))
 
 
 @pytest.mark.parametrize(
