@@ -375,7 +375,7 @@ def _differences(claimed: Json, site: Site) -> Iterator[str]:
     again = _played(name, site, stated["episodes"], options_from(LeaderboardArgs, claimed).seed)
     seed = secrets.choice(range(*HIDDEN_SEEDS))
     hidden = _played(name, site, HIDDEN, seed)
-    surely = stdtrit(stated["episodes"] - 1, ndtr(SURELY))
+    surely = stdtrit(max(stated["episodes"] - 1, 1), ndtr(SURELY))
     for figure, same in again.items():
         claim = claims[figure]
         most = SAME * (same.high - same.low) + 1e-9
