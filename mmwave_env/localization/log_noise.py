@@ -134,19 +134,19 @@ def _notes_on_angles(reading: Reading) -> Iterator[str]:
     (w,) = innovations([reading])
     elevations = _where_measured(log, w)[:, ELEVATION]
     scaled = []
-    for name, column, values in (
-        ("azimuths", "aoa_azimuth_sigma and aod_azimuth_sigma", azimuths),
-        ("elevations", "aoa_elevation_sigma", elevations),
+    for name, columns, rows, values in (
+        ("azimuths", "aoa_azimuth_sigma and aod_azimuth_sigma", AZIMUTH, azimuths),
+        ("elevations", "aoa_elevation_sigma", ELEVATION, elevations),
     ):
         if np.isfinite(values).sum() < _ENOUGH:
             continue
         factor = float(np.nanmedian(abs(values))) / _MEDIAN
         scaled.append(np.clip(values / factor, -_CLIPPED, _CLIPPED))
         if not _FACTORS[0] <= factor <= _FACTORS[1]:
-            yield (
-                f"the noise of {name} is {factor:.2f} times as large as stated: give the log "
-                f"columns {column}, or use another --radio"
-            )
+            stated = np.isfinite(log.sigma[:, rows]).any()  # then the radio does not count
+            other = f"give the log columns {columns}, or use another --radio"
+            cure = f"correct {columns} in the log" if stated else other
+            yield f"the noise of {name} is {factor:.2f} times as large as stated: {cure}"
     if scaled:
         yield from _correlation(np.concatenate(scaled, axis=1), log.time_s)
 

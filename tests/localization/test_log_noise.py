@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from mmwave_env.localization.log_noise import clock_jumps, noise_notes, with_range_steps
 from mmwave_env.localization.readings import AZIMUTH, DEPARTURE, RANGE
 from mmwave_env.localization.starts import deviations_of
+from mmwave_env.models.radio import RADIOS
 from tests.localization.errors import STREET, readings
 
 READING = readings(1)[0]
@@ -78,6 +79,12 @@ def test_noise_that_is_not_as_stated_is_noted():
     (note,) = notes(replace(LOG, sigma=sigma))
     assert note.startswith("the noise of azimuths is ") and "times as large as stated" in note
     assert 2.4 < float(note.split()[5]) < 3.8
+    assert note.endswith("correct aoa_azimuth_sigma and aod_azimuth_sigma in the log")
+
+
+def test_another_radio_is_advised_only_if_the_log_states_no_deviations():
+    advice = list(noise_notes(READING._replace(radio=RADIOS["high"]), None))
+    assert advice and all(note.endswith("or use another --radio") for note in advice)
 
 
 def test_correlated_errors_of_angles_are_noted():
