@@ -46,12 +46,20 @@ from mmwave_env.io.lookup import as_name
 from mmwave_env.localization.association import MOST_FALSE, MOST_MISSED, associate
 from mmwave_env.localization.contradictions import Contradiction, contradictions
 from mmwave_env.localization.diagnosis import diagnose
+from mmwave_env.localization.first_position import on_a_line
 from mmwave_env.localization.levels import Levels
 from mmwave_env.localization.localizer import Track, localize
 from mmwave_env.localization.log_noise import nearest_radio, noise_notes, with_range_steps
 from mmwave_env.localization.map_files import MAP_FILES, origin_of
 from mmwave_env.localization.map_learning import FEW_EXPLAINED, learn_map
-from mmwave_env.localization.readings import AS_IT_IS, ELEVATION, Finding, Reading
+from mmwave_env.localization.readings import (
+    AS_IT_IS,
+    AZIMUTH,
+    DEPARTURE,
+    ELEVATION,
+    Finding,
+    Reading,
+)
 from mmwave_env.localization.shared_errors import scanned, shared_errors
 from mmwave_env.localization.track_files import require_own_files, table_beside, write_track
 from mmwave_env.localization.track_scores import (
@@ -356,9 +364,18 @@ def _shared_errors(work: Work) -> dict[str, str]:
 
 
 def _may_be_mirrored(track: Track, scene: Scene) -> bool:
-    """Tell whether a track without elevations may be on the wrong side of anchors of one height."""
+    """Tell whether a track without elevations may be on the wrong side of its anchors.
+
+    Anchors of one height have a side above and one below. Around anchors on a line, any turn of the
+    track leaves the ranges as they are.
+    """
     heights = scene.anchors_m[:, 2]
-    if np.ptp(heights) > _ONE_HEIGHT_M or np.isfinite(track.measurement[:, ELEVATION]).any():
+    measured = np.isfinite(track.measurement)
+    if measured[:, ELEVATION].any():
+        return False
+    if on_a_line(scene.anchors_m) and not (measured[:, AZIMUTH] | measured[:, DEPARTURE]).any():
+        return True
+    if np.ptp(heights) > _ONE_HEIGHT_M:
         return False
     away = abs(track.x[:, 2] - heights[0])
     return bool(np.mean(away < 2.0 * np.sqrt(track.P[:, 5])) > 0.1)
@@ -392,10 +409,10 @@ def _figures(args: LogArgs, files: Inputs, work: Work, track: Track) -> Json:
     odd = [f"{doubt}; --diagnose looks for a likely mistake" for doubt in doubts]
     errors = _shared_errors(work)
     odd += [f"the log looks as if {e}; {UNSEEN}; {advice}" for e, advice in errors.items()]
-    if _may_be_mirrored(track, work.scene):
+    if args.height is None and _may_be_mirrored(track, work.scene):
         odd.append(
-            "heights: without elevations, anchors of one height do not say whether the user is "
-            "above or below them; if the ground is flat, add --height"
+            "heights: without elevations, anchors of one height, or ranges of anchors on a line, "
+            "do not say how high the user is; if the ground is flat, add --height"
         )
     for message in odd:
         warnings.warn(message, stacklevel=2)

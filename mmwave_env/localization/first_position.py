@@ -106,7 +106,7 @@ def position_from_links(links: Array, sigma: Array, scene: Scene, clock: str) ->
     if measured[0].sum() + azimuths.sum() < 2 + len(bias_sigma_m):
         return None  # the height of the streets is known only roughly
     points = anchors[measured[0], :2]
-    mirrored = not azimuths.any() and _on_a_line(points)
+    mirrored = not azimuths.any() and on_a_line(points)
     if mirrored and scene.side is None:
         return None  # without azimuths, a mirrored position fits as well
     n = 3 + len(bias_sigma_m)
@@ -230,8 +230,8 @@ def _contradicting(ranges: Array, sigma: Array, apart_m: Array) -> Mask:
     return wrong
 
 
-def _on_a_line(points: Array) -> bool:
-    """Tell whether points (n, 2) are on a line, with deviations of at most 1 % of its length."""
+def on_a_line(points: Array) -> bool:
+    """Tell whether points (n, 2 or 3) are on a line: at most 1 % of its length away from it."""
     if len(points) < 3:
         return True
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)

@@ -487,10 +487,18 @@ def test_a_user_who_stands_still_is_no_mistake_of_the_log(tmp_path, epochs):
     assert "\nThe log is consistent as it is." in command("localize", *words).stdout
 
 
-@pytest.mark.parametrize("height_m", [3.0, 10.0])
-def test_anchors_of_one_height_that_may_mirror_a_track_cause_a_warning(tmp_path, height_m):
-    base, *others = ([x, y, height_m] for x, y in [(0, 0), (60, 0), (60, 40), (0, 40)])
+@pytest.mark.parametrize(
+    ("anchors", "warned"),
+    [
+        ([[0, 0, 3], [60, 0, 3], [60, 40, 3], [0, 40, 3]], True),
+        ([[0, 0, 10], [60, 0, 10], [60, 40, 10], [0, 40, 10]], False),
+        ([[0, 0, 6], [60, 0, 8]], True),
+    ],
+)
+def test_anchors_that_may_mirror_a_track_cause_a_warning(tmp_path, anchors, warned):
+    base, *others = anchors
     scene = {"base_station_m": base, "virtual_anchors_m": others, "carrier_hz": 28e9, "walls": []}
+    scene["side"] = [30, 20]
     place = tmp_path / "place.json"
     place.write_text(json.dumps({"name": "place"} | scene))
     way = tmp_path / "way.csv"
@@ -498,7 +506,7 @@ def test_anchors_of_one_height_that_may_mirror_a_track_cause_a_warning(tmp_path,
     options_of = ("--scene", place, "--scenario", way, "--measurements", "range")
     command("simulate", *options_of, "--out", tmp_path)
     words = ("localize", *options(tmp_path / "log.csv", folder=tmp_path))
-    assert ("warning: heights:" in command(*words).stderr) == (height_m == 3.0)
+    assert ("warning: heights:" in command(*words).stderr) == warned
     assert command(*words, "--height", 1.5).stderr == ""
 
 
