@@ -254,7 +254,10 @@ def _findings(readings: Sequence[Reading], first: int) -> list[Finding]:
             try:
                 begun = reading.with_start(first)
                 if begun.start is None:
-                    raise ValueError("the first epochs determine no position")
+                    raise ValueError(
+                        "the first epochs determine no position, or an anchor is straight above or "
+                        "below the user"
+                    )
                 episodes.append(begun.episode)
                 tracked.append(begun)
             except ValueError as error:

@@ -50,9 +50,9 @@ def segments(log: Log, scene: Scene, radio: Radio) -> list[Segment]:
     if not parts:
         raise log.damage or ValueError(
             f"log: found {len(log)} epochs, none of which determines a position, expected links "
-            "that together determine a single position, with ranges, azimuths or both; without "
-            "azimuths, anchors on a line leave two positions, between which side in the scene, or "
-            "--start, decides"
+            "that together determine a single position, with ranges, azimuths or both, and no "
+            "anchor straight above or below the user; without azimuths, anchors on a line leave "
+            "two positions, between which side in the scene, or --start, decides"
         )
     return parts
 

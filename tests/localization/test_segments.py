@@ -1,6 +1,7 @@
 """Tests of the segments of a log: where they begin and end, and how gaps are handled."""
 
 import numpy as np
+import pytest
 
 from mmwave_env.localization.segments import segments
 from mmwave_env.logs.log_tables import LogError
@@ -59,6 +60,13 @@ def test_a_segment_begins_where_the_log_marks_a_restart():
     whole = log(range(8), [FIX] * 4 + [OTHER] + [FIX] * 3)
     whole.restarts[[0, 3, 4]] = True  # epoch 0 begins a segment anyway
     assert times_of(whole) == ([[0, 1, 2], [3], [4, 5, 6, 7]], 0, 0)
+
+
+def test_a_user_straight_below_an_anchor_is_refused_with_this_reason():
+    below = log(range(30), [FIX] * 30)
+    below.measurement[:, 2] = np.radians(-88.0)
+    with pytest.raises(ValueError, match="straight above or below the user"):
+        times_of(below)
 
 
 def test_a_log_without_a_position_is_refused():
