@@ -344,7 +344,7 @@ def _track(args: LogArgs, work: Work, window: int | None = None, **more: Any) ->
 def _consistency(work: Work, track: Track) -> tuple[Json, list[Contradiction]]:
     """Return statistics of a track's measurements, and what contradicts the scene or the radio."""
     groups = group_statistics(track)
-    return groups, contradictions(work.log.whole(), work.scene, work.radio, groups)
+    return groups, contradictions(work.log, work.scene, work.radio, groups)
 
 
 def _shared_errors(work: Work) -> dict[str, str]:

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mmwave_env.io.records import Bound
+from mmwave_env.localization.starts import deviations_of
 from mmwave_env.logs.log import Log
 from mmwave_env.logs.log_columns import RANGE_LIMITS_M, WIDEST_ELEVATION_DEG
 from mmwave_env.models.envelope import STEP_S
@@ -40,6 +41,8 @@ _LARGEST_SLOPE = 1.5
 # A slope is reported only if it differs from 1 by more than this many standard errors. The number
 # is large: standard errors assume independent range errors, but a blockage correlates the errors.
 _SURE = 10.0
+_MOST_RANGES = [10, 90]  # percentiles
+_MOVED = 10.0  # difference of ranges by which a user moves, in standard deviations
 _SURE_SIGN = 5.0  # number of standard errors by which a slope must differ from 0 to count
 
 _USUAL_STEP_S = Bound(f"at most {GAP_S:g} s: is the unit right?", most=GAP_S)
@@ -128,6 +131,7 @@ def _likelihood_checks(log: Log, scene: Scene, radio: Radio) -> Iterator[Check]:
             value = f"SNR of {snr.min():.3g} to {snr.max():.3g} dB"
             yield f"anchor {anchor}", snr, _SNR_DB, value
     elevation = log.measurement[log.visible[:, 0], 2]
+    elevation = elevation[np.isfinite(elevation)]
     if len(elevation) >= _ENOUGH:
         above = np.mean(elevation > 0.0)
         most = 0.5 + 1.5 / np.sqrt(len(elevation))  # a half plus three standard errors
@@ -166,9 +170,10 @@ def _range_per_doppler(log: Log, scene: Scene, radio: Radio) -> tuple[float, flo
     """Return by how many meters the range grows where the Doppler shift predicts 1 m.
 
     Range and shift are those of anchor 1. Also return the standard error. The result is (1, inf) if
-    epochs are too few or the user stands still. Ranges are regressed on a constant, time and the
-    integrated shift. An offset of the oscillator makes ranges appear to grow with time; its prior,
-    in ``radio``, limits the coefficient of time. Each window of 30 s has its own coefficients.
+    epochs are too few, the user stands still or the clock jumps; it is (inf, 0) if the shift never
+    changes although the user moves. Ranges are regressed on a constant, time and the integrated
+    shift. An offset of the oscillator makes ranges appear to grow with time; its prior, in
+    ``radio``, limits the coefficient of time. Each window of 30 s has its own coefficients.
 
     Noise of the shift makes this slope too small, noise of the range makes the slope of the reverse
     regression too large. Of the slopes between both, the result is the one nearest to 1.
@@ -178,7 +183,7 @@ def _range_per_doppler(log: Log, scene: Scene, radio: Radio) -> tuple[float, flo
     log = log.part(direct & known)
     time = log.time_s
     rate = log.measurement[:, log.layout.doppler] / scene.hz_per_mps
-    sigma = radio.sigma(log.snr_db, scene, log.layout)[:, 0]
+    sigma = deviations_of(log, scene, radio)[:, 0]
     # windows without a long gap
     window = np.floor((time - time[:1]) / _WINDOW_S)
     edges = np.flatnonzero((np.diff(time) > _MOST_APART_S) | (np.diff(window) > 0.0)) + 1
@@ -191,7 +196,12 @@ def _range_per_doppler(log: Log, scene: Scene, radio: Radio) -> tuple[float, flo
             products += _products(time[part], ranges, rate[part], usual, radio)
             dof += len(part) - 3
     (moved, product), (_, square) = products.tolist()
-    if dof < _ENOUGH_IF_BLOCKED or moved <= 0.0:
+    if dof < _ENOUGH_IF_BLOCKED or log.layout.clock == "free":
+        return 1.0, inf
+    if np.ptp(rate) == 0.0:  # nothing was measured, if the range of most epochs varies
+        low, high = np.percentile(log.measurement[:, 0], _MOST_RANGES)
+        return (inf, 0.0) if high - low > _MOVED * np.median(sigma) else (1.0, inf)
+    if moved <= 0.0:
         return 1.0, inf
     slope = product / moved
     misfit = max((square - slope * product) / dof, 1.0)

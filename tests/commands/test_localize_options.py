@@ -487,6 +487,15 @@ def test_a_user_who_stands_still_is_no_mistake_of_the_log(tmp_path, epochs):
     assert "\nThe log is consistent as it is." in command("localize", *words).stdout
 
 
+def test_a_wrong_doppler_shift_is_found_in_a_log_without_departures(tmp_path):
+    columns = read_columns(RIDE / "log.csv")
+    columns["doppler_hz"] *= -1.0
+    del columns["aod_azimuth_rad"]
+    write_columns(tmp_path / "log.csv", columns)
+    said = command("localize", *ride(tmp_path / "log.csv", "--speed", 1)).stderr
+    assert "Doppler: found a range that grows by -" in said
+
+
 @pytest.mark.parametrize(
     ("anchors", "warned"),
     [

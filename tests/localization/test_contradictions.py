@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from mmwave_env.localization.contradictions import contradictions
+from mmwave_env.localization.starts import deviations_of
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS, TUNED_RADIOS
 from mmwave_env.models.scene import SCENES
@@ -105,6 +106,22 @@ def test_a_doppler_shift_that_contradicts_the_range_causes_a_warning(block, fact
     assert grows == pytest.approx(1.0 / factor, rel=0.1)
 
 
+def test_a_doppler_shift_that_is_never_measured_causes_a_warning_if_the_user_moves(block):
+    measurement = block.measurement.copy()
+    measurement[:, block.layout.doppler] = 17.0
+    (line,) = doubts_of(replace(block, measurement=measurement))
+    assert "grows by inf m" in line
+
+
+def test_a_doppler_shift_is_checked_without_snr_if_the_log_states_deviations(block):
+    measurement = block.measurement.copy()
+    measurement[:, block.layout.doppler] *= -1.0
+    sigma = deviations_of(block, SCENE, RADIO)
+    without = np.full_like(block.snr_db, -np.inf)
+    (line,) = doubts_of(replace(block, measurement=measurement, sigma=sigma, snr_db=without))
+    assert "grows by -1" in line
+
+
 @pytest.mark.parametrize(
     ("factor", "noise_hz"), [(1.0, 5.0), (1.0, 20.0), (1.0, 40.0), (-1.0, 10.0)]
 )
@@ -121,7 +138,7 @@ def test_the_doppler_shift_of_a_steady_walk_causes_a_warning_only_if_it_is_wrong
     assert bool(doubts_of(replace(walk, measurement=measurement))) == (factor < 0.0)
 
 
-@pytest.mark.parametrize("factor", [-1.0, 1e-3, 1.0])
+@pytest.mark.parametrize("factor", [-1.0, 0.0, 1e-3, 1.0])
 def test_the_doppler_shift_of_a_user_at_rest_causes_no_warning(block, factor):
     rng = np.random.default_rng(0)
     measurement = block.measurement.copy()
