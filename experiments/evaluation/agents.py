@@ -94,8 +94,9 @@ def blaming(name: str, more: str) -> Iterator[None]:
     try:
         yield
     except Exception as error:  # a user's code can raise anything
-        problem = f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"
-        raise ValueError(f"policy {name}: {problem}{more}") from error
+        raise ValueError(
+            f"policy {name}: {type(error).__name__}: {str(error).partition(chr(10))[0]}{more}"
+        ) from error
 
 
 def is_agent(name: str) -> bool:

@@ -35,7 +35,6 @@ from mmwave_env.localization.map_learning import (
     trusted,
 )
 from mmwave_env.localization.readings import values_of
-from mmwave_env.localization.track_scores import ratio
 from mmwave_env.localization.tracker import Position, Tracker
 from mmwave_env.logs.live_log import LiveEpoch, LiveLog, log_from
 from mmwave_env.logs.log_tables import LogError, header_of
@@ -205,8 +204,9 @@ class _FirstEpochs:
         """Add epochs, and users with positions in them; return whether that is enough to judge."""
         if placed and not self._positions:
             self._user = placed[0][0]
-        self._epochs += [epoch for epoch in epochs if epoch.user == self._user]
         self._positions += [position for user, position in placed if user == self._user]
+        if self._positions:  # else epochs without a position would pile up
+            self._epochs += [epoch for epoch in epochs if epoch.user == self._user]
         return len(self._positions) >= _ENOUGH_POSITIONS
 
     def contradictions(self, scene: Scene, radio: Radio) -> list[Contradiction]:
@@ -224,8 +224,8 @@ class _FirstEpochs:
             accepted = measured & ~rejected
             # the first epoch chose the radio, perhaps one with more noise; that does no harm
             groups[name] = {
-                "seen": int(measured.sum()),
-                "rejected_share": ratio(rejected.sum(), measured.sum()),
+                "seen": measured.sum(),
+                "rejected_share": rejected.sum() / max(measured.sum(), 1),
                 "nis_per_dof": max(nis[accepted].sum() / max(values[accepted].sum(), 1), 1.0),
             }
         return contradictions(log, scene, radio, groups)

@@ -115,17 +115,12 @@ def diagnosed(args: LogArgs, files: "Inputs", scene: Scene) -> None:
             Reading(log, scene, radio_of(args, name), modes_of(args, name)[-1]) for name in names
         ]
         reading, findings = _diagnosed_first(readings)
-        best = findings[0]
-        if best.hypothesis == AS_IT_IS and not best.contradictions:
-            work = _work(args, files, scene)
-            _, doubts = _consistency(work, _track(args, work))
-            findings[0] = best._replace(contradictions=doubts)
-        best = findings[0]
+        best, lost = _confirmed(args, files, scene, findings)
         facts = log_facts(log, scene)
         cured = best.cure and (best.shared or not best.contradictions)
         # a wrong convention looks like noise of angles, or a clock that jumps
         misread = cured and not best.shared and not best.hypothesis.startswith("radio")
-        notes = [] if misread else list(noise_notes(reading, step_m))
+        notes = [] if misread or lost else list(noise_notes(reading, step_m))
     corrected = best.scene if cured and best.scene is not scene else None
     text = f"{facts_markdown(facts)}\n{diagnosis_markdown(findings, notes)}"
     if args.write and corrected:
@@ -148,6 +143,27 @@ def diagnosed(args: LogArgs, files: "Inputs", scene: Scene) -> None:
         raise log.damage
 
 
+def _confirmed(
+    args: LogArgs, files: "Inputs", scene: Scene, findings: list[Finding]
+) -> tuple[Finding, bool]:
+    """Judge the log as it is by its whole track; move it to the front if it is the best finding.
+
+    Return the best finding, and whether tracks are lost without the gates that this track has: then
+    the findings say little.
+    """
+    best = findings[0]
+    as_it_is = next(finding for finding in findings if finding.hypothesis == AS_IT_IS)
+    fits = best is as_it_is and not best.contradictions
+    if fits or not (best.shared or best.hypothesis.startswith("radio")):
+        with suppress(ValueError):  # values may be too wrong for a track
+            work = _work(args, files, scene)
+            _, doubts = _consistency(work, _track(args, work))
+            if fits or not doubts:
+                findings.remove(as_it_is)
+                findings.insert(0, as_it_is._replace(contradictions=doubts))
+    return findings[0], not fits and findings[0] is not best
+
+
 def _hypothesis(finding: Finding, scene: Scene) -> Json:
     """Return a finding as JSON, with its scene if this is not the log's."""
     return {
@@ -167,7 +183,7 @@ class Inputs(NamedTuple):
     log: Path
     scene: str
     truth: Path | None
-    earlier: tuple[Path, ...] = ()  # logs from which a map is learned before
+    earlier: Sequence[Path] = ()  # logs from which a map is learned before
 
 
 def inputs(args: LogArgs) -> Inputs:
@@ -180,7 +196,7 @@ def inputs(args: LogArgs) -> Inputs:
         if args.scene is None:
             raise ValueError(f"scene: found none, expected --scene FILE, the scene of {args.log}")
         *earlier, log = [args.log, *args.more]
-        return Inputs(log, args.scene, args.truth, tuple(earlier))
+        return Inputs(log, args.scene, args.truth, earlier)
     require_alone(args, "sample", "log", "scene")
     folder = sample_folder(args.sample)
     station = folder / STATION
@@ -199,8 +215,9 @@ def _check(args: LogArgs, files: Inputs) -> None:
     if args.map == "known":
         require_default(args, "--map learn", "map_out")
         if args.more:
-            count = 1 + len(args.more)
-            raise ValueError(f"log: found {count} logs without --map learn, expected one")
+            raise ValueError(
+                f"log: found {1 + len(args.more)} logs without --map learn, expected one"
+            )
     require_default(args, "--live", "format", "accuracy", "confidence")
     require_alone(args, "two_way", "height", "smoothing")
     require_one_choice(args)
@@ -267,8 +284,10 @@ def _work(args: LogArgs, files: Inputs, scene: Scene) -> Work:
         radio = radio_of(args, name)
         fast = modes_from(args.modes, name)[-1]
         if args.map == "learn":
-            places = (*files.earlier, files.log)
-            logs = [read_paths(path, scene, args.odometry, args.snr) for path in places]
+            logs = [
+                read_paths(path, scene, args.odometry, args.snr)
+                for path in (*files.earlier, files.log)
+            ]
             scene, learned = learn_map(logs, scene, radio, fast)
             warn_of_few_explained(learned["explained"], learned["paths"])
         paths = read_paths(files.log, scene, args.odometry, args.snr)
@@ -284,8 +303,8 @@ def _work(args: LogArgs, files: Inputs, scene: Scene) -> Work:
         raise ValueError(
             f"follow: odometry needs speeds, and {files.log} has none; use --follow prediction"
         )
-    elevations = log.measurement[:, 2 : log.layout.doppler : 4]
-    switching, why = choice_of(args, name, bool(np.isfinite(elevations).any()))
+    elevations = bool(np.isfinite(log.measurement[:, ELEVATION]).any())
+    switching, why = choice_of(args, name, elevations)
     if switching.policy and not np.isfinite(log.snr_db).any():
         warnings.warn(
             f"{files.log}: found no SNR, so the policy gets {NEUTRAL_SNR_DB:g} dB for every link",
@@ -375,10 +394,8 @@ def _may_be_mirrored(track: Track, scene: Scene) -> bool:
         return False
     if on_a_line(scene.anchors_m) and not (measured[:, AZIMUTH] | measured[:, DEPARTURE]).any():
         return True
-    if np.ptp(heights) > _ONE_HEIGHT_M:
-        return False
-    away = abs(track.x[:, 2] - heights[0])
-    return bool(np.mean(away < 2.0 * np.sqrt(track.P[:, 5])) > 0.1)
+    near = abs(track.x[:, 2] - heights[0]) < 2.0 * np.sqrt(track.P[:, 5])
+    return bool(np.ptp(heights) < _ONE_HEIGHT_M and near.mean() > 0.1)
 
 
 def beginning(args: LogArgs, epochs: int) -> tuple[Track, Work]:
@@ -466,8 +483,9 @@ def localized(args: LogArgs) -> None:
         if args.plot:
             title = f"{'/'.join(files.log.parts[-2:])}, {_kind(args)} track"
             learned = work.map["images"] if work.map else []
-            known = work.truth_m(track.time_s)
-            draw_trajectory(track, known, work.scene, args.plot, title, learned)
+            draw_trajectory(
+                track, work.truth_m(track.time_s), work.scene, args.plot, title, learned
+            )
     finally:  # an error in the log is reported even if the results can't be shown
         if figures["error"]:
             shown = "written" if args.out else "shown"

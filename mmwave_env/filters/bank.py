@@ -196,8 +196,10 @@ def bank_over(modes: Modes, radio: str | Radio) -> Bank:
         return bank_in(modes)
     entries: Any = [modes] if str(modes).endswith(".json") else modes
     if isinstance(entries, str | os.PathLike) or not isinstance(entries, Sequence):
-        expected = "a list of names, mode files and Modes, such as ['ekf']; or a mode file (.json)"
-        raise ValueError(f"modes: found {modes!r}, expected {expected}")
+        raise ValueError(
+            f"modes: found {modes!r}, expected a list of names, mode files and Modes, such as "
+            "['ekf']; or a mode file (.json)"
+        )
     banks = [_bank_of(entry, radio) for entry in entries]
     return banks[0] if len(banks) == 1 else Bank(sum((bank.modes for bank in banks), ()))
 

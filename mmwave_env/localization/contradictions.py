@@ -41,8 +41,7 @@ _LARGEST_SLOPE = 1.5
 # A slope is reported only if it differs from 1 by more than this many standard errors. The number
 # is large: standard errors assume independent range errors, but a blockage correlates the errors.
 _SURE = 10.0
-_MOST_RANGES = [10, 90]  # percentiles
-_MOVED = 10.0  # difference of ranges by which a user moves, in standard deviations
+_MOVED = 10.0  # difference of the deciles of ranges if a user moves, in standard deviations
 _SURE_SIGN = 5.0  # number of standard errors by which a slope must differ from 0 to count
 
 _USUAL_STEP_S = Bound(f"at most {GAP_S:g} s: is the unit right?", most=GAP_S)
@@ -199,7 +198,7 @@ def _range_per_doppler(log: Log, scene: Scene, radio: Radio) -> tuple[float, flo
     if dof < _ENOUGH_IF_BLOCKED or log.layout.clock == "free":
         return 1.0, inf
     if np.ptp(rate) == 0.0:  # nothing was measured, if the range of most epochs varies
-        low, high = np.percentile(log.measurement[:, 0], _MOST_RANGES)
+        low, high = np.percentile(log.measurement[:, 0], [10, 90])
         return (inf, 0.0) if high - low > _MOVED * np.median(sigma) else (1.0, inf)
     if moved <= 0.0:
         return 1.0, inf

@@ -140,8 +140,10 @@ def measurements_from(names: Sequence[str] | None) -> tuple[str, ...] | None:
     if names is None:
         return None
     if isinstance(names, str) or not isinstance(names, Iterable):
-        expected = f"a list of some of {', '.join(MEASUREMENTS)}"
-        raise ValueError(f"measurements: found {quoted(names)}, expected {expected}")
+        raise ValueError(
+            f"measurements: found {quoted(names)}, expected a list of some of "
+            f"{', '.join(MEASUREMENTS)}"
+        )
     names = list(names)
     for name in names:
         choose(dict.fromkeys(MEASUREMENTS), name, "measurements")

@@ -478,10 +478,14 @@ def test_a_log_whose_track_does_not_fit_is_not_called_consistent(tmp_path):
     assert "Not written: no correction is known." in shown and not scene.exists()
 
 
-@pytest.mark.parametrize("epochs", [5, 60])
-def test_a_user_who_stands_still_is_no_mistake_of_the_log(tmp_path, epochs):
+@pytest.mark.parametrize(
+    ("epochs", "place"),
+    [(5, "40,12,1.5"), (60, "40,12,1.5"), (60, "10.3,10,6.5")],
+    ids=["few epochs", "many epochs", "below an anchor"],
+)
+def test_a_user_who_stands_still_is_no_mistake_of_the_log(tmp_path, epochs, place):
     way = tmp_path / "still.csv"
-    way.write_text("t,x,y,z\n" + "".join(f"{t},40,12,1.5\n" for t in range(epochs)))
+    way.write_text("t,x,y,z\n" + "".join(f"{t},{place}\n" for t in range(epochs)))
     command("simulate", "--scenario", way, "--out", tmp_path)
     words = options(tmp_path / "log.csv", "--diagnose", folder=tmp_path)
     assert "\nThe log is consistent as it is." in command("localize", *words).stdout
