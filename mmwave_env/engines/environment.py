@@ -33,7 +33,6 @@ from mmwave_env.interface.reward import term_names
 from mmwave_env.interface.signed import after_update
 from mmwave_env.io.lookup import choose, require_extra
 from mmwave_env.metrics import DIVERGENCE_M, INFO_KEYS
-from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Array32, Index
 from mmwave_env.task import Task
 from mmwave_env.world.episode import Episode, EpisodeBatch
@@ -217,9 +216,6 @@ class Environment:
         P = self._engine.read(at.P)[environment].tolist()
         return self._engine.pipeline.belief(x, P)
 
-    def _scene_of(self, place: int) -> Scene | None:
-        return self._task.scene_of(int(self._keys[place]))
-
     def _require_begun(self, call: str) -> None:
         if not self._begun:
             raise ResetNeeded(f"Call reset before {call}: there is no episode under way.")
@@ -296,7 +292,9 @@ class Environment:
         """Clear the pictures of some environments (n,), whose episodes begin."""
         if self._gallery:
             names = self._names.tolist()
-            self._gallery.begin(places, names, self._scene_of, self._engine.column)
+            scenes = self._task.scene_of
+            keys = self._keys.tolist()
+            self._gallery.begin(places, names, lambda i: scenes(keys[i]), self._engine.column)
 
     def _final_infos(self, ended: Index) -> Info:
         """Return the infos (k,) about whole episodes, which ended in some environments (k,)."""

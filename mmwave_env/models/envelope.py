@@ -11,7 +11,7 @@ from mmwave_env.io.records import between
 STEP_S = between(1e-6, 60.0, "s")  # time between epochs
 HZ_PER_MPS = between(1e-3, 1e4, "Hz per m/s")  # for carriers of 300 kHz to 3 THz
 DOPPLER_SPREAD_HZ = between(0.0, 1e5, "Hz")
-POSITION_M = between(-1e6, 1e6, "m")  # per axis, for anchors and for the prior's mean
+POSITION_M = between(-1e7, 1e7, "m")  # per axis, for anchors and for the prior's mean
 VELOCITY_MPS = between(-1e4, 1e4, "m/s")  # per axis, for the prior's mean
 BIAS_HZ = between(-1e7, 1e7, "Hz")  # oscillator bias in the prior's mean
 # standard deviations of the prior

@@ -223,7 +223,7 @@ def test_the_error_names_a_setting_that_is_far_beyond_its_bounds(record, name, b
 
 
 def test_a_radio_and_a_scene_that_together_exceed_the_envelope_are_refused():
-    far = replace(STREET, walls=(Wall((1.0, 0.0), 9e5),))
+    far = replace(STREET, walls=(Wall((1.0, 0.0), 9e6),))
     loud = replace(RADIOS["standard"], spread_gain=90.0)
     for scene, radio, name in (
         (far, RADIOS["high"], "scene_anchors_m of episode 'high in street'"),

@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 from mmwave_env.localization.localizer import Track
 from mmwave_env.localization.map_files import MAP_FILES
 from mmwave_env.localization.track_files import require_own_files, write_track
-from mmwave_env.models.scene import SCENES, Origin
+from mmwave_env.models.scene import SCENES, Origin, scene_of_anchors
 from tests.localization.test_track_files import some_track
 from tests.refusals import refuses
 
@@ -146,8 +146,11 @@ def test_geojson_has_lines_within_segments_and_95_percent_error_ellipses(tmp_pat
 @pytest.mark.parametrize("ending", MAP_FILES)
 def test_a_map_file_needs_an_origin_and_replaces_only_files_of_its_kind(tmp_path, ending):
     path = tmp_path / f"walk{ending}"
-    with refuses("out"):
-        write_track(some_track(3), [path], SCENES["street"])
+    anchors_m = np.array([[691e3, 5_334e3, 526.0], [691e3, 5_335e3, 526.0]])
+    in_utm = replace(scene_of_anchors("utm", anchors_m, 28e9, 100e6), origin=ORIGIN)
+    for scene in (SCENES["street"], in_utm):
+        with refuses("out"):
+            write_track(some_track(3), [path], scene)
     written(tmp_path, ending, tracks())
     require_own_files(path)
     path.write_text("{}")

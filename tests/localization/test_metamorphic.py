@@ -76,6 +76,7 @@ def mirrored(signs, offset):
 
 MOVES = {  # name -> pipelines, turn (3, 3), shift in m, function that converts azimuths
     "elsewhere": (PIPELINES, UNTURNED, (812.5, -4_096.25, 37.0), lambda azimuth: azimuth),
+    "to UTM": (PIPELINES, UNTURNED, (691e3, 5_334e3, 520.0), lambda azimuth: azimuth),
     **{f"turned by {angle:.1f}": turned(angle) for angle in (0.5 * np.pi, np.pi, -2.0, 0.3)},
     "mirrored in x": mirrored([-1.0, 1.0, 1.0], np.pi),
     "mirrored in y": mirrored([1.0, -1.0, 1.0], 0.0),
