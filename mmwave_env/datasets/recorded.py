@@ -232,8 +232,9 @@ class TrackSource:
         self.epochs = most if epochs is None else epochs
         if not 1 <= self.epochs <= most:
             raise ValueError(
-                f"epochs: found {epochs}, expected 1 to {most}, the length of the longest stretch "
-                f"of {track.record} with true positions and without a gap of more than {GAP_S:g} s"
+                f"episode_steps (epochs): found {epochs}, expected 1 to {most}, the length of the "
+                f"longest stretch of {track.record} with true positions and without a gap of more "
+                f"than {GAP_S:g} s"
             )
         whole = [longest] if epochs is None else runs
         self._starts = np.concatenate(

@@ -94,7 +94,9 @@ class SimulatedSource:
         if not STEP_S.holds(self.dt):
             raise ValueError(f"dt: found {self.dt}, expected {STEP_S.expected}")
         if not 1 <= self.epochs <= MOST_EPOCHS:
-            raise ValueError(f"epochs: found {self.epochs}, expected 1 to {MOST_EPOCHS}")
+            raise ValueError(
+                f"episode_steps (epochs): found {self.epochs}, expected 1 to {MOST_EPOCHS}"
+            )
         assert self._extreme
         if not self._plans:
             object.__setattr__(self, "epochs", self.ways.epochs)

@@ -152,7 +152,7 @@ def test_a_vector_environment_can_be_made_from_the_specification_of_a_single_env
 
 CORRECTION = {"beliefs": "per-mode", "action": "correction"}
 # argument -> first word of its error, if this is not the argument ("": any word)
-NAMED = {"episode_steps": "", "episodes": "", "terminate_on_divergence": "", "modes": "mode"}
+NAMED = {"episodes": "", "terminate_on_divergence": "", "modes": "mode"}
 
 
 @pytest.mark.parametrize(
