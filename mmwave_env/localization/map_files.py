@@ -31,7 +31,6 @@ _GPX = (
     '<?xml version="1.0" encoding="UTF-8"?>\n'
     '<gpx version="1.1" creator="mmwave-loc" xmlns="http://www.topografix.com/GPX/1/1">'
 )
-_FLAT_M = 1e5  # the scene's axes are east, north and up only near its origin
 UNIX_S = 1e8  # larger times are Unix times (1973 or later) and are written to GPX files
 
 
@@ -200,7 +199,8 @@ MAP_FILES = {  # formats by the ending of the file's name
 
 def origin_of(scene: Scene, option: str) -> Origin:
     """Return the origin of a scene; refuse the option that needs it if it is missing or far."""
-    if scene.origin is None or abs(scene.anchors_m).max() > _FLAT_M:
+    # far from its origin, the scene's axes are no longer east, north and up
+    if scene.origin is None or abs(scene.anchors_m).max() > 1e5:
         raise ValueError(
             f"{option} needs the origin of scene {scene.name!r} at most 100 km from its anchors: "
             '"origin": {"latitude_deg": ..., "longitude_deg": ...} in its file (docs/data.md)'
