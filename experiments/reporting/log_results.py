@@ -119,8 +119,7 @@ def diagnosed(args: LogArgs, files: "Inputs", scene: Scene) -> None:
         facts = log_facts(log, scene)
         cured = best.cure and (best.shared or not best.contradictions)
         # a wrong convention looks like noise of angles, or a clock that jumps
-        misread = cured and not best.shared and not best.hypothesis.startswith("radio")
-        notes = [] if misread or lost else list(noise_notes(reading, step_m))
+        notes = [] if (cured and best.misread) or lost else list(noise_notes(reading, step_m))
     corrected = best.scene if cured and best.scene is not scene else None
     text = f"{facts_markdown(facts)}\n{diagnosis_markdown(findings, notes)}"
     if args.write and corrected:
@@ -154,7 +153,7 @@ def _confirmed(
     best = findings[0]
     as_it_is = next(finding for finding in findings if finding.hypothesis == AS_IT_IS)
     fits = best is as_it_is and not best.contradictions
-    if fits or not (best.shared or best.hypothesis.startswith("radio")):
+    if best is as_it_is or best.misread:
         with suppress(ValueError):  # values may be too wrong for a track
             work = _work(args, files, scene)
             _, doubts = _consistency(work, _track(args, work))

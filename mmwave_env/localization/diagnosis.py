@@ -64,7 +64,6 @@ _ROWS = {
 _SEARCHED_EPOCHS = 50  # number of epochs among which the track's first epoch is chosen
 _DECIMALS = 2  # of mean log-likelihoods; of hypotheses that fit equally well, the first is chosen
 _ADVANTAGE = 10.0  # bonus for the log as it is, added to its log-likelihood
-_SOUND = {AS_IT_IS, *(f"radio is {name}" for name in RADIOS)}  # hypotheses of a sound log
 _OUTLIER_QUANTILE = 1e-6  # NIS is capped at the value that chi-square exceeds with this probability
 
 
@@ -213,7 +212,7 @@ def diagnose(reading: Reading) -> list[Finding]:
     findings = _findings([as_it_is, *single], first)
     radios = {r.undone[0].words: r for r in single if r.radio is not radio}
     best = findings[0]
-    if best.contradictions or best.hypothesis in _SOUND:
+    if best.contradictions or not best.misread:
         likely = [as_it_is, *filter(None, [radios.get(best.hypothesis)])]
         shared = [r for reading in likely for r in _without_shared_errors(whole, reading)]
         findings = [f._replace(shared=True) for f in _findings(shared, first)] + findings
@@ -244,8 +243,6 @@ def _without_shared_errors(log: Log, reading: Reading) -> list[Reading]:
 def _findings(readings: Sequence[Reading], first: int) -> list[Finding]:
     """Return a finding on each reading, the best first; tracks begin with the epoch ``first``."""
     findings: list[Finding] = []
-    if not readings:
-        return findings
     tracked = []
     episodes = []
     for reading in readings:
@@ -278,8 +275,7 @@ def _rank(finding: Finding, epochs: int) -> tuple[bool, bool, float]:
     """
     if not finding.contradictions and finding.log_likelihood is not None:
         advantage = _ADVANTAGE / epochs if finding.hypothesis == AS_IT_IS else 0.0
-        misread = finding.hypothesis not in _SOUND
-        return False, misread, -round(finding.log_likelihood + advantage, _DECIMALS)
+        return False, finding.misread, -round(finding.log_likelihood + advantage, _DECIMALS)
     worst = finding.worst_anchor
     return True, True, np.inf if worst is None else abs(np.log(worst))
 

@@ -12,12 +12,13 @@ from mmwave_env.localization.localizer import episode_from
 from mmwave_env.localization.starts import Start, deviations_of, start_at
 from mmwave_env.logs.log import Log
 from mmwave_env.models.layout import wrap_angles
-from mmwave_env.models.radio import Radio
+from mmwave_env.models.radio import RADIOS, Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Mask
 from mmwave_env.world.episode import Episode
 
 AS_IT_IS = "as it is"
+_SOUND = {AS_IT_IS, *(f"radio is {name}" for name in RADIOS)}  # hypotheses of a sound log
 
 # rows of a measurement without odometry: four values per link, then the Doppler shift
 RANGE = slice(0, -1, 4)
@@ -99,6 +100,11 @@ class Finding(NamedTuple):
     cure: str  # how to correct the log if the hypothesis is right; empty for the log as it is
     scene: Scene  # the scene, corrected if the cure corrects it
     shared: bool = False  # whether links share the error, so that NIS and levels do not show it
+
+    @property
+    def misread(self) -> bool:
+        """Tell whether values do not mean what the file says, as if their unit is wrong."""
+        return not self.shared and self.hypothesis not in _SOUND
 
     @property
     def worst_anchor(self) -> float | None:
