@@ -1,5 +1,6 @@
 """Tests that inputs within models.envelope give sound beliefs and other inputs are refused."""
 
+import re
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -22,6 +23,7 @@ from mmwave_env.world.episode import Episode
 from mmwave_env.world.mobility import MOBILITIES
 from mmwave_env.world.simulated import SimulatedSource
 from tests.filters.tracks import drawn, packed, street_source, unpacked
+from tests.paths import ROOT
 from tests.refusals import refuses
 
 ASIDE = 0.01  # tested values differ from a limit of their bound by this share of the limit
@@ -220,6 +222,13 @@ def test_the_error_names_a_setting_that_is_far_beyond_its_bounds(record, name, b
         if value < 0 or bound.most != np.inf:  # durations may be infinite
             with refuses(name):
                 replace(of, **{name: shape(value)})
+
+
+def test_the_page_states_all_bounds():
+    page = (ROOT / "docs" / "reliability.md").read_text(encoding="utf-8")
+    numbers = dict(re.findall(r"^\| `([A-Z_]+)` \|.*\| (.+) \|$", page, re.MULTILINE))
+    bounds = {name: b.expected for name, b in vars(envelope).items() if isinstance(b, Bound)}
+    assert {name: f"a number from {text}" for name, text in numbers.items()} == bounds
 
 
 def test_a_radio_and_a_scene_that_together_exceed_the_envelope_are_refused():
