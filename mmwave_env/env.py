@@ -130,7 +130,7 @@ class MmWaveLocEnv(Environment, gym.Env[Array32, Any]):
 
     * Every step: `position_error_m`, `nees`, `nis`, `accepted`, `rejected` (per anchor, then
       Doppler), `mode`, `gamma`, `truth` (position, velocity), `estimate` (position, velocity,
-      bias; with `clock="offset"` also the range bias, m), `reward_terms`, `cost` (for constrained
+      bias; with another `clock` also the range bias, m), `reward_terms`, `cost` (for constrained
       learning: 1.0 if the horizontal error is so large that a Gaussian error with the belief's
       covariance exceeds it with a probability below 0.001, else 0.0); with beliefs per mode also
       `mode_probabilities`.

@@ -216,7 +216,7 @@ class CompareArgs(EpisodeArgs):
     """fixed-NAME (a mode in every epoch: fixed-ekf, fixed-ukf
     or fixed-ckf); speed-rule (the paper's rule: EKF up to
     2 m/s, UKF above); likelihood-rule (the mode that
-    explains the coming measurement best); imm (interacting
+    explains recent measurements best); imm (interacting
     multiple models: mixes all modes) and imm-best (of five
     tuned modes); the learned ppo, guided, guided-ppo and
     corrector; policy files (.safetensors); folders of runs
@@ -438,8 +438,8 @@ class LogArgs(IntegrityArgs, JsonArgs):
     radio: str = AUTO
     """radio profile, which sets how modes are tuned and how
     noise depends on the SNR: handset, standard, high or a
-    JSON file; auto: the profile whose noise is nearest to
-    the log's noise"""
+    JSON file; auto: handset for paths, else the profile
+    nearest to the log's noise"""
     snr: float | None = None
     """SNR of links that have none in the log, dB; needed if
     the log has neither SNR nor standard deviations"""

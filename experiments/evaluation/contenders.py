@@ -55,7 +55,7 @@ SHIPPED = ("ppo", "guided", "guided-ppo", "corrector")
 
 DESCRIPTIONS = {
     "speed-rule": "the paper's rule: EKF up to 2 m/s, UKF above",
-    "likelihood-rule": "chooses the mode that explains the coming measurement best",
+    "likelihood-rule": "chooses the mode that explains recent measurements best",
     "imm": "interacting multiple models: mixes all modes instead of choosing one",
     "imm-best": "tuned IMM of modes for users who stand, cruise, turn, accelerate or brake",
     "ppo": "learned policy that chooses between the profile's two modes",
