@@ -74,7 +74,7 @@ class _User:
     """The state of a user between two epochs."""
 
     seen_s: float = 0.0  # time of all users together when the user's last epoch arrived
-    last_s: float | None = None  # time of the last measurement; None without a track
+    last_s: float = -inf  # time of the last measurement; -inf without a track
     doubt: Doubt | None = None  # epochs that may still revise the track
     end_s: float = 0.0  # time of the last filtered epoch
     # of a track in no engine: arrays (1, ...) of the filter, the memories of a policy and of levels
@@ -189,7 +189,7 @@ class Tracker:
                 revised = self._revised(user, epoch)
                 if revised:
                     yield epoch.user, self._restarted(user, *revised)
-                elif user.last_s is not None:
+                elif user.last_s > -inf:
                     going_on.append(epoch)
                     users.append(user)
             if users:
@@ -230,11 +230,12 @@ class Tracker:
 
     def _revised(self, user: _User, epoch: LiveEpoch) -> tuple[Log, Start] | None:
         """Return the epochs with which a track begins, or begins anew, and the start; else None."""
-        gap_s = inf if user.last_s is None else epoch.time_s - user.last_s
-        if gap_s > GAP_S or gap_s <= 0.0:  # a clock that was set back begins a new track, too
-            if user.last_s is not None or user.doubt is None:
+        gap_s = epoch.time_s - user.last_s
+        # a clock that was set back begins a new track, too
+        if gap_s > GAP_S or epoch.time_s <= user.end_s:
+            if user.last_s > -inf or user.doubt is None:
                 user.doubt = Doubt(self._scene, self.radio)
-                user.last_s = None
+                user.last_s = -inf
             return user.doubt.begin(epoch)
         if gap_s > DOUBTFUL_GAP_S:
             user.doubt = Doubt(self._scene, self.radio)

@@ -392,9 +392,9 @@ class LiveLog:
         try:
             file = self._file([*before, *self._waiting, *names])
         except LogError as error:
-            if not self._is_open:
+            if not self._is_open and QUANTITY_OF.keys() >= set(names):
                 self._waiting += names
-                self._problem = self._problem or error
+                self._problem = error
             elif len(names) > 1:
                 for name in names:
                     self._learn([name], number)

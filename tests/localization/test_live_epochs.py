@@ -171,7 +171,21 @@ def test_live_goes_on_after_wrong_times(stream):
     assert sum(p.begins for p in positions if p) <= 3
 
 
-def test_rows_may_have_other_keys_than_the_first_row():
+def test_a_clock_that_is_set_back_while_nothing_is_heard_begins_a_new_track():
+    tracker = Tracker(SCENE, Switching((EKF,)), RADIO)
+    begun = []
+    for number, rows in enumerate(walk()):
+        times = [{"time_s": row["time_s"] - 0.65 * (number >= 38)} for row in rows]
+        silent = 30 <= number < 38
+        heard = [{"anchor": row["anchor"]} if silent else row for row in rows]
+        with suppress(LogError):
+            position = tracker.update([h | t for h, t in zip(heard, times, strict=True)])
+            begun += [number] if position.begins else []
+    assert len(begun) == 2 and 38 <= begun[1] <= 43
+
+
+@pytest.mark.parametrize("first", [0, 3])
+def test_rows_may_have_other_keys_than_the_first_row(first):
     """Check that keys may appear later, and that unknown keys are named once and ignored."""
     whole = Tracker(SCENE, Switching((EKF,)), RADIO)
     expected = [whole.update(rows) for rows in walk(20)]
@@ -179,11 +193,11 @@ def test_rows_may_have_other_keys_than_the_first_row():
     positions = []
     for number, rows in enumerate(walk(20)):
         measured = [{k: v for k, v in row.items() if v is not None} for row in rows[::-1]]
-        if number == 3:
+        if number == first:
             with pytest.warns(UserWarning, match="rssi"):
                 positions.append(tracker.update([row | {"rssi": -70.0} for row in measured]))
         else:
-            more = {"rssi": -70.0} if number > 3 else {}
+            more = {"rssi": -70.0} if number > first else {}
             positions.append(tracker.update([row | more for row in measured]))
     np.testing.assert_array_equal(
         [p.position_m for p in positions if p], [p.position_m for p in expected if p]
