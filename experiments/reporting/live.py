@@ -193,29 +193,28 @@ def _waited_long(waiting: list[LiveEpoch], epochs: Sequence[LiveEpoch]) -> bool:
 
 
 class _FirstEpochs:
-    """The first epochs of the first user with a track, to be compared with the positions."""
+    """The first epochs with positions of a user, all of one layout, to be compared with these."""
 
     def __init__(self) -> None:
-        self._user = ""
-        self._epochs: list[LiveEpoch] = []
-        self._positions: list[Position] = []
+        self._placed: list[tuple[LiveEpoch, Position]] = []
 
     def add(self, epochs: Sequence[LiveEpoch], placed: Sequence[tuple[str, Position]]) -> bool:
         """Add epochs, and users with positions in them; return whether that is enough to judge."""
-        if placed and not self._positions:
-            self._user = placed[0][0]
-        self._positions += [position for user, position in placed if user == self._user]
-        if self._positions:  # else epochs without a position would pile up
-            self._epochs += [epoch for epoch in epochs if epoch.user == self._user]
-        return len(self._positions) >= _ENOUGH_POSITIONS
+        by_time = {(epoch.user, epoch.time_s): epoch for epoch in epochs}
+        for user, position in placed:
+            epoch = by_time[user, position.time_s]
+            first, _ = self._placed[0] if self._placed else (epoch, position)
+            if epoch.layout != first.layout:  # all tracks have begun anew
+                self._placed.clear()
+            if user == first.user:
+                self._placed.append((epoch, position))
+        return len(self._placed) >= _ENOUGH_POSITIONS
 
     def contradictions(self, scene: Scene, radio: Radio) -> list[Contradiction]:
         """Return what in the epochs contradicts the positions, the scene or the radio."""
-        by_time = {position.time_s: position for position in self._positions}
-        epochs = {epoch.time_s: epoch for epoch in self._epochs if epoch.time_s in by_time}
-        log = log_from(epochs.values())
+        epochs, positions = zip(*self._placed, strict=True)
+        log = log_from(epochs)
         dof = np.add.reduceat(values_of(log), log.layout.starts, axis=1, dtype=np.int64)
-        positions = [by_time[time_s] for time_s in epochs]
         groups = {}
         for name, values in zip(log.layout.group_names, dof.T, strict=True):
             rejected = np.array([name in position.rejected for position in positions])
@@ -325,7 +324,7 @@ def _added(log: LiveLog, number: int, line: str, as_json: bool) -> Iterator[Live
         for warning in log.warnings:
             _warn(f"{SOURCE}, {warning}")
         log.warnings.clear()
-    if whole:
+    if whole and rows:  # without rows, the epochs of all users would end
         yield from log.end_epoch(rows)
 
 

@@ -105,6 +105,14 @@ def test_the_default_policy_depends_on_the_columns_and_not_on_the_first_epoch(tm
     assert positions[-1]["position_m"] == pytest.approx(last[1:4], abs=1e-9)
 
 
+def test_keys_may_appear_while_the_first_positions_are_judged():
+    lines = as_json(lines_of()[:391], False).splitlines()
+    rows = [json.loads(line) for line in lines]
+    rows[150:] = [row | {"speed_mps": 1.0, "heading_rad": 0.0} for row in rows[150:]]
+    positions, _, code = live("\n".join(map(json.dumps, rows)).encode(), "--speed", "1")
+    assert code == 0 and len(positions) == len({row["time_s"] for row in rows})
+
+
 @pytest.mark.parametrize(
     ("folder", "name", "doubt"),
     [
